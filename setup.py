@@ -1,0 +1,54 @@
+"""Build description of the ament_python package; also installs with pip where there is no ROS."""
+
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+PACKAGE = "trackres_ros"
+ROOT = Path(__file__).parent
+
+
+def shared_files(folder: str) -> list[tuple[str, list[str]]]:
+    """Return `data_files` entries that keep the tree below `folder` under share/."""
+    entries: dict[str, list[str]] = {}
+    for path in sorted((ROOT / folder).rglob("*")):
+        if path.is_file() and "__pycache__" not in path.parts:
+            relative = path.relative_to(ROOT)
+            entries.setdefault(f"share/{PACKAGE}/{relative.parent}", []).append(str(relative))
+    return list(entries.items())
+
+
+BAGS = ["rosbags>=0.10"]
+PARQUET = ["pyarrow>=14"]
+PLOTS = ["matplotlib>=3.6"]
+FAST = ["numba>=0.57"]
+TEST = ["pytest>=7.4", "hypothesis>=6.98", "rainflow>=3.1", "ruff>=0.4", "mypy>=1.8", "types-PyYAML"]
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    description="Rolling-resistance torque and temperature of rubber tracks, live and from recordings",
+    long_description=(ROOT / "README.md").read_text(encoding="utf-8"),
+    long_description_content_type="text/markdown",
+    license="Apache-2.0",
+    packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
+    package_data={PACKAGE: ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
+        (f"share/{PACKAGE}", ["package.xml"]),
+        *shared_files("config"),
+        *shared_files("launch"),
+    ],
+    python_requires=">=3.11",
+    install_requires=["setuptools", "numpy>=1.26", "scipy>=1.11", "PyYAML>=6.0", "click>=8.1", "rich>=13.7"],
+    extras_require={
+        "bags": BAGS,
+        "parquet": PARQUET,
+        "plots": PLOTS,
+        "fast": FAST,
+        "all": BAGS + PARQUET + PLOTS + FAST,
+        "test": BAGS + PARQUET + PLOTS + FAST + TEST,
+    },
+    zip_safe=False,
+    entry_points={"console_scripts": ["trackres = trackres_ros.cli.main:main"]},
+)

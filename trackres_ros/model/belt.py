@@ -1,0 +1,116 @@
+"""The belt as a rope and as a body: stiffness (5, 6), mass and heat capacity (26), tension (12 to 18)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import brentq
+
+from trackres_ros.vehicle import Belt, Rubber
+
+Array = NDArray[np.float64]
+
+GRAVITY = 9.80665  # m/s^2, ISO 80000-3
+
+
+def rubber_section(belt: Belt) -> float:
+    """Section of rubber [m^2]: the belt without its cords, and the lugs and tread bars standing out of it."""
+    return belt.width * belt.thickness - belt.cord_section + belt.lug_section
+
+
+def mass_per_length(belt: Belt, rubber: Rubber) -> float:
+    """Mass per length q [kg/m]; the paper's text calls it a weight."""
+    return rubber_section(belt) * rubber.density + belt.cord_section * belt.cord_density
+
+
+def heat_capacity(belt: Belt, rubber: Rubber) -> float:
+    """Heat capacity of the whole loop [J/K], equation (26): L_R (rho A_r c_p + rho_s A_w c_s)."""
+    return belt.loop_length * (rubber_section(belt) * rubber.density * rubber.heat_capacity
+                               + belt.cord_section * belt.cord_density * belt.cord_heat_capacity)
+
+
+def cooled_area(belt: Belt) -> float:
+    """Area the air cools [m^2]: the exposed share of 2 (W + H) L_R."""
+    return belt.exposed_share * 2.0 * (belt.width + belt.thickness) * belt.loop_length
+
+
+def axial_stiffness(belt: Belt, rubber_modulus: ArrayLike) -> Array:
+    """E_S A [N] of cords and rubber in parallel, equation (5). Equation (6) is this over the belt's section.
+
+    Lugs and tread bars are separated by gaps and carry no tension.
+    """
+    plain = belt.width * belt.thickness - belt.cord_section
+    return np.asarray(belt.cord_modulus * belt.cord_section + np.asarray(rubber_modulus) * plain)
+
+
+def catenary_sag(tension: ArrayLike, mass: float, half_span: float, stiffness: float) -> Array:
+    """Sag [m] of an elastic catenary below its ends, equation (14) with its signs restored.
+
+    Parameters
+    ----------
+    tension
+        Horizontal tension F at the lowest point [N].
+    mass, half_span, stiffness
+        Mass per length q [kg/m], length from the lowest point to the support a_j [m], E_S A [N].
+
+    Notes
+    -----
+    q g a^2 / (2 EA) + (F / (q g)) [sqrt(1 + (q g a / F)^2) - 1]; the square root is written so that it does not cancel.
+    """
+    weight = mass * GRAVITY * half_span
+    ratio = weight / np.asarray(tension, float)
+    return np.asarray(weight * half_span / (2.0 * stiffness) + half_span * ratio / (np.sqrt(1.0 + ratio**2) + 1.0))
+
+
+def least_tension_for_sag(sag: float, mass: float, half_span: float, stiffness: float) -> float:
+    """Least tension [N] at which the belt sags no more than `sag` [m], equation (15) with its sign corrected.
+
+    With D = h_d/2 - q g a^2/(2EA): F = q g (a^2 - D^2)/(2D).
+
+    Raises
+    ------
+    ValueError
+        If the belt stretches further than the sag under its own weight: no tension can hold it.
+    """
+    depth = sag - mass * GRAVITY * half_span**2 / (2.0 * stiffness)
+    if depth <= 0.0:
+        raise ValueError(f"a sag of {sag:g} m is less than the belt's own stretch; no tension holds it")
+    return mass * GRAVITY * max(half_span**2 - depth**2, 0.0) / (2.0 * depth)
+
+
+def tension_by_search(sag: float, mass: float, half_span: float, stiffness: float) -> float:
+    """The same by root search on `catenary_sag`: the check on the closed form."""
+    return float(brentq(lambda tension: float(catenary_sag(tension, mass, half_span, stiffness)) - sag, 1e-3, 1e9))
+
+
+def belt_tension(belt: Belt, rubber: Rubber, rubber_modulus: float) -> float:
+    """Steady belt tension [N]: the spring's, or what holds the sag under half a tooth height if that is more.
+
+    A steady tension dissipates nothing, equations (16) to (18): only its range round the loop does.
+    """
+    stiffness = float(axial_stiffness(belt, rubber_modulus))
+    needed = least_tension_for_sag(belt.tooth_height / 2.0, mass_per_length(belt, rubber), belt.sag_half_span, stiffness)
+    return max(belt.pretension, needed)
+
+
+def bending_moment_of_height(belt: Belt, order: int) -> float:
+    """Integral of (h - h0)^order over the thickness [m^(order+1)], about the cord as neutral axis (19 to 21)."""
+    above, below = belt.thickness - belt.cord_height, belt.cord_height
+    return (above ** (order + 1) - (-below) ** (order + 1)) / (order + 1)
+
+
+def wrapped_radius(radius: float, wrap_angle: float, belt: Belt) -> float:
+    """Radius [m] of the cord round a wheel: R + h0, equation (20); a wheel on the outer face carries H - h0 below it."""
+    return radius + (belt.cord_height if wrap_angle >= 0 else belt.thickness - belt.cord_height)
+
+
+def arc_length(radius: float, wrap_angle: float, belt: Belt) -> float:
+    """Length of cord [m] on a wrapped wheel."""
+    return abs(wrap_angle) * wrapped_radius(radius, wrap_angle, belt)
+
+
+def signed_curvature(radius: float, wrap_angle: float, belt: Belt) -> float:
+    """Curvature [1/m] of the cord on a wheel, negative where the belt is bent backwards."""
+    return math.copysign(1.0 / wrapped_radius(radius, wrap_angle, belt), wrap_angle)

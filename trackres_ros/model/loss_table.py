@@ -1,0 +1,179 @@
+"""Loss per metre of travel on a grid, fast enough for every step of a live estimate.
+
+By time-temperature superposition temperature and speed enter only as the reduced speed a_T v: frequencies scale with v, and
+every modulus is a function of a_T f. So the axes are x = log10(a_T v) and the load; the torque on the sprocket enters as
+the two coefficients of a parabola, which is what the spectral loss is in it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import tempfile
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import RectBivariateSpline
+
+from trackres_ros.compiled import compiled
+from trackres_ros.model.hysteresis import METHODS, LossMethod, Spectral
+from trackres_ros.model.rubber import REFERENCE_ABOVE_TG, RubberModel
+from trackres_ros.model.track import LoadRange, TrackModel, load_range
+from trackres_ros.resources import cache_dir
+from trackres_ros.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+
+VERSION = 3                  # of the cached form
+LOG_SPEED = (-8.0, 9.5)      # x: from a belt at 120 degC creeping at 1 mm/s to one at -55 degC at any speed
+EXACT_LOG_SPEEDS = 176       # exact evaluations, joined by cubic splines
+EXACT_LOADS = 10
+FINE_LOG_SPEEDS = 1751       # nodes of the table, joined by straight lines
+FINE_LOADS = 64
+TABLE_HARMONICS = 2048
+DRIVE_TORQUE_SHARE = 0.25    # of load x sprocket radius: the torque at which the drive's parabola is taken
+CHECKED_BELT_DEGC = (-50.0, 120.0)
+SLOWEST_CHECKED = 0.05       # m/s
+
+
+@dataclass(frozen=True, eq=False)
+class LossTable:
+    """Loss force [N] of one kind of track over x = log10(a_T v [m/s]) and ln(load [N]); `drive` adds to it per torque."""
+
+    first_x: float
+    step_x: float
+    first_log_load: float
+    step_log_load: float
+    loss: Array        # (x, load)
+    drive: Array       # (x, 2): N per Nm and N per Nm^2 of sprocket torque
+    from_cache: bool
+
+    def at(self, log_reduced_speed: ArrayLike, load: ArrayLike, drive_torque: ArrayLike = 0.0) -> Array:
+        """Loss [N] by the same interpolation as the live kernel, any broadcast shape."""
+        x, g, m = np.broadcast_arrays(*(np.asarray(a, float) for a in (log_reduced_speed, load, drive_torque)))
+        out = np.empty(x.shape)
+        for i in np.ndindex(x.shape):
+            value, _ = look_up(self.loss, self.first_x, self.step_x, self.first_log_load, self.step_log_load,
+                               float(x[i]), float(np.log(g[i])))
+            linear, square = look_up_drive(self.drive, self.first_x, self.step_x, float(x[i]))
+            out[i] = value + m[i] * (linear + m[i] * square)
+        return out
+
+
+@compiled
+def look_up(loss, first_x, step_x, first_log_load, step_log_load, x, log_load):  # type: ignore[no-untyped-def]
+    """Loss [N] and its derivative by x, linear between nodes, held at the edges."""
+    rows, columns = loss.shape
+    u = min(max((x - first_x) / step_x, 0.0), rows - 1.000001)
+    w = min(max((log_load - first_log_load) / step_log_load, 0.0), columns - 1.000001)
+    i, j = int(u), int(w)
+    u, w = u - i, w - j
+    before = loss[i, j] + w * (loss[i, j + 1] - loss[i, j])
+    after = loss[i + 1, j] + w * (loss[i + 1, j + 1] - loss[i + 1, j])
+    return before + u * (after - before), (after - before) / step_x
+
+
+@compiled
+def look_up_drive(drive, first_x, step_x, x):  # type: ignore[no-untyped-def]
+    """Loss per sprocket torque [N/Nm] and per its square [N/Nm^2]."""
+    u = min(max((x - first_x) / step_x, 0.0), drive.shape[0] - 1.000001)
+    i = int(u)
+    u -= i
+    return drive[i, 0] + u * (drive[i + 1, 0] - drive[i, 0]), drive[i, 1] + u * (drive[i + 1, 1] - drive[i, 1])
+
+
+def loss_table(vehicle: Vehicle, track_name: str, cache: Path | None = None) -> LossTable:
+    """Table of one kind of track, from the cache where it holds the very same description, else built and cached.
+
+    Parameters
+    ----------
+    cache
+        Folder of the cache; by default `trackres_ros.resources.cache_dir`. A folder that cannot be written is left alone,
+        a file in it that is damaged is built anew.
+    """
+    path = (cache or cache_dir()) / f"loss-{fingerprint(vehicle, track_name)}.npz"
+    stored = _read(path)
+    if stored is not None:
+        return stored
+    rubber = RubberModel(vehicle.rubber)
+    track = vehicle.tracks[track_name]
+    method = Spectral(track, rubber, TABLE_HARMONICS) if vehicle.hysteresis == Spectral.name else METHODS[vehicle.hysteresis](track, rubber)
+    table = build(method, load_range(vehicle, track_name))
+    _write(path, table)
+    return table
+
+
+def fingerprint(vehicle: Vehicle, track_name: str) -> str:
+    """Hash of all that the table depends on: the values of the vehicle file and of its rubber file, not their comments."""
+    content = {"version": VERSION, "method": vehicle.hysteresis, "track": asdict(vehicle.tracks[track_name]),
+               "rubber": asdict(vehicle.rubber), "loads": load_range(vehicle, track_name)}
+    text = json.dumps(content, sort_keys=True, default=lambda array: array.tolist())
+    return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+
+def build(method: LossMethod, loads: LoadRange) -> LossTable:
+    """Evaluate the exact method on a coarse grid and refine it by splines in the logarithm."""
+    reference = method.rubber.rubber.glass_transition + REFERENCE_ABOVE_TG  # where a_T = 1: reduced speed is speed
+    x = np.linspace(*LOG_SPEED, EXACT_LOG_SPEEDS)
+    log_load = np.linspace(np.log(loads.low), np.log(loads.high), EXACT_LOADS)
+    exact = method.loss_force(10.0 ** x[:, np.newaxis], reference, np.exp(log_load))
+    fine_x = np.linspace(*LOG_SPEED, FINE_LOG_SPEEDS)
+    fine_load = np.linspace(log_load[0], log_load[-1], FINE_LOADS)
+    loss = np.exp(RectBivariateSpline(x, log_load, np.log(exact.total), s=0)(fine_x, fine_load))
+    torque = DRIVE_TORQUE_SHARE * loads.nominal * method.track.sprocket_radius
+    forward, backward = (method.loss_force(10.0**x, reference, loads.nominal, sign * torque).drive for sign in (1.0, -1.0))
+    drive = np.stack([np.interp(fine_x, x, (forward - backward) / (2 * torque)),
+                      np.interp(fine_x, x, (forward + backward) / (2 * torque**2))], axis=1)
+    return LossTable(float(fine_x[0]), float(fine_x[1] - fine_x[0]), float(fine_load[0]), float(fine_load[1] - fine_load[0]),
+                     loss, drive, from_cache=False)
+
+
+def interpolation_error(model: TrackModel, table: LossTable, loads: LoadRange, max_speed: float, points: int = 400,
+                        seed: int = 1) -> Array:
+    """Relative errors of the table against the exact method at random points of the whole range, shape (points,)."""
+    random = np.random.default_rng(seed)
+    speed = np.exp(random.uniform(np.log(SLOWEST_CHECKED), np.log(max_speed), points))
+    belt_degc = random.uniform(*CHECKED_BELT_DEGC, points)
+    load = np.exp(random.uniform(np.log(loads.low), np.log(loads.high), points))
+    torque = random.uniform(-1.0, 1.0, points) * DRIVE_TORQUE_SHARE * load * model.track.sprocket_radius
+    exact = model.loss.loss_force(speed, belt_degc, load, torque).total
+    return table.at(np.log10(speed) + model.rubber.log_shift(belt_degc), load, torque) / exact - 1.0
+
+
+def drive_share(table: LossTable, loads: LoadRange, sprocket_radius: float) -> float:
+    """Largest share of the loss that the drive torque adds or takes, over all reduced speeds at nominal load."""
+    torque = DRIVE_TORQUE_SHARE * loads.nominal * sprocket_radius
+    column = int(round((np.log(loads.nominal) - table.first_log_load) / table.step_log_load))
+    change = np.abs(table.drive[:, 0]) * torque + np.abs(table.drive[:, 1]) * torque**2
+    return float(np.max(change / table.loss[:, column]))
+
+
+def _read(path: Path) -> LossTable | None:
+    try:
+        with np.load(path) as stored:
+            first_x, step_x, first_log_load, step_log_load = (float(v) for v in stored["axes"])
+            loss, drive = stored["loss"], stored["drive"]
+    except (OSError, ValueError, KeyError, EOFError):
+        return None
+    except Exception as error:  # zipfile.BadZipFile and zlib.error have no common base
+        if type(error).__module__ not in ("zipfile", "zlib"):
+            raise
+        return None
+    if loss.shape != (FINE_LOG_SPEEDS, FINE_LOADS) or drive.shape != (FINE_LOG_SPEEDS, 2) or not np.isfinite(loss).all():
+        return None
+    return LossTable(first_x, step_x, first_log_load, step_log_load, loss, drive, from_cache=True)
+
+
+def _write(path: Path, table: LossTable) -> None:
+    """Store atomically; a cache that cannot be written costs the next start a second, nothing else."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".npz", delete=False) as file:
+            np.savez(file, axes=[table.first_x, table.step_x, table.first_log_load, table.step_log_load],
+                     loss=table.loss, drive=table.drive)
+        os.replace(file.name, path)
+    except OSError:
+        return

@@ -1,0 +1,43 @@
+"""Torque at the sprockets from loss and from everything else that resists, equations (32) to (36), each apart.
+
+Forces [N] along the travel; a torque is a force times the sprocket pitch radius R1. Positive resists forward travel.
+"""
+
+from __future__ import annotations
+
+import math
+
+from trackres_ros.compiled import compiled
+from trackres_ros.model.belt import GRAVITY
+
+STANDSTILL_SPEED = 0.05  # m/s, assumed: over it friction changes its sign smoothly; a fifth of 1 km/h
+
+
+@compiled
+def direction(speed):  # type: ignore[no-untyped-def]
+    """Sign of the speed [m/s], smooth through zero."""
+    return math.tanh(speed / STANDSTILL_SPEED)
+
+
+@compiled
+def bearing_force(speed, weight, bearing_friction):  # type: ignore[no-untyped-def]
+    """Bearing friction [N]. Equation (34) as printed divides by R1 and has the unit N/m; M = f G R1."""
+    return bearing_friction * weight * direction(speed)
+
+
+@compiled
+def wind_force(speed, drag_area, air_density):  # type: ignore[no-untyped-def]
+    """Drag [N] of C_d A [m^2]. The 76140 of equation (35) belongs to a power; M = 1/2 rho C_d A v abs(v) R1."""
+    return 0.5 * air_density * drag_area * speed * abs(speed)
+
+
+@compiled
+def inertia_force(acceleration, weight, rotating_mass_factor):  # type: ignore[no-untyped-def]
+    """Force to accelerate [N]. Equation (36) as printed lacks g and divides by R1; M = delta (G/g) a R1."""
+    return rotating_mass_factor * weight / GRAVITY * acceleration
+
+
+@compiled
+def grade_force(grade, weight):  # type: ignore[no-untyped-def]
+    """Force up a grade [N]; `grade` is rise over run, positive uphill in the direction the vehicle points."""
+    return weight * grade / math.sqrt(1.0 + grade * grade)

@@ -1,0 +1,60 @@
+"""One kind of track assembly as a whole: the paper's chain from load and speed to loss, by the exact methods."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+from trackres_ros.model import belt as belt_model
+from trackres_ros.model.hysteresis import METHODS, LossMethod
+from trackres_ros.model.rubber import RubberModel
+from trackres_ros.model.thermal import ThermalNetwork, thermal_network
+from trackres_ros.vehicle import Track, Vehicle
+
+SURE_SPEED = 5.0  # m/s at which the belt tension is stated; it hardly depends on it
+
+
+@dataclass(frozen=True)
+class TrackModel:
+    """Everything computed once from a vehicle file for one kind of track."""
+
+    track: Track
+    rubber: RubberModel
+    loss: LossMethod
+    network: ThermalNetwork
+
+
+class LoadRange(NamedTuple):
+    """Loads on one assembly, its own weight included [N]."""
+
+    low: float
+    nominal: float
+    high: float
+
+
+def track_model(vehicle: Vehicle, track_name: str) -> TrackModel:
+    """Build the model of one kind of track with the methods the vehicle file names."""
+    track = vehicle.tracks[track_name]
+    rubber = RubberModel(vehicle.rubber)
+    return TrackModel(track, rubber, METHODS[vehicle.hysteresis](track, rubber),
+                      thermal_network(vehicle.thermal, track.belt, vehicle.rubber))
+
+
+def with_methods(vehicle: Vehicle, hysteresis: str | None = None, thermal: str | None = None) -> Vehicle:
+    """The same vehicle with other methods than its file names."""
+    return replace(vehicle, hysteresis=hysteresis or vehicle.hysteresis, thermal=thermal or vehicle.thermal)
+
+
+def load_range(vehicle: Vehicle, track_name: str) -> LoadRange:
+    """Loads the tables cover for a kind of track: from just above its own weight to two and a half times nominal."""
+    nominal = max(float(load) for load, assembly in zip(vehicle.nominal_loads(), vehicle.assemblies, strict=True)
+                  if assembly.track == track_name)
+    own = vehicle.tracks[track_name].own_weight
+    return LoadRange(own + 0.02 * (nominal - own), nominal, 2.5 * nominal)
+
+
+def steady_tension(model: TrackModel, belt_degc: float, speed: float = SURE_SPEED) -> float:
+    """Steady belt tension [N] at a belt temperature [degC]."""
+    belt = model.track.belt
+    modulus = float(model.rubber.dynamic_modulus(abs(speed) / belt.loop_length, belt_degc))
+    return belt_model.belt_tension(belt, model.rubber.rubber, modulus)

@@ -1,0 +1,231 @@
+"""Assembles a `Vehicle` from a checked file, and checks what only the whole can show."""
+
+from __future__ import annotations
+
+import csv
+import math
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from trackres_ros.errors import InputError
+from trackres_ros.resources import find_vehicle
+from trackres_ros.vehicle import schema
+from trackres_ros.vehicle.description import (
+    Assembly,
+    Axle,
+    Beam,
+    Belt,
+    Chassis,
+    RoadWheels,
+    Rubber,
+    Track,
+    Vehicle,
+    WrappedWheel,
+)
+from trackres_ros.vehicle.reading import Reader, read_yaml
+
+TOP_KEYS = ("schema", "name", "title", "model", "rubber", "chassis", "assemblies", "tracks")
+RUBBER_COLUMNS = ("T_degC", "E_storage_MPa_10Hz", "E_loss_MPa_10Hz")
+CLOSED_LOOP_TOLERANCE_RAD = 0.05
+
+
+def load(path_or_name: str | os.PathLike[str], overrides: Mapping[str, float] | None = None) -> Vehicle:
+    """Load a vehicle file.
+
+    Parameters
+    ----------
+    path_or_name
+        Path of a vehicle file, or the name of a shipped vehicle such as ``xgd24d``.
+    overrides
+        Values that replace those of the file, by path, such as ``{"tracks.triangular.belt.thickness": 0.03}`` (SI).
+
+    Raises
+    ------
+    InputError
+        On a missing, unknown, non-finite or implausible value; names file, key, what was given and what is allowed.
+    """
+    path = find_vehicle(path_or_name)
+    content = read_yaml(path)
+    reader = Reader(path, overrides)
+    reader.keys(content, "", TOP_KEYS)
+    if content["schema"] != 1:
+        raise InputError(reader.where("schema"), content["schema"], "1")
+    model = reader.keys(content["model"], "model", tuple(schema.MODEL_CHOICES))
+    chassis, axles = _chassis(reader, content["chassis"])
+    tracks = {str(name): _track(reader, str(name), entry)
+              for name, entry in reader.keys(content["tracks"], "tracks", tuple(content["tracks"] or ())).items()}
+    if not tracks:
+        raise InputError(reader.where("tracks"), "nothing", "at least one kind of track")
+    vehicle = Vehicle(
+        name=reader.text(content["name"], "name"),
+        title=reader.text(content["title"], "title"),
+        source=path,
+        hysteresis=reader.text(model["hysteresis"], "model.hysteresis", schema.MODEL_CHOICES["hysteresis"]),
+        thermal=reader.text(model["thermal"], "model.thermal", schema.MODEL_CHOICES["thermal"]),
+        rubber=_rubber(reader, content["rubber"]),
+        chassis=chassis,
+        axles=axles,
+        assemblies=_assemblies(reader, content["assemblies"], axles, tracks),
+        tracks=MappingProxyType(tracks),
+        parameters=MappingProxyType(reader.parameters),
+    )
+    reader.check_overrides_used()
+    return vehicle
+
+
+def _rubber(reader: Reader, given: Any) -> Rubber:
+    values = reader.table(given, "rubber", schema.RUBBER, others=("file",))
+    file = Path(reader.text(given["file"], "rubber.file"))
+    path = file if file.is_absolute() else reader.path.parent / file
+    sweep_degc, storage_pa, loss_pa = read_rubber_sweep(path)
+    return Rubber(sweep_degc, storage_pa, loss_pa, **values)
+
+
+def read_rubber_sweep(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Read a temperature sweep: T [degC], storage and loss modulus [Pa], each of shape (temperatures,).
+
+    The file is a CSV with the columns T_degC, E_storage_MPa_10Hz and E_loss_MPa_10Hz; the sweep's frequency is said in the
+    vehicle file. Further columns are allowed.
+    """
+    try:
+        with path.open(encoding="utf-8", newline="") as lines:
+            rows = list(csv.DictReader(lines))
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}", str(error), "a readable CSV with a temperature sweep") from error
+    if len(rows) < 4 or any(name not in rows[0] for name in RUBBER_COLUMNS):
+        raise InputError(f"{path}", f"{len(rows)} rows with columns {', '.join(map(str, rows[0])) if rows else 'none'}",
+                         f"at least four rows with the columns {', '.join(RUBBER_COLUMNS)}")
+    table = np.empty((len(rows), 3))
+    for i, row in enumerate(rows):
+        for j, name in enumerate(RUBBER_COLUMNS):
+            try:
+                table[i, j] = float(row[name])
+            except (TypeError, ValueError):
+                raise InputError(f"{path}: row {i + 2}, {name}", row[name], "a number") from None
+    if not np.isfinite(table).all() or (np.diff(table[:, 0]) <= 0).any():
+        raise InputError(f"{path}", "temperatures that do not rise, or values that are not finite",
+                         "finite numbers with T_degC rising from row to row")
+    if (table[:, 1:] <= 0).any() or (table[:, 2] >= 100 * table[:, 1]).any():
+        raise InputError(f"{path}", "a modulus that is zero, negative or out of proportion", "positive moduli in MPa")
+    return table[:, 0].copy(), table[:, 1] * 1e6, table[:, 2] * 1e6
+
+
+def _chassis(reader: Reader, given: Any) -> tuple[Chassis, tuple[Axle, ...]]:
+    values: dict[str, Any] = reader.table(given, "chassis", schema.CHASSIS, others=("axles",))
+    values.setdefault("motor_ratio", None)
+    values.setdefault("motor_efficiency", None)
+    if (values["motor_ratio"] is None) != (values["motor_efficiency"] is None):
+        raise InputError(reader.where("chassis.motor_ratio"), "one of motor_ratio and motor_efficiency", "both or neither")
+    axles = []
+    for i, entry in enumerate(reader.items(given["axles"], "chassis.axles")):
+        reader.keys(entry, f"chassis.axles[{i}]", ("name", "load"))
+        name = reader.text(entry["name"], f"chassis.axles[{i}].name")
+        axles.append(Axle(name, reader.quantity(entry["load"], f"chassis.axles.{name}.load", schema.AXLE_LOAD)))
+    _refuse_repeats(reader, "chassis.axles", [axle.name for axle in axles])
+    return Chassis(**values), tuple(axles)
+
+
+def _assemblies(reader: Reader, given: Any, axles: tuple[Axle, ...], tracks: Mapping[str, Track]) -> tuple[Assembly, ...]:
+    assemblies = []
+    names = tuple(axle.name for axle in axles)
+    for i, entry in enumerate(reader.items(given, "assemblies")):
+        key = f"assemblies[{i}]"
+        reader.keys(entry, key, ("name", "axle", "track"))
+        assemblies.append(Assembly(reader.text(entry["name"], f"{key}.name"),
+                                   reader.text(entry["axle"], f"{key}.axle", names),
+                                   reader.text(entry["track"], f"{key}.track", tuple(tracks))))
+    _refuse_repeats(reader, "assemblies", [a.name for a in assemblies] + list(names))
+    for name in names:
+        if all(a.axle != name for a in assemblies):
+            raise InputError(reader.where("assemblies"), f"no assembly on axle {name}", "at least one assembly an axle")
+    return tuple(assemblies)
+
+
+def _refuse_repeats(reader: Reader, key: str, names: list[str]) -> None:
+    repeated = sorted({name for name in names if names.count(name) > 1})
+    if repeated:
+        raise InputError(reader.where(key), ", ".join(repeated), "names of axles and assemblies that occur once")
+
+
+def _track(reader: Reader, name: str, given: Any) -> Track:
+    key = f"tracks.{name}"
+    values = reader.table(given, key, schema.TRACK, others=("belt", "road_wheels", "wrapped_wheels", "beams"))
+    choices = tuple(schema.BELT_CHOICES)
+    belt_values = reader.table(given["belt"], f"{key}.belt", schema.BELT, others=choices)
+    unit = reader.text(given["belt"]["film_speed_unit"], f"{key}.belt.film_speed_unit", schema.BELT_CHOICES["film_speed_unit"])
+    wheels = reader.keys(given["road_wheels"], f"{key}.road_wheels", tuple(schema.ROAD_WHEELS))
+    road_wheels = RoadWheels(
+        positions=reader.quantities(wheels["positions"], f"{key}.road_wheels.positions", schema.ROAD_WHEELS["positions"]),
+        **{part: reader.quantity(wheels[part], f"{key}.road_wheels.{part}", schema.ROAD_WHEELS[part])
+           for part in ("radius", "contact_length", "ground_run")})
+    track = Track(name=name, belt=Belt(film_speed_unit=unit, **belt_values), road_wheels=road_wheels,
+                  wrapped_wheels=_wrapped_wheels(reader, key, given["wrapped_wheels"], values["sprocket_radius"]),
+                  beams=_beam(reader, f"{key}.beams", given["beams"], top=True), **values)
+    _check_geometry(reader, key, track)
+    return track
+
+
+def _wrapped_wheels(reader: Reader, key: str, given: Any, sprocket_radius: float) -> tuple[WrappedWheel, ...]:
+    wheels = []
+    for i, entry in enumerate(reader.items(given, f"{key}.wrapped_wheels")):
+        place = f"{key}.wrapped_wheels[{i}]"
+        sprocket = isinstance(entry, dict) and entry.get("kind") == "sprocket"
+        reader.keys(entry, place, ("name", "kind", "wrap_angle") if sprocket else ("name", "kind", "radius", "wrap_angle"))
+        name = reader.text(entry["name"], f"{place}.name")
+        kind = reader.text(entry["kind"], f"{place}.kind", schema.WHEEL_KINDS)
+        path = f"{key}.wrapped_wheels.{name}"
+        radius = sprocket_radius if sprocket else reader.quantity(entry["radius"], f"{path}.radius", schema.WRAPPED_WHEEL["radius"])
+        wrap = reader.quantity(entry["wrap_angle"], f"{path}.wrap_angle", schema.WRAPPED_WHEEL["wrap_angle"])
+        wheels.append(WrappedWheel(name, kind, radius, wrap))
+    if sum(wheel.kind == "sprocket" for wheel in wheels) != 1:
+        raise InputError(reader.where(f"{key}.wrapped_wheels"), [wheel.kind for wheel in wheels], "exactly one sprocket")
+    return tuple(wheels)
+
+
+def _beam(reader: Reader, key: str, given: Any, top: bool = False) -> Beam | int:
+    if isinstance(given, int) and not isinstance(given, bool):
+        return given - 1
+    names = ("split", "front", "rear")
+    reader.keys(given, key, names, ("own_weight_split",) if top else ())
+    split = reader.quantity(given["split"], f"{key}.split", schema.BEAM["split"])
+    own = split
+    if "own_weight_split" in given:
+        own = reader.quantity(given["own_weight_split"], f"{key}.own_weight_split", schema.BEAM["own_weight_split"])
+    return Beam(split, own, _beam(reader, f"{key}.front", given["front"]), _beam(reader, f"{key}.rear", given["rear"]))
+
+
+def _check_geometry(reader: Reader, key: str, track: Track) -> None:
+    """Refuse a track whose parts do not fit each other."""
+    belt, wheels = track.belt, track.road_wheels
+    positions = np.array(wheels.positions)
+    count = len(positions)
+    if (np.diff(positions) <= 0).any() or positions[-1] > wheels.ground_run:
+        raise InputError(reader.where(f"{key}.road_wheels.positions"), list(wheels.positions),
+                         f"rising positions on the ground run of {wheels.ground_run:g} m")
+    hung = [track.beams] if isinstance(track.beams, int) else list(track.beams.wheels())
+    if sorted(hung) != list(range(count)):
+        raise InputError(reader.where(f"{key}.beams"), [wheel + 1 for wheel in hung],
+                         f"each road wheel 1 to {count} on exactly one beam end")
+    if belt.cord_height >= belt.thickness:
+        raise InputError(reader.where(f"{key}.belt.cord_height"), belt.cord_height, f"less than the thickness {belt.thickness:g} m")
+    if wheels.contact_length > belt.width:
+        raise InputError(reader.where(f"{key}.road_wheels.contact_length"), wheels.contact_length,
+                         f"at most the belt width {belt.width:g} m")
+    if belt.tread_depth * belt.width * belt.tread_land_ratio > belt.lug_section:
+        raise InputError(reader.where(f"{key}.belt.lug_section"), belt.lug_section,
+                         f"at least the tread bars {belt.tread_depth * belt.width * belt.tread_land_ratio:.4g} m^2")
+    if belt.cord_section >= belt.width * belt.thickness / 2:
+        raise InputError(reader.where(f"{key}.belt.cord_section"), belt.cord_section, "less than half the belt section")
+    wraps = sum(wheel.wrap_angle for wheel in track.wrapped_wheels)
+    if abs(wraps - 2 * math.pi) > CLOSED_LOOP_TOLERANCE_RAD:
+        raise InputError(reader.where(f"{key}.wrapped_wheels"), f"wrap angles that sum to {wraps:.3f} rad",
+                         f"a closed loop: 2 pi within {CLOSED_LOOP_TOLERANCE_RAD} rad")
+    arcs = sum(abs(wheel.wrap_angle) * (wheel.radius + belt.cord_height) for wheel in track.wrapped_wheels)
+    if wheels.ground_run + arcs >= belt.loop_length:
+        raise InputError(reader.where(f"{key}.belt.loop_length"), belt.loop_length,
+                         f"more than the ground run and the wraps together, {wheels.ground_run + arcs:.3f} m")

@@ -1,0 +1,156 @@
+"""Vehicle file -> checked, frozen description. Nothing passes that the file does not say plainly."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from trackres_ros.errors import InputError
+from trackres_ros.vehicle import schema
+from trackres_ros.vehicle.description import Quantity
+
+QUANTITY_KEYS = ("value", "unit", "flag", "range", "reason")
+FLAGS = ("P", "L", "A")
+
+
+class _UniqueKeyLoader(yaml.SafeLoader):
+    """YAML in which a key given twice is an error instead of a silent loss."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        seen: set[str] = set()
+        for key_node, _ in node.value:
+            if key_node.value in seen:
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"the key '{key_node.value}' stands twice", key_node.start_mark)
+            seen.add(key_node.value)
+        return super().construct_mapping(node, deep)
+
+
+def read_yaml(path: Path) -> dict[str, Any]:
+    """Read a YAML mapping; a syntax error names file and line."""
+    try:
+        content = yaml.load(path.read_text(encoding="utf-8"), Loader=_UniqueKeyLoader)  # a SafeLoader
+    except OSError as error:
+        raise InputError(str(path), error.strerror or "an unreadable file", "a readable YAML file") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise InputError(str(path), " ".join(str(error).split()), "a YAML file") from error
+    if not isinstance(content, dict):
+        raise InputError(str(path), type(content).__name__, "a YAML mapping at the top")
+    return content
+
+
+class Reader:
+    """Takes values out of one nested mapping, remembering each quantity by its path, refusing what is not right."""
+
+    def __init__(self, path: Path, overrides: Mapping[str, float] | None = None) -> None:
+        self.path = path
+        self.parameters: dict[str, Quantity] = {}
+        self._overrides = dict(overrides or {})
+
+    def where(self, key: str) -> str:
+        """Place of a key, for messages."""
+        return f"{self.path}: {key}"
+
+    def keys(self, mapping: Any, key: str, required: tuple[str, ...], optional: tuple[str, ...] = ()) -> dict[str, Any]:
+        """`mapping` itself, if it has all required keys and no unknown ones."""
+        allowed = (*required, *optional)
+        if not isinstance(mapping, dict):
+            raise InputError(self.where(key), mapping, f"a mapping with the keys {', '.join(allowed)}")
+        for name in required:
+            if name not in mapping:
+                raise InputError(self.where(f"{key}.{name}" if key else name), "nothing", "this key is required")
+        for name in mapping:
+            if name not in allowed:
+                near = difflib.get_close_matches(str(name), allowed, n=1)
+                raise InputError(self.where(f"{key}.{name}" if key else str(name)), name, f"one of {', '.join(allowed)}",
+                                 f"did you mean {near[0]}?" if near else "")
+        return mapping
+
+    def text(self, value: Any, key: str, allowed: tuple[str, ...] = ()) -> str:
+        """A non-empty string, one of `allowed` where that is given."""
+        if not isinstance(value, str) or not value.strip():
+            raise InputError(self.where(key), value, f"one of {', '.join(allowed)}" if allowed else "a text")
+        if allowed and value not in allowed:
+            raise InputError(self.where(key), value, f"one of {', '.join(allowed)}")
+        return value
+
+    def items(self, value: Any, key: str) -> list[Any]:
+        """A non-empty list."""
+        if not isinstance(value, list) or not value:
+            raise InputError(self.where(key), value, "a list with at least one entry")
+        return value
+
+    def table(self, mapping: Any, key: str, limits: Mapping[str, schema.Limits],
+              others: tuple[str, ...] = ()) -> dict[str, float]:
+        """All quantities of a section, by name; optional ones may be absent."""
+        required = tuple(name for name, limit in limits.items() if not limit.optional)
+        optional = tuple(name for name, limit in limits.items() if limit.optional)
+        self.keys(mapping, key, (*required, *others), optional)
+        return {name: self.quantity(mapping[name], f"{key}.{name}", limit)
+                for name, limit in limits.items() if name in mapping}
+
+    def quantity(self, given: Any, key: str, limits: schema.Limits) -> float:
+        """One checked scalar quantity."""
+        value = self._quantity(given, key, limits).value
+        if isinstance(value, tuple):
+            raise InputError(self.where(f"{key}.value"), list(value), "one number")
+        return value
+
+    def quantities(self, given: Any, key: str, limits: schema.Limits) -> tuple[float, ...]:
+        """A checked list of quantities that share unit, range and reason."""
+        value = self._quantity(given, key, limits).value
+        return value if isinstance(value, tuple) else (value,)
+
+    def _quantity(self, given: Any, key: str, limits: schema.Limits) -> Quantity:
+        entry = self.keys(given, key, QUANTITY_KEYS)
+        if entry["unit"] != limits.unit:
+            raise InputError(self.where(f"{key}.unit"), entry["unit"], f"{limits.unit}", "convert the value to this unit")
+        flag = self.text(entry["flag"], f"{key}.flag", FLAGS)
+        reason = self.text(entry["reason"], f"{key}.reason")
+        bounds = entry["range"]
+        if not isinstance(bounds, list) or len(bounds) != 2:
+            raise InputError(self.where(f"{key}.range"), bounds, "two numbers, [low, high]")
+        low, high = (self._number(bound, f"{key}.range", limits.low, limits.high, limits.unit) for bound in bounds)
+        if low > high:
+            raise InputError(self.where(f"{key}.range"), bounds, "[low, high] with low <= high")
+        raw = entry["value"]
+        value: float | tuple[float, ...]
+        if isinstance(raw, list):
+            value = tuple(self._number(item, f"{key}.value", low, high, limits.unit) for item in raw)
+        else:
+            raw = self._overrides.get(key, raw)
+            if key in self._overrides:  # a fit may leave the file's range, never the absolute limits
+                low, high = min(low, raw), max(high, raw)
+                value = self._number(raw, key, limits.low, limits.high, limits.unit)
+            else:
+                value = self._number(raw, f"{key}.value", low, high, limits.unit)
+        quantity = Quantity(value, limits.unit, flag, low, high, reason)
+        self.parameters[key] = quantity
+        return quantity
+
+    def _number(self, given: Any, key: str, low: float, high: float, unit: str) -> float:
+        allowed = f"a number from {low:g} to {high:g} {unit}"
+        if isinstance(given, str):  # YAML 1.1 reads 1.2e11, without the sign in the exponent, as text
+            try:
+                given = float(given)
+            except ValueError:
+                raise InputError(self.where(key), given, allowed) from None
+        if isinstance(given, bool) or not isinstance(given, int | float) or not math.isfinite(given):
+            raise InputError(self.where(key), given, allowed)
+        if not low <= given <= high:
+            raise InputError(self.where(key), given, allowed,
+                             "correct the value, or widen the range beside it if you trust the value")
+        return float(given)
+
+    def check_overrides_used(self) -> None:
+        """Refuse overrides whose path is not in the file."""
+        for key in self._overrides:
+            if key not in self.parameters or isinstance(self.parameters[key].value, tuple):
+                near = difflib.get_close_matches(key, self.parameters, n=1)
+                raise InputError(self.where(key), key, "the path of a scalar quantity in this file",
+                                 f"did you mean {near[0]}?" if near else "")

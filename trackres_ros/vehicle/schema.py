@@ -1,0 +1,93 @@
+"""What a vehicle file may say: for each quantity its unit and the limits beyond which a value is a mistake.
+
+The limits here bound any track vehicle; the `range` a file gives with each value is narrower and is that vehicle's.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class Limits(NamedTuple):
+    """Unit and absolute limits of a quantity, and what it is."""
+
+    unit: str
+    low: float
+    high: float
+    meaning: str
+    optional: bool = False
+
+
+RUBBER = {
+    "sweep_frequency": Limits("Hz", 0.001, 1e4, "frequency of the temperature sweep in the rubber file"),
+    "glass_transition": Limits("degC", -130.0, 40.0, "Tg of the shift function"),
+    "wlf_c1": Limits("1", 1.0, 30.0, "C1 of the WLF shift about Tg + 50 K"),
+    "wlf_c2": Limits("K", 51.0, 300.0, "C2 of the WLF shift about Tg + 50 K"),
+    "density": Limits("kg/m^3", 700.0, 2500.0, "rubber density"),
+    "conductivity": Limits("W/m/K", 0.05, 2.0, "rubber heat conductivity"),
+    "heat_capacity": Limits("J/kg/K", 700.0, 3000.0, "rubber specific heat capacity"),
+    "layer_stiffening": Limits("1", 1.0, 3.0, "stiffness of the confined layer over that of the material"),
+    "loss_modulus_scale": Limits("1", 0.1, 10.0, "factor on the loss modulus of the file"),
+}
+
+CHASSIS = {
+    "bearing_friction": Limits("1", 0.0, 0.2, "bearing friction coefficient"),
+    "drag_coefficient": Limits("1", 0.0, 3.0, "aerodynamic drag coefficient"),
+    "frontal_area": Limits("m^2", 0.0, 30.0, "frontal area"),
+    "air_density": Limits("kg/m^3", 0.3, 2.0, "air density"),
+    "rotating_mass_factor": Limits("1", 1.0, 3.0, "effective over true mass in acceleration"),
+    "max_speed": Limits("m/s", 0.5, 60.0, "greatest speed; faster measurements are refused"),
+    "ambient": Limits("degC", -60.0, 60.0, "ambient temperature where none is given"),
+    "motor_ratio": Limits("1", 0.1, 500.0, "motor speed over sprocket speed", optional=True),
+    "motor_efficiency": Limits("1", 0.3, 1.0, "efficiency from motor to sprocket", optional=True),
+}
+
+AXLE_LOAD = Limits("N", 10.0, 1e7, "load of the axle, without its assemblies")
+
+TRACK = {
+    "own_weight": Limits("N", 1.0, 1e6, "weight of one assembly"),
+    "sprocket_radius": Limits("m", 0.02, 3.0, "sprocket pitch radius"),
+}
+
+BELT = {
+    "width": Limits("m", 0.02, 3.0, "belt width"),
+    "thickness": Limits("m", 0.003, 0.3, "belt thickness without tread bars and lugs"),
+    "cord_height": Limits("m", 0.0005, 0.2, "height of the cords above the inner face"),
+    "loop_length": Limits("m", 0.3, 60.0, "length of the belt loop"),
+    "lug_section": Limits("m^2", 0.0, 0.5, "section of lugs and tread bars, mean round the loop"),
+    "tread_depth": Limits("m", 0.0, 0.2, "height of the tread bars"),
+    "tread_land_ratio": Limits("1", 0.0, 1.0, "share of the outer face that tread bars cover"),
+    "curvature_length": Limits("m", 0.001, 1.0, "length over which the belt takes up its curvature"),
+    "cord_section": Limits("m^2", 1e-7, 0.1, "section of all cords"),
+    "cord_modulus": Limits("Pa", 1e8, 3e11, "tensile modulus of the cords"),
+    "cord_density": Limits("kg/m^3", 900.0, 9000.0, "cord density"),
+    "cord_heat_capacity": Limits("J/kg/K", 300.0, 2500.0, "cord specific heat capacity"),
+    "pretension": Limits("N", 0.0, 1e6, "belt tension from the spring"),
+    "tooth_height": Limits("m", 0.001, 0.5, "height of the drive teeth; the sag may be half of it"),
+    "sag_half_span": Limits("m", 0.01, 10.0, "half the free span that sags"),
+    "exposed_share": Limits("1", 0.05, 1.0, "cooled share of 2 (width + thickness) x loop length"),
+    "film_offset": Limits("W/m^2/K", 0.5, 500.0, "film coefficient at rest"),
+    "film_slope": Limits("W/m^2/K per speed_unit", 0.0, 50.0, "film coefficient gained per unit of speed"),
+    "surface_share": Limits("1", 0.01, 0.9, "share of heat capacity in the surface node"),
+}
+BELT_CHOICES = {"film_speed_unit": ("m/s", "km/h")}
+
+ROAD_WHEELS = {
+    "radius": Limits("m", 0.01, 2.0, "road-wheel radius"),
+    "contact_length": Limits("m", 0.01, 3.0, "axial length of the wheel's contact"),
+    "positions": Limits("m", 0.0, 60.0, "positions from the front end of the ground run"),
+    "ground_run": Limits("m", 0.05, 60.0, "length of the ground run"),
+}
+
+WRAPPED_WHEEL = {
+    "radius": Limits("m", 0.01, 3.0, "radius of a wheel the belt wraps"),
+    "wrap_angle": Limits("rad", -3.2, 6.3, "wrap angle; negative where the belt is bent backwards"),
+}
+WHEEL_KINDS = ("sprocket", "tensioner", "guide")
+
+BEAM = {
+    "split": Limits("1", 0.0, 1.0, "share of the load on the beam's rear end"),
+    "own_weight_split": Limits("1", 0.0, 1.0, "the same for the assembly's own weight", optional=True),
+}
+
+MODEL_CHOICES = {"hysteresis": ("spectral", "rainflow"), "thermal": ("lumped", "core_surface")}
