@@ -5,9 +5,10 @@ from __future__ import annotations
 import itertools
 import os
 import struct
+import weakref
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing
 from dataclasses import dataclass, field
 from operator import itemgetter
 from pathlib import Path
@@ -29,8 +30,8 @@ if TYPE_CHECKING:
     from rosbags.rosbag2 import Reader as Reader2
     from rosbags.typesys.store import Typestore
 
-BATCH_BYTES = 32 * 2**20
-"""Serialised messages held at once [bytes], so that large ones do not fill the memory."""
+BATCH_ROWS, BATCH_BYTES = 2048, 32 * 2**20
+"""Serialised messages held at once: few stay in the cache of the processor, and large ones do not fill the memory."""
 CHUNK_BYTES = 2**20
 """Size of a chunk of the MCAP file [bytes]: what a player reads at once."""
 REMEDIES = {".mcap": "a file that was cut off is repaired with: mcap recover", ".bag": "try: rosbag reindex"}
@@ -91,9 +92,13 @@ class BagSource:
         self.name = ", ".join(str(path) for path in paths)
         self._paths = tuple(paths)
         found: list[tuple[Path, list[Connection]]] = []
+        self._kept = {self._paths[0]: _opened(self._paths[0])}
+        weakref.finalize(self, _close, self._kept)
         for path in paths:
-            with _opened(path) as reader:
-                found.append((path, list(reader.connections)))
+            reader = self._kept.get(path) or _opened(path)
+            found.append((path, list(reader.connections)))
+            if path not in self._kept:
+                reader.close()
         said: list[str] = []
         if topics is None:
             filled = {one.topic: one.msgtype for _, ones in found for one in ones if one.msgcount}
@@ -159,28 +164,40 @@ class BagSource:
             A bag that breaks off or is damaged.
         """
         tally = _Tally()
-        most = max(len(topic.roles) for topic in self._topics.values())
+        held: list[Block] = []
         for path in self._paths:
-            with _opened(path) as reader:
-                wanted = [one for one in reader.connections if (path, one.topic) in self._topics]
-                topics = list({one.topic: self._topics[path, one.topic] for one in wanted}.values())
-                index = {one.id: topics.index(self._topics[path, one.topic]) for one in wanted}
-                counts = np.zeros(len(topics), np.int64)
-                expected = np.zeros(len(topics), np.int64)
-                for one in wanted:
-                    expected[index[one.id]] += one.msgcount
-                messages = _messages(reader, wanted, path) if wanted else iter(())
-                size = 64
-                while batch := list(itertools.islice(messages, min(size, max(1, max_rows // most)))):
-                    connections, stamps, raws = zip(*batch, strict=True)
-                    which = np.fromiter(map(index.__getitem__, map(itemgetter(0), connections)), np.intp, len(batch))
-                    counts += np.bincount(which, minlength=len(topics))
-                    yield self._block(topics, which, np.array(stamps, np.int64), raws, tally)
-                    size = 1 + BATCH_BYTES * len(raws) // max(1, sum(map(len, raws)))
-                for topic, lost in zip(topics, expected - counts, strict=True):
-                    if lost > 0:
-                        tally.missing[topic.roles[0]] = tally.missing.get(topic.roles[0], 0) + int(lost)
+            for block in self._batches(path, max_rows, tally):
+                if sum(map(len, held)) + len(block) > max_rows:
+                    yield _joined(held)
+                    held.clear()
+                held.append(block)
+        if held:
+            yield _joined(held)
         self.findings = tuple(self._found(tally))
+
+    def _batches(self, path: Path, max_rows: int, tally: _Tally) -> Iterator[Block]:
+        """Read one bag in the small batches that are decoded together."""
+        with closing(self._kept.pop(path) if path in self._kept else _opened(path)) as reader:
+            wanted = [one for one in reader.connections if (path, one.topic) in self._topics]
+            if not wanted:
+                return
+            topics = list({one.topic: self._topics[path, one.topic] for one in wanted}.values())
+            index = {one.id: topics.index(self._topics[path, one.topic]) for one in wanted}
+            lost = np.zeros(len(topics), np.int64)
+            for one in wanted:
+                lost[index[one.id]] += one.msgcount
+            messages = reader.messages(wanted)
+            most = min(BATCH_ROWS, max(1, max_rows // max(len(topic.roles) for topic in topics)))
+            size = min(64, most)
+            while batch := _batch(messages, size, path):
+                connections, stamps, raws = zip(*batch, strict=True)
+                which = np.fromiter(map(index.__getitem__, map(itemgetter(0), connections)), np.intp, len(batch))
+                lost -= np.bincount(which, minlength=len(topics))
+                yield self._block(topics, which, np.fromiter(stamps, np.int64, len(batch)), raws, tally)
+                size = min(most, 1 + BATCH_BYTES * len(raws) // max(1, sum(map(len, raws))))
+            for topic, count in zip(topics, lost.tolist(), strict=True):
+                if count > 0:
+                    tally.missing[topic.roles[0]] = tally.missing.get(topic.roles[0], 0) + count
 
     def _block(self, topics: Sequence[_Topic], which: NDArray[np.intp], arrival_ns: IntArray, raws: Sequence[bytes],
                tally: _Tally) -> Block:
@@ -193,11 +210,11 @@ class BagSource:
         block = Block(np.empty(rows, np.int16), np.empty(rows, np.int64), np.empty(rows, np.int64), np.empty(rows))
         keep = np.ones(rows, np.bool_)
         for number, topic in enumerate(topics):
-            at = np.flatnonzero(which == number)
-            decoded = topic.reader.decode(raws if at.size == len(raws) else [raws[row] for row in at])
-            arrived = arrival_ns[at]
+            mine = which == number
+            decoded = topic.reader.decode(list(itertools.compress(raws, mine.tolist())))
+            arrived = arrival_ns[mine]
             for slot, (role, binding, header) in enumerate(zip(topic.roles, topic.bindings, topic.header, strict=True)):
-                to = start[at] + slot
+                to = start[mine] + slot
                 block.role[to] = role
                 block.arrival_ns[to] = arrived
                 block.stamp_ns[to] = np.where(decoded.malformed, arrived, decoded.stamp_ns) if header else arrived
@@ -222,8 +239,7 @@ class BagSource:
                           f"{count} messages fewer than the bag says it holds")
 
 
-@contextmanager
-def _opened(path: Path) -> Iterator[Reader1 | Reader2]:
+def _opened(path: Path) -> Reader1 | Reader2:
     """Open one bag for reading."""
     try:
         from rosbags.rosbag1 import Reader as Reader1
@@ -235,17 +251,27 @@ def _opened(path: Path) -> Iterator[Reader1 | Reader2]:
         reader.open()
     except Exception as error:
         raise _unreadable(path, error) from error
-    try:
-        yield reader
-    finally:
+    return reader
+
+
+def _close(readers: Mapping[Path, Reader1 | Reader2]) -> None:
+    for reader in readers.values():
         reader.close()
 
 
-def _messages(reader: Reader1 | Reader2, wanted: list[Connection],
-              path: Path) -> Iterator[tuple[Connection, int, bytes]]:
-    """Yield messages; whatever the library stumbles over is the bag's damage, said with its path."""
+def _joined(blocks: Sequence[Block]) -> Block:
+    if len(blocks) == 1:
+        return blocks[0]
+    return Block(np.concatenate([block.role for block in blocks]), np.concatenate([block.stamp_ns for block in blocks]),
+                 np.concatenate([block.arrival_ns for block in blocks]),
+                 np.concatenate([block.value for block in blocks]))
+
+
+def _batch(messages: Iterator[tuple[Connection, int, bytes]], size: int,
+           path: Path) -> list[tuple[Connection, int, bytes]]:
+    """Return the next messages; whatever the library stumbles over is the bag's damage, said with its path."""
     try:
-        yield from reader.messages(wanted)
+        return list(itertools.islice(messages, size))
     except Exception as error:
         raise _unreadable(path, error) from error
 

@@ -6,9 +6,13 @@ numba out, which the tests use to show that both give the same numbers.
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, TypeVar
+
+from trackres_ros.resources import cache_dir
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -22,8 +26,27 @@ else:
     HAVE_NUMBA = True
 
 
+def _sources_digest() -> str:
+    """Digest of every source file that compiled code can come from."""
+    package = Path(__file__).parent
+    digest = hashlib.sha256()
+    for path in sorted((*package.glob("model/*.py"), *package.glob("estimator/*.py"))):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+# numba looks only at the file of the function itself, not at those it calls: after a change in one of them it would run the
+# old machine code. So the folder of its cache is named after all of them.
+_CACHE_NAME = f"compiled-{_sources_digest()}"
+
+
 def compiled(function: Function) -> Function:
     """Compile `function` with numba (cached on disk) where numba is there."""
     if not HAVE_NUMBA:
         return function
-    return numba.njit(cache=True, error_model="numpy")(function)  # type: ignore[no-any-return]
+    others = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = str(Path(others or cache_dir()) / _CACHE_NAME)
+    try:
+        return numba.njit(cache=True, error_model="numpy")(function)  # type: ignore[no-any-return]
+    finally:
+        numba.config.CACHE_DIR = others

@@ -10,6 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 
 LARGEST_HALF_LENGTH = 0.98  # of the wheel radius; beyond it the layer would wrap the wheel
+NEWTON_PASSES = 20
+NEWTON_TOLERANCE = 1e-14     # of the wheel radius
 MODULUS_PASSES = 60
 MODULUS_TOLERANCE = 1e-10  # relative change of the half length between passes
 
@@ -53,13 +55,15 @@ def half_length_for_force(force: ArrayLike, modulus: ArrayLike, radius: float, l
     largest = LARGEST_HALF_LENGTH * radius
     target = np.cbrt(force)
     a = np.minimum(np.cbrt(1.5 * radius * force / stiffness), largest)
-    for _ in range(12):
+    for _ in range(NEWTON_PASSES):
         carried = np.maximum(contact_force(a, modulus, radius, length, thickness), 1e-300)
         slope = stiffness * 2.0 * a * a / np.sqrt(radius**2 - a * a)
         root = np.cbrt(carried)
         with np.errstate(invalid="ignore"):
             step = np.where(a > 0, (target - root) * 3.0 * root * root / np.maximum(slope, 1e-300), 0.0)
         a = np.clip(a + step, 0.0, largest)
+        if np.all(np.abs(step) <= NEWTON_TOLERANCE * radius):
+            break
     return np.asarray(a)
 
 

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-import tempfile
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -18,11 +16,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import RectBivariateSpline
 
+from trackres_ros.cached import cached_arrays
 from trackres_ros.compiled import compiled
 from trackres_ros.model.hysteresis import METHODS, LossMethod, Spectral
 from trackres_ros.model.rubber import REFERENCE_ABOVE_TG, RubberModel
 from trackres_ros.model.track import LoadRange, TrackModel, load_range
-from trackres_ros.resources import cache_dir
 from trackres_ros.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -34,7 +32,7 @@ EXACT_LOADS = 10
 FINE_LOG_SPEEDS = 1751       # nodes of the table, joined by straight lines
 FINE_LOADS = 64
 TABLE_HARMONICS = 2048
-DRIVE_TORQUE_SHARE = 0.25    # of load x sprocket radius: the torque at which the drive's parabola is taken
+DRIVE_TORQUE_SHARE = 0.15    # of load x sprocket radius: the torque at which the drive's parabola is taken
 CHECKED_BELT_DEGC = (-50.0, 120.0)
 SLOWEST_CHECKED = 0.05       # m/s
 
@@ -49,40 +47,40 @@ class LossTable:
     step_log_load: float
     loss: Array        # (x, load)
     drive: Array       # (x, 2): N per Nm and N per Nm^2 of sprocket torque
-    from_cache: bool
 
     def at(self, log_reduced_speed: ArrayLike, load: ArrayLike, drive_torque: ArrayLike = 0.0) -> Array:
         """Loss [N] by the same interpolation as the live kernel, any broadcast shape."""
         x, g, m = np.broadcast_arrays(*(np.asarray(a, float) for a in (log_reduced_speed, load, drive_torque)))
         out = np.empty(x.shape)
+        loss, drive = self.loss[np.newaxis], self.drive[np.newaxis]
         for i in np.ndindex(x.shape):
-            value, _ = look_up(self.loss, self.first_x, self.step_x, self.first_log_load, self.step_log_load,
+            value, _ = look_up(loss, 0, self.first_x, self.step_x, self.first_log_load, self.step_log_load,
                                float(x[i]), float(np.log(g[i])))
-            linear, square = look_up_drive(self.drive, self.first_x, self.step_x, float(x[i]))
+            linear, square = look_up_drive(drive, 0, self.first_x, self.step_x, float(x[i]))
             out[i] = value + m[i] * (linear + m[i] * square)
         return out
 
 
 @compiled
-def look_up(loss, first_x, step_x, first_log_load, step_log_load, x, log_load):  # type: ignore[no-untyped-def]
+def look_up(loss, table, first_x, step_x, first_log_load, step_log_load, x, log_load):  # type: ignore[no-untyped-def]
     """Loss [N] and its derivative by x, linear between nodes, held at the edges."""
-    rows, columns = loss.shape
+    rows, columns = loss.shape[1], loss.shape[2]
     u = min(max((x - first_x) / step_x, 0.0), rows - 1.000001)
     w = min(max((log_load - first_log_load) / step_log_load, 0.0), columns - 1.000001)
     i, j = int(u), int(w)
     u, w = u - i, w - j
-    before = loss[i, j] + w * (loss[i, j + 1] - loss[i, j])
-    after = loss[i + 1, j] + w * (loss[i + 1, j + 1] - loss[i + 1, j])
+    before = loss[table, i, j] + w * (loss[table, i, j + 1] - loss[table, i, j])
+    after = loss[table, i + 1, j] + w * (loss[table, i + 1, j + 1] - loss[table, i + 1, j])
     return before + u * (after - before), (after - before) / step_x
 
 
 @compiled
-def look_up_drive(drive, first_x, step_x, x):  # type: ignore[no-untyped-def]
+def look_up_drive(drive, table, first_x, step_x, x):  # type: ignore[no-untyped-def]
     """Loss per sprocket torque [N/Nm] and per its square [N/Nm^2]."""
-    u = min(max((x - first_x) / step_x, 0.0), drive.shape[0] - 1.000001)
+    u = min(max((x - first_x) / step_x, 0.0), drive.shape[1] - 1.000001)
     i = int(u)
     u -= i
-    return drive[i, 0] + u * (drive[i + 1, 0] - drive[i, 0]), drive[i, 1] + u * (drive[i + 1, 1] - drive[i, 1])
+    return drive[table, i, 0] + u * (drive[table, i + 1, 0] - drive[table, i, 0]), drive[table, i, 1] + u * (drive[table, i + 1, 1] - drive[table, i, 1])
 
 
 def loss_table(vehicle: Vehicle, track_name: str, cache: Path | None = None) -> LossTable:
@@ -91,19 +89,17 @@ def loss_table(vehicle: Vehicle, track_name: str, cache: Path | None = None) -> 
     Parameters
     ----------
     cache
-        Folder of the cache; by default `trackres_ros.resources.cache_dir`. A folder that cannot be written is left alone,
-        a file in it that is damaged is built anew.
+        Folder of the cache, see `trackres_ros.cached`.
     """
-    path = (cache or cache_dir()) / f"loss-{fingerprint(vehicle, track_name)}.npz"
-    stored = _read(path)
-    if stored is not None:
-        return stored
-    rubber = RubberModel(vehicle.rubber)
-    track = vehicle.tracks[track_name]
-    method = Spectral(track, rubber, TABLE_HARMONICS) if vehicle.hysteresis == Spectral.name else METHODS[vehicle.hysteresis](track, rubber)
-    table = build(method, load_range(vehicle, track_name))
-    _write(path, table)
-    return table
+    def compute() -> dict[str, Array]:
+        rubber, track = RubberModel(vehicle.rubber), vehicle.tracks[track_name]
+        spectral = vehicle.hysteresis == Spectral.name
+        method = Spectral(track, rubber, TABLE_HARMONICS) if spectral else METHODS[vehicle.hysteresis](track, rubber)
+        return build(method, load_range(vehicle, track_name))
+
+    shapes = {"axes": (4,), "loss": (FINE_LOG_SPEEDS, FINE_LOADS), "drive": (FINE_LOG_SPEEDS, 2)}
+    stored = cached_arrays(f"loss-{fingerprint(vehicle, track_name)}", shapes, compute, cache)
+    return LossTable(*(float(value) for value in stored["axes"]), loss=stored["loss"], drive=stored["drive"])
 
 
 def fingerprint(vehicle: Vehicle, track_name: str) -> str:
@@ -114,8 +110,8 @@ def fingerprint(vehicle: Vehicle, track_name: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
-def build(method: LossMethod, loads: LoadRange) -> LossTable:
-    """Evaluate the exact method on a coarse grid and refine it by splines in the logarithm."""
+def build(method: LossMethod, loads: LoadRange) -> dict[str, Array]:
+    """Evaluate the exact method on a coarse grid and refine it by splines in the logarithm: the arrays of a `LossTable`."""
     reference = method.rubber.rubber.glass_transition + REFERENCE_ABOVE_TG  # where a_T = 1: reduced speed is speed
     x = np.linspace(*LOG_SPEED, EXACT_LOG_SPEEDS)
     log_load = np.linspace(np.log(loads.low), np.log(loads.high), EXACT_LOADS)
@@ -127,8 +123,8 @@ def build(method: LossMethod, loads: LoadRange) -> LossTable:
     forward, backward = (method.loss_force(10.0**x, reference, loads.nominal, sign * torque).drive for sign in (1.0, -1.0))
     drive = np.stack([np.interp(fine_x, x, (forward - backward) / (2 * torque)),
                       np.interp(fine_x, x, (forward + backward) / (2 * torque**2))], axis=1)
-    return LossTable(float(fine_x[0]), float(fine_x[1] - fine_x[0]), float(fine_load[0]), float(fine_load[1] - fine_load[0]),
-                     loss, drive, from_cache=False)
+    axes = np.array([fine_x[0], fine_x[1] - fine_x[0], fine_load[0], fine_load[1] - fine_load[0]])
+    return {"axes": axes, "loss": loss, "drive": drive}
 
 
 def interpolation_error(model: TrackModel, table: LossTable, loads: LoadRange, max_speed: float, points: int = 400,
@@ -149,31 +145,3 @@ def drive_share(table: LossTable, loads: LoadRange, sprocket_radius: float) -> f
     column = int(round((np.log(loads.nominal) - table.first_log_load) / table.step_log_load))
     change = np.abs(table.drive[:, 0]) * torque + np.abs(table.drive[:, 1]) * torque**2
     return float(np.max(change / table.loss[:, column]))
-
-
-def _read(path: Path) -> LossTable | None:
-    try:
-        with np.load(path) as stored:
-            first_x, step_x, first_log_load, step_log_load = (float(v) for v in stored["axes"])
-            loss, drive = stored["loss"], stored["drive"]
-    except (OSError, ValueError, KeyError, EOFError):
-        return None
-    except Exception as error:  # zipfile.BadZipFile and zlib.error have no common base
-        if type(error).__module__ not in ("zipfile", "zlib"):
-            raise
-        return None
-    if loss.shape != (FINE_LOG_SPEEDS, FINE_LOADS) or drive.shape != (FINE_LOG_SPEEDS, 2) or not np.isfinite(loss).all():
-        return None
-    return LossTable(first_x, step_x, first_log_load, step_log_load, loss, drive, from_cache=True)
-
-
-def _write(path: Path, table: LossTable) -> None:
-    """Store atomically; a cache that cannot be written costs the next start a second, nothing else."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".npz", delete=False) as file:
-            np.savez(file, axes=[table.first_x, table.step_x, table.first_log_load, table.step_log_load],
-                     loss=table.loss, drive=table.drive)
-        os.replace(file.name, path)
-    except OSError:
-        return

@@ -1,0 +1,154 @@
+"""One step of one assembly's belt: temperature, and what each cause of doubt makes of it, through the same dynamics.
+
+The belt state is an array (2 nodes, BELT_COLUMNS). Column 0 is the temperature of the mean (lumped) or of core and surface.
+The others are departures [K] that one standard deviation of a cause makes: they obey the model's linearisation,
+forced by that cause, so their squares sum to the variance, and a cause that moves heat and torque together stays one.
+"""
+
+from __future__ import annotations
+
+import math
+
+from trackres_ros.compiled import compiled
+from trackres_ros.estimator import layout as at
+from trackres_ros.estimator.layout import BELT_COLUMNS, DOUBT_1, DOUBT_AMBIENT, NOISE_1, NOISE_2, TEMPERATURE
+from trackres_ros.model.loss_table import look_up, look_up_drive
+from trackres_ros.model.rubber import log_shift_factor
+from trackres_ros.model.thermal import film_coefficient, phi_1, phi_2, phi_matrix, surface_temperature
+
+SLOWEST_LOG_SPEED = -6.0  # log10(m/s); below it the loss per metre of travel no longer changes
+
+
+@compiled
+def log_speed(speed):  # type: ignore[no-untyped-def]
+    """log10 of a speed [m/s], bounded below."""
+    magnitude = abs(speed)
+    return math.log10(magnitude) if magnitude > 1e-6 else SLOWEST_LOG_SPEED
+
+
+@compiled
+def loss_force(k, i, belt_degc, log10_speed, log_load, drive_torque):  # type: ignore[no-untyped-def]
+    """Loss [N] of one assembly and its derivative [N/K] by the belt temperature."""
+    table = int(k.assembly[i, at.TABLE])
+    shift, shift_slope = log_shift_factor(belt_degc, k.number.glass_transition, k.number.wlf_c1, k.number.wlf_c2)
+    x = shift + log10_speed
+    loss, slope = look_up(k.loss, table, k.number.first_x, k.number.step_x, k.assembly[i, at.FIRST_LOG_LOAD],
+                          k.assembly[i, at.STEP_LOG_LOAD], x, log_load)
+    linear, square = look_up_drive(k.drive, table, k.number.first_x, k.number.step_x, x)
+    return loss + drive_torque * (linear + drive_torque * square), slope * shift_slope
+
+
+@compiled
+def surface(k, i, belt, ambient, speed):  # type: ignore[no-untyped-def]
+    """Surface temperature [degC], and its derivatives by the two nodes, shape of a row of the measurement matrix."""
+    if k.number.two_nodes:
+        return belt[1, TEMPERATURE], 0.0, 1.0
+    film = film_coefficient(speed, k.assembly[i, at.FILM_OFFSET], k.assembly[i, at.FILM_SLOPE])
+    inner, outer = k.assembly[i, at.INNER_CONDUCTANCE], film * k.assembly[i, at.AREA]
+    value = surface_temperature(belt[0, TEMPERATURE], ambient, film, k.assembly[i, at.AREA], inner)
+    return value, inner / (inner + outer), 0.0
+
+
+@compiled
+def belt_variance(belt, at_core, at_surface):  # type: ignore[no-untyped-def]
+    """Variance [K^2] of at_core x first node + at_surface x second node."""
+    total = 0.0
+    for column in range(DOUBT_1, BELT_COLUMNS):
+        departure = at_core * belt[0, column] + at_surface * belt[1, column]
+        total += departure * departure
+    return total
+
+
+@compiled
+def advance_belt(k, i, belt, speed, log_load, drive_torque, ambient, ambient_std, dt):  # type: ignore[no-untyped-def]
+    """Advance one belt by dt [s] at constant speed [m/s]; changes `belt`, returns heat in and out [J] over the step.
+
+    Notes
+    -----
+    Exponential Rosenbrock-Euler: the model linearised at the start of the step is solved exactly, to second order in dt for
+    the true one, and without a limit on dt where nothing rolls. Heat in and out are integrals of the same linear model, so
+    their difference is the heat stored to rounding.
+    """
+    temperature = belt[0, TEMPERATURE]
+    loss, loss_slope = loss_force(k, i, temperature, log_speed(speed), log_load, drive_torque)
+    travel = abs(speed)
+    power, power_slope = loss * travel, loss_slope * travel
+    cooling = film_coefficient(speed, k.assembly[i, at.FILM_OFFSET], k.assembly[i, at.FILM_SLOPE]) * k.assembly[i, at.AREA]
+    capacity = k.assembly[i, at.CORE_CAPACITY]
+    if not k.number.two_nodes:
+        rate = (power - cooling * (temperature - ambient)) / capacity
+        growth = (power_slope - cooling) / capacity
+        mean = dt * phi_1(growth * dt)
+        for cause in range(3):
+            forced = (power * k.assembly[i, at.LOSS_DOUBT + cause] - cooling * (temperature - ambient) * k.assembly[i, at.COOLING_DOUBT + cause]
+                      ) / capacity - rate * k.assembly[i, at.CAPACITY_DOUBT + cause]
+            belt[0, DOUBT_1 + cause] += mean * (growth * belt[0, DOUBT_1 + cause] + forced)
+        belt[0, DOUBT_AMBIENT] += mean * (growth * belt[0, DOUBT_AMBIENT] + cooling / capacity * ambient_std)
+        belt[0, NOISE_1] = math.sqrt((belt[0, NOISE_1] * (1.0 + mean * growth)) ** 2 + k.number.process_noise * k.number.process_noise * dt)
+        belt[0, TEMPERATURE] = temperature + mean * rate
+        departure = dt * dt * phi_2(growth * dt) * rate
+        return power * dt + power_slope * departure, cooling * ((temperature - ambient) * dt + departure)
+
+    skin, outer = k.assembly[i, at.SKIN_CAPACITY], belt[1, TEMPERATURE]
+    inner = k.assembly[i, at.INNER_CONDUCTANCE]
+    j11, j12 = (power_slope - inner) / capacity, inner / capacity
+    j21, j22 = inner / skin, -(inner + cooling) / skin
+    rate_1 = (power - inner * (temperature - outer)) / capacity
+    rate_2 = (inner * (temperature - outer) - cooling * (outer - ambient)) / skin
+    m11, m12, m21, m22 = phi_matrix(j11 * dt, j12 * dt, j21 * dt, j22 * dt, 1)
+    for column in range(DOUBT_1, BELT_COLUMNS):
+        first, second = belt[0, column], belt[1, column]
+        slope_1, slope_2 = j11 * first + j12 * second, j21 * first + j22 * second
+        if column < DOUBT_AMBIENT:
+            cause = column - DOUBT_1
+            slope_1 += power / capacity * k.assembly[i, at.LOSS_DOUBT + cause] - rate_1 * k.assembly[i, at.CAPACITY_DOUBT + cause]
+            slope_2 += -cooling * (outer - ambient) / skin * k.assembly[i, at.COOLING_DOUBT + cause] - rate_2 * k.assembly[i, at.CAPACITY_DOUBT + cause]
+        elif column == DOUBT_AMBIENT:
+            slope_2 += cooling / skin * ambient_std
+        belt[0, column] = first + dt * (m11 * slope_1 + m12 * slope_2)
+        belt[1, column] = second + dt * (m21 * slope_1 + m22 * slope_2)
+    add_noise(belt, k.number.process_noise * math.sqrt(dt), k.number.process_noise * math.sqrt(dt))
+    belt[0, TEMPERATURE] = temperature + dt * (m11 * rate_1 + m12 * rate_2)
+    belt[1, TEMPERATURE] = outer + dt * (m21 * rate_1 + m22 * rate_2)
+    p11, p12, p21, p22 = phi_matrix(j11 * dt, j12 * dt, j21 * dt, j22 * dt, 2)
+    departure_1 = dt * dt * (p11 * rate_1 + p12 * rate_2)
+    departure_2 = dt * dt * (p21 * rate_1 + p22 * rate_2)
+    return power * dt + power_slope * departure_1, cooling * ((outer - ambient) * dt + departure_2)
+
+
+@compiled
+def add_noise(belt, first, second):  # type: ignore[no-untyped-def]
+    """Fold one more independent departure [K] of the two nodes into the noise columns, as a lower 2 x 2 factor."""
+    c11 = belt[0, NOISE_1] ** 2 + belt[0, NOISE_2] ** 2 + first * first
+    c21 = belt[0, NOISE_1] * belt[1, NOISE_1] + belt[0, NOISE_2] * belt[1, NOISE_2] + first * second
+    c22 = belt[1, NOISE_1] ** 2 + belt[1, NOISE_2] ** 2 + second * second
+    belt[0, NOISE_1] = math.sqrt(c11)
+    belt[0, NOISE_2] = 0.0
+    belt[1, NOISE_1] = c21 / belt[0, NOISE_1] if c11 > 0.0 else 0.0
+    belt[1, NOISE_2] = math.sqrt(max(c22 - belt[1, NOISE_1] ** 2, 0.0))
+
+
+@compiled
+def correct_belt(belt, measured, variance, expected, at_core, at_surface):  # type: ignore[no-untyped-def]
+    """Correct a belt by a measured temperature [degC] of a variance [K^2]: the Kalman update, changes `belt`.
+
+    Notes
+    -----
+    Doubt in parameters is considered, not estimated (Schmidt's filter): the update takes its share of the departures away, but
+    as the parameters stay wrong they grow back with time.
+    """
+    innovation = measured - expected
+    total = belt_variance(belt, at_core, at_surface) + variance
+    gain_1 = gain_2 = 0.0
+    for column in range(DOUBT_1, BELT_COLUMNS):
+        departure = at_core * belt[0, column] + at_surface * belt[1, column]
+        gain_1 += belt[0, column] * departure / total
+        gain_2 += belt[1, column] * departure / total
+    belt[0, TEMPERATURE] += gain_1 * innovation
+    belt[1, TEMPERATURE] += gain_2 * innovation
+    for column in range(DOUBT_1, BELT_COLUMNS):
+        departure = at_core * belt[0, column] + at_surface * belt[1, column]
+        belt[0, column] -= gain_1 * departure
+        belt[1, column] -= gain_2 * departure
+    noise = math.sqrt(variance)
+    add_noise(belt, gain_1 * noise, gain_2 * noise)

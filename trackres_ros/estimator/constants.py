@@ -1,0 +1,181 @@
+"""What the kernel needs to know and never changes: vehicle, tables, doubt and settings as plain arrays and numbers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NamedTuple, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.compiled import HAVE_NUMBA
+from trackres_ros.estimator import layout as at
+from trackres_ros.estimator.settings import PARTS, Settings
+from trackres_ros.estimator.spread import spread
+from trackres_ros.model.loss_table import loss_table
+from trackres_ros.model.thermal import thermal_network
+from trackres_ros.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+
+# Limits beyond which a measurement is refused, where the vehicle file does not say: [low, high] in SI, degC.
+PLAUSIBLE = {
+    "torque": (-1e6, 1e6), "ambient": (-60.0, 60.0), "belt": (-60.0, 180.0), "accel": (-15.0, 15.0), "grade": (-0.6, 0.6),
+    "yaw_rate": (-5.0, 5.0), "heading": (-1e3, 1e3), "distance": (-1e9, 1e9)}
+LEAST_LOAD_SHARE = 0.1   # of nominal weight: less is not a driving vehicle
+LARGEST_LOAD_SHARE = 2.5
+OVERSPEED = 1.2          # of the vehicle file's greatest speed
+
+
+class Numbers(NamedTuple):
+    """Single constants of the kernel."""
+
+    first_x: float
+    step_x: float
+    glass_transition: float
+    wlf_c1: float
+    wlf_c2: float
+    two_nodes: bool
+    belt_shows_surface: bool
+    bearing_friction: float
+    bearing_doubt: float     # relative standard deviation
+    drag_area: float
+    drag_doubt: float
+    air_density: float
+    rotating_mass_factor: float
+    motor_gain: float        # motor torque per sprocket torque; not a number where the vehicle file gives none
+    nominal_ambient: float
+    axles: int
+    initial_belt_std: float
+    process_noise: float
+    ambient_std: float
+    ambient_unknown_std: float
+    belt_measured_variance: float
+    gap: float
+    bridge: float
+    clock_jump_ns: int
+    jumps_to_accept: int
+    load_hold_ns: int
+    ambient_hold_ns: int
+    motion_hold_ns: int
+    torque_hold_ns: int
+    stuck_ns: int
+    speed_variance: float
+    acceleration_variance: float
+    acceleration_time: float
+    feed_hysteresis: float   # 1 where the part is in the feed-forward, else 0
+    feed_bearing: float
+    feed_wind: float
+    feed_grade: float
+    feed_inertia: float
+    feedforward_rate: float
+    feedforward_limit: float
+    belt_std_warn: float
+
+
+class Constants(NamedTuple):
+    """What the kernel reads. Inside compiled code `number` is a record with the fields of `Numbers`."""
+
+    number: Numbers
+    assembly: Array          # (assemblies, constants), see layout
+    loss: Array              # (tables, x, load)
+    drive: Array             # (tables, x, 2)
+    channel_limits: Array    # (channels, 2)
+
+
+def kernel_arguments(constants: Constants) -> tuple[Any, Array, Array, Array, Array]:
+    """The constants as the kernel's entries take them: the numbers as one record of an array, which costs a call a tenth of
+    what fifty separate ones do."""
+    if not HAVE_NUMBA:
+        return ([constants.number], *constants[1:])
+    kinds = {float: np.float64, int: np.int64, bool: np.bool_}
+    dtype = np.dtype([(name, kinds[kind]) for name, kind in get_type_hints(Numbers).items()])
+    return (np.array([tuple(constants.number)], dtype=dtype), *constants[1:])
+
+
+def make_constants(vehicle: Vehicle, settings: Settings, cache: Path | None = None) -> Constants:
+    """Gather the constants; builds the loss tables or takes them from the cache."""
+    names = list(vehicle.tracks)
+    tables = [loss_table(vehicle, name, cache) for name in names]
+    spreads = {name: spread(vehicle, name, cache) for name in names}
+    axle_names = [axle.name for axle in vehicle.axles]
+    chassis, loads = vehicle.chassis, vehicle.nominal_loads()
+    constants = np.empty((len(vehicle.assemblies), at.DOUBT_FACTOR))
+    for row, load, assembly in zip(constants, loads, vehicle.assemblies, strict=True):
+        track, table = vehicle.track_of(assembly), tables[names.index(assembly.track)]
+        network = thermal_network(vehicle.thermal, track.belt, vehicle.rubber)
+        row[at.AXLE], row[at.TABLE] = axle_names.index(assembly.axle), names.index(assembly.track)
+        row[at.NOMINAL_LOAD], row[at.RADIUS] = load, track.sprocket_radius
+        row[at.CORE_CAPACITY], row[at.SKIN_CAPACITY] = network.core_capacity, network.surface_capacity
+        row[at.INNER_CONDUCTANCE], row[at.AREA] = network.inner_conductance, network.area
+        row[at.FILM_OFFSET], row[at.FILM_SLOPE] = network.film_offset, network.film_slope
+        row[at.FIRST_LOG_LOAD], row[at.STEP_LOG_LOAD] = table.first_log_load, table.step_log_load
+    doubt = np.array([spreads[a.track].factor.ravel() for a in vehicle.assemblies])
+    gain = np.nan if chassis.motor_ratio is None or chassis.motor_efficiency is None else (
+        1.0 / (chassis.motor_ratio * chassis.motor_efficiency))
+
+    def relative(*paths: str) -> float:
+        quantities = [vehicle.parameters[f"chassis.{path}"] for path in paths]
+        return float(np.sqrt(sum((q.standard_deviation / max(abs(float(np.mean(q.value))), 1e-12)) ** 2 for q in quantities)))
+
+    def ns(seconds: float) -> int:
+        return int(round(seconds * 1e9))
+
+    number = Numbers(
+        first_x=tables[0].first_x,
+        step_x=tables[0].step_x,
+        glass_transition=vehicle.rubber.glass_transition,
+        wlf_c1=vehicle.rubber.wlf_c1,
+        wlf_c2=vehicle.rubber.wlf_c2,
+        two_nodes=vehicle.thermal == "core_surface",
+        belt_shows_surface=settings.belt_sensor == "surface",
+        bearing_friction=chassis.bearing_friction,
+        bearing_doubt=relative("bearing_friction"),
+        drag_area=chassis.drag_coefficient * chassis.frontal_area,
+        drag_doubt=relative("drag_coefficient", "frontal_area", "air_density"),
+        air_density=chassis.air_density,
+        rotating_mass_factor=chassis.rotating_mass_factor,
+        motor_gain=float(gain),
+        nominal_ambient=chassis.ambient,
+        axles=len(vehicle.axles),
+        initial_belt_std=settings.initial_belt_std_k,
+        process_noise=settings.process_noise_k,
+        ambient_std=settings.ambient_std_k,
+        ambient_unknown_std=settings.ambient_unknown_std_k,
+        belt_measured_variance=settings.belt_measured_std_k**2,
+        gap=settings.gap_s,
+        bridge=settings.bridge_s,
+        clock_jump_ns=ns(settings.clock_jump_s),
+        jumps_to_accept=int(settings.jumps_to_accept),
+        load_hold_ns=ns(settings.load_hold_s),
+        ambient_hold_ns=ns(settings.ambient_hold_s),
+        motion_hold_ns=ns(settings.motion_hold_s),
+        torque_hold_ns=ns(settings.torque_hold_s),
+        stuck_ns=ns(settings.stuck_s),
+        speed_variance=settings.speed_std_mps**2,
+        acceleration_variance=settings.acceleration_std**2,
+        acceleration_time=settings.acceleration_time_s,
+        **{f"feed_{part}": float(part in settings.feedforward_parts) for part in PARTS},
+        feedforward_rate=settings.feedforward_rate,
+        feedforward_limit=settings.feedforward_share * float(np.dot(loads, constants[:, at.RADIUS])),
+        belt_std_warn=settings.belt_std_warn_k,
+    )
+    return Constants(number, np.concatenate([constants, doubt], axis=1), np.stack([t.loss for t in tables]),
+                     np.stack([t.drive for t in tables]), _channel_limits(vehicle))
+
+
+def _channel_limits(vehicle: Vehicle) -> Array:
+    """Plausible values of every channel, shape (channels, 2)."""
+    loads = vehicle.nominal_loads()
+    speed = OVERSPEED * vehicle.chassis.max_speed
+    rows = []
+    for name in at.channels(vehicle):
+        role, _, place = name.partition("/")
+        if role == "speed":
+            rows.append((-speed, speed))
+        elif role == "load":
+            nominal = sum(load for load, a in zip(loads, vehicle.assemblies, strict=True) if place in ("", a.axle, a.name))
+            rows.append((LEAST_LOAD_SHARE * nominal, LARGEST_LOAD_SHARE * nominal))
+        else:
+            rows.append(PLAUSIBLE[role])
+    return np.array(rows, dtype=float)

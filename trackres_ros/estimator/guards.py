@@ -1,0 +1,181 @@
+"""What is done with each message before it counts: order, age and plausibility. The policy is docs/robustness.md.
+
+A message is one number with its channel, its own stamp and its arrival. It is accepted or refused, and counted in exactly
+one counter for that. Stamps carry time; arrival only says whether to believe them.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.compiled import compiled
+from trackres_ros.estimator import layout as at
+from trackres_ros.estimator.kernel import Inputs
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+ACCEPTED, NON_FINITE, OUT_OF_RANGE = int(at.Count.ACCEPTED), int(at.Count.NON_FINITE), int(at.Count.OUT_OF_RANGE)
+DUPLICATE, LATE, FUTURE, BACKWARD = int(at.Count.DUPLICATE), int(at.Count.LATE), int(at.Count.FUTURE), int(at.Count.BACKWARD)
+ZERO_STAMP, GAP, CLOCK_JUMP, RESET = int(at.Count.ZERO_STAMP), int(at.Count.GAP), int(at.Count.CLOCK_JUMP), int(at.Count.RESET)
+LOAD_HELD, LOAD_NOMINAL = int(at.Reason.LOAD_HELD), int(at.Reason.LOAD_NOMINAL)
+AMBIENT_NOMINAL, SPEED_STUCK = int(at.Reason.AMBIENT_NOMINAL), int(at.Reason.SPEED_STUCK)
+CLOCK_JUMPED, TIME_RESET = int(at.Reason.CLOCK_JUMPED), int(at.Reason.TIME_RESET)
+
+FRESH_LOAD_NS = 2_000_000_000  # a load older than this is reported as held, as long as it holds
+STANDING = 1e-3                # m/s: slower is no movement that could be stuck
+
+# What admit() returns besides a refusal (a negative counter).
+TAKEN, TOOK_JUMP, TOOK_RESET = 0, 1, 2
+
+
+class Memory(NamedTuple):
+    """What the guards remember; a row a channel. All arrays are changed in place."""
+
+    times: IntArray      # (channels, MEMORY_COLUMNS) [ns]
+    values: Array        # (channels,) last accepted value
+    counters: IntArray   # (channels, counters)
+
+
+def new_memory(channels: int) -> Memory:
+    """Memory of a session that has heard nothing yet."""
+    return Memory(np.zeros((channels, at.MEMORY_COLUMNS), dtype=np.int64), np.full(channels, np.nan),
+                  np.zeros((channels, len(at.Count)), dtype=np.int64))
+
+
+@compiled
+def admit(k, memory, channel, stamp, arrival, value):  # type: ignore[no-untyped-def]
+    """Accept or refuse one message, count it, and keep its value.
+
+    Returns
+    -------
+    outcome, elapsed
+        TAKEN, TOOK_JUMP, TOOK_RESET, or minus the counter of the refusal; and the time [ns] since the channel's last message.
+    """
+    times, counters = memory.times[channel], memory.counters[channel]
+    if not math.isfinite(value):
+        counters[NON_FINITE] += 1
+        return -NON_FINITE, 0
+    if value < k.channel_limits[channel, 0] or value > k.channel_limits[channel, 1]:
+        counters[OUT_OF_RANGE] += 1
+        return -OUT_OF_RANGE, 0
+    if stamp == 0:
+        counters[ZERO_STAMP] += 1
+        stamp = arrival
+        if times[at.SEEN]:  # by the last message's offset between stamp and arrival
+            stamp += times[at.LAST_STAMP] - times[at.LAST_ARRIVAL]
+    outcome, elapsed = TAKEN, 0
+    if times[at.SEEN]:
+        forward, waited = stamp - times[at.LAST_STAMP], arrival - times[at.LAST_ARRIVAL]
+        elapsed = forward
+        if forward == 0:
+            counters[DUPLICATE] += 1
+            return -DUPLICATE, 0
+        if forward < 0 and -forward <= k.number.clock_jump_ns:
+            counters[LATE] += 1
+            return -LATE, 0
+        if forward < 0 and waited < -k.number.clock_jump_ns:
+            counters[RESET] += 1
+            outcome, elapsed = TOOK_RESET, 0
+        elif forward < 0 or (forward > k.number.clock_jump_ns and abs(forward - waited) > k.number.clock_jump_ns):
+            since, until = stamp - times[at.SUSPECT_STAMP], arrival - times[at.SUSPECT_ARRIVAL]
+            agrees = times[at.SUSPECTS] > 0 and since > 0 and abs(since - until) <= k.number.clock_jump_ns
+            times[at.SUSPECTS] = times[at.SUSPECTS] + 1 if agrees else 1
+            times[at.SUSPECT_STAMP], times[at.SUSPECT_ARRIVAL] = stamp, arrival
+            if times[at.SUSPECTS] < k.number.jumps_to_accept:
+                refusal = FUTURE if forward > 0 else BACKWARD
+                counters[refusal] += 1
+                return -refusal, 0
+            counters[CLOCK_JUMP] += 1
+            outcome, elapsed = TOOK_JUMP, max(waited, 0)
+    if not times[at.SEEN] or value != memory.values[channel] or outcome != TAKEN:
+        times[at.UNCHANGED_SINCE] = stamp
+    times[at.SEEN], times[at.LAST_STAMP], times[at.LAST_ARRIVAL] = 1, stamp, arrival
+    times[at.SUSPECTS], times[at.FRESH] = 0, 1
+    memory.values[channel] = value
+    counters[ACCEPTED] += 1
+    return outcome, elapsed
+
+
+@compiled
+def forget_others(memory, kept):  # type: ignore[no-untyped-def]
+    """Forget times and values of all channels but one, as at the start; counters stay."""
+    for channel in range(memory.times.shape[0]):
+        if channel != kept:
+            memory.times[channel, :] = 0
+            memory.values[channel] = math.nan
+
+
+@compiled
+def held(memory, channel, now, hold_ns):  # type: ignore[no-untyped-def]
+    """The last value of a channel if it arrived no longer ago than `hold_ns`, else nan."""
+    if memory.times[channel, at.SEEN] == 0 or now - memory.times[channel, at.LAST_ARRIVAL] > hold_ns:
+        return math.nan
+    return memory.values[channel]
+
+
+@compiled
+def gather_loads(k, memory, now, loads):  # type: ignore[no-untyped-def]
+    """Load of each assembly [N] by the finest source there is; fills `loads`, returns the reasons to report.
+
+    A load of the assembly goes before one of its axle, that before the total; each shared in proportion to nominal loads.
+    """
+    assemblies, axles = loads.shape[0], k.number.axles
+    nominal = k.assembly[:, at.NOMINAL_LOAD]
+    first_axle = at.DISTANCE + 1
+    reasons = 0
+    total = held(memory, at.LOAD, now, k.number.load_hold_ns)
+    nominal_total = nominal.sum()
+    for i in range(assemblies):
+        own, by_axle = first_axle + axles + i, first_axle + int(k.assembly[i, at.AXLE])
+        value, source = held(memory, own, now, k.number.load_hold_ns), own
+        if math.isnan(value):
+            value, source = held(memory, by_axle, now, k.number.load_hold_ns), by_axle
+            if not math.isnan(value):
+                on_axle = 0.0
+                for j in range(assemblies):
+                    if k.assembly[j, at.AXLE] == k.assembly[i, at.AXLE]:
+                        on_axle += nominal[j]
+                value *= nominal[i] / on_axle
+            elif not math.isnan(total):
+                value, source = total * nominal[i] / nominal_total, at.LOAD
+        if math.isnan(value):
+            loads[i] = nominal[i]
+            reasons |= LOAD_NOMINAL
+        else:
+            loads[i] = value
+            if now - memory.times[source, at.LAST_ARRIVAL] > FRESH_LOAD_NS:
+                reasons |= LOAD_HELD
+    return reasons
+
+
+@compiled
+def gather(k, memory, outcome, loads, belt_measured):  # type: ignore[no-untyped-def]
+    """The inputs of the step that an accepted speed makes; fills `loads` and `belt_measured`, one entry an assembly."""
+    now, stamp = memory.times[at.SPEED, at.LAST_ARRIVAL], memory.times[at.SPEED, at.LAST_STAMP]
+    speed = memory.values[at.SPEED]
+    reasons = gather_loads(k, memory, now, loads)
+    if outcome == TOOK_JUMP:
+        reasons |= CLOCK_JUMPED
+    elif outcome == TOOK_RESET:
+        reasons |= TIME_RESET
+    if abs(speed) > STANDING and stamp - memory.times[at.SPEED, at.UNCHANGED_SINCE] > k.number.stuck_ns:
+        reasons |= SPEED_STUCK
+    ambient, ambient_std = held(memory, at.AMBIENT, now, k.number.ambient_hold_ns), k.number.ambient_std
+    if math.isnan(ambient):
+        ambient, ambient_std = k.number.nominal_ambient, k.number.ambient_unknown_std
+        reasons |= AMBIENT_NOMINAL
+    first_belt = at.DISTANCE + 1 + k.number.axles + loads.shape[0]
+    for i in range(loads.shape[0]):
+        belt_measured[i] = math.nan
+        for channel in (at.BELT, first_belt + i):
+            if memory.times[channel, at.FRESH]:
+                belt_measured[i] = memory.values[channel]
+    for channel in range(memory.times.shape[0]):
+        memory.times[channel, at.FRESH] = 0
+    return Inputs(speed, loads, ambient, ambient_std, belt_measured, held(memory, at.ACCEL, now, k.number.motion_hold_ns),
+                  held(memory, at.GRADE, now, k.number.motion_hold_ns), held(memory, at.TORQUE, now, k.number.torque_hold_ns), reasons)

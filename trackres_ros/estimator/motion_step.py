@@ -1,0 +1,64 @@
+"""Acceleration from a speed that may be quantised, as many buses send it, to 1 km/h.
+
+A Kalman filter on speed and acceleration, the acceleration returning to zero over a while (Singer's model). A quantised
+speed says only that the true one lies within half a step: while the prediction does, it is not pulled, so a staircase of
+repeated values does not become a staircase of accelerations.
+
+R. A. Singer, Estimating optimal tracking filter performance for manned maneuvering targets, IEEE Trans. Aerosp. Electron.
+Syst. AES-6 (1970) 473-483.
+"""
+
+from __future__ import annotations
+
+import math
+
+from trackres_ros.compiled import compiled
+from trackres_ros.estimator.layout import (
+    COV_ACCEL,
+    COV_BOTH,
+    COV_SPEED,
+    FILTERED_ACCEL,
+    FILTERED_SPEED,
+    QUANTUM,
+    STARTED,
+)
+
+LARGEST_QUANTUM = 1.0   # m/s: a greater smallest step is not a quantum
+SAME_VALUE = 1e-6       # m/s: rounding of a scaled bus value
+
+
+@compiled
+def start_motion(motion, speed, speed_variance, acceleration_variance):  # type: ignore[no-untyped-def]
+    """Begin the filter at a first speed [m/s]."""
+    motion[FILTERED_SPEED] = speed
+    motion[FILTERED_ACCEL] = 0.0
+    motion[COV_SPEED] = speed_variance
+    motion[COV_BOTH] = 0.0
+    motion[COV_ACCEL] = acceleration_variance
+    motion[STARTED] = 1.0
+
+
+@compiled
+def advance_motion(motion, speed, last_speed, dt, speed_variance, acceleration_variance, acceleration_time):  # type: ignore[no-untyped-def]
+    """Take in one more speed [m/s] after dt [s] > 0; changes `motion`."""
+    step = abs(speed - last_speed)
+    if SAME_VALUE < step < motion[QUANTUM]:
+        motion[QUANTUM] = step
+    keep = math.exp(-dt / acceleration_time)
+    reach = acceleration_time * (1.0 - keep)
+    predicted = motion[FILTERED_SPEED] + reach * motion[FILTERED_ACCEL]
+    accel = keep * motion[FILTERED_ACCEL]
+    gained = acceleration_variance * (1.0 - keep * keep)
+    c11 = motion[COV_SPEED] + 2.0 * reach * motion[COV_BOTH] + reach * reach * motion[COV_ACCEL] + gained * dt * dt / 3.0
+    c12 = keep * (motion[COV_BOTH] + reach * motion[COV_ACCEL]) + gained * dt / 2.0
+    c22 = keep * keep * motion[COV_ACCEL] + gained
+    half = 0.5 * motion[QUANTUM] if motion[QUANTUM] < LARGEST_QUANTUM else 0.0
+    departure = speed - predicted
+    innovation = math.copysign(max(abs(departure) - half, 0.0), departure)
+    total = c11 + speed_variance + half * half / 3.0
+    gain_speed, gain_accel = c11 / total, c12 / total
+    motion[FILTERED_SPEED] = predicted + gain_speed * innovation
+    motion[FILTERED_ACCEL] = accel + gain_accel * innovation
+    motion[COV_SPEED] = c11 - gain_speed * c11
+    motion[COV_BOTH] = c12 - gain_speed * c12
+    motion[COV_ACCEL] = c22 - gain_accel * c12

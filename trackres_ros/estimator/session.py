@@ -1,0 +1,92 @@
+"""A stream of messages through guards and steps, one at a time or in blocks: the same compiled code either way."""
+
+from __future__ import annotations
+
+import math
+
+from trackres_ros.compiled import compiled
+from trackres_ros.estimator import layout as at
+from trackres_ros.estimator.constants import Constants
+from trackres_ros.estimator.guards import GAP, TOOK_RESET, Memory, admit, forget_others, gather
+from trackres_ros.estimator.kernel import Inputs, advance, roll, start
+
+NANOSECOND = 1e-9
+
+
+@compiled
+def feed(k, memory, belts, motion, loads, belt_measured, channel, stamp, arrival, value, out):  # type: ignore[no-untyped-def]
+    """Take one message in. An accepted speed makes a step and fills `out`; returns whether it did."""
+    outcome, elapsed = admit(k, memory, channel, stamp, arrival, value)
+    if outcome == TOOK_RESET:
+        forget_others(memory, channel)
+        motion[at.STARTED] = 0.0
+    if outcome < 0 or channel != at.SPEED:
+        return False
+    inputs = gather(k, memory, outcome, loads, belt_measured)
+    if motion[at.STARTED] == 0.0:
+        start(k, belts, motion, inputs.ambient, inputs.ambient_std)
+    dt = elapsed * NANOSECOND
+    if dt > k.number.gap:
+        memory.counters[channel, GAP] += 1
+    advance(k, belts, motion, inputs, dt, out)
+    return True
+
+
+# The entries take arrays one by one: a tuple of them would cost each call more than the step itself.
+
+@compiled
+def feed_one(numbers, assembly, loss, drive, limits, times, values, counters, belts, motion, loads, belt_measured,
+             channel, stamp, arrival, value, out):  # type: ignore[no-untyped-def]
+    """`feed` for one message."""
+    return feed(Constants(numbers[0], assembly, loss, drive, limits), Memory(times, values, counters), belts, motion, loads,
+                belt_measured, channel, stamp, arrival, value, out)
+
+
+@compiled
+def feed_many(numbers, assembly, loss, drive, limits, times, values, counters, belts, motion, loads, belt_measured,
+              channels, stamps, arrivals, message_values, out, out_stamps, out_arrivals):  # type: ignore[no-untyped-def]
+    """`feed` for many messages; fills one row of `out` with its stamp and arrival [ns] for each step, returns their number."""
+    k, memory = Constants(numbers[0], assembly, loss, drive, limits), Memory(times, values, counters)
+    steps = 0
+    for i in range(channels.shape[0]):
+        if feed(k, memory, belts, motion, loads, belt_measured, channels[i], stamps[i], arrivals[i], message_values[i], out[steps]):
+            out_stamps[steps] = memory.times[at.SPEED, at.LAST_STAMP]
+            out_arrivals[steps] = arrivals[i]
+            steps += 1
+    return steps
+
+
+@compiled
+def step_once(numbers, assembly, loss, drive, limits, belts, motion, speed, load, ambient, ambient_std, belt_measured,
+              acceleration, grade, measured_torque, reasons, dt, out):  # type: ignore[no-untyped-def]
+    """`kernel.advance` for inputs given one by one."""
+    inputs = Inputs(speed, load, ambient, ambient_std, belt_measured, acceleration, grade, measured_torque, reasons)
+    advance(Constants(numbers[0], assembly, loss, drive, limits), belts, motion, inputs, dt, out)
+
+
+@compiled
+def run_series(numbers, assembly, loss, drive, limits, belts, motion, times, speeds, weights, ambients, ambient_std,
+               accelerations, grades, loads, no_belts, out):  # type: ignore[no-untyped-def]
+    """`kernel.advance` along arrays of equal length; weights [N] are shared as nominal loads are. One row of `out` a time."""
+    k = Constants(numbers[0], assembly, loss, drive, limits)
+    nominal = assembly[:, at.NOMINAL_LOAD]
+    total = nominal.sum()
+    for i in range(times.shape[0]):
+        for j in range(loads.shape[0]):
+            loads[j] = weights[i] * (nominal[j] / total)
+        inputs = Inputs(speeds[i], loads, ambients[i], ambient_std, no_belts, accelerations[i], grades[i], math.nan, 0)
+        advance(k, belts, motion, inputs, times[i] - times[i - 1] if i > 0 else 0.0, out[i])
+
+
+@compiled
+def rest_belts(numbers, assembly, loss, drive, limits, belts, ambient, ambient_std, seconds):  # type: ignore[no-untyped-def]
+    """Let all belts stand for a while [s]."""
+    k = Constants(numbers[0], assembly, loss, drive, limits)
+    for i in range(belts.shape[0]):
+        roll(k, i, belts[i], 0.0, 0.0, 0.0, 0.0, ambient, ambient_std, seconds)
+
+
+@compiled
+def start_belts(numbers, assembly, loss, drive, limits, belts, motion, ambient, ambient_std):  # type: ignore[no-untyped-def]
+    """`kernel.start`."""
+    start(Constants(numbers[0], assembly, loss, drive, limits), belts, motion, ambient, ambient_std)

@@ -1,0 +1,89 @@
+"""How the estimator behaves: one table of settings with unit, limits and meaning, which also makes docs and parameters."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from trackres_ros.errors import InputError
+from trackres_ros.vehicle.reading import read_yaml
+
+PARTS = ("hysteresis", "bearing", "wind", "grade", "inertia")
+BELT_SENSORS = ("mean", "surface")
+
+
+def _setting(default: float, unit: str, low: float, high: float, meaning: str) -> Any:
+    return field(default=default, metadata={"unit": unit, "low": low, "high": high, "meaning": meaning})
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Settings of the estimator; the field metadata holds unit, limits and meaning of each."""
+
+    initial_belt_std_k: float = _setting(15.0, "K", 0.0, 100.0, "standard deviation of the belt temperature at a cold start")
+    process_noise_k: float = _setting(0.02, "K/sqrt(s)", 0.0, 10.0, "random walk of the belt temperature by what the model leaves out")
+    ambient_std_k: float = _setting(2.0, "K", 0.0, 30.0, "standard deviation of a given ambient temperature")
+    ambient_unknown_std_k: float = _setting(10.0, "K", 0.0, 60.0, "standard deviation of the nominal ambient temperature where none is given")
+    belt_measured_std_k: float = _setting(3.0, "K", 0.01, 60.0, "standard deviation of a measured belt temperature")
+    gap_s: float = _setting(1.0, "s", 0.05, 60.0, "a longer pause in the speed is a gap and is reported")
+    bridge_s: float = _setting(30.0, "s", 0.1, 600.0, "over a gap up to this long the speed is taken as a straight line between its ends")
+    clock_jump_s: float = _setting(1.0, "s", 0.05, 3600.0, "a stamp further than this from what arrival says is not believed at once")
+    jumps_to_accept: float = _setting(3, "1", 2, 100, "as many stamps in a row that agree with each other make a clock jump")
+    load_hold_s: float = _setting(60.0, "s", 0.1, 1e6, "how long the last load holds before the nominal one is taken")
+    ambient_hold_s: float = _setting(1800.0, "s", 1.0, 1e6, "how long the last ambient temperature holds")
+    motion_hold_s: float = _setting(0.5, "s", 0.01, 60.0, "how long a given acceleration or grade holds")
+    torque_hold_s: float = _setting(0.5, "s", 0.01, 60.0, "how long a measured torque holds")
+    stuck_s: float = _setting(120.0, "s", 1.0, 1e6, "a moving speed that has not changed for longer is reported as stuck")
+    speed_std_mps: float = _setting(0.02, "m/s", 0.0, 5.0, "noise of the speed besides its quantisation")
+    acceleration_std: float = _setting(0.5, "m/s^2", 0.01, 20.0, "standard deviation of the vehicle's own acceleration")
+    acceleration_time_s: float = _setting(3.0, "s", 0.05, 600.0, "time over which the vehicle's acceleration changes")
+    feedforward_rate: float = _setting(20000.0, "Nm/s", 1.0, 1e9, "largest change of the feed-forward torque")
+    feedforward_share: float = _setting(0.10, "1", 0.001, 2.0, "largest feed-forward torque over weight x sprocket radius")
+    belt_std_warn_k: float = _setting(25.0, "K", 0.1, 1000.0, "a belt temperature less certain than this is reported")
+    feedforward_parts: tuple[str, ...] = field(default=("hysteresis", "bearing", "wind"), metadata={
+        "meaning": f"parts summed in the feed-forward, of {', '.join(PARTS)}; inertia counts only while an acceleration is given"})
+    belt_sensor: str = field(default="mean", metadata={
+        "meaning": "what a measured belt temperature shows: mean, or surface (infrared)"})
+
+    def __post_init__(self) -> None:
+        for item in dataclasses.fields(self):
+            value = getattr(self, item.name)
+            if "unit" in item.metadata:
+                _check_number(item.name, value, item.metadata["low"], item.metadata["high"], item.metadata["unit"])
+        if isinstance(self.feedforward_parts, str) or any(part not in PARTS for part in self.feedforward_parts):
+            raise InputError("feedforward_parts", self.feedforward_parts, f"a list of {', '.join(PARTS)}")
+        if self.belt_sensor not in BELT_SENSORS:
+            raise InputError("belt_sensor", self.belt_sensor, f"one of {', '.join(BELT_SENSORS)}")
+
+
+def _check_number(name: str, value: Any, low: float, high: float, unit: str) -> None:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value) or not low <= value <= high:
+        raise InputError(f"setting {name}", value, f"a number from {low:g} to {high:g} {unit}")
+
+
+def make_settings(values: Mapping[str, Any]) -> Settings:
+    """Settings from names and values; an unknown name is refused."""
+    known = [item.name for item in dataclasses.fields(Settings)]
+    for name in values:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, n=1)
+            raise InputError("setting", name, f"one of {', '.join(known)}", f"did you mean {near[0]}?" if near else "")
+    checked = dict(values)
+    if isinstance(checked.get("feedforward_parts"), list):
+        checked["feedforward_parts"] = tuple(checked["feedforward_parts"])
+    return Settings(**checked)
+
+
+def load_settings(path: Path | None) -> Settings:
+    """Settings from a YAML file of names and values; the defaults where there is none."""
+    if path is None:
+        return Settings()
+    try:
+        return make_settings(read_yaml(path))
+    except InputError as error:
+        raise InputError(f"{path}: {error.where}", error.given, error.allowed, error.remedy) from None

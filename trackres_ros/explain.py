@@ -1,0 +1,95 @@
+"""One operating point taken apart by the exact methods: loads, contacts, losses, heat, torque, rainflow matrix."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from trackres_ros.model import resistance
+from trackres_ros.model.belt import axial_stiffness
+from trackres_ros.model.hysteresis import RainflowCount
+from trackres_ros.model.loads import wheel_loads
+from trackres_ros.model.thermal import film_coefficient, surface_temperature
+from trackres_ros.model.track import TrackModel, steady_tension, track_model
+from trackres_ros.vehicle import Vehicle
+
+DRIVE_PASSES = 4  # the torque strains the belt by 1e-4 of what the wheels do; a second pass already settles it
+
+
+def explain(vehicle: Vehicle, speed: float, belt_degc: float, ambient_degc: float | None = None,
+            weight_n: float | None = None) -> dict[str, Any]:
+    """Everything the model says of one steady state.
+
+    Parameters
+    ----------
+    speed
+        [m/s], either sign.
+    belt_degc, ambient_degc
+        Belt temperature, the mean one (lumped) or core and surface alike, and ambient temperature [degC].
+    weight_n
+        Whole weight [N], shared as nominal; by default the vehicle file's.
+
+    Returns
+    -------
+    dict
+        Ready for JSON. Lists go over assemblies; torques are for the whole vehicle, heat and cooling too.
+    """
+    ambient = vehicle.chassis.ambient if ambient_degc is None else ambient_degc
+    weight = vehicle.weight if weight_n is None else weight_n
+    nominal = vehicle.nominal_loads()
+    loads = weight * nominal / nominal.sum()
+    models = {name: track_model(vehicle, name) for name in vehicle.tracks}
+    chassis, direction = vehicle.chassis, float(resistance.direction(speed))
+    wind = float(resistance.wind_force(speed, chassis.drag_coefficient * chassis.frontal_area, chassis.air_density))
+    assemblies, heat, cooling = [], 0.0, 0.0
+    torque = dict.fromkeys(("hysteresis", "bearing", "wind", "inertia"), 0.0)
+    for assembly, load in zip(vehicle.assemblies, loads, strict=True):
+        model = models[assembly.track]
+        radius = model.track.sprocket_radius
+        bearing = float(resistance.bearing_force(speed, load, chassis.bearing_friction))
+        drive = 0.0
+        for _ in range(DRIVE_PASSES):
+            loss = model.loss.loss_force(speed, belt_degc, load, drive)
+            drive = radius * (float(loss.total) * direction + bearing + wind * load / weight)
+        torque["hysteresis"] += radius * float(loss.total) * direction
+        torque["bearing"] += radius * bearing
+        torque["wind"] += radius * wind * load / weight
+        network = model.network
+        film = float(film_coefficient(speed, network.film_offset, network.film_slope))
+        heat += float(loss.total) * abs(speed)
+        cooling += film * network.area * (belt_degc - ambient)
+        assemblies.append({"name": assembly.name, "load_n": float(load), "loss": loss, "film_w_m2k": film, "drive_torque_nm": drive,
+                           "surface_degc": float(surface_temperature(belt_degc, ambient, film, network.area, network.inner_conductance))})
+    first, model = assemblies[0], models[vehicle.assemblies[0].track]
+    contacts = model.loss.contacts(speed, belt_degc, first["load_n"])
+    return {
+        "vehicle": vehicle.name, "method": vehicle.hysteresis, "speed_mps": float(speed), "belt_degc": float(belt_degc),
+        "ambient_degc": float(ambient), "weight_n": float(weight), "assemblies": [a["name"] for a in assemblies],
+        "wheel_loads_n": [wheel_loads(models[a.track].track, load).tolist()
+                          for a, load in zip(vehicle.assemblies, loads, strict=True)],
+        "contact": [{"half_length_m": float(a), "max_strain": float(e), "frequency_hz": float(f), "modulus_mpa": float(m) / 1e6}
+                    for a, e, f, m in zip(*contacts, strict=True)],
+        "tension_n": steady_tension(model, belt_degc, speed),
+        "loss_force_n": {**{part: [float(getattr(a["loss"], part)) for a in assemblies] for part in first["loss"]._fields},
+                         "total": [float(a["loss"].total) for a in assemblies]},
+        "torque_nm": {**torque, "resistance": torque["hysteresis"] + torque["bearing"] + torque["wind"]},
+        "heat_w": heat, "cooling_w": cooling,
+        "film_coefficient_w_m2k": first["film_w_m2k"], "surface_degc": [a["surface_degc"] for a in assemblies],
+        "rainflow": rainflow_matrix(model, speed, belt_degc, first["load_n"], first["drive_torque_nm"]),
+    }
+
+
+def rainflow_matrix(model: TrackModel, speed: float, belt_degc: float, load: float, drive_torque: float = 0.0
+                    ) -> list[list[Any]]:
+    """Rows [range, mean, count, component] of one loop, equation (25): through the thickness, and along the outer face."""
+    counter = RainflowCount(model.track, model.rubber)
+    belt = model.track.belt
+    half_lengths = counter.contacts(speed, belt_degc, load).half_length
+    stiffness = axial_stiffness(belt, model.rubber.dynamic_modulus(abs(speed) / belt.loop_length, belt_degc))
+    steady = steady_tension(model, belt_degc, speed) / float(stiffness)
+    strain = float(counter.drive_strain(speed, belt_degc, drive_torque))
+    along = counter.along_cycles(belt.thickness, strain, steady)
+    return [[float(c.cycle.range), float(c.cycle.mean), float(c.cycle.count), component]
+            for component, cycles in (("through", counter.indentation_cycles(np.asarray(half_lengths))), ("along", along))
+            for c in cycles]
