@@ -356,6 +356,8 @@ class BagWriter:
             raise MissingExtraError("writing bags", "rosbags", "bags") from None
         if storage != "mcap":
             raise InputError(f"{path}: storage", storage, "mcap")
+        if not path.parent.is_dir():
+            raise InputError(str(path), f"no folder {path.parent}", "a file in a folder that is there")
         self.path = path
         self.typestore = get_typestore(Stores.LATEST)
         self._part = path.with_name(f".{path.name}.{os.getpid()}.part")

@@ -5,22 +5,23 @@ from __future__ import annotations
 import codecs
 import csv
 import gzip
+import io
 import itertools
-import math
 import os
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType, TracebackType
-from typing import IO, Any, Self
+from typing import IO, Any, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError, MissingExtraError
 from trackres_ros.recording import ROLES, Block, Finding, FloatArray, base_role
-from trackres_ros.topics import TopicBinding, Topics, nearest
+from trackres_ros.topics import Topics, nearest
 
 TIME = "time_s"
 COLUMNS: Mapping[str, tuple[str, float]] = MappingProxyType({
@@ -31,7 +32,13 @@ COLUMNS: Mapping[str, tuple[str, float]] = MappingProxyType({
 })
 """Columns known by name: role, and scale to its unit. ``weight_n/front`` is the load of the axle or assembly front."""
 CHUNK_ROWS = 8192
+MAX_TIME_S = 9e9
+"""Beyond it, nanoseconds do not fit in 64 bits [s]; a time in milliseconds or nanoseconds mostly lies beyond."""
 SUFFIXES = (".csv", ".csv.gz", ".parquet")
+
+
+_Cells = tuple[FloatArray, NDArray[np.bool_]]
+"""Numbers of some rows, time first, shape (n, 1 + k), and where there is one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,18 +101,31 @@ class TableSource:
         Raises
         ------
         InputError
-            A cell that is no number, a row without time, a row of another length: with its line.
+            No row at all, a cell that is no number, a row without time or of another length: with its place.
         """
         places = [self._time, *(column.place for column in self._columns)]
         scale = np.array([column.scale for column in self._columns])
         offset = np.array([column.offset for column in self._columns])
         at_once = max(1, max_rows // len(self._columns))
-        chunks = self._parquet_chunks(places, at_once) if self._parquet else self._csv_chunks(places, at_once)
-        for cells, given in chunks:
+        done = 0
+        for cells, given in self._parquet_chunks(places) if self._parquet else self._csv_chunks(places):
+            bad = ~(np.abs(cells[:, 0]) < MAX_TIME_S)
+            if bad.any():
+                first = int(np.argmax(bad))
+                where = f"{self.name}: {TIME}, row {done + first + 1} below the header"
+                time_s = float(cells[first, 0]) if given[first, 0] else ""
+                raise InputError(where, time_s, f"a time in seconds, within {MAX_TIME_S:g}")
+            done += len(cells)
             stamp_ns = np.rint(cells[:, 0] * 1e9).astype(np.int64)
-            rows, column = np.nonzero(given[:, 1:])
-            values = scale[column] * cells[rows, column + 1] + offset[column]
-            yield Block(column.astype(np.int16), stamp_ns[rows], stamp_ns[rows], values)
+            for start in range(0, len(cells), at_once):
+                rows, column = np.nonzero(given[start:start + at_once, 1:])
+                if not rows.size:
+                    continue
+                rows += start
+                values = scale[column] * cells[rows, column + 1] + offset[column]
+                yield Block(column.astype(np.int16), stamp_ns[rows], stamp_ns[rows], values)
+        if not done:
+            raise InputError(self.name, "no row", "at least one row below the column names")
 
     def _header(self) -> list[str]:
         """Read the names of a CSV, and settle encoding and delimiter."""
@@ -122,39 +142,262 @@ class TableSource:
         names = [name.strip() for name in next(csv.reader([text], delimiter=self._delimiter), [])]
         if not any(names):
             raise InputError(self.name, "an empty file or first line", "CSV with a line of column names")
+        self._width = len(names)
         return names
 
-    def _csv_chunks(self, places: Sequence[int], rows: int) -> Iterator[tuple[FloatArray, NDArray[np.bool_]]]:
-        """Yield cells and which are given: by pyarrow as far as it understands, the rest as plain text."""
+    def _csv_chunks(self, places: Sequence[int]) -> Iterator[_Cells]:
+        """Yield the rows: by pyarrow as far as it is there and understands them, the rest as plain text."""
         done = 0
-        try:
-            for cells, given in self._fast_chunks(places):
-                for start in range(0, len(cells), rows):
-                    piece = slice(start, start + rows)
-                    if not (given[piece, 0] & np.isfinite(cells[piece, 0])).all():
-                        raise _SlowPathError
-                    yield cells[piece], given[piece]
-                    done += len(cells[piece])
-        except _SlowPathError:
-            yield from self._plain_chunks(places, rows, done)
+        for cells, given in self._fast_chunks(places):
+            done += len(cells)
+            yield cells, given
+        yield from self._plain_chunks(places, done)
 
-    def _fast_chunks(self, places: Sequence[int]) -> Iterator[tuple[FloatArray, NDArray[np.bool_]]]:
+    def _fast_chunks(self, places: Sequence[int]) -> Iterator[_Cells]:
+        """Yield rows until the first block that pyarrow does not take as numbers."""
         try:
             import pyarrow as pa
-            from pyarrow import csv as pacsv
+            from pyarrow import csv as arrow
         except ImportError:
-            raise _SlowPathError from None
+            return
         wanted = [f"c{place}" for place in places]
-        convert = pacsv.ConvertOptions(column_types=dict.fromkeys(wanted, pa.float64()), include_columns=wanted,
+        convert = arrow.ConvertOptions(column_types=dict.fromkeys(wanted, pa.float64()), include_columns=wanted,
                                        null_values=[""], quoted_strings_can_be_null=True)
+        read = arrow.ReadOptions(use_threads=False, skip_rows=1, encoding=self._encoding,
+                                 column_names=[f"c{place}" for place in range(self._width)])
+        parse = arrow.ParseOptions(delimiter=self._delimiter)
+        with _binary(self._path) as file, suppress(pa.ArrowException, OSError, EOFError, zlib.error), arrow.open_csv(
+                file, read_options=read, parse_options=parse, convert_options=convert) as reader:
+            while True:
+                try:
+                    batch = reader.read_next_batch()
+                except StopIteration:
+                    return
+                yield _cells(batch, wanted)
+
+    def _plain_chunks(self, places: Sequence[int], skip: int) -> Iterator[_Cells]:
+        """Yield the rows after the first `skip`, cell by cell; the same numbers, and an error with its line."""
+        text = io.TextIOWrapper(_binary(self._path), encoding=self._encoding, errors="replace", newline="")
+        with text as file:
+            reader = csv.reader(file, delimiter=self._delimiter)
+            try:
+                rows = (row for row in itertools.islice(reader, 1, None) if row)
+                next(itertools.islice(rows, skip, skip), None)
+                while chunk := [self._numbers(row, places, reader.line_num)
+                                for row in itertools.islice(rows, CHUNK_ROWS)]:
+                    given = np.array([[number is not None for number in row] for row in chunk])
+                    yield np.array(chunk, np.float64), given
+            except (csv.Error, OSError, EOFError, zlib.error) as error:
+                where = f"{self.name}: line {reader.line_num + 1}"
+                raise InputError(where, str(error), "CSV to the end of the file") from None
+
+    def _numbers(self, row: Sequence[str], places: Sequence[int], line: int) -> list[float | None]:
+        """Return the wanted cells of a row, None where empty."""
+        if len(row) != self._width:
+            raise InputError(f"{self.name}: line {line}", f"{len(row)} cells", f"{self._width} cells, as in the header")
+        numbers: list[float | None] = []
+        for place in places:
+            text = row[place].strip()
+            try:
+                if "_" in text:  # Python's own notation, not that of a table
+                    raise ValueError(text)
+                numbers.append(float(text) if text else None)
+            except ValueError:
+                raise InputError(f"{self.name}: line {line}", row[place], "a number, or an empty cell") from None
+        return numbers
+
+    def _parquet_file(self) -> Any:
+        """Open the file with pyarrow, which has no types of its own."""
         try:
-            with pacsv.open_csv(
-                self._path, convert_options=convert,
-                read_options=pacsv.ReadOptions(use_threads=False, skip_rows=1, encoding=self._encoding,
-                                               column_names=[f"c{place}" for place in range(self._count())]),
-                parse_options=pacsv.ParseOptions(delimiter=self._delimiter),
-            ) as reader:
-                for batch in reader:
-                    yield _cells(batch)
-        except pa.ArrowException:
-            raise _SlowPathError from None
+            import pyarrow as pa
+            from pyarrow import parquet
+        except ImportError:
+            raise MissingExtraError("reading Parquet", "pyarrow", "parquet") from None
+        try:
+            return parquet.ParquetFile(self._path)
+        except (pa.ArrowException, OSError) as error:
+            raise InputError(self.name, str(error), "a Parquet file") from None
+
+    def _parquet_names(self) -> list[str]:
+        with self._parquet_file() as file:
+            return list(file.schema_arrow.names)
+
+    def _parquet_chunks(self, places: Sequence[int]) -> Iterator[_Cells]:
+        import pyarrow as pa
+
+        with self._parquet_file() as file:
+            schema = file.schema_arrow
+            names = [schema.names[place] for place in places]
+            for place, name in zip(places, names, strict=True):
+                kind = schema.field(place).type
+                if not (pa.types.is_floating(kind) or pa.types.is_integer(kind)):
+                    raise InputError(f"{self.name}: {name}", str(kind), "a column of numbers")
+            try:
+                for batch in file.iter_batches(batch_size=CHUNK_ROWS, columns=names):
+                    yield _cells(batch, names)
+            except (pa.ArrowException, OSError) as error:
+                raise InputError(self.name, str(error), "Parquet to the end of the file") from None
+
+
+def _cells(batch: Any, names: Sequence[str]) -> _Cells:
+    """Return the columns of an Arrow batch as numbers, and where there is one."""
+    import pyarrow as pa
+
+    columns = [batch.column(name).cast(pa.float64()) for name in names]
+    cells = np.stack([column.to_numpy(zero_copy_only=False) for column in columns], axis=1)
+    given = np.stack([column.is_valid().to_numpy(zero_copy_only=False) for column in columns], axis=1)
+    return cells, given
+
+
+def _chosen(names: Sequence[str], topics: Topics | None, origin: str) -> tuple[int, list[_Column]]:
+    """Return the place of the time, and the columns to read: as the topics file says, else those known by name."""
+    places = {name: names.index(name) for name in names}
+    columns: dict[str, _Column] = {}
+    for role, binding in topics.bindings.items() if topics else ():
+        if binding.column:
+            if binding.column not in places:
+                where = f"{topics.origin if topics else origin}: {role}: column"
+                raise InputError(where, binding.column, ", ".join(names), nearest(binding.column, names))
+            columns[role] = _Column(places[binding.column], binding.column, role, binding.scale, binding.offset)
+    by_file = frozenset(columns)
+    for name, place in places.items():
+        base, slash, part = name.partition("/")
+        if base in COLUMNS:
+            role, scale = COLUMNS[base][0] + slash + part, COLUMNS[base][1]
+            if role in by_file or (slash and not (part and ROLES[base_role(role)].parts)):
+                continue
+            if role in columns:
+                raise InputError(origin, f"columns {columns[role].name} and {name}", f"one column for {role}",
+                                 "name the right one in a topics file")
+            columns[role] = _Column(place, name, role, scale)
+    if TIME not in places:
+        raise InputError(origin, f"columns {', '.join(names)}", f"a column {TIME}, in seconds", nearest(TIME, names))
+    if "speed" not in columns:
+        raise InputError(origin, f"columns {', '.join(names)}", "a column speed_mps or speed_kmh",
+                         "or name it in a topics file: speed: {column: NAME, scale: 1.0}")
+    for name in (TIME, *(column.name for column in columns.values())):
+        if list(names).count(name) > 1:
+            raise InputError(origin, f"{list(names).count(name)} columns {name}", "each column once")
+    return places[TIME], list(columns.values())
+
+
+def _binary(path: Path) -> IO[bytes]:
+    return cast("IO[bytes]", gzip.open(path)) if path.name.lower().endswith(".gz") else path.open("rb")
+
+
+class TableWriter:
+    """Writes a table block by block; it takes its place only when the `with` block ends without an exception.
+
+    A NaN becomes an empty cell, every other number the shortest text that reads back as the same number. Equal
+    numbers give equal bytes.
+
+    Parameters
+    ----------
+    path : Path
+        ``.csv``, ``.csv.gz`` or ``.parquet``; replaced if it is there.
+    names : sequence of str
+        Names of the k columns.
+
+    Raises
+    ------
+    InputError
+        Another suffix, or no such folder.
+    MissingExtraError
+        Parquet, and pyarrow is not installed.
+    """
+
+    def __init__(self, path: Path, names: Sequence[str]) -> None:
+        if not path.name.lower().endswith(SUFFIXES):
+            raise InputError(str(path), path.suffix or "no suffix", ", ".join(SUFFIXES))
+        if not path.parent.is_dir():
+            raise InputError(str(path), f"no folder {path.parent}", "a file in a folder that is there")
+        self.path, self.names = path, tuple(names)
+        self._part = path.with_name(f".{path.name}.{os.getpid()}.part")
+        self._parquet = path.name.lower().endswith(".parquet")
+        if self._parquet:
+            try:
+                import pyarrow as _  # noqa: F401
+            except ImportError:
+                raise MissingExtraError("writing Parquet", "pyarrow", "parquet") from None
+        self._files = ExitStack()
+        self._out: Any = None
+
+    def __enter__(self) -> Self:
+        """Begin the file beside its place."""
+        if not self._parquet:
+            raw: Any = self._files.enter_context(self._part.open("wb"))
+            if self.path.name.lower().endswith(".gz"):
+                raw = self._files.enter_context(gzip.GzipFile("", "wb", 6, raw, mtime=0))
+            self._out = self._files.enter_context(io.TextIOWrapper(raw, encoding="utf-8", newline=""))
+            csv.writer(self._out, lineterminator="\n").writerow(self.names)
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
+        """Finish the file and put it in its place, or remove what was begun."""
+        try:
+            if kind is None and self._out is None:
+                self.write(np.empty((0, len(self.names))))
+            self._files.close()
+            if kind is None:
+                self._part.replace(self.path)
+        finally:
+            self._part.unlink(missing_ok=True)
+
+    def write(self, rows: FloatArray) -> None:
+        """Write n rows, shape (n, k)."""
+        self.write_columns([rows[:, place] for place in range(len(self.names))])
+
+    def write_columns(self, columns: Sequence[NDArray[Any]]) -> None:
+        """Write n rows given as k columns, each of shape (n,): numbers or texts."""
+        if self._parquet:
+            self._write_parquet(columns)
+            return
+        for start in range(0, len(columns[0]), CHUNK_ROWS):
+            texts = [_texts(column[start:start + CHUNK_ROWS]) for column in columns]
+            self._out.write("\n".join(map(",".join, zip(*texts, strict=True))) + "\n")
+
+    def _write_parquet(self, columns: Sequence[NDArray[Any]]) -> None:
+        import pyarrow as pa
+        from pyarrow import parquet
+
+        table = pa.table([pa.array(column, from_pandas=True) for column in columns], names=list(self.names))
+        if self._out is None:
+            self._out = self._files.enter_context(parquet.ParquetWriter(str(self._part), table.schema))
+        self._out.write_table(table)
+
+
+def write_table(path: Path, columns: Mapping[str, NDArray[Any]]) -> None:
+    """Write a whole table; see `TableWriter`.
+
+    Parameters
+    ----------
+    path : Path
+        ``.csv``, ``.csv.gz`` or ``.parquet``.
+    columns : mapping of str to ndarray, each of shape (n,)
+        Numbers or texts by name.
+
+    Raises
+    ------
+    InputError
+        Another suffix, no such folder, or columns that are not equally long.
+    """
+    lengths = {name: len(column) for name, column in columns.items()}
+    if len(set(lengths.values())) != 1:
+        raise InputError(str(path), lengths, "columns of one length")
+    with TableWriter(path, list(columns)) as writer:
+        writer.write_columns([np.asarray(column) for column in columns.values()])
+
+
+def _texts(column: NDArray[Any]) -> list[str]:
+    """Return the cells of a column as they stand in a CSV."""
+    if column.dtype.kind == "f":
+        texts = list(map(repr, column.astype(np.float64).tolist()))
+        return ["" if text == "nan" else text for text in texts] if np.isnan(column).any() else texts
+    if column.dtype.kind in "iub":
+        return list(map(str, column.astype(np.int64).tolist()))
+    quoted = []
+    for text in map(str, column.tolist()):
+        special = any(mark in text for mark in ',"\r\n')
+        quoted.append('"' + text.replace('"', '""') + '"' if special else text)
+    return quoted

@@ -33,7 +33,8 @@ def explain(vehicle: Vehicle, speed: float, belt_degc: float, ambient_degc: floa
     Returns
     -------
     dict
-        Ready for JSON. Lists go over assemblies; torques are for the whole vehicle, heat and cooling too.
+        Ready for JSON. Torques, heat and cooling are for the whole vehicle; contacts, tension, loss forces and the rainflow
+        matrix for the first assembly, with the loss forces of the others beside it.
     """
     ambient = vehicle.chassis.ambient if ambient_degc is None else ambient_degc
     weight = vehicle.weight if weight_n is None else weight_n
@@ -59,7 +60,8 @@ def explain(vehicle: Vehicle, speed: float, belt_degc: float, ambient_degc: floa
         film = float(film_coefficient(speed, network.film_offset, network.film_slope))
         heat += float(loss.total) * abs(speed)
         cooling += film * network.area * (belt_degc - ambient)
-        assemblies.append({"name": assembly.name, "load_n": float(load), "loss": loss, "film_w_m2k": film, "drive_torque_nm": drive,
+        assemblies.append({"name": assembly.name, "load_n": float(load), "film_w_m2k": film, "drive_torque_nm": drive,
+                           "loss_force_n": {**{part: float(value) for part, value in loss._asdict().items()}, "total": float(loss.total)},
                            "surface_degc": float(surface_temperature(belt_degc, ambient, film, network.area, network.inner_conductance))})
     first, model = assemblies[0], models[vehicle.assemblies[0].track]
     contacts = model.loss.contacts(speed, belt_degc, first["load_n"])
@@ -71,8 +73,8 @@ def explain(vehicle: Vehicle, speed: float, belt_degc: float, ambient_degc: floa
         "contact": [{"half_length_m": float(a), "max_strain": float(e), "frequency_hz": float(f), "modulus_mpa": float(m) / 1e6}
                     for a, e, f, m in zip(*contacts, strict=True)],
         "tension_n": steady_tension(model, belt_degc, speed),
-        "loss_force_n": {**{part: [float(getattr(a["loss"], part)) for a in assemblies] for part in first["loss"]._fields},
-                         "total": [float(a["loss"].total) for a in assemblies]},
+        "loss_force_n": first["loss_force_n"],
+        "loss_force_by_assembly_n": [a["loss_force_n"] for a in assemblies],
         "torque_nm": {**torque, "resistance": torque["hysteresis"] + torque["bearing"] + torque["wind"]},
         "heat_w": heat, "cooling_w": cooling,
         "film_coefficient_w_m2k": first["film_w_m2k"], "surface_degc": [a["surface_degc"] for a in assemblies],

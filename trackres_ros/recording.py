@@ -276,8 +276,11 @@ def findings_of(role: str, samples: Series, start_ns: int, zero_is_unset: bool =
 
     def note(kind: str, at: NDArray[np.intp], text: str) -> None:
         if at.size:
-            first = float(_seconds(samples.stamp_ns[at[:1]] - start_ns)[0])
-            found.append(Finding(role, kind, int(at.size), first, text))
+            first, clock = int(at[0]), samples.stamp_ns
+            begin = start_ns
+            if kind == "zero_stamp":
+                clock, begin = samples.arrival_ns, int(samples.arrival_ns[0])
+            found.append(Finding(role, kind, int(at.size), (int(clock[first]) - begin) / 1e9, text))
 
     bad = np.flatnonzero(~finite)
     note("non_finite", bad, f"{bad.size} values are not finite")

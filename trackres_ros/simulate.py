@@ -80,11 +80,21 @@ def simulate(estimator: Estimator, drive: Drive, weight_n: float | None = None, 
     dict
         The series of `COLUMNS`, each of shape (times,). The belt temperature is the mean over the assemblies.
     """
+    return series_of(estimator, drive, run_drive(estimator, drive, weight_n, ambient_degc, initial_degc))
+
+
+def run_drive(estimator: Estimator, drive: Drive, weight_n: float | None = None, ambient_degc: float | None = None,
+              initial_degc: float | None = None) -> Array:
+    """Rows of results along a drive, shape (times, columns); see `simulate`."""
     weight = estimator.vehicle.weight if weight_n is None else weight_n
     ambient = estimator.vehicle.chassis.ambient if ambient_degc is None else ambient_degc
     first = estimator.inputs(float(drive.speed[0]), weight=weight, ambient=ambient)
     state = estimator.cold_start(first, belt_degc=initial_degc)
-    _, rows = estimator.run(state, drive.time_s, drive.speed, weight, ambient, drive.acceleration)
+    return estimator.run(state, drive.time_s, drive.speed, weight, ambient, drive.acceleration)[1]
+
+
+def series_of(estimator: Estimator, drive: Drive, rows: Array) -> dict[str, Array]:
+    """The series of `COLUMNS` out of rows of results."""
     series = {"time_s": drive.time_s, "belt_degc": assembly_values(rows, at.PER_BELT).mean(axis=1)}
     return {name: series[name] if name in series else rows[:, estimator.column_index[name]] for name in COLUMNS}
 

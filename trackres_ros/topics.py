@@ -179,7 +179,7 @@ def field_steps(path: str) -> tuple[FieldStep, ...]:
     while True:
         match = STEP.match(rest)
         if not match:
-            raise ValueError(path)
+            raise ValueError(f"no field path: {path!r}")
         name, element = match.group(1), match.group(2)
         if element is None:
             steps.append(FieldStep(name))
@@ -191,7 +191,7 @@ def field_steps(path: str) -> tuple[FieldStep, ...]:
         if not rest:
             return tuple(steps)
         if rest[0] != ".":
-            raise ValueError(path)
+            raise ValueError(f"no field path: {path!r}")
         rest = rest[1:]
 
 
@@ -205,7 +205,7 @@ def message_type(name: str) -> str:
     """
     match = MESSAGE_TYPE.fullmatch(name)
     if not match:
-        raise ValueError(name)
+        raise ValueError(f"no message type: {name!r}")
     return f"{match.group(1)}/msg/{match.group(2)}"
 
 

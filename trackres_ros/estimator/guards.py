@@ -28,6 +28,8 @@ CLOCK_JUMPED, TIME_RESET = int(at.Reason.CLOCK_JUMPED), int(at.Reason.TIME_RESET
 
 FRESH_LOAD_NS = 2_000_000_000  # a load older than this is reported as held, as long as it holds
 STANDING = 1e-3                # m/s: slower is no movement that could be stuck
+QUANTISED = (0.05, 1.0)        # m/s: a smallest step between these is a bus's resolution, not noise
+QUANTISED_PATIENCE = 10        # a steady drive holds one value of such a bus for minutes
 
 # What admit() returns besides a refusal (a negative counter).
 TAKEN, TOOK_JUMP, TOOK_RESET = 0, 1, 2
@@ -63,7 +65,7 @@ def admit(k, memory, channel, stamp, arrival, value):  # type: ignore[no-untyped
     if value < k.channel_limits[channel, 0] or value > k.channel_limits[channel, 1]:
         counters[OUT_OF_RANGE] += 1
         return -OUT_OF_RANGE, 0
-    if stamp == 0:
+    if stamp == 0 and arrival != 0:
         counters[ZERO_STAMP] += 1
         stamp = arrival
         if times[at.SEEN]:  # by the last message's offset between stamp and arrival
@@ -154,8 +156,11 @@ def gather_loads(k, memory, now, loads):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def gather(k, memory, outcome, loads, belt_measured):  # type: ignore[no-untyped-def]
-    """The inputs of the step that an accepted speed makes; fills `loads` and `belt_measured`, one entry an assembly."""
+def gather(k, memory, outcome, quantum, loads, belt_measured):  # type: ignore[no-untyped-def]
+    """The inputs of the step that an accepted speed makes; fills `loads` and `belt_measured`, one entry an assembly.
+
+    `quantum` is the smallest step [m/s] seen in the speed.
+    """
     now, stamp = memory.times[at.SPEED, at.LAST_ARRIVAL], memory.times[at.SPEED, at.LAST_STAMP]
     speed = memory.values[at.SPEED]
     reasons = gather_loads(k, memory, now, loads)
@@ -163,7 +168,8 @@ def gather(k, memory, outcome, loads, belt_measured):  # type: ignore[no-untyped
         reasons |= CLOCK_JUMPED
     elif outcome == TOOK_RESET:
         reasons |= TIME_RESET
-    if abs(speed) > STANDING and stamp - memory.times[at.SPEED, at.UNCHANGED_SINCE] > k.number.stuck_ns:
+    patience = QUANTISED_PATIENCE if QUANTISED[0] < quantum < QUANTISED[1] else 1
+    if abs(speed) > STANDING and stamp - memory.times[at.SPEED, at.UNCHANGED_SINCE] > k.number.stuck_ns * patience:
         reasons |= SPEED_STUCK
     ambient, ambient_std = held(memory, at.AMBIENT, now, k.number.ambient_hold_ns), k.number.ambient_std
     if math.isnan(ambient):

@@ -22,7 +22,7 @@ def feed(k, memory, belts, motion, loads, belt_measured, channel, stamp, arrival
         motion[at.STARTED] = 0.0
     if outcome < 0 or channel != at.SPEED:
         return False
-    inputs = gather(k, memory, outcome, loads, belt_measured)
+    inputs = gather(k, memory, outcome, motion[at.QUANTUM] if motion[at.STARTED] > 0.0 else 0.0, loads, belt_measured)
     if motion[at.STARTED] == 0.0:
         start(k, belts, motion, inputs.ambient, inputs.ambient_std)
     dt = elapsed * NANOSECOND

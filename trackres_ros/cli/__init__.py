@@ -1,0 +1,1 @@
+"""The `trackres` command: one file a command, thin."""

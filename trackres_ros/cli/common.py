@@ -1,0 +1,85 @@
+"""What the commands share: options, output and progress."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+from trackres_ros.errors import InputError
+from trackres_ros.resources import shipped_vehicles
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+TABLE_SUFFIXES = (".csv", ".csv.gz", ".parquet")
+OUTPUT_SUFFIXES = (*TABLE_SUFFIXES, ".mcap")
+
+
+def vehicle_option(command: Command) -> Command:
+    """`--vehicle`: a path or the name of a shipped vehicle."""
+    return click.option("--vehicle", required=True, metavar="FILE|NAME",
+                        help=f"Vehicle file, or the name of a shipped one: {', '.join(shipped_vehicles())}.")(command)
+
+
+def json_option(command: Command) -> Command:
+    """`--json`: the same facts for programs."""
+    return click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on standard output.")(command)
+
+
+def method_options(command: Command) -> Command:
+    """`--method` and `--thermal`: other models than the vehicle file names."""
+    command = click.option("--thermal", type=click.Choice(["lumped", "core_surface"]), help="Thermal model instead of the vehicle file's.")(command)
+    return click.option("--method", type=click.Choice(["rainflow", "spectral"]),
+                        help="Way from strain to heat instead of the vehicle file's: the paper's count, or exact.")(command)
+
+
+def number(low: float, high: float) -> click.FloatRange:
+    """A finite number in a range; click's own accepts nan."""
+    return _Finite(low, high)
+
+
+class _Finite(click.FloatRange):
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        converted = super().convert(value, param, ctx)
+        if converted != converted:
+            self.fail(f"{value} is not a number", param, ctx)
+        return converted
+
+
+def output_path(path: Path, suffixes: tuple[str, ...] = OUTPUT_SUFFIXES) -> Path:
+    """The path, if its suffix says how to write it and its folder is there."""
+    if not path.name.lower().endswith(suffixes):
+        raise InputError("-o", str(path), f"a file name that ends in {', '.join(suffixes)}")
+    if not path.parent.is_dir():
+        raise InputError("-o", str(path), "a file in a folder that exists", f"make it first: mkdir -p {path.parent}")
+    if path.is_dir():
+        raise InputError("-o", str(path), "a file; there is a folder of that name")
+    return path
+
+
+def without_suffix(path: Path) -> Path:
+    """The path without its suffix, of which `.csv.gz` is one."""
+    return path.with_name(next(path.name[:-len(s)] for s in sorted(OUTPUT_SUFFIXES, key=len, reverse=True)
+                               if path.name.lower().endswith(s)))
+
+
+def emit(result: dict[str, Any], as_json: bool, text: Callable[[], str]) -> None:
+    """Print a result: as JSON, or as the text made for people."""
+    click.echo(json.dumps(result, indent=2, allow_nan=False) if as_json else text())
+
+
+@contextmanager
+def progress(label: str, total: float | None) -> Iterator[Callable[[float], None]]:
+    """A progress bar on standard error where that is a terminal; the function takes how much more is done."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True)
+    with Progress(TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn(),
+                  console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task(label, total=total)
+        yield lambda done: bar.update(task, advance=done)

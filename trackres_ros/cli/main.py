@@ -1,0 +1,71 @@
+"""Entry of the `trackres` command."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+
+import click
+
+from trackres_ros import __version__
+from trackres_ros.cli.explain import explain_command
+from trackres_ros.cli.record_sample import record_sample_command
+from trackres_ros.cli.replay import replay_command
+from trackres_ros.cli.reproduce import reproduce_command
+from trackres_ros.cli.simulate import simulate_command
+from trackres_ros.cli.vehicle import vehicle_group
+from trackres_ros.errors import InputError
+
+BAD_INPUT = 2
+INTERRUPTED = 130
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.version_option(__version__, package_name="trackres_ros")
+def cli() -> None:
+    """Rolling-resistance torque and temperature of rubber tracks.
+
+    \b
+    Start here:
+      trackres record-sample -o lap.mcap                       make a recording to play with
+      trackres replay lap.mcap --vehicle xgd24d -o out.csv     torque and temperature over time, and a picture
+      trackres explain --vehicle xgd24d --speed-kmh 50 --belt-degc 15    one operating point taken apart
+    """
+
+
+for command in (simulate_command, replay_command, explain_command, reproduce_command, record_sample_command, vehicle_group):
+    cli.add_command(command)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line; bad input ends with exit code 2 and one line that says what to do."""
+    try:
+        result = cli.main(args=list(arguments) if arguments is not None else None, prog_name="trackres", standalone_mode=False)
+    except click.exceptions.NoArgsIsHelpError as error:
+        click.echo(error.format_message())
+        sys.exit(BAD_INPUT)
+    except click.ClickException as error:
+        context = getattr(error, "ctx", None)
+        hint = f" (see {context.command_path} --help)" if context else ""
+        _fail(" ".join(error.format_message().split()) + hint)
+    except InputError as error:
+        _fail(str(error))
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(0)
+    except OSError as error:
+        _fail(f"{error.filename or 'system'}: {error.strerror or error}")
+    except (click.Abort, KeyboardInterrupt):
+        click.echo("trackres: interrupted; nothing was written in part", err=True)
+        sys.exit(INTERRUPTED)
+    sys.exit(result if isinstance(result, int) else 0)
+
+
+def _fail(text: str) -> None:
+    click.echo(f"trackres: error: {text}", err=True)
+    sys.exit(BAD_INPUT)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,34 @@
+"""`trackres reproduce`: the paper's figures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from trackres_ros.cli.common import emit, json_option, progress
+
+
+@click.command("reproduce")
+@click.option("-o", "--output", type=click.Path(path_type=Path, file_okay=False), required=True, help="Folder for pictures, tables and the page.")
+@json_option
+def reproduce_command(output: Path, as_json: bool) -> None:
+    """The paper's Figures 6, 10, 11, 16, 24, 25, 26 and its three tests, as PNG and CSV, with a page that says what holds.
+
+    \b
+    trackres reproduce -o figures
+    """
+    from trackres_ros.reproduce import reproduce
+
+    output.mkdir(parents=True, exist_ok=True)
+    with progress("figures", 1.0) as advance:
+        done = 0.0
+
+        def report(_: str, share: float) -> None:
+            nonlocal done
+            advance(share - done)
+            done = share
+
+        summary: dict[str, Any] = reproduce(output, report)
+    emit(summary, as_json, lambda: f"Figures, tables and index.md are in {output}")

@@ -1,0 +1,88 @@
+"""What leaves the estimator on topics: one table of names, types and columns, for the bag of a replay and for live.
+
+Signs after REP-103: rolling forward is positive rotation about y, so what resists it is a negative torque and the
+feed-forward that cancels it a positive one. In tables and reports a resistance is a positive number.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.estimator import layout as at
+from trackres_ros.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+
+TOTALS = {"total": "resistance_torque_nm", "hysteresis": "hysteresis_nm", "bearing": "bearing_nm", "wind": "wind_nm",
+          "grade": "grade_nm", "inertia": "inertia_nm", "drive": "drive_torque_nm"}
+DEFAULT_NODE = "trackres"
+BASE_FRAME = "base_link"
+
+
+@dataclass(frozen=True)
+class OutputTopic:
+    """One topic: its name below the node's, message type, meaning, and which numbers it carries.
+
+    Attributes
+    ----------
+    kind
+        How the numbers stand in the message: `joints` (JointState: names and efforts), `wrench` (WrenchStamped: torque
+        about y), `number` (Float64), `temperature` (Temperature: value and standard deviation), `status` (DiagnosticArray).
+    columns
+        Columns of a row of results, see `estimator.layout.columns`.
+    names
+        Names of the joints.
+    sign
+        Factor from the column to the message.
+    """
+
+    name: str
+    type: str
+    kind: Literal["joints", "wrench", "number", "temperature", "status"]
+    meaning: str
+    columns: tuple[str, ...] = ()
+    names: tuple[str, ...] = ()
+    sign: float = 1.0
+
+
+def output_topics(vehicle: Vehicle) -> tuple[OutputTopic, ...]:
+    """All topics of a vehicle, in the order they are written."""
+    assemblies = [a.name for a in vehicle.assemblies]
+    return (
+        OutputTopic("resistance_torque", "sensor_msgs/msg/JointState", "joints",
+                    "torque about y that resists, at the sprockets [Nm]: total (hysteresis, bearing, wind), each part, what driving "
+                    "takes in all, each assembly's total and hysteresis",
+                    (*TOTALS.values(), *(f"{column}/{name}" for name in assemblies for column in ("resistance_torque_nm", "hysteresis_nm"))),
+                    (*TOTALS, *(f"{joint}/{name}" for name in assemblies for joint in ("total", "hysteresis"))), -1.0),
+        OutputTopic("feedforward_torque", "geometry_msgs/msg/WrenchStamped", "wrench",
+                    "torque about y that cancels the chosen parts, limited in rate and size [Nm]", ("feedforward_torque_nm",)),
+        OutputTopic("feedforward_torque_nm", "std_msgs/msg/Float64", "number",
+                    "the same number for controllers that take only that; it has no stamp", ("feedforward_torque_nm",)),
+        *(OutputTopic(f"track_temperature/{name}", "sensor_msgs/msg/Temperature", "temperature",
+                      f"mean belt temperature of {name} [degC] and its variance [K^2]", (f"belt_degc/{name}", f"belt_std_k/{name}"))
+          for name in assemblies),
+        OutputTopic("torque_residual", "sensor_msgs/msg/JointState", "joints",
+                    "measured torque less what driving takes after the model [Nm], while a torque is measured",
+                    ("measured_torque_nm", "drive_torque_nm", "residual_nm"), ("measured", "expected", "residual")),
+        OutputTopic("status", "diagnostic_msgs/msg/DiagnosticArray", "status",
+                    "ok or warn, and why, whenever it changes and once a second"),
+    )
+
+
+def values_of(topic: OutputTopic, rows: Array, index: dict[str, int]) -> Array:
+    """Numbers of a topic's messages out of rows of results, shape (rows, numbers)."""
+    values = rows[:, [index[name] for name in topic.columns]] * topic.sign
+    if topic.kind == "temperature":
+        values[:, 1] **= 2
+    return np.asarray(values)
+
+
+def status_of(reasons: at.Reason) -> tuple[int, str]:
+    """Level of a DiagnosticStatus (0 ok, 1 warn) and its text, for the reasons of a row."""
+    level = 1 if reasons & ~at.HARMLESS else 0
+    texts = [text for reason, text in at.REASON_TEXT.items() if reason & reasons]
+    return level, "; ".join(texts) or "ok"

@@ -1,0 +1,98 @@
+"""What a replay has to say: what was read, what was wrong with it, what came out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.estimator import layout as at
+from trackres_ros.recording import Block, Finding, Recording, Source
+from trackres_ros.replay import Replayed
+
+Array = NDArray[np.float64]
+
+HEAD = 1  # columns of a picture row before the results: the time
+
+
+class KeptSource:
+    """A source that passes another on, and keeps its blocks where asked, to look at them as a Recording afterwards."""
+
+    def __init__(self, source: Source, keep: bool) -> None:
+        self._source, self._keep = source, keep
+        self._kept: list[Block] = []
+        self.name, self.roles, self.notes = source.name, source.roles, source.notes
+        self.zero_is_unset = source.zero_is_unset
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What reading itself met."""
+        return self._source.findings
+
+    def blocks(self, max_rows: int = 65536) -> Iterator[Block]:
+        """Blocks of the source; read a second time they come from memory."""
+        if self._kept:
+            yield from self._kept
+            return
+        for block in self._source.blocks(max_rows):
+            if self._keep:
+                self._kept.append(block)
+            yield block
+
+    def all_findings(self) -> tuple[Finding, ...]:
+        """What was wrong with the samples; only what reading met where the blocks were not kept."""
+        return Recording.from_source(self).findings if self._keep else self.findings
+
+
+def picture_columns(result: Replayed) -> tuple[dict[str, Array], Array | None]:
+    """The series of the picture by column name, and the measured torque [Nm] where there is any."""
+    estimator = result.session.estimator
+    columns = {name: result.picture[:, HEAD + i] for i, name in enumerate(estimator.columns)}
+    measured = columns["measured_torque_nm"]
+    return columns, measured if np.isfinite(measured).any() else None
+
+
+def summary(result: Replayed, source: KeptSource, written: list[str]) -> dict[str, Any]:
+    """The report as a dict ready for JSON."""
+    estimator = result.session.estimator
+    last = {name: _finite(float(result.last[i])) for i, name in enumerate(estimator.columns) if name != "reasons"}
+    torque = result.picture[:, HEAD + at.OUT_RESISTANCE]
+    counters: dict[str, dict[str, int]] = {}
+    for channel, count, number in result.session.counts():
+        counters.setdefault(channel, {})[count.name.lower()] = number
+    return {
+        "vehicle": estimator.vehicle.name, "recording": source.name, "notes": list(source.notes),
+        "findings": [{"role": f.role, "kind": f.kind, "count": f.count, "first_time_s": _finite(f.first_time_s), "text": f.text}
+                     for f in source.all_findings()],
+        "messages": result.messages, "steps": result.steps, "duration_s": result.duration_s, "counters": counters,
+        "reasons": [{"reason": (reason.name or "").lower(), "text": at.REASON_TEXT[reason], "steps": number}
+                    for reason, number in sorted(result.reasons.items())],
+        "resistance_torque_nm": {"first": float(torque[0]), "largest": float(np.max(torque)), "last": float(torque[-1])},
+        "last": last, "written": written,
+    }
+
+
+def text(report: dict[str, Any]) -> str:
+    """The report for people."""
+    last = report["last"]
+    belts = {name.partition("/")[2]: value for name, value in last.items() if name.startswith("belt_degc/")}
+    lines = [f"{report['messages']} messages, {report['steps']} steps over {report['duration_s']:.1f} s"]
+    lines += [f"  taken: {note}" for note in report["notes"]]
+    lines += [f"  found: {item['role']}: {item['text']}" for item in report["findings"]]
+    for channel, counts in report["counters"].items():
+        refused = {name: number for name, number in counts.items() if name != "accepted"}
+        if refused:
+            lines.append(f"  counted: {channel}: " + ", ".join(f"{name} {number}" for name, number in refused.items()))
+    lines += [f"  status: {item['text']} ({item['steps']} steps)" for item in report["reasons"]]
+    lines.append(f"At the end: resistance {last['resistance_torque_nm']:.0f} +- {last['resistance_std_nm']:.0f} Nm (hysteresis "
+                 f"{last['hysteresis_nm']:.0f}, bearing {last['bearing_nm']:.0f}, wind {last['wind_nm']:.0f}), largest "
+                 f"{report['resistance_torque_nm']['largest']:.0f} Nm")
+    lines.append("Belts: " + ", ".join(f"{name} {value:.1f} degC" for name, value in belts.items()))
+    return "\n".join([*lines, f"Written: {', '.join(report['written'])}"])
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
