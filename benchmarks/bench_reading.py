@@ -21,6 +21,7 @@ from trackres_ros.topics import Topics
 SPEED_MESSAGES = 250_000
 LOAD_EVERY = 10
 REPEATS = 5
+BLOCK_ROWS = 8192
 STORE = get_typestore(Stores.LATEST)
 TOPICS = Topics.parse({
     "speed": {"topic": "/vehicle/speed", "type": "geometry_msgs/msg/TwistStamped", "field": "twist.linear.x"},
@@ -70,7 +71,7 @@ def read_recording(path: Path) -> int:
 
 def iterate_blocks(path: Path) -> int:
     """Read the same in blocks and keep none."""
-    return sum(map(len, BagSource([path], TOPICS).blocks()))
+    return sum(map(len, BagSource([path], TOPICS).blocks(BLOCK_ROWS)))
 
 
 def seconds(run: Callable[[Path], int], path: Path) -> float:

@@ -25,7 +25,7 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from trackres_ros.bags import BagSource, BagWriter
+from trackres_ros.bags import BagWriter
 
 STORE = get_typestore(Stores.LATEST)
 STORE1 = get_typestore(Stores.ROS1_NOETIC)
@@ -219,7 +219,7 @@ def test_no_speed_named(tmp_path: Path) -> None:
         open_source([write(tmp_path / "bag", count=3)], topics)
 
 
-MINE = "uint8 id\nmy_msgs/Inner[2] inner\n================\nMSG: my_msgs/Inner\nfloat32 speed\nstring note\n"
+MINE = f"uint8 id\nmy_msgs/Inner[2] inner\n{'=' * 80}\nMSG: my_msgs/Inner\nstring note\nfloat32 speed\n"
 
 
 @pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
@@ -230,7 +230,7 @@ def test_types_that_only_the_bag_knows(tmp_path: Path, storage: str) -> None:
     with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin[storage.upper()]) as writer:
         topic = writer.add_connection("/mine", "my_msgs/msg/Mine", typestore=store)
         for row in range(20):
-            message = mine(1, [inner(0.0, "a" * row), inner(row / 4, "")])
+            message = mine(1, [inner("a" * row, 0.0), inner("", row / 4)])
             writer.write(topic, START + row, store.serialize_cdr(message, "my_msgs/msg/Mine"))
     line = {"topic": "/mine", "type": "my_msgs/msg/Mine", "field": "inner[1].speed"}
     rows = by_blocks(open_source([tmp_path / "bag"], Topics.parse({"speed": line})))
@@ -307,7 +307,7 @@ def test_without_the_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 def test_memory_does_not_grow_with_the_bag(tmp_path: Path) -> None:
     peaks = []
-    for count in (1000, 8000):
+    for count in (10_000, 60_000):
         path = tmp_path / f"{count}.mcap"
         write_outputs(path, count)
         source = open_source([path])
@@ -345,7 +345,7 @@ def check_outputs(rows: list[tuple[str, int, Any]], count: int) -> None:
     assert [list(message.effort) for _, message in torques] == [[row * 1.5, -row] for row in range(count)]
     assert [message.header.stamp.sec * 10**9 + message.header.stamp.nanosec for _, message in torques] == [
         START + 10_000_000 * row for row in range(count)]
-    assert {message.header.frame_id for topic, _, message in rows if topic == "/vehicle/speed"} == {"base_link"}
+    assert all(message.header.frame_id == "base_link" for topic, _, message in rows if topic == "/vehicle/speed")
     assert [message.data for topic, _, message in rows if topic == "/trackres/status"] == [
         f"from {start}" for start in range(0, count, 256)]
 
@@ -383,7 +383,6 @@ def test_what_is_written_another_library_reads(tmp_path: Path) -> None:
                 assert (schema.encoding, channel.message_encoding) == ("ros2msg", "cdr")
                 assert schema.data.decode() == STORE.generate_msgdef(schema.name, ros_version=2)[0]
                 rows.append((channel.topic, message.log_time, STORE.deserialize_cdr(message.data, schema.name)))
-            assert read.get_header().profile == "ros2"
         check_outputs(rows, 5000)
 
 

@@ -125,14 +125,14 @@ class BagSource:
                                  nearest(named, there))
             by_topic.setdefault(name, []).append(role)
         bound: dict[tuple[Path, str], _Topic] = {}
-        readers: dict[tuple[str, str, str], FieldReader] = {}
+        readers: dict[tuple[str, str, str, Encoding], FieldReader] = {}
         for path, connections in found:
             for one in connections:
                 roles = by_topic.get(one.topic, [])
                 if not roles or (path, one.topic) in bound:
                     continue
                 encoding = Encoding.ROS1 if path.suffix == ".bag" else Encoding.CDR
-                key = (one.topic, one.msgtype, str(one.msgdef))
+                key = (one.topic, one.msgtype, str(one.msgdef), encoding)
                 types = readers[key].types if key in readers else _types(one, path, encoding)
                 chosen = tuple(bindings[role] for role in roles)
                 for role, binding in zip(roles, chosen, strict=True):
@@ -278,6 +278,8 @@ def _batch(messages: Iterator[tuple[Connection, int, bytes]], size: int,
 
 def _unreadable(path: Path, error: Exception) -> InputError:
     remedy = REMEDIES.get(path.suffix, "try: ros2 bag reindex")
+    if path.is_file() and "metadata.yaml" in str(error):
+        remedy = "name its directory: this version of rosbags reads no single file; or pip install --upgrade rosbags"
     return InputError(str(path), f"{type(error).__name__}: {error}", "a bag that can be read to its end", remedy)
 
 
@@ -364,6 +366,8 @@ class BagWriter:
         self._topics: list[BagTopic] = []
         self._new = b""
         self._pending: list[tuple[int, IntArray, NDArray[np.uint8]]] = []
+        self._waiting: set[int] = set()
+        self._held = 0
         self._chunks: list[bytes] = []
         self._span = [2**64 - 1, 0]
 
@@ -447,7 +451,7 @@ class BagWriter:
                              f"(n,), (n,) and (n, {template.reader.count})")
         if int(log_ns.min()) < 0:
             raise InputError(f"{self.path}: {topic.name}: log time", int(log_ns.min()), "0 ns or later")
-        if any(number == topic.number for number, _, _ in self._pending) and self._held() > CHUNK_BYTES:
+        if topic.number in self._waiting and self._held > CHUNK_BYTES:
             self._flush()
         size = RECORD.size + len(template.raw)
         rows = np.empty((len(log_ns), size), np.uint8)
@@ -457,9 +461,8 @@ class BagWriter:
         template.fill(rows, RECORD.size, stamp_ns, values)
         topic.count += len(rows)
         self._pending.append((topic.number, log_ns, rows))
-
-    def _held(self) -> int:
-        return sum(rows.size for _, _, rows in self._pending)
+        self._waiting.add(topic.number)
+        self._held += rows.size
 
     def _flush(self) -> None:
         """Write what is pending, in the order of log time."""
@@ -482,6 +485,8 @@ class BagWriter:
             self._chunk(b"".join([records[row] for row in rows]), channel[rows], log_ns[rows], offset)
             start = stop
         self._pending.clear()
+        self._waiting.clear()
+        self._held = 0
 
     def _chunk(self, data: bytes, channel: NDArray[np.intp], log_ns: IntArray, offset: IntArray) -> None:
         """Write one chunk and its index of messages, and remember its place."""

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-MOVING_MPS = 0.5
-"""A drop to 0 counts where the samples on both sides are faster [m/s]; assumed, above the noise of a standing wheel."""
+MOVING_MPS, DROP_SAMPLES = 0.5, 3
+"""A drop to 0 counts where the samples on both sides are faster [m/s], and it is short; assumed: above the noise of a
+standing wheel, and shorter than any stop, even where each sample is published twice or thrice."""
 OFFSET_NS = 500_000_000
 """Header stamps this far from log time are another clock, not a delay [ns]; assumed, above any transport delay."""
 GAP_NS = 1_000_000_000
@@ -22,6 +23,8 @@ GAP_FACTOR = 10
 """A gap is longer than both a second and ten median steps; assumed: what a belt's temperature would feel."""
 STUCK_NS = 60_000_000_000
 """A changing quantity does not keep one value this long [ns]; assumed."""
+SAME_LEVEL = 1e-6
+"""Levels closer than this share of the largest are one, but for rounding, of float32 too."""
 GRID_TOLERANCE = 1e-3
 """How far a step may be from a whole number of quanta [quanta]; float32 in km/h needs 1e-5."""
 
@@ -296,10 +299,8 @@ def findings_of(role: str, samples: Series, start_ns: int, zero_is_unset: bool =
         note("quantised", np.flatnonzero(finite)[:1], text)
     if lively:
         _look_for_stuck(samples, np.flatnonzero(finite), runs, note)
-    if base_role(role) == "speed" and len(samples) > 2:
-        moving = np.abs(samples.value) > MOVING_MPS
-        drops = np.flatnonzero((samples.value[1:-1] == 0.0) & moving[:-2] & moving[2:]) + 1
-        note("dropout", drops, f"{drops.size} single samples drop to exactly 0 while moving")
+    if base_role(role) == "speed":
+        _look_for_drops(samples, note)
     return found
 
 
@@ -344,6 +345,17 @@ def _look_for_stuck(samples: Series, rows: NDArray[np.intp], runs: NDArray[np.in
         note("stuck", rows[at], text)
 
 
+def _look_for_drops(samples: Series, note: _Note) -> None:
+    """Note where speed is exactly 0 for a sample or a few, and moving right before and after."""
+    zero = np.concatenate(([False], samples.value == 0.0, [False]))
+    start, stop = np.flatnonzero(zero[1:] & ~zero[:-1]), np.flatnonzero(zero[:-1] & ~zero[1:])
+    inside = (start > 0) & (stop < len(samples)) & (stop - start <= DROP_SAMPLES)
+    start, stop = start[inside], stop[inside]
+    moving = (np.abs(samples.value[start - 1]) > MOVING_MPS) & (np.abs(samples.value[stop]) > MOVING_MPS)
+    at = start[moving]
+    note("dropout", at, f"{at.size} times it drops to exactly 0 for {DROP_SAMPLES} samples or fewer while moving")
+
+
 def _quantum(value: FloatArray, runs: NDArray[np.intp]) -> float:
     """Return the step a sensor quantises to, or 0.
 
@@ -354,14 +366,15 @@ def _quantum(value: FloatArray, runs: NDArray[np.intp]) -> float:
     if len(levels) < 3 or len(value) < 20:
         return 0.0
     steps = np.diff(levels)
-    step = float(steps.min())
-    if step <= 1e-9 * float(np.abs(levels).max()):
+    steps = steps[steps > SAME_LEVEL * np.abs(levels).max()]
+    if len(steps) < 2:
         return 0.0
+    step = float(steps.min())
     ratio = steps / step
     if float(np.abs(ratio - np.rint(ratio)).max()) > GRID_TOLERANCE:
         return 0.0
     lasting = float(np.median(np.diff(np.append(runs, len(value)))))
-    return step if lasting >= 2.0 or len(runs) >= 4 * len(levels) else 0.0
+    return step if lasting >= 2.0 or len(runs) >= 4 * len(steps) else 0.0
 
 
 def _joined(parts: list[tuple[IntArray, IntArray, FloatArray]]) -> Series:

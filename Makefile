@@ -1,0 +1,31 @@
+# Both targets set up what they need by themselves: a Python environment in .venv with this checkout in it.
+PYTHON ?= python3
+VENV := .venv
+RUN := $(VENV)/bin
+OUT := out
+
+.PHONY: demo test lint clean
+
+demo: $(VENV)/.ready
+	@mkdir -p $(OUT)
+	$(RUN)/trackres record-sample -o $(OUT)/laps.mcap
+	$(RUN)/trackres replay $(OUT)/laps.mcap --vehicle xgd24d --topics config/topics/sample.yaml -o $(OUT)/estimate.csv
+	$(RUN)/trackres replay $(OUT)/laps.mcap --vehicle xgd24d --topics config/topics/sample.yaml -o $(OUT)/estimate.mcap
+	@echo
+	@echo "Look at $(OUT)/estimate.png: the resistance falls from lap to lap as the belts warm up."
+	@echo "$(OUT)/estimate.csv is the table; open $(OUT)/estimate.mcap in PlotJuggler or Foxglove."
+
+test: $(VENV)/.ready lint
+	$(RUN)/python -m pytest -q
+
+lint: $(VENV)/.ready
+	$(RUN)/ruff check .
+	$(RUN)/mypy
+
+$(VENV)/.ready: setup.py
+	./tools/make-environment $(PYTHON) $(VENV)
+	$(RUN)/python -m pip install --quiet --disable-pip-version-check --editable ".[test]"
+	@touch $@
+
+clean:
+	rm -rf $(VENV) $(OUT) build install log *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

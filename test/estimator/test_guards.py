@@ -1,0 +1,204 @@
+"""The guards: every message is counted once, nothing that is not finite comes out, and each policy does what it says."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trackres_ros.estimator.layout import REFUSALS, Count, Reason
+
+START = 1_700_000_000_000_000_000
+MS = 1_000_000
+S = 1_000_000_000
+SPEED = 8.0
+
+
+@pytest.fixture
+def session(reference):
+    return reference.session()
+
+
+def send(session, stamp, value=SPEED, name="speed", arrival=None):
+    return session.handle(session.channel(name), stamp, stamp if arrival is None else arrival, value)
+
+
+def steady(session, seconds=2.0, start=START, every=20 * MS):
+    """Good messages with a little life in them; returns the next stamp and the last estimate."""
+    count = int(seconds * S / every)
+    for i in range(count):
+        estimate = send(session, start + i * every, SPEED + 0.01 * (i % 3))
+    return start + count * every, estimate
+
+
+def count(session, which, name="speed"):
+    return int(session.memory.counters[session.channel(name), which])
+
+
+STAMPS = st.one_of(st.integers(-3600, 3600).map(lambda s: START + s * S), st.integers(0, 3000).map(lambda ms: START + ms * MS),
+                   st.just(0))
+VALUES = st.one_of(st.floats(-20, 20), st.sampled_from([float("nan"), float("inf"), -float("inf"), 1e9, -1e300, 0.0]))
+
+
+@given(messages=st.lists(st.tuples(st.sampled_from(["speed", "load", "ambient", "belt/rear_left", "accel", "torque", "load/front"]),
+                                   STAMPS, STAMPS, VALUES), max_size=80))
+def test_whatever_comes_counters_add_up_and_results_are_finite(reference, messages):
+    session = reference.session()
+    limit = reference.constants.number.feedforward_limit
+    for name, stamp, arrival, value in messages:
+        estimate = send(session, stamp, value, name, abs(arrival))
+        if estimate is not None:
+            assert np.isfinite(estimate.row[:13]).all()
+            assert np.isfinite(estimate.belt_degc()).all()
+            assert abs(estimate.feedforward_torque_nm) <= limit
+    counters = session.memory.counters
+    assert counters[:, Count.ACCEPTED].sum() + counters[:, [int(c) for c in REFUSALS]].sum() == len(messages)
+
+
+@pytest.mark.parametrize(("value", "which"), [(float("nan"), Count.NON_FINITE), (float("inf"), Count.NON_FINITE),
+                                              (1e9, Count.OUT_OF_RANGE), (-30.0, Count.OUT_OF_RANGE)])
+def test_values_that_cannot_be_are_refused_and_the_last_holds(session, value, which):
+    now, before = steady(session)
+    assert send(session, now, value) is None
+    assert count(session, which) == 1
+    after = send(session, now + 20 * MS)
+    assert after["speed_mps"] == pytest.approx(SPEED, abs=0.05)
+    assert after.resistance_torque_nm == pytest.approx(before.resistance_torque_nm, rel=0.01)
+
+
+def test_zero_stamps_are_timed_by_arrival(session):
+    now, _ = steady(session)
+    for i in range(10):
+        assert send(session, 0, SPEED + 0.01 * i, arrival=now + i * 20 * MS) is not None
+    assert count(session, Count.ZERO_STAMP) == 10
+    assert count(session, Count.CLOCK_JUMP) == 0
+
+
+def test_zero_stamps_keep_the_offset_of_a_source_with_another_clock(session):
+    lag = 66 * 86400 * S
+    for i in range(50):
+        send(session, START - lag + i * 20 * MS, SPEED + 0.01 * (i % 3), arrival=START + i * 20 * MS)
+    estimate = send(session, 0, SPEED, arrival=START + 50 * 20 * MS)
+    assert estimate is not None
+    assert not estimate.reasons & (Reason.GAP_BRIDGED | Reason.GAP_UNKNOWN)
+
+
+def test_duplicates_and_late_messages_are_dropped(session):
+    now, _ = steady(session)
+    assert send(session, now - 20 * MS) is None
+    assert count(session, Count.DUPLICATE) == 1
+    assert send(session, now - 500 * MS) is None
+    assert count(session, Count.LATE) == 1
+
+
+def test_one_stamp_an_hour_ahead_or_behind_changes_nothing(session):
+    now, before = steady(session)
+    assert send(session, now + 3600 * S, arrival=now) is None
+    assert send(session, now - 3600 * S, arrival=now + MS) is None
+    after = send(session, now + 20 * MS)
+    assert after.belt_degc()[0] == pytest.approx(before.belt_degc()[0], abs=0.05)
+    assert count(session, Count.FUTURE) == 1
+    assert count(session, Count.BACKWARD) == 1
+
+
+@pytest.mark.parametrize("jump", [3600 * S, -3600 * S])
+def test_a_clock_jump_is_believed_after_three_and_keeps_the_temperature(session, jump):
+    now, before = steady(session, 60.0)
+    results = [send(session, now + jump + i * 20 * MS, arrival=now + i * 20 * MS) for i in range(4)]
+    assert results[:2] == [None, None]
+    assert results[2].reasons & Reason.CLOCK_JUMPED
+    assert results[2].belt_degc()[0] == pytest.approx(before.belt_degc()[0], abs=0.05)
+    assert count(session, Count.CLOCK_JUMP) == 1
+    assert not results[3].reasons & Reason.CLOCK_JUMPED
+
+
+def test_time_that_goes_back_with_arrival_starts_anew(session):
+    _, warm = steady(session, 120.0)
+    assert warm.belt_degc()[0] > 16.0
+    again = send(session, START)
+    assert again.reasons & Reason.TIME_RESET
+    assert again.belt_degc()[0] == pytest.approx(15.0)
+    assert count(session, Count.RESET) == 1
+
+
+def test_gaps_are_bridged_or_doubted(session):
+    now, before = steady(session)
+    bridged = send(session, now + 10 * S)
+    assert bridged.reasons & Reason.GAP_BRIDGED
+    assert bridged.belt_degc()[0] > before.belt_degc()[0] + 0.3
+    doubted = send(session, now + 600 * S)
+    assert doubted.reasons & Reason.GAP_UNKNOWN
+    assert count(session, Count.GAP) == 2
+
+
+def test_a_stuck_speed_is_reported_a_standing_vehicle_is_not(session):
+    for i in range(700):
+        estimate = send(session, START + i * 200 * MS, SPEED)
+    assert estimate.reasons & Reason.SPEED_STUCK
+    now = START + 700 * 200 * MS
+    for i in range(1400):
+        estimate = send(session, now + i * 200 * MS, 0.0)
+    assert not estimate.reasons & Reason.SPEED_STUCK
+
+
+def test_a_steady_drive_on_a_coarse_bus_is_not_called_stuck(session):
+    step = 1 / 3.6
+    for i in range(1500):
+        estimate = send(session, START + i * 200 * MS, step * min(i, 30))
+    assert not estimate.reasons & Reason.SPEED_STUCK
+
+
+def test_load_falls_back_to_the_last_then_to_nominal(session):
+    send(session, START, 300e3, "load")
+    assert send(session, START + 1, SPEED)["weight_n"] == pytest.approx(300e3)
+    held = send(session, START + 30 * S, SPEED + 0.1)
+    assert held["weight_n"] == pytest.approx(300e3)
+    assert held.reasons & Reason.LOAD_HELD
+    nominal = send(session, START + 100 * S, SPEED)
+    assert nominal["weight_n"] == pytest.approx(272e3)
+    assert nominal.reasons & Reason.LOAD_NOMINAL
+
+
+def test_the_finest_load_counts(session):
+    send(session, START, 300e3, "load")
+    send(session, START, 160e3, "load/front")
+    send(session, START, 70e3, "load/front_left")
+    estimate = send(session, START + 1)
+    loads = [estimate[f"load_n/{name}"] for name in session.estimator.assemblies]
+    assert loads == pytest.approx([70e3, 80e3, 75e3, 75e3])
+
+
+def test_ambient_and_belt_measurements_are_used_once(session):
+    send(session, START, -20.0, "ambient")
+    first = send(session, START + 1)
+    assert first["ambient_degc"] == -20.0
+    assert first.belt_degc()[0] == pytest.approx(-20.0)
+    send(session, START + 2, 0.0, "belt/rear_left")
+    second = send(session, START + 20 * MS)
+    third = send(session, START + 40 * MS)
+    assert second.belt_degc()[2] > -5.0
+    assert second.belt_degc()[0] < -19.0
+    assert third.belt_degc()[2] == pytest.approx(second.belt_degc()[2], abs=0.1)
+    assert not second.reasons & Reason.AMBIENT_NOMINAL
+
+
+def test_measured_torque_gives_a_residual_while_fresh(session):
+    send(session, START, 4000.0, "torque")
+    fresh = send(session, START + 1)
+    assert fresh["residual_nm"] == pytest.approx(4000.0 - fresh["drive_torque_nm"])
+    assert np.isnan(send(session, START + 2 * S)["residual_nm"])
+
+
+def test_blocks_equal_single_messages_bit_for_bit(reference):
+    random = np.random.default_rng(5)
+    n = 2000
+    channel = random.choice([0, 0, 0, 1, 3, 4], n).astype(np.int16)
+    stamp = START + np.cumsum(random.integers(0, 40 * MS, n))
+    stamp[random.integers(0, n, 20)] = 0
+    value = np.where(channel == 0, random.normal(8, 0.2, n), np.where(channel == 1, random.normal(272e3, 1e3, n), 20.0))
+    value[random.integers(0, n, 20)] = np.nan
+    one, many = reference.session(), reference.session()
+    singles = [e.row for e in (one.handle(int(c), int(s), int(s) or 1, float(v)) for c, s, v in zip(channel, stamp, value, strict=True)) if e]
+    arrival = np.where(stamp == 0, 1, stamp)
+    halves = [many.handle_block(channel[part], stamp[part], arrival[part], value[part]).rows for part in (slice(0, 777), slice(777, n))]
+    assert np.array_equal(np.array(singles), np.concatenate(halves), equal_nan=True)
+    assert np.array_equal(one.memory.counters, many.memory.counters)

@@ -1,0 +1,161 @@
+"""The pure step: the same everywhere, and lawful outputs."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.estimator.layout import Reason
+from trackres_ros.estimator.settings import Settings
+from trackres_ros.simulate import assembly_values
+from trackres_ros.vehicle import load
+
+SPEED = 30 / 3.6
+
+
+def drive(estimator, speed, dt, steps, **known):
+    inputs = estimator.inputs(speed, ambient=15.0, **known)
+    state = estimator.cold_start(inputs)
+    for _ in range(steps):
+        state, estimate = estimator.step(state, inputs, dt)
+    return state, estimate
+
+
+def test_step_leaves_its_state_as_it_was(reference):
+    inputs = reference.inputs(SPEED, ambient=15.0)
+    state = reference.cold_start(inputs)
+    belts, motion = state.belts.copy(), state.motion.copy()
+    first = reference.step(state, inputs, 1.0)
+    second = reference.step(state, inputs, 1.0)
+    assert np.array_equal(state.belts, belts)
+    assert np.array_equal(state.motion, motion)
+    assert np.array_equal(first[1].row, second[1].row, equal_nan=True)
+
+
+def test_step_by_step_equals_the_run_along_a_series(reference):
+    times = np.cumsum(np.random.default_rng(1).uniform(0.01, 0.5, 200))
+    speeds = np.abs(8 + 3 * np.sin(times / 7))
+    state = reference.cold_start(reference.inputs(speeds[0], weight=250e3, ambient=5.0))
+    _, rows = reference.run(state, times, speeds, 250e3, 5.0)
+    for i, (time, speed) in enumerate(zip(times, speeds, strict=True)):
+        inputs = reference.inputs(speed, weight=250e3, ambient=5.0)
+        state, estimate = reference.step(state, inputs, time - times[i - 1] if i else 0.0)
+        assert np.array_equal(estimate.row, rows[i], equal_nan=True)
+
+
+@given(speed=st.floats(-16, 16), ambient=st.floats(-40, 45), weight=st.floats(100e3, 600e3), grade=st.floats(-0.3, 0.3),
+       acceleration=st.floats(-2, 2))
+def test_parts_add_up(reference, speed, ambient, weight, grade, acceleration):
+    inputs = reference.inputs(speed, weight=weight, ambient=ambient, grade=grade, acceleration=acceleration)
+    state, estimate = reference.step(reference.cold_start(inputs), inputs, 0.1)
+    parts = [estimate[name] for name in ("hysteresis_nm", "bearing_nm", "wind_nm")]
+    assert estimate.resistance_torque_nm == pytest.approx(sum(parts), abs=1e-6)
+    total = sum(parts) + estimate["grade_nm"] + estimate["inertia_nm"]
+    assert estimate["drive_torque_nm"] == pytest.approx(total, abs=1e-6)
+    by_assembly = assembly_values(estimate.row[np.newaxis], 4).sum()
+    assert by_assembly == pytest.approx(estimate.resistance_torque_nm, abs=1e-6)
+    assert estimate["weight_n"] == pytest.approx(weight)
+    assert np.isfinite(state.belts).all()
+    assert np.isfinite(estimate.feedforward_torque_nm)
+    assert estimate.resistance_std_nm >= 0
+
+
+@given(speed=st.floats(0.5, 16))
+def test_reverse_mirrors_forward(reference, speed):
+    _, forward = drive(reference, speed, 1.0, 5, acceleration=0.3)
+    _, backward = drive(reference, -speed, 1.0, 5, acceleration=-0.3)
+    for name in ("resistance_torque_nm", "hysteresis_nm", "bearing_nm", "wind_nm", "inertia_nm"):
+        assert backward[name] == pytest.approx(-forward[name], rel=1e-12)
+    assert np.allclose(backward.belt_degc(), forward.belt_degc(), rtol=1e-12)
+
+
+def test_each_assembly_keeps_its_own_temperature(reference):
+    nominal = reference.vehicle.nominal_loads()
+    loads = nominal * np.array([1.2, 1.2, 0.8, 0.8])
+    inputs = reference.inputs(SPEED, ambient=15.0, load=loads)
+    state = reference.cold_start(inputs)
+    for _ in range(300):
+        state, estimate = reference.step(state, inputs, 1.0)
+    front, rear = estimate.belt_degc()[:2], estimate.belt_degc()[2:]
+    assert (front > rear.max() + 1.0).all()
+
+
+def test_other_vehicles_have_other_assemblies_and_a_motor(carrier):
+    _, estimate = drive(carrier, 2.0, 1.0, 100)
+    assert len(estimate.belt_degc()) == 2
+    chassis = carrier.vehicle.chassis
+    assert estimate["motor_torque_nm"] == pytest.approx(
+        estimate["drive_torque_nm"] / (chassis.motor_ratio * chassis.motor_efficiency))
+
+
+def test_no_ratio_no_motor_torque(reference):
+    assert np.isnan(drive(reference, SPEED, 1.0, 1)[1]["motor_torque_nm"])
+
+
+def test_inertia_reaches_the_feedforward_only_where_acceleration_is_given():
+    settings = Settings(feedforward_parts=("bearing", "inertia"), feedforward_rate=1e9)
+    estimator = Estimator(load("xgd24d"), settings)
+    given_one = estimator.inputs(SPEED, ambient=15.0, acceleration=0.3)
+    _, estimate = estimator.step(estimator.cold_start(given_one), given_one, 0.1)
+    assert estimate.feedforward_torque_nm == pytest.approx(estimate["bearing_nm"] + estimate["inertia_nm"])
+    without = estimator.inputs(SPEED, ambient=15.0)
+    state = estimator.cold_start(without)
+    for i in range(40):  # the speed rises, so the filter sees an acceleration; the feed-forward must not
+        inputs = estimator.inputs(SPEED + 0.03 * i, ambient=15.0)
+        state, estimate = estimator.step(state, inputs, 0.1)
+    assert abs(estimate["inertia_nm"]) > 500
+    assert estimate.feedforward_torque_nm == pytest.approx(estimate["bearing_nm"])
+
+
+def test_feedforward_is_limited_in_rate_and_size():
+    estimator = Estimator(load("xgd24d"), Settings(feedforward_rate=1000.0, feedforward_share=0.02))
+    inputs = estimator.inputs(SPEED, ambient=15.0)
+    state = estimator.cold_start(inputs)
+    before = 0.0
+    limit = 0.02 * 272e3 * 0.36
+    for _ in range(60):
+        state, estimate = estimator.step(state, inputs, 0.05)
+        assert abs(estimate.feedforward_torque_nm - before) <= 1000.0 * 0.05 + 1e-9
+        assert abs(estimate.feedforward_torque_nm) <= limit + 1e-9
+        before = estimate.feedforward_torque_nm
+    assert before == pytest.approx(limit)
+    assert estimate.reasons & Reason.FEEDFORWARD_CLAMPED
+    assert estimate.status == "warn"
+
+
+def test_uncertainty_of_an_unknown_start_fades(reference):
+    inputs = reference.inputs(SPEED, ambient=15.0)
+    state, _ = reference.step(reference.cold_start(inputs), inputs, 0.0)
+    known = reference.cold_start(inputs, belt_degc=15.0, belt_std_k=0.5)
+    for _ in range(120):
+        state, unknown = reference.step(state, inputs, 30.0)
+        known, sure = reference.step(known, inputs, 30.0)
+    assert unknown.belt_std_k()[0] == pytest.approx(sure.belt_std_k()[0], rel=0.02)
+
+
+def test_an_uncertain_vehicle_gives_an_uncertain_torque(reference):
+    parameters = dict(reference.vehicle.parameters)
+    narrow = {path: replace(q, low=q.value, high=q.value) if not isinstance(q.value, tuple) else q
+              for path, q in parameters.items()}
+    sure = Estimator(replace(reference.vehicle, parameters=narrow))
+    _, wide_estimate = drive(reference, SPEED, 10.0, 200)
+    _, narrow_estimate = drive(sure, SPEED, 10.0, 200)
+    assert narrow_estimate.resistance_std_nm < 0.3 * wide_estimate.resistance_std_nm
+
+
+def test_long_gap_lies_between_rest_and_driving_on_and_says_so(reference):
+    inputs = reference.inputs(SPEED, ambient=15.0)
+    state = reference.cold_start(inputs, belt_degc=30.0, belt_std_k=0.1)
+    state, _ = reference.step(state, inputs, 0.0)
+    driven = state
+    for _ in range(600):
+        driven, on = reference.step(driven, inputs, 1.0)
+    rested = reference.rest(state, 15.0, 600.0)
+    _, estimate = reference.step(state, inputs, 600.0)
+    assert estimate.reasons & Reason.GAP_UNKNOWN
+    middle = (rested.belts[0, 0, 0] + on.belt_degc()[0]) / 2
+    assert estimate.belt_degc()[0] == pytest.approx(middle, abs=0.3)
+    assert estimate.belt_std_k()[0] > abs(on.belt_degc()[0] - rested.belts[0, 0, 0]) / 12**0.5

@@ -1,0 +1,105 @@
+"""Rainflow count, equation (25): the standard's example, an independent package, and what holds for any loop."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import pytest
+import rainflow as package
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trackres_ros.model.rainflow import count_cycles, count_loop, turning_points
+
+series = st.lists(st.integers(-50, 50).map(float), min_size=3, max_size=60)
+smooth_series = st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=60)
+ASTM_SERIES = [-2.0, 1.0, -3.0, 5.0, -1.0, 3.0, -4.0, 4.0, -2.0]
+
+
+def varies(values: list[float]) -> bool:
+    return len(set(values)) > 1
+
+
+def test_the_example_of_astm_e1049() -> None:
+    """E1049-85 (2017), figure 6: ranges and counts of the rainflow count."""
+    counts: Counter[float] = Counter()
+    for cycle in count_cycles(ASTM_SERIES):
+        counts[cycle.range] += cycle.count
+    assert counts == {3.0: 0.5, 4.0: 1.5, 6.0: 0.5, 8.0: 1.0, 9.0: 0.5}
+
+
+def test_the_cycles_of_the_standard_in_the_order_they_close() -> None:
+    cycles = [(ASTM_SERIES[c.start], ASTM_SERIES[c.end], c.count) for c in count_cycles(ASTM_SERIES)]
+    assert cycles == [(-2.0, 1.0, 0.5), (1.0, -3.0, 0.5), (-1.0, 3.0, 1.0), (-3.0, 5.0, 0.5), (5.0, -4.0, 0.5), (-4.0, 4.0, 0.5),
+                      (4.0, -2.0, 0.5)]
+
+
+def rows(cycles: object) -> list[tuple[float, float, float]]:
+    return sorted((c[0], c[1], c[2]) for c in cycles)  # type: ignore[attr-defined]
+
+
+@given(values=series)
+def test_equal_to_the_package_rainflow(values: list[float]) -> None:
+    if varies(values):
+        assert rows(count_cycles(values)) == rows(package.extract_cycles(values))
+
+
+@given(values=smooth_series)
+def test_equal_to_the_package_rainflow_on_real_numbers(values: list[float]) -> None:
+    if varies(values):
+        assert np.array(rows(count_cycles(values))) == pytest.approx(np.array(rows(package.extract_cycles(values))))
+
+
+def test_equal_to_the_package_rainflow_on_a_long_random_walk() -> None:
+    walk = list(np.cumsum(np.random.default_rng(3).normal(size=3000)))
+    ours, theirs = rows(count_cycles(walk)), rows(package.extract_cycles(walk))
+    assert len(ours) > 500
+    assert np.array(ours) == pytest.approx(np.array(theirs))
+
+
+@given(values=series)
+def test_a_loop_leaves_no_cycle_open(values: list[float]) -> None:
+    """Halves come in pairs of the same range, so that all is whole; and the whole way up and down is counted, once."""
+    cycles = count_loop(values)
+    halves = Counter(c.range for c in cycles if c.count == 0.5)
+    assert all(number % 2 == 0 for number in halves.values())
+    way = sum(abs(b - a) for a, b in zip(values, values[1:] + values[:1], strict=True))
+    assert sum(2.0 * c.count * c.range for c in cycles) == pytest.approx(way)
+
+
+@given(values=series, turn=st.integers(0, 60))
+def test_a_loop_counts_the_same_wherever_it_begins(values: list[float], turn: int) -> None:
+    turned = values[turn % len(values):] + values[:turn % len(values)]
+
+    def whole(loop: list[float]) -> dict[tuple[float, float], float]:
+        counts: Counter[tuple[float, float]] = Counter()
+        for c in count_loop(loop):
+            counts[c.range, c.mean] += c.count
+        return dict(counts)
+
+    assert whole(turned) == whole(values)
+
+
+@given(values=series)
+def test_the_largest_cycle_spans_the_series_and_indices_show_where(values: list[float]) -> None:
+    cycles = count_loop(values)
+    if varies(values):
+        assert max(c.range for c in cycles) == max(values) - min(values)
+    for c in cycles:
+        assert c.range == abs(values[c.start] - values[c.end])
+        assert c.mean == (values[c.start] + values[c.end]) / 2
+
+
+@given(values=series)
+def test_only_turning_points_count(values: list[float]) -> None:
+    points = turning_points(values)
+    assert rows(count_cycles([values[i] for i in points])) == rows(count_cycles(values))
+    steps = np.diff([values[i] for i in points])
+    assert (steps[1:] * steps[:-1] < 0).all()
+
+
+@pytest.mark.parametrize("values", [[], [1.0], [2.0, 2.0, 2.0]])
+def test_what_never_turns_has_no_cycles(values: list[float]) -> None:
+    assert count_cycles(values) == []
+    assert count_loop(values) == []

@@ -1,0 +1,165 @@
+"""The strain a piece of belt sees round the loop: periodic, continuous, closed, and its harmonics exact."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import quad
+
+from trackres_ros.model import contact
+from trackres_ros.model import strain_history as sh
+from trackres_ros.vehicle import Track, WrappedWheel
+from trackres_ros.vehicle.loading import CLOSED_LOOP_TOLERANCE_RAD
+
+HARMONICS = np.arange(1.0, 65.0)
+SAMPLES = 1 << 16
+
+
+@st.composite
+def tracks(draw: st.DrawFn, base: Track) -> Track:
+    """The base track with one to four wheels wrapped by random angles, over random lengths of curvature."""
+    count = draw(st.integers(1, 4))
+    wheels = tuple(WrappedWheel(f"w{i}", "sprocket" if i == 0 else "guide", draw(st.floats(0.05, 0.4)), draw(st.floats(0.2, 1.2)))
+                   for i in range(count))
+    belt = replace(base.belt, curvature_length=draw(st.floats(0.005, 0.3)))
+    return replace(base, wrapped_wheels=wheels, belt=belt)
+
+
+def mirrored(track: Track) -> Track:
+    """The track seen from the other side: what was the front end of the ground run is its rear end."""
+    run = track.road_wheels.ground_run
+    wheels = replace(track.road_wheels, positions=tuple(run - x for x in reversed(track.road_wheels.positions)))
+    return replace(track, road_wheels=wheels, wrapped_wheels=track.wrapped_wheels[::-1])
+
+
+def sampled(values: np.ndarray) -> np.ndarray:
+    """Amplitudes A_n of one loop sampled evenly, for HARMONICS."""
+    return 2.0 / len(values) * np.fft.fft(values)[1:len(HARMONICS) + 1]
+
+
+@given(data=st.data(), s=st.floats(-20.0, 20.0))
+def test_profiles_are_periodic_and_continuous(triangular: Track, data: st.DataObject, s: float) -> None:
+    loop = sh.build_loop(data.draw(tracks(triangular)))
+    for profile in (loop.curvature, loop.drive):
+        assert profile.at(s) == pytest.approx(profile.at(s + loop.length), abs=1e-9)
+        steps = np.diff(np.append(profile.position, profile.position[0] + loop.length))
+        assert steps.min() > 0.0  # no two values at one place: no jump
+        steepest = np.abs(np.diff(np.append(profile.value, profile.value[0])) / steps).max()
+        assert abs(profile.at(s + 1e-4) - profile.at(s)) <= 1e-4 * steepest * (1 + 1e-6) + 1e-9
+
+
+@given(data=st.data())
+def test_curvature_adds_up_to_the_wrap_angles(triangular: Track, data: st.DataObject) -> None:
+    track = data.draw(tracks(triangular))
+    curvature = sh.build_loop(track).curvature
+    position = np.append(curvature.position, curvature.position[0] + curvature.length)
+    value = np.append(curvature.value, curvature.value[0])
+    turned = float(np.sum(np.diff(position) * (value[1:] + value[:-1]) / 2))
+    assert turned == pytest.approx(sum(w.wrap_angle for w in track.wrapped_wheels), rel=1e-9)
+
+
+def test_the_shipped_loops_close(track: Track) -> None:
+    loop = sh.build_loop(track)
+    corners = [*loop.curvature.position, loop.curvature.position[0] + loop.length]
+    turned, _ = quad(lambda s: float(loop.curvature.at(s)), corners[0], corners[-1], points=corners[1:-1], limit=200)
+    assert turned == pytest.approx(2.0 * math.pi, abs=CLOSED_LOOP_TOLERANCE_RAD)
+    assert loop.arcs[-1][1] == pytest.approx(loop.length)  # the last wheel hands the belt to the ground run
+
+
+def test_on_a_wheel_the_belt_has_its_curvature_and_between_them_none(triangular: Track) -> None:
+    loop = sh.build_loop(triangular)
+    for (start, end, curvature), wheel in zip(loop.arcs, triangular.wrapped_wheels, strict=True):
+        assert curvature == pytest.approx(1.0 / (wheel.radius + triangular.belt.cord_height))
+        assert float(loop.curvature.at((start + end) / 2)) == pytest.approx(curvature)
+        assert float(loop.curvature.at((start + 2 * end) / 3)) == pytest.approx(curvature)
+        assert float(loop.curvature.at(start)) == pytest.approx(curvature / 2)  # taken up half before, half on the wheel
+    on_ground = loop.curvature.at(np.linspace(0.05, 1.3, 200))
+    assert np.abs(on_ground).max() == 0.0  # road wheels in the middle of the ground run do not bend it
+
+
+@given(data=st.data())
+def test_amplitudes_are_those_of_the_sampled_profile(triangular: Track, data: st.DataObject) -> None:
+    loop = sh.build_loop(data.draw(tracks(triangular)))
+    at = np.arange(SAMPLES) / SAMPLES * loop.length
+    for profile in (loop.curvature, loop.drive):
+        exact = profile.amplitudes(HARMONICS)
+        assert np.abs(sampled(profile.at(at)) - exact).max() <= 1e-5 * np.abs(exact).max()
+
+
+@given(share=st.floats(0.01, 0.5))
+def test_indentation_amplitudes_are_the_integral_over_the_contact(triangular: Track, share: float) -> None:
+    """A_n = (2/L) times the integral of strain(x) cos(2 pi n x/L)."""
+    radius, thickness, length = triangular.road_wheels.radius, triangular.belt.thickness, triangular.belt.loop_length
+    a = share * radius
+    amplitudes = sh.indentation_amplitudes(a, radius, thickness, length, np.array([1.0, 10.0, 30.0, 100.0, 300.0]))
+    for n, amplitude in zip((1, 10, 30, 100, 300), amplitudes, strict=True):
+        integral, _ = quad(lambda x: float(contact.indentation(x, a, radius)) / thickness, 0.0, a, weight="cos",
+                           wvar=2 * math.pi * n / length)
+        assert amplitude == pytest.approx(4.0 / length * integral, abs=(1e-6 + 0.02 * share**4) * amplitudes[0])
+
+
+def test_amplitudes_of_the_whole_strain_through_the_thickness(track: Track) -> None:
+    """The wheels' pulses with their phases, against a transform of the strain at 65536 places."""
+    loop = sh.build_loop(track)
+    half = 0.2 * track.road_wheels.radius
+    at = np.arange(SAMPLES) / SAMPLES * loop.length
+    count = len(loop.wheel_positions)
+    phases = np.exp(-2j * np.pi / loop.length * np.outer(HARMONICS, loop.wheel_positions)).sum(axis=1)
+    pulse = sh.indentation_amplitudes(half, track.road_wheels.radius, track.belt.thickness, loop.length, HARMONICS)
+    strain = sh.through_thickness(loop, np.full(count, half), at)
+    assert np.abs(sampled(strain) - pulse * phases).max() <= 1e-4 * np.abs(pulse[0] * count)
+    assert strain.max() == pytest.approx(float(contact.largest_strain(half, track.road_wheels.radius, track.belt.thickness)), rel=1e-3)
+
+
+@given(z=st.floats(1e-6, 60.0))
+def test_pulse_transforms_are_their_integrals(z: float) -> None:
+    parabola, quartic = sh.pulse_transforms(np.array([z]))
+    for transform, order in ((parabola, 2), (quartic, 4)):
+        integral, _ = quad(lambda u, k=order: 1.0 - u**k, 0.0, 1.0, weight="cos", wvar=z)
+        assert float(transform[0]) == pytest.approx(2.0 * integral, abs=2e-10)
+
+
+def test_pulse_transforms_meet_where_the_series_ends() -> None:
+    either_side = np.array([sh.SERIES_BELOW * (1 - 1e-12), sh.SERIES_BELOW])
+    for transform in sh.pulse_transforms(either_side):
+        assert transform[0] == pytest.approx(transform[1], rel=1e-10)
+
+
+@given(data=st.data())
+def test_reverse_is_the_mirror_image(triangular: Track, data: st.DataObject) -> None:
+    """Laying out the mirrored track gives the mirrored profiles; tension hands over to slack and back."""
+    track = data.draw(tracks(triangular))
+    there, back = sh.build_loop(track), sh.build_loop(mirrored(track))
+    s = np.linspace(0.0, there.length, 501)
+    run = track.road_wheels.ground_run
+    assert back.curvature.at(run - s) == pytest.approx(there.curvature.at(s), abs=1e-6)
+    assert 1.0 - back.drive.at(run - s) == pytest.approx(there.drive.at(s), abs=1e-6)
+    half = np.linspace(0.01, 0.02, len(there.wheel_positions))
+    assert sh.through_thickness(back, half[::-1], run - s) == pytest.approx(sh.through_thickness(there, half, s), abs=1e-9)
+    assert np.abs(back.curvature.amplitudes(HARMONICS)) == pytest.approx(np.abs(there.curvature.amplitudes(HARMONICS)), abs=1e-9)
+
+
+def test_drive_tension_grows_on_the_ground_and_ends_on_the_sprocket(triangular: Track) -> None:
+    """Equations (22) and (23): each of n teeth takes M_D/(n R_D); over the wrap the steps add up to the whole drive force."""
+    loop = sh.build_loop(triangular)
+    start, end, _ = loop.arcs[1]
+    assert loop.drive.at([0.0, triangular.road_wheels.ground_run, start, end]) == pytest.approx([0.0, 1.0, 1.0, 0.0])
+    teeth = 7
+    steps = np.cumsum(np.full(teeth, 1.0 / teeth))
+    middles = start + (end - start) * (np.arange(teeth) + 0.5) / teeth
+    assert 1.0 - loop.drive.at(middles) == pytest.approx(steps - 0.5 / teeth)
+
+
+@given(height=st.floats(0.0, 0.035), steady=st.floats(0.0, 0.01), drive=st.floats(-1e-3, 1e-3), s=st.floats(0.0, 4.8))
+def test_strains_along_the_belt_add_up(triangular: Track, height: float, steady: float, drive: float, s: float) -> None:
+    loop = sh.build_loop(triangular)
+    parts = [sh.along_belt(loop, height, s, *given) for given in ((0.0, 0.0), (steady, 0.0), (0.0, drive))]
+    whole = sh.along_belt(loop, height, s, steady, drive)
+    assert float(whole) == pytest.approx(float(parts[1] + parts[2] - parts[0]), abs=1e-15)
+    at_cord = sh.along_belt(loop, triangular.belt.cord_height, s, 0.0, 0.0)
+    assert float(at_cord) == 0.0

@@ -1,0 +1,193 @@
+"""Figures 17 to 22: the paper's three driving tests, laps at 10 and 30 km/h and a straight at 50 km/h, as its text tells them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.plots import BLACK, BLUE, GREY, ORANGE, SKY, VERMILION, legend_beside, picture, thinned
+from trackres_ros.reproduce.bench import COMBINATIONS, KMH_PER_MPS, Bench, Runs, Series, at_times
+from trackres_ros.reproduce.output import write_csv
+from trackres_ros.reproduce.section import HOLDS, IN_PART, Claim, Figure, Section, Table, listed, percent
+from trackres_ros.simulate import Drive, laps, simulate, through_points
+
+Array = NDArray[np.float64]
+
+LAP_M = 2.0 * math.pi * 100.0     # section 3.2.2: turning radius about 100 m
+STRAIGHT_M, STRAIGHT_S = 2000.0, 155.0   # the straight, and how long the record of Figure 22 is
+STRAIGHT_KMH = 50.0
+# Constant acceleration from rest and then 50 km/h cover 2000 m in 155 s if the ramp lasts 2 (155 s - 2000 m / v) = 22 s.
+ACCELERATION = STRAIGHT_KMH / KMH_PER_MPS / (2.0 * (STRAIGHT_S - STRAIGHT_M * KMH_PER_MPS / STRAIGHT_KMH))
+STOP_S = 20.0                     # assumed: to stop and save the data; the paper gives no duration
+OTHER_STOPS_S = (5.0, 60.0)
+LONG_RUN = 10                     # times a lap test's duration, to see what it tends to
+LINES = (("spectral/lumped", BLUE, "-"), ("spectral/core_surface", SKY, "--"), ("rainflow/lumped", VERMILION, "-"), ("rainflow/core_surface", ORANGE, "--"))
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One test of section 3.2.2, with the error that section 4.1 states between its simulation and its measurement."""
+
+    speed_kmh: float
+    duration_s: float
+    figures: str
+    name: str
+    laps: bool
+    mae_nm: float
+    r_square: float
+    csv_step_s: float
+
+    def drive(self, dt: float, stop_s: float = STOP_S, times: int = 1) -> Drive:
+        """Speed over time; `times` as long as the record."""
+        speed = self.speed_kmh / KMH_PER_MPS
+        ramp, end = speed / ACCELERATION, times * self.duration_s
+        if not self.laps:
+            return through_points(np.array([0.0, ramp, end]), np.array([0.0, speed, speed]), dt)
+        count = math.ceil(end / (LAP_M / speed + ramp + stop_s))
+        whole = laps(speed, LAP_M, count, ramp, stop_s, dt)
+        kept = whole.time_s <= end + 1e-9
+        return Drive(whole.time_s[kept], whole.speed[kept], whole.acceleration[kept])
+
+
+TRIALS = (Trial(10.0, 2500.0, "17 and 18", "fig18_laps_10kmh", True, 409.0, 0.85, 5.0),
+          Trial(30.0, 600.0, "19 and 20", "fig20_laps_30kmh", True, 707.0, 0.88, 2.0),
+          Trial(STRAIGHT_KMH, STRAIGHT_S, "21 and 22", "fig22_straight_50kmh", False, 1061.0, 0.91, 1.0))
+
+
+def held(series: Series) -> Iterator[slice]:
+    """The stretches at full speed, without the first two samples: the belt strain by the drive lags one step."""
+    full = np.concatenate([[False], series["speed_mps"] >= series["speed_mps"].max() - 1e-9, [False]])
+    edges = np.flatnonzero(np.diff(full.astype(int)))
+    for start, end in zip(edges[::2], edges[1::2], strict=True):
+        if end - start > 3:
+            yield slice(int(start) + 2, int(end))
+
+
+def held_means(series: Series) -> Array:
+    """Mean resistance torque of each stretch at full speed [Nm], shape (stretches,)."""
+    return np.array([series["resistance_torque_nm"][part].mean() for part in held(series)])
+
+
+def trials(bench: Bench, out: Path) -> Iterator[Section]:
+    """A section for each of the three tests."""
+    for trial in TRIALS:
+        runs = bench.run(f"test at {trial.speed_kmh:g} km/h", trial.drive(bench.dt))
+        figure = _draw(bench, out, trial, runs)
+        claims = ([_lap_falls(trial, runs), _lap_settles(bench, trial, runs)] if trial.laps else [_straight_falls(trial, runs)])
+        claims.append(_stated_error(bench, trial, runs))
+        tables = [_table(trial, runs)] + ([_stop_table(bench, trial)] if trial.laps else [])
+        what = (f"laps of a circle of 100 m radius ({LAP_M:.0f} m), a stop of {STOP_S:g} s after each" if trial.laps else f"{STRAIGHT_M:g} m straight")
+        text = [f"{trial.speed_kmh:g} km/h, {trial.duration_s:g} s: {what}; {bench.vehicle.weight / 1e3:g} kN, {bench.vehicle.chassis.ambient:g} °C. "
+                f"The recorded speed is not public, so the profile follows the text. The acceleration is the {ACCELERATION:.2f} m/s² at which {STRAIGHT_M:g} m from rest "
+                f"to {STRAIGHT_KMH:g} km/h take the {STRAIGHT_S:g} s of the paper's record. "
+                + ("How long a stop lasts is assumed, and so are weight and ambient temperature. The model does not know the turn." if trial.laps else
+                   "Weight and ambient temperature are assumed.")]
+        title = f"Figures {trial.figures}: {'laps' if trial.laps else 'straight'} at {trial.speed_kmh:g} km/h"
+        yield Section(title, text, [figure], claims, tables, {"acceleration_mps2": ACCELERATION, "stop_s": STOP_S if trial.laps else None})
+
+
+def _draw(bench: Bench, out: Path, trial: Trial, runs: Runs) -> Figure:
+    figure = Figure(f"{trial.name}.png", f"{trial.name}.csv",
+                    f"Speed, torque and belt temperature of the test at {trial.speed_kmh:g} km/h (the paper's Figures {trial.figures}).")
+    times = np.arange(0.0, trial.duration_s + 1e-9, trial.csv_step_s)
+    columns = {"time_s": times, "speed_mps": at_times(runs[bench.shipped], "speed_mps", times)}
+    for combination in COMBINATIONS:
+        for column in ("resistance_torque_nm", "drive_torque_nm", "belt_degc"):
+            columns[f"{column}_{combination.replace('/', '_')}"] = at_times(runs[combination], column, times)
+    write_csv(out / figure.csv, columns)
+    main = runs[bench.shipped]
+    with picture(out / figure.png, 9.0, 8.0) as drawn:
+        speed, torque, zoom, belt = drawn.subplots(4, 1, sharex=True, height_ratios=(0.8, 1.3, 1.3, 1.2))
+        speed.plot(*thinned(main["time_s"], main["speed_mps"] * KMH_PER_MPS), color=BLACK)
+        speed.set_ylabel("speed [km/h]")
+        torque.plot(*thinned(main["time_s"], main["drive_torque_nm"] / 1e3), color=GREY, linewidth=0.9, label="drive torque,\nwith inertia")
+        torque.plot(*thinned(main["time_s"], main["resistance_torque_nm"] / 1e3), color=BLUE, label="resistance")
+        torque.set_title(bench.shipped.replace("/", ", "))
+        torque.set_ylabel("torque [kNm]")
+        zoom.set_title("resistance while the speed is held" if trial.laps else "resistance at full speed")
+        for combination, colour, style in LINES:
+            series = runs[combination]
+            at_speed = np.full(len(series["time_s"]), np.nan)
+            for part in held(series):
+                at_speed[part] = series["resistance_torque_nm"][part]
+            zoom.plot(*thinned(series["time_s"], at_speed), color=colour, linestyle=style, label=combination.replace("/", ", "))
+            belt.plot(*thinned(series["time_s"], series["belt_degc"]), color=colour, linestyle=style, label=combination.replace("/", ", "))
+        zoom.set_ylabel("torque [Nm]")
+        belt.set_ylabel("belt [°C]")
+        belt.axhline(bench.vehicle.chassis.ambient, color=GREY, linestyle=":", linewidth=1.0, label="ambient")
+        belt.set_xlabel("time [s]")
+        belt.margins(x=0.01)
+        for axes in (torque, zoom, belt):
+            legend_beside(axes)
+        drawn.align_ylabels()
+    return figure
+
+
+def _lap_falls(trial: Trial, runs: Runs) -> Claim:
+    means = {c: held_means(runs[c]) for c in COMBINATIONS}
+    return Claim(
+        f"laps_{trial.speed_kmh:g}_fall", f"section 4.1, Figure {trial.figures[-2:]}", "The simulated torque gradually decreases.", {c: bool((np.diff(means[c]) < 0).all()) for c in COMBINATIONS},
+        f"The mean at held speed falls from each of the {len(means[COMBINATIONS[0]])} laps to the next: "
+        + listed([f"{means[c][0]:.0f} to {means[c][-1]:.0f} Nm ({c})" for c in COMBINATIONS]) + ".",
+        {HOLDS: "The belt warms more in a lap than it cools in a stop."}, {"lap_mean_nm": {c: means[c].tolist() for c in COMBINATIONS}})
+
+
+def _lap_settles(bench: Bench, trial: Trial, runs: Runs) -> Claim:
+    means = {c: held_means(runs[c]) for c in COMBINATIONS}
+    long_run = trial.drive(bench.dt, times=LONG_RUN)
+    ends = {c: float(held_means(simulate(bench.estimator(c), long_run))[:-1][-1]) for c in COMBINATIONS}
+    whole = {c: means[c][:-1] if len(means[c]) > 3 else means[c] for c in COMBINATIONS}  # the last lap may be cut short
+    shrinking = {c: bool((np.diff(whole[c], 2) > 0).all()) for c in COMBINATIONS}
+    done = {c: float((means[c][0] - means[c][-1]) / (means[c][0] - ends[c])) for c in COMBINATIONS}
+    return Claim(
+        f"laps_{trial.speed_kmh:g}_settle", f"section 4.1, Figure {trial.figures[-2:]}", "The torque gradually tends to a stable value.", shrinking,
+        f"The fall from lap to lap shrinks. Laps driven on for {LONG_RUN * trial.duration_s:g} s tend to " + listed([f"{ends[c]:.0f} Nm ({c})" for c in COMBINATIONS])
+        + f"; of the fall from the first lap to there, {trial.duration_s:g} s see " + listed([percent(done[c], 0) for c in COMBINATIONS]) + ".",
+        {HOLDS: f"It tends to a stable value; whether {trial.duration_s:g} s show it is another matter, see the shares of the fall.",
+         IN_PART: "The fall does not shrink from each lap to the next."}, {"tends_to_nm": ends, "share_done": done})
+
+
+def _straight_falls(trial: Trial, runs: Runs) -> Claim:
+    torque = {c: runs[c]["resistance_torque_nm"][next(held(runs[c]))] for c in COMBINATIONS}
+    return Claim(
+        "straight_50_falls", "section 4.1, Figure 22", "The simulated torque gradually decreases.", {c: bool((np.diff(torque[c]) < 0).all()) for c in COMBINATIONS},
+        f"At full speed it falls until {trial.duration_s:g} s: " + listed([f"{torque[c][0]:.0f} to {torque[c][-1]:.0f} Nm ({c})" for c in COMBINATIONS]) + ".",
+        {HOLDS: "The belt warms all the way; the record ends long before it is in balance."}, {"start_nm": {c: t[0] for c, t in torque.items()}, "end_nm": {c: t[-1] for c, t in torque.items()}})
+
+
+def _stated_error(bench: Bench, trial: Trial, runs: Runs) -> Claim:
+    least = trial.mae_nm / math.sqrt(1.0 - trial.r_square)
+    drive, resistance = (float(np.std(runs[bench.shipped][column])) for column in ("drive_torque_nm", "resistance_torque_nm"))
+    return Claim(
+        f"stated_error_{trial.speed_kmh:g}", f"section 4.1, Figure {trial.figures[-2:]}",
+        f"Mean absolute error {trial.mae_nm:g} Nm and R² {trial.r_square:g} between simulation and measurement over 0-{trial.duration_s:g} s.", {},
+        f"Neither measurement nor simulation is public. The two numbers say one thing: as the root mean square error is at least the mean absolute one, the measured torque varied by a standard "
+        f"deviation of at least {trial.mae_nm:g} / √(1 - {trial.r_square:g}) = {least:.0f} Nm. On the profile above the program's resistance torque varies by {resistance:.0f} Nm and its drive torque, with "
+        f"inertia, by {drive:.0f} Nm ({bench.shipped}).",
+        {}, {"least_std_nm": least, "drive_std_nm": drive, "resistance_std_nm": resistance})
+
+
+def _table(trial: Trial, runs: Runs) -> Table:
+    rows = []
+    for c in COMBINATIONS:
+        parts = list(held(runs[c]))
+        torque, belt = runs[c]["resistance_torque_nm"], runs[c]["belt_degc"]
+        rows.append([c.replace("/", ", "), f"{torque[parts[0].start]:.0f}", f"{torque[parts[-1].stop - 1]:.0f}", f"{belt[-1]:.1f}",
+                     f"{runs[c]['drive_torque_nm'].max():.0f}"])
+    return Table("Whole vehicle, over the record.", ["methods", "resistance when full speed is reached [Nm]", "resistance at the end of full speed [Nm]",
+                                                     "belt at the end [°C]", "largest drive torque [Nm]"], rows)
+
+
+def _stop_table(bench: Bench, trial: Trial) -> Table:
+    rows = []
+    for stop_s in sorted((STOP_S, *OTHER_STOPS_S)):
+        series = simulate(bench.estimator(bench.shipped), trial.drive(bench.dt, stop_s))
+        means = held_means(series)
+        rows.append([f"{stop_s:g}", f"{means[0]:.0f}", f"{means[-1]:.0f}", f"{series['belt_degc'][-1]:.1f}"])
+    return Table(f"What the assumed stop changes ({bench.shipped.replace('/', ', ')}).",
+                 ["stop [s]", "first lap [Nm]", "last lap [Nm]", "belt at the end [°C]"], rows)
