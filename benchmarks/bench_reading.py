@@ -110,9 +110,10 @@ def run(messages: int = SPEED_MESSAGES, repeats: int = REPEATS) -> dict[str, flo
     result = {}
     with tempfile.TemporaryDirectory() as folder:
         for name, storage in (("mcap", StoragePlugin.MCAP), ("sqlite3", StoragePlugin.SQLITE3)):
-            path, short = Path(folder, name), Path(folder, f"{name}_short")
+            path, short, long = (Path(folder, f"{name}_{length}") for length in ("bag", "short", "long"))
             write_bag(path, storage, messages)
-            write_bag(short, storage, messages // 10)
+            write_bag(short, storage, 2 * messages // 5)
+            write_bag(long, storage, 4 * messages)
             count = read_recording(path)
             if count != read_raw(path):
                 raise RuntimeError("not every message became a sample")
@@ -122,7 +123,7 @@ def run(messages: int = SPEED_MESSAGES, repeats: int = REPEATS) -> dict[str, flo
             result[f"{name}: Recording [us a message]"] = 1e6 * recording / count
             result[f"{name}: Recording over raw"] = statistics.median(ours / theirs for theirs, ours in times)
             result[f"{name}: peak memory, 10 times the length"] = (
-                peak_bytes(iterate_blocks, path) / peak_bytes(iterate_blocks, short))
+                peak_bytes(iterate_blocks, long) / peak_bytes(iterate_blocks, short))
     return result
 
 

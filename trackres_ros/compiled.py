@@ -10,7 +10,7 @@ import hashlib
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 from trackres_ros.resources import cache_dir
 
@@ -44,9 +44,10 @@ def compiled(function: Function) -> Function:
     """Compile `function` with numba (cached on disk) where numba is there."""
     if not HAVE_NUMBA:
         return function
-    others = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = str(Path(others or cache_dir()) / _CACHE_NAME)
+    config: Any = numba.config
+    others = config.CACHE_DIR
+    config.CACHE_DIR = str(Path(others or cache_dir()) / _CACHE_NAME)
     try:
-        return numba.njit(cache=True, error_model="numpy")(function)  # type: ignore[no-any-return]
+        return cast(Function, numba.njit(cache=True, error_model="numpy")(function))
     finally:
-        numba.config.CACHE_DIR = others
+        config.CACHE_DIR = others

@@ -43,7 +43,8 @@ def explain(vehicle: Vehicle, speed: float, belt_degc: float, ambient_degc: floa
     models = {name: track_model(vehicle, name) for name in vehicle.tracks}
     chassis, direction = vehicle.chassis, float(resistance.direction(speed))
     wind = float(resistance.wind_force(speed, chassis.drag_coefficient * chassis.frontal_area, chassis.air_density))
-    assemblies, heat, cooling = [], 0.0, 0.0
+    assemblies: list[dict[str, Any]] = []
+    heat = cooling = 0.0
     torque = dict.fromkeys(("hysteresis", "bearing", "wind", "inertia"), 0.0)
     for assembly, load in zip(vehicle.assemblies, loads, strict=True):
         model = models[assembly.track]
@@ -92,6 +93,6 @@ def rainflow_matrix(model: TrackModel, speed: float, belt_degc: float, load: flo
     steady = steady_tension(model, belt_degc, speed) / float(stiffness)
     strain = float(counter.drive_strain(speed, belt_degc, drive_torque))
     along = counter.along_cycles(belt.thickness, strain, steady)
-    return [[float(c.cycle.range), float(c.cycle.mean), float(c.cycle.count), component]
+    return [[float(c.cycle.range), float(c.cycle.mean), float(c.cycle.number), component]
             for component, cycles in (("through", counter.indentation_cycles(np.asarray(half_lengths))), ("along", along))
             for c in cycles]

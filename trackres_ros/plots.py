@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -37,7 +37,7 @@ GREY = "#8C8C8C"
 # For an ordered quantity such as the speed: from light to dark, readable in grey.
 STEPS = ("#FDB863", "#E08214", "#B2577A", "#6A4C9C", "#1F2F6B")
 
-LOOK = {
+LOOK: dict[Any, Any] = {
     "font.size": 9.0, "axes.titlesize": 10.0, "axes.titlelocation": "left", "axes.labelsize": 9.0,
     "legend.fontsize": 8.0, "legend.frameon": False, "axes.grid": True, "grid.color": "#E3E3E3", "grid.linewidth": 0.7,
     "axes.spines.top": False, "axes.spines.right": False, "axes.axisbelow": True, "lines.linewidth": 1.5,
@@ -64,10 +64,10 @@ def picture(path: Path, width: float, height: float) -> Iterator[Figure]:
         matplotlib.rcdefaults()
         matplotlib.rcParams.update(LOOK)
         figure = Figure(figsize=(width, height), dpi=DOTS_PER_INCH, layout="constrained")
-        canvas = FigureCanvasAgg(figure)
+        FigureCanvasAgg(figure)
         yield figure
         path.parent.mkdir(parents=True, exist_ok=True)
-        canvas.print_png(path, metadata={"Software": None})
+        figure.savefig(path, format="png", metadata={"Software": None})
 
 
 def thinned(x: ArrayLike, y: ArrayLike, most: int = MOST_POINTS) -> tuple[Array, Array]:
@@ -77,24 +77,25 @@ def thinned(x: ArrayLike, y: ArrayLike, most: int = MOST_POINTS) -> tuple[Array,
     ----------
     x, y
         The line, each of shape (points,); nan in `y` is a gap.
+    most
+        Points of a line that is left as it is.
 
     Returns
     -------
     x, y
-        The line itself where it is short enough, else of each of `most`/2 stretches of equal count the points with the least
-        and the greatest value, in their order.
+        The line itself where it is short enough, else of each stretch of equal count the points with the least
+        and the greatest value, in their order; a stretch without values stays a gap.
     """
     x, y = np.asarray(x, float), np.asarray(y, float)
     if len(y) <= most:
         return x, y
-    edges = np.linspace(0, len(y), most // 2 + 1).astype(int)
-    kept: list[int] = []
-    for start, end in zip(edges[:-1], edges[1:], strict=True):
-        stretch = y[start:end]
-        if np.isnan(stretch).all():
-            kept.append(start)
-        else:
-            kept += sorted({start + int(np.nanargmin(stretch)), start + int(np.nanargmax(stretch))})
+    count = -(-len(y) // (most // 2))
+    stretches = np.pad(y, (0, -len(y) % count), constant_values=np.nan).reshape(-1, count)
+    empty = np.isnan(stretches)
+    starts = count * np.arange(len(stretches))
+    least = starts + np.where(empty, np.inf, stretches).argmin(axis=1)
+    greatest = starts + np.where(empty, -np.inf, stretches).argmax(axis=1)
+    kept = np.unique(np.concatenate([least, greatest]))
     return x[kept], y[kept]
 
 
@@ -117,6 +118,8 @@ def plot_estimate(path: Path, time_s: ArrayLike, columns: Mapping[str, Array], t
         Series by name, each of shape (times,), as `simulate.simulate` or a replay gives them: `speed_mps`,
         `resistance_torque_nm` with `resistance_std_nm`, `hysteresis_nm`, `bearing_nm`, `wind_nm`, `drive_torque_nm`,
         `belt_degc` or `belt_degc/<assembly>` with `belt_std_k/<assembly>`, `ambient_degc`. What is not there is not drawn.
+    title
+        Heading of the picture.
     measured
         `torque_nm` [Nm] and `belt_degc` [degC], each of shape (times,), nan where there is no measurement. A measured torque
         holds the inertia too, so the estimated drive torque is drawn beside it. By default the column `measured_torque_nm`.
@@ -195,7 +198,8 @@ def _draw_belt(axes: Axes, x: Array, columns: Mapping[str, Array], measured: Arr
 
 def _line(axes: Axes, x: Array, y: ArrayLike, label: str, colour: str, linewidth: float = 1.5, linestyle: str = "-",
           marker: str = "", markersize: float = 0.0) -> None:
-    axes.plot(*thinned(x, y), label=label, color=colour, linewidth=linewidth, linestyle=linestyle, marker=marker, markersize=markersize)
+    axes.plot(*thinned(x, y), label=label, color=colour, linewidth=linewidth, linestyle=linestyle, marker=marker,
+              markersize=markersize)
 
 
 def _band(axes: Axes, x: Array, middle: Array, std: Array, colour: str) -> None:

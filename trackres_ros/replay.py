@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -142,7 +143,7 @@ class _Thinned:
         self._kept = np.empty((0, 1 + columns))
         self._stride, self._seen = 1, 0
 
-    def add(self, time_s: Array, rows: Array) -> None:
+    def add(self, time_s: NDArray[np.floating[Any]], rows: Array) -> None:
         chosen = np.arange(-self._seen % self._stride, len(time_s), self._stride)
         self._seen += len(time_s)
         self._kept = np.concatenate([self._kept, np.column_stack([time_s[chosen], rows[chosen]])])

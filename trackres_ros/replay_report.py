@@ -47,12 +47,9 @@ class KeptSource:
         return Recording.from_source(self).findings if self._keep else self.findings
 
 
-def picture_columns(result: Replayed) -> tuple[dict[str, Array], Array | None]:
-    """The series of the picture by column name, and the measured torque [Nm] where there is any."""
-    estimator = result.session.estimator
-    columns = {name: result.picture[:, HEAD + i] for i, name in enumerate(estimator.columns)}
-    measured = columns["measured_torque_nm"]
-    return columns, measured if np.isfinite(measured).any() else None
+def picture_columns(result: Replayed) -> dict[str, Array]:
+    """The series of the picture by column name."""
+    return {name: result.picture[:, HEAD + i] for i, name in enumerate(result.session.estimator.columns)}
 
 
 def summary(result: Replayed, source: KeptSource, written: list[str]) -> dict[str, Any]:

@@ -31,7 +31,7 @@ def ramp_and_hold(speed: float, ramp_s: float, duration_s: float, dt: float) -> 
     """From rest to a speed [m/s] in a straight ramp [s], then held; the paper's section 4.2. A ramp of 0 s starts at speed."""
     if not 0.0 < dt <= duration_s or duration_s / dt > MOST_SAMPLES:
         raise InputError("dt, duration", (dt, duration_s), f"0 < dt <= duration [s] and at most {MOST_SAMPLES} steps")
-    time = np.arange(int(round(duration_s / dt)) + 1) * dt
+    time: Array = np.arange(int(round(duration_s / dt)) + 1, dtype=np.float64) * dt
     if ramp_s <= 0.0:
         return Drive(time, np.full_like(time, speed), np.zeros_like(time))
     return Drive(time, speed * np.minimum(time / ramp_s, 1.0), np.where(time < ramp_s, speed / ramp_s, 0.0))

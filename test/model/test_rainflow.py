@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from trackres_ros.model.rainflow import count_cycles, count_loop, turning_points
 
 series = st.lists(st.integers(-50, 50).map(float), min_size=3, max_size=60)
-smooth_series = st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=60)
+real_series = st.lists(st.integers(-10**6, 10**6).map(lambda i: i / 7e5), min_size=3, max_size=60)
 ASTM_SERIES = [-2.0, 1.0, -3.0, 5.0, -1.0, 3.0, -4.0, 4.0, -2.0]
 
 
@@ -25,12 +25,12 @@ def test_the_example_of_astm_e1049() -> None:
     """E1049-85 (2017), figure 6: ranges and counts of the rainflow count."""
     counts: Counter[float] = Counter()
     for cycle in count_cycles(ASTM_SERIES):
-        counts[cycle.range] += cycle.count
+        counts[cycle.range] += cycle.number
     assert counts == {3.0: 0.5, 4.0: 1.5, 6.0: 0.5, 8.0: 1.0, 9.0: 0.5}
 
 
 def test_the_cycles_of_the_standard_in_the_order_they_close() -> None:
-    cycles = [(ASTM_SERIES[c.start], ASTM_SERIES[c.end], c.count) for c in count_cycles(ASTM_SERIES)]
+    cycles = [(ASTM_SERIES[c.start], ASTM_SERIES[c.end], c.number) for c in count_cycles(ASTM_SERIES)]
     assert cycles == [(-2.0, 1.0, 0.5), (1.0, -3.0, 0.5), (-1.0, 3.0, 1.0), (-3.0, 5.0, 0.5), (5.0, -4.0, 0.5), (-4.0, 4.0, 0.5),
                       (4.0, -2.0, 0.5)]
 
@@ -45,7 +45,7 @@ def test_equal_to_the_package_rainflow(values: list[float]) -> None:
         assert rows(count_cycles(values)) == rows(package.extract_cycles(values))
 
 
-@given(values=smooth_series)
+@given(values=real_series)
 def test_equal_to_the_package_rainflow_on_real_numbers(values: list[float]) -> None:
     if varies(values):
         assert np.array(rows(count_cycles(values))) == pytest.approx(np.array(rows(package.extract_cycles(values))))
@@ -62,10 +62,10 @@ def test_equal_to_the_package_rainflow_on_a_long_random_walk() -> None:
 def test_a_loop_leaves_no_cycle_open(values: list[float]) -> None:
     """Halves come in pairs of the same range, so that all is whole; and the whole way up and down is counted, once."""
     cycles = count_loop(values)
-    halves = Counter(c.range for c in cycles if c.count == 0.5)
+    halves = Counter(c.range for c in cycles if c.number == 0.5)
     assert all(number % 2 == 0 for number in halves.values())
     way = sum(abs(b - a) for a, b in zip(values, values[1:] + values[:1], strict=True))
-    assert sum(2.0 * c.count * c.range for c in cycles) == pytest.approx(way)
+    assert sum(2.0 * c.number * c.range for c in cycles) == pytest.approx(way)
 
 
 @given(values=series, turn=st.integers(0, 60))
@@ -75,7 +75,7 @@ def test_a_loop_counts_the_same_wherever_it_begins(values: list[float], turn: in
     def whole(loop: list[float]) -> dict[tuple[float, float], float]:
         counts: Counter[tuple[float, float]] = Counter()
         for c in count_loop(loop):
-            counts[c.range, c.mean] += c.count
+            counts[c.range, c.mean] += c.number
         return dict(counts)
 
     assert whole(turned) == whole(values)

@@ -59,7 +59,6 @@ def replay_command(recording: tuple[Path, ...], vehicle: str, topics_file: Path 
         last_ns = int(result.session.memory.times[0, 2])
         save(result.session, state_file, last_ns * NANOSECOND)
     title = f"{', '.join(p.name for p in recording)}: {estimator.vehicle.title}"
-    columns, measured = picture_columns(result)
-    plot_estimate(picture, result.picture[:, 0], columns, title, measured)
+    plot_estimate(picture, result.picture[:, 0], picture_columns(result), title)
     report: dict[str, Any] = summary(result, look, [str(path), str(picture)])
     emit(report, as_json, lambda: text(report))

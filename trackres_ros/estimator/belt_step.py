@@ -9,25 +9,32 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+from numpy.typing import NDArray
+
 from trackres_ros.compiled import compiled
 from trackres_ros.estimator import layout as at
+from trackres_ros.estimator.constants import Constants
 from trackres_ros.estimator.layout import BELT_COLUMNS, DOUBT_1, DOUBT_AMBIENT, NOISE_1, NOISE_2, TEMPERATURE
 from trackres_ros.model.loss_table import look_up, look_up_drive
 from trackres_ros.model.rubber import log_shift_factor
 from trackres_ros.model.thermal import film_coefficient, phi_1, phi_2, phi_matrix, surface_temperature
 
+Array = NDArray[np.float64]
+
 SLOWEST_LOG_SPEED = -6.0  # log10(m/s); below it the loss per metre of travel no longer changes
 
 
 @compiled
-def log_speed(speed):  # type: ignore[no-untyped-def]
+def log_speed(speed: float) -> float:
     """log10 of a speed [m/s], bounded below."""
     magnitude = abs(speed)
     return math.log10(magnitude) if magnitude > 1e-6 else SLOWEST_LOG_SPEED
 
 
 @compiled
-def loss_force(k, i, belt_degc, log10_speed, log_load, drive_torque):  # type: ignore[no-untyped-def]
+def loss_force(k: Constants, i: int, belt_degc: float, log10_speed: float, log_load: float, drive_torque: float
+              ) -> tuple[float, float]:
     """Loss [N] of one assembly and its derivative [N/K] by the belt temperature."""
     table = int(k.assembly[i, at.TABLE])
     shift, shift_slope = log_shift_factor(belt_degc, k.number.glass_transition, k.number.wlf_c1, k.number.wlf_c2)
@@ -39,7 +46,7 @@ def loss_force(k, i, belt_degc, log10_speed, log_load, drive_torque):  # type: i
 
 
 @compiled
-def surface(k, i, belt, ambient, speed):  # type: ignore[no-untyped-def]
+def surface(k: Constants, i: int, belt: Array, ambient: float, speed: float) -> tuple[float, float, float]:
     """Surface temperature [degC], and its derivatives by the two nodes, shape of a row of the measurement matrix."""
     if k.number.two_nodes:
         return belt[1, TEMPERATURE], 0.0, 1.0
@@ -50,7 +57,7 @@ def surface(k, i, belt, ambient, speed):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def belt_variance(belt, at_core, at_surface):  # type: ignore[no-untyped-def]
+def belt_variance(belt: Array, at_core: float, at_surface: float) -> float:
     """Variance [K^2] of at_core x first node + at_surface x second node."""
     total = 0.0
     for column in range(DOUBT_1, BELT_COLUMNS):
@@ -60,7 +67,8 @@ def belt_variance(belt, at_core, at_surface):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def advance_belt(k, i, belt, speed, log_load, drive_torque, ambient, ambient_std, dt):  # type: ignore[no-untyped-def]
+def advance_belt(k: Constants, i: int, belt: Array, speed: float, log_load: float, drive_torque: float,
+                 ambient: float, ambient_std: float, dt: float) -> tuple[float, float]:
     """Advance one belt by dt [s] at constant speed [m/s]; changes `belt`, returns heat in and out [J] over the step.
 
     Notes
@@ -117,7 +125,7 @@ def advance_belt(k, i, belt, speed, log_load, drive_torque, ambient, ambient_std
 
 
 @compiled
-def add_noise(belt, first, second):  # type: ignore[no-untyped-def]
+def add_noise(belt: Array, first: float, second: float) -> None:
     """Fold one more independent departure [K] of the two nodes into the noise columns, as a lower 2 x 2 factor."""
     c11 = belt[0, NOISE_1] ** 2 + belt[0, NOISE_2] ** 2 + first * first
     c21 = belt[0, NOISE_1] * belt[1, NOISE_1] + belt[0, NOISE_2] * belt[1, NOISE_2] + first * second
@@ -129,7 +137,8 @@ def add_noise(belt, first, second):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def correct_belt(belt, measured, variance, expected, at_core, at_surface):  # type: ignore[no-untyped-def]
+def correct_belt(belt: Array, measured: float, variance: float, expected: float, at_core: float, at_surface: float
+                ) -> None:
     """Correct a belt by a measured temperature [degC] of a variance [K^2]: the Kalman update, changes `belt`.
 
     Notes

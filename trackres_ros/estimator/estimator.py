@@ -121,7 +121,8 @@ class Estimator:
         self._no_belts = np.full(len(self.assemblies), math.nan)
 
     def inputs(self, speed: float, weight: float | None = None, ambient: float | None = None,
-               belt_measured: Array | None = None, load: Array | None = None, **known: float) -> Inputs:
+               belt_measured: Array | None = None, load: Array | None = None, acceleration: float = math.nan, grade: float = math.nan,
+               measured_torque: float = math.nan) -> Inputs:
         """Inputs of a step from what is known, the rest nominal.
 
         Parameters
@@ -134,8 +135,8 @@ class Estimator:
             [degC].
         belt_measured
             New belt temperatures [degC], nan where there is none.
-        known
-            `acceleration` [m/s^2], `grade`, `measured_torque` [Nm].
+        acceleration, grade, measured_torque
+            [m/s^2], rise over run, and [Nm]; nan where not known.
         """
         k = self.constants
         loads = k.assembly[:, at.NOMINAL_LOAD] if load is None else np.asarray(load, dtype=float)
@@ -143,7 +144,8 @@ class Estimator:
             loads = loads * (weight / loads.sum())
         return Inputs(float(speed), loads, k.number.nominal_ambient if ambient is None else float(ambient),
                       k.number.ambient_unknown_std if ambient is None else k.number.ambient_std,
-                      self._no_belts if belt_measured is None else np.asarray(belt_measured, dtype=float), **known)
+                      self._no_belts if belt_measured is None else np.asarray(belt_measured, dtype=float),
+                      float(acceleration), float(grade), float(measured_torque))
 
     def cold_start(self, inputs: Inputs, belt_degc: float | None = None, belt_std_k: float | None = None) -> State:
         """State of belts that are at the ambient temperature, or at a known one [degC] with a standard deviation [K]."""
@@ -159,7 +161,8 @@ class Estimator:
     def step(self, state: State, inputs: Inputs, dt: float) -> tuple[State, Estimate]:
         """Advance by dt [s] to the time of `inputs`. Pure: the state given is left as it was."""
         belts, motion, row = state.belts.copy(), state.motion.copy(), np.empty(len(self.columns))
-        step_once(*self.kernel_arguments, belts, motion, *inputs, float(dt), row)
+        step_once(*self.kernel_arguments, belts, motion, inputs.speed, inputs.load, inputs.ambient, inputs.ambient_std,
+                  inputs.belt_measured, inputs.acceleration, inputs.grade, inputs.measured_torque, inputs.reasons, float(dt), row)
         return State(belts, motion), Estimate(row, self.column_index)
 
     def run(self, state: State, time_s: Array, speed: Array, weight: ArrayLike, ambient: ArrayLike,

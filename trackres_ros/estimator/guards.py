@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.compiled import compiled
 from trackres_ros.estimator import layout as at
+from trackres_ros.estimator.constants import Constants
 from trackres_ros.estimator.kernel import Inputs
 
 Array = NDArray[np.float64]
@@ -50,7 +51,7 @@ def new_memory(channels: int) -> Memory:
 
 
 @compiled
-def admit(k, memory, channel, stamp, arrival, value):  # type: ignore[no-untyped-def]
+def admit(k: Constants, memory: Memory, channel: int, stamp: int, arrival: int, value: float) -> tuple[int, int]:
     """Accept or refuse one message, count it, and keep its value.
 
     Returns
@@ -104,7 +105,7 @@ def admit(k, memory, channel, stamp, arrival, value):  # type: ignore[no-untyped
 
 
 @compiled
-def forget_others(memory, kept):  # type: ignore[no-untyped-def]
+def forget_others(memory: Memory, kept: int) -> None:
     """Forget times and values of all channels but one, as at the start; counters stay."""
     for channel in range(memory.times.shape[0]):
         if channel != kept:
@@ -113,15 +114,15 @@ def forget_others(memory, kept):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def held(memory, channel, now, hold_ns):  # type: ignore[no-untyped-def]
+def held(memory: Memory, channel: int, now: int, hold_ns: int) -> float:
     """The last value of a channel if it arrived no longer ago than `hold_ns`, else nan."""
     if memory.times[channel, at.SEEN] == 0 or now - memory.times[channel, at.LAST_ARRIVAL] > hold_ns:
         return math.nan
-    return memory.values[channel]
+    return float(memory.values[channel])
 
 
 @compiled
-def gather_loads(k, memory, now, loads):  # type: ignore[no-untyped-def]
+def gather_loads(k: Constants, memory: Memory, now: int, loads: Array) -> int:
     """Load of each assembly [N] by the finest source there is; fills `loads`, returns the reasons to report.
 
     A load of the assembly goes before one of its axle, that before the total; each shared in proportion to nominal loads.
@@ -156,7 +157,7 @@ def gather_loads(k, memory, now, loads):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def gather(k, memory, outcome, quantum, loads, belt_measured):  # type: ignore[no-untyped-def]
+def gather(k: Constants, memory: Memory, outcome: int, quantum: float, loads: Array, belt_measured: Array) -> Inputs:
     """The inputs of the step that an accepted speed makes; fills `loads` and `belt_measured`, one entry an assembly.
 
     `quantum` is the smallest step [m/s] seen in the speed.

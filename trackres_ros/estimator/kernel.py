@@ -19,6 +19,7 @@ from trackres_ros.estimator.belt_step import (
     loss_force,
     surface,
 )
+from trackres_ros.estimator.constants import Constants
 from trackres_ros.estimator.motion_step import advance_motion, start_motion
 from trackres_ros.model.resistance import bearing_force, direction, grade_force, inertia_force, wind_force
 
@@ -49,7 +50,7 @@ class Inputs(NamedTuple):
 
 
 @compiled
-def start(k, belts, motion, ambient, ambient_std):  # type: ignore[no-untyped-def]
+def start(k: Constants, belts: Array, motion: Array, ambient: float, ambient_std: float) -> None:
     """A cold start: every belt at the ambient temperature, and uncertain."""
     for i in range(belts.shape[0]):
         for node in range(2):
@@ -64,7 +65,8 @@ def start(k, belts, motion, ambient, ambient_std):  # type: ignore[no-untyped-de
 
 
 @compiled
-def roll(k, assembly, belt, speed_from, speed_to, log_load, drive_torque, ambient, ambient_std, dt):  # type: ignore[no-untyped-def]
+def roll(k: Constants, assembly: int, belt: Array, speed_from: float, speed_to: float, log_load: float,
+         drive_torque: float, ambient: float, ambient_std: float, dt: float) -> tuple[float, float]:
     """Advance one belt by dt [s] while the speed goes straight from one value to the other; heat in and out [J]."""
     heat_in, heat_out = 0.0, 0.0
     rolling = speed_from != 0.0 or speed_to != 0.0
@@ -80,7 +82,8 @@ def roll(k, assembly, belt, speed_from, speed_to, log_load, drive_torque, ambien
 
 
 @compiled
-def pass_gap(k, assembly, belt, speed_from, speed_to, log_load, ambient, ambient_std, dt):  # type: ignore[no-untyped-def]
+def pass_gap(k: Constants, assembly: int, belt: Array, speed_from: float, speed_to: float, log_load: float,
+             ambient: float, ambient_std: float, dt: float) -> None:
     """A gap too long to bridge: the middle between resting and driving on all the while, and as uncertain as they differ."""
     rested = belt.copy()
     roll(k, assembly, rested, 0.0, 0.0, log_load, 0.0, ambient, ambient_std, dt)
@@ -94,7 +97,7 @@ def pass_gap(k, assembly, belt, speed_from, speed_to, log_load, ambient, ambient
 
 
 @compiled
-def advance(k, belts, motion, inputs, dt, out):  # type: ignore[no-untyped-def]
+def advance(k: Constants, belts: Array, motion: Array, inputs: Inputs, dt: float, out: Array) -> None:
     """Advance the whole estimate by dt [s] to the time of `inputs`; changes `belts` and `motion`, fills one row of results.
 
     Parameters

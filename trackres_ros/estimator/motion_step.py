@@ -12,6 +12,9 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+from numpy.typing import NDArray
+
 from trackres_ros.compiled import compiled
 from trackres_ros.estimator.layout import (
     COV_ACCEL,
@@ -23,12 +26,14 @@ from trackres_ros.estimator.layout import (
     STARTED,
 )
 
+Array = NDArray[np.float64]
+
 LARGEST_QUANTUM = 1.0   # m/s: a greater smallest step is not a quantum
 SAME_VALUE = 1e-6       # m/s: rounding of a scaled bus value
 
 
 @compiled
-def start_motion(motion, speed, speed_variance, acceleration_variance):  # type: ignore[no-untyped-def]
+def start_motion(motion: Array, speed: float, speed_variance: float, acceleration_variance: float) -> None:
     """Begin the filter at a first speed [m/s]."""
     motion[FILTERED_SPEED] = speed
     motion[FILTERED_ACCEL] = 0.0
@@ -39,7 +44,8 @@ def start_motion(motion, speed, speed_variance, acceleration_variance):  # type:
 
 
 @compiled
-def advance_motion(motion, speed, last_speed, dt, speed_variance, acceleration_variance, acceleration_time):  # type: ignore[no-untyped-def]
+def advance_motion(motion: Array, speed: float, last_speed: float, dt: float, speed_variance: float,
+                   acceleration_variance: float, acceleration_time: float) -> None:
     """Take in one more speed [m/s] after dt [s] > 0; changes `motion`."""
     step = abs(speed - last_speed)
     if SAME_VALUE < step < motion[QUANTUM]:

@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from trackres_ros.compiled import compiled
 from trackres_ros.estimator import layout as at
-from trackres_ros.estimator.constants import Constants
+from trackres_ros.estimator.constants import Constants, Numbers
 from trackres_ros.estimator.guards import GAP, TOOK_RESET, Memory, admit, forget_others, gather
 from trackres_ros.estimator.kernel import Inputs, advance, roll, start
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 NANOSECOND = 1e-9
 
 
 @compiled
-def feed(k, memory, belts, motion, loads, belt_measured, channel, stamp, arrival, value, out):  # type: ignore[no-untyped-def]
+def feed(k: Constants, memory: Memory, belts: Array, motion: Array, loads: Array, belt_measured: Array,
+         channel: int, stamp: int, arrival: int, value: float, out: Array) -> bool:
     """Take one message in. An accepted speed makes a step and fills `out`; returns whether it did."""
     outcome, elapsed = admit(k, memory, channel, stamp, arrival, value)
     if outcome == TOOK_RESET:
@@ -35,16 +44,19 @@ def feed(k, memory, belts, motion, loads, belt_measured, channel, stamp, arrival
 # The entries take arrays one by one: a tuple of them would cost each call more than the step itself.
 
 @compiled
-def feed_one(numbers, assembly, loss, drive, limits, times, values, counters, belts, motion, loads, belt_measured,
-             channel, stamp, arrival, value, out):  # type: ignore[no-untyped-def]
+def feed_one(numbers: Sequence[Numbers], assembly: Array, loss: Array, drive: Array, limits: Array,
+             times: IntArray, values: Array, counters: IntArray, belts: Array, motion: Array, loads: Array,
+             belt_measured: Array, channel: int, stamp: int, arrival: int, value: float, out: Array) -> bool:
     """`feed` for one message."""
     return feed(Constants(numbers[0], assembly, loss, drive, limits), Memory(times, values, counters), belts, motion, loads,
                 belt_measured, channel, stamp, arrival, value, out)
 
 
 @compiled
-def feed_many(numbers, assembly, loss, drive, limits, times, values, counters, belts, motion, loads, belt_measured,
-              channels, stamps, arrivals, message_values, out, out_stamps, out_arrivals):  # type: ignore[no-untyped-def]
+def feed_many(numbers: Sequence[Numbers], assembly: Array, loss: Array, drive: Array, limits: Array,
+              times: IntArray, values: Array, counters: IntArray, belts: Array, motion: Array, loads: Array,
+              belt_measured: Array, channels: NDArray[np.integer[Any]], stamps: IntArray, arrivals: IntArray,
+              message_values: Array, out: Array, out_stamps: IntArray, out_arrivals: IntArray) -> int:
     """`feed` for many messages; fills one row of `out` with its stamp and arrival [ns] for each step, returns their number."""
     k, memory = Constants(numbers[0], assembly, loss, drive, limits), Memory(times, values, counters)
     steps = 0
@@ -57,16 +69,18 @@ def feed_many(numbers, assembly, loss, drive, limits, times, values, counters, b
 
 
 @compiled
-def step_once(numbers, assembly, loss, drive, limits, belts, motion, speed, load, ambient, ambient_std, belt_measured,
-              acceleration, grade, measured_torque, reasons, dt, out):  # type: ignore[no-untyped-def]
+def step_once(numbers: Sequence[Numbers], assembly: Array, loss: Array, drive: Array, limits: Array, belts: Array,
+              motion: Array, speed: float, load: Array, ambient: float, ambient_std: float, belt_measured: Array,
+              acceleration: float, grade: float, measured_torque: float, reasons: int, dt: float, out: Array) -> None:
     """`kernel.advance` for inputs given one by one."""
     inputs = Inputs(speed, load, ambient, ambient_std, belt_measured, acceleration, grade, measured_torque, reasons)
     advance(Constants(numbers[0], assembly, loss, drive, limits), belts, motion, inputs, dt, out)
 
 
 @compiled
-def run_series(numbers, assembly, loss, drive, limits, belts, motion, times, speeds, weights, ambients, ambient_std,
-               accelerations, grades, loads, no_belts, out):  # type: ignore[no-untyped-def]
+def run_series(numbers: Sequence[Numbers], assembly: Array, loss: Array, drive: Array, limits: Array, belts: Array,
+               motion: Array, times: Array, speeds: Array, weights: Array, ambients: Array, ambient_std: float,
+               accelerations: Array, grades: Array, loads: Array, no_belts: Array, out: Array) -> None:
     """`kernel.advance` along arrays of equal length; weights [N] are shared as nominal loads are. One row of `out` a time."""
     k = Constants(numbers[0], assembly, loss, drive, limits)
     nominal = assembly[:, at.NOMINAL_LOAD]
@@ -79,7 +93,8 @@ def run_series(numbers, assembly, loss, drive, limits, belts, motion, times, spe
 
 
 @compiled
-def rest_belts(numbers, assembly, loss, drive, limits, belts, ambient, ambient_std, seconds):  # type: ignore[no-untyped-def]
+def rest_belts(numbers: Sequence[Numbers], assembly: Array, loss: Array, drive: Array, limits: Array, belts: Array,
+               ambient: float, ambient_std: float, seconds: float) -> None:
     """Let all belts stand for a while [s]."""
     k = Constants(numbers[0], assembly, loss, drive, limits)
     for i in range(belts.shape[0]):
@@ -87,6 +102,7 @@ def rest_belts(numbers, assembly, loss, drive, limits, belts, ambient, ambient_s
 
 
 @compiled
-def start_belts(numbers, assembly, loss, drive, limits, belts, motion, ambient, ambient_std):  # type: ignore[no-untyped-def]
+def start_belts(numbers: Sequence[Numbers], assembly: Array, loss: Array, drive: Array, limits: Array,
+                belts: Array, motion: Array, ambient: float, ambient_std: float) -> None:
     """`kernel.start`."""
     start(Constants(numbers[0], assembly, loss, drive, limits), belts, motion, ambient, ambient_std)

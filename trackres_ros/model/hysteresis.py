@@ -190,7 +190,7 @@ class RainflowCount(LossMethod):
     def _energy(cycles: list[PassageCycle]) -> tuple[Array, Array]:
         """Passage [m] of each cycle, and what it loses in a loop per loss modulus: pi N (range/2)^2."""
         passages = np.array([c.passage for c in cycles])
-        return passages, np.array([np.pi * c.cycle.count * (c.cycle.range / 2.0) ** 2 for c in cycles])
+        return passages, np.array([np.pi * c.cycle.number * (c.cycle.range / 2.0) ** 2 for c in cycles])
 
     def _lost(self, energy: tuple[Array, Array], speed: ArrayLike, belt_degc: ArrayLike) -> Array:
         """Loss per metre of travel [N] (over a unit section [N/m^2]) at speeds [m/s] and temperatures [degC]."""
@@ -215,20 +215,20 @@ class RainflowCount(LossMethod):
         return [PassageCycle(cycle, self._passage(positions, values, cycle)) for cycle in rainflow.count_loop(values)]
 
     def _passage(self, position: list[float], value: list[float], cycle: rainflow.Cycle) -> float:
-        """Length [m] of the stretch round the cycle's greater extreme on which the strain is away from the lesser one."""
+        """Length [m] of the stretch round one of the cycle's extremes on which the strain is away from the other: the shorter
+        of the two, so neither a steady strain nor the sense of travel matters."""
         corners = len(position)
-        greater = max(cycle.start, cycle.end, key=lambda i: abs(value[i]))
         near = cycle.range * (1.0 - BACK_AT_BASE)
 
-        def distance(step: int) -> float:
-            at = greater
+        def distance(extreme: int, step: int) -> float:
+            at = extreme
             for _ in range(corners):
                 at = (at + step) % corners
-                if abs(value[at] - value[greater]) >= near:
+                if abs(value[at] - value[extreme]) >= near:
                     break
-            return float(step * (position[at] - position[greater]) % self.loop.length)
+            return float(step * (position[at] - position[extreme]) % self.loop.length)
 
-        return distance(1) + distance(-1)
+        return min(distance(extreme, 1) + distance(extreme, -1) for extreme in (cycle.start, cycle.end))
 
 
 METHODS: dict[str, type[LossMethod]] = {method.name: method for method in (Spectral, RainflowCount)}

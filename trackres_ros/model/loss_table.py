@@ -62,7 +62,8 @@ class LossTable:
 
 
 @compiled
-def look_up(loss, table, first_x, step_x, first_log_load, step_log_load, x, log_load):  # type: ignore[no-untyped-def]
+def look_up(loss: Array, table: int, first_x: float, step_x: float, first_log_load: float, step_log_load: float,
+            x: float, log_load: float) -> tuple[float, float]:
     """Loss [N] and its derivative by x, linear between nodes, held at the edges."""
     rows, columns = loss.shape[1], loss.shape[2]
     u = min(max((x - first_x) / step_x, 0.0), rows - 1.000001)
@@ -75,7 +76,7 @@ def look_up(loss, table, first_x, step_x, first_log_load, step_log_load, x, log_
 
 
 @compiled
-def look_up_drive(drive, table, first_x, step_x, x):  # type: ignore[no-untyped-def]
+def look_up_drive(drive: Array, table: int, first_x: float, step_x: float, x: float) -> tuple[float, float]:
     """Loss per sprocket torque [N/Nm] and per its square [N/Nm^2]."""
     u = min(max((x - first_x) / step_x, 0.0), drive.shape[1] - 1.000001)
     i = int(u)
@@ -99,7 +100,8 @@ def loss_table(vehicle: Vehicle, track_name: str, cache: Path | None = None) -> 
 
     shapes = {"axes": (4,), "loss": (FINE_LOG_SPEEDS, FINE_LOADS), "drive": (FINE_LOG_SPEEDS, 2)}
     stored = cached_arrays(f"loss-{fingerprint(vehicle, track_name)}", shapes, compute, cache)
-    return LossTable(*(float(value) for value in stored["axes"]), loss=stored["loss"], drive=stored["drive"])
+    first_x, step_x, first_log_load, step_log_load = (float(value) for value in stored["axes"])
+    return LossTable(first_x, step_x, first_log_load, step_log_load, stored["loss"], stored["drive"])
 
 
 def fingerprint(vehicle: Vehicle, track_name: str) -> str:

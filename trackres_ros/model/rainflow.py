@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 
 class Cycle(NamedTuple):
-    """One row of the matrix: the range (not the amplitude), mean, count (1 or 1/2), and where in the series it lies."""
+    """One row of the matrix: the range (not the amplitude), mean, number (1 or 1/2), and where in the series it lies."""
 
     range: float
     mean: float
-    count: float
+    number: float
     start: int
     end: int
 

@@ -14,30 +14,30 @@ STANDSTILL_SPEED = 0.05  # m/s, assumed: over it friction changes its sign smoot
 
 
 @compiled
-def direction(speed):  # type: ignore[no-untyped-def]
+def direction(speed: float) -> float:
     """Sign of the speed [m/s], smooth through zero."""
     return math.tanh(speed / STANDSTILL_SPEED)
 
 
 @compiled
-def bearing_force(speed, weight, bearing_friction):  # type: ignore[no-untyped-def]
+def bearing_force(speed: float, weight: float, bearing_friction: float) -> float:
     """Bearing friction [N]. Equation (34) as printed divides by R1 and has the unit N/m; M = f G R1."""
     return bearing_friction * weight * direction(speed)
 
 
 @compiled
-def wind_force(speed, drag_area, air_density):  # type: ignore[no-untyped-def]
+def wind_force(speed: float, drag_area: float, air_density: float) -> float:
     """Drag [N] of C_d A [m^2]. The 76140 of equation (35) belongs to a power; M = 1/2 rho C_d A v abs(v) R1."""
     return 0.5 * air_density * drag_area * speed * abs(speed)
 
 
 @compiled
-def inertia_force(acceleration, weight, rotating_mass_factor):  # type: ignore[no-untyped-def]
+def inertia_force(acceleration: float, weight: float, rotating_mass_factor: float) -> float:
     """Force to accelerate [N]. Equation (36) as printed lacks g and divides by R1; M = delta (G/g) a R1."""
     return rotating_mass_factor * weight / GRAVITY * acceleration
 
 
 @compiled
-def grade_force(grade, weight):  # type: ignore[no-untyped-def]
+def grade_force(grade: float, weight: float) -> float:
     """Force up a grade [N]; `grade` is rise over run, positive uphill in the direction the vehicle points."""
     return weight * grade / math.sqrt(1.0 + grade * grade)

@@ -15,7 +15,7 @@ REFERENCE_ABOVE_TG = 50.0  # K: the shift function is 1 at Tg + 50, equation (4)
 
 
 @compiled
-def log_shift_factor(belt_degc, glass_transition, c1, c2):  # type: ignore[no-untyped-def]
+def log_shift_factor(belt_degc: float, glass_transition: float, c1: float, c2: float) -> tuple[float, float]:
     """log10 a_T of one temperature and its derivative [1/K]; scalars in and out, shared with the live kernel.
 
     Notes
@@ -71,13 +71,14 @@ class RubberModel:
 
     def storage_modulus(self, frequency: ArrayLike, belt_degc: ArrayLike) -> Array:
         """E' [Pa]."""
-        return np.exp(self._log_storage(self.equivalent_temperature(self.reduced(frequency, belt_degc))))
+        return np.asarray(np.exp(self._log_storage(self.equivalent_temperature(self.reduced(frequency, belt_degc)))))
 
     def loss_modulus(self, frequency: ArrayLike, belt_degc: ArrayLike) -> Array:
         """E'' [Pa]."""
-        return np.exp(self._log_loss(self.equivalent_temperature(self.reduced(frequency, belt_degc))))
+        return np.asarray(np.exp(self._log_loss(self.equivalent_temperature(self.reduced(frequency, belt_degc)))))
 
     def dynamic_modulus(self, frequency: ArrayLike, belt_degc: ArrayLike) -> Array:
         """abs(E*) [Pa], equation (2), times the stiffening of a confined layer."""
         equivalent = self.equivalent_temperature(self.reduced(frequency, belt_degc))
-        return np.hypot(np.exp(self._log_storage(equivalent)), np.exp(self._log_loss(equivalent))) * self.rubber.layer_stiffening
+        moduli = np.exp(self._log_storage(equivalent)), np.exp(self._log_loss(equivalent))
+        return np.asarray(np.hypot(*moduli) * self.rubber.layer_stiffening)

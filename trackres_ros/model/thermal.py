@@ -42,19 +42,19 @@ def thermal_network(model: str, belt: Belt, rubber: Rubber) -> ThermalNetwork:
 
 
 @compiled
-def film_coefficient(speed, film_offset, film_slope):  # type: ignore[no-untyped-def]
+def film_coefficient(speed: float, film_offset: float, film_slope: float) -> float:
     """Film coefficient [W/m^2/K] at a speed [m/s], equation (31)."""
     return film_offset + film_slope * abs(speed)
 
 
 @compiled
-def surface_temperature(mean, ambient, film, area, inner_conductance):  # type: ignore[no-untyped-def]
+def surface_temperature(mean: float, ambient: float, film: float, area: float, inner_conductance: float) -> float:
     """Surface temperature [degC] that goes with a mean one in the lumped model: the flux through layer and film is one."""
     return (inner_conductance * mean + film * area * ambient) / (inner_conductance + film * area)
 
 
 @compiled
-def phi_1(z):  # type: ignore[no-untyped-def]
+def phi_1(z: float) -> float:
     """(e^z - 1)/z, the mean of a growing exponential."""
     if abs(z) < SERIES_BELOW:
         return 1.0 + z * (0.5 + z * (1.0 / 6.0 + z * (1.0 / 24.0 + z / 120.0)))
@@ -62,7 +62,7 @@ def phi_1(z):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def phi_2(z):  # type: ignore[no-untyped-def]
+def phi_2(z: float) -> float:
     """((e^z - 1)/z - 1)/z, by which the mean departure over a step follows from the rate at its start."""
     if abs(z) < SERIES_BELOW:
         return 0.5 + z * (1.0 / 6.0 + z * (1.0 / 24.0 + z * (1.0 / 120.0 + z / 720.0)))
@@ -70,7 +70,7 @@ def phi_2(z):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def phi_matrix(z11, z12, z21, z22, order):  # type: ignore[no-untyped-def]
+def phi_matrix(z11: float, z12: float, z21: float, z22: float, order: int) -> tuple[float, float, float, float]:
     """phi_1 or phi_2 (order 1 or 2) of a 2 x 2 matrix with real eigenvalues, row by row.
 
     Notes

@@ -77,6 +77,7 @@ def draw_family(out: Path, family: Family, combination: str, caption: str, title
         for colour, value, series in zip(colours(family), family.values, family.series(combination), strict=True):
             torque.plot(*moving(series), color=colour, label=f"{value:g}")
             belt.plot(*thinned(series["time_s"], series["belt_degc"]), color=colour)
+        torque.set_ylim(*_limits(family, [combination]))
         torque.set_title(title)
         torque.set_ylabel("resistance torque [Nm]")
         legend_beside(torque, family.quantity)
@@ -106,12 +107,25 @@ def draw_combinations(out: Path, family: Family, caption: str, marks: Mapping[fl
                 axes.margins(x=0.0)
                 for time_s, text in (marks or {}).items():
                     mark_time(axes, time_s, text if (row, column) == (0, 0) else "")
+            panels[row, 0].set_ylim(*_limits(family, [f"{method}/{thermal}" for thermal in THERMAL]))
             panels[row, 0].set_ylabel("resistance torque [Nm]")
         for axes in panels[-1]:
             axes.set_xlabel("time [s]")
         legend_beside(panels[0, -1], family.quantity)
         panels[0, -1].get_legend().set_bbox_to_anchor((1.08, 1.0))
     return figure
+
+
+def _limits(family: Family, combinations: Sequence[str]) -> tuple[float, float]:
+    """Limits of a torque axis [Nm] that show the time at constant speed whole; a ramp may come in from below."""
+    shown = [family.torque(c, 0.0)[:, first_comparable(family):] for c in combinations] + [family.stable_torque(c) for c in combinations]
+    low, high = min(float(part.min()) for part in shown), max(float(part.max()) for part in shown)
+    return low - 0.15 * (high - low), high + 0.06 * (high - low)
+
+
+def first_comparable(family: Family) -> int:
+    """First sample at which every run has reached its final speed."""
+    return max(int(np.argmax(s["speed_mps"] >= s["speed_mps"][-1] - 1e-9)) for s in family.series(COMBINATIONS[0]))
 
 
 def moving(series: Series) -> tuple[Array, Array]:
@@ -141,16 +155,6 @@ def stable_table(family: Family, caption: str) -> Table:
     rows = [[f"{value:g}", *(f"{family.stable[value][c].torque_nm:.0f} / {family.stable[value][c].belt_degc:.1f}" for c in COMBINATIONS)]
             for value in family.values]
     return Table(caption, [family.quantity, *(c.replace("/", ", ") for c in COMBINATIONS)], rows)
-
-
-def largest_rise(family: Family, combination: str, start_s: float) -> float:
-    """Largest rise of the torque from one sample to the next after a time [s], over all values [Nm]; negative: it only falls."""
-    return float(np.diff(family.torque(combination, start_s), axis=1).max())
-
-
-def spread(values: Array) -> float:
-    """Greatest less least value over their mean."""
-    return float(np.ptp(values) / np.mean(values))
 
 
 def family_numbers(family: Family, times_s: Sequence[float]) -> dict[str, object]:

@@ -15,7 +15,8 @@ def page(summary: Mapping[str, Any], prefix: str = "") -> str:
              f"Written by `{COMMAND}`, for {summary['vehicle']['title']}. Verdicts and numbers are computed in the run; none is typed.", "",
              *summary["text"], "", "## Overview", "", "| Claim | Paper | Verdict |", "|---|---|---|"]
     for section in sections:
-        lines += [f"| {claim['paper']} | {claim['where']} | [{claim['verdict']}](#{anchor(section['title'])}) |" for claim in section["claims"]]
+        lines += [f"| {claim['paper']} | {claim['where']} | [{claim['verdict']}](#{anchor(section['title'])}) |"
+                  for claim in section["claims"]]
     for section in sections:
         lines += ["", *_section(section, prefix)]
     return "\n".join(lines) + "\n"
@@ -31,18 +32,33 @@ def _section(section: Mapping[str, Any], prefix: str) -> list[str]:
     for paragraph in section["text"]:
         lines += [paragraph.replace("{prefix}", prefix), ""]
     for figure in section["figures"]:
-        lines += [f"![{figure['caption']}]({prefix}{figure['png']})", "", f"*{figure['caption']} Data: [{figure['csv']}]({prefix}{figure['csv']}).*", ""]
+        lines += [f"![{figure['caption']}]({prefix}{figure['png']})", "",
+                  f"*{figure['caption']} Data: [{figure['csv']}]({prefix}{figure['csv']}).*", ""]
     for table in section["tables"]:
         lines += [table["caption"], "", f"| {' | '.join(table['header'])} |", "|" + "---|" * len(table["header"])]
         lines += [f"| {' | '.join(row)} |" for row in table["rows"]]
         lines.append("")
     for claim in section["claims"]:
-        lines += [f"**{claim['paper']}** ({claim['where']})", "", f"- Verdict: **{claim['verdict']}**{_which(claim)}", f"- The program: {claim['shows']}"]
+        lines += [f"**{claim['paper']}** ({claim['where']})", "", f"- Verdict: **{claim['verdict']}**{_which(claim)}",
+                  f"- The program: {claim['shows']}"]
         lines += [f"- Why: {claim['why']}"] if claim["why"] else []
-        lines.append("")
+        lines += ["", *_details(claim), ""] if claim["details"] else [""]
     return lines[:-1]
+
+
+def _details(claim: Mapping[str, Any]) -> list[str]:
+    """A row for each model combination, with the outcome where there is one for each."""
+    details, holds = claim["details"], claim["holds"]
+    combinations = list(next(iter(details.values())))
+    told = set(combinations) == set(holds)
+    lines = [f"| methods | {' | '.join(details)} |" + (" holds |" if told else ""), "|" + "---|" * (len(details) + 1 + told)]
+    for name in combinations:
+        cells = [name.replace("/", ", "), *(texts[name] for texts in details.values())]
+        cells += ["yes" if holds[name] else "no"] if told else []
+        lines.append(f"| {' | '.join(cells)} |")
+    return lines
 
 
 def _which(claim: Mapping[str, Any]) -> str:
     true = [name for name, holds in claim["holds"].items() if holds]
-    return f", for {', '.join(true)} only." if 0 < len(true) < len(claim["holds"]) else "."
+    return f", for {'; '.join(name.replace('/', ', ') for name in true)} only." if 0 < len(true) < len(claim["holds"]) else "."

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-HOLDS, FAILS, IN_PART = "holds", "does not hold", "holds in part"
-UNEXPLAINED = "No reason is on file for this outcome: the model or the vehicle file has changed since the reasons were written."
+HOLDS, FAILS, IN_PART, OPEN = "holds", "does not hold", "holds in part", "cannot be checked"
+UNEXPLAINED = ("No reason is on file for this outcome: the model or the vehicle file has changed since the reasons were "
+               "written.")
 
 
 @dataclass(frozen=True)
@@ -19,13 +20,16 @@ class Claim:
     key, where, paper
         A stable name; the place in the paper; what the paper says.
     holds
-        The verdict by model combination, or under an empty name where no combination enters.
+        The outcome of the predicate by model combination, or under an empty name where no combination enters; nothing where
+        the claim cannot be checked.
     shows
         What the program shows, with its numbers.
     why
         Reasons by verdict: of `HOLDS`, `FAILS` and `IN_PART` those that are understood.
     numbers
         The numbers behind the verdict, by name and unit.
+    details
+        What the program shows of each model combination: texts by heading, then by combination.
     """
 
     key: str
@@ -35,17 +39,21 @@ class Claim:
     shows: str
     why: Mapping[str, str]
     numbers: Mapping[str, Any]
+    details: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
     @property
     def verdict(self) -> str:
-        """`HOLDS`, `FAILS` or `IN_PART`, from the predicates alone."""
+        """`HOLDS`, `FAILS`, `IN_PART` or `OPEN`, from the predicates alone."""
         outcomes = set(self.holds.values())
+        if not outcomes:
+            return OPEN
         return IN_PART if len(outcomes) > 1 else HOLDS if outcomes == {True} else FAILS
 
     def summary(self) -> dict[str, Any]:
         """All of it, ready for JSON."""
         return {"key": self.key, "where": self.where, "paper": self.paper, "verdict": self.verdict, "holds": dict(self.holds),
-                "shows": self.shows, "why": self.why.get(self.verdict, UNEXPLAINED), "numbers": rounded(self.numbers)}
+                "shows": self.shows, "why": self.why.get(self.verdict, UNEXPLAINED), "numbers": rounded(self.numbers),
+                "details": {heading: dict(texts) for heading, texts in self.details.items()}}
 
 
 @dataclass(frozen=True)
@@ -81,7 +89,8 @@ class Section:
         """All of it, ready for JSON."""
         return {"title": self.title, "text": list(self.text), "figures": [asdict(figure) for figure in self.figures],
                 "claims": [claim.summary() for claim in self.claims],
-                "tables": [{"caption": t.caption, "header": list(t.header), "rows": [list(row) for row in t.rows]} for t in self.tables],
+                "tables": [{"caption": table.caption, "header": list(table.header), "rows": [list(row) for row in table.rows]}
+                           for table in self.tables],
                 "numbers": rounded(self.numbers)}
 
 
@@ -99,6 +108,13 @@ def rounded(value: Any) -> Any:
 def percent(share: float, digits: int = 1) -> str:
     """A share as text in percent."""
     return f"{100.0 * share:.{digits}f} %"
+
+
+def span(values: Iterable[float], digits: int = 0, unit: str = "") -> str:
+    """The least and the greatest of some values as text, `3 to 5 Nm`; one where both read alike."""
+    values = list(values)
+    low, high = f"{min(values):.{digits}f}", f"{max(values):.{digits}f}"
+    return (low if low == high else f"{low} to {high}") + unit
 
 
 def listed(items: Sequence[str]) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -26,6 +25,7 @@ SPEED_KMH = 30.0     # the middle one of the paper's tests
 BELT_DEGC = 40.0     # about where the belt is after ten minutes of it
 POSITIONS = 961
 HEIGHTS = 36
+ALIKE = 0.02          # ranges nearer to each other are one line in the picture
 
 
 class Spectrum(NamedTuple):
@@ -110,7 +110,7 @@ def _spectrum_figure(out: Path, s: Spectrum) -> Figure:
     with picture(out / figure.png, 9.0, 8.2) as drawn:
         through, along, field, small = drawn.subplots(4, 1, sharex=True, height_ratios=(1.0, 1.4, 1.1, 0.9))
         through.plot(s.position, 100 * s.through, color=BLUE)
-        through.set_title("through the thickness: indentation under the road wheels")
+        through.set_title(f"through the thickness: indentation under road wheels 1 to {len(s.half_lengths)}")
         through.set_ylabel("strain [%]")
         for row, label, colour in ((-1, "outer face", VERMILION), (cord, "at the cord", GREEN), (0, "inner face", ORANGE)):
             along.plot(s.position, 100 * s.along[row], color=colour, label=label)
@@ -124,7 +124,7 @@ def _spectrum_figure(out: Path, s: Spectrum) -> Figure:
         field.set_title("along the belt, over position and height")
         field.set_ylabel("height [mm]")
         field.grid(visible=False)
-        drawn.colorbar(mesh, ax=field, label="strain [%]", pad=0.01)
+        drawn.colorbar(mesh, cax=field.inset_axes((1.01, 0.0, 0.015, 1.0)), label="strain [%]")
         small.plot(s.position, 1e6 * np.full_like(s.position, s.tension), color=GREY, label="tension")
         small.plot(s.position, 1e6 * s.drive, color=BLACK, label="drive")
         small.set_title("along the belt: the parts by tension and drive")
@@ -143,7 +143,7 @@ def _spectrum_figure(out: Path, s: Spectrum) -> Figure:
             along.annotate(_name(wheel), ((start + end) / 2, 1.17 * top), ha="center", va="top", fontsize=8, color=INK)
         through.set_ylim(0.0, 100 * 1.25 * float(s.through.max()))
         for number, x in enumerate(loop.wheel_positions, 1):
-            through.annotate(f"road wheel {number}" if number == 1 else f"{number}", (x, 100 * 1.03 * float(s.through.max())),
+            through.annotate(f"{number}", (x, 100 * 1.03 * float(s.through.max())),
                              ha="center", va="bottom", fontsize=8, color=INK)
     return figure
 
@@ -157,10 +157,10 @@ def _rainflow_figure(out: Path, s: Spectrum) -> Figure:
                     "Strain rainflow matrix of one loop (the paper's Figure 11): range, mean and count of each cycle, those along the belt at every height.")
     rows: list[tuple[str, float, float, float, float]] = []
     for cycle in (c.cycle for c in s.counter.indentation_cycles(s.half_lengths)):
-        rows.append(("through", float("nan"), cycle.range, cycle.mean, cycle.count))
+        rows.append(("through", float("nan"), cycle.range, cycle.mean, cycle.number))
     for height in s.height:
         for cycle in sorted((c.cycle for c in s.counter.along_cycles(float(height), s.drive_strain, s.tension)), key=lambda c: -c.range):
-            rows.append(("along", float(height), cycle.range, cycle.mean, cycle.count))
+            rows.append(("along", float(height), cycle.range, cycle.mean, cycle.number))
     names = ("component", "height_m", "range", "mean", "count")
     write_csv(out / figure.csv, {name: np.array(column) for name, column in zip(names, zip(*rows, strict=True), strict=True)})
     data = np.array([row[1:] for row in rows], dtype=float)
@@ -175,20 +175,29 @@ def _rainflow_figure(out: Path, s: Spectrum) -> Figure:
         left.set_xlabel("strain range [%]")
         left.set_ylabel("strain mean [%]")
         left.set_title("range and mean")
-        left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2)
-        right.set_title("range of each cycle along the belt")
+        left.legend(loc="center right")
         bar = drawn.colorbar(left.collections[0], ax=left, pad=0.01)
         bar.set_label("height above the inner face [mm]")
-        for low, high in pairwise(s.height):
-            upper = data[along & (data[:, 0] == high), 1]
-            lower = data[along & (data[:, 0] == low), 1]
-            for rank in range(min(len(upper), len(lower))):
-                right.plot([100 * lower[rank], 100 * upper[rank]], [1e3 * low, 1e3 * high], color=(BLUE, ORANGE, GREEN, VERMILION, BLACK)[min(rank, 4)])
-        for rank, x in enumerate(100 * data[along & (data[:, 0] == s.height[-1]), 1]):
-            right.annotate(f"{rank + 1}", (x, 1e3 * s.height[-1]), xytext=(0, 3), textcoords="offset points", ha="center", fontsize=8, color=INK)
+        right.set_title("along the belt: range by height")
+        kinds = [_alike(data[along & (data[:, 0] == height), 1:]) for height in s.height]
+        for rank, (_, count) in enumerate(kinds[-1]):
+            ranges = [kind[rank][0] if len(kind) == len(kinds[-1]) else np.nan for kind in kinds]
+            right.plot(100 * np.array(ranges), 1e3 * s.height, color=(BLUE, ORANGE, GREEN, VERMILION, BLACK)[rank % 5], label=f"{count:g} per loop")
+        right.legend(loc="lower right")
         right.set_xlabel("strain range [%]")
         right.set_ylabel("height above the inner face [mm]")
     return figure
+
+
+def _alike(cycles: Array) -> list[tuple[float, float]]:
+    """Rows (range, mean, count) whose ranges differ by less than `ALIKE` as one: (range, sum of counts), largest first."""
+    kinds: list[tuple[float, float]] = []
+    for size, _, count in sorted(cycles.tolist(), reverse=True):
+        if kinds and size > (1.0 - ALIKE) * kinds[-1][0]:
+            kinds[-1] = (kinds[-1][0], kinds[-1][1] + count)
+        else:
+            kinds.append((size, count))
+    return kinds
 
 
 def _counted(pairs: Array) -> tuple[Array, Array]:

@@ -57,8 +57,8 @@ def load(path_or_name: str | os.PathLike[str], overrides: Mapping[str, float] | 
 def variants(vehicle: Vehicle) -> Callable[[Mapping[str, float]], Vehicle]:
     """A function that makes the same vehicle with other values, by path; it reads the file only once."""
     content = read_yaml(vehicle.source)
-    methods = {"hysteresis": vehicle.hysteresis, "thermal": vehicle.thermal}
-    return lambda overrides: replace(build(vehicle.source, content, overrides), **methods)
+    return lambda overrides: replace(build(vehicle.source, content, overrides),
+                                     hysteresis=vehicle.hysteresis, thermal=vehicle.thermal)
 
 
 def build(path: Path, content: Mapping[str, Any], overrides: Mapping[str, float] | None = None) -> Vehicle:

@@ -1,0 +1,188 @@
+"""The commands as a user types them, each in a process of its own."""
+
+import csv
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("commands")
+
+
+def trackres(*arguments, cwd=None):
+    return subprocess.run([sys.executable, "-m", "trackres_ros", *map(str, arguments)], capture_output=True, text=True, check=False,
+                          cwd=cwd, env={**os.environ, "COLUMNS": "200"})
+
+
+def good(*arguments, cwd=None):
+    done = trackres(*arguments, cwd=cwd)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def table(path):
+    with path.open() as lines:
+        rows = list(csv.DictReader(lines))
+    return {name: np.array([float(row[name] or "nan") for row in rows]) for name in rows[0]}
+
+
+@pytest.fixture(scope="module")
+def sample(folder):
+    good("record-sample", "--laps", 1, "--speed-kmh", 30, "-o", folder / "lap.mcap")
+    return folder / "lap.mcap"
+
+
+def test_help_teaches_every_command():
+    top = good("--help")
+    for command in ("simulate", "replay", "explain", "reproduce", "record-sample"):
+        assert command in top
+        text = good(command, "--help")
+        assert "trackres " + command in text
+    assert "trackres vehicle check" in good("vehicle", "check", "--help")
+
+
+def test_simulate_writes_the_columns_of_the_issue(folder):
+    done = json.loads(good("simulate", "--vehicle", "xgd24d", "--speed-kmh", 50, "--ramp-s", 50, "--duration-s", 300, "--ambient-degc", 15,
+                           "--weight-kn", 300, "--dt", 0.5, "-o", folder / "s.csv", "--json"))
+    columns = table(folder / "s.csv")
+    assert list(columns) == ["time_s", "speed_mps", "weight_n", "ambient_degc", "belt_degc", "resistance_torque_nm", "hysteresis_nm",
+                             "bearing_nm", "wind_nm", "inertia_nm", "drive_torque_nm"]
+    assert len(columns["time_s"]) == done["rows"] == 601
+    assert columns["weight_n"] == pytest.approx(300e3)
+    parts = columns["hysteresis_nm"] + columns["bearing_nm"] + columns["wind_nm"]
+    assert columns["resistance_torque_nm"] == pytest.approx(parts)
+    assert columns["drive_torque_nm"] == pytest.approx(parts + columns["inertia_nm"])
+    assert columns["inertia_nm"][50] > 1000 > abs(columns["inertia_nm"][-1])
+
+
+@pytest.mark.parametrize("suffix", ["csv", "csv.gz", "parquet", "mcap"])
+def test_simulate_takes_a_profile_and_writes_every_format(folder, suffix):
+    profile = folder / "profile.csv"
+    profile.write_text("time_s,speed_kmh\n0,0\n20,36\n60,36\n")
+    out = folder / f"p.{suffix}"
+    done = json.loads(good("simulate", "--vehicle", "xgd24d", "--profile", profile, "--initial-degc", 40, "-o", out, "--json"))
+    assert out.stat().st_size > 1000
+    assert done["points"][-1]["speed_mps"] == pytest.approx(10.0)
+    assert 39 < done["points"][0]["belt_degc"] < 43
+
+
+def test_methods_differ_as_the_model_says(folder):
+    torque = {}
+    for method in ("spectral", "rainflow"):
+        done = json.loads(good("simulate", "--vehicle", "xgd24d", "--speed-kmh", 10, "--duration-s", 60, "--method", method, "--thermal",
+                               "core_surface", "-o", folder / f"{method}.csv", "--json"))
+        assert (done["method"], done["thermal"]) == (method, "core_surface")
+        torque[method] = done["points"][-1]["hysteresis_nm"]
+    assert 1.4 < torque["spectral"] / torque["rainflow"] < 2.2
+
+
+def test_explain_says_what_the_issue_asks():
+    result = json.loads(good("explain", "--vehicle", "xgd24d", "--speed-kmh", 50, "--belt-degc", 15, "--json"))
+    assert {"wheel_loads_n", "contact", "tension_n", "loss_force_n", "torque_nm", "heat_w", "cooling_w", "rainflow"} <= result.keys()
+    assert set(result["contact"][0]) == {"half_length_m", "max_strain", "frequency_hz", "modulus_mpa"}
+    assert set(result["loss_force_n"]) == {"indentation", "bending", "tension", "drive", "total"}
+    assert {"hysteresis", "bearing", "wind", "inertia", "resistance"} == result["torque_nm"].keys()
+    assert result["heat_w"] == pytest.approx(4 * result["loss_force_n"]["total"] * 50 / 3.6)
+    assert {row[3] for row in result["rainflow"]} == {"through", "along"}
+    assert "Torque at the sprockets" in good("explain", "--vehicle", "agri3t", "--speed-kmh", -5, "--belt-degc", 15)
+
+
+def test_vehicle_check_prints_what_follows_with_units():
+    text = good("vehicle", "check", "xgd24d", "--points", 50)
+    for word in ("wheel loads", "17000", "belt mass", "kg", "heat capacity", "kJ/K", "tension", "loss table", "%"):
+        assert word in text
+    checked = json.loads(good("vehicle", "check", "agri3t", "--points", 50, "--json"))
+    assert checked["tracks"]["low"]["table"]["largest_error"] < 0.003
+
+
+def test_replay_of_a_bag_with_a_topics_file(folder, sample, repository):
+    out = folder / "estimate.csv"
+    topics = repository / "config" / "topics" / "sample.yaml"
+    done = json.loads(good("replay", sample, "--vehicle", "xgd24d", "--topics", topics, "-o", out, "--json"))
+    assert done["written"] == [str(out), str(folder / "estimate.png")]
+    columns = table(out)
+    assert len(columns["time_s"]) == done["steps"] == done["counters"]["speed"]["accepted"]
+    assert 2700 < done["resistance_torque_nm"]["largest"] < 3500
+    assert columns["belt_degc/front_left"][-1] > columns["belt_degc/front_left"][0]
+    assert any("quantised" in finding["kind"] for finding in done["findings"])
+    assert (folder / "estimate.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+
+
+def test_replay_twice_gives_the_same_bytes(folder, sample):
+    for name in ("one", "two"):
+        good("replay", sample, "--vehicle", "xgd24d", "-o", folder / f"{name}.csv")
+        good("replay", sample, "--vehicle", "xgd24d", "-o", folder / f"{name}.mcap")
+    for suffix in ("csv", "mcap", "png"):
+        assert (folder / f"one.{suffix}").read_bytes() == (folder / f"two.{suffix}").read_bytes()
+
+
+def test_replay_stopped_and_resumed_gives_the_same_rows(folder):
+    time = np.arange(0, 60, 0.1)
+    lines = [f"{t:.1f},{8 + np.sin(t):.4f},{15 + t / 60:.3f}" for t in time]
+    head = "time_s,speed_mps,ambient_degc"
+    (folder / "whole.csv").write_text("\n".join([head, *lines]))
+    (folder / "first.csv").write_text("\n".join([head, *lines[:250]]))
+    (folder / "second.csv").write_text("\n".join([head, *lines[250:]]))
+    for name, extra in (("whole", ()), ("first", ("--save-state", folder / "state.json")), ("second", ("--resume", folder / "state.json"))):
+        good("replay", folder / f"{name}.csv", "--vehicle", "xgd24d", "-o", folder / f"{name}-out.csv", *extra)
+    whole, first, second = (table(folder / f"{name}-out.csv") for name in ("whole", "first", "second"))
+    for name in whole:
+        if name != "time_s":
+            assert np.array_equal(whole[name], np.concatenate([first[name], second[name]]), equal_nan=True), name
+
+
+def test_a_recording_with_torque_gives_a_residual(folder):
+    rows = [f"{t},10,300000,{3000 + t},20" for t in range(100)]
+    (folder / "torque.csv").write_text("\n".join(["time_s,speed_mps,weight_n,torque_nm,ambient_degc", *rows]))
+    good("replay", folder / "torque.csv", "--vehicle", "xgd24d", "-o", folder / "torque-out.csv")
+    columns = table(folder / "torque-out.csv")
+    assert columns["residual_nm"] == pytest.approx(columns["measured_torque_nm"] - columns["drive_torque_nm"])
+
+
+BAD = [
+    (("simulate", "--vehicle", "nope", "--speed-kmh", "50", "-o", "x.csv"), "xgd24d"),
+    (("simulate", "--vehicle", "xgd24d", "--speed-kmh", "fast", "-o", "x.csv"), "fast"),
+    (("simulate", "--vehicle", "xgd24d", "--speed-kmh", "nan", "-o", "x.csv"), "nan"),
+    (("simulate", "--vehicle", "xgd24d", "--speed-kmh", "99", "-o", "x.csv"), "max_speed"),
+    (("simulate", "--vehicle", "xgd24d", "-o", "x.csv"), "--profile"),
+    (("simulate", "--vehicle", "xgd24d", "--speed-kmh", "5", "-o", "x.txt"), ".parquet"),
+    (("simulate", "--vehicle", "xgd24d", "--speed-kmh", "5", "-o", "no/such/x.csv"), "mkdir"),
+    (("simulate", "--vehicle", "xgd24d", "--profile", "none.csv", "-o", "x.csv"), "none.csv"),
+    (("replay", "none.mcap", "--vehicle", "xgd24d", "-o", "x.csv"), "none.mcap"),
+    (("replay", "--vehicle", "xgd24d", "-o", "x.csv"), "RECORDING"),
+    (("replay", "notes.txt", "--vehicle", "xgd24d", "-o", "x.csv"), ".mcap"),
+    (("replay", "empty.csv", "--vehicle", "xgd24d", "-o", "x.csv"), "empty.csv"),
+    (("replay", "good.csv", "--vehicle", "xgd24d", "--params", "params.yaml", "-o", "x.csv"), "gap_s"),
+    (("replay", "good.csv", "--vehicle", "xgd24d", "--resume", "none.json", "-o", "x.csv"), "none.json"),
+    (("replay", "kmh.csv", "--vehicle", "xgd24d", "-o", "x.csv"), "unit"),
+    (("explain", "--vehicle", "xgd24d", "--speed-kmh", "5"), "--belt-degc"),
+    (("explain", "--vehicle", "xgd24d", "--speed-kmh", "5", "--belt-degc", "20", "--weight-kn", "1"), "--weight-kn"),
+    (("vehicle", "check", "broken.yaml"), "thickness"),
+    (("fly",), "fly"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "named"), BAD, ids=[" ".join(a)[:60] for a, _ in BAD])
+def test_bad_input_is_one_line_and_exit_code_2(tmp_path, repository, arguments, named):
+    (tmp_path / "notes.txt").write_text("nothing")
+    (tmp_path / "empty.csv").write_text("")
+    (tmp_path / "good.csv").write_text("time_s,speed_mps\n0,1\n1,2\n")
+    (tmp_path / "kmh.csv").write_text("time_s,speed_mps\n0,50\n1,51\n")
+    (tmp_path / "params.yaml").write_text("gap_s: -1\n")
+    config = repository / "config"
+    broken = (config / "xgd24d.yaml").read_text().replace("thickness: {value: 0.035", "thickness: {value: 0.35")
+    (tmp_path / "broken.yaml").write_text(broken.replace("rubber/nr", f"{config}/rubber/nr"))
+    done = trackres(*arguments, cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert "Traceback" not in done.stderr
+    assert done.stderr.startswith("trackres: error: ")
+    assert done.stderr.count("\n") == 1
+    assert named in done.stderr
+    assert not (tmp_path / "x.csv").exists()

@@ -1,0 +1,259 @@
+"""Equations (27) to (29): heat per metre of travel, by closed forms, by the work of the stress, and against each other."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trackres_ros.model import contact, hysteresis
+from trackres_ros.model.belt import bending_moment_of_height, wrapped_radius
+from trackres_ros.model.hysteresis import HARMONICS, METHODS, LossMethod, RainflowCount, Spectral
+from trackres_ros.model.rubber import RubberModel
+from trackres_ros.model.strain_history import Profile, build_loop, indentation_amplitudes
+from trackres_ros.model.track import load_range
+from trackres_ros.vehicle import Rubber, Track, Vehicle
+
+FLAT_STORAGE, FLAT_LOSS = 20e6, 2e6  # of the rubber without dispersion
+FLAT_DYNAMIC = math.hypot(FLAT_STORAGE, FLAT_LOSS)
+# Loss of one wheel over (E''/E) F^(4/3) H^(1/3) / (E^(1/3) L_w^(1/3) R_w^(2/3)), by counting and exactly.
+K_RAINFLOW = math.pi / 16.0 * 1.5 ** (4.0 / 3.0)
+K_EXACT = K_RAINFLOW * 16.0 / math.pi**2
+
+temperatures = st.floats(-50.0, 120.0)
+both_methods = pytest.mark.parametrize("method", list(METHODS.values()), ids=list(METHODS))
+
+
+def single_wheel(track: Track) -> Track:
+    """The same track on one road wheel: an isolated pulse through the thickness."""
+    return replace(track, beams=0, road_wheels=replace(track.road_wheels, positions=(0.675,)))
+
+
+def bending_by_hand(track: Track, loss_modulus: float) -> float:
+    """F_bend with kappa = 1: (pi/4) E'' W [(H-h0)^3 + h0^3]/3 times the sum of squared curvatures."""
+    belt = track.belt
+    section = ((belt.thickness - belt.cord_height) ** 3 + belt.cord_height**3) / 3.0
+    curvatures = sum(wrapped_radius(w.radius, w.wrap_angle, belt) ** -2 for w in track.wrapped_wheels)
+    return math.pi / 4.0 * loss_modulus * belt.width * section * curvatures
+
+
+def indentation_by_hand(track: Track, load: float) -> float:
+    """F_ind of one wheel for small contacts, without its factor k."""
+    wheels = track.road_wheels
+    return (FLAT_LOSS / FLAT_DYNAMIC * load ** (4 / 3) * track.belt.thickness ** (1 / 3)
+            / (FLAT_DYNAMIC * wheels.contact_length * wheels.radius**2) ** (1 / 3))
+
+
+def test_the_factors_quoted_for_one_wheel() -> None:
+    assert round(K_RAINFLOW, 3) == 0.337
+    assert round(K_EXACT, 3) == 0.547
+
+
+@given(load=st.floats(2000.0, 20000.0), speed=st.floats(0.1, 20.0), belt_degc=temperatures)
+def test_rainflow_is_low_by_16_over_pi_squared_on_an_isolated_pulse(triangular: Track, flat_rubber: RubberModel, load: float,
+                                                                    speed: float, belt_degc: float) -> None:
+    track = single_wheel(triangular)
+    counted, exact = (method(track, flat_rubber).loss_force(speed, belt_degc, load).indentation for method in (RainflowCount, Spectral))
+    assert float(exact / counted) == pytest.approx(16.0 / math.pi**2, rel=0.004)
+
+
+@given(load=st.floats(2000.0, 8000.0))
+def test_indentation_in_closed_form(triangular: Track, flat_rubber: RubberModel, load: float) -> None:
+    track = single_wheel(triangular)
+    for method, k in ((RainflowCount, K_RAINFLOW), (Spectral, K_EXACT)):
+        loss = float(method(track, flat_rubber).loss_force(5.0, 20.0, load).indentation)
+        assert loss == pytest.approx(k * indentation_by_hand(track, load), rel=0.01)
+
+
+@given(radius=st.floats(0.1, 0.5), cord=st.floats(0.005, 0.03), loss=st.floats(0.1, 5.0), speed=st.floats(0.1, 20.0))
+def test_counted_bending_in_closed_form(triangular: Track, flat_rubber: RubberModel, radius: float, cord: float, loss: float,
+                                        speed: float) -> None:
+    wheels = tuple(replace(w, radius=radius if w.kind != "sprocket" else w.radius) for w in triangular.wrapped_wheels)
+    track = replace(triangular, wrapped_wheels=wheels, belt=replace(triangular.belt, cord_height=cord, loop_length=7.0))
+    rubber = RubberModel(replace(flat_rubber.rubber, loss_modulus_scale=loss))
+    counted = float(RainflowCount(track, rubber).loss_force(speed, 20.0, 68e3).bending)
+    assert counted == pytest.approx(bending_by_hand(track, loss * FLAT_LOSS), rel=1e-8)
+
+
+def test_counting_is_low_by_about_three_on_a_bending_plateau(triangular: Track, flat_rubber: RubberModel) -> None:
+    exact = float(Spectral(triangular, flat_rubber).loss_force(5.0, 20.0, 68e3).bending)
+    assert 2.5 < exact / bending_by_hand(triangular, FLAT_LOSS) < 4.0
+
+
+def test_spectral_loss_of_a_sine(triangular: Track, compound: Rubber, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Equation (28): a strain amplitude e at m cycles a loop loses pi m e^2 E''(m v/L) in a loop and unit volume."""
+    rubber, length, cycles, amplitude, speed, belt_degc = RubberModel(compound), triangular.belt.loop_length, 7, 3.0, 4.0, 25.0
+    at = np.arange(20000) / 20000 * length
+    sine = Profile(at, amplitude * np.sin(2 * np.pi * cycles * at / length + 0.4), length)
+    monkeypatch.setattr(hysteresis, "build_loop", lambda track: replace(build_loop(track), curvature=sine))
+    loss = float(Spectral(triangular, rubber).loss_force(speed, belt_degc, 68e3).bending)
+    per_volume = math.pi * cycles * amplitude**2 * float(rubber.loss_modulus(cycles * speed / length, belt_degc))
+    assert loss == pytest.approx(triangular.belt.width * bending_moment_of_height(triangular.belt, 2) * per_volume, rel=1e-5)
+
+
+def test_the_printed_range_squared_gives_four_times_the_loss_of_a_sine() -> None:
+    """Equation (29) puts the range where (28) has the amplitude."""
+    range_, loss_modulus = 0.02, 1e6
+    phase = np.linspace(0.0, 2 * np.pi, 20001)
+    strain, stress = range_ / 2 * np.sin(phase), loss_modulus * range_ / 2 * np.cos(phase)
+    work = float(np.sum((stress[1:] + stress[:-1]) / 2 * np.diff(strain)))
+    assert math.pi * loss_modulus * range_**2 / work == pytest.approx(4.0, rel=1e-6)
+
+
+class Maxwell(RubberModel):
+    """One spring and one dashpot in series, beside the moduli of a compound where contacts ask for them."""
+
+    MODULUS, RELAXATION_S = 5e6, 0.02
+
+    def loss_modulus(self, frequency: np.ndarray, belt_degc: np.ndarray) -> np.ndarray:
+        x = 2.0 * np.pi * np.asarray(frequency) * self.RELAXATION_S
+        return self.MODULUS * x / (1.0 + x * x) + 0.0 * np.asarray(belt_degc)
+
+
+def maxwell_work(profile: Profile, speed: float) -> float:
+    """Work [J/m^3] that a Maxwell element takes in on one loop in the steady state, segment by segment in closed form."""
+    tau, modulus = Maxwell.RELAXATION_S, Maxwell.MODULUS
+    times = np.diff(np.append(profile.position, profile.position[0] + profile.length)) / speed
+    rates = np.diff(np.append(profile.value, profile.value[0])) / times
+
+    def once_round(stress: float) -> tuple[float, float]:
+        work = 0.0
+        for t, rate in zip(times, rates, strict=True):
+            settled = modulus * rate * tau
+            work += rate * (settled * t + (stress - settled) * tau * -math.expm1(-t / tau))
+            stress = settled + (stress - settled) * math.exp(-t / tau)
+        return stress, work
+
+    at_zero, at_one = once_round(0.0)[0], once_round(1.0)[0]
+    return once_round(at_zero / (1.0 - (at_one - at_zero)))[1]
+
+
+@pytest.mark.parametrize("speed", [0.5, 3.0, 15.0])
+def test_spectral_loss_is_the_work_of_the_stress(track: Track, compound: Rubber, speed: float) -> None:
+    """No frequency domain: integrate stress over strain round the loop, for a material whose stress is known in closed form."""
+    rubber = Maxwell(compound)
+    exact = maxwell_work(build_loop(track).curvature, speed) * track.belt.width * bending_moment_of_height(track.belt, 2)
+    assert float(Spectral(track, rubber).loss_force(speed, 20.0, 30e3).bending) == pytest.approx(exact, rel=1e-4)
+
+
+def test_the_pulse_to_fourth_order_is_as_good_as_the_circle(vehicle: Vehicle, track: Track) -> None:
+    """Against harmonics of the circular arc itself, at the deepest contact the tables cover."""
+    model = Spectral(track, RubberModel(vehicle.rubber))
+    half = float(model.contacts(1.0, 120.0, load_range(vehicle, track.name).high).half_length[0])
+    radius, length, n = track.road_wheels.radius, track.belt.loop_length, model.harmonics
+    nodes, weights = np.polynomial.legendre.leggauss(2000)
+    strain = contact.indentation(nodes * half, half, radius) / track.belt.thickness
+    exact = 2.0 / length * half * np.cos(2 * np.pi / length * np.outer(n, nodes * half)) @ (weights * strain)
+    ours = indentation_amplitudes(half, radius, track.belt.thickness, length, n)
+    assert float((n * ours**2).sum() / (n * exact**2).sum()) == pytest.approx(1.0, abs=1e-3)
+
+
+def test_doubling_the_harmonics_moves_the_loss_by_less_than_a_thousandth(vehicle: Vehicle, track: Track) -> None:
+    random, points, rubber = np.random.default_rng(1), 80, RubberModel(vehicle.rubber)
+    loads = load_range(vehicle, track.name)
+    at = (random.uniform(0.01, vehicle.chassis.max_speed, points), random.uniform(-60.0, 120.0, points),
+          random.uniform(loads.low, loads.high, points))
+    shipped, doubled = (Spectral(track, rubber, count).loss_force(*at) for count in (HARMONICS, 2 * HARMONICS))
+    assert np.abs(doubled.total / shipped.total - 1.0).max() < 1e-3
+    assert np.abs(doubled.bending / shipped.bending - 1.0).max() < 1e-3
+
+
+def method_of(method: type[LossMethod], vehicle: Vehicle, **rubber: float) -> LossMethod:
+    return method(next(iter(vehicle.tracks.values())), RubberModel(replace(vehicle.rubber, **rubber)))
+
+
+@both_methods
+@given(data=st.data(), belt_degc=temperatures, speed=st.floats(0.0, 1.0))
+def test_the_loss_rises_with_load(vehicle: Vehicle, method: type[LossMethod], data: st.DataObject, belt_degc: float, speed: float) -> None:
+    loads = load_range(vehicle, next(iter(vehicle.tracks)))
+    low = data.draw(st.floats(loads.low, 0.98 * loads.high))
+    high = data.draw(st.floats(1.01 * low, loads.high))
+    light, heavy = method_of(method, vehicle).loss_force(speed * vehicle.chassis.max_speed, belt_degc, np.array([low, high])).total
+    assert light < heavy
+
+
+@both_methods
+@given(scale=st.floats(0.5, 1.9), belt_degc=temperatures, speed=st.floats(0.0, 16.0))
+def test_the_loss_rises_with_the_loss_modulus(xgd24d: Vehicle, method: type[LossMethod], scale: float, belt_degc: float, speed: float) -> None:
+    """As long as the loss factor is under the square root of 3: beyond it the contact shrinks faster than the loss grows."""
+    less, more = (method_of(method, xgd24d, loss_modulus_scale=s).loss_force(speed, belt_degc, 68e3).total for s in (scale, 1.05 * scale))
+    assert less < more
+
+
+def mirrored(track: Track) -> Track:
+    run = track.road_wheels.ground_run
+    wheels = replace(track.road_wheels, positions=tuple(run - x for x in reversed(track.road_wheels.positions)))
+    return replace(track, road_wheels=wheels, wrapped_wheels=track.wrapped_wheels[::-1])
+
+
+@both_methods
+@given(speed=st.floats(0.01, 16.0), belt_degc=temperatures, share=st.floats(-0.2, 0.2))
+def test_reverse_is_the_mirror_image_of_forward(vehicle: Vehicle, method: type[LossMethod], speed: float, belt_degc: float,
+                                                share: float) -> None:
+    """Travel that way does not matter; a torque does by its sense, as tight and slack run change over."""
+    track, rubber = next(iter(vehicle.tracks.values())), RubberModel(vehicle.rubber)
+    load = load_range(vehicle, track.name).nominal
+    torque = share * load * track.sprocket_radius
+    forward, reverse = (method(track, rubber).loss_force(v, belt_degc, load, torque) for v in (speed, -speed))
+    assert [float(part) for part in forward] == [float(part) for part in reverse]
+    seen_from_behind = method(mirrored(track), rubber).loss_force(speed, belt_degc, load, -torque)
+    assert float(seen_from_behind.total) == pytest.approx(float(forward.total), rel=1e-9)
+    assert float(seen_from_behind.drive) == pytest.approx(float(forward.drive), rel=1e-6, abs=1e-9 * float(forward.total))
+
+
+@both_methods
+def test_the_loss_per_metre_has_a_limit_at_rest(vehicle: Vehicle, method: type[LossMethod]) -> None:
+    """F_h stays finite, so the heat F_h v is zero at rest, and M = F_h R1 is never 0/0 as equation (33) is."""
+    loads = load_range(vehicle, next(iter(vehicle.tracks)))
+    losses = method_of(method, vehicle).loss_force(np.array([0.0, 1e-9, 1e-8]), 20.0, loads.nominal).total
+    assert np.isfinite(losses).all()
+    assert (losses > 0.0).all()
+    assert losses == pytest.approx(np.full(3, losses[0]), rel=1e-6)
+
+
+@both_methods
+def test_a_vectorised_call_is_its_points(vehicle: Vehicle, method: type[LossMethod]) -> None:
+    model, random = method_of(method, vehicle), np.random.default_rng(2)
+    loads = load_range(vehicle, model.track.name)
+    speed, belt_degc = random.uniform(0.0, vehicle.chassis.max_speed, (5, 1)), random.uniform(-40.0, 100.0, (1, 7))
+    load, torque = random.uniform(loads.low, loads.high, (5, 7)), random.uniform(-100.0, 100.0, (5, 7))
+    whole = model.loss_force(speed, belt_degc, load, torque)
+    assert whole.total.shape == (5, 7)
+    for i in np.ndindex(5, 7):
+        point = model.loss_force(speed[i[0], 0], belt_degc[0, i[1]], load[i], torque[i])
+        assert [float(part) for part in point] == pytest.approx([float(part[i]) for part in whole], rel=1e-8, abs=1e-9)
+
+
+def test_a_counted_cycle_lasts_as_long_as_its_passage(triangular: Track, compound: Rubber) -> None:
+    """The contact 2a, so f = v/(2a); or the wrap of a wheel with half the length it takes up its curvature on either side."""
+    count = RainflowCount(triangular, RubberModel(compound))
+    half = np.array([0.02, 0.021, 0.022, 0.023])
+    pulses = count.indentation_cycles(half)
+    assert sorted({round(c.passage, 9) for c in pulses}) == pytest.approx([0.04, 0.042, 0.044, 0.046])
+    assert sum(c.cycle.count for c in pulses) == 4.0
+    bends = count.along_cycles(triangular.belt.thickness, 0.0)
+    arcs = {round(w.wrap_angle * (w.radius + triangular.belt.cord_height) + triangular.belt.curvature_length, 9)
+            for w in triangular.wrapped_wheels}
+    assert sorted({round(c.passage, 9) for c in bends}) == pytest.approx(sorted(arcs))
+
+
+def test_a_drive_torque_strains_the_belt_by_its_force_over_the_stiffness(triangular: Track, compound: Rubber) -> None:
+    model = Spectral(triangular, RubberModel(compound))
+    strain = float(model.drive_strain(5.0, 20.0, 720.0))
+    modulus = float(model.rubber.dynamic_modulus(5.0 / 4.8, 20.0))
+    assert strain == pytest.approx(720.0 / 0.36 / (1.2e11 * 0.0006 + modulus * (0.635 * 0.035 - 0.0006)))
+    assert strain < 5e-5
+
+
+def test_the_layer_stiffening_acts_on_both_moduli_of_the_layer(triangular: Track, flat_rubber: RubberModel) -> None:
+    """Twice as stiff a layer loses what a material with twice both moduli loses, and bends as before."""
+    stiff = RubberModel(replace(flat_rubber.rubber, layer_stiffening=2.0))
+    doubled = RubberModel(replace(flat_rubber.rubber, storage_pa=2 * flat_rubber.rubber.storage_pa, loss_pa=2 * flat_rubber.rubber.loss_pa))
+    for method in METHODS.values():
+        layer, material = (method(triangular, rubber).loss_force(5.0, 20.0, 68e3) for rubber in (stiff, doubled))
+        assert float(layer.indentation) == pytest.approx(float(material.indentation), rel=1e-9)
+        assert float(layer.bending) == pytest.approx(float(material.bending) / 2, rel=1e-9)
