@@ -67,7 +67,7 @@ def belt_variance(belt: Array, at_core: float, at_surface: float) -> float:
 
 
 @compiled
-def advance_belt(k: Constants, i: int, belt: Array, speed: float, log_load: float, drive_torque: float,
+def advance_belt(k: Constants, i: int, belt: Array, speed: float, log10_speed: float, log_load: float, drive_torque: float,
                  ambient: float, ambient_std: float, dt: float) -> tuple[float, float]:
     """Advance one belt by dt [s] at constant speed [m/s]; changes `belt`, returns heat in and out [J] over the step.
 
@@ -78,21 +78,23 @@ def advance_belt(k: Constants, i: int, belt: Array, speed: float, log_load: floa
     their difference is the heat stored to rounding.
     """
     temperature = belt[0, TEMPERATURE]
-    loss, loss_slope = loss_force(k, i, temperature, log_speed(speed), log_load, drive_torque)
+    loss, loss_slope = loss_force(k, i, temperature, log10_speed, log_load, drive_torque)
     travel = abs(speed)
     power, power_slope = loss * travel, loss_slope * travel
     cooling = film_coefficient(speed, k.assembly[i, at.FILM_OFFSET], k.assembly[i, at.FILM_SLOPE]) * k.assembly[i, at.AREA]
     capacity = k.assembly[i, at.CORE_CAPACITY]
     if not k.number.two_nodes:
-        rate = (power - cooling * (temperature - ambient)) / capacity
-        growth = (power_slope - cooling) / capacity
+        per_capacity = 1.0 / capacity
+        gained, lost = power * per_capacity, cooling * (temperature - ambient) * per_capacity
+        rate, growth = gained - lost, (power_slope - cooling) * per_capacity
         mean = dt * phi_1(growth * dt)
         for cause in range(3):
-            forced = (power * k.assembly[i, at.LOSS_DOUBT + cause] - cooling * (temperature - ambient) * k.assembly[i, at.COOLING_DOUBT + cause]
-                      ) / capacity - rate * k.assembly[i, at.CAPACITY_DOUBT + cause]
+            forced = (gained * k.assembly[i, at.LOSS_DOUBT + cause] - lost * k.assembly[i, at.COOLING_DOUBT + cause]
+                      - rate * k.assembly[i, at.CAPACITY_DOUBT + cause])
             belt[0, DOUBT_1 + cause] += mean * (growth * belt[0, DOUBT_1 + cause] + forced)
-        belt[0, DOUBT_AMBIENT] += mean * (growth * belt[0, DOUBT_AMBIENT] + cooling / capacity * ambient_std)
-        belt[0, NOISE_1] = math.sqrt((belt[0, NOISE_1] * (1.0 + mean * growth)) ** 2 + k.number.process_noise * k.number.process_noise * dt)
+        belt[0, DOUBT_AMBIENT] += mean * (growth * belt[0, DOUBT_AMBIENT] + cooling * per_capacity * ambient_std)
+        kept = belt[0, NOISE_1] * (1.0 + mean * growth)
+        belt[0, NOISE_1] = math.sqrt(kept * kept + k.number.process_noise * k.number.process_noise * dt)
         belt[0, TEMPERATURE] = temperature + mean * rate
         departure = dt * dt * phi_2(growth * dt) * rate
         return power * dt + power_slope * departure, cooling * ((temperature - ambient) * dt + departure)

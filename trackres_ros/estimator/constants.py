@@ -104,7 +104,8 @@ def make_constants(vehicle: Vehicle, settings: Settings, cache: Path | None = No
     for row, load, assembly in zip(constants, loads, vehicle.assemblies, strict=True):
         track, table = vehicle.track_of(assembly), tables[names.index(assembly.track)]
         network = thermal_network(vehicle.thermal, track.belt, vehicle.rubber)
-        row[at.AXLE], row[at.TABLE] = axle_names.index(assembly.axle), names.index(assembly.track)
+        row[at.AXLE] = axle_names.index(assembly.axle)
+        row[at.KIND] = row[at.TABLE] = names.index(assembly.track)
         row[at.NOMINAL_LOAD], row[at.RADIUS] = load, track.sprocket_radius
         row[at.CORE_CAPACITY], row[at.SKIN_CAPACITY] = network.core_capacity, network.surface_capacity
         row[at.INNER_CONDUCTANCE], row[at.AREA] = network.inner_conductance, network.area

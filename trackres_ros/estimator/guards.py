@@ -182,7 +182,8 @@ def gather(k: Constants, memory: Memory, outcome: int, quantum: float, loads: Ar
         for channel in (at.BELT, first_belt + i):
             if memory.times[channel, at.FRESH]:
                 belt_measured[i] = memory.values[channel]
-    for channel in range(memory.times.shape[0]):
-        memory.times[channel, at.FRESH] = 0
+    memory.times[at.BELT, at.FRESH] = 0
+    for i in range(loads.shape[0]):
+        memory.times[first_belt + i, at.FRESH] = 0
     return Inputs(speed, loads, ambient, ambient_std, belt_measured, held(memory, at.ACCEL, now, k.number.motion_hold_ns),
                   held(memory, at.GRADE, now, k.number.motion_hold_ns), held(memory, at.TORQUE, now, k.number.torque_hold_ns), reasons)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from trackres_ros.compiled import compiled
 from trackres_ros.estimator import layout as at
 from trackres_ros.estimator.belt_step import (
+    SLOWEST_LOG_SPEED,
     add_noise,
     advance_belt,
     belt_variance,
@@ -25,6 +26,7 @@ from trackres_ros.model.resistance import bearing_force, direction, grade_force,
 
 Array = NDArray[np.float64]
 
+FIRST_OF_ASSEMBLIES, COLUMNS_EACH = len(at.VEHICLE_COLUMNS), len(at.ASSEMBLY_COLUMNS)
 LONGEST_SUBSTEP = 0.5        # s while rolling
 MOST_SUBSTEPS = 20000
 DISAGREES = 5.0              # standard deviations between measured and expected belt temperature
@@ -65,17 +67,21 @@ def start(k: Constants, belts: Array, motion: Array, ambient: float, ambient_std
 
 
 @compiled
-def roll(k: Constants, assembly: int, belt: Array, speed_from: float, speed_to: float, log_load: float,
+def roll(k: Constants, assembly: int, belt: Array, speed_from: float, speed_to: float, log10_middle: float, log_load: float,
          drive_torque: float, ambient: float, ambient_std: float, dt: float) -> tuple[float, float]:
-    """Advance one belt by dt [s] while the speed goes straight from one value to the other; heat in and out [J]."""
+    """Advance one belt by dt [s] while the speed goes straight from one value to the other; heat in and out [J].
+
+    `log10_middle` is log10 of the speed in the middle, which serves a short step of every belt.
+    """
+    if dt <= LONGEST_SUBSTEP or (speed_from == 0.0 and speed_to == 0.0):
+        middle = 0.5 * (speed_from + speed_to)
+        return advance_belt(k, assembly, belt, middle, log10_middle, log_load, drive_torque, ambient, ambient_std, dt)
     heat_in, heat_out = 0.0, 0.0
-    rolling = speed_from != 0.0 or speed_to != 0.0
-    steps = 1
-    if rolling and dt > LONGEST_SUBSTEP:
-        steps = min(int(math.ceil(dt / LONGEST_SUBSTEP)), MOST_SUBSTEPS)
+    steps = min(int(math.ceil(dt / LONGEST_SUBSTEP)), MOST_SUBSTEPS)
     for step in range(steps):
         speed = speed_from + (speed_to - speed_from) * (step + 0.5) / steps
-        gained, lost = advance_belt(k, assembly, belt, speed, log_load, drive_torque, ambient, ambient_std, dt / steps)
+        gained, lost = advance_belt(k, assembly, belt, speed, log_speed(speed), log_load, drive_torque, ambient, ambient_std,
+                                    dt / steps)
         heat_in += gained
         heat_out += lost
     return heat_in, heat_out
@@ -86,14 +92,160 @@ def pass_gap(k: Constants, assembly: int, belt: Array, speed_from: float, speed_
              ambient: float, ambient_std: float, dt: float) -> None:
     """A gap too long to bridge: the middle between resting and driving on all the while, and as uncertain as they differ."""
     rested = belt.copy()
-    roll(k, assembly, rested, 0.0, 0.0, log_load, 0.0, ambient, ambient_std, dt)
-    roll(k, assembly, belt, speed_from, speed_to, log_load, 0.0, ambient, ambient_std, dt)
+    roll(k, assembly, rested, 0.0, 0.0, SLOWEST_LOG_SPEED, log_load, 0.0, ambient, ambient_std, dt)
+    roll(k, assembly, belt, speed_from, speed_to, log_speed(0.5 * (speed_from + speed_to)), log_load, 0.0, ambient, ambient_std, dt)
     difference_1 = belt[0, at.TEMPERATURE] - rested[0, at.TEMPERATURE]
     difference_2 = belt[1, at.TEMPERATURE] - rested[1, at.TEMPERATURE]
     for node in range(2):
         for column in range(at.BELT_COLUMNS):
             belt[node, column] = 0.5 * (belt[node, column] + rested[node, column])
     add_noise(belt, difference_1 / math.sqrt(12.0), difference_2 / math.sqrt(12.0))
+
+
+class Road(NamedTuple):
+    """What all assemblies share in a step: speeds [m/s], forces on the whole vehicle [N], surroundings, time [s]."""
+
+    last_speed: float
+    speed: float
+    log10_middle: float
+    log10_speed: float
+    sign: float
+    weight: float
+    bearing: float
+    wind: float
+    uphill: float
+    inertia: float
+    last_drive: float
+    ambient: float
+    ambient_std: float
+    dt: float
+
+
+@compiled
+def measure(k: Constants, i: int, belt: Array, measured: float, ambient: float, speed: float) -> int:
+    """Correct one belt by a new measurement [degC]; the reasons it gives."""
+    shown, to_core, to_surface = belt[0, at.TEMPERATURE], 1.0, 0.0
+    if k.number.belt_shows_surface:
+        shown, to_core, to_surface = surface(k, i, belt, ambient, speed)
+    expected_variance = belt_variance(belt, to_core, to_surface) + k.number.belt_measured_variance
+    if (measured - shown) ** 2 > DISAGREES * DISAGREES * expected_variance:
+        return DISAGREEING
+    correct_belt(belt, measured, k.number.belt_measured_variance, shown, to_core, to_surface)
+    return 0
+
+
+@compiled
+def advance_assembly(k: Constants, i: int, belt: Array, load: float, measured: float, road: Road, part: Array, out: Array) -> int:
+    """Advance one assembly; fills its `part` of the totals and its columns of `out`, returns its reasons."""
+    radius, share, log_load = k.assembly[i, at.RADIUS], load / road.weight, math.log(load)
+    reasons = 0
+    # The drive torque strains the belt and is itself moved by the loss: that of the last step is taken.
+    drive = road.last_drive * share
+    part[at.PART_HEAT] = part[at.PART_COOLING] = 0.0
+    if road.dt > k.number.bridge:
+        pass_gap(k, i, belt, road.last_speed, road.speed, log_load, road.ambient, road.ambient_std, road.dt)
+    elif road.dt > 0.0:
+        heat_in, heat_out = roll(k, i, belt, road.last_speed, road.speed, road.log10_middle, log_load, drive, road.ambient,
+                                 road.ambient_std, road.dt)
+        part[at.PART_HEAT] = heat_in / road.dt
+        part[at.PART_COOLING] = heat_out / road.dt
+    if not math.isnan(measured):
+        reasons |= measure(k, i, belt, measured, road.ambient, road.speed)
+    temperature = belt[0, at.TEMPERATURE]
+    loss, slope = loss_force(k, i, temperature, road.log10_speed, log_load, drive)
+    own = radius * loss * road.sign
+    std = math.sqrt(belt_variance(belt, 1.0, 0.0))
+    if std > k.number.belt_std_warn:
+        reasons |= BELT_UNSURE
+    first_log_load = k.assembly[i, at.FIRST_LOG_LOAD]
+    last_log_load = first_log_load + k.assembly[i, at.STEP_LOG_LOAD] * (k.loss.shape[2] - 1)
+    if not (DRIVING_TEMPERATURES[0] < temperature < DRIVING_TEMPERATURES[1]) or not (
+            first_log_load - 1e-9 <= log_load <= last_log_load + 1e-9):
+        reasons |= OUTSIDE
+
+    arm = radius * share
+    resisting = own + arm * (road.bearing + road.wind)
+    by_temperature = radius * slope * road.sign
+    part[at.PART_HYSTERESIS], part[at.PART_BEARING], part[at.PART_WIND] = own, arm * road.bearing, arm * road.wind
+    part[at.PART_GRADE], part[at.PART_INERTIA] = arm * road.uphill, arm * road.inertia
+    for cause in range(3):
+        part[at.PART_DOUBT + cause] = (by_temperature * belt[0, at.DOUBT_1 + cause] + own * k.assembly[i, at.LOSS_DOUBT + cause]
+                                       + resisting * k.assembly[i, at.RADIUS_DOUBT + cause])
+    part[at.PART_DOUBT + 3] = resisting * k.assembly[i, at.RADIUS_DOUBT + 3]
+    part[at.PART_DOUBT_AMBIENT] = by_temperature * belt[0, at.DOUBT_AMBIENT]
+    part[at.PART_NOISE] = by_temperature * by_temperature * (belt[0, at.NOISE_1] ** 2 + belt[0, at.NOISE_2] ** 2)
+    first = FIRST_OF_ASSEMBLIES + i * COLUMNS_EACH
+    out[first + at.PER_BELT] = temperature
+    out[first + at.PER_SURFACE] = surface(k, i, belt, road.ambient, road.speed)[0]
+    out[first + at.PER_STD] = std
+    out[first + at.PER_LOAD] = load
+    out[first + at.PER_RESISTANCE] = resisting
+    out[first + at.PER_HYSTERESIS] = own
+    return reasons
+
+
+@compiled
+def twin_of(k: Constants, i: int, belts: Array, inputs: Inputs) -> int:
+    """An earlier assembly of the same kind, load and belt state, to the bit, with nothing measured on either; else i.
+
+    What happens to it happens to this one, so it need not be computed again.
+    """
+    if not math.isnan(inputs.belt_measured[i]):
+        return i
+    for j in range(i):
+        if (k.assembly[j, at.KIND] != k.assembly[i, at.KIND] or inputs.load[j] != inputs.load[i]
+                or not math.isnan(inputs.belt_measured[j])):
+            continue
+        same = True
+        for column in range(at.BELT_COLUMNS):
+            same &= belts[j, 0, column] == belts[i, 0, column] and belts[j, 1, column] == belts[i, 1, column]
+        if same:
+            return j
+    return i
+
+
+@compiled
+def advance_assemblies(k: Constants, belts: Array, inputs: Inputs, road: Road, out: Array) -> tuple[Array, int]:
+    """Advance all assemblies; the sums of their parts, shape (PARTS,), and their reasons."""
+    assemblies = belts.shape[0]
+    parts, total = np.empty((assemblies, at.PARTS)), np.zeros(at.PARTS)
+    twins = np.empty(assemblies, dtype=np.int64)
+    for i in range(assemblies):
+        twins[i] = twin_of(k, i, belts, inputs)
+    reasons = 0
+    for i in range(assemblies):
+        if twins[i] == i:
+            reasons |= advance_assembly(k, i, belts[i], inputs.load[i], inputs.belt_measured[i], road, parts[i], out)
+        else:
+            j = twins[i]
+            for column in range(at.BELT_COLUMNS):
+                belts[i, 0, column] = belts[j, 0, column]
+                belts[i, 1, column] = belts[j, 1, column]
+            for column in range(at.PARTS):
+                parts[i, column] = parts[j, column]
+            for column in range(COLUMNS_EACH):
+                out[FIRST_OF_ASSEMBLIES + i * COLUMNS_EACH + column] = out[FIRST_OF_ASSEMBLIES + j * COLUMNS_EACH + column]
+        for column in range(at.PARTS):
+            total[column] += parts[i, column]
+    return total, reasons
+
+
+@compiled
+def feedforward(k: Constants, motion: Array, total: Array, given_accel: bool, dt: float) -> tuple[float, int]:
+    """Chosen parts [Nm], limited in size and rate, and the reasons that gives."""
+    number, reasons = k.number, 0
+    wanted = (number.feed_hysteresis * total[at.PART_HYSTERESIS] + number.feed_bearing * total[at.PART_BEARING]
+              + number.feed_wind * total[at.PART_WIND] + number.feed_grade * total[at.PART_GRADE])
+    if given_accel:  # an acceleration filtered from the speed would feed the controller's own noise back to it
+        wanted += number.feed_inertia * total[at.PART_INERTIA]
+    if abs(wanted) > number.feedforward_limit:
+        wanted = math.copysign(number.feedforward_limit, wanted)
+        reasons |= CLAMPED
+    room = number.feedforward_rate * min(dt, number.gap)
+    if abs(wanted - motion[at.FEEDFORWARD]) > room:
+        wanted = motion[at.FEEDFORWARD] + math.copysign(room, wanted - motion[at.FEEDFORWARD])
+        reasons |= LIMITED
+    return wanted, reasons
 
 
 @compiled
@@ -109,103 +261,35 @@ def advance(k: Constants, belts: Array, motion: Array, inputs: Inputs, dt: float
     out
         Row of results, shape (columns,), see `layout`.
     """
-    assemblies = belts.shape[0]
-    reasons = inputs.reasons
-    speed, ambient = inputs.speed, inputs.ambient
-    last_speed = motion[at.LAST_SPEED] if motion[at.STARTED] > 0.0 else speed
-    if motion[at.STARTED] > 0.0 and 0.0 < dt <= k.number.bridge:
-        advance_motion(motion, speed, last_speed, dt, k.number.speed_variance, k.number.acceleration_variance, k.number.acceleration_time)
-    elif motion[at.STARTED] == 0.0 or dt > 0.0:
-        start_motion(motion, speed, k.number.speed_variance, k.number.acceleration_variance)
-    if dt > k.number.bridge:
+    number, speed, reasons = k.number, inputs.speed, inputs.reasons
+    started = motion[at.STARTED] > 0.0
+    last_speed = motion[at.LAST_SPEED] if started else speed
+    if started and 0.0 < dt <= number.bridge:
+        advance_motion(motion, speed, last_speed, dt, number.speed_variance, number.acceleration_variance, number.acceleration_time)
+    elif not started or dt > 0.0:
+        start_motion(motion, speed, number.speed_variance, number.acceleration_variance)
+    if dt > number.bridge:
         reasons |= UNKNOWN
-    elif dt > k.number.gap:
+    elif dt > number.gap:
         reasons |= BRIDGED
     given_accel = not math.isnan(inputs.acceleration)
     accel = inputs.acceleration if given_accel else motion[at.FILTERED_ACCEL]
     grade = 0.0 if math.isnan(inputs.grade) else inputs.grade
-
     weight = 0.0
-    for i in range(assemblies):
+    for i in range(belts.shape[0]):
         weight += inputs.load[i]
-    wind = wind_force(speed, k.number.drag_area, k.number.air_density)
-    inertia = inertia_force(accel, weight, k.number.rotating_mass_factor)
-    uphill = grade_force(grade, weight)
-    bearing = bearing_force(speed, weight, k.number.bearing_friction)
-    sign, log10_speed = direction(speed), log_speed(speed)
-
-    hysteresis_nm = bearing_nm = wind_nm = grade_nm = inertia_nm = heat = cooling = common_1 = common_2 = common_3 = 0.0
-    common_ambient = own_variance = radius_doubt = 0.0
-    for i in range(assemblies):
-        belt, load, radius = belts[i], inputs.load[i], k.assembly[i, at.RADIUS]
-        share, log_load = load / weight, math.log(load)
-        # The drive torque strains the belt and is itself moved by the loss: that of the last step is taken.
-        drive = motion[at.LAST_DRIVE] * share
-        if dt > k.number.bridge:
-            pass_gap(k, i, belt, last_speed, speed, log_load, ambient, inputs.ambient_std, dt)
-        elif dt > 0.0:
-            heat_in, heat_out = roll(k, i, belt, last_speed, speed, log_load, drive, ambient, inputs.ambient_std, dt)
-            heat += heat_in / dt
-            cooling += heat_out / dt
-        shown, to_core, to_surface = surface(k, i, belt, ambient, speed)
-        measured = inputs.belt_measured[i]
-        if not math.isnan(measured):
-            if not k.number.belt_shows_surface:
-                shown, to_core, to_surface = belt[0, at.TEMPERATURE], 1.0, 0.0
-            expected_variance = belt_variance(belt, to_core, to_surface) + k.number.belt_measured_variance
-            if (measured - shown) ** 2 > DISAGREES * DISAGREES * expected_variance:
-                reasons |= DISAGREEING
-            else:
-                correct_belt(belt, measured, k.number.belt_measured_variance, shown, to_core, to_surface)
-        temperature = belt[0, at.TEMPERATURE]
-        loss, slope = loss_force(k, i, temperature, log10_speed, log_load, drive)
-        own = radius * loss * sign
-        std = math.sqrt(belt_variance(belt, 1.0, 0.0))
-        if std > k.number.belt_std_warn:
-            reasons |= BELT_UNSURE
-        first_log_load = k.assembly[i, at.FIRST_LOG_LOAD]
-        last_log_load = first_log_load + k.assembly[i, at.STEP_LOG_LOAD] * (k.loss.shape[2] - 1)
-        if not (DRIVING_TEMPERATURES[0] < temperature < DRIVING_TEMPERATURES[1]) or not (
-                first_log_load - 1e-9 <= log_load <= last_log_load + 1e-9):
-            reasons |= OUTSIDE
-        by_temperature = radius * slope * sign
-        common_1 += by_temperature * belt[0, at.DOUBT_1] + own * k.assembly[i, at.LOSS_DOUBT]
-        common_2 += by_temperature * belt[0, at.DOUBT_2] + own * k.assembly[i, at.LOSS_DOUBT + 1]
-        common_3 += by_temperature * belt[0, at.DOUBT_3] + own * k.assembly[i, at.LOSS_DOUBT + 2]
-        common_ambient += by_temperature * belt[0, at.DOUBT_AMBIENT]
-        own_variance += by_temperature * by_temperature * (belt[0, at.NOISE_1] ** 2 + belt[0, at.NOISE_2] ** 2)
-        resisting = own + radius * share * (bearing + wind)
-        radius_doubt += resisting * k.assembly[i, at.RADIUS_DOUBT + 3]
-        common_1 += resisting * k.assembly[i, at.RADIUS_DOUBT]
-        common_2 += resisting * k.assembly[i, at.RADIUS_DOUBT + 1]
-        common_3 += resisting * k.assembly[i, at.RADIUS_DOUBT + 2]
-        hysteresis_nm += own
-        bearing_nm += radius * share * bearing
-        wind_nm += radius * share * wind
-        grade_nm += radius * share * uphill
-        inertia_nm += radius * share * inertia
-        start_of = len(at.VEHICLE_COLUMNS) + i * len(at.ASSEMBLY_COLUMNS)
-        out[start_of + at.PER_BELT] = temperature
-        out[start_of + at.PER_SURFACE] = surface(k, i, belt, ambient, speed)[0]
-        out[start_of + at.PER_STD] = std
-        out[start_of + at.PER_LOAD] = load
-        out[start_of + at.PER_RESISTANCE] = resisting
-        out[start_of + at.PER_HYSTERESIS] = own
-
-    resistance = hysteresis_nm + bearing_nm + wind_nm
-    driving = resistance + grade_nm + inertia_nm
-    variance = (common_1**2 + common_2**2 + common_3**2 + common_ambient**2 + own_variance + radius_doubt**2
-                + (bearing_nm * k.number.bearing_doubt) ** 2 + (wind_nm * k.number.drag_doubt) ** 2)
-    wanted = k.number.feed_hysteresis * hysteresis_nm + k.number.feed_bearing * bearing_nm + k.number.feed_wind * wind_nm + k.number.feed_grade * grade_nm
-    if given_accel:  # an acceleration filtered from the speed would feed the controller's own noise back to it
-        wanted += k.number.feed_inertia * inertia_nm
-    if abs(wanted) > k.number.feedforward_limit:
-        wanted = math.copysign(k.number.feedforward_limit, wanted)
-        reasons |= CLAMPED
-    room = k.number.feedforward_rate * min(dt, k.number.gap)
-    if abs(wanted - motion[at.FEEDFORWARD]) > room:
-        wanted = motion[at.FEEDFORWARD] + math.copysign(room, wanted - motion[at.FEEDFORWARD])
-        reasons |= LIMITED
+    road = Road(last_speed, speed, log_speed(0.5 * (last_speed + speed)), log_speed(speed), direction(speed), weight,
+                bearing_force(speed, weight, number.bearing_friction), wind_force(speed, number.drag_area, number.air_density),
+                grade_force(grade, weight), inertia_force(accel, weight, number.rotating_mass_factor), motion[at.LAST_DRIVE],
+                inputs.ambient, inputs.ambient_std, dt)
+    total, of_assemblies = advance_assemblies(k, belts, inputs, road, out)
+    wanted, of_feedforward = feedforward(k, motion, total, given_accel, dt)
+    resistance = total[at.PART_HYSTERESIS] + total[at.PART_BEARING] + total[at.PART_WIND]
+    driving = resistance + total[at.PART_GRADE] + total[at.PART_INERTIA]
+    variance = (total[at.PART_NOISE] + total[at.PART_DOUBT_AMBIENT] ** 2 + (total[at.PART_BEARING] * number.bearing_doubt) ** 2
+                + (total[at.PART_WIND] * number.drag_doubt) ** 2)
+    for cause in range(4):
+        variance += total[at.PART_DOUBT + cause] ** 2
     motion[at.FEEDFORWARD] = wanted
     motion[at.LAST_SPEED] = speed
     motion[at.LAST_DRIVE] = driving
@@ -213,19 +297,19 @@ def advance(k: Constants, belts: Array, motion: Array, inputs: Inputs, dt: float
     out[at.OUT_SPEED] = speed
     out[at.OUT_ACCEL] = accel
     out[at.OUT_WEIGHT] = weight
-    out[at.OUT_AMBIENT] = ambient
+    out[at.OUT_AMBIENT] = inputs.ambient
     out[at.OUT_RESISTANCE] = resistance
-    out[at.OUT_HYSTERESIS] = hysteresis_nm
-    out[at.OUT_BEARING] = bearing_nm
-    out[at.OUT_WIND] = wind_nm
-    out[at.OUT_GRADE] = grade_nm
-    out[at.OUT_INERTIA] = inertia_nm
+    out[at.OUT_HYSTERESIS] = total[at.PART_HYSTERESIS]
+    out[at.OUT_BEARING] = total[at.PART_BEARING]
+    out[at.OUT_WIND] = total[at.PART_WIND]
+    out[at.OUT_GRADE] = total[at.PART_GRADE]
+    out[at.OUT_INERTIA] = total[at.PART_INERTIA]
     out[at.OUT_DRIVE] = driving
     out[at.OUT_STD] = math.sqrt(variance)
     out[at.OUT_FEEDFORWARD] = wanted
-    out[at.OUT_MOTOR] = driving * k.number.motor_gain
+    out[at.OUT_MOTOR] = driving * number.motor_gain
     out[at.OUT_MEASURED] = inputs.measured_torque
     out[at.OUT_RESIDUAL] = inputs.measured_torque - driving
-    out[at.OUT_HEAT] = heat
-    out[at.OUT_COOLING] = cooling
-    out[at.OUT_REASONS] = reasons
+    out[at.OUT_HEAT] = total[at.PART_HEAT]
+    out[at.OUT_COOLING] = total[at.PART_COOLING]
+    out[at.OUT_REASONS] = reasons | of_assemblies | of_feedforward

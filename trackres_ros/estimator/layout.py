@@ -10,10 +10,15 @@ from trackres_ros.vehicle import Vehicle
 SPEED, LOAD, TORQUE, AMBIENT, BELT, ACCEL, GRADE, YAW_RATE, HEADING, DISTANCE = range(10)
 CHANNELS = ("speed", "load", "torque", "ambient", "belt", "accel", "grade", "yaw_rate", "heading", "distance")
 
-# Constants of an assembly; from DOUBT_FACTOR on the 4 x 4 factor of its doubt, row by row.
+# Constants of an assembly; those of one KIND differ in nothing but the axle; from DOUBT_FACTOR on the 4 x 4 factor of its doubt, row by row.
 (AXLE, TABLE, NOMINAL_LOAD, RADIUS, CORE_CAPACITY, SKIN_CAPACITY, INNER_CONDUCTANCE, AREA, FILM_OFFSET, FILM_SLOPE,
- FIRST_LOG_LOAD, STEP_LOG_LOAD, DOUBT_FACTOR) = range(13)
+ FIRST_LOG_LOAD, STEP_LOG_LOAD, KIND, DOUBT_FACTOR) = range(14)
 LOSS_DOUBT, COOLING_DOUBT, CAPACITY_DOUBT, RADIUS_DOUBT = (DOUBT_FACTOR + 4 * row for row in range(4))
+
+# What an assembly adds to the totals of a step; from PART_DOUBT on the four causes of its factor of doubt.
+(PART_HYSTERESIS, PART_BEARING, PART_WIND, PART_GRADE, PART_INERTIA, PART_HEAT, PART_COOLING, PART_DOUBT_AMBIENT, PART_NOISE,
+ PART_DOUBT) = range(10)
+PARTS = PART_DOUBT + 4
 
 # Columns of an assembly's belt state, [K] but the first: temperature, then what each cause of doubt makes of it.
 # Doubt in loss, cooling, capacity and radius is one 4 x 4 factor; the radius moves no temperature and has no column.

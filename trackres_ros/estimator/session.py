@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.compiled import compiled
 from trackres_ros.estimator import layout as at
+from trackres_ros.estimator.belt_step import SLOWEST_LOG_SPEED
 from trackres_ros.estimator.constants import Constants, Numbers
 from trackres_ros.estimator.guards import GAP, TOOK_RESET, Memory, admit, forget_others, gather
 from trackres_ros.estimator.kernel import Inputs, advance, roll, start
@@ -98,7 +99,7 @@ def rest_belts(numbers: Sequence[Numbers], assembly: Array, loss: Array, drive: 
     """Let all belts stand for a while [s]."""
     k = Constants(numbers[0], assembly, loss, drive, limits)
     for i in range(belts.shape[0]):
-        roll(k, i, belts[i], 0.0, 0.0, 0.0, 0.0, ambient, ambient_std, seconds)
+        roll(k, i, belts[i], 0.0, 0.0, SLOWEST_LOG_SPEED, 0.0, 0.0, ambient, ambient_std, seconds)
 
 
 @compiled

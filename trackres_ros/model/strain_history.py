@@ -98,7 +98,8 @@ def _drive(sprocket: tuple[float, float, float], ground_run: float, length: floa
     """
     start, end, _ = sprocket
     middle, half = (start + end) / 2, (end - start) / 2
-    position, first = np.unique([0.0, ground_run, middle - half, middle + half], return_index=True)
+    corners = np.mod(np.round([0.0, ground_run, middle - half, middle + half], 12), length)  # a last wheel ends where the loop begins
+    position, first = np.unique(corners, return_index=True)
     return Profile(position, np.array([0.0, 1.0, 1.0, 0.0])[first], length)
 
 

@@ -45,25 +45,26 @@ def ambients(bench: Bench, out: Path) -> Section:
     family = run_family(bench, "fig26_ambients", "ambient [°C]", "degc", AMBIENTS_DEGC, lambda degc: (drive, WEIGHT_N, degc))
     methods = bench.shipped.replace("/", ", ")
     figures = [draw_family(out, family, bench.shipped,
-                           f"Resistance torque and belt temperature at four ambient temperatures (the paper's Figure 26); {methods}.",
+                           "Resistance torque and belt temperature at four ambient temperatures (the paper's Figure 26); "
+                           f"{methods}.",
                            f"constant {SPEED_KMH:g} km/h, {WEIGHT_N / 1e3:g} kN, belt at ambient at the start; {methods}",
                            {CROSSING_S: CROSSING, PAPER_END_S: "paper's end"}),
                _draw_differences(out, family),
-               draw_combinations(out, family, "Torque with every combination of loss method and thermal model; dashes at the right: the "
-                                 "stable values.", {CROSSING_S: CROSSING})]
+               draw_combinations(out, family, "Torque with every combination of loss method and thermal model; dashes at the "
+                                              "right: the stable values.", {CROSSING_S: CROSSING})]
     claims = [falls("ambients", WHERE, family, 2 * bench.dt),
               same_stable("ambients", WHERE, "All ambient temperatures tend to the same stable torque.", family,
-                          "Stable is F_h(T*) v = U A (T* - Ta). With s = -F_h' v / (U A), a warmer ambient leaves a warmer belt, dT*/dTa = "
-                          "1 / (1 + s), which is more than zero and less than one."),
+                          "Stable is F_h(T*) v = U A (T* - Ta). With s = -F_h' v / (U A), a warmer ambient leaves a warmer "
+                          "belt, dT*/dTa = 1 / (1 + s), which is more than zero and less than one."),
               _colder_is_larger_first(family), _warmer_is_larger_later(family), _colder_warms_more(family)]
     tables = [time_table(family, bench.shipped, TIMES_S, f"Resistance torque [Nm] / belt temperature [°C]; {methods}."),
               stable_table(family, "Stable resistance torque [Nm] / belt temperature [°C] by combination.")]
     kept = {c: [(family.stable[b][c].belt_degc - family.stable[a][c].belt_degc) / (b - a) for a, b in pairwise(AMBIENTS_DEGC)]
             for c in COMBINATIONS}
+    told = [f"{span([100 * share for share in shares], 0, ' %')} with {c.replace('/', ' and ')}" for c, shares in kept.items()]
     text = [f"Constant {SPEED_KMH:g} km/h and {WEIGHT_N / 1e3:g} kN from the start, without a ramp, as in the paper; run on to "
             f"{DURATION_S:g} s beyond the paper's {PAPER_END_S:g} s. The belt starts at the ambient temperature.",
-            "The stable belt keeps of a difference in ambient temperature "
-            + listed([f"{span([100 * share for share in k], 0, ' %')} with {c.replace('/', ' and ')}" for c, k in kept.items()]) + "."]
+            f"Of a difference in ambient temperature the stable belt keeps {listed(told)}."]
     numbers = {**family_numbers(family, TIMES_S), "kept_share": kept}
     return Section("Figure 26: ambient temperature", text, figures, claims, tables, numbers)
 
@@ -75,8 +76,8 @@ def differences(family: Family, combination: str) -> Array:
 
 def _draw_differences(out: Path, family: Family) -> Figure:
     figure = Figure(f"{family.name}_differences.png", f"{family.name}.csv",
-                    "Torque of each ambient temperature less that of the next warmer one, on a logarithmic axis: a crossing would "
-                    "show as a line that drops out of the picture.")
+                    "Torque of each ambient temperature less that of the next warmer one, on a logarithmic axis: a crossing "
+                    "would show as a line that drops out of the picture.")
     with picture(out / figure.png, 9.0, 5.6) as drawn:
         panels = drawn.subplots(len(METHODS), len(THERMAL), sharex=True, sharey=True)
         for axes, combination in zip(panels.flat, COMBINATIONS, strict=True):
@@ -104,7 +105,8 @@ def _colder_is_larger_first(family: Family) -> Claim:
     return Claim(
         "colder_is_larger_first", WHERE, "Within 0-250 s the torque at a lower ambient temperature is higher.",
         {c: least[c] > 0 for c in COMBINATIONS},
-        f"Up to {CROSSING_S:g} s each ambient temperature has at least {min(least.values()):.0f} Nm more torque than the next warmer one.",
+        f"Up to {CROSSING_S:g} s each ambient temperature has at least {min(least.values()):.0f} Nm more torque than the next "
+        "warmer one.",
         {HOLDS: "The loss modulus is larger in the cold (Figure 16)."}, {"least_difference_nm": least},
         {f"torque at the start, {ENDS}": {c: f"{m[0]:.0f} and {m[-1]:.0f} Nm" for c, m in start.items()},
          f"least difference up to {CROSSING_S:g} s": {c: f"{m:.0f} Nm" for c, m in least.items()}})
@@ -119,16 +121,16 @@ def _warmer_is_larger_later(family: Family) -> Claim:
     crosses = {c: bool((m < 0).any()) for c, m in later.items()}
     found = [c for c in COMBINATIONS if crosses[c]]
     return Claim(
-        "warmer_is_larger_later", WHERE, "After 250 s the torque at a higher ambient temperature is slightly higher (section 4.2.3 says so "
-        "once, and the opposite a few lines below).", crosses,
+        "warmer_is_larger_later", WHERE, "After 250 s the torque at a higher ambient temperature is slightly higher (section "
+                                         "4.2.3 says so once, and the opposite a few lines below).", crosses,
         (f"There is a crossing with {listed(found)}. " if found else "There is no crossing. ")
         + f"After {CROSSING_S:g} s the least by which an ambient temperature has more torque than the next warmer one is "
-        f"{min(least.values()):.0f} Nm up to {DURATION_S:g} s, and {min(stable.values()):.0f} Nm when stable. The belt in the warmer ambient "
-        f"is the warmer one by at least {min(belts.values()):.1f} K at all times.",
-        {FAILS: "Two belts that start at their ambient temperatures obey the same equation. To overtake, the colder one would first have to "
-                "be as warm as the other; at that moment both make the same heat, and the one in colder air loses more of it. So it stays "
-                "the colder one, and its loss, which falls with temperature, stays the larger. The paper's reason, that the cold belt makes "
-                "more heat, lets it catch up in part; it cannot take it past.",
+          f"{min(least.values()):.0f} Nm up to {DURATION_S:g} s, and {min(stable.values()):.0f} Nm when stable. The belt in the "
+          f"warmer ambient is the warmer one by at least {min(belts.values()):.1f} K at all times.",
+        {FAILS: "Two belts that start at their ambient temperatures obey the same equation. To overtake, the colder one would "
+                "first have to be as warm as the other; at that moment both make the same heat, and the one in colder air loses "
+                "more of it. So it stays the colder one, and its loss, which falls with temperature, stays the larger. The "
+                "paper's reason, that the cold belt makes more heat, lets it catch up in part; it cannot take it past.",
          IN_PART: "A crossing needs the belt in colder air to become the warmer one."},
         {"least_difference_nm": least, "least_difference_stable_nm": stable, "least_belt_difference_k": belts},
         {f"least difference {CROSSING_S:g}-{DURATION_S:g} s": {c: f"{m:.0f} Nm" for c, m in least.items()},
@@ -143,6 +145,7 @@ def _colder_warms_more(family: Family) -> Claim:
         "colder_warms_more", WHERE, "At a low ambient temperature much heat is generated and the track warms rapidly.",
         {c: bool((np.diff(r) < 0).all()) for c, r in rise.items()},
         f"In the first {CROSSING_S:g} s the belt warms {percent(min(r[0] / r[-1] for r in rise.values()) - 1, 0)} to "
-        f"{percent(max(r[0] / r[-1] for r in rise.values()) - 1, 0)} more at {AMBIENTS_DEGC[0]:g} than at {AMBIENTS_DEGC[-1]:g} °C.",
+        f"{percent(max(r[0] / r[-1] for r in rise.values()) - 1, 0)} more at {AMBIENTS_DEGC[0]:g} than at {AMBIENTS_DEGC[-1]:g} "
+        "°C.",
         {HOLDS: "A larger loss modulus makes more heat per metre."}, {"rise_k": {c: r.tolist() for c, r in rise.items()}},
         {f"rise by {CROSSING_S:g} s, {ENDS}": {c: f"{r[0]:.1f} and {r[-1]:.1f} K" for c, r in rise.items()}})

@@ -80,13 +80,13 @@ class Bench:
     def stable(self, combination: str, speed: float, weight_n: float | None = None, ambient_degc: float | None = None) -> Stable:
         """Torques and belt temperature that a constant speed [m/s] tends to."""
         drive = ramp_and_hold(speed, 0.0, STEADY_AFTER_S, STEADY_STEP_S)
-        end = {name: float(values[-1]) for name, values in simulate(self.estimator(combination), drive, weight_n, ambient_degc).items()}
-        return Stable(end["resistance_torque_nm"], end["hysteresis_nm"], end["belt_degc"])
+        series = simulate(self.estimator(combination), drive, weight_n, ambient_degc)
+        return Stable(*(float(series[name][-1]) for name in ("resistance_torque_nm", "hysteresis_nm", "belt_degc")))
 
 
 def at_times(series: Series, column: str, times_s: ArrayLike) -> Array:
     """Values of a column at times [s], shape of `times_s`."""
-    return np.asarray(np.interp(times_s, series["time_s"], series[column]))
+    return np.asarray(np.interp(np.asarray(times_s, float), series["time_s"], series[column]))
 
 
 def pick(series: Series, column: str, start_s: float, end_s: float = np.inf) -> Array:

@@ -43,8 +43,8 @@ def same_stable(key: str, where: str, paper: str, family: Family, why: str) -> C
     return Claim(
         f"{key}_same_stable_value", where, paper, {c: end[c] < SAME for c in COMBINATIONS},
         f"The stable torques differ by {percent(min(end.values()))} to {percent(max(end.values()))} of their mean, after "
-        f"{percent(min(start.values()))} to {percent(max(start.values()))} when the speed is reached. "
-        f"The same would be less than {percent(SAME, 0)}.",
+        f"{percent(min(start.values()))} to {percent(max(start.values()))} when the speed is reached. The same would be less "
+        f"than {percent(SAME, 0)}.",
         {FAILS: why + (" The differences shrink with time; they do not vanish." if shrinks else "")},
         {"spread_stable": end, "spread_start": start, "stable_nm": {c: values.tolist() for c, values in stable.items()}},
         {"stable torques": {c: span(values, 0, " Nm") for c, values in stable.items()},

@@ -34,9 +34,11 @@ def compound(bench: Bench, out: Path) -> Section:
     lowest = SPEEDS_KMH[0] / KMH_PER_MPS / bench.vehicle.track_of(bench.vehicle.assemblies[0]).belt.loop_length
     highest = max(c["frequency_hz"] for c in explain(bench.vehicle, SPEEDS_KMH[1] / KMH_PER_MPS, MASTER_DEGC)["contact"])
     figures = [Figure("fig16_compound.png", "fig16_moduli.csv",
-                      f"Storage modulus, loss modulus and loss tangent at {frequency:g} Hz (the paper's Figure 16), and the master curve at {MASTER_DEGC:g} °C "
-                      "that equations (3) and (4) make of it. Dots: the sweep of the vehicle's rubber file.")]
-    write_csv(out / "fig16_moduli.csv", {"belt_degc": belt_degc, "storage_pa": storage, "loss_pa": loss, "tan_delta": loss / storage})
+                      f"Storage modulus, loss modulus and loss tangent at {frequency:g} Hz (the paper's Figure 16), and the "
+                      f"master curve at {MASTER_DEGC:g} °C that equations (3) and (4) make of it. Dots: the sweep of the "
+                      "vehicle's rubber file.")]
+    write_csv(out / "fig16_moduli.csv", {"belt_degc": belt_degc,
+                                         "storage_pa": storage, "loss_pa": loss, "tan_delta": loss / storage})
     write_csv(out / "fig16_master.csv", {"frequency_hz": 10.0**log_f, "storage_pa": master["storage"], "loss_pa": master["loss"],
                                          "tan_delta": master["loss"] / master["storage"]})
     with picture(out / figures[0].png, 9.0, 5.4) as drawn:
@@ -69,16 +71,18 @@ def compound(bench: Bench, out: Path) -> Section:
         "loss_modulus_falls", "section 4.2.3, conclusions 1 and 4",
         "The loss modulus is large at low temperature and falls as the belt warms.",
         {"": bool((np.diff(loss[working]) < 0).all())},
-        f"At {frequency:g} Hz the loss modulus goes from {at[SHOWN_DEGC[0]]:.2f} MPa at {SHOWN_DEGC[0]:g} °C to {at[15.0]:.2f} at 15 °C and "
-        f"{at[SHOWN_DEGC[-1]]:.2f} at {SHOWN_DEGC[-1]:g} °C, without rising anywhere between. A decade of frequency changes it by a factor {by_decade:.2f} "
-        f"at {MASTER_DEGC:g} °C.",
-        {HOLDS: f"The compound works above its glass transition (largest loss modulus at {peak:.0f} °C), where warming moves it away from the peak.",
+        f"At {frequency:g} Hz the loss modulus goes from {at[SHOWN_DEGC[0]]:.2f} MPa at {SHOWN_DEGC[0]:g} °C to {at[15.0]:.2f} "
+        f"at 15 °C and {at[SHOWN_DEGC[-1]]:.2f} at {SHOWN_DEGC[-1]:g} °C, without rising anywhere between. A decade of frequency "
+        f"changes it by a factor {by_decade:.2f} at {MASTER_DEGC:g} °C.",
+        {HOLDS: f"The compound works above its glass transition (largest loss modulus at {peak:.0f} °C), where warming moves it "
+                "away from the peak.",
          FAILS: "Part of the working range lies below the peak of the loss modulus."},
         {"loss_modulus_mpa": at, "factor_per_decade": by_decade, "peak_degc": peak})
     table = Table(f"Moduli of the compound at {frequency:g} Hz.", ["°C", "E′ [MPa]", "E″ [MPa]", "tan δ"],
                   [[f"{t:g}", f"{float(model.storage_modulus(frequency, t)) / 1e6:.2f}", f"{at[t]:.2f}",
                     f"{at[t] * 1e6 / float(model.storage_modulus(frequency, t)):.3f}"] for t in SHOWN_DEGC])
-    text = ["The paper's measured sweep is a picture without numbers. The vehicle's rubber file holds a representative curve of the same recipe, not the "
+    text = ["The paper's measured sweep is a picture without numbers. The vehicle's rubber file holds a representative curve of "
+            "the same recipe, not the "
             "paper's measurement: every torque on this page rests on it. "
-            f"The data of the master curve are in [fig16_master.csv]({{prefix}}fig16_master.csv); it ends where the sweep ends."]
+            "The data of the master curve are in [fig16_master.csv]({prefix}fig16_master.csv); it ends where the sweep ends."]
     return Section("Figure 16: the compound", text, figures, [claim], [table], {"lowest_hz": lowest, "highest_hz": highest})

@@ -69,7 +69,8 @@ def write_family(out: Path, family: Family) -> str:
     return f"{family.name}.csv"
 
 
-def draw_family(out: Path, family: Family, combination: str, caption: str, title: str, marks: Mapping[float, str] | None = None) -> Figure:
+def draw_family(out: Path, family: Family, combination: str, caption: str, title: str,
+                marks: Mapping[float, str] | None = None) -> Figure:
     """Torque over temperature of one combination, one line a value."""
     figure = Figure(f"{family.name}.png", write_family(out, family), caption)
     with picture(out / figure.png, 8.5, 5.6) as drawn:
@@ -101,8 +102,8 @@ def draw_combinations(out: Path, family: Family, caption: str, marks: Mapping[fl
                 axes, combination = panels[row, column], f"{method}/{thermal}"
                 for colour, value, series in zip(colours(family), family.values, family.series(combination), strict=True):
                     axes.plot(*moving(series), color=colour, label=f"{value:g}")
-                    axes.plot(1.02, family.stable[value][combination].torque_nm, marker="_", color=colour, markersize=9, markeredgewidth=2,
-                              transform=axes.get_yaxis_transform(), clip_on=False)
+                    axes.plot(1.02, family.stable[value][combination].torque_nm, marker="_", color=colour, markersize=9,
+                              markeredgewidth=2, transform=axes.get_yaxis_transform(), clip_on=False)
                 axes.set_title(f"{method}, {thermal}")
                 axes.margins(x=0.0)
                 for time_s, text in (marks or {}).items():
@@ -118,7 +119,8 @@ def draw_combinations(out: Path, family: Family, caption: str, marks: Mapping[fl
 
 def _limits(family: Family, combinations: Sequence[str]) -> tuple[float, float]:
     """Limits of a torque axis [Nm] that show the time at constant speed whole; a ramp may come in from below."""
-    shown = [family.torque(c, 0.0)[:, first_comparable(family):] for c in combinations] + [family.stable_torque(c) for c in combinations]
+    shown = [family.torque(c, 0.0)[:, first_comparable(family):] for c in combinations]
+    shown += [family.stable_torque(c) for c in combinations]
     low, high = min(float(part.min()) for part in shown), max(float(part.max()) for part in shown)
     return low - 0.15 * (high - low), high + 0.06 * (high - low)
 
@@ -152,13 +154,17 @@ def time_table(family: Family, combination: str, times_s: Sequence[float], capti
 
 def stable_table(family: Family, caption: str) -> Table:
     """Stable torque and belt temperature of each value by combination."""
-    rows = [[f"{value:g}", *(f"{family.stable[value][c].torque_nm:.0f} / {family.stable[value][c].belt_degc:.1f}" for c in COMBINATIONS)]
-            for value in family.values]
+    rows = [[f"{value:g}", *(f"{stable[c].torque_nm:.0f} / {stable[c].belt_degc:.1f}" for c in COMBINATIONS)]
+            for value, stable in ((value, family.stable[value]) for value in family.values)]
     return Table(caption, [family.quantity, *(c.replace("/", ", ") for c in COMBINATIONS)], rows)
 
 
 def family_numbers(family: Family, times_s: Sequence[float]) -> dict[str, object]:
     """Torques and temperatures at some times and the stable ones, by combination and value."""
-    return {c: {f"{value:g}": {"time_s": list(times_s), "torque_nm": at_times(s, "resistance_torque_nm", times_s).tolist(),
-                               "belt_degc": at_times(s, "belt_degc", times_s).tolist(), "stable": family.stable[value][c]._asdict()}
-                for value, s in zip(family.values, family.series(c), strict=True)} for c in COMBINATIONS}
+
+    def of(value: float, combination: str) -> dict[str, object]:
+        series, stable = family.runs[value][combination], family.stable[value][combination]
+        return {"time_s": list(times_s), "torque_nm": at_times(series, "resistance_torque_nm", times_s).tolist(),
+                "belt_degc": at_times(series, "belt_degc", times_s).tolist(), "stable": stable._asdict()}
+
+    return {c: {f"{value:g}": of(value, c) for value in family.values} for c in COMBINATIONS}

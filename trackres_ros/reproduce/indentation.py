@@ -58,17 +58,20 @@ def indentation(bench: Bench, out: Path) -> Section:
     errors = [search_error(n, length, thickness) for n in PAPER_LOADS_N]
     missed = [f"{n / 1e3:g} kN" for n, error in zip(PAPER_LOADS_N, errors, strict=True) if error >= SEARCH_TOLERANCE]
     claim = Claim(
-        "contact_grows_with_load", "section 2.4.1, Figure 6", "Contact length and strain amplitude of the road wheel increase with the load.",
+        "contact_grows_with_load", "section 2.4.1, Figure 6",
+        "Contact length and strain amplitude of the road wheel increase with the load.",
         {"": bool((np.diff(a) > 0).all() and (np.diff(strain) > 0).all())},
         f"From {PAPER_LOADS_N[0] / 1e3:g} to {PAPER_LOADS_N[-1] / 1e3:g} kN the half length goes from {at_loads[0] * 1e3:.2f} to "
-        f"{at_loads[-1] * 1e3:.2f} mm and the strain from {strain_at[0] * 100:.2f} to {strain_at[-1] * 100:.2f} %: "
-        f"as the load to the power {growth[0]:.3f} and {growth[1]:.3f}.",
-        {HOLDS: "A contact carries F = 2 E L a³ / (3 R H) as long as it is small against the wheel, so a goes as the cube root of the load "
-                "and the strain, a²/(2 R H), as its square."},
-        {"half_length_m": at_loads.tolist(), "strain": strain_at.tolist(), "exponent_half_length": growth[0], "exponent_strain": growth[1]})
-    text = [f"The paper names the modulus, the wheel and the loads. Belt thickness ({thickness * 1e3:g} mm) and axial contact length "
-            f"({length:g} m) are those of the vehicle file, which assumes them.",
-            f"The paper's own search for the half length (11) steps by R/{SEARCH_PARTS} and stops within {percent(SEARCH_TOLERANCE, 0)} of the load. "
+        f"{at_loads[-1] * 1e3:.2f} mm and the strain from {strain_at[0] * 100:.2f} to {strain_at[-1] * 100:.2f} %: as the load "
+        f"to the power {growth[0]:.3f} and {growth[1]:.3f}.",
+        {HOLDS: "A contact carries F = 2 E L a³ / (3 R H) as long as it is small against the wheel, so a goes as the cube root "
+                "of the load and the strain, a²/(2 R H), as its square."},
+        {"half_length_m": at_loads.tolist(), "strain": strain_at.tolist(),
+         "exponent_half_length": growth[0], "exponent_strain": growth[1]})
+    text = [f"The paper names the modulus, the wheel and the loads. Belt thickness ({thickness * 1e3:g} mm) and axial contact "
+            f"length ({length:g} m) are those of the vehicle file, which assumes them.",
+            f"The paper's own search for the half length (11) steps by R/{SEARCH_PARTS} and stops within "
+            f"{percent(SEARCH_TOLERANCE, 0)} of the load. "
             + (f"Here no step comes that near at {listed(missed)} (nearest: "
                f"{listed([percent(e) for e in errors if e >= SEARCH_TOLERANCE])}): the search would not end." if missed else
                "Here every load is met.")]

@@ -12,7 +12,8 @@ def page(summary: Mapping[str, Any], prefix: str = "") -> str:
     """Markdown of a summary; `prefix` leads from the page to the folder of the pictures, as `reproduction/`."""
     sections = summary["sections"]
     lines = ["# The paper's figures and tests, reproduced", "",
-             f"Written by `{COMMAND}`, for {summary['vehicle']['title']}. Verdicts and numbers are computed in the run; none is typed.", "",
+             f"Written by `{COMMAND}`, for {summary['vehicle']['title']}. Verdicts and numbers are computed in the run; none is "
+             "typed.", "",
              *summary["text"], "", "## Overview", "", "| Claim | Paper | Verdict |", "|---|---|---|"]
     for section in sections:
         lines += [f"| {claim['paper']} | {claim['where']} | [{claim['verdict']}](#{anchor(section['title'])}) |"

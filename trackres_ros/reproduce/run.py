@@ -27,14 +27,15 @@ RUNS = len(COMBINATIONS) * (len(SPEEDS_KMH) + len(WEIGHTS_KN) + len(AMBIENTS_DEG
 INDEX, SUMMARY = "index.md", "summary.json"
 
 
-def reproduce(out_dir: Path, progress: Callable[[str, float], None] | None = None, *, page: Path | None = None, dt: float = STEP_S,
-              cache: Path | None = None) -> dict[str, Any]:
+def reproduce(out_dir: Path, progress: Callable[[str, float], None] | None = None, *, page: Path | None = None,
+              dt: float = STEP_S, cache: Path | None = None) -> dict[str, Any]:
     """Reproduce the paper's Figures 6, 10, 11, 16 to 22 and 24 to 26, and judge the claims of its text.
 
     Parameters
     ----------
     out_dir
-        Folder for the pictures (PNG), their data (CSV), `summary.json` with every number the page cites, and `index.md`, the page.
+        Folder for the pictures (PNG), their data (CSV), `summary.json` with every number the page cites, and `index.md`, the
+        page.
     progress
         Called with what was done last and the share done, 0 to 1.
     page
@@ -68,9 +69,10 @@ def reproduce(out_dir: Path, progress: Callable[[str, float], None] | None = Non
 
     out_dir.mkdir(parents=True, exist_ok=True)
     bench = Bench(load(VEHICLE), dt, advance, cache)
-    sections: list[Section] = [indentation(bench, out_dir), spectrum(bench, out_dir), compound(bench, out_dir), *trials(bench, out_dir),
-                               speeds(bench, out_dir), weights(bench, out_dir), ambients(bench, out_dir)]
-    summary = {"vehicle": {"name": bench.vehicle.name, "title": bench.vehicle.title, "weight_n": bench.vehicle.weight, "methods": bench.shipped},
+    sections: list[Section] = [indentation(bench, out_dir), spectrum(bench, out_dir), compound(bench, out_dir),
+                               *trials(bench, out_dir), speeds(bench, out_dir), weights(bench, out_dir), ambients(bench, out_dir)]
+    summary = {"vehicle": {"name": bench.vehicle.name, "title": bench.vehicle.title, "weight_n": bench.vehicle.weight,
+                           "methods": bench.shipped},
                "dt_s": dt, "text": _introduction(bench), "sections": [section.summary() for section in sections]}
     (out_dir / SUMMARY).write_text(json.dumps(summary, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     (out_dir / INDEX).write_text(make_page(summary), encoding="utf-8")
@@ -81,10 +83,13 @@ def reproduce(out_dir: Path, progress: Callable[[str, float], None] | None = Non
 
 
 def _introduction(bench: Bench) -> list[str]:
-    return ["The paper is Liang et al., Modeling and Verification of Rolling Resistance Torque of High-Speed Rubber Track Assembly Considering Hysteresis Loss, "
-            "Polymers 2023. Its curves and measurements are not public in numbers, only its text. So this page compares trends and stated numbers. It does not "
-            "reproduce the paper's mean absolute errors and R², which concern measurements that nobody outside has, and many values of the vehicle file are assumed "
-            "where the paper is silent: the size of a torque here is the program's, not the paper's.",
-            "", f"Four combinations are shown where it matters: loss by `spectral` (exact for linear viscoelasticity) or `rainflow` (the paper's), belt temperature by `lumped` "
-            f"(the paper's) or `core_surface`. The vehicle file names {bench.shipped.replace('/', ' and ')}; the paper's own is rainflow and lumped. A verdict is that of a predicate on the run; "
-            "where the combinations disagree it says for which the claim holds."]
+    return ["The paper is Liang et al., Modeling and Verification of Rolling Resistance Torque of High-Speed Rubber Track "
+            "Assembly Considering Hysteresis Loss, Polymers 2023. Its curves and measurements are not public in numbers, only "
+            "its text. So this page compares trends and stated numbers. It does not reproduce the paper's mean absolute errors "
+            "and R², which concern measurements that nobody outside has, and many values of the vehicle file are assumed where "
+            "the paper is silent: the size of a torque here is the program's, not the paper's.",
+            "",
+            "Four combinations are shown where it matters: loss by `spectral` (exact for linear viscoelasticity) or `rainflow` "
+            "(the paper's), belt temperature by `lumped` (the paper's) or `core_surface`. The vehicle file names "
+            f"{bench.shipped.replace('/', ' and ')}; the paper's own is rainflow and lumped. A verdict is that of a predicate on "
+            "the run; where the combinations disagree it says for which the claim holds."]

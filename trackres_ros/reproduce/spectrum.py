@@ -13,7 +13,7 @@ from trackres_ros.model.belt import axial_stiffness
 from trackres_ros.model.hysteresis import LossForce, RainflowCount
 from trackres_ros.model.strain_history import along_belt, through_thickness
 from trackres_ros.model.track import TrackModel, steady_tension, track_model
-from trackres_ros.plots import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION, picture
+from trackres_ros.plots import BLACK, BLUE, GREEN, GREY, ORANGE, PALETTE, VERMILION, picture
 from trackres_ros.reproduce.bench import KMH_PER_MPS, Bench
 from trackres_ros.reproduce.output import INK, write_csv
 from trackres_ros.reproduce.section import FAILS, HOLDS, Claim, Figure, Section, Table, percent
@@ -70,19 +70,25 @@ def spectrum(bench: Bench, out: Path) -> Section:
     figures = [_spectrum_figure(out, strains), _rainflow_figure(out, strains)]
     losses = {"spectral": model.loss.loss_force(speed, BELT_DEGC, load, drive_torque),
               "rainflow": strains.counter.loss_force(speed, BELT_DEGC, load, drive_torque)}
-    ranges = {"indentation": float(strains.through.max()), "bending": float(np.ptp(strains.bending)), "drive": float(np.ptp(strains.drive))}
-    text = [f"One assembly at {SPEED_KMH:g} km/h, {load / 1e3:g} kN and a belt of {BELT_DEGC:g} °C. The paper gives neither the operating point nor the "
-            "numbers of its Figures 10 and 11, so there is nothing to compare them with but their make-up. Indentation strains the belt through its "
-            "thickness, bending, tension and drive along it: two components that the program counts apart.",
-            f"The steady tension strains the belt by {strains.tension * 1e6:.0f} µm/m all round. The drive adds up to {ranges['drive'] * 1e6:.0f} µm/m: "
-            f"{percent(ranges['drive'] / ranges['bending'], 2)} of the range of bending at the outer face."]
+    ranges = {"indentation": float(strains.through.max()), "bending": float(np.ptp(strains.bending)),
+              "drive": float(np.ptp(strains.drive))}
+    text = [f"One assembly at {SPEED_KMH:g} km/h, {load / 1e3:g} kN and a belt of {BELT_DEGC:g} °C. The paper gives neither the "
+            "operating point nor the numbers of its Figures 10 and 11, so there is nothing to compare them with but their "
+            "make-up. Indentation strains the belt through its thickness, bending, tension and drive along it: two components "
+            "that the program counts apart.",
+            f"The steady tension strains the belt by {strains.tension * 1e6:.0f} µm/m all round. The drive adds up to "
+            f"{ranges['drive'] * 1e6:.0f} µm/m: {percent(ranges['drive'] / ranges['bending'], 2)} of the range of bending at the "
+            "outer face."]
     tension_loss = max(float(loss.tension) for loss in losses.values())
     claim = Claim(
-        "tension_in_spectrum", "sections 2.4.2 and 2.4.5", "The strain load spectrum is built from indentation, tension, bending and driving; its cycles make the heat.",
-        {"indentation": ranges["indentation"] > 0, "bending": ranges["bending"] > 0, "drive": ranges["drive"] > 0, "tension": tension_loss > 0},
-        f"Ranges round the loop: indentation {percent(ranges['indentation'])}, bending {percent(ranges['bending'])} at the outer face, drive "
-        f"{ranges['drive'] * 1e6:.0f} µm/m, tension 0. Heat: indentation, bending and drive as in the table, tension {tension_loss:g}.",
-        {"holds in part": "A steady tension shifts the mean of the cycles and has no range, so it makes no heat; its range is that of the drive force.",
+        "tension_in_spectrum", "sections 2.4.2 and 2.4.5",
+        "The strain load spectrum is built from indentation, tension, bending and driving; its cycles make the heat.",
+        {**{name: value > 0 for name, value in ranges.items()}, "tension": tension_loss > 0},
+        f"Ranges round the loop: indentation {percent(ranges['indentation'])}, bending {percent(ranges['bending'])} at the outer "
+        f"face, drive {ranges['drive'] * 1e6:.0f} µm/m, tension 0. Heat: indentation, bending and drive as in the table, tension "
+        f"{tension_loss:g}.",
+        {"holds in part": "A steady tension shifts the mean of the cycles and has no range, so it makes no heat; its range is "
+                          "that of the drive force.",
          HOLDS: "Every component has a range round the loop.", FAILS: "No component has a range round the loop."},
         {"range": ranges, "tension_strain": strains.tension})
     return Section("Figures 10 and 11: strain round the loop", text, figures, [claim], [_loss_table(losses)],
@@ -94,14 +100,15 @@ def _loss_table(losses: dict[str, LossForce]) -> Table:
     parts = ("indentation", "bending", "tension", "drive")
     rows = [[name, *(f"{float(getattr(loss, part)):.1f} ({percent(float(getattr(loss, part) / loss.total))})" for part in parts),
              f"{float(loss.total):.1f}"] for name, loss in losses.items()]
-    return Table("Loss per metre of travel [N] of one assembly by cause, and its share. `drive` is what the drive torque adds, with its coupling to bending.",
+    return Table("Loss per metre of travel [N] of one assembly by cause, and its share. `drive` is what the drive torque adds, "
+                 "with its coupling to bending.",
                  ["method", *parts, "total"], rows)
 
 
 def _spectrum_figure(out: Path, s: Spectrum) -> Figure:
     figure = Figure("fig10_spectrum.png", "fig10_spectrum.csv",
-                    "Strain load spectrum round the loop, by component (the paper's Figure 10): through the thickness, along the belt at three heights "
-                    "and over position and height, and the small parts by tension and drive.")
+                    "Strain load spectrum round the loop, by component (the paper's Figure 10): through the thickness, along "
+                    "the belt at three heights and over position and height, and the small parts by tension and drive.")
     belt = s.counter.track.belt
     cord = int(np.argmin(np.abs(s.height - belt.cord_height)))
     write_csv(out / figure.csv, {"position_m": s.position, "through_thickness": s.through, "bending_outer": s.bending,
@@ -118,7 +125,8 @@ def _spectrum_figure(out: Path, s: Spectrum) -> Figure:
         along.set_ylabel("strain [%]")
         along.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0)
         limit = 100 * float(np.abs(s.along).max())
-        mesh = field.pcolormesh(s.position, 1e3 * s.height, 100 * s.along, cmap="RdBu_r", vmin=-limit, vmax=limit, shading="gouraud")
+        mesh = field.pcolormesh(s.position, 1e3 * s.height, 100 * s.along, cmap="RdBu_r", vmin=-limit, vmax=limit,
+                                shading="gouraud")
         field.axhline(1e3 * belt.cord_height, color=INK, linewidth=0.8, linestyle="--")
         field.annotate("cord", (0.02, 1e3 * belt.cord_height), xytext=(0, 3), textcoords="offset points", fontsize=8, color=INK)
         field.set_title("along the belt, over position and height")
@@ -154,12 +162,14 @@ def _name(wheel: WrappedWheel) -> str:
 
 def _rainflow_figure(out: Path, s: Spectrum) -> Figure:
     figure = Figure("fig11_rainflow.png", "fig11_rainflow.csv",
-                    "Strain rainflow matrix of one loop (the paper's Figure 11): range, mean and count of each cycle, those along the belt at every height.")
+                    "Strain rainflow matrix of one loop (the paper's Figure 11): range, mean and count of each cycle, those "
+                    "along the belt at every height.")
     rows: list[tuple[str, float, float, float, float]] = []
     for cycle in (c.cycle for c in s.counter.indentation_cycles(s.half_lengths)):
         rows.append(("through", float("nan"), cycle.range, cycle.mean, cycle.number))
     for height in s.height:
-        for cycle in sorted((c.cycle for c in s.counter.along_cycles(float(height), s.drive_strain, s.tension)), key=lambda c: -c.range):
+        cycles = [c.cycle for c in s.counter.along_cycles(float(height), s.drive_strain, s.tension)]
+        for cycle in sorted(cycles, key=lambda c: -c.range):
             rows.append(("along", float(height), cycle.range, cycle.mean, cycle.number))
     names = ("component", "height_m", "range", "mean", "count")
     write_csv(out / figure.csv, {name: np.array(column) for name, column in zip(names, zip(*rows, strict=True), strict=True)})
@@ -168,10 +178,12 @@ def _rainflow_figure(out: Path, s: Spectrum) -> Figure:
     with picture(out / figure.png, 9.0, 4.0) as drawn:
         left, right = drawn.subplots(1, 2, width_ratios=(1.3, 1.0))
         distinct, counts = _counted(data[~along, 1:])
-        left.scatter(100 * data[along, 1], 100 * data[along, 2], c=1e3 * data[along, 0], cmap="cividis", s=16, label="along the belt, by height")
+        left.scatter(100 * data[along, 1], 100 * data[along, 2], c=1e3 * data[along, 0], cmap="cividis", s=16,
+                     label="along the belt, by height")
         left.scatter(100 * distinct[:, 0], 100 * distinct[:, 1], marker="D", color=VERMILION, s=45, label="through the thickness")
         for (x, y), count in zip(100 * distinct, counts, strict=True):
-            left.annotate(f"{count:g} per loop", (x, y), xytext=(-8, -3), textcoords="offset points", ha="right", fontsize=8, color=INK)
+            left.annotate(f"{count:g} per loop", (x, y), xytext=(-8, -3), textcoords="offset points", ha="right", fontsize=8,
+                          color=INK)
         left.set_xlabel("strain range [%]")
         left.set_ylabel("strain mean [%]")
         left.set_title("range and mean")
@@ -182,7 +194,7 @@ def _rainflow_figure(out: Path, s: Spectrum) -> Figure:
         kinds = [_alike(data[along & (data[:, 0] == height), 1:]) for height in s.height]
         for rank, (_, count) in enumerate(kinds[-1]):
             ranges = [kind[rank][0] if len(kind) == len(kinds[-1]) else np.nan for kind in kinds]
-            right.plot(100 * np.array(ranges), 1e3 * s.height, color=(BLUE, ORANGE, GREEN, VERMILION, BLACK)[rank % 5], label=f"{count:g} per loop")
+            right.plot(100 * np.array(ranges), 1e3 * s.height, color=PALETTE[rank % len(PALETTE)], label=f"{count:g} per loop")
         right.legend(loc="lower right")
         right.set_xlabel("strain range [%]")
         right.set_ylabel("height above the inner face [mm]")
@@ -203,4 +215,4 @@ def _alike(cycles: Array) -> list[tuple[float, float]]:
 def _counted(pairs: Array) -> tuple[Array, Array]:
     """Distinct (range, mean) pairs of rows (range, mean, count), and the sum of their counts."""
     distinct, group = np.unique(pairs[:, :2].round(9), axis=0, return_inverse=True)
-    return distinct, np.bincount(np.ravel(group), weights=pairs[:, 2])
+    return distinct, np.bincount(np.ravel(group), weights=pairs[:, 2]).astype(float)

@@ -42,21 +42,24 @@ def speeds(bench: Bench, out: Path) -> Section:
     reached = {RAMP_S: "speed reached"}
     figures = [draw_family(out, family, bench.shipped,
                            f"Resistance torque and belt temperature at five speeds (the paper's Figure 24); {methods}.",
-                           f"{vehicle.weight / 1e3:g} kN, ambient {vehicle.chassis.ambient:g} °C, ramp of {RAMP_S:g} s; {methods}", reached),
-               draw_combinations(out, family, "The same with every combination of loss method and thermal model; "
-                                 "dashes at the right: the stable values.", reached)]
+                           f"{vehicle.weight / 1e3:g} kN, ambient {vehicle.chassis.ambient:g} °C, ramp of {RAMP_S:g} "
+                           f"s; {methods}", reached),
+               draw_combinations(out, family, "The same with every combination of loss method and thermal model; dashes at the "
+                                              "right: the stable values.", reached)]
     held = RAMP_S + 2 * bench.dt  # the belt strain by the drive lags one step behind the torque
     claims = [falls("speeds", WHERE, family, held),
               same_stable("speeds", WHERE, "All speeds tend to the same stable torque.", family,
-                          "Stable is F_h(T*) v = U(v) A (T* - Ta). A higher speed raises the loss modulus and the wind, and warms the belt "
-                          "more. The two effects pull against each other, so the stable values come close, but nothing makes them equal."),
+                          "Stable is F_h(T*) v = U(v) A (T* - Ta). A higher speed raises the loss modulus and the wind, and "
+                          "warms the belt more. The two effects pull against each other, so the stable values come close, but "
+                          "nothing makes them equal."),
               _warms_faster(family, held), _settles_sooner(family, held), _slower_is_larger(family, held)]
     tables = [time_table(family, bench.shipped, TIMES_S, f"Resistance torque [Nm] / belt temperature [°C]; {methods}."),
               stable_table(family, "Stable resistance torque [Nm] / belt temperature [°C] by combination.")]
-    text = [f"From rest to each speed in {RAMP_S:g} s, then held to {DURATION_S:g} s. Resistance torque is hysteresis, bearings and wind of "
-            "the whole vehicle; the inertia of the ramp is left out, as the paper leaves the first 50 s out of its analysis.",
-            "`lumped` is the paper's thermal model: one mean temperature, and no resistance inside the rubber. `core_surface` has that "
-            "resistance, so its belt, whose mean is shown, runs hotter."]
+    text = [f"From rest to each speed in {RAMP_S:g} s, then held to {DURATION_S:g} s. Resistance torque is hysteresis, bearings "
+            "and wind of the whole vehicle; the inertia of the ramp is left out, as the paper leaves the first 50 s out of its "
+            "analysis.",
+            "`lumped` is the paper's thermal model: one mean temperature, and no resistance inside the rubber. `core_surface` "
+            "has that resistance, so its belt, whose mean is shown, runs hotter."]
     return Section("Figure 24: speed", text, figures, claims, tables, family_numbers(family, TIMES_S))
 
 
@@ -105,12 +108,13 @@ def _settles_sooner(family: Family, start_s: float) -> Claim:
     return Claim(
         "faster_settles_sooner", WHERE, "At a higher speed the torque comes to its stable value sooner.",
         {name: all(sooner(times[c][i]) for c in COMBINATIONS) for i, name in enumerate(names)},
-        f"The paper gives no measure, so two are taken: the time from the end of the ramp until {percent(FALLEN, 0)} of the fall to the "
-        f"stable value is done, and until the torque is within {percent(NEAR, 0)} of it.",
-        {HOLDS: "The time constant is C / (U A - F_h' v). The film coefficient U grows with the speed, and so does the heat -F_h' v that "
-                "a warmer belt saves.",
-         IN_PART: "The time constant is C / (U A - F_h' v): U and -F_h' v grow with the speed, so a share of the fall is done sooner. But a "
-                  "slow speed warms the belt little and has little to fall: it is near its stable value from the start."},
+        f"The paper gives no measure, so two are taken: the time from the end of the ramp until {percent(FALLEN, 0)} of the fall "
+        f"to the stable value is done, and until the torque is within {percent(NEAR, 0)} of it.",
+        {HOLDS: "The time constant is C / (U A - F_h' v). The film coefficient U grows with the speed, and so does the heat "
+                "-F_h' v that a warmer belt saves.",
+         IN_PART: "The time constant is C / (U A - F_h' v): U and -F_h' v grow with the speed, so a share of the fall is done "
+                  "sooner. But a slow speed warms the belt little and has little to fall: it is near its stable value from the "
+                  "start."},
         {"seconds": {c: {name: [None if np.isinf(t) else float(t) for t in times[c][i]] for i, name in enumerate(names)}
                      for c in COMBINATIONS}},
         {f"{name}, {SPEEDS_KMH[0]:g} to {SPEEDS_KMH[-1]:g} km/h [s]": {c: told(times[c][i]) for c in COMBINATIONS}
@@ -119,7 +123,7 @@ def _settles_sooner(family: Family, start_s: float) -> Claim:
 
 def _order_from(torque: Array, time: Array) -> float | None:
     """Time [s] from which on the torque falls strictly from the slowest to the fastest, None if it does not at the end."""
-    ordered = (np.diff(torque, axis=0) < 0).all(axis=0)
+    ordered = np.asarray(np.all(np.diff(torque, axis=0) < 0, axis=0))
     if not ordered[-1]:
         return None
     broken = np.flatnonzero(~ordered)
@@ -141,13 +145,14 @@ def _slower_is_larger(family: Family, start_s: float) -> Claim:
     return Claim(
         "slower_is_larger", WHERE, "At the same time the torque is the larger, the lower the speed.",
         {c: share[c] == 1.0 for c in COMBINATIONS},
-        f"The torques of all five speeds are in this order during {percent(min(share.values()), 0)} to {percent(max(share.values()), 0)} "
-        f"of the time at constant speed. At {COMPARED_S:g} s the torque at {SPEEDS_KMH[-1]:g} km/h is "
-        f"{min(m[-1] / m[0] for m in at.values()):.2f} to {max(m[-1] / m[0] for m in at.values()):.2f} times that at {SPEEDS_KMH[0]:g} km/h. "
-        "The hysteresis torque alone, without wind and bearings, comes into the paper's order later: see the last column.",
-        {FAILS: "At equal temperature a higher speed means a higher frequency, and the loss modulus rises with frequency (Figure 16); the "
-                "wind rises with the square of the speed. The order can turn only as the faster belt warms, which takes hundreds of "
-                "seconds, and only where warming does more than frequency and wind.",
+        f"The torques of all five speeds are in this order during {percent(min(share.values()), 0)} to "
+        f"{percent(max(share.values()), 0)} of the time at constant speed. At {COMPARED_S:g} s the torque at {SPEEDS_KMH[-1]:g} "
+        f"km/h is {min(m[-1] / m[0] for m in at.values()):.2f} to {max(m[-1] / m[0] for m in at.values()):.2f} times that at "
+        f"{SPEEDS_KMH[0]:g} km/h. The hysteresis torque alone, without wind and bearings, comes into the paper's order later: "
+        "see the last column.",
+        {FAILS: "At equal temperature a higher speed means a higher frequency, and the loss modulus rises with frequency "
+                "(Figure 16); the wind rises with the square of the speed. The order can turn only as the faster belt warms, "
+                "which takes hundreds of seconds, and only where warming does more than frequency and wind.",
          IN_PART: "A higher speed means a higher frequency and loss modulus; the order can turn only as the faster belt warms."},
         {"share_of_time_in_order": share, "order_from_s": total, "hysteresis_order_from_s": hysteresis,
          "at_250_s_nm": {c: m.tolist() for c, m in at.items()}, "at_end_nm": {c: m[:, -1].tolist() for c, m in torque.items()}},

@@ -34,8 +34,8 @@ def weights(bench: Bench, out: Path) -> Section:
     claims = [falls("weights", WHERE, family, RAMP_S + 2 * bench.dt), _different_stable(family), _heavier_is_larger(family)]
     tables = [time_table(family, bench.shipped, TIMES_S, f"Resistance torque [Nm] / belt temperature [°C]; {methods}."),
               stable_table(family, "Stable resistance torque [Nm] / belt temperature [°C] by combination.")]
-    text = [f"From rest to {SPEED_KMH:g} km/h in {RAMP_S:g} s, then held to {DURATION_S:g} s. The weight is that of the whole vehicle with "
-            "its assemblies, shared as nominal."]
+    text = [f"From rest to {SPEED_KMH:g} km/h in {RAMP_S:g} s, then held to {DURATION_S:g} s. The weight is that of the whole "
+            "vehicle with its assemblies, shared as nominal."]
     return Section("Figure 25: load", text, figures, claims, tables, family_numbers(family, TIMES_S))
 
 
@@ -44,9 +44,10 @@ def _different_stable(family: Family) -> Claim:
     least = {c: float(np.min(np.diff(m) / m[:-1])) for c, m in stable.items()}
     return Claim(
         "weights_different_stable_values", WHERE, "Different loads tend to different stable torques.",
-        {c: least[c] > SAME for c in COMBINATIONS}, f"Neighbouring weights differ by at least {percent(min(least.values()))} when stable.",
-        {HOLDS: "A contact loses more under more load, about as the power 4/3 of it at constant modulus, and bearing friction goes with the "
-                "load. The warmer belt takes back a part."},
+        {c: least[c] > SAME for c in COMBINATIONS}, f"Neighbouring weights differ by at least {percent(min(least.values()))} "
+                                                    "when stable.",
+        {HOLDS: "A contact loses more under more load, about as the power 4/3 of it at constant modulus, and bearing friction "
+                "goes with the load. The warmer belt takes back a part."},
         {"least_difference": least, "stable_nm": {c: m.tolist() for c, m in stable.items()}},
         {f"stable torque, {ENDS}": {c: f"{m[0]:.0f} and {m[-1]:.0f} Nm" for c, m in stable.items()},
          "least difference between neighbours": {c: percent(d) for c, d in least.items()}})
@@ -61,8 +62,8 @@ def _heavier_is_larger(family: Family) -> Claim:
     return Claim(
         "heavier_is_larger", WHERE, "At any moment the torque increases with the load.", {c: least[c] > 0 for c in COMBINATIONS},
         f"At all times in motion each weight has at least {min(least.values()):.0f} Nm more torque than the next lighter one.",
-        {HOLDS: "At equal temperature more load means more loss and more bearing friction. More loss warms the belt more, which takes back "
-                "a part of it, but not all: were the loss no larger, the belt would be no warmer."},
+        {HOLDS: "At equal temperature more load means more loss and more bearing friction. More loss warms the belt more, which "
+                "takes back a part of it, but not all: were the loss no larger, the belt would be no warmer."},
         {"least_difference_nm": least, "exponent": exponent},
         {"least difference between neighbours": {c: f"{m:.0f} Nm" for c, m in least.items()},
          f"at {DURATION_S:g} s the torque goes as the weight to the power": {c: f"{e:.2f}" for c, e in exponent.items()}})
