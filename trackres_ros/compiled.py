@@ -1,4 +1,4 @@
-"""The `compiled` decorator: numba where it is installed, plain Python where it is not.
+"""The decorators of the kernels: numba where it is installed, plain Python where it is not.
 
 The numerical kernels are written once, in the subset both run; the environment variable TRACKRES_INTERPRETED=1 leaves
 numba out, which the tests use to show that both give the same numbers.
@@ -42,12 +42,21 @@ _CACHE_NAME = f"compiled-{_sources_digest()}"
 
 def compiled(function: Function) -> Function:
     """Compile `function` with numba (cached on disk) where numba is there."""
+    return _compile(function, "never")
+
+
+def inlined(function: Function) -> Function:
+    """Compile `function` into each of its callers: between functions every array costs counting who holds it."""
+    return _compile(function, "always")
+
+
+def _compile(function: Function, inline: str) -> Function:
     if not HAVE_NUMBA:
         return function
     config: Any = numba.config
     others = config.CACHE_DIR
     config.CACHE_DIR = str(Path(others or cache_dir()) / _CACHE_NAME)
     try:
-        return cast(Function, numba.njit(cache=True, error_model="numpy")(function))
+        return cast(Function, numba.njit(cache=True, nogil=True, error_model="numpy", inline=inline)(function))
     finally:
         config.CACHE_DIR = others

@@ -32,7 +32,7 @@ MEASURED = ("torque_nm", "belt_degc")
 # Okabe and Ito's palette, told apart with any kind of colour vision; the order keeps neighbours far apart in lightness.
 BLACK, BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY = (
     "#000000", "#0072B2", "#D55E00", "#009E73", "#E69F00", "#CC79A7", "#56B4E9")
-PALETTE = (BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY, BLACK)
+PALETTE = (BLUE, ORANGE, GREEN, PURPLE, SKY, BLACK, VERMILION)
 GREY = "#8C8C8C"
 # For an ordered quantity such as the speed: from light to dark, readable in grey.
 STEPS = ("#FDB863", "#E08214", "#B2577A", "#6A4C9C", "#1F2F6B")
@@ -161,9 +161,9 @@ def plot_estimate(path: Path, time_s: ArrayLike, columns: Mapping[str, Array], t
 
 def _draw_torque(axes: Axes, x: Array, columns: Mapping[str, Array], measured: Array | None) -> None:
     if measured is not None:
+        _line(axes, x, measured, "measured", VERMILION, linewidth=0.9)
         if "drive_torque_nm" in columns:
             _line(axes, x, columns["drive_torque_nm"], "drive torque", GREY, linewidth=0.9)
-        _line(axes, x, measured, "measured", VERMILION, linewidth=0.9)
     if "resistance_std_nm" in columns:
         _band(axes, x, columns["resistance_torque_nm"], columns["resistance_std_nm"], BLACK)
     for name, label, colour in (("resistance_torque_nm", "resistance", BLACK), ("hysteresis_nm", "hysteresis", BLUE),
@@ -175,7 +175,7 @@ def _draw_torque(axes: Axes, x: Array, columns: Mapping[str, Array], measured: A
 
 def _draw_belt(axes: Axes, x: Array, columns: Mapping[str, Array], measured: Array | None) -> None:
     if measured is not None:
-        _line(axes, x, measured, "measured", VERMILION, linestyle="none", marker=".", markersize=3)
+        _line(axes, x, measured, "measured", VERMILION, linestyle="none", marker=".", markersize=5)
     by_assembly = {name.partition("/")[2]: np.asarray(values, float) for name, values in columns.items()
                    if name.startswith("belt_degc/")}
     if by_assembly:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -88,34 +89,25 @@ def replay(source: Source, estimator: Estimator, write: Callable[[Steps], None] 
     """
     session = session or estimator.session()
     channel_of = channel_indices(session, source.roles)
-    messages = steps = 0
-    first_ns = last_ns = 0
-    thinned = _Thinned(len(estimator.columns))
-    reasons: dict[at.Reason, int] = {}
-    last = np.empty(0)
-    for block in source.blocks():
-        result = session.handle_block(channel_of[block.role], block.stamp_ns, block.arrival_ns, block.value)
-        messages += len(block)
-        if progress:
-            progress(len(block))
-        if not len(result.rows):
-            continue
-        if not steps:
-            first_ns = int(result.stamp_ns[0])
-        steps += len(result.rows)
-        last_ns, last = int(result.stamp_ns[-1]), result.rows[-1].copy()
-        flags = result.rows[:, at.OUT_REASONS].astype(np.int64)
-        for flag in np.unique(flags):
-            for reason in at.Reason(int(flag)):
-                reasons[reason] = reasons.get(reason, 0) + int(np.count_nonzero(flags == flag))
-        thinned.add((result.stamp_ns - first_ns) * NANOSECOND, result.rows)
-        if write:
-            write(result)
-    if not steps:
+    seen = _Seen(len(estimator.columns))
+    messages = 0
+    with ThreadPoolExecutor(max_workers=1) as worker:  # the kernel lets go of the interpreter: reading goes on meanwhile
+        running: Future[Steps] | None = None
+        for block in source.blocks():
+            messages += len(block)
+            before, running = running, worker.submit(session.handle_block, channel_of[block.role], block.stamp_ns,
+                                                     block.arrival_ns, block.value)
+            if before:
+                seen.take(before.result(), write)
+            if progress:
+                progress(len(block))
+        if running:
+            seen.take(running.result(), write)
+    if not seen.steps:
         refused = ", ".join(f"{name} {count.name.lower()} {number}" for name, count, number in session.counts())
         raise InputError(source.name, f"{messages} messages, none of them a usable speed ({refused or 'no message'})",
                          "at least one finite, plausible speed", "check topic, field, scale and unit of the speed")
-    return Replayed(session, messages, steps, (last_ns - first_ns) * NANOSECOND, thinned.samples(), last, reasons)
+    return Replayed(session, messages, seen.steps, (seen.last_ns - seen.first_ns) * NANOSECOND, seen.kept, seen.last, seen.reasons)
 
 
 @contextmanager
@@ -136,19 +128,36 @@ def result_writer(path: Path, estimator: Estimator) -> Iterator[Callable[[Steps]
         yield write
 
 
-class _Thinned:
-    """Every n-th sample, n doubling as they come, so that a picture of any length costs the same memory."""
+class _Seen:
+    """What a replay remembers of its results: the last row, the reasons, and every n-th row for the picture.
+
+    n doubles as they come, so that a picture of any length costs the same memory.
+    """
 
     def __init__(self, columns: int) -> None:
-        self._kept = np.empty((0, 1 + columns))
-        self._stride, self._seen = 1, 0
+        self.steps, self.first_ns, self.last_ns = 0, 0, 0
+        self.last = np.empty(0)
+        self.reasons: dict[at.Reason, int] = {}
+        self.kept = np.empty((0, 1 + columns))
+        self._stride = 1
 
-    def add(self, time_s: NDArray[np.floating[Any]], rows: Array) -> None:
-        chosen = np.arange(-self._seen % self._stride, len(time_s), self._stride)
-        self._seen += len(time_s)
-        self._kept = np.concatenate([self._kept, np.column_stack([time_s[chosen], rows[chosen]])])
-        while len(self._kept) > 2 * PICTURE_SAMPLES:
-            self._kept, self._stride = self._kept[::2], 2 * self._stride
-
-    def samples(self) -> Array:
-        return self._kept
+    def take(self, steps: Steps, write: Callable[[Steps], None] | None) -> None:
+        """Take the results of a block, and hand them on."""
+        number = len(steps.rows)
+        if not number:
+            return
+        if not self.steps:
+            self.first_ns = int(steps.stamp_ns[0])
+        chosen = np.arange(-self.steps % self._stride, number, self._stride)
+        time_s = (steps.stamp_ns[chosen] - self.first_ns) * NANOSECOND
+        self.kept = np.concatenate([self.kept, np.column_stack([time_s, steps.rows[chosen]])])
+        while len(self.kept) > 2 * PICTURE_SAMPLES:
+            self.kept, self._stride = self.kept[::2], 2 * self._stride
+        self.steps += number
+        self.last_ns, self.last = int(steps.stamp_ns[-1]), steps.rows[-1].copy()
+        flags, counts = np.unique(steps.rows[:, at.OUT_REASONS].astype(np.int64), return_counts=True)
+        for flag, count in zip(flags, counts, strict=True):
+            for reason in at.Reason(int(flag)):
+                self.reasons[reason] = self.reasons.get(reason, 0) + int(count)
+        if write:
+            write(steps)

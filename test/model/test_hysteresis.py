@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from copy import copy
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -16,7 +18,7 @@ from trackres_ros.model.hysteresis import HARMONICS, METHODS, LossMethod, Rainfl
 from trackres_ros.model.rubber import RubberModel
 from trackres_ros.model.strain_history import Profile, build_loop, indentation_amplitudes
 from trackres_ros.model.track import load_range
-from trackres_ros.vehicle import Rubber, Track, Vehicle
+from trackres_ros.vehicle import Rubber, Track, Vehicle, load
 
 FLAT_STORAGE, FLAT_LOSS = 20e6, 2e6  # of the rubber without dispersion
 FLAT_DYNAMIC = math.hypot(FLAT_STORAGE, FLAT_LOSS)
@@ -25,7 +27,7 @@ K_RAINFLOW = math.pi / 16.0 * 1.5 ** (4.0 / 3.0)
 K_EXACT = K_RAINFLOW * 16.0 / math.pi**2
 
 temperatures = st.floats(-50.0, 120.0)
-both_methods = pytest.mark.parametrize("method", list(METHODS.values()), ids=list(METHODS))
+both_methods = pytest.mark.parametrize("method", list(METHODS))
 
 
 def single_wheel(track: Track) -> Track:
@@ -87,12 +89,12 @@ def test_counting_is_low_by_about_three_on_a_bending_plateau(triangular: Track, 
 def test_spectral_loss_of_a_sine(triangular: Track, compound: Rubber, monkeypatch: pytest.MonkeyPatch) -> None:
     """Equation (28): a strain amplitude e at m cycles a loop loses pi m e^2 E''(m v/L) in a loop and unit volume."""
     rubber, length, cycles, amplitude, speed, belt_degc = RubberModel(compound), triangular.belt.loop_length, 7, 3.0, 4.0, 25.0
-    at = np.arange(20000) / 20000 * length
+    at = np.arange(4000) / 4000 * length
     sine = Profile(at, amplitude * np.sin(2 * np.pi * cycles * at / length + 0.4), length)
     monkeypatch.setattr(hysteresis, "build_loop", lambda track: replace(build_loop(track), curvature=sine))
     loss = float(Spectral(triangular, rubber).loss_force(speed, belt_degc, 68e3).bending)
     per_volume = math.pi * cycles * amplitude**2 * float(rubber.loss_modulus(cycles * speed / length, belt_degc))
-    assert loss == pytest.approx(triangular.belt.width * bending_moment_of_height(triangular.belt, 2) * per_volume, rel=1e-5)
+    assert loss == pytest.approx(triangular.belt.width * bending_moment_of_height(triangular.belt, 2) * per_volume, rel=1e-4)
 
 
 def test_the_printed_range_squared_gives_four_times_the_loss_of_a_sine() -> None:
@@ -145,7 +147,7 @@ def test_the_pulse_to_fourth_order_is_as_good_as_the_circle(vehicle: Vehicle, tr
     model = Spectral(track, RubberModel(vehicle.rubber))
     half = float(model.contacts(1.0, 120.0, load_range(vehicle, track.name).high).half_length[0])
     radius, length, n = track.road_wheels.radius, track.belt.loop_length, model.harmonics
-    nodes, weights = np.polynomial.legendre.leggauss(2000)
+    nodes, weights = np.polynomial.legendre.leggauss(500)
     strain = contact.indentation(nodes * half, half, radius) / track.belt.thickness
     exact = 2.0 / length * half * np.cos(2 * np.pi / length * np.outer(n, nodes * half)) @ (weights * strain)
     ours = indentation_amplitudes(half, radius, track.belt.thickness, length, n)
@@ -162,70 +164,89 @@ def test_doubling_the_harmonics_moves_the_loss_by_less_than_a_thousandth(vehicle
     assert np.abs(doubled.bending / shipped.bending - 1.0).max() < 1e-3
 
 
-def method_of(method: type[LossMethod], vehicle: Vehicle, **rubber: float) -> LossMethod:
-    return method(next(iter(vehicle.tracks.values())), RubberModel(replace(vehicle.rubber, **rubber)))
-
-
-@both_methods
-@given(data=st.data(), belt_degc=temperatures, speed=st.floats(0.0, 1.0))
-def test_the_loss_rises_with_load(vehicle: Vehicle, method: type[LossMethod], data: st.DataObject, belt_degc: float, speed: float) -> None:
-    loads = load_range(vehicle, next(iter(vehicle.tracks)))
-    low = data.draw(st.floats(loads.low, 0.98 * loads.high))
-    high = data.draw(st.floats(1.01 * low, loads.high))
-    light, heavy = method_of(method, vehicle).loss_force(speed * vehicle.chassis.max_speed, belt_degc, np.array([low, high])).total
-    assert light < heavy
-
-
-@both_methods
-@given(scale=st.floats(0.5, 1.9), belt_degc=temperatures, speed=st.floats(0.0, 16.0))
-def test_the_loss_rises_with_the_loss_modulus(xgd24d: Vehicle, method: type[LossMethod], scale: float, belt_degc: float, speed: float) -> None:
-    """As long as the loss factor is under the square root of 3: beyond it the contact shrinks faster than the loss grows."""
-    less, more = (method_of(method, xgd24d, loss_modulus_scale=s).loss_force(speed, belt_degc, 68e3).total for s in (scale, 1.05 * scale))
-    assert less < more
-
-
 def mirrored(track: Track) -> Track:
+    """The track seen from the other side: what was the front end of the ground run is its rear end."""
     run = track.road_wheels.ground_run
     wheels = replace(track.road_wheels, positions=tuple(run - x for x in reversed(track.road_wheels.positions)))
     return replace(track, road_wheels=wheels, wrapped_wheels=track.wrapped_wheels[::-1])
 
 
+@cache
+def shipped(name: str, method: str, from_behind: bool = False) -> LossMethod:
+    """Loss of a shipped vehicle, or of its mirror image, by a method; of few harmonics, as laws hold with any number."""
+    vehicle = load(name)
+    track = next(iter(vehicle.tracks.values()))
+    given_track, rubber = mirrored(track) if from_behind else track, RubberModel(vehicle.rubber)
+    return Spectral(given_track, rubber, 512) if method == "spectral" else METHODS[method](given_track, rubber)
+
+
+@both_methods
+@given(data=st.data(), belt_degc=temperatures, speed=st.floats(0.0, 1.0))
+def test_the_loss_rises_with_load(vehicle: Vehicle, method: str, data: st.DataObject, belt_degc: float, speed: float) -> None:
+    loads = load_range(vehicle, next(iter(vehicle.tracks)))
+    low = data.draw(st.floats(loads.low, 0.98 * loads.high))
+    high = data.draw(st.floats(1.01 * low, loads.high))
+    at = speed * vehicle.chassis.max_speed, belt_degc
+    light, heavy = shipped(vehicle.name, method).loss_force(*at, np.array([low, high])).total
+    assert light < heavy
+
+
+@both_methods
+@given(scale=st.floats(0.5, 1.9), belt_degc=temperatures, speed=st.floats(0.0, 16.0))
+def test_the_loss_rises_with_the_loss_modulus(xgd24d: Vehicle, method: str, scale: float, belt_degc: float, speed: float) -> None:
+    """As long as the loss factor is under the square root of 3: beyond it the contact shrinks faster than the loss grows."""
+    model, losses = shipped("xgd24d", method), []
+    for s in (scale, 1.05 * scale):
+        scaled = copy(model)
+        scaled.rubber = RubberModel(replace(xgd24d.rubber, loss_modulus_scale=s))
+        losses.append(float(scaled.loss_force(speed, belt_degc, 68e3).total))
+    assert losses[0] < losses[1]
+
+
 @both_methods
 @given(speed=st.floats(0.01, 16.0), belt_degc=temperatures, share=st.floats(-0.2, 0.2))
-def test_reverse_is_the_mirror_image_of_forward(vehicle: Vehicle, method: type[LossMethod], speed: float, belt_degc: float,
-                                                share: float) -> None:
-    """Travel that way does not matter; a torque does by its sense, as tight and slack run change over."""
-    track, rubber = next(iter(vehicle.tracks.values())), RubberModel(vehicle.rubber)
-    load = load_range(vehicle, track.name).nominal
-    torque = share * load * track.sprocket_radius
-    forward, reverse = (method(track, rubber).loss_force(v, belt_degc, load, torque) for v in (speed, -speed))
+def test_reverse_is_the_mirror_image_of_forward(vehicle: Vehicle, method: str, speed: float, belt_degc: float, share: float) -> None:
+    """Which way the vehicle travels does not matter; a torque does by its sense, as tight and slack run change over."""
+    model, from_behind = shipped(vehicle.name, method), shipped(vehicle.name, method, from_behind=True)
+    weight = load_range(vehicle, model.track.name).nominal
+    torque = share * weight * model.track.sprocket_radius
+    forward, reverse = (model.loss_force(v, belt_degc, weight, torque) for v in (speed, -speed))
     assert [float(part) for part in forward] == [float(part) for part in reverse]
-    seen_from_behind = method(mirrored(track), rubber).loss_force(speed, belt_degc, load, -torque)
-    assert float(seen_from_behind.total) == pytest.approx(float(forward.total), rel=1e-9)
-    assert float(seen_from_behind.drive) == pytest.approx(float(forward.drive), rel=1e-6, abs=1e-9 * float(forward.total))
+    mirror_image = from_behind.loss_force(speed, belt_degc, weight, -torque)
+    assert float(mirror_image.total) == pytest.approx(float(forward.total), rel=1e-8)
+    assert float(mirror_image.drive) == pytest.approx(float(forward.drive), rel=1e-6, abs=1e-8 * float(forward.total))
 
 
 @both_methods
-def test_the_loss_per_metre_has_a_limit_at_rest(vehicle: Vehicle, method: type[LossMethod]) -> None:
+def test_the_loss_per_metre_has_a_limit_at_rest(vehicle: Vehicle, method: str) -> None:
     """F_h stays finite, so the heat F_h v is zero at rest, and M = F_h R1 is never 0/0 as equation (33) is."""
     loads = load_range(vehicle, next(iter(vehicle.tracks)))
-    losses = method_of(method, vehicle).loss_force(np.array([0.0, 1e-9, 1e-8]), 20.0, loads.nominal).total
+    losses = shipped(vehicle.name, method).loss_force(np.array([0.0, 1e-9, 1e-8]), 20.0, loads.nominal).total
     assert np.isfinite(losses).all()
     assert (losses > 0.0).all()
     assert losses == pytest.approx(np.full(3, losses[0]), rel=1e-6)
 
 
 @both_methods
-def test_a_vectorised_call_is_its_points(vehicle: Vehicle, method: type[LossMethod]) -> None:
-    model, random = method_of(method, vehicle), np.random.default_rng(2)
+def test_a_vectorised_call_is_its_points(vehicle: Vehicle, method: str) -> None:
+    model, random = shipped(vehicle.name, method), np.random.default_rng(2)
     loads = load_range(vehicle, model.track.name)
     speed, belt_degc = random.uniform(0.0, vehicle.chassis.max_speed, (5, 1)), random.uniform(-40.0, 100.0, (1, 7))
-    load, torque = random.uniform(loads.low, loads.high, (5, 7)), random.uniform(-100.0, 100.0, (5, 7))
-    whole = model.loss_force(speed, belt_degc, load, torque)
+    weight, torque = random.uniform(loads.low, loads.high, (5, 7)), random.uniform(-100.0, 100.0, (5, 7))
+    whole = model.loss_force(speed, belt_degc, weight, torque)
     assert whole.total.shape == (5, 7)
     for i in np.ndindex(5, 7):
-        point = model.loss_force(speed[i[0], 0], belt_degc[0, i[1]], load[i], torque[i])
+        point = model.loss_force(speed[i[0], 0], belt_degc[0, i[1]], weight[i], torque[i])
         assert [float(part) for part in point] == pytest.approx([float(part[i]) for part in whole], rel=1e-8, abs=1e-9)
+
+
+@both_methods
+def test_a_sprocket_at_any_place_of_the_loop(triangular: Track, compound: Rubber, method: str) -> None:
+    """First or last of the wrapped wheels too, where its arc begins or ends with the ground run."""
+    for turn in range(3):
+        wheels = triangular.wrapped_wheels[turn:] + triangular.wrapped_wheels[:turn]
+        loss = METHODS[method](replace(triangular, wrapped_wheels=wheels), RubberModel(compound)).loss_force(5.0, 20.0, 68e3, 1000.0)
+        assert abs(float(loss.drive)) < 0.005 * float(loss.total)
 
 
 def test_a_counted_cycle_lasts_as_long_as_its_passage(triangular: Track, compound: Rubber) -> None:
@@ -234,7 +255,7 @@ def test_a_counted_cycle_lasts_as_long_as_its_passage(triangular: Track, compoun
     half = np.array([0.02, 0.021, 0.022, 0.023])
     pulses = count.indentation_cycles(half)
     assert sorted({round(c.passage, 9) for c in pulses}) == pytest.approx([0.04, 0.042, 0.044, 0.046])
-    assert sum(c.cycle.count for c in pulses) == 4.0
+    assert sum(c.cycle.number for c in pulses) == 4.0
     bends = count.along_cycles(triangular.belt.thickness, 0.0)
     arcs = {round(w.wrap_angle * (w.radius + triangular.belt.cord_height) + triangular.belt.curvature_length, 9)
             for w in triangular.wrapped_wheels}

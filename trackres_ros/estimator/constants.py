@@ -111,6 +111,8 @@ def make_constants(vehicle: Vehicle, settings: Settings, cache: Path | None = No
         row[at.INNER_CONDUCTANCE], row[at.AREA] = network.inner_conductance, network.area
         row[at.FILM_OFFSET], row[at.FILM_SLOPE] = network.film_offset, network.film_slope
         row[at.FIRST_LOG_LOAD], row[at.STEP_LOG_LOAD] = table.first_log_load, table.step_log_load
+        row[at.SHARE_OF_AXLE] = load / loads[list(vehicle.assemblies_of(assembly.axle))].sum()
+        row[at.SHARE_OF_ALL] = load / loads.sum()
     doubt = np.array([spreads[a.track].factor.ravel() for a in vehicle.assemblies])
     gain = np.nan if chassis.motor_ratio is None or chassis.motor_efficiency is None else (
         1.0 / (chassis.motor_ratio * chassis.motor_efficiency))

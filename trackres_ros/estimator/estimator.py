@@ -139,9 +139,9 @@ class Estimator:
             [m/s^2], rise over run, and [Nm]; nan where not known.
         """
         k = self.constants
-        loads = k.assembly[:, at.NOMINAL_LOAD] if load is None else np.asarray(load, dtype=float)
+        loads = k.assembly[:, at.NOMINAL_LOAD].copy() if load is None else np.asarray(load, dtype=float)
         if weight is not None:
-            loads = loads * (weight / loads.sum())
+            loads = weight * (k.assembly[:, at.SHARE_OF_ALL] if load is None else loads / loads.sum())
         return Inputs(float(speed), loads, k.number.nominal_ambient if ambient is None else float(ambient),
                       k.number.ambient_unknown_std if ambient is None else k.number.ambient_std,
                       self._no_belts if belt_measured is None else np.asarray(belt_measured, dtype=float),

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.compiled import compiled
+from trackres_ros.compiled import compiled, inlined
 from trackres_ros.estimator import layout as at
 from trackres_ros.estimator.constants import Constants
 from trackres_ros.estimator.kernel import Inputs
@@ -50,7 +50,7 @@ def new_memory(channels: int) -> Memory:
                   np.zeros((channels, len(at.Count)), dtype=np.int64))
 
 
-@compiled
+@inlined
 def admit(k: Constants, memory: Memory, channel: int, stamp: int, arrival: int, value: float) -> tuple[int, int]:
     """Accept or refuse one message, count it, and keep its value.
 
@@ -113,7 +113,7 @@ def forget_others(memory: Memory, kept: int) -> None:
             memory.values[channel] = math.nan
 
 
-@compiled
+@inlined
 def held(memory: Memory, channel: int, now: int, hold_ns: int) -> float:
     """The last value of a channel if it arrived no longer ago than `hold_ns`, else nan."""
     if memory.times[channel, at.SEEN] == 0 or now - memory.times[channel, at.LAST_ARRIVAL] > hold_ns:
@@ -121,33 +121,26 @@ def held(memory: Memory, channel: int, now: int, hold_ns: int) -> float:
     return float(memory.values[channel])
 
 
-@compiled
+@inlined
 def gather_loads(k: Constants, memory: Memory, now: int, loads: Array) -> int:
     """Load of each assembly [N] by the finest source there is; fills `loads`, returns the reasons to report.
 
     A load of the assembly goes before one of its axle, that before the total; each shared in proportion to nominal loads.
     """
-    assemblies, axles = loads.shape[0], k.number.axles
-    nominal = k.assembly[:, at.NOMINAL_LOAD]
     first_axle = at.DISTANCE + 1
+    first_assembly = first_axle + k.number.axles
     reasons = 0
     total = held(memory, at.LOAD, now, k.number.load_hold_ns)
-    nominal_total = nominal.sum()
-    for i in range(assemblies):
-        own, by_axle = first_axle + axles + i, first_axle + int(k.assembly[i, at.AXLE])
-        value, source = held(memory, own, now, k.number.load_hold_ns), own
+    for i in range(loads.shape[0]):
+        source = first_assembly + i
+        value = held(memory, source, now, k.number.load_hold_ns)
         if math.isnan(value):
-            value, source = held(memory, by_axle, now, k.number.load_hold_ns), by_axle
-            if not math.isnan(value):
-                on_axle = 0.0
-                for j in range(assemblies):
-                    if k.assembly[j, at.AXLE] == k.assembly[i, at.AXLE]:
-                        on_axle += nominal[j]
-                value *= nominal[i] / on_axle
-            elif not math.isnan(total):
-                value, source = total * nominal[i] / nominal_total, at.LOAD
+            source = first_axle + int(k.assembly[i, at.AXLE])
+            value = held(memory, source, now, k.number.load_hold_ns) * k.assembly[i, at.SHARE_OF_AXLE]
         if math.isnan(value):
-            loads[i] = nominal[i]
+            source, value = at.LOAD, total * k.assembly[i, at.SHARE_OF_ALL]
+        if math.isnan(value):
+            loads[i] = k.assembly[i, at.NOMINAL_LOAD]
             reasons |= LOAD_NOMINAL
         else:
             loads[i] = value
@@ -156,7 +149,7 @@ def gather_loads(k: Constants, memory: Memory, now: int, loads: Array) -> int:
     return reasons
 
 
-@compiled
+@inlined
 def gather(k: Constants, memory: Memory, outcome: int, quantum: float, loads: Array, belt_measured: Array) -> Inputs:
     """The inputs of the step that an accepted speed makes; fills `loads` and `belt_measured`, one entry an assembly.
 

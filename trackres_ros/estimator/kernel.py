@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.compiled import compiled
+from trackres_ros.compiled import compiled, inlined
 from trackres_ros.estimator import layout as at
 from trackres_ros.estimator.belt_step import (
     SLOWEST_LOG_SPEED,
@@ -121,7 +121,7 @@ class Road(NamedTuple):
     dt: float
 
 
-@compiled
+@inlined
 def measure(k: Constants, i: int, belt: Array, measured: float, ambient: float, speed: float) -> int:
     """Correct one belt by a new measurement [degC]; the reasons it gives."""
     shown, to_core, to_surface = belt[0, at.TEMPERATURE], 1.0, 0.0
@@ -134,7 +134,7 @@ def measure(k: Constants, i: int, belt: Array, measured: float, ambient: float, 
     return 0
 
 
-@compiled
+@inlined
 def advance_assembly(k: Constants, i: int, belt: Array, load: float, measured: float, road: Road, part: Array, out: Array) -> int:
     """Advance one assembly; fills its `part` of the totals and its columns of `out`, returns its reasons."""
     radius, share, log_load = k.assembly[i, at.RADIUS], load / road.weight, math.log(load)
@@ -184,7 +184,7 @@ def advance_assembly(k: Constants, i: int, belt: Array, load: float, measured: f
     return reasons
 
 
-@compiled
+@inlined
 def twin_of(k: Constants, i: int, belts: Array, inputs: Inputs) -> int:
     """An earlier assembly of the same kind, load and belt state, to the bit, with nothing measured on either; else i.
 
@@ -204,7 +204,7 @@ def twin_of(k: Constants, i: int, belts: Array, inputs: Inputs) -> int:
     return i
 
 
-@compiled
+@inlined
 def advance_assemblies(k: Constants, belts: Array, inputs: Inputs, road: Road, out: Array) -> tuple[Array, int]:
     """Advance all assemblies; the sums of their parts, shape (PARTS,), and their reasons."""
     assemblies = belts.shape[0]
@@ -230,7 +230,7 @@ def advance_assemblies(k: Constants, belts: Array, inputs: Inputs, road: Road, o
     return total, reasons
 
 
-@compiled
+@inlined
 def feedforward(k: Constants, motion: Array, total: Array, given_accel: bool, dt: float) -> tuple[float, int]:
     """Chosen parts [Nm], limited in size and rate, and the reasons that gives."""
     number, reasons = k.number, 0
@@ -248,7 +248,7 @@ def feedforward(k: Constants, motion: Array, total: Array, given_accel: bool, dt
     return wanted, reasons
 
 
-@compiled
+@inlined
 def advance(k: Constants, belts: Array, motion: Array, inputs: Inputs, dt: float, out: Array) -> None:
     """Advance the whole estimate by dt [s] to the time of `inputs`; changes `belts` and `motion`, fills one row of results.
 

@@ -12,7 +12,7 @@ CHANNELS = ("speed", "load", "torque", "ambient", "belt", "accel", "grade", "yaw
 
 # Constants of an assembly; those of one KIND differ in nothing but the axle; from DOUBT_FACTOR on the 4 x 4 factor of its doubt, row by row.
 (AXLE, TABLE, NOMINAL_LOAD, RADIUS, CORE_CAPACITY, SKIN_CAPACITY, INNER_CONDUCTANCE, AREA, FILM_OFFSET, FILM_SLOPE,
- FIRST_LOG_LOAD, STEP_LOG_LOAD, KIND, DOUBT_FACTOR) = range(14)
+ FIRST_LOG_LOAD, STEP_LOG_LOAD, KIND, SHARE_OF_AXLE, SHARE_OF_ALL, DOUBT_FACTOR) = range(16)
 LOSS_DOUBT, COOLING_DOUBT, CAPACITY_DOUBT, RADIUS_DOUBT = (DOUBT_FACTOR + 4 * row for row in range(4))
 
 # What an assembly adds to the totals of a step; from PART_DOUBT on the four causes of its factor of doubt.

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.compiled import compiled
+from trackres_ros.compiled import compiled, inlined
 from trackres_ros.estimator import layout as at
 from trackres_ros.estimator.belt_step import SLOWEST_LOG_SPEED
 from trackres_ros.estimator.constants import Constants, Numbers
@@ -22,7 +22,7 @@ IntArray = NDArray[np.int64]
 NANOSECOND = 1e-9
 
 
-@compiled
+@inlined
 def feed(k: Constants, memory: Memory, belts: Array, motion: Array, loads: Array, belt_measured: Array,
          channel: int, stamp: int, arrival: int, value: float, out: Array) -> bool:
     """Take one message in. An accepted speed makes a step and fills `out`; returns whether it did."""
@@ -84,11 +84,9 @@ def run_series(numbers: Sequence[Numbers], assembly: Array, loss: Array, drive: 
                accelerations: Array, grades: Array, loads: Array, no_belts: Array, out: Array) -> None:
     """`kernel.advance` along arrays of equal length; weights [N] are shared as nominal loads are. One row of `out` a time."""
     k = Constants(numbers[0], assembly, loss, drive, limits)
-    nominal = assembly[:, at.NOMINAL_LOAD]
-    total = nominal.sum()
     for i in range(times.shape[0]):
         for j in range(loads.shape[0]):
-            loads[j] = weights[i] * (nominal[j] / total)
+            loads[j] = weights[i] * assembly[j, at.SHARE_OF_ALL]
         inputs = Inputs(speeds[i], loads, ambients[i], ambient_std, no_belts, accelerations[i], grades[i], math.nan, 0)
         advance(k, belts, motion, inputs, times[i] - times[i - 1] if i > 0 else 0.0, out[i])
 

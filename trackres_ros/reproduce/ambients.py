@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.plots import legend_beside, picture, thinned
 from trackres_ros.reproduce.bench import COMBINATIONS, KMH_PER_MPS, METHODS, THERMAL, Bench, at_times
-from trackres_ros.reproduce.common_claims import falls, same_stable
+from trackres_ros.reproduce.common_claims import falls, hot_belts, same_stable
 from trackres_ros.reproduce.families import (
     Family,
     colours,
@@ -22,7 +22,7 @@ from trackres_ros.reproduce.families import (
     time_table,
 )
 from trackres_ros.reproduce.output import mark_time
-from trackres_ros.reproduce.section import FAILS, HOLDS, IN_PART, Claim, Figure, Section, listed, percent, span
+from trackres_ros.reproduce.section import FAILS, HOLDS, IN_PART, Claim, Figure, Section, listed, percents
 from trackres_ros.simulate import ramp_and_hold
 
 Array = NDArray[np.float64]
@@ -61,10 +61,10 @@ def ambients(bench: Bench, out: Path) -> Section:
               stable_table(family, "Stable resistance torque [Nm] / belt temperature [°C] by combination.")]
     kept = {c: [(family.stable[b][c].belt_degc - family.stable[a][c].belt_degc) / (b - a) for a, b in pairwise(AMBIENTS_DEGC)]
             for c in COMBINATIONS}
-    told = [f"{span([100 * share for share in shares], 0, ' %')} with {c.replace('/', ' and ')}" for c, shares in kept.items()]
+    told = [f"{percents(shares, 0)} with {c.replace('/', ' and ')}" for c, shares in kept.items()]
     text = [f"Constant {SPEED_KMH:g} km/h and {WEIGHT_N / 1e3:g} kN from the start, without a ramp, as in the paper; run on to "
             f"{DURATION_S:g} s beyond the paper's {PAPER_END_S:g} s. The belt starts at the ambient temperature.",
-            f"Of a difference in ambient temperature the stable belt keeps {listed(told)}."]
+            f"Of a difference in ambient temperature the stable belt keeps {listed(told)}.", *hot_belts(bench, family)]
     numbers = {**family_numbers(family, TIMES_S), "kept_share": kept}
     return Section("Figure 26: ambient temperature", text, figures, claims, tables, numbers)
 
@@ -144,8 +144,7 @@ def _colder_warms_more(family: Family) -> Claim:
     return Claim(
         "colder_warms_more", WHERE, "At a low ambient temperature much heat is generated and the track warms rapidly.",
         {c: bool((np.diff(r) < 0).all()) for c, r in rise.items()},
-        f"In the first {CROSSING_S:g} s the belt warms {percent(min(r[0] / r[-1] for r in rise.values()) - 1, 0)} to "
-        f"{percent(max(r[0] / r[-1] for r in rise.values()) - 1, 0)} more at {AMBIENTS_DEGC[0]:g} than at {AMBIENTS_DEGC[-1]:g} "
-        "°C.",
+        f"In the first {CROSSING_S:g} s the belt warms {percents((r[0] / r[-1] - 1.0 for r in rise.values()), 0)} more at "
+        f"{AMBIENTS_DEGC[0]:g} than at {AMBIENTS_DEGC[-1]:g} °C.",
         {HOLDS: "A larger loss modulus makes more heat per metre."}, {"rise_k": {c: r.tolist() for c, r in rise.items()}},
         {f"rise by {CROSSING_S:g} s, {ENDS}": {c: f"{r[0]:.1f} and {r[-1]:.1f} K" for c, r in rise.items()}})

@@ -105,7 +105,7 @@ def draw_combinations(out: Path, family: Family, caption: str, marks: Mapping[fl
                     axes.plot(1.02, family.stable[value][combination].torque_nm, marker="_", color=colour, markersize=9,
                               markeredgewidth=2, transform=axes.get_yaxis_transform(), clip_on=False)
                 axes.set_title(f"{method}, {thermal}")
-                axes.margins(x=0.0)
+                axes.set_xlim(0.0, family.series(combination)[0]["time_s"][-1])
                 for time_s, text in (marks or {}).items():
                     mark_time(axes, time_s, text if (row, column) == (0, 0) else "")
             panels[row, 0].set_ylim(*_limits(family, [f"{method}/{thermal}" for thermal in THERMAL]))

@@ -111,10 +111,15 @@ def percent(share: float, digits: int = 1) -> str:
 
 
 def span(values: Iterable[float], digits: int = 0, unit: str = "") -> str:
-    """The least and the greatest of some values as text, `3 to 5 Nm`; one where both read alike."""
+    """The least and the greatest of some values as text, `3 to 5 Nm`; one of them where both read alike."""
     values = list(values)
     low, high = f"{min(values):.{digits}f}", f"{max(values):.{digits}f}"
     return (low if low == high else f"{low} to {high}") + unit
+
+
+def percents(shares: Iterable[float], digits: int = 1) -> str:
+    """The least and the greatest of some shares in percent, `3 to 5 %`."""
+    return span((100.0 * share for share in shares), digits, " %")
 
 
 def listed(items: Sequence[str]) -> str:

@@ -98,8 +98,12 @@ def spectrum(bench: Bench, out: Path) -> Section:
 
 def _loss_table(losses: dict[str, LossForce]) -> Table:
     parts = ("indentation", "bending", "tension", "drive")
-    rows = [[name, *(f"{float(getattr(loss, part)):.1f} ({percent(float(getattr(loss, part) / loss.total))})" for part in parts),
-             f"{float(loss.total):.1f}"] for name, loss in losses.items()]
+    rows = []
+    for name, loss in losses.items():
+        values = [float(getattr(loss, part)) for part in parts]
+        shares = [percent(value / float(loss.total), 2) for value in values]
+        cells = [f"{value:.2f} ({share})" for value, share in zip(values, shares, strict=True)]
+        rows.append([name, *cells, f"{float(loss.total):.2f}"])
     return Table("Loss per metre of travel [N] of one assembly by cause, and its share. `drive` is what the drive torque adds, "
                  "with its coupling to bending.",
                  ["method", *parts, "total"], rows)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.reproduce.bench import COMBINATIONS, KMH_PER_MPS, Bench, at_times
-from trackres_ros.reproduce.common_claims import falls, same_stable
+from trackres_ros.reproduce.common_claims import falls, hot_belts, same_stable
 from trackres_ros.reproduce.families import (
     Family,
     draw_combinations,
@@ -18,7 +18,7 @@ from trackres_ros.reproduce.families import (
     stable_table,
     time_table,
 )
-from trackres_ros.reproduce.section import FAILS, HOLDS, IN_PART, Claim, Section, percent
+from trackres_ros.reproduce.section import FAILS, HOLDS, IN_PART, Claim, Section, percent, percents, span
 from trackres_ros.simulate import ramp_and_hold
 
 Array = NDArray[np.float64]
@@ -57,9 +57,7 @@ def speeds(bench: Bench, out: Path) -> Section:
               stable_table(family, "Stable resistance torque [Nm] / belt temperature [°C] by combination.")]
     text = [f"From rest to each speed in {RAMP_S:g} s, then held to {DURATION_S:g} s. Resistance torque is hysteresis, bearings "
             "and wind of the whole vehicle; the inertia of the ramp is left out, as the paper leaves the first 50 s out of its "
-            "analysis.",
-            "`lumped` is the paper's thermal model: one mean temperature, and no resistance inside the rubber. `core_surface` "
-            "has that resistance, so its belt, whose mean is shown, runs hotter."]
+            "analysis.", *hot_belts(bench, family)]
     return Section("Figure 24: speed", text, figures, claims, tables, family_numbers(family, TIMES_S))
 
 
@@ -88,8 +86,8 @@ def _warms_faster(family: Family, start_s: float) -> Claim:
         ordered[c] = bool((np.diff(belts, axis=0) > 0).all())
     return Claim(
         "faster_warms_faster", "section 4.2.1", "At a higher speed the temperature of the track rises faster.", ordered,
-        f"By {COMPARED_S:g} s the belt has warmed {min(r[-1] / r[0] for r in rise.values()):.1f} to "
-        f"{max(r[-1] / r[0] for r in rise.values()):.1f} times as much at {SPEEDS_KMH[-1]:g} as at {SPEEDS_KMH[0]:g} km/h.",
+        f"By {COMPARED_S:g} s the belt has warmed {span((r[-1] / r[0] for r in rise.values()), 1)} times as much at "
+        f"{SPEEDS_KMH[-1]:g} as at {SPEEDS_KMH[0]:g} km/h.",
         {HOLDS: "Heat is loss per metre times speed; the film coefficient grows much less than the speed."},
         {"rise_k": {c: r.tolist() for c, r in rise.items()}},
         {f"rise by {COMPARED_S:g} s at {ENDS}": {c: f"{r[0]:.1f} and {r[-1]:.1f} K" for c, r in rise.items()}})
@@ -97,7 +95,7 @@ def _warms_faster(family: Family, start_s: float) -> Claim:
 
 def _settles_sooner(family: Family, start_s: float) -> Claim:
     times = {c: settling_times(family, c, start_s) for c in COMBINATIONS}
-    names = (f"until {percent(FALLEN, 0)} of the fall is done", f"until within {percent(NEAR, 0)}")
+    names = (f"{percent(FALLEN, 0)} of the fall", f"within {percent(NEAR, 0)}")
 
     def sooner(seconds: Array) -> bool:
         return bool((seconds[1:] <= seconds[:-1]).all() and seconds[-1] < seconds[0])
@@ -117,7 +115,7 @@ def _settles_sooner(family: Family, start_s: float) -> Claim:
                   "start."},
         {"seconds": {c: {name: [None if np.isinf(t) else float(t) for t in times[c][i]] for i, name in enumerate(names)}
                      for c in COMBINATIONS}},
-        {f"{name}, {SPEEDS_KMH[0]:g} to {SPEEDS_KMH[-1]:g} km/h [s]": {c: told(times[c][i]) for c in COMBINATIONS}
+        {f"{name} after, {SPEEDS_KMH[0]:g} to {SPEEDS_KMH[-1]:g} km/h [s]": {c: told(times[c][i]) for c in COMBINATIONS}
          for i, name in enumerate(names)})
 
 
@@ -145,11 +143,10 @@ def _slower_is_larger(family: Family, start_s: float) -> Claim:
     return Claim(
         "slower_is_larger", WHERE, "At the same time the torque is the larger, the lower the speed.",
         {c: share[c] == 1.0 for c in COMBINATIONS},
-        f"The torques of all five speeds are in this order during {percent(min(share.values()), 0)} to "
-        f"{percent(max(share.values()), 0)} of the time at constant speed. At {COMPARED_S:g} s the torque at {SPEEDS_KMH[-1]:g} "
-        f"km/h is {min(m[-1] / m[0] for m in at.values()):.2f} to {max(m[-1] / m[0] for m in at.values()):.2f} times that at "
-        f"{SPEEDS_KMH[0]:g} km/h. The hysteresis torque alone, without wind and bearings, comes into the paper's order later: "
-        "see the last column.",
+        f"The torques of all five speeds are in this order during {percents(share.values(), 0)} of the time at constant speed. "
+        f"At {COMPARED_S:g} s the torque at {SPEEDS_KMH[-1]:g} km/h is {span((m[-1] / m[0] for m in at.values()), 2)} times that "
+        f"at {SPEEDS_KMH[0]:g} km/h. When the hysteresis torque alone, without wind and bearings, is in this order, is the last "
+        "but one column.",
         {FAILS: "At equal temperature a higher speed means a higher frequency, and the loss modulus rises with frequency "
                 "(Figure 16); the wind rises with the square of the speed. The order can turn only as the faster belt warms, "
                 "which takes hundreds of seconds, and only where warming does more than frequency and wind.",

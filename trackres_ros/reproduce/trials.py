@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from trackres_ros.plots import BLACK, BLUE, GREY, ORANGE, SKY, VERMILION, legend_beside, picture, thinned
 from trackres_ros.reproduce.bench import COMBINATIONS, KMH_PER_MPS, Bench, Runs, Series, at_times
 from trackres_ros.reproduce.output import write_csv
-from trackres_ros.reproduce.section import HOLDS, IN_PART, OPEN, Claim, Figure, Section, Table, percent
+from trackres_ros.reproduce.section import HOLDS, IN_PART, OPEN, Claim, Figure, Section, Table, percent, percents
 from trackres_ros.simulate import Drive, laps, simulate, through_points
 
 Array = NDArray[np.float64]
@@ -148,7 +148,7 @@ def _lap_falls(trial: Trial, runs: Runs) -> Claim:
         f"laps_{trial.speed_kmh:g}_fall", trial.where, "The simulated torque gradually decreases.",
         {c: bool((np.diff(m) < 0).all()) for c, m in means.items()},
         f"The mean torque at full speed changes from the first of {len(means[COMBINATIONS[0]])} laps to the last by "
-        f"{percent(min(m[-1] / m[0] - 1 for m in means.values()))} to {percent(max(m[-1] / m[0] - 1 for m in means.values()))}.",
+        f"{percents(m[-1] / m[0] - 1.0 for m in means.values())}.",
         {HOLDS: "It falls from each lap to the next: the belt warms more in a lap than it cools in a stop."},
         {"lap_mean_nm": {c: m.tolist() for c, m in means.items()}},
         {"first lap": {c: f"{m[0]:.0f} Nm" for c, m in means.items()},
@@ -164,8 +164,7 @@ def _lap_settles(bench: Bench, trial: Trial, runs: Runs) -> Claim:
     return Claim(
         f"laps_{trial.speed_kmh:g}_settle", trial.where, "The torque gradually tends to a stable value.", shrinking,
         f"Laps are driven on for {LONG_RUN * trial.duration_s:g} s to see what the torque tends to. Of the fall from the first "
-        f"lap to there, the {trial.duration_s:g} s of the record see {percent(min(done.values()), 0)} to "
-        f"{percent(max(done.values()), 0)}.",
+        f"lap to there, the {trial.duration_s:g} s of the record see {percents(done.values(), 0)}.",
         {HOLDS: "The fall from lap to lap shrinks, which is tending to a stable value. How near the record comes to it, the "
                 "shares tell.",
          IN_PART: "The fall does not shrink from each lap to the next."}, {"tends_to_nm": ends, "share_done": done},
@@ -179,8 +178,7 @@ def _straight_falls(trial: Trial, runs: Runs) -> Claim:
     return Claim(
         f"straight_{trial.speed_kmh:g}_falls", trial.where, "The simulated torque gradually decreases.",
         {c: bool((np.diff(m) < 0).all()) for c, m in torque.items()},
-        f"From when full speed is reached to {trial.duration_s:g} s the torque changes by {percent(min(change.values()))} to "
-        f"{percent(max(change.values()))}.",
+        f"From when full speed is reached to {trial.duration_s:g} s the torque changes by {percents(change.values())}.",
         {HOLDS: "The belt warms all the way; the record ends long before it is in balance."}, {"change": change},
         {"at full speed": {c: f"{m[0]:.0f} Nm" for c, m in torque.items()},
          "at the end": {c: f"{m[-1]:.0f} Nm" for c, m in torque.items()}})
@@ -212,9 +210,9 @@ def _table(runs: Runs) -> Table:
     rows = []
     for c in COMBINATIONS:
         parts = list(held(runs[c]))
-        torque, belt, drive = (runs[c][name] for name in ("resistance_torque_nm", "belt_degc", "drive_torque_nm"))
-        rows.append([c.replace("/", ", "), f"{torque[parts[0].start]:.0f}", f"{torque[parts[-1].stop - 1]:.0f}", f"{belt[-1]:.1f}",
-                     f"{drive.max():.0f}"])
+        torque = runs[c]["resistance_torque_nm"]
+        rows.append([c.replace("/", ", "), f"{torque[parts[0].start]:.0f}", f"{torque[parts[-1].stop - 1]:.0f}",
+                     f"{runs[c]['belt_degc'][-1]:.1f}", f"{runs[c]['drive_torque_nm'].max():.0f}"])
     return Table("Whole vehicle, over the record.",
                  ["methods", "resistance when full speed is reached [Nm]", "resistance at the end of full speed [Nm]",
                   "belt at the end [°C]", "largest drive torque, with inertia [Nm]"], rows)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.reproduce.bench import COMBINATIONS, KMH_PER_MPS, Bench
-from trackres_ros.reproduce.common_claims import SAME, falls
+from trackres_ros.reproduce.common_claims import SAME, falls, hot_belts
 from trackres_ros.reproduce.families import Family, draw_family, family_numbers, run_family, stable_table, time_table
 from trackres_ros.reproduce.section import HOLDS, Claim, Section, percent
 from trackres_ros.simulate import ramp_and_hold
@@ -35,7 +35,7 @@ def weights(bench: Bench, out: Path) -> Section:
     tables = [time_table(family, bench.shipped, TIMES_S, f"Resistance torque [Nm] / belt temperature [°C]; {methods}."),
               stable_table(family, "Stable resistance torque [Nm] / belt temperature [°C] by combination.")]
     text = [f"From rest to {SPEED_KMH:g} km/h in {RAMP_S:g} s, then held to {DURATION_S:g} s. The weight is that of the whole "
-            "vehicle with its assemblies, shared as nominal."]
+            "vehicle with its assemblies, shared as nominal.", *hot_belts(bench, family)]
     return Section("Figure 25: load", text, figures, claims, tables, family_numbers(family, TIMES_S))
 
 

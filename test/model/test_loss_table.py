@@ -1,0 +1,236 @@
+"""The loss on a grid: how near it is to the exact method, and when its cached form may be used."""
+
+from __future__ import annotations
+
+import csv
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trackres_ros.model import loss_table as lt
+from trackres_ros.model.hysteresis import METHODS
+from trackres_ros.model.loss_table import LossTable, fingerprint, interpolation_error, loss_table
+from trackres_ros.model.track import load_range, track_model, with_methods
+from trackres_ros.resources import config_dir
+from trackres_ros.vehicle import Quantity, Vehicle, load, variants
+
+# Of the loss. A count couples bending and drive by the size of the torque, which is not the parabola that the table holds.
+LARGEST_ERROR = {"spectral": 0.003, "rainflow": 0.005}
+
+
+@pytest.mark.parametrize("method", list(METHODS))
+def test_the_table_is_as_good_as_it_says(vehicle: Vehicle, method: str) -> None:
+    """At random speeds, temperatures, loads and torques of the whole range."""
+    vehicle = with_methods(vehicle, hysteresis=method)
+    name = next(iter(vehicle.tracks))
+    errors = interpolation_error(track_model(vehicle, name), loss_table(vehicle, name), load_range(vehicle, name),
+                                 vehicle.chassis.max_speed, points=1500, seed=7)
+    assert np.abs(errors).max() < LARGEST_ERROR[method]
+
+
+@pytest.fixture(scope="module")
+def table(xgd24d: Vehicle) -> LossTable:
+    return loss_table(xgd24d, "triangular")
+
+
+@given(x=st.floats(-20.0, 20.0), share=st.floats(0.0, 1.0), reach=st.floats(1.0, 100.0))
+def test_beyond_its_edges_the_table_holds_its_values(table: LossTable, x: float, share: float, reach: float) -> None:
+    last_x = table.first_x + table.step_x * (len(table.loss) - 1)
+    low, high = table.first_log_load, table.first_log_load + table.step_log_load * (table.loss.shape[1] - 1)
+    load_n = float(np.exp(low + share * (high - low)))
+    assert table.at(x, load_n) == pytest.approx(float(table.at(np.clip(x, table.first_x, last_x), load_n)), rel=1e-5)
+    assert table.at(0.0, np.exp(low) / reach) == pytest.approx(float(table.at(0.0, np.exp(low))), rel=1e-5)
+    assert table.at(0.0, np.exp(high) * reach) == pytest.approx(float(table.at(0.0, np.exp(high))), rel=1e-5)
+
+
+@given(x=st.floats(-7.9, 9.4), log_load=st.floats(9.6, 11.9))
+def test_the_slope_is_that_of_the_interpolation(table: LossTable, x: float, log_load: float) -> None:
+    at = (table.loss[np.newaxis], 0, table.first_x, table.step_x, table.first_log_load, table.step_log_load)
+    value, slope = lt.look_up(*at, x, log_load)
+    cell = int((x - table.first_x) / table.step_x)
+    left, right = (table.first_x + table.step_x * (cell + share) for share in (0.25, 0.75))
+    chord = (lt.look_up(*at, right, log_load)[0] - lt.look_up(*at, left, log_load)[0]) / (right - left)
+    assert slope == pytest.approx(chord, rel=1e-6, abs=1e-6)
+    assert value > 0.0
+
+
+def test_speed_and_temperature_enter_as_one_number(xgd24d: Vehicle) -> None:
+    """The table has one axis for both: equal a_T v must mean equal loss by the exact methods."""
+    rng = np.random.default_rng(4)
+    for method in METHODS:
+        model = track_model(with_methods(xgd24d, hysteresis=method), "triangular")
+        belt_degc, speed = rng.uniform(-40.0, 100.0, 10), np.exp(rng.uniform(np.log(0.1), np.log(16.0), 10))
+        other = belt_degc + rng.uniform(-8.0, 8.0, 10)
+        same = speed * 10.0 ** (model.rubber.log_shift(belt_degc) - model.rubber.log_shift(other))
+        one, two = model.loss.loss_force(speed, belt_degc, 68e3).total, model.loss.loss_force(same, other, 68e3).total
+        assert two == pytest.approx(one, rel=1e-7)
+
+
+# The cache
+
+@pytest.fixture
+def built(monkeypatch: pytest.MonkeyPatch, xgd24d: Vehicle, table: LossTable) -> list[str]:
+    """Grows by one each time a table is built; the building itself is replaced by a table there is."""
+    calls: list[str] = []
+    arrays = {"axes": np.array([table.first_x, table.step_x, table.first_log_load, table.step_log_load]),
+              "loss": table.loss, "drive": table.drive}
+
+    def build(*_: object) -> dict[str, np.ndarray]:
+        calls.append("built")
+        return arrays
+
+    monkeypatch.setattr(lt, "build", build)
+    return calls
+
+
+def same(one: LossTable, other: LossTable) -> bool:
+    return (np.array_equal(one.loss, other.loss) and np.array_equal(one.drive, other.drive)
+            and (one.first_x, one.step_x, one.first_log_load, one.step_log_load)
+            == (other.first_x, other.step_x, other.first_log_load, other.step_log_load))
+
+
+def stored(folder: Path) -> Path:
+    files = list(folder.iterdir())
+    assert len(files) == 1  # no temporary file stays behind
+    return files[0]
+
+
+def test_the_second_call_takes_the_cache(xgd24d: Vehicle, built: list[str], tmp_path: Path) -> None:
+    first, second = loss_table(xgd24d, "triangular", tmp_path), loss_table(xgd24d, "triangular", tmp_path)
+    assert len(built) == 1
+    assert same(first, second)
+    assert xgd24d.name not in stored(tmp_path).name  # the key is a fingerprint, so a renamed vehicle finds its table
+
+
+def damage_cut(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:path.stat().st_size // 2])
+
+
+def damage_empty(path: Path) -> None:
+    path.write_bytes(b"")
+
+
+def damage_text(path: Path) -> None:
+    path.write_text("not an archive\n")
+
+
+def damage_bits(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    middle = len(content) // 2
+    content[middle:middle + 64] = bytes(b ^ 0xFF for b in content[middle:middle + 64])
+    path.write_bytes(bytes(content))
+
+
+def damage_other_names(path: Path) -> None:
+    np.savez(path, something=np.zeros(3))
+
+
+def damage_other_shape(path: Path) -> None:
+    with np.load(path) as arrays:
+        np.savez(path, axes=arrays["axes"], loss=arrays["loss"][:, :-1], drive=arrays["drive"])
+
+
+def damage_not_finite(path: Path) -> None:
+    with np.load(path) as arrays:
+        content = dict(arrays)
+    content["loss"][5, 5] = np.nan
+    np.savez(path, **content)
+
+
+def damage_pickled(path: Path) -> None:
+    np.savez(path, allow_pickle=True, axes=np.array([object()] * 4, dtype=object), loss=np.zeros(1), drive=np.zeros(1))
+
+
+@pytest.mark.parametrize("damage", [damage_cut, damage_empty, damage_text, damage_bits, damage_other_names, damage_other_shape,
+                                    damage_not_finite, damage_pickled])
+def test_a_damaged_or_foreign_file_is_built_anew(xgd24d: Vehicle, built: list[str], tmp_path: Path, damage: object) -> None:
+    first = loss_table(xgd24d, "triangular", tmp_path)
+    damage(stored(tmp_path))  # type: ignore[operator]
+    assert same(loss_table(xgd24d, "triangular", tmp_path), first)
+    assert len(built) == 2
+    assert same(loss_table(xgd24d, "triangular", tmp_path), first)
+    assert len(built) == 2  # the mended file is taken
+
+
+def test_a_folder_that_cannot_be_written_only_costs_time(xgd24d: Vehicle, built: list[str], tmp_path: Path) -> None:
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    for calls in (1, 2):
+        assert loss_table(xgd24d, "triangular", blocked / "cache").loss.shape == (lt.FINE_LOG_SPEEDS, lt.FINE_LOADS)
+        assert len(built) == calls
+
+
+def test_the_table_of_the_cache_is_the_one_built(agri3t: Vehicle, tmp_path: Path) -> None:
+    """Built in earnest: to the last bit what comes out of the file."""
+    name = next(iter(agri3t.tracks))
+    assert same(loss_table(agri3t, name, tmp_path), loss_table(agri3t, name, tmp_path))
+
+
+# What the fingerprint depends on
+
+def relevant(vehicle: Vehicle) -> list[str]:
+    """Scalar quantities of rubber, track and axle loads."""
+    return [path for path, quantity in vehicle.parameters.items()
+            if path.startswith(("rubber.", "tracks.", "chassis.axles.")) and not isinstance(quantity.value, tuple)]
+
+
+def nudge(quantity: Quantity) -> float:
+    assert isinstance(quantity.value, float)
+    return quantity.value * (1.0 + 1e-7) if abs(quantity.value) < 1e9 else quantity.value + 1.0
+
+
+def test_any_value_changes_the_fingerprint(vehicle: Vehicle) -> None:
+    name, make = next(iter(vehicle.tracks)), variants(vehicle)
+    base, paths = fingerprint(vehicle, name), relevant(vehicle)
+    assert len(paths) > 40
+    for path in paths:
+        assert fingerprint(make({path: nudge(vehicle.parameters[path])}), name) != base, path
+
+
+def test_the_method_changes_the_fingerprint_and_the_rest_of_the_vehicle_does_not(xgd24d: Vehicle) -> None:
+    base = fingerprint(xgd24d, "triangular")
+    assert fingerprint(with_methods(xgd24d, hysteresis="rainflow"), "triangular") != base
+    assert fingerprint(with_methods(xgd24d, thermal="core_surface"), "triangular") == base
+    assert fingerprint(variants(xgd24d)({"chassis.drag_coefficient": 0.9}), "triangular") == base
+    assert fingerprint(replace(xgd24d, name="another"), "triangular") == base
+
+
+@pytest.fixture
+def copied(tmp_path: Path) -> Path:
+    """The shipped configuration in a folder of its own."""
+    return Path(shutil.copytree(config_dir(), tmp_path / "config"))
+
+
+def test_comments_and_reasons_do_not_change_the_fingerprint(xgd24d: Vehicle, copied: Path) -> None:
+    path = copied / "xgd24d.yaml"
+    text = path.read_text(encoding="utf-8")
+    path.write_text("# one more remark\n" + text.replace("geometry\"", "geometry, measured again\""), encoding="utf-8")
+    assert fingerprint(load(path), "triangular") == fingerprint(xgd24d, "triangular")
+    path.write_text(yaml.safe_dump(yaml.safe_load(text)), encoding="utf-8")  # keys in another order, no comments
+    assert fingerprint(load(path), "triangular") == fingerprint(xgd24d, "triangular")
+
+
+@pytest.mark.parametrize("column", ["T_degC", "E_storage_MPa_10Hz", "E_loss_MPa_10Hz"])
+def test_any_number_of_the_rubber_file_changes_the_fingerprint(xgd24d: Vehicle, copied: Path, column: str) -> None:
+    path = copied / "rubber" / xgd24d.source.parent.joinpath("rubber", "nr_sbr_10hz.csv").name
+    with path.open(newline="", encoding="utf-8") as lines:
+        rows = list(csv.DictReader(lines))
+    rows[20][column] = str(float(rows[20][column]) + 1e-3)
+    with path.open("w", newline="", encoding="utf-8") as lines:
+        writer = csv.DictWriter(lines, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    assert fingerprint(load(copied / "xgd24d.yaml"), "triangular") != fingerprint(xgd24d, "triangular")
+
+
+def test_a_further_column_of_the_rubber_file_does_not(xgd24d: Vehicle, copied: Path) -> None:
+    path = copied / "rubber" / "nr_sbr_10hz.csv"
+    lines = path.read_text(encoding="utf-8").splitlines()
+    path.write_text("\n".join([lines[0] + ",remark", *(line + ",x" for line in lines[1:])]) + "\n", encoding="utf-8")
+    assert fingerprint(load(copied / "xgd24d.yaml"), "triangular") == fingerprint(xgd24d, "triangular")
