@@ -25,7 +25,7 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from trackres_ros.bags import BagWriter
+from trackres_ros.bag_writer import BagWriter
 
 STORE = get_typestore(Stores.LATEST)
 STORE1 = get_typestore(Stores.ROS1_NOETIC)

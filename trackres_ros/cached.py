@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import tempfile
 import zipfile
 import zlib
@@ -18,8 +17,9 @@ Array = NDArray[np.float64]
 DAMAGED = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error)
 
 
-def cached_arrays(key: str, shapes: Mapping[str, tuple[int, ...]], compute: Callable[[], Mapping[str, Array]],
-                  cache: Path | None = None) -> dict[str, Array]:
+def cached_arrays(
+    key: str, shapes: Mapping[str, tuple[int, ...]], compute: Callable[[], Mapping[str, Array]], cache: Path | None = None
+) -> dict[str, Array]:
     """Arrays by name, from the cache if it holds them whole, else computed and stored.
 
     Parameters
@@ -55,6 +55,6 @@ def _write(path: Path, arrays: Mapping[str, Array]) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".npz", delete=False) as file:
             np.savez(file, allow_pickle=False, **dict(arrays))
-        os.replace(file.name, path)
+        Path(file.name).replace(path)
     except OSError:
         return

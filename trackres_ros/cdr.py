@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Literal, cast
+from typing import TYPE_CHECKING, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +20,25 @@ from trackres_ros.errors import InputError
 from trackres_ros.recording import FloatArray, IntArray
 from trackres_ros.topics import FieldStep, field_steps, nearest
 
-NUMBERS = {"bool": "u1", "byte": "i1", "char": "u1", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2",
-           "int32": "i4", "uint32": "u4", "int64": "i8", "uint64": "u8", "float32": "f4", "float64": "f8"}
+if TYPE_CHECKING:
+    from rosbags.interfaces.typing import Typesdict
+    from rosbags.typesys.store import Typestore
+
+NUMBERS = {
+    "bool": "u1",
+    "byte": "i1",
+    "char": "u1",
+    "int8": "i1",
+    "uint8": "u1",
+    "int16": "i2",
+    "uint16": "u2",
+    "int32": "i4",
+    "uint32": "u4",
+    "int64": "i8",
+    "uint64": "u8",
+    "float32": "f4",
+    "float64": "f8",
+}
 """Numbers of the interface definition language, as numpy kind and size."""
 SECOND_NS = 1_000_000_000
 HEADER, TIME = "std_msgs/msg/Header", "builtin_interfaces/msg/Time"
@@ -57,6 +74,12 @@ class Field:
 
 
 Definitions = Mapping[str, tuple[Field, ...]]
+
+
+def message_fields(store: Typestore) -> Typesdict:
+    """Return the definitions of a typestore, under the name of this version of rosbags."""
+    found: Typesdict = getattr(store, "fielddefs", None) or getattr(store, "FIELDDEFS")  # noqa: B009
+    return found
 
 
 def definitions(fielddefs: Mapping[str, tuple[object, object]], msgtype: str) -> Definitions:
@@ -193,7 +216,7 @@ class _Walk:
         self.order: Literal["<", ">"] = "<"
         if self.cdr:
             start = self.take(4)
-            if raw[start:start + 2] not in (b"\0\0", b"\0\1"):
+            if raw[start : start + 2] not in (b"\0\0", b"\0\1"):
                 raise MalformedError("encapsulation")
             self.fixed.append((0, 2))
             self.order = "<" if raw[1] else ">"
@@ -211,7 +234,7 @@ class _Walk:
     def length(self) -> int:
         start = self.take(4, 4)
         self.fixed.append((start, start + 4))
-        length = int.from_bytes(self.raw[start:start + 4], "little" if self.order == "<" else "big")
+        length = int.from_bytes(self.raw[start : start + 4], "little" if self.order == "<" else "big")
         if length > len(self.raw):
             raise MalformedError("length")
         return length
@@ -254,8 +277,7 @@ class _Walk:
                 names = found if keep else names
             elif field.type in self.types:
                 for index in range(count):
-                    self.message(field.type, [(slot, steps[1:]) for slot, steps in mine
-                                              if (steps[0].index or 0) == index])
+                    self.message(field.type, [(slot, steps[1:]) for slot, steps in mine if (steps[0].index or 0) == index])
             else:
                 raise MalformedError(f"no rule for {field.type}")
         for slot, step in by_name:
@@ -267,8 +289,9 @@ class _Walk:
         self.spots[slot] = (start + index * int(kind[1]), self.order + kind) if 0 <= index < count else None
 
 
-def layout_of(raw: bytes, types: Definitions, msgtype: str, paths: Sequence[Sequence[FieldStep]],
-              encoding: Encoding = Encoding.CDR) -> Layout:
+def layout_of(
+    raw: bytes, types: Definitions, msgtype: str, paths: Sequence[Sequence[FieldStep]], encoding: Encoding = Encoding.CDR
+) -> Layout:
     """Walk one message to its end and return where the wanted numbers are.
 
     Raises
@@ -287,8 +310,11 @@ def layout_of(raw: bytes, types: Definitions, msgtype: str, paths: Sequence[Sequ
             fixed[-1] = (fixed[-1][0], max(end, fixed[-1][1]))
         elif end > start:
             fixed.append((start, end))
-    return Layout(len(raw), tuple((start, raw[start:end]) for start, end in fixed),
-                  tuple(walk.spots.get(slot) for slot in range(len(paths))))
+    return Layout(
+        len(raw),
+        tuple((start, raw[start:end]) for start, end in fixed),
+        tuple(walk.spots.get(slot) for slot in range(len(paths))),
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -335,8 +361,9 @@ class FieldReader:
         A field path that does not lead to a number.
     """
 
-    def __init__(self, types: Definitions, msgtype: str, fields: Sequence[str], encoding: Encoding = Encoding.CDR,
-                 where: str = "field") -> None:
+    def __init__(
+        self, types: Definitions, msgtype: str, fields: Sequence[str], encoding: Encoding = Encoding.CDR, where: str = "field"
+    ) -> None:
         self.types, self.msgtype, self.encoding = types, msgtype, encoding
         self.paths = [check_field(types, msgtype, field, where) for field in fields]
         self.count = len(fields)
@@ -349,8 +376,9 @@ class FieldReader:
     def decode(self, raws: Sequence[bytes]) -> Decoded:
         """Decode n messages."""
         n = len(raws)
-        out = Decoded(np.zeros(n, np.int64), np.full((n, self.count), np.nan), np.zeros((n, self.count), np.bool_),
-                      np.zeros(n, np.bool_))
+        out = Decoded(
+            np.zeros(n, np.int64), np.full((n, self.count), np.nan), np.zeros((n, self.count), np.bool_), np.zeros(n, np.bool_)
+        )
         lengths = np.fromiter(map(len, raws), np.int64, n)
         if n and (lengths == lengths[0]).all():
             self._decode_equal(b"".join(raws), int(lengths[0]), np.arange(n), out)
@@ -371,7 +399,7 @@ class FieldReader:
                 tried += 1
             else:
                 first = int(left[0])
-                raw = data[first * length:(first + 1) * length]
+                raw = data[first * length : (first + 1) * length]
                 try:
                     layout = layout_of(raw, self.types, self.msgtype, self.paths, self.encoding)
                 except MalformedError:
@@ -391,13 +419,13 @@ class FieldReader:
     def _fill(self, layout: Layout, data: bytes, take: NDArray[np.intp], rows: NDArray[np.intp], out: Decoded) -> None:
         """Copy the numbers of messages `take` of `data` to the rows of `out`."""
         columns = [layout.column(data, spot)[take] if spot else None for spot in layout.spots]
-        for slot, column in enumerate(columns[:self.count]):
+        for slot, column in enumerate(columns[: self.count]):
             if column is None:
                 out.absent[rows, slot] = True
             else:
                 out.value[rows, slot] = column
         if len(columns) > self.count:
-            seconds, fraction = columns[self.count:]
+            seconds, fraction = columns[self.count :]
             if seconds is not None and fraction is not None:
                 out.stamp_ns[rows] = seconds.astype(np.int64) * SECOND_NS + fraction.astype(np.int64)
 

@@ -53,10 +53,11 @@ def inlined(function: Function) -> Function:
 def _compile(function: Function, inline: str) -> Function:
     if not HAVE_NUMBA:
         return function
-    config: Any = numba.config
+    library: Any = numba
+    config = library.config
     others = config.CACHE_DIR
     config.CACHE_DIR = str(Path(others or cache_dir()) / _CACHE_NAME)
     try:
-        return cast(Function, numba.njit(cache=True, nogil=True, error_model="numpy", inline=inline)(function))
+        return cast(Function, library.njit(cache=True, nogil=True, error_model="numpy", inline=inline)(function))
     finally:
         config.CACHE_DIR = others

@@ -24,12 +24,22 @@ from trackres_ros.recording import ROLES, Block, Finding, FloatArray, base_role
 from trackres_ros.topics import Topics, nearest
 
 TIME = "time_s"
-COLUMNS: Mapping[str, tuple[str, float]] = MappingProxyType({
-    "speed_mps": ("speed", 1.0), "speed_kmh": ("speed", 1.0 / 3.6), "weight_n": ("load", 1.0),
-    "weight_kn": ("load", 1e3), "torque_nm": ("torque", 1.0), "belt_degc": ("belt", 1.0),
-    "ambient_degc": ("ambient", 1.0), "grade": ("grade", 1.0), "yaw_rate_radps": ("yaw_rate", 1.0),
-    "heading_rad": ("heading", 1.0), "accel_mps2": ("accel", 1.0), "distance_m": ("distance", 1.0),
-})
+COLUMNS: Mapping[str, tuple[str, float]] = MappingProxyType(
+    {
+        "speed_mps": ("speed", 1.0),
+        "speed_kmh": ("speed", 1.0 / 3.6),
+        "weight_n": ("load", 1.0),
+        "weight_kn": ("load", 1e3),
+        "torque_nm": ("torque", 1.0),
+        "belt_degc": ("belt", 1.0),
+        "ambient_degc": ("ambient", 1.0),
+        "grade": ("grade", 1.0),
+        "yaw_rate_radps": ("yaw_rate", 1.0),
+        "heading_rad": ("heading", 1.0),
+        "accel_mps2": ("accel", 1.0),
+        "distance_m": ("distance", 1.0),
+    }
+)
 """Columns known by name: role, and scale to its unit. ``weight_n/front`` is the load of the axle or assembly front."""
 CHUNK_ROWS = 8192
 MAX_TIME_S = 9e9
@@ -118,7 +128,7 @@ class TableSource:
             done += len(cells)
             stamp_ns = np.rint(cells[:, 0] * 1e9).astype(np.int64)
             for start in range(0, len(cells), at_once):
-                rows, column = np.nonzero(given[start:start + at_once, 1:])
+                rows, column = np.nonzero(given[start : start + at_once, 1:])
                 if not rows.size:
                     continue
                 rows += start
@@ -161,13 +171,21 @@ class TableSource:
         except ImportError:
             return
         wanted = [f"c{place}" for place in places]
-        convert = arrow.ConvertOptions(column_types=dict.fromkeys(wanted, pa.float64()), include_columns=wanted,
-                                       null_values=[""], quoted_strings_can_be_null=True)
-        read = arrow.ReadOptions(use_threads=False, skip_rows=1, encoding=self._encoding,
-                                 column_names=[f"c{place}" for place in range(self._width)])
+        convert = arrow.ConvertOptions(
+            column_types=dict.fromkeys(wanted, pa.float64()),
+            include_columns=wanted,
+            null_values=[""],
+            quoted_strings_can_be_null=True,
+        )
+        read = arrow.ReadOptions(
+            use_threads=False, skip_rows=1, encoding=self._encoding, column_names=[f"c{place}" for place in range(self._width)]
+        )
         parse = arrow.ParseOptions(delimiter=self._delimiter)
-        with _binary(self._path) as file, suppress(pa.ArrowException, OSError, EOFError, zlib.error), arrow.open_csv(
-                file, read_options=read, parse_options=parse, convert_options=convert) as reader:
+        with (
+            _binary(self._path) as file,
+            suppress(pa.ArrowException, OSError, EOFError, zlib.error),
+            arrow.open_csv(file, read_options=read, parse_options=parse, convert_options=convert) as reader,
+        ):
             while True:
                 try:
                     batch = reader.read_next_batch()
@@ -183,8 +201,7 @@ class TableSource:
             try:
                 rows = (row for row in itertools.islice(reader, 1, None) if row)
                 next(itertools.islice(rows, skip, skip), None)
-                while chunk := [self._numbers(row, places, reader.line_num)
-                                for row in itertools.islice(rows, CHUNK_ROWS)]:
+                while chunk := [self._numbers(row, places, reader.line_num) for row in itertools.islice(rows, CHUNK_ROWS)]:
                     given = np.array([[number is not None for number in row] for row in chunk])
                     yield np.array(chunk, np.float64), given
             except (csv.Error, OSError, EOFError, zlib.error) as error:
@@ -267,14 +284,22 @@ def _chosen(names: Sequence[str], topics: Topics | None, origin: str) -> tuple[i
             if role in by_file or (slash and not (part and ROLES[base_role(role)].parts)):
                 continue
             if role in columns:
-                raise InputError(origin, f"columns {columns[role].name} and {name}", f"one column for {role}",
-                                 "name the right one in a topics file")
+                raise InputError(
+                    origin,
+                    f"columns {columns[role].name} and {name}",
+                    f"one column for {role}",
+                    "name the right one in a topics file",
+                )
             columns[role] = _Column(place, name, role, scale)
     if TIME not in places:
         raise InputError(origin, f"columns {', '.join(names)}", f"a column {TIME}, in seconds", nearest(TIME, names))
     if "speed" not in columns:
-        raise InputError(origin, f"columns {', '.join(names)}", "a column speed_mps or speed_kmh",
-                         "or name it in a topics file: speed: {column: NAME, scale: 1.0}")
+        raise InputError(
+            origin,
+            f"columns {', '.join(names)}",
+            "a column speed_mps or speed_kmh",
+            "or name it in a topics file: speed: {column: NAME, scale: 1.0}",
+        )
     for name in (TIME, *(column.name for column in columns.values())):
         if list(names).count(name) > 1:
             raise InputError(origin, f"{list(names).count(name)} columns {name}", "each column once")
@@ -332,8 +357,7 @@ class TableWriter:
             csv.writer(self._out, lineterminator="\n").writerow(self.names)
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
-                 trace: TracebackType | None) -> None:
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         """Finish the file and put it in its place, or remove what was begun."""
         try:
             if kind is None and self._out is None:
@@ -354,7 +378,7 @@ class TableWriter:
             self._write_parquet(columns)
             return
         for start in range(0, len(columns[0]), CHUNK_ROWS):
-            texts = [_texts(column[start:start + CHUNK_ROWS]) for column in columns]
+            texts = [_texts(column[start : start + CHUNK_ROWS]) for column in columns]
             self._out.write("\n".join(map(",".join, zip(*texts, strict=True))) + "\n")
 
     def _write_parquet(self, columns: Sequence[NDArray[Any]]) -> None:

@@ -16,5 +16,9 @@ class MissingExtraError(InputError):
     """An optional library is needed and not installed."""
 
     def __init__(self, feature: str, module: str, extra: str) -> None:
-        super().__init__(feature, f"no Python module {module}", f"an installed {module}",
-                         f"install it with: pip install {module} (or this package with its extra [{extra}])")
+        super().__init__(
+            feature,
+            f"no Python module {module}",
+            f"an installed {module}",
+            f"install it with: pip install {module} (or this package with its extra [{extra}])",
+        )

@@ -17,8 +17,9 @@ from trackres_ros.vehicle import Vehicle
 DRIVE_PASSES = 4  # the torque strains the belt by 1e-4 of what the wheels do; a second pass already settles it
 
 
-def explain(vehicle: Vehicle, speed: float, belt_degc: float, ambient_degc: float | None = None,
-            weight_n: float | None = None) -> dict[str, Any]:
+def explain(
+    vehicle: Vehicle, speed: float, belt_degc: float, ambient_degc: float | None = None, weight_n: float | None = None
+) -> dict[str, Any]:
     """Everything the model says of one steady state.
 
     Parameters
@@ -61,30 +62,46 @@ def explain(vehicle: Vehicle, speed: float, belt_degc: float, ambient_degc: floa
         film = float(film_coefficient(speed, network.film_offset, network.film_slope))
         heat += float(loss.total) * abs(speed)
         cooling += film * network.area * (belt_degc - ambient)
-        assemblies.append({"name": assembly.name, "load_n": float(load), "film_w_m2k": film, "drive_torque_nm": drive,
-                           "loss_force_n": {**{part: float(value) for part, value in loss._asdict().items()}, "total": float(loss.total)},
-                           "surface_degc": float(surface_temperature(belt_degc, ambient, film, network.area, network.inner_conductance))})
+        assemblies.append(
+            {
+                "name": assembly.name,
+                "load_n": float(load),
+                "film_w_m2k": film,
+                "drive_torque_nm": drive,
+                "loss_force_n": {**{part: float(value) for part, value in loss._asdict().items()}, "total": float(loss.total)},
+                "surface_degc": float(surface_temperature(belt_degc, ambient, film, network.area, network.inner_conductance)),
+            }
+        )
     first, model = assemblies[0], models[vehicle.assemblies[0].track]
     contacts = model.loss.contacts(speed, belt_degc, first["load_n"])
     return {
-        "vehicle": vehicle.name, "method": vehicle.hysteresis, "speed_mps": float(speed), "belt_degc": float(belt_degc),
-        "ambient_degc": float(ambient), "weight_n": float(weight), "assemblies": [a["name"] for a in assemblies],
-        "wheel_loads_n": [wheel_loads(models[a.track].track, load).tolist()
-                          for a, load in zip(vehicle.assemblies, loads, strict=True)],
-        "contact": [{"half_length_m": float(a), "max_strain": float(e), "frequency_hz": float(f), "modulus_mpa": float(m) / 1e6}
-                    for a, e, f, m in zip(*contacts, strict=True)],
+        "vehicle": vehicle.name,
+        "method": vehicle.hysteresis,
+        "speed_mps": float(speed),
+        "belt_degc": float(belt_degc),
+        "ambient_degc": float(ambient),
+        "weight_n": float(weight),
+        "assemblies": [a["name"] for a in assemblies],
+        "wheel_loads_n": [
+            wheel_loads(models[a.track].track, load).tolist() for a, load in zip(vehicle.assemblies, loads, strict=True)
+        ],
+        "contact": [
+            {"half_length_m": float(a), "max_strain": float(e), "frequency_hz": float(f), "modulus_mpa": float(m) / 1e6}
+            for a, e, f, m in zip(*contacts, strict=True)
+        ],
         "tension_n": steady_tension(model, belt_degc, speed),
         "loss_force_n": first["loss_force_n"],
         "loss_force_by_assembly_n": [a["loss_force_n"] for a in assemblies],
         "torque_nm": {**torque, "resistance": torque["hysteresis"] + torque["bearing"] + torque["wind"]},
-        "heat_w": heat, "cooling_w": cooling,
-        "film_coefficient_w_m2k": first["film_w_m2k"], "surface_degc": [a["surface_degc"] for a in assemblies],
+        "heat_w": heat,
+        "cooling_w": cooling,
+        "film_coefficient_w_m2k": first["film_w_m2k"],
+        "surface_degc": [a["surface_degc"] for a in assemblies],
         "rainflow": rainflow_matrix(model, speed, belt_degc, first["load_n"], first["drive_torque_nm"]),
     }
 
 
-def rainflow_matrix(model: TrackModel, speed: float, belt_degc: float, load: float, drive_torque: float = 0.0
-                    ) -> list[list[Any]]:
+def rainflow_matrix(model: TrackModel, speed: float, belt_degc: float, load: float, drive_torque: float = 0.0) -> list[list[Any]]:
     """Rows [range, mean, count, component] of one loop, equation (25): through the thickness, and along the outer face."""
     counter = RainflowCount(model.track, model.rubber)
     belt = model.track.belt
@@ -93,6 +110,8 @@ def rainflow_matrix(model: TrackModel, speed: float, belt_degc: float, load: flo
     steady = steady_tension(model, belt_degc, speed) / float(stiffness)
     strain = float(counter.drive_strain(speed, belt_degc, drive_torque))
     along = counter.along_cycles(belt.thickness, strain, steady)
-    return [[float(c.cycle.range), float(c.cycle.mean), float(c.cycle.number), component]
-            for component, cycles in (("through", counter.indentation_cycles(np.asarray(half_lengths))), ("along", along))
-            for c in cycles]
+    return [
+        [float(c.cycle.range), float(c.cycle.mean), float(c.cycle.number), component]
+        for component, cycles in (("through", counter.indentation_cycles(np.asarray(half_lengths))), ("along", along))
+        for c in cycles
+    ]

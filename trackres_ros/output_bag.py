@@ -9,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.bags import BagTopic, BagWriter
+from trackres_ros.bag_writer import BagTopic, BagWriter
 from trackres_ros.estimator import layout as at
 from trackres_ros.estimator.estimator import Estimator, Steps
 from trackres_ros.outputs import BASE_FRAME, DEFAULT_NODE, OutputTopic, output_topics, status_of, values_of
@@ -73,7 +73,8 @@ class OutputBag:
         types = self._writer.typestore.types
         level, text = status_of(at.Reason(reasons))
         status = types["diagnostic_msgs/msg/DiagnosticStatus"](
-            level=level, name=f"{DEFAULT_NODE}: estimate", message=text, hardware_id=self._estimator.vehicle.name, values=[])
+            level=level, name=f"{DEFAULT_NODE}: estimate", message=text, hardware_id=self._estimator.vehicle.name, values=[]
+        )
         return types["diagnostic_msgs/msg/DiagnosticArray"](header=self._header(), status=[status])
 
     def _header(self) -> Any:
@@ -84,8 +85,9 @@ class OutputBag:
         types = self._writer.typestore.types
         if topic.kind == "joints":
             none = np.zeros(0)
-            return types[topic.type](header=self._header(), name=list(topic.names), position=none, velocity=none,
-                                     effort=np.zeros(len(topic.names)))
+            return types[topic.type](
+                header=self._header(), name=list(topic.names), position=none, velocity=none, effort=np.zeros(len(topic.names))
+            )
         if topic.kind == "wrench":
             vector = types["geometry_msgs/msg/Vector3"]
             wrench = types["geometry_msgs/msg/Wrench"](force=vector(x=0.0, y=0.0, z=0.0), torque=vector(x=0.0, y=0.0, z=0.0))

@@ -17,8 +17,15 @@ from trackres_ros.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 
-TOTALS = {"total": "resistance_torque_nm", "hysteresis": "hysteresis_nm", "bearing": "bearing_nm", "wind": "wind_nm",
-          "grade": "grade_nm", "inertia": "inertia_nm", "drive": "drive_torque_nm"}
+TOTALS = {
+    "total": "resistance_torque_nm",
+    "hysteresis": "hysteresis_nm",
+    "bearing": "bearing_nm",
+    "wind": "wind_nm",
+    "grade": "grade_nm",
+    "inertia": "inertia_nm",
+    "drive": "drive_torque_nm",
+}
 DEFAULT_NODE = "trackres"
 BASE_FRAME = "base_link"
 
@@ -53,23 +60,57 @@ def output_topics(vehicle: Vehicle) -> tuple[OutputTopic, ...]:
     """All topics of a vehicle, in the order they are written."""
     assemblies = [a.name for a in vehicle.assemblies]
     return (
-        OutputTopic("resistance_torque", "sensor_msgs/msg/JointState", "joints",
-                    "torque about y that resists, at the sprockets [Nm]: total (hysteresis, bearing, wind), each part, what driving "
-                    "takes in all, each assembly's total and hysteresis",
-                    (*TOTALS.values(), *(f"{column}/{name}" for name in assemblies for column in ("resistance_torque_nm", "hysteresis_nm"))),
-                    (*TOTALS, *(f"{joint}/{name}" for name in assemblies for joint in ("total", "hysteresis"))), -1.0),
-        OutputTopic("feedforward_torque", "geometry_msgs/msg/WrenchStamped", "wrench",
-                    "torque about y that cancels the chosen parts, limited in rate and size [Nm]", ("feedforward_torque_nm",)),
-        OutputTopic("feedforward_torque_nm", "std_msgs/msg/Float64", "number",
-                    "the same number for controllers that take only that; it has no stamp", ("feedforward_torque_nm",)),
-        *(OutputTopic(f"track_temperature/{name}", "sensor_msgs/msg/Temperature", "temperature",
-                      f"mean belt temperature of {name} [degC] and its variance [K^2]", (f"belt_degc/{name}", f"belt_std_k/{name}"))
-          for name in assemblies),
-        OutputTopic("torque_residual", "sensor_msgs/msg/JointState", "joints",
-                    "measured torque less what driving takes after the model [Nm], while a torque is measured",
-                    ("measured_torque_nm", "drive_torque_nm", "residual_nm"), ("measured", "expected", "residual")),
-        OutputTopic("status", "diagnostic_msgs/msg/DiagnosticArray", "status",
-                    "ok or warn, and why, whenever it changes and once a second"),
+        OutputTopic(
+            "resistance_torque",
+            "sensor_msgs/msg/JointState",
+            "joints",
+            "torque about y that resists, at the sprockets [Nm]: total (hysteresis, bearing, wind), each part, what driving "
+            "takes in all, each assembly's total and hysteresis",
+            (
+                *TOTALS.values(),
+                *(f"{column}/{name}" for name in assemblies for column in ("resistance_torque_nm", "hysteresis_nm")),
+            ),
+            (*TOTALS, *(f"{joint}/{name}" for name in assemblies for joint in ("total", "hysteresis"))),
+            -1.0,
+        ),
+        OutputTopic(
+            "feedforward_torque",
+            "geometry_msgs/msg/WrenchStamped",
+            "wrench",
+            "torque about y that cancels the chosen parts, limited in rate and size [Nm]",
+            ("feedforward_torque_nm",),
+        ),
+        OutputTopic(
+            "feedforward_torque_nm",
+            "std_msgs/msg/Float64",
+            "number",
+            "the same number for controllers that take only that; it has no stamp",
+            ("feedforward_torque_nm",),
+        ),
+        *(
+            OutputTopic(
+                f"track_temperature/{name}",
+                "sensor_msgs/msg/Temperature",
+                "temperature",
+                f"mean belt temperature of {name} [degC] and its variance [K^2]",
+                (f"belt_degc/{name}", f"belt_std_k/{name}"),
+            )
+            for name in assemblies
+        ),
+        OutputTopic(
+            "torque_residual",
+            "sensor_msgs/msg/JointState",
+            "joints",
+            "measured torque less what driving takes after the model [Nm], while a torque is measured",
+            ("measured_torque_nm", "drive_torque_nm", "residual_nm"),
+            ("measured", "expected", "residual"),
+        ),
+        OutputTopic(
+            "status",
+            "diagnostic_msgs/msg/DiagnosticArray",
+            "status",
+            "ok or warn, and why, whenever it changes and once a second",
+        ),
     )
 
 

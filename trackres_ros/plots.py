@@ -22,25 +22,34 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-MOST_POINTS = 4000        # of one line; more than a picture has columns of pixels
+MOST_POINTS = 4000  # of one line; more than a picture has columns of pixels
 DOTS_PER_INCH = 110
 KMH_PER_MPS = 3.6
 HOURS_FROM_S = 3 * 3600.0  # a longer time axis is in hours
-ALIKE_K = 0.5             # assemblies whose temperatures differ by less are one line
+ALIKE_K = 0.5  # assemblies whose temperatures differ by less are one line
 MEASURED = ("torque_nm", "belt_degc")
 
 # Okabe and Ito's palette, told apart with any kind of colour vision; the order keeps neighbours far apart in lightness.
-BLACK, BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY = (
-    "#000000", "#0072B2", "#D55E00", "#009E73", "#E69F00", "#CC79A7", "#56B4E9")
+BLACK, BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY = ("#000000", "#0072B2", "#D55E00", "#009E73", "#E69F00", "#CC79A7", "#56B4E9")
 PALETTE = (BLUE, ORANGE, GREEN, PURPLE, SKY, BLACK, VERMILION)
 GREY = "#8C8C8C"
 # For an ordered quantity such as the speed: from light to dark, readable in grey.
 STEPS = ("#FDB863", "#E08214", "#B2577A", "#6A4C9C", "#1F2F6B")
 
 LOOK: dict[Any, Any] = {
-    "font.size": 9.0, "axes.titlesize": 10.0, "axes.titlelocation": "left", "axes.labelsize": 9.0,
-    "legend.fontsize": 8.0, "legend.frameon": False, "axes.grid": True, "grid.color": "#E3E3E3", "grid.linewidth": 0.7,
-    "axes.spines.top": False, "axes.spines.right": False, "axes.axisbelow": True, "lines.linewidth": 1.5,
+    "font.size": 9.0,
+    "axes.titlesize": 10.0,
+    "axes.titlelocation": "left",
+    "axes.labelsize": 9.0,
+    "legend.fontsize": 8.0,
+    "legend.frameon": False,
+    "axes.grid": True,
+    "grid.color": "#E3E3E3",
+    "grid.linewidth": 0.7,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "lines.linewidth": 1.5,
     "figure.constrained_layout.hspace": 0.03,
 }
 
@@ -104,8 +113,9 @@ def legend_beside(axes: Axes, title: str | None = None) -> None:
     axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0, title=title, alignment="left")
 
 
-def plot_estimate(path: Path, time_s: ArrayLike, columns: Mapping[str, Array], title: str,
-                  measured: Mapping[str, Array] | None = None) -> None:
+def plot_estimate(
+    path: Path, time_s: ArrayLike, columns: Mapping[str, Array], title: str, measured: Mapping[str, Array] | None = None
+) -> None:
     """Speed, torques and belt temperature over one time axis, as PNG.
 
     Parameters
@@ -166,8 +176,12 @@ def _draw_torque(axes: Axes, x: Array, columns: Mapping[str, Array], measured: A
             _line(axes, x, columns["drive_torque_nm"], "drive torque", GREY, linewidth=0.9)
     if "resistance_std_nm" in columns:
         _band(axes, x, columns["resistance_torque_nm"], columns["resistance_std_nm"], BLACK)
-    for name, label, colour in (("resistance_torque_nm", "resistance", BLACK), ("hysteresis_nm", "hysteresis", BLUE),
-                                ("bearing_nm", "bearings", ORANGE), ("wind_nm", "wind", SKY)):
+    for name, label, colour in (
+        ("resistance_torque_nm", "resistance", BLACK),
+        ("hysteresis_nm", "hysteresis", BLUE),
+        ("bearing_nm", "bearings", ORANGE),
+        ("wind_nm", "wind", SKY),
+    ):
         if name in columns:
             _line(axes, x, columns[name], label, colour)
     axes.set_ylabel("torque at sprockets [Nm]")
@@ -176,8 +190,9 @@ def _draw_torque(axes: Axes, x: Array, columns: Mapping[str, Array], measured: A
 def _draw_belt(axes: Axes, x: Array, columns: Mapping[str, Array], measured: Array | None) -> None:
     if measured is not None:
         _line(axes, x, measured, "measured", VERMILION, linestyle="none", marker=".", markersize=5)
-    by_assembly = {name.partition("/")[2]: np.asarray(values, float) for name, values in columns.items()
-                   if name.startswith("belt_degc/")}
+    by_assembly = {
+        name.partition("/")[2]: np.asarray(values, float) for name, values in columns.items() if name.startswith("belt_degc/")
+    }
     if by_assembly:
         stacked = np.stack(list(by_assembly.values()))
         mean = stacked.mean(axis=0)
@@ -196,10 +211,20 @@ def _draw_belt(axes: Axes, x: Array, columns: Mapping[str, Array], measured: Arr
     axes.set_ylabel("temperature [°C]")
 
 
-def _line(axes: Axes, x: Array, y: ArrayLike, label: str, colour: str, linewidth: float = 1.5, linestyle: str = "-",
-          marker: str = "", markersize: float = 0.0) -> None:
-    axes.plot(*thinned(x, y), label=label, color=colour, linewidth=linewidth, linestyle=linestyle, marker=marker,
-              markersize=markersize)
+def _line(
+    axes: Axes,
+    x: Array,
+    y: ArrayLike,
+    label: str,
+    colour: str,
+    linewidth: float = 1.5,
+    linestyle: str = "-",
+    marker: str = "",
+    markersize: float = 0.0,
+) -> None:
+    axes.plot(
+        *thinned(x, y), label=label, color=colour, linewidth=linewidth, linestyle=linestyle, marker=marker, markersize=markersize
+    )
 
 
 def _band(axes: Axes, x: Array, middle: Array, std: Array, colour: str) -> None:

@@ -51,18 +51,20 @@ class Role:
     lively: bool = False
 
 
-ROLES: Mapping[str, Role] = MappingProxyType({
-    "speed": Role("m/s", "forward speed of the vehicle", lively=True),
-    "load": Role("N", "weight carried by the tracks, total or of an axle or assembly", parts=True),
-    "torque": Role("Nm", "measured torque at the sprockets, whole vehicle or of an assembly", parts=True, lively=True),
-    "ambient": Role("degC", "temperature of the air"),
-    "belt": Role("degC", "measured temperature of the rubber belt", parts=True),
-    "accel": Role("m/s2", "acceleration along the track, without the share of gravity", lively=True),
-    "grade": Role("1", "slope as rise over run, positive uphill"),
-    "yaw_rate": Role("rad/s", "turning rate about the upward axis", lively=True),
-    "heading": Role("rad", "direction of travel about the upward axis"),
-    "distance": Role("m", "distance travelled"),
-})
+ROLES: Mapping[str, Role] = MappingProxyType(
+    {
+        "speed": Role("m/s", "forward speed of the vehicle", lively=True),
+        "load": Role("N", "weight carried by the tracks, total or of an axle or assembly", parts=True),
+        "torque": Role("Nm", "measured torque at the sprockets, whole vehicle or of an assembly", parts=True, lively=True),
+        "ambient": Role("degC", "temperature of the air"),
+        "belt": Role("degC", "measured temperature of the rubber belt", parts=True),
+        "accel": Role("m/s2", "acceleration along the track, without the share of gravity", lively=True),
+        "grade": Role("1", "slope as rise over run, positive uphill"),
+        "yaw_rate": Role("rad/s", "turning rate about the upward axis", lively=True),
+        "heading": Role("rad", "direction of travel about the upward axis"),
+        "distance": Role("m", "distance travelled"),
+    }
+)
 
 
 def base_role(role: str) -> str:

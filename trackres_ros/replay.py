@@ -7,7 +7,6 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +23,7 @@ from trackres_ros.topics import Topics
 Array = NDArray[np.float64]
 
 BAG_SUFFIX = ".mcap"
-PICTURE_SAMPLES = 8000       # kept for the picture; twice as many are thinned to half
+PICTURE_SAMPLES = 8000  # kept for the picture; twice as many are thinned to half
 NANOSECOND = 1e-9
 
 
@@ -36,8 +35,8 @@ class Replayed:
     messages: int
     steps: int
     duration_s: float
-    picture: Array               # (samples, 1 + columns): time [s] and results, thinned
-    last: Array                  # last row of results
+    picture: Array  # (samples, 1 + columns): time [s] and results, thinned
+    last: Array  # last row of results
     reasons: dict[at.Reason, int]  # steps at which each reason held
 
 
@@ -69,8 +68,13 @@ def channel_indices(session: Session, roles: Sequence[str]) -> NDArray[np.int16]
     return np.array([session.channel(role) for role in roles], dtype=np.int16)
 
 
-def replay(source: Source, estimator: Estimator, write: Callable[[Steps], None] | None = None,
-           session: Session | None = None, progress: Callable[[float], None] | None = None) -> Replayed:
+def replay(
+    source: Source,
+    estimator: Estimator,
+    write: Callable[[Steps], None] | None = None,
+    session: Session | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Replayed:
     """Feed a source through a session, block by block: memory does not grow with the recording.
 
     Parameters
@@ -95,8 +99,10 @@ def replay(source: Source, estimator: Estimator, write: Callable[[Steps], None] 
         running: Future[Steps] | None = None
         for block in source.blocks():
             messages += len(block)
-            before, running = running, worker.submit(session.handle_block, channel_of[block.role], block.stamp_ns,
-                                                     block.arrival_ns, block.value)
+            before, running = (
+                running,
+                worker.submit(session.handle_block, channel_of[block.role], block.stamp_ns, block.arrival_ns, block.value),
+            )
             if before:
                 seen.take(before.result(), write)
             if progress:
@@ -105,9 +111,15 @@ def replay(source: Source, estimator: Estimator, write: Callable[[Steps], None] 
             seen.take(running.result(), write)
     if not seen.steps:
         refused = ", ".join(f"{name} {count.name.lower()} {number}" for name, count, number in session.counts())
-        raise InputError(source.name, f"{messages} messages, none of them a usable speed ({refused or 'no message'})",
-                         "at least one finite, plausible speed", "check topic, field, scale and unit of the speed")
-    return Replayed(session, messages, seen.steps, (seen.last_ns - seen.first_ns) * NANOSECOND, seen.kept, seen.last, seen.reasons)
+        raise InputError(
+            source.name,
+            f"{messages} messages, none of them a usable speed ({refused or 'no message'})",
+            "at least one finite, plausible speed",
+            "check topic, field, scale and unit of the speed",
+        )
+    return Replayed(
+        session, messages, seen.steps, (seen.last_ns - seen.first_ns) * NANOSECOND, seen.kept, seen.last, seen.reasons
+    )
 
 
 @contextmanager

@@ -61,14 +61,24 @@ def summary(result: Replayed, source: KeptSource, written: list[str]) -> dict[st
     for channel, count, number in result.session.counts():
         counters.setdefault(channel, {})[count.name.lower()] = number
     return {
-        "vehicle": estimator.vehicle.name, "recording": source.name, "notes": list(source.notes),
-        "findings": [{"role": f.role, "kind": f.kind, "count": f.count, "first_time_s": _finite(f.first_time_s), "text": f.text}
-                     for f in source.all_findings()],
-        "messages": result.messages, "steps": result.steps, "duration_s": result.duration_s, "counters": counters,
-        "reasons": [{"reason": (reason.name or "").lower(), "text": at.REASON_TEXT[reason], "steps": number}
-                    for reason, number in sorted(result.reasons.items())],
+        "vehicle": estimator.vehicle.name,
+        "recording": source.name,
+        "notes": list(source.notes),
+        "findings": [
+            {"role": f.role, "kind": f.kind, "count": f.count, "first_time_s": _finite(f.first_time_s), "text": f.text}
+            for f in source.all_findings()
+        ],
+        "messages": result.messages,
+        "steps": result.steps,
+        "duration_s": result.duration_s,
+        "counters": counters,
+        "reasons": [
+            {"reason": (reason.name or "").lower(), "text": at.REASON_TEXT[reason], "steps": number}
+            for reason, number in sorted(result.reasons.items())
+        ],
         "resistance_torque_nm": {"first": float(torque[0]), "largest": float(np.max(torque)), "last": float(torque[-1])},
-        "last": last, "written": written,
+        "last": last,
+        "written": written,
     }
 
 
@@ -84,9 +94,11 @@ def text(report: dict[str, Any]) -> str:
         if refused:
             lines.append(f"  counted: {channel}: " + ", ".join(f"{name} {number}" for name, number in refused.items()))
     lines += [f"  status: {item['text']} ({item['steps']} steps)" for item in report["reasons"]]
-    lines.append(f"At the end: resistance {last['resistance_torque_nm']:.0f} +- {last['resistance_std_nm']:.0f} Nm (hysteresis "
-                 f"{last['hysteresis_nm']:.0f}, bearing {last['bearing_nm']:.0f}, wind {last['wind_nm']:.0f}), largest "
-                 f"{report['resistance_torque_nm']['largest']:.0f} Nm")
+    lines.append(
+        f"At the end: resistance {last['resistance_torque_nm']:.0f} +- {last['resistance_std_nm']:.0f} Nm (hysteresis "
+        f"{last['hysteresis_nm']:.0f}, bearing {last['bearing_nm']:.0f}, wind {last['wind_nm']:.0f}), largest "
+        f"{report['resistance_torque_nm']['largest']:.0f} Nm"
+    )
     lines.append("Belts: " + ", ".join(f"{name} {value:.1f} degC" for name, value in belts.items()))
     return "\n".join([*lines, f"Written: {', '.join(report['written'])}"])
 

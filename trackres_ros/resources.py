@@ -20,8 +20,12 @@ def config_dir() -> Path:
         shared = prefix / "share" / PACKAGE / "config"
         if shared.is_dir():
             return shared
-    raise InputError("installation", str(package), f"a folder share/{PACKAGE}/config above it",
-                     "reinstall the package, or give paths instead of names")
+    raise InputError(
+        "installation",
+        str(package),
+        f"a folder share/{PACKAGE}/config above it",
+        "reinstall the package, or give paths instead of names",
+    )
 
 
 def shipped_vehicles() -> dict[str, Path]:

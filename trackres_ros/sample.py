@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.bags import BagWriter
+from trackres_ros.bag_writer import BagWriter
 from trackres_ros.simulate import Drive, laps
 from trackres_ros.vehicle import Vehicle
 
 KMH = 1 / 3.6
 SPEED_HZ, LOAD_HZ, AMBIENT_HZ = 50, 10, 1
-LAP_RADIUS_M = 100.0          # section 3.2.2
+LAP_RADIUS_M = 100.0  # section 3.2.2
 RAMP_S, STOP_S = 15.0, 20.0
-SPEED_STEP = 1.0 * KMH        # what a bus resolves
+SPEED_STEP = 1.0 * KMH  # what a bus resolves
 SPEED_NOISE = 0.1 * KMH
 LOAD_NOISE_SHARE = 0.004
 START_NS = 1_700_000_000_000_000_000
@@ -28,7 +28,9 @@ def lap_drive(speed_kmh: float, laps_driven: int) -> Drive:
     return laps(speed_kmh * KMH, 2 * math.pi * LAP_RADIUS_M, laps_driven, RAMP_S, STOP_S, 1.0 / SPEED_HZ)
 
 
-def write_sample(path: Path, vehicle: Vehicle, speed_kmh: float = 10.0, laps_driven: int = 3, ambient_degc: float = 15.0) -> Drive:
+def write_sample(
+    path: Path, vehicle: Vehicle, speed_kmh: float = 10.0, laps_driven: int = 3, ambient_degc: float = 15.0
+) -> Drive:
     """Write an MCAP file with speed (TwistStamped, steps of 1 km/h), load (Float64 in kN) and air temperature.
 
     The topics are those of config/topics/sample.yaml. Noise is drawn from a fixed seed, so equal calls give equal files.
@@ -46,8 +48,9 @@ def write_sample(path: Path, vehicle: Vehicle, speed_kmh: float = 10.0, laps_dri
         vector, header = types["geometry_msgs/msg/Vector3"], types["std_msgs/msg/Header"]
         time = types["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
         still = vector(x=0.0, y=0.0, z=0.0)
-        twist = types["geometry_msgs/msg/TwistStamped"](header=header(stamp=time, frame_id="base_link"),
-                                                        twist=types["geometry_msgs/msg/Twist"](linear=still, angular=still))
+        twist = types["geometry_msgs/msg/TwistStamped"](
+            header=header(stamp=time, frame_id="base_link"), twist=types["geometry_msgs/msg/Twist"](linear=still, angular=still)
+        )
         air = types["sensor_msgs/msg/Temperature"](header=header(stamp=time, frame_id="outside"), temperature=0.0, variance=0.25)
         speeds = bag.topic("/vehicle/speed", "geometry_msgs/msg/TwistStamped", twist, ("twist.linear.x",))
         loads = bag.topic("/vehicle/weight_kn", "std_msgs/msg/Float64", types["std_msgs/msg/Float64"](data=0.0), ("data",))

@@ -13,8 +13,19 @@ from trackres_ros.estimator.estimator import Estimator
 
 Array = NDArray[np.float64]
 
-COLUMNS = ("time_s", "speed_mps", "weight_n", "ambient_degc", "belt_degc", "resistance_torque_nm", "hysteresis_nm",
-           "bearing_nm", "wind_nm", "inertia_nm", "drive_torque_nm")
+COLUMNS = (
+    "time_s",
+    "speed_mps",
+    "weight_n",
+    "ambient_degc",
+    "belt_degc",
+    "resistance_torque_nm",
+    "hysteresis_nm",
+    "bearing_nm",
+    "wind_nm",
+    "inertia_nm",
+    "drive_torque_nm",
+)
 MOST_SAMPLES = 50_000_000
 
 
@@ -64,8 +75,13 @@ def laps(speed: float, lap_m: float, count: int, ramp_s: float, stop_s: float, d
     return through_points(np.array(corners), np.array(speeds), dt)
 
 
-def simulate(estimator: Estimator, drive: Drive, weight_n: float | None = None, ambient_degc: float | None = None,
-             initial_degc: float | None = None) -> dict[str, Array]:
+def simulate(
+    estimator: Estimator,
+    drive: Drive,
+    weight_n: float | None = None,
+    ambient_degc: float | None = None,
+    initial_degc: float | None = None,
+) -> dict[str, Array]:
     """Torques and mean belt temperature along a drive, whole vehicle.
 
     Parameters
@@ -83,8 +99,13 @@ def simulate(estimator: Estimator, drive: Drive, weight_n: float | None = None, 
     return series_of(estimator, drive, run_drive(estimator, drive, weight_n, ambient_degc, initial_degc))
 
 
-def run_drive(estimator: Estimator, drive: Drive, weight_n: float | None = None, ambient_degc: float | None = None,
-              initial_degc: float | None = None) -> Array:
+def run_drive(
+    estimator: Estimator,
+    drive: Drive,
+    weight_n: float | None = None,
+    ambient_degc: float | None = None,
+    initial_degc: float | None = None,
+) -> Array:
     """Rows of results along a drive, shape (times, columns); see `simulate`."""
     weight = estimator.vehicle.weight if weight_n is None else weight_n
     ambient = estimator.vehicle.chassis.ambient if ambient_degc is None else ambient_degc
@@ -101,4 +122,4 @@ def series_of(estimator: Estimator, drive: Drive, rows: Array) -> dict[str, Arra
 
 def assembly_values(rows: Array, column: int) -> Array:
     """One of `layout.ASSEMBLY_COLUMNS` out of rows of results, shape (rows, assemblies)."""
-    return rows[:, len(at.VEHICLE_COLUMNS) + column::len(at.ASSEMBLY_COLUMNS)]
+    return rows[:, len(at.VEHICLE_COLUMNS) + column :: len(at.ASSEMBLY_COLUMNS)]

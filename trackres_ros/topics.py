@@ -187,7 +187,7 @@ def field_steps(path: str) -> tuple[FieldStep, ...]:
             steps.append(FieldStep(name, index=int(element)))
         else:
             steps.append(FieldStep(name, element=element))
-        rest = rest[match.end():]
+        rest = rest[match.end() :]
         if not rest:
             return tuple(steps)
         if rest[0] != ".":
@@ -216,13 +216,13 @@ class _Loader(yaml.SafeLoader):
         keys = [self.construct_object(key, deep=True) for key, _ in node.value]
         twice = {str(key) for key in keys if keys.count(key) > 1}
         if twice:
-            raise yaml.constructor.ConstructorError(
-                None, None, f"given twice: {', '.join(sorted(twice))}", node.start_mark)
+            raise yaml.constructor.ConstructorError(None, None, f"given twice: {', '.join(sorted(twice))}", node.start_mark)
         return super().construct_mapping(node, deep)
 
 
 _Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float", re.compile(r"[-+]?[0-9]+(?:\.[0-9]*)?[eE][-+]?[0-9]+"), list("-+0123456789"))
+    "tag:yaml.org,2002:float", re.compile(r"[-+]?[0-9]+(?:\.[0-9]*)?[eE][-+]?[0-9]+"), list("-+0123456789")
+)
 
 
 def _check_role(role: object, origin: str) -> None:
@@ -306,16 +306,20 @@ def _choice(line: Mapping[object, object], key: str, allowed: tuple[str, ...], d
     return str(choice)
 
 
-NOT_MEASURED = re.compile(r"\b(cmd|commands?|commanded|target|desired|set ?point|reference|ref|goal|limit|max|min|"
-                          r"estimated?|feed ?forward|resistance|trackres|error|variance)\b")
+NOT_MEASURED = re.compile(
+    r"\b(cmd|commands?|commanded|target|desired|set ?point|reference|ref|goal|limit|max|min|"
+    r"estimated?|feed ?forward|resistance|trackres|error|variance)\b"
+)
 """Words in a topic name that say its content was not measured on the vehicle; nothing is guessed from it."""
 NOT_VEHICLE = r"rpm|\b(engine|motor|wind|fan|angular|yaw|cpu)\b"
 """Words that say a speed, load or torque is not that of the vehicle at its tracks."""
 SCALARS = ("std_msgs/msg/Float64", "std_msgs/msg/Float32")
 AMBIENT = r"\b(ambient|outside|outdoor|air)\b"
-UNITS = {"speed": (("km/h", r"km ?p?h\b|kph\b", 1.0 / 3.6),),
-         "load": (("kN", r"\bkn\b", 1e3), ("kg", r"\bkg\b", 9.80665)),
-         "torque": (("kNm", r"\bkn ?m\b", 1e3),)}
+UNITS = {
+    "speed": (("km/h", r"km ?p?h\b|kph\b", 1.0 / 3.6),),
+    "load": (("kN", r"\bkn\b", 1e3), ("kg", r"\bkg\b", 9.80665)),
+    "torque": (("kNm", r"\bkn ?m\b", 1e3),),
+}
 """Units the topic name of a bare number may carry: unit, pattern, scale to the unit of the role."""
 
 
@@ -380,14 +384,17 @@ def guess(available: Mapping[str, str]) -> tuple[Topics, list[str]]:
                 found.setdefault(rule.role, []).append((binding, unit))
     if "speed" not in found:
         listed = "; ".join(f"{topic} ({kind})" for topic, kind in sorted(available.items())) or "no topic at all"
-        raise InputError("speed", listed, "a topic of a type that tells the speed of the vehicle",
-                         f"name it in a topics file: {EXAMPLE}")
+        raise InputError(
+            "speed", listed, "a topic of a type that tells the speed of the vehicle", f"name it in a topics file: {EXAMPLE}"
+        )
     said = []
     for role, options in found.items():
         binding, unit = options[0]
         others = ", ".join(other.topic for other, _ in options[1:])
-        said.append(f"{role}: guessed from {binding.topic} ({binding.type}, {binding.field}) in {unit}"
-                    + (f"; also possible: {others}" if others else ""))
+        said.append(
+            f"{role}: guessed from {binding.topic} ({binding.type}, {binding.field}) in {unit}"
+            + (f"; also possible: {others}" if others else "")
+        )
     return Topics(MappingProxyType({role: options[0][0] for role, options in found.items()}), "guessed"), said
 
 

@@ -16,8 +16,14 @@ def folder(tmp_path_factory):
 
 
 def trackres(*arguments, cwd=None):
-    return subprocess.run([sys.executable, "-m", "trackres_ros", *map(str, arguments)], capture_output=True, text=True, check=False,
-                          cwd=cwd, env={**os.environ, "COLUMNS": "200"})
+    return subprocess.run(
+        [sys.executable, "-m", "trackres_ros", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=cwd,
+        env={**os.environ, "COLUMNS": "200"},
+    )
 
 
 def good(*arguments, cwd=None):
@@ -48,11 +54,42 @@ def test_help_teaches_every_command():
 
 
 def test_simulate_writes_the_columns_of_the_issue(folder):
-    done = json.loads(good("simulate", "--vehicle", "xgd24d", "--speed-kmh", 50, "--ramp-s", 50, "--duration-s", 300, "--ambient-degc", 15,
-                           "--weight-kn", 300, "--dt", 0.5, "-o", folder / "s.csv", "--json"))
+    done = json.loads(
+        good(
+            "simulate",
+            "--vehicle",
+            "xgd24d",
+            "--speed-kmh",
+            50,
+            "--ramp-s",
+            50,
+            "--duration-s",
+            300,
+            "--ambient-degc",
+            15,
+            "--weight-kn",
+            300,
+            "--dt",
+            0.5,
+            "-o",
+            folder / "s.csv",
+            "--json",
+        )
+    )
     columns = table(folder / "s.csv")
-    assert list(columns) == ["time_s", "speed_mps", "weight_n", "ambient_degc", "belt_degc", "resistance_torque_nm", "hysteresis_nm",
-                             "bearing_nm", "wind_nm", "inertia_nm", "drive_torque_nm"]
+    assert list(columns) == [
+        "time_s",
+        "speed_mps",
+        "weight_n",
+        "ambient_degc",
+        "belt_degc",
+        "resistance_torque_nm",
+        "hysteresis_nm",
+        "bearing_nm",
+        "wind_nm",
+        "inertia_nm",
+        "drive_torque_nm",
+    ]
     assert len(columns["time_s"]) == done["rows"] == 601
     assert columns["weight_n"] == pytest.approx(300e3)
     parts = columns["hysteresis_nm"] + columns["bearing_nm"] + columns["wind_nm"]
@@ -75,8 +112,24 @@ def test_simulate_takes_a_profile_and_writes_every_format(folder, suffix):
 def test_methods_differ_as_the_model_says(folder):
     torque = {}
     for method in ("spectral", "rainflow"):
-        done = json.loads(good("simulate", "--vehicle", "xgd24d", "--speed-kmh", 10, "--duration-s", 60, "--method", method, "--thermal",
-                               "core_surface", "-o", folder / f"{method}.csv", "--json"))
+        done = json.loads(
+            good(
+                "simulate",
+                "--vehicle",
+                "xgd24d",
+                "--speed-kmh",
+                10,
+                "--duration-s",
+                60,
+                "--method",
+                method,
+                "--thermal",
+                "core_surface",
+                "-o",
+                folder / f"{method}.csv",
+                "--json",
+            )
+        )
         assert (done["method"], done["thermal"]) == (method, "core_surface")
         torque[method] = done["points"][-1]["hysteresis_nm"]
     assert 1.4 < torque["spectral"] / torque["rainflow"] < 2.2
@@ -84,7 +137,16 @@ def test_methods_differ_as_the_model_says(folder):
 
 def test_explain_says_what_the_issue_asks():
     result = json.loads(good("explain", "--vehicle", "xgd24d", "--speed-kmh", 50, "--belt-degc", 15, "--json"))
-    assert {"wheel_loads_n", "contact", "tension_n", "loss_force_n", "torque_nm", "heat_w", "cooling_w", "rainflow"} <= result.keys()
+    assert {
+        "wheel_loads_n",
+        "contact",
+        "tension_n",
+        "loss_force_n",
+        "torque_nm",
+        "heat_w",
+        "cooling_w",
+        "rainflow",
+    } <= result.keys()
     assert set(result["contact"][0]) == {"half_length_m", "max_strain", "frequency_hz", "modulus_mpa"}
     assert set(result["loss_force_n"]) == {"indentation", "bending", "tension", "drive", "total"}
     assert {"hysteresis", "bearing", "wind", "inertia", "resistance"} == result["torque_nm"].keys()
@@ -129,7 +191,11 @@ def test_replay_stopped_and_resumed_gives_the_same_rows(folder):
     (folder / "whole.csv").write_text("\n".join([head, *lines]))
     (folder / "first.csv").write_text("\n".join([head, *lines[:250]]))
     (folder / "second.csv").write_text("\n".join([head, *lines[250:]]))
-    for name, extra in (("whole", ()), ("first", ("--save-state", folder / "state.json")), ("second", ("--resume", folder / "state.json"))):
+    for name, extra in (
+        ("whole", ()),
+        ("first", ("--save-state", folder / "state.json")),
+        ("second", ("--resume", folder / "state.json")),
+    ):
         good("replay", folder / f"{name}.csv", "--vehicle", "xgd24d", "-o", folder / f"{name}-out.csv", *extra)
     whole, first, second = (table(folder / f"{name}-out.csv") for name in ("whole", "first", "second"))
     for name in whole:

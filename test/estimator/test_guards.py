@@ -34,13 +34,23 @@ def count(session, which, name="speed"):
     return int(session.memory.counters[session.channel(name), which])
 
 
-STAMPS = st.one_of(st.integers(-3600, 3600).map(lambda s: START + s * S), st.integers(0, 3000).map(lambda ms: START + ms * MS),
-                   st.just(0))
+STAMPS = st.one_of(
+    st.integers(-3600, 3600).map(lambda s: START + s * S), st.integers(0, 3000).map(lambda ms: START + ms * MS), st.just(0)
+)
 VALUES = st.one_of(st.floats(-20, 20), st.sampled_from([float("nan"), float("inf"), -float("inf"), 1e9, -1e300, 0.0]))
 
 
-@given(messages=st.lists(st.tuples(st.sampled_from(["speed", "load", "ambient", "belt/rear_left", "accel", "torque", "load/front"]),
-                                   STAMPS, STAMPS, VALUES), max_size=80))
+@given(
+    messages=st.lists(
+        st.tuples(
+            st.sampled_from(["speed", "load", "ambient", "belt/rear_left", "accel", "torque", "load/front"]),
+            STAMPS,
+            STAMPS,
+            VALUES,
+        ),
+        max_size=80,
+    )
+)
 def test_whatever_comes_counters_add_up_and_results_are_finite(reference, messages):
     session = reference.session()
     limit = reference.constants.number.feedforward_limit
@@ -54,8 +64,10 @@ def test_whatever_comes_counters_add_up_and_results_are_finite(reference, messag
     assert counters[:, Count.ACCEPTED].sum() + counters[:, [int(c) for c in REFUSALS]].sum() == len(messages)
 
 
-@pytest.mark.parametrize(("value", "which"), [(float("nan"), Count.NON_FINITE), (float("inf"), Count.NON_FINITE),
-                                              (1e9, Count.OUT_OF_RANGE), (-30.0, Count.OUT_OF_RANGE)])
+@pytest.mark.parametrize(
+    ("value", "which"),
+    [(float("nan"), Count.NON_FINITE), (float("inf"), Count.NON_FINITE), (1e9, Count.OUT_OF_RANGE), (-30.0, Count.OUT_OF_RANGE)],
+)
 def test_values_that_cannot_be_are_refused_and_the_last_holds(session, value, which):
     now, before = steady(session)
     assert send(session, now, value) is None
@@ -197,8 +209,14 @@ def test_blocks_equal_single_messages_bit_for_bit(reference):
     value = np.where(channel == 0, random.normal(8, 0.2, n), np.where(channel == 1, random.normal(272e3, 1e3, n), 20.0))
     value[random.integers(0, n, 20)] = np.nan
     one, many = reference.session(), reference.session()
-    singles = [e.row for e in (one.handle(int(c), int(s), int(s) or 1, float(v)) for c, s, v in zip(channel, stamp, value, strict=True)) if e]
+    singles = [
+        e.row
+        for e in (one.handle(int(c), int(s), int(s) or 1, float(v)) for c, s, v in zip(channel, stamp, value, strict=True))
+        if e
+    ]
     arrival = np.where(stamp == 0, 1, stamp)
-    halves = [many.handle_block(channel[part], stamp[part], arrival[part], value[part]).rows for part in (slice(0, 777), slice(777, n))]
+    halves = [
+        many.handle_block(channel[part], stamp[part], arrival[part], value[part]).rows for part in (slice(0, 777), slice(777, n))
+    ]
     assert np.array_equal(np.array(singles), np.concatenate(halves), equal_nan=True)
     assert np.array_equal(one.memory.counters, many.memory.counters)

@@ -24,7 +24,8 @@ for thermal in ("lumped", "core_surface"):
     n = 400
     channel = random.choice([0, 0, 0, 1, 3, 4, 6], n).astype(np.int16)
     stamp = 10**18 + np.cumsum(random.integers(1, 3 * 10**9, n))
-    value = np.select([channel == 0, channel == 1, channel == 6], [random.normal(8, 2, n), random.normal(272e3, 1e4, n), random.normal(0, .05, n)], 20.0)
+    kinds = [random.normal(8, 2, n), random.normal(272e3, 1e4, n), random.normal(0, .05, n)]
+    value = np.select([channel == 0, channel == 1, channel == 6], kinds, 20.0)
     rows = estimator.session().handle_block(channel, stamp, stamp, value).rows
     out.append(np.where(np.isfinite(rows), rows, -1e9).tolist())
 json.dump([HAVE_NUMBA, out], sys.stdout)

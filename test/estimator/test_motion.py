@@ -1,5 +1,7 @@
 """Acceleration from speed: quiet on a quantised bus, quick enough on a clean one."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -14,8 +16,10 @@ def filtered(speed, dt):
     settings, motion, out = Settings(), np.zeros(at.MOTION_COLUMNS), [0.0]
     motion[at.QUANTUM] = 1e9
     start_motion(motion, speed[0], settings.speed_std_mps**2, settings.acceleration_std**2)
-    for before, now in zip(speed, speed[1:], strict=False):
-        advance_motion(motion, now, before, dt, settings.speed_std_mps**2, settings.acceleration_std**2, settings.acceleration_time_s)
+    for before, now in itertools.pairwise(speed):
+        advance_motion(
+            motion, now, before, dt, settings.speed_std_mps**2, settings.acceleration_std**2, settings.acceleration_time_s
+        )
         out.append(motion[at.FILTERED_ACCEL])
     return np.array(out)
 

@@ -52,14 +52,17 @@ def test_a_clock_that_went_back_counts_as_no_time_off(reference, tmp_path):
     assert again.belts[0, 0, 0] == pytest.approx(session.belts[0, 0, 0], abs=1e-9)
 
 
-@pytest.mark.parametrize(("damage", "said"), [
-    (lambda text: "", "damaged"),
-    (lambda text: text[: len(text) // 2], "damaged"),
-    (lambda text: "[1, 2]", "another kind"),
-    (lambda text: text.replace('"version": 1', '"version": 99'), "version 99"),
-    (lambda text: text.replace('"belts"', '"bolts"'), "belts"),
-    (lambda text: text.replace("0x1.", "oops"), "do not fit"),
-])
+@pytest.mark.parametrize(
+    ("damage", "said"),
+    [
+        (lambda text: "", "damaged"),
+        (lambda text: text[: len(text) // 2], "damaged"),
+        (lambda text: "[1, 2]", "another kind"),
+        (lambda text: text.replace('"version": 1', '"version": 99'), "version 99"),
+        (lambda text: text.replace('"belts"', '"bolts"'), "belts"),
+        (lambda text: text.replace("0x1.", "oops"), "do not fit"),
+    ],
+)
 def test_a_file_that_is_not_right_says_why(reference, tmp_path, damage, said):
     session = reference.session()
     session.handle_block(*messages(100))

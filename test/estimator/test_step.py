@@ -46,8 +46,13 @@ def test_step_by_step_equals_the_run_along_a_series(reference):
         assert np.array_equal(estimate.row, rows[i], equal_nan=True)
 
 
-@given(speed=st.floats(-16, 16), ambient=st.floats(-40, 45), weight=st.floats(100e3, 600e3), grade=st.floats(-0.3, 0.3),
-       acceleration=st.floats(-2, 2))
+@given(
+    speed=st.floats(-16, 16),
+    ambient=st.floats(-40, 45),
+    weight=st.floats(100e3, 600e3),
+    grade=st.floats(-0.3, 0.3),
+    acceleration=st.floats(-2, 2),
+)
 def test_parts_add_up(reference, speed, ambient, weight, grade, acceleration):
     inputs = reference.inputs(speed, weight=weight, ambient=ambient, grade=grade, acceleration=acceleration)
     state, estimate = reference.step(reference.cold_start(inputs), inputs, 0.1)
@@ -88,7 +93,8 @@ def test_other_vehicles_have_other_assemblies_and_a_motor(carrier):
     assert len(estimate.belt_degc()) == 2
     chassis = carrier.vehicle.chassis
     assert estimate["motor_torque_nm"] == pytest.approx(
-        estimate["drive_torque_nm"] / (chassis.motor_ratio * chassis.motor_efficiency))
+        estimate["drive_torque_nm"] / (chassis.motor_ratio * chassis.motor_efficiency)
+    )
 
 
 def test_no_ratio_no_motor_torque(reference):
@@ -138,8 +144,9 @@ def test_uncertainty_of_an_unknown_start_fades(reference):
 
 def test_an_uncertain_vehicle_gives_an_uncertain_torque(reference):
     parameters = dict(reference.vehicle.parameters)
-    narrow = {path: replace(q, low=q.value, high=q.value) if not isinstance(q.value, tuple) else q
-              for path, q in parameters.items()}
+    narrow = {
+        path: replace(q, low=q.value, high=q.value) if not isinstance(q.value, tuple) else q for path, q in parameters.items()
+    }
     sure = Estimator(replace(reference.vehicle, parameters=narrow))
     _, wide_estimate = drive(reference, SPEED, 10.0, 200)
     _, narrow_estimate = drive(sure, SPEED, 10.0, 200)

@@ -21,8 +21,12 @@ OUTPUT_SUFFIXES = (*TABLE_SUFFIXES, ".mcap")
 
 def vehicle_option(command: Command) -> Command:
     """`--vehicle`: a path or the name of a shipped vehicle."""
-    return click.option("--vehicle", required=True, metavar="FILE|NAME",
-                        help=f"Vehicle file, or the name of a shipped one: {', '.join(shipped_vehicles())}.")(command)
+    return click.option(
+        "--vehicle",
+        required=True,
+        metavar="FILE|NAME",
+        help=f"Vehicle file, or the name of a shipped one: {', '.join(shipped_vehicles())}.",
+    )(command)
 
 
 def json_option(command: Command) -> Command:
@@ -32,9 +36,14 @@ def json_option(command: Command) -> Command:
 
 def method_options(command: Command) -> Command:
     """`--method` and `--thermal`: other models than the vehicle file names."""
-    command = click.option("--thermal", type=click.Choice(["lumped", "core_surface"]), help="Thermal model instead of the vehicle file's.")(command)
-    return click.option("--method", type=click.Choice(["rainflow", "spectral"]),
-                        help="Way from strain to heat instead of the vehicle file's: the paper's count, or exact.")(command)
+    command = click.option(
+        "--thermal", type=click.Choice(["lumped", "core_surface"]), help="Thermal model instead of the vehicle file's."
+    )(command)
+    return click.option(
+        "--method",
+        type=click.Choice(["rainflow", "spectral"]),
+        help="Way from strain to heat instead of the vehicle file's: the paper's count, or exact.",
+    )(command)
 
 
 def number(low: float, high: float) -> click.FloatRange:
@@ -63,8 +72,9 @@ def output_path(path: Path, suffixes: tuple[str, ...] = OUTPUT_SUFFIXES) -> Path
 
 def without_suffix(path: Path) -> Path:
     """The path without its suffix, of which `.csv.gz` is one."""
-    return path.with_name(next(path.name[:-len(s)] for s in sorted(OUTPUT_SUFFIXES, key=len, reverse=True)
-                               if path.name.lower().endswith(s)))
+    return path.with_name(
+        next(path.name[: -len(s)] for s in sorted(OUTPUT_SUFFIXES, key=len, reverse=True) if path.name.lower().endswith(s))
+    )
 
 
 def emit(result: dict[str, Any], as_json: bool, text: Callable[[], str]) -> None:
@@ -79,7 +89,14 @@ def progress(label: str, total: float | None) -> Iterator[Callable[[float], None
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
     console = Console(stderr=True)
-    with Progress(TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn(),
-                  console=console, transient=True, disable=not console.is_terminal) as bar:
+    with Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,
+    ) as bar:
         task = bar.add_task(label, total=total)
         yield lambda done: bar.update(task, advance=done)

@@ -13,17 +13,42 @@ from trackres_ros.cli.common import emit, json_option, method_options, output_pa
 @click.command("replay")
 @click.argument("recording", nargs=-1, required=True, type=click.Path(path_type=Path))
 @vehicle_option
-@click.option("--topics", "topics_file", type=click.Path(path_type=Path), metavar="T.yaml",
-              help="Which topic, field or column feeds which role; guessed by message type without.")
-@click.option("--params", "params_file", type=click.Path(path_type=Path), metavar="P.yaml", help="Settings of the estimator, by name.")
+@click.option(
+    "--topics",
+    "topics_file",
+    type=click.Path(path_type=Path),
+    metavar="T.yaml",
+    help="Which topic, field or column feeds which role; guessed by message type without.",
+)
+@click.option(
+    "--params", "params_file", type=click.Path(path_type=Path), metavar="P.yaml", help="Settings of the estimator, by name."
+)
 @method_options
-@click.option("--resume", "resume_file", type=click.Path(path_type=Path), metavar="STATE", help="Go on from a state saved by --save-state.")
+@click.option(
+    "--resume", "resume_file", type=click.Path(path_type=Path), metavar="STATE", help="Go on from a state saved by --save-state."
+)
 @click.option("--save-state", "state_file", type=click.Path(path_type=Path), metavar="STATE", help="Save the state at the end.")
-@click.option("-o", "--output", "output", type=click.Path(path_type=Path), required=True,
-              help="Result: .csv, .csv.gz or .parquet as a table, .mcap as topics. A picture .png goes beside it.")
+@click.option(
+    "-o",
+    "--output",
+    "output",
+    type=click.Path(path_type=Path),
+    required=True,
+    help="Result: .csv, .csv.gz or .parquet as a table, .mcap as topics. A picture .png goes beside it.",
+)
 @json_option
-def replay_command(recording: tuple[Path, ...], vehicle: str, topics_file: Path | None, params_file: Path | None, method: str | None,
-                   thermal: str | None, resume_file: Path | None, state_file: Path | None, output: Path, as_json: bool) -> None:
+def replay_command(
+    recording: tuple[Path, ...],
+    vehicle: str,
+    topics_file: Path | None,
+    params_file: Path | None,
+    method: str | None,
+    thermal: str | None,
+    resume_file: Path | None,
+    state_file: Path | None,
+    output: Path,
+    as_json: bool,
+) -> None:
     """Resistance torque and belt temperature over the time of a recording.
 
     RECORDING is a rosbag2 folder, .mcap, .db3, ROS 1 .bag (several are read one after the other), or one .csv, .csv.gz or

@@ -11,7 +11,13 @@ from trackres_ros.cli.common import emit, json_option, progress
 
 
 @click.command("reproduce")
-@click.option("-o", "--output", type=click.Path(path_type=Path, file_okay=False), required=True, help="Folder for pictures, tables and the page.")
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path, file_okay=False),
+    required=True,
+    help="Folder for pictures, tables and the page.",
+)
 @json_option
 def reproduce_command(output: Path, as_json: bool) -> None:
     """The paper's Figures 6, 10, 11, 16, 24, 25, 26 and its three tests, as PNG and CSV, with a page that says what holds.

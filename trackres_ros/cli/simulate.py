@@ -21,18 +21,36 @@ SUMMARY_TIMES_S = (50.0, 250.0, 600.0, 1000.0, 2500.0)
 @click.option("--speed-kmh", type=number(-100, 100), help="Speed after the ramp [km/h].")
 @click.option("--ramp-s", type=number(0, 1e5), default=50.0, show_default=True, help="Time from rest to that speed [s].")
 @click.option("--duration-s", type=number(1e-3, 1e7), help="How long to simulate [s]; 2500 with --speed-kmh.")
-@click.option("--profile", type=click.Path(path_type=Path), metavar="P.csv",
-              help="CSV or Parquet with time_s and speed_mps or speed_kmh instead; straight lines between its rows.")
+@click.option(
+    "--profile",
+    type=click.Path(path_type=Path),
+    metavar="P.csv",
+    help="CSV or Parquet with time_s and speed_mps or speed_kmh instead; straight lines between its rows.",
+)
 @click.option("--ambient-degc", type=number(-60, 60), help="Ambient temperature [degC]; default the vehicle file's.")
 @click.option("--initial-degc", type=number(-60, 150), help="Belt temperature at the start [degC]; default the ambient one.")
 @click.option("--weight-kn", type=number(0.1, 1e5), help="Weight of the whole vehicle [kN]; default the vehicle file's.")
 @method_options
 @click.option("--dt", type=number(1e-4, 10), default=0.1, show_default=True, help="Time step [s].")
-@click.option("-o", "--output", "output", type=click.Path(path_type=Path), required=True, help="Result: .csv, .csv.gz, .parquet or .mcap.")
+@click.option(
+    "-o", "--output", "output", type=click.Path(path_type=Path), required=True, help="Result: .csv, .csv.gz, .parquet or .mcap."
+)
 @json_option
-def simulate_command(vehicle: str, speed_kmh: float | None, ramp_s: float, duration_s: float | None, profile: Path | None,
-                     ambient_degc: float | None, initial_degc: float | None, weight_kn: float | None, method: str | None,
-                     thermal: str | None, dt: float, output: Path, as_json: bool) -> None:
+def simulate_command(
+    vehicle: str,
+    speed_kmh: float | None,
+    ramp_s: float,
+    duration_s: float | None,
+    profile: Path | None,
+    ambient_degc: float | None,
+    initial_degc: float | None,
+    weight_kn: float | None,
+    method: str | None,
+    thermal: str | None,
+    dt: float,
+    output: Path,
+    as_json: bool,
+) -> None:
     """Torque and belt temperature along a speed profile.
 
     \b
@@ -72,16 +90,26 @@ def simulate_command(vehicle: str, speed_kmh: float | None, ramp_s: float, durat
     else:
         write_table(path, series)
     at_times = [t for t in SUMMARY_TIMES_S if t <= drive.time_s[-1]] or [float(drive.time_s[-1])]
-    points = [{name: float(series[name][min(int(np.searchsorted(drive.time_s, t - 1e-9)), len(rows) - 1)]) for name in series}
-              for t in at_times]
-    result = {"vehicle": description.name, "method": description.hysteresis, "thermal": description.thermal, "output": str(path),
-              "rows": len(rows), "points": points}
+    points = [
+        {name: float(series[name][min(int(np.searchsorted(drive.time_s, t - 1e-9)), len(rows) - 1)]) for name in series}
+        for t in at_times
+    ]
+    result = {
+        "vehicle": description.name,
+        "method": description.hysteresis,
+        "thermal": description.thermal,
+        "output": str(path),
+        "rows": len(rows),
+        "points": points,
+    }
     emit(result, as_json, lambda: _text(result))
 
 
 def _check_speed(speed: float, most: float) -> None:
     if abs(speed) > 1.2 * most:
-        raise InputError("speed", f"{abs(speed) * 3.6:g} km/h", f"up to 1.2 times the vehicle file's max_speed, {1.2 * most * 3.6:.0f} km/h")
+        raise InputError(
+            "speed", f"{abs(speed) * 3.6:g} km/h", f"up to 1.2 times the vehicle file's max_speed, {1.2 * most * 3.6:.0f} km/h"
+        )
 
 
 def _read_profile(path: Path) -> tuple[Any, Any]:
@@ -97,8 +125,13 @@ def _read_profile(path: Path) -> tuple[Any, Any]:
 
 
 def _text(result: dict[str, Any]) -> str:
-    lines = [f"{'time':>8} {'speed':>9} {'resistance':>11} {'hysteresis':>11} {'bearing':>9} {'wind':>7} {'belt':>8}",
-             f"{'s':>8} {'km/h':>9} {'Nm':>11} {'Nm':>11} {'Nm':>9} {'Nm':>7} {'degC':>8}"]
-    lines += [f"{p['time_s']:8.0f} {p['speed_mps'] * 3.6:9.1f} {p['resistance_torque_nm']:11.0f} {p['hysteresis_nm']:11.0f} "
-              f"{p['bearing_nm']:9.0f} {p['wind_nm']:7.0f} {p['belt_degc']:8.1f}" for p in result["points"]]
+    lines = [
+        f"{'time':>8} {'speed':>9} {'resistance':>11} {'hysteresis':>11} {'bearing':>9} {'wind':>7} {'belt':>8}",
+        f"{'s':>8} {'km/h':>9} {'Nm':>11} {'Nm':>11} {'Nm':>9} {'Nm':>7} {'degC':>8}",
+    ]
+    lines += [
+        f"{p['time_s']:8.0f} {p['speed_mps'] * 3.6:9.1f} {p['resistance_torque_nm']:11.0f} {p['hysteresis_nm']:11.0f} "
+        f"{p['bearing_nm']:9.0f} {p['wind_nm']:7.0f} {p['belt_degc']:8.1f}"
+        for p in result["points"]
+    ]
     return "\n".join([*lines, f"{result['rows']} rows in {result['output']}"])

@@ -18,8 +18,13 @@ def vehicle_group() -> None:
 
 @vehicle_group.command("check")
 @click.argument("file", metavar="FILE|NAME")
-@click.option("--points", type=click.IntRange(10, 100_000), default=400, show_default=True,
-              help="Random points at which the loss table is held against the exact method.")
+@click.option(
+    "--points",
+    type=click.IntRange(10, 100_000),
+    default=400,
+    show_default=True,
+    help="Random points at which the loss table is held against the exact method.",
+)
 @json_option
 def check_command(file: str, points: int, as_json: bool) -> None:
     """Check a vehicle file and print what follows from it, with units.
@@ -46,42 +51,76 @@ def check_command(file: str, points: int, as_json: bool) -> None:
         errors = np.abs(interpolation_error(model, table, loads, vehicle.chassis.max_speed, points))
         modulus = float(model.rubber.dynamic_modulus(10.0, vehicle.chassis.ambient))
         tracks[name] = {
-            "wheel_loads_n": wheel_loads(track, loads.nominal).tolist(), "hinge_position_m": hinge_position(track),
+            "wheel_loads_n": wheel_loads(track, loads.nominal).tolist(),
+            "hinge_position_m": hinge_position(track),
             "belt_mass_kg": belt_model.mass_per_length(track.belt, rubber) * track.belt.loop_length,
             "mass_per_length_kg_m": belt_model.mass_per_length(track.belt, rubber),
-            "heat_capacity_j_k": belt_model.heat_capacity(track.belt, rubber), "cooled_area_m2": belt_model.cooled_area(track.belt),
+            "heat_capacity_j_k": belt_model.heat_capacity(track.belt, rubber),
+            "cooled_area_m2": belt_model.cooled_area(track.belt),
             "axial_stiffness_n": float(belt_model.axial_stiffness(track.belt, modulus)),
             "tension_n": steady_tension(model, vehicle.chassis.ambient),
-            "sag_m": float(belt_model.catenary_sag(steady_tension(model, vehicle.chassis.ambient), belt_model.mass_per_length(track.belt, rubber),
-                                                   track.belt.sag_half_span, float(belt_model.axial_stiffness(track.belt, modulus)))),
-            "uncertainty": dict(zip(("loss", "cooling", "heat_capacity", "sprocket_radius"),
-                                    (float(v) for v in spread(vehicle, name).relative), strict=True)),
-            "table": {"seconds": took, "load_range_n": [loads.low, loads.high], "largest_error": float(errors.max()),
-                      "rms_error": float(np.sqrt((errors**2).mean())), "points": points,
-                      "drive_torque_share": drive_share(table, loads, track.sprocket_radius)}}
+            "sag_m": float(
+                belt_model.catenary_sag(
+                    steady_tension(model, vehicle.chassis.ambient),
+                    belt_model.mass_per_length(track.belt, rubber),
+                    track.belt.sag_half_span,
+                    float(belt_model.axial_stiffness(track.belt, modulus)),
+                )
+            ),
+            "uncertainty": dict(
+                zip(
+                    ("loss", "cooling", "heat_capacity", "sprocket_radius"),
+                    (float(v) for v in spread(vehicle, name).relative),
+                    strict=True,
+                )
+            ),
+            "table": {
+                "seconds": took,
+                "load_range_n": [loads.low, loads.high],
+                "largest_error": float(errors.max()),
+                "rms_error": float(np.sqrt((errors**2).mean())),
+                "points": points,
+                "drive_torque_share": drive_share(table, loads, track.sprocket_radius),
+            },
+        }
     flags = [quantity.flag for quantity in vehicle.parameters.values()]
     result: dict[str, Any] = {
-        "vehicle": vehicle.name, "title": vehicle.title, "file": str(vehicle.source), "hysteresis": vehicle.hysteresis, "thermal": vehicle.thermal,
-        "weight_n": vehicle.weight, "assemblies": {a.name: float(n) for a, n in zip(vehicle.assemblies, vehicle.nominal_loads(), strict=True)},
-        "quantities": {flag: flags.count(flag) for flag in ("P", "L", "A")}, "tracks": tracks}
+        "vehicle": vehicle.name,
+        "title": vehicle.title,
+        "file": str(vehicle.source),
+        "hysteresis": vehicle.hysteresis,
+        "thermal": vehicle.thermal,
+        "weight_n": vehicle.weight,
+        "assemblies": {a.name: float(n) for a, n in zip(vehicle.assemblies, vehicle.nominal_loads(), strict=True)},
+        "quantities": {flag: flags.count(flag) for flag in ("P", "L", "A")},
+        "tracks": tracks,
+    }
     emit(result, as_json, lambda: _text(result))
 
 
 def _text(result: dict[str, Any]) -> str:
     quantities = result["quantities"]
-    lines = [f"{result['title']} ({result['file']}): all values are as allowed",
-             f"  {quantities['P']} values from the paper, {quantities['L']} from literature, {quantities['A']} assumed; "
-             f"hysteresis {result['hysteresis']}, thermal {result['thermal']}",
-             f"  weight {result['weight_n'] / 1e3:.1f} kN on " + ", ".join(f"{k} {v / 1e3:.1f} kN" for k, v in result["assemblies"].items())]
+    lines = [
+        f"{result['title']} ({result['file']}): all values are as allowed",
+        f"  {quantities['P']} values from the paper, {quantities['L']} from literature, {quantities['A']} assumed; "
+        f"hysteresis {result['hysteresis']}, thermal {result['thermal']}",
+        f"  weight {result['weight_n'] / 1e3:.1f} kN on "
+        + ", ".join(f"{k} {v / 1e3:.1f} kN" for k, v in result["assemblies"].items()),
+    ]
     for name, t in result["tracks"].items():
         table, doubt = t["table"], t["uncertainty"]
-        lines += [f"Track {name}", "  wheel loads        " + ", ".join(f"{load:.0f}" for load in t["wheel_loads_n"]) + " N",
-                  f"  hinge              {t['hinge_position_m']:.3f} m behind the front end of the ground run",
-                  f"  belt mass          {t['belt_mass_kg']:.1f} kg ({t['mass_per_length_kg_m']:.2f} kg/m)",
-                  f"  heat capacity      {t['heat_capacity_j_k'] / 1e3:.1f} kJ/K", f"  cooled area        {t['cooled_area_m2']:.2f} m2",
-                  f"  axial stiffness    {t['axial_stiffness_n'] / 1e6:.1f} MN", f"  tension            {t['tension_n']:.0f} N, sag {t['sag_m'] * 1e3:.1f} mm",
-                  "  one sigma of       " + ", ".join(f"{k} {v:.0%}" for k, v in doubt.items()) + " (from the ranges in the file)",
-                  f"  loss table         error at most {table['largest_error']:.3%}, rms {table['rms_error']:.3%} at {table['points']} points, loads "
-                  f"{table['load_range_n'][0] / 1e3:.1f} to {table['load_range_n'][1] / 1e3:.1f} kN, ready in {table['seconds']:.2f} s",
-                  f"  drive torque       moves the loss by at most {table['drive_torque_share']:.4%}"]
+        lines += [
+            f"Track {name}",
+            "  wheel loads        " + ", ".join(f"{load:.0f}" for load in t["wheel_loads_n"]) + " N",
+            f"  hinge              {t['hinge_position_m']:.3f} m behind the front end of the ground run",
+            f"  belt mass          {t['belt_mass_kg']:.1f} kg ({t['mass_per_length_kg_m']:.2f} kg/m)",
+            f"  heat capacity      {t['heat_capacity_j_k'] / 1e3:.1f} kJ/K",
+            f"  cooled area        {t['cooled_area_m2']:.2f} m2",
+            f"  axial stiffness    {t['axial_stiffness_n'] / 1e6:.1f} MN",
+            f"  tension            {t['tension_n']:.0f} N, sag {t['sag_m'] * 1e3:.1f} mm",
+            "  one sigma of       " + ", ".join(f"{k} {v:.0%}" for k, v in doubt.items()) + " (from the ranges in the file)",
+            f"  loss table         error at most {table['largest_error']:.3%}, rms {table['rms_error']:.3%} at {table['points']} points, loads "
+            f"{table['load_range_n'][0] / 1e3:.1f} to {table['load_range_n'][1] / 1e3:.1f} kN, ready in {table['seconds']:.2f} s",
+            f"  drive torque       moves the loss by at most {table['drive_torque_share']:.4%}",
+        ]
     return "\n".join(lines)

@@ -33,14 +33,23 @@ def log_speed(speed: float) -> float:
 
 
 @compiled
-def loss_force(k: Constants, i: int, belt_degc: float, log10_speed: float, log_load: float, drive_torque: float
-              ) -> tuple[float, float]:
+def loss_force(
+    k: Constants, i: int, belt_degc: float, log10_speed: float, log_load: float, drive_torque: float
+) -> tuple[float, float]:
     """Loss [N] of one assembly and its derivative [N/K] by the belt temperature."""
     table = int(k.assembly[i, at.TABLE])
     shift, shift_slope = log_shift_factor(belt_degc, k.number.glass_transition, k.number.wlf_c1, k.number.wlf_c2)
     x = shift + log10_speed
-    loss, slope = look_up(k.loss, table, k.number.first_x, k.number.step_x, k.assembly[i, at.FIRST_LOG_LOAD],
-                          k.assembly[i, at.STEP_LOG_LOAD], x, log_load)
+    loss, slope = look_up(
+        k.loss,
+        table,
+        k.number.first_x,
+        k.number.step_x,
+        k.assembly[i, at.FIRST_LOG_LOAD],
+        k.assembly[i, at.STEP_LOG_LOAD],
+        x,
+        log_load,
+    )
     linear, square = look_up_drive(k.drive, table, k.number.first_x, k.number.step_x, x)
     return loss + drive_torque * (linear + drive_torque * square), slope * shift_slope
 
@@ -67,8 +76,18 @@ def belt_variance(belt: Array, at_core: float, at_surface: float) -> float:
 
 
 @compiled
-def advance_belt(k: Constants, i: int, belt: Array, speed: float, log10_speed: float, log_load: float, drive_torque: float,
-                 ambient: float, ambient_std: float, dt: float) -> tuple[float, float]:
+def advance_belt(
+    k: Constants,
+    i: int,
+    belt: Array,
+    speed: float,
+    log10_speed: float,
+    log_load: float,
+    drive_torque: float,
+    ambient: float,
+    ambient_std: float,
+    dt: float,
+) -> tuple[float, float]:
     """Advance one belt by dt [s] at constant speed [m/s]; changes `belt`, returns heat in and out [J] over the step.
 
     Notes
@@ -89,8 +108,11 @@ def advance_belt(k: Constants, i: int, belt: Array, speed: float, log10_speed: f
         rate, growth = gained - lost, (power_slope - cooling) * per_capacity
         mean = dt * phi_1(growth * dt)
         for cause in range(3):
-            forced = (gained * k.assembly[i, at.LOSS_DOUBT + cause] - lost * k.assembly[i, at.COOLING_DOUBT + cause]
-                      - rate * k.assembly[i, at.CAPACITY_DOUBT + cause])
+            forced = (
+                gained * k.assembly[i, at.LOSS_DOUBT + cause]
+                - lost * k.assembly[i, at.COOLING_DOUBT + cause]
+                - rate * k.assembly[i, at.CAPACITY_DOUBT + cause]
+            )
             belt[0, DOUBT_1 + cause] += mean * (growth * belt[0, DOUBT_1 + cause] + forced)
         belt[0, DOUBT_AMBIENT] += mean * (growth * belt[0, DOUBT_AMBIENT] + cooling * per_capacity * ambient_std)
         kept = belt[0, NOISE_1] * (1.0 + mean * growth)
@@ -112,7 +134,10 @@ def advance_belt(k: Constants, i: int, belt: Array, speed: float, log10_speed: f
         if column < DOUBT_AMBIENT:
             cause = column - DOUBT_1
             slope_1 += power / capacity * k.assembly[i, at.LOSS_DOUBT + cause] - rate_1 * k.assembly[i, at.CAPACITY_DOUBT + cause]
-            slope_2 += -cooling * (outer - ambient) / skin * k.assembly[i, at.COOLING_DOUBT + cause] - rate_2 * k.assembly[i, at.CAPACITY_DOUBT + cause]
+            slope_2 += (
+                -cooling * (outer - ambient) / skin * k.assembly[i, at.COOLING_DOUBT + cause]
+                - rate_2 * k.assembly[i, at.CAPACITY_DOUBT + cause]
+            )
         elif column == DOUBT_AMBIENT:
             slope_2 += cooling / skin * ambient_std
         belt[0, column] = first + dt * (m11 * slope_1 + m12 * slope_2)
@@ -139,8 +164,7 @@ def add_noise(belt: Array, first: float, second: float) -> None:
 
 
 @compiled
-def correct_belt(belt: Array, measured: float, variance: float, expected: float, at_core: float, at_surface: float
-                ) -> None:
+def correct_belt(belt: Array, measured: float, variance: float, expected: float, at_core: float, at_surface: float) -> None:
     """Correct a belt by a measured temperature [degC] of a variance [K^2]: the Kalman update, changes `belt`.
 
     Notes

@@ -20,11 +20,18 @@ Array = NDArray[np.float64]
 
 # Limits beyond which a measurement is refused, where the vehicle file does not say: [low, high] in SI, degC.
 PLAUSIBLE = {
-    "torque": (-1e6, 1e6), "ambient": (-60.0, 60.0), "belt": (-60.0, 180.0), "accel": (-15.0, 15.0), "grade": (-0.6, 0.6),
-    "yaw_rate": (-5.0, 5.0), "heading": (-1e3, 1e3), "distance": (-1e9, 1e9)}
-LEAST_LOAD_SHARE = 0.1   # of nominal weight: less is not a driving vehicle
+    "torque": (-1e6, 1e6),
+    "ambient": (-60.0, 60.0),
+    "belt": (-60.0, 180.0),
+    "accel": (-15.0, 15.0),
+    "grade": (-0.6, 0.6),
+    "yaw_rate": (-5.0, 5.0),
+    "heading": (-1e3, 1e3),
+    "distance": (-1e9, 1e9),
+}
+LEAST_LOAD_SHARE = 0.1  # of nominal weight: less is not a driving vehicle
 LARGEST_LOAD_SHARE = 2.5
-OVERSPEED = 1.2          # of the vehicle file's greatest speed
+OVERSPEED = 1.2  # of the vehicle file's greatest speed
 
 
 class Numbers(NamedTuple):
@@ -38,12 +45,12 @@ class Numbers(NamedTuple):
     two_nodes: bool
     belt_shows_surface: bool
     bearing_friction: float
-    bearing_doubt: float     # relative standard deviation
+    bearing_doubt: float  # relative standard deviation
     drag_area: float
     drag_doubt: float
     air_density: float
     rotating_mass_factor: float
-    motor_gain: float        # motor torque per sprocket torque; not a number where the vehicle file gives none
+    motor_gain: float  # motor torque per sprocket torque; not a number where the vehicle file gives none
     nominal_ambient: float
     axles: int
     initial_belt_std: float
@@ -63,7 +70,7 @@ class Numbers(NamedTuple):
     speed_variance: float
     acceleration_variance: float
     acceleration_time: float
-    feed_hysteresis: float   # 1 where the part is in the feed-forward, else 0
+    feed_hysteresis: float  # 1 where the part is in the feed-forward, else 0
     feed_bearing: float
     feed_wind: float
     feed_grade: float
@@ -77,15 +84,16 @@ class Constants(NamedTuple):
     """What the kernel reads. Inside compiled code `number` is a record with the fields of `Numbers`."""
 
     number: Numbers
-    assembly: Array          # (assemblies, constants), see layout
-    loss: Array              # (tables, x, load)
-    drive: Array             # (tables, x, 2)
-    channel_limits: Array    # (channels, 2)
+    assembly: Array  # (assemblies, constants), see layout
+    loss: Array  # (tables, x, load)
+    drive: Array  # (tables, x, 2)
+    channel_limits: Array  # (channels, 2)
 
 
 def kernel_arguments(constants: Constants) -> tuple[Any, Array, Array, Array, Array]:
     """The constants as the kernel's entries take them: the numbers as one record of an array, which costs a call a tenth of
-    what fifty separate ones do."""
+    what fifty separate ones do.
+    """
     if not HAVE_NUMBA:
         return ([constants.number], *constants[1:])
     kinds = {float: np.float64, int: np.int64, bool: np.bool_}
@@ -114,8 +122,11 @@ def make_constants(vehicle: Vehicle, settings: Settings, cache: Path | None = No
         row[at.SHARE_OF_AXLE] = load / loads[list(vehicle.assemblies_of(assembly.axle))].sum()
         row[at.SHARE_OF_ALL] = load / loads.sum()
     doubt = np.array([spreads[a.track].factor.ravel() for a in vehicle.assemblies])
-    gain = np.nan if chassis.motor_ratio is None or chassis.motor_efficiency is None else (
-        1.0 / (chassis.motor_ratio * chassis.motor_efficiency))
+    gain = (
+        np.nan
+        if chassis.motor_ratio is None or chassis.motor_efficiency is None
+        else (1.0 / (chassis.motor_ratio * chassis.motor_efficiency))
+    )
 
     def relative(*paths: str) -> float:
         quantities = [vehicle.parameters[f"chassis.{path}"] for path in paths]
@@ -163,8 +174,13 @@ def make_constants(vehicle: Vehicle, settings: Settings, cache: Path | None = No
         feedforward_limit=settings.feedforward_share * float(np.dot(loads, constants[:, at.RADIUS])),
         belt_std_warn=settings.belt_std_warn_k,
     )
-    return Constants(number, np.concatenate([constants, doubt], axis=1), np.stack([t.loss for t in tables]),
-                     np.stack([t.drive for t in tables]), _channel_limits(vehicle))
+    return Constants(
+        number,
+        np.concatenate([constants, doubt], axis=1),
+        np.stack([t.loss for t in tables]),
+        np.stack([t.drive for t in tables]),
+        _channel_limits(vehicle),
+    )
 
 
 def _channel_limits(vehicle: Vehicle) -> Array:

@@ -26,8 +26,8 @@ IntArray = NDArray[np.int64]
 class State:
     """What is carried from step to step; see `layout` and `belt_step` for what stands where. Not to be changed."""
 
-    belts: Array    # (assemblies, 2, BELT_COLUMNS)
-    motion: Array   # (MOTION_COLUMNS,)
+    belts: Array  # (assemblies, 2, BELT_COLUMNS)
+    motion: Array  # (MOTION_COLUMNS,)
 
 
 class Estimate:
@@ -83,7 +83,7 @@ class Estimate:
         return self._of_assemblies(at.PER_STD)
 
     def _of_assemblies(self, column: int) -> Array:
-        return self.row[len(at.VEHICLE_COLUMNS) + column::len(at.ASSEMBLY_COLUMNS)]
+        return self.row[len(at.VEHICLE_COLUMNS) + column :: len(at.ASSEMBLY_COLUMNS)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +92,7 @@ class Steps:
 
     stamp_ns: IntArray
     arrival_ns: IntArray
-    rows: Array             # (steps, columns)
+    rows: Array  # (steps, columns)
 
 
 class Estimator:
@@ -120,9 +120,17 @@ class Estimator:
         self.column_index = {name: i for i, name in enumerate(self.columns)}
         self._no_belts = np.full(len(self.assemblies), math.nan)
 
-    def inputs(self, speed: float, weight: float | None = None, ambient: float | None = None,
-               belt_measured: Array | None = None, load: Array | None = None, acceleration: float = math.nan, grade: float = math.nan,
-               measured_torque: float = math.nan) -> Inputs:
+    def inputs(
+        self,
+        speed: float,
+        weight: float | None = None,
+        ambient: float | None = None,
+        belt_measured: Array | None = None,
+        load: Array | None = None,
+        acceleration: float = math.nan,
+        grade: float = math.nan,
+        measured_torque: float = math.nan,
+    ) -> Inputs:
         """Inputs of a step from what is known, the rest nominal.
 
         Parameters
@@ -142,10 +150,16 @@ class Estimator:
         loads = k.assembly[:, at.NOMINAL_LOAD].copy() if load is None else np.asarray(load, dtype=float)
         if weight is not None:
             loads = weight * (k.assembly[:, at.SHARE_OF_ALL] if load is None else loads / loads.sum())
-        return Inputs(float(speed), loads, k.number.nominal_ambient if ambient is None else float(ambient),
-                      k.number.ambient_unknown_std if ambient is None else k.number.ambient_std,
-                      self._no_belts if belt_measured is None else np.asarray(belt_measured, dtype=float),
-                      float(acceleration), float(grade), float(measured_torque))
+        return Inputs(
+            float(speed),
+            loads,
+            k.number.nominal_ambient if ambient is None else float(ambient),
+            k.number.ambient_unknown_std if ambient is None else k.number.ambient_std,
+            self._no_belts if belt_measured is None else np.asarray(belt_measured, dtype=float),
+            float(acceleration),
+            float(grade),
+            float(measured_torque),
+        )
 
     def cold_start(self, inputs: Inputs, belt_degc: float | None = None, belt_std_k: float | None = None) -> State:
         """State of belts that are at the ambient temperature, or at a known one [degC] with a standard deviation [K]."""
@@ -161,12 +175,34 @@ class Estimator:
     def step(self, state: State, inputs: Inputs, dt: float) -> tuple[State, Estimate]:
         """Advance by dt [s] to the time of `inputs`. Pure: the state given is left as it was."""
         belts, motion, row = state.belts.copy(), state.motion.copy(), np.empty(len(self.columns))
-        step_once(*self.kernel_arguments, belts, motion, inputs.speed, inputs.load, inputs.ambient, inputs.ambient_std,
-                  inputs.belt_measured, inputs.acceleration, inputs.grade, inputs.measured_torque, inputs.reasons, float(dt), row)
+        step_once(
+            *self.kernel_arguments,
+            belts,
+            motion,
+            inputs.speed,
+            inputs.load,
+            inputs.ambient,
+            inputs.ambient_std,
+            inputs.belt_measured,
+            inputs.acceleration,
+            inputs.grade,
+            inputs.measured_torque,
+            inputs.reasons,
+            float(dt),
+            row,
+        )
         return State(belts, motion), Estimate(row, self.column_index)
 
-    def run(self, state: State, time_s: Array, speed: Array, weight: ArrayLike, ambient: ArrayLike,
-            acceleration: ArrayLike = math.nan, grade: ArrayLike = math.nan) -> tuple[State, Array]:
+    def run(
+        self,
+        state: State,
+        time_s: Array,
+        speed: Array,
+        weight: ArrayLike,
+        ambient: ArrayLike,
+        acceleration: ArrayLike = math.nan,
+        grade: ArrayLike = math.nan,
+    ) -> tuple[State, Array]:
         """`step` along a whole series: the same numbers, without a call for each.
 
         Parameters
@@ -185,13 +221,28 @@ class Estimator:
             State at the last time; results, shape (times, columns).
         """
         times = np.ascontiguousarray(time_s, dtype=float)
-        series = [np.ascontiguousarray(np.broadcast_to(np.asarray(a, dtype=float), times.shape)).copy()
-                  for a in (speed, weight, ambient, acceleration, grade)]
+        series = [
+            np.ascontiguousarray(np.broadcast_to(np.asarray(a, dtype=float), times.shape)).copy()
+            for a in (speed, weight, ambient, acceleration, grade)
+        ]
         belts, motion = state.belts.copy(), state.motion.copy()
         rows = np.empty((len(times), len(self.columns)))
         number = self.constants.number
-        run_series(*self.kernel_arguments, belts, motion, times, series[0], series[1], series[2], number.ambient_std,
-                   series[3], series[4], np.empty(len(self.assemblies)), self._no_belts, rows)
+        run_series(
+            *self.kernel_arguments,
+            belts,
+            motion,
+            times,
+            series[0],
+            series[1],
+            series[2],
+            number.ambient_std,
+            series[3],
+            series[4],
+            np.empty(len(self.assemblies)),
+            self._no_belts,
+            rows,
+        )
         return State(belts, motion), rows
 
     def rest(self, state: State, ambient: float, seconds: float) -> State:
@@ -215,8 +266,14 @@ class Session:
         self.memory: Memory = new_memory(len(estimator.channels))
         self.belts = np.zeros((assemblies, 2, at.BELT_COLUMNS))
         self.motion = np.zeros(at.MOTION_COLUMNS)
-        self._arguments = (*estimator.kernel_arguments, *self.memory, self.belts, self.motion, np.zeros(assemblies),
-                           np.zeros(assemblies))
+        self._arguments = (
+            *estimator.kernel_arguments,
+            *self.memory,
+            self.belts,
+            self.motion,
+            np.zeros(assemblies),
+            np.zeros(assemblies),
+        )
         self._channel = {name: i for i, name in enumerate(estimator.channels)}
 
     @property

@@ -28,9 +28,9 @@ AMBIENT_NOMINAL, SPEED_STUCK = int(at.Reason.AMBIENT_NOMINAL), int(at.Reason.SPE
 CLOCK_JUMPED, TIME_RESET = int(at.Reason.CLOCK_JUMPED), int(at.Reason.TIME_RESET)
 
 FRESH_LOAD_NS = 2_000_000_000  # a load older than this is reported as held, as long as it holds
-STANDING = 1e-3                # m/s: slower is no movement that could be stuck
-QUANTISED = (0.05, 1.0)        # m/s: a smallest step between these is a bus's resolution, not noise
-QUANTISED_PATIENCE = 10        # a steady drive holds one value of such a bus for minutes
+STANDING = 1e-3  # m/s: slower is no movement that could be stuck
+QUANTISED = (0.05, 1.0)  # m/s: a smallest step between these is a bus's resolution, not noise
+QUANTISED_PATIENCE = 10  # a steady drive holds one value of such a bus for minutes
 
 # What admit() returns besides a refusal (a negative counter).
 TAKEN, TOOK_JUMP, TOOK_RESET = 0, 1, 2
@@ -39,15 +39,18 @@ TAKEN, TOOK_JUMP, TOOK_RESET = 0, 1, 2
 class Memory(NamedTuple):
     """What the guards remember; a row a channel. All arrays are changed in place."""
 
-    times: IntArray      # (channels, MEMORY_COLUMNS) [ns]
-    values: Array        # (channels,) last accepted value
-    counters: IntArray   # (channels, counters)
+    times: IntArray  # (channels, MEMORY_COLUMNS) [ns]
+    values: Array  # (channels,) last accepted value
+    counters: IntArray  # (channels, counters)
 
 
 def new_memory(channels: int) -> Memory:
     """Memory of a session that has heard nothing yet."""
-    return Memory(np.zeros((channels, at.MEMORY_COLUMNS), dtype=np.int64), np.full(channels, np.nan),
-                  np.zeros((channels, len(at.Count)), dtype=np.int64))
+    return Memory(
+        np.zeros((channels, at.MEMORY_COLUMNS), dtype=np.int64),
+        np.full(channels, np.nan),
+        np.zeros((channels, len(at.Count)), dtype=np.int64),
+    )
 
 
 @inlined
@@ -178,5 +181,14 @@ def gather(k: Constants, memory: Memory, outcome: int, quantum: float, loads: Ar
     memory.times[at.BELT, at.FRESH] = 0
     for i in range(loads.shape[0]):
         memory.times[first_belt + i, at.FRESH] = 0
-    return Inputs(speed, loads, ambient, ambient_std, belt_measured, held(memory, at.ACCEL, now, k.number.motion_hold_ns),
-                  held(memory, at.GRADE, now, k.number.motion_hold_ns), held(memory, at.TORQUE, now, k.number.torque_hold_ns), reasons)
+    return Inputs(
+        speed,
+        loads,
+        ambient,
+        ambient_std,
+        belt_measured,
+        held(memory, at.ACCEL, now, k.number.motion_hold_ns),
+        held(memory, at.GRADE, now, k.number.motion_hold_ns),
+        held(memory, at.TORQUE, now, k.number.torque_hold_ns),
+        reasons,
+    )

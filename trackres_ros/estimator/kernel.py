@@ -27,28 +27,32 @@ from trackres_ros.model.resistance import bearing_force, direction, grade_force,
 Array = NDArray[np.float64]
 
 FIRST_OF_ASSEMBLIES, COLUMNS_EACH = len(at.VEHICLE_COLUMNS), len(at.ASSEMBLY_COLUMNS)
-LONGEST_SUBSTEP = 0.5        # s while rolling
+LONGEST_SUBSTEP = 0.5  # s while rolling
 MOST_SUBSTEPS = 20000
-DISAGREES = 5.0              # standard deviations between measured and expected belt temperature
+DISAGREES = 5.0  # standard deviations between measured and expected belt temperature
 DRIVING_TEMPERATURES = (-60.0, 150.0)
 
 BELT_UNSURE, DISAGREEING = int(at.Reason.BELT_UNSURE), int(at.Reason.BELT_SENSOR_DISAGREES)
 BRIDGED, UNKNOWN = int(at.Reason.GAP_BRIDGED), int(at.Reason.GAP_UNKNOWN)
-OUTSIDE, CLAMPED, LIMITED = int(at.Reason.OUTSIDE_TABLE), int(at.Reason.FEEDFORWARD_CLAMPED), int(at.Reason.FEEDFORWARD_RATE_LIMITED)
+OUTSIDE, CLAMPED, LIMITED = (
+    int(at.Reason.OUTSIDE_TABLE),
+    int(at.Reason.FEEDFORWARD_CLAMPED),
+    int(at.Reason.FEEDFORWARD_RATE_LIMITED),
+)
 
 
 class Inputs(NamedTuple):
     """What is known at one step; not a number (nan) where it is not. Loads and belt temperatures: one an assembly."""
 
-    speed: float                 # m/s
-    load: Array                  # N, own weight included
-    ambient: float               # degC
-    ambient_std: float           # K
-    belt_measured: Array         # degC, nan where there is no new one
-    acceleration: float = math.nan   # m/s^2 along the travel, commanded or measured without gravity's part
-    grade: float = math.nan      # rise over run, positive uphill the way the vehicle points
+    speed: float  # m/s
+    load: Array  # N, own weight included
+    ambient: float  # degC
+    ambient_std: float  # K
+    belt_measured: Array  # degC, nan where there is no new one
+    acceleration: float = math.nan  # m/s^2 along the travel, commanded or measured without gravity's part
+    grade: float = math.nan  # rise over run, positive uphill the way the vehicle points
     measured_torque: float = math.nan  # Nm at the sprockets, whole vehicle
-    reasons: int = 0             # layout.Reason found before the step
+    reasons: int = 0  # layout.Reason found before the step
 
 
 @compiled
@@ -67,8 +71,19 @@ def start(k: Constants, belts: Array, motion: Array, ambient: float, ambient_std
 
 
 @compiled
-def roll(k: Constants, assembly: int, belt: Array, speed_from: float, speed_to: float, log10_middle: float, log_load: float,
-         drive_torque: float, ambient: float, ambient_std: float, dt: float) -> tuple[float, float]:
+def roll(
+    k: Constants,
+    assembly: int,
+    belt: Array,
+    speed_from: float,
+    speed_to: float,
+    log10_middle: float,
+    log_load: float,
+    drive_torque: float,
+    ambient: float,
+    ambient_std: float,
+    dt: float,
+) -> tuple[float, float]:
     """Advance one belt by dt [s] while the speed goes straight from one value to the other; heat in and out [J].
 
     `log10_middle` is log10 of the speed in the middle, which serves a short step of every belt.
@@ -80,20 +95,32 @@ def roll(k: Constants, assembly: int, belt: Array, speed_from: float, speed_to: 
     steps = min(int(math.ceil(dt / LONGEST_SUBSTEP)), MOST_SUBSTEPS)
     for step in range(steps):
         speed = speed_from + (speed_to - speed_from) * (step + 0.5) / steps
-        gained, lost = advance_belt(k, assembly, belt, speed, log_speed(speed), log_load, drive_torque, ambient, ambient_std,
-                                    dt / steps)
+        gained, lost = advance_belt(
+            k, assembly, belt, speed, log_speed(speed), log_load, drive_torque, ambient, ambient_std, dt / steps
+        )
         heat_in += gained
         heat_out += lost
     return heat_in, heat_out
 
 
 @compiled
-def pass_gap(k: Constants, assembly: int, belt: Array, speed_from: float, speed_to: float, log_load: float,
-             ambient: float, ambient_std: float, dt: float) -> None:
+def pass_gap(
+    k: Constants,
+    assembly: int,
+    belt: Array,
+    speed_from: float,
+    speed_to: float,
+    log_load: float,
+    ambient: float,
+    ambient_std: float,
+    dt: float,
+) -> None:
     """A gap too long to bridge: the middle between resting and driving on all the while, and as uncertain as they differ."""
     rested = belt.copy()
     roll(k, assembly, rested, 0.0, 0.0, SLOWEST_LOG_SPEED, log_load, 0.0, ambient, ambient_std, dt)
-    roll(k, assembly, belt, speed_from, speed_to, log_speed(0.5 * (speed_from + speed_to)), log_load, 0.0, ambient, ambient_std, dt)
+    roll(
+        k, assembly, belt, speed_from, speed_to, log_speed(0.5 * (speed_from + speed_to)), log_load, 0.0, ambient, ambient_std, dt
+    )
     difference_1 = belt[0, at.TEMPERATURE] - rested[0, at.TEMPERATURE]
     difference_2 = belt[1, at.TEMPERATURE] - rested[1, at.TEMPERATURE]
     for node in range(2):
@@ -145,8 +172,9 @@ def advance_assembly(k: Constants, i: int, belt: Array, load: float, measured: f
     if road.dt > k.number.bridge:
         pass_gap(k, i, belt, road.last_speed, road.speed, log_load, road.ambient, road.ambient_std, road.dt)
     elif road.dt > 0.0:
-        heat_in, heat_out = roll(k, i, belt, road.last_speed, road.speed, road.log10_middle, log_load, drive, road.ambient,
-                                 road.ambient_std, road.dt)
+        heat_in, heat_out = roll(
+            k, i, belt, road.last_speed, road.speed, road.log10_middle, log_load, drive, road.ambient, road.ambient_std, road.dt
+        )
         part[at.PART_HEAT] = heat_in / road.dt
         part[at.PART_COOLING] = heat_out / road.dt
     if not math.isnan(measured):
@@ -160,7 +188,8 @@ def advance_assembly(k: Constants, i: int, belt: Array, load: float, measured: f
     first_log_load = k.assembly[i, at.FIRST_LOG_LOAD]
     last_log_load = first_log_load + k.assembly[i, at.STEP_LOG_LOAD] * (k.loss.shape[2] - 1)
     if not (DRIVING_TEMPERATURES[0] < temperature < DRIVING_TEMPERATURES[1]) or not (
-            first_log_load - 1e-9 <= log_load <= last_log_load + 1e-9):
+        first_log_load - 1e-9 <= log_load <= last_log_load + 1e-9
+    ):
         reasons |= OUTSIDE
 
     arm = radius * share
@@ -169,8 +198,11 @@ def advance_assembly(k: Constants, i: int, belt: Array, load: float, measured: f
     part[at.PART_HYSTERESIS], part[at.PART_BEARING], part[at.PART_WIND] = own, arm * road.bearing, arm * road.wind
     part[at.PART_GRADE], part[at.PART_INERTIA] = arm * road.uphill, arm * road.inertia
     for cause in range(3):
-        part[at.PART_DOUBT + cause] = (by_temperature * belt[0, at.DOUBT_1 + cause] + own * k.assembly[i, at.LOSS_DOUBT + cause]
-                                       + resisting * k.assembly[i, at.RADIUS_DOUBT + cause])
+        part[at.PART_DOUBT + cause] = (
+            by_temperature * belt[0, at.DOUBT_1 + cause]
+            + own * k.assembly[i, at.LOSS_DOUBT + cause]
+            + resisting * k.assembly[i, at.RADIUS_DOUBT + cause]
+        )
     part[at.PART_DOUBT + 3] = resisting * k.assembly[i, at.RADIUS_DOUBT + 3]
     part[at.PART_DOUBT_AMBIENT] = by_temperature * belt[0, at.DOUBT_AMBIENT]
     part[at.PART_NOISE] = by_temperature * by_temperature * (belt[0, at.NOISE_1] ** 2 + belt[0, at.NOISE_2] ** 2)
@@ -193,8 +225,11 @@ def twin_of(k: Constants, i: int, belts: Array, inputs: Inputs) -> int:
     if not math.isnan(inputs.belt_measured[i]):
         return i
     for j in range(i):
-        if (k.assembly[j, at.KIND] != k.assembly[i, at.KIND] or inputs.load[j] != inputs.load[i]
-                or not math.isnan(inputs.belt_measured[j])):
+        if (
+            k.assembly[j, at.KIND] != k.assembly[i, at.KIND]
+            or inputs.load[j] != inputs.load[i]
+            or not math.isnan(inputs.belt_measured[j])
+        ):
             continue
         same = True
         for column in range(at.BELT_COLUMNS):
@@ -234,8 +269,12 @@ def advance_assemblies(k: Constants, belts: Array, inputs: Inputs, road: Road, o
 def feedforward(k: Constants, motion: Array, total: Array, given_accel: bool, dt: float) -> tuple[float, int]:
     """Chosen parts [Nm], limited in size and rate, and the reasons that gives."""
     number, reasons = k.number, 0
-    wanted = (number.feed_hysteresis * total[at.PART_HYSTERESIS] + number.feed_bearing * total[at.PART_BEARING]
-              + number.feed_wind * total[at.PART_WIND] + number.feed_grade * total[at.PART_GRADE])
+    wanted = (
+        number.feed_hysteresis * total[at.PART_HYSTERESIS]
+        + number.feed_bearing * total[at.PART_BEARING]
+        + number.feed_wind * total[at.PART_WIND]
+        + number.feed_grade * total[at.PART_GRADE]
+    )
     if given_accel:  # an acceleration filtered from the speed would feed the controller's own noise back to it
         wanted += number.feed_inertia * total[at.PART_INERTIA]
     if abs(wanted) > number.feedforward_limit:
@@ -265,7 +304,9 @@ def advance(k: Constants, belts: Array, motion: Array, inputs: Inputs, dt: float
     started = motion[at.STARTED] > 0.0
     last_speed = motion[at.LAST_SPEED] if started else speed
     if started and 0.0 < dt <= number.bridge:
-        advance_motion(motion, speed, last_speed, dt, number.speed_variance, number.acceleration_variance, number.acceleration_time)
+        advance_motion(
+            motion, speed, last_speed, dt, number.speed_variance, number.acceleration_variance, number.acceleration_time
+        )
     elif not started or dt > 0.0:
         start_motion(motion, speed, number.speed_variance, number.acceleration_variance)
     if dt > number.bridge:
@@ -278,16 +319,32 @@ def advance(k: Constants, belts: Array, motion: Array, inputs: Inputs, dt: float
     weight = 0.0
     for i in range(belts.shape[0]):
         weight += inputs.load[i]
-    road = Road(last_speed, speed, log_speed(0.5 * (last_speed + speed)), log_speed(speed), direction(speed), weight,
-                bearing_force(speed, weight, number.bearing_friction), wind_force(speed, number.drag_area, number.air_density),
-                grade_force(grade, weight), inertia_force(accel, weight, number.rotating_mass_factor), motion[at.LAST_DRIVE],
-                inputs.ambient, inputs.ambient_std, dt)
+    road = Road(
+        last_speed,
+        speed,
+        log_speed(0.5 * (last_speed + speed)),
+        log_speed(speed),
+        direction(speed),
+        weight,
+        bearing_force(speed, weight, number.bearing_friction),
+        wind_force(speed, number.drag_area, number.air_density),
+        grade_force(grade, weight),
+        inertia_force(accel, weight, number.rotating_mass_factor),
+        motion[at.LAST_DRIVE],
+        inputs.ambient,
+        inputs.ambient_std,
+        dt,
+    )
     total, of_assemblies = advance_assemblies(k, belts, inputs, road, out)
     wanted, of_feedforward = feedforward(k, motion, total, given_accel, dt)
     resistance = total[at.PART_HYSTERESIS] + total[at.PART_BEARING] + total[at.PART_WIND]
     driving = resistance + total[at.PART_GRADE] + total[at.PART_INERTIA]
-    variance = (total[at.PART_NOISE] + total[at.PART_DOUBT_AMBIENT] ** 2 + (total[at.PART_BEARING] * number.bearing_doubt) ** 2
-                + (total[at.PART_WIND] * number.drag_doubt) ** 2)
+    variance = (
+        total[at.PART_NOISE]
+        + total[at.PART_DOUBT_AMBIENT] ** 2
+        + (total[at.PART_BEARING] * number.bearing_doubt) ** 2
+        + (total[at.PART_WIND] * number.drag_doubt) ** 2
+    )
     for cause in range(4):
         variance += total[at.PART_DOUBT + cause] ** 2
     motion[at.FEEDFORWARD] = wanted

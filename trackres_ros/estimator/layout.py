@@ -10,14 +10,41 @@ from trackres_ros.vehicle import Vehicle
 SPEED, LOAD, TORQUE, AMBIENT, BELT, ACCEL, GRADE, YAW_RATE, HEADING, DISTANCE = range(10)
 CHANNELS = ("speed", "load", "torque", "ambient", "belt", "accel", "grade", "yaw_rate", "heading", "distance")
 
-# Constants of an assembly; those of one KIND differ in nothing but the axle; from DOUBT_FACTOR on the 4 x 4 factor of its doubt, row by row.
-(AXLE, TABLE, NOMINAL_LOAD, RADIUS, CORE_CAPACITY, SKIN_CAPACITY, INNER_CONDUCTANCE, AREA, FILM_OFFSET, FILM_SLOPE,
- FIRST_LOG_LOAD, STEP_LOG_LOAD, KIND, SHARE_OF_AXLE, SHARE_OF_ALL, DOUBT_FACTOR) = range(16)
+# Constants of an assembly; those of one KIND differ in nothing but the axle and load shares. From DOUBT_FACTOR on the 4 x 4
+# factor of its doubt, row by row.
+(
+    AXLE,
+    TABLE,
+    NOMINAL_LOAD,
+    RADIUS,
+    CORE_CAPACITY,
+    SKIN_CAPACITY,
+    INNER_CONDUCTANCE,
+    AREA,
+    FILM_OFFSET,
+    FILM_SLOPE,
+    FIRST_LOG_LOAD,
+    STEP_LOG_LOAD,
+    KIND,
+    SHARE_OF_AXLE,
+    SHARE_OF_ALL,
+    DOUBT_FACTOR,
+) = range(16)
 LOSS_DOUBT, COOLING_DOUBT, CAPACITY_DOUBT, RADIUS_DOUBT = (DOUBT_FACTOR + 4 * row for row in range(4))
 
 # What an assembly adds to the totals of a step; from PART_DOUBT on the four causes of its factor of doubt.
-(PART_HYSTERESIS, PART_BEARING, PART_WIND, PART_GRADE, PART_INERTIA, PART_HEAT, PART_COOLING, PART_DOUBT_AMBIENT, PART_NOISE,
- PART_DOUBT) = range(10)
+(
+    PART_HYSTERESIS,
+    PART_BEARING,
+    PART_WIND,
+    PART_GRADE,
+    PART_INERTIA,
+    PART_HEAT,
+    PART_COOLING,
+    PART_DOUBT_AMBIENT,
+    PART_NOISE,
+    PART_DOUBT,
+) = range(10)
 PARTS = PART_DOUBT + 4
 
 # Columns of an assembly's belt state, [K] but the first: temperature, then what each cause of doubt makes of it.
@@ -92,12 +119,48 @@ REASON_TEXT = {
 HARMLESS = Reason.LOAD_HELD | Reason.FEEDFORWARD_RATE_LIMITED | Reason.GAP_BRIDGED
 
 # Columns of one row of results for the whole vehicle; those of each assembly follow.
-(OUT_SPEED, OUT_ACCEL, OUT_WEIGHT, OUT_AMBIENT, OUT_RESISTANCE, OUT_HYSTERESIS, OUT_BEARING, OUT_WIND, OUT_GRADE, OUT_INERTIA,
- OUT_DRIVE, OUT_STD, OUT_FEEDFORWARD, OUT_MOTOR, OUT_MEASURED, OUT_RESIDUAL, OUT_HEAT, OUT_COOLING, OUT_REASONS) = range(19)
+(
+    OUT_SPEED,
+    OUT_ACCEL,
+    OUT_WEIGHT,
+    OUT_AMBIENT,
+    OUT_RESISTANCE,
+    OUT_HYSTERESIS,
+    OUT_BEARING,
+    OUT_WIND,
+    OUT_GRADE,
+    OUT_INERTIA,
+    OUT_DRIVE,
+    OUT_STD,
+    OUT_FEEDFORWARD,
+    OUT_MOTOR,
+    OUT_MEASURED,
+    OUT_RESIDUAL,
+    OUT_HEAT,
+    OUT_COOLING,
+    OUT_REASONS,
+) = range(19)
 VEHICLE_COLUMNS = (
-    "speed_mps", "accel_mps2", "weight_n", "ambient_degc", "resistance_torque_nm", "hysteresis_nm", "bearing_nm", "wind_nm",
-    "grade_nm", "inertia_nm", "drive_torque_nm", "resistance_std_nm", "feedforward_torque_nm", "motor_torque_nm",
-    "measured_torque_nm", "residual_nm", "heat_w", "cooling_w", "reasons")
+    "speed_mps",
+    "accel_mps2",
+    "weight_n",
+    "ambient_degc",
+    "resistance_torque_nm",
+    "hysteresis_nm",
+    "bearing_nm",
+    "wind_nm",
+    "grade_nm",
+    "inertia_nm",
+    "drive_torque_nm",
+    "resistance_std_nm",
+    "feedforward_torque_nm",
+    "motor_torque_nm",
+    "measured_torque_nm",
+    "residual_nm",
+    "heat_w",
+    "cooling_w",
+    "reasons",
+)
 PER_BELT, PER_SURFACE, PER_STD, PER_LOAD, PER_RESISTANCE, PER_HYSTERESIS = range(6)
 ASSEMBLY_COLUMNS = ("belt_degc", "surface_degc", "belt_std_k", "load_n", "resistance_torque_nm", "hysteresis_nm")
 
@@ -105,8 +168,12 @@ ASSEMBLY_COLUMNS = ("belt_degc", "surface_degc", "belt_std_k", "load_n", "resist
 def channels(vehicle: Vehicle) -> tuple[str, ...]:
     """Names of all channels of a vehicle, in the order of their indices."""
     axles, assemblies = [a.name for a in vehicle.axles], [a.name for a in vehicle.assemblies]
-    return (*CHANNELS, *(f"load/{name}" for name in axles), *(f"load/{name}" for name in assemblies),
-            *(f"belt/{name}" for name in assemblies))
+    return (
+        *CHANNELS,
+        *(f"load/{name}" for name in axles),
+        *(f"load/{name}" for name in assemblies),
+        *(f"belt/{name}" for name in assemblies),
+    )
 
 
 def columns(vehicle: Vehicle) -> tuple[str, ...]:

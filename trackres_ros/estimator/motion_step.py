@@ -28,8 +28,8 @@ from trackres_ros.estimator.layout import (
 
 Array = NDArray[np.float64]
 
-LARGEST_QUANTUM = 1.0   # m/s: a greater smallest step is not a quantum
-SAME_VALUE = 1e-6       # m/s: rounding of a scaled bus value
+LARGEST_QUANTUM = 1.0  # m/s: a greater smallest step is not a quantum
+SAME_VALUE = 1e-6  # m/s: rounding of a scaled bus value
 
 
 @compiled
@@ -44,8 +44,15 @@ def start_motion(motion: Array, speed: float, speed_variance: float, acceleratio
 
 
 @compiled
-def advance_motion(motion: Array, speed: float, last_speed: float, dt: float, speed_variance: float,
-                   acceleration_variance: float, acceleration_time: float) -> None:
+def advance_motion(
+    motion: Array,
+    speed: float,
+    last_speed: float,
+    dt: float,
+    speed_variance: float,
+    acceleration_variance: float,
+    acceleration_time: float,
+) -> None:
     """Take in one more speed [m/s] after dt [s] > 0; changes `motion`."""
     step = abs(speed - last_speed)
     if SAME_VALUE < step < motion[QUANTUM]:

@@ -23,8 +23,19 @@ NANOSECOND = 1e-9
 
 
 @inlined
-def feed(k: Constants, memory: Memory, belts: Array, motion: Array, loads: Array, belt_measured: Array,
-         channel: int, stamp: int, arrival: int, value: float, out: Array) -> bool:
+def feed(
+    k: Constants,
+    memory: Memory,
+    belts: Array,
+    motion: Array,
+    loads: Array,
+    belt_measured: Array,
+    channel: int,
+    stamp: int,
+    arrival: int,
+    value: float,
+    out: Array,
+) -> bool:
     """Take one message in. An accepted speed makes a step and fills `out`; returns whether it did."""
     outcome, elapsed = admit(k, memory, channel, stamp, arrival, value)
     if outcome == TOOK_RESET:
@@ -44,25 +55,72 @@ def feed(k: Constants, memory: Memory, belts: Array, motion: Array, loads: Array
 
 # The entries take arrays one by one: a tuple of them would cost each call more than the step itself.
 
+
 @compiled
-def feed_one(numbers: Sequence[Numbers], assembly: Array, loss: Array, drive: Array, limits: Array,
-             times: IntArray, values: Array, counters: IntArray, belts: Array, motion: Array, loads: Array,
-             belt_measured: Array, channel: int, stamp: int, arrival: int, value: float, out: Array) -> bool:
+def feed_one(
+    numbers: Sequence[Numbers],
+    assembly: Array,
+    loss: Array,
+    drive: Array,
+    limits: Array,
+    times: IntArray,
+    values: Array,
+    counters: IntArray,
+    belts: Array,
+    motion: Array,
+    loads: Array,
+    belt_measured: Array,
+    channel: int,
+    stamp: int,
+    arrival: int,
+    value: float,
+    out: Array,
+) -> bool:
     """`feed` for one message."""
-    return feed(Constants(numbers[0], assembly, loss, drive, limits), Memory(times, values, counters), belts, motion, loads,
-                belt_measured, channel, stamp, arrival, value, out)
+    return feed(
+        Constants(numbers[0], assembly, loss, drive, limits),
+        Memory(times, values, counters),
+        belts,
+        motion,
+        loads,
+        belt_measured,
+        channel,
+        stamp,
+        arrival,
+        value,
+        out,
+    )
 
 
 @compiled
-def feed_many(numbers: Sequence[Numbers], assembly: Array, loss: Array, drive: Array, limits: Array,
-              times: IntArray, values: Array, counters: IntArray, belts: Array, motion: Array, loads: Array,
-              belt_measured: Array, channels: NDArray[np.integer[Any]], stamps: IntArray, arrivals: IntArray,
-              message_values: Array, out: Array, out_stamps: IntArray, out_arrivals: IntArray) -> int:
+def feed_many(
+    numbers: Sequence[Numbers],
+    assembly: Array,
+    loss: Array,
+    drive: Array,
+    limits: Array,
+    times: IntArray,
+    values: Array,
+    counters: IntArray,
+    belts: Array,
+    motion: Array,
+    loads: Array,
+    belt_measured: Array,
+    channels: NDArray[np.integer[Any]],
+    stamps: IntArray,
+    arrivals: IntArray,
+    message_values: Array,
+    out: Array,
+    out_stamps: IntArray,
+    out_arrivals: IntArray,
+) -> int:
     """`feed` for many messages; fills one row of `out` with its stamp and arrival [ns] for each step, returns their number."""
     k, memory = Constants(numbers[0], assembly, loss, drive, limits), Memory(times, values, counters)
     steps = 0
     for i in range(channels.shape[0]):
-        if feed(k, memory, belts, motion, loads, belt_measured, channels[i], stamps[i], arrivals[i], message_values[i], out[steps]):
+        if feed(
+            k, memory, belts, motion, loads, belt_measured, channels[i], stamps[i], arrivals[i], message_values[i], out[steps]
+        ):
             out_stamps[steps] = memory.times[at.SPEED, at.LAST_STAMP]
             out_arrivals[steps] = arrivals[i]
             steps += 1
@@ -70,18 +128,51 @@ def feed_many(numbers: Sequence[Numbers], assembly: Array, loss: Array, drive: A
 
 
 @compiled
-def step_once(numbers: Sequence[Numbers], assembly: Array, loss: Array, drive: Array, limits: Array, belts: Array,
-              motion: Array, speed: float, load: Array, ambient: float, ambient_std: float, belt_measured: Array,
-              acceleration: float, grade: float, measured_torque: float, reasons: int, dt: float, out: Array) -> None:
+def step_once(
+    numbers: Sequence[Numbers],
+    assembly: Array,
+    loss: Array,
+    drive: Array,
+    limits: Array,
+    belts: Array,
+    motion: Array,
+    speed: float,
+    load: Array,
+    ambient: float,
+    ambient_std: float,
+    belt_measured: Array,
+    acceleration: float,
+    grade: float,
+    measured_torque: float,
+    reasons: int,
+    dt: float,
+    out: Array,
+) -> None:
     """`kernel.advance` for inputs given one by one."""
     inputs = Inputs(speed, load, ambient, ambient_std, belt_measured, acceleration, grade, measured_torque, reasons)
     advance(Constants(numbers[0], assembly, loss, drive, limits), belts, motion, inputs, dt, out)
 
 
 @compiled
-def run_series(numbers: Sequence[Numbers], assembly: Array, loss: Array, drive: Array, limits: Array, belts: Array,
-               motion: Array, times: Array, speeds: Array, weights: Array, ambients: Array, ambient_std: float,
-               accelerations: Array, grades: Array, loads: Array, no_belts: Array, out: Array) -> None:
+def run_series(
+    numbers: Sequence[Numbers],
+    assembly: Array,
+    loss: Array,
+    drive: Array,
+    limits: Array,
+    belts: Array,
+    motion: Array,
+    times: Array,
+    speeds: Array,
+    weights: Array,
+    ambients: Array,
+    ambient_std: float,
+    accelerations: Array,
+    grades: Array,
+    loads: Array,
+    no_belts: Array,
+    out: Array,
+) -> None:
     """`kernel.advance` along arrays of equal length; weights [N] are shared as nominal loads are. One row of `out` a time."""
     k = Constants(numbers[0], assembly, loss, drive, limits)
     for i in range(times.shape[0]):
@@ -92,8 +183,17 @@ def run_series(numbers: Sequence[Numbers], assembly: Array, loss: Array, drive: 
 
 
 @compiled
-def rest_belts(numbers: Sequence[Numbers], assembly: Array, loss: Array, drive: Array, limits: Array, belts: Array,
-               ambient: float, ambient_std: float, seconds: float) -> None:
+def rest_belts(
+    numbers: Sequence[Numbers],
+    assembly: Array,
+    loss: Array,
+    drive: Array,
+    limits: Array,
+    belts: Array,
+    ambient: float,
+    ambient_std: float,
+    seconds: float,
+) -> None:
     """Let all belts stand for a while [s]."""
     k = Constants(numbers[0], assembly, loss, drive, limits)
     for i in range(belts.shape[0]):
@@ -101,7 +201,16 @@ def rest_belts(numbers: Sequence[Numbers], assembly: Array, loss: Array, drive: 
 
 
 @compiled
-def start_belts(numbers: Sequence[Numbers], assembly: Array, loss: Array, drive: Array, limits: Array,
-                belts: Array, motion: Array, ambient: float, ambient_std: float) -> None:
+def start_belts(
+    numbers: Sequence[Numbers],
+    assembly: Array,
+    loss: Array,
+    drive: Array,
+    limits: Array,
+    belts: Array,
+    motion: Array,
+    ambient: float,
+    ambient_std: float,
+) -> None:
     """`kernel.start`."""
     start(Constants(numbers[0], assembly, loss, drive, limits), belts, motion, ambient, ambient_std)

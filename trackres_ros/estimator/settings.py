@@ -26,13 +26,21 @@ class Settings:
     """Settings of the estimator; the field metadata holds unit, limits and meaning of each."""
 
     initial_belt_std_k: float = _setting(15.0, "K", 0.0, 100.0, "standard deviation of the belt temperature at a cold start")
-    process_noise_k: float = _setting(0.02, "K/sqrt(s)", 0.0, 10.0, "random walk of the belt temperature by what the model leaves out")
+    process_noise_k: float = _setting(
+        0.02, "K/sqrt(s)", 0.0, 10.0, "random walk of the belt temperature by what the model leaves out"
+    )
     ambient_std_k: float = _setting(2.0, "K", 0.0, 30.0, "standard deviation of a given ambient temperature")
-    ambient_unknown_std_k: float = _setting(10.0, "K", 0.0, 60.0, "standard deviation of the nominal ambient temperature where none is given")
+    ambient_unknown_std_k: float = _setting(
+        10.0, "K", 0.0, 60.0, "standard deviation of the nominal ambient temperature where none is given"
+    )
     belt_measured_std_k: float = _setting(3.0, "K", 0.01, 60.0, "standard deviation of a measured belt temperature")
     gap_s: float = _setting(1.0, "s", 0.05, 60.0, "a longer pause in the speed is a gap and is reported")
-    bridge_s: float = _setting(30.0, "s", 0.1, 600.0, "over a gap up to this long the speed is taken as a straight line between its ends")
-    clock_jump_s: float = _setting(1.0, "s", 0.05, 3600.0, "a stamp further than this from what arrival says is not believed at once")
+    bridge_s: float = _setting(
+        30.0, "s", 0.1, 600.0, "over a gap up to this long the speed is taken as a straight line between its ends"
+    )
+    clock_jump_s: float = _setting(
+        1.0, "s", 0.05, 3600.0, "a stamp further than this from what arrival says is not believed at once"
+    )
     jumps_to_accept: float = _setting(3, "1", 2, 100, "as many stamps in a row that agree with each other make a clock jump")
     load_hold_s: float = _setting(60.0, "s", 0.1, 1e6, "how long the last load holds before the nominal one is taken")
     ambient_hold_s: float = _setting(1800.0, "s", 1.0, 1e6, "how long the last ambient temperature holds")
@@ -45,10 +53,16 @@ class Settings:
     feedforward_rate: float = _setting(20000.0, "Nm/s", 1.0, 1e9, "largest change of the feed-forward torque")
     feedforward_share: float = _setting(0.10, "1", 0.001, 2.0, "largest feed-forward torque over weight x sprocket radius")
     belt_std_warn_k: float = _setting(25.0, "K", 0.1, 1000.0, "a belt temperature less certain than this is reported")
-    feedforward_parts: tuple[str, ...] = field(default=("hysteresis", "bearing", "wind"), metadata={
-        "meaning": f"parts summed in the feed-forward, of {', '.join(PARTS)}; inertia counts only while an acceleration is given"})
-    belt_sensor: str = field(default="mean", metadata={
-        "meaning": "what a measured belt temperature shows: mean, or surface (infrared)"})
+    feedforward_parts: tuple[str, ...] = field(
+        default=("hysteresis", "bearing", "wind"),
+        metadata={
+            "meaning": f"parts summed in the feed-forward, of {', '.join(PARTS)}; "
+            "inertia counts only while an acceleration is given"
+        },
+    )
+    belt_sensor: str = field(
+        default="mean", metadata={"meaning": "what a measured belt temperature shows: mean, or surface (infrared)"}
+    )
 
     def __post_init__(self) -> None:
         for item in dataclasses.fields(self):

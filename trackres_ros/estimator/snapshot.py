@@ -30,8 +30,16 @@ def key(estimator: Estimator) -> str:
     """Hash of all that a state's meaning depends on: the vehicle's values and the arrays' layout."""
     vehicle = estimator.vehicle
     content = {path: q.value for path, q in vehicle.parameters.items()}
-    parts = [vehicle.name, vehicle.thermal, estimator.channels, estimator.columns, at.BELT_COLUMNS, at.MOTION_COLUMNS,
-             content, asdict(vehicle.rubber)]
+    parts = [
+        vehicle.name,
+        vehicle.thermal,
+        estimator.channels,
+        estimator.columns,
+        at.BELT_COLUMNS,
+        at.MOTION_COLUMNS,
+        content,
+        asdict(vehicle.rubber),
+    ]
     return hashlib.sha256(json.dumps(parts, sort_keys=True, default=lambda a: a.tolist()).encode()).hexdigest()[:32]
 
 
@@ -43,17 +51,28 @@ def save(session: Session, path: Path, saved_at: float) -> None:
     OSError
         If the file cannot be written; an older one is then left whole.
     """
-    content = {"format": FORMAT, "version": VERSION, "key": key(session.estimator), "vehicle": session.estimator.vehicle.name,
-               "saved_at": saved_at, "started": session.started,
-               "belts": _text(session.belts), "motion": _text(session.motion), "values": _text(session.memory.values),
-               "times": session.memory.times.tolist(), "counters": session.memory.counters.tolist()}
+    content = {
+        "format": FORMAT,
+        "version": VERSION,
+        "key": key(session.estimator),
+        "vehicle": session.estimator.vehicle.name,
+        "saved_at": saved_at,
+        "started": session.started,
+        "belts": _text(session.belts),
+        "motion": _text(session.motion),
+        "values": _text(session.memory.values),
+        "times": session.memory.times.tolist(),
+        "counters": session.memory.counters.tolist(),
+    }
     data = json.dumps(content, indent=1)
-    with tempfile.NamedTemporaryFile("w", dir=path.parent, prefix=path.name, suffix=".part", delete=False, encoding="utf-8") as file:
+    with tempfile.NamedTemporaryFile(
+        "w", dir=path.parent, prefix=path.name, suffix=".part", delete=False, encoding="utf-8"
+    ) as file:
         try:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
-            os.replace(file.name, path)
+            Path(file.name).replace(path)
         except BaseException:
             Path(file.name).unlink(missing_ok=True)
             raise
@@ -102,7 +121,9 @@ def _read(estimator: Estimator, path: Path) -> dict[str, Any]:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise InputError(f"state file {path}", error.strerror or "an unreadable file", "a file written by this program", REMEDY) from error
+        raise InputError(
+            f"state file {path}", error.strerror or "an unreadable file", "a file written by this program", REMEDY
+        ) from error
     except ValueError as error:
         raise InputError(f"state file {path}", "a damaged file", "a whole file written by this program", REMEDY) from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
@@ -110,8 +131,12 @@ def _read(estimator: Estimator, path: Path) -> dict[str, Any]:
     if content.get("version") != VERSION:
         raise InputError(f"state file {path}", f"version {content.get('version')}", f"version {VERSION}", REMEDY)
     if content.get("key") != key(estimator):
-        raise InputError(f"state file {path}", f"a state of vehicle {content.get('vehicle')}, or of other values in its file",
-                         f"a state of this very vehicle, {estimator.vehicle.name}", REMEDY)
+        raise InputError(
+            f"state file {path}",
+            f"a state of vehicle {content.get('vehicle')}, or of other values in its file",
+            f"a state of this very vehicle, {estimator.vehicle.name}",
+            REMEDY,
+        )
     missing = {"belts", "motion", "values", "times", "counters", "saved_at", "started"} - content.keys()
     if missing:
         raise InputError(f"state file {path}", f"no {', '.join(sorted(missing))}", "a whole file", REMEDY)

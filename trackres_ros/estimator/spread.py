@@ -22,7 +22,7 @@ from trackres_ros.vehicle import Vehicle, variants
 
 Array = NDArray[np.float64]
 
-STEP = 0.1                   # of a standard deviation, for the differences
+STEP = 0.1  # of a standard deviation, for the differences
 REFERENCE_BELT_DEGC = (10.0, 60.0)
 REFERENCE_SPEED_SHARE = 0.5  # of the greatest speed
 HARMONICS = 512
@@ -48,8 +48,11 @@ def spread(vehicle: Vehicle, track_name: str, cache: Path | None = None) -> Spre
     A wider belt loses more, cools better and holds more heat: such ties are what the covariance keeps.
     """
     ranges = {path: (q.low, q.high) for path, q in vehicle.parameters.items()}
-    key = hashlib.sha256(json.dumps([fingerprint(vehicle, track_name), ranges, vehicle.chassis.max_speed, vehicle.thermal],
-                                    sort_keys=True).encode()).hexdigest()[:32]
+    key = hashlib.sha256(
+        json.dumps(
+            [fingerprint(vehicle, track_name), ranges, vehicle.chassis.max_speed, vehicle.thermal], sort_keys=True
+        ).encode()
+    ).hexdigest()[:32]
     arrays = cached_arrays(f"spread-{key}", {"factor": (4, 4)}, lambda: {"factor": _factor(vehicle, track_name)}, cache)
     return Spread(arrays["factor"])
 

@@ -27,8 +27,10 @@ def mass_per_length(belt: Belt, rubber: Rubber) -> float:
 
 def heat_capacity(belt: Belt, rubber: Rubber) -> float:
     """Heat capacity of the whole loop [J/K], equation (26): L_R (rho A_r c_p + rho_s A_w c_s)."""
-    return belt.loop_length * (rubber_section(belt) * rubber.density * rubber.heat_capacity
-                               + belt.cord_section * belt.cord_density * belt.cord_heat_capacity)
+    return belt.loop_length * (
+        rubber_section(belt) * rubber.density * rubber.heat_capacity
+        + belt.cord_section * belt.cord_density * belt.cord_heat_capacity
+    )
 
 
 def cooled_area(belt: Belt) -> float:

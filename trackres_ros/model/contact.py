@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 
 LARGEST_HALF_LENGTH = 0.98  # of the wheel radius; beyond it the layer would wrap the wheel
 NEWTON_PASSES = 20
-NEWTON_TOLERANCE = 1e-14     # of the wheel radius
+NEWTON_TOLERANCE = 1e-14  # of the wheel radius
 MODULUS_PASSES = 60
 MODULUS_TOLERANCE = 1e-10  # relative change of the half length between passes
 
@@ -67,8 +67,9 @@ def half_length_for_force(force: ArrayLike, modulus: ArrayLike, radius: float, l
     return np.asarray(a)
 
 
-def solve_contact(force: ArrayLike, speed: ArrayLike, modulus_at: Callable[[Array], Array], radius: float, length: float,
-                  thickness: float) -> tuple[Array, Array, Array]:
+def solve_contact(
+    force: ArrayLike, speed: ArrayLike, modulus_at: Callable[[Array], Array], radius: float, length: float, thickness: float
+) -> tuple[Array, Array, Array]:
     """Half length [m], frequency [Hz] and modulus [Pa] that fit each other under a wheel load.
 
     Parameters

@@ -17,10 +17,10 @@ from trackres_ros.vehicle import Track
 
 Array = NDArray[np.float64]
 
-HARMONICS = 4096         # doubling them moves the loss by less than 0.1 % (test_hysteresis.py)
-POINTS_AT_ONCE = 128     # of a vectorised evaluation, to bound memory
-BACK_AT_BASE = 0.1       # of a cycle's range: this near to its lesser extreme a passage is over
-SLOWEST_SPEED = 1e-9     # m/s; the loss per metre of travel tends to a limit at rest
+HARMONICS = 4096  # doubling them moves the loss by less than 0.1 % (test_hysteresis.py)
+POINTS_AT_ONCE = 128  # of a vectorised evaluation, to bound memory
+BACK_AT_BASE = 0.1  # of a cycle's range: this near to its lesser extreme a passage is over
+SLOWEST_SPEED = 1e-9  # m/s; the loss per metre of travel tends to a limit at rest
 
 
 class LossForce(NamedTuple):
@@ -71,8 +71,13 @@ class LossMethod(ABC):
         shape = np.broadcast_shapes(loads.shape, v.shape)
         v = np.maximum(np.abs(np.broadcast_to(v, shape)), SLOWEST_SPEED)
         half, frequency, modulus = contact.solve_contact(
-            np.broadcast_to(loads, shape), v, lambda f: self.rubber.dynamic_modulus(f, np.broadcast_to(t, shape)),
-            wheels.radius, wheels.contact_length, thickness)
+            np.broadcast_to(loads, shape),
+            v,
+            lambda f: self.rubber.dynamic_modulus(f, np.broadcast_to(t, shape)),
+            wheels.radius,
+            wheels.contact_length,
+            thickness,
+        )
         return Contact(half, contact.largest_strain(half, wheels.radius, thickness), frequency, modulus)
 
     def drive_strain(self, speed: ArrayLike, belt_degc: ArrayLike, drive_torque: ArrayLike) -> Array:
@@ -171,8 +176,12 @@ class RainflowCount(LossMethod):
         half = self.contacts(speed, belt_degc, load).half_length
         strain = self.drive_strain(speed, belt_degc, drive_torque)
         section = self.track.road_wheels.contact_length * self.track.belt.thickness * self.rubber.rubber.layer_stiffening
-        indentation = np.array([section * float(self._lost(self._energy(self.indentation_cycles(a)), v, t))
-                                for a, v, t in zip(half, speed, belt_degc, strict=True)])
+        indentation = np.array(
+            [
+                section * float(self._lost(self._energy(self.indentation_cycles(a)), v, t))
+                for a, v, t in zip(half, speed, belt_degc, strict=True)
+            ]
+        )
         bending = self._lost(self._bending_energy, speed, belt_degc)
         both = bending.copy()
         for i in np.flatnonzero(strain):
@@ -183,8 +192,10 @@ class RainflowCount(LossMethod):
         """Passages and energies, see `_energy`, of the strain along the belt, integrated over height and width."""
         at_heights = [self._energy(self.along_cycles(height, drive_strain)) for height in self._heights]
         weights = self.track.belt.width * self._height_weights
-        return (np.concatenate([passages for passages, _ in at_heights]),
-                np.concatenate([weight * energies for weight, (_, energies) in zip(weights, at_heights, strict=True)]))
+        return (
+            np.concatenate([passages for passages, _ in at_heights]),
+            np.concatenate([weight * energies for weight, (_, energies) in zip(weights, at_heights, strict=True)]),
+        )
 
     @staticmethod
     def _energy(cycles: list[PassageCycle]) -> tuple[Array, Array]:
@@ -216,7 +227,8 @@ class RainflowCount(LossMethod):
 
     def _passage(self, position: list[float], value: list[float], cycle: rainflow.Cycle) -> float:
         """Length [m] of the stretch round one of the cycle's extremes on which the strain is away from the other: the shorter
-        of the two, so neither a steady strain nor the sense of travel matters."""
+        of the two, so neither a steady strain nor the sense of travel matters.
+        """
         corners = len(position)
         near = cycle.range * (1.0 - BACK_AT_BASE)
 

@@ -25,16 +25,16 @@ from trackres_ros.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 
-VERSION = 4                  # of the cached form
-LOG_SPEED = (-8.0, 9.5)      # x: from a belt at 120 degC creeping at 1 mm/s to one at -55 degC at any speed
-EXACT_LOG_SPEEDS = 176       # exact evaluations, joined by cubic splines
+VERSION = 4  # of the cached form
+LOG_SPEED = (-8.0, 9.5)  # x: from a belt at 120 degC creeping at 1 mm/s to one at -55 degC at any speed
+EXACT_LOG_SPEEDS = 176  # exact evaluations, joined by cubic splines
 EXACT_LOADS = 10
-FINE_LOG_SPEEDS = 1751       # nodes of the table, joined by straight lines
+FINE_LOG_SPEEDS = 1751  # nodes of the table, joined by straight lines
 FINE_LOADS = 64
 TABLE_HARMONICS = 2048
-DRIVE_TORQUE_SHARE = 0.15    # of load x sprocket radius: the torque at which the drive's parabola is taken
+DRIVE_TORQUE_SHARE = 0.15  # of load x sprocket radius: the torque at which the drive's parabola is taken
 CHECKED_BELT_DEGC = (-50.0, 120.0)
-SLOWEST_CHECKED = 0.05       # m/s
+SLOWEST_CHECKED = 0.05  # m/s
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,8 +45,8 @@ class LossTable:
     step_x: float
     first_log_load: float
     step_log_load: float
-    loss: Array        # (x, load)
-    drive: Array       # (x, 2): N per Nm and N per Nm^2 of sprocket torque
+    loss: Array  # (x, load)
+    drive: Array  # (x, 2): N per Nm and N per Nm^2 of sprocket torque
 
     def at(self, log_reduced_speed: ArrayLike, load: ArrayLike, drive_torque: ArrayLike = 0.0) -> Array:
         """Loss [N] by the same interpolation as the live kernel, any broadcast shape."""
@@ -54,16 +54,18 @@ class LossTable:
         out = np.empty(x.shape)
         loss, drive = self.loss[np.newaxis], self.drive[np.newaxis]
         for i in np.ndindex(x.shape):
-            value, _ = look_up(loss, 0, self.first_x, self.step_x, self.first_log_load, self.step_log_load,
-                               float(x[i]), float(np.log(g[i])))
+            value, _ = look_up(
+                loss, 0, self.first_x, self.step_x, self.first_log_load, self.step_log_load, float(x[i]), float(np.log(g[i]))
+            )
             linear, square = look_up_drive(drive, 0, self.first_x, self.step_x, float(x[i]))
             out[i] = value + m[i] * (linear + m[i] * square)
         return out
 
 
 @compiled
-def look_up(loss: Array, table: int, first_x: float, step_x: float, first_log_load: float, step_log_load: float,
-            x: float, log_load: float) -> tuple[float, float]:
+def look_up(
+    loss: Array, table: int, first_x: float, step_x: float, first_log_load: float, step_log_load: float, x: float, log_load: float
+) -> tuple[float, float]:
     """Loss [N] and its derivative by x, linear between nodes, held at the edges."""
     rows, columns = loss.shape[1], loss.shape[2]
     u = min(max((x - first_x) / step_x, 0.0), rows - 1.000001)
@@ -81,7 +83,9 @@ def look_up_drive(drive: Array, table: int, first_x: float, step_x: float, x: fl
     u = min(max((x - first_x) / step_x, 0.0), drive.shape[1] - 1.000001)
     i = int(u)
     u -= i
-    return drive[table, i, 0] + u * (drive[table, i + 1, 0] - drive[table, i, 0]), drive[table, i, 1] + u * (drive[table, i + 1, 1] - drive[table, i, 1])
+    return drive[table, i, 0] + u * (drive[table, i + 1, 0] - drive[table, i, 0]), drive[table, i, 1] + u * (
+        drive[table, i + 1, 1] - drive[table, i, 1]
+    )
 
 
 def loss_table(vehicle: Vehicle, track_name: str, cache: Path | None = None) -> LossTable:
@@ -92,6 +96,7 @@ def loss_table(vehicle: Vehicle, track_name: str, cache: Path | None = None) -> 
     cache
         Folder of the cache, see `trackres_ros.cached`.
     """
+
     def compute() -> dict[str, Array]:
         rubber, track = RubberModel(vehicle.rubber), vehicle.tracks[track_name]
         spectral = vehicle.hysteresis == Spectral.name
@@ -106,8 +111,13 @@ def loss_table(vehicle: Vehicle, track_name: str, cache: Path | None = None) -> 
 
 def fingerprint(vehicle: Vehicle, track_name: str) -> str:
     """Hash of all that the table depends on: the values of the vehicle file and of its rubber file, not their comments."""
-    content = {"version": VERSION, "method": vehicle.hysteresis, "track": asdict(vehicle.tracks[track_name]),
-               "rubber": asdict(vehicle.rubber), "loads": load_range(vehicle, track_name)}
+    content = {
+        "version": VERSION,
+        "method": vehicle.hysteresis,
+        "track": asdict(vehicle.tracks[track_name]),
+        "rubber": asdict(vehicle.rubber),
+        "loads": load_range(vehicle, track_name),
+    }
     text = json.dumps(content, sort_keys=True, default=lambda array: array.tolist())
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
@@ -123,14 +133,17 @@ def build(method: LossMethod, loads: LoadRange) -> dict[str, Array]:
     loss = np.exp(RectBivariateSpline(x, log_load, np.log(exact.total), s=0)(fine_x, fine_load))
     torque = DRIVE_TORQUE_SHARE * loads.nominal * method.track.sprocket_radius
     forward, backward = (method.loss_force(10.0**x, reference, loads.nominal, sign * torque).drive for sign in (1.0, -1.0))
-    drive = np.stack([np.interp(fine_x, x, (forward - backward) / (2 * torque)),
-                      np.interp(fine_x, x, (forward + backward) / (2 * torque**2))], axis=1)
+    drive = np.stack(
+        [np.interp(fine_x, x, (forward - backward) / (2 * torque)), np.interp(fine_x, x, (forward + backward) / (2 * torque**2))],
+        axis=1,
+    )
     axes = np.array([fine_x[0], fine_x[1] - fine_x[0], fine_load[0], fine_load[1] - fine_load[0]])
     return {"axes": axes, "loss": loss, "drive": drive}
 
 
-def interpolation_error(model: TrackModel, table: LossTable, loads: LoadRange, max_speed: float, points: int = 400,
-                        seed: int = 1) -> Array:
+def interpolation_error(
+    model: TrackModel, table: LossTable, loads: LoadRange, max_speed: float, points: int = 400, seed: int = 1
+) -> Array:
     """Relative errors of the table against the exact method at random points of the whole range, shape (points,)."""
     random = np.random.default_rng(seed)
     speed = np.exp(random.uniform(np.log(SLOWEST_CHECKED), np.log(max_speed), points))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 
@@ -62,7 +63,7 @@ def count_cycles(series: Sequence[float]) -> list[Cycle]:
             else:
                 add(stack[-3], stack[-2], 1.0)
                 del stack[-3:-1]
-    for start, end in zip(stack, stack[1:], strict=False):
+    for start, end in pairwise(stack):
         add(start, end, 0.5)
     return cycles
 
@@ -76,5 +77,4 @@ def count_loop(series: Sequence[float]) -> list[Cycle]:
         return []
     top = max(range(len(series)), key=lambda i: series[i])
     order = [(top + i) % len(series) for i in range(len(series))] + [top]
-    return [cycle._replace(start=order[cycle.start], end=order[cycle.end])
-            for cycle in count_cycles([series[i] for i in order])]
+    return [cycle._replace(start=order[cycle.start], end=order[cycle.end]) for cycle in count_cycles([series[i] for i in order])]

@@ -48,10 +48,10 @@ class Loop:
     """Where things are on the loop of one track assembly."""
 
     track: Track
-    wheel_positions: Array       # road wheels [m]
+    wheel_positions: Array  # road wheels [m]
     arcs: tuple[tuple[float, float, float], ...]  # start, end [m] and curvature [1/m] of each wrapped wheel
-    curvature: Profile           # [1/m]
-    drive: Profile               # tension [N] for 1 N of drive force at the sprocket
+    curvature: Profile  # [1/m]
+    drive: Profile  # tension [N] for 1 N of drive force at the sprocket
 
     @property
     def length(self) -> float:
@@ -71,9 +71,13 @@ def build_loop(track: Track) -> Loop:
         arcs.append((start, start + length, signed_curvature(wheel.radius, wheel.wrap_angle, belt)))
         start += length + gap
     sprocket = next(i for i, w in enumerate(wheels) if w.kind == "sprocket")
-    return Loop(track, np.array(track.road_wheels.positions), tuple(arcs),
-                _curvature(arcs, belt.curvature_length, belt.loop_length),
-                _drive(arcs[sprocket], track.road_wheels.ground_run, belt.loop_length))
+    return Loop(
+        track,
+        np.array(track.road_wheels.positions),
+        tuple(arcs),
+        _curvature(arcs, belt.curvature_length, belt.loop_length),
+        _drive(arcs[sprocket], track.road_wheels.ground_run, belt.loop_length),
+    )
 
 
 def _curvature(arcs: list[tuple[float, float, float]], ramp: float, length: float) -> Profile:
@@ -98,12 +102,16 @@ def _drive(sprocket: tuple[float, float, float], ground_run: float, length: floa
     """
     start, end, _ = sprocket
     middle, half = (start + end) / 2, (end - start) / 2
-    corners = np.mod(np.round([0.0, ground_run, middle - half, middle + half], 12), length)  # a last wheel ends where the loop begins
+    corners = np.mod(
+        np.round([0.0, ground_run, middle - half, middle + half], 12), length
+    )  # a last wheel ends where the loop begins
     position, first = np.unique(corners, return_index=True)
     return Profile(position, np.array([0.0, 1.0, 1.0, 0.0])[first], length)
 
 
-def indentation_amplitudes(half_length: ArrayLike, radius: float, thickness: float, loop_length: float, harmonics: Array) -> Array:
+def indentation_amplitudes(
+    half_length: ArrayLike, radius: float, thickness: float, loop_length: float, harmonics: Array
+) -> Array:
     """Real amplitudes A_n of the strain pulse of one contact centred at position 0, shape (..., harmonics).
 
     The arc of the wheel is taken to fourth order in x/R, (a^2-x^2)/(2R) + (a^4-x^4)/(8R^3), whose transform is closed,

@@ -22,12 +22,12 @@ class ThermalNetwork(NamedTuple):
     """Thermal constants of one assembly's belt. With `two_nodes` false the whole capacity is `core_capacity`."""
 
     two_nodes: bool
-    core_capacity: float      # J/K
-    surface_capacity: float   # J/K
+    core_capacity: float  # J/K
+    surface_capacity: float  # J/K
     inner_conductance: float  # W/K, mean to surface
-    area: float               # m^2
-    film_offset: float        # W/m^2/K
-    film_slope: float         # W/m^2/K per m/s
+    area: float  # m^2
+    film_offset: float  # W/m^2/K
+    film_slope: float  # W/m^2/K per m/s
 
 
 def thermal_network(model: str, belt: Belt, rubber: Rubber) -> ThermalNetwork:
@@ -37,8 +37,15 @@ def thermal_network(model: str, belt: Belt, rubber: Rubber) -> ThermalNetwork:
     two_nodes = model == "core_surface"
     at_surface = belt.surface_share * capacity if two_nodes else 0.0
     slope = belt.film_slope * (KMH_PER_MPS if belt.film_speed_unit == "km/h" else 1.0)
-    return ThermalNetwork(two_nodes, capacity - at_surface, at_surface, 6.0 * rubber.conductivity * area / belt.thickness,
-                          area, belt.film_offset, slope)
+    return ThermalNetwork(
+        two_nodes,
+        capacity - at_surface,
+        at_surface,
+        6.0 * rubber.conductivity * area / belt.thickness,
+        area,
+        belt.film_offset,
+        slope,
+    )
 
 
 @compiled

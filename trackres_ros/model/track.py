@@ -36,8 +36,9 @@ def track_model(vehicle: Vehicle, track_name: str) -> TrackModel:
     """Build the model of one kind of track with the methods the vehicle file names."""
     track = vehicle.tracks[track_name]
     rubber = RubberModel(vehicle.rubber)
-    return TrackModel(track, rubber, METHODS[vehicle.hysteresis](track, rubber),
-                      thermal_network(vehicle.thermal, track.belt, vehicle.rubber))
+    return TrackModel(
+        track, rubber, METHODS[vehicle.hysteresis](track, rubber), thermal_network(vehicle.thermal, track.belt, vehicle.rubber)
+    )
 
 
 def with_methods(vehicle: Vehicle, hysteresis: str | None = None, thermal: str | None = None) -> Vehicle:
@@ -47,8 +48,11 @@ def with_methods(vehicle: Vehicle, hysteresis: str | None = None, thermal: str |
 
 def load_range(vehicle: Vehicle, track_name: str) -> LoadRange:
     """Loads the tables cover for a kind of track: from just above its own weight to two and a half times nominal."""
-    nominal = max(float(load) for load, assembly in zip(vehicle.nominal_loads(), vehicle.assemblies, strict=True)
-                  if assembly.track == track_name)
+    nominal = max(
+        float(load)
+        for load, assembly in zip(vehicle.nominal_loads(), vehicle.assemblies, strict=True)
+        if assembly.track == track_name
+    )
     own = vehicle.tracks[track_name].own_weight
     return LoadRange(own + 0.02 * (nominal - own), nominal, 2.5 * nominal)
 

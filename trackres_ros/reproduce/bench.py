@@ -22,8 +22,8 @@ Runs = dict[str, Series]
 METHODS = ("spectral", "rainflow")
 THERMAL = ("lumped", "core_surface")
 COMBINATIONS = tuple(f"{method}/{thermal}" for method in METHODS for thermal in THERMAL)
-STEADY_AFTER_S = 40_000.0  # at constant speed; the slowest node's time constant is under 2000 s
-STEADY_STEP_S = 10.0       # the step follows the linearised model exactly, so the end point does not depend on it
+STEADY_AFTER_S = 20_000.0  # at constant speed; the slowest time constant is under 2000 s
+STEADY_STEP_S = 20.0       # the step follows the linearised model exactly, so the end point does not depend on it
 KMH_PER_MPS = 3.6
 
 

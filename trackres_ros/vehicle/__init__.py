@@ -1,6 +1,32 @@
 """What the vehicle is: file -> checked, frozen description with units and provenance."""
 
-from trackres_ros.vehicle.description import Assembly, Axle, Beam, Belt, Chassis, Quantity, RoadWheels, Rubber, Track, Vehicle, WrappedWheel
+from trackres_ros.vehicle.description import (
+    Assembly,
+    Axle,
+    Beam,
+    Belt,
+    Chassis,
+    Quantity,
+    RoadWheels,
+    Rubber,
+    Track,
+    Vehicle,
+    WrappedWheel,
+)
 from trackres_ros.vehicle.loading import load, variants
 
-__all__ = ["Assembly", "Axle", "Beam", "Belt", "Chassis", "Quantity", "RoadWheels", "Rubber", "Track", "Vehicle", "WrappedWheel", "load", "variants"]
+__all__ = [
+    "Assembly",
+    "Axle",
+    "Beam",
+    "Belt",
+    "Chassis",
+    "Quantity",
+    "RoadWheels",
+    "Rubber",
+    "Track",
+    "Vehicle",
+    "WrappedWheel",
+    "load",
+    "variants",
+]

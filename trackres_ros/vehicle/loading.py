@@ -57,8 +57,9 @@ def load(path_or_name: str | os.PathLike[str], overrides: Mapping[str, float] | 
 def variants(vehicle: Vehicle) -> Callable[[Mapping[str, float]], Vehicle]:
     """A function that makes the same vehicle with other values, by path; it reads the file only once."""
     content = read_yaml(vehicle.source)
-    return lambda overrides: replace(build(vehicle.source, content, overrides),
-                                     hysteresis=vehicle.hysteresis, thermal=vehicle.thermal)
+    return lambda overrides: replace(
+        build(vehicle.source, content, overrides), hysteresis=vehicle.hysteresis, thermal=vehicle.thermal
+    )
 
 
 def build(path: Path, content: Mapping[str, Any], overrides: Mapping[str, float] | None = None) -> Vehicle:
@@ -69,8 +70,10 @@ def build(path: Path, content: Mapping[str, Any], overrides: Mapping[str, float]
         raise InputError(reader.where("schema"), content["schema"], "1")
     model = reader.keys(content["model"], "model", tuple(schema.MODEL_CHOICES))
     chassis, axles = _chassis(reader, content["chassis"])
-    tracks = {str(name): _track(reader, str(name), entry)
-              for name, entry in reader.keys(content["tracks"], "tracks", tuple(content["tracks"] or ())).items()}
+    tracks = {
+        str(name): _track(reader, str(name), entry)
+        for name, entry in reader.keys(content["tracks"], "tracks", tuple(content["tracks"] or ())).items()
+    }
     if not tracks:
         raise InputError(reader.where("tracks"), "nothing", "at least one kind of track")
     vehicle = Vehicle(
@@ -110,8 +113,11 @@ def read_rubber_sweep(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}", str(error), "a readable CSV with a temperature sweep") from error
     if len(rows) < 4 or any(name not in rows[0] for name in RUBBER_COLUMNS):
-        raise InputError(f"{path}", f"{len(rows)} rows with columns {', '.join(map(str, rows[0])) if rows else 'none'}",
-                         f"at least four rows with the columns {', '.join(RUBBER_COLUMNS)}")
+        raise InputError(
+            f"{path}",
+            f"{len(rows)} rows with columns {', '.join(map(str, rows[0])) if rows else 'none'}",
+            f"at least four rows with the columns {', '.join(RUBBER_COLUMNS)}",
+        )
     table = np.empty((len(rows), 3))
     for i, row in enumerate(rows):
         for j, name in enumerate(RUBBER_COLUMNS):
@@ -120,8 +126,11 @@ def read_rubber_sweep(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             except (TypeError, ValueError):
                 raise InputError(f"{path}: row {i + 2}, {name}", row[name], "a number") from None
     if not np.isfinite(table).all() or (np.diff(table[:, 0]) <= 0).any():
-        raise InputError(f"{path}", "temperatures that do not rise, or values that are not finite",
-                         "finite numbers with T_degC rising from row to row")
+        raise InputError(
+            f"{path}",
+            "temperatures that do not rise, or values that are not finite",
+            "finite numbers with T_degC rising from row to row",
+        )
     if (table[:, 1:] <= 0).any() or (table[:, 2] >= 100 * table[:, 1]).any():
         raise InputError(f"{path}", "a modulus that is zero, negative or out of proportion", "positive moduli in MPa")
     return table[:, 0].copy(), table[:, 1] * 1e6, table[:, 2] * 1e6
@@ -148,9 +157,13 @@ def _assemblies(reader: Reader, given: Any, axles: tuple[Axle, ...], tracks: Map
     for i, entry in enumerate(reader.items(given, "assemblies")):
         key = f"assemblies[{i}]"
         reader.keys(entry, key, ("name", "axle", "track"))
-        assemblies.append(Assembly(reader.text(entry["name"], f"{key}.name"),
-                                   reader.text(entry["axle"], f"{key}.axle", names),
-                                   reader.text(entry["track"], f"{key}.track", tuple(tracks))))
+        assemblies.append(
+            Assembly(
+                reader.text(entry["name"], f"{key}.name"),
+                reader.text(entry["axle"], f"{key}.axle", names),
+                reader.text(entry["track"], f"{key}.track", tuple(tracks)),
+            )
+        )
     _refuse_repeats(reader, "assemblies", [a.name for a in assemblies] + list(names))
     for name in names:
         if all(a.axle != name for a in assemblies):
@@ -173,11 +186,19 @@ def _track(reader: Reader, name: str, given: Any) -> Track:
     wheels = reader.keys(given["road_wheels"], f"{key}.road_wheels", tuple(schema.ROAD_WHEELS))
     road_wheels = RoadWheels(
         positions=reader.quantities(wheels["positions"], f"{key}.road_wheels.positions", schema.ROAD_WHEELS["positions"]),
-        **{part: reader.quantity(wheels[part], f"{key}.road_wheels.{part}", schema.ROAD_WHEELS[part])
-           for part in ("radius", "contact_length", "ground_run")})
-    track = Track(name=name, belt=Belt(film_speed_unit=unit, **belt_values), road_wheels=road_wheels,
-                  wrapped_wheels=_wrapped_wheels(reader, key, given["wrapped_wheels"], values["sprocket_radius"]),
-                  beams=_beam(reader, f"{key}.beams", given["beams"], top=True), **values)
+        **{
+            part: reader.quantity(wheels[part], f"{key}.road_wheels.{part}", schema.ROAD_WHEELS[part])
+            for part in ("radius", "contact_length", "ground_run")
+        },
+    )
+    track = Track(
+        name=name,
+        belt=Belt(film_speed_unit=unit, **belt_values),
+        road_wheels=road_wheels,
+        wrapped_wheels=_wrapped_wheels(reader, key, given["wrapped_wheels"], values["sprocket_radius"]),
+        beams=_beam(reader, f"{key}.beams", given["beams"], top=True),
+        **values,
+    )
     _check_geometry(reader, key, track)
     return track
 
@@ -191,7 +212,9 @@ def _wrapped_wheels(reader: Reader, key: str, given: Any, sprocket_radius: float
         name = reader.text(entry["name"], f"{place}.name")
         kind = reader.text(entry["kind"], f"{place}.kind", schema.WHEEL_KINDS)
         path = f"{key}.wrapped_wheels.{name}"
-        radius = sprocket_radius if sprocket else reader.quantity(entry["radius"], f"{path}.radius", schema.WRAPPED_WHEEL["radius"])
+        radius = (
+            sprocket_radius if sprocket else reader.quantity(entry["radius"], f"{path}.radius", schema.WRAPPED_WHEEL["radius"])
+        )
         wrap = reader.quantity(entry["wrap_angle"], f"{path}.wrap_angle", schema.WRAPPED_WHEEL["wrap_angle"])
         wheels.append(WrappedWheel(name, kind, radius, wrap))
     if sum(wheel.kind == "sprocket" for wheel in wheels) != 1:
@@ -217,27 +240,43 @@ def _check_geometry(reader: Reader, key: str, track: Track) -> None:
     positions = np.array(wheels.positions)
     count = len(positions)
     if (np.diff(positions) <= 0).any() or positions[-1] > wheels.ground_run:
-        raise InputError(reader.where(f"{key}.road_wheels.positions"), list(wheels.positions),
-                         f"rising positions on the ground run of {wheels.ground_run:g} m")
+        raise InputError(
+            reader.where(f"{key}.road_wheels.positions"),
+            list(wheels.positions),
+            f"rising positions on the ground run of {wheels.ground_run:g} m",
+        )
     hung = [track.beams] if isinstance(track.beams, int) else list(track.beams.wheels())
     if sorted(hung) != list(range(count)):
-        raise InputError(reader.where(f"{key}.beams"), [wheel + 1 for wheel in hung],
-                         f"each road wheel 1 to {count} on exactly one beam end")
+        raise InputError(
+            reader.where(f"{key}.beams"), [wheel + 1 for wheel in hung], f"each road wheel 1 to {count} on exactly one beam end"
+        )
     if belt.cord_height >= belt.thickness:
-        raise InputError(reader.where(f"{key}.belt.cord_height"), belt.cord_height, f"less than the thickness {belt.thickness:g} m")
+        raise InputError(
+            reader.where(f"{key}.belt.cord_height"), belt.cord_height, f"less than the thickness {belt.thickness:g} m"
+        )
     if wheels.contact_length > belt.width:
-        raise InputError(reader.where(f"{key}.road_wheels.contact_length"), wheels.contact_length,
-                         f"at most the belt width {belt.width:g} m")
+        raise InputError(
+            reader.where(f"{key}.road_wheels.contact_length"), wheels.contact_length, f"at most the belt width {belt.width:g} m"
+        )
     if belt.tread_depth * belt.width * belt.tread_land_ratio > belt.lug_section:
-        raise InputError(reader.where(f"{key}.belt.lug_section"), belt.lug_section,
-                         f"at least the tread bars {belt.tread_depth * belt.width * belt.tread_land_ratio:.4g} m^2")
+        raise InputError(
+            reader.where(f"{key}.belt.lug_section"),
+            belt.lug_section,
+            f"at least the tread bars {belt.tread_depth * belt.width * belt.tread_land_ratio:.4g} m^2",
+        )
     if belt.cord_section >= belt.width * belt.thickness / 2:
         raise InputError(reader.where(f"{key}.belt.cord_section"), belt.cord_section, "less than half the belt section")
     wraps = sum(wheel.wrap_angle for wheel in track.wrapped_wheels)
     if abs(wraps - 2 * math.pi) > CLOSED_LOOP_TOLERANCE_RAD:
-        raise InputError(reader.where(f"{key}.wrapped_wheels"), f"wrap angles that sum to {wraps:.3f} rad",
-                         f"a closed loop: 2 pi within {CLOSED_LOOP_TOLERANCE_RAD} rad")
+        raise InputError(
+            reader.where(f"{key}.wrapped_wheels"),
+            f"wrap angles that sum to {wraps:.3f} rad",
+            f"a closed loop: 2 pi within {CLOSED_LOOP_TOLERANCE_RAD} rad",
+        )
     arcs = sum(abs(wheel.wrap_angle) * (wheel.radius + belt.cord_height) for wheel in track.wrapped_wheels)
     if wheels.ground_run + arcs >= belt.loop_length:
-        raise InputError(reader.where(f"{key}.belt.loop_length"), belt.loop_length,
-                         f"more than the ground run and the wraps together, {wheels.ground_run + arcs:.3f} m")
+        raise InputError(
+            reader.where(f"{key}.belt.loop_length"),
+            belt.loop_length,
+            f"more than the ground run and the wraps together, {wheels.ground_run + arcs:.3f} m",
+        )

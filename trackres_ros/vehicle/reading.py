@@ -26,7 +26,8 @@ class _UniqueKeyLoader(yaml.SafeLoader):
         for key_node, _ in node.value:
             if key_node.value in seen:
                 raise yaml.constructor.ConstructorError(
-                    None, None, f"the key '{key_node.value}' stands twice", key_node.start_mark)
+                    None, None, f"the key '{key_node.value}' stands twice", key_node.start_mark
+                )
             seen.add(key_node.value)
         return super().construct_mapping(node, deep)
 
@@ -67,8 +68,12 @@ class Reader:
         for name in mapping:
             if name not in allowed:
                 near = difflib.get_close_matches(str(name), allowed, n=1)
-                raise InputError(self.where(f"{key}.{name}" if key else str(name)), name, f"one of {', '.join(allowed)}",
-                                 f"did you mean {near[0]}?" if near else "")
+                raise InputError(
+                    self.where(f"{key}.{name}" if key else str(name)),
+                    name,
+                    f"one of {', '.join(allowed)}",
+                    f"did you mean {near[0]}?" if near else "",
+                )
         return mapping
 
     def text(self, value: Any, key: str, allowed: tuple[str, ...] = ()) -> str:
@@ -85,14 +90,14 @@ class Reader:
             raise InputError(self.where(key), value, "a list with at least one entry")
         return value
 
-    def table(self, mapping: Any, key: str, limits: Mapping[str, schema.Limits],
-              others: tuple[str, ...] = ()) -> dict[str, float]:
+    def table(
+        self, mapping: Any, key: str, limits: Mapping[str, schema.Limits], others: tuple[str, ...] = ()
+    ) -> dict[str, float]:
         """All quantities of a section, by name; optional ones may be absent."""
         required = tuple(name for name, limit in limits.items() if not limit.optional)
         optional = tuple(name for name, limit in limits.items() if limit.optional)
         self.keys(mapping, key, (*required, *others), optional)
-        return {name: self.quantity(mapping[name], f"{key}.{name}", limit)
-                for name, limit in limits.items() if name in mapping}
+        return {name: self.quantity(mapping[name], f"{key}.{name}", limit) for name, limit in limits.items() if name in mapping}
 
     def quantity(self, given: Any, key: str, limits: schema.Limits) -> float:
         """One checked scalar quantity."""
@@ -143,8 +148,9 @@ class Reader:
         if isinstance(given, bool) or not isinstance(given, int | float) or not math.isfinite(given):
             raise InputError(self.where(key), given, allowed)
         if not low <= given <= high:
-            raise InputError(self.where(key), given, allowed,
-                             "correct the value, or widen the range beside it if you trust the value")
+            raise InputError(
+                self.where(key), given, allowed, "correct the value, or widen the range beside it if you trust the value"
+            )
         return float(given)
 
     def check_overrides_used(self) -> None:
@@ -152,5 +158,6 @@ class Reader:
         for key in self._overrides:
             if key not in self.parameters or isinstance(self.parameters[key].value, tuple):
                 near = difflib.get_close_matches(key, self.parameters, n=1)
-                raise InputError(self.where(key), key, "the path of a scalar quantity in this file",
-                                 f"did you mean {near[0]}?" if near else "")
+                raise InputError(
+                    self.where(key), key, "the path of a scalar quantity in this file", f"did you mean {near[0]}?" if near else ""
+                )

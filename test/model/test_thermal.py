@@ -1,0 +1,250 @@
+"""Equations (26), (30) and (31): the belt's temperature as the estimator carries it, by both networks."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+from scipy.optimize import brentq
+
+from trackres_ros.estimator.estimator import Estimator, State
+from trackres_ros.estimator.layout import TEMPERATURE
+from trackres_ros.model.loss_table import loss_table
+from trackres_ros.model.thermal import ThermalNetwork, film_coefficient, phi_1, phi_2, phi_matrix, surface_temperature, thermal_network
+from trackres_ros.model.track import TrackModel, track_model, with_methods
+from trackres_ros.simulate import ramp_and_hold, simulate
+from trackres_ros.vehicle import Vehicle, load
+
+NETWORKS = ("lumped", "core_surface")
+both_networks = pytest.mark.parametrize("thermal", NETWORKS)
+few = settings(max_examples=15)
+ambients = st.floats(-25.0, 45.0)
+FULL_SPEED = 50 / 3.6
+
+
+@cache
+def estimator(thermal: str, name: str = "xgd24d", hysteresis: str = "spectral") -> Estimator:
+    return Estimator(with_methods(load(name), hysteresis, thermal))
+
+
+@cache
+def model_of(vehicle: Vehicle) -> TrackModel:
+    return track_model(vehicle, vehicle.assemblies[0].track)
+
+
+def network_of(one: Estimator) -> ThermalNetwork:
+    return model_of(one.vehicle).network
+
+
+def stored_heat(one: Estimator, before: State, after: State) -> float:
+    """Heat [J] that the belts took up between two states."""
+    network = network_of(one)
+    capacities = np.array([network.core_capacity, network.surface_capacity if network.two_nodes else 0.0])
+    return float(((after.belts - before.belts)[:, :, TEMPERATURE] @ capacities).sum())
+
+
+def conductances(network: ThermalNetwork, speed: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Matrix [1/s], ambient's column [1/s] and heat's column [K/J] of the network's linear equation."""
+    cooling = network.area * film_coefficient(speed, network.film_offset, network.film_slope)
+    if not network.two_nodes:
+        c = network.core_capacity
+        return np.array([[-cooling / c]]), np.array([cooling / c]), np.array([1 / c])
+    inner, core, skin = network.inner_conductance, network.core_capacity, network.surface_capacity
+    return (np.array([[-inner / core, inner / core], [inner / skin, -(inner + cooling) / skin]]),
+            np.array([0.0, cooling / skin]), np.array([1 / core, 0.0]))
+
+
+@both_networks
+@few
+@given(legs=st.lists(st.tuples(st.floats(1.0, 200.0), st.floats(-8.0, 16.0)), min_size=1, max_size=6), ambient=ambients,
+       start=st.floats(-25.0, 90.0), dt=st.sampled_from([0.01, 0.1, 0.7, 5.0]))
+def test_energy_balance_closes(thermal: str, legs: list[tuple[float, float]], ambient: float, start: float, dt: float) -> None:
+    """Heat in less heat out is heat stored: to 1e-6 of the heat that went through, at any step."""
+    one = estimator(thermal)
+    corners = np.cumsum([0.0, *(duration for duration, _ in legs)])
+    time = np.arange(0.0, corners[-1] + dt, dt)
+    speed = np.interp(time, corners, [0.0, *(v for _, v in legs)])
+    first = one.inputs(0.0, ambient=ambient)
+    before = one.cold_start(first, belt_degc=start)
+    after, rows = one.run(before, time, speed, one.vehicle.weight, ambient)
+    flows = rows[1:, [one.column_index["heat_w"], one.column_index["cooling_w"]]] * np.diff(time)[:, np.newaxis]
+    assert abs(flows[:, 0].sum() - flows[:, 1].sum() - stored_heat(one, before, after)) <= 1e-6 * (np.abs(flows).sum() + 1.0)
+
+
+def steady_state(one: Estimator, speed: float, weight: float, ambient: float, drive_torque: float) -> np.ndarray:
+    """Solve F(T) v = U A (T - Ta) on the exact loss: temperatures of mean, or core and surface."""
+    model = model_of(one.vehicle)
+    network, load_n = model.network, weight / len(one.assemblies)
+    cooling = network.area * film_coefficient(speed, network.film_offset, network.film_slope)
+    to_air = 1.0 / (1.0 / cooling + 1.0 / network.inner_conductance) if network.two_nodes else cooling
+
+    def excess(belt_degc: float) -> float:
+        return float(model.loss.loss_force(speed, belt_degc, load_n, drive_torque / len(one.assemblies)).total) * speed - to_air * (belt_degc - ambient)
+
+    mean = float(brentq(excess, ambient, 200.0))
+    return np.array([mean, ambient + to_air * (mean - ambient) / cooling][:2 if network.two_nodes else 1])
+
+
+@both_networks
+@few
+@given(speed=st.floats(1.0, 16.0), weight=st.floats(2e5, 3.5e5), ambient=ambients)
+def test_heating_ends_in_the_balance_of_heat_and_cooling(thermal: str, speed: float, weight: float, ambient: float) -> None:
+    one = estimator(thermal)
+    time = np.arange(0.0, 40000.0, 2.0)
+    after, rows = one.run(one.cold_start(one.inputs(speed, weight, ambient)), time, np.full_like(time, speed), weight, ambient, 0.0)
+    belt = rows[:, one.column_index["belt_degc/front_left"]]
+    balance = steady_state(one, speed, weight, ambient, rows[-1, one.column_index["drive_torque_nm"]])
+    for node, settled in enumerate(balance):
+        reached = after.belts[0, node, TEMPERATURE]
+        assert reached - ambient == pytest.approx(settled - ambient, rel=0.003)  # of the table
+    assert (np.diff(belt) >= -1e-9).all()  # from ambient up to balance, never past it
+    assert belt[0] == ambient
+    heat, cooling = (rows[-1, one.column_index[name]] for name in ("heat_w", "cooling_w"))
+    assert heat == pytest.approx(cooling, rel=1e-4)
+
+
+@both_networks
+@given(start=st.floats(-30.0, 120.0), ambient=ambients, log_dt=st.floats(-3.0, 6.0))
+def test_at_rest_the_belt_cools_exponentially_over_any_step(thermal: str, start: float, ambient: float, log_dt: float) -> None:
+    one, dt = estimator(thermal), 10.0**log_dt
+    before = one.cold_start(one.inputs(0.0, ambient=ambient), belt_degc=start)
+    matrix, _, _ = conductances(network_of(one), 0.0)
+    exact = ambient + expm(matrix * dt) @ np.full(len(matrix), start - ambient)
+    for after in (one.step(before, one.inputs(0.0, ambient=ambient), dt)[0], one.rest(before, ambient, dt)):
+        for node, value in enumerate(exact):
+            assert after.belts[:, node, TEMPERATURE] == pytest.approx(np.full(4, value), abs=1e-8)
+
+
+@both_networks
+def test_at_rest_there_is_no_heat_and_no_torque(thermal: str) -> None:
+    one = estimator(thermal)
+    _, estimate = one.step(one.cold_start(one.inputs(0.0), belt_degc=60.0), one.inputs(0.0), 10.0)
+    assert estimate["heat_w"] == 0.0
+    assert estimate["cooling_w"] > 0.0
+    assert estimate.resistance_torque_nm == 0.0
+
+
+@both_networks
+@pytest.mark.parametrize("hysteresis", ["spectral", "rainflow"])
+@few
+@given(first=ambients, second=ambients, speed=st.floats(2.0, 16.0), weight=st.floats(2e5, 3.5e5))
+def test_no_crossover_between_ambients(thermal: str, hysteresis: str, first: float, second: float, speed: float, weight: float) -> None:
+    """From belts at the ambient temperature: where it is warmer the belt is hotter and the torque lower, at all times."""
+    cold, warm = sorted((first, second))
+    drive = ramp_and_hold(speed, 0.0, 3000.0, 1.0)
+    one = estimator(thermal, hysteresis=hysteresis)
+    colder, warmer = (simulate(one, drive, weight, ambient) for ambient in (cold, warm))
+    assert (warmer["belt_degc"] >= colder["belt_degc"]).all()
+    assert (warmer["resistance_torque_nm"] <= colder["resistance_torque_nm"] * (1 + 1e-9)).all()
+    if warm - cold > 0.1:
+        assert (warmer["belt_degc"] > colder["belt_degc"]).all()
+        assert (warmer["resistance_torque_nm"] < colder["resistance_torque_nm"]).all()
+        shrunk = warmer["belt_degc"][-1] - colder["belt_degc"][-1]
+        assert 0.0 < shrunk < warm - cold  # dT*/dTa = 1/(1 + s): differences shrink, and do not vanish
+
+
+@both_networks
+@few
+@given(first=st.floats(2e5, 3.5e5), second=st.floats(2e5, 3.5e5), speed=st.floats(2.0, 16.0), ambient=ambients)
+def test_torque_rises_with_load_at_all_times(thermal: str, first: float, second: float, speed: float, ambient: float) -> None:
+    light, heavy = sorted((first, second))
+    drive = ramp_and_hold(speed, 50.0, 3000.0, 1.0)
+    lighter, heavier = (simulate(estimator(thermal), drive, weight, ambient) for weight in (light, heavy))
+    assert (heavier["resistance_torque_nm"] >= lighter["resistance_torque_nm"]).all()
+    assert (heavier["belt_degc"] >= lighter["belt_degc"]).all()
+    if heavy - light > 100.0:
+        assert (heavier["resistance_torque_nm"][1:] > lighter["resistance_torque_nm"][1:]).all()
+
+
+@few
+@given(speed=st.floats(0.5, 16.0), ambient=ambients)
+def test_reverse_resists_as_forward_does(speed: float, ambient: float) -> None:
+    """The shipped track is its own mirror image, so driving backwards is the same but for the sign."""
+    forward, reverse = (simulate(estimator("lumped"), ramp_and_hold(v, 20.0, 600.0, 0.5), ambient_degc=ambient) for v in (speed, -speed))
+    assert reverse["belt_degc"] == pytest.approx(forward["belt_degc"], rel=1e-9)
+    for part in ("hysteresis_nm", "bearing_nm", "wind_nm", "inertia_nm"):
+        assert -reverse[part] == pytest.approx(forward[part], rel=1e-6)
+
+
+@both_networks
+@pytest.mark.parametrize("dt", [0.01, 0.1, 0.5])
+def test_steps_against_an_ode_solver_on_the_same_table(thermal: str, dt: float) -> None:
+    """A drive with a ramp, a hold and a stop: the temperature of a stiff solver at tight tolerances."""
+    one = estimator(thermal)
+    model, table = model_of(one.vehicle), loss_table(one.vehicle, "triangular")
+    corners, speeds = [0.0, 50.0, 400.0, 430.0, 600.0], [0.0, FULL_SPEED, FULL_SPEED, 0.0, 0.0]
+
+    def rates(t: float, nodes: np.ndarray) -> np.ndarray:
+        speed = float(np.interp(t, corners, speeds))
+        matrix, by_ambient, by_heat = conductances(model.network, speed)
+        x = math.log10(max(speed, 1e-6)) + float(model.rubber.log_shift(nodes[0]))
+        return matrix @ nodes + by_ambient * 15.0 + by_heat * float(table.at(x, 68e3)) * speed
+
+    time = np.arange(0.0, 600.0 + dt / 2, dt)
+    begun = one.cold_start(one.inputs(0.0, ambient=15.0))
+    after, _ = one.run(begun, time, np.interp(time, corners, speeds), 272e3, 15.0)
+    nodes = np.full(2 if model.network.two_nodes else 1, 15.0)
+    for leg in zip(corners, corners[1:], strict=False):
+        nodes = solve_ivp(rates, leg, nodes, method="LSODA", rtol=1e-8, atol=1e-8, max_step=5.0).y[:, -1]
+    assert after.belts[0, :len(nodes), TEMPERATURE] == pytest.approx(nodes, abs=2e-3)
+    assert nodes[0] > 30.0
+
+
+@given(z=st.floats(-1e4, 2.0))
+def test_phi_functions_of_a_number(z: float) -> None:
+    block = expm(np.array([[z, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]]))
+    assert phi_1(z) == pytest.approx(block[0, 1], rel=1e-9)
+    assert phi_2(z) == pytest.approx(block[0, 2], rel=1e-9)
+
+
+@given(core=st.floats(1e-9, 50.0), skin=st.floats(1e-9, 50.0), out=st.floats(0.0, 50.0), heat=st.floats(-20.0, 0.5))
+def test_phi_functions_of_a_matrix(core: float, skin: float, out: float, heat: float) -> None:
+    z = np.array([[heat - core, core], [skin, -skin - out]])
+    block = np.zeros((6, 6))
+    block[:2, :2], block[:2, 2:4], block[2:4, 4:] = z, np.eye(2), np.eye(2)
+    exact = expm(block)
+    for order in (1, 2):
+        ours = np.array(phi_matrix(*z.ravel(), order)).reshape(2, 2)
+        assert ours == pytest.approx(exact[:2, 2 * order:2 * order + 2], rel=1e-7, abs=1e-9)
+
+
+def test_equation_31_is_in_metres_per_second(xgd24d: Vehicle) -> None:
+    """62 W/m^2/K at 50 km/h agrees with correlations for plates and tyres; with v in km/h it would be 109."""
+    network = thermal_network("lumped", xgd24d.tracks["triangular"].belt, xgd24d.rubber)
+    assert film_coefficient(FULL_SPEED, network.film_offset, network.film_slope) == pytest.approx(62.4, abs=0.1)
+    assert film_coefficient(FULL_SPEED, network.film_offset, 3.6 * network.film_slope) == pytest.approx(109.1, abs=0.1)
+    assert film_coefficient(-FULL_SPEED, 44.39, 1.295) == film_coefficient(FULL_SPEED, 44.39, 1.295)
+
+
+def test_the_mean_is_not_the_surface(xgd24d: Vehicle) -> None:
+    """Equation (30) takes the mean: at 50 km/h the Biot number of half the belt is about 4, and the skin is much cooler."""
+    belt, rubber = xgd24d.tracks["triangular"].belt, xgd24d.rubber
+    network = thermal_network("lumped", belt, rubber)
+    film = film_coefficient(FULL_SPEED, network.film_offset, network.film_slope)
+    assert 3.0 < film * belt.thickness / 2 / rubber.conductivity < 6.0
+    surface = surface_temperature(70.0, 15.0, film, network.area, network.inner_conductance)
+    assert network.inner_conductance * (70.0 - surface) == pytest.approx(film * network.area * (surface - 15.0))
+    assert surface < 50.0
+
+
+@pytest.mark.parametrize("speed", [0.0, FULL_SPEED])
+def test_two_nodes_hold_as_much_heat_as_one(xgd24d: Vehicle, speed: float) -> None:
+    belt, rubber = xgd24d.tracks["triangular"].belt, xgd24d.rubber
+    one, two = (thermal_network(name, belt, rubber) for name in NETWORKS)
+    assert two.core_capacity + two.surface_capacity == pytest.approx(one.core_capacity)
+    assert conductances(one, speed)[0][0, 0] < np.linalg.eigvals(conductances(two, speed)[0]).max() < 0.0  # and give it off slower
+
+
+def test_equation_26_as_printed_subtracts_a_power_from_an_energy_density() -> None:
+    """In mm (kg, s): (29) yields J/m^3 and scales as 1/1000, (30) yields W and scales as 1000^2. C dT/dt = P_gen - P_dis."""
+    pascal, watt_per_m2 = 1e-3, 1.0  # kg/mm/s^2 and kg/s^3
+    printed_29 = [math.pi * 0.01**2 * 1e6 * unit for unit in (1.0, pascal)]
+    printed_30 = [60.0 * watt_per_m2 * 4.8 * area * 20.0 for area in (1.0, 1e6)]
+    assert printed_29[1] / printed_29[0] == pytest.approx(1e-3)
+    assert printed_30[1] / printed_30[0] == pytest.approx(1e6)
