@@ -14,7 +14,8 @@ from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from trackres_ros.bags import BagSource
-from trackres_ros.cdr import Template, definitions
+from trackres_ros.cdr import Template
+from trackres_ros.message_types import definitions
 from trackres_ros.recording import Recording
 from trackres_ros.topics import Topics
 

@@ -16,16 +16,8 @@ pytest.importorskip("rosbags")
 
 from rosbags.typesys import Stores, get_typestore
 
-from trackres_ros.cdr import (
-    NUMBERS,
-    Encoding,
-    FieldReader,
-    MalformedError,
-    Template,
-    check_field,
-    definitions,
-    layout_of,
-)
+from trackres_ros.cdr import NUMBERS, Encoding, FieldReader, MalformedError, Template, layout_of
+from trackres_ros.message_types import check_field, definitions
 from trackres_ros.topics import TopicBinding
 
 STORE = get_typestore(Stores.LATEST)

@@ -14,8 +14,9 @@ from typing import BinaryIO, Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.cdr import Definitions, Template, definitions, message_fields
+from trackres_ros.cdr import Template
 from trackres_ros.errors import InputError, MissingExtraError
+from trackres_ros.message_types import Definitions, definitions, message_fields
 from trackres_ros.recording import FloatArray, IntArray
 
 CHUNK_BYTES = 2**20

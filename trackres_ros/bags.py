@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.cdr import Definitions, Encoding, FieldReader, check_field, definitions, message_fields, stamp_path
+from trackres_ros.cdr import Encoding, FieldReader
 from trackres_ros.errors import InputError, MissingExtraError
+from trackres_ros.message_types import Definitions, check_field, definitions, message_fields, stamp_path
 from trackres_ros.recording import Block, Finding, IntArray
 from trackres_ros.topics import TopicBinding, Topics, guess, nearest
 

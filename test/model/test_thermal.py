@@ -241,10 +241,13 @@ def test_two_nodes_hold_as_much_heat_as_one(xgd24d: Vehicle, speed: float) -> No
     assert conductances(one, speed)[0][0, 0] < np.linalg.eigvals(conductances(two, speed)[0]).max() < 0.0  # and give it off slower
 
 
-def test_equation_26_as_printed_subtracts_a_power_from_an_energy_density() -> None:
-    """In mm (kg, s): (29) yields J/m^3 and scales as 1/1000, (30) yields W and scales as 1000^2. C dT/dt = P_gen - P_dis."""
-    pascal, watt_per_m2 = 1e-3, 1.0  # kg/mm/s^2 and kg/s^3
-    printed_29 = [math.pi * 0.01**2 * 1e6 * unit for unit in (1.0, pascal)]
-    printed_30 = [60.0 * watt_per_m2 * 4.8 * area * 20.0 for area in (1.0, 1e6)]
-    assert printed_29[1] / printed_29[0] == pytest.approx(1e-3)
-    assert printed_30[1] / printed_30[0] == pytest.approx(1e6)
+@both_networks
+def test_equation_26_as_printed_has_a_belt_in_balance_at_ambient(thermal: str) -> None:
+    """T = (Q_gen - Q_dis)/(m c) + T0 with the powers of (30): once they are equal the belt would be cold. C dT/dt = P - P_dis."""
+    one = estimator(thermal)
+    time = np.arange(0.0, 20000.0, 2.0)
+    _, rows = one.run(one.cold_start(one.inputs(FULL_SPEED)), time, np.full_like(time, FULL_SPEED), 272e3, 15.0, 0.0)
+    network, last = network_of(one), {name: rows[-1, i] for name, i in one.column_index.items()}
+    capacity = len(one.assemblies) * (network.core_capacity + network.surface_capacity)
+    assert (last["heat_w"] - last["cooling_w"]) / capacity + 15.0 == pytest.approx(15.0, abs=1e-3)
+    assert last["belt_degc/front_left"] > 50.0

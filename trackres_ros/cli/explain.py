@@ -62,7 +62,8 @@ def _text(result: dict[str, Any]) -> str:
         f"{'':4}{'N':>9} {'mm':>12} {'1':>8} {'Hz':>10} {'MPa':>9}",
     ]
     lines += [
-        f"{i + 1:4d}{load:9.0f} {c['half_length_m'] * 1e3:12.2f} {c['max_strain']:8.4f} {c['frequency_hz']:10.1f} {c['modulus_mpa']:9.2f}"
+        f"{i + 1:4d}{load:9.0f} {c['half_length_m'] * 1e3:12.2f} {c['max_strain']:8.4f} {c['frequency_hz']:10.1f} "
+        f"{c['modulus_mpa']:9.2f}"
         for i, (load, c) in enumerate(zip(result["wheel_loads_n"][0], contact, strict=True))
     ]
     lines += [

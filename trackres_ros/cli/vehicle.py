@@ -119,8 +119,10 @@ def _text(result: dict[str, Any]) -> str:
             f"  axial stiffness    {t['axial_stiffness_n'] / 1e6:.1f} MN",
             f"  tension            {t['tension_n']:.0f} N, sag {t['sag_m'] * 1e3:.1f} mm",
             "  one sigma of       " + ", ".join(f"{k} {v:.0%}" for k, v in doubt.items()) + " (from the ranges in the file)",
-            f"  loss table         error at most {table['largest_error']:.3%}, rms {table['rms_error']:.3%} at {table['points']} points, loads "
-            f"{table['load_range_n'][0] / 1e3:.1f} to {table['load_range_n'][1] / 1e3:.1f} kN, ready in {table['seconds']:.2f} s",
+            f"  loss table         error at most {table['largest_error']:.3%}, rms {table['rms_error']:.3%} at "
+            f"{table['points']} points, "
+            f"loads {table['load_range_n'][0] / 1e3:.1f} to {table['load_range_n'][1] / 1e3:.1f} kN, "
+            f"ready in {table['seconds']:.2f} s",
             f"  drive torque       moves the loss by at most {table['drive_torque_share']:.4%}",
         ]
     return "\n".join(lines)
