@@ -24,7 +24,7 @@ lint: $(VENV)/.ready
 
 $(VENV)/.ready: setup.py
 	./tools/make-environment $(PYTHON) $(VENV)
-	$(RUN)/python -m pip install --quiet --disable-pip-version-check --editable ".[test]"
+	$(RUN)/python -m pip install --quiet --disable-pip-version-check --use-pep517 --editable ".[test]"
 	@touch $@
 
 clean:

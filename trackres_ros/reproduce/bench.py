@@ -87,9 +87,3 @@ class Bench:
 def at_times(series: Series, column: str, times_s: ArrayLike) -> Array:
     """Values of a column at times [s], shape of `times_s`."""
     return np.asarray(np.interp(np.asarray(times_s, float), series["time_s"], series[column]))
-
-
-def pick(series: Series, column: str, start_s: float, end_s: float = np.inf) -> Array:
-    """The part of a column between two times [s], both included."""
-    inside = (series["time_s"] >= start_s - 1e-9) & (series["time_s"] <= end_s + 1e-9)
-    return series[column][inside]

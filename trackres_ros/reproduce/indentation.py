@@ -50,7 +50,7 @@ def indentation(bench: Bench, out: Path) -> Section:
         left.set_ylabel("contact half length [mm]", color=BLUE)
         right.set_ylabel("strain amplitude [%]", color=VERMILION)
         left.set_ylim(0.0, 1.08e3 * a[-1])
-        right.set_ylim(0.0, 108 * strain[-1])
+        right.set_ylim(0.0, 130 * strain[-1])
         left.set_xticks(PAPER_LOADS_N / 1e3)
         left.set_title(f"E = {MODULUS_PA / 1e6:g} MPa, wheel diameter {2 * WHEEL_RADIUS:g} m, belt {thickness * 1e3:g} mm, "
                        f"contact {length:g} m wide")

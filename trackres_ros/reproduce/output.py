@@ -31,11 +31,6 @@ def _cell(value: float | str) -> str:
     return "" if math.isnan(value) else f"{value:.{DIGITS}g}"
 
 
-def note(axes: Axes, x: float, y: float, text: str, ha: str = "left", va: str = "bottom") -> None:
-    """A small remark in the data coordinates of a panel."""
-    axes.annotate(text, (x, y), ha=ha, va=va, fontsize=8, color=INK)
-
-
 def mark_time(axes: Axes, time_s: float, text: str) -> None:
     """A dotted line at a time with a remark at its top."""
     axes.axvline(time_s, color=INK, linewidth=0.8, linestyle=":")
