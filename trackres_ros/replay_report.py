@@ -95,7 +95,8 @@ def text(report: dict[str, Any]) -> str:
             lines.append(f"  counted: {channel}: " + ", ".join(f"{name} {number}" for name, number in refused.items()))
     lines += [f"  status: {item['text']} ({item['steps']} steps)" for item in report["reasons"]]
     lines.append(
-        f"At the end: resistance {last['resistance_torque_nm']:.0f} +- {last['resistance_std_nm']:.0f} Nm (hysteresis "
+        f"At the end, at {last['speed_mps'] * 3.6:.1f} km/h: resistance "
+        f"{last['resistance_torque_nm']:.0f} +- {last['resistance_std_nm']:.0f} Nm (hysteresis "
         f"{last['hysteresis_nm']:.0f}, bearing {last['bearing_nm']:.0f}, wind {last['wind_nm']:.0f}), largest "
         f"{report['resistance_torque_nm']['largest']:.0f} Nm"
     )

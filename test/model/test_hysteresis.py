@@ -16,7 +16,7 @@ from trackres_ros.model import contact, hysteresis
 from trackres_ros.model.belt import bending_moment_of_height, wrapped_radius
 from trackres_ros.model.hysteresis import HARMONICS, METHODS, LossMethod, RainflowCount, Spectral
 from trackres_ros.model.rubber import RubberModel
-from trackres_ros.model.strain_history import Profile, build_loop, indentation_amplitudes
+from trackres_ros.model.strain_history import Profile, along_belt, build_loop, indentation_amplitudes
 from trackres_ros.model.track import load_range
 from trackres_ros.vehicle import Rubber, Track, Vehicle, load
 
@@ -97,6 +97,16 @@ def test_spectral_loss_of_a_sine(triangular: Track, compound: Rubber, monkeypatc
     assert loss == pytest.approx(triangular.belt.width * bending_moment_of_height(triangular.belt, 2) * per_volume, rel=1e-4)
 
 
+@given(amplitude=st.floats(1e-3, 0.2), lag=st.floats(0.01, 1.5), frequency=st.floats(0.1, 1e3))
+def test_equations_27_and_28(amplitude: float, lag: float, frequency: float) -> None:
+    """The work of a stress that leads its strain by a phase, times the frequency, is pi f e^2 E''; E'' is the stress in quadrature."""
+    stress_amplitude = 1e6
+    phase = np.linspace(0.0, 2 * np.pi, 4001)
+    stress, strain = stress_amplitude * np.sin(phase), amplitude * np.sin(phase - lag)
+    power = frequency * float(np.sum((stress[1:] + stress[:-1]) / 2 * np.diff(strain)))
+    assert power == pytest.approx(math.pi * frequency * amplitude**2 * stress_amplitude / amplitude * math.sin(lag), rel=1e-5)
+
+
 def test_the_printed_range_squared_gives_four_times_the_loss_of_a_sine() -> None:
     """Equation (29) puts the range where (28) has the amplitude."""
     range_, loss_modulus = 0.02, 1e6
@@ -140,6 +150,23 @@ def test_spectral_loss_is_the_work_of_the_stress(track: Track, compound: Rubber,
     rubber = Maxwell(compound)
     exact = maxwell_work(build_loop(track).curvature, speed) * track.belt.width * bending_moment_of_height(track.belt, 2)
     assert float(Spectral(track, rubber).loss_force(speed, 20.0, 30e3).bending) == pytest.approx(exact, rel=1e-4)
+
+
+@pytest.mark.parametrize("torque", [-4e6, 1e6])
+def test_spectral_loss_of_bending_and_drive_is_the_work_of_the_stress(track: Track, compound: Rubber, torque: float) -> None:
+    """Equations (21) and (24): the stress of both strains together, integrated over the thickness; a torque so large that it counts."""
+    rubber, speed = Maxwell(compound), 3.0
+    model, belt = Spectral(track, rubber), track.belt
+    loss = model.loss_force(speed, 20.0, 30e3, torque)
+    strain = float(model.drive_strain(speed, 20.0, torque))
+    corners = np.unique(np.concatenate([model.loop.curvature.position, model.loop.drive.position]))
+    nodes, weights = np.polynomial.legendre.leggauss(3)
+    exact = 0.0
+    for node, weight in zip(nodes, weights, strict=True):
+        at_height = along_belt(model.loop, belt.thickness * (node + 1) / 2, corners, 0.0, strain)
+        exact += belt.width * belt.thickness / 2 * weight * maxwell_work(Profile(corners, at_height, belt.loop_length), speed)
+    assert float(loss.bending + loss.drive) == pytest.approx(exact, rel=1e-4)
+    assert abs(float(loss.drive)) > 0.01 * exact
 
 
 def test_the_pulse_to_fourth_order_is_as_good_as_the_circle(vehicle: Vehicle, track: Track) -> None:

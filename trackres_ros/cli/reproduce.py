@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from trackres_ros.cli.common import emit, json_option, progress
+from trackres_ros.errors import InputError
 
 
 @click.command("reproduce")
@@ -18,8 +19,11 @@ from trackres_ros.cli.common import emit, json_option, progress
     required=True,
     help="Folder for pictures, tables and the page.",
 )
+@click.option(
+    "--page", type=click.Path(path_type=Path, dir_okay=False), help="Write the page here too, with links into the folder."
+)
 @json_option
-def reproduce_command(output: Path, as_json: bool) -> None:
+def reproduce_command(output: Path, page: Path | None, as_json: bool) -> None:
     """The paper's Figures 6, 10, 11, 16, 24, 25, 26 and its three tests, as PNG and CSV, with a page that says what holds.
 
     \b
@@ -27,6 +31,8 @@ def reproduce_command(output: Path, as_json: bool) -> None:
     """
     from trackres_ros.reproduce import reproduce
 
+    if page is not None and not page.parent.is_dir():
+        raise InputError("--page", str(page), "a file in a folder that exists")
     output.mkdir(parents=True, exist_ok=True)
     with progress("figures", 1.0) as advance:
         done = 0.0
@@ -36,5 +42,5 @@ def reproduce_command(output: Path, as_json: bool) -> None:
             advance(share - done)
             done = share
 
-        summary: dict[str, Any] = reproduce(output, report)
+        summary: dict[str, Any] = reproduce(output, report, page=page)
     emit(summary, as_json, lambda: f"Figures, tables and index.md are in {output}")

@@ -1,0 +1,100 @@
+"""What the benchmarks share: targets, alternated timing, and child processes with their peak memory."""
+
+from __future__ import annotations
+
+import json
+import os
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parent
+
+
+@dataclass(frozen=True)
+class Target:
+    """A limit on a measured number, at most or at least."""
+
+    limit: float
+    at_most: bool = True
+
+    def met(self, value: float) -> bool:
+        """Whether a measured number keeps the limit."""
+        return value <= self.limit if self.at_most else value >= self.limit
+
+    def __str__(self) -> str:
+        return f"{'at most' if self.at_most else 'at least'} {self.limit:,g}"
+
+
+def at_most(limit: float) -> Target:
+    """Target of a number that should be small."""
+    return Target(limit)
+
+
+def at_least(limit: float) -> Target:
+    """Target of a number that should be large."""
+    return Target(limit, at_most=False)
+
+
+def seconds(run: Callable[[], object]) -> float:
+    """Wall time of one call [s]."""
+    begin = time.perf_counter()
+    run()
+    return time.perf_counter() - begin
+
+
+def alternated(runs: Mapping[str, Callable[[], object]], repeats: int) -> dict[str, list[float]]:
+    """Wall times [s] of several rivals, one after the other in each of `repeats` rounds, so that all meet the same machine."""
+    times: dict[str, list[float]] = {name: [] for name in runs}
+    for _ in range(repeats):
+        for name, run in runs.items():
+            times[name].append(seconds(run))
+    return times
+
+
+def median_ratio(over: Sequence[float], under: Sequence[float]) -> float:
+    """Median of the ratios of times that belong to the same round."""
+    return statistics.median(a / b for a, b in zip(over, under, strict=True))
+
+
+@dataclass(frozen=True)
+class Ended:
+    """What a child process left: its output, its wall time and its peak resident memory."""
+
+    output: str
+    wall_s: float
+    peak_bytes: int
+
+    def json(self) -> Any:
+        """Return the last line of the output, read as JSON."""
+        return json.loads(self.output.strip().splitlines()[-1])
+
+
+def child(arguments: Sequence[str], environment: Mapping[str, str] | None = None) -> Ended:
+    """Run this Python with arguments and wait for it.
+
+    Raises
+    ------
+    RuntimeError
+        If it fails; with what it said.
+    """
+    paths = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
+    variables = {**os.environ, "PYTHONPATH": paths, **(environment or {})}
+    begin = time.perf_counter()
+    process = subprocess.Popen(
+        [sys.executable, *arguments], env=variables, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+    assert process.stdout is not None
+    with process.stdout:
+        output = process.stdout.read()
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        raise RuntimeError(f"{' '.join(arguments)}: exit code {process.returncode}\n{output}")
+    return Ended(output, time.perf_counter() - begin, usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024))
