@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import os
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -56,3 +59,16 @@ def test_it_says_what_it_guessed_and_met(recording: Recording) -> None:
 def test_there_is_no_torque(recording: Recording) -> None:
     assert "torque" not in recording.series
     assert "torque" not in recording.aligned()
+
+
+def test_it_replays_as_it_is(tmp_path: Path) -> None:
+    """Header stamps two months off, quantised speed and drops to 0: the estimate goes through, and what was met is said."""
+    command = [sys.executable, "-m", "trackres_ros", "replay", str(BAG), "--vehicle", "agri3t", "-o", str(tmp_path / "out.csv"), "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    report = json.loads(done.stdout)
+    assert report["steps"] == report["counters"]["speed"]["accepted"] == 2143
+    assert {"stamp_offset", "dropout"} <= {finding["kind"] for finding in report["findings"]}
+    assert any("guessed" in note for note in report["notes"])
+    assert {reason["reason"] for reason in report["reasons"]} >= {"load_nominal", "ambient_nominal"}
+    assert report["last"]["residual_nm"] is None
+    assert (tmp_path / "out.png").exists()

@@ -119,7 +119,7 @@ def values_of(topic: OutputTopic, rows: Array, index: dict[str, int]) -> Array:
     values = rows[:, [index[name] for name in topic.columns]] * topic.sign
     if topic.kind == "temperature":
         values[:, 1] **= 2
-    return np.asarray(values)
+    return np.asarray(values + 0.0)  # no negative zeros
 
 
 def status_of(reasons: at.Reason) -> tuple[int, str]:

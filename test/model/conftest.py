@@ -12,8 +12,7 @@ from trackres_ros.model.rubber import RubberModel
 from trackres_ros.vehicle import Rubber, Track, Vehicle, load
 
 # The same examples on every run, and no deadline: a shared machine is slow for reasons that are not the code's.
-settings.register_profile("laws", deadline=None, derandomize=True, max_examples=60,
-                          suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile("laws", deadline=None, derandomize=True, max_examples=60, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("laws")
 
 
@@ -51,5 +50,6 @@ def compound(xgd24d: Vehicle) -> Rubber:
 @pytest.fixture(scope="session")
 def flat_rubber(compound: Rubber) -> RubberModel:
     """Moduli that depend on neither frequency nor temperature, 20 MPa and 2 MPa: what closed forms assume."""
-    return RubberModel(replace(compound, storage_pa=np.full_like(compound.storage_pa, 20e6),
-                               loss_pa=np.full_like(compound.loss_pa, 2e6)))
+    return RubberModel(
+        replace(compound, storage_pa=np.full_like(compound.storage_pa, 20e6), loss_pa=np.full_like(compound.loss_pa, 2e6))
+    )

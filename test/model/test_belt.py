@@ -17,10 +17,10 @@ from trackres_ros.model.strain_history import along_belt, build_loop
 from trackres_ros.model.track import steady_tension, track_model
 from trackres_ros.vehicle import Track, Vehicle
 
-masses = st.floats(0.5, 200.0)          # kg/m
-half_spans = st.floats(0.05, 5.0)       # m
-stiffnesses = st.floats(1e6, 1e9)       # N
-sag_shares = st.floats(0.01, 0.9)       # of the half span
+masses = st.floats(0.5, 200.0)  # kg/m
+half_spans = st.floats(0.05, 5.0)  # m
+stiffnesses = st.floats(1e6, 1e9)  # N
+sag_shares = st.floats(0.01, 0.9)  # of the half span
 
 
 def stretch_share(mass: float, half_span: float, stiffness: float) -> float:
@@ -38,8 +38,12 @@ def test_equation_15_solves_equation_14(mass: float, half_span: float, stiffness
 
 def printed_15(section: float, modulus: float, tooth_height: float, l: float, q: float, g: float) -> float:  # noqa: E741
     a_e = section * modulus
-    return (g * q * (a_e**2 * tooth_height**2 - 4 * a_e**2 * l**2 - 2 * a_e * g * tooth_height * l**2 * q + g**2 * l**4 * q**2)
-            / (4 * a_e**2 * tooth_height - 4 * a_e * g * l**2 * q))
+    return (
+        g
+        * q
+        * (a_e**2 * tooth_height**2 - 4 * a_e**2 * l**2 - 2 * a_e * g * tooth_height * l**2 * q + g**2 * l**4 * q**2)
+        / (4 * a_e**2 * tooth_height - 4 * a_e * g * l**2 * q)
+    )
 
 
 @given(mass=masses, half_span=half_spans, stiffness=stiffnesses, share=sag_shares)
@@ -70,6 +74,7 @@ def test_equation_14_as_printed_is_not_a_length() -> None:
 @given(mass=masses, half_span=half_spans, stiffness=stiffnesses, tension=st.floats(100.0, 1e5))
 def test_sag_follows_from_the_balance_of_forces(mass: float, half_span: float, stiffness: float, tension: float) -> None:
     """Equations (12) and (13): walk along the rope, its slope is carried weight over F, each piece stretched by its tension."""
+
     def rise(s: float) -> float:
         slope = mass * b.GRAVITY * s / tension
         secant = math.sqrt(1.0 + slope * slope)
@@ -95,8 +100,9 @@ def test_a_belt_that_stretches_past_its_sag_is_refused() -> None:
 @given(pretension=st.floats(0.0, 1e5))
 def test_the_tension_is_the_greater_of_spring_and_sag(triangular: Track, xgd24d: Vehicle, pretension: float) -> None:
     belt, modulus = replace(triangular.belt, pretension=pretension), 12e6
-    needed = b.tension_by_search(belt.tooth_height / 2, b.mass_per_length(belt, xgd24d.rubber), belt.sag_half_span,
-                                 float(b.axial_stiffness(belt, modulus)))
+    needed = b.tension_by_search(
+        belt.tooth_height / 2, b.mass_per_length(belt, xgd24d.rubber), belt.sag_half_span, float(b.axial_stiffness(belt, modulus))
+    )
     assert b.belt_tension(belt, xgd24d.rubber, modulus) == pytest.approx(max(pretension, needed), rel=1e-6)
 
 

@@ -122,11 +122,14 @@ def test_half_length_frequency_and_modulus_fit_each_other(vehicle: Vehicle, data
     speed = data.draw(st.floats(0.001, vehicle.chassis.max_speed))
     belt_degc = data.draw(st.floats(-70.0, 120.0))
     rubber = RubberModel(vehicle.rubber)
-    a, frequency, modulus = contact.solve_contact(force, speed, lambda f: rubber.dynamic_modulus(f, belt_degc),
-                                                  wheels.radius, wheels.contact_length, thickness)
+    a, frequency, modulus = contact.solve_contact(
+        force, speed, lambda f: rubber.dynamic_modulus(f, belt_degc), wheels.radius, wheels.contact_length, thickness
+    )
     assert float(frequency) == pytest.approx(speed / (2.0 * float(a)), rel=1e-9)
     assert float(modulus) == pytest.approx(float(rubber.dynamic_modulus(frequency, belt_degc)), rel=1e-6)
-    assert float(contact.contact_force(a, modulus, wheels.radius, wheels.contact_length, thickness)) == pytest.approx(force, rel=1e-9)
+    assert float(contact.contact_force(a, modulus, wheels.radius, wheels.contact_length, thickness)) == pytest.approx(
+        force, rel=1e-9
+    )
 
 
 def test_wheels_under_more_load_have_longer_contacts(xgd24d: Vehicle) -> None:

@@ -21,8 +21,16 @@ from trackres_ros.vehicle import Vehicle, variants
 
 CERTAIN = Settings(initial_belt_std_k=0.0, process_noise_k=0.0, ambient_std_k=0.0, ambient_unknown_std_k=0.0)
 BELT = "tracks.triangular.belt"
-ALL = (f"{BELT}.exposed_share", f"{BELT}.film_slope", "rubber.loss_modulus_scale", "rubber.heat_capacity", "rubber.density",
-       "tracks.triangular.sprocket_radius", "chassis.bearing_friction", "chassis.drag_coefficient")
+ALL = (
+    f"{BELT}.exposed_share",
+    f"{BELT}.film_slope",
+    "rubber.loss_modulus_scale",
+    "rubber.heat_capacity",
+    "rubber.density",
+    "tracks.triangular.sprocket_radius",
+    "chassis.bearing_friction",
+    "chassis.drag_coefficient",
+)
 TIME_S = np.arange(0.0, 3000.0, 0.5)
 STEP = 0.2  # of a standard deviation
 
@@ -35,12 +43,16 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def with_open_ranges(vehicle: Vehicle, paths: Collection[str]) -> Vehicle:
     """The vehicle with every quantity certain but those named."""
-    certain = {path: q if path in paths or isinstance(q.value, tuple) else replace(q, low=q.value, high=q.value)
-               for path, q in vehicle.parameters.items()}
+    certain = {
+        path: q if path in paths or isinstance(q.value, tuple) else replace(q, low=q.value, high=q.value)
+        for path, q in vehicle.parameters.items()
+    }
     return replace(vehicle, parameters=certain)
 
 
-def drive(vehicle: Vehicle, cache: Path, speed: float, config: Settings = CERTAIN, ambient: float = 15.0) -> Mapping[str, np.ndarray]:
+def drive(
+    vehicle: Vehicle, cache: Path, speed: float, config: Settings = CERTAIN, ambient: float = 15.0
+) -> Mapping[str, np.ndarray]:
     """Columns of a drive at constant speed from belts at the ambient temperature."""
     one = Estimator(vehicle, config, cache)
     begun = one.cold_start(one.inputs(speed, ambient=ambient))
@@ -63,9 +75,15 @@ def reference_speed(vehicle: Vehicle) -> float:
     return REFERENCE_SPEED_SHARE * vehicle.chassis.max_speed
 
 
-@pytest.mark.parametrize(("path", "tolerance"), [
-    (f"{BELT}.exposed_share", 0.01), (f"{BELT}.film_slope", 0.01), ("rubber.heat_capacity", 0.01),
-    ("rubber.loss_modulus_scale", 0.03)])
+@pytest.mark.parametrize(
+    ("path", "tolerance"),
+    [
+        (f"{BELT}.exposed_share", 0.01),
+        (f"{BELT}.film_slope", 0.01),
+        ("rubber.heat_capacity", 0.01),
+        ("rubber.loss_modulus_scale", 0.03),
+    ],
+)
 def test_the_doubt_of_one_quantity_is_the_change_it_makes(xgd24d: Vehicle, cache: Path, path: str, tolerance: float) -> None:
     speed = reference_speed(xgd24d)
     carried = drive(with_open_ranges(xgd24d, [path]), cache, speed)

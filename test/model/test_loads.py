@@ -47,14 +47,18 @@ def lever(end: Beam | int, positions: tuple[float, ...], own_weight: bool) -> fl
 
 
 @given(geometry=geometries(), load=loads_n, own=st.floats(1.0, 1e5))
-def test_wheel_loads_sum_to_the_weight(triangular: Track, geometry: tuple[Beam | int, tuple[float, ...]], load: float, own: float) -> None:
+def test_wheel_loads_sum_to_the_weight(
+    triangular: Track, geometry: tuple[Beam | int, tuple[float, ...]], load: float, own: float
+) -> None:
     carried = wheel_loads(replace(with_tree(triangular, *geometry), own_weight=own), load)
     assert (carried >= 0.0).all()
     assert carried.sum() == pytest.approx(load, rel=1e-12)
 
 
 @given(geometry=geometries(), load=loads_n, own=st.floats(1.0, 1e5))
-def test_moments_balance_about_the_hinges(triangular: Track, geometry: tuple[Beam | int, tuple[float, ...]], load: float, own: float) -> None:
+def test_moments_balance_about_the_hinges(
+    triangular: Track, geometry: tuple[Beam | int, tuple[float, ...]], load: float, own: float
+) -> None:
     tree, positions = geometry
     track = replace(with_tree(triangular, tree, positions), own_weight=own)
     hinges = [lever(tree, positions, own_weight) for own_weight in (False, True)]
@@ -71,7 +75,9 @@ def two_stages(first_stage: np.ndarray, beta_1: float, beta_2: float, g0: float,
 
 
 @given(a1=split, a2=split, b1=split, b2=split, g0=loads_n, g1=loads_n)
-def test_equation_1_corrected_is_what_the_beams_do(triangular: Track, a1: float, a2: float, b1: float, b2: float, g0: float, g1: float) -> None:
+def test_equation_1_corrected_is_what_the_beams_do(
+    triangular: Track, a1: float, a2: float, b1: float, b2: float, g0: float, g1: float
+) -> None:
     corrected = np.array([[1 - a1, 1 - a2], [a1, a2]])
     tree = Beam(a1, a2, Beam(b1, b1, 0, 1), Beam(b2, b2, 2, 3))
     track = replace(triangular, beams=tree, own_weight=g1)

@@ -29,8 +29,14 @@ def test_the_table_is_as_good_as_it_says(vehicle: Vehicle, method: str) -> None:
     """At random speeds, temperatures, loads and torques of the whole range."""
     vehicle = with_methods(vehicle, hysteresis=method)
     name = next(iter(vehicle.tracks))
-    errors = interpolation_error(track_model(vehicle, name), loss_table(vehicle, name), load_range(vehicle, name),
-                                 vehicle.chassis.max_speed, points=1500, seed=7)
+    errors = interpolation_error(
+        track_model(vehicle, name),
+        loss_table(vehicle, name),
+        load_range(vehicle, name),
+        vehicle.chassis.max_speed,
+        points=1500,
+        seed=7,
+    )
     assert np.abs(errors).max() < LARGEST_ERROR[method]
 
 
@@ -74,12 +80,16 @@ def test_speed_and_temperature_enter_as_one_number(xgd24d: Vehicle) -> None:
 
 # The cache
 
+
 @pytest.fixture
 def built(monkeypatch: pytest.MonkeyPatch, xgd24d: Vehicle, table: LossTable) -> list[str]:
     """Grows by one each time a table is built; the building itself is replaced by a table there is."""
     calls: list[str] = []
-    arrays = {"axes": np.array([table.first_x, table.step_x, table.first_log_load, table.step_log_load]),
-              "loss": table.loss, "drive": table.drive}
+    arrays = {
+        "axes": np.array([table.first_x, table.step_x, table.first_log_load, table.step_log_load]),
+        "loss": table.loss,
+        "drive": table.drive,
+    }
 
     def build(*_: object) -> dict[str, np.ndarray]:
         calls.append("built")
@@ -90,9 +100,12 @@ def built(monkeypatch: pytest.MonkeyPatch, xgd24d: Vehicle, table: LossTable) ->
 
 
 def same(one: LossTable, other: LossTable) -> bool:
-    return (np.array_equal(one.loss, other.loss) and np.array_equal(one.drive, other.drive)
-            and (one.first_x, one.step_x, one.first_log_load, one.step_log_load)
-            == (other.first_x, other.step_x, other.first_log_load, other.step_log_load))
+    return (
+        np.array_equal(one.loss, other.loss)
+        and np.array_equal(one.drive, other.drive)
+        and (one.first_x, one.step_x, one.first_log_load, one.step_log_load)
+        == (other.first_x, other.step_x, other.first_log_load, other.step_log_load)
+    )
 
 
 def stored(folder: Path) -> Path:
@@ -109,7 +122,7 @@ def test_the_second_call_takes_the_cache(xgd24d: Vehicle, built: list[str], tmp_
 
 
 def damage_cut(path: Path) -> None:
-    path.write_bytes(path.read_bytes()[:path.stat().st_size // 2])
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
 
 
 def damage_empty(path: Path) -> None:
@@ -123,7 +136,7 @@ def damage_text(path: Path) -> None:
 def damage_bits(path: Path) -> None:
     content = bytearray(path.read_bytes())
     middle = len(content) // 2
-    content[middle:middle + 64] = bytes(b ^ 0xFF for b in content[middle:middle + 64])
+    content[middle : middle + 64] = bytes(b ^ 0xFF for b in content[middle : middle + 64])
     path.write_bytes(bytes(content))
 
 
@@ -147,8 +160,19 @@ def damage_pickled(path: Path) -> None:
     np.savez(path, allow_pickle=True, axes=np.array([object()] * 4, dtype=object), loss=np.zeros(1), drive=np.zeros(1))
 
 
-@pytest.mark.parametrize("damage", [damage_cut, damage_empty, damage_text, damage_bits, damage_other_names, damage_other_shape,
-                                    damage_not_finite, damage_pickled])
+@pytest.mark.parametrize(
+    "damage",
+    [
+        damage_cut,
+        damage_empty,
+        damage_text,
+        damage_bits,
+        damage_other_names,
+        damage_other_shape,
+        damage_not_finite,
+        damage_pickled,
+    ],
+)
 def test_a_damaged_or_foreign_file_is_built_anew(xgd24d: Vehicle, built: list[str], tmp_path: Path, damage: object) -> None:
     first = loss_table(xgd24d, "triangular", tmp_path)
     damage(stored(tmp_path))  # type: ignore[operator]
@@ -174,10 +198,14 @@ def test_the_table_of_the_cache_is_the_one_built(agri3t: Vehicle, tmp_path: Path
 
 # What the fingerprint depends on
 
+
 def relevant(vehicle: Vehicle) -> list[str]:
     """Scalar quantities of rubber, track and axle loads."""
-    return [path for path, quantity in vehicle.parameters.items()
-            if path.startswith(("rubber.", "tracks.", "chassis.axles.")) and not isinstance(quantity.value, tuple)]
+    return [
+        path
+        for path, quantity in vehicle.parameters.items()
+        if path.startswith(("rubber.", "tracks.", "chassis.axles.")) and not isinstance(quantity.value, tuple)
+    ]
 
 
 def nudge(quantity: Quantity) -> float:
@@ -210,7 +238,7 @@ def copied(tmp_path: Path) -> Path:
 def test_comments_and_reasons_do_not_change_the_fingerprint(xgd24d: Vehicle, copied: Path) -> None:
     path = copied / "xgd24d.yaml"
     text = path.read_text(encoding="utf-8")
-    path.write_text("# one more remark\n" + text.replace("geometry\"", "geometry, measured again\""), encoding="utf-8")
+    path.write_text("# one more remark\n" + text.replace('geometry"', 'geometry, measured again"'), encoding="utf-8")
     assert fingerprint(load(path), "triangular") == fingerprint(xgd24d, "triangular")
     path.write_text(yaml.safe_dump(yaml.safe_load(text)), encoding="utf-8")  # keys in another order, no comments
     assert fingerprint(load(path), "triangular") == fingerprint(xgd24d, "triangular")

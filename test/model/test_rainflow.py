@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from trackres_ros.model.rainflow import count_cycles, count_loop, turning_points
 
 series = st.lists(st.integers(-50, 50).map(float), min_size=3, max_size=60)
-real_series = st.lists(st.integers(-10**6, 10**6).map(lambda i: i / 7e5), min_size=3, max_size=60)
+real_series = st.lists(st.integers(-(10**6), 10**6).map(lambda i: i / 7e5), min_size=3, max_size=60)
 ASTM_SERIES = [-2.0, 1.0, -3.0, 5.0, -1.0, 3.0, -4.0, 4.0, -2.0]
 
 
@@ -31,8 +31,15 @@ def test_the_example_of_astm_e1049() -> None:
 
 def test_the_cycles_of_the_standard_in_the_order_they_close() -> None:
     cycles = [(ASTM_SERIES[c.start], ASTM_SERIES[c.end], c.number) for c in count_cycles(ASTM_SERIES)]
-    assert cycles == [(-2.0, 1.0, 0.5), (1.0, -3.0, 0.5), (-1.0, 3.0, 1.0), (-3.0, 5.0, 0.5), (5.0, -4.0, 0.5), (-4.0, 4.0, 0.5),
-                      (4.0, -2.0, 0.5)]
+    assert cycles == [
+        (-2.0, 1.0, 0.5),
+        (1.0, -3.0, 0.5),
+        (-1.0, 3.0, 1.0),
+        (-3.0, 5.0, 0.5),
+        (5.0, -4.0, 0.5),
+        (-4.0, 4.0, 0.5),
+        (4.0, -2.0, 0.5),
+    ]
 
 
 def rows(cycles: object) -> list[tuple[float, float, float]]:
@@ -70,7 +77,7 @@ def test_a_loop_leaves_no_cycle_open(values: list[float]) -> None:
 
 @given(values=series, turn=st.integers(0, 60))
 def test_a_loop_counts_the_same_wherever_it_begins(values: list[float], turn: int) -> None:
-    turned = values[turn % len(values):] + values[:turn % len(values)]
+    turned = values[turn % len(values) :] + values[: turn % len(values)]
 
     def whole(loop: list[float]) -> dict[tuple[float, float], float]:
         counts: Counter[tuple[float, float]] = Counter()

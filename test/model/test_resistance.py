@@ -56,15 +56,20 @@ def test_a_grade_lifts_by_its_sine(grade: float, weight: float) -> None:
 
 @given(limit=st.floats(1e-12, 1e-3))
 def test_nothing_jumps_at_standstill(limit: float) -> None:
-    for part in (lambda v: r.bearing_force(v, G, F_BEARING), lambda v: r.wind_force(v, C_D * AREA, RHO), lambda v: G * r.direction(v)):
+    for part in (
+        lambda v: r.bearing_force(v, G, F_BEARING),
+        lambda v: r.wind_force(v, C_D * AREA, RHO),
+        lambda v: G * r.direction(v),
+    ):
         assert part(0.0) == 0.0
         assert abs(part(limit) - part(-limit)) <= 2.0 * limit * G / r.STANDSTILL_SPEED
 
 
 def scaled(formula, **units):  # type: ignore[no-untyped-def]
     """What a formula yields in mm over what it yields in m; `units` are (value, power of length)."""
-    return (formula(**{name: value * 1000.0**power for name, (value, power) in units.items()})
-            / formula(**{name: value for name, (value, _) in units.items()}))
+    return formula(**{name: value * 1000.0**power for name, (value, power) in units.items()}) / formula(
+        **{name: value for name, (value, _) in units.items()}
+    )
 
 
 def test_equation_34_as_printed_is_not_a_torque() -> None:

@@ -46,7 +46,9 @@ def test_superposition(compound: Rubber, f: float, t: float) -> None:
     """E(f, T) = E(f_sweep, T_eq)."""
     rubber = RubberModel(compound)
     equivalent = rubber.equivalent_temperature(rubber.reduced(f, t))
-    assert float(rubber.loss_modulus(f, t)) == pytest.approx(float(rubber.loss_modulus(compound.sweep_frequency, equivalent)), rel=1e-9)
+    assert float(rubber.loss_modulus(f, t)) == pytest.approx(
+        float(rubber.loss_modulus(compound.sweep_frequency, equivalent)), rel=1e-9
+    )
 
 
 @given(f=frequencies, t=temperatures, reference=temperatures)

@@ -24,8 +24,10 @@ SAMPLES = 1 << 16
 def tracks(draw: st.DrawFn, base: Track, fewest: int = 1) -> Track:
     """The base track with up to four wheels wrapped by random angles, over random lengths of curvature."""
     count = draw(st.integers(fewest, 4))
-    wheels = tuple(WrappedWheel(f"w{i}", "sprocket" if i == 0 else "guide", draw(st.floats(0.05, 0.4)), draw(st.floats(0.2, 1.2)))
-                   for i in range(count))
+    wheels = tuple(
+        WrappedWheel(f"w{i}", "sprocket" if i == 0 else "guide", draw(st.floats(0.05, 0.4)), draw(st.floats(0.2, 1.2)))
+        for i in range(count)
+    )
     belt = replace(base.belt, curvature_length=draw(st.floats(0.005, 0.3)))
     return replace(base, wrapped_wheels=wheels, belt=belt)
 
@@ -39,7 +41,7 @@ def mirrored(track: Track) -> Track:
 
 def sampled(values: np.ndarray) -> np.ndarray:
     """Amplitudes A_n of one loop sampled evenly, for HARMONICS."""
-    return 2.0 / len(values) * np.fft.fft(values)[1:len(HARMONICS) + 1]
+    return 2.0 / len(values) * np.fft.fft(values)[1 : len(HARMONICS) + 1]
 
 
 @given(data=st.data(), s=st.floats(-20.0, 20.0))
@@ -98,8 +100,9 @@ def test_indentation_amplitudes_are_the_integral_over_the_contact(triangular: Tr
     a = share * radius
     amplitudes = sh.indentation_amplitudes(a, radius, thickness, length, np.array([1.0, 10.0, 30.0, 100.0, 300.0]))
     for n, amplitude in zip((1, 10, 30, 100, 300), amplitudes, strict=True):
-        integral, _ = quad(lambda x: float(contact.indentation(x, a, radius)) / thickness, 0.0, a, weight="cos",
-                           wvar=2 * math.pi * n / length)
+        integral, _ = quad(
+            lambda x: float(contact.indentation(x, a, radius)) / thickness, 0.0, a, weight="cos", wvar=2 * math.pi * n / length
+        )
         assert amplitude == pytest.approx(4.0 / length * integral, abs=(1e-6 + 0.04 * share**4) * amplitudes[0])
 
 
@@ -113,7 +116,9 @@ def test_amplitudes_of_the_whole_strain_through_the_thickness(track: Track) -> N
     pulse = sh.indentation_amplitudes(half, track.road_wheels.radius, track.belt.thickness, loop.length, HARMONICS)
     strain = sh.through_thickness(loop, np.full(count, half), at)
     assert np.abs(sampled(strain) - pulse * phases).max() <= 1e-4 * np.abs(pulse[0] * count)
-    assert strain.max() == pytest.approx(float(contact.largest_strain(half, track.road_wheels.radius, track.belt.thickness)), rel=1e-3)
+    assert strain.max() == pytest.approx(
+        float(contact.largest_strain(half, track.road_wheels.radius, track.belt.thickness)), rel=1e-3
+    )
 
 
 @given(z=st.floats(1e-6, 60.0))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -16,7 +17,15 @@ from scipy.optimize import brentq
 from trackres_ros.estimator.estimator import Estimator, State
 from trackres_ros.estimator.layout import TEMPERATURE
 from trackres_ros.model.loss_table import loss_table
-from trackres_ros.model.thermal import ThermalNetwork, film_coefficient, phi_1, phi_2, phi_matrix, surface_temperature, thermal_network
+from trackres_ros.model.thermal import (
+    ThermalNetwork,
+    film_coefficient,
+    phi_1,
+    phi_2,
+    phi_matrix,
+    surface_temperature,
+    thermal_network,
+)
 from trackres_ros.model.track import TrackModel, track_model, with_methods
 from trackres_ros.simulate import ramp_and_hold, simulate
 from trackres_ros.vehicle import Vehicle, load
@@ -56,14 +65,21 @@ def conductances(network: ThermalNetwork, speed: float) -> tuple[np.ndarray, np.
         c = network.core_capacity
         return np.array([[-cooling / c]]), np.array([cooling / c]), np.array([1 / c])
     inner, core, skin = network.inner_conductance, network.core_capacity, network.surface_capacity
-    return (np.array([[-inner / core, inner / core], [inner / skin, -(inner + cooling) / skin]]),
-            np.array([0.0, cooling / skin]), np.array([1 / core, 0.0]))
+    return (
+        np.array([[-inner / core, inner / core], [inner / skin, -(inner + cooling) / skin]]),
+        np.array([0.0, cooling / skin]),
+        np.array([1 / core, 0.0]),
+    )
 
 
 @both_networks
 @few
-@given(legs=st.lists(st.tuples(st.floats(1.0, 200.0), st.floats(-8.0, 16.0)), min_size=1, max_size=6), ambient=ambients,
-       start=st.floats(-25.0, 90.0), dt=st.sampled_from([0.01, 0.1, 0.7, 5.0]))
+@given(
+    legs=st.lists(st.tuples(st.floats(1.0, 200.0), st.floats(-8.0, 16.0)), min_size=1, max_size=6),
+    ambient=ambients,
+    start=st.floats(-25.0, 90.0),
+    dt=st.sampled_from([0.01, 0.1, 0.7, 5.0]),
+)
 def test_energy_balance_closes(thermal: str, legs: list[tuple[float, float]], ambient: float, start: float, dt: float) -> None:
     """Heat in less heat out is heat stored: to 1e-6 of the heat that went through, at any step."""
     one = estimator(thermal)
@@ -85,10 +101,12 @@ def steady_state(one: Estimator, speed: float, weight: float, ambient: float, dr
     to_air = 1.0 / (1.0 / cooling + 1.0 / network.inner_conductance) if network.two_nodes else cooling
 
     def excess(belt_degc: float) -> float:
-        return float(model.loss.loss_force(speed, belt_degc, load_n, drive_torque / len(one.assemblies)).total) * speed - to_air * (belt_degc - ambient)
+        return float(
+            model.loss.loss_force(speed, belt_degc, load_n, drive_torque / len(one.assemblies)).total
+        ) * speed - to_air * (belt_degc - ambient)
 
     mean = float(brentq(excess, ambient, 200.0))
-    return np.array([mean, ambient + to_air * (mean - ambient) / cooling][:2 if network.two_nodes else 1])
+    return np.array([mean, ambient + to_air * (mean - ambient) / cooling][: 2 if network.two_nodes else 1])
 
 
 @both_networks
@@ -97,7 +115,9 @@ def steady_state(one: Estimator, speed: float, weight: float, ambient: float, dr
 def test_heating_ends_in_the_balance_of_heat_and_cooling(thermal: str, speed: float, weight: float, ambient: float) -> None:
     one = estimator(thermal)
     time = np.arange(0.0, 40000.0, 2.0)
-    after, rows = one.run(one.cold_start(one.inputs(speed, weight, ambient)), time, np.full_like(time, speed), weight, ambient, 0.0)
+    after, rows = one.run(
+        one.cold_start(one.inputs(speed, weight, ambient)), time, np.full_like(time, speed), weight, ambient, 0.0
+    )
     belt = rows[:, one.column_index["belt_degc/front_left"]]
     balance = steady_state(one, speed, weight, ambient, rows[-1, one.column_index["drive_torque_nm"]])
     for node, settled in enumerate(balance):
@@ -134,7 +154,9 @@ def test_at_rest_there_is_no_heat_and_no_torque(thermal: str) -> None:
 @pytest.mark.parametrize("hysteresis", ["spectral", "rainflow"])
 @few
 @given(first=ambients, second=ambients, speed=st.floats(2.0, 16.0), weight=st.floats(2e5, 3.5e5))
-def test_no_crossover_between_ambients(thermal: str, hysteresis: str, first: float, second: float, speed: float, weight: float) -> None:
+def test_no_crossover_between_ambients(
+    thermal: str, hysteresis: str, first: float, second: float, speed: float, weight: float
+) -> None:
     """From belts at the ambient temperature: where it is warmer the belt is hotter and the torque lower, at all times."""
     cold, warm = sorted((first, second))
     drive = ramp_and_hold(speed, 0.0, 3000.0, 1.0)
@@ -166,7 +188,9 @@ def test_torque_rises_with_load_at_all_times(thermal: str, first: float, second:
 @given(speed=st.floats(0.5, 16.0), ambient=ambients)
 def test_reverse_resists_as_forward_does(speed: float, ambient: float) -> None:
     """The shipped track is its own mirror image, so driving backwards is the same but for the sign."""
-    forward, reverse = (simulate(estimator("lumped"), ramp_and_hold(v, 20.0, 600.0, 0.5), ambient_degc=ambient) for v in (speed, -speed))
+    forward, reverse = (
+        simulate(estimator("lumped"), ramp_and_hold(v, 20.0, 600.0, 0.5), ambient_degc=ambient) for v in (speed, -speed)
+    )
     assert reverse["belt_degc"] == pytest.approx(forward["belt_degc"], rel=1e-9)
     for part in ("hysteresis_nm", "bearing_nm", "wind_nm", "inertia_nm"):
         assert -reverse[part] == pytest.approx(forward[part], rel=1e-6)
@@ -190,9 +214,9 @@ def test_steps_against_an_ode_solver_on_the_same_table(thermal: str, dt: float) 
     begun = one.cold_start(one.inputs(0.0, ambient=15.0))
     after, _ = one.run(begun, time, np.interp(time, corners, speeds), 272e3, 15.0)
     nodes = np.full(2 if model.network.two_nodes else 1, 15.0)
-    for leg in zip(corners, corners[1:], strict=False):
+    for leg in pairwise(corners):
         nodes = solve_ivp(rates, leg, nodes, method="LSODA", rtol=1e-8, atol=1e-8, max_step=5.0).y[:, -1]
-    assert after.belts[0, :len(nodes), TEMPERATURE] == pytest.approx(nodes, abs=2e-3)
+    assert after.belts[0, : len(nodes), TEMPERATURE] == pytest.approx(nodes, abs=2e-3)
     assert nodes[0] > 30.0
 
 
@@ -211,7 +235,7 @@ def test_phi_functions_of_a_matrix(core: float, skin: float, out: float, heat: f
     exact = expm(block)
     for order in (1, 2):
         ours = np.array(phi_matrix(*z.ravel(), order)).reshape(2, 2)
-        assert ours == pytest.approx(exact[:2, 2 * order:2 * order + 2], rel=1e-7, abs=1e-9)
+        assert ours == pytest.approx(exact[:2, 2 * order : 2 * order + 2], rel=1e-7, abs=1e-9)
 
 
 def test_equation_31_is_in_metres_per_second(xgd24d: Vehicle) -> None:
@@ -238,7 +262,9 @@ def test_two_nodes_hold_as_much_heat_as_one(xgd24d: Vehicle, speed: float) -> No
     belt, rubber = xgd24d.tracks["triangular"].belt, xgd24d.rubber
     one, two = (thermal_network(name, belt, rubber) for name in NETWORKS)
     assert two.core_capacity + two.surface_capacity == pytest.approx(one.core_capacity)
-    assert conductances(one, speed)[0][0, 0] < np.linalg.eigvals(conductances(two, speed)[0]).max() < 0.0  # and give it off slower
+    assert (
+        conductances(one, speed)[0][0, 0] < np.linalg.eigvals(conductances(two, speed)[0]).max() < 0.0
+    )  # and give it off slower
 
 
 @both_networks

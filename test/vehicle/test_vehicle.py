@@ -1,72 +1,26 @@
-"""Vehicle files: both shipped ones, overrides, and every kind of refusal with file, key, what was given, what is allowed."""
+"""Vehicle files: both shipped ones, overrides, and the file of the rubber."""
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 import math
-import shutil
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from trackres_ros.errors import InputError
 from trackres_ros.resources import config_dir, shipped_vehicles
-from trackres_ros.vehicle import Vehicle, load, variants
-from trackres_ros.vehicle.loading import build, read_rubber_sweep
-from trackres_ros.vehicle.reading import read_yaml
+from trackres_ros.vehicle import load, variants
+from trackres_ros.vehicle.loading import read_rubber_sweep
 
-Content = dict[str, Any]
 THICKNESS = "tracks.triangular.belt.thickness"
-WHEELS = "tracks.triangular.wrapped_wheels"
-
-
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    """The shipped configuration in a folder of its own."""
-    return Path(shutil.copytree(config_dir(), tmp_path / "config"))
-
-
-@pytest.fixture(scope="module")
-def shipped() -> Content:
-    return read_yaml(config_dir() / "xgd24d.yaml")
-
-
-@pytest.fixture
-def content(shipped: Content) -> Content:
-    return copy.deepcopy(shipped)
-
-
-def at(content: Any, path: str) -> Any:
-    """The node at a path of keys and numbers."""
-    for key in filter(None, path.split(".")):
-        content = content[int(key) if key.isdigit() else key]
-    return content
-
-
-def put(content: Content, path: str, value: Any) -> None:
-    parent, _, key = path.rpartition(".")
-    at(content, parent)[int(key) if key.isdigit() else key] = value
-
-
-def refusal(folder: Path, content: Any) -> InputError:
-    """The error that a content gives when loaded from a file."""
-    path = folder / "given.yaml"
-    path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
-    with pytest.raises(InputError) as caught:
-        load(path)
-    assert "\n" not in str(caught.value)
-    assert str(path) in caught.value.where
-    return caught.value
 
 
 # What the shipped files say
+
 
 def test_both_vehicles_are_shipped() -> None:
     assert set(shipped_vehicles()) >= {"xgd24d", "agri3t"}
@@ -109,7 +63,12 @@ def test_every_quantity_has_unit_provenance_and_a_range_that_holds_it(name: str)
 
 def test_a_vehicle_cannot_be_changed() -> None:
     vehicle = load("xgd24d")
-    for thing, name in ((vehicle, "name"), (vehicle.rubber, "density"), (vehicle.chassis, "ambient"), (vehicle.tracks["triangular"].belt, "width")):
+    for thing, name in (
+        (vehicle, "name"),
+        (vehicle.rubber, "density"),
+        (vehicle.chassis, "ambient"),
+        (vehicle.tracks["triangular"].belt, "width"),
+    ):
         with pytest.raises(dataclasses.FrozenInstanceError):
             setattr(thing, name, 1.0)
     with pytest.raises(TypeError):
@@ -117,10 +76,15 @@ def test_a_vehicle_cannot_be_changed() -> None:
 
 
 def test_a_name_and_its_path_are_the_same() -> None:
-    assert load("xgd24d").parameters == load(config_dir() / "xgd24d.yaml").parameters == load(str(config_dir() / "xgd24d.yaml")).parameters
+    assert (
+        load("xgd24d").parameters
+        == load(config_dir() / "xgd24d.yaml").parameters
+        == load(str(config_dir() / "xgd24d.yaml")).parameters
+    )
 
 
 # Overrides
+
 
 def test_an_override_replaces_one_value() -> None:
     base, thinner = load("xgd24d"), load("xgd24d", {THICKNESS: 0.03})
@@ -159,251 +123,27 @@ def test_variants_are_the_vehicle_with_its_methods() -> None:
     assert variants(base)({}).parameters == base.parameters
 
 
-# Files that are no vehicle files
-
-def test_neither_a_file_nor_a_name() -> None:
-    with pytest.raises(InputError) as caught:
-        load("xgd24")
-    assert caught.value.given == "xgd24"
-    assert "xgd24d" in caught.value.allowed
-    assert "agri3t" in caught.value.allowed
-
-
-def test_a_folder_is_no_vehicle(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="the path of a vehicle file"):
-        load(tmp_path)
-
-
-@pytest.mark.parametrize(("text", "said"), [
-    (b"name: [1, 2", "line 1"), (b"a: 1\na: 2\n", "stands twice"), (b"- 1\n- 2\n", "mapping at the top"), (b"", "mapping at the top"),
-    (b"name: \xff\xfe", "a YAML file"), (b"? [1, 2]\n: 3\n", ""), (b"a: !!python/object:os.system {}\n", "a YAML file")])
-def test_a_file_that_is_not_yaml(tmp_path: Path, text: bytes, said: str) -> None:
-    path = tmp_path / "given.yaml"
-    path.write_bytes(text)
-    with pytest.raises(InputError) as caught:
-        load(path)
-    assert str(path) in caught.value.where
-    assert said in str(caught.value)
-
-
-# Keys and values
-
-@pytest.mark.parametrize("key", ["schema", "name", "model", "model.thermal", "rubber.file", "rubber.density", "chassis.axles", "chassis.axles.0.load",
-                                 "assemblies.1.track", "tracks.triangular.beams.front.split", f"{THICKNESS}.reason", f"{THICKNESS}.range",
-                                 f"{WHEELS}.0.radius", "tracks.triangular.belt.film_speed_unit", "tracks.triangular.road_wheels.positions"])
-def test_a_missing_key(folder: Path, content: Content, key: str) -> None:
-    parent, _, name = key.rpartition(".")
-    del at(content, parent)[name]
-    error = refusal(folder, content)
-    assert name in error.where
-    assert (error.given, error.allowed) == ("nothing", "this key is required")
-
-
-@pytest.mark.parametrize("parent", ["", "model", "rubber", "chassis", "assemblies.0", "tracks.triangular", "tracks.triangular.belt", THICKNESS,
-                                    "tracks.triangular.road_wheels", f"{WHEELS}.0", "tracks.triangular.beams", "tracks.triangular.beams.front"])
-def test_an_unknown_key(folder: Path, content: Content, parent: str) -> None:
-    at(content, parent)["colour"] = "green"
-    error = refusal(folder, content)
-    assert "colour" in error.where
-    assert error.given == "colour"
-    assert error.allowed.startswith("one of ")
-
-
-def test_a_misspelt_key_gets_a_suggestion(folder: Path, content: Content) -> None:
-    belt = content["tracks"]["triangular"]["belt"]
-    belt["thicknes"] = belt["thickness"]
-    assert refusal(folder, content).remedy == "did you mean thickness?"
-
-
-@pytest.mark.parametrize("key", ["model", "rubber", "chassis", "tracks", "tracks.triangular", "tracks.triangular.belt", THICKNESS,
-                                 "tracks.triangular.beams.front", f"{WHEELS}.1", "assemblies.0", "chassis.axles.0"])
-@pytest.mark.parametrize("value", [None, 3.5, "text", [1], []])
-def test_what_should_be_a_mapping(folder: Path, content: Content, key: str, value: object) -> None:
-    put(content, key, value)
-    error = refusal(folder, content)
-    assert key.rpartition(".")[2].rstrip("0123456789") in error.where
-
-
-@pytest.mark.parametrize("key", ["assemblies", "chassis.axles", WHEELS])
-@pytest.mark.parametrize("value", [None, [], {}, "text", 1])
-def test_what_should_be_a_list(folder: Path, content: Content, key: str, value: object) -> None:
-    put(content, key, value)
-    error = refusal(folder, content)
-    assert key.rpartition(".")[2] in error.where
-    assert error.allowed == "a list with at least one entry"
-
-
-@pytest.mark.parametrize(("value", "allowed"), [
-    (math.nan, "0.025 to 0.045 m"), (math.inf, "0.025 to 0.045 m"), (0.05, "0.025 to 0.045 m"), (0.02, "0.025 to 0.045 m"),
-    ("thick", "0.025 to 0.045 m"), (True, "0.025 to 0.045 m"), (None, "0.025 to 0.045 m"), ({}, "0.025 to 0.045 m"),
-    (10**400, "0.025 to 0.045 m"), ([0.03, 0.035], "one number"), ([], "one number")])
-def test_a_value_that_is_not_plausible(folder: Path, content: Content, value: object, allowed: str) -> None:
-    put(content, f"{THICKNESS}.value", value)
-    error = refusal(folder, content)
-    assert f"{THICKNESS}.value" in error.where
-    assert allowed in error.allowed
-    if isinstance(value, float) and math.isfinite(value):
-        assert error.given == value
-        assert "widen the range" in error.remedy
-
-
-@pytest.mark.parametrize(("bounds", "allowed"), [
-    (None, "two numbers"), ([0.02], "two numbers"), ([0.02, 0.03, 0.04], "two numbers"), ("0.02", "two numbers"),
-    ([0.045, 0.025], "low <= high"), ([0.001, 0.045], "0.003 to 0.3 m"), ([0.025, 0.9], "0.003 to 0.3 m"),
-    ([math.nan, 0.045], "0.003 to 0.3 m"), ([0.025, [0.045]], "0.003 to 0.3 m")])
-def test_a_range_that_is_none(folder: Path, content: Content, bounds: object, allowed: str) -> None:
-    put(content, f"{THICKNESS}.range", bounds)
-    error = refusal(folder, content)
-    assert f"{THICKNESS}.range" in error.where
-    assert allowed in error.allowed
-
-
-def test_another_unit_is_not_converted(folder: Path, content: Content) -> None:
-    put(content, f"{THICKNESS}.unit", "mm")
-    error = refusal(folder, content)
-    assert f"{THICKNESS}.unit" in error.where
-    assert (error.given, error.allowed, error.remedy) == ("mm", "m", "convert the value to this unit")
-
-
-@pytest.mark.parametrize(("key", "value", "allowed"), [
-    ("schema", 2, "1"), (f"{THICKNESS}.flag", "X", "one of P, L, A"), (f"{THICKNESS}.flag", None, "one of P, L, A"),
-    (f"{THICKNESS}.reason", " ", "a text"), (f"{THICKNESS}.reason", 5, "a text"), ("name", "", "a text"), ("title", ["x"], "a text"),
-    ("model.hysteresis", "exact", "one of spectral, rainflow"), ("model.thermal", 1, "one of lumped, core_surface"),
-    ("tracks.triangular.belt.film_speed_unit", "mph", "one of m/s, km/h"), (f"{WHEELS}.0.kind", "roller", "one of sprocket, tensioner, guide"),
-    ("assemblies.0.axle", "middle", "one of front, rear"), ("assemblies.0.track", "round", "one of triangular"), ("rubber.file", None, "a text")])
-def test_a_choice_that_is_none(folder: Path, content: Content, key: str, value: object, allowed: str) -> None:
-    put(content, key, value)
-    error = refusal(folder, content)
-    assert key.replace(".0", "") in error.where.replace("[0]", "")
-    assert error.given == value
-    assert allowed == error.allowed
-
-
-def test_a_number_that_yaml_reads_as_text_is_a_number(folder: Path, content: Content) -> None:
-    put(content, "tracks.triangular.belt.cord_modulus.value", "1.2e11")
-    path = folder / "given.yaml"
-    path.write_text(yaml.safe_dump(content), encoding="utf-8")
-    assert load(path).tracks["triangular"].belt.cord_modulus == 1.2e11
-
-
-# What only the whole can show
-
-def set_values(**values: float) -> Callable[[Content], None]:
-    """Change belt or road-wheel values, with their ranges."""
-    def change(content: Content) -> None:
-        for name, value in values.items():
-            track = content["tracks"]["triangular"]
-            entry = track["belt" if name in track["belt"] else "road_wheels"][name]
-            entry["value"], entry["range"] = value, [value, value] if not isinstance(value, list) else [min(value), max(value)]
-    return change
-
-
-def set_at(key: str, value: object) -> Callable[[Content], None]:
-    return lambda content: put(content, key, value)
-
-
-def second_sprocket(content: Content) -> None:
-    wheels = content["tracks"]["triangular"]["wrapped_wheels"]
-    wheels[0]["kind"] = "sprocket"
-    del wheels[0]["radius"]
-
-
-def sprocket_with_radius(content: Content) -> None:
-    wheels = content["tracks"]["triangular"]["wrapped_wheels"]
-    wheels[1]["radius"] = wheels[0]["radius"]
-
-
-def no_sprocket(content: Content) -> None:
-    sprocket_with_radius(content)
-    content["tracks"]["triangular"]["wrapped_wheels"][1]["kind"] = "guide"
-
-
-def open_loop(content: Content) -> None:
-    wheel = content["tracks"]["triangular"]["wrapped_wheels"][0]["wrap_angle"]
-    wheel["value"], wheel["range"] = 2.0, [2.0, 2.6]
-
-
-def half_a_motor(content: Content) -> None:
-    content["chassis"]["motor_ratio"] = {"value": 30.0, "unit": "1", "flag": "A", "range": [20.0, 40.0], "reason": "a guess"}
-
-
-def second_axle_idle(content: Content) -> None:
-    for assembly in content["assemblies"]:
-        assembly["axle"] = "front"
-
-
-@pytest.mark.parametrize(("change", "key", "allowed"), [
-    (set_values(positions=[0.15, 0.5, 0.5, 1.2]), "road_wheels.positions", "rising positions"),
-    (set_values(positions=[0.5, 0.15, 0.85, 1.2]), "road_wheels.positions", "rising positions"),
-    (set_values(positions=[0.15, 0.5, 0.85, 1.4]), "road_wheels.positions", "on the ground run of 1.35 m"),
-    (set_at("tracks.triangular.road_wheels.positions.value", []), "road_wheels.positions", ""),
-    (set_values(positions=[0.15, 0.5, 0.85]), "beams", "each road wheel 1 to 3"),
-    (set_at("tracks.triangular.beams.front.rear", 3), "beams", "each road wheel 1 to 4 on exactly one beam end"),
-    (set_at("tracks.triangular.beams.front.rear", 0), "beams", "each road wheel 1 to 4"),
-    (set_at("tracks.triangular.beams", 1), "beams", "each road wheel 1 to 4"),
-    (set_at("tracks.triangular.beams.front", "1"), "beams.front", "a mapping"),
-    (set_values(cord_height=0.035), "belt.cord_height", "less than the thickness"),
-    (set_values(contact_length=0.7), "road_wheels.contact_length", "at most the belt width"),
-    (set_values(lug_section=0.001), "belt.lug_section", "at least the tread bars"),
-    (set_values(cord_section=0.02), "belt.cord_section", "less than half the belt section"),
-    (set_values(loop_length=2.9), "belt.loop_length", "more than the ground run and the wraps"),
-    (open_loop, "wrapped_wheels", "a closed loop"),
-    (second_sprocket, "wrapped_wheels", "exactly one sprocket"),
-    (no_sprocket, "wrapped_wheels", "exactly one sprocket"),
-    (sprocket_with_radius, "wrapped_wheels[1].radius", "one of name, kind, wrap_angle"),
-    (half_a_motor, "chassis.motor_ratio", "both or neither"),
-    (second_axle_idle, "assemblies", "at least one assembly an axle"),
-    (set_at("assemblies.1.name", "front_left"), "assemblies", "occur once"),
-    (set_at("assemblies.1.name", "front"), "assemblies", "occur once"),
-    (set_at("chassis.axles.1.name", "front"), "chassis.axles", "occur once"),
-    (set_at("tracks", {}), "tracks", "at least one kind of track"),
-])
-def test_parts_that_do_not_fit_each_other(folder: Path, content: Content, change: Callable[[Content], None], key: str, allowed: str) -> None:
-    change(content)
-    error = refusal(folder, content)
-    assert key in error.where
-    assert allowed in error.allowed
-
-
-def nodes(content: Any, path: tuple[str | int, ...] = ()) -> list[tuple[str | int, ...]]:
-    """Paths of all nodes below the top."""
-    children = content.items() if isinstance(content, dict) else enumerate(content) if isinstance(content, list) else ()
-    return [p for key, child in children for p in ((*path, key), *nodes(child, (*path, key)))]
-
-
-anything = st.recursive(st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
-                        lambda child: st.lists(child, max_size=3) | st.dictionaries(st.text(max_size=5) | st.integers(), child, max_size=3))
-
-
-@settings(deadline=None, derandomize=True, max_examples=400, suppress_health_check=list(HealthCheck))
-@given(data=st.data())
-def test_whatever_stands_in_a_file_it_is_loaded_or_refused(shipped: Content, data: st.DataObject) -> None:
-    """No content ends in anything but a vehicle or the one error that says where and what."""
-    content, path = copy.deepcopy(shipped), data.draw(st.sampled_from(nodes(shipped)))
-    parent: Any = content
-    for key in path[:-1]:
-        parent = parent[key]
-    parent[path[-1]] = data.draw(anything)
-    source = config_dir() / "xgd24d.yaml"
-    try:
-        vehicle = build(source, content)
-    except InputError as error:
-        assert str(source.parent) in error.where
-    else:
-        assert isinstance(vehicle, Vehicle)
-        assert all(np.isfinite(quantity.value).all() for quantity in vehicle.parameters.values())
-
-
 # The rubber file
 
 SWEEP = "T_degC,E_storage_MPa_10Hz,E_loss_MPa_10Hz\n-50,700,300\n0,14,2.5\n50,8,1\n100,7,0.6\n"
 
 
-@pytest.mark.parametrize(("text", "said"), [
-    (SWEEP.replace("T_degC", "T"), "T_degC"), ("", "at least four rows"), (SWEEP.rsplit("100", 1)[0], "3 rows"),
-    (SWEEP.replace("2.5", "x"), "row 3, E_loss_MPa_10Hz"), (SWEEP.replace(",2.5", ""), "row 3"), (SWEEP.replace("2.5", "nan"), "finite"),
-    (SWEEP.replace("\n50,", "\n0,"), "rising"), (SWEEP.replace("\n50,", "\n-80,"), "rising"), (SWEEP.replace("14", "0"), "positive moduli"),
-    (SWEEP.replace("2.5", "-2.5"), "positive moduli"), (SWEEP.replace("2.5", "2500"), "modulus")])
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (SWEEP.replace("T_degC", "T"), "T_degC"),
+        ("", "at least four rows"),
+        (SWEEP.rsplit("100", 1)[0], "3 rows"),
+        (SWEEP.replace("2.5", "x"), "row 3, E_loss_MPa_10Hz"),
+        (SWEEP.replace(",2.5", ""), "row 3"),
+        (SWEEP.replace("2.5", "nan"), "finite"),
+        (SWEEP.replace("\n50,", "\n0,"), "rising"),
+        (SWEEP.replace("\n50,", "\n-80,"), "rising"),
+        (SWEEP.replace("14", "0"), "positive moduli"),
+        (SWEEP.replace("2.5", "-2.5"), "positive moduli"),
+        (SWEEP.replace("2.5", "2500"), "modulus"),
+    ],
+)
 def test_a_sweep_that_is_refused(tmp_path: Path, text: str, said: str) -> None:
     path = tmp_path / "sweep.csv"
     path.write_text(text, encoding="utf-8")
@@ -413,8 +153,8 @@ def test_a_sweep_that_is_refused(tmp_path: Path, text: str, said: str) -> None:
     assert said in str(caught.value)
 
 
-def test_a_sweep_that_is_not_there(folder: Path, content: Content) -> None:
-    put(content, "rubber.file", "rubber/none.csv")
+def test_a_sweep_that_is_not_there(folder: Path, content: dict[str, Any]) -> None:
+    content["rubber"]["file"] = "rubber/none.csv"
     path = folder / "given.yaml"
     path.write_text(yaml.safe_dump(content), encoding="utf-8")
     with pytest.raises(InputError, match="a readable CSV") as caught:
@@ -422,14 +162,14 @@ def test_a_sweep_that_is_not_there(folder: Path, content: Content) -> None:
     assert "none.csv" in caught.value.where
 
 
-def test_a_sweep_is_read_in_pascal_beside_its_vehicle_file(folder: Path, content: Content) -> None:
+def test_a_sweep_is_read_in_pascal_beside_its_vehicle_file(folder: Path, content: dict[str, Any]) -> None:
     (folder / "own.csv").write_text(SWEEP, encoding="utf-8")
-    put(content, "rubber.file", "own.csv")
+    content["rubber"]["file"] = "own.csv"
     path = folder / "given.yaml"
     path.write_text(yaml.safe_dump(content), encoding="utf-8")
     rubber = load(path).rubber
     assert rubber.sweep_degc == pytest.approx([-50, 0, 50, 100])
     assert rubber.storage_pa == pytest.approx([7e8, 1.4e7, 8e6, 7e6])
-    put(content, "rubber.file", str(folder / "own.csv"))
+    content["rubber"]["file"] = str(folder / "own.csv")
     path.write_text(yaml.safe_dump(content), encoding="utf-8")
     assert load(path).rubber.loss_pa == pytest.approx(rubber.loss_pa)

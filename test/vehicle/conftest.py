@@ -1,0 +1,29 @@
+"""The shipped configuration, to be changed at will."""
+
+from __future__ import annotations
+
+import copy
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from trackres_ros.resources import config_dir
+from trackres_ros.vehicle.reading import read_yaml
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """The shipped configuration in a folder of its own."""
+    return Path(shutil.copytree(config_dir(), tmp_path / "config"))
+
+
+@pytest.fixture(scope="session")
+def shipped() -> dict[str, Any]:
+    return read_yaml(config_dir() / "xgd24d.yaml")
+
+
+@pytest.fixture
+def content(shipped: dict[str, Any]) -> dict[str, Any]:
+    return copy.deepcopy(shipped)
