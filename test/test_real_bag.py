@@ -63,8 +63,8 @@ def test_there_is_no_torque(recording: Recording) -> None:
 
 def test_it_replays_as_it_is(tmp_path: Path) -> None:
     """Header stamps two months off, quantised speed and drops to 0: the estimate goes through, and what was met is said."""
-    command = [sys.executable, "-m", "trackres_ros", "replay", str(BAG), "--vehicle", "agri3t", "-o", str(tmp_path / "out.csv"), "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    command = [sys.executable, "-m", "trackres_ros", "replay", str(BAG), "--vehicle", "agri3t", "-o", str(tmp_path / "out.csv")]
+    done = subprocess.run([*command, "--json"], capture_output=True, text=True, check=True)
     report = json.loads(done.stdout)
     assert report["steps"] == report["counters"]["speed"]["accepted"] == 2143
     assert {"stamp_offset", "dropout"} <= {finding["kind"] for finding in report["findings"]}

@@ -42,10 +42,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line; bad input ends with exit code 2 and one line that says what to do."""
     try:
         result = cli.main(args=list(arguments) if arguments is not None else None, prog_name="trackres", standalone_mode=False)
-    except click.exceptions.NoArgsIsHelpError as error:
-        click.echo(error.format_message())
-        sys.exit(BAD_INPUT)
     except click.ClickException as error:
+        if type(error).__name__ == "NoArgsIsHelpError":  # click 8.2 and newer: the help is the message
+            click.echo(error.format_message())
+            sys.exit(BAD_INPUT)
         context = getattr(error, "ctx", None)
         hint = f" (see {context.command_path} --help)" if context else ""
         _fail(" ".join(error.format_message().split()) + hint)
