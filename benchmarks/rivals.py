@@ -15,19 +15,23 @@ from scipy.integrate import odeint, solve_ivp
 
 from trackres_ros.compiled import compiled
 from trackres_ros.estimator import layout as at
+from trackres_ros.estimator.belt_step import SLOWEST_LOG_SPEED
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.model.belt import GRAVITY
 from trackres_ros.model.hysteresis import METHODS, LossMethod
 from trackres_ros.model.loss_table import look_up, look_up_drive
 from trackres_ros.model.resistance import STANDSTILL_SPEED
-from trackres_ros.model.rubber import RubberModel, log_shift_factor
+from trackres_ros.model.rubber import REFERENCE_ABOVE_TG, RubberModel, log_shift_factor
 
 Array = NDArray[np.float64]
 
 TORQUES = ("hysteresis_nm", "bearing_nm", "wind_nm", "inertia_nm")
-# Relative tolerance of LSODA at which its torque errs by less than 0.1 %, see `lsoda_error` in bench_recording.py.
+# Settings of LSODA that keep its torque within 0.1 %, which bench_recording.py measures. Without a longest step it jumps over
+# whole stops of the vehicle and errs by several percent.
 RELATIVE_TOLERANCE = 1e-4
 ABSOLUTE_TOLERANCE_K = 1e-2
+LONGEST_STEP_S = 5.0
+SLOWEST = 10.0**SLOWEST_LOG_SPEED  # m/s
 
 
 class Road(NamedTuple):
@@ -74,7 +78,9 @@ def plain(estimator: Estimator) -> Plain:
 
 
 @compiled
-def plain_loop(p: Any, time: Array, speeds: Array, accelerations: Array, loads: Array, ambient: float, temps: Array, out: Array) -> None:
+def plain_loop(
+    p: Any, time: Array, speeds: Array, accelerations: Array, loads: Array, ambient: float, temps: Array, out: Array
+) -> None:
     """The limit: one loop over the samples that does the arithmetic and nothing else.
 
     Fills `temps` (times, assemblies) [degC] and `out` (times, 4) [Nm]. No guards, no doubt, no status, no other column; the
@@ -93,8 +99,8 @@ def plain_loop(p: Any, time: Array, speeds: Array, accelerations: Array, loads: 
         speed = speeds[n]
         before = speeds[n - 1] if n > 0 else speed
         middle = 0.5 * (before + speed)
-        log_middle = math.log10(max(abs(middle), 1e-6))
-        log_speed = math.log10(max(abs(speed), 1e-6))
+        log_middle = math.log10(max(abs(middle), SLOWEST))
+        log_speed = math.log10(max(abs(speed), SLOWEST))
         sign = math.tanh(speed / STANDSTILL_SPEED)
         own = 0.0
         for i in range(assemblies):
@@ -134,42 +140,38 @@ def limit(p: Plain, road: Road) -> tuple[Array, Array]:
     return temps, out
 
 
-def losses(p: Plain, temps: Array, speed: Array, loads: Array, drive: Array) -> Array:
-    """Loss [N] from the table with numpy alone; temperatures, loads and drive torques broadcast over (..., assemblies)."""
-    first_x, step_x, tg, c1, c2 = p.numbers[:5]
-    above = temps - tg
-    shift = np.where(above > 0.0, -c1 * (above - 50.0) / (c2 + above - 50.0), 0.0)
-    below = above <= 0.0
-    if below.any():  # the estimator's own continuation below the glass transition
-        shift = np.where(below, np.vectorize(lambda t: log_shift_factor(t, tg, c1, c2)[0])(temps), shift)
-    x = shift + np.log10(np.maximum(np.abs(speed), 1e-6))
-    u = np.clip((x - first_x) / step_x, 0.0, p.loss.shape[1] - 1.000001)
-    w = np.clip((np.log(loads) - p.first_log_load) / p.step_log_load, 0.0, p.loss.shape[2] - 1.000001)
-    i, j = u.astype(np.intp), w.astype(np.intp)
-    u, w = u - i, w - j
-    t = p.table
-    near = p.loss[t, i, j] * (1.0 - w) + p.loss[t, i, j + 1] * w
-    far = p.loss[t, i + 1, j] * (1.0 - w) + p.loss[t, i + 1, j + 1] * w
-    slope = p.drive[t, i] + u[..., np.newaxis] * (p.drive[t, i + 1] - p.drive[t, i])
-    return np.asarray(near + u * (far - near) + drive * (slope[..., 0] + drive * slope[..., 1]))
-
-
 def torques(p: Plain, road: Road, temps: Array) -> Array:
-    """Torques (times, 4) [Nm] at all samples at once, from temperatures (times, assemblies)."""
-    weight, friction, drag, inertia = road.loads.sum(), *p.numbers[5:]
+    """Torques (times, 4) [Nm] at all samples at once from temperatures (times, assemblies), with numpy alone."""
+    first_x, step_x, tg, c1, c2, friction, drag, inertia = p.numbers
+    speed, weight = road.speed, road.loads.sum()
     share = road.loads / weight
     arm = p.radius @ share
-    sign = np.tanh(road.speed / STANDSTILL_SPEED)
-    others = np.stack(
-        [arm * friction * weight * sign, arm * drag * road.speed * np.abs(road.speed), arm * inertia * weight * road.acceleration],
-        axis=1,
-    )
-    drive = others.sum(axis=1)
+    sign = np.tanh(speed / STANDSTILL_SPEED)
+    above, span = temps - tg, c2 - REFERENCE_ABOVE_TG
+    warm = np.maximum(above, 0.0)
+    x = -c1 * (warm - REFERENCE_ABOVE_TG) / (span + warm) - c1 * c2 / span**2 * (above - warm)
+    x += np.log10(np.maximum(np.abs(speed), SLOWEST))[:, np.newaxis]
+    u = np.clip((x - first_x) / step_x, 0.0, p.loss.shape[1] - 1.000001)
+    i = u.astype(np.intp)
+    u -= i
+    w = np.clip((np.log(road.loads) - p.first_log_load) / p.step_log_load, 0.0, p.loss.shape[2] - 1.000001)
+    own, linear, square = np.zeros(len(speed)), np.zeros(len(speed)), np.zeros(len(speed))
+    for n, column in enumerate(w.astype(np.intp)):  # loads are constant: one column of the table an assembly
+        part = w[n] - column
+        curve = p.loss[p.table[n], :, column] * (1.0 - part) + p.loss[p.table[n], :, column + 1] * part
+        before, after = i[:, n], i[:, n] + 1
+        own += p.radius[n] * (curve[before] + u[:, n] * (curve[after] - curve[before]))
+        for total, power in ((linear, 0), (square, 1)):
+            coefficient = p.drive[p.table[n], :, power]
+            value = coefficient[before] + u[:, n] * (coefficient[after] - coefficient[before])
+            total += p.radius[n] * share[n] ** (power + 1) * value
+    bearing, wind = arm * friction * weight * sign, arm * drag * speed * np.abs(speed)
+    accelerating = arm * inertia * weight * road.acceleration
+    hysteresis = own * sign
     for _ in range(2):  # the drive torque moves the loss by little: the second pass settles it
-        force = losses(p, temps, road.speed[:, np.newaxis], road.loads, drive[:, np.newaxis] * share)
-        own = (force @ p.radius) * sign
-        drive = own + others.sum(axis=1)
-    return np.concatenate([own[:, np.newaxis], others], axis=1)
+        driving = hysteresis + bearing + wind + accelerating
+        hysteresis = (own + driving * (linear + driving * square)) * sign
+    return np.stack([hysteresis, bearing, wind, accelerating], axis=1)
 
 
 @compiled
@@ -179,7 +181,7 @@ def rates(time: float, temps: Array, p: Any, step: float, speeds: Array, acceler
     place = min(max(time / step, 0.0), speeds.shape[0] - 1.000001)
     n = int(place)
     speed = speeds[n] + (place - n) * (speeds[n + 1] - speeds[n])
-    log_speed, sign = math.log10(max(abs(speed), 1e-6)), math.tanh(speed / STANDSTILL_SPEED)
+    log_speed, sign = math.log10(max(abs(speed), SLOWEST)), math.tanh(speed / STANDSTILL_SPEED)
     weight, arm, own = 0.0, 0.0, 0.0
     rate = np.empty(loads.shape[0])
     for i in range(loads.shape[0]):
@@ -202,25 +204,41 @@ def rates(time: float, temps: Array, p: Any, step: float, speeds: Array, acceler
     return rate
 
 
+def _extra(p: Plain, road: Road) -> tuple[Any, ...]:
+    return p, road.time[1] - road.time[0], road.speed, road.acceleration, road.loads, road.ambient
+
+
 def by_solve_ivp(p: Plain, road: Road) -> tuple[Array, Array]:
-    """scipy's LSODA by `solve_ivp`, its right-hand side compiled."""
-    extra = (p, road.time[1] - road.time[0], road.speed, road.acceleration, road.loads, road.ambient)
+    """LSODA by `solve_ivp` with a compiled right-hand side: temperatures and torques as `limit` gives them."""
     solved = solve_ivp(
-        rates, (0.0, road.time[-1]), np.full(len(road.loads), road.ambient), "LSODA", road.time, args=extra,
-        rtol=RELATIVE_TOLERANCE, atol=ABSOLUTE_TOLERANCE_K,
+        rates, (road.time[0], road.time[-1]), np.full(len(road.loads), road.ambient), "LSODA", road.time, args=_extra(p, road),
+        rtol=RELATIVE_TOLERANCE, atol=ABSOLUTE_TOLERANCE_K, max_step=LONGEST_STEP_S,
     )  # fmt: skip
     if not solved.success:
         raise RuntimeError(solved.message)
-    return solved.y.T, torques(p, road, solved.y.T)
+    temps = np.ascontiguousarray(solved.y.T)
+    return temps, torques(p, road, temps)
 
 
 def by_odeint(p: Plain, road: Road) -> tuple[Array, Array]:
-    """scipy's LSODA by `odeint`, which asks for every sample inside compiled code."""
-    extra = (p, road.time[1] - road.time[0], road.speed, road.acceleration, road.loads, road.ambient)
+    """LSODA by `odeint`, the same right-hand side."""
     temps = odeint(
-        rates, np.full(len(road.loads), road.ambient), road.time, args=extra, tfirst=True, rtol=RELATIVE_TOLERANCE,
-        atol=ABSOLUTE_TOLERANCE_K, mxstep=100_000,
+        rates, np.full(len(road.loads), road.ambient), road.time, args=_extra(p, road), tfirst=True,
+        rtol=RELATIVE_TOLERANCE, atol=ABSOLUTE_TOLERANCE_K, hmax=LONGEST_STEP_S,
     )  # fmt: skip
+    return temps, torques(p, road, temps)
+
+
+def by_odeint_each_sample(p: Plain, road: Road) -> tuple[Array, Array]:
+    """LSODA started anew at every sample, as where the next speed is not known yet."""
+    temps = np.empty((len(road.time), len(road.loads)))
+    temps[0] = road.ambient
+    extra = _extra(p, road)
+    for n in range(1, len(road.time)):
+        temps[n] = odeint(
+            rates, temps[n - 1], road.time[n - 1 : n + 1], args=extra, tfirst=True, rtol=RELATIVE_TOLERANCE,
+            atol=ABSOLUTE_TOLERANCE_K,
+        )[1]  # fmt: skip
     return temps, torques(p, road, temps)
 
 
@@ -250,7 +268,8 @@ class PaperAlgorithm:
         capacity, area, film_offset, film_slope = p.thermal.T
         cooling = (film_offset + film_slope * abs(speed)) * area
         after = temps + dt * (force * abs(speed) - cooling * (temps - road.ambient)) / capacity
-        one = Road(road.time[n : n + 1], road.speed[n : n + 1], road.acceleration[n : n + 1], road.loads, road.ambient)
-        parts = torques(p, one, after[np.newaxis])[0]
-        parts[0] = (force @ p.radius) * math.tanh(speed / STANDSTILL_SPEED)
-        return after, parts
+        friction, drag, inertia = p.numbers[5:]
+        weight, sign = road.loads.sum(), math.tanh(speed / STANDSTILL_SPEED)
+        arm = (p.radius @ road.loads) / weight
+        others = friction * weight * sign, drag * speed * abs(speed), inertia * weight * road.acceleration[n]
+        return after, np.array([(force @ p.radius) * sign, *(arm * each for each in others)])

@@ -44,7 +44,7 @@ def equation_rows() -> dict[int, list[str]]:
 
 
 @cache
-def tests_of(path: str) -> frozenset[str]:
+def functions_of(path: str) -> frozenset[str]:
     """Names of the test functions in a file."""
     tree = ast.parse((ROOT / path).read_text(encoding="utf-8"))
     return frozenset(node.name for node in tree.body if isinstance(node, ast.FunctionDef) and node.name.startswith("test_"))
@@ -77,8 +77,8 @@ def test_a_row_says_what_is_printed_what_is_computed_and_which_test_shows_it(num
 def test_every_test_that_is_named_exists(name: str) -> None:
     text = page(name)
     for path, test in named_tests(text):
-        assert test in tests_of(path), f"{path}::{test}"
-    everywhere = {test for path in (ROOT / "test").rglob("test_*.py") for test in tests_of(str(path.relative_to(ROOT)))}
+        assert test in functions_of(path), f"{path}::{test}"
+    everywhere = {test for path in (ROOT / "test").rglob("test_*.py") for test in functions_of(str(path.relative_to(ROOT)))}
     assert set(re.findall(r"\b(test_\w+)`", text)) - {Path(p).stem for p, _ in named_tests(text)} <= everywhere
     for path in re.findall(r"`((?:test|trackres_ros)/[\w/]+(?:\.py|/))", text):
         assert (ROOT / path).exists(), path

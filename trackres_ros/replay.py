@@ -37,7 +37,6 @@ class Replayed:
     duration_s: float
     picture: Array  # (samples, 1 + columns): time [s] and results, thinned
     last: Array  # last row of results
-    reasons: dict[at.Reason, int]  # steps at which each reason held
 
 
 def settings_for(settings: Settings, topics: Topics | None) -> Settings:
@@ -117,9 +116,7 @@ def replay(
             "at least one finite, plausible speed",
             "check topic, field, scale and unit of the speed",
         )
-    return Replayed(
-        session, messages, seen.steps, (seen.last_ns - seen.first_ns) * NANOSECOND, seen.kept, seen.last, seen.reasons
-    )
+    return Replayed(session, messages, seen.steps, (seen.last_ns - seen.first_ns) * NANOSECOND, seen.kept, seen.last)
 
 
 @contextmanager
@@ -141,7 +138,7 @@ def result_writer(path: Path, estimator: Estimator) -> Iterator[Callable[[Steps]
 
 
 class _Seen:
-    """What a replay remembers of its results: the last row, the reasons, and every n-th row for the picture.
+    """What a replay remembers of its results: the last row, and every n-th row for the picture.
 
     n doubles as they come, so that a picture of any length costs the same memory.
     """
@@ -149,7 +146,6 @@ class _Seen:
     def __init__(self, columns: int) -> None:
         self.steps, self.first_ns, self.last_ns = 0, 0, 0
         self.last = np.empty(0)
-        self.reasons: dict[at.Reason, int] = {}
         self.kept = np.empty((0, 1 + columns))
         self._stride = 1
 
@@ -167,9 +163,5 @@ class _Seen:
             self.kept, self._stride = self.kept[::2], 2 * self._stride
         self.steps += number
         self.last_ns, self.last = int(steps.stamp_ns[-1]), steps.rows[-1].copy()
-        flags, counts = np.unique(steps.rows[:, at.OUT_REASONS].astype(np.int64), return_counts=True)
-        for flag, count in zip(flags, counts, strict=True):
-            for reason in at.Reason(int(flag)):
-                self.reasons[reason] = self.reasons.get(reason, 0) + int(count)
         if write:
             write(steps)

@@ -74,7 +74,7 @@ def summary(result: Replayed, source: KeptSource, written: list[str]) -> dict[st
         "counters": counters,
         "reasons": [
             {"reason": (reason.name or "").lower(), "text": at.REASON_TEXT[reason], "steps": number}
-            for reason, number in sorted(result.reasons.items())
+            for reason, number in sorted(result.session.reason_counts().items())
         ],
         "resistance_torque_nm": {"first": float(torque[0]), "largest": float(np.max(torque)), "last": float(torque[-1])},
         "last": last,

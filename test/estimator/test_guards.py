@@ -220,3 +220,13 @@ def test_blocks_equal_single_messages_bit_for_bit(reference):
     ]
     assert np.array_equal(np.array(singles), np.concatenate(halves), equal_nan=True)
     assert np.array_equal(one.memory.counters, many.memory.counters)
+
+
+def test_reasons_are_counted_by_step(session):
+    step = 1 / 3.6
+    for i in range(100):
+        send(session, START + i * 200 * MS, step * min(i, 30))
+    counts = session.reason_counts()
+    assert counts[Reason.LOAD_NOMINAL] == counts[Reason.AMBIENT_NOMINAL] == 100
+    assert counts[Reason.SPEED_QUANTISED] == 98
+    assert Reason.GAP_BRIDGED not in counts

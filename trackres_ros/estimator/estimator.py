@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -316,9 +316,6 @@ class Session:
                 if self.memory.counters[i, count]:
                     yield name, count, int(self.memory.counters[i, count])
 
-
-def reasons_seen(rows: Array) -> Sequence[tuple[at.Reason, int]]:
-    """Each reason that occurs in rows of results, and in how many."""
-    flags = rows[:, at.OUT_REASONS].astype(np.int64)
-    seen = [(reason, int(np.count_nonzero(flags & int(reason)))) for reason in at.REASON_TEXT]
-    return [(reason, number) for reason, number in seen if number]
+    def reason_counts(self) -> dict[at.Reason, int]:
+        """Each reason that held, and at how many steps."""
+        return {reason: int(number) for reason, number in zip(at.REASON_TEXT, self.memory.reasons, strict=True) if number}

@@ -24,6 +24,7 @@ ACCEPTED, NON_FINITE, OUT_OF_RANGE = int(at.Count.ACCEPTED), int(at.Count.NON_FI
 DUPLICATE, LATE, FUTURE, BACKWARD = int(at.Count.DUPLICATE), int(at.Count.LATE), int(at.Count.FUTURE), int(at.Count.BACKWARD)
 ZERO_STAMP, GAP, CLOCK_JUMP, RESET = int(at.Count.ZERO_STAMP), int(at.Count.GAP), int(at.Count.CLOCK_JUMP), int(at.Count.RESET)
 LOAD_HELD, LOAD_NOMINAL = int(at.Reason.LOAD_HELD), int(at.Reason.LOAD_NOMINAL)
+SPEED_QUANTISED = int(at.Reason.SPEED_QUANTISED)
 AMBIENT_NOMINAL, SPEED_STUCK = int(at.Reason.AMBIENT_NOMINAL), int(at.Reason.SPEED_STUCK)
 CLOCK_JUMPED, TIME_RESET = int(at.Reason.CLOCK_JUMPED), int(at.Reason.TIME_RESET)
 
@@ -42,6 +43,7 @@ class Memory(NamedTuple):
     times: IntArray  # (channels, MEMORY_COLUMNS) [ns]
     values: Array  # (channels,) last accepted value
     counters: IntArray  # (channels, counters)
+    reasons: IntArray  # (reasons,) steps at which each held
 
 
 def new_memory(channels: int) -> Memory:
@@ -50,6 +52,7 @@ def new_memory(channels: int) -> Memory:
         np.zeros((channels, at.MEMORY_COLUMNS), dtype=np.int64),
         np.full(channels, np.nan),
         np.zeros((channels, len(at.Count)), dtype=np.int64),
+        np.zeros(len(at.REASON_TEXT), dtype=np.int64),
     )
 
 
@@ -165,7 +168,10 @@ def gather(k: Constants, memory: Memory, outcome: int, quantum: float, loads: Ar
         reasons |= CLOCK_JUMPED
     elif outcome == TOOK_RESET:
         reasons |= TIME_RESET
-    patience = QUANTISED_PATIENCE if QUANTISED[0] < quantum < QUANTISED[1] else 1
+    patience = 1
+    if QUANTISED[0] < quantum < QUANTISED[1]:
+        patience = QUANTISED_PATIENCE
+        reasons |= SPEED_QUANTISED
     if abs(speed) > STANDING and stamp - memory.times[at.SPEED, at.UNCHANGED_SINCE] > k.number.stuck_ns * patience:
         reasons |= SPEED_STUCK
     ambient, ambient_std = held(memory, at.AMBIENT, now, k.number.ambient_hold_ns), k.number.ambient_std

@@ -98,6 +98,7 @@ class Reason(IntFlag):
     OUTSIDE_TABLE = 1 << 10
     FEEDFORWARD_CLAMPED = 1 << 11
     FEEDFORWARD_RATE_LIMITED = 1 << 12
+    SPEED_QUANTISED = 1 << 13
 
 
 REASON_TEXT = {
@@ -114,9 +115,10 @@ REASON_TEXT = {
     Reason.OUTSIDE_TABLE: "load or temperature lies outside the range of the model",
     Reason.FEEDFORWARD_CLAMPED: "the feed-forward torque is at its limit",
     Reason.FEEDFORWARD_RATE_LIMITED: "the feed-forward torque follows at its largest rate",
+    Reason.SPEED_QUANTISED: "the speed comes in coarse steps: its acceleration is known only roughly",
 }
 # Remarks that go with a fully usable estimate; any other reason makes it a warning.
-HARMLESS = Reason.LOAD_HELD | Reason.FEEDFORWARD_RATE_LIMITED | Reason.GAP_BRIDGED
+HARMLESS = Reason.LOAD_HELD | Reason.FEEDFORWARD_RATE_LIMITED | Reason.GAP_BRIDGED | Reason.SPEED_QUANTISED
 
 # Columns of one row of results for the whole vehicle; those of each assembly follow.
 (

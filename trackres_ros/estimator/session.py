@@ -50,6 +50,9 @@ def feed(
     if dt > k.number.gap:
         memory.counters[channel, GAP] += 1
     advance(k, belts, motion, inputs, dt, out)
+    found = int(out[at.OUT_REASONS])
+    for bit in range(memory.reasons.shape[0]):
+        memory.reasons[bit] += (found >> bit) & 1
     return True
 
 
@@ -66,6 +69,7 @@ def feed_one(
     times: IntArray,
     values: Array,
     counters: IntArray,
+    reasons: IntArray,
     belts: Array,
     motion: Array,
     loads: Array,
@@ -79,7 +83,7 @@ def feed_one(
     """`feed` for one message."""
     return feed(
         Constants(numbers[0], assembly, loss, drive, limits),
-        Memory(times, values, counters),
+        Memory(times, values, counters, reasons),
         belts,
         motion,
         loads,
@@ -102,6 +106,7 @@ def feed_many(
     times: IntArray,
     values: Array,
     counters: IntArray,
+    reasons: IntArray,
     belts: Array,
     motion: Array,
     loads: Array,
@@ -115,7 +120,7 @@ def feed_many(
     out_arrivals: IntArray,
 ) -> int:
     """`feed` for many messages; fills one row of `out` with its stamp and arrival [ns] for each step, returns their number."""
-    k, memory = Constants(numbers[0], assembly, loss, drive, limits), Memory(times, values, counters)
+    k, memory = Constants(numbers[0], assembly, loss, drive, limits), Memory(times, values, counters, reasons)
     steps = 0
     for i in range(channels.shape[0]):
         if feed(

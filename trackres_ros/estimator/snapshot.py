@@ -63,6 +63,7 @@ def save(session: Session, path: Path, saved_at: float) -> None:
         "values": _text(session.memory.values),
         "times": session.memory.times.tolist(),
         "counters": session.memory.counters.tolist(),
+        "reasons": session.memory.reasons.tolist(),
     }
     data = json.dumps(content, indent=1)
     with tempfile.NamedTemporaryFile(
@@ -93,6 +94,7 @@ def resume(estimator: Estimator, path: Path) -> Session:
     session.memory.values[:] = _numbers(content["values"], session.memory.values.shape)
     session.memory.times[:] = np.array(content["times"], dtype=np.int64).reshape(session.memory.times.shape)
     session.memory.counters[:] = np.array(content["counters"], dtype=np.int64).reshape(session.memory.counters.shape)
+    session.memory.reasons[:] = np.array(content["reasons"], dtype=np.int64).reshape(session.memory.reasons.shape)
     return session
 
 
@@ -137,7 +139,7 @@ def _read(estimator: Estimator, path: Path) -> dict[str, Any]:
             f"a state of this very vehicle, {estimator.vehicle.name}",
             REMEDY,
         )
-    missing = {"belts", "motion", "values", "times", "counters", "saved_at", "started"} - content.keys()
+    missing = {"belts", "motion", "values", "times", "counters", "reasons", "saved_at", "started"} - content.keys()
     if missing:
         raise InputError(f"state file {path}", f"no {', '.join(sorted(missing))}", "a whole file", REMEDY)
     return content
