@@ -22,7 +22,8 @@ BAGS = ["rosbags>=0.11"]
 PARQUET = ["pyarrow>=14"]
 PLOTS = ["matplotlib>=3.6"]
 FAST = ["numba>=0.57"]
-TEST = ["pytest>=7.4", "hypothesis>=6.98", "rainflow>=3.1", "mcap>=1.1", "ruff>=0.4", "mypy>=1.8", "types-PyYAML", "setuptools>=70.1"]
+TEST = ["pytest>=7.4", "hypothesis>=6.98", "rainflow>=3.1", "mcap>=1.1", "setuptools>=70.1"]
+TEST += ["ruff>=0.4", "mypy>=1.8", "types-PyYAML"]
 
 setup(
     name=PACKAGE,

@@ -10,7 +10,9 @@ from trackres_ros.estimator.layout import REASON_TEXT, Count
 
 
 def test_the_settings_page_is_up_to_date(repository):
-    done = subprocess.run([sys.executable, repository / "tools" / "make-docs", "--settings"], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, repository / "tools" / "make-docs", "--settings"], capture_output=True, text=True, check=True
+    )
     assert done.stdout == (repository / "docs" / "settings.md").read_text()
 
 

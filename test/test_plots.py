@@ -20,9 +20,9 @@ def png_size(path):
     assert content[:8] == b"\x89PNG\r\n\x1a\n"
     at, kinds = 8, []
     while at < len(content):
-        length, kind = struct.unpack(">I4s", content[at:at + 8])
-        body = content[at + 4:at + 8 + length]
-        assert struct.unpack(">I", content[at + 8 + length:at + 12 + length])[0] == zlib.crc32(body)
+        length, kind = struct.unpack(">I4s", content[at : at + 8])
+        body = content[at + 4 : at + 8 + length]
+        assert struct.unpack(">I", content[at + 8 + length : at + 12 + length])[0] == zlib.crc32(body)
         kinds.append(kind)
         at += 12 + length
     assert kinds[0] == b"IHDR"
@@ -84,11 +84,14 @@ def test_assemblies_that_differ_are_drawn_apart(estimate, tmp_path):
     assert (tmp_path / "alike.png").read_bytes() != (tmp_path / "apart.png").read_bytes()
 
 
-@pytest.mark.parametrize("damage", [
-    lambda time_s, columns: (time_s[:0], {}, None),
-    lambda time_s, columns: (time_s, {**columns, "wind_nm": columns["wind_nm"][:-1]}, None),
-    lambda time_s, columns: (time_s, columns, {"torque": columns["wind_nm"]}),
-])
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda time_s, columns: (time_s[:0], {}, None),
+        lambda time_s, columns: (time_s, {**columns, "wind_nm": columns["wind_nm"][:-1]}, None),
+        lambda time_s, columns: (time_s, columns, {"torque": columns["wind_nm"]}),
+    ],
+)
 def test_what_cannot_be_drawn_is_refused(estimate, tmp_path, damage):
     time_s, columns, measured = damage(*estimate)
     with pytest.raises(InputError, match="allowed"):

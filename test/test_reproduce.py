@@ -27,15 +27,30 @@ pytest.importorskip("matplotlib")
 
 COARSE_S = 2.5
 VERDICTS = {
-    "contact_grows_with_load": HOLDS, "tension_in_spectrum": IN_PART, "loss_modulus_falls": HOLDS,
-    "laps_10_fall": HOLDS, "laps_10_settle": HOLDS, "stated_error_10": OPEN,
-    "laps_30_fall": HOLDS, "laps_30_settle": HOLDS, "stated_error_30": OPEN,
-    "straight_50_falls": HOLDS, "stated_error_50": OPEN,
-    "speeds_torque_falls": HOLDS, "speeds_same_stable_value": FAILS, "faster_warms_faster": HOLDS,
-    "faster_settles_sooner": IN_PART, "slower_is_larger": FAILS,
-    "weights_torque_falls": HOLDS, "weights_different_stable_values": HOLDS, "heavier_is_larger": HOLDS,
-    "ambients_torque_falls": HOLDS, "ambients_same_stable_value": FAILS, "colder_is_larger_first": HOLDS,
-    "warmer_is_larger_later": FAILS, "colder_warms_more": HOLDS,
+    "contact_grows_with_load": HOLDS,
+    "tension_in_spectrum": IN_PART,
+    "loss_modulus_falls": HOLDS,
+    "laps_10_fall": HOLDS,
+    "laps_10_settle": HOLDS,
+    "stated_error_10": OPEN,
+    "laps_30_fall": HOLDS,
+    "laps_30_settle": HOLDS,
+    "stated_error_30": OPEN,
+    "straight_50_falls": HOLDS,
+    "stated_error_50": OPEN,
+    "speeds_torque_falls": HOLDS,
+    "speeds_same_stable_value": FAILS,
+    "faster_warms_faster": HOLDS,
+    "faster_settles_sooner": IN_PART,
+    "slower_is_larger": FAILS,
+    "weights_torque_falls": HOLDS,
+    "weights_different_stable_values": HOLDS,
+    "heavier_is_larger": HOLDS,
+    "ambients_torque_falls": HOLDS,
+    "ambients_same_stable_value": FAILS,
+    "colder_is_larger_first": HOLDS,
+    "warmer_is_larger_later": FAILS,
+    "colder_warms_more": HOLDS,
 }
 
 
@@ -151,17 +166,20 @@ def assert_near(a, b, where):
 
 
 # The reference numbers of the project: an independent prototype of the same model, torque [Nm] and belt temperature [degC].
-PROTOTYPE_SPEEDS = {"10": [(3003, 15), (2925, 19), (2840, 23), (2786, 27), (2722, 31)],
-                    "30": [(3265, 17), (3023, 27), (2837, 39), (2747, 47), (2665, 54)],
-                    "50": [(3505, 18), (3138, 35), (2910, 53), (2813, 62), (2741, 70)]}
+PROTOTYPE_SPEEDS = {
+    "10": [(3003, 15), (2925, 19), (2840, 23), (2786, 27), (2722, 31)],
+    "30": [(3265, 17), (3023, 27), (2837, 39), (2747, 47), (2665, 54)],
+    "50": [(3505, 18), (3138, 35), (2910, 53), (2813, 62), (2741, 70)],
+}
 PROTOTYPE_WEIGHTS = {"200": (2196, 59), "250": (2573, 67), "300": (2960, 75), "350": (3352, 83)}
 PROTOTYPE_AMBIENTS = {"-15": (7143, 3784, 3181), "0": (4662, 3558, 3063), "15": (3877, 3355, 2959), "30": (3505, 3186, 2867)}
 
 
 def test_it_agrees_with_the_independent_prototype(made):
     _, summary, _ = made
-    speeds, weight, ambient = (section_of(summary, title)["numbers"]["spectral/lumped"]
-                               for title in ("Figure 24", "Figure 25", "Figure 26"))
+    speeds, weight, ambient = (
+        section_of(summary, title)["numbers"]["spectral/lumped"] for title in ("Figure 24", "Figure 25", "Figure 26")
+    )
     for kmh, values in PROTOTYPE_SPEEDS.items():
         assert speeds[kmh]["torque_nm"] == pytest.approx([torque for torque, _ in values], rel=0.03)
         assert speeds[kmh]["belt_degc"] == pytest.approx([belt for _, belt in values], abs=2.0)
@@ -202,10 +220,17 @@ def test_a_step_that_cannot_be_is_refused(tmp_path, dt):
 def made_up_family(torque, belt):
     """A family of two values whose four combinations all have the given torques and temperatures, shape (2, times)."""
     time = np.arange(torque.shape[1]) * 10.0
-    runs = {value: {c: {"time_s": time, "speed_mps": np.full(len(time), 10.0), "resistance_torque_nm": torque[i],
-                        "belt_degc": belt[i]} for c in COMBINATIONS} for i, value in enumerate((0.0, 30.0))}
-    stable = {value: {c: Stable(float(torque[i, -1]), 0.0, float(belt[i, -1])) for c in COMBINATIONS}
-              for i, value in enumerate((0.0, 30.0))}
+    runs = {
+        value: {
+            c: {"time_s": time, "speed_mps": np.full(len(time), 10.0), "resistance_torque_nm": torque[i], "belt_degc": belt[i]}
+            for c in COMBINATIONS
+        }
+        for i, value in enumerate((0.0, 30.0))
+    }
+    stable = {
+        value: {c: Stable(float(torque[i, -1]), 0.0, float(belt[i, -1])) for c in COMBINATIONS}
+        for i, value in enumerate((0.0, 30.0))
+    }
     return Family("made_up", "ambient [°C]", "degc", (0.0, 30.0), runs, stable)
 
 
@@ -246,8 +271,10 @@ def test_the_order_of_speeds_is_told_with_its_time():
     assert _order_from(np.array([[3.0, 1.0], [2.0, 2.0]]), time[:2]) is None
 
 
-@pytest.mark.parametrize(("outcomes", "verdict"), [
-    ({"a": True, "b": True}, HOLDS), ({"a": False, "b": False}, FAILS), ({"a": True, "b": False}, IN_PART), ({}, OPEN)])
+@pytest.mark.parametrize(
+    ("outcomes", "verdict"),
+    [({"a": True, "b": True}, HOLDS), ({"a": False, "b": False}, FAILS), ({"a": True, "b": False}, IN_PART), ({}, OPEN)],
+)
 def test_a_verdict_follows_from_its_predicates(outcomes, verdict):
     claim = Claim("k", "w", "p", outcomes, "s", {HOLDS: "because"}, {})
     assert claim.verdict == verdict
@@ -276,5 +303,5 @@ def test_the_straight_is_as_long_as_the_paper_says():
 def test_a_lap_is_as_long_as_its_circle(trial):
     drive = trial.drive(0.01)
     starts = np.flatnonzero((drive.speed[1:] > 0) & (drive.speed[:-1] == 0))
-    assert way(drive.speed[:int(starts[1])], 0.01) == pytest.approx(2 * np.pi * 100.0, rel=1e-3)
+    assert way(drive.speed[: int(starts[1])], 0.01) == pytest.approx(2 * np.pi * 100.0, rel=1e-3)
     assert drive.time_s[-1] == pytest.approx(trial.duration_s)
