@@ -42,7 +42,7 @@ def cached_arrays(
 
 def _read(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, Array] | None:
     try:
-        with np.load(path) as file:
+        with path.open("rb") as stored, np.load(stored) as file:
             arrays = {name: np.asarray(file[name], dtype=float) for name in shapes}
     except DAMAGED:
         return None

@@ -132,6 +132,18 @@ def test_time_that_goes_back_with_arrival_starts_anew(session):
     assert count(session, Count.RESET) == 1
 
 
+def test_whichever_channel_sees_time_go_back_the_start_anew_is_reported(session):
+    send(session, START + 1, 300e3, "load")
+    steady(session, 60.0, START + 2)
+    send(session, START + 60 * S, 300e3, "load")
+    assert send(session, START, 280e3, "load") is None
+    again = send(session, START + MS)
+    assert again.reasons & Reason.TIME_RESET
+    assert again["weight_n"] == pytest.approx(280e3)
+    assert again.belt_degc()[0] == pytest.approx(15.0)
+    assert not send(session, START + 21 * MS).reasons & Reason.TIME_RESET
+
+
 def test_gaps_are_bridged_or_doubted(session):
     now, before = steady(session)
     bridged = send(session, now + 10 * S)

@@ -156,20 +156,20 @@ def gather_loads(k: Constants, memory: Memory, now: int, loads: Array) -> int:
 
 
 @inlined
-def gather(k: Constants, memory: Memory, outcome: int, quantum: float, loads: Array, belt_measured: Array) -> Inputs:
+def gather(k: Constants, memory: Memory, outcome: int, motion: Array, loads: Array, belt_measured: Array) -> Inputs:
     """The inputs of the step that an accepted speed makes; fills `loads` and `belt_measured`, one entry an assembly.
 
-    `quantum` is the smallest step [m/s] seen in the speed.
+    `motion` tells whether time was reset, by whichever channel, and the smallest step seen in the speed.
     """
     now, stamp = memory.times[at.SPEED, at.LAST_ARRIVAL], memory.times[at.SPEED, at.LAST_STAMP]
     speed = memory.values[at.SPEED]
     reasons = gather_loads(k, memory, now, loads)
     if outcome == TOOK_JUMP:
         reasons |= CLOCK_JUMPED
-    elif outcome == TOOK_RESET:
+    if motion[at.STARTED] == at.START_ANEW:
         reasons |= TIME_RESET
-    patience = 1
-    if QUANTISED[0] < quantum < QUANTISED[1]:
+    patience, quantum = 1, motion[at.QUANTUM]
+    if motion[at.STARTED] > 0.0 and QUANTISED[0] < quantum < QUANTISED[1]:
         patience = QUANTISED_PATIENCE
         reasons |= SPEED_QUANTISED
     if abs(speed) > STANDING and stamp - memory.times[at.SPEED, at.UNCHANGED_SINCE] > k.number.stuck_ns * patience:

@@ -56,6 +56,7 @@ BELT_COLUMNS = 7
 # speed, feed-forward and drive torque.
 FILTERED_SPEED, FILTERED_ACCEL, COV_SPEED, COV_BOTH, COV_ACCEL, QUANTUM, LAST_SPEED, FEEDFORWARD, LAST_DRIVE, STARTED = range(10)
 MOTION_COLUMNS = 10
+START_ANEW = -1.0  # in STARTED: time went back, the next speed starts cold and says so
 
 # What the guards remember of a channel.
 SEEN, LAST_STAMP, LAST_ARRIVAL, SUSPECTS, SUSPECT_STAMP, SUSPECT_ARRIVAL, UNCHANGED_SINCE, FRESH, LAST_REBASE = range(9)

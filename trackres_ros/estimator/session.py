@@ -40,11 +40,11 @@ def feed(
     outcome, elapsed = admit(k, memory, channel, stamp, arrival, value)
     if outcome == TOOK_RESET:
         forget_others(memory, channel)
-        motion[at.STARTED] = 0.0
+        motion[at.STARTED] = at.START_ANEW
     if outcome < 0 or channel != at.SPEED:
         return False
-    inputs = gather(k, memory, outcome, motion[at.QUANTUM] if motion[at.STARTED] > 0.0 else 0.0, loads, belt_measured)
-    if motion[at.STARTED] == 0.0:
+    inputs = gather(k, memory, outcome, motion, loads, belt_measured)
+    if motion[at.STARTED] <= 0.0:
         start(k, belts, motion, inputs.ambient, inputs.ambient_std)
     dt = elapsed * NANOSECOND
     if dt > k.number.gap:

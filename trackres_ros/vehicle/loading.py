@@ -70,12 +70,9 @@ def build(path: Path, content: Mapping[str, Any], overrides: Mapping[str, float]
         raise InputError(reader.where("schema"), content["schema"], "1")
     model = reader.keys(content["model"], "model", tuple(schema.MODEL_CHOICES))
     chassis, axles = _chassis(reader, content["chassis"])
-    tracks = {
-        str(name): _track(reader, str(name), entry)
-        for name, entry in reader.keys(content["tracks"], "tracks", tuple(content["tracks"] or ())).items()
-    }
-    if not tracks:
-        raise InputError(reader.where("tracks"), "nothing", "at least one kind of track")
+    if not isinstance(content["tracks"], dict) or not content["tracks"]:
+        raise InputError(reader.where("tracks"), content["tracks"], "a mapping with at least one kind of track by name")
+    tracks = {str(name): _track(reader, str(name), entry) for name, entry in content["tracks"].items()}
     vehicle = Vehicle(
         name=reader.text(content["name"], "name"),
         title=reader.text(content["title"], "title"),

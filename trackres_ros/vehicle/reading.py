@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -23,7 +22,8 @@ class _UniqueKeyLoader(yaml.SafeLoader):
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: set[str] = set()
-        for key_node, _ in node.value:
+        keys = [key for key, _ in node.value if isinstance(key, yaml.ScalarNode)]  # others cannot be keys: super() says so
+        for key_node in keys:
             if key_node.value in seen:
                 raise yaml.constructor.ConstructorError(
                     None, None, f"the key '{key_node.value}' stands twice", key_node.start_mark
@@ -125,6 +125,8 @@ class Reader:
             raise InputError(self.where(f"{key}.range"), bounds, "[low, high] with low <= high")
         raw = entry["value"]
         value: float | tuple[float, ...]
+        if isinstance(raw, list) and not raw:
+            raise InputError(self.where(f"{key}.value"), raw, "at least one number")
         if isinstance(raw, list):
             value = tuple(self._number(item, f"{key}.value", low, high, limits.unit) for item in raw)
         else:
@@ -145,9 +147,9 @@ class Reader:
                 given = float(given)
             except ValueError:
                 raise InputError(self.where(key), given, allowed) from None
-        if isinstance(given, bool) or not isinstance(given, int | float) or not math.isfinite(given):
+        if isinstance(given, bool) or not isinstance(given, int | float):
             raise InputError(self.where(key), given, allowed)
-        if not low <= given <= high:
+        if not low <= given <= high:  # nan is not either
             raise InputError(
                 self.where(key), given, allowed, "correct the value, or widen the range beside it if you trust the value"
             )

@@ -1,0 +1,58 @@
+"""Every benchmark runs, on tiny sizes; no time is judged here."""
+
+import importlib
+import math
+import sys
+
+import pytest
+
+pytest.importorskip("rosbags")
+pytest.importorskip("numba")
+
+SIZES = {
+    "bench_step": {"steps": 60, "messages": 200},
+    "bench_recording": {"duration_s": 40.0, "repeats": 1, "exact_samples": 2, "restarted": 20},
+    "bench_reading": {"messages": 2000, "repeats": 1},
+    "bench_table": {"repeats": 1, "points": 5},
+}
+SIGNED = ("growth", "on top of reading")  # these may be zero or negative
+
+
+@pytest.fixture
+def benchmark_module(repository, monkeypatch):
+    monkeypatch.syspath_prepend(str(repository / "benchmarks"))
+
+    def import_it(name):
+        return importlib.import_module(name)
+
+    yield import_it
+    for name in (*SIZES, "measuring", "rivals", "dds_echo", "run"):
+        sys.modules.pop(name, None)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", SIZES)
+def test_gives_finite_positive_numbers(name, benchmark_module):
+    results = benchmark_module(name).run(**SIZES[name])
+    assert results
+    for what, value in results.items():
+        assert math.isfinite(value), what
+        assert value > 0.0 or any(word in what for word in SIGNED), what
+
+
+def test_every_target_is_measured(benchmark_module):
+    module = benchmark_module("bench_recording")
+    results = module.run(**SIZES["bench_recording"])
+    assert module.TARGETS.keys() <= results.keys()
+
+
+def test_table_says_which_targets_are_missed(benchmark_module):
+    run, measuring = benchmark_module("run"), benchmark_module("measuring")
+    lines = run.rows({"slow": 2.0, "fast": 40.0, "free": 1.0}, {
+        "slow": measuring.at_most(1.0), "fast": measuring.at_least(30), "left out": measuring.at_most(1.0)})
+    assert lines[2:] == [
+        "| slow | 2 | at most 1 | **no** |",
+        "| fast | 40 | at least 30 | yes |",
+        "| free | 1 |  |  |",
+        "| left out | not measured | at most 1 | |",
+    ]

@@ -1,0 +1,33 @@
+"""Every example runs as it stands, in an empty folder, and prints what it is there for."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rosbags")
+
+EXAMPLES = sorted((Path(__file__).resolve().parents[1] / "examples").glob("[0-9]*.py"))
+SAYS = {
+    "01_simulate.py": "as shipped",
+    "02_replay.py": "written to estimate.csv",
+    "03_live_loop.py": "speed: non_finite 1",
+    "04_own_vehicle.py": "Refused: own.yaml",
+    "05_snapshot.py": "without a stop: True",
+}
+
+
+def test_each_example_is_listed():
+    assert [example.name for example in EXAMPLES] == sorted(SAYS)
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
+def test_runs(example, tmp_path):
+    environment = {**os.environ, "PYTHONPATH": str(example.parents[1])}
+    done = subprocess.run([sys.executable, str(example)], cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert SAYS[example.name] in done.stdout
+    assert not re.search(r"\bnan\b", done.stdout)
