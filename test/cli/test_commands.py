@@ -227,6 +227,7 @@ BAD = [
     (("replay", "good.csv", "--vehicle", "xgd24d", "--params", "params.yaml", "-o", "x.csv"), "gap_s"),
     (("replay", "good.csv", "--vehicle", "xgd24d", "--resume", "none.json", "-o", "x.csv"), "none.json"),
     (("replay", "kmh.csv", "--vehicle", "xgd24d", "-o", "x.csv"), "unit"),
+    (("replay", "good.csv", "--vehicle", "xgd24d", "-o", "good.csv"), "another file"),
     (("explain", "--vehicle", "xgd24d", "--speed-kmh", "5"), "--belt-degc"),
     (("explain", "--vehicle", "xgd24d", "--speed-kmh", "5", "--belt-degc", "20", "--weight-kn", "1"), "--weight-kn"),
     (("vehicle", "check", "broken.yaml"), "thickness"),

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from trackres_ros.cli.common import emit, json_option, method_options, output_path, progress, vehicle_option, without_suffix
+from trackres_ros.errors import InputError, MissingExtraError
 
 
 @click.command("replay")
@@ -60,6 +61,7 @@ def replay_command(
 
     Messages are taken in the order they were logged and by their own stamps: twice the same recording gives twice the same bits.
     """
+    from trackres_ros.estimator import layout as at
     from trackres_ros.estimator.estimator import Estimator
     from trackres_ros.estimator.settings import load_settings
     from trackres_ros.estimator.snapshot import resume, save
@@ -72,6 +74,8 @@ def replay_command(
     from trackres_ros.vehicle import load
 
     path = output_path(output)
+    if any(path.exists() and path.resolve() == given.resolve() for given in recording):
+        raise InputError("-o", str(path), "another file than the recording, which it would replace")
     picture = without_suffix(path).with_name(without_suffix(path).name + ".png")
     topics = Topics.load(topics_file) if topics_file else None
     source = open_source(recording, topics)
@@ -81,9 +85,13 @@ def replay_command(
     with progress("replaying", None) as advance, result_writer(path, estimator) as write:
         result = replay(look, estimator, write, session, advance)
     if state_file:
-        last_ns = int(result.session.memory.times[0, 2])
-        save(result.session, state_file, last_ns * NANOSECOND)
+        save(result.session, state_file, int(result.session.memory.times[at.SPEED, at.LAST_ARRIVAL]) * NANOSECOND)
     title = f"{', '.join(p.name for p in recording)}: {estimator.vehicle.title}"
-    plot_estimate(picture, result.picture[:, 0], picture_columns(result), title)
-    report: dict[str, Any] = summary(result, look, [str(path), str(picture)])
+    written = [str(path)]
+    try:
+        plot_estimate(picture, result.picture[:, 0], picture_columns(result), title)
+        written.append(str(picture))
+    except MissingExtraError as error:
+        click.echo(f"trackres: no picture: {error}", err=True)
+    report: dict[str, Any] = summary(result, look, written)
     emit(report, as_json, lambda: text(report))
