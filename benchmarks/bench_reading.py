@@ -1,4 +1,4 @@
-"""How much reading a bag into a Recording costs over reading its raw messages, and whether memory grows."""
+"""What reading a bag costs over its raw messages, the estimate on top of reading, and whether memory grows."""
 
 from __future__ import annotations
 
@@ -10,24 +10,37 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import yaml
+from measuring import at_most, child
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from trackres_ros.bags import BagSource
 from trackres_ros.cdr import Template
+from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.message_types import definitions
 from trackres_ros.recording import Recording
+from trackres_ros.replay import replay
 from trackres_ros.topics import Topics
+from trackres_ros.vehicle import load
 
 SPEED_MESSAGES = 250_000
 LOAD_EVERY = 10
 REPEATS = 5
 BLOCK_ROWS = 8192
+TOPICS_YAML = """\
+speed: {topic: /vehicle/speed, type: geometry_msgs/msg/TwistStamped, field: twist.linear.x}
+load: {topic: /vehicle/load, type: geometry_msgs/msg/WrenchStamped, field: wrench.force.z}
+"""
+STORAGES = ("mcap", "sqlite3")
+TARGETS = {
+    **{f"{name}: Recording over raw": at_most(2.0) for name in STORAGES},
+    **{f"{name}: estimate on top of reading, wall time [%]": at_most(10.0) for name in STORAGES},
+    **{f"{name}: peak memory, 10 times the length": at_most(1.2) for name in STORAGES},
+    "mcap: replay to a bag, peak resident memory, 10 times the length": at_most(1.2),
+}
 STORE = get_typestore(Stores.LATEST)
-TOPICS = Topics.parse({
-    "speed": {"topic": "/vehicle/speed", "type": "geometry_msgs/msg/TwistStamped", "field": "twist.linear.x"},
-    "load": {"topic": "/vehicle/load", "type": "geometry_msgs/msg/WrenchStamped", "field": "wrench.force.z"},
-})
+TOPICS = Topics.parse(yaml.safe_load(TOPICS_YAML))
 
 
 def write_bag(path: Path, storage: StoragePlugin, messages: int) -> None:
@@ -75,11 +88,16 @@ def iterate_blocks(path: Path) -> int:
     return sum(map(len, BagSource([path], TOPICS).blocks(BLOCK_ROWS)))
 
 
-def seconds(run: Callable[[Path], int], path: Path) -> float:
-    """Time one run [s]."""
-    begin = time.perf_counter()
+def reading(path: Path) -> int:
+    """Read in the blocks that a replay takes, and keep none."""
+    return sum(map(len, BagSource([path], TOPICS).blocks()))
+
+
+def seconds(run: Callable[[Path], int], path: Path) -> tuple[float, float]:
+    """Wall and CPU time of one run [s]."""
+    wall, cpu = time.perf_counter(), time.process_time()
     run(path)
-    return time.perf_counter() - begin
+    return time.perf_counter() - wall, time.process_time() - cpu
 
 
 def peak_bytes(run: Callable[[Path], int], path: Path) -> int:
@@ -90,6 +108,37 @@ def peak_bytes(run: Callable[[Path], int], path: Path) -> int:
         return tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
+
+
+def replay_peak(bag: Path, topics: Path, out: Path) -> int:
+    """Peak resident memory of `trackres replay` with a bag as output [bytes]."""
+    arguments = ["-m", "trackres_ros", "replay", str(bag), "--vehicle", "xgd24d", "--topics", str(topics), "-o", str(out)]
+    return child(arguments).peak_bytes
+
+
+def _timed(path: Path, estimator: Estimator, name: str, repeats: int) -> dict[str, float]:
+    """Reading raw, into a Recording, in blocks, and with the estimate; alternated."""
+
+    def estimated(bag: Path) -> int:
+        return replay(BagSource([bag], TOPICS), estimator).messages
+
+    ways = (read_raw, read_recording, reading, estimated)
+    counts = {way(path) for way in ways}
+    if len(counts) != 1:
+        raise RuntimeError(f"not every message became a sample: {counts}")
+    count = counts.pop()
+    rounds = np.array([[seconds(way, path) for way in ways] for _ in range(repeats)])  # (repeats, ways, wall and CPU)
+    raw, recording, blocks, replayed = (1e6 * statistics.median(rounds[:, i, 0]) / count for i in range(len(ways)))
+    on_top = 100.0 * np.median(rounds[:, 3] / rounds[:, 2] - 1.0, axis=0)
+    return {
+        f"{name}: raw messages [us a message]": raw,
+        f"{name}: Recording [us a message]": recording,
+        f"{name}: Recording over raw": statistics.median(rounds[:, 1, 0] / rounds[:, 0, 0]),
+        f"{name}: blocks of a replay [us a message]": blocks,
+        f"{name}: replay [us a message]": replayed,
+        f"{name}: estimate on top of reading, wall time [%]": float(on_top[0]),
+        f"{name}: estimate on top of reading, CPU time [%]": float(on_top[1]),
+    }
 
 
 def run(messages: int = SPEED_MESSAGES, repeats: int = REPEATS) -> dict[str, float]:
@@ -105,33 +154,34 @@ def run(messages: int = SPEED_MESSAGES, repeats: int = REPEATS) -> dict[str, flo
     Returns
     -------
     dict of str to float
-        By storage: time of the raw messages and of the Recording a message [us], their ratio, and the peak of memory
-        of a bag ten times as long over that of the short one, when only iterating blocks.
+        By storage: times of a message, ratios of one to the other, and peaks of memory of a bag ten times as long over
+        those of the short one.
     """
     result = {}
+    estimator = Estimator(load("xgd24d"))
     with tempfile.TemporaryDirectory() as folder:
-        for name, storage in (("mcap", StoragePlugin.MCAP), ("sqlite3", StoragePlugin.SQLITE3)):
+        topics = Path(folder, "topics.yaml")
+        topics.write_text(TOPICS_YAML, encoding="utf-8")
+        for name in STORAGES:
+            storage = StoragePlugin[name.upper()]
             path, short, long = (Path(folder, f"{name}_{length}") for length in ("bag", "short", "long"))
             write_bag(path, storage, messages)
             write_bag(short, storage, 2 * messages // 5)
             write_bag(long, storage, 4 * messages)
-            count = read_recording(path)
-            if count != read_raw(path):
-                raise RuntimeError("not every message became a sample")
-            times = [(seconds(read_raw, path), seconds(read_recording, path)) for _ in range(repeats)]
-            raw, recording = (statistics.median(column) for column in zip(*times, strict=True))
-            result[f"{name}: raw messages [us a message]"] = 1e6 * raw / count
-            result[f"{name}: Recording [us a message]"] = 1e6 * recording / count
-            result[f"{name}: Recording over raw"] = statistics.median(ours / theirs for theirs, ours in times)
-            result[f"{name}: peak memory, 10 times the length"] = (
-                peak_bytes(iterate_blocks, long) / peak_bytes(iterate_blocks, short))
+            result |= _timed(path, estimator, name, repeats)
+            growth = peak_bytes(iterate_blocks, long) / peak_bytes(iterate_blocks, short)
+            result[f"{name}: peak memory, 10 times the length"] = growth
+            if name == "mcap":
+                peaks = [replay_peak(bag, topics, Path(folder, f"{bag.name}.mcap")) for bag in (short, long)]
+                result["mcap: replay to a bag, peak resident memory, 10 times the length"] = peaks[1] / peaks[0]
+                result["mcap: replay to a bag, peak resident memory [MB]"] = peaks[0] / 1e6
     return result
 
 
 def main() -> None:
     """Print the table."""
     for name, value in run().items():
-        print(f"{name:45} {value:8.2f}")
+        print(f"{name:75} {value:8.2f}")
 
 
 if __name__ == "__main__":

@@ -35,6 +35,8 @@ TARGETS = {
     "laps: LSODA (odeint) over run": at_least(30),
     "laps: LSODA (solve_ivp) over run": at_least(30),
     "held: LSODA (odeint) over run": at_least(30),
+    "held: LSODA (solve_ivp) over run": at_least(30),
+    "laps: LSODA started anew at each sample over run": at_least(30),
     "rainflow at each sample over run": at_least(10_000),
     "spectral at each sample over run": at_least(10_000),
     "rainflow at each sample, largest difference of the torque [%]": at_most(0.3),
@@ -86,7 +88,7 @@ def _largest_percent(ours: Array, theirs: Array, moving: NDArray[np.bool_]) -> f
 
 def _against_lsoda(estimator: Estimator, name: str, road: Road, repeats: int) -> dict[str, float]:
     p, moving = plain(estimator), road.speed > MOVING
-    true_temps, true = limit(p, road)
+    _, true = limit(p, road)
     rivals = {
         "run": lambda: by_run(estimator, road),
         "session": lambda: by_session(estimator, road),

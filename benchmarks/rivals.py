@@ -175,7 +175,9 @@ def torques(p: Plain, road: Road, temps: Array) -> Array:
 
 
 @compiled
-def rates(time: float, temps: Array, p: Any, step: float, speeds: Array, accelerations: Array, loads: Array, ambient: float) -> Array:
+def rates(
+    time: float, temps: Array, p: Any, step: float, speeds: Array, accelerations: Array, loads: Array, ambient: float
+) -> Array:
     """dT/dt [K/s] of all belts; the recorded speed is a straight line between samples."""
     first_x, step_x, tg, c1, c2, friction, drag, inertia = p.numbers
     place = min(max(time / step, 0.0), speeds.shape[0] - 1.000001)
@@ -243,7 +245,7 @@ def by_odeint_each_sample(p: Plain, road: Road) -> tuple[Array, Array]:
 
 
 class PaperAlgorithm:
-    """The paper's chain for every sample: contact iteration, strain history, its cycles or harmonics, heat, torque, temperature."""
+    """The paper's chain for every sample: contact iteration, strain history, cycles or harmonics, heat, torque, temperature."""
 
     def __init__(self, estimator: Estimator, road: Road) -> None:
         vehicle = estimator.vehicle

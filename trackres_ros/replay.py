@@ -23,6 +23,7 @@ from trackres_ros.topics import Topics
 Array = NDArray[np.float64]
 
 BAG_SUFFIX = ".mcap"
+BLOCK_ROWS = 8192  # results of so many messages stay in the cache and in memory already had
 PICTURE_SAMPLES = 8000  # kept for the picture; twice as many are thinned to half
 NANOSECOND = 1e-9
 
@@ -96,7 +97,7 @@ def replay(
     messages = 0
     with ThreadPoolExecutor(max_workers=1) as worker:  # the kernel lets go of the interpreter: reading goes on meanwhile
         running: Future[Steps] | None = None
-        for block in source.blocks():
+        for block in source.blocks(BLOCK_ROWS):
             messages += len(block)
             before, running = (
                 running,

@@ -6,11 +6,12 @@ from collections import Counter
 
 import numpy as np
 import pytest
-import rainflow as package
 from hypothesis import given
 from hypothesis import strategies as st
 
 from trackres_ros.model.rainflow import count_cycles, count_loop, turning_points
+
+package = pytest.importorskip("rainflow")
 
 series = st.lists(st.integers(-50, 50).map(float), min_size=3, max_size=60)
 real_series = st.lists(st.integers(-(10**6), 10**6).map(lambda i: i / 7e5), min_size=3, max_size=60)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.integrate import solve_ivp
+from scipy.integrate import quad, solve_bvp, solve_ivp
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
@@ -236,6 +236,21 @@ def test_phi_functions_of_a_matrix(core: float, skin: float, out: float, heat: f
     for order in (1, 2):
         ours = np.array(phi_matrix(*z.ravel(), order)).reshape(2, 2)
         assert ours == pytest.approx(exact[:2, 2 * order : 2 * order + 2], rel=1e-7, abs=1e-9)
+
+
+def test_the_inner_conductance_is_that_of_a_slab_heated_evenly(vehicle: Vehicle) -> None:
+    """Steady conduction in half the thickness: the heat through both faces over the mean temperature above them."""
+    belt, rubber = next(iter(vehicle.tracks.values())).belt, vehicle.rubber
+    network, half, heating = thermal_network("core_surface", belt, rubber), belt.thickness / 2, 1e5
+    profile = solve_bvp(
+        lambda x, y: np.vstack([y[1], np.full_like(x, -heating / rubber.conductivity)]),
+        lambda middle, face: np.array([middle[1], face[0]]),
+        np.linspace(0.0, half, 20),
+        np.zeros((2, 20)),
+    )
+    mean, _ = quad(lambda x: float(profile.sol(x)[0]) / half, 0.0, half)
+    through_faces = heating * half * network.area
+    assert network.inner_conductance == pytest.approx(through_faces / mean, rel=1e-6)
 
 
 def test_equation_31_is_in_metres_per_second(xgd24d: Vehicle) -> None:

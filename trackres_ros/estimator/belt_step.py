@@ -50,8 +50,8 @@ def loss_force(
         x,
         log_load,
     )
-    linear, square = look_up_drive(k.drive, table, k.number.first_x, k.number.step_x, x)
-    return loss + drive_torque * (linear + drive_torque * square), slope * shift_slope
+    signed, unsigned = look_up_drive(k.drive, table, k.number.first_x, k.number.step_x, x)
+    return loss + drive_torque * signed + abs(drive_torque) * unsigned, slope * shift_slope
 
 
 @compiled

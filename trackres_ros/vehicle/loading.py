@@ -270,7 +270,10 @@ def _check_geometry(reader: Reader, key: str, track: Track) -> None:
             f"wrap angles that sum to {wraps:.3f} rad",
             f"a closed loop: 2 pi within {CLOSED_LOOP_TOLERANCE_RAD} rad",
         )
-    arcs = sum(abs(wheel.wrap_angle) * (wheel.radius + belt.cord_height) for wheel in track.wrapped_wheels)
+    arcs = 0.0
+    for wheel in track.wrapped_wheels:  # a wheel on the outer face carries the belt's other side below the cord
+        below_cord = belt.cord_height if wheel.wrap_angle >= 0 else belt.thickness - belt.cord_height
+        arcs += abs(wheel.wrap_angle) * (wheel.radius + below_cord)
     if wheels.ground_run + arcs >= belt.loop_length:
         raise InputError(
             reader.where(f"{key}.belt.loop_length"),

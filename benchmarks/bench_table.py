@@ -1,0 +1,72 @@
+"""Building the loss table, taking it from the cache, how near it is to the exact method, and the first estimate of a process."""
+
+from __future__ import annotations
+
+import statistics
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from measuring import at_most, child, seconds
+
+from trackres_ros.model.loss_table import interpolation_error, loss_table
+from trackres_ros.model.track import load_range, track_model, with_methods
+from trackres_ros.vehicle import load
+
+REPEATS = 3
+POINTS = 400
+FIRST_ESTIMATE = """
+from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.vehicle import load
+session = Estimator(load("xgd24d")).session()
+assert session.handle(session.channel("speed"), 1, 1, 10.0) is not None
+"""
+TARGETS = {
+    "spectral: building [s]": at_most(3.0),
+    "rainflow: building [s]": at_most(3.0),
+    "spectral: largest interpolation error [%]": at_most(0.3),
+    "rainflow: largest interpolation error [%]": at_most(0.3),
+}
+
+
+def run(repeats: int = REPEATS, points: int = POINTS) -> dict[str, float]:
+    """Measure.
+
+    Parameters
+    ----------
+    repeats
+        Builds and starts; the median counts, and the cold start is done once.
+    points
+        Random points over the whole range at which the table is held against the exact method.
+    """
+    result = {}
+    for method in ("spectral", "rainflow"):
+        vehicle = with_methods(load("xgd24d"), method)
+        name = next(iter(vehicle.tracks))
+        loads = load_range(vehicle, name)
+        built, cached = [], []
+        for _ in range(repeats):
+            with tempfile.TemporaryDirectory() as folder:
+                built.append(seconds(lambda v=vehicle, t=name, f=folder: loss_table(v, t, Path(f))))
+                cached.append(seconds(lambda v=vehicle, t=name, f=folder: loss_table(v, t, Path(f))))
+                table = loss_table(vehicle, name, Path(folder))
+        error = interpolation_error(track_model(vehicle, name), table, loads, vehicle.chassis.max_speed, points)
+        result[f"{method}: building [s]"] = statistics.median(built)
+        result[f"{method}: from the cache [s]"] = statistics.median(cached)
+        result[f"{method}: largest interpolation error [%]"] = float(100.0 * np.abs(error).max())
+    with tempfile.TemporaryDirectory() as folder:
+        environment = {"XDG_CACHE_HOME": folder}
+        result["process to first estimate, empty cache [s]"] = child(["-c", FIRST_ESTIMATE], environment).wall_s
+        warm = [child(["-c", FIRST_ESTIMATE], environment).wall_s for _ in range(repeats)]
+        result["process to first estimate, filled cache [s]"] = statistics.median(warm)
+    return result
+
+
+def main() -> None:
+    """Print the table."""
+    for name, value in run().items():
+        print(f"{name:50} {value:10.3f}")
+
+
+if __name__ == "__main__":
+    main()
