@@ -113,8 +113,8 @@ def plain_loop(
                 force, slope = look_up(
                     p.loss, table, first_x, step_x, p.first_log_load[i], p.step_log_load[i], shift + log_middle, log_load
                 )
-                linear, square = look_up_drive(p.drive, table, first_x, step_x, shift + log_middle)
-                force += drive * (linear + drive * square)
+                signed, unsigned = look_up_drive(p.drive, table, first_x, step_x, shift + log_middle)
+                force += drive * signed + abs(drive) * unsigned
                 cooling = (p.thermal[i, 2] + p.thermal[i, 3] * abs(middle)) * p.thermal[i, 1]
                 growth = (slope * shift_slope * abs(middle) - cooling) / p.thermal[i, 0]
                 rate = (force * abs(middle) - cooling * (temp - ambient)) / p.thermal[i, 0]
@@ -124,8 +124,8 @@ def plain_loop(
             force, _ = look_up(
                 p.loss, table, first_x, step_x, p.first_log_load[i], p.step_log_load[i], shift + log_speed, log_load
             )
-            linear, square = look_up_drive(p.drive, table, first_x, step_x, shift + log_speed)
-            own += p.radius[i] * (force + drive * (linear + drive * square)) * sign
+            signed, unsigned = look_up_drive(p.drive, table, first_x, step_x, shift + log_speed)
+            own += p.radius[i] * (force + drive * signed + abs(drive) * unsigned) * sign
         out[n, 0] = own
         out[n, 1] = arm * friction * weight * sign
         out[n, 2] = arm * drag * speed * abs(speed)
@@ -198,9 +198,9 @@ def rates(
     driving = own + arm * (friction * weight * sign + drag * speed * abs(speed) + inertia * weight * accelerations[n])
     for i in range(loads.shape[0]):
         shift, _ = log_shift_factor(temps[i], tg, c1, c2)
-        linear, square = look_up_drive(p.drive, p.table[i], first_x, step_x, shift + log_speed)
+        signed, unsigned = look_up_drive(p.drive, p.table[i], first_x, step_x, shift + log_speed)
         drive = driving * loads[i] / weight
-        force = rate[i] + drive * (linear + drive * square)
+        force = rate[i] + drive * signed + abs(drive) * unsigned
         cooling = (p.thermal[i, 2] + p.thermal[i, 3] * abs(speed)) * p.thermal[i, 1]
         rate[i] = (force * abs(speed) - cooling * (temps[i] - ambient)) / p.thermal[i, 0]
     return rate
