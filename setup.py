@@ -22,6 +22,10 @@ BAGS = ["rosbags>=0.11"]
 PARQUET = ["pyarrow>=14"]
 PLOTS = ["matplotlib>=3.6"]
 FAST = ["numba>=0.57"]
+CYCLONE = "cyclonedds>=11.0.1"
+DDS = [*BAGS, CYCLONE]
+# No wheels elsewhere, and its source needs the C library: there the tests of that edge are skipped.
+DDS_TESTED = [f"{CYCLONE}; platform_machine == 'x86_64' and python_version < '3.14'"]
 TEST = ["pytest>=7.4", "hypothesis>=6.98", "rainflow>=3.1", "mcap>=1.1", "setuptools>=70.1"]
 TEST += ["ruff>=0.4", "mypy>=1.8", "types-PyYAML"]
 
@@ -47,9 +51,12 @@ setup(
         "parquet": PARQUET,
         "plots": PLOTS,
         "fast": FAST,
+        "dds": DDS,
         "all": BAGS + PARQUET + PLOTS + FAST,
-        "test": BAGS + PARQUET + PLOTS + FAST + TEST,
+        "test": BAGS + PARQUET + PLOTS + FAST + DDS_TESTED + TEST,
     },
     zip_safe=False,
-    entry_points={"console_scripts": ["trackres = trackres_ros.cli.main:main"]},
+    entry_points={
+        "console_scripts": ["trackres = trackres_ros.cli.main:main", "estimator = trackres_ros.ros.main:main"],
+    },
 )

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import hashlib
 import os
+import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import FunctionType
 from typing import Any, TypeVar, cast
 
 from trackres_ros.resources import cache_dir
@@ -20,10 +22,13 @@ try:
     if os.environ.get("TRACKRES_INTERPRETED"):
         raise ImportError("left out on request")
     import numba
+    from llvmlite.binding import get_host_cpu_name
 except ImportError:
     HAVE_NUMBA = False
+    _library: Any = None
 else:
     HAVE_NUMBA = True
+    _library = numba
 
 
 def _sources_digest() -> str:
@@ -35,9 +40,23 @@ def _sources_digest() -> str:
     return digest.hexdigest()[:16]
 
 
-# numba looks only at the file of the function itself, not at those it calls: after a change in one of them it would run the
-# old machine code. So the folder of its cache is named after all of them.
-_CACHE_NAME = f"compiled-{_sources_digest()}"
+def _cache_name() -> str:
+    """Name of the folder of compiled code: it says which sources, which numba and which processor it is for.
+
+    numba itself looks only at the file of the function, not at those it calls: after a change in one of them it would run the
+    old machine code.
+    """
+    parts = [_sources_digest(), sys.implementation.cache_tag]
+    if HAVE_NUMBA:
+        parts += [_library.__version__, get_host_cpu_name()]
+    return f"compiled-{'-'.join(parts)}"
+
+
+_CACHE_NAME = _cache_name()
+
+
+def _compiled_dir() -> Path:
+    return Path((_library.config.CACHE_DIR if HAVE_NUMBA else "") or cache_dir()) / _CACHE_NAME
 
 
 def compiled(function: Function) -> Function:
@@ -53,11 +72,33 @@ def inlined(function: Function) -> Function:
 def _compile(function: Function, inline: str) -> Function:
     if not HAVE_NUMBA:
         return function
-    library: Any = numba
-    config = library.config
+    config = _library.config
     others = config.CACHE_DIR
-    config.CACHE_DIR = str(Path(others or cache_dir()) / _CACHE_NAME)
+    config.CACHE_DIR = str(_compiled_dir())
     try:
-        return cast(Function, library.njit(cache=True, nogil=True, error_model="numpy", inline=inline)(function))
+        return cast(Function, _library.njit(cache=True, nogil=True, error_model="numpy", inline=inline)(function))
     finally:
         config.CACHE_DIR = others
+
+
+def is_cached(function: Callable[..., Any]) -> bool:
+    """Whether machine code of a compiled function lies in the cache; true without numba, as then nothing is compiled."""
+    python = getattr(function, "py_func", None)
+    if python is None:
+        return True
+    return any(_compiled_dir().rglob(f"{Path(python.__code__.co_filename).stem}.{python.__name__}-*.nbi"))
+
+
+def interpreted(function: Function, _known: dict[Any, Any] | None = None) -> Function:
+    """A copy in plain Python of a compiled function and of all compiled ones it calls: the same numbers, without compiling."""
+    known = {} if _known is None else _known
+    python = getattr(function, "py_func", None)
+    if python is None:
+        return function
+    if function not in known:
+        names = dict(python.__globals__)
+        known[function] = FunctionType(python.__code__, names, python.__name__, python.__defaults__, python.__closure__)
+        for name, value in python.__globals__.items():
+            if hasattr(value, "py_func"):
+                names[name] = interpreted(value, known)
+    return cast(Function, known[function])

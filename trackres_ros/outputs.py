@@ -57,22 +57,9 @@ class OutputTopic:
 
 
 def output_topics(vehicle: Vehicle) -> tuple[OutputTopic, ...]:
-    """All topics of a vehicle, in the order they are written."""
+    """All topics of a vehicle, most urgent first."""
     assemblies = [a.name for a in vehicle.assemblies]
     return (
-        OutputTopic(
-            "resistance_torque",
-            "sensor_msgs/msg/JointState",
-            "joints",
-            "torque about y that resists, at the sprockets [Nm]: total (hysteresis, bearing, wind), each part, what driving "
-            "takes in all, each assembly's total and hysteresis",
-            (
-                *TOTALS.values(),
-                *(f"{column}/{name}" for name in assemblies for column in ("resistance_torque_nm", "hysteresis_nm")),
-            ),
-            (*TOTALS, *(f"{joint}/{name}" for name in assemblies for joint in ("total", "hysteresis"))),
-            -1.0,
-        ),
         OutputTopic(
             "feedforward_torque",
             "geometry_msgs/msg/WrenchStamped",
@@ -86,6 +73,19 @@ def output_topics(vehicle: Vehicle) -> tuple[OutputTopic, ...]:
             "number",
             "the same number for controllers that take only that; it has no stamp",
             ("feedforward_torque_nm",),
+        ),
+        OutputTopic(
+            "resistance_torque",
+            "sensor_msgs/msg/JointState",
+            "joints",
+            "torque about y that resists, at the sprockets [Nm]: total (hysteresis, bearing, wind), each part, what driving "
+            "takes in all, each assembly's total and hysteresis",
+            (
+                *TOTALS.values(),
+                *(f"{column}/{name}" for name in assemblies for column in ("resistance_torque_nm", "hysteresis_nm")),
+            ),
+            (*TOTALS, *(f"{joint}/{name}" for name in assemblies for joint in ("total", "hysteresis"))),
+            -1.0,
         ),
         *(
             OutputTopic(

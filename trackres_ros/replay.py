@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,16 +15,14 @@ from trackres_ros.csvs import TableWriter
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import layout as at
 from trackres_ros.estimator.estimator import Estimator, Session, Steps
-from trackres_ros.estimator.settings import Settings
 from trackres_ros.output_bag import OutputBag
 from trackres_ros.recording import Source
-from trackres_ros.topics import Topics
+from trackres_ros.seen import Seen
 
 Array = NDArray[np.float64]
 
 BAG_SUFFIX = ".mcap"
 BLOCK_ROWS = 8192  # results of so many messages stay in the cache and in memory already had
-PICTURE_SAMPLES = 8000  # kept for the picture; twice as many are thinned to half
 NANOSECOND = 1e-9
 
 
@@ -38,17 +36,6 @@ class Replayed:
     duration_s: float
     picture: Array  # (samples, 1 + columns): time [s] and results, thinned
     last: Array  # last row of results
-
-
-def settings_for(settings: Settings, topics: Topics | None) -> Settings:
-    """Settings with what the topics file says of the belt sensor."""
-    belts = [topics[role] for role in topics if role.partition("/")[0] == "belt"] if topics else []
-    if not belts:
-        return settings
-    kinds = {(belt.sensor, belt.std_k) for belt in belts}
-    if len(kinds) > 1:
-        raise InputError(f"{topics.origin if topics else ''}: belt", sorted(kinds), "one sensor and std_k for all belts")
-    return replace(settings, belt_sensor=belts[0].sensor, belt_measured_std_k=belts[0].std_k)
 
 
 def channel_indices(session: Session, roles: Sequence[str]) -> NDArray[np.int16]:
@@ -93,7 +80,7 @@ def replay(
     """
     session = session or estimator.session()
     channel_of = channel_indices(session, source.roles)
-    seen = _Seen(len(estimator.columns))
+    seen = Seen(len(estimator.columns))
     messages = 0
     with ThreadPoolExecutor(max_workers=1) as worker:  # the kernel lets go of the interpreter: reading goes on meanwhile
         running: Future[Steps] | None = None
@@ -136,33 +123,3 @@ def result_writer(path: Path, estimator: Estimator) -> Iterator[Callable[[Steps]
             table.write_columns([*columns, *(steps.rows[:, i] for i in range(steps.rows.shape[1]))])
 
         yield write
-
-
-class _Seen:
-    """What a replay remembers of its results: the last row, and every n-th row for the picture.
-
-    n doubles as they come, so that a picture of any length costs the same memory.
-    """
-
-    def __init__(self, columns: int) -> None:
-        self.steps, self.first_ns, self.last_ns = 0, 0, 0
-        self.last = np.empty(0)
-        self.kept = np.empty((0, 1 + columns))
-        self._stride = 1
-
-    def take(self, steps: Steps, write: Callable[[Steps], None] | None) -> None:
-        """Take the results of a block, and hand them on."""
-        number = len(steps.rows)
-        if not number:
-            return
-        if not self.steps:
-            self.first_ns = int(steps.stamp_ns[0])
-        chosen = np.arange(-self.steps % self._stride, number, self._stride)
-        time_s = (steps.stamp_ns[chosen] - self.first_ns) * NANOSECOND
-        self.kept = np.concatenate([self.kept, np.column_stack([time_s, steps.rows[chosen]])])
-        while len(self.kept) > 2 * PICTURE_SAMPLES:
-            self.kept, self._stride = self.kept[::2], 2 * self._stride
-        self.steps += number
-        self.last_ns, self.last = int(steps.stamp_ns[-1]), steps.rows[-1].copy()
-        if write:
-            write(steps)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -47,9 +47,9 @@ class KeptSource:
         return Recording.from_source(self).findings if self._keep else self.findings
 
 
-def picture_columns(result: Replayed) -> dict[str, Array]:
-    """The series of the picture by column name."""
-    return {name: result.picture[:, HEAD + i] for i, name in enumerate(result.session.estimator.columns)}
+def picture_columns(columns: Sequence[str], picture: Array) -> dict[str, Array]:
+    """The series of a picture by column name; its first column is the time."""
+    return {name: picture[:, HEAD + i] for i, name in enumerate(columns)}
 
 
 def summary(result: Replayed, source: KeptSource, written: list[str]) -> dict[str, Any]:

@@ -10,6 +10,7 @@ import click
 
 from trackres_ros import __version__
 from trackres_ros.cli.explain import explain_command
+from trackres_ros.cli.live import live_command
 from trackres_ros.cli.record_sample import record_sample_command
 from trackres_ros.cli.replay import replay_command
 from trackres_ros.cli.reproduce import reproduce_command
@@ -30,11 +31,20 @@ def cli() -> None:
     Start here:
       trackres record-sample -o lap.mcap                       make a recording to play with
       trackres replay lap.mcap --vehicle xgd24d -o out.csv     torque and temperature over time, and a picture
+      trackres live --vehicle xgd24d --topics topics.yaml      the same while driving
       trackres explain --vehicle xgd24d --speed-kmh 50 --belt-degc 15    one operating point taken apart
     """
 
 
-for command in (simulate_command, replay_command, explain_command, reproduce_command, record_sample_command, vehicle_group):
+for command in (
+    live_command,
+    replay_command,
+    simulate_command,
+    explain_command,
+    reproduce_command,
+    record_sample_command,
+    vehicle_group,
+):
     cli.add_command(command)
 
 

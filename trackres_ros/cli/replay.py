@@ -22,7 +22,11 @@ from trackres_ros.errors import InputError, MissingExtraError
     help="Which topic, field or column feeds which role; guessed by message type without.",
 )
 @click.option(
-    "--params", "params_file", type=click.Path(path_type=Path), metavar="P.yaml", help="Settings of the estimator, by name."
+    "--params",
+    "params_file",
+    type=click.Path(path_type=Path),
+    metavar="P.yaml",
+    help="Parameter file, flat or as the live node reads it; what concerns the estimator counts.",
 )
 @method_options
 @click.option(
@@ -63,13 +67,14 @@ def replay_command(
     """
     from trackres_ros.estimator import layout as at
     from trackres_ros.estimator.estimator import Estimator
-    from trackres_ros.estimator.settings import load_settings
     from trackres_ros.estimator.snapshot import resume, save
     from trackres_ros.model.track import with_methods
+    from trackres_ros.parameters import make_parameters, read_parameters
     from trackres_ros.plots import plot_estimate
-    from trackres_ros.replay import NANOSECOND, replay, result_writer, settings_for
+    from trackres_ros.replay import NANOSECOND, replay, result_writer
     from trackres_ros.replay_report import KeptSource, picture_columns, summary, text
     from trackres_ros.sources import open_source
+    from trackres_ros.topic_settings import settings_for
     from trackres_ros.topics import Topics
     from trackres_ros.vehicle import load
 
@@ -78,8 +83,9 @@ def replay_command(
         raise InputError("-o", str(path), "another file than the recording, which it would replace")
     picture = without_suffix(path).with_name(without_suffix(path).name + ".png")
     topics = Topics.load(topics_file) if topics_file else None
+    parameters = make_parameters(read_parameters(params_file))
     source = open_source(recording, topics)
-    estimator = Estimator(with_methods(load(vehicle), method, thermal), settings_for(load_settings(params_file), topics))
+    estimator = Estimator(with_methods(load(vehicle), method, thermal), settings_for(parameters.settings(), topics))
     session = resume(estimator, resume_file) if resume_file else None
     look = KeptSource(source, keep=path.suffix.lower() != ".mcap")
     with progress("replaying", None) as advance, result_writer(path, estimator) as write:
@@ -89,7 +95,7 @@ def replay_command(
     title = f"{', '.join(p.name for p in recording)}: {estimator.vehicle.title}"
     written = [str(path)]
     try:
-        plot_estimate(picture, result.picture[:, 0], picture_columns(result), title)
+        plot_estimate(picture, result.picture[:, 0], picture_columns(result.session.estimator.columns, result.picture), title)
         written.append(str(picture))
     except MissingExtraError as error:
         click.echo(f"trackres: no picture: {error}", err=True)

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.compiled import HAVE_NUMBA
 from trackres_ros.estimator import layout as at
 from trackres_ros.estimator.settings import PARTS, Settings
 from trackres_ros.estimator.spread import spread
@@ -77,6 +76,8 @@ class Numbers(NamedTuple):
     feed_inertia: float
     feedforward_rate: float
     feedforward_limit: float
+    speed_max_age: float
+    feedforward_fade: float
     belt_std_warn: float
 
 
@@ -90,11 +91,11 @@ class Constants(NamedTuple):
     channel_limits: Array  # (channels, 2)
 
 
-def kernel_arguments(constants: Constants) -> tuple[Any, Array, Array, Array, Array]:
+def kernel_arguments(constants: Constants, for_compiled: bool) -> tuple[Any, Array, Array, Array, Array]:
     """The constants as the kernel's entries take them: the numbers as one record of an array, which costs a call a tenth of
     what fifty separate ones do.
     """
-    if not HAVE_NUMBA:
+    if not for_compiled:
         return ([constants.number], *constants[1:])
     kinds = {float: np.float64, int: np.int64, bool: np.bool_}
     dtype = np.dtype([(name, kinds[kind]) for name, kind in get_type_hints(Numbers).items()])
@@ -172,6 +173,8 @@ def make_constants(vehicle: Vehicle, settings: Settings, cache: Path | None = No
         **{f"feed_{part}": float(part in settings.feedforward_parts) for part in PARTS},
         feedforward_rate=settings.feedforward_rate,
         feedforward_limit=settings.feedforward_share * float(np.dot(loads, constants[:, at.RADIUS])),
+        speed_max_age=settings.speed_max_age_s,
+        feedforward_fade=settings.feedforward_fade_s,
         belt_std_warn=settings.belt_std_warn_k,
     )
     return Constants(

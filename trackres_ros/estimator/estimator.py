@@ -14,7 +14,7 @@ from trackres_ros.estimator import layout as at
 from trackres_ros.estimator.constants import Constants, kernel_arguments, make_constants
 from trackres_ros.estimator.guards import Memory, new_memory
 from trackres_ros.estimator.kernel import Inputs
-from trackres_ros.estimator.session import feed_many, feed_one, rest_belts, run_series, start_belts, step_once
+from trackres_ros.estimator.session import COMPILED, Entries
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.vehicle import Vehicle
 
@@ -109,11 +109,14 @@ class Estimator:
     True
     """
 
-    def __init__(self, vehicle: Vehicle, settings: Settings | None = None, cache: Path | None = None) -> None:
+    def __init__(
+        self, vehicle: Vehicle, settings: Settings | None = None, cache: Path | None = None, entries: Entries = COMPILED
+    ) -> None:
         self.vehicle = vehicle
         self.settings = settings or Settings()
+        self.entries = entries
         self.constants: Constants = make_constants(vehicle, self.settings, cache)
-        self.kernel_arguments = kernel_arguments(self.constants)
+        self.kernel_arguments = kernel_arguments(self.constants, entries.compiled)
         self.assemblies = tuple(a.name for a in vehicle.assemblies)
         self.channels = at.channels(vehicle)
         self.columns = at.columns(vehicle)
@@ -164,7 +167,7 @@ class Estimator:
     def cold_start(self, inputs: Inputs, belt_degc: float | None = None, belt_std_k: float | None = None) -> State:
         """State of belts that are at the ambient temperature, or at a known one [degC] with a standard deviation [K]."""
         state = State(np.empty((len(self.assemblies), 2, at.BELT_COLUMNS)), np.empty(at.MOTION_COLUMNS))
-        start_belts(*self.kernel_arguments, state.belts, state.motion, inputs.ambient, inputs.ambient_std)
+        self.entries.start_belts(*self.kernel_arguments, state.belts, state.motion, inputs.ambient, inputs.ambient_std)
         if belt_degc is not None:
             state.belts[:, :, at.TEMPERATURE] = belt_degc
             state.belts[:, :, at.DOUBT_AMBIENT] = 0.0
@@ -175,7 +178,7 @@ class Estimator:
     def step(self, state: State, inputs: Inputs, dt: float) -> tuple[State, Estimate]:
         """Advance by dt [s] to the time of `inputs`. Pure: the state given is left as it was."""
         belts, motion, row = state.belts.copy(), state.motion.copy(), np.empty(len(self.columns))
-        step_once(
+        self.entries.step_once(
             *self.kernel_arguments,
             belts,
             motion,
@@ -228,7 +231,7 @@ class Estimator:
         belts, motion = state.belts.copy(), state.motion.copy()
         rows = np.empty((len(times), len(self.columns)))
         number = self.constants.number
-        run_series(
+        self.entries.run_series(
             *self.kernel_arguments,
             belts,
             motion,
@@ -248,7 +251,9 @@ class Estimator:
     def rest(self, state: State, ambient: float, seconds: float) -> State:
         """The state after standing, or being switched off, for a while at an ambient temperature [degC]."""
         belts, motion = state.belts.copy(), state.motion.copy()
-        rest_belts(*self.kernel_arguments, belts, float(ambient), self.constants.number.ambient_unknown_std, float(seconds))
+        self.entries.rest_belts(
+            *self.kernel_arguments, belts, float(ambient), self.constants.number.ambient_unknown_std, float(seconds)
+        )
         motion[at.FEEDFORWARD] = 0.0
         return State(belts, motion)
 
@@ -291,6 +296,17 @@ class Session:
         self.belts[:], self.motion[:] = state.belts, state.motion
         self.motion[at.STARTED] = 0.5
 
+    def adopt(self, other: Session) -> None:
+        """Go on where another session of the same vehicle is: all it remembers, under this one's settings."""
+        self.belts[:], self.motion[:] = other.belts, other.motion
+        for mine, its in zip(self.memory, other.memory, strict=True):
+            mine[:] = its
+
+    def start_anew(self, time_went_back: bool) -> None:
+        """Forget belts and messages, as at a cold start; counters stay. The next estimate says so if time went back."""
+        self.memory.times[:], self.memory.values[:] = 0, math.nan
+        self.motion[at.STARTED] = at.START_ANEW if time_went_back else 0.0
+
     def channel(self, name: str) -> int:
         """Index of a channel by its name, such as `speed` or `load/front`; KeyError if the vehicle has none of that name."""
         return self._channel[name]
@@ -298,7 +314,7 @@ class Session:
     def handle(self, channel: int, stamp_ns: int, arrival_ns: int, value: float) -> Estimate | None:
         """Take in one message; an estimate if it was an accepted speed, else None."""
         row = np.empty(len(self.estimator.columns))
-        stepped = feed_one(*self._arguments, channel, stamp_ns, arrival_ns, value, row)
+        stepped = self.estimator.entries.feed_one(*self._arguments, channel, stamp_ns, arrival_ns, value, row)
         return Estimate(row, self.estimator.column_index) if stepped else None
 
     def handle_block(self, channel: NDArray[np.int16], stamp_ns: IntArray, arrival_ns: IntArray, value: Array) -> Steps:
@@ -306,7 +322,7 @@ class Session:
         most = int(np.count_nonzero(channel == at.SPEED))
         rows = np.empty((most + 1, len(self.estimator.columns)))
         stamps, arrivals = np.empty((2, most + 1), dtype=np.int64)
-        steps = feed_many(*self._arguments, channel, stamp_ns, arrival_ns, value, rows, stamps, arrivals)
+        steps = self.estimator.entries.feed_many(*self._arguments, channel, stamp_ns, arrival_ns, value, rows, stamps, arrivals)
         return Steps(stamps[:steps], arrivals[:steps], rows[:steps])
 
     def counts(self) -> Iterator[tuple[str, at.Count, int]]:

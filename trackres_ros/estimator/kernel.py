@@ -265,6 +265,12 @@ def advance_assemblies(k: Constants, belts: Array, inputs: Inputs, road: Road, o
     return total, reasons
 
 
+@compiled
+def fade(age: float, max_age: float, fade_s: float) -> float:
+    """Share of the feed-forward that is left when the speed is so old [s]: all until `max_age`, none `fade_s` later."""
+    return min(1.0, max(0.0, 1.0 - (age - max_age) / fade_s))
+
+
 @inlined
 def feedforward(k: Constants, motion: Array, total: Array, given_accel: bool, dt: float) -> tuple[float, int]:
     """Chosen parts [Nm], limited in size and rate, and the reasons that gives."""
@@ -281,8 +287,9 @@ def feedforward(k: Constants, motion: Array, total: Array, given_accel: bool, dt
         wanted = math.copysign(number.feedforward_limit, wanted)
         reasons |= CLAMPED
     room = number.feedforward_rate * min(dt, number.gap)
-    if abs(wanted - motion[at.FEEDFORWARD]) > room:
-        wanted = motion[at.FEEDFORWARD] + math.copysign(room, wanted - motion[at.FEEDFORWARD])
+    last = motion[at.FEEDFORWARD] * fade(dt, number.speed_max_age, number.feedforward_fade)
+    if abs(wanted - last) > room:
+        wanted = last + math.copysign(room, wanted - last)
         reasons |= LIMITED
     return wanted, reasons
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.compiled import compiled, inlined
+from trackres_ros.compiled import HAVE_NUMBA, compiled, inlined, interpreted
 from trackres_ros.estimator import layout as at
 from trackres_ros.estimator.belt_step import SLOWEST_LOG_SPEED
 from trackres_ros.estimator.constants import Constants, Numbers
@@ -219,3 +220,26 @@ def start_belts(
 ) -> None:
     """`kernel.start`."""
     start(Constants(numbers[0], assembly, loss, drive, limits), belts, motion, ambient, ambient_std)
+
+
+@dataclass(frozen=True)
+class Entries:
+    """The functions an estimator runs, compiled where numba is there or in plain Python; equal numbers either way."""
+
+    compiled: bool
+    feed_one: Callable[..., Any]
+    feed_many: Callable[..., Any]
+    run_series: Callable[..., Any]
+    step_once: Callable[..., Any]
+    rest_belts: Callable[..., Any]
+    start_belts: Callable[..., Any]
+
+
+COMPILED = Entries(HAVE_NUMBA, feed_one, feed_many, run_series, step_once, rest_belts, start_belts)
+
+
+def interpreted_entries() -> Entries:
+    """The same in plain Python."""
+    known: dict[Any, Any] = {}
+    functions = (feed_one, feed_many, run_series, step_once, rest_belts, start_belts)
+    return Entries(False, *(interpreted(function, known) for function in functions))

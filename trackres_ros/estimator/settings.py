@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 from trackres_ros.errors import InputError
-from trackres_ros.vehicle.reading import read_yaml
 
 PARTS = ("hysteresis", "bearing", "wind", "grade", "inertia")
 BELT_SENSORS = ("mean", "surface")
@@ -52,6 +48,10 @@ class Settings:
     acceleration_time_s: float = _setting(3.0, "s", 0.05, 600.0, "time over which the vehicle's acceleration changes")
     feedforward_rate: float = _setting(20000.0, "Nm/s", 1.0, 1e9, "largest change of the feed-forward torque")
     feedforward_share: float = _setting(0.10, "1", 0.001, 2.0, "largest feed-forward torque over weight x sprocket radius")
+    speed_max_age_s: float = _setting(
+        0.5, "s", 0.01, 60.0, "a speed older than this is not trusted: the feed-forward fades, live the status is stale"
+    )
+    feedforward_fade_s: float = _setting(1.0, "s", 0.01, 60.0, "time in which the feed-forward then goes to zero")
     belt_std_warn_k: float = _setting(25.0, "K", 0.1, 1000.0, "a belt temperature less certain than this is reported")
     feedforward_parts: tuple[str, ...] = field(
         default=("hysteresis", "bearing", "wind"),
@@ -78,26 +78,3 @@ class Settings:
 def _check_number(name: str, value: Any, low: float, high: float, unit: str) -> None:
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value) or not low <= value <= high:
         raise InputError(f"setting {name}", value, f"a number from {low:g} to {high:g} {unit}")
-
-
-def make_settings(values: Mapping[str, Any]) -> Settings:
-    """Settings from names and values; an unknown name is refused."""
-    known = [item.name for item in dataclasses.fields(Settings)]
-    for name in values:
-        if name not in known:
-            near = difflib.get_close_matches(name, known, n=1)
-            raise InputError("setting", name, f"one of {', '.join(known)}", f"did you mean {near[0]}?" if near else "")
-    checked = dict(values)
-    if isinstance(checked.get("feedforward_parts"), list):
-        checked["feedforward_parts"] = tuple(checked["feedforward_parts"])
-    return Settings(**checked)
-
-
-def load_settings(path: Path | None) -> Settings:
-    """Settings from a YAML file of names and values; the defaults where there is none."""
-    if path is None:
-        return Settings()
-    try:
-        return make_settings(read_yaml(path))
-    except InputError as error:
-        raise InputError(f"{path}: {error.where}", error.given, error.allowed, error.remedy) from None

@@ -6,6 +6,7 @@ the belts have cooled and the guards start anew, as stamps and clocks may be oth
 
 from __future__ import annotations
 
+import glob
 import hashlib
 import json
 import math
@@ -23,13 +24,14 @@ from trackres_ros.estimator.estimator import Estimator, Session, State
 
 FORMAT = "trackres-state"
 VERSION = 1
+PART = ".part"
 REMEDY = "delete the file to start cold"
 
 
 def key(estimator: Estimator) -> str:
     """Hash of all that a state's meaning depends on: the vehicle's values and the arrays' layout."""
     vehicle = estimator.vehicle
-    content = {path: q.value for path, q in vehicle.parameters.items()}
+    values = {path: q.value for path, q in vehicle.parameters.items()}
     parts = [
         vehicle.name,
         vehicle.thermal,
@@ -37,7 +39,7 @@ def key(estimator: Estimator) -> str:
         estimator.columns,
         at.BELT_COLUMNS,
         at.MOTION_COLUMNS,
-        content,
+        values,
         asdict(vehicle.rubber),
     ]
     return hashlib.sha256(json.dumps(parts, sort_keys=True, default=lambda a: a.tolist()).encode()).hexdigest()[:32]
@@ -51,32 +53,51 @@ def save(session: Session, path: Path, saved_at: float) -> None:
     OSError
         If the file cannot be written; an older one is then left whole.
     """
-    content = {
-        "format": FORMAT,
-        "version": VERSION,
-        "key": key(session.estimator),
-        "vehicle": session.estimator.vehicle.name,
-        "saved_at": saved_at,
-        "started": session.started,
-        "belts": _text(session.belts),
-        "motion": _text(session.motion),
-        "values": _text(session.memory.values),
-        "times": session.memory.times.tolist(),
-        "counters": session.memory.counters.tolist(),
-        "reasons": session.memory.reasons.tolist(),
-    }
-    data = json.dumps(content, indent=1)
-    with tempfile.NamedTemporaryFile(
-        "w", dir=path.parent, prefix=path.name, suffix=".part", delete=False, encoding="utf-8"
-    ) as file:
+    write(path, content(session, saved_at))
+
+
+def content(session: Session, saved_at: float) -> str:
+    """Text of a state file; see `save`."""
+    return json.dumps(
+        {
+            "format": FORMAT,
+            "version": VERSION,
+            "key": key(session.estimator),
+            "vehicle": session.estimator.vehicle.name,
+            "saved_at": saved_at,
+            "started": session.started,
+            "belts": _text(session.belts),
+            "motion": _text(session.motion),
+            "values": _text(session.memory.values),
+            "times": session.memory.times.tolist(),
+            "counters": session.memory.counters.tolist(),
+            "reasons": session.memory.reasons.tolist(),
+        }
+    )
+
+
+def write(path: Path, text: str) -> None:
+    """Write the text of a state file beside its place and move it there.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written; an older file is then left whole.
+    """
+    with tempfile.NamedTemporaryFile("w", dir=path.parent, prefix=path.name, suffix=PART, delete=False, encoding="utf-8") as file:
         try:
-            file.write(data)
+            file.write(text)
             file.flush()
             os.fsync(file.fileno())
             Path(file.name).replace(path)
         except BaseException:
             Path(file.name).unlink(missing_ok=True)
             raise
+
+
+def leftovers(path: Path) -> list[Path]:
+    """Parts of a state file whose writing was cut off."""
+    return list(path.parent.glob(f"{glob.escape(path.name)}*{PART}"))
 
 
 def resume(estimator: Estimator, path: Path) -> Session:

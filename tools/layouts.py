@@ -1,0 +1,123 @@
+"""Layouts of PlotJuggler and Foxglove for the node's topics, made from the table of topics."""
+
+import json
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+
+from trackres_ros.outputs import DEFAULT_NODE, TOTALS, OutputTopic, output_topics
+from trackres_ros.vehicle import Vehicle
+
+COLOURS = ("#1f77b4", "#d62728", "#2ca02c", "#ff7f0e", "#9467bd", "#8c564b", "#17becf", "#bcbd22")
+SHOWN_S = 600.0
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One curve: what it is called, and where both programs find it."""
+
+    label: str
+    plotjuggler: str
+    foxglove: str
+
+
+@dataclass(frozen=True)
+class Plot:
+    """One plot with its curves."""
+
+    title: str
+    curves: tuple[Curve, ...]
+
+
+def plots(vehicle: Vehicle) -> tuple[Plot, ...]:
+    """Torque by part, feed-forward, belts, and measured against expected torque."""
+    topics = {topic.name: topic for topic in output_topics(vehicle)}
+    resistance, residual = topics["resistance_torque"], topics["torque_residual"]
+    assemblies = [assembly.name for assembly in vehicle.assemblies]
+    wrench = f"/{DEFAULT_NODE}/feedforward_torque"
+    return (
+        Plot("Torque about y that resists, by part [Nm]", tuple(_joint(resistance, name) for name in TOTALS if name != "drive")),
+        Plot("Feed-forward torque [Nm]", (Curve("feed-forward", f"{wrench}/wrench/torque/y", f"{wrench}.wrench.torque.y"),)),
+        Plot(
+            "Belt temperature [degC]",
+            tuple(
+                Curve(name, f"{topic}/temperature", f"{topic}.temperature")
+                for name in assemblies
+                for topic in (f"/{DEFAULT_NODE}/track_temperature/{name}",)
+            ),
+        ),
+        Plot("Torque about y that resists, by assembly [Nm]", tuple(_joint(resistance, f"total/{name}") for name in assemblies)),
+        Plot("Measured and expected torque [Nm]", tuple(_joint(residual, name) for name in residual.names)),
+    )
+
+
+def _joint(topic: OutputTopic, name: str) -> Curve:
+    base = f"/{DEFAULT_NODE}/{topic.name}"
+    return Curve(name, f"{base}/{name}/effort", f"{base}.effort[{topic.names.index(name)}]")
+
+
+def plotjuggler(vehicle: Vehicle) -> str:
+    """A layout file of PlotJuggler 3: a tab for the torque, one for the assemblies."""
+    root = ET.Element("root")
+    widget = ET.SubElement(root, "tabbed_widget", name="Main Window", parent="main_window")
+    everything = plots(vehicle)
+    for title, shown in (("torque and temperature", everything[:3]), ("assemblies, measured", everything[3:])):
+        tab = ET.SubElement(widget, "Tab", tab_name=title, containers="1")
+        share = ";".join(f"{1 / len(shown):.6f}" for _ in shown)
+        splitter = ET.SubElement(
+            ET.SubElement(tab, "Container"), "DockSplitter", orientation="-", count=str(len(shown)), sizes=share
+        )
+        for plot in shown:
+            area = ET.SubElement(splitter, "DockArea", name=plot.title)
+            drawn = ET.SubElement(area, "plot", mode="TimeSeries", style="Lines", flip_x="false", flip_y="false")
+            ET.SubElement(drawn, "range", left="0", right=f"{SHOWN_S:g}", bottom="0", top="1")
+            ET.SubElement(drawn, "limitY")
+            for curve, colour in zip(plot.curves, COLOURS * 4, strict=False):
+                ET.SubElement(drawn, "curve", name=curve.plotjuggler, color=colour)
+    ET.SubElement(widget, "currentTabIndex", index="0")
+    ET.SubElement(root, "use_relative_time_offset", enabled="1")
+    ET.indent(root, " ")
+    return f"<?xml version='1.0' encoding='UTF-8'?>\n{ET.tostring(root, encoding='unicode')}\n"
+
+
+def foxglove(vehicle: Vehicle) -> str:
+    """A layout file of Foxglove: the plots one below the other, the diagnostics at their side."""
+    panels: dict[str, object] = {
+        f"Plot!trackres{number}": {
+            "title": plot.title,
+            "paths": [
+                {
+                    "value": curve.foxglove,
+                    "label": curve.label,
+                    "enabled": True,
+                    "timestampMethod": "headerStamp",
+                    "color": colour,
+                }
+                for curve, colour in zip(plot.curves, COLOURS * 4, strict=False)
+            ],
+            "showXAxisLabels": True,
+            "showYAxisLabels": True,
+            "showLegend": True,
+            "legendDisplay": "left",
+            "isSynced": True,
+            "xAxisVal": "timestamp",
+            "followingViewWidth": SHOWN_S,
+        }
+        for number, plot in enumerate(plots(vehicle))
+    }
+    column = _column(list(panels))
+    panels["DiagnosticSummary!trackres"] = {
+        "minLevel": 0,
+        "pinnedIds": [],
+        "hardwareIdFilter": "",
+        "topicToRender": "/diagnostics",
+        "sortByLevel": True,
+    }
+    layout = {"direction": "row", "first": column, "second": "DiagnosticSummary!trackres", "splitPercentage": 75}
+    return json.dumps({"configById": panels, "globalVariables": {}, "userNodes": {}, "layout": layout}, indent=2) + "\n"
+
+
+def _column(names: list[str]) -> object:
+    """Panels of equal height, one below the other."""
+    if len(names) == 1:
+        return names[0]
+    return {"direction": "column", "first": names[0], "second": _column(names[1:]), "splitPercentage": 100 / len(names)}

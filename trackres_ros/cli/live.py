@@ -1,0 +1,117 @@
+"""`trackres live`: the running node, on ROS 2 where rclpy is there, else on Cyclone DDS."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+import yaml
+
+from trackres_ros.cli.common import output_path
+from trackres_ros.errors import InputError
+
+if TYPE_CHECKING:
+    from trackres_ros.live.application import Application
+
+
+@click.command("live")
+@click.option("--vehicle", metavar="FILE|NAME", help="Vehicle file or shipped name; may stand in the parameter file instead.")
+@click.option("--topics", metavar="T.yaml", help="Which topic feeds which role; by default config/topics/default.yaml.")
+@click.option(
+    "--params", "params_file", type=click.Path(path_type=Path), metavar="P.yaml", help="Parameter file, flat or as ROS has it."
+)
+@click.option("-p", "single", multiple=True, metavar="NAME:=VALUE", help="One parameter; may be given several times.")
+@click.option("--name", default="trackres", show_default=True, help="Name of the node.")
+@click.option("--namespace", default="/", show_default=True, help="Namespace of the node.")
+@click.option(
+    "--edge",
+    type=click.Choice(["auto", "ros", "dds"]),
+    default="auto",
+    show_default=True,
+    help="Middleware: rclpy, or Cyclone DDS without ROS; auto takes rclpy where it imports.",
+)
+@click.option(
+    "--record",
+    type=click.Path(path_type=Path),
+    metavar="OUT.mcap",
+    help="Write every estimate as topics, and a picture, at the end.",
+)
+@click.option("--quiet", is_flag=True, help="No table in the terminal.")
+def live_command(
+    vehicle: str | None,
+    topics: str | None,
+    params_file: Path | None,
+    single: tuple[str, ...],
+    name: str,
+    namespace: str,
+    edge: str,
+    record: Path | None,
+    quiet: bool,
+) -> int:
+    """Run the live estimate until interrupted.
+
+    \b
+    trackres live --vehicle xgd24d --topics topics.yaml
+    trackres live --vehicle xgd24d -p output_rate_hz:=100 -p use_sim_time:=true
+
+    Signals: INT and TERM end it and save the state. On DDS, where there are no services, USR1 saves the state and USR2
+    starts cold.
+    """
+    from trackres_ros.cli.live_table import LiveTable
+    from trackres_ros.live.record import Recorder
+    from trackres_ros.parameters import make_parameters, read_parameters
+
+    _check_names(name, namespace)
+    recorder = Recorder(output_path(record, (".mcap",))) if record else None
+    given = read_parameters(params_file, name, namespace)
+    given.update(dict(_single(text) for text in single))
+    given.update({key: value for key, value in (("vehicle", vehicle), ("topics", topics)) if value is not None})
+    make_parameters(given)
+    shown: list[LiveTable] = []
+
+    def started(application: Application) -> None:
+        if recorder:
+            application.on_estimate = recorder.begin(application.estimator)
+        if not quiet:
+            shown.append(LiveTable(f"{name}: {application.vehicle.title}", application.overview))
+            shown[-1].start()
+
+    try:
+        return _run(edge, given, name, namespace, started)
+    finally:
+        for table in shown:
+            table.stop()
+        if recorder:
+            for text in recorder.end():
+                click.echo(text)
+
+
+def _run(edge: str, given: dict[str, object], name: str, namespace: str, started: Any) -> int:
+    if edge == "ros" or (edge == "auto" and importlib.util.find_spec("rclpy")):
+        from trackres_ros.ros.main import run as run_on_ros
+
+        return run_on_ros(given, name, namespace, started)
+    from trackres_ros.dds.node import run as run_on_dds
+
+    return run_on_dds(given, name, namespace, started)
+
+
+def _single(text: str) -> tuple[str, object]:
+    name, mark, value = text.partition(":=")
+    if not mark or not name:
+        raise InputError("-p", text, "NAME:=VALUE", "for example: -p output_rate_hz:=100")
+    try:
+        return name, yaml.safe_load(value)
+    except yaml.YAMLError as error:
+        raise InputError(f"-p {name}", value, "a YAML value") from error
+
+
+def _check_names(name: str, namespace: str) -> None:
+    import re
+
+    if not re.fullmatch(r"[A-Za-z_]\w*", name):
+        raise InputError("--name", name, "letters, digits and underscores, not beginning with a digit")
+    if not re.fullmatch(r"/|(/[A-Za-z_]\w*)+", namespace):
+        raise InputError("--namespace", namespace, "a path such as /left/rear")

@@ -1,0 +1,145 @@
+"""The live table in the terminal: rates, ages, torque by part, temperatures, status."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable
+from datetime import UTC, datetime
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.panel import Panel
+from rich.table import Table
+from rich.text import Text
+
+from trackres_ros.live.edge import Level
+from trackres_ros.live.report import Overview
+from trackres_ros.outputs import TOTALS
+from trackres_ros.recording import ROLES, base_role
+
+REFRESH_S = 0.5
+PLAIN_PERIOD_S = 10.0
+KMH = 3.6
+COLOURS = {Level.OK: "green", Level.WARN: "yellow", Level.ERROR: "red", Level.STALE: "magenta"}
+
+
+class LiveTable:
+    """Shows an overview again and again, from a thread of its own: redrawn in a terminal, else a line now and then."""
+
+    def __init__(self, title: str, overview: Callable[[], Overview]) -> None:
+        self._title, self._overview = title, overview
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="table", daemon=True)
+
+    def start(self) -> None:
+        """Begin to show."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Show the last state and end."""
+        self._stop.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        console = Console()
+        if not console.is_terminal:
+            while True:
+                over = self._stop.wait(PLAIN_PERIOD_S)
+                console.print(line(self._overview()), soft_wrap=True, markup=False, highlight=False)
+                if over:
+                    return
+        with Live(console=console, auto_refresh=False) as live:
+            over = False
+            while not over:
+                live.update(table(self._title, self._overview()), refresh=True)
+                over = self._stop.wait(REFRESH_S)
+            live.update(table(self._title, self._overview()), refresh=True)
+
+
+def table(title: str, seen: Overview) -> Panel:
+    """The overview as a picture for the terminal."""
+    colour = COLOURS[seen.level]
+    status = Text.assemble((f" {seen.level.name} ", f"bold reverse {colour}"), f"  {seen.message}")
+    parts: list[Text | Table] = [status, _inputs(seen)]
+    if seen.values:
+        side_by_side = Table.grid(padding=(0, 4))
+        side_by_side.add_row(_torques(seen), _belts(seen))
+        parts.append(side_by_side)
+    if any(given.role == "torque" for given in seen.inputs):
+        parts.append(Text(f"measured torque: {seen.mismatch.text}"))
+    parts.append(Text(_foot(seen), style="dim"))
+    return Panel(Group(*parts), title=title, border_style=colour)
+
+
+def line(seen: Overview) -> str:
+    """The overview in one line."""
+    if not seen.values:
+        return f"{seen.level.name}: {seen.message}"
+    value = seen.values
+    belts = [value[f"belt_degc/{name}"] for name in seen.assemblies]
+    return (
+        f"{_time(seen)}  {value['speed_mps'] * KMH:5.1f} km/h  resistance {value['resistance_torque_nm']:6.0f} "
+        f"+- {value['resistance_std_nm']:.0f} Nm  feed-forward {value['feedforward_torque_nm'] * seen.left:6.0f} Nm  "
+        f"belts {min(belts):.1f} to {max(belts):.1f} degC  {seen.level.name}: {seen.message}"
+    )
+
+
+def _inputs(seen: Overview) -> Table:
+    shown = Table(box=None, pad_edge=False, header_style="dim")
+    for name, justify in (("input", "left"), ("topic", "left"), ("value", "right"), ("Hz", "right"), ("age s", "right")):
+        shown.add_column(name, justify=justify)  # type: ignore[arg-type]
+    shown.add_column("accepted", justify="right")
+    shown.add_column("refused, remarks", overflow="fold")
+    for given in seen.inputs:
+        counts = dict(given.counts)
+        accepted = counts.pop("accepted", 0)
+        rest = ", ".join(f"{number} {name}" for name, number in counts.items())
+        unit = ROLES[base_role(given.role)].unit
+        value = "" if math.isnan(given.value) else f"{given.value:.5g} {unit if unit != '1' else ''}".rstrip()
+        rate = "" if math.isnan(given.rate_hz) else f"{given.rate_hz:.1f}"
+        shown.add_row(given.role, given.topic, value, rate, _number(given.age_s, 2), str(accepted), rest)
+    return shown
+
+
+def _torques(seen: Overview) -> Table:
+    shown = Table(box=None, pad_edge=False, header_style="dim")
+    shown.add_column("torque at the sprockets")
+    shown.add_column("Nm", justify="right")
+    for name, column in TOTALS.items():
+        if name not in ("total", "drive"):
+            shown.add_row(name, f"{seen.values[column]:.0f}")
+    std = seen.values["resistance_std_nm"]
+    shown.add_row("[b]resistance[/b] (first three)", f"[b]{seen.values['resistance_torque_nm']:.0f}[/b] +- {std:.0f}")
+    shown.add_row("[b]feed-forward[/b]", f"[b]{seen.values['feedforward_torque_nm'] * seen.left:.0f}[/b]")
+    return shown
+
+
+def _belts(seen: Overview) -> Table:
+    shown = Table(box=None, pad_edge=False, header_style="dim")
+    shown.add_column("assembly")
+    for name in ("belt degC", "load kN", "torque Nm"):
+        shown.add_column(name, justify="right")
+    for name in seen.assemblies:
+        of = {column: seen.values[f"{column}/{name}"] for column in ("belt_degc", "belt_std_k", "load_n", "resistance_torque_nm")}
+        belt = f"{of['belt_degc']:.1f} +- {of['belt_std_k']:.1f}"
+        shown.add_row(name, belt, f"{of['load_n'] / 1e3:.1f}", f"{of['resistance_torque_nm']:.0f}")
+    return shown
+
+
+def _foot(seen: Overview) -> str:
+    speed = f"{seen.values['speed_mps'] * KMH:.1f} km/h, " if seen.values else ""
+    kept = f"state in {seen.state_file}" if seen.state_file else "no state kept"
+    if not math.isnan(seen.saved_s_ago):
+        kept += f", saved {seen.saved_s_ago:.0f} s ago"
+    return f"{_time(seen)}: {speed}age {_number(seen.age_s, 2) or 'none'} s, {seen.steps_hz:.1f} estimates/s, {kept}"
+
+
+def _time(seen: Overview) -> str:
+    if seen.stamp_ns is None:
+        return "no estimate yet"
+    return datetime.fromtimestamp(seen.stamp_ns * 1e-9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+
+
+def _number(value: float, digits: int) -> str:
+    return f"{value:.{digits}f}" if math.isfinite(value) else ""

@@ -1,0 +1,338 @@
+"""The running application: takes messages, keeps the estimate, publishes at its rate, and says when not to trust it.
+
+It knows neither ROS nor DDS. An edge hands it messages and calls `tick` every `period_s`; it answers through the edge. All
+calls come from one thread.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+import traceback
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+
+from trackres_ros.errors import InputError
+from trackres_ros.estimator import layout as at
+from trackres_ros.estimator.estimator import Estimate, Estimator
+from trackres_ros.live.edge import Edge, Level
+from trackres_ros.live.endpoints import input_topics, live_topics
+from trackres_ros.live.intake import Intake
+from trackres_ros.live.mismatch import MismatchDetector
+from trackres_ros.live.outlet import Outlet
+from trackres_ros.live.remarks import Remark, level_of
+from trackres_ros.live.report import Overview, overview, statuses
+from trackres_ros.live.state_keeper import StateKeeper, state_path
+from trackres_ros.live.warm_up import WarmUp
+from trackres_ros.live.watch import Watch
+from trackres_ros.parameters import Parameters
+from trackres_ros.resources import config_dir, find_vehicle
+from trackres_ros.topic_settings import settings_for
+from trackres_ros.topics import Topics
+from trackres_ros.vehicle import load
+
+SECOND_NS = 1_000_000_000
+LONGEST_PERIOD_S = 0.1  # between two looks at the age of the speed, and between two outputs
+MUST_BE_FINITE = (at.OUT_RESISTANCE, at.OUT_STD, at.OUT_FEEDFORWARD)
+
+
+class Application:
+    """The live estimate of one vehicle.
+
+    Parameters
+    ----------
+    parameters
+        Checked parameters; `vehicle` must be given.
+    edge
+        The middleware; nothing is asked of it before the first call of `tick` or `receive`.
+    node, namespace
+        Name of the node, for the state file and the statuses.
+    steady_ns
+        A clock that never jumps [ns].
+
+    Raises
+    ------
+    InputError
+        If vehicle, topics file or parameters cannot be used.
+    """
+
+    def __init__(
+        self,
+        parameters: Parameters,
+        edge: Edge,
+        node: str = "trackres",
+        namespace: str = "/",
+        steady_ns: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        if not parameters.text("vehicle"):
+            raise InputError("parameter vehicle", "", "a vehicle file, or the name of a shipped one", "for example xgd24d")
+        self.parameters = parameters
+        self.node, self.namespace = node, namespace
+        topics_file = parameters.text("topics")
+        self.topics = Topics.load(Path(topics_file) if topics_file else config_dir() / "topics" / "default.yaml")
+        _check_live(self.topics)
+        vehicle_file = find_vehicle(parameters.text("vehicle"))
+        self.vehicle = load(vehicle_file)
+        settings = settings_for(parameters.settings(), self.topics)
+        self._warm_up = WarmUp(str(vehicle_file))
+        self.estimator = Estimator(self.vehicle, settings, entries=self._warm_up.first)
+        self.inputs = input_topics(self.topics)
+        self.outputs = live_topics(self.vehicle, self.topics)
+        self.mismatch = MismatchDetector(parameters.mismatch())
+        self.keeper = StateKeeper(
+            state_path(parameters.text("state_file"), parameters.sim_time, node, namespace, self.vehicle.name)
+        )
+        self.active = False
+        self.on_estimate: Callable[[list[float], int, int], None] | None = None  # row, stamp, arrival
+        self._edge, self._steady_ns = edge, steady_ns
+        self._intake = Intake(self.inputs, self.estimator.channels)
+        self._outlet = Outlet(self.outputs, self.estimator, edge)
+        self._arrival_offset_ns = time.time_ns() - steady_ns()
+        self.session, self.began_with, unused = self.keeper.load(self.estimator)
+        self._state_at = self._rested_at = time.time()
+        self._watch = Watch(self.estimator, self.inputs, unused)
+        now = steady_ns()
+        self._next_second_ns, self._next_save_ns = now, now + self._save_period_ns()
+
+    @property
+    def period_s(self) -> float:
+        """How often `tick` is to be called [s]."""
+        rate = self.parameters.number("output_rate_hz")
+        return min(1.0 / rate, LONGEST_PERIOD_S) if rate > 0.0 else LONGEST_PERIOD_S
+
+    # What arrives
+
+    def receive(self, index: int, message: object) -> None:
+        """Take a decoded message of an input topic."""
+        self._handle(lambda now: self._intake.samples(index, message, now))
+
+    def undecodable(self, index: int) -> None:
+        """Take note of a message of an input topic that cannot be decoded."""
+        self._handle(lambda now: self._intake.undecodable(index, now))
+
+    def _handle(self, samples: Callable[[int], Iterator[tuple[int, int, float]]]) -> None:
+        steady, now = self._steady_ns(), self._edge.now_ns()
+        arrival = now if self.parameters.sim_time else steady + self._arrival_offset_ns
+        try:
+            for channel, stamp, value in samples(now):
+                estimate = self.session.handle(channel, stamp, arrival, value)
+                if estimate is not None:
+                    self._take(estimate, steady, now, arrival)
+        except Exception as error:  # a fault of ours must not silence the outputs
+            self._fault(error, steady)
+
+    def _take(self, estimate: Estimate, steady: int, now: int, arrival: int) -> None:
+        row = estimate.row
+        if not all(math.isfinite(row[column]) for column in MUST_BE_FINITE):
+            raise ArithmeticError(f"the estimate is not finite: {row.tolist()}")
+        stamp = int(self.session.memory.times[at.SPEED, at.LAST_STAMP])
+        self._state_at = time.time()
+        values = row.tolist()
+        self.mismatch.take(
+            stamp,
+            values[at.OUT_RESIDUAL],
+            values[at.OUT_DRIVE],
+            values[at.OUT_STD],
+            values[at.OUT_SPEED],
+            values[at.OUT_ACCEL],
+        )
+        reasons = int(values[at.OUT_REASONS])
+        if reasons & at.Reason.TIME_RESET:
+            self.mismatch.restart()
+        self._outlet.take(values, stamp, steady)
+        if self.on_estimate:
+            self.on_estimate(values, stamp, arrival)
+        news = self._watch.accepted(reasons, now - stamp)
+        if self.active:
+            if self.parameters.number("output_rate_hz") == 0.0:
+                self._outlet.publish(steady)
+            if news:
+                self._publish_status(steady)
+
+    def _fault(self, error: Exception, steady: int) -> None:
+        if self._watch.fault(error, steady):
+            self._edge.log(Level.ERROR, f"a message could not be worked off: {''.join(traceback.format_exception(error))}")
+
+    # What leaves
+
+    def activate(self) -> None:
+        """Begin to publish. The estimate runs whether it is published or not."""
+        self.active = True
+
+    def deactivate(self) -> None:
+        """Stop publishing."""
+        self.active = False
+
+    def tick(self) -> None:
+        """Publish what is due, look at ages and peers, save the state; to be called every `period_s`."""
+        steady = self._steady_ns()
+        try:
+            self._tick(steady)
+        except Exception as error:  # as above
+            self._fault(error, steady)
+
+    def _tick(self, steady: int) -> None:
+        settings = self.estimator.settings
+        turned_old = self._watch.look_at_age(self._outlet.age_s(steady), settings.speed_max_age_s)
+        if self.active:
+            every = self.parameters.number("output_rate_hz") > 0.0
+            if every or self._outlet.silent_s(steady) >= LONGEST_PERIOD_S:
+                self._outlet.publish(steady)
+        if steady >= self._next_second_ns:
+            self._next_second_ns += SECOND_NS * (1 + (steady - self._next_second_ns) // SECOND_NS)
+            self._every_second(steady)
+        elif turned_old and self.active:
+            self._publish_status(steady)
+        if steady >= self._next_save_ns:
+            self._next_save_ns = steady + self._save_period_ns()
+            self._rest_unused_belts()
+            self.keeper.save_soon(self.session, self._state_at)
+
+    def _every_second(self, steady: int) -> None:
+        compiled = self._warm_up.finished()
+        if compiled:
+            self._go_on_with(Estimator(self.vehicle, self.estimator.settings, entries=compiled))
+        self._watch.every_second(self.session, self._intake, [self._edge.peers(i) for i in range(len(self.inputs))], steady)
+        said = self._watch.to_log(self.remarks(steady))
+        if said:
+            self._edge.log(*said)
+        if self.active:
+            self._publish_status(steady, diagnostics=True)
+
+    def _publish_status(self, steady: int, diagnostics: bool = False) -> None:
+        found = statuses(self.overview(steady), f"{self.namespace.rstrip('/')}/{self.node}".lstrip("/"), self.vehicle.name)
+        self._outlet.publish_statuses(found, self._edge.now_ns(), diagnostics)
+
+    def remarks(self, steady: int | None = None) -> list[Remark]:
+        """All that is to be remarked now, heaviest first."""
+        steady = self._steady_ns() if steady is None else steady
+        found = self._watch.remarks(
+            age_s=self._outlet.age_s(steady),
+            max_age_s=self.estimator.settings.speed_max_age_s,
+            clock_runs=not self.parameters.sim_time or self._edge.now_ns() > 0,
+            steady=steady,
+        )
+        verdict = self.mismatch.verdict
+        if verdict.parted:
+            found.append(Remark("MISMATCH", f"{verdict.text}; look into it with: {self.look_into_it()}"))
+        if self.keeper.error:
+            found.append(Remark("STATE_NOT_SAVED", f"the state cannot be saved in {self.keeper.path}: {self.keeper.error}"))
+        if self._watch.state_unused:
+            found.append(Remark("STATE_NOT_USED", self.began_with))
+        if self.estimator.entries is self._warm_up.first and not self.estimator.entries.compiled and self._warm_up.running:
+            found.append(Remark("COMPILING", "steps run in plain Python until they are compiled"))
+        return sorted(found, key=lambda remark: -remark.level)
+
+    def look_into_it(self) -> str:
+        """The command that shows where measured and expected torque differ."""
+        topics = f" --topics {self.parameters.text('topics')}" if self.parameters.text("topics") else ""
+        return f"trackres replay RECORDING --vehicle {self.parameters.text('vehicle')}{topics} -o difference.csv"
+
+    def overview(self, steady: int | None = None) -> Overview:
+        """All there is to see now, for statuses and the terminal."""
+        steady = self._steady_ns() if steady is None else steady
+        remarks = self.remarks(steady)
+        return overview(level_of(remarks), remarks, self._outlet, self._watch, self.mismatch.verdict, self.keeper, steady)
+
+    # What is asked of it
+
+    def change(self, given: Mapping[str, object]) -> None:
+        """Change parameters while running; the temperatures stay.
+
+        Raises
+        ------
+        InputError
+            See `checked_change`; then nothing is changed.
+        """
+        parameters = self.checked_change(given)
+        settings = settings_for(parameters.settings(), self.topics)
+        if parameters.mismatch() != self.parameters.mismatch():
+            self.mismatch = MismatchDetector(parameters.mismatch())
+        if parameters.number("save_period_s") != self.parameters.number("save_period_s"):
+            self._next_save_ns = self._steady_ns()
+        self.parameters = parameters
+        if settings != self.estimator.settings:
+            self._go_on_with(Estimator(self.vehicle, settings, entries=self.estimator.entries))
+
+    def checked_change(self, given: Mapping[str, object]) -> Parameters:
+        """The parameters after a change.
+
+        Raises
+        ------
+        InputError
+            For an unknown or bad value, one that cannot be changed while running, or one that the topics file decides.
+        """
+        parameters = self.parameters.changed(given)
+        settings = settings_for(parameters.settings(), self.topics)
+        for name in given:
+            if hasattr(settings, name) and getattr(settings, name) != parameters.values[name]:
+                raise InputError(
+                    f"parameter {name}",
+                    given[name],
+                    f"{getattr(settings, name)}, which the topics file says",
+                    f"change max_age_s, sensor or std_k in {self.topics.origin} and configure the node anew",
+                )
+        return parameters
+
+    def reset(self) -> str:
+        """Start cold, as if switched on with belts at the ambient temperature; what was done, in words."""
+        self.session.start_anew(time_went_back=False)
+        self.mismatch.restart()
+        text = "the estimate starts anew, with cold belts, at the next speed"
+        self._edge.log(Level.WARN, f"reset: {text}")
+        return text
+
+    def save_state(self) -> str:
+        """Save the state now; what was done, in words.
+
+        Raises
+        ------
+        InputError
+            If no state is kept or it cannot be written.
+        """
+        self._rest_unused_belts()
+        return self.keeper.save(self.session, self._state_at)
+
+    def time_went_back(self) -> None:
+        """The simulated clock jumped back: start anew, and say so with the next estimate."""
+        self.session.start_anew(time_went_back=True)
+        self.mismatch.restart()
+        self._edge.log(Level.WARN, "time went back: the estimate starts anew")
+
+    def close(self) -> str:
+        """Save the state and end what runs beside; what was done, in words."""
+        self.deactivate()
+        self._warm_up.close()
+        try:
+            return "no state is kept" if self.keeper.path is None else self.save_state()
+        except InputError as error:
+            return str(error)
+        finally:
+            self.keeper.close()
+
+    def _go_on_with(self, estimator: Estimator) -> None:
+        session = estimator.session()
+        session.adopt(self.session)
+        self.estimator, self.session = estimator, session
+        self._outlet.estimator = estimator
+
+    def _rest_unused_belts(self) -> None:
+        """Belts taken from a state file go on cooling until the first speed comes."""
+        now = time.time()
+        if self._outlet.stamp_ns is None and self.session.started:
+            cooled = self.estimator.rest(self.session.state, self.vehicle.chassis.ambient, max(0.0, now - self._rested_at))
+            self.session.begin(cooled)
+            self._state_at = now
+        self._rested_at = now
+
+    def _save_period_ns(self) -> int:
+        return int(self.parameters.number("save_period_s") * SECOND_NS)
+
+
+def _check_live(topics: Topics) -> None:
+    """A live node needs topics, and a speed among them."""
+    for role in topics:
+        if not topics[role].topic:
+            raise InputError(f"{topics.origin}: {role}", "a column of a table", "a topic with type and field")
+    if "speed" not in topics:
+        raise InputError(topics.origin, f"roles {', '.join(topics)}", "a speed among them")

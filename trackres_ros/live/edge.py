@@ -1,0 +1,66 @@
+"""What the application and a middleware say to each other: the two edges, `ros` and `dds`, offer the same."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Protocol
+
+
+class Level(IntEnum):
+    """Level of a status, as in diagnostic_msgs/msg/DiagnosticStatus; the larger outweighs the smaller."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+    STALE = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """One diagnostic_msgs/msg/DiagnosticStatus."""
+
+    level: Level
+    name: str
+    message: str
+    hardware_id: str
+    values: tuple[tuple[str, str], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Peer:
+    """A publisher on one of our input topics, by what it tells of itself.
+
+    Attributes
+    ----------
+    type
+        Its message type, ``package/msg/Name``.
+    compatible
+        Whether its quality of service gives what the input asks for; a publisher where it does not never connects.
+    """
+
+    type: str
+    compatible: bool
+
+
+class Edge(Protocol):
+    """What the application needs of a middleware. All calls come from one thread, the one that calls the application.
+
+    Inputs and outputs are named by their place in `Application.inputs` and `Application.outputs`.
+    """
+
+    def now_ns(self) -> int:
+        """The node's time [ns since 1970]: the machine's, or the simulated one; 0 while there is no simulated one yet."""
+
+    def publish(self, output: int, stamp_ns: int, values: Sequence[float]) -> None:
+        """Publish a message of numbers: those of `OutputTopic.columns` in their order, as they stand in the message."""
+
+    def publish_status(self, output: int, stamp_ns: int, statuses: Sequence[Status]) -> None:
+        """Publish a DiagnosticArray."""
+
+    def peers(self, index: int) -> Sequence[Peer]:
+        """The publishers that are there now on the topic of an input, whatever their type and quality of service."""
+
+    def log(self, level: Level, text: str) -> None:
+        """Say something to who watches the log."""

@@ -1,0 +1,88 @@
+"""Keeps the belt temperatures over a restart: loads at the start, saves in the background and at the end."""
+
+from __future__ import annotations
+
+import os
+import time
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+
+from trackres_ros.errors import InputError
+from trackres_ros.estimator.estimator import Estimator, Session
+from trackres_ros.estimator.snapshot import after_time_off, content, leftovers, write
+
+AUTO, NONE = "auto", "none"
+
+
+def state_path(parameter: str, sim_time: bool, node: str, namespace: str, vehicle: str) -> Path | None:
+    """Where the state of a node is kept; None where it is not kept."""
+    if parameter == NONE or (parameter == AUTO and sim_time):
+        return None
+    if parameter != AUTO:
+        return Path(parameter).expanduser()
+    base = os.environ.get("XDG_STATE_HOME")
+    folder = (Path(base) if base else Path.home() / ".local" / "state") / "trackres"
+    name = "_".join(part for part in (*namespace.split("/"), node, vehicle) if part)
+    return folder / f"{name}.json"
+
+
+class StateKeeper:
+    """One state file. Times are the machine's: the belt cools while the machine is off, whatever time is simulated."""
+
+    def __init__(self, path: Path | None) -> None:
+        self.path = path
+        self.saved_at: float | None = None
+        self.error = ""
+        self._writer = ThreadPoolExecutor(max_workers=1, thread_name_prefix="state")
+        self._writing: Future[None] | None = None
+
+    def load(self, estimator: Estimator) -> tuple[Session, str, bool]:
+        """A session that begins with the kept belts, cooled since, or cold; what was found; and whether a file was of no use."""
+        if self.path is None:
+            return estimator.session(), "no state is kept: cold start", False
+        for part in leftovers(self.path):
+            part.unlink(missing_ok=True)
+        if not self.path.exists():
+            return estimator.session(), f"no state file {self.path} yet: cold start", False
+        try:
+            session, off_s = after_time_off(estimator, self.path, time.time())
+        except InputError as error:
+            return estimator.session(), f"cold start, as the state file is of no use: {error}", True
+        return session, f"belts taken from {self.path}, cooled over {off_s / 60.0:.1f} min off", False
+
+    def save_soon(self, session: Session, state_at: float) -> None:
+        """Save in the background, without holding up the outputs; not while the last one is still being written.
+
+        `state_at` is the time [s since 1970] of the state: the belts cool from then on.
+        """
+        if self.path is None or (self._writing and not self._writing.done()):
+            return
+        self._writing = self._writer.submit(self._write, content(session, state_at), self.path)
+
+    def save(self, session: Session, state_at: float) -> str:
+        """Save now; what was done, in words. See `save_soon`.
+
+        Raises
+        ------
+        InputError
+            If no state is kept, or the file cannot be written.
+        """
+        if self.path is None:
+            raise InputError("state file", "none", "a node with the parameter state_file set to a path, or auto")
+        self._writer.submit(self._write, content(session, state_at), self.path).result()
+        if self.error:
+            raise InputError(f"state file {self.path}", self.error, "a file that can be written")
+        return f"state saved in {self.path}"
+
+    def close(self) -> None:
+        """Wait for what is being written."""
+        self._writer.shutdown()
+
+    def _write(self, text: str, path: Path) -> None:
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write(path, text)
+        except OSError as error:
+            self.error = error.strerror or str(error)
+        else:
+            self.error, self.saved_at = "", time.time()

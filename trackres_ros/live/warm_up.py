@@ -1,0 +1,82 @@
+"""The first start on a machine: steps run in plain Python while another process compiles them, and then change over."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+
+from trackres_ros.compiled import is_cached
+from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.estimator.session import COMPILED, Entries, interpreted_entries
+from trackres_ros.vehicle import load
+
+NICENESS = 10
+START_NS = 1_700_000_000_000_000_000
+
+
+def is_warm() -> bool:
+    """Whether what the live node runs is compiled already, or cannot be."""
+    return is_cached(COMPILED.feed_one) and is_cached(COMPILED.rest_belts)
+
+
+def exercise(estimator: Estimator) -> None:
+    """Run once each function that the live node runs, so that it is loaded, or compiled and kept."""
+    session = estimator.session()
+    session.handle(session.channel("speed"), START_NS, START_NS, 1.0)
+    estimator.rest(session.state, 0.0, 1.0)
+
+
+class WarmUp:
+    """Chooses the functions to begin with; `finished` gives the compiled ones once they are ready."""
+
+    def __init__(self, vehicle_file: str) -> None:
+        self._vehicle_file = vehicle_file
+        self._ready = threading.Event()
+        self._process: subprocess.Popen[bytes] | None = None
+        self.first: Entries = COMPILED
+        if not is_warm():
+            self.first = interpreted_entries()
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "trackres_ros.live.warm_up", vehicle_file],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+            )
+            threading.Thread(target=self._wait, name="warm-up", daemon=True).start()
+
+    @property
+    def running(self) -> bool:
+        """Whether it is still being compiled."""
+        return self._process is not None and self._process.poll() is None
+
+    def finished(self) -> Entries | None:
+        """The compiled functions, once, when they are ready."""
+        if not self._ready.is_set():
+            return None
+        self._ready.clear()
+        return COMPILED
+
+    def close(self) -> None:
+        """End the compiling process if it still runs."""
+        if self._process and self._process.poll() is None:
+            self._process.terminate()
+            self._process.wait()
+
+    def _wait(self) -> None:
+        assert self._process is not None
+        if self._process.wait() == 0:
+            exercise(Estimator(load(self._vehicle_file)))
+            self._ready.set()
+
+
+def main() -> None:
+    """Compile for a vehicle file, as the other process."""
+    import os
+
+    os.nice(NICENESS)
+    exercise(Estimator(load(sys.argv[1])))
+
+
+if __name__ == "__main__":
+    main()
