@@ -15,10 +15,10 @@ class InputError(ValueError):
 class MissingExtraError(InputError):
     """An optional library is needed and not installed."""
 
-    def __init__(self, feature: str, module: str, extra: str) -> None:
+    def __init__(self, feature: str, module: str, extra: str, remark: str = "") -> None:
         super().__init__(
             feature,
             f"no Python module {module}",
             f"an installed {module}",
-            f"install it with: pip install {module} (or this package with its extra [{extra}])",
+            f"install it with: pip install {module} (or this package with its extra [{extra}]){remark and f'; {remark}'}",
         )

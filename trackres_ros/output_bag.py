@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,9 @@ from trackres_ros.bag_writer import BagTopic, BagWriter
 from trackres_ros.estimator import layout as at
 from trackres_ros.estimator.estimator import Estimator, Steps
 from trackres_ros.outputs import BASE_FRAME, DEFAULT_NODE, OutputTopic, output_topics, status_of, values_of
+
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
 
 STATUS_PERIOD_NS = 1_000_000_000
 FIELDS = {"wrench": ("wrench.torque.y",), "number": ("data",), "temperature": ("temperature", "variance")}
@@ -33,7 +36,7 @@ class OutputBag:
         self._writer.__enter__()
         for topic in output_topics(self._estimator.vehicle):
             fields = FIELDS.get(topic.kind, tuple(f"effort[{i}]" for i in range(len(topic.names))))
-            template = None if topic.kind == "status" else self._template(topic)
+            template = None if topic.kind == "status" else template_message(topic, self._writer.typestore, BASE_FRAME)
             name = f"/{DEFAULT_NODE}/{topic.name}"
             self._topics.append((topic, self._writer.topic(name, topic.type, template, fields if template is not None else ())))
         return self
@@ -81,17 +84,20 @@ class OutputBag:
         types = self._writer.typestore.types
         return types["std_msgs/msg/Header"](stamp=types["builtin_interfaces/msg/Time"](sec=0, nanosec=0), frame_id=BASE_FRAME)
 
-    def _template(self, topic: OutputTopic) -> Any:
-        types = self._writer.typestore.types
-        if topic.kind == "joints":
-            none = np.zeros(0)
-            return types[topic.type](
-                header=self._header(), name=list(topic.names), position=none, velocity=none, effort=np.zeros(len(topic.names))
-            )
-        if topic.kind == "wrench":
-            vector = types["geometry_msgs/msg/Vector3"]
-            wrench = types["geometry_msgs/msg/Wrench"](force=vector(x=0.0, y=0.0, z=0.0), torque=vector(x=0.0, y=0.0, z=0.0))
-            return types[topic.type](header=self._header(), wrench=wrench)
-        if topic.kind == "temperature":
-            return types[topic.type](header=self._header(), temperature=0.0, variance=0.0)
-        return types[topic.type](data=0.0)
+
+def template_message(topic: OutputTopic, typestore: Typestore, frame_id: str) -> Any:
+    """A message of a topic with all its strings, and zeros for its numbers and its stamp."""
+    types = typestore.types
+    stamp = types["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
+    header = types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame_id)
+    if topic.kind == "joints":
+        none = np.zeros(0)
+        efforts = np.zeros(len(topic.names))
+        return types[topic.type](header=header, name=list(topic.names), position=none, velocity=none, effort=efforts)
+    if topic.kind == "wrench":
+        vector = types["geometry_msgs/msg/Vector3"]
+        wrench = types["geometry_msgs/msg/Wrench"](force=vector(x=0.0, y=0.0, z=0.0), torque=vector(x=0.0, y=0.0, z=0.0))
+        return types[topic.type](header=header, wrench=wrench)
+    if topic.kind == "temperature":
+        return types[topic.type](header=header, temperature=0.0, variance=0.0)
+    return types[topic.type](data=0.0)

@@ -179,7 +179,7 @@ class Parameters:
 
     def mismatch(self) -> MismatchSettings:
         """The share of the comparison with a measured torque."""
-        return MismatchSettings(**{item.name: self.values[item.name] for item in dataclasses.fields(MismatchSettings)})
+        return MismatchSettings(**{item.name: self.number(item.name) for item in dataclasses.fields(MismatchSettings)})
 
     def changed(self, given: Mapping[str, object]) -> Parameters:
         """These with some changed while the node runs.

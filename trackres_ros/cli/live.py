@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 import yaml
@@ -68,7 +68,7 @@ def live_command(
     given = read_parameters(params_file, name, namespace)
     given.update(dict(_single(text) for text in single))
     given.update({key: value for key, value in (("vehicle", vehicle), ("topics", topics)) if value is not None})
-    make_parameters(given)
+    parameters = make_parameters(given)
     shown: list[LiveTable] = []
 
     def started(application: Application) -> None:
@@ -79,23 +79,19 @@ def live_command(
             shown[-1].start()
 
     try:
-        return _run(edge, given, name, namespace, started)
+        if edge == "ros" or (edge == "auto" and importlib.util.find_spec("rclpy")):
+            from trackres_ros.ros.main import run as run_on_ros
+
+            return run_on_ros(parameters, name, namespace, started)
+        from trackres_ros.dds.node import run as run_on_dds
+
+        return run_on_dds(parameters, name, namespace, started)
     finally:
         for table in shown:
             table.stop()
         if recorder:
             for text in recorder.end():
                 click.echo(text)
-
-
-def _run(edge: str, given: dict[str, object], name: str, namespace: str, started: Any) -> int:
-    if edge == "ros" or (edge == "auto" and importlib.util.find_spec("rclpy")):
-        from trackres_ros.ros.main import run as run_on_ros
-
-        return run_on_ros(given, name, namespace, started)
-    from trackres_ros.dds.node import run as run_on_dds
-
-    return run_on_dds(given, name, namespace, started)
 
 
 def _single(text: str) -> tuple[str, object]:

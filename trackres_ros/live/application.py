@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import time
 import traceback
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from trackres_ros.errors import InputError
@@ -17,7 +17,7 @@ from trackres_ros.estimator import layout as at
 from trackres_ros.estimator.estimator import Estimate, Estimator
 from trackres_ros.live.edge import Edge, Level
 from trackres_ros.live.endpoints import input_topics, live_topics
-from trackres_ros.live.intake import Intake
+from trackres_ros.live.intake import Intake, Sample
 from trackres_ros.live.mismatch import MismatchDetector
 from trackres_ros.live.outlet import Outlet
 from trackres_ros.live.remarks import Remark, level_of
@@ -32,6 +32,7 @@ from trackres_ros.topics import Topics
 from trackres_ros.vehicle import load
 
 SECOND_NS = 1_000_000_000
+TIME_RESET = int(at.Reason.TIME_RESET)
 LONGEST_PERIOD_S = 0.1  # between two looks at the age of the speed, and between two outputs
 MUST_BE_FINITE = (at.OUT_RESISTANCE, at.OUT_STD, at.OUT_FEEDFORWARD)
 
@@ -95,6 +96,10 @@ class Application:
         self._next_second_ns, self._next_save_ns = now, now + self._save_period_ns()
 
     @property
+    def _on_speed(self) -> bool:
+        return self.parameters.values["output_rate_hz"] == 0.0
+
+    @property
     def period_s(self) -> float:
         """How often `tick` is to be called [s]."""
         rate = self.parameters.number("output_rate_hz")
@@ -106,11 +111,15 @@ class Application:
         """Take a decoded message of an input topic."""
         self._handle(lambda now: self._intake.samples(index, message, now))
 
+    def receive_values(self, index: int, stamp_ns: int | None, values: Sequence[float | None]) -> None:
+        """Take what an edge has read from a message of an input topic; see `Intake.of_values`."""
+        self._handle(lambda now: self._intake.of_values(index, stamp_ns, values, now))
+
     def undecodable(self, index: int) -> None:
         """Take note of a message of an input topic that cannot be decoded."""
         self._handle(lambda now: self._intake.undecodable(index, now))
 
-    def _handle(self, samples: Callable[[int], Iterator[tuple[int, int, float]]]) -> None:
+    def _handle(self, samples: Callable[[int], Iterator[Sample]]) -> None:
         steady, now = self._steady_ns(), self._edge.now_ns()
         arrival = now if self.parameters.sim_time else steady + self._arrival_offset_ns
         try:
@@ -122,12 +131,17 @@ class Application:
             self._fault(error, steady)
 
     def _take(self, estimate: Estimate, steady: int, now: int, arrival: int) -> None:
-        row = estimate.row
-        if not all(math.isfinite(row[column]) for column in MUST_BE_FINITE):
-            raise ArithmeticError(f"the estimate is not finite: {row.tolist()}")
+        values = estimate.row.tolist()
+        if not all(math.isfinite(values[column]) for column in MUST_BE_FINITE):
+            raise ArithmeticError(f"the estimate is not finite: {values}")
         stamp = int(self.session.memory.times[at.SPEED, at.LAST_STAMP])
+        self._outlet.take(values, stamp, steady)
+        if self.active and self._on_speed:
+            self._outlet.publish(steady)
         self._state_at = time.time()
-        values = row.tolist()
+        reasons = int(values[at.OUT_REASONS])
+        if reasons & TIME_RESET:
+            self.mismatch.restart()
         self.mismatch.take(
             stamp,
             values[at.OUT_RESIDUAL],
@@ -136,18 +150,10 @@ class Application:
             values[at.OUT_SPEED],
             values[at.OUT_ACCEL],
         )
-        reasons = int(values[at.OUT_REASONS])
-        if reasons & at.Reason.TIME_RESET:
-            self.mismatch.restart()
-        self._outlet.take(values, stamp, steady)
+        if self._watch.accepted(reasons, now - stamp) and self.active:
+            self._publish_status(steady)
         if self.on_estimate:
             self.on_estimate(values, stamp, arrival)
-        news = self._watch.accepted(reasons, now - stamp)
-        if self.active:
-            if self.parameters.number("output_rate_hz") == 0.0:
-                self._outlet.publish(steady)
-            if news:
-                self._publish_status(steady)
 
     def _fault(self, error: Exception, steady: int) -> None:
         if self._watch.fault(error, steady):
@@ -174,10 +180,8 @@ class Application:
     def _tick(self, steady: int) -> None:
         settings = self.estimator.settings
         turned_old = self._watch.look_at_age(self._outlet.age_s(steady), settings.speed_max_age_s)
-        if self.active:
-            every = self.parameters.number("output_rate_hz") > 0.0
-            if every or self._outlet.silent_s(steady) >= LONGEST_PERIOD_S:
-                self._outlet.publish(steady)
+        if self.active and (not self._on_speed or self._outlet.silent_s(steady) >= LONGEST_PERIOD_S):
+            self._outlet.publish(steady)
         if steady >= self._next_second_ns:
             self._next_second_ns += SECOND_NS * (1 + (steady - self._next_second_ns) // SECOND_NS)
             self._every_second(steady)

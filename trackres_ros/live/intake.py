@@ -12,6 +12,8 @@ from trackres_ros.live.endpoints import InputTopic
 from trackres_ros.topics import TopicBinding
 
 SECOND_NS = 1_000_000_000
+Sample = tuple[int, int, float]
+"""Channel, stamp [ns] and value."""
 
 
 class Intake:
@@ -40,25 +42,34 @@ class Intake:
         self._last_clock = [0] * len(channels)
         self._same_clock = [0] * len(channels)
 
-    def samples(self, index: int, message: object, now_ns: int) -> Iterator[tuple[int, int, float]]:
-        """Channel, stamp [ns] and value of each sample in a message.
+    def samples(self, index: int, message: object, now_ns: int) -> Iterator[Sample]:
+        """The samples in a message whose attributes are its fields; see `of_values`."""
+        return self.of_values(index, _stamp(message), [_value(read, message) for _, read, _ in self._readers[index]], now_ns)
 
-        A stamp that was never set stays 0. What has no stamp gets the node's time. A message without the element gives no
-        sample, one with a value that is no number gives nan.
+    def of_values(self, index: int, stamp_ns: int | None, values: Sequence[float | None], now_ns: int) -> Iterator[Sample]:
+        """Samples out of what was read from a message.
+
+        Parameters
+        ----------
+        index
+            Which input topic.
+        stamp_ns
+            Stamp of the message [ns], None where its type has none; one that was never set is 0 and stays so. What has no stamp
+            gets the node's time.
+        values
+            One for each binding of the topic, scaled: nan where it is no number, None where the message has no such element,
+            which gives no sample.
+        now_ns
+            The node's time [ns].
         """
         self.received[index] += 1
-        stamp = _stamp(message)
-        for channel, read, by_header in self._readers[index]:
-            try:
-                value = read(message)
-            except LookupError:
+        for (channel, _, by_header), value in zip(self._readers[index], values, strict=True):
+            if value is None:
                 self.absent[channel] += 1
-                continue
-            except (TypeError, ValueError, AttributeError):
-                value = math.nan
-            yield channel, stamp if by_header and stamp is not None else self._own_stamp(channel, now_ns), value
+            else:
+                yield channel, stamp_ns if by_header and stamp_ns is not None else self._own_stamp(channel, now_ns), value
 
-    def undecodable(self, index: int, now_ns: int) -> Iterator[tuple[int, int, float]]:
+    def undecodable(self, index: int, now_ns: int) -> Iterator[Sample]:
         """What a message that cannot be decoded counts as: no number, at the node's time."""
         self.received[index] += 1
         for channel, _, _ in self._readers[index]:
@@ -85,6 +96,15 @@ def _getter(binding: TopicBinding) -> Callable[[Any], float]:
         return binding.read
     get, scale, offset = attrgetter(binding.field), binding.scale, binding.offset
     return lambda message: scale * float(get(message)) + offset
+
+
+def _value(read: Callable[[Any], float], message: object) -> float | None:
+    try:
+        return read(message)
+    except LookupError:
+        return None
+    except (TypeError, ValueError, AttributeError):
+        return math.nan
 
 
 def _stamp(message: object) -> int | None:
