@@ -1,0 +1,77 @@
+"""Entries of the node on ROS 2: the executable `estimator`, and what `trackres live` runs."""
+
+from __future__ import annotations
+
+import gc
+import sys
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from trackres_ros.errors import InputError
+from trackres_ros.parameters import Parameters
+
+if TYPE_CHECKING:
+    from trackres_ros.live.application import Application
+
+BAD_INPUT = 2
+
+try:
+    import rclpy
+    from rclpy.exceptions import InvalidParameterException, InvalidParameterTypeException, InvalidParameterValueException
+    from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+    from rclpy.lifecycle import TransitionCallbackReturn
+except ImportError as error:
+    raise InputError(
+        "running on ROS 2",
+        f"no Python module {error.name}",
+        "a sourced ROS 2 Jazzy: source /opt/ros/jazzy/setup.bash",
+        "without ROS run: trackres live --edge dds",
+    ) from error
+
+
+def main(args: list[str] | None = None) -> None:
+    """Run the executable; ROS arguments give name, namespace, remappings and parameters."""
+    from trackres_ros.ros.node import EstimatorNode
+
+    sys.exit(_run(lambda: EstimatorNode(), args, None))
+
+
+def run(parameters: Parameters, node: str, namespace: str, started: Callable[[Application], None] | None = None) -> int:
+    """Run the node with checked parameters until SIGINT or SIGTERM; the exit code."""
+    from trackres_ros.ros.node import EstimatorNode
+
+    sim_time = rclpy.Parameter("use_sim_time", value=parameters.sim_time)
+    return _run(lambda: EstimatorNode(parameters, node, namespace=namespace, parameter_overrides=[sim_time]), [], started)
+
+
+def _run(make: Callable[[], Any], args: list[str] | None, started: Callable[[Application], None] | None) -> int:
+    rclpy.init(args=args)
+    node = None
+    try:
+        try:
+            node = make()
+        except (InvalidParameterException, InvalidParameterTypeException, InvalidParameterValueException) as error:
+            print(f"estimator: error: {error}", file=sys.stderr)
+            return BAD_INPUT
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        if node.get_parameter("autostart").value:
+            if node.trigger_configure() != TransitionCallbackReturn.SUCCESS:
+                return BAD_INPUT
+            node.trigger_activate()
+        if started and node.application:
+            started(node.application)
+        gc.freeze()  # what was loaded stays: looking through it would hold up a message now and then
+        executor.spin()
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        if node is not None:
+            node.release()
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return 0
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,291 @@
+"""The live node on ROS 2: a lifecycle node that lends its middleware to the application."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from rclpy.callback_groups import CallbackGroup
+from rclpy.clock import Clock, ClockType, JumpThreshold
+from rclpy.duration import Duration
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.parameter import Parameter as RosParameter
+from rclpy.qos import QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible
+from std_srvs.srv import Trigger
+
+from trackres_ros.errors import InputError
+from trackres_ros.live.application import Application
+from trackres_ros.live.edge import Level, Peer, Status
+from trackres_ros.live.endpoints import Quality, input_quality, output_quality
+from trackres_ros.outputs import DEFAULT_NODE
+from trackres_ros.parameters import Parameters, make_parameters
+from trackres_ros.ros import parameters as ros_parameters
+from trackres_ros.ros.messages import Fill, diagnostic_array, input_type, prepared
+
+SECOND_NS = 1_000_000_000
+
+
+class Counter(CallbackGroup):  # type: ignore[misc]
+    """Services and events wait here while messages pass, and are served after the next tick.
+
+    rclpy builds its wait set anew for each message, out of every entity that may run: with dozens of services and event
+    handlers in it that takes longer than the estimate itself.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open = True
+
+    def can_execute(self, entity: Any) -> bool:  # noqa: ARG002 - alike for all
+        """Whether the counter is open."""
+        return self.open
+
+    def beginning_execution(self, entity: Any) -> bool:  # noqa: ARG002
+        """Executors with one thread need no more."""
+        return True
+
+    def ending_execution(self, entity: Any) -> None:
+        """Nothing is held."""
+
+
+class EstimatorNode(LifecycleNode):  # type: ignore[misc]
+    """The node; see docs/node.md.
+
+    Parameters
+    ----------
+    values
+        Values that stand in for the defaults of the parameters.
+    arguments
+        Of `rclpy.node.Node`: namespace, context, cli_args, parameter_overrides...
+    """
+
+    def __init__(self, values: Parameters | None = None, node: str = DEFAULT_NODE, **arguments: Any) -> None:
+        self._counter = Counter()
+        self.application: Application | None = None
+        self.failure = ""
+        super().__init__(node, **arguments)
+        self.add_on_set_parameters_callback(self._check)
+        ros_parameters.declare(self, values or make_parameters({}))
+        self.add_post_set_parameters_callback(self._apply)
+
+    @property
+    def default_callback_group(self) -> CallbackGroup:
+        """Where services and events wait."""
+        return self._counter
+
+    # Lifecycle
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Make the application and connect it."""
+        return self._transition(self._configure, state)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Begin to publish."""
+        return self._transition(self._activate, state)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stop publishing; the estimate goes on."""
+        return self._transition(self._deactivate, state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Save the state and let go of everything."""
+        return self._transition(lambda _: self.release(), state)
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Save the state and let go of everything."""
+        return self._transition(lambda _: self.release(), state)
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Let go of everything, so that it can be configured anew."""
+        return self._transition(lambda _: self.release(), state)
+
+    def _transition(self, step: Callable[[LifecycleState], None], state: LifecycleState) -> TransitionCallbackReturn:
+        """Do a step; rclpy would swallow an exception, so it is logged and told."""
+        try:
+            step(state)
+        except InputError as error:
+            self.failure = str(error)
+            self.get_logger().error(self.failure)
+            self.release()
+            return TransitionCallbackReturn.FAILURE
+        except Exception as error:
+            self.failure = f"{type(error).__name__}: {error}"
+            self.get_logger().error("".join(traceback.format_exception(error)))
+            return TransitionCallbackReturn.ERROR
+        return TransitionCallbackReturn.SUCCESS
+
+    def _configure(self, _state: LifecycleState) -> None:
+        parameters = ros_parameters.read(self)
+        self._frame_id = parameters.text("frame_id")
+        application = Application(parameters, self, self.get_name(), self.get_namespace())
+        kinds = [input_type(given, application.topics.origin) for given in application.inputs]
+        self.application = application
+        self._fills: list[Fill | None] = []
+        self._outputs = []
+        for topic in application.outputs:
+            name = topic.name if topic.name.startswith("/") else f"~/{topic.name}"
+            profile = _profile(output_quality(parameters, topic))
+            events = PublisherEventCallbacks(
+                incompatible_qos=self._reporter(f"a subscriber of {name}"), use_default_callbacks=False
+            )
+            kind = type(diagnostic_array(0, [], "")) if topic.kind == "status" else None
+            fill = None if kind else prepared(topic, self._frame_id)
+            self._fills.append(fill)
+            kind = kind or type(fill(0, [0.0] * max(len(topic.columns), 1)))  # type: ignore[misc]
+            self._outputs.append(self.create_lifecycle_publisher(kind, name, profile, event_callbacks=events))
+        self._input_profile = _profile(input_quality(parameters))
+        self._inputs = [
+            self.create_subscription(
+                kind,
+                given.name,
+                self._taker(index),
+                self._input_profile,
+                callback_group=_Always(),
+                event_callbacks=SubscriptionEventCallbacks(
+                    incompatible_qos=self._reporter(f"a publisher of {given.name}"), use_default_callbacks=False
+                ),
+            )
+            for index, (given, kind) in enumerate(zip(application.inputs, kinds, strict=True))
+        ]
+        self._offered = [
+            self.create_service(Trigger, "~/reset", self._server(application.reset)),
+            self.create_service(Trigger, "~/save_state", self._server(application.save_state)),
+        ]
+        back = Duration(nanoseconds=-int(application.estimator.settings.clock_jump_s * SECOND_NS))
+        self._jumps = self.get_clock().create_jump_callback(
+            JumpThreshold(min_forward=None, min_backward=back, on_clock_change=False),
+            post_callback=lambda _: application.time_went_back(),
+        )
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._ticker = self.create_timer(application.period_s, self._tick, callback_group=_Always(), clock=self._steady)
+        self.get_logger().info(f"{application.vehicle.title}; {application.began_with}")
+
+    def _activate(self, state: LifecycleState) -> None:
+        super().on_activate(state)
+        assert self.application
+        self.application.activate()
+
+    def _deactivate(self, state: LifecycleState) -> None:
+        assert self.application
+        self.application.deactivate()
+        super().on_deactivate(state)
+
+    def release(self) -> None:
+        """Save the state and destroy what `on_configure` made."""
+        application, self.application = self.application, None
+        if application is None:
+            return
+        self.get_logger().info(application.close())
+        self._jumps.unregister()
+        self.destroy_timer(self._ticker)
+        for given in self._inputs:
+            self.destroy_subscription(given)
+        for output in self._outputs:
+            self.destroy_lifecycle_publisher(output)
+        for service in self._offered:
+            self.destroy_service(service)
+
+    # What the application asks of its edge
+
+    def now_ns(self) -> int:
+        """The node's time, simulated where use_sim_time is set."""
+        return int(self.get_clock().now().nanoseconds)
+
+    def publish(self, output: int, stamp_ns: int, values: Sequence[float]) -> None:
+        """Publish a message of numbers."""
+        fill = self._fills[output]
+        assert fill
+        self._outputs[output].publish(fill(stamp_ns, values))
+
+    def publish_status(self, output: int, stamp_ns: int, statuses: Sequence[Status]) -> None:
+        """Publish a DiagnosticArray."""
+        self._outputs[output].publish(diagnostic_array(stamp_ns, statuses, self._frame_id))
+
+    def peers(self, index: int) -> Sequence[Peer]:
+        """The publishers on the topic of an input."""
+        return [
+            Peer(
+                found.topic_type,
+                qos_check_compatible(found.qos_profile, self._input_profile)[0] != QoSCompatibility.ERROR,
+            )
+            for found in self.get_publishers_info_by_topic(self._inputs[index].topic_name)
+        ]
+
+    def log(self, level: Level, text: str) -> None:
+        """Say something in the log of the node."""
+        logger = self.get_logger()
+        if level is Level.OK:
+            logger.info(text)
+        elif level is Level.ERROR:
+            logger.error(text)
+        else:
+            logger.warning(text)
+
+    # What ROS calls
+
+    def _taker(self, index: int) -> Callable[[Any], None]:
+        application = self.application
+        assert application
+
+        def take(message: Any) -> None:
+            self._counter.open = False
+            application.receive(index, message)
+
+        return take
+
+    def _tick(self) -> None:
+        self._counter.open = True
+        if self.application:
+            self.application.tick()
+
+    def _server(self, what: Callable[[], str]) -> Callable[[Any, Any], Any]:
+        def serve(_request: Any, response: Any) -> Any:
+            try:
+                response.message, response.success = what(), True
+            except InputError as error:
+                response.message, response.success = str(error), False
+            return response
+
+        return serve
+
+    def _reporter(self, who: str) -> Callable[[Any], None]:
+        def report(event: Any) -> None:
+            policy = str(event.last_policy_kind).rpartition(".")[2].lower()
+            self.get_logger().warning(f"{who} does not connect: its quality of service does not fit in {policy}")
+
+        return report
+
+    def _check(self, changes: list[RosParameter]) -> Any:
+        check = self.application.checked_change if self.application else ros_parameters.check_values
+        return ros_parameters.verdict(check, ros_parameters.named(changes))
+
+    def _apply(self, changes: list[RosParameter]) -> None:
+        if self.application:
+            self.application.change(ros_parameters.named(changes))
+            period_ns = int(self.application.period_s * SECOND_NS)
+            if self._ticker.timer_period_ns != period_ns:
+                self._ticker.timer_period_ns = period_ns
+
+
+class _Always(CallbackGroup):  # type: ignore[misc]
+    """May always run: there is one thread."""
+
+    def can_execute(self, entity: Any) -> bool:  # noqa: ARG002
+        return True
+
+    def beginning_execution(self, entity: Any) -> bool:  # noqa: ARG002
+        return True
+
+    def ending_execution(self, entity: Any) -> None:
+        pass
+
+
+def _profile(quality: Quality) -> QoSProfile:
+    """Quality of service as ROS 2 has it."""
+    reliability = ReliabilityPolicy.RELIABLE if quality.reliable else ReliabilityPolicy.BEST_EFFORT
+    profile = QoSProfile(depth=quality.depth, reliability=reliability)
+    if quality.deadline_s > 0.0:
+        profile.deadline = Duration(seconds=quality.deadline_s)
+    return profile
