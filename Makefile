@@ -7,13 +7,7 @@ OUT := out
 .PHONY: demo test lint clean
 
 demo: $(VENV)/.ready
-	@mkdir -p $(OUT)
-	$(RUN)/trackres record-sample -o $(OUT)/laps.mcap
-	$(RUN)/trackres replay $(OUT)/laps.mcap --vehicle xgd24d --topics config/topics/sample.yaml -o $(OUT)/estimate.csv
-	$(RUN)/trackres replay $(OUT)/laps.mcap --vehicle xgd24d --topics config/topics/sample.yaml -o $(OUT)/estimate.mcap
-	@echo
-	@echo "Look at $(OUT)/estimate.png: the resistance falls from lap to lap as the belts warm up."
-	@echo "$(OUT)/estimate.csv is the table; open $(OUT)/estimate.mcap in PlotJuggler or Foxglove."
+	$(RUN)/python tools/demo $(OUT)
 
 test: $(VENV)/.ready lint
 	$(RUN)/python -m pytest -q

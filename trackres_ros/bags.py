@@ -85,10 +85,10 @@ class BagSource:
         self.name = ", ".join(str(path) for path in paths)
         self._paths = tuple(paths)
         found: list[tuple[Path, list[Connection]]] = []
-        self._kept = {self._paths[0]: _opened(self._paths[0])}
+        self._kept = {self._paths[0]: open_bag(self._paths[0])}
         weakref.finalize(self, _close, self._kept)
         for path in paths:
-            reader = self._kept.get(path) or _opened(path)
+            reader = self._kept.get(path) or open_bag(path)
             found.append((path, list(reader.connections)))
             if path not in self._kept:
                 reader.close()
@@ -175,7 +175,7 @@ class BagSource:
 
     def _batches(self, path: Path, max_rows: int, tally: _Tally) -> Iterator[Block]:
         """Read one bag in the small batches that are decoded together."""
-        with closing(self._kept.pop(path) if path in self._kept else _opened(path)) as reader:
+        with closing(self._kept.pop(path) if path in self._kept else open_bag(path)) as reader:
             wanted = [one for one in reader.connections if (path, one.topic) in self._topics]
             if not wanted:
                 return
@@ -242,8 +242,16 @@ class BagSource:
             yield Finding(self.roles[role], "missing", count, float("nan"), f"{count} messages fewer than the bag says it holds")
 
 
-def _opened(path: Path) -> Reader1 | Reader2:
-    """Open one bag for reading."""
+def open_bag(path: Path) -> Reader1 | Reader2:
+    """Open one bag for reading; it is the caller's to close.
+
+    Raises
+    ------
+    InputError
+        It is no bag.
+    MissingExtraError
+        rosbags is not installed.
+    """
     try:
         from rosbags.rosbag1 import Reader as Reader1
         from rosbags.rosbag2 import Reader as Reader2
@@ -253,7 +261,7 @@ def _opened(path: Path) -> Reader1 | Reader2:
         reader = Reader1(path) if path.suffix == ".bag" else Reader2(path)
         reader.open()
     except Exception as error:
-        raise _unreadable(path, error) from error
+        raise unreadable(path, error) from error
     return reader
 
 
@@ -278,10 +286,11 @@ def _batch(messages: Iterator[tuple[Connection, int, bytes]], size: int, path: P
     try:
         return list(itertools.islice(messages, size))
     except Exception as error:
-        raise _unreadable(path, error) from error
+        raise unreadable(path, error) from error
 
 
-def _unreadable(path: Path, error: Exception) -> InputError:
+def unreadable(path: Path, error: Exception) -> InputError:
+    """What to raise where the library stumbles over a bag."""
     remedy = REMEDIES.get(path.suffix, "try: ros2 bag reindex")
     if path.is_file() and "metadata.yaml" in str(error):
         remedy = "name its directory: this version of rosbags reads no single file; or pip install --upgrade rosbags"

@@ -11,6 +11,7 @@ import click
 from trackres_ros import __version__
 from trackres_ros.cli.explain import explain_command
 from trackres_ros.cli.live import live_command
+from trackres_ros.cli.play import play_command
 from trackres_ros.cli.record_sample import record_sample_command
 from trackres_ros.cli.replay import replay_command
 from trackres_ros.cli.reproduce import reproduce_command
@@ -39,6 +40,7 @@ def cli() -> None:
 for command in (
     live_command,
     replay_command,
+    play_command,
     simulate_command,
     explain_command,
     reproduce_command,

@@ -139,8 +139,8 @@ class Watch:
         return found + of_reasons(at.Reason(self._shown_reasons))
 
     def to_log(self, remarks: Sequence[Remark]) -> tuple[Level, str] | None:
-        """What to log, when other remarks hold than at the last call."""
-        names = frozenset(remark.name for remark in remarks)
+        """What to log, when there is other than harmless to remark than at the last call."""
+        names = frozenset(remark.name for remark in remarks if remark.level > Level.OK)
         if names == self._logged or self._looked_ns is None:
             return None
         self._logged = names

@@ -1,0 +1,46 @@
+"""`trackres play`: a bag onto the DDS wire, without ROS."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from pathlib import Path
+
+import click
+
+from trackres_ros.cli.common import number, progress
+from trackres_ros.errors import InputError
+
+LISTENERS_WITHIN_S = 30.0
+
+
+@click.command("play")
+@click.argument("recording", type=click.Path(path_type=Path))
+@click.option("--rate", type=number(0.01, 1000.0), default=1.0, show_default=True, help="So much faster than it was recorded.")
+@click.option("--wait-for", multiple=True, metavar="TOPIC", help="Begin when somebody listens to it; may be given several times.")
+def play_command(recording: Path, rate: float, wait_for: tuple[str, ...]) -> None:
+    """Play a bag of ROS 2 to a live node, with a /clock, on machines without ROS; elsewhere `ros2 bag play --clock` does it.
+
+    \b
+    trackres live --edge dds --vehicle xgd24d --topics config/topics/sample.yaml -p use_sim_time:=true
+    trackres play lap.mcap --rate 20 --wait-for /vehicle/speed
+    """
+    from trackres_ros.dds.player import Player
+
+    player = Player(recording, rate)
+    stop = threading.Event()
+    signal.signal(signal.SIGINT, lambda *_: stop.set())
+    signal.signal(signal.SIGTERM, lambda *_: stop.set())
+    try:
+        unknown = [topic for topic in wait_for if topic not in player.topics]
+        if unknown:
+            raise InputError("--wait-for", unknown[0], f"a topic that is played: {', '.join(player.topics)}")
+        for topic in player.left_out:
+            click.echo(f"trackres: not played, as its type is not known without ROS: {topic}", err=True)
+        if not player.wait_for_listeners(wait_for, LISTENERS_WITHIN_S):
+            raise InputError("--wait-for", ", ".join(wait_for), f"a node that listens within {LISTENERS_WITHIN_S:g} s")
+        with progress("playing", player.duration_s) as advance:
+            count = player.play(advance, lambda: not stop.is_set())
+        click.echo(f"{count} messages played")
+    finally:
+        player.close()
