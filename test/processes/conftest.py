@@ -1,0 +1,297 @@
+"""A node in a process of its own on either edge, and an independent participant that talks with it."""
+
+import importlib.util
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+if not importlib.util.find_spec("cyclonedds"):
+    collect_ignore_glob = ["test_*.py"]
+else:
+    sys.path.insert(0, str(Path(__file__).parent))
+    import peer
+
+HERE = Path(__file__).parent
+DOMAIN = 71
+WITHIN_S = 30.0
+FEEDFORWARD_LIMIT_NM = 0.1 * 272000 * 0.4
+WRENCH, JOINTS = "geometry_msgs/msg/WrenchStamped", "sensor_msgs/msg/JointState"
+TWIST, FLOAT, TEMPERATURE = "geometry_msgs/msg/TwistStamped", "std_msgs/msg/Float64", "sensor_msgs/msg/Temperature"
+ARRAY = "diagnostic_msgs/msg/DiagnosticArray"
+FAST_PROFILE = """<?xml version="1.0" encoding="UTF-8"?>
+<dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"><profiles>
+<transport_descriptors><transport_descriptor><transport_id>lo</transport_id><type>UDPv4</type>
+<interfaceWhiteList><address>127.0.0.1</address></interfaceWhiteList></transport_descriptor></transport_descriptors>
+<participant profile_name="lo" is_default_profile="true"><rtps><userTransports><transport_id>lo</transport_id></userTransports>
+<useBuiltinTransports>false</useBuiltinTransports><builtin><initialPeersList><locator><udpv4><address>127.0.0.1</address></udpv4>
+</locator></initialPeersList></builtin></rtps></participant></profiles></dds>
+"""
+
+
+def why_not(edge):
+    """Why an edge cannot run here; empty if it can."""
+    if edge == "dds":
+        return ""
+    if not importlib.util.find_spec("rclpy"):
+        return "rclpy does not import here: no ROS 2 is sourced"
+    if edge == "fast":
+        prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+        if not any((Path(prefix) / "lib" / "librmw_fastrtps_cpp.so").exists() for prefix in prefixes if prefix):
+            return "rmw_fastrtps_cpp is not installed"
+    return ""
+
+
+def environment(edge, folder):
+    """Environment of a process on an edge: loopback, a domain and a home of its own."""
+    chosen = {
+        **os.environ,
+        "ROS_DOMAIN_ID": str(DOMAIN),
+        "XDG_STATE_HOME": str(folder / "state"),
+        "ROS_HOME": str(folder / "ros"),
+    }
+    chosen["CYCLONEDDS_URI"] = peer.LOOPBACK
+    chosen["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"
+    chosen.pop("ROS_LOCALHOST_ONLY", None)
+    if edge == "fast":
+        profile = folder / "fast.xml"
+        profile.write_text(FAST_PROFILE)
+        chosen |= {"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp", "FASTRTPS_DEFAULT_PROFILES_FILE": str(profile)}
+    elif edge == "ros":
+        chosen["RMW_IMPLEMENTATION"] = "rmw_cyclonedds_cpp"
+    return chosen
+
+
+class Node:
+    """The node under test, and our side of the wire."""
+
+    def __init__(self, edge, folder, wire, name="trackres", namespace="/", preexec=None, topics=None, **given):
+        self.edge, self.folder, self.wire, self.name = edge, folder, wire, name
+        self.base = f"{namespace.rstrip('/')}/{name}"
+        self.parameters = {"vehicle": "xgd24d", "state_file": "none", **given}
+        if topics:
+            (folder / "topics.yaml").write_text(topics)
+            self.parameters["topics"] = str(folder / "topics.yaml")
+        params = folder / f"{name}.json"
+        params.write_text(json.dumps({"/**": {"ros__parameters": self.parameters}}))  # JSON is YAML
+        self.log_path = folder / f"{name}-{time.monotonic_ns()}.log"
+        command = [sys.executable, "-m", "trackres_ros", "live", "--edge", "dds" if edge == "dds" else "ros", "--quiet"]
+        command += ["--params", str(params), "--name", name, "--namespace", namespace]
+        with self.log_path.open("w") as log:
+            self.process = subprocess.Popen(
+                command, env=environment(edge, folder), stdout=log, stderr=log, stdin=subprocess.DEVNULL, preexec_fn=preexec
+            )
+        self.out = {
+            "feedforward": wire.subscribe(f"{self.base}/feedforward_torque", WRENCH),
+            "resistance": wire.subscribe(f"{self.base}/resistance_torque", JOINTS),
+            "belt": wire.subscribe(f"{self.base}/track_temperature/front_left", TEMPERATURE),
+            "status": wire.subscribe(f"{self.base}/status", ARRAY),
+            "diagnostics": wire.subscribe("/diagnostics", ARRAY),
+        }
+        prefix = namespace.rstrip("/")
+        self.inputs = {
+            "speed": wire.publisher(f"{prefix}/speed", TWIST),
+            "load": wire.publisher(f"{prefix}/load", FLOAT),
+            "ambient": wire.publisher(f"{prefix}/ambient", TEMPERATURE),
+        }
+
+    @property
+    def log(self):
+        """What it has logged so far."""
+        return self.log_path.read_text()
+
+    def started(self):
+        """Wait until it talks and listens."""
+        self.until(lambda: self.statuses() and all(given.matched for given in self.inputs.values()), "the node to start")
+        return self
+
+    def until(self, holds, what, within_s=WITHIN_S, meanwhile=None):
+        """Wait until something holds, doing something meanwhile."""
+        end = time.monotonic() + within_s
+        while not holds():
+            assert self.process.poll() is None, f"the node has ended with {self.process.returncode}:\n{self.log}"
+            assert time.monotonic() < end, f"waited in vain for {what}; the last status: {self.status()}\n{self.log}"
+            if meanwhile:
+                meanwhile()
+            else:
+                time.sleep(0.01)
+
+    def send(self, role, value, stamp_ns=None):
+        """Publish a value of a role, stamped now or as given."""
+        header = peer.stamp(time.time_ns() if stamp_ns is None else stamp_ns)
+        if role == "speed":
+            self.inputs[role].publish(header=header, twist={"linear": {"x": float(value), "y": 0.0, "z": 0.0}})
+        elif role == "ambient":
+            self.inputs[role].publish(header=header, temperature=float(value))
+        else:
+            self.inputs[role].publish(data=float(value))
+
+    def drive(self, seconds, hz=50.0, speed=8.0, load=272e3, ambient=15.0, stamps=lambda: None):
+        """Publish all inputs for a while; `speed` is a number or a function that gives one."""
+        begin, count = time.monotonic(), 0
+        while time.monotonic() - begin < seconds:
+            if load is not None and count % 5 == 0:
+                self.send("load", load)
+            if ambient is not None and count % 25 == 0:
+                self.send("ambient", ambient)
+            value = speed() if callable(speed) else speed + 0.01 * (count % 7)
+            if value is not None:
+                self.send("speed", value, stamps())
+            count += 1
+            self.out["feedforward"].update()
+            time.sleep(max(0.0, begin + count / hz - time.monotonic()))
+
+    def healthy(self):
+        """Drive until nothing is to be remarked."""
+        self.drive(0.3)
+        self.until(lambda: self.status() and self.level() == 0, "a good status", meanwhile=lambda: self.drive(0.3))
+        return self
+
+    def statuses(self):
+        """All statuses of the node so far."""
+        return [heard.message.status[0] for heard in self.out["status"].update()]
+
+    def status(self):
+        """The last status, or None."""
+        found = self.statuses()
+        return found[-1] if found else None
+
+    def level(self):
+        """Level of the last status."""
+        return int(self.status().level)
+
+    def remarks(self, since=0):
+        """Names of everything that was remarked since so many statuses."""
+        return {name for status in self.statuses()[since:] for name in _values(status)["remarks"].split()}
+
+    def remarked(self, name, meanwhile=None, within_s=WITHIN_S):
+        """Wait until a remark is made."""
+        since = len(self.statuses())
+        self.until(lambda: name in self.remarks(since), f"the remark {name}", within_s, meanwhile)
+
+    def values(self, entry):
+        """Keys and values of an entry of the last diagnostics, such as `input speed`."""
+        heard = self.out["diagnostics"].update()
+        for found in reversed(heard):
+            for status in found.message.status:
+                if status.name == f"{self.base.lstrip('/')}: {entry}":
+                    return _values(status)
+        return {}
+
+    def torques(self):
+        """Feed-forward torques so far, in order."""
+        return [heard.message.wrench.torque.y for heard in self.out["feedforward"].update()]
+
+    def check_outputs(self):
+        """No output was ever out of bounds or not a number."""
+        for torque in self.torques():
+            assert math.isfinite(torque), "the feed-forward is not finite"
+            assert abs(torque) <= FEEDFORWARD_LIMIT_NM, f"the feed-forward is {torque}"
+        for heard in self.out["resistance"].update():
+            assert all(math.isfinite(effort) for effort in heard.message.effort)
+            assert abs(heard.message.effort[0]) < 20000.0
+        for heard in self.out["belt"].update():
+            assert -60.0 < heard.message.temperature < 150.0
+            assert 0.0 < heard.message.variance < 1e4
+
+    def stop(self, how=signal.SIGINT):
+        """End it; its exit code."""
+        if self.process.poll() is None:
+            self.process.send_signal(how)
+            try:
+                self.process.wait(10.0)
+            except subprocess.TimeoutExpired:
+                self.process.kill()
+                self.process.wait()
+        return self.process.returncode
+
+    def close(self):
+        """End it, and our side."""
+        self.stop()
+        for given in self.inputs.values():
+            given.close()
+
+
+def _values(status):
+    return {pair.key: pair.value for pair in status.values}
+
+
+EDGES = [
+    pytest.param(edge, marks=pytest.mark.skipif(bool(why_not(edge)), reason=why_not(edge) or "-")) for edge in ("dds", "ros")
+]
+FAST = pytest.param("fast", marks=pytest.mark.skipif(bool(why_not("fast")), reason=why_not("fast") or "-"))
+
+
+@pytest.fixture
+def wire():
+    made = peer.Wire(DOMAIN)
+    yield made
+    made.close()
+
+
+@pytest.fixture(params=EDGES)
+def edge(request):
+    return request.param
+
+
+@pytest.fixture
+def node(edge, tmp_path, wire):
+    """A function that starts a node on the edge."""
+    nodes = []
+
+    def start(**given):
+        given.setdefault("namespace", "/alone")  # away from the node that runs through all scenarios
+        nodes.append(Node(edge, tmp_path, wire, **given))
+        return nodes[-1].started()
+
+    yield start
+    try:
+        for made in nodes:
+            made.check_outputs()
+    finally:
+        for made in nodes:
+            made.close()
+
+
+@pytest.fixture(scope="module")
+def standing_nodes(tmp_path_factory):
+    """A function that gives the one node of an edge that runs through all scenarios of a module."""
+    nodes = {}
+
+    def of(edge):
+        if edge not in nodes:
+            close()  # one at a time: they share their topics
+            wire = peer.Wire(DOMAIN)
+            nodes[edge] = Node(edge, tmp_path_factory.mktemp("standing"), wire).started()
+        return nodes[edge]
+
+    def close():
+        for edge, made in list(nodes.items()):
+            del nodes[edge]
+            try:
+                made.check_outputs()
+            finally:
+                code = made.stop()
+                made.close()
+                made.wire.close()
+            assert code == 0, made.log
+
+    yield of
+    close()
+
+
+@pytest.fixture(params=EDGES, scope="module")
+def standing(request, standing_nodes):
+    return standing_nodes(request.param)
+
+
+@pytest.fixture(params=[*EDGES, FAST], scope="module")
+def anywhere(request, standing_nodes):
+    """As `standing`, and on Fast DDS too, for what the middleware plays a part in."""
+    return standing_nodes(request.param)

@@ -1,0 +1,212 @@
+"""An independent participant on the wire: plain Cyclone DDS and rosbags, nothing of the package under test.
+
+As a program it prints what it receives on topics as lines of JSON, or publishes what it reads as lines of JSON:
+`peer.py listen TOPIC TYPE ...`, `peer.py publish TOPIC TYPE`.
+"""
+
+import json
+import os
+import sys
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from cyclonedds._clayer import ddspy_take, ddspy_write
+from cyclonedds.core import InstanceState, Policy, Qos, SampleState, ViewState
+from cyclonedds.domain import Domain, DomainParticipant
+from cyclonedds.idl import make_idl_struct, types
+from cyclonedds.pub import DataWriter
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
+from cyclonedds.util import duration
+from rosbags.typesys import Stores, get_typestore
+
+LOOPBACK = (
+    "<CycloneDDS><Domain><General><AllowMulticast>false</AllowMulticast><Interfaces>"
+    '<NetworkInterface name="lo" multicast="false"/></Interfaces></General><Discovery><ParticipantIndex>auto</ParticipantIndex>'
+    '<MaxAutoParticipantIndex>60</MaxAutoParticipantIndex><Peers><Peer address="127.0.0.1"/></Peers></Discovery></Domain>'
+    "</CycloneDDS>"
+)
+STORE = get_typestore(Stores.ROS2_JAZZY)
+FIELDS = getattr(STORE, "fielddefs", None) or STORE.FIELDDEFS
+PLAIN = {"byte": types.uint8, "char": types.uint8, "bool": bool}
+ANY = SampleState.Any | ViewState.Any | InstanceState.Any
+_structs, _domains = {}, {}
+
+
+def struct_of(kind):
+    """Cyclone's type of a message."""
+    if kind not in _structs:
+        package, _, name = kind.split("/")
+        fields = {f"{field}_": _field(about) for field, about in FIELDS[kind][1]}
+        _structs[kind] = make_idl_struct(kind.replace("/", "_"), f"{package}::msg::dds_::{name}_", fields)
+    return _structs[kind]
+
+
+def stranger(kind):
+    """A type of the same name with other content."""
+    package, _, name = kind.split("/")
+    return make_idl_struct("stranger", f"{package}::msg::dds_::{name}_", {"number_": types.uint32})
+
+
+def _field(about):
+    node, inner = int(about[0]), about[1]
+    if node == 1:
+        return str if inner[0] == "string" else PLAIN.get(inner[0]) or getattr(types, inner[0])
+    if node == 2:
+        return struct_of(inner)
+    return types.array[_field(inner[0]), inner[1]] if node == 3 else types.sequence[_field(inner[0])]
+
+
+def _qos(reliable, depth, deadline_s):
+    policies = [
+        Policy.Reliability.Reliable(duration(seconds=1)) if reliable else Policy.Reliability.BestEffort,
+        Policy.History.KeepLast(depth),
+        Policy.DataRepresentation(use_cdrv0_representation=True),
+    ]
+    return Qos(*policies, *([Policy.Deadline(duration(seconds=deadline_s))] if deadline_s else []))
+
+
+def build(kind, **given):
+    """A message with zeros, empty texts and arrays but for what is given, nested messages as dicts."""
+    values = {}
+    for name, about in FIELDS[kind][1]:
+        node, inner = int(about[0]), about[1]
+        value = given.get(name)
+        if node == 2:
+            values[name] = value if value is not None and not isinstance(value, dict) else build(inner, **(value or {}))
+        elif node == 1:
+            values[name] = value if value is not None else "" if inner[0] == "string" else False if inner[0] == "bool" else 0
+        elif value is not None:
+            values[name] = value
+        else:
+            count = inner[1] if node == 3 else 0
+            element = inner[0]
+            values[name] = np.zeros(count, element[1][0]) if int(element[0]) == 1 and element[1][0] != "string" else []
+    return STORE.types[kind](**values)
+
+
+def stamp(ns):
+    """Header with a stamp [ns]."""
+    return {"stamp": {"sec": int(ns // 10**9), "nanosec": int(ns % 10**9)}, "frame_id": "base_link"}
+
+
+@dataclass
+class Heard:
+    """A message that came, and when [s of a steady clock]."""
+
+    at_s: float
+    message: object
+
+
+class Subscription:
+    """Keeps all messages of a topic."""
+
+    def __init__(self, wire, topic, kind, reliable, depth, deadline_s):
+        self.kind, self.heard = kind, []
+        self._reader = DataReader(
+            wire.participant, Topic(wire.participant, f"rt{topic}", struct_of(kind)), qos=_qos(reliable, depth, deadline_s)
+        )
+
+    def update(self):
+        """Take what has come; all there is so far."""
+        found = ddspy_take(self._reader._ref, ANY, 10000)
+        now = time.monotonic()
+        for raw, about in found if isinstance(found, list) else ():
+            if about.valid_data:
+                self.heard.append(Heard(now, STORE.deserialize_cdr(raw, self.kind)))
+        return self.heard
+
+    @property
+    def matched(self):
+        """Publishers connected."""
+        return len(self._reader.get_matched_publications())
+
+
+class Publisher:
+    """Publishes messages of a topic, or bytes that are none."""
+
+    def __init__(self, wire, topic, kind, reliable, depth, struct):
+        self.kind = kind
+        self.sent = 0
+        topic = Topic(wire.participant, f"rt{topic}", struct or struct_of(kind))
+        self._writer = DataWriter(wire.participant, topic, qos=_qos(reliable, depth, 0.0))
+
+    def publish(self, **fields):
+        """Publish a message with these fields."""
+        raw = bytes(STORE.serialize_cdr(build(self.kind, **fields), self.kind))
+        self.publish_raw(raw + b"\0" * (-len(raw) % 4))
+
+    def publish_raw(self, raw):
+        """Publish bytes as they are."""
+        code = ddspy_write(self._writer._ref, raw)
+        assert code >= 0, code
+        self.sent += 1
+
+    @property
+    def matched(self):
+        """Subscribers connected."""
+        return len(self._writer.get_matched_subscriptions())
+
+    def close(self):
+        """Leave the topic."""
+        self._writer._delete(self._writer._ref)
+
+
+class Wire:
+    """One participant of a domain, on the loopback interface."""
+
+    def __init__(self, domain):
+        if domain not in _domains:
+            _domains[domain] = Domain(domain, LOOPBACK)
+        self.participant = DomainParticipant(domain)
+
+    def subscribe(self, topic, kind, reliable=True, depth=10000, deadline_s=0.0):
+        """A subscription by full topic name."""
+        return Subscription(self, topic, kind, reliable, depth, deadline_s)
+
+    def publisher(self, topic, kind, reliable=True, depth=1000, struct=None):
+        """A publisher by full topic name."""
+        return Publisher(self, topic, kind, reliable, depth, struct)
+
+    def close(self):
+        """Leave."""
+        self.participant._delete(self.participant._ref)
+
+
+def plain(message):
+    """A message as plain JSON."""
+    if hasattr(message, "__dataclass_fields__"):
+        return {name: plain(getattr(message, name)) for name in message.__dataclass_fields__ if not name.startswith("__")}
+    if isinstance(message, np.ndarray | list):
+        return [plain(value) for value in message]
+    return message.item() if isinstance(message, np.generic) else message
+
+
+def main():
+    """Listen or publish, as a process of its own."""
+    wire = Wire(int(os.environ["ROS_DOMAIN_ID"]))
+    what, rest = sys.argv[1], sys.argv[2:]
+    if what == "listen":
+        listening = {topic: wire.subscribe(topic, kind) for topic, kind in zip(rest[::2], rest[1::2], strict=True)}
+        print(json.dumps("ready"), flush=True)
+        while os.getppid() != 1:
+            for topic, subscription in listening.items():
+                for heard in subscription.update():
+                    print(json.dumps({"topic": topic, "message": plain(heard.message)}), flush=True)
+                subscription.heard.clear()
+            time.sleep(0.002)
+    elif what == "publish":
+        publisher = wire.publisher(*rest)
+        until = time.monotonic() + 20
+        while not publisher.matched and time.monotonic() < until:
+            time.sleep(0.02)
+        print(json.dumps("ready"), flush=True)
+        for line in sys.stdin:
+            publisher.publish(**json.loads(line))
+            print(json.dumps("sent"), flush=True)
+        time.sleep(0.2)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,304 @@
+"""A node process and independent peers: what it gives is what an offline session gives, and is kept over restarts."""
+
+import itertools
+import json
+import os
+import random
+import resource
+import signal
+import subprocess
+import sys
+import time
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+import peer
+import pytest
+
+from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.outputs import output_topics, values_of
+from trackres_ros.vehicle import load
+
+SECOND_NS = 1_000_000_000
+START_NS = 1_700_000_000 * SECOND_NS
+PEER = Path(__file__).with_name("peer.py")
+
+
+class Simulated:
+    """Simulated time: a clock that we set, and messages stamped with it."""
+
+    def __init__(self, node):
+        self.node, self.now_ns, self.sent = node, START_NS, []
+        self.clock = node.wire.publisher("/clock", "rosgraph_msgs/msg/Clock")
+        node.until(lambda: self.clock.matched, "the clock to connect")
+
+    def to(self, now_ns):
+        """Set the clock."""
+        self.now_ns = now_ns
+        self.clock.publish(clock={"sec": now_ns // SECOND_NS, "nanosec": now_ns % SECOND_NS})
+
+    def drive(self, steps, speed=8.0, dt_ns=SECOND_NS // 10, pace_s=0.004):
+        """Speeds every dt, loads and ambient temperatures between them; all at half a step's distance."""
+        for step in range(steps):
+            self.to(self.now_ns + dt_ns // 2)
+            if step % 5 == 0:
+                self.message("load", 272e3 + 1e3 * (step % 3))
+                self.message("ambient", 15.0 + step % 2)
+                time.sleep(pace_s)
+            self.to(self.now_ns + dt_ns // 2)
+            time.sleep(0.001)
+            self.message("speed", speed + 0.1 * (step % 11))
+            time.sleep(pace_s)
+
+    def message(self, role, value):
+        """A message at the time of the clock."""
+        self.sent.append((role, self.now_ns, value))
+        self.node.send(role, value, self.now_ns)
+
+
+def offline(sent):
+    """What an offline session makes of messages; by stamp."""
+    estimator = Estimator(load("xgd24d"))
+    session, found = estimator.session(), {}
+    for role, stamp, value in sent:
+        estimate = session.handle(session.channel(role), stamp, stamp, value)
+        if estimate is not None:
+            found[stamp] = estimate.row
+    return estimator, found
+
+
+def stamp_ns(message):
+    return message.header.stamp.sec * SECOND_NS + message.header.stamp.nanosec
+
+
+@pytest.fixture
+def simulated(node):
+    def start(**given):
+        return Simulated(node(use_sim_time=True, output_rate_hz=0.0, **given))
+
+    return start
+
+
+def test_live_and_offline_give_the_same_numbers_at_the_same_stamps(simulated):
+    sim = simulated()
+    sim.drive(300)
+    node = sim.node
+    last = sim.sent[-1][1]
+    node.until(lambda: any(stamp_ns(h.message) == last for h in node.out["belt"].update()), "the last estimate")
+    estimator, expected = offline(sim.sent)
+    for name, topic in (
+        ("feedforward", "feedforward_torque"),
+        ("resistance", "resistance_torque"),
+        ("belt", "track_temperature/front_left"),
+    ):
+        about = next(t for t in output_topics(estimator.vehicle) if t.name == topic)
+        heard = {stamp_ns(h.message): h.message for h in node.out[name].update()}
+        assert len(set(heard) & set(expected)) >= 299
+        for stamp, message in heard.items():
+            numbers = {
+                "feedforward": lambda m: [m.wrench.torque.y],
+                "resistance": lambda m: m.effort,
+                "belt": lambda m: [m.temperature, m.variance],
+            }
+            np.testing.assert_allclose(
+                numbers[name](message),
+                values_of(about, expected[stamp][np.newaxis], estimator.column_index)[0],
+                rtol=1e-9,
+                atol=1e-9,
+            )
+    assert list(node.out["resistance"].heard[-1].message.name) == list(
+        next(t for t in output_topics(estimator.vehicle) if t.name == "resistance_torque").names
+    )
+
+
+def test_a_bag_that_loops_starts_anew_each_time(simulated):
+    sim = simulated()
+    node = sim.node
+    for loop in range(2):
+        sim.now_ns = START_NS
+        sim.drive(150)
+        assert loop == 0 or "TIME_RESET" in node.remarks()
+        sim.message("speed", 8.0)
+    stamps = [stamp_ns(h.message) for h in node.out["belt"].update()]
+    assert sum(b < a for a, b in itertools.pairwise(stamps)) == 1
+    rounds = np.split(np.array([h.message.temperature for h in node.out["belt"].heard]), [int(np.argmin(np.diff(stamps))) + 1])
+    assert rounds[1][0] == pytest.approx(rounds[0][0], abs=0.05)
+    assert rounds[1][-1] == pytest.approx(rounds[0][-1], rel=1e-3)
+
+
+def test_publisher_node_and_subscriber_are_three_processes(node, edge, tmp_path):
+    n = node(output_rate_hz=0.0)
+    environment = {**os.environ, "ROS_DOMAIN_ID": "71"}
+    kind = "geometry_msgs/msg/TwistStamped"
+    topics = [f"{n.base.rpartition('/')[0]}/speed", f"{n.base}/feedforward_torque"]
+    commands = {"publish": [topics[0], kind], "listen": [topics[1], "geometry_msgs/msg/WrenchStamped"]}
+    with ExitStack() as stack:
+        others = {
+            what: stack.enter_context(
+                subprocess.Popen(
+                    [sys.executable, PEER, what, *rest], env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+                )
+            )
+            for what, rest in commands.items()
+        }
+        for other in others.values():
+            stack.callback(other.kill)
+            assert json.loads(other.stdout.readline()) == "ready"
+        time.sleep(1.0)
+        torques = []
+        for step in range(20):
+            now = time.time_ns()
+            twist = {"linear": {"x": 8.0 + 0.01 * step, "y": 0.0, "z": 0.0}}
+            others["publish"].stdin.write(json.dumps({"header": peer.stamp(now), "twist": twist}) + "\n")
+            others["publish"].stdin.flush()
+            heard = json.loads(others["listen"].stdout.readline())
+            torques.append(heard["message"]["wrench"]["torque"]["y"])
+        assert torques[-1] > torques[0] >= 0.0
+
+
+def test_outputs_come_at_their_rate_whatever_the_speed_comes_at(node):
+    n = node(output_rate_hz=20.0)
+    n.drive(1.0)
+    first = len(n.out["feedforward"].update())
+    n.drive(2.0, hz=100.0)
+    n.drive(2.0, hz=5.0)
+    heard = n.out["feedforward"].update()[first:]
+    rate = (len(heard) - 1) / (heard[-1].at_s - heard[0].at_s)
+    assert 15.0 < rate < 25.0
+
+
+def test_belts_outlive_a_restart(simulated, tmp_path):
+    state = tmp_path / "state.json"
+    sim = simulated(state_file=str(state))
+    sim.drive(800, speed=15.0, dt_ns=2 * SECOND_NS // 5, pace_s=0.002)
+    belt = sim.node.out["belt"].update()[-1].message.temperature
+    assert belt > 20.0
+    assert sim.node.stop(signal.SIGTERM) == 0
+    sim.node.close()
+    again = simulated(state_file=str(state))
+    assert "belts taken from" in again.node.log
+    again.drive(5)
+    assert again.node.out["belt"].update()[-1].message.temperature == pytest.approx(belt, abs=1.5)
+
+
+def test_killed_at_any_moment_the_state_file_is_whole(node, tmp_path):
+    state = tmp_path / "state.json"
+    moments = random.Random(3)
+    for _ in range(3):
+        n = node(state_file=str(state), save_period_s=1.0)
+        n.drive(1.2 + moments.random())
+        n.stop(signal.SIGKILL)
+        n.close()
+        assert json.loads(state.read_text())["vehicle"] == "xgd24d"
+    n = node(state_file=str(state))
+    assert "belts taken from" in n.log
+    assert not list(tmp_path.glob("state.json*.part"))
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "damaged"),
+        ('{"format": "trackres-state", "ver', "damaged"),
+        ('{"format": "trackres-state", "version": 7}', "version 7"),
+    ],
+)
+def test_a_state_file_of_no_use_is_said_in_log_and_status(node, tmp_path, text, said):
+    state = tmp_path / "state.json"
+    state.write_text(text)
+    n = node(state_file=str(state))
+    assert said in n.log
+    n.remarked("STATE_NOT_USED")
+
+
+def test_a_state_of_another_vehicle_is_said(node, tmp_path):
+    state = tmp_path / "state.json"
+    n = node(state_file=str(state))
+    n.drive(0.3)
+    n.close()
+    other = node(state_file=str(state), vehicle="agri3t")
+    assert "xgd24d" in other.log
+    other.drive(0.3)
+
+
+def test_a_disk_that_takes_no_more_is_said_and_stops_nothing(node, tmp_path):
+    state = tmp_path / "state.json"
+    n = node(state_file=str(state), save_period_s=1.0, preexec=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (3000, 3000)))
+    n.remarked("STATE_NOT_SAVED", meanwhile=lambda: n.drive(0.3))
+    count = len(n.torques())
+    n.drive(0.3)
+    assert len(n.torques()) > count
+
+
+def test_a_parameter_out_of_range_ends_it_with_one_line(edge, tmp_path, wire):
+    from conftest import Node
+
+    n = Node(edge, tmp_path, wire, gap_s=1e9)
+    assert n.process.wait(20) == 2
+    assert "gap_s" in n.log
+    assert "a number from 0.05 to 60 s" in n.log
+    assert "Traceback" not in n.log
+    n.close()
+
+
+def test_two_nodes_under_two_namespaces(node):
+    left, right = node(namespace="/left", output_rate_hz=0.0), node(namespace="/right", output_rate_hz=0.0)
+    left.drive(0.5)
+    right.drive(0.5, speed=3.0)
+    assert left.out["resistance"].update()[-1].message.effort[0] != right.out["resistance"].update()[-1].message.effort[0]
+    assert "left/trackres: estimate" in {s.name for s in left.statuses()}
+    assert "right/trackres: estimate" in {s.name for s in right.statuses()}
+
+
+def test_a_measured_torque_gives_residual_and_mismatch(node):
+    topics = """
+speed: {topic: speed, type: geometry_msgs/msg/TwistStamped, field: twist.linear.x}
+load: {topic: load, type: std_msgs/msg/Float64, field: data}
+ambient: {topic: ambient, type: sensor_msgs/msg/Temperature, field: temperature}
+torque: {topic: torque, type: geometry_msgs/msg/WrenchStamped, field: wrench.torque.y}
+"""
+    n = node(topics=topics, use_sim_time=True, output_rate_hz=0.0, mismatch_hold_s=60.0)
+    sim = Simulated(n)
+    torque = n.wire.publisher("/alone/torque", "geometry_msgs/msg/WrenchStamped")
+    residual = n.wire.subscribe(f"{n.base}/torque_residual", "sensor_msgs/msg/JointState")
+    n.until(lambda: torque.matched and residual.matched, "the torque to connect")
+    noise = random.Random(1)
+    for step in range(1500):
+        sim.to(sim.now_ns + SECOND_NS // 5)
+        torque.publish(
+            header=peer.stamp(sim.now_ns),
+            wrench={
+                "torque": {"x": 0.0, "y": 4500.0 + noise.gauss(0.0, 100.0), "z": 0.0},
+                "force": {"x": 0.0, "y": 0.0, "z": 0.0},
+            },
+        )
+        if step % 5 == 0:
+            sim.message("load", 272e3)
+            sim.message("ambient", 15.0)
+        time.sleep(0.001)
+        sim.message("speed", 8.0 + 0.001 * (step % 5))
+        time.sleep(0.002)
+    n.remarked("MISMATCH", meanwhile=lambda: sim.drive(5))
+    status = next(s for s in reversed(n.statuses()) if "above the expected" in s.message)
+    assert "trackres replay RECORDING --vehicle xgd24d" in status.message
+    assert n.values("comparison")["parted"] == "true"
+    last = residual.update()[-1].message
+    measured, expected, difference = last.effort
+    assert list(last.name) == ["measured", "expected", "residual"]
+    assert difference == pytest.approx(measured - expected)
+
+
+def test_signals_save_and_reset_without_ros(tmp_path, wire):
+    from conftest import Node
+
+    state = tmp_path / "state.json"
+    n = Node("dds", tmp_path, wire, state_file=str(state)).started()
+    n.drive(0.3)
+    n.process.send_signal(signal.SIGUSR1)
+    n.until(state.exists, "the state file")
+    n.process.send_signal(signal.SIGUSR2)
+    n.until(lambda: "starts anew" in n.log, "the reset")
+    n.drive(0.3)
+    assert n.stop() == 0
+    n.close()

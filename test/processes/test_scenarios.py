@@ -1,0 +1,180 @@
+"""What the controller sees when something is wrong: on both edges, a node process and an independent participant.
+
+Each scenario has its entry in docs/robustness.md. In all of them no output is ever out of bounds or not a number (the fixture
+checks all there were), outputs or statuses go on, the status gives the reason, and it is good again when the cause is gone.
+"""
+
+import itertools
+import math
+import time
+
+import peer
+import pytest
+
+SECOND_NS = 1_000_000_000
+
+
+def recovers(node):
+    """After what was wrong has gone the status is good again, and torque flows."""
+    before = len(node.torques())
+    node.healthy()
+    assert len(node.torques()) > before
+    assert node.torques()[-1] == pytest.approx(2900.0, rel=0.3)
+
+
+def test_from_the_start_without_a_speed(standing):
+    if standing.torques():
+        pytest.skip("the node has had a speed")
+    standing.remarked("NO_SPEED")
+    assert standing.level() == 3
+    count = len(standing.statuses())
+    standing.until(lambda: len(standing.statuses()) >= count + 2, "statuses going on")
+    assert not standing.torques()
+    recovers(standing)
+
+
+def test_speed_stops_and_comes_back(anywhere):
+    anywhere.healthy()
+    full = anywhere.torques()[-1]
+    anywhere.remarked("SPEED_OLD")
+    anywhere.until(lambda: anywhere.torques()[-1] == 0.0, "the feed-forward to fade")
+    torques = anywhere.torques()
+    fading = torques[-torques[::-1].index(next(t for t in reversed(torques) if t > 0.9 * full)) :]
+    assert fading == sorted(fading, reverse=True)
+    count = len(torques)
+    anywhere.until(lambda: len(anywhere.torques()) > count + 20, "outputs going on")
+    assert anywhere.level() == 3
+    back = len(anywhere.torques())
+    recovers(anywhere)
+    rising = anywhere.torques()[back:]
+    assert all(abs(b - a) < 0.7 * full for a, b in itertools.pairwise(rising))
+
+
+def test_load_missing(standing):
+    standing.healthy()
+    standing.remarked("LOAD_HELD", meanwhile=lambda: standing.drive(0.3, load=None))
+    assert standing.level() == 0
+    recovers(standing)
+
+
+def test_values_that_cannot_be(standing):
+    standing.healthy()
+    values = itertools.cycle([math.nan, math.inf, -math.inf, 1e9, -1e9])
+    standing.remarked("SPEED_OLD", meanwhile=lambda: standing.drive(0.2, speed=lambda: next(values)))
+    standing.remarked("REFUSED", meanwhile=lambda: standing.drive(0.2, speed=lambda: next(values)))
+    counted = standing.values("input speed")
+    assert int(counted["non_finite"]) > 0
+    assert int(counted["out_of_range"]) > 0
+    recovers(standing)
+
+
+def test_load_that_cannot_be(standing):
+    standing.healthy()
+    standing.remarked("REFUSED", meanwhile=lambda: standing.drive(0.3, load=1e9))
+    recovers(standing)
+
+
+def test_stamps_that_were_never_set(standing):
+    standing.healthy()
+    standing.drive(1.5, stamps=lambda: 0)
+    standing.until(
+        lambda: int(standing.values("input speed").get("zero_stamp", 0)) > 0, "the counter", meanwhile=lambda: standing.drive(0.2)
+    )
+    assert standing.level() == 0
+    recovers(standing)
+
+
+def test_stamps_repeated(standing):
+    standing.healthy()
+    fixed = time.time_ns()
+    standing.remarked("REFUSED", meanwhile=lambda: standing.drive(0.3, stamps=lambda: fixed))
+    standing.until(lambda: int(standing.values("input speed").get("duplicate", 0)) > 0, "the counter")
+    recovers(standing)
+
+
+def test_single_stamps_ahead_and_behind(standing):
+    standing.healthy()
+    wrong = {"future": 3600.0, "backward": -3600.0, "late": -0.4}
+    before = {counter: int(standing.values("input speed").get(counter, 0)) for counter in wrong}
+    for _ in range(5):
+        for offset_s in wrong.values():
+            standing.drive(0.1)
+            standing.send("speed", 8.0, time.time_ns() + int(offset_s * SECOND_NS))
+    standing.until(
+        lambda: all(int(standing.values("input speed").get(c, 0)) >= before[c] + 4 for c in wrong),
+        "the counters",
+        meanwhile=lambda: standing.drive(0.2),
+    )
+    recovers(standing)
+
+
+def test_the_clock_of_the_stamps_jumps_and_stays(standing):
+    standing.healthy()
+    belt = standing.out["belt"].update()[-1].message.temperature
+    ahead = lambda: time.time_ns() + 3600 * SECOND_NS  # noqa: E731
+    standing.remarked("CLOCK_JUMPED", meanwhile=lambda: standing.drive(0.3, stamps=ahead))
+    standing.remarked("CLOCK_OFFSET", meanwhile=lambda: standing.drive(0.3, stamps=ahead))
+    assert standing.out["belt"].update()[-1].message.temperature == pytest.approx(belt, abs=1.0)
+    assert standing.out["feedforward"].update()[-1].message.header.stamp.sec > time.time() + 3000
+    standing.remarked("CLOCK_JUMPED", meanwhile=lambda: standing.drive(0.3))
+    recovers(standing)
+
+
+def test_a_trickle(standing):
+    standing.healthy()
+    for _ in range(3):
+        standing.drive(0.05, hz=20.0)
+        time.sleep(0.95)
+    assert "SPEED_OLD" in standing.remarks()
+    recovers(standing)
+
+
+def test_a_flood(anywhere):
+    anywhere.healthy()
+    before, sent = int(anywhere.values("input speed")["accepted"]), anywhere.inputs["speed"].sent
+    anywhere.drive(3.0, hz=1000.0)
+    sent = anywhere.inputs["speed"].sent - sent
+    taken = lambda: sum(int(anywhere.values("input speed").get(k, 0)) for k in ("accepted", "duplicate", "late"))  # noqa: E731
+    anywhere.until(lambda: taken() - before >= 0.99 * sent, "the flood to be taken")
+    recovers(anywhere)
+
+
+def test_another_type_on_the_topic(standing):
+    standing.healthy()
+    other = standing.wire.publisher("/ambient", "std_msgs/msg/Float64")
+    other.publish(data=1.0)
+    standing.remarked("WRONG_TYPE", meanwhile=lambda: standing.drive(0.3))
+    assert "std_msgs/msg/Float64" in next(s.message for s in reversed(standing.statuses()) if "sends" in s.message)
+    other.close()
+    recovers(standing)
+
+
+def test_two_publishers_and_one_restarted(standing):
+    standing.healthy()
+    second = standing.wire.publisher("/speed", "geometry_msgs/msg/TwistStamped")
+    standing.remarked("SEVERAL_PUBLISHERS", meanwhile=lambda: standing.drive(0.3))
+    standing.inputs["speed"].close()
+    standing.inputs["speed"] = second
+    recovers(standing)
+
+
+def test_another_definition_of_the_same_type(standing):
+    standing.healthy()
+    other = standing.wire.publisher(
+        "/speed", "geometry_msgs/msg/TwistStamped", struct=peer.stranger("geometry_msgs/msg/TwistStamped")
+    )
+    for _ in range(20):
+        other.publish_raw(b"\0\1\0\0" + b"\xff" * 4)
+        standing.drive(0.05)
+    other.close()
+    recovers(standing)
+
+
+def test_coarse_steps_and_one_value_for_long(node):
+    n = node(stuck_s=2.0, output_rate_hz=0.0)
+    steps = itertools.cycle([8, 9, 10, 9])  # km/h, as a bus sends it
+    n.remarked("SPEED_QUANTISED", meanwhile=lambda: n.drive(0.5, speed=lambda: next(steps) / 3.6))
+    assert n.level() == 0
+    n.drive(0.5)
+    n.remarked("SPEED_STUCK", meanwhile=lambda: n.drive(0.3, speed=lambda: 8.0))
+    recovers(n)
