@@ -118,16 +118,16 @@ class DdsNode:
             if left > 0:
                 wait(min(left, LONGEST_WAIT_NS))
             if self._clock:
-                for raw in self._clock.take():
+                for raw, _ in self._clock.take():
                     self._set_clock(clock_ns(raw))
             for index, reader, message in inputs:
-                for raw in reader.take():
+                for raw, sent_ns in reader.take():
                     try:
                         stamp_ns, values = message.read(raw)
                     except MalformedError:
-                        application.undecodable(index)
+                        application.undecodable(index, sent_ns)
                     else:
-                        application.receive_values(index, stamp_ns, values)
+                        application.receive_values(index, stamp_ns, values, sent_ns)
             now = time.monotonic_ns()
             if now >= next_tick:
                 application.tick()

@@ -82,10 +82,10 @@ class Reader:
         self.condition = ReadCondition(self.entity, WAITING)
         self._reference = self.entity._ref
 
-    def take(self) -> list[bytes]:
-        """Take all messages that wait, in the order they came."""
+    def take(self) -> list[tuple[bytes, int]]:
+        """Take all messages that wait, in the order they came, each with the time it was sent at [ns]."""
         found = ddspy_take(self._reference, EVERY_SAMPLE, MOST_TAKEN)
-        return [raw for raw, about in found if about.valid_data] if isinstance(found, list) else []
+        return [(raw, about.source_timestamp) for raw, about in found if about.valid_data] if isinstance(found, list) else []
 
 
 class Participant:

@@ -34,7 +34,11 @@ from trackres_ros.vehicle import load
 SECOND_NS = 1_000_000_000
 TIME_RESET = int(at.Reason.TIME_RESET)
 LONGEST_PERIOD_S = 0.1  # between two looks at the age of the speed, and between two outputs
+LONGEST_WAIT_NS = 50_000_000  # of a message for a speed that was sent later
 MUST_BE_FINITE = (at.OUT_RESISTANCE, at.OUT_STD, at.OUT_FEEDFORWARD)
+
+Waiting = tuple[int, int, int, Callable[[int], Iterator[Sample]]]
+"""When it was sent, when it arrived by the steady clock and by the node's time [ns], and its samples."""
 
 
 class Application:
@@ -86,6 +90,8 @@ class Application:
         self.active = False
         self.on_estimate: Callable[[list[float], int, int], None] | None = None  # row, stamp, arrival
         self._edge, self._steady_ns = edge, steady_ns
+        self._is_speed = ["speed" in given.roles for given in self.inputs]
+        self._waiting: list[Waiting] = []
         self._intake = Intake(self.inputs, self.estimator.channels)
         self._outlet = Outlet(self.outputs, self.estimator, edge)
         self._arrival_offset_ns = time.time_ns() - steady_ns()
@@ -107,20 +113,39 @@ class Application:
 
     # What arrives
 
-    def receive(self, index: int, message: object) -> None:
-        """Take a decoded message of an input topic."""
-        self._handle(lambda now: self._intake.samples(index, message, now))
+    def receive(self, index: int, message: object, sent_ns: int = 0) -> None:
+        """Take a decoded message of an input topic, sent at a time [ns] of its publisher's machine, 0 where that is not known."""
+        self._arrived(index, sent_ns, lambda now: self._intake.samples(index, message, now))
 
-    def receive_values(self, index: int, stamp_ns: int | None, values: Sequence[float | None]) -> None:
+    def receive_values(self, index: int, stamp_ns: int | None, values: Sequence[float | None], sent_ns: int = 0) -> None:
         """Take what an edge has read from a message of an input topic; see `Intake.of_values`."""
-        self._handle(lambda now: self._intake.of_values(index, stamp_ns, values, now))
+        self._arrived(index, sent_ns, lambda now: self._intake.of_values(index, stamp_ns, values, now))
 
-    def undecodable(self, index: int) -> None:
+    def undecodable(self, index: int, sent_ns: int = 0) -> None:
         """Take note of a message of an input topic that cannot be decoded."""
-        self._handle(lambda now: self._intake.undecodable(index, now))
+        self._arrived(index, sent_ns, lambda now: self._intake.undecodable(index, now))
 
-    def _handle(self, samples: Callable[[int], Iterator[Sample]]) -> None:
+    def _arrived(self, index: int, sent_ns: int, samples: Callable[[int], Iterator[Sample]]) -> None:
+        """Take messages in the order they were sent, as a bag holds them.
+
+        Where many wait, as after a pause of this process, a middleware hands over one of each topic in turn. So what is no speed
+        waits for the first speed that was sent later.
+        """
         steady, now = self._steady_ns(), self._edge.now_ns()
+        if sent_ns and not self._is_speed[index]:
+            self._waiting.append((sent_ns, steady, now, samples))
+            return
+        self._work_off(lambda waiting: waiting[0] <= sent_ns or not sent_ns)
+        self._handle(samples, steady, now)
+
+    def _work_off(self, due: Callable[[Waiting], bool]) -> None:
+        if self._waiting:
+            now_due = sorted((waiting for waiting in self._waiting if due(waiting)), key=lambda waiting: waiting[0])
+            self._waiting = [waiting for waiting in self._waiting if not due(waiting)]
+            for _, steady, now, samples in now_due:
+                self._handle(samples, steady, now)
+
+    def _handle(self, samples: Callable[[int], Iterator[Sample]], steady: int, now: int) -> None:
         arrival = now if self.parameters.sim_time else steady + self._arrival_offset_ns
         try:
             for channel, stamp, value in samples(now):
@@ -172,6 +197,7 @@ class Application:
     def tick(self) -> None:
         """Publish what is due, look at ages and peers, save the state; to be called every `period_s`."""
         steady = self._steady_ns()
+        self._work_off(lambda waiting: steady - waiting[1] > LONGEST_WAIT_NS)
         try:
             self._tick(steady)
         except Exception as error:  # as above

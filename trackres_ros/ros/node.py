@@ -225,13 +225,13 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
 
     # What ROS calls
 
-    def _taker(self, index: int) -> Callable[[Any], None]:
+    def _taker(self, index: int) -> Callable[[Any, dict[str, int]], None]:
         application = self.application
         assert application
 
-        def take(message: Any) -> None:
+        def take(message: Any, about: dict[str, int]) -> None:
             self._counter.open = False
-            application.receive(index, message)
+            application.receive(index, message, about["source_timestamp"])
 
         return take
 
