@@ -217,6 +217,31 @@ def test_messages_without_stamps_between_two_ticks_of_a_simulated_clock_all_coun
     assert {name: number for _, name, number in d.app.session.counts()} == {Count.ACCEPTED: 40}
 
 
+def test_what_comes_before_the_simulated_clock_waits_for_it(desk):
+    d = desk(use_sim_time=True)
+    now_ns = d.now_ns
+    d.now_ns = lambda: 0
+    d.send("load", 250e3)
+    d.send("speed", 8.0, stamp_s=0.0)
+    assert not d.published
+    d.now_ns = now_ns
+    d.send("speed", 8.0, stamp_s=0.02)
+    row = d.app.overview().values
+    assert row["weight_n"] == pytest.approx(250e3)
+    assert sum(number for name, _, number in d.app.session.counts() if name == "speed") == 2
+
+
+def test_what_was_sent_before_a_speed_counts_for_it_whatever_comes_first(desk):
+    d = desk()
+    index = {role: i for i, given in enumerate(d.app.inputs) for role in given.roles}
+    d.drive(1.0, load=250e3)
+    d.app.receive_values(index["load"], None, [300e3], sent_ns=2000)
+    d.app.receive_values(index["speed"], d.now_ns() + 1, [8.0], sent_ns=1000)
+    assert d.app.overview().values["weight_n"] == pytest.approx(250e3)
+    d.app.receive_values(index["speed"], d.now_ns() + 2, [8.0], sent_ns=3000)
+    assert d.app.overview().values["weight_n"] == pytest.approx(300e3)
+
+
 def test_a_fault_inside_is_said_and_does_not_silence_the_outputs(desk, monkeypatch):
     d = desk()
     d.drive(1.0)

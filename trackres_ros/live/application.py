@@ -35,6 +35,7 @@ SECOND_NS = 1_000_000_000
 TIME_RESET = int(at.Reason.TIME_RESET)
 LONGEST_PERIOD_S = 0.1  # between two looks at the age of the speed, and between two outputs
 LONGEST_WAIT_NS = 50_000_000  # of a message for a speed that was sent later
+MOST_BEFORE_CLOCK = 10000
 MUST_BE_FINITE = (at.OUT_RESISTANCE, at.OUT_STD, at.OUT_FEEDFORWARD)
 
 Waiting = tuple[int, int, int, Callable[[int], Iterator[Sample]]]
@@ -92,6 +93,7 @@ class Application:
         self._edge, self._steady_ns = edge, steady_ns
         self._is_speed = ["speed" in given.roles for given in self.inputs]
         self._waiting: list[Waiting] = []
+        self._before_clock: list[tuple[int, int, Callable[[int], Iterator[Sample]]]] = []
         self._intake = Intake(self.inputs, self.estimator.channels)
         self._outlet = Outlet(self.outputs, self.estimator, edge)
         self._arrival_offset_ns = time.time_ns() - steady_ns()
@@ -129,9 +131,18 @@ class Application:
         """Take messages in the order they were sent, as a bag holds them.
 
         Where many wait, as after a pause of this process, a middleware hands over one of each topic in turn. So what is no speed
-        waits for the first speed that was sent later.
+        waits for the first speed that was sent later. And what comes before the simulated clock waits for it: without a time
+        nothing can be said of its age.
         """
         steady, now = self._steady_ns(), self._edge.now_ns()
+        if self.parameters.sim_time and now == 0:
+            if len(self._before_clock) < MOST_BEFORE_CLOCK:
+                self._before_clock.append((index, sent_ns, samples))
+            return
+        if self._before_clock:
+            earlier, self._before_clock = self._before_clock, []
+            for waiting in earlier:
+                self._arrived(*waiting)
         if sent_ns and not self._is_speed[index]:
             self._waiting.append((sent_ns, steady, now, samples))
             return

@@ -1,0 +1,325 @@
+"""The node as a person on ROS 2 meets it: by `ros2 run`'s executable, the command line, launch, lifecycle, bags."""
+
+import importlib.util
+import json
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from conftest import environment, why_not
+
+if not importlib.util.find_spec("rclpy"):
+    pytest.skip("rclpy does not import here: no ROS 2 is sourced", allow_module_level=True)
+ROS2 = shutil.which("ros2")
+if not ROS2:
+    pytest.skip("the command ros2 is not on the PATH", allow_module_level=True)
+
+
+class Shell:
+    """Runs commands in one environment and ends what it started."""
+
+    def __init__(self, folder, rmw, domain="72"):
+        self.folder, self.running = folder, []
+        self.environment = {**environment(rmw, folder), "ROS_DOMAIN_ID": domain, "ROS_LOG_DIR": str(folder / "log")}
+
+    def ros2(self, *arguments, within_s=30.0, check=True):
+        """Output of a `ros2` command."""
+        done = subprocess.run(
+            [ROS2, *arguments], env=self.environment, capture_output=True, text=True, timeout=within_s, cwd=self.folder
+        )
+        assert not check or done.returncode == 0, done.stderr
+        return done.stdout + ("" if check else done.stderr)
+
+    def start(self, *command):
+        """A process in the background; its output goes to a file."""
+        path = self.folder / f"out-{len(self.running)}.log"
+        with path.open("w") as out:
+            process = subprocess.Popen(
+                command, env=self.environment, stdout=out, stderr=out, stdin=subprocess.DEVNULL, cwd=self.folder
+            )
+        process.said = path.read_text
+        self.running.append(process)
+        return process
+
+    def estimator(self, *arguments, ready="24 t chassis"):
+        """The executable `estimator`, once it is there."""
+        process = self.start(
+            sys.executable,
+            "-m",
+            "trackres_ros.ros.main",
+            "--ros-args",
+            "-p",
+            "vehicle:=xgd24d",
+            "-p",
+            "state_file:=none",
+            *arguments,
+        )
+        wait(lambda: ready in process.said(), process)
+        return process
+
+    def end(self, process, how=signal.SIGINT):
+        """End a process; its exit code."""
+        if process.poll() is None:
+            process.send_signal(how)
+            try:
+                process.wait(10)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+        return process.returncode
+
+    def close(self):
+        """End everything."""
+        for process in self.running:
+            self.end(process)
+        subprocess.run([ROS2, "daemon", "stop"], env=self.environment, capture_output=True, timeout=30)
+
+
+def wait(holds, process=None, within_s=30.0):
+    end = time.monotonic() + within_s
+    while not holds():
+        assert time.monotonic() < end, process and process.said()
+        assert process is None or process.poll() is None, process.said()
+        time.sleep(0.05)
+
+
+RMWS = ["ros", *([] if why_not("fast") else ["fast"])]
+
+
+@pytest.fixture(params=RMWS)
+def shell(request, tmp_path):
+    made = Shell(tmp_path, request.param)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def cyclone(tmp_path):
+    made = Shell(tmp_path, "ros")
+    yield made
+    made.close()
+
+
+SPEED = ["/speed", "geometry_msgs/msg/TwistStamped", "{header: auto, twist: {linear: {x: 8.0}}}", "-r", "50"]
+
+
+def test_topics_parameters_services_and_lifecycle_as_typed(cyclone):
+    shell, node = cyclone, cyclone.estimator()
+    shell.start(ROS2, "topic", "pub", *SPEED)
+    topics = shell.ros2("topic", "list", "-t", "--no-daemon")
+    for line in (
+        "/trackres/feedforward_torque [geometry_msgs/msg/WrenchStamped]",
+        "/trackres/feedforward_torque_nm [std_msgs/msg/Float64]",
+        "/trackres/resistance_torque [sensor_msgs/msg/JointState]",
+        "/trackres/track_temperature/front_left [sensor_msgs/msg/Temperature]",
+        "/trackres/status [diagnostic_msgs/msg/DiagnosticArray]",
+        "/diagnostics [diagnostic_msgs/msg/DiagnosticArray]",
+    ):
+        assert line in topics
+    info = shell.ros2("topic", "info", "-v", "/trackres/feedforward_torque", "--no-daemon")
+    assert "Reliability: RELIABLE" in info
+    assert "Deadline: 200000000 nanoseconds" in info
+    echoed = shell.ros2("topic", "echo", "--once", "/trackres/resistance_torque")
+    assert "- hysteresis/rear_right" in echoed
+    assert "frame_id: base_link" in echoed
+    assert float(shell.ros2("topic", "echo", "--once", "--field", "data", "/trackres/feedforward_torque_nm").split()[0]) > 1000.0
+
+    assert "gap_s" in shell.ros2("param", "list", "/trackres")
+    described = shell.ros2("param", "describe", "/trackres", "gap_s")
+    assert "a longer pause in the speed is a gap and is reported [s]" in described
+    assert "Max value: 60.0" in described
+    assert "successful" in shell.ros2("param", "set", "/trackres", "gap_s", "2")
+    assert "2" in shell.ros2("param", "get", "/trackres", "gap_s")
+    for name, value, said in (
+        ("gap_s", "-1.0", "0.05"),
+        ("vehicle", "agri3t", "configure the node anew"),
+        ("gap_s", ".nan", "0.05"),
+    ):
+        assert said in shell.ros2("param", "set", "/trackres", name, value, check=False)
+    assert "feedforward_parts" in shell.ros2("param", "dump", "/trackres")
+
+    assert "success=True" in shell.ros2("service", "call", "/trackres/reset", "std_srvs/srv/Trigger")
+    assert "success=False" in shell.ros2("service", "call", "/trackres/save_state", "std_srvs/srv/Trigger")
+
+    assert "active" in shell.ros2("lifecycle", "get", "/trackres")
+    for transition in ("deactivate", "cleanup", "configure", "activate", "deactivate", "shutdown"):
+        assert "successful" in shell.ros2("lifecycle", "set", "/trackres", transition)
+    assert "Traceback" not in node.said()
+    assert shell.end(node) == 0
+
+
+def test_two_publishers_and_a_wrong_type_are_seen(shell):
+    node = shell.estimator()
+    shell.start(ROS2, "topic", "pub", *SPEED)
+    shell.start(ROS2, "topic", "pub", *SPEED)
+    shell.start(ROS2, "topic", "pub", "/load", "std_msgs/msg/Float32", "{data: 1.0}", "-r", "5")
+    wait(lambda: "2 publishers on speed" in node.said(), node)
+    wait(lambda: "std_msgs/msg/Float32" in node.said(), node)
+
+
+def test_a_bad_start_ends_with_code_2_or_waits_to_be_configured(cyclone):
+    bad = cyclone.start(sys.executable, "-m", "trackres_ros.ros.main", "--ros-args", "-p", "vehicle:=nonsense")
+    assert bad.wait(30) == 2
+    assert "one of agri3t, xgd24d" in bad.said() or "xgd24d" in bad.said()
+    assert "Traceback" not in bad.said()
+    bad = cyclone.start(sys.executable, "-m", "trackres_ros.ros.main", "--ros-args", "-p", "vehicle:=xgd24d", "-p", "gap_s:=1e9")
+    assert bad.wait(30) == 2
+    assert "gap_s" in bad.said()
+    assert "Traceback" not in bad.said()
+    waiting = cyclone.start(
+        sys.executable,
+        "-m",
+        "trackres_ros.ros.main",
+        "--ros-args",
+        "-p",
+        "vehicle:=nonsense",
+        "-p",
+        "autostart:=false",
+        "-p",
+        "state_file:=none",
+    )
+    wait(lambda: "/trackres" in cyclone.ros2("node", "list", "--no-daemon"))
+    assert "successful" not in cyclone.ros2("lifecycle", "set", "/trackres", "configure", check=False)
+    assert "successful" in cyclone.ros2("param", "set", "/trackres", "vehicle", "xgd24d")
+    assert "successful" in cyclone.ros2("lifecycle", "set", "/trackres", "configure")
+    assert "inactive" in cyclone.ros2("lifecycle", "get", "/trackres")
+    assert cyclone.end(waiting, signal.SIGTERM) == 0
+
+
+@pytest.mark.long
+def test_a_bag_played_live_is_recorded_as_the_offline_replay_gives_it(cyclone, repository):
+    from trackres_ros.estimator.estimator import Estimator
+    from trackres_ros.replay import replay
+    from trackres_ros.sample import write_sample
+    from trackres_ros.sources import open_source
+    from trackres_ros.topics import Topics
+    from trackres_ros.vehicle import load
+
+    bag, topics = cyclone.folder / "laps.mcap", repository / "config" / "topics" / "sample.yaml"
+    vehicle = load("xgd24d")
+    write_sample(bag, vehicle, laps_driven=1)
+    rows = {}
+    estimator = Estimator(vehicle)
+    replay(
+        open_source([bag], Topics.load(topics)),
+        estimator,
+        lambda steps: rows.update(zip(steps.stamp_ns.tolist(), steps.rows, strict=True)),
+    )
+
+    node = cyclone.estimator("-p", f"topics:={topics}", "-p", "use_sim_time:=true", "-p", "output_rate_hz:=0.0")
+    record = cyclone.start(ROS2, "bag", "record", "-s", "mcap", "-o", str(cyclone.folder / "out"), "/trackres/resistance_torque")
+    wait(lambda: "Subscribed to topic '/trackres/resistance_torque'" in record.said(), record)
+    cyclone.ros2(
+        "bag", "play", str(bag), "--clock", "100", "--rate", "10", "--delay", "2", "--disable-keyboard-controls", within_s=120.0
+    )
+    time.sleep(1.0)
+    assert cyclone.end(record) == 0
+    assert cyclone.end(node) == 0
+
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
+    compared, differing = 0, 0
+    index = estimator.column_index["resistance_torque_nm"]
+    seen = set()
+    with AnyReader([cyclone.folder / "out"], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+        for connection, _, raw in reader.messages():
+            message = reader.deserialize(raw, connection.msgtype)
+            stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+            if stamp in rows and stamp not in seen:
+                seen.add(stamp)
+                compared += 1
+                differing += not np.isclose(-message.effort[0], rows[stamp][index], rtol=1e-9, atol=1e-9)
+    assert compared > 0.99 * len(rows)
+    assert differing == 0
+
+
+def test_launch_starts_it(cyclone, repository):
+    if "trackres_ros" not in cyclone.ros2("pkg", "list"):
+        pytest.skip("the package is not built into a sourced workspace: `ros2 launch` cannot find it")
+    launch = cyclone.start(
+        ROS2, "launch", "trackres_ros", "trackres.launch.py", "vehicle:=xgd24d", "namespace:=left", "use_sim_time:=true"
+    )
+    wait(lambda: "24 t chassis" in launch.said(), launch)
+    assert "/left/trackres" in cyclone.ros2("node", "list", "--no-daemon")
+
+
+def test_the_edge_without_ros_is_seen_by_ros(shell):
+    params = shell.folder / "p.yaml"
+    params.write_text(json.dumps({"vehicle": "xgd24d", "state_file": "none"}))
+    node = shell.start(sys.executable, "-m", "trackres_ros", "live", "--edge", "dds", "--quiet", "--params", str(params))
+    wait(lambda: "24 t chassis" in node.said(), node)
+    shell.start(ROS2, "topic", "pub", *SPEED)
+    wait(lambda: "/trackres" in shell.ros2("node", "list", "--no-daemon"))
+    wait(lambda: "/trackres/resistance_torque [sensor_msgs/msg/JointState]" in shell.ros2("topic", "list", "-t", "--no-daemon"))
+    info = ""
+
+    def informed():
+        nonlocal info
+        info = shell.ros2("topic", "info", "-v", "/trackres/feedforward_torque", "--no-daemon", check=False)
+        return "Node name: trackres" in info
+
+    wait(informed)
+    assert "Topic type hash: RIHS01_" in info
+    assert "Deadline: 200000000 nanoseconds" in info
+    assert "Reliability: RELIABLE" in info
+    assert float(shell.ros2("topic", "echo", "--once", "--field", "data", "/trackres/feedforward_torque_nm").split()[0]) > 1000.0
+    hz = shell.start(ROS2, "topic", "hz", "/trackres/feedforward_torque")
+    wait(lambda: "average rate" in hz.said(), hz)
+    assert 25.0 < float(hz.said().split("average rate:")[1].split()[0]) < 75.0
+    assert shell.end(node) == 0
+
+
+def test_both_edges_offer_the_same(cyclone):
+    def offered(name):
+        found = {}
+        for line in cyclone.ros2("topic", "list", "-t", "--no-daemon").splitlines():
+            topic, kind = line.split(" ")
+            if name in topic or topic in ("/speed", "/load", "/ambient"):
+                info = cyclone.ros2("topic", "info", "-v", topic, "--no-daemon")
+                mine = [part for part in info.split("\n\n") if "Node name: trackres" in part]
+                kept = ("Endpoint type", "Reliability", "History", "Durability", "Deadline", "Topic type hash")
+                found[topic, kind] = sorted(
+                    line.strip() for part in mine for line in part.splitlines() if line.strip().startswith(kept)
+                )
+        return {key: value for key, value in found.items() if "transition_event" not in key[0]}
+
+    ros = cyclone.estimator()
+    on_ros = offered("/trackres/")
+    cyclone.end(ros)
+    dds = cyclone.start(
+        sys.executable, "-m", "trackres_ros", "live", "--edge", "dds", "--quiet", "--vehicle", "xgd24d", "-p", "state_file:=none"
+    )
+    wait(lambda: "24 t chassis" in dds.said(), dds)
+    assert offered("/trackres/") == on_ros
+    assert len(on_ros) == 11
+
+
+def test_two_nodes_in_one_process(cyclone):
+    program = """
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from trackres_ros.parameters import make_parameters
+from trackres_ros.ros.node import EstimatorNode
+rclpy.init()
+executor = SingleThreadedExecutor()
+values = make_parameters({"vehicle": "xgd24d", "state_file": "none"})
+nodes = [EstimatorNode(values, namespace=name) for name in ("left", "right")]
+for node in nodes:
+    executor.add_node(node)
+    node.trigger_configure()
+    node.trigger_activate()
+print("both are there", flush=True)
+executor.spin()
+"""
+    process = cyclone.start(sys.executable, "-c", program)
+    wait(lambda: "both are there" in process.said(), process)
+    cyclone.start(ROS2, "topic", "pub", "/left/speed", *SPEED[1:])
+    assert "y: " in cyclone.ros2("topic", "echo", "--once", "/left/trackres/feedforward_torque")
+    topics = cyclone.ros2("topic", "list", "--no-daemon")
+    assert "/left/trackres/status" in topics
+    assert "/right/trackres/status" in topics
