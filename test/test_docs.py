@@ -1,19 +1,56 @@
 """What is generated in docs/ is what the program says now, and the links in the pages lead somewhere."""
 
+import json
 import re
 import subprocess
 import sys
+import xml.etree.ElementTree as ET
 
 import pytest
 
 from trackres_ros.estimator.layout import REASON_TEXT, Count
+from trackres_ros.live.remarks import LIVE_KINDS
+from trackres_ros.live.report import COMPARISON_KEYS, ESTIMATE_KEYS, INPUT_KEYS, STATE_KEYS
+from trackres_ros.outputs import output_topics
+from trackres_ros.vehicle import load
 
 
-def test_the_settings_page_is_up_to_date(repository):
-    done = subprocess.run(
-        [sys.executable, repository / "tools" / "make-docs", "--settings"], capture_output=True, text=True, check=True
-    )
-    assert done.stdout == (repository / "docs" / "settings.md").read_text()
+GENERATED = ["docs/settings.md", "docs/node.md", "config/trackres.yaml", "config/plotjuggler.xml", "config/foxglove.json"]
+
+
+@pytest.mark.parametrize("name", GENERATED)
+def test_what_is_generated_is_up_to_date(repository, name):
+    command = [sys.executable, repository / "tools" / "make-docs", "--print", name]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout == (repository / name).read_text()
+
+
+def test_layouts_name_only_what_is_published(repository):
+    topics = {f"/trackres/{topic.name}": topic for topic in output_topics(load("xgd24d"))}
+    root = ET.parse(repository / "config" / "plotjuggler.xml").getroot()
+    curves = [curve.attrib["name"] for curve in root.iter("curve")]
+    layout = json.loads((repository / "config" / "foxglove.json").read_text())
+    paths = [path["value"] for panel in layout["configById"].values() for path in panel.get("paths", ())]
+    assert len(curves) == len(paths) > 15
+    for curve, path in zip(curves, paths, strict=True):
+        topic = max((name for name in topics if curve.startswith(f"{name}/")), key=len)
+        assert path.startswith(f"{topic}.")
+        if topics[topic].kind == "joints":
+            joint = curve.removeprefix(f"{topic}/").removesuffix("/effort")
+            assert path == f"{topic}.effort[{topics[topic].names.index(joint)}]"
+
+
+def test_every_remark_of_the_live_node_is_explained(repository):
+    page = (repository / "docs" / "robustness.md").read_text()
+    for name, kind in LIVE_KINDS.items():
+        assert f"| `{name}` | {kind.level.name.lower()} | {kind.meaning} |" in page
+
+
+def test_every_key_of_the_diagnostics_is_explained(repository):
+    page = (repository / "docs" / "node.md").read_text()
+    for keys in (ESTIMATE_KEYS, INPUT_KEYS, COMPARISON_KEYS, STATE_KEYS):
+        for key in keys:
+            assert f"`{key}`" in page
 
 
 def test_every_counter_and_reason_has_its_policy(repository):

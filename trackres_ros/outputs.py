@@ -109,7 +109,7 @@ def output_topics(vehicle: Vehicle) -> tuple[OutputTopic, ...]:
             "status",
             "diagnostic_msgs/msg/DiagnosticArray",
             "status",
-            "ok or warn, and why, whenever it changes and once a second",
+            "level and every reason for it, whenever that changes and once a second",
         ),
     )
 
