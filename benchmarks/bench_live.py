@@ -41,9 +41,9 @@ TARGETS: dict[str, Target] = {
 
 def environment(cache: Path | None = None) -> dict[str, str]:
     """Loopback, a domain of our own, and where asked a cache of its own."""
-    from trackres_ros.dds.wire import LOOPBACK
+    from dds_echo import CONFIGURATION
 
-    given = {**os.environ, "ROS_DOMAIN_ID": DOMAIN, "CYCLONEDDS_URI": LOOPBACK, "RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"}
+    given = {**os.environ, "ROS_DOMAIN_ID": DOMAIN, "CYCLONEDDS_URI": CONFIGURATION, "RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"}
     given["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"
     given["PYTHONPATH"] = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
     return {**given, "XDG_CACHE_HOME": str(cache)} if cache else given

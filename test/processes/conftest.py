@@ -39,8 +39,10 @@ def why_not(edge):
     """Why an edge cannot run here; empty if it can."""
     if edge == "dds":
         return ""
-    if not importlib.util.find_spec("rclpy"):
-        return "rclpy does not import here: no ROS 2 is sourced"
+    try:
+        importlib.import_module("rclpy")
+    except ImportError as error:
+        return f"rclpy does not import here: {error}"
     if edge == "fast":
         prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
         if not any((Path(prefix) / "lib" / "librmw_fastrtps_cpp.so").exists() for prefix in prefixes if prefix):

@@ -179,7 +179,7 @@ def test_belts_outlive_a_restart(simulated, tmp_path):
     sim.node.close()
     again = simulated(state_file=str(state))
     assert "belts taken from" in again.node.log
-    again.drive(5)
+    again.node.until(lambda: again.node.out["belt"].update(), "a temperature", meanwhile=lambda: again.drive(1))
     assert again.node.out["belt"].update()[-1].message.temperature == pytest.approx(belt, abs=1.5)
 
 

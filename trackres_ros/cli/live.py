@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -79,7 +79,7 @@ def live_command(
             shown[-1].start()
 
     try:
-        if edge == "ros" or (edge == "auto" and importlib.util.find_spec("rclpy")):
+        if edge == "ros" or (edge == "auto" and _rclpy_imports()):
             from trackres_ros.ros.main import run as run_on_ros
 
             return run_on_ros(parameters, name, namespace, started)
@@ -92,6 +92,14 @@ def live_command(
         if recorder:
             for text in recorder.end():
                 click.echo(text)
+
+
+def _rclpy_imports() -> bool:
+    try:
+        importlib.import_module("rclpy")
+    except ImportError:  # not there, or built for another Python
+        return False
+    return True
 
 
 def _single(text: str) -> tuple[str, object]:

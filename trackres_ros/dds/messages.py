@@ -6,7 +6,7 @@ import struct
 from collections.abc import Sequence
 from typing import Any
 
-from trackres_ros.cdr import layout_of
+from trackres_ros.cdr import MalformedError, layout_of
 from trackres_ros.dds.participant import serialized
 from trackres_ros.dds.wire import known_type, typestore
 from trackres_ros.live.edge import Status
@@ -17,6 +17,7 @@ from trackres_ros.outputs import OutputTopic
 from trackres_ros.topics import FieldStep, field_steps
 
 SECOND_NS = 1_000_000_000
+CLOCK_BYTES = 12
 CODES = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "i8": "q", "u8": "Q", "f4": "f", "f8": "d"}
 STRUCTS = {order + kind: struct.Struct(order + code) for order in "<>" for kind, code in CODES.items()}
 
@@ -123,6 +124,14 @@ class InputReader:
 
 
 def clock_ns(raw: bytes) -> int:
-    """Time [ns] in a rosgraph_msgs/msg/Clock."""
+    """Time [ns] in a rosgraph_msgs/msg/Clock.
+
+    Raises
+    ------
+    MalformedError
+        If the bytes are too few.
+    """
+    if len(raw) < CLOCK_BYTES:
+        raise MalformedError("too short")
     seconds, nanoseconds = struct.unpack_from("<iI" if raw[1] else ">iI", raw, 4)
     return int(seconds) * SECOND_NS + int(nanoseconds)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import gc
+import importlib.util
 import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from types import FrameType
 
 from trackres_ros.cdr import MalformedError
@@ -92,7 +94,8 @@ class DdsNode:
     def log(self, level: Level, text: str) -> None:
         """One line on standard error, as ROS 2 writes it."""
         severity = {Level.OK: "INFO", Level.ERROR: "ERROR"}.get(level, "WARN")
-        print(f"[{severity}] [{time.time():.9f}] [{self._name}]: {text}", file=sys.stderr, flush=True)
+        with suppress(OSError):  # a log that nobody reads any more must not end the node
+            print(f"[{severity}] [{time.time():.9f}] [{self._name}]: {text}", file=sys.stderr, flush=True)
 
     # Running
 
@@ -107,7 +110,9 @@ class DdsNode:
     def spin(self) -> None:
         """Run until `stop`."""
         application = self.application
-        self.log(Level.OK, f"on Cyclone DDS {self._participant.reach}: topics and presence, no parameter or lifecycle services")
+        why = "as asked" if importlib.util.find_spec("rclpy") else "rclpy is not there"
+        reach = self._participant.reach
+        self.log(Level.OK, f"{why}: on Cyclone DDS {reach}: topics and presence, no parameter or lifecycle services")
         self.log(Level.OK, f"{application.vehicle.title}; {application.began_with}")
         application.activate()
         wait = self._participant.waiter()
@@ -119,7 +124,8 @@ class DdsNode:
                 wait(min(left, LONGEST_WAIT_NS))
             if self._clock:
                 for raw, _ in self._clock.take():
-                    self._set_clock(clock_ns(raw))
+                    with suppress(MalformedError):
+                        self._set_clock(clock_ns(raw))
             for index, reader, message in inputs:
                 for raw, sent_ns in reader.take():
                     try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 import numpy as np
 from cyclonedds._clayer import ddspy_take, ddspy_write
 from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
-from cyclonedds.core import InstanceState, Policy, Qos, ReadCondition, SampleState, ViewState, WaitSet
+from cyclonedds.core import DDSException, InstanceState, Policy, Qos, ReadCondition, SampleState, ViewState, WaitSet
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.pub import DataWriter, Publisher
 from cyclonedds.sub import DataReader, Subscriber
@@ -26,6 +27,7 @@ from trackres_ros.dds.wire import (
     type_hash,
     typestore,
 )
+from trackres_ros.errors import InputError
 from trackres_ros.live.endpoints import Quality
 
 GRAPH_TOPIC, GRAPH_TYPE = "ros_discovery_info", "rmw_dds_common/msg/ParticipantEntitiesInfo"
@@ -99,14 +101,19 @@ class Participant:
     Raises
     ------
     InputError
-        If ROS_DOMAIN_ID is no domain.
+        If ROS_DOMAIN_ID is no domain, or Cyclone DDS cannot start as it is configured.
     """
 
     def __init__(self, node: str, namespace: str) -> None:
         number = domain_id()
-        self.reach = f"in domain {number}, {open_domain(number)}"
         self.node, self.namespace = node, namespace
-        self.entity = DomainParticipant(number, qos=Qos(Policy.Userdata(b"enclave=/;")))
+        try:
+            self.reach = f"in domain {number}, {open_domain(number)}"
+            self.entity = DomainParticipant(number, qos=Qos(Policy.Userdata(b"enclave=/;")))
+        except DDSException as error:
+            given = os.environ.get("CYCLONEDDS_URI", "")
+            allowed = "a configuration and a network that Cyclone DDS can start with"
+            raise InputError("environment CYCLONEDDS_URI", given, allowed, "its own lines above say what is wrong") from error
         self.publisher, self.subscriber = Publisher(self.entity), Subscriber(self.entity)
         graph = Topic(self.entity, GRAPH_TOPIC, idl_struct(GRAPH_TYPE))
         self._graph = DataWriter(self.publisher, graph, qos=qos(GRAPH_QUALITY, type_hash(GRAPH_TYPE), transient=True))

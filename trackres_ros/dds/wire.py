@@ -10,20 +10,16 @@ import os
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from trackres_ros.errors import InputError, MissingExtraError
+from cyclonedds.core import Policy, Qos
+from cyclonedds.domain import Domain
+from cyclonedds.idl import make_idl_struct
+from cyclonedds.idl import types as idl
+from cyclonedds.util import duration
+from rosbags.typesys import Stores, get_typestore
+
+from trackres_ros.errors import InputError
 from trackres_ros.live.endpoints import Quality
 from trackres_ros.message_types import message_fields
-
-try:
-    from cyclonedds.core import Policy, Qos
-    from cyclonedds.domain import Domain
-    from cyclonedds.idl import make_idl_struct
-    from cyclonedds.idl import types as idl
-    from cyclonedds.util import duration
-    from rosbags.typesys import Stores, get_typestore
-except ImportError as error:
-    where = "there are wheels for Python 3.10 to 3.13 on x86-64 Linux" if "cyclonedds" in str(error) else ""
-    raise MissingExtraError("running without ROS 2", error.name or "cyclonedds", "dds", where) from error
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -48,9 +44,11 @@ NUMBERS = {
 }
 LOOPBACK = """<CycloneDDS><Domain>
 <General><AllowMulticast>false</AllowMulticast><Interfaces><NetworkInterface name="lo" multicast="false"/></Interfaces></General>
-<Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>119</MaxAutoParticipantIndex>
+<Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>{most}</MaxAutoParticipantIndex>
 <Peers><Peer address="127.0.0.1"/></Peers></Discovery>
 </Domain></CycloneDDS>"""
+MOST_INDEX = 119
+MOST_PORT = 65535
 
 
 @cache
@@ -163,6 +161,14 @@ def domain_id() -> int:
     return int(given)
 
 
+def most_index(domain: int) -> int:
+    """The highest index that a participant of a domain may have: the ports of the last domains end before `MOST_INDEX`.
+
+    Participant i listens on ports 7410 + 250 domain + 2 i and the next (DDSI-RTPS 2.5, 9.6.2.3).
+    """
+    return min(MOST_INDEX, (MOST_PORT - 7411 - 250 * domain) // 2)
+
+
 _domains: dict[int, Domain] = {}
 
 
@@ -174,7 +180,7 @@ def open_domain(number: int) -> str:
     if os.environ.get("CYCLONEDDS_URI"):
         said, configuration = "as CYCLONEDDS_URI says", None
     elif os.environ.get("ROS_LOCALHOST_ONLY") == "1" or os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE") == "LOCALHOST":
-        said, configuration = "on this machine only", LOOPBACK
+        said, configuration = "on this machine only", LOOPBACK.format(most=most_index(number))
     else:
         said, configuration = "on all networks", None
     if number not in _domains and configuration:

@@ -344,6 +344,8 @@ class Application:
         """Save the state and end what runs beside; what was done, in words."""
         self.deactivate()
         self._warm_up.close()
+        counted = ", ".join(f"{name} {count.name.lower()} {number}" for name, count, number in self.session.counts())
+        self._edge.log(Level.OK, f"messages: {counted or 'none'}")
         try:
             return "no state is kept" if self.keeper.path is None else self.save_state()
         except InputError as error:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import gc
+import signal
 import sys
+import threading
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -14,12 +16,14 @@ if TYPE_CHECKING:
     from trackres_ros.live.application import Application
 
 BAD_INPUT = 2
+LONGEST_WAIT_S = 0.1  # so that a signal is seen soon
 
 try:
     import rclpy
     from rclpy.exceptions import InvalidParameterException, InvalidParameterTypeException, InvalidParameterValueException
-    from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+    from rclpy.executors import SingleThreadedExecutor
     from rclpy.lifecycle import TransitionCallbackReturn
+    from rclpy.signals import SignalHandlerOptions
 except ImportError as error:
     raise InputError(
         "running on ROS 2",
@@ -45,7 +49,11 @@ def run(parameters: Parameters, node: str, namespace: str, started: Callable[[Ap
 
 
 def _run(make: Callable[[], Any], args: list[str] | None, started: Callable[[Application], None] | None) -> int:
-    rclpy.init(args=args)
+    # rclpy's own handlers would take the context away before the node has saved its state and said so.
+    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    stopped = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stopped.set())
     node = None
     try:
         try:
@@ -62,9 +70,8 @@ def _run(make: Callable[[], Any], args: list[str] | None, started: Callable[[App
         if started and node.application:
             started(node.application)
         gc.freeze()  # what was loaded stays: looking through it would hold up a message now and then
-        executor.spin()
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
+        while not stopped.is_set():
+            executor.spin_once(timeout_sec=LONGEST_WAIT_S)
     finally:
         if node is not None:
             node.release()
