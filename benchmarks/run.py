@@ -1,4 +1,4 @@
-"""Run all benchmarks, print what they show and write it to docs/performance.md."""
+"""Run all benchmarks, or those whose titles are given; print what they show and write it to docs/performance.md."""
 
 from __future__ import annotations
 
@@ -54,24 +54,38 @@ def machine() -> str:
     return f"{len(os.sched_getaffinity(0))} cores, {platform.machine()}, {', '.join(versions)}"
 
 
-def main() -> int:
-    """Run, print, write."""
+def kept() -> dict[str, str]:
+    """Sections of the page as it is, by title."""
+    parts = re.split(r"^## (.*)\n", PAGE.read_text(encoding="utf-8"), flags=re.MULTILINE)[1:] if PAGE.exists() else []
+    return {
+        title: f"## {title}\n{text.rstrip()}" for title, text in zip(parts[::2], parts[1::2], strict=True) if title in BENCHMARKS
+    }
+
+
+def main(titles: list[str]) -> int:
+    """Run the benchmarks of some titles, or all; print them and write the page, in which the others stay as they are."""
     load_before = os.getloadavg()[0]
     template = Path(__file__).with_name("performance.in.md").read_text(encoding="utf-8")
-    sections, missed = [], []
-    for title, module in BENCHMARKS.items():
+    sections = kept()
+    for title in titles or list(BENCHMARKS):
+        module = BENCHMARKS[title]
         print(f"{title} ...", file=sys.stderr, flush=True)
         results = module.run()
-        sections.append("\n".join([f"## {title}", "", module.__doc__.strip(), "", *rows(results, module.TARGETS)]))
-        missed += [f"{title}: {name}" for name, t in module.TARGETS.items() if name in results and not t.met(results[name])]
-    summary = "\n".join(f"- {name}" for name in missed) or "None."
+        sections[title] = "\n".join([f"## {title}", "", (module.__doc__ or "").strip(), "", *rows(results, module.TARGETS)])
+        print(sections[title], flush=True)
+    ordered = [sections[title] for title in BENCHMARKS if title in sections]
+    missed = [
+        f"- {title}: {line.split(' | ')[0].removeprefix('| ')}"
+        for title in BENCHMARKS
+        for line in sections.get(title, "").splitlines()
+        if "**no**" in line
+    ]
     page = template.format(
-        machine=machine(), load=f"{load_before:.1f}", sections="\n\n".join(sections), missed=summary
+        machine=machine(), load=f"{load_before:.1f}", sections="\n\n".join(ordered), missed="\n".join(missed) or "None."
     )
     PAGE.write_text(re.sub(r"\n{3,}", "\n\n", page), encoding="utf-8")
-    print(page)
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(sys.argv[1:]))

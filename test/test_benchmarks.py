@@ -26,7 +26,7 @@ def benchmark_module(repository, monkeypatch):
         return importlib.import_module(name)
 
     yield import_it
-    for name in (*SIZES, "measuring", "rivals", "dds_echo", "run"):
+    for name in (*SIZES, "measuring", "rivals", "dds_echo", "bench_live", "run"):
         sys.modules.pop(name, None)
 
 
@@ -44,6 +44,14 @@ def test_every_target_is_measured(benchmark_module):
     module = benchmark_module("bench_recording")
     results = module.run(**SIZES["bench_recording"])
     assert module.TARGETS.keys() <= results.keys()
+
+
+def test_a_part_of_the_page_stays_where_another_is_measured(benchmark_module):
+    run = benchmark_module("run")
+    kept = run.kept()
+    assert "One step" in kept
+    assert kept["One step"].startswith("## One step\n")
+    assert all(text.count("## ") == 1 for text in kept.values())
 
 
 def test_table_says_which_targets_are_missed(benchmark_module):

@@ -1,0 +1,39 @@
+"""The edge without ROS on its own: bytes, types and presence; what it does as a node is in test/processes."""
+
+import importlib.util
+import os
+import sys
+from pathlib import Path
+
+import pytest
+
+if not importlib.util.find_spec("cyclonedds"):
+    collect_ignore_glob = ["test_*.py"]
+else:
+    sys.path.insert(0, str(Path(__file__).parents[1] / "processes"))
+    import peer
+
+DOMAIN = 73
+
+
+@pytest.fixture
+def environment(tmp_path):
+    """Environment of a process on the loopback interface, in a domain of its own, set up as a user would without a file."""
+    dropped = ("CYCLONEDDS_URI", "ROS_LOCALHOST_ONLY")
+    kept = {name: value for name, value in os.environ.items() if name not in dropped}
+    return {
+        **kept,
+        "ROS_DOMAIN_ID": str(DOMAIN),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "XDG_STATE_HOME": str(tmp_path / "state"),
+    }
+
+
+@pytest.fixture
+def wire(monkeypatch):
+    """An independent participant; those that the package makes in this process are in its domain."""
+    monkeypatch.setenv("CYCLONEDDS_URI", peer.LOOPBACK)
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN))
+    made = peer.Wire(DOMAIN)
+    yield made
+    made.close()

@@ -1,0 +1,157 @@
+"""Outputs filled in place and inputs read at known places are what a full encoding and decoding give."""
+
+import math
+import struct
+
+import numpy as np
+import peer
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trackres_ros.cdr import MalformedError
+from trackres_ros.dds.messages import InputReader, Prepared, clock_ns, diagnostic_array
+from trackres_ros.dds.wire import typestore
+from trackres_ros.errors import InputError
+from trackres_ros.live.edge import Level, Status
+from trackres_ros.live.endpoints import InputTopic, live_topics
+from trackres_ros.topics import TopicBinding, Topics
+from trackres_ros.vehicle import load
+
+STAMP_NS = 1_700_000_000_123_456_789
+TWIST, JOINTS = "geometry_msgs/msg/TwistStamped", "sensor_msgs/msg/JointState"
+
+
+def all_outputs(tmp_path):
+    path = tmp_path / "topics.yaml"
+    path.write_text(
+        "speed: {topic: speed, type: std_msgs/msg/Float64, field: data}\n"
+        "torque: {topic: torque, type: std_msgs/msg/Float64, field: data}\n"
+    )
+    return live_topics(load("xgd24d"), Topics.load(path))
+
+
+def numbers_of(message, kind):
+    if kind == "joints":
+        return list(message.effort)
+    if kind == "wrench":
+        return [message.wrench.torque.y]
+    return [message.temperature, message.variance] if kind == "temperature" else [message.data]
+
+
+def test_filled_outputs_decode_to_stamp_and_numbers(tmp_path):
+    kinds = set()
+    for topic in all_outputs(tmp_path):
+        if topic.kind == "status":
+            continue
+        kinds.add(topic.kind)
+        prepared = Prepared(topic, "hull")
+        prepared.filled(1, [9.0] * len(topic.columns))
+        values = [1.5 * i - 2.0 for i in range(len(topic.columns))]
+        raw = prepared.filled(STAMP_NS, values)
+        assert len(raw) % 4 == 0
+        message = typestore().deserialize_cdr(raw, topic.type)
+        assert numbers_of(message, topic.kind) == values
+        if topic.kind != "number":
+            assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == STAMP_NS
+            assert message.header.frame_id == "hull"
+        if topic.kind == "joints":
+            assert tuple(message.name) == topic.names
+    assert kinds == {"joints", "wrench", "temperature", "number"}
+
+
+def test_a_diagnostic_array():
+    statuses = [
+        Status(Level.STALE, "trackres: estimate", "no speed yet", "xgd24d", (("a", "1"), ("b", ""))),
+        Status(Level.OK, "x", "", ""),
+    ]
+    raw = diagnostic_array(STAMP_NS, statuses, "hull")
+    message = typestore().deserialize_cdr(raw, "diagnostic_msgs/msg/DiagnosticArray")
+    assert (message.header.stamp.sec, message.header.stamp.nanosec) == divmod(STAMP_NS, 10**9)
+    first, second = message.status
+    assert (first.level, first.name, first.message, first.hardware_id) == (3, "trackres: estimate", "no speed yet", "xgd24d")
+    assert [(pair.key, pair.value) for pair in first.values] == [("a", "1"), ("b", "")]
+    assert (second.level, second.values) == (0, [])
+
+
+def reader(kind, *fields, scale=1.0, offset=0.0):
+    roles = tuple(["speed", "torque"][: len(fields)])
+    bindings = tuple(TopicBinding("/t", kind, field, scale=scale, offset=offset) for field in fields)
+    return InputReader(InputTopic("/t", kind, roles, bindings), "topics.yaml")
+
+
+def raw_of(kind, big=False, **fields):
+    return bytes(typestore().serialize_cdr(peer.build(kind, **fields), kind, little_endian=not big))
+
+
+@pytest.mark.parametrize("big", [False, True])
+def test_a_number_is_read_whatever_the_frame_is_called(big):
+    speed = reader(TWIST, "twist.linear.x", scale=2.0, offset=1.0)
+    for frame, value in (("base_link", 1.25), ("", -3.0), ("base_link", 7.0), ("hull", math.inf)):
+        header = {**peer.stamp(STAMP_NS), "frame_id": frame}
+        raw = raw_of(TWIST, big, header=header, twist={"linear": {"x": value, "y": 5.0, "z": 5.0}})
+        assert speed.read(raw) == (STAMP_NS, [2.0 * value + 1.0])
+
+
+def test_big_and_little_ends_may_alternate():
+    speed = reader("std_msgs/msg/Float64", "data")
+    for big in (True, False, True):
+        assert speed.read(raw_of("std_msgs/msg/Float64", big, data=1.25)) == (None, [1.25])
+
+
+def test_a_joint_is_found_by_name_wherever_it_stands():
+    both = reader(JOINTS, "velocity[left]", "effort[left]")
+    for names, velocity, effort, found in (
+        (["left", "right"], [1.0, 2.0], [3.0, 4.0], [1.0, 3.0]),
+        (["tfel", "left_"], [1.0, 2.0], [3.0, 4.0], [None, None]),
+        (["rght", "left"], [1.0, 2.0], [3.0, 4.0], [2.0, 4.0]),
+        (["left", "rght"], [1.0, 2.0], [], [1.0, None]),
+        ([], [], [], [None, None]),
+    ):
+        message = {"name": names, "velocity": np.array(velocity), "effort": np.array(effort)}
+        assert both.read(raw_of(JOINTS, header=peer.stamp(5), **message)) == (5, found), names
+
+
+@given(st.binary(max_size=120))
+def test_bytes_that_are_no_message_are_refused_and_nothing_else(raw):
+    for each in (reader(TWIST, "twist.linear.x"), reader(JOINTS, "effort[left]"), reader("std_msgs/msg/Float64", "data")):
+        for given_bytes in (raw, b"\0\1\0\0" + raw):
+            try:
+                stamp, values = each.read(given_bytes)
+            except MalformedError:
+                continue
+            assert stamp is None or isinstance(stamp, int)
+            assert all(value is None or isinstance(value, float) for value in values)
+
+
+@pytest.mark.parametrize("kind", [TWIST, "std_msgs/msg/Float64"])
+def test_a_message_cut_short_is_refused_and_the_next_one_read(kind):
+    whole = raw_of(kind)
+    each = reader(kind, "data" if kind.endswith("Float64") else "twist.linear.x")
+    for length in range(len(whole)):
+        with pytest.raises(MalformedError):
+            each.read(whole[:length])
+        assert each.read(whole)[1] == [0.0]
+
+
+@pytest.mark.parametrize(
+    ("kind", "field", "said"),
+    [
+        ("track_msgs/msg/Speed", "data", "no other is known without ROS"),
+        (TWIST, "twist.linear.w", "fields of geometry_msgs/msg/Vector3: x, y, z"),
+        (TWIST, "twist.linear", "a number, not geometry_msgs/msg/Vector3"),
+        (JOINTS, "effort", "an index"),
+    ],
+)
+def test_what_cannot_be_read_is_said_at_the_start(kind, field, said):
+    with pytest.raises(InputError, match=r"topics\.yaml: speed") as caught:
+        reader(kind, field)
+    assert said in str(caught.value)
+
+
+def test_the_clock():
+    assert clock_ns(struct.pack("<4siI", b"\0\1\0\0", 17, 5)) == 17 * 10**9 + 5
+    assert clock_ns(struct.pack(">4siI", b"\0\0\0\0", 17, 5)) == 17 * 10**9 + 5
+    for raw in (b"", b"\0\1\0\0", b"\0\1\0\0" + b"\xff" * 7):
+        with pytest.raises(MalformedError):
+            clock_ns(raw)

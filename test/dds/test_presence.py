@@ -1,0 +1,290 @@
+"""What others see of the node, and it of them; how it starts and ends where something about it is not as it should be."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import peer
+import pytest
+from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription
+from cyclonedds.core import InstanceState, Policy, Qos
+from cyclonedds.idl import IdlStruct
+from cyclonedds.idl import types as idl
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
+from cyclonedds.util import duration
+
+from trackres_ros.dds.participant import Participant, Publication
+from trackres_ros.dds.wire import type_hash
+from trackres_ros.live.endpoints import Quality
+
+WITHIN_S = 20.0
+FLOAT, TWIST = "std_msgs/msg/Float64", "geometry_msgs/msg/TwistStamped"
+
+
+def wait_for(holds, within_s=WITHIN_S):
+    """Wait until something holds; whether it did."""
+    until = time.monotonic() + within_s
+    while not holds():
+        if time.monotonic() > until:
+            return False
+        time.sleep(0.01)
+    return True
+
+
+@dataclass
+class Gid(IdlStruct, typename="rmw_dds_common::msg::dds_::Gid_"):
+    data_: idl.array[idl.uint8, 16]
+
+
+@dataclass
+class NodeEntities(IdlStruct, typename="rmw_dds_common::msg::dds_::NodeEntitiesInfo_"):
+    node_namespace_: idl.bounded_str[256]
+    node_name_: idl.bounded_str[256]
+    reader_gid_seq_: idl.sequence[Gid]
+    writer_gid_seq_: idl.sequence[Gid]
+
+
+@dataclass
+class ParticipantEntities(IdlStruct, typename="rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_"):
+    gid_: Gid
+    node_entities_info_seq_: idl.sequence[NodeEntities]
+
+
+class Graph:
+    """What anyone can see of others: their endpoints, and the nodes they say these belong to."""
+
+    def __init__(self, wire):
+        quality = Qos(
+            Policy.Reliability.Reliable(duration(seconds=1)),
+            Policy.Durability.TransientLocal,
+            Policy.History.KeepLast(100),
+            Policy.DataRepresentation(use_cdrv0_representation=True),
+        )
+        topic = Topic(wire.participant, "ros_discovery_info", ParticipantEntities)
+        self._nodes_reader = DataReader(wire.participant, topic, qos=quality)
+        self._seen = [
+            BuiltinDataReader(wire.participant, kind) for kind in (BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription)
+        ]
+        self._endpoints = {}
+        self._nodes = {}
+
+    def update(self):
+        for writes, reader in zip((True, False), self._seen, strict=True):
+            for found in reader.take(N=1000):
+                if found.sample_info.instance_state == InstanceState.Alive:
+                    self._endpoints[found.key.bytes] = (found.topic_name, writes, found)
+                else:
+                    self._endpoints.pop(found.key.bytes, None)
+        for message in self._nodes_reader.take(100):
+            if isinstance(message, ParticipantEntities):  # not the notice that a writer has gone
+                self._nodes[bytes(message.gid_.data_)] = message
+        return self
+
+    def endpoints(self, below=""):
+        """All endpoints by topic and whether they write."""
+        return {
+            (topic, writes): found
+            for topic, writes, found in self.update()._endpoints.values()
+            if topic.startswith(f"rt/{below}")
+        }
+
+    def keys_of(self, namespace, name):
+        """Readers' and writers' keys of a node, by what it says."""
+        for message in self.update()._nodes.values():
+            for node in message.node_entities_info_seq_:
+                if (node.node_namespace_, node.node_name_) == (namespace, name):
+                    return tuple({bytes(gid.data_) for gid in gids} for gids in (node.reader_gid_seq_, node.writer_gid_seq_))
+        return set(), set()
+
+
+@pytest.fixture
+def graph(wire):
+    return Graph(wire)
+
+
+@pytest.fixture
+def command(tmp_path):
+    """Command of a live node with these parameters."""
+
+    def of(*options, **parameters):
+        path = tmp_path / "params.yaml"
+        path.write_text(json.dumps({"vehicle": "xgd24d", "state_file": "none", **parameters}))
+        return [sys.executable, "-m", "trackres_ros", "live", "--edge", "dds", "--quiet", "--params", str(path), *options]
+
+    return of
+
+
+@pytest.fixture
+def start(environment):
+    """A function that starts a process with its log on a pipe."""
+    started = []
+
+    def run(command, **variables):
+        process = subprocess.Popen(command, env=environment | variables, stderr=subprocess.PIPE, text=True)
+        started.append(process)
+        return process
+
+    yield run
+    for process in started:
+        process.kill()
+        process.wait()
+        process.stderr.close()
+
+
+def test_it_comes_with_all_its_endpoints_and_goes_at_once(graph, command, start):
+    node = start(command("--namespace", "/left"))
+    below = "left/trackres/"
+    assert wait_for(lambda: len(graph.endpoints(below)) == 8)
+    assert wait_for(lambda: len(graph.keys_of("/left", "trackres")[1]) == 9)  # its own and /diagnostics
+    said_readers, said_writers = graph.keys_of("/left", "trackres")
+    endpoints = graph.endpoints()
+    assert {found.key.bytes for (_, writes), found in endpoints.items() if writes} == said_writers
+    assert {found.key.bytes for (_, writes), found in endpoints.items() if not writes} == said_readers
+    torque = endpoints["rt/left/trackres/feedforward_torque", True]
+    assert torque.type_name == "geometry_msgs::msg::dds_::WrenchStamped_"
+    assert torque.qos[Policy.Userdata].data == type_hash("geometry_msgs/msg/WrenchStamped")
+    assert isinstance(torque.qos[Policy.Reliability], Policy.Reliability.Reliable)
+    assert torque.qos[Policy.Durability] == Policy.Durability.Volatile
+    assert torque.qos[Policy.Deadline] == Policy.Deadline(duration(seconds=0.2))
+    assert endpoints["rt/left/trackres/status", True].qos[Policy.Deadline] != Policy.Deadline(duration(seconds=0.2))
+    speed = endpoints["rt/left/speed", False]
+    assert speed.type_name == "geometry_msgs::msg::dds_::TwistStamped_"
+    assert speed.qos[Policy.Reliability] == Policy.Reliability.BestEffort
+    node.send_signal(signal.SIGTERM)
+    assert wait_for(lambda: not graph.endpoints(below), within_s=5.0)  # a lease would take 10 s to run out
+    assert node.wait(WITHIN_S) == 0
+    assert "Cyclone DDS in domain 73, on this machine only: topics and presence" in node.stderr.read()
+
+
+def test_publishers_are_seen_with_type_and_quality_until_they_leave(wire):
+    mine = Participant("watcher", "/")
+    reliable = wire.publisher("/a", FLOAT, reliable=True)
+    other = wire.publisher("/a", TWIST, reliable=False)
+    expected = {("/a", FLOAT, True), ("/a", TWIST, False)}
+    seen: list[Publication] = []
+
+    def look():
+        seen[:] = [found for found in mine.publications() if found.topic == "/a"]
+        return {(found.topic, found.type, found.reliable) for found in seen}
+
+    try:
+        assert wait_for(lambda: look() == expected)
+        assert all(found.deadline_s == float("inf") for found in seen)
+        other.close()
+        assert wait_for(lambda: look() == {("/a", FLOAT, True)})
+        own = mine.writer("/a", FLOAT, Quality(reliable=True, depth=1, deadline_s=0.5))
+        assert wait_for(lambda: len(look()) == 1 and len(seen) == 2)
+        assert sorted(found.deadline_s for found in seen) == [0.5, float("inf")]
+        assert own.readers == 0
+    finally:
+        reliable.close()
+        mine.close()
+
+
+def test_messages_come_in_order_with_the_time_they_were_sent(wire):
+    mine = Participant("listener", "/")
+    try:
+        reader = mine.reader("/b", FLOAT, Quality(reliable=True, depth=100, deadline_s=0.0))
+        publisher = wire.publisher("/b", FLOAT)
+        assert wait_for(lambda: publisher.matched)
+        before = time.time_ns()
+        for number in range(20):
+            publisher.publish(data=float(number))
+        wait = mine.waiter()
+        taken = []
+        assert wait_for(lambda: wait(10**8) is not None and taken.extend(reader.take()) is None and len(taken) == 20)
+        assert [peer.STORE.deserialize_cdr(raw, FLOAT).data for raw, _ in taken] == list(range(20))
+        sent = [sent_ns for _, sent_ns in taken]
+        assert sent == sorted(sent)
+        assert before <= sent[0] <= sent[-1] <= time.time_ns()
+        assert wait(1) == 0
+    finally:
+        mine.close()
+
+
+@pytest.mark.parametrize("asked", ["reliable", "best_effort"])
+def test_a_publisher_that_offers_less_than_asked_is_remarked(wire, command, start, asked):
+    status = wire.subscribe("/trackres/status", "diagnostic_msgs/msg/DiagnosticArray")
+    speed = wire.publisher("/speed", TWIST, reliable=False)
+    node = start(command(input_reliability=asked))
+
+    def remarks():
+        heard = status.update()
+        return {pair.key: pair.value for pair in heard[-1].message.status[0].values}["remarks"].split() if heard else []
+
+    if asked == "reliable":
+        assert wait_for(lambda: "INCOMPATIBLE_QOS" in remarks()), node.poll()
+        assert not speed.matched
+    else:
+        assert wait_for(lambda: speed.matched)
+        assert wait_for(lambda: len(status.update()) > 2)  # one a second
+        assert "INCOMPATIBLE_QOS" not in remarks()
+
+
+def test_a_log_that_nobody_reads_any_more_ends_nothing(command, start, tmp_path):
+    state = tmp_path / "state.json"
+    node = start(command(state_file=str(state)))
+    assert wait_for(lambda: "24 t chassis" in node.stderr.readline())
+    node.stderr.close()
+    node.send_signal(signal.SIGUSR1)
+    assert wait_for(state.exists)  # and then says so
+    node.send_signal(signal.SIGTERM)
+    assert node.wait(WITHIN_S) == 0
+
+
+@pytest.mark.parametrize(
+    ("variables", "said"),
+    [
+        ({"ROS_DOMAIN_ID": "233"}, "environment ROS_DOMAIN_ID: given '233'; allowed: a whole number from 0 to 232"),
+        ({"CYCLONEDDS_URI": "<Cyclone"}, "environment CYCLONEDDS_URI: given '<Cyclone'"),
+    ],
+)
+def test_an_environment_it_cannot_start_in_is_said_in_one_line(command, start, variables, said):
+    node = start(command(), **variables)
+    assert node.wait(WITHIN_S) == 2
+    log = node.stderr.read()
+    assert said in log.splitlines()[-1]
+    assert "Traceback" not in log
+
+
+@pytest.mark.parametrize("missing", ["cyclonedds", "rosbags"])
+def test_what_is_not_installed_is_said_with_how_to_install_it(environment, missing):
+    program = f"import sys; sys.modules[{missing!r}] = None; from trackres_ros.cli.main import main; main(sys.argv[1:])"
+    done = subprocess.run(
+        [sys.executable, "-c", program, "live", "--edge", "dds", "--vehicle", "xgd24d"],
+        env=environment,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"trackres: error: running without ROS 2: given 'no Python module {missing}'")
+    assert f"pip install {missing}" in done.stderr
+    assert ("3.10 to 3.13 on x86-64 Linux" in done.stderr) == (missing == "cyclonedds")
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_in_the_last_domain_every_port_is_one(start, command):
+    node = start(command(), ROS_DOMAIN_ID="232")
+    said = [node.stderr.readline()]
+    while "nobody publishes" not in said[-1]:
+        assert said[-1], "".join(said)
+        said.append(node.stderr.readline())
+    node.send_signal(signal.SIGTERM)
+    assert node.wait(WITHIN_S) == 0
+    assert "failed" not in "".join(said) + node.stderr.read()
+
+
+def test_peer_and_node_share_nothing():
+    done = subprocess.run(
+        [sys.executable, "-c", "import peer, sys; print(any(name.startswith('trackres_ros') for name in sys.modules))"],
+        cwd=Path(peer.__file__).parent,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout == "False\n"
