@@ -149,7 +149,8 @@ class Participant:
         waits = WaitSet(self.entity)
         for reader in self._readers:
             waits.attach(reader.condition)
-        return waits.wait
+        wait: Callable[[int], object] = waits.wait
+        return wait
 
     def publications(self) -> Iterator[Publication]:
         """All writers of ROS topics there are now, our own among them."""
