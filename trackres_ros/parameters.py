@@ -224,7 +224,12 @@ def make_parameters(given: Mapping[str, object]) -> Parameters:
         For an unknown name or a bad value.
     """
     checked = {name: known(name).checked(value) for name, value in given.items()}
-    return Parameters(MappingProxyType({name: checked.get(name, p.default) for name, p in PARAMETERS.items()}))
+    parameters = Parameters(MappingProxyType({name: checked.get(name, p.default) for name, p in PARAMETERS.items()}))
+    rate, deadline = parameters.number("output_rate_hz"), parameters.number("output_deadline_s")
+    if rate > 0.0 and 0.0 < deadline < 2.0 / rate:
+        allowed = f"0, or at least {2.0 / rate:g} s, two outputs at an output_rate_hz of {rate:g} Hz"
+        raise InputError("parameter output_deadline_s", deadline, allowed, "what is offered must be kept")
+    return parameters
 
 
 def read_parameters(path: Path | None, node: str = "trackres", namespace: str = "/") -> dict[str, object]:

@@ -54,6 +54,13 @@ def test_at_a_rate_every_tick_publishes_the_last_state_with_its_stamp(desk):
     assert len(set(stamps)) == pytest.approx(10, abs=1)
 
 
+@pytest.mark.parametrize("rate", [1.0, 7.0, 33.0, 100.0])
+def test_any_rate_is_kept(desk, rate):
+    d = desk(output_rate_hz=rate, output_deadline_s=0.0)
+    d.drive(10.0, dt=0.01)
+    assert len([1 for name, _, _ in d.published if name == "feedforward_torque"]) == pytest.approx(10.0 * rate, rel=0.05, abs=1.5)
+
+
 @pytest.mark.parametrize("rate", [0.0, 50.0])
 def test_when_the_speed_stops_the_feedforward_fades_and_the_rest_keeps_its_stamp(desk, rate):
     d = desk(output_rate_hz=rate)

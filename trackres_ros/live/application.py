@@ -101,7 +101,7 @@ class Application:
         self._state_at = self._rested_at = time.time()
         self._watch = Watch(self.estimator, self.inputs, unused)
         now = steady_ns()
-        self._next_second_ns, self._next_save_ns = now, now + self._save_period_ns()
+        self._next_second_ns, self._next_output_ns, self._next_save_ns = now, now, now + self._save_period_ns()
 
     @property
     def _on_speed(self) -> bool:
@@ -110,8 +110,13 @@ class Application:
     @property
     def period_s(self) -> float:
         """How often `tick` is to be called [s]."""
-        rate = self.parameters.number("output_rate_hz")
-        return min(1.0 / rate, LONGEST_PERIOD_S) if rate > 0.0 else LONGEST_PERIOD_S
+        between_s = self._between_outputs_s
+        return between_s / math.ceil(between_s / LONGEST_PERIOD_S - 1e-9)
+
+    @property
+    def _between_outputs_s(self) -> float:
+        """Longest time between two outputs."""
+        return LONGEST_PERIOD_S if self._on_speed else 1.0 / self.parameters.number("output_rate_hz")
 
     # What arrives
 
@@ -173,6 +178,7 @@ class Application:
         stamp = int(self.session.memory.times[at.SPEED, at.LAST_STAMP])
         self._outlet.take(values, stamp, steady)
         if self.active and self._on_speed:
+            self._next_output_ns = steady + int(LONGEST_PERIOD_S * SECOND_NS)
             self._outlet.publish(steady)
         self._state_at = time.time()
         reasons = int(values[at.OUT_REASONS])
@@ -217,7 +223,9 @@ class Application:
     def _tick(self, steady: int) -> None:
         settings = self.estimator.settings
         turned_old = self._watch.look_at_age(self._outlet.age_s(steady), settings.speed_max_age_s)
-        if self.active and (not self._on_speed or self._outlet.silent_s(steady) >= LONGEST_PERIOD_S):
+        if self.active and steady >= self._next_output_ns - int(0.5 * self.period_s * SECOND_NS):
+            between_ns = int(self._between_outputs_s * SECOND_NS)
+            self._next_output_ns = max(self._next_output_ns + between_ns, steady)
             self._outlet.publish(steady)
         if steady >= self._next_second_ns:
             self._next_second_ns += SECOND_NS * (1 + (steady - self._next_second_ns) // SECOND_NS)

@@ -32,7 +32,6 @@ class Outlet:
         self.published = 0
         self._edge = edge
         self._taken_ns = 0
-        self._published_ns = 0
         index = estimator.column_index
         self._values = [(i, _values(topic, index)) for i, topic in enumerate(outputs) if topic.kind != "status"]
         self._feedforward = [index[name] for name in FADING]
@@ -44,10 +43,6 @@ class Outlet:
     def age_s(self, steady: int) -> float:
         """Time since the last estimate was made [s]; infinite before the first."""
         return math.inf if self.stamp_ns is None else (steady - self._taken_ns) * 1e-9
-
-    def silent_s(self, steady: int) -> float:
-        """Time since something was published [s]."""
-        return (steady - self._published_ns) * 1e-9
 
     def left(self, steady: int) -> float:
         """Share of the feed-forward that is left at the age of the speed."""
@@ -68,7 +63,6 @@ class Outlet:
             numbers = values(row)
             if all(map(math.isfinite, numbers)):
                 self._edge.publish(output, self.stamp_ns, numbers)
-        self._published_ns = steady
         self.published += 1
 
     def publish_statuses(self, statuses: Sequence[Status], now_ns: int, diagnostics: bool) -> None:
