@@ -43,7 +43,8 @@ class WarmUp:
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
             )
-            threading.Thread(target=self._wait, name="warm-up", daemon=True).start()
+            self._thread = threading.Thread(target=self._wait, name="warm-up", daemon=True)
+            self._thread.start()
 
     @property
     def running(self) -> bool:
@@ -58,10 +59,12 @@ class WarmUp:
         return COMPILED
 
     def close(self) -> None:
-        """End the compiling process if it still runs."""
-        if self._process and self._process.poll() is None:
+        """End the compiling process if it still runs; what it has left is loaded to the end, as that cannot be broken off."""
+        if self._process is None:
+            return
+        if self._process.poll() is None:
             self._process.terminate()
-            self._process.wait()
+        self._thread.join()
 
     def _wait(self) -> None:
         assert self._process is not None
