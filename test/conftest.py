@@ -4,6 +4,7 @@ import pytest
 from hypothesis import settings
 
 from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.live.warm_up import exercise
 from trackres_ros.vehicle import load
 
 settings.register_profile("steady", deadline=None, derandomize=True)
@@ -25,3 +26,9 @@ def carrier():
 @pytest.fixture(scope="session")
 def repository():
     return Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="session")
+def compiled(reference):
+    """The kernels are compiled: nodes that are started then need not do so beside, each anew, while they are tested."""
+    exercise(reference)

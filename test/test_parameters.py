@@ -51,9 +51,9 @@ def test_a_change_is_all_or_nothing():
 
 def test_a_deadline_that_the_rate_cannot_keep_is_refused():
     assert make_parameters({"output_rate_hz": 2.0, "output_deadline_s": 1.0})
-    for given in ({"output_rate_hz": 2.0}, {"output_deadline_s": 0.01}):
+    for values in ({"output_rate_hz": 2.0}, {"output_deadline_s": 0.01}):
         with pytest.raises(InputError, match="output_deadline_s"):
-            make_parameters(given)
+            make_parameters(values)
 
 
 def test_what_is_fixed_may_be_set_to_what_it_is():

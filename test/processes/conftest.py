@@ -297,3 +297,8 @@ def standing(request, standing_nodes):
 def anywhere(request, standing_nodes):
     """As `standing`, and on Fast DDS too, for what the middleware plays a part in."""
     return standing_nodes(request.param)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def compiled_before(compiled):
+    """Before the first node is started."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import importlib.util
+import os
 import signal
 import sys
 import time
@@ -94,8 +95,10 @@ class DdsNode:
     def log(self, level: Level, text: str) -> None:
         """One line on standard error, as ROS 2 writes it."""
         severity = {Level.OK: "INFO", Level.ERROR: "ERROR"}.get(level, "WARN")
-        with suppress(OSError):  # a log that nobody reads any more must not end the node
+        try:
             print(f"[{severity}] [{time.time():.9f}] [{self._name}]: {text}", file=sys.stderr, flush=True)
+        except OSError:  # nobody reads the log any more, which must end neither the node nor its exit code
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())
 
     # Running
 
@@ -110,7 +113,7 @@ class DdsNode:
     def spin(self) -> None:
         """Run until `stop`."""
         application = self.application
-        why = "as asked" if importlib.util.find_spec("rclpy") else "rclpy is not there"
+        why = "without rclpy" if importlib.util.find_spec("rclpy") else "rclpy is not there"
         reach = self._participant.reach
         self.log(Level.OK, f"{why}: on Cyclone DDS {reach}: topics and presence, no parameter or lifecycle services")
         self.log(Level.OK, f"{application.vehicle.title}; {application.began_with}")
