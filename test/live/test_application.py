@@ -224,6 +224,13 @@ def test_messages_without_stamps_between_two_ticks_of_a_simulated_clock_all_coun
     assert {name: number for _, name, number in d.app.session.counts()} == {Count.ACCEPTED: 40}
 
 
+def test_what_cannot_be_decoded_is_counted_as_no_number(desk):
+    d = desk()
+    index = {role: i for i, given in enumerate(d.app.inputs) for role in given.roles}
+    d.app.undecodable(index["load"])
+    assert [(name, count) for name, count, _ in d.app.session.counts()] == [("load", Count.NON_FINITE)]
+
+
 def test_what_comes_before_the_simulated_clock_waits_for_it(desk):
     d = desk(use_sim_time=True)
     now_ns = d.now_ns

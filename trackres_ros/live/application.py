@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 import time
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from operator import itemgetter
 from pathlib import Path
 
 from trackres_ros.errors import InputError
@@ -38,8 +39,8 @@ LONGEST_WAIT_NS = 50_000_000  # of a message for a speed that was sent later
 MOST_BEFORE_CLOCK = 10000
 MUST_BE_FINITE = (at.OUT_RESISTANCE, at.OUT_STD, at.OUT_FEEDFORWARD)
 
-Waiting = tuple[int, int, int, Callable[[int], Iterator[Sample]]]
-"""When it was sent, when it arrived by the steady clock and by the node's time [ns], and its samples."""
+Arrived = tuple[int, int, int, Sequence[Sample]]
+"""When a message was sent, when it arrived by the steady clock and by the node's time [ns], and its samples."""
 
 
 class Application:
@@ -92,8 +93,8 @@ class Application:
         self.on_estimate: Callable[[list[float], int, int], None] | None = None  # row, stamp, arrival
         self._edge, self._steady_ns = edge, steady_ns
         self._is_speed = ["speed" in given.roles for given in self.inputs]
-        self._waiting: list[Waiting] = []
-        self._before_clock: list[tuple[int, int, Callable[[int], Iterator[Sample]]]] = []
+        self._waiting: list[Arrived] = []
+        self._before_clock: list[tuple[int, int | None, Sequence[float | None], int]] = []
         self._intake = Intake(self.inputs, self.estimator.channels)
         self._outlet = Outlet(self.outputs, self.estimator, edge)
         self._arrival_offset_ns = time.time_ns() - steady_ns()
@@ -122,49 +123,47 @@ class Application:
 
     def receive(self, index: int, message: object, sent_ns: int = 0) -> None:
         """Take a decoded message of an input topic, sent at a time [ns] of its publisher's machine, 0 where that is not known."""
-        self._arrived(index, sent_ns, lambda now: self._intake.samples(index, message, now))
-
-    def receive_values(self, index: int, stamp_ns: int | None, values: Sequence[float | None], sent_ns: int = 0) -> None:
-        """Take what an edge has read from a message of an input topic; see `Intake.of_values`."""
-        self._arrived(index, sent_ns, lambda now: self._intake.of_values(index, stamp_ns, values, now))
+        self.receive_values(index, *self._intake.read(index, message), sent_ns)
 
     def undecodable(self, index: int, sent_ns: int = 0) -> None:
-        """Take note of a message of an input topic that cannot be decoded."""
-        self._arrived(index, sent_ns, lambda now: self._intake.undecodable(index, now))
+        """Take note of a message of an input topic that cannot be decoded: no number, at the node's time."""
+        self.receive_values(index, None, [math.nan] * len(self.inputs[index].roles), sent_ns)
 
-    def _arrived(self, index: int, sent_ns: int, samples: Callable[[int], Iterator[Sample]]) -> None:
-        """Take messages in the order they were sent, as a bag holds them.
+    def receive_values(self, index: int, stamp_ns: int | None, values: Sequence[float | None], sent_ns: int = 0) -> None:
+        """Take what an edge has read from a message of an input topic; see `Intake.samples`.
 
-        Where many wait, as after a pause of this process, a middleware hands over one of each topic in turn. So what is no speed
-        waits for the first speed that was sent later. And what comes before the simulated clock waits for it: without a time
-        nothing can be said of its age.
+        Messages are worked off in the order they were sent, as a bag holds them. Where many wait, as after a pause of this
+        process, a middleware hands over one of each topic in turn. So what is no speed waits for the first speed that was sent
+        later. And what comes before the simulated clock waits for it: without a time nothing can be said of its age.
         """
         steady, now = self._steady_ns(), self._edge.now_ns()
-        if self.parameters.sim_time and now == 0:
+        if now == 0 and self.parameters.sim_time:
             if len(self._before_clock) < MOST_BEFORE_CLOCK:
-                self._before_clock.append((index, sent_ns, samples))
+                self._before_clock.append((index, stamp_ns, values, sent_ns))
             return
         if self._before_clock:
             earlier, self._before_clock = self._before_clock, []
             for waiting in earlier:
-                self._arrived(*waiting)
+                self.receive_values(*waiting)
+        arrived = (sent_ns, steady, now, self._intake.samples(index, stamp_ns, values, now))
         if sent_ns and not self._is_speed[index]:
-            self._waiting.append((sent_ns, steady, now, samples))
+            self._waiting.append(arrived)
             return
-        self._work_off(lambda waiting: waiting[0] <= sent_ns or not sent_ns)
-        self._handle(samples, steady, now)
-
-    def _work_off(self, due: Callable[[Waiting], bool]) -> None:
         if self._waiting:
-            now_due = sorted((waiting for waiting in self._waiting if due(waiting)), key=lambda waiting: waiting[0])
-            self._waiting = [waiting for waiting in self._waiting if not due(waiting)]
-            for _, steady, now, samples in now_due:
-                self._handle(samples, steady, now)
+            self._work_off([waiting[0] <= sent_ns or not sent_ns for waiting in self._waiting])
+        self._handle(arrived)
 
-    def _handle(self, samples: Callable[[int], Iterator[Sample]], steady: int, now: int) -> None:
+    def _work_off(self, due: Sequence[bool]) -> None:
+        waiting = self._waiting
+        self._waiting = [one for one, now_due in zip(waiting, due, strict=True) if not now_due]
+        for one in sorted((one for one, now_due in zip(waiting, due, strict=True) if now_due), key=itemgetter(0)):
+            self._handle(one)
+
+    def _handle(self, arrived: Arrived) -> None:
+        _, steady, now, samples = arrived
         arrival = now if self.parameters.sim_time else steady + self._arrival_offset_ns
         try:
-            for channel, stamp, value in samples(now):
+            for channel, stamp, value in samples:
                 estimate = self.session.handle(channel, stamp, arrival, value)
                 if estimate is not None:
                     self._take(estimate, steady, now, arrival)
@@ -214,7 +213,8 @@ class Application:
     def tick(self) -> None:
         """Publish what is due, look at ages and peers, save the state; to be called every `period_s`."""
         steady = self._steady_ns()
-        self._work_off(lambda waiting: steady - waiting[1] > LONGEST_WAIT_NS)
+        if self._waiting:
+            self._work_off([steady - waiting[1] > LONGEST_WAIT_NS for waiting in self._waiting])
         try:
             self._tick(steady)
         except Exception as error:  # as above

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from operator import attrgetter
 from typing import Any
 
@@ -42,11 +42,11 @@ class Intake:
         self._last_clock = [0] * len(channels)
         self._same_clock = [0] * len(channels)
 
-    def samples(self, index: int, message: object, now_ns: int) -> Iterator[Sample]:
-        """The samples in a message whose attributes are its fields; see `of_values`."""
-        return self.of_values(index, _stamp(message), [_value(read, message) for _, read, _ in self._readers[index]], now_ns)
+    def read(self, index: int, message: object) -> tuple[int | None, list[float | None]]:
+        """Stamp and values in a message whose attributes are its fields, as `samples` takes them."""
+        return _stamp(message), [_value(read, message) for _, read, _ in self._readers[index]]
 
-    def of_values(self, index: int, stamp_ns: int | None, values: Sequence[float | None], now_ns: int) -> Iterator[Sample]:
+    def samples(self, index: int, stamp_ns: int | None, values: Sequence[float | None], now_ns: int) -> list[Sample]:
         """Samples out of what was read from a message.
 
         Parameters
@@ -63,17 +63,14 @@ class Intake:
             The node's time [ns].
         """
         self.received[index] += 1
+        found = []
         for (channel, _, by_header), value in zip(self._readers[index], values, strict=True):
             if value is None:
                 self.absent[channel] += 1
             else:
-                yield channel, stamp_ns if by_header and stamp_ns is not None else self._own_stamp(channel, now_ns), value
-
-    def undecodable(self, index: int, now_ns: int) -> Iterator[Sample]:
-        """What a message that cannot be decoded counts as: no number, at the node's time."""
-        self.received[index] += 1
-        for channel, _, _ in self._readers[index]:
-            yield channel, self._own_stamp(channel, now_ns), math.nan
+                stamp = stamp_ns if by_header and stamp_ns is not None else self._own_stamp(channel, now_ns)
+                found.append((channel, stamp, value))
+        return found
 
     def _own_stamp(self, channel: int, now_ns: int) -> int:
         """The node's time; a simulated clock stands between its ticks, so what comes meanwhile is a nanosecond apart."""
