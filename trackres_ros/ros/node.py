@@ -25,6 +25,9 @@ from trackres_ros.ros import parameters as ros_parameters
 from trackres_ros.ros.messages import Fill, diagnostic_array, input_type, prepared
 
 SECOND_NS = 1_000_000_000
+COLLECTED_FROM_HZ = 20.0  # of the outputs: the inputs' queues hold what comes between two of them, at 1 kHz too
+
+MOST_COLLECTED = 1000  # of a topic at a tick, so that a flood does not keep the tick itself from coming
 
 
 class Counter(CallbackGroup):  # type: ignore[misc]
@@ -41,6 +44,29 @@ class Counter(CallbackGroup):  # type: ignore[misc]
     def can_execute(self, entity: Any) -> bool:  # noqa: ARG002 - alike for all
         """Whether the counter is open."""
         return self.open
+
+    def beginning_execution(self, entity: Any) -> bool:  # noqa: ARG002
+        """Executors with one thread need no more."""
+        return True
+
+    def ending_execution(self, entity: Any) -> None:
+        """Nothing is held."""
+
+
+class Inbox(CallbackGroup):  # type: ignore[misc]
+    """Whether the executor waits for messages, or each tick takes what has come.
+
+    Outputs at a fixed rate change at a tick only. So nothing is lost by taking the messages there, and rclpy, for which
+    waiting for one message is half the work of it all, waits half as often.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.waited_for = True
+
+    def can_execute(self, entity: Any) -> bool:  # noqa: ARG002
+        """Whether the executor is to wait for messages."""
+        return self.waited_for
 
     def beginning_execution(self, entity: Any) -> bool:  # noqa: ARG002
         """Executors with one thread need no more."""
@@ -136,13 +162,15 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
             kind = kind or type(fill(0, [0.0] * max(len(topic.columns), 1)))  # type: ignore[misc]
             self._outputs.append(self.create_lifecycle_publisher(kind, name, profile, event_callbacks=events))
         self._input_profile = _profile(input_quality(parameters))
+        self._inbox = Inbox()
+        self._takers = [self._taker(index) for index in range(len(application.inputs))]
         self._inputs = [
             self.create_subscription(
                 kind,
                 given.name,
-                self._taker(index),
+                self._takers[index],
                 self._input_profile,
-                callback_group=_Always(),
+                callback_group=self._inbox,
                 event_callbacks=SubscriptionEventCallbacks(
                     incompatible_qos=self._reporter(f"a publisher of {given.name}"), use_default_callbacks=False
                 ),
@@ -160,6 +188,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         )
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._ticker = self.create_timer(application.period_s, self._tick, callback_group=_Always(), clock=self._steady)
+        self._wait_or_collect(application)
         self.get_logger().info(f"{application.vehicle.title}; {application.began_with}")
 
     def _activate(self, state: LifecycleState) -> None:
@@ -236,9 +265,26 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         return take
 
     def _tick(self) -> None:
+        if self.application and not self._inbox.waited_for:
+            self._collect()
         self._counter.open = True
         if self.application:
             self.application.tick()
+
+    def _collect(self) -> None:
+        """Take the messages that have come since the last tick."""
+        for given, take in zip(self._inputs, self._takers, strict=True):
+            with given.handle:
+                for _ in range(MOST_COLLECTED):
+                    taken = given.handle.take_message(given.msg_type, given.raw)
+                    if taken is None:
+                        break
+                    take(*taken)
+
+    def _wait_or_collect(self, application: Application) -> None:
+        """Wait for messages where they are answered, or where simulated time stamps their arrival and runs fast."""
+        rate_hz = application.parameters.number("output_rate_hz")
+        self._inbox.waited_for = rate_hz < COLLECTED_FROM_HZ or application.parameters.sim_time
 
     def _server(self, what: Callable[[], str]) -> Callable[[Any, Any], Any]:
         def serve(_request: Any, response: Any) -> Any:
@@ -264,6 +310,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
     def _apply(self, changes: list[RosParameter]) -> None:
         if self.application:
             self.application.change(ros_parameters.named(changes))
+            self._wait_or_collect(self.application)
             period_ns = int(self.application.period_s * SECOND_NS)
             if self._ticker.timer_period_ns != period_ns:
                 self._ticker.timer_period_ns = period_ns
