@@ -23,6 +23,7 @@ PARQUET = ["pyarrow>=14"]
 PLOTS = ["matplotlib>=3.6"]
 FAST = ["numba>=0.57"]
 CYCLONE = "cyclonedds>=11.0.1"
+DIAGNOSIS = ["jinja2>=3.1", *PLOTS, *FAST]
 DDS = [*BAGS, CYCLONE]
 # No wheels elsewhere, and its source needs the C library: there the tests of that edge are skipped.
 DDS_TESTED = [f"{CYCLONE}; platform_machine == 'x86_64' and python_version < '3.14'"]
@@ -37,7 +38,7 @@ setup(
     long_description_content_type="text/markdown",
     license="Apache-2.0",
     packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
-    package_data={PACKAGE: ["py.typed"]},
+    package_data={PACKAGE: ["py.typed"], f"{PACKAGE}.report": ["page.html"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
@@ -52,8 +53,9 @@ setup(
         "plots": PLOTS,
         "fast": FAST,
         "dds": DDS,
-        "all": BAGS + PARQUET + PLOTS + FAST,
-        "test": BAGS + PARQUET + PLOTS + FAST + DDS_TESTED + TEST,
+        "diagnosis": DIAGNOSIS,
+        "all": BAGS + PARQUET + DIAGNOSIS,
+        "test": BAGS + PARQUET + DIAGNOSIS + DDS_TESTED + TEST,
     },
     zip_safe=False,
     entry_points={

@@ -14,7 +14,8 @@ from trackres_ros.live.report import COMPARISON_KEYS, ESTIMATE_KEYS, INPUT_KEYS,
 from trackres_ros.outputs import output_topics
 from trackres_ros.vehicle import load
 
-GENERATED = ["docs/settings.md", "docs/node.md", "config/trackres.yaml", "config/plotjuggler.xml", "config/foxglove.json"]
+GENERATED = ["docs/settings.md", "docs/node.md", "docs/effects.md"]
+GENERATED += ["config/trackres.yaml", "config/plotjuggler.xml", "config/foxglove.json"]
 
 
 @pytest.mark.parametrize("name", GENERATED)

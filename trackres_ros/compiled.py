@@ -35,7 +35,7 @@ def _sources_digest() -> str:
     """Digest of every source file that compiled code can come from."""
     package = Path(__file__).parent
     digest = hashlib.sha256()
-    for path in sorted((*package.glob("model/*.py"), *package.glob("estimator/*.py"))):
+    for path in sorted((*package.glob("model/*.py"), *package.glob("estimator/*.py"), package / "diagnosis" / "belt_series.py")):
         digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
 

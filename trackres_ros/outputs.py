@@ -24,6 +24,7 @@ TOTALS = {
     "wind": "wind_nm",
     "grade": "grade_nm",
     "inertia": "inertia_nm",
+    "effects": "effects_nm",
     "drive": "drive_torque_nm",
 }
 DEFAULT_NODE = "trackres"

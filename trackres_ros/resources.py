@@ -30,7 +30,12 @@ def config_dir() -> Path:
 
 def shipped_vehicles() -> dict[str, Path]:
     """Names of the shipped vehicles and their files."""
-    return {path.stem: path for path in sorted(config_dir().glob("*.yaml")) if _is_vehicle(path)}
+    return _with_section("tracks:")
+
+
+def shipped_road_vehicles() -> dict[str, Path]:
+    """Names of the shipped vehicles of the base model `road_load`, which serve the diagnosis, and their files."""
+    return _with_section("road_load:")
 
 
 def find_vehicle(path_or_name: str | os.PathLike[str]) -> Path:
@@ -44,7 +49,7 @@ def find_vehicle(path_or_name: str | os.PathLike[str]) -> Path:
     path = Path(path_or_name)
     if path.is_file():
         return path
-    shipped = shipped_vehicles()
+    shipped = shipped_vehicles() | shipped_road_vehicles()
     if str(path_or_name) in shipped:
         return shipped[str(path_or_name)]
     raise InputError("vehicle", str(path_or_name), f"the path of a vehicle file, or one of {', '.join(shipped)}")
@@ -56,6 +61,10 @@ def cache_dir() -> Path:
     return (Path(base) if base else Path.home() / ".cache") / "trackres"
 
 
-def _is_vehicle(path: Path) -> bool:
-    with path.open(encoding="utf-8") as lines:
-        return any(line.startswith("tracks:") for line in lines)
+def _with_section(section: str) -> dict[str, Path]:
+    found = {}
+    for path in sorted(config_dir().glob("*.yaml")):
+        with path.open(encoding="utf-8") as lines:
+            if any(line.startswith(section) for line in lines):
+                found[path.stem] = path
+    return found

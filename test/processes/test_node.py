@@ -282,7 +282,7 @@ torque: {topic: torque, type: geometry_msgs/msg/WrenchStamped, field: wrench.tor
         time.sleep(0.002)
     n.remarked("MISMATCH", meanwhile=lambda: sim.drive(5))
     status = next(s for s in reversed(n.statuses()) if "above the expected" in s.message)
-    assert "trackres replay RECORDING --vehicle xgd24d" in status.message
+    assert "trackres diagnose RECORDING --vehicle xgd24d" in status.message
     assert n.values("comparison")["parted"] == "true"
     last = residual.update()[-1].message
     measured, expected, difference = last.effort

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import click
 
 from trackres_ros import __version__
+from trackres_ros.cli.diagnose import diagnose_command, effects_command
 from trackres_ros.cli.explain import explain_command
 from trackres_ros.cli.live import live_command
 from trackres_ros.cli.play import play_command
@@ -33,6 +34,7 @@ def cli() -> None:
       trackres record-sample -o lap.mcap                       make a recording to play with
       trackres replay lap.mcap --vehicle xgd24d -o out.csv     torque and temperature over time, and a picture
       trackres live --vehicle xgd24d --topics topics.yaml      the same while driving
+      trackres diagnose day1.mcap day2.mcap --vehicle xgd24d -o report    which physics a model lacks
       trackres explain --vehicle xgd24d --speed-kmh 50 --belt-degc 15    one operating point taken apart
     """
 
@@ -43,6 +45,8 @@ for command in (
     play_command,
     simulate_command,
     explain_command,
+    diagnose_command,
+    effects_command,
     reproduce_command,
     record_sample_command,
     vehicle_group,

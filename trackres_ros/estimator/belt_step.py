@@ -51,7 +51,19 @@ def loss_force(
         log_load,
     )
     signed, unsigned = look_up_drive(k.drive, table, k.number.first_x, k.number.step_x, x)
-    return loss + drive_torque * signed + abs(drive_torque) * unsigned, slope * shift_slope
+    total = loss + drive_torque * signed + abs(drive_torque) * unsigned
+    factor = k.terms[at.TERM_LOSS_FACTOR] * math.exp(-k.terms[at.TERM_SOFTENING] * (belt_degc - at.SOFTENING_FROM_DEGC))
+    return total * factor, (slope * shift_slope - k.terms[at.TERM_SOFTENING] * total) * factor
+
+
+@compiled
+def film(k: Constants, i: int, speed: float) -> float:
+    """Film coefficient of a belt [W/m^2/K]."""
+    return film_coefficient(
+        speed,
+        k.assembly[i, at.FILM_OFFSET] * k.terms[at.TERM_FILM_OFFSET],
+        k.assembly[i, at.FILM_SLOPE] * k.terms[at.TERM_FILM_SLOPE],
+    )
 
 
 @compiled
@@ -59,9 +71,9 @@ def surface(k: Constants, i: int, belt: Array, ambient: float, speed: float) -> 
     """Surface temperature [degC], and its derivatives by the two nodes, shape of a row of the measurement matrix."""
     if k.number.two_nodes:
         return belt[1, TEMPERATURE], 0.0, 1.0
-    film = film_coefficient(speed, k.assembly[i, at.FILM_OFFSET], k.assembly[i, at.FILM_SLOPE])
-    inner, outer = k.assembly[i, at.INNER_CONDUCTANCE], film * k.assembly[i, at.AREA]
-    value = surface_temperature(belt[0, TEMPERATURE], ambient, film, k.assembly[i, at.AREA], inner)
+    to_air = film(k, i, speed)
+    inner, outer = k.assembly[i, at.INNER_CONDUCTANCE], to_air * k.assembly[i, at.AREA]
+    value = surface_temperature(belt[0, TEMPERATURE], ambient, to_air, k.assembly[i, at.AREA], inner)
     return value, inner / (inner + outer), 0.0
 
 
@@ -99,8 +111,10 @@ def advance_belt(
     temperature = belt[0, TEMPERATURE]
     loss, loss_slope = loss_force(k, i, temperature, log10_speed, log_load, drive_torque)
     travel = abs(speed)
-    power, power_slope = loss * travel, loss_slope * travel
-    cooling = film_coefficient(speed, k.assembly[i, at.FILM_OFFSET], k.assembly[i, at.FILM_SLOPE]) * k.assembly[i, at.AREA]
+    power, power_slope = loss * travel + k.terms[at.TERM_HEAT], loss_slope * travel
+    cooling = film(k, i, speed) * k.assembly[i, at.AREA] + k.terms[at.TERM_CONDUCTANCE]
+    # Air and sink together are one surrounding at a temperature between theirs.
+    ambient += k.terms[at.TERM_CONDUCTANCE] / cooling * (k.terms[at.TERM_SINK] - ambient)
     capacity = k.assembly[i, at.CORE_CAPACITY]
     if not k.number.two_nodes:
         per_capacity = 1.0 / capacity

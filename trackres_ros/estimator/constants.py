@@ -8,11 +8,13 @@ from typing import Any, NamedTuple, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.effects.effect import Conditions, together
+from trackres_ros.effects.facts import facts_of
 from trackres_ros.estimator import layout as at
 from trackres_ros.estimator.settings import PARTS, Settings
 from trackres_ros.estimator.spread import spread
 from trackres_ros.model.loss_table import loss_table
-from trackres_ros.model.thermal import thermal_network
+from trackres_ros.model.thermal import ThermalNetwork, thermal_network
 from trackres_ros.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -89,9 +91,10 @@ class Constants(NamedTuple):
     loss: Array  # (tables, x, load)
     drive: Array  # (tables, x, 2)
     channel_limits: Array  # (channels, 2)
+    terms: Array  # what effects do in the next step, see layout; the only part that changes
 
 
-def kernel_arguments(constants: Constants, for_compiled: bool) -> tuple[Any, Array, Array, Array, Array]:
+def kernel_arguments(constants: Constants, for_compiled: bool) -> tuple[Any, Array, Array, Array, Array, Array]:
     """The constants as the kernel's entries take them: the numbers as one record of an array, which costs a call a tenth of
     what fifty separate ones do.
     """
@@ -109,15 +112,18 @@ def make_constants(vehicle: Vehicle, settings: Settings, cache: Path | None = No
     spreads = {name: spread(vehicle, name, cache) for name in names}
     axle_names = [axle.name for axle in vehicle.axles]
     chassis, loads = vehicle.chassis, vehicle.nominal_loads()
+    # An effect may part core and surface: then the belt has two nodes, whatever the file's thermal model.
+    resistance = together([a.effect.terms(_nothing_known(vehicle), a.values) for a in vehicle.effects]).inner_resistance
+    two_nodes = vehicle.thermal == "core_surface" or resistance > 0.0
     constants = np.empty((len(vehicle.assemblies), at.DOUBT_FACTOR))
     for row, load, assembly in zip(constants, loads, vehicle.assemblies, strict=True):
         track, table = vehicle.track_of(assembly), tables[names.index(assembly.track)]
-        network = thermal_network(vehicle.thermal, track.belt, vehicle.rubber)
+        network = thermal_network("core_surface" if two_nodes else "lumped", track.belt, vehicle.rubber)
         row[at.AXLE] = axle_names.index(assembly.axle)
         row[at.KIND] = row[at.TABLE] = names.index(assembly.track)
         row[at.NOMINAL_LOAD], row[at.RADIUS] = load, track.sprocket_radius
         row[at.CORE_CAPACITY], row[at.SKIN_CAPACITY] = network.core_capacity, network.surface_capacity
-        row[at.INNER_CONDUCTANCE], row[at.AREA] = network.inner_conductance, network.area
+        row[at.INNER_CONDUCTANCE], row[at.AREA] = _conductance(vehicle, network, resistance), network.area
         row[at.FILM_OFFSET], row[at.FILM_SLOPE] = network.film_offset, network.film_slope
         row[at.FIRST_LOG_LOAD], row[at.STEP_LOG_LOAD] = table.first_log_load, table.step_log_load
         row[at.SHARE_OF_AXLE] = load / loads[list(vehicle.assemblies_of(assembly.axle))].sum()
@@ -142,7 +148,7 @@ def make_constants(vehicle: Vehicle, settings: Settings, cache: Path | None = No
         glass_transition=vehicle.rubber.glass_transition,
         wlf_c1=vehicle.rubber.wlf_c1,
         wlf_c2=vehicle.rubber.wlf_c2,
-        two_nodes=vehicle.thermal == "core_surface",
+        two_nodes=two_nodes,
         belt_shows_surface=settings.belt_sensor == "surface",
         bearing_friction=chassis.bearing_friction,
         bearing_doubt=relative("bearing_friction"),
@@ -183,7 +189,20 @@ def make_constants(vehicle: Vehicle, settings: Settings, cache: Path | None = No
         np.stack([t.loss for t in tables]),
         np.stack([t.drive for t in tables]),
         _channel_limits(vehicle),
+        np.array(at.NO_TERMS),
     )
+
+
+def _conductance(vehicle: Vehicle, network: ThermalNetwork, resistance: float) -> float:
+    """From the mean or the core of a belt to its surface [W/K]; an effect's resistance [K/W] adds to a core's own."""
+    if resistance == 0.0:
+        return network.inner_conductance
+    own = 1.0 / network.inner_conductance if vehicle.thermal == "core_surface" else 0.0
+    return 1.0 / (own + resistance)
+
+
+def _nothing_known(vehicle: Vehicle) -> Conditions:
+    return Conditions(facts_of(vehicle), *[0.0] * 8)
 
 
 def _channel_limits(vehicle: Vehicle) -> Array:

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from trackres_ros.effects.effect import Conditions
+from trackres_ros.effects.facts import facts_of
 from trackres_ros.estimator import layout as at
 from trackres_ros.estimator.constants import Constants, kernel_arguments, make_constants
+from trackres_ros.estimator.effects_step import LAST_SPEED, EffectsStep
+from trackres_ros.estimator.effects_step import cooled as cooled_effects
+from trackres_ros.estimator.effects_step import new_memory as new_effects_memory
 from trackres_ros.estimator.guards import Memory, new_memory
 from trackres_ros.estimator.kernel import Inputs
 from trackres_ros.estimator.session import COMPILED, Entries
@@ -28,6 +33,7 @@ class State:
 
     belts: Array  # (assemblies, 2, BELT_COLUMNS)
     motion: Array  # (MOTION_COLUMNS,)
+    effects: Array = field(default_factory=lambda: new_effects_memory(0))  # see `effects_step`
 
 
 class Estimate:
@@ -122,6 +128,7 @@ class Estimator:
         self.columns = at.columns(vehicle)
         self.column_index = {name: i for i, name in enumerate(self.columns)}
         self._no_belts = np.full(len(self.assemblies), math.nan)
+        self.effects = EffectsStep(vehicle.effects, facts_of(vehicle))
 
     def inputs(
         self,
@@ -166,7 +173,8 @@ class Estimator:
 
     def cold_start(self, inputs: Inputs, belt_degc: float | None = None, belt_std_k: float | None = None) -> State:
         """State of belts that are at the ambient temperature, or at a known one [degC] with a standard deviation [K]."""
-        state = State(np.empty((len(self.assemblies), 2, at.BELT_COLUMNS)), np.empty(at.MOTION_COLUMNS))
+        memory = new_effects_memory(len(self.effects.effects))
+        state = State(np.empty((len(self.assemblies), 2, at.BELT_COLUMNS)), np.empty(at.MOTION_COLUMNS), memory)
         self.entries.start_belts(*self.kernel_arguments, state.belts, state.motion, inputs.ambient, inputs.ambient_std)
         if belt_degc is not None:
             state.belts[:, :, at.TEMPERATURE] = belt_degc
@@ -178,8 +186,13 @@ class Estimator:
     def step(self, state: State, inputs: Inputs, dt: float) -> tuple[State, Estimate]:
         """Advance by dt [s] to the time of `inputs`. Pure: the state given is left as it was."""
         belts, motion, row = state.belts.copy(), state.motion.copy(), np.empty(len(self.columns))
+        effects, arguments = state.effects, self.kernel_arguments
+        if self.effects.effects:
+            arguments = (*arguments[:-1], arguments[-1].copy())
+            now = self._conditions(inputs, motion)
+            effects = self.effects.step(effects, now, float(dt), arguments[-1])
         self.entries.step_once(
-            *self.kernel_arguments,
+            *arguments,
             belts,
             motion,
             inputs.speed,
@@ -194,7 +207,14 @@ class Estimator:
             float(dt),
             row,
         )
-        return State(belts, motion), Estimate(row, self.column_index)
+        return State(belts, motion, effects), Estimate(row, self.column_index)
+
+    def _conditions(self, inputs: Inputs, motion: Array) -> Conditions:
+        accel = inputs.acceleration if math.isfinite(inputs.acceleration) else float(motion[at.FILTERED_ACCEL])
+        return Conditions(
+            self.effects.facts, inputs.speed, accel, float(inputs.load.sum()), inputs.ambient, math.nan, math.nan, math.nan,
+            float(motion[at.LAST_DRIVE]),
+        )  # fmt: skip
 
     def run(
         self,
@@ -224,6 +244,8 @@ class Estimator:
             State at the last time; results, shape (times, columns).
         """
         times = np.ascontiguousarray(time_s, dtype=float)
+        if self.effects.effects:
+            return self._run_step_by_step(state, times, speed, weight, ambient, acceleration, grade)
         series = [
             np.ascontiguousarray(np.broadcast_to(np.asarray(a, dtype=float), times.shape)).copy()
             for a in (speed, weight, ambient, acceleration, grade)
@@ -248,6 +270,15 @@ class Estimator:
         )
         return State(belts, motion), rows
 
+    def _run_step_by_step(self, state: State, times: Array, *given: ArrayLike) -> tuple[State, Array]:
+        series = [np.broadcast_to(np.asarray(a, dtype=float), times.shape) for a in given]
+        rows = np.empty((len(times), len(self.columns)))
+        for i, (v, w, ambient, accel, grade) in enumerate(zip(*series, strict=True)):
+            inputs = self.inputs(v, weight=w, ambient=ambient, acceleration=accel, grade=grade)
+            state, estimate = self.step(state, inputs, times[i] - times[i - 1] if i else 0.0)
+            rows[i] = estimate.row
+        return state, rows
+
     def rest(self, state: State, ambient: float, seconds: float) -> State:
         """The state after standing, or being switched off, for a while at an ambient temperature [degC]."""
         belts, motion = state.belts.copy(), state.motion.copy()
@@ -255,7 +286,14 @@ class Estimator:
             *self.kernel_arguments, belts, float(ambient), self.constants.number.ambient_unknown_std, float(seconds)
         )
         motion[at.FEEDFORWARD] = 0.0
-        return State(belts, motion)
+        effects = state.effects
+        if self.effects.effects and seconds > 0.0:
+            nothing = np.array(at.NO_TERMS)
+            still = replace(self._conditions(self.inputs(0.0, ambient=ambient), motion), drive_torque=0.0)
+            effects = effects.copy()
+            effects[LAST_SPEED] = 0.0
+            effects = self.effects.step(self.effects.step(effects, still, 0.0, nothing), still, seconds, nothing)
+        return State(belts, motion, effects)
 
     def session(self) -> Session:
         """A new session: a stream of messages through the guards."""
@@ -271,12 +309,16 @@ class Session:
         self.memory: Memory = new_memory(len(estimator.channels))
         self.belts = np.zeros((assemblies, 2, at.BELT_COLUMNS))
         self.motion = np.zeros(at.MOTION_COLUMNS)
+        self.effects = new_effects_memory(len(estimator.effects.effects))
+        self._terms = np.array(at.NO_TERMS)
+        self._loads = np.zeros(assemblies)
         self._arguments = (
-            *estimator.kernel_arguments,
+            *estimator.kernel_arguments[:-1],
+            self._terms,
             *self.memory,
             self.belts,
             self.motion,
-            np.zeros(assemblies),
+            self._loads,
             np.zeros(assemblies),
         )
         self._channel = {name: i for i, name in enumerate(estimator.channels)}
@@ -289,22 +331,26 @@ class Session:
     @property
     def state(self) -> State:
         """A copy of the state now."""
-        return State(self.belts.copy(), self.motion.copy())
+        return State(self.belts.copy(), self.motion.copy(), self.effects.copy())
 
     def begin(self, state: State) -> None:
         """Begin from a known state instead of a cold start."""
         self.belts[:], self.motion[:] = state.belts, state.motion
+        if len(state.effects) == len(self.effects):
+            self.effects = state.effects.copy()
         self.motion[at.STARTED] = 0.5
 
     def adopt(self, other: Session) -> None:
         """Go on where another session of the same vehicle is: all it remembers, under this one's settings."""
-        self.belts[:], self.motion[:] = other.belts, other.motion
+        self.belts[:], self.motion[:], self._loads[:] = other.belts, other.motion, other._loads
+        self.effects = other.effects.copy()
         for mine, its in zip(self.memory, other.memory, strict=True):
             mine[:] = its
 
     def start_anew(self, time_went_back: bool) -> None:
         """Forget belts and messages, as at a cold start; counters stay. The next estimate says so if time went back."""
         self.memory.times[:], self.memory.values[:] = 0, math.nan
+        self.effects = cooled_effects(self.effects)
         self.motion[at.STARTED] = at.START_ANEW if time_went_back else 0.0
 
     def channel(self, name: str) -> int:
@@ -314,16 +360,55 @@ class Session:
     def handle(self, channel: int, stamp_ns: int, arrival_ns: int, value: float) -> Estimate | None:
         """Take in one message; an estimate if it was an accepted speed, else None."""
         row = np.empty(len(self.estimator.columns))
+        effects = self._effects_by(channel, stamp_ns, arrival_ns, value) if self.estimator.effects.effects else self.effects
         stepped = self.estimator.entries.feed_one(*self._arguments, channel, stamp_ns, arrival_ns, value, row)
-        return Estimate(row, self.estimator.column_index) if stepped else None
+        if not stepped:
+            return None
+        self.effects = effects
+        return Estimate(row, self.estimator.column_index)
+
+    def _effects_by(self, channel: int, stamp_ns: int, arrival_ns: int, value: float) -> Array:
+        """Prepare the terms of the step that a speed would make; the effects' memory after it, should it be accepted."""
+        if channel != at.SPEED or not math.isfinite(value):
+            return self.effects
+        k, times = self.estimator.constants, self.memory.times
+
+        def held(which: int, hold_ns: int, otherwise: float) -> float:
+            fresh = times[which, at.SEEN] and arrival_ns - times[which, at.LAST_ARRIVAL] <= hold_ns
+            return float(self.memory.values[which]) if fresh else otherwise
+
+        number = k.number
+        weight = float(self._loads.sum()) or float(k.assembly[:, at.NOMINAL_LOAD].sum())
+        accel = held(at.ACCEL, number.motion_hold_ns, float(self.motion[at.FILTERED_ACCEL]))
+        ambient = held(at.AMBIENT, number.ambient_hold_ns, number.nominal_ambient)
+        turning = held(at.YAW_RATE, number.motion_hold_ns, math.nan), held(at.HEADING, number.motion_hold_ns, math.nan)
+        drive = float(self.motion[at.LAST_DRIVE])
+        now = Conditions(self.estimator.effects.facts, value, accel, weight, ambient, *turning, math.nan, drive)
+        elapsed = (stamp_ns - times[at.SPEED, at.LAST_STAMP]) * 1e-9 if times[at.SPEED, at.SEEN] else 0.0
+        if not 0.0 <= elapsed <= number.bridge:  # a jump or a long gap: how it went is not known, least of all by the stamps
+            elapsed = 0.0
+        return self.estimator.effects.step(self.effects, now, elapsed, self._terms)
 
     def handle_block(self, channel: NDArray[np.int16], stamp_ns: IntArray, arrival_ns: IntArray, value: Array) -> Steps:
         """Take in many messages, arrays of shape (messages,) in the order they arrived."""
+        if self.estimator.effects.effects:
+            return self._one_by_one(channel, stamp_ns, arrival_ns, value)
         most = int(np.count_nonzero(channel == at.SPEED))
         rows = np.empty((most + 1, len(self.estimator.columns)))
         stamps, arrivals = np.empty((2, most + 1), dtype=np.int64)
         steps = self.estimator.entries.feed_many(*self._arguments, channel, stamp_ns, arrival_ns, value, rows, stamps, arrivals)
         return Steps(stamps[:steps], arrivals[:steps], rows[:steps])
+
+    def _one_by_one(self, channel: NDArray[np.int16], stamp_ns: IntArray, arrival_ns: IntArray, value: Array) -> Steps:
+        stamps, arrivals, rows = [], [], []
+        for message in zip(channel.tolist(), stamp_ns.tolist(), arrival_ns.tolist(), value.tolist(), strict=True):
+            estimate = self.handle(*message)
+            if estimate is not None:
+                stamps.append(int(self.memory.times[at.SPEED, at.LAST_STAMP]))
+                arrivals.append(message[2])
+                rows.append(estimate.row)
+        columns = len(self.estimator.columns)
+        return Steps(np.array(stamps, np.int64), np.array(arrivals, np.int64), np.array(rows).reshape(-1, columns))
 
     def counts(self) -> Iterator[tuple[str, at.Count, int]]:
         """All counters that are not zero: channel, counter, number."""

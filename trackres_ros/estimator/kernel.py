@@ -272,7 +272,7 @@ def fade(age: float, max_age: float, fade_s: float) -> float:
 
 
 @inlined
-def feedforward(k: Constants, motion: Array, total: Array, given_accel: bool, dt: float) -> tuple[float, int]:
+def feedforward(k: Constants, motion: Array, total: Array, of_effects: float, given_accel: bool, dt: float) -> tuple[float, int]:
     """Chosen parts [Nm], limited in size and rate, and the reasons that gives."""
     number, reasons = k.number, 0
     wanted = (
@@ -280,6 +280,7 @@ def feedforward(k: Constants, motion: Array, total: Array, given_accel: bool, dt
         + number.feed_bearing * total[at.PART_BEARING]
         + number.feed_wind * total[at.PART_WIND]
         + number.feed_grade * total[at.PART_GRADE]
+        + of_effects
     )
     if given_accel:  # an acceleration filtered from the speed would feed the controller's own noise back to it
         wanted += number.feed_inertia * total[at.PART_INERTIA]
@@ -307,7 +308,9 @@ def advance(k: Constants, belts: Array, motion: Array, inputs: Inputs, dt: float
     out
         Row of results, shape (columns,), see `layout`.
     """
-    number, speed, reasons = k.number, inputs.speed, inputs.reasons
+    number, terms = k.number, k.terms
+    reasons = inputs.reasons | int(terms[at.TERM_REASONS])
+    speed = inputs.speed * terms[at.TERM_SPEED]
     started = motion[at.STARTED] > 0.0
     last_speed = motion[at.LAST_SPEED] if started else speed
     if started and 0.0 < dt <= number.bridge:
@@ -343,9 +346,12 @@ def advance(k: Constants, belts: Array, motion: Array, inputs: Inputs, dt: float
         dt,
     )
     total, of_assemblies = advance_assemblies(k, belts, inputs, road, out)
-    wanted, of_feedforward = feedforward(k, motion, total, given_accel, dt)
-    resistance = total[at.PART_HYSTERESIS] + total[at.PART_BEARING] + total[at.PART_WIND]
-    driving = resistance + total[at.PART_GRADE] + total[at.PART_INERTIA]
+    resistance = total[at.PART_HYSTERESIS] + total[at.PART_BEARING] + total[at.PART_WIND] + terms[at.TERM_TORQUE]
+    without_gain = resistance + total[at.PART_GRADE] + total[at.PART_INERTIA]
+    driving = without_gain * terms[at.TERM_DRIVE_GAIN]
+    of_effects = terms[at.TERM_TORQUE] + driving - without_gain
+    resistance += driving - without_gain
+    wanted, of_feedforward = feedforward(k, motion, total, of_effects, given_accel, dt)
     variance = (
         total[at.PART_NOISE]
         + total[at.PART_DOUBT_AMBIENT] ** 2
@@ -368,12 +374,13 @@ def advance(k: Constants, belts: Array, motion: Array, inputs: Inputs, dt: float
     out[at.OUT_WIND] = total[at.PART_WIND]
     out[at.OUT_GRADE] = total[at.PART_GRADE]
     out[at.OUT_INERTIA] = total[at.PART_INERTIA]
+    out[at.OUT_EFFECTS] = of_effects
     out[at.OUT_DRIVE] = driving
     out[at.OUT_STD] = math.sqrt(variance)
     out[at.OUT_FEEDFORWARD] = wanted
     out[at.OUT_MOTOR] = driving * number.motor_gain
     out[at.OUT_MEASURED] = inputs.measured_torque
-    out[at.OUT_RESIDUAL] = inputs.measured_torque - driving
+    out[at.OUT_RESIDUAL] = inputs.measured_torque - (driving * terms[at.TERM_SENSOR_GAIN] + terms[at.TERM_SENSOR_OFFSET])
     out[at.OUT_HEAT] = total[at.PART_HEAT]
     out[at.OUT_COOLING] = total[at.PART_COOLING]
     out[at.OUT_REASONS] = reasons | of_assemblies | of_feedforward

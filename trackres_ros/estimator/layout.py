@@ -47,6 +47,25 @@ LOSS_DOUBT, COOLING_DOUBT, CAPACITY_DOUBT, RADIUS_DOUBT = (DOUBT_FACTOR + 4 * ro
 ) = range(10)
 PARTS = PART_DOUBT + 4
 
+# What left-out effects do in a step, see `effects.effect.Terms`; the values that do nothing.
+(
+    TERM_TORQUE,
+    TERM_DRIVE_GAIN,
+    TERM_LOSS_FACTOR,
+    TERM_SOFTENING,
+    TERM_FILM_OFFSET,
+    TERM_FILM_SLOPE,
+    TERM_CONDUCTANCE,
+    TERM_SINK,
+    TERM_HEAT,
+    TERM_SPEED,
+    TERM_SENSOR_GAIN,
+    TERM_SENSOR_OFFSET,
+    TERM_REASONS,
+) = range(13)
+NO_TERMS = (0.0, 1.0, 1.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0)
+SOFTENING_FROM_DEGC = 40.0
+
 # Columns of an assembly's belt state, [K] but the first: temperature, then what each cause of doubt makes of it.
 # Doubt in loss, cooling, capacity and radius is one 4 x 4 factor; the radius moves no temperature and has no column.
 TEMPERATURE, DOUBT_1, DOUBT_2, DOUBT_3, DOUBT_AMBIENT, NOISE_1, NOISE_2 = range(7)
@@ -100,6 +119,7 @@ class Reason(IntFlag):
     FEEDFORWARD_CLAMPED = 1 << 11
     FEEDFORWARD_RATE_LIMITED = 1 << 12
     SPEED_QUANTISED = 1 << 13
+    EFFECT_LEFT_OUT = 1 << 14
 
 
 REASON_TEXT = {
@@ -117,6 +137,7 @@ REASON_TEXT = {
     Reason.FEEDFORWARD_CLAMPED: "the feed-forward torque is at its limit",
     Reason.FEEDFORWARD_RATE_LIMITED: "the feed-forward torque follows at its largest rate",
     Reason.SPEED_QUANTISED: "the speed comes in coarse steps: its acceleration is known only roughly",
+    Reason.EFFECT_LEFT_OUT: "an input of an effect of the vehicle file is missing: the effect is left out",
 }
 # Remarks that go with a fully usable estimate; any other reason makes it a warning.
 HARMLESS = Reason.LOAD_HELD | Reason.FEEDFORWARD_RATE_LIMITED | Reason.GAP_BRIDGED | Reason.SPEED_QUANTISED
@@ -133,6 +154,7 @@ HARMLESS = Reason.LOAD_HELD | Reason.FEEDFORWARD_RATE_LIMITED | Reason.GAP_BRIDG
     OUT_WIND,
     OUT_GRADE,
     OUT_INERTIA,
+    OUT_EFFECTS,
     OUT_DRIVE,
     OUT_STD,
     OUT_FEEDFORWARD,
@@ -142,7 +164,7 @@ HARMLESS = Reason.LOAD_HELD | Reason.FEEDFORWARD_RATE_LIMITED | Reason.GAP_BRIDG
     OUT_HEAT,
     OUT_COOLING,
     OUT_REASONS,
-) = range(19)
+) = range(20)
 VEHICLE_COLUMNS = (
     "speed_mps",
     "accel_mps2",
@@ -154,6 +176,7 @@ VEHICLE_COLUMNS = (
     "wind_nm",
     "grade_nm",
     "inertia_nm",
+    "effects_nm",
     "drive_torque_nm",
     "resistance_std_nm",
     "feedforward_torque_nm",

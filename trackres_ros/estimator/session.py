@@ -67,6 +67,7 @@ def feed_one(
     loss: Array,
     drive: Array,
     limits: Array,
+    terms: Array,
     times: IntArray,
     values: Array,
     counters: IntArray,
@@ -83,7 +84,7 @@ def feed_one(
 ) -> bool:
     """`feed` for one message."""
     return feed(
-        Constants(numbers[0], assembly, loss, drive, limits),
+        Constants(numbers[0], assembly, loss, drive, limits, terms),
         Memory(times, values, counters, reasons),
         belts,
         motion,
@@ -104,6 +105,7 @@ def feed_many(
     loss: Array,
     drive: Array,
     limits: Array,
+    terms: Array,
     times: IntArray,
     values: Array,
     counters: IntArray,
@@ -121,7 +123,7 @@ def feed_many(
     out_arrivals: IntArray,
 ) -> int:
     """`feed` for many messages; fills one row of `out` with its stamp and arrival [ns] for each step, returns their number."""
-    k, memory = Constants(numbers[0], assembly, loss, drive, limits), Memory(times, values, counters, reasons)
+    k, memory = Constants(numbers[0], assembly, loss, drive, limits, terms), Memory(times, values, counters, reasons)
     steps = 0
     for i in range(channels.shape[0]):
         if feed(
@@ -140,6 +142,7 @@ def step_once(
     loss: Array,
     drive: Array,
     limits: Array,
+    terms: Array,
     belts: Array,
     motion: Array,
     speed: float,
@@ -156,7 +159,7 @@ def step_once(
 ) -> None:
     """`kernel.advance` for inputs given one by one."""
     inputs = Inputs(speed, load, ambient, ambient_std, belt_measured, acceleration, grade, measured_torque, reasons)
-    advance(Constants(numbers[0], assembly, loss, drive, limits), belts, motion, inputs, dt, out)
+    advance(Constants(numbers[0], assembly, loss, drive, limits, terms), belts, motion, inputs, dt, out)
 
 
 @compiled
@@ -166,6 +169,7 @@ def run_series(
     loss: Array,
     drive: Array,
     limits: Array,
+    terms: Array,
     belts: Array,
     motion: Array,
     times: Array,
@@ -180,7 +184,7 @@ def run_series(
     out: Array,
 ) -> None:
     """`kernel.advance` along arrays of equal length; weights [N] are shared as nominal loads are. One row of `out` a time."""
-    k = Constants(numbers[0], assembly, loss, drive, limits)
+    k = Constants(numbers[0], assembly, loss, drive, limits, terms)
     for i in range(times.shape[0]):
         for j in range(loads.shape[0]):
             loads[j] = weights[i] * assembly[j, at.SHARE_OF_ALL]
@@ -195,13 +199,14 @@ def rest_belts(
     loss: Array,
     drive: Array,
     limits: Array,
+    terms: Array,
     belts: Array,
     ambient: float,
     ambient_std: float,
     seconds: float,
 ) -> None:
     """Let all belts stand for a while [s]."""
-    k = Constants(numbers[0], assembly, loss, drive, limits)
+    k = Constants(numbers[0], assembly, loss, drive, limits, terms)
     for i in range(belts.shape[0]):
         roll(k, i, belts[i], 0.0, 0.0, SLOWEST_LOG_SPEED, 0.0, 0.0, ambient, ambient_std, seconds)
 
@@ -213,13 +218,14 @@ def start_belts(
     loss: Array,
     drive: Array,
     limits: Array,
+    terms: Array,
     belts: Array,
     motion: Array,
     ambient: float,
     ambient_std: float,
 ) -> None:
     """`kernel.start`."""
-    start(Constants(numbers[0], assembly, loss, drive, limits), belts, motion, ambient, ambient_std)
+    start(Constants(numbers[0], assembly, loss, drive, limits, terms), belts, motion, ambient, ambient_std)
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from trackres_ros.estimator import layout as at
 from trackres_ros.estimator.estimator import Estimator, Session, State
 
 FORMAT = "trackres-state"
-VERSION = 1
+VERSION = 2
 PART = ".part"
 REMEDY = "delete the file to start cold"
 
@@ -41,6 +41,7 @@ def key(estimator: Estimator) -> str:
         at.MOTION_COLUMNS,
         values,
         asdict(vehicle.rubber),
+        [(active.effect.name, dict(active.values)) for active in vehicle.effects],
     ]
     return hashlib.sha256(json.dumps(parts, sort_keys=True, default=lambda a: a.tolist()).encode()).hexdigest()[:32]
 
@@ -68,6 +69,7 @@ def content(session: Session, saved_at: float) -> str:
             "started": session.started,
             "belts": _text(session.belts),
             "motion": _text(session.motion),
+            "effects": _text(session.effects),
             "values": _text(session.memory.values),
             "times": session.memory.times.tolist(),
             "counters": session.memory.counters.tolist(),
@@ -112,6 +114,7 @@ def resume(estimator: Estimator, path: Path) -> Session:
     session = estimator.session()
     session.belts[:] = _numbers(content["belts"], session.belts.shape)
     session.motion[:] = _numbers(content["motion"], session.motion.shape)
+    session.effects = _numbers(content["effects"], session.effects.shape)
     session.memory.values[:] = _numbers(content["values"], session.memory.values.shape)
     session.memory.times[:] = np.array(content["times"], dtype=np.int64).reshape(session.memory.times.shape)
     session.memory.counters[:] = np.array(content["counters"], dtype=np.int64).reshape(session.memory.counters.shape)
@@ -134,7 +137,11 @@ def after_time_off(estimator: Estimator, path: Path, now: float, ambient: float 
     if not content["started"]:
         return session, 0.0
     off = max(0.0, now - float(content["saved_at"]))
-    state = State(_numbers(content["belts"], session.belts.shape), _numbers(content["motion"], session.motion.shape))
+    state = State(
+        _numbers(content["belts"], session.belts.shape),
+        _numbers(content["motion"], session.motion.shape),
+        _numbers(content["effects"], session.effects.shape),
+    )
     ambient = estimator.vehicle.chassis.ambient if ambient is None else ambient
     session.begin(estimator.rest(state, ambient, off))
     return session, off
@@ -160,7 +167,7 @@ def _read(estimator: Estimator, path: Path) -> dict[str, Any]:
             f"a state of this very vehicle, {estimator.vehicle.name}",
             REMEDY,
         )
-    missing = {"belts", "motion", "values", "times", "counters", "reasons", "saved_at", "started"} - content.keys()
+    missing = {"belts", "motion", "effects", "values", "times", "counters", "reasons", "saved_at", "started"} - content.keys()
     if missing:
         raise InputError(f"state file {path}", f"no {', '.join(sorted(missing))}", "a whole file", REMEDY)
     return content

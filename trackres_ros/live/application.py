@@ -273,9 +273,9 @@ class Application:
         return sorted(found, key=lambda remark: -remark.level)
 
     def look_into_it(self) -> str:
-        """The command that shows where measured and expected torque differ."""
+        """The command that finds out where measured and expected torque differ, and why."""
         topics = f" --topics {self.parameters.text('topics')}" if self.parameters.text("topics") else ""
-        return f"trackres replay RECORDING --vehicle {self.parameters.text('vehicle')}{topics} -o difference.csv"
+        return f"trackres diagnose RECORDING --vehicle {self.parameters.text('vehicle')}{topics} -o report"
 
     def overview(self, steady: int | None = None) -> Overview:
         """All there is to see now, for statuses and the terminal."""

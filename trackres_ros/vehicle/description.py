@@ -12,6 +12,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.effects.effect import Active
+
 Array = NDArray[np.float64]
 
 
@@ -174,6 +176,7 @@ class Vehicle:
     assemblies: tuple[Assembly, ...]
     tracks: Mapping[str, Track]
     parameters: Mapping[str, Quantity]
+    effects: tuple[Active, ...] = ()  # left-out physics that the file switches on
 
     @property
     def weight(self) -> float:

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from trackres_ros.effects.registry import catalogue, check_effects
 from trackres_ros.errors import InputError
 from trackres_ros.resources import find_vehicle
 from trackres_ros.vehicle import schema
@@ -65,7 +66,10 @@ def variants(vehicle: Vehicle) -> Callable[[Mapping[str, float]], Vehicle]:
 def build(path: Path, content: Mapping[str, Any], overrides: Mapping[str, float] | None = None) -> Vehicle:
     """Check the content of a vehicle file and assemble its description; see `load`."""
     reader = Reader(path, overrides)
-    reader.keys(content, "", TOP_KEYS)
+    if isinstance(content.get("road_load"), dict):
+        given = "a vehicle of the base model road_load"
+        raise InputError(str(path), given, "a track vehicle", "road_load serves trackres diagnose alone")
+    reader.keys(content, "", TOP_KEYS, ("effects",))
     if content["schema"] != 1:
         raise InputError(reader.where("schema"), content["schema"], "1")
     model = reader.keys(content["model"], "model", tuple(schema.MODEL_CHOICES))
@@ -85,6 +89,7 @@ def build(path: Path, content: Mapping[str, Any], overrides: Mapping[str, float]
         assemblies=_assemblies(reader, content["assemblies"], axles, tracks),
         tracks=MappingProxyType(tracks),
         parameters=MappingProxyType(reader.parameters),
+        effects=check_effects(content["effects"], reader.where("effects"), catalogue()) if "effects" in content else (),
     )
     reader.check_overrides_used()
     return vehicle

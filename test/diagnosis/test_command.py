@@ -1,0 +1,183 @@
+"""`trackres diagnose` as a user types it."""
+
+import html
+import json
+import re
+
+import numpy as np
+import pytest
+import yaml
+from click.testing import CliRunner
+
+from trackres_ros.cli.main import cli
+from trackres_ros.diagnosis import diagnose, load_base, read_recordings
+from trackres_ros.diagnosis.report import report
+from trackres_ros.errors import InputError
+from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.replay import replay
+from trackres_ros.sources import open_source
+from trackres_ros.vehicle import load
+
+FORM = {"schema", "recordings", "base", "verdict", "effects", "heldout", "not_visible", "rejected", "advice"}
+
+
+def run(paths, out, *options):
+    command = ["diagnose", *map(str, paths), "--vehicle", "xgd24d", "-o", str(out), "--quick", *options]
+    return CliRunner().invoke(cli, command, catch_exceptions=True)
+
+
+def found_in(paths, out, *options):
+    """The report of a run that went well."""
+    done = run(paths, out, *options)
+    assert done.exit_code == 0, done.exception
+    return json.loads((out / "report.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def scrubbed(recorded, tmp_path_factory):
+    out = tmp_path_factory.mktemp("report") / "deep" / "out"
+    done = run(recorded("turning_scrub"), out)
+    assert done.exit_code == 0, done.output
+    return out, json.loads((out / "report.json").read_text()), done
+
+
+def table(path):
+    header = path.read_text().splitlines()[0].split(",")
+    return header, np.loadtxt(path, delimiter=",", skiprows=1)
+
+
+def changed(path, folder, **columns):
+    """A copy of a table with columns changed by functions."""
+    header, rows = table(path)
+    for name, change in columns.items():
+        rows[:, header.index(name)] = change(rows[:, header.index(name)])
+    copy = folder / path.name
+    np.savetxt(copy, rows, delimiter=",", header=",".join(header), comments="", fmt="%.6f")
+    return copy
+
+
+def test_it_names_what_was_left_out_and_how_large_it_is(scrubbed):
+    _, found, done = scrubbed
+    assert set(found) >= FORM
+    assert found["verdict"]["status"] == "named"
+    (effect,) = found["effects"]
+    assert effect["name"] == "turning_scrub"
+    low, high = effect["parameters"]["friction"]["ci95"]
+    assert low < 0.3 < high
+    assert high - low < 0.06
+    assert effect["evidence"]["stability"] >= 0.8
+    assert found["verdict"]["sentence"] in done.output
+    assert any(r["variable"] == "yaw rate" for r in effect["where"]["regime"])
+    assert effect["where"]["time"]
+
+
+def test_the_fit_improves_on_laps_it_never_saw(scrubbed):
+    _, found, _ = scrubbed
+    mae, low = found["heldout"]["mae"], found["heldout"]["improvement_ci95"][0]
+    assert mae["with_effects"] < 0.6 * min(mae["refitted"], mae["nominal"])
+    assert low > 0.0
+
+
+def test_the_vehicle_file_it_leaves_is_what_it_fitted(scrubbed, recorded, tmp_path):
+    out, found, _ = scrubbed
+    vehicle = load(out / "vehicle.yaml")
+    assert [a.effect.name for a in vehicle.effects] == ["turning_scrub"]
+
+    def error(of):
+        errors = []
+        replay(open_source([recorded("turning_scrub")[2]]), Estimator(of), lambda steps: errors.append(steps.rows))
+        rows, columns = np.concatenate(errors), Estimator(of).column_index
+        residual = rows[:, columns["residual_nm"]][np.abs(rows[:, columns["speed_mps"]]) > 0.3]
+        return np.nanmean(np.abs(residual))
+
+    # Each sample has 45 Nm of noise; what is above it was the missing effect.
+    assert error(vehicle) < 0.75 * error(load("xgd24d"))
+    assert found["verdict"]["sentence"] in (out / "vehicle.yaml").read_text().replace("# ", "")
+
+
+def test_the_page_says_the_same_as_the_report(scrubbed):
+    out, found, _ = scrubbed
+    page = (out / "report.html").read_text()
+    assert html.escape(found["verdict"]["sentence"], quote=False) in html.unescape(page)
+    for stage in ("nominal", "refitted", "with_effects"):
+        shown = re.search(rf'id="mae-{stage}">([^<]+)<', page).group(1)
+        assert float(shown) == pytest.approx(found["heldout"]["mae"][stage], rel=1e-3)
+    assert page.count("<img") == page.count('alt="') > 4
+    assert not re.search(r'(src|href)="(?!data:|#)', page)
+
+
+def test_without_an_effect_it_names_none(recorded, tmp_path):
+    found = found_in(recorded(), tmp_path / "out")
+    assert found["verdict"]["status"] == "none"
+    assert not found["effects"]
+
+
+def test_a_parameter_that_is_off_is_no_physics(recorded, tmp_path):
+    content = yaml.safe_load(load("xgd24d").source.read_text())
+    content["chassis"]["bearing_friction"].update(value=0.0035, range=[0.001, 0.006])
+    content["rubber"]["file"] = str(load("xgd24d").source.parent / content["rubber"]["file"])
+    vehicle = tmp_path / "off.yaml"
+    vehicle.write_text(yaml.safe_dump(content))
+    command = ["diagnose", *map(str, recorded()), "--vehicle", str(vehicle), "-o", str(tmp_path / "out"), "--quick"]
+    assert CliRunner().invoke(cli, command).exit_code == 0
+    found = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert found["verdict"]["status"] == "none"
+    assert "bearing_friction" in found["verdict"]["sentence"]
+    assert found["base"]["refitted"]["bearing_friction"]["value"] == pytest.approx(0.0075, rel=0.1)
+
+
+def test_equal_seeds_give_equal_reports(recorded):
+    loaded, paths = load_base("xgd24d"), recorded("turning_scrub", count=2, minutes=6.0)
+    first, second = (report(diagnose(read_recordings(paths, None), loaded, seed=7, quick=True), paths) for _ in range(2))
+    assert first == second
+
+
+def test_what_is_hidden_is_not_used(recorded, tmp_path):
+    found = found_in(recorded("turning_scrub"), tmp_path / "out", "--hide", "yaw_rate", "--hide", "heading")
+    why = {n["name"]: n["why"] for n in found["not_visible"]}
+    assert "yaw_rate" in why["turning_scrub"]
+    assert all(e["name"] != "turning_scrub" for e in found["effects"])
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"torque_nm": lambda x: -x}, "scale of -1"),
+        ({"torque_nm": lambda x: x * 1e-3}, "scale of 1000"),
+        ({"torque_nm": lambda x: np.full_like(x, 500.0)}, "torque"),
+        ({"speed_mps": lambda x: x * 3.6}, "0.27778"),
+        ({"speed_mps": lambda x: 0.0 * x}, "moves"),
+        ({"torque_nm": lambda x: np.full_like(x, np.nan)}, "no torque"),
+    ],
+)
+def test_what_cannot_be_used_is_refused_with_a_remedy(recorded, tmp_path, change, said):
+    bad = [changed(path, tmp_path, **change) for path in recorded()]
+    done = run(bad, tmp_path / "out")
+    assert isinstance(done.exception, InputError)
+    assert said in str(done.exception)
+
+
+def test_too_short_is_refused(recorded, tmp_path):
+    short = tmp_path / "short.csv"
+    short.write_text("\n".join(recorded()[0].read_text().splitlines()[:50]))
+    done = run([short], tmp_path / "out")
+    assert isinstance(done.exception, InputError)
+    assert "120 s" in str(done.exception)
+
+
+def test_a_clock_that_is_off_is_put_right(recorded, tmp_path):
+    moved = []
+    for path in recorded("turning_scrub", count=2, minutes=6.0):
+        header, rows = table(path)
+        late = np.roll(rows[:, header.index("torque_nm")], 25)  # 5 s
+        moved.append(changed(path, tmp_path, torque_nm=lambda x, late=late: late))
+    found = found_in(moved, tmp_path / "out")
+    assert sum("moved by that" in note for note in found["notes"]) == 2
+    assert [e["name"] for e in found["effects"]] == ["turning_scrub"]
+
+
+def test_options_are_checked(recorded, tmp_path):
+    for options, said in ((("--hide", "gradient"), "did you mean grade"), (("--holdout", "nobody"), "part of a name")):
+        done = run(recorded(), tmp_path / "out", *options)
+        assert isinstance(done.exception, InputError)
+        assert said in str(done.exception)

@@ -1,0 +1,151 @@
+"""The catalogue: what each effect declares, and laws that all obey."""
+
+import json
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from trackres_ros.cli.main import cli
+from trackres_ros.effects import Active, Conditions, Terms, catalogue, check_effects, together
+from trackres_ros.effects.effect import ACTS_ON
+from trackres_ros.effects.facts import facts_of
+from trackres_ros.errors import InputError
+from trackres_ros.vehicle import load
+
+NAMES = [
+    "grade", "grade_profile", "turning_scrub", "cornering", "rotating_inertia", "drivetrain_efficiency", "drivetrain_drag",
+    "viscous_bearing", "stribeck", "headwind", "air_drag", "payne", "mullins", "frequency", "compound_temperature",
+    "core_surface", "convection", "ground_conduction", "still_air", "solar", "rain", "tension_torque", "lug_friction",
+    "roadwheel_tyres", "soft_ground", "vibration", "warmup", "torque_offset", "torque_gain", "speed_scale", "delay",
+]  # fmt: skip
+BOTH_WAYS = ("grade", "grade_profile", "headwind", "rotating_inertia")
+CATALOGUE = catalogue()
+OWN = """
+from trackres_ros.effects import Effect, Parameter, Terms
+
+class Squeak(Effect):
+    name = "squeak"
+    acts_on = "torque"
+    text = "something squeaks"
+    parameters = (Parameter("torque", "Nm", 0.0, 100.0, 10.0, "of it", off=0.0),)
+
+    def terms(self, at, p):
+        return Terms(torque=p["torque"] * at.direction)
+"""
+
+
+def conditions(**changed):
+    known = {"speed": 5.0, "accel": 0.2, "weight": 250e3, "ambient": 10.0, "yaw_rate": 0.1, "heading": 0.5, "distance": 900.0}
+    return Conditions(facts_of(load("xgd24d")), **{**known, "drive_torque": 3000.0, "own": 12.0, **changed})
+
+
+def same(a, b):
+    names = [f.name for f in fields(Terms) if f.name != "sink" or a.conductance or b.conductance]
+    return all(np.allclose(getattr(a, name), getattr(b, name), rtol=1e-12, atol=1e-9) for name in names)
+
+
+def test_the_catalogue_holds_what_was_agreed():
+    assert sorted(CATALOGUE) == sorted(NAMES)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_effect_that_is_off_does_nothing(name):
+    effect = CATALOGUE[name]
+    assert same(effect.terms(conditions(), effect.values(off=True)), Terms())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_typical_effect_does_what_it_says_it_acts_on(name):
+    effect = CATALOGUE[name]
+    # Away from the points where an effect is nothing by its definition.
+    at = conditions(weight=310e3, speed=0.4 if name == "still_air" else 7.0)
+    terms = effect.terms(at, effect.values())
+    changed = {f.name for f in fields(Terms) if not np.allclose(getattr(terms, f.name), getattr(Terms(), f.name), rtol=1e-12)}
+    by_action = {
+        "torque": {"torque", "drive_gain"},
+        "heat": {"loss_factor", "softening"},
+        "cooling": {"film_offset_factor", "film_slope_factor", "conductance", "sink", "heat", "inner_resistance"},
+        "sensor": {"speed_factor", "sensor_gain", "sensor_offset", "sensor_delay"},
+    }
+    assert effect.acts_on in ACTS_ON
+    assert changed
+    assert changed <= by_action[effect.acts_on]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_series_is_as_good_as_one_number_after_the_other(name):
+    effect = CATALOGUE[name]
+    speeds = np.array([-3.0, 0.0, 0.2, 6.0, 13.0])
+    whole = effect.terms(conditions(speed=speeds), effect.values())
+    for i, speed in enumerate(speeds):
+        one = effect.terms(conditions(speed=float(speed)), effect.values())
+        for f in fields(Terms):
+            assert np.broadcast_to(getattr(whole, f.name), speeds.shape)[i] == pytest.approx(
+                float(getattr(one, f.name)), rel=1e-12
+            )
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        n
+        for n in NAMES
+        if CATALOGUE[n].acts_on == "torque" and n not in ("grade", "grade_profile", "headwind", "rotating_inertia")
+    ],
+)
+def test_friction_turns_with_the_direction_and_vanishes_at_rest(name):
+    effect = CATALOGUE[name]
+    forward, back = (effect.terms(conditions(speed=v, drive_torque=np.sign(v) * 3000.0), effect.values()) for v in (4.0, -4.0))
+    still = effect.terms(conditions(speed=0.0), effect.values())
+    assert float(forward.torque) == pytest.approx(-float(back.torque), rel=1e-9)
+    assert float(still.torque) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_terms_add_and_multiply_and_two_sinks_are_one_between_them():
+    both = together(
+        [
+            Terms(torque=2.0, loss_factor=1.1, conductance=10.0, sink=0.0),
+            Terms(torque=3.0, loss_factor=2.0, conductance=30.0, sink=40.0),
+        ]
+    )
+    assert (both.torque, both.loss_factor, float(both.conductance), float(both.sink)) == pytest.approx((5.0, 2.2, 40.0, 30.0))
+
+
+def test_values_of_a_vehicle_file_are_checked():
+    good = {"warmup": {"torque": 100.0, "time_constant": 200.0, "cooling": 5000.0}}
+    (active,) = check_effects(good, "vehicle.yaml: effects", CATALOGUE)
+    assert isinstance(active, Active)
+    for bad, said in (
+        ({"warmpu": {}}, "did you mean warmup"),
+        ({"warmup": {"torque": 1.0}}, "time_constant"),
+        ({"warmup": {**good["warmup"], "torque": -1.0}}, "0 to 800 Nm"),
+        ([], "a mapping"),
+    ):
+        with pytest.raises(InputError, match=said):
+            check_effects(bad, "vehicle.yaml: effects", CATALOGUE)
+
+
+def test_an_effect_of_the_users_own_joins_the_catalogue(tmp_path):
+    (tmp_path / "squeak.py").write_text(OWN)
+    assert set(catalogue(tmp_path)) == {*NAMES, "squeak"}
+    (tmp_path / "again.py").write_text(OWN.replace('"squeak"', '"grade"'))
+    with pytest.raises(InputError, match="no other effect"):
+        catalogue(tmp_path)
+    with pytest.raises(InputError, match="Python files"):
+        catalogue(tmp_path / "nowhere")
+
+
+def test_the_command_lists_them():
+    done = CliRunner().invoke(cli, ["effects", "--json"])
+    listed = {e["name"]: e for e in json.loads(done.output)["effects"]}
+    assert sorted(listed) == sorted(NAMES)
+    assert listed["warmup"]["parameters"]["torque"]["unit"] == "Nm"
+    assert "warmup (torque)" in CliRunner().invoke(cli, ["effects"]).output
+
+
+def test_conditions_bound_the_curvature_on_the_spot():
+    at = conditions(speed=0.0, yaw_rate=1.0)
+    assert 0.0 < at.curvature <= 1.0 / at.facts.contact_length
+    assert replace(at, speed=50.0).curvature == pytest.approx(1.0 / 50.0, rel=1e-2)

@@ -1,0 +1,165 @@
+"""The steps of the diagnosis by themselves: laws first."""
+
+import numpy as np
+import pytest
+
+from trackres_ros.diagnosis import read_recordings
+from trackres_ros.diagnosis.belt_series import follow
+from trackres_ros.diagnosis.fitting import Problem, fit
+from trackres_ros.diagnosis.gate import STEP_S, gate, split
+from trackres_ros.diagnosis.naming import begin
+from trackres_ros.diagnosis.screening import screen
+from trackres_ros.diagnosis.separability import separability
+from trackres_ros.diagnosis.session import Course
+from trackres_ros.diagnosis.trial import drives
+from trackres_ros.diagnosis.whitening import MOST_LAGS, Noise, estimate_noise, whitened
+from trackres_ros.effects import Active
+from trackres_ros.errors import InputError
+
+
+@pytest.fixture(scope="module")
+def gated(recorded, loaded):
+    return gate(read_recordings(recorded(), None), loaded.known)
+
+
+@pytest.fixture(scope="module")
+def problem(gated, loaded):
+    masks = tuple(s.used for s in gated.sessions)
+    return Problem(loaded.base, gated.sessions, masks, tuple(np.zeros(len(s)) for s in gated.sessions))
+
+
+def autoregression(phi, n, rng):
+    x = np.zeros(n)
+    for i in range(len(phi), n):
+        x[i] = sum(p * x[i - 1 - j] for j, p in enumerate(phi)) + rng.normal()
+    return x
+
+
+@pytest.mark.parametrize("phi", [(), (0.8,), (0.5, 0.3)])
+def test_noise_is_recognised_and_whitening_makes_it_white(phi):
+    rng = np.random.default_rng(5)
+    series = autoregression(phi, 4000, rng)
+    mask = rng.random(4000) > 0.01
+    noise = estimate_noise([series], [mask])
+    assert noise.std == pytest.approx(1.0, rel=0.05)
+    assert noise.gain == pytest.approx(1.0 - sum(phi), abs=0.08)
+    e = whitened(series, mask, noise.phi)
+    e = e[np.isfinite(e)]
+    assert abs(np.corrcoef(e[1:], e[:-1])[0, 1]) < 0.05
+
+
+def test_an_outlier_does_not_move_the_noise():
+    series = autoregression((0.6,), 3000, np.random.default_rng(1))
+    spoilt = series.copy()
+    spoilt[::500] += 300.0
+    mask = np.ones(3000, dtype=bool)
+    clean, dirty = estimate_noise([series], [mask], 1), estimate_noise([spoilt], [mask], 1)
+    assert dirty.phi[0] == pytest.approx(clean.phi[0], abs=0.1)
+
+
+def test_whitening_never_reaches_over_a_gap():
+    mask = np.ones(20, dtype=bool)
+    mask[9] = False
+    e = whitened(np.arange(20.0), mask, np.array([0.5, 0.1]))
+    unknown = [*range(MOST_LAGS), *range(9, 10 + MOST_LAGS)]
+    assert np.flatnonzero(np.isnan(e)).tolist() == unknown
+    assert Noise(np.array([0.5, 0.1]), 1.0).gain == pytest.approx(0.4)
+
+
+def test_a_lag_follows_its_target_exactly():
+    target, tau, out = np.full(100, 3.0), np.full(100, 7.0), np.empty(100)
+    follow(target, tau, 0.5, 1.0, out)
+    assert out == pytest.approx(3.0 - 2.0 * np.exp(-0.5 * np.arange(100) / 7.0))
+
+
+def test_means_of_a_course_keep_its_integral():
+    rng = np.random.default_rng(2)
+    at = np.sort(rng.uniform(0.0, 50.0, 300))
+    course = Course.of(at, rng.normal(size=300))
+    begin_s = np.arange(5.0, 45.0)
+    whole = np.interp(45.0, course.at, course.integral) - np.interp(5.0, course.at, course.integral)
+    assert course.means(begin_s, 1.0).sum() == pytest.approx(whole)
+
+
+def test_the_gate_loses_no_sample_without_saying_so(gated):
+    samples = sum(len(s) for s in gated.sessions)
+    assert sum(int(s.used.sum()) for s in gated.sessions) + sum(x.samples for x in gated.left_out) == samples
+    assert all(s.step == STEP_S for s in gated.sessions)
+
+
+def test_acceleration_over_a_step_is_the_change_of_speed(recorded, loaded):
+    (recording, *_) = read_recordings(recorded(), None)
+    without = gate([recording], loaded.known, hide=["accel"]).sessions[0]
+    given = gate([recording], loaded.known).sessions[0]
+    assert "accel" not in without.given
+    assert np.abs(without.accel - given.accel)[5:-5].max() < 0.08  # the noise of the speed, and no more
+
+
+def test_blocks_count_through_and_the_split_takes_all(gated):
+    blocks = np.concatenate([s.block for s in gated.sessions])
+    assert np.all(np.diff(blocks) >= 0)
+    chosen = split(gated.sessions)
+    assert sorted((*chosen.training, *chosen.held_out)) == sorted(set(blocks.tolist()))
+    by_name = split(gated.sessions, ["drive_2"])
+    assert set(by_name.held_out) == set(gated.sessions[1].block.tolist())
+    for wrong in ("nothing", 0, 10_000):
+        with pytest.raises(InputError, match="holdout"):
+            split(gated.sessions, [wrong] if isinstance(wrong, str) else wrong)
+
+
+def test_a_fit_finds_the_parameters_that_made_the_data(loaded):
+    base = loaded.base
+    sessions = drives(base, loaded.known.max_speed, 2, 10.0, np.random.default_rng(4))
+    true = {q.name: q.nominal + (0.5 if np.isfinite(q.std) else 0.0) * q.std for q in base.parameters}
+    still = [np.zeros(len(s)) for s in sessions]
+    rng = np.random.default_rng(5)
+    shown = [p.torque + rng.normal(0.0, 1.0, len(p.torque)) for p in base.predict(sessions, true, (), still)]
+    measured = tuple(_with_torque(s, t) for s, t in zip(sessions, shown, strict=True))
+    found = fit(Problem(base, measured, tuple(s.used for s in measured), tuple(still)))
+    for name, value in true.items():
+        assert found.base_values[name] == pytest.approx(value, abs=max(4.0 * found.std_of("", name), 1e-6))
+
+
+def test_temperature_is_carried_over_a_gap_and_forgotten_without(loaded):
+    from dataclasses import replace
+
+    base = loaded.base
+    one, two = drives(base, loaded.known.max_speed, 2, 10.0, np.random.default_rng(4))
+    two = replace(two, ambient=one.ambient)
+    values, still = {q.name: q.nominal for q in base.parameters}, [np.zeros(len(one)), np.zeros(len(two))]
+    first, soaked = base.predict([one, two], values, (), still)
+    _, straight_on = base.predict([one, replace(two, gap=1.0)], values, (), still)
+    _, next_day = base.predict([one, replace(two, gap=86400.0)], values, (), still)
+    assert soaked.belt[0] == pytest.approx(one.ambient[0])
+    assert straight_on.belt[0] == pytest.approx(first.belt[-1], abs=0.3)
+    assert next_day.belt[0] == pytest.approx(one.ambient[0], abs=0.1)
+
+
+def test_what_the_base_takes_up_is_not_visible_and_what_needs_a_channel_is_not_without(problem, effects):
+    seen = separability(effects, begin(problem))
+    hidden = {n.name: n.why for n in seen.not_visible}
+    assert "base's parameters" in hidden["air_drag"]
+    assert {"turning_scrub", "warmup", "rotating_inertia"} <= set(seen.names)
+    assert seen.cosines == pytest.approx(seen.cosines.T)
+    assert np.diag(seen.cosines) == pytest.approx(np.ones(len(seen.names)))
+
+
+def test_without_an_effect_nothing_gains_more_than_noise(problem, effects):
+    found = begin(problem)
+    result = screen(found, separability(effects, found).visible, 19, np.random.default_rng(0))
+    assert result.gains[0][1] < max(result.threshold, 6.0)
+
+
+def test_sensitivities_are_those_of_the_model(problem, effects):
+    found = begin(problem)
+    (inertia,) = [s for s in separability(effects, found).visible if s.effect.name == "rotating_inertia"]
+    with_it = found.problem.predict(found.base_values, [Active(effects["rotating_inertia"], {"factor": 0.1})])
+    change = np.concatenate([p.torque for p in with_it]) - np.concatenate([p.torque for p in found.predicted])
+    rows = len(change)
+    assert inertia.columns[:rows, 0] * 0.1 == pytest.approx(change, abs=1e-6 * np.abs(change).max())
+
+
+def _with_torque(session, torque):
+    from dataclasses import replace
+
+    return replace(session, torque=torque)

@@ -1,0 +1,119 @@
+"""Step 9: what to drive next, so that candidates that look alike here come apart."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.fitting import DIFFERENCE, Fit
+from trackres_ros.diagnosis.naming import Candidate
+from trackres_ros.diagnosis.session import Session
+from trackres_ros.diagnosis.whitening import MOST_LAGS, whitened
+from trackres_ros.effects.effect import Active
+
+Array = NDArray[np.float64]
+
+STEP_S = 1.0
+SURE_D_PRIME = 6.0
+
+
+@dataclass(frozen=True, slots=True)
+class Advice:
+    """A manoeuvre, which effects it separates, by how many standard deviations the worst pair, and how long it takes [min]."""
+
+    separates: tuple[str, ...]
+    manoeuvre: str
+    expected_d_prime: float
+    minutes: float
+
+
+def advise(candidates: Sequence[Candidate], members: Sequence[str], max_speed: float) -> list[Advice]:
+    """Manoeuvres from a small menu, the best first; empty where nothing is tied."""
+    tied = [c for c in candidates if c.name in members]
+    if len(tied) < 2:
+        return []
+    problem = tied[0].fit.problem
+    found = []
+    for name, drive in menu(problem.base.facts.weight, max_speed).items():
+        session = drive(problem.sessions[0])
+        worst = min(min(_apart(a.fit, b.fit, session), _apart(b.fit, a.fit, session)) for a, b in combinations(tied, 2))
+        found.append(Advice(tuple(c.name for c in tied), name, worst, len(session) * STEP_S / 60.0))
+    # Of those that surely separate the shortest first; else the one that separates best.
+    return sorted(found, key=lambda a: (-min(a.expected_d_prime, SURE_D_PRIME), a.minutes))[:3]
+
+
+def menu(weight: float, max_speed: float) -> dict[str, Callable[[Session], Session]]:
+    """Manoeuvres by name; each makes a session like one that was recorded."""
+    fast, slow = 0.7 * max_speed, 0.25 * max_speed
+
+    def drive(
+        points: Sequence[tuple[float, float]], load: Sequence[float] = (1.0,), curvature: float = 0.0
+    ) -> Callable[[Session], Session]:
+        def made(like: Session) -> Session:
+            time = np.arange(0.0, points[-1][0], STEP_S)
+            at, speed_at = np.array([p[0] for p in points]), np.array([p[1] for p in points])
+            edges = np.interp(np.append(time, points[-1][0]), at, speed_at)
+            speed = 0.5 * (edges[1:] + edges[:-1])
+            n = len(time)
+            weights = weight * np.repeat(load, -(-n // len(load)))[:n]
+            turning = np.where((time // 60.0) % 2 == 1, curvature, 0.0) * speed
+            return replace(
+                like, name="manoeuvre", time=time, speed=speed, accel=np.diff(edges) / STEP_S, weight=weights,
+                ambient=np.full(n, like.ambient[0]), grade=np.zeros(n), yaw_rate=turning, heading=np.cumsum(turning) * STEP_S,
+                distance=np.cumsum(np.abs(speed)) * STEP_S, torque=np.zeros(n), belt=np.full(n, np.nan),
+                used=np.ones(n, dtype=bool), block=np.zeros(n, dtype=np.int64), gap=np.inf,
+            )  # fmt: skip
+
+        return made
+
+    stairs = [(60.0 * i + t, v) for i, v in enumerate(np.linspace(slow, fast, 8)) for t in (15.0, 60.0)]
+    launches = [
+        (30.0 * i + t, v) for i in range(10) for t, v in ((0.0, 0.0), (6.0, fast / 2), (20.0, fast / 2), (26.0, 0.0), (29.0, 0.0))
+    ]
+    return {
+        "stand still for a minute, torque recorded, then drive for a minute": drive([(0, 0), (60, 0), (70, slow), (120, slow)]),
+        "drive forwards and then in reverse, two minutes each": drive(
+            [(0, 0), (10, slow), (120, slow), (135, -slow), (250, -slow)]
+        ),
+        "drive at one speed with three loads, five minutes each": drive([(0, 0), (20, fast), (900, fast)], load=(0.75, 1.0, 1.3)),
+        "a staircase of speeds, cold, then again hot": drive([(0, 0), *stairs, *((t + 1500.0, v) for t, v in stairs)]),
+        "ten sharp launches with coasting down between them": drive([(0, 0), *((t + 1.0, v) for t, v in launches)]),
+        "circles of 30 m radius and straights in turns, five minutes": drive(
+            [(0, 0), (10, slow), (300, slow)], curvature=1.0 / 30.0
+        ),
+        "drive for 20 minutes, stand for an hour, drive for 10 minutes": drive(
+            [(0, 0), (20, fast), (1200, fast), (1220, 0), (4820, 0), (4840, fast), (5440, fast)]
+        ),
+    }
+
+
+def _apart(truth: Fit, rival: Fit, session: Session) -> float:
+    """Standard deviations by which a truth stands out of its rival, after the rival's parameters have moved as they may."""
+    drive = [np.zeros(len(session))]
+
+    def torque(found: Fit, at: dict[tuple[str, str], float]) -> Array:
+        values = {name: value for (effect, name), value in at.items() if not effect}
+        active = [Active(a.effect, {q: at[a.effect.name, q] for q in a.values}) for a in found.effects]
+        return found.problem.base.predict([session], values, active, drive)[0].torque
+
+    drive = [torque(truth, truth.at)]
+    shown, expected = torque(truth, truth.at), torque(rival, rival.at)
+    columns = np.empty((len(session), len(rival.free)))
+    for i, f in enumerate(rival.free):
+        step = DIFFERENCE * f.scale * (-1.0 if rival.at[f.key] + DIFFERENCE * f.scale > f.high else 1.0)
+        columns[:, i] = (torque(rival, {**rival.at, f.key: rival.at[f.key] + step}) - expected) / step
+    everything = np.ones(len(session), dtype=bool)
+
+    def white(x: Array) -> Array:
+        out = whitened(x, everything, rival.noise.phi) / rival.noise.std
+        return out[MOST_LAGS:]
+
+    difference, j = white(shown - expected), white(columns)
+    gram = np.linalg.pinv(rival.covariance, rcond=1e-12) + j.T @ j
+    left = difference @ difference - (difference @ j) @ np.linalg.solve(gram, j.T @ difference)
+    return math.sqrt(max(float(left), 0.0))

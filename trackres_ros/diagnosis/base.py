@@ -1,0 +1,169 @@
+"""A base model: what is simulated without any left-out effect, and which of its parameters may be re-fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.belt_series import follow
+from trackres_ros.diagnosis.session import Session
+from trackres_ros.effects.effect import Active, Conditions, Facts, Terms, together
+
+Array = NDArray[np.float64]
+Values = Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class BaseParameter:
+    """A parameter of a base model that may be re-fitted.
+
+    Attributes
+    ----------
+    name, unit
+        What it is.
+    nominal, std
+        The value of the vehicle file, and how well it is known: a Gaussian prior. Infinite where nothing is known.
+    low, high
+        Bounds.
+    """
+
+    name: str
+    unit: str
+    nominal: float
+    std: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, eq=False)
+class Predicted:
+    """What a model expects of a session, series of shape (n,): the torque as the sensor shows it [Nm], the torque itself, and
+    the belt's temperatures [degC], nan where the model has none.
+    """
+
+    torque: Array
+    at_sprockets: Array
+    belt: Array
+    skin: Array
+
+
+class Base(Protocol):
+    """A base model of one vehicle."""
+
+    @property
+    def name(self) -> str:
+        """``track`` or ``road_load``."""
+
+    @property
+    def has_belt(self) -> bool:
+        """Whether belts with a temperature are in it."""
+
+    @property
+    def facts(self) -> Facts:
+        """What effects may know of the vehicle."""
+
+    @property
+    def includes(self) -> tuple[str, ...]:
+        """Names of effects that are in it already."""
+
+    @property
+    def parameters(self) -> tuple[BaseParameter, ...]:
+        """What may be re-fitted."""
+
+    def predict(
+        self, sessions: Sequence[Session], values: Values, effects: Sequence[Active], drive: Sequence[Array]
+    ) -> list[Predicted]:
+        """Simulate sessions one after the other.
+
+        Parameters
+        ----------
+        values
+            Of `parameters`.
+        effects
+            What is added.
+        drive
+            Expected torque of each session, which some effects look at [Nm].
+        """
+
+    def write(self, path: Path, values: Values, effects: Sequence[Active], text: str) -> None:
+        """Write a vehicle file with these values and effects."""
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """A session as the effects make it: conditions at the true speed, and the sum of their terms, each a series."""
+
+    at: Conditions
+    terms: Terms
+
+
+def courses(sessions: Sequence[Session], facts: Facts, effects: Sequence[Active], drive: Sequence[Array]) -> list[Course]:
+    """Conditions and terms of sessions; states of the effects' own are carried from one to the next."""
+    own: list[float | None] = [None] * len(effects)
+    found = []
+    for session, torque in zip(sessions, drive, strict=True):
+        at = Conditions(
+            facts, session.speed, session.accel, session.weight, session.ambient, session.yaw_rate, session.heading,
+            session.distance, torque,
+        )  # fmt: skip
+        factor = 1.0
+        for active in effects:
+            if active.effect.acts_on == "sensor":
+                factor *= active.terms(at, 0.0).speed_factor
+        if factor != 1.0:
+            at = at_speed(at, session.speed * factor)
+        terms = []
+        for i, active in enumerate(effects):
+            series, own[i] = _own_state(active, at, session, own[i])
+            terms.append(active.terms(at, series))
+        found.append(Course(at, together(terms)))
+    return found
+
+
+def at_speed(at: Conditions, speed: Array) -> Conditions:
+    """The same conditions at another speed."""
+    return Conditions(
+        at.facts, speed, at.accel, at.weight, at.ambient, at.yaw_rate, at.heading, at.distance, at.drive_torque, at.own
+    )
+
+
+def full(value: Any, session: Session) -> Array:
+    """A term as a series of a session."""
+    return np.ascontiguousarray(np.broadcast_to(np.asarray(value, dtype=float), (len(session),)))
+
+
+def as_sensed(torque: Array, terms: Terms, session: Session) -> Array:
+    """What the torque sensor shows of a torque [Nm]."""
+    shown = terms.sensor_gain * torque + terms.sensor_offset
+    if terms.sensor_delay <= 0.0:
+        return shown
+    if session.torque_course is None:  # nothing was measured: the middle of a step is where its mean is
+        return np.interp(session.time - terms.sensor_delay, session.time, shown)
+    # Within a step the torque may jump, which its mean does not show. So the measured one is taken later instead, exactly.
+    return shown - (session.torque_course.means(session.time + terms.sensor_delay, session.step) - session.torque)
+
+
+def _own_state(active: Active, at: Conditions, session: Session, before: float | None) -> tuple[Array | float, float | None]:
+    lag = active.effect.lag(at, active.values)
+    if lag is None:
+        return 0.0, None
+    target, time_constant = full(lag.target, session), full(lag.time_constant, session)
+    start = float(full(lag.start, session)[0])
+    if before is not None and np.isfinite(session.gap):
+        rest = active.effect.lag(_at_rest(at), active.values)
+        assert rest
+        decay = np.exp(-session.gap / float(full(rest.time_constant, session)[0]))
+        start = float(full(rest.target, session)[0]) * (1.0 - decay) + before * decay
+    series = np.empty(len(session))
+    follow(target, time_constant, session.step, start, series)
+    last = series[-1] + (target[-1] - series[-1]) * -np.expm1(-session.step / time_constant[-1])
+    return series, float(last)
+
+
+def _at_rest(at: Conditions) -> Conditions:
+    return at_speed(at, np.zeros_like(np.asarray(at.speed)))

@@ -1,0 +1,181 @@
+"""The whole diagnosis, step after step; each result is frozen and can be looked at."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.advise import Advice, advise
+from trackres_ros.diagnosis.base import Base
+from trackres_ros.diagnosis.bases import LoadedBase
+from trackres_ros.diagnosis.fitting import Fit, Problem
+from trackres_ros.diagnosis.gate import Gated, gate, split
+from trackres_ros.diagnosis.held_out import HeldOut, held_out
+from trackres_ros.diagnosis.intervals import Interval, intervals
+from trackres_ros.diagnosis.locate import ThermalCheck, acts, contribution, spans, thermal_check
+from trackres_ros.diagnosis.naming import Step, begin, choose
+from trackres_ros.diagnosis.regimes import RegimeMap, cumulative_periodogram, regime_map
+from trackres_ros.diagnosis.sanity import aligned_clock, check_torque
+from trackres_ros.diagnosis.screening import QUICK_REPLICATES, REPLICATES
+from trackres_ros.diagnosis.session import Session, Split
+from trackres_ros.diagnosis.verdict import Found, Verdict, judge
+from trackres_ros.effects import catalogue
+from trackres_ros.recording import Recording
+from trackres_ros.sources import open_source
+from trackres_ros.topics import Topics
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """All that was found.
+
+    Attributes
+    ----------
+    base, gated, split
+        The base model, what passed the gate, and what was held out.
+    nominal
+        Torque of each session with the values of the vehicle file [Nm].
+    refitted, final
+        The base re-fitted, and with the effects chosen.
+    at_base, at_end
+        Residual by regime of both.
+    periodogram_p
+        Probability that the last whitened residual is white.
+    thermal
+        Measured against simulated belt temperature, with the base re-fitted; None where none was measured.
+    steps, found
+        Rounds of the choice, and the effects chosen.
+    base_intervals
+        Of the base's parameters in `final`.
+    held_out, advice, verdict
+        What it is worth, what to drive next, and what it comes to.
+    """
+
+    base: Base
+    gated: Gated
+    split: Split
+    nominal: tuple[Array, ...]
+    refitted: Fit
+    final: Fit
+    at_base: RegimeMap
+    at_end: RegimeMap
+    periodogram_p: float
+    thermal: ThermalCheck | None
+    steps: tuple[Step, ...]
+    found: tuple[Found, ...]
+    base_intervals: dict[str, Interval]
+    held_out: HeldOut
+    advice: tuple[Advice, ...]
+    verdict: Verdict
+
+    @property
+    def sessions(self) -> tuple[Session, ...]:
+        """The recordings."""
+        return self.final.problem.sessions
+
+
+def read_recordings(paths: Sequence[Path], topics: Topics | None) -> list[Recording]:
+    """Read recordings, each one session, in the order of their clocks where all have one."""
+    recordings = [Recording.from_source(open_source([path], topics)) for path in paths]
+    starts = [r.start_ns for r in recordings]
+    return [r for _, r in sorted(zip(starts, recordings, strict=True), key=lambda pair: pair[0])] if all(starts) else recordings
+
+
+def diagnose(
+    recordings: Sequence[Recording],
+    vehicle: LoadedBase,
+    hide: Sequence[str] = (),
+    holdout: int | Sequence[str] | None = None,
+    seed: int = 1,
+    quick: bool = False,
+    effects_dir: Path | None = None,
+    said: Callable[[str], None] = lambda _: None,
+) -> Diagnosis:
+    """Find where recordings part from a base model, which effect is left out, and what a model with it is worth.
+
+    Parameters
+    ----------
+    vehicle
+        See `bases.load_base`.
+    hide
+        Roles that are not to be read.
+    holdout
+        See `gate.split`.
+    seed
+        Of all that is drawn: equal seeds give equal results.
+    quick
+        Fewer draws.
+    effects_dir
+        Folder with effects of the user's own.
+    said
+        Takes the name of each stage.
+
+    Raises
+    ------
+    InputError
+        If the recordings cannot be used; says why.
+    """
+    rng, base = np.random.default_rng(seed), vehicle.base
+    effects = catalogue(effects_dir)
+    said("gate: units, clocks, gaps")
+    gated = gate(recordings, vehicle.known, hide)
+    gated, nominal = _judged_by_nominal(gated, base)
+    chosen = split(gated.sessions, holdout)
+    masks = tuple(chosen.training_mask(s) for s in gated.sessions)
+    said("re-fit of the base")
+    refitted = begin(Problem(base, gated.sessions, masks, nominal))
+    said("where: residual by regime")
+    at_base = regime_map(refitted, rng)
+    steps, final = choose(refitted, effects, QUICK_REPLICATES if quick else REPLICATES, rng, said)
+    said("what is left")
+    at_end = regime_map(final, rng)
+    said("how sure: intervals")
+    bounds = intervals(final)
+    by_name = {s.chosen.name: s for s in steps if s.chosen}
+    found = []
+    for active in final.effects:
+        adds = contribution(final, active.effect.name)
+        where = acts(final, adds)
+        found.append(
+            Found(
+                active.effect.name,
+                active.effect.text,
+                active.effect.acts_on,
+                active.effect.parameters,
+                by_name[active.effect.name],
+                active.values,
+                {q: bounds[active.effect.name, q] for q in active.values},
+                adds,
+                spans(final.problem.sessions, adds),
+                where,
+                at_base.within(where.variable, where.low, where.high),
+            )
+        )
+    said("what it is worth: laps held out")
+    worth = held_out(nominal, refitted, final, [chosen.held_out_mask(s) for s in gated.sessions], rng)
+    said("what to drive next")
+    advice = [a for s in steps if s.chosen for a in advise(s.candidates, s.members, vehicle.known.max_speed)]
+    return Diagnosis(
+        base, gated, chosen, nominal, refitted, final, at_base, at_end, cumulative_periodogram(final), thermal_check(refitted),
+        tuple(steps), tuple(found), {name: b for (effect, name), b in bounds.items() if not effect}, worth, tuple(advice),
+        judge(found, refitted, at_end, worth),
+    )  # fmt: skip
+
+
+def _judged_by_nominal(gated: Gated, base: Base) -> tuple[Gated, tuple[Array, ...]]:
+    """Clocks put right, sign and unit checked, by the torque that the vehicle file expects; and that torque."""
+    values = {q.name: q.nominal for q in base.parameters}
+    still = [np.zeros(len(s)) for s in gated.sessions]
+    expected = [p.torque for p in base.predict(gated.sessions, values, (), still)]
+    moved = [aligned_clock(s, e) for s, e in zip(gated.sessions, expected, strict=True)]
+    sessions = tuple(s for s, _ in moved)
+    notes = (*gated.notes, *(note for _, note in moved if note))
+    if base.name == "track":
+        check_torque(sessions, expected)
+    return replace(gated, sessions=sessions, notes=notes), tuple(expected)

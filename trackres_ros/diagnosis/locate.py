@@ -1,0 +1,143 @@
+"""Step 3: where a mismatch is: when an effect acts, and whether torque or temperature is to blame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.fitting import Fit
+from trackres_ros.diagnosis.session import Session
+
+Array = NDArray[np.float64]
+
+ACTING_SHARE = 0.5  # of its 95th percentile
+JOINED_S, SHORTEST_S = 10.0, 5.0
+MOST_SPANS = 60
+BINS = 12
+VARIABLES: dict[str, tuple[str, Callable[[Session, Array], Array]]] = {
+    "speed": ("m/s", lambda s, _: s.speed),
+    "acceleration": ("m/s^2", lambda s, _: s.accel),
+    "yaw rate": ("rad/s", lambda s, _: np.abs(s.yaw_rate)),
+    "curvature": ("1/m", lambda s, _: np.abs(s.yaw_rate) / np.maximum(np.abs(s.speed), 0.3)),
+    "heading": ("rad", lambda s, _: np.angle(np.exp(1j * s.heading))),
+    "belt temperature": ("degC", lambda _, belt: belt),
+    "ambient temperature": ("degC", lambda s, _: s.ambient),
+    "time since start": ("s", lambda s, _: s.time),
+    "load": ("N", lambda s, _: s.weight),
+    "distance": ("m", lambda s, _: s.distance),
+}
+"""What an effect may follow: unit, and its series out of a session and the simulated belt temperature."""
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """A time in a recording [s]."""
+
+    recording: str
+    begin: float
+    end: float
+
+
+@dataclass(frozen=True, slots=True)
+class ThermalCheck:
+    """Measured less simulated belt temperature [K]: mean, mean size; and mean torque residual explained by that alone [Nm]."""
+
+    mean_k: float
+    mean_abs_k: float
+    text: str
+
+
+def contribution(found: Fit, name: str) -> list[Array]:
+    """What one effect adds to the expected torque of each session [Nm]."""
+    others = [a for a in found.effects if a.effect.name != name]
+    without = found.problem.predict(found.base_values, others)
+    return [p.torque - w.torque for p, w in zip(found.predicted, without, strict=True)]
+
+
+def spans(sessions: tuple[Session, ...], series: list[Array]) -> list[Span]:
+    """When a series is large: at least `ACTING_SHARE` of what it hardly ever exceeds."""
+    used = np.concatenate([np.abs(x[s.used]) for x, s in zip(series, sessions, strict=True)])
+    if not len(used) or not used.max() > 0.0:
+        return []
+    limit = ACTING_SHARE * float(np.percentile(used, 95.0))
+    found: list[Span] = []
+    for session, x in zip(sessions, series, strict=True):
+        acting = (np.abs(x) >= limit) & session.used
+        begins = session.time[np.flatnonzero(np.diff(acting.astype(int), prepend=0) == 1)]
+        ends = session.time[np.flatnonzero(np.diff(acting.astype(int), append=0) == -1)] + session.step
+        for begin, end in zip(begins, ends, strict=True):
+            last = found[-1] if found and found[-1].recording == session.name else None
+            if last and begin - last.end <= JOINED_S:
+                found[-1] = replace(last, end=float(end))
+            else:
+                found.append(Span(session.name, float(begin), float(end)))
+    lasting = [s for s in found if s.end - s.begin >= SHORTEST_S]
+    longest = sorted(lasting, key=lambda s: s.begin - s.end)[:MOST_SPANS]
+    return [s for s in lasting if s in longest]
+
+
+@dataclass(frozen=True, slots=True)
+class Acts:
+    """Where an effect acts: the variable that it follows best, and the range of it where it is large."""
+
+    variable: str
+    unit: str
+    low: float
+    high: float
+    least: float  # of the variable, anywhere
+    most: float
+
+    @property
+    def text(self) -> str:
+        """In words."""
+        whole = self.most - self.least
+        from_start, to_end = self.low - self.least < 0.1 * whole, self.most - self.high < 0.1 * whole
+        if from_start and to_end:
+            return ""
+        if to_end:
+            return f"above {self.low:.3g} {self.unit} of {self.variable}"
+        if from_start:
+            return f"below {self.high:.3g} {self.unit} of {self.variable}"
+        return f"from {self.low:.3g} to {self.high:.3g} {self.unit} of {self.variable}"
+
+
+def acts(found: Fit, adds: list[Array]) -> Acts:
+    """The variable whose bins explain most of a series, and the range of its bins where the series is large."""
+    sessions = found.problem.sessions
+    used = np.concatenate([s.used for s in sessions])
+    series = np.concatenate(adds)[used]
+    best, result = -1.0, Acts("speed", "m/s", -np.inf, np.inf, -np.inf, np.inf)
+    for name, (unit, of) in VARIABLES.items():
+        x = np.concatenate([of(s, p.belt) for s, p in zip(sessions, found.predicted, strict=True)])[used]
+        if not np.isfinite(x).all() or np.ptp(x) == 0.0:
+            continue
+        edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, BINS + 1)))
+        place = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, max(len(edges) - 2, 0))
+        count = np.maximum(np.bincount(place), 1)
+        means = np.bincount(place, weights=series) / count
+        explained = float(np.var(means[place]))
+        if explained > best * 1.02 + 1e-9:
+            best = explained
+            size = np.bincount(place, weights=np.abs(series)) / count
+            large = np.flatnonzero(size >= ACTING_SHARE * size.max())
+            high = edges[min(large[-1] + 1, len(edges) - 1)]
+            result = Acts(name, unit, float(edges[large[0]]), float(high), float(edges[0]), float(edges[-1]))
+    return result
+
+
+def thermal_check(found: Fit) -> ThermalCheck | None:
+    """Compare measured and simulated belt temperature; None where none was measured."""
+    differences = [
+        r[g.mask] for r, g in zip(found.residuals, found.problem.segments, strict=True) if g.kind == "belt" and g.mask.any()
+    ]
+    if not differences:
+        return None
+    d = np.concatenate(differences)
+    mean, size = float(d.mean()), float(np.abs(d).mean())
+    side = "above" if mean > 0 else "below"
+    return ThermalCheck(
+        mean, size, f"the measured belt temperature is {abs(mean):.1f} K {side} the simulated one on average, {size:.1f} K off"
+    )

@@ -1,0 +1,248 @@
+"""Step 5, second half: candidates that survive are re-fitted together with the base, compared, and chosen forward and back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.fitting import OUTLIER_STD, Fit, Problem, fit
+from trackres_ros.diagnosis.screening import screen
+from trackres_ros.diagnosis.separability import Sensitivity, Separability, separability
+from trackres_ros.effects.effect import Effect
+
+Array = NDArray[np.float64]
+
+MOST_EFFECTS = 3
+MOST_REFITTED = 6
+FAR_BEHIND = 15.0  # in log-likelihood, to first order: no refit makes that good
+ALIKE_WITHIN = 3.0  # in log-likelihood
+STABLE_SHARE = 0.8
+RESAMPLES = 500
+LEAST_WEIGHT = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """An effect fitted together with the base.
+
+    Attributes
+    ----------
+    name, fit
+        The effect, and the fit with it.
+    gain
+        In log-likelihood over the fit without.
+    criterion
+        The same less half the logarithm of the effective sample for each parameter that the data settle: half of BIC's gain.
+    kept, d_prime
+        See `separability.Sensitivity`.
+    """
+
+    name: str
+    fit: Fit
+    gain: float
+    criterion: float
+    kept: float
+    d_prime: float
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One round of the forward choice.
+
+    Attributes
+    ----------
+    before
+        The fit it began with.
+    separability, threshold, screened
+        What could be seen, the gain that noise alone reaches once in twenty, and the gains to first order.
+    candidates
+        Those re-fitted, best first.
+    chosen
+        The best, if it counts; else None.
+    members, weights
+        Effects that explain it as well, and how likely each is.
+    stability
+        Share of resampled laps in which the class wins.
+    """
+
+    before: Fit
+    separability: Separability
+    threshold: float
+    screened: tuple[tuple[str, float], ...]
+    candidates: tuple[Candidate, ...]
+    chosen: Candidate | None
+    members: tuple[str, ...]
+    weights: Mapping[str, float]
+    stability: float
+
+
+def choose(
+    base_fit: Fit,
+    effects: Mapping[str, Effect],
+    replicates: int,
+    rng: np.random.Generator,
+    said: Callable[[str], None] = lambda _: None,
+) -> tuple[list[Step], Fit]:
+    """Choose at most `MOST_EFFECTS` effects, each only if it gains more than noise would; then drop what others made needless.
+
+    Returns
+    -------
+    steps, fit
+        All rounds, the last of them without a choice unless the limit was reached; and the final fit.
+    """
+    steps: list[Step] = []
+    current = base_fit
+    for round_ in range(MOST_EFFECTS + 1):
+        said(f"naming, round {round_ + 1}: {', '.join(current.effect_names) or 'base alone'}")
+        step = _round(current, effects, replicates, rng)
+        steps.append(step)
+        if step.chosen is None or round_ == MOST_EFFECTS:
+            break
+        current = _refreshed(step.chosen.fit)
+    if len(current.effects) > 1:
+        current, steps = _drop(current, steps)
+    return steps, current
+
+
+def _round(current: Fit, effects: Mapping[str, Effect], replicates: int, rng: np.random.Generator) -> Step:
+    seen = separability(effects, current)
+    screened = screen(current, seen.visible, replicates, rng)
+    gains = tuple((s.effect.name, gain) for s, gain in screened.gains)
+    best = screened.gains[0][1] if screened.gains else 0.0
+    if best < 0.5 * screened.threshold or best < 1.0:
+        return Step(current, seen, screened.threshold, gains, (), None, (), {}, 0.0)
+    worth = [s for s, gain in screened.gains if gain > 0.25 * screened.threshold and gain > best - max(FAR_BEHIND, 0.5 * best)]
+    names = list(dict.fromkeys(s.effect.name for s in worth))[:MOST_REFITTED]
+    candidates = [_refit(current, effects[name], [s for s in worth if s.effect.name == name]) for name in names]
+    candidates.sort(key=lambda c: -c.criterion)
+    first = candidates[0]
+    counts = first.gain > screened.threshold and first.criterion > 0.0
+    weights = _class_of(first, candidates, seen)
+    wins = _wins(current, candidates, rng)
+    members, weights, stability = _widened(weights, wins)
+    chosen = first if counts and stability >= STABLE_SHARE else None
+    return Step(current, seen, screened.threshold, gains, tuple(candidates), chosen, members, weights, stability)
+
+
+def _refit(current: Fit, effect: Effect, found: Sequence[Sensitivity]) -> Candidate:
+    """The best of the fits from each start."""
+    active = [a.effect for a in current.effects]
+    best: Fit | None = None
+    for sensitivity in found:
+        start = {**current.at, **{(effect.name, name): value for name, value in _begin(sensitivity).items()}}
+        tried = fit(current.problem, [*active, effect], start, current.noises)
+        if best is None or tried.log_likelihood > best.log_likelihood:
+            best = tried
+    assert best
+    gain = best.log_likelihood - current.log_likelihood
+    penalty = 0.5 * np.log(effective_samples(best)) * effective_parameters(best, effect.name)
+    strongest = max(found, key=lambda s: s.d_prime)
+    return Candidate(effect.name, best, gain, gain - penalty, strongest.kept, strongest.d_prime)
+
+
+def _begin(sensitivity: Sensitivity) -> dict[str, float]:
+    """Values to begin a fit at: a fifth of the typical effect, so that its sign may turn and its shape can be felt."""
+    values = dict(sensitivity.start)
+    for q in sensitivity.effect.parameters:
+        if q.off is not None:
+            values[q.name] = q.off + 0.2 * (q.start - q.off)
+    return values
+
+
+def effective_parameters(found: Fit, effect: str) -> float:
+    """How many parameters of an effect the data settle: one as unsure as its bounds allow is none."""
+    of = [f for f in found.free if f.key[0] == effect]
+    return float(sum(1.0 - min(1.0, (found.std_of(*f.key) / f.std) ** 2) for f in of))
+
+
+def effective_samples(found: Fit) -> float:
+    """Samples that autocorrelated residuals are worth for a constant."""
+    torque = [(r, g.mask) for r, g in zip(found.residuals, found.problem.segments, strict=True) if g.kind == "torque"]
+    variance = float(np.var(np.concatenate([r[m] for r, m in torque])))
+    samples = sum(int(m.sum()) for _, m in torque)
+    return max(10.0, samples * min(1.0, found.noise.gain**2 * variance / found.noise.std**2))
+
+
+def _class_of(first: Candidate, candidates: Sequence[Candidate], seen: Separability) -> dict[str, float]:
+    """Weights of candidates that are as good as the first, or look alike and nearly so."""
+    alike = set(seen.alike(first.name)) if first.name in seen.names else {first.name}
+    near = [
+        c
+        for c in candidates
+        if c.criterion > first.criterion - ALIKE_WITHIN or (c.name in alike and c.criterion > first.criterion - 2 * ALIKE_WITHIN)
+    ]
+    raw = np.exp(np.array([c.criterion for c in near]) - first.criterion)
+    weights = raw / raw.sum()
+    kept = [(c.name, float(w)) for c, w in zip(near, weights, strict=True) if w >= LEAST_WEIGHT or c is first]
+    total = sum(w for _, w in kept)
+    return {name: w / total for name, w in kept}
+
+
+def _widened(weights: Mapping[str, float], wins: Mapping[str, float]) -> tuple[tuple[str, ...], dict[str, float], float]:
+    """The class with the rivals that other laps would have named, until it wins in `STABLE_SHARE` of them; and how often."""
+    widened = dict(weights)
+    for name, share in sorted(wins.items(), key=lambda pair: -pair[1]):
+        if sum(wins[m] for m in widened) >= STABLE_SHARE or share < LEAST_WEIGHT:
+            break
+        widened.setdefault(name, share)
+    total = sum(widened.values())
+    return tuple(widened), {m: w / total for m, w in widened.items()}, sum(wins[m] for m in widened)
+
+
+def _wins(current: Fit, candidates: Sequence[Candidate], rng: np.random.Generator) -> dict[str, float]:
+    """Share of resamples of the laps in which each candidate is the best, and better than nothing."""
+    blocks = np.unique(np.concatenate([g.block[g.mask] for g in current.problem.segments]))
+    table = np.zeros((len(candidates), len(blocks)))
+    _, null = _log_density(current)
+    for i, candidate in enumerate(candidates):
+        block, density = _log_density(candidate.fit)
+        table[i] = np.bincount(np.searchsorted(blocks, block), weights=density - null, minlength=len(blocks))
+    draws = rng.multinomial(len(blocks), np.full(len(blocks), 1.0 / len(blocks)), size=RESAMPLES)
+    penalty = np.array([c.gain - c.criterion for c in candidates])
+    by_priors = np.array([c.gain for c in candidates]) - table.sum(axis=1)  # the same on whatever laps
+    scores = draws @ table.T + by_priors - penalty
+    best = np.argmax(scores, axis=1)
+    better = scores.max(axis=1) > 0.0
+    return {c.name: float(np.mean((best == i) & better)) for i, c in enumerate(candidates)}
+
+
+def _log_density(found: Fit) -> tuple[NDArray[np.int64], Array]:
+    """Block and log-density of each whitened residual."""
+    blocks, densities = [], []
+    for segment, white in zip(found.problem.segments, found.white, strict=True):
+        valid = np.isfinite(white)
+        blocks.append(segment.block[valid])
+        tame = np.clip(white[valid], -OUTLIER_STD, OUTLIER_STD)
+        densities.append(-0.5 * tame**2 - np.log(found.noises[segment.kind].std))
+    return np.concatenate(blocks), np.concatenate(densities)
+
+
+def _refreshed(found: Fit) -> Fit:
+    """The same fit with the driving torque that effects look at taken from it."""
+    problem = replace(found.problem, drive=tuple(p.at_sprockets for p in found.predicted))
+    return fit(problem, [a.effect for a in found.effects], found.at, found.noises, rounds=1)
+
+
+def _drop(current: Fit, steps: list[Step]) -> tuple[Fit, list[Step]]:
+    """Leave out what gains less than its threshold once the others are there."""
+    kept = list(current.effects)
+    threshold = {s.chosen.name: s.threshold for s in steps if s.chosen}
+    for active in list(kept):
+        if len(kept) == 1:
+            break
+        without = [a.effect for a in kept if a is not active]
+        reduced = fit(current.problem, without, current.at, current.noises)
+        penalty = 0.5 * np.log(effective_samples(current)) * effective_parameters(current, active.effect.name)
+        if current.log_likelihood - reduced.log_likelihood < max(threshold.get(active.effect.name, 0.0), penalty):
+            kept = [a for a in kept if a is not active]
+            current = reduced
+    remaining = {a.effect.name for a in kept}
+    return current, [s for s in steps if s.chosen is None or s.chosen.name in remaining]
+
+
+def begin(problem: Problem) -> Fit:
+    """The base re-fitted, with the driving torque that effects look at taken from it."""
+    return _refreshed(fit(problem))

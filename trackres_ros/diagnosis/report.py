@@ -1,0 +1,145 @@
+"""The diagnosis as report.json; its form is fixed, additions are allowed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trackres_ros.diagnosis.diagnose import Diagnosis
+from trackres_ros.diagnosis.intervals import Interval
+from trackres_ros.diagnosis.regimes import Bin
+from trackres_ros.diagnosis.verdict import Found
+
+SCHEMA = 1
+
+
+def report(d: Diagnosis, paths: Sequence[Path]) -> dict[str, Any]:
+    """All findings as plain data."""
+    nominal = {q.name: q for q in d.base.parameters}
+    return {
+        "schema": SCHEMA,
+        "recordings": [str(path) for path in paths],
+        "base": {
+            "model": d.base.name,
+            "refitted": {
+                name: {
+                    "nominal": _number(nominal[name].nominal),
+                    "value": _number(value),
+                    "unit": nominal[name].unit,
+                    "ci95": _pair(d.base_intervals.get(name)),
+                }
+                for name, value in d.final.base_values.items()
+            },
+        },
+        "verdict": {"status": d.verdict.status, "sentence": d.verdict.sentence},
+        "effects": [_effect(f) for f in d.found],
+        "heldout": {
+            "laps": list(d.held_out.laps),
+            "mae": _numbers(d.held_out.mae),
+            "r2": _numbers(d.held_out.r2),
+            "bias": _numbers(d.held_out.bias),
+            "improvement_ci95": [_number(x) for x in d.held_out.improvement_ci95],
+            "mae_by_lap": {stage: [_number(float(x)) for x in values] for stage, values in d.held_out.by_lap.items()},
+        },
+        "not_visible": [{"name": n.name, "why": n.why} for n in d.steps[-1].separability.not_visible],
+        "rejected": [{"reason": x.reason, "samples": x.samples} for x in d.gated.left_out],
+        "advice": [
+            {
+                "separates": list(a.separates),
+                "manoeuvre": a.manoeuvre,
+                "expected_d_prime": _number(a.expected_d_prime),
+                "minutes": _number(a.minutes),
+            }
+            for a in d.advice
+        ],
+        "candidates": [
+            {
+                "round": i + 1,
+                "name": c.name,
+                "delta_loglik": _number(c.gain),
+                "bic_gain": _number(2.0 * c.criterion),
+                "kept": _number(c.kept),
+                "d_prime": _number(c.d_prime),
+                "threshold": _number(s.threshold),
+                "chosen": s.chosen is c,
+            }
+            for i, s in enumerate(d.steps)
+            for c in s.candidates
+        ],
+        "residual_by_regime": {"base": [_bin(b) for b in d.at_base.bins], "end": [_bin(b) for b in d.at_end.bins]},
+        "whiteness_p": _number(d.periodogram_p),
+        "noise": d.final.noise.text,
+        "split": d.split.text,
+        "notes": list(d.gated.notes),
+        "thermal": None
+        if d.thermal is None
+        else {"mean_k": _number(d.thermal.mean_k), "mean_abs_k": _number(d.thermal.mean_abs_k), "text": d.thermal.text},
+    }
+
+
+def _effect(f: Found) -> dict[str, Any]:
+    chosen = f.step.chosen
+    assert chosen
+    units = {q.name: q.unit for q in f.parameters}
+    return {
+        "name": f.name,
+        "class": list(f.step.members),
+        "weights": _numbers(dict(f.step.weights)),
+        "acts_on": f.acts_on,
+        "parameters": {
+            name: {
+                "value": _number(value),
+                "unit": units[name],
+                "ci95": None if f.intervals[name].bound_only else _pair(f.intervals[name]),
+                "bound_only": f.intervals[name].bound_only,
+            }
+            for name, value in f.values.items()
+        },
+        "where": {
+            "time": [[s.recording, _number(s.begin), _number(s.end)] for s in f.where],
+            "regime": [
+                {
+                    "variable": b.variable,
+                    "lo": _number(b.low),
+                    "hi": _number(b.high),
+                    "mean_residual": _number(b.mean_residual),
+                    "unit": b.unit,
+                    "p": _number(b.p),
+                }
+                for b in f.regime
+            ],
+        },
+        "evidence": {
+            "delta_loglik": _number(chosen.gain),
+            "bic_gain": _number(2.0 * chosen.criterion),
+            "stability": _number(f.step.stability),
+            "kept": _number(chosen.kept),
+            "d_prime": _number(chosen.d_prime),
+        },
+        "text": f.text,
+    }
+
+
+def _bin(b: Bin) -> dict[str, Any]:
+    return {
+        "variable": b.variable, "lo": _number(b.low), "hi": _number(b.high), "mean_residual": _number(b.mean_residual),
+        "unit": b.unit, "samples": b.samples, "p": _number(b.p),
+    }  # fmt: skip
+
+
+def _number(value: float) -> float | None:
+    """A number that JSON can hold, with as many figures as matter."""
+    value = float(value)
+    return float(np.format_float_positional(value, 6, fractional=False)) if math.isfinite(value) else None
+
+
+def _numbers(values: dict[str, float]) -> dict[str, float | None]:
+    return {name: _number(value) for name, value in values.items()}
+
+
+def _pair(interval: Interval | None) -> list[float | None] | None:
+    return None if interval is None else [_number(interval.low), _number(interval.high)]

@@ -1,0 +1,127 @@
+"""Road load as a base: a rolling coefficient, air, inertia, a known slope; for a chassis on tyres and other vehicles."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.base import BaseParameter, Predicted, Values, as_sensed, courses
+from trackres_ros.diagnosis.session import Session
+from trackres_ros.diagnosis.vehicle_file import REASON, write_yaml
+from trackres_ros.effects.delay import Delay
+from trackres_ros.effects.drivetrain_efficiency import DrivetrainEfficiency
+from trackres_ros.effects.effect import Active, Facts
+from trackres_ros.model.belt import GRAVITY
+from trackres_ros.vehicle.reading import Reader
+from trackres_ros.vehicle.schema import Limits
+
+Array = NDArray[np.float64]
+
+QUANTITIES = {
+    "rolling_coefficient": Limits("1", 0.0, 0.5, "rolling resistance over weight"),
+    "rolling_rise": Limits("s/m", -0.01, 0.05, "growth of the rolling coefficient with speed"),
+    "drag_area": Limits("m^2", 0.0, 30.0, "drag coefficient times frontal area"),
+    "air_density": Limits("kg/m^3", 0.3, 2.0, "air density"),
+    "mass": Limits("kg", 0.5, 1e6, "mass with driver and load"),
+    "rotating_mass_factor": Limits("1", 1.0, 3.0, "effective over true mass in acceleration"),
+    "wheel_radius": Limits("m", 0.01, 3.0, "rolling radius of the driven wheels"),
+    "torque_scale": Limits("1", 0.01, 100.0, "shown over true torque at the wheels, as of a motor constant"),
+    "efficiency": Limits("1", 0.75, 1.0, "of the gears between the measured torque and the wheels"),
+    "torque_delay": Limits("s", 0.0, 1.0, "by which the measured torque is late"),
+    "contact_length": Limits("m", 0.01, 10.0, "length of the ground contact, or the wheelbase of a skid-steered vehicle"),
+    "max_speed": Limits("m/s", 0.1, 100.0, "greatest speed"),
+    "ambient": Limits("degC", -60.0, 60.0, "ambient temperature where none is given"),
+}
+FITTED = ("rolling_coefficient", "rolling_rise", "drag_area", "rotating_mass_factor", "efficiency", "torque_delay")
+
+
+@dataclass(frozen=True)
+class RoadVehicle:
+    """A checked road-load file: quantities by name, with their ranges."""
+
+    name: str
+    title: str
+    source: Path
+    values: Mapping[str, float]
+    std: Mapping[str, float]
+    content: Mapping[str, Any]
+
+
+def load_road_vehicle(path: Path, content: Mapping[str, Any]) -> RoadVehicle:
+    """Check the content of a road-load file.
+
+    Raises
+    ------
+    InputError
+        On a missing, unknown or implausible value.
+    """
+    reader = Reader(path, None)
+    reader.keys(content, "", ("schema", "name", "title", "road_load"), ("effects",))
+    values = reader.table(content["road_load"], "road_load", QUANTITIES)
+    std = {name: reader.parameters[f"road_load.{name}"].standard_deviation for name in values}
+    return RoadVehicle(reader.text(content["name"], "name"), reader.text(content["title"], "title"), path, values, std, content)
+
+
+class RoadBase:
+    """Base model `road_load`; see `base.Base`."""
+
+    name = "road_load"
+    has_belt = False
+    includes = (DrivetrainEfficiency.name, Delay.name)
+
+    def __init__(self, vehicle: RoadVehicle) -> None:
+        self.vehicle = vehicle
+        v = vehicle.values
+        self.facts = Facts(
+            radius=v["wheel_radius"], weight=v["mass"] * GRAVITY, drag_area=v["drag_area"], air_density=v["air_density"],
+            contact_length=v["contact_length"], assemblies=1, cooled_area=0.0, tension=1.0,
+        )  # fmt: skip
+        self.parameters = tuple(
+            BaseParameter(
+                name,
+                QUANTITIES[name].unit,
+                v[name],
+                vehicle.std[name],
+                QUANTITIES[name].low,
+                QUANTITIES[name].high,
+            )
+            for name in FITTED
+        )
+
+    def predict(
+        self, sessions: Sequence[Session], values: Values, effects: Sequence[Active], drive: Sequence[Array]
+    ) -> list[Predicted]:
+        """See `base.Base`."""
+        fixed, found = self.vehicle.values, []
+        chain = (
+            Active(DrivetrainEfficiency(), {"efficiency": values["efficiency"]}),
+            Active(Delay(), {"time": values["torque_delay"]}),
+        )
+        for session, course in zip(sessions, courses(sessions, self.facts, [*chain, *effects], drive), strict=True):
+            speed, direction = np.asarray(course.at.speed), np.asarray(course.at.direction)
+            rolling = (values["rolling_coefficient"] + values["rolling_rise"] * np.abs(speed)) * session.weight * direction
+            air = 0.5 * fixed["air_density"] * values["drag_area"] * speed * np.abs(speed)
+            force = rolling + air + values["rotating_mass_factor"] * session.weight / GRAVITY * session.accel
+            if "grade" in session.given:
+                force = force + session.weight * session.grade / np.sqrt(1.0 + session.grade**2)
+            torque = (fixed["wheel_radius"] * force + course.terms.torque) * course.terms.drive_gain
+            nothing = np.full(len(session), np.nan)
+            found.append(Predicted(fixed["torque_scale"] * as_sensed(torque, course.terms, session), torque, nothing, nothing))
+        return found
+
+    def write(self, path: Path, values: Values, effects: Sequence[Active], text: str) -> None:
+        """See `base.Base`."""
+        content = {**self.vehicle.content, "road_load": dict(self.vehicle.content["road_load"])}
+        for name in FITTED:
+            quantity = dict(content["road_load"][name])
+            low, high = quantity["range"]
+            quantity.update(value=values[name], range=[min(low, values[name]), max(high, values[name])], flag="A", reason=REASON)
+            content["road_load"][name] = quantity
+        if effects:
+            content["effects"] = {a.effect.name: dict(a.values) for a in effects}
+        write_yaml(path, content, text)

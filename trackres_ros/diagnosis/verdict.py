@@ -1,0 +1,164 @@
+"""What it comes to: one of four verdicts, in one sentence."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.base import BaseParameter
+from trackres_ros.diagnosis.fitting import Fit
+from trackres_ros.diagnosis.held_out import HeldOut
+from trackres_ros.diagnosis.intervals import Interval
+from trackres_ros.diagnosis.locate import Acts, Span
+from trackres_ros.diagnosis.naming import Step
+from trackres_ros.diagnosis.regimes import Bin, RegimeMap
+from trackres_ros.effects.effect import Parameter
+
+Array = NDArray[np.float64]
+
+LACK_OF_FIT_P = 0.01
+LEFT_SHARE = 0.5  # of what the effects explain: more left over, and the names explain little
+MOST_CERTAIN = 20.0  # in log-likelihood: more is no more certain
+FINE_R2 = 0.995  # above it R2 says nothing that the mean error does not
+MOVED = 1.5  # standard deviations of the file's own range
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """An effect that was named, alone or as one of a class."""
+
+    name: str
+    text: str
+    acts_on: str
+    parameters: Sequence[Parameter]
+    step: Step
+    values: Mapping[str, float]
+    intervals: Mapping[str, Interval]
+    adds: list[Array]  # to the expected torque of each session [Nm]
+    where: Sequence[Span]
+    acts: Acts
+    regime: Sequence[Bin]  # of the base's residual, where it acts
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """Status ``none``, ``named``, ``one_of`` or ``unexplained``, and the sentence."""
+
+    status: str
+    sentence: str
+
+
+def judge(found: Sequence[Found], refitted: Fit, at_end: RegimeMap, held_out: HeldOut) -> Verdict:
+    """The verdict.
+
+    What is left over after the last fit counts as unexplained where nothing was named, or where it is large beside
+    what the names explain.
+    """
+    left = [b for b in at_end.bins if b.p < LACK_OF_FIT_P]
+    if found:
+        explained = float(np.sqrt(np.mean(np.concatenate([sum(x) for x in zip(*(f.adds for f in found), strict=True)]) ** 2)))
+        largest = max((abs(b.mean_residual) for b in left), default=0.0)
+        if largest > LEFT_SHARE * explained:
+            return Verdict("unexplained", f"{_unexplained(left)}; {_tentative(found)}")
+        if held_out.improvement_ci95[1] < 0.0:
+            return Verdict("unexplained", f"{_worse(held_out)} {_tentative(found)}")
+        status = "named" if all(len(f.step.members) <= 1 for f in found) else "one_of"
+        besides = f" Something small is left, {_range(left[0])}." if left else ""
+        gain = _gain(held_out)
+        return Verdict(status, f"{'. '.join(_of_effect(f) for f in found)}. {gain[0].upper()}{gain[1:]}.{besides}")
+    if left:
+        return Verdict("unexplained", f"{_unexplained(left)}, and no effect of the catalogue explains it.")
+    moved = moved_parameters(refitted)
+    if moved:
+        listed = ", ".join(f"{q.name} {q.nominal:.4g} -> {value:.4g} {q.unit}".rstrip(" 1") for q, value in moved)
+        return Verdict(
+            "none",
+            f"No physics is missing, but parameters of the vehicle file were off: {listed}; {_gain(held_out, 'refitted')}.",
+        )
+    return Verdict(
+        "none",
+        f"No mismatch beyond noise: on laps not used for fitting the mean error is {held_out.mae['nominal']:.0f} Nm "
+        f"with the vehicle file as it is and {held_out.mae['refitted']:.0f} Nm re-fitted.",
+    )
+
+
+def moved_parameters(refitted: Fit) -> list[tuple[BaseParameter, float]]:
+    """Parameters of the base that moved further than their range says, furthest first."""
+    found = [(q, refitted.base_values[q.name]) for q in refitted.problem.base.parameters if np.isfinite(q.std)]
+    far = [(q, value) for q, value in found if abs(value - q.nominal) > MOVED * q.std]
+    return sorted(far, key=lambda pair: -abs(pair[1] - pair[0].nominal) / pair[0].std)
+
+
+def _of_effect(f: Found) -> str:
+    used = np.concatenate(f.adds)
+    acting = used[np.abs(used) >= 0.5 * np.percentile(np.abs(used), 95.0)]
+    mean = float(np.mean(acting)) if len(acting) else 0.0
+    side = "more" if mean > 0 else "less"
+    where = f.acts.text
+    measured = (
+        f"{where[0].upper() + where[1:] if where else 'Everywhere'} it takes about {abs(mean):.0f} Nm {side} than the model has"
+    )
+    units = {q.name: "" if q.unit == "1" else f" {q.unit}" for q in f.parameters}
+    values = ", ".join(f"{name} {_with_interval(value, f.intervals.get(name))}{units[name]}" for name, value in f.values.items())
+    members = f.step.members
+    if len(members) <= 1:
+        return f"{measured}: {f.text} ({f.name}: {values}){_rival(f)}"
+    others = ", ".join(f"{name} ({f.step.weights[name]:.0%})" for name in members)
+    return f"{measured}: one of {others}, which these recordings cannot tell apart"
+
+
+def _worse(h: HeldOut) -> str:
+    return (
+        "Something is unexplained: what explains the laps that were fitted makes the others worse, "
+        f"{h.mae['refitted']:.3g} to {h.mae['with_effects']:.3g} Nm of mean error;"
+    )
+
+
+def _rival(f: Found) -> str:
+    """The next best candidate, and how much less likely it is."""
+    others = [c for c in f.step.candidates if c.name not in f.step.members]
+    if not others or f.step.chosen is None:
+        return ""
+    next_best = max(others, key=lambda c: c.criterion)
+    times = math.exp(min(f.step.chosen.criterion - next_best.criterion, MOST_CERTAIN))
+    size = f"{times:.0f}" if times < 1000.0 else "over a thousand"
+    return f"; {next_best.name} is {size} times less likely"
+
+
+def _with_interval(value: float, interval: Interval | None) -> str:
+    if interval is None:
+        return f"{value:.3g}"
+    if interval.bound_only:
+        return f"{value:.3g}, only bounded by {interval.low:.3g} to {interval.high:.3g}"
+    return f"{value:.3g} [{interval.low:.3g}, {interval.high:.3g}]"
+
+
+def _gain(h: HeldOut, stage: str = "with_effects") -> str:
+    before = "refitted" if stage == "with_effects" else "nominal"
+    way = "falls" if h.mae[stage] <= h.mae[before] else "rises"
+    text = f"on laps not used for fitting the mean error {way} from {h.mae[before]:.3g} to {h.mae[stage]:.3g} Nm"
+    if h.r2[before] <= FINE_R2:
+        text += f", R2 from {h.r2[before]:.3f} to {h.r2[stage]:.3f}"
+    low, high = h.improvement_ci95
+    if stage == "with_effects" and low <= 0.0:
+        text += f", which may be chance ({low:.2g} to {high:.2g} Nm better, 95 %)"
+    return text
+
+
+def _range(b: Bin) -> str:
+    return f"at {b.variable} {b.low:.3g} to {b.high:.3g} {b.unit}"
+
+
+def _unexplained(left: Sequence[Bin]) -> str:
+    first = max(left, key=lambda b: abs(b.mean_residual))
+    side = "above" if first.mean_residual > 0 else "below"
+    return f"Something is unexplained: the measured torque is {abs(first.mean_residual):.0f} Nm {side} the model {_range(first)}"
+
+
+def _tentative(found: Sequence[Found]) -> str:
+    names = ", ".join(f.name for f in found)
+    return f"{names} would take up a part of it, but what is left is too large for the name to be believed."

@@ -1,0 +1,225 @@
+"""What a left-out effect is: one interface for the fit, the live estimator and the report."""
+
+from __future__ import annotations
+
+from abc import ABC
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+Number = float | NDArray[np.float64]
+"""A number now, in the live estimator, or a series of them, in a fit: an effect is written for both."""
+Values = Mapping[str, float]
+
+STANDSTILL_MPS = 0.05  # over it friction changes its sign smoothly, as in `model.resistance`
+ACTS_ON = ("torque", "heat", "cooling", "sensor")
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One parameter of an effect.
+
+    Attributes
+    ----------
+    name, unit, text
+        What it is; SI, temperatures in degC.
+    low, high
+        Physically plausible bounds.
+    start
+        A typical value, where fits begin.
+    off
+        The value without effect; None for a parameter of shape, which says nothing while the others are off.
+    more_starts
+        Other values to begin a fit at, where its result may hang on that.
+    """
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    start: float
+    text: str
+    off: float | None = None
+    more_starts: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """What an effect may know of the vehicle, SI; of an assembly where it says so."""
+
+    radius: float  # sprocket pitch radius, or of the wheel
+    weight: float  # nominal, whole vehicle
+    drag_area: float  # C_d A
+    air_density: float
+    contact_length: float  # on the ground
+    assemblies: int
+    cooled_area: float  # of one assembly's belt; 0 where there is none
+    tension: float  # of one belt; 0 where there is none
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """What an effect may look at, each a number or a series of equal shape; nan where not known."""
+
+    facts: Facts
+    speed: Number  # m/s
+    accel: Number  # m/s^2
+    weight: Number  # N, whole vehicle
+    ambient: Number  # degC
+    yaw_rate: Number  # rad/s
+    heading: Number  # rad
+    distance: Number  # m, driven since the first known start
+    drive_torque: Number  # Nm, expected at the sprockets a step before
+    own: Number = 0.0  # the effect's own state, see `Effect.lag`
+
+    @property
+    def direction(self) -> Number:
+        """Sign of the speed, smooth through zero."""
+        return np.tanh(np.asarray(self.speed) / STANDSTILL_MPS)
+
+    @property
+    def curvature(self) -> Number:
+        """Of the path [1/m], unsigned; bounded where it turns on the spot."""
+        turning = np.abs(self.yaw_rate)
+        return turning / np.hypot(self.speed, self.facts.contact_length * turning + 1e-3)
+
+
+@dataclass(frozen=True, slots=True)
+class Terms:
+    """What an effect does now. The defaults do nothing.
+
+    Attributes
+    ----------
+    torque
+        Added to the resistance [Nm], whole vehicle, positive against forward travel.
+    drive_gain
+        Factor on the torque that drives.
+    loss_factor, softening
+        Factor on the belt's loss, and a further exp(-softening (T - `SOFTENING_FROM_DEGC`)) [1/K]: torque and heat.
+    film_offset_factor, film_slope_factor
+        Factors on the two parts of the film coefficient.
+    conductance, sink
+        Of one belt to something [W/K] at a temperature [degC].
+    heat
+        Into one belt [W].
+    inner_resistance
+        From the core of one belt to its surface [K/W].
+    speed_factor
+        True over measured speed.
+    sensor_gain, sensor_offset, sensor_delay
+        What the torque sensor makes of it: factor, [Nm], by how much it is late [s].
+    """
+
+    torque: Number = 0.0
+    drive_gain: Number = 1.0
+    loss_factor: Number = 1.0
+    softening: float = 0.0
+    film_offset_factor: Number = 1.0
+    film_slope_factor: Number = 1.0
+    conductance: Number = 0.0
+    sink: Number = 0.0
+    heat: Number = 0.0
+    inner_resistance: float = 0.0
+    speed_factor: float = 1.0
+    sensor_gain: float = 1.0
+    sensor_offset: float = 0.0
+    sensor_delay: float = 0.0
+
+    def with_(self, other: Terms) -> Terms:
+        """Both together."""
+        conductance = self.conductance + other.conductance
+        share = np.divide(other.conductance, conductance, out=np.zeros(np.shape(conductance)), where=np.asarray(conductance) != 0)
+        products = {name: getattr(self, name) * getattr(other, name) for name in FACTORS}
+        sums = {name: getattr(self, name) + getattr(other, name) for name in SUMS}
+        return Terms(**products, **sums, conductance=conductance, sink=self.sink + share * (np.asarray(other.sink) - self.sink))
+
+
+FACTORS = ("drive_gain", "loss_factor", "film_offset_factor", "film_slope_factor", "speed_factor", "sensor_gain")
+SUMS = ("torque", "softening", "heat", "inner_resistance", "sensor_offset", "sensor_delay")
+assert {*FACTORS, *SUMS, "conductance", "sink"} == {field.name for field in fields(Terms)}
+SOFTENING_FROM_DEGC = 40.0
+
+
+@dataclass(frozen=True, slots=True)
+class Lag:
+    """A state of an effect's own: it follows a target with a time constant [s], from a value after a long rest."""
+
+    target: Number
+    time_constant: Number
+    start: Number
+
+
+class Effect(ABC):
+    """A left-out effect. A class of its own in a file of its own; it holds nothing but what is written here.
+
+    Attributes
+    ----------
+    name
+        Stable identifier.
+    acts_on
+        One of `ACTS_ON`.
+    text
+        One line that a test engineer understands.
+    needs
+        Fields of `Conditions` without which nothing can be said.
+    parameters
+        See `Parameter`.
+    belt_only
+        Whether it makes sense only where there is a belt.
+    """
+
+    name: ClassVar[str]
+    acts_on: ClassVar[str]
+    text: ClassVar[str]
+    needs: ClassVar[tuple[str, ...]] = ("speed",)
+    parameters: ClassVar[tuple[Parameter, ...]]
+    belt_only: ClassVar[bool] = False
+
+    def lag(self, at: Conditions, p: Values) -> Lag | None:  # noqa: ARG002 - most have none
+        """Its own state, if it has one: what it tends to under the conditions."""
+        return None
+
+    def terms(self, at: Conditions, p: Values) -> Terms:
+        """What it does under the conditions with these values of its parameters."""
+        raise NotImplementedError
+
+    def values(self, off: bool = False) -> dict[str, float]:
+        """Typical values of the parameters, or those without effect."""
+        return {q.name: q.off if off and q.off is not None else q.start for q in self.parameters}
+
+    def describe(self) -> dict[str, Any]:
+        """All there is to know, for `trackres effects --json`."""
+        return {
+            "name": self.name,
+            "acts_on": self.acts_on,
+            "text": self.text,
+            "needs": list(self.needs),
+            "belt_only": self.belt_only,
+            "parameters": {
+                q.name: {"unit": q.unit, "low": q.low, "high": q.high, "start": q.start, "off": q.off, "text": q.text}
+                for q in self.parameters
+            },
+        }
+
+
+@dataclass(frozen=True)
+class Active:
+    """An effect with values for its parameters."""
+
+    effect: Effect
+    values: Values
+
+    def terms(self, at: Conditions, own: Number) -> Terms:
+        """What it does, its own state given."""
+        return self.effect.terms(replace(at, own=own), self.values)
+
+
+def together(terms: Sequence[Terms]) -> Terms:
+    """All terms in one."""
+    total = Terms()
+    for one in terms:
+        total = total.with_(one)
+    return total
