@@ -9,6 +9,7 @@ import sys
 from importlib import metadata
 from pathlib import Path
 
+import bench_diagnosis
 import bench_live
 import bench_reading
 import bench_recording
@@ -23,6 +24,7 @@ BENCHMARKS = {
     "A whole recording": bench_recording,
     "Reading and replay": bench_reading,
     "Loss table and start": bench_table,
+    "The diagnosis": bench_diagnosis,
     "The live node": bench_live,
 }
 

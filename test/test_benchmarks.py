@@ -14,6 +14,7 @@ SIZES = {
     "bench_recording": {"duration_s": 40.0, "repeats": 1, "exact_samples": 2, "restarted": 20},
     "bench_reading": {"messages": 2000, "repeats": 1},
     "bench_table": {"repeats": 1, "points": 5},
+    "bench_diagnosis": {"minutes": 4.0, "step_s": 0.2, "quick": True},
 }
 SIGNED = ("growth", "on top of reading")  # these may be zero or negative
 

@@ -17,6 +17,7 @@ SAYS = {
     "03_live_loop.py": "speed: non_finite 1",
     "04_own_vehicle.py": "Refused: own.yaml",
     "05_snapshot.py": "without a stop: True",
+    "06_diagnose.py": "turning_scrub: friction",
 }
 
 

@@ -1,8 +1,11 @@
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
+from trackres_ros.cli.main import cli
 from trackres_ros.diagnosis import load_base
 from trackres_ros.diagnosis.trial import drives, write_recordings
 from trackres_ros.effects import Active, catalogue
@@ -33,3 +36,23 @@ def recorded(loaded, effects, tmp_path_factory):
         return made[key]
 
     return make
+
+
+@pytest.fixture(scope="session")
+def run():
+    """`trackres diagnose` on recordings of the reference vehicle, as typed."""
+
+    def run_it(paths, out, *options):
+        command = ["diagnose", *map(str, paths), "--vehicle", "xgd24d", "-o", str(out), "--quick", *options]
+        return CliRunner().invoke(cli, command, catch_exceptions=True)
+
+    return run_it
+
+
+@pytest.fixture(scope="session")
+def scrubbed(run, recorded, tmp_path_factory):
+    """Folder, report and run of a diagnosis of recordings with turning scrub."""
+    out = tmp_path_factory.mktemp("report") / "deep" / "out"
+    done = run(recorded("turning_scrub"), out)
+    assert done.exit_code == 0, done.exception
+    return out, json.loads((out / "report.json").read_text()), done

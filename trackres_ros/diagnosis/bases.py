@@ -44,7 +44,7 @@ def load_base(
     if "road_load" in content:
         road = load_road_vehicle(path, content)
         base = RoadBase(road)
-        known = Known(base.facts.weight, road.values["max_speed"], road.values["ambient"], friction_brakes=True)
+        known = Known(base.facts.weight, road.values["max_speed"], road.values["ambient"], road.friction_brakes)
         return LoadedBase(base, road.title, known)
     track = with_methods(load(path), hysteresis, thermal)
     settings = settings_for(Settings(), topics)

@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 STEP_S = 1.0  # mean torque over a step against the change of speed over it: exact, whatever happens within
 EDGE_S = 0.1  # the speed at the edge of a step is the mean within so much of it
-SLOWEST_MPS = 0.3  # below it friction may be static
+SLOWEST_MPS, SLOWEST_SHARE = 0.3, 0.1  # of the greatest speed; below both friction may be static
 LONGEST_HOLD_S = 2.0  # of speed and torque over a gap
 SHORTEST_S, SHORTEST_MOVING_S = 120.0, 60.0
 FULL_STOP_S = 5.0
@@ -65,6 +65,11 @@ class Known:
     ambient: float
     friction_brakes: bool
     belt_shows_surface: bool = False
+
+    @property
+    def slowest(self) -> float:
+        """Speed below which friction may be static [m/s]."""
+        return min(SLOWEST_MPS, SLOWEST_SHARE * self.max_speed)
 
 
 def gate(recordings: Sequence[Recording], known: Known, hide: Sequence[str] = ()) -> Gated:
@@ -218,7 +223,7 @@ def _session(recording: Recording, vehicle: Known, hide: frozenset[str], left_ou
         torque_course=_course([_ordered(series[role], start) for role in torques]),
         belt_shows_surface=vehicle.belt_shows_surface,
     )
-    return replace(session, used=_usable(session, known, measured, left_out, vehicle.friction_brakes))
+    return replace(session, used=_usable(session, known, measured, left_out, vehicle))
 
 
 def _course(torques: Sequence[tuple[Array, Array]]) -> Course:
@@ -228,17 +233,18 @@ def _course(torques: Sequence[tuple[Array, Array]]) -> Course:
 
 
 def _usable(
-    session: Session, known: NDArray[np.bool_], measured: NDArray[np.bool_], left_out: dict[str, int], has_brakes: bool
+    session: Session, known: NDArray[np.bool_], measured: NDArray[np.bool_], left_out: dict[str, int], vehicle: Known
 ) -> NDArray[np.bool_]:
     used = np.ones(len(session), dtype=bool)
     braking = (session.accel < BRAKING_MPS2) & (session.torque <= 0.0)
-    if has_brakes:  # used together with a torque that brakes, and for a moment after it
+    if vehicle.friction_brakes:  # used together with a torque that brakes, and for a moment after it
         braking = np.convolve(session.torque <= 0.0, np.ones(3), mode="same") > 0
-    stuck = _stuck(session.torque, np.abs(session.speed) > SLOWEST_MPS)
+    slow = np.abs(session.speed) < vehicle.slowest
+    stuck = _stuck(session.torque, ~slow)
     for reason, bad in (
         ("no speed", ~known),
         ("no torque", ~measured),
-        (f"slower than {SLOWEST_MPS:g} m/s", np.abs(session.speed) < SLOWEST_MPS),
+        (f"slower than {vehicle.slowest:g} m/s", slow),
         ("torque stuck", stuck),
         ("may brake", braking),
     ):

@@ -16,6 +16,7 @@ from trackres_ros.diagnosis.vehicle_file import REASON, write_yaml
 from trackres_ros.effects.delay import Delay
 from trackres_ros.effects.drivetrain_efficiency import DrivetrainEfficiency
 from trackres_ros.effects.effect import Active, Facts
+from trackres_ros.errors import InputError
 from trackres_ros.model.belt import GRAVITY
 from trackres_ros.vehicle.reading import Reader
 from trackres_ros.vehicle.schema import Limits
@@ -50,6 +51,7 @@ class RoadVehicle:
     values: Mapping[str, float]
     std: Mapping[str, float]
     content: Mapping[str, Any]
+    friction_brakes: bool  # whether brakes of which nothing is recorded help a torque that brakes
 
 
 def load_road_vehicle(path: Path, content: Mapping[str, Any]) -> RoadVehicle:
@@ -61,10 +63,14 @@ def load_road_vehicle(path: Path, content: Mapping[str, Any]) -> RoadVehicle:
         On a missing, unknown or implausible value.
     """
     reader = Reader(path, None)
-    reader.keys(content, "", ("schema", "name", "title", "road_load"), ("effects",))
+    reader.keys(content, "", ("schema", "name", "title", "friction_brakes", "road_load"), ("effects",))
     values = reader.table(content["road_load"], "road_load", QUANTITIES)
     std = {name: reader.parameters[f"road_load.{name}"].standard_deviation for name in values}
-    return RoadVehicle(reader.text(content["name"], "name"), reader.text(content["title"], "title"), path, values, std, content)
+    brakes = content["friction_brakes"]
+    if not isinstance(brakes, bool):
+        raise InputError(reader.where("friction_brakes"), brakes, "true or false")
+    name, title = reader.text(content["name"], "name"), reader.text(content["title"], "title")
+    return RoadVehicle(name, title, path, values, std, content, brakes)
 
 
 class RoadBase:

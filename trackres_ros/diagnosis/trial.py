@@ -28,27 +28,29 @@ START_S = 1_760_000_000
 APART_S = 172_800.0 * 7
 
 
-def drives(base: Base, max_speed: float, count: int, minutes: float, rng: np.random.Generator) -> list[Session]:
+def drives(
+    base: Base, max_speed: float, count: int, minutes: float, rng: np.random.Generator, step: float = STEP_S
+) -> list[Session]:
     """Drives over plain, turns and stops, with load and weather changing from one to the next; the belt starts soaked."""
     sessions: list[Session] = []
     for i in range(count):
-        steps = int(minutes * 60.0 / STEP_S)
-        speed, accel = _speeds(steps, max_speed, rng)
-        yaw_rate = _turns(steps, speed, rng)
+        steps = int(minutes * 60.0 / step)
+        speed, accel = _speeds(steps, step, max_speed, rng)
+        yaw_rate = _turns(steps, step, speed, rng)
         nan = np.full(steps, np.nan)
         sessions.append(
             Session(
                 f"drive_{i + 1}",
-                STEP_S,
-                np.arange(steps, dtype=float) * STEP_S,
+                step,
+                np.arange(steps, dtype=float) * step,
                 speed,
                 accel,
                 np.full(steps, base.facts.weight * LOADS[i % len(LOADS)]),
                 np.full(steps, AMBIENTS_DEGC[i % len(AMBIENTS_DEGC)]),
                 nan,
                 yaw_rate,
-                np.cumsum(yaw_rate) * STEP_S,
-                np.cumsum(np.abs(speed)) * STEP_S + (sessions[-1].distance[-1] if sessions else 0.0),
+                np.cumsum(yaw_rate) * step,
+                np.cumsum(np.abs(speed)) * step + (sessions[-1].distance[-1] if sessions else 0.0),
                 nan,
                 nan,
                 np.ones(steps, dtype=bool),
@@ -69,14 +71,14 @@ def write_recordings(
     paths = []
     for i, (session, predicted) in enumerate(zip(sessions, expected, strict=True)):
         n = len(session)
-        slow = np.exp(-STEP_S / SLOW_NOISE_S)
+        slow = np.exp(-session.step / SLOW_NOISE_S)
         drift = np.empty(n)
         now = 0.0
         for k, shock in enumerate(rng.normal(0.0, SLOW_NOISE_NM * np.sqrt(1.0 - slow**2), n)):
             now = slow * now + shock
             drift[k] = now
         torque = predicted.torque + drift + rng.normal(0.0, TORQUE_NOISE_NM, n)
-        time = START_S + i * APART_S + session.time + 0.5 * STEP_S
+        time = START_S + i * APART_S + session.time + 0.5 * session.step
         shown = (session.speed + rng.normal(0.0, SPEED_NOISE_MPS, n), session.accel, session.weight, session.ambient)
         belt = predicted.belt + rng.normal(0.0, BELT_NOISE_K, n)
         rows = np.column_stack([time, *shown, session.yaw_rate, session.heading, torque, belt])
@@ -86,24 +88,24 @@ def write_recordings(
     return paths
 
 
-def _speeds(steps: int, max_speed: float, rng: np.random.Generator) -> tuple[Array, Array]:
+def _speeds(steps: int, step: float, max_speed: float, rng: np.random.Generator) -> tuple[Array, Array]:
     corners, speeds, now = [0.0], [0.0], 0.0
-    while now < steps * STEP_S:
+    while now < steps * step:
         target = 0.0 if rng.random() < 0.15 else rng.uniform(0.12, 0.85) * max_speed
         ramp = max(abs(target - speeds[-1]) / rng.uniform(0.2, 0.5), 1.0)
         hold = rng.uniform(10.0, 25.0) if target == 0.0 else rng.uniform(20.0, 120.0)
         corners += [now + ramp, now + ramp + hold]
         speeds += [target, target]
         now += ramp + hold
-    time = (np.arange(steps) + 0.5) * STEP_S
-    edges = np.interp(np.arange(steps + 1) * STEP_S, corners, speeds)
-    return np.interp(time, corners, speeds), np.diff(edges) / STEP_S
+    time = (np.arange(steps) + 0.5) * step
+    edges = np.interp(np.arange(steps + 1) * step, corners, speeds)
+    return np.interp(time, corners, speeds), np.diff(edges) / step
 
 
-def _turns(steps: int, speed: Array, rng: np.random.Generator) -> Array:
+def _turns(steps: int, step: float, speed: Array, rng: np.random.Generator) -> Array:
     curvature, now = np.zeros(steps), 0
     while now < steps:
-        length = int(rng.uniform(10.0, 60.0) / STEP_S)
+        length = int(rng.uniform(10.0, 60.0) / step)
         if rng.random() < 0.5:
             curvature[now : now + length] = rng.choice((-1.0, 1.0)) / rng.uniform(20.0, 120.0)
         now += length

@@ -24,6 +24,7 @@ LACK_OF_FIT_P = 0.01
 LEFT_SHARE = 0.5  # of what the effects explain: more left over, and the names explain little
 MOST_CERTAIN = 20.0  # in log-likelihood: more is no more certain
 FINE_R2 = 0.995  # above it R2 says nothing that the mean error does not
+CLEARLY_WORSE = 0.02  # of the mean error on held-out laps
 MOVED = 1.5  # standard deviations of the file's own range
 
 
@@ -64,7 +65,7 @@ def judge(found: Sequence[Found], refitted: Fit, at_end: RegimeMap, held_out: He
         largest = max((abs(b.mean_residual) for b in left), default=0.0)
         if largest > LEFT_SHARE * explained:
             return Verdict("unexplained", f"{_unexplained(left)}; {_tentative(found)}")
-        if held_out.improvement_ci95[1] < 0.0:
+        if held_out.improvement_ci95[1] < -CLEARLY_WORSE * held_out.mae["refitted"]:
             return Verdict("unexplained", f"{_worse(held_out)} {_tentative(found)}")
         status = "named" if all(len(f.step.members) <= 1 for f in found) else "one_of"
         besides = f" Something small is left, {_range(left[0])}." if left else ""
@@ -74,7 +75,9 @@ def judge(found: Sequence[Found], refitted: Fit, at_end: RegimeMap, held_out: He
         return Verdict("unexplained", f"{_unexplained(left)}, and no effect of the catalogue explains it.")
     moved = moved_parameters(refitted)
     if moved:
-        listed = ", ".join(f"{q.name} {q.nominal:.4g} -> {value:.4g} {q.unit}".rstrip(" 1") for q, value in moved)
+        listed = ", ".join(
+            f"{q.name} {q.nominal:.4g} -> {value:.4g}{'' if q.unit == '1' else f' {q.unit}'}" for q, value in moved
+        )
         return Verdict(
             "none",
             f"No physics is missing, but parameters of the vehicle file were off: {listed}; {_gain(held_out, 'refitted')}.",

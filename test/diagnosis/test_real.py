@@ -1,0 +1,45 @@
+"""What it says of real recordings, where they are present: nothing that is plainly wrong."""
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from trackres_ros.cli.main import cli
+from trackres_ros.errors import InputError
+
+sys.path.insert(0, str(Path(__file__).parent))
+import real
+
+pytestmark = pytest.mark.skipif(not real.DATA.is_dir(), reason="no real recordings on this machine")
+
+
+def run(vehicle, out, *paths):
+    done = CliRunner().invoke(cli, ["diagnose", *map(str, paths), "--vehicle", vehicle, "-o", str(out), "--quick"])
+    if done.exception and not isinstance(done.exception, SystemExit):
+        raise done.exception
+    return json.loads((Path(out) / "report.json").read_text())
+
+
+def test_a_robot_off_the_ground_neither_rolls_nor_turns(tmp_path):
+    found = run("husky", tmp_path / "out", real.robot("husky_avide2", tmp_path))
+    assert {"turning_scrub", "cornering", "soft_ground", "grade"}.isdisjoint(n for e in found["effects"] for n in e["class"])
+
+
+def test_the_car_is_refitted_to_values_of_a_car(tmp_path):
+    paths = [real.car(name, tmp_path) for name in ("TripB18", "TripB19", "TripB21", "TripB24")]
+    found = run("bmw_i3", tmp_path / "out", *paths)
+    refitted = {name: q["value"] for name, q in found["base"]["refitted"].items()}
+    assert 1.0 < refitted["rotating_mass_factor"] < 1.25
+    assert 0.3 < refitted["drag_area"] < 0.9
+    assert found["heldout"]["r2"]["refitted"] > 0.85
+    assert sum("carried over" in note for note in found["notes"]) == 3
+    assert any("may brake" in x["reason"] and x["samples"] > 100 for x in found["rejected"])
+
+
+def test_a_bag_without_a_torque_has_nothing_to_diagnose(tmp_path):
+    bag = real.DATA / "rosbag_gps_vehicle" / "bag"
+    with pytest.raises(InputError, match="torque"):
+        run("xgd24d", tmp_path / "out", bag)
