@@ -26,7 +26,7 @@ def recorded(loaded, effects, tmp_path_factory):
     """Makes recordings with effects at their typical values; the same ones are made once."""
     made: dict[tuple, list[Path]] = {}
 
-    def make(*names, seed=1, count=3, minutes=10.0):
+    def make(*names, seed=1, count=2, minutes=10.0):
         key = (*names, seed, count, minutes)
         if key not in made:
             rng = np.random.default_rng(seed)

@@ -29,13 +29,13 @@ def test_a_robot_off_the_ground_neither_rolls_nor_turns(tmp_path):
 
 
 def test_the_car_is_refitted_to_values_of_a_car(tmp_path):
-    paths = [real.car(name, tmp_path) for name in ("TripB18", "TripB19", "TripB21", "TripB24")]
+    paths = [real.car(name, tmp_path) for name in ("TripB18", "TripB21", "TripB24")]
     found = run("bmw_i3", tmp_path / "out", *paths)
     refitted = {name: q["value"] for name, q in found["base"]["refitted"].items()}
     assert 1.0 < refitted["rotating_mass_factor"] < 1.25
     assert 0.3 < refitted["drag_area"] < 0.9
     assert found["heldout"]["r2"]["refitted"] > 0.85
-    assert sum("carried over" in note for note in found["notes"]) == 3
+    assert sum("carried over" in note for note in found["notes"]) == 2
     assert any("may brake" in x["reason"] and x["samples"] > 100 for x in found["rejected"])
 
 
