@@ -3,6 +3,8 @@ PYTHON ?= python3
 VENV := .venv
 RUN := $(VENV)/bin
 OUT := out
+# These start nodes and watch the clock: one after the other, with the machine to themselves.
+LIVE_TESTS := test/live test/dds test/processes
 
 .PHONY: demo test lint clean
 
@@ -10,7 +12,8 @@ demo: $(VENV)/.ready
 	$(RUN)/python tools/demo $(OUT)
 
 test: $(VENV)/.ready lint
-	$(RUN)/python -m pytest -q
+	$(RUN)/python -m pytest -q -n auto --dist loadfile $(addprefix --ignore ,$(LIVE_TESTS))
+	$(RUN)/python -m pytest -q $(LIVE_TESTS)
 
 lint: $(VENV)/.ready
 	$(RUN)/ruff check .

@@ -27,7 +27,7 @@ DIAGNOSIS = ["jinja2>=3.1", *PLOTS, *FAST]
 DDS = [*BAGS, CYCLONE]
 # No wheels elsewhere, and its source needs the C library: there the tests of that edge are skipped.
 DDS_TESTED = [f"{CYCLONE}; platform_machine == 'x86_64' and python_version < '3.14'"]
-TEST = ["pytest>=7.4", "hypothesis>=6.98", "rainflow>=3.1", "mcap>=1.1", "setuptools>=70.1"]
+TEST = ["pytest>=7.4", "pytest-xdist>=3.4", "hypothesis>=6.98", "rainflow>=3.1", "mcap>=1.1", "setuptools>=70.1"]
 TEST += ["ruff>=0.4", "mypy>=1.8", "types-PyYAML"]
 
 setup(
