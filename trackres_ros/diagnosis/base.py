@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -116,20 +116,13 @@ def courses(sessions: Sequence[Session], facts: Facts, effects: Sequence[Active]
             if active.effect.acts_on == "sensor":
                 factor *= active.terms(at, 0.0).speed_factor
         if factor != 1.0:
-            at = at_speed(at, session.speed * factor)
+            at = replace(at, speed=session.speed * factor)
         terms = []
         for i, active in enumerate(effects):
             series, own[i] = _own_state(active, at, session, own[i])
             terms.append(active.terms(at, series))
         found.append(Course(at, together(terms)))
     return found
-
-
-def at_speed(at: Conditions, speed: Array) -> Conditions:
-    """The same conditions at another speed."""
-    return Conditions(
-        at.facts, speed, at.accel, at.weight, at.ambient, at.yaw_rate, at.heading, at.distance, at.drive_torque, at.own
-    )
 
 
 def full(value: Any, session: Session) -> Array:
@@ -155,7 +148,7 @@ def _own_state(active: Active, at: Conditions, session: Session, before: float |
     target, time_constant = full(lag.target, session), full(lag.time_constant, session)
     start = float(full(lag.start, session)[0])
     if before is not None and np.isfinite(session.gap):
-        rest = active.effect.lag(_at_rest(at), active.values)
+        rest = active.effect.lag(replace(at, speed=np.zeros(len(session))), active.values)
         assert rest
         decay = np.exp(-session.gap / float(full(rest.time_constant, session)[0]))
         start = float(full(rest.target, session)[0]) * (1.0 - decay) + before * decay
@@ -163,7 +156,3 @@ def _own_state(active: Active, at: Conditions, session: Session, before: float |
     follow(target, time_constant, session.step, start, series)
     last = series[-1] + (target[-1] - series[-1]) * -np.expm1(-session.step / time_constant[-1])
     return series, float(last)
-
-
-def _at_rest(at: Conditions) -> Conditions:
-    return at_speed(at, np.zeros_like(np.asarray(at.speed)))

@@ -167,16 +167,16 @@ def effective_samples(found: Fit) -> float:
 
 
 def _class_of(first: Candidate, candidates: Sequence[Candidate], seen: Separability) -> dict[str, float]:
-    """Weights of candidates that are as good as the first, or look alike and nearly so."""
+    """Weights of the candidates that explain as much as the first: by BIC, or by the likelihood alone where they look alike."""
     alike = set(seen.alike(first.name)) if first.name in seen.names else {first.name}
     near = [
         c
         for c in candidates
-        if c.criterion > first.criterion - ALIKE_WITHIN or (c.name in alike and c.criterion > first.criterion - 2 * ALIKE_WITHIN)
+        if c.criterion > first.criterion - ALIKE_WITHIN or (c.name in alike and c.gain > first.gain - ALIKE_WITHIN)
     ]
     raw = np.exp(np.array([c.criterion for c in near]) - first.criterion)
     weights = raw / raw.sum()
-    kept = [(c.name, float(w)) for c, w in zip(near, weights, strict=True) if w >= LEAST_WEIGHT or c is first]
+    kept = [(c.name, float(w)) for c, w in zip(near, weights, strict=True) if w >= LEAST_WEIGHT or c.name in alike]
     total = sum(w for _, w in kept)
     return {name: w / total for name, w in kept}
 
