@@ -23,7 +23,7 @@ PARQUET = ["pyarrow>=14"]
 PLOTS = ["matplotlib>=3.6"]
 FAST = ["numba>=0.57"]
 CYCLONE = "cyclonedds>=11.0.1"
-DIAGNOSIS = ["jinja2>=3.1", *PLOTS, *FAST]
+DIAGNOSIS = ["jinja2>=3.1", "ruptures>=1.1.8", *PLOTS, *FAST]
 DDS = [*BAGS, CYCLONE]
 # No wheels elsewhere, and its source needs the C library: there the tests of that edge are skipped.
 DDS_TESTED = [f"{CYCLONE}; platform_machine == 'x86_64' and python_version < '3.14'"]

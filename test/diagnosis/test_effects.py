@@ -120,7 +120,7 @@ def test_values_of_a_vehicle_file_are_checked():
     for bad, said in (
         ({"warmpu": {}}, "did you mean warmup"),
         ({"warmup": {"torque": 1.0}}, "time_constant"),
-        ({"warmup": {**good["warmup"], "torque": -1.0}}, "0 to 800 Nm"),
+        ({"warmup": {**good["warmup"], "torque": -1.0}}, "0 to 2500 Nm"),
         ([], "a mapping"),
     ):
         with pytest.raises(InputError, match=said):

@@ -1,10 +1,13 @@
 """The steps of the diagnosis by themselves: laws first."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from trackres_ros.diagnosis import read_recordings
 from trackres_ros.diagnosis.belt_series import follow
+from trackres_ros.diagnosis.changes import changes
 from trackres_ros.diagnosis.fitting import Problem, fit
 from trackres_ros.diagnosis.gate import STEP_S, gate, split
 from trackres_ros.diagnosis.naming import begin
@@ -53,7 +56,7 @@ def test_an_outlier_does_not_move_the_noise():
     spoilt = series.copy()
     spoilt[::500] += 300.0
     mask = np.ones(3000, dtype=bool)
-    clean, dirty = estimate_noise([series], [mask], 1), estimate_noise([spoilt], [mask], 1)
+    clean, dirty = estimate_noise([series], [mask]), estimate_noise([spoilt], [mask])
     assert dirty.phi[0] == pytest.approx(clean.phi[0], abs=0.1)
 
 
@@ -63,7 +66,7 @@ def test_whitening_never_reaches_over_a_gap():
     e = whitened(np.arange(20.0), mask, np.array([0.5, 0.1]))
     unknown = [*range(MOST_LAGS), *range(9, 10 + MOST_LAGS)]
     assert np.flatnonzero(np.isnan(e)).tolist() == unknown
-    assert Noise(np.array([0.5, 0.1]), 1.0).gain == pytest.approx(0.4)
+    assert Noise(np.array([0.5, 0.1]), 1.0, 60.0).gain == pytest.approx(0.4)
 
 
 def test_a_lag_follows_its_target_exactly():
@@ -138,7 +141,7 @@ def test_temperature_is_carried_over_a_gap_and_forgotten_without(loaded):
 def test_what_the_base_takes_up_is_not_visible_and_what_needs_a_channel_is_not_without(problem, effects):
     seen = separability(effects, begin(problem))
     hidden = {n.name: n.why for n in seen.not_visible}
-    assert "air_drag" in hidden  # it is the base's own drag coefficient
+    assert "speed_scale" in hidden  # it hides in the coefficients
     assert {"turning_scrub", "warmup", "rotating_inertia"} <= set(seen.names)
     assert seen.cosines == pytest.approx(seen.cosines.T)
     assert np.diag(seen.cosines) == pytest.approx(np.ones(len(seen.names)))
@@ -163,3 +166,20 @@ def _with_torque(session, torque):
     from dataclasses import replace
 
     return replace(session, torque=torque)
+
+
+@pytest.mark.parametrize("step_nm", [0.0, 150.0])
+def test_a_change_of_level_is_found_where_it_is(recorded, loaded, step_nm):
+    pytest.importorskip("ruptures")
+    gated = gate(read_recordings(recorded(count=1), None), loaded.known)
+    (session,) = gated.sessions
+    changed = replace(session, torque=session.torque + np.where(session.time > 0.5 * session.time[-1], step_nm, 0.0))
+    fitted = begin(Problem(loaded.base, gated.sessions, (session.used,), (np.zeros(len(session)),)))
+    still = replace(fitted, problem=replace(fitted.problem, sessions=(changed,)))
+    found = changes(still)
+    if step_nm:
+        nearest = min(found, key=lambda c: abs(c.time - 0.5 * session.time[-1]))
+        assert abs(nearest.time - 0.5 * session.time[-1]) <= 60.0
+        assert nearest.after - nearest.before == pytest.approx(step_nm, abs=30.0)
+    else:
+        assert not found

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from trackres_ros.diagnosis.advise import Advice, advise
 from trackres_ros.diagnosis.base import Base
 from trackres_ros.diagnosis.bases import LoadedBase
+from trackres_ros.diagnosis.changes import Change, changes
 from trackres_ros.diagnosis.fitting import Fit, Problem
 from trackres_ros.diagnosis.gate import Gated, gate, split
 from trackres_ros.diagnosis.held_out import HeldOut, held_out
@@ -45,6 +46,8 @@ class Diagnosis:
         The base re-fitted, and with the effects chosen.
     at_base, at_end
         Residual by regime of both.
+    changes
+        When the residual of the re-fitted base changes its level; None where that could not be looked for.
     periodogram_p
         Probability that the last whitened residual is white.
     thermal
@@ -65,6 +68,7 @@ class Diagnosis:
     final: Fit
     at_base: RegimeMap
     at_end: RegimeMap
+    changes: list[Change] | None
     periodogram_p: float
     thermal: ThermalCheck | None
     steps: tuple[Step, ...]
@@ -122,7 +126,7 @@ def diagnose(
         If the recordings cannot be used; says why.
     """
     rng, base = np.random.default_rng(seed), vehicle.base
-    effects = catalogue(effects_dir)
+    effects = catalogue(effects_dir, base.facts.weight * base.facts.radius, on_tyres=not base.has_belt)
     said("gate: units, clocks, gaps")
     gated = gate(recordings, vehicle.known, hide)
     gated, nominal = _judged_by_nominal(gated, base)
@@ -162,7 +166,8 @@ def diagnose(
     said("what to drive next")
     advice = [a for s in steps if s.chosen for a in advise(s.candidates, s.members, vehicle.known.max_speed)]
     return Diagnosis(
-        base, gated, chosen, nominal, refitted, final, at_base, at_end, cumulative_periodogram(final), thermal_check(refitted),
+        base, gated, chosen, nominal, refitted, final, at_base, at_end, changes(refitted), cumulative_periodogram(final),
+        thermal_check(refitted),
         tuple(steps), tuple(found), {name: b for (effect, name), b in bounds.items() if not effect}, worth, tuple(advice),
         judge(found, refitted, at_end, worth),
     )  # fmt: skip

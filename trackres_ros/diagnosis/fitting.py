@@ -1,4 +1,4 @@
-"""Fit a base model, with effects or without, to sessions: generalised least squares with priors, bounds and a robust loss."""
+"""Fit a base model, with effects or without: most likely under coloured noise with heavy tails, priors and bounds."""
 
 from __future__ import annotations
 
@@ -18,12 +18,11 @@ from trackres_ros.effects.effect import Active, Effect
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-ROBUST = 3.0  # standard deviations at which a residual begins to count less
 ROUNDS = 3  # of fit and noise
+LARGE = 3.0  # times its typical size: one standard deviation of what an effect may be
 DIFFERENCE = 1e-4  # of the span between bounds, for derivatives
 MOST_STEPS = 60
 BELT_EVERY = 10  # steps: a belt's temperature tells nothing new from one second to the next
-OUTLIER_STD = 4.0  # beyond it a residual counts in the likelihood as one there
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,12 +107,12 @@ class Problem:
         """Whitened rows of each segment over their standard deviation, nan where they do not count."""
         return [whitened(r, g.mask, noises[g.kind].phi) / noises[g.kind].std for r, g in zip(rows, self.segments, strict=True)]
 
-    def noises(self, residuals: Sequence[Array], lags: Mapping[str, int] | None = None) -> dict[str, Noise]:
+    def noises(self, residuals: Sequence[Array]) -> dict[str, Noise]:
         """Noise of each kind of segment."""
         found = {}
         for kind in dict.fromkeys(g.kind for g in self.segments):
             of = [(r, g.mask) for r, g in zip(residuals, self.segments, strict=True) if g.kind == kind]
-            found[kind] = estimate_noise([r for r, _ in of], [m for _, m in of], lags[kind] if lags else None)
+            found[kind] = estimate_noise([r for r, _ in of], [m for _, m in of])
         return found
 
 
@@ -122,14 +121,16 @@ def valid_rows(parts: Sequence[Array]) -> Array:
     return np.concatenate([p[np.isfinite(p) if p.ndim == 1 else np.isfinite(p).all(axis=1)] for p in parts])
 
 
+def of_rows(
+    problem: Problem, white: Sequence[Array], function: Callable[[Noise, Array], Array], noises: Mapping[str, Noise]
+) -> Array:
+    """A function of the noise and of whitened residuals, of the rows that count."""
+    return valid_rows([function(noises[g.kind], w) for w, g in zip(white, problem.segments, strict=True)])
+
+
 def log_likelihood(problem: Problem, residuals: Sequence[Array], noises: Mapping[str, Noise]) -> float:
-    """Of residuals under noise of which only the colour is given; the standard deviation is that of the residuals."""
-    total = 0.0
-    white = problem.white(residuals, noises)
-    for kind, noise in noises.items():
-        e = valid_rows([w for w, g in zip(white, problem.segments, strict=True) if g.kind == kind])
-        total -= len(e) * float(np.log(noise.std) + 0.5 * np.log(np.mean(np.clip(e, -OUTLIER_STD, OUTLIER_STD) ** 2)))
-    return total
+    """Of residuals under noise."""
+    return float(of_rows(problem, problem.white(residuals, noises), Noise.log_density, noises).sum())
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,6 +187,15 @@ class Fit:
         """Names of the effects in it."""
         return tuple(active.effect.name for active in self.effects)
 
+    @cached_property
+    def log_evidence(self) -> float:
+        """Log-likelihood less what it costs that parameters had to be found within their priors (Laplace); only differences
+        between fits of the same base count.
+        """
+        prior = np.array([f.std if np.isfinite(f.std) else f.scale for f in self.free])
+        settled = np.linalg.eigvalsh(self.covariance / np.outer(prior, prior))
+        return self.log_likelihood + 0.5 * float(np.log(np.maximum(settled, 1e-12)).sum())
+
     def std_of(self, effect: str, parameter: str) -> float:
         """Standard deviation of a parameter by the curvature of the likelihood."""
         index = [f.key for f in self.free].index((effect, parameter))
@@ -198,9 +208,9 @@ def free_parameters(base: Base, effects: Sequence[Effect]) -> tuple[Free, ...]:
     for effect in effects:
         for q in effect.parameters:
             wide = q.high - q.low
-            # What only shapes an effect is unknown, but no more than its bounds say: a prior over them keeps it off the walls.
-            std = np.inf if q.off is not None else 0.5 * wide
-            found.append(Free((effect.name, q.name), q.unit, q.low, q.high, q.start, std, wide))
+            # How large an effect is hangs together with what is typical; what only shapes it is as unknown as its bounds say.
+            std = 0.5 * wide if q.off is None else LARGE * abs(q.start - q.off)
+            found.append(Free((effect.name, q.name), q.unit, q.low, q.high, q.start if q.off is None else q.off, std, wide))
     return tuple(found)
 
 
@@ -230,7 +240,7 @@ def fit(
     low, high = np.array([f.low for f in free]), np.array([f.high for f in free])
     scale = np.array([f.scale for f in free])
     nominal, std = np.array([f.nominal for f in free]), np.array([f.std for f in free])
-    given = start or {}
+    given = {**{(e.name, q.name): q.start for e in effects for q in e.parameters}, **(start or {})}
     point = np.clip([given.get(f.key, f.nominal) for f in free], low + 1e-9 * scale, high - 1e-9 * scale)
 
     def model(at: Array) -> tuple[dict[str, float], tuple[Active, ...]]:
@@ -244,9 +254,8 @@ def fit(
     current = dict(noises or problem.noises(residuals(point)))
 
     def objective(at: Array) -> Array:
-        """Whitened residuals over their standard deviation, robustly, and the departure from the priors."""
-        e = valid_rows(problem.white(residuals(at), current))
-        robust = np.sign(e) * ROBUST * np.sqrt(2.0 * (np.sqrt(1.0 + (e / ROBUST) ** 2) - 1.0))
+        """Roots of what each whitened residual and each prior takes off the likelihood."""
+        robust = of_rows(problem, problem.white(residuals(at), current), Noise.deviance_root, current)
         return np.concatenate((robust, (at - nominal) / std))
 
     solution = None
@@ -265,10 +274,11 @@ def fit(
         current = problem.noises(residuals(point))
     assert solution is not None
     likelihood = log_likelihood(problem, residuals(point), current) - 0.5 * float((((point - nominal) / std) ** 2).sum())
-    information = solution.jac.T @ solution.jac
+    scaled = solution.jac * scale  # in units of each parameter's scale: they differ by many orders of magnitude
+    covariance = np.linalg.pinv(scaled.T @ scaled, rcond=1e-14, hermitian=True) * np.outer(scale, scale)
     values, active = model(point)
     return Fit(
-        problem, values, active, free, point, np.linalg.pinv(information, rcond=1e-14), current, likelihood,
+        problem, values, active, free, point, covariance, current, likelihood,
         len(solution.fun) - len(free), tuple(problem.predict(values, active)),
     )  # fmt: skip
 

@@ -27,7 +27,7 @@ class HeldOut:
     mae: dict[str, float]
     r2: dict[str, float]
     bias: dict[str, float]
-    by_lap: dict[str, Array]  # mean absolute error, shape (laps,)
+    by_lap: dict[str, dict[str, Array]]  # mae, r2 and bias by stage, shape (laps,)
     improvement_ci95: tuple[float, float]
 
 
@@ -58,17 +58,24 @@ def held_out(nominal: Sequence[Array], refitted: Fit, final: Fit, masks: Sequenc
     laps = np.unique(blocks)
     count = np.array([(blocks == b).sum() for b in laps])
     error = {stage: measured - e for stage, e in expected.items()}
-    by_lap = {stage: np.array([np.abs(e[blocks == b]).mean() for b in laps]) for stage, e in error.items()}
-    total = ((measured - measured.mean()) ** 2).sum()
-    gained = (by_lap["refitted"] - by_lap["with_effects"]) * count
+    by_lap = {
+        "mae": {stage: np.array([np.abs(e[blocks == b]).mean() for b in laps]) for stage, e in error.items()},
+        "r2": {stage: np.array([_r2(measured[blocks == b], e[blocks == b]) for b in laps]) for stage, e in error.items()},
+        "bias": {stage: np.array([e[blocks == b].mean() for b in laps]) for stage, e in error.items()},
+    }
+    gained = (by_lap["mae"]["refitted"] - by_lap["mae"]["with_effects"]) * count
     draws = rng.multinomial(len(laps), np.full(len(laps), 1.0 / len(laps)), size=RESAMPLES)
     means = draws @ gained / np.maximum(draws @ count, 1)
     low, high = np.quantile(means, (0.025, 0.975))
     return HeldOut(
         tuple(names[int(b)] for b in laps),
         {stage: float(np.abs(e).mean()) for stage, e in error.items()},
-        {stage: float(1.0 - (e**2).sum() / total) for stage, e in error.items()},
+        {stage: _r2(measured, e) for stage, e in error.items()},
         {stage: float(e.mean()) for stage, e in error.items()},
         by_lap,
         (float(low), float(high)),
     )
+
+
+def _r2(measured: Array, error: Array) -> float:
+    return float(1.0 - (error**2).sum() / max(((measured - measured.mean()) ** 2).sum(), 1e-12))

@@ -54,8 +54,9 @@ def lap_std(found: Fit) -> dict[tuple[str, str], float]:
     columns = found.problem.white(split_rows(base_columns(found) * scale, found), found.noises)
     blocks = np.concatenate([g.block for g in found.problem.segments])
     x, e = np.concatenate(columns), np.concatenate(found.white)
+    weight = np.concatenate([found.noises[g.kind].weights(w) for w, g in zip(found.white, found.problem.segments, strict=True)])
     valid = np.isfinite(e) & np.isfinite(x).all(axis=1)
-    x, e, blocks = x[valid], np.clip(e[valid], -4.0, 4.0), blocks[valid]
+    x, e, blocks = x[valid], (e * weight)[valid], blocks[valid]
     inverse = np.linalg.pinv(x.T @ x + np.diag(prior**2), rcond=1e-13)
     shifts = np.array([inverse @ (x[blocks == b].T @ e[blocks == b]) for b in np.unique(blocks)])
     count = len(shifts)

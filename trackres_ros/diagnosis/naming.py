@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.fitting import OUTLIER_STD, Fit, Problem, fit
+from trackres_ros.diagnosis.fitting import Fit, Problem, fit
 from trackres_ros.diagnosis.screening import screen
 from trackres_ros.diagnosis.separability import Sensitivity, Separability, separability
 from trackres_ros.effects.effect import Effect
@@ -35,7 +35,9 @@ class Candidate:
     gain
         In log-likelihood over the fit without.
     criterion
-        The same less half the logarithm of the effective sample for each parameter that the data settle: half of BIC's gain.
+        The same in log-evidence: less what its parameters cost.
+    bic_gain
+        Twice the gain less the logarithm of the effective sample for each parameter that the data settle; for comparison.
     kept, d_prime
         See `separability.Sensitivity`.
     """
@@ -44,6 +46,7 @@ class Candidate:
     fit: Fit
     gain: float
     criterion: float
+    bic_gain: float
     kept: float
     d_prime: float
 
@@ -120,7 +123,7 @@ def _round(current: Fit, effects: Mapping[str, Effect], replicates: int, rng: np
     candidates.sort(key=lambda c: -c.criterion)
     first = candidates[0]
     counts = first.gain > screened.threshold and first.criterion > 0.0
-    weights = _class_of(first, candidates, seen)
+    weights = _class_of(first, [c for c in candidates if c is first or c.gain > screened.threshold], seen)
     wins = _wins(current, candidates, rng)
     members, weights, stability = _widened(weights, wins)
     chosen = first if counts and stability >= STABLE_SHARE else None
@@ -138,9 +141,10 @@ def _refit(current: Fit, effect: Effect, found: Sequence[Sensitivity]) -> Candid
             best = tried
     assert best
     gain = best.log_likelihood - current.log_likelihood
-    penalty = 0.5 * np.log(effective_samples(best)) * effective_parameters(best, effect.name)
+    bic = 2.0 * gain - np.log(effective_samples(best)) * effective_parameters(best, effect.name)
     strongest = max(found, key=lambda s: s.d_prime)
-    return Candidate(effect.name, best, gain, gain - penalty, strongest.kept, strongest.d_prime)
+    criterion = best.log_evidence - current.log_evidence
+    return Candidate(effect.name, best, gain, criterion, bic, strongest.kept, strongest.d_prime)
 
 
 def _begin(sensitivity: Sensitivity) -> dict[str, float]:
@@ -215,8 +219,7 @@ def _log_density(found: Fit) -> tuple[NDArray[np.int64], Array]:
     for segment, white in zip(found.problem.segments, found.white, strict=True):
         valid = np.isfinite(white)
         blocks.append(segment.block[valid])
-        tame = np.clip(white[valid], -OUTLIER_STD, OUTLIER_STD)
-        densities.append(-0.5 * tame**2 - np.log(found.noises[segment.kind].std))
+        densities.append(found.noises[segment.kind].log_density(white[valid]))
     return np.concatenate(blocks), np.concatenate(densities)
 
 
@@ -235,8 +238,8 @@ def _drop(current: Fit, steps: list[Step]) -> tuple[Fit, list[Step]]:
             break
         without = [a.effect for a in kept if a is not active]
         reduced = fit(current.problem, without, current.at, current.noises)
-        penalty = 0.5 * np.log(effective_samples(current)) * effective_parameters(current, active.effect.name)
-        if current.log_likelihood - reduced.log_likelihood < max(threshold.get(active.effect.name, 0.0), penalty):
+        gain = current.log_likelihood - reduced.log_likelihood
+        if gain < threshold.get(active.effect.name, 0.0) or current.log_evidence < reduced.log_evidence:
             kept = [a for a in kept if a is not active]
             current = reduced
     remaining = {a.effect.name for a in kept}

@@ -11,8 +11,9 @@ import numpy as np
 
 from trackres_ros.diagnosis.diagnose import Diagnosis
 from trackres_ros.diagnosis.intervals import Interval
+from trackres_ros.diagnosis.naming import STABLE_SHARE, Candidate, Step
 from trackres_ros.diagnosis.regimes import Bin
-from trackres_ros.diagnosis.verdict import Found
+from trackres_ros.diagnosis.verdict import Found, likelier
 
 SCHEMA = 1
 
@@ -43,7 +44,10 @@ def report(d: Diagnosis, paths: Sequence[Path]) -> dict[str, Any]:
             "r2": _numbers(d.held_out.r2),
             "bias": _numbers(d.held_out.bias),
             "improvement_ci95": [_number(x) for x in d.held_out.improvement_ci95],
-            "mae_by_lap": {stage: [_number(float(x)) for x in values] for stage, values in d.held_out.by_lap.items()},
+            "by_lap": {
+                measure: {stage: [_number(float(x)) for x in values] for stage, values in stages.items()}
+                for measure, stages in d.held_out.by_lap.items()
+            },
         },
         "not_visible": [{"name": n.name, "why": n.why} for n in d.steps[-1].separability.not_visible],
         "rejected": [{"reason": x.reason, "samples": x.samples} for x in d.gated.left_out],
@@ -61,16 +65,30 @@ def report(d: Diagnosis, paths: Sequence[Path]) -> dict[str, Any]:
                 "round": i + 1,
                 "name": c.name,
                 "delta_loglik": _number(c.gain),
-                "bic_gain": _number(2.0 * c.criterion),
+                "log_evidence": _number(c.criterion),
+                "bic_gain": _number(c.bic_gain),
                 "kept": _number(c.kept),
                 "d_prime": _number(c.d_prime),
                 "threshold": _number(s.threshold),
                 "chosen": s.chosen is c,
+                "why": _why(c, s),
             }
             for i, s in enumerate(d.steps)
             for c in s.candidates
         ],
         "residual_by_regime": {"base": [_bin(b) for b in d.at_base.bins], "end": [_bin(b) for b in d.at_end.bins]},
+        "changes": None
+        if d.changes is None
+        else [
+            {
+                "recording": c.recording,
+                "t_s": _number(c.time),
+                "before": _number(c.before),
+                "after": _number(c.after),
+                "unit": "Nm",
+            }
+            for c in d.changes
+        ],
         "whiteness_p": _number(d.periodogram_p),
         "noise": d.final.noise.text,
         "split": d.split.text,
@@ -79,6 +97,21 @@ def report(d: Diagnosis, paths: Sequence[Path]) -> dict[str, Any]:
         if d.thermal is None
         else {"mean_k": _number(d.thermal.mean_k), "mean_abs_k": _number(d.thermal.mean_abs_k), "text": d.thermal.text},
     }
+
+
+def _why(c: Candidate, step: Step) -> str:
+    """Why a candidate was chosen, or was not."""
+    if step.chosen is c:
+        return "chosen"
+    if c.gain <= step.threshold:
+        return "noise alone may gain as much"
+    if c.criterion <= 0.0:
+        return "explains less than its parameters cost"
+    if step.chosen is None:
+        return f"not the best in {STABLE_SHARE:.0%} of resampled laps"
+    if c.name in step.members:
+        return f"cannot be told from {step.chosen.name} here"
+    return f"{likelier(step.chosen, c)} times less likely than {step.chosen.name}"
 
 
 def _effect(f: Found) -> dict[str, Any]:
@@ -115,7 +148,8 @@ def _effect(f: Found) -> dict[str, Any]:
         },
         "evidence": {
             "delta_loglik": _number(chosen.gain),
-            "bic_gain": _number(2.0 * chosen.criterion),
+            "log_evidence": _number(chosen.criterion),
+            "bic_gain": _number(chosen.bic_gain),
             "stability": _number(f.step.stability),
             "kept": _number(chosen.kept),
             "d_prime": _number(chosen.d_prime),

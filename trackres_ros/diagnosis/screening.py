@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 from scipy.signal import lfilter
 
-from trackres_ros.diagnosis.fitting import Fit, log_likelihood, valid_rows
-from trackres_ros.diagnosis.separability import Sensitivity, base_columns, split_rows
-from trackres_ros.diagnosis.whitening import Noise
+from trackres_ros.diagnosis.fitting import LARGE, Fit
+from trackres_ros.diagnosis.separability import Sensitivity, base_columns
+from trackres_ros.diagnosis.whitening import MOST_LAGS, Noise, improved, whole_past
 
 Array = NDArray[np.float64]
 
@@ -40,16 +40,33 @@ def screen(fit: Fit, candidates: Sequence[Sensitivity], replicates: int, rng: np
     that would hide it.
     """
     linear = _Linear(fit)
-    residual = np.concatenate(fit.residuals)
-    null = linear.likelihood(residual, None)
-    gains = sorted(((c, linear.likelihood(residual, c) - null) for c in candidates), key=lambda pair: -pair[1])
+    movers = [linear.mover(c) for c in candidates]
+    residual = linear.lagged(np.concatenate(fit.residuals))
+    null = linear.likelihood(residual, linear.own)
+    found = [linear.likelihood(residual, m) - null for m in movers]
+    gains = sorted(zip(candidates, found, strict=True), key=lambda pair: -pair[1])
     reached = np.zeros(replicates)
     for i in range(replicates):
-        drawn = linear.drawn(rng)
-        before = linear.likelihood(drawn, None, at_home=True)
-        reached[i] = max((linear.likelihood(drawn, c, at_home=True) - before for c in candidates), default=0.0)
+        drawn = linear.lagged(linear.drawn(rng))
+        before = linear.likelihood(drawn, linear.own, at_home=True)
+        reached[i] = max((linear.likelihood(drawn, m, at_home=True) - before for m in movers), default=0.0)
     threshold = float(np.quantile(reached, LEVEL)) if replicates else np.inf
     return Screened(tuple(gains), threshold, reached)
+
+
+Lagged = Mapping[str, Array]
+"""Rows of each kind that count, and those before them: shapes (1 + lags, rows) or (1 + lags, rows, columns)."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Mover:
+    """What may move to explain a residual: columns, bounds, and the weight of the priors and where they pull, per parameter."""
+
+    columns: Lagged
+    low: Array
+    high: Array
+    prior: Array
+    pull: Array
 
 
 class _Linear:
@@ -57,39 +74,57 @@ class _Linear:
 
     def __init__(self, fit: Fit) -> None:
         self._fit = fit
-        self._lags = {kind: len(noise.phi) for kind, noise in fit.noises.items()}
-        self._own = base_columns(fit) * np.array([f.scale for f in fit.free])
-        self._prior = np.array([f.scale / f.std for f in fit.free])
-        departure = np.array([(x - f.nominal) / f.std for f, x in zip(fit.free, fit.point, strict=True)])
-        self._departure = departure
+        first, rows = 0, dict[str, list[NDArray[np.int64]]]()
+        for segment in fit.problem.segments:
+            rows.setdefault(segment.kind, []).append(first + np.flatnonzero(whole_past(segment.mask, MOST_LAGS)))
+            first += len(segment.measured)
+        self._at = {kind: np.concatenate(of) for kind, of in rows.items()}
+        self._columns = base_columns(fit) * np.array([f.scale for f in fit.free])
+        far = np.full(len(fit.free), np.inf)
+        prior = np.array([f.scale / f.std for f in fit.free])
+        pull = -np.array([(x - f.nominal) / f.std for f, x in zip(fit.free, fit.point, strict=True)])
+        self.own = _Mover(self.lagged(self._columns), -far, far, prior, pull)
 
-    def likelihood(self, residual: Array, candidate: Sensitivity | None, at_home: bool = False) -> float:
-        """Of a residual with the fit's parameters, and a candidate's amplitudes within their bounds, free to move.
+    def lagged(self, rows: Array) -> Lagged:
+        """Rows of all segments, one after the other, as the whitening needs them."""
+        return {
+            kind: np.stack([rows[at - i] for i in range(len(self._fit.noises[kind].phi) + 1)]) for kind, at in self._at.items()
+        }
+
+    def mover(self, candidate: Sensitivity) -> _Mover:
+        """The fit's own parameters and the amplitudes of a candidate, in units of its typical ones."""
+        amplitudes = [(q, q.start - q.off, q.off) for q in candidate.effect.parameters if q.off is not None]
+        limits = [sorted(((q.low - off) / span, (q.high - off) / span)) for q, span, off in amplitudes]
+        spans = np.array([span for _, span, _ in amplitudes])
+        own = self.own
+        return _Mover(
+            self.lagged(np.column_stack([self._columns, candidate.columns * spans])),
+            np.append(own.low, [low - 1e-9 for low, _ in limits]),
+            np.append(own.high, [high + 1e-9 for _, high in limits]),
+            np.append(own.prior, np.full(len(limits), 1.0 / LARGE)),
+            np.append(own.pull, np.zeros(len(limits))),
+        )
+
+    def likelihood(self, residual: Lagged, mover: _Mover, at_home: bool = False) -> float:
+        """Of a residual with a mover's parameters free within their bounds, and the noise fitted along.
 
         `at_home` takes the parameters of the fit for true, as they are in what is drawn: no candidate gains by
         bringing them back into their ranges.
         """
-        columns, low, high = self._own, np.full(self._own.shape[1], -np.inf), np.full(self._own.shape[1], np.inf)
-        prior, shift = self._prior, np.zeros_like(self._departure) if at_home else -self._departure
-        if candidate is not None:
-            limits = [
-                ((q.low - q.off) / (q.start - q.off), (q.high - q.off) / (q.start - q.off))
-                for q in candidate.effect.parameters
-                if q.off is not None
-            ]
-            spans = np.array([q.start - q.off for q in candidate.effect.parameters if q.off is not None])
-            columns = np.column_stack([columns, candidate.columns * spans])
-            low = np.append(low, [min(pair) - 1e-9 for pair in limits])
-            high = np.append(high, [max(pair) + 1e-9 for pair in limits])
-            prior, shift = np.append(prior, np.zeros(len(limits))), np.append(shift, np.zeros(len(limits)))
-        noises: Mapping[str, Noise] = self._fit.noises
-        moved = np.zeros(columns.shape[1])
+        pull = np.zeros_like(mover.pull) if at_home else mover.pull
+        noises, left = dict(self._fit.noises), residual
+        moved = np.zeros(len(mover.prior))
         for _ in range(TURNS):
-            e, x = self._white(residual, noises), self._white(columns, noises)
-            moved = _bounded(np.vstack([x, np.diag(prior)]), np.append(e, shift), low, high)
-            left = split_rows(residual - columns @ moved, self._fit)
-            noises = self._fit.problem.noises(left, self._lags)
-        return log_likelihood(self._fit.problem, left, noises) - 0.5 * float(((prior * moved - shift) ** 2).sum())
+            parts_x, parts_e = [np.diag(mover.prior)], [pull]
+            for kind, noise in noises.items():
+                weight = np.sqrt(noise.weights(_white(left[kind], noise)))
+                parts_e.append(weight * _white(residual[kind], noise))
+                parts_x.append(weight[:, np.newaxis] * _white(mover.columns[kind], noise))
+            moved = _bounded(np.concatenate(parts_x), np.concatenate(parts_e), mover.low, mover.high)
+            left = {kind: rows - mover.columns[kind] @ moved for kind, rows in residual.items()}
+            noises = {kind: improved(left[kind][1:].T, left[kind][0], noise) for kind, noise in noises.items()}
+        total = sum(float(noise.log_density(_white(left[kind], noise)).sum()) for kind, noise in noises.items())
+        return total - 0.5 * float(((mover.prior * moved - pull) ** 2).sum())
 
     def drawn(self, rng: np.random.Generator) -> Array:
         """A residual of noise alone: the whitened one with signs flipped by the piece, coloured again."""
@@ -102,8 +137,10 @@ class _Linear:
             parts.append(coloured(e, noise, rng))
         return np.concatenate(parts)
 
-    def _white(self, rows: Array, noises: Mapping[str, Noise]) -> Array:
-        return valid_rows(self._fit.problem.white(split_rows(rows, self._fit), noises))
+
+def _white(lagged: Array, noise: Noise) -> Array:
+    """Whitened rows over the noise's standard deviation."""
+    return np.asarray(np.tensordot(np.concatenate(([1.0], -noise.phi)), lagged, 1) / noise.std)
 
 
 def coloured(white: Array, noise: Noise, rng: np.random.Generator) -> Array:

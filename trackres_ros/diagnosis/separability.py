@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base import Predicted
-from trackres_ros.diagnosis.fitting import DIFFERENCE, Fit, valid_rows
+from trackres_ros.diagnosis.fitting import DIFFERENCE, LARGE, Fit, valid_rows
 from trackres_ros.effects.effect import Active, Effect
 
 Array = NDArray[np.float64]
@@ -133,12 +133,13 @@ def separability(effects: Mapping[str, Effect], fit: Fit) -> Separability:
         best = max(found, key=lambda s: s.d_prime, default=None)
         if best is None:
             not_visible.append(NotVisible(effect.name, "it does nothing here"))
-        elif best.d_prime < LEAST_D_PRIME:
-            why = f"a typical one would stand out by {best.d_prime:.1f} standard deviations only"
+        elif LARGE * best.d_prime < LEAST_D_PRIME:
+            size = f"{LARGE:g} times as large as is typical"
+            why = f"one {size} would stand out by {LARGE * best.d_prime:.1f} standard deviations only"
             not_visible.append(NotVisible(effect.name, why))
         else:
             # What the base takes up is hardly seen, and may yet explain better than a base pushed out of its ranges.
-            if best.kept < LEAST_KEPT and best.by_priors < LEAST_D_PRIME:
+            if best.kept < LEAST_KEPT and LARGE * best.by_priors < LEAST_D_PRIME:
                 why = f"the base's parameters take up {1 - best.kept:.0%} of it"
                 not_visible.append(NotVisible(effect.name, why))
             visible += found

@@ -14,7 +14,7 @@ from trackres_ros.diagnosis.fitting import Fit
 from trackres_ros.diagnosis.held_out import HeldOut
 from trackres_ros.diagnosis.intervals import Interval
 from trackres_ros.diagnosis.locate import Acts, Span
-from trackres_ros.diagnosis.naming import Step
+from trackres_ros.diagnosis.naming import Candidate, Step
 from trackres_ros.diagnosis.regimes import Bin, RegimeMap
 from trackres_ros.effects.effect import Parameter
 
@@ -61,7 +61,8 @@ def judge(found: Sequence[Found], refitted: Fit, at_end: RegimeMap, held_out: He
     """
     left = [b for b in at_end.bins if b.p < LACK_OF_FIT_P]
     if found:
-        explained = float(np.sqrt(np.mean(np.concatenate([sum(x) for x in zip(*(f.adds for f in found), strict=True)]) ** 2)))
+        added = np.concatenate([sum(x) for x in zip(*(f.adds for f in found), strict=True)])
+        explained = float(np.percentile(np.abs(added), 95.0))  # where they act: some do for minutes of an hour
         largest = max((abs(b.mean_residual) for b in left), default=0.0)
         if largest > LEFT_SHARE * explained:
             return Verdict("unexplained", f"{_unexplained(left)}; {_tentative(found)}")
@@ -127,9 +128,13 @@ def _rival(f: Found) -> str:
     if not others or f.step.chosen is None:
         return ""
     next_best = max(others, key=lambda c: c.criterion)
-    times = math.exp(min(f.step.chosen.criterion - next_best.criterion, MOST_CERTAIN))
-    size = f"{times:.0f}" if times < 1000.0 else "over a thousand"
-    return f"; {next_best.name} is {size} times less likely"
+    return f"; {next_best.name} is {likelier(f.step.chosen, next_best)} times less likely"
+
+
+def likelier(one: Candidate, other: Candidate) -> str:
+    """How many times likelier one is than another."""
+    times = math.exp(min(one.criterion - other.criterion, MOST_CERTAIN))
+    return f"{times:.0f}" if times < 1000.0 else "over a thousand"
 
 
 def _with_interval(value: float, interval: Interval | None) -> str:

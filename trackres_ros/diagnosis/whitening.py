@@ -1,4 +1,7 @@
-"""Residuals are no white noise: each resembles the one before. An autoregression fitted to them makes them white."""
+"""Residuals are no white noise: each resembles the one before, and some are far out.
+
+An autoregression makes them white; what is left then is taken for Student's t, whose tails are as heavy as the data say.
+"""
 
 from __future__ import annotations
 
@@ -8,22 +11,33 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve
+from scipy.special import gammaln
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 MOST_LAGS = 4
 LARGEST_ROOT = 0.995  # of the autoregression: more would take a constant for noise
-OUTLIER = 4.0  # robust standard deviations
 MAD_TO_STD = 1.4826
+OUTLIER = 4.0  # standard deviations
+DEGREES = (2.5, 4.0, 7.0, 15.0, 60.0)  # of freedom that are tried; the last is as good as normal
+TURNS = 6  # of weights and coefficients
 
 
 @dataclass(frozen=True, eq=False)
 class Noise:
-    """An autoregression: e_t = x_t - sum phi_i x_(t-i), white with a standard deviation `std`."""
+    """An autoregression with innovations e_t = x_t - sum phi_i x_(t-i) of Student's t: `scale` times t with so many degrees of
+    freedom.
+    """
 
     phi: Array
-    std: float
+    scale: float
+    degrees: float
+
+    @property
+    def std(self) -> float:
+        """Standard deviation of normal innovations that would tell as much [unit of the series]."""
+        return self.scale * float(np.sqrt((self.degrees + 3.0) / (self.degrees + 1.0)))
 
     @property
     def gain(self) -> float:
@@ -32,8 +46,29 @@ class Noise:
 
     @property
     def text(self) -> str:
-        """Both in words."""
-        return f"AR({len(self.phi)}) {np.array2string(self.phi, precision=2)}, {self.std:.3g} Nm"
+        """All of it in words."""
+        return f"AR({len(self.phi)}) {np.array2string(self.phi, precision=2)}, {self.std:.3g} Nm, t({self.degrees:g})"
+
+    def weights(self, white: Array) -> Array:
+        """How much residuals over `std` count: about 1 on average, and ever less the further out."""
+        return (self.degrees + 3.0) / (self.degrees + self._squared(white))
+
+    def deviance_root(self, white: Array) -> Array:
+        """Signed root of twice the fall of the log-density from its peak, of residuals over `std`: least squares of it is the
+        most likely.
+        """
+        return np.sign(white) * np.sqrt((self.degrees + 1.0) * np.log1p(self._squared(white) / self.degrees))
+
+    def log_density(self, white: Array) -> Array:
+        """Log-density of the innovations, of residuals over `std`."""
+        return -0.5 * self.deviance_root(white) ** 2 + self._log_peak()
+
+    def _log_peak(self) -> float:
+        half = 0.5 * self.degrees
+        return float(gammaln(half + 0.5) - gammaln(half) - 0.5 * np.log(np.pi * self.degrees) - np.log(self.scale))
+
+    def _squared(self, white: Array) -> Array:
+        return np.asarray((white * (self.std / self.scale)) ** 2)
 
 
 def whitened(series: Array, mask: Mask, phi: Array) -> Array:
@@ -65,33 +100,66 @@ def whole_past(mask: Mask, lags: int) -> Mask:
     return valid
 
 
-def estimate_noise(residuals: Sequence[Array], masks: Sequence[Mask], lags: int | None = None) -> Noise:
-    """Fit the autoregression of residuals [Nm]; its order by BIC unless given. Outliers are pulled in first."""
-    pooled = np.concatenate([r[m] for r, m in zip(residuals, masks, strict=True)])
-    scale = OUTLIER * MAD_TO_STD * float(np.median(np.abs(pooled - np.median(pooled)))) or 1.0
-    middle = float(np.median(pooled))
-    tame = [np.clip(r, middle - scale, middle + scale) for r in residuals]
-    best: tuple[float, Noise] | None = None
-    for order in range(MOST_LAGS + 1) if lags is None else (lags,):
-        rows, targets = [], []
-        for series, mask in zip(tame, masks, strict=True):
-            at = np.flatnonzero(whole_past(mask, MOST_LAGS))
-            rows.append(np.stack([series[at - lag] for lag in range(1, order + 1)], axis=1) if order else np.empty((len(at), 0)))
-            targets.append(series[at])
-        x, y = np.concatenate(rows), np.concatenate(targets)
-        phi = solve(x.T @ x + 1e-9 * np.trace(x.T @ x) * np.eye(order), x.T @ y, assume_a="pos") if order else np.empty(0)
-        phi = _stable(phi)
-        variance = float(np.mean((y - x @ phi) ** 2))
-        criterion = len(y) * np.log(max(variance, 1e-300)) + order * np.log(len(y))
-        if best is None or criterion < best[0]:
-            best = (criterion, Noise(phi, float(np.sqrt(variance))))
-    assert best
-    return best[1]
+def estimate_noise(residuals: Sequence[Array], masks: Sequence[Mask]) -> Noise:
+    """Fit the autoregression and the tails of residuals; the order by BIC."""
+    rows, targets = [], []
+    for series, mask in zip(residuals, masks, strict=True):
+        at = np.flatnonzero(whole_past(mask, MOST_LAGS))
+        rows.append(np.stack([series[at - lag] for lag in range(1, MOST_LAGS + 1)], axis=1))
+        targets.append(series[at])
+    x, y = np.concatenate(rows), np.concatenate(targets)
+    degrees = max(DEGREES, key=lambda d: _log_likelihood(x, y, _most_likely(x, y, d)))
+    found = [_most_likely(x[:, :order], y, degrees) for order in range(MOST_LAGS + 1)]
+
+    def criterion(noise: Noise) -> float:
+        order = len(noise.phi)
+        return _log_likelihood(x[:, :order], y, noise) - 0.5 * order * float(np.log(len(y)))
+
+    return max(found, key=criterion)
+
+
+def improved(x: Array, y: Array, noise: Noise, turns: int = 2) -> Noise:
+    """Coefficients and scale made more likely in turn, as in expectation and maximisation; order and tails stay.
+
+    Parameters
+    ----------
+    x, y
+        What came before, nearest first, shape (n, lags), and the series, shape (n,).
+    """
+    phi, scale, degrees = noise.phi, noise.scale, noise.degrees
+    left = y - x @ phi
+    for _ in range(turns):
+        weight = 1.0 / (1.0 + (left / scale) ** 2 / degrees)
+        phi = _coefficients(x, y, weight)
+        left = y - x @ phi
+        scale = max(float(np.sqrt(np.mean((degrees + 1.0) / degrees * weight * left**2))), 1e-12 * scale)
+    return Noise(phi, scale, degrees)
+
+
+def _log_likelihood(x: Array, y: Array, noise: Noise) -> float:
+    return float(noise.log_density((y - x @ noise.phi) / noise.std).sum())
+
+
+def _most_likely(x: Array, y: Array, degrees: float) -> Noise:
+    """The noise with as many lags as x has columns."""
+    scale = MAD_TO_STD * float(np.median(np.abs(y))) or float(np.abs(y).max()) or 1.0
+    tame = OUTLIER * scale  # to begin with: what is far out would pull all coefficients to itself
+    phi = _coefficients(np.clip(x, -tame, tame), np.clip(y, -tame, tame), np.ones(len(y)))
+    scale = MAD_TO_STD * float(np.median(np.abs(y - x @ phi))) or scale
+    return improved(x, y, Noise(phi, scale, degrees), TURNS)
+
+
+def _coefficients(x: Array, y: Array, weight: Array) -> Array:
+    if not x.shape[1]:
+        return np.empty(0)
+    weighted = x.T * weight
+    normal = weighted @ x
+    return _stable(solve(normal + 1e-9 * np.trace(normal) * np.eye(len(normal)), weighted @ y, assume_a="pos"))
 
 
 def _stable(phi: Array) -> Array:
     """Shrink an autoregression until its largest root is `LARGEST_ROOT`."""
-    if not len(phi):
+    if np.abs(phi) @ LARGEST_ROOT ** -np.arange(1.0, len(phi) + 1.0) < 1.0:
         return phi
     largest = float(np.abs(np.roots(np.concatenate(([1.0], -phi)))).max())
     shrink = min(1.0, LARGEST_ROOT / largest) if largest > 0 else 1.0

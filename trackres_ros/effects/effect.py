@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from abc import ABC
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -15,6 +16,7 @@ Number = float | NDArray[np.float64]
 Values = Mapping[str, float]
 
 STANDSTILL_MPS = 0.05  # over it friction changes its sign smoothly, as in `model.resistance`
+REFERENCE_NM = 97920.0  # weight times wheel radius of the 24-tonne vehicle that the magnitudes of the catalogue are of
 ACTS_ON = ("torque", "heat", "cooling", "sensor")
 
 
@@ -34,6 +36,10 @@ class Parameter:
         The value without effect; None for a parameter of shape, which says nothing while the others are off.
     more_starts
         Other values to begin a fit at, where its result may hang on that.
+    of_size
+        Whether bounds and typical values are those of a vehicle of `REFERENCE_NM`, and grow with the vehicle.
+    on_tyres
+        Typical value over weight times wheel radius where the whole vehicle runs on tyres, if that makes a difference.
     """
 
     name: str
@@ -44,6 +50,20 @@ class Parameter:
     text: str
     off: float | None = None
     more_starts: tuple[float, ...] = ()
+    of_size: bool = False
+    on_tyres: float | None = None
+
+    def for_size(self, size: float, on_tyres: bool) -> Parameter:
+        """The same for a vehicle with another weight times wheel radius [Nm]."""
+        if not self.of_size:
+            return self
+        typical = self.on_tyres * size if on_tyres and self.on_tyres is not None else self.start * size / REFERENCE_NM
+        return self.times(float(f"{typical / self.start:.2g}"))
+
+    def times(self, factor: float) -> Parameter:
+        """The same for a vehicle so many times the size."""
+        low, high, start = (factor * x for x in (self.low, self.high, self.start))
+        return replace(self, low=low, high=high, start=start, more_starts=tuple(factor * x for x in self.more_starts))
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,7 +195,7 @@ class Effect(ABC):
     acts_on: ClassVar[str]
     text: ClassVar[str]
     needs: ClassVar[tuple[str, ...]] = ("speed",)
-    parameters: ClassVar[tuple[Parameter, ...]]
+    parameters: tuple[Parameter, ...]
     belt_only: ClassVar[bool] = False
 
     def lag(self, at: Conditions, p: Values) -> Lag | None:  # noqa: ARG002 - most have none
@@ -189,6 +209,12 @@ class Effect(ABC):
     def values(self, off: bool = False) -> dict[str, float]:
         """Typical values of the parameters, or those without effect."""
         return {q.name: q.off if off and q.off is not None else q.start for q in self.parameters}
+
+    def for_size(self, size: float, on_tyres: bool) -> Effect:
+        """The same effect with bounds and typical values for another vehicle, see `Parameter`."""
+        found = copy.copy(self)
+        found.parameters = tuple(q.for_size(size, on_tyres) for q in self.parameters)
+        return found
 
     def describe(self) -> dict[str, Any]:
         """All there is to know, for `trackres effects --json`."""

@@ -18,8 +18,9 @@ from trackres_ros.topics import nearest
 HELPERS = ("effect", "facts", "registry")
 
 
-def catalogue(folder: Path | None = None) -> dict[str, Effect]:
-    """All effects by name: the shipped ones, and those in the Python files of a folder.
+def catalogue(folder: Path | None = None, size: float | None = None, on_tyres: bool = False) -> dict[str, Effect]:
+    """All effects by name: the shipped ones, and those in the Python files of a folder; for a vehicle with a
+    weight times wheel radius [Nm], where that is given, on tracks or on tyres.
 
     Raises
     ------
@@ -42,7 +43,7 @@ def catalogue(folder: Path | None = None) -> dict[str, Effect]:
             if effect.name in effects:
                 raise InputError(f"{path}: name", effect.name, "a name that no other effect has")
             effects[effect.name] = effect
-    return effects
+    return {name: effect.for_size(size, on_tyres) for name, effect in effects.items()} if size else effects
 
 
 def check_effects(given: Any, where: str, known: Mapping[str, Effect]) -> tuple[Active, ...]:

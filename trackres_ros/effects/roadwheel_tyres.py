@@ -15,7 +15,7 @@ class RoadwheelTyres(Effect):
     text = "the rubber of wheels or tyres loses with the load, and less once it is warm"
     needs = ("speed", "weight", "ambient")
     parameters = (
-        Parameter("torque", "Nm", 0.0, 1000.0, 200.0, "at nominal load and 20 degC", off=0.0),
+        Parameter("torque", "Nm", 0.0, 1000.0, 200.0, "at nominal load and 20 degC", off=0.0, of_size=True, on_tyres=0.01),
         Parameter("softening", "1/K", 0.005, 0.03, 0.015, "fall of the loss with temperature"),
         Parameter("rise", "K/(m/s)", 0.0, 4.0, 1.0, "warming with speed"),
         Parameter("time_constant", "s", 200.0, 4000.0, 1200.0, "of the tyres' temperature", more_starts=(500.0,)),

@@ -13,7 +13,7 @@ class SoftGround(Effect):
     text = "the vehicle sinks in and pushes a rut"
     needs = ("speed", "weight")
     parameters = (
-        Parameter("torque", "Nm", 0.0, 10000.0, 1000.0, "at nominal load", off=0.0),
+        Parameter("torque", "Nm", 0.0, 10000.0, 1000.0, "at nominal load", off=0.0, of_size=True),
         Parameter("exponent", "1", 0.3, 1.2, 0.8, "of sinkage, n"),
     )
 

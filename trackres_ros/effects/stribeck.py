@@ -12,8 +12,8 @@ class Stribeck(Effect):
     acts_on = "torque"
     text = "seals rub with a constant torque, and more at a crawl"
     parameters = (
-        Parameter("constant", "Nm", 0.0, 300.0, 100.0, "friction at speed", off=0.0),
-        Parameter("breakaway", "Nm", 0.0, 400.0, 100.0, "added at a crawl", off=0.0),
+        Parameter("constant", "Nm", 0.0, 300.0, 100.0, "friction at speed", off=0.0, of_size=True),
+        Parameter("breakaway", "Nm", 0.0, 400.0, 100.0, "added at a crawl", off=0.0, of_size=True),
         Parameter("speed", "m/s", 0.2, 5.0, 1.0, "over which that fades", more_starts=(3.0,)),
     )
 

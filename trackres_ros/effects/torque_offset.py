@@ -9,7 +9,7 @@ class TorqueOffset(Effect):
     name = "torque_offset"
     acts_on = "sensor"
     text = "the torque sensor shows a torque where there is none"
-    parameters = (Parameter("offset", "Nm", -2000.0, 2000.0, 150.0, "shown at no torque", off=0.0),)
+    parameters = (Parameter("offset", "Nm", -2000.0, 2000.0, 150.0, "shown at no torque", off=0.0, of_size=True),)
 
     def terms(self, at: Conditions, p: Values) -> Terms:  # noqa: ARG002
         return Terms(sensor_offset=p["offset"])

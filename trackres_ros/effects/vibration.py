@@ -11,8 +11,9 @@ class Vibration(Effect):
     name = "vibration"
     acts_on = "torque"
     text = "the belt swings, most at one speed"
+    belt_only = True
     parameters = (
-        Parameter("torque", "Nm", 0.0, 800.0, 150.0, "at the worst speed", off=0.0),
+        Parameter("torque", "Nm", 0.0, 800.0, 150.0, "at the worst speed", off=0.0, of_size=True),
         Parameter("speed", "m/s", 1.0, 16.0, 6.0, "the worst", more_starts=(3.0, 9.0, 12.0)),
         Parameter("width", "m/s", 0.3, 2.0, 0.8, "half the range of speeds"),
     )

@@ -17,7 +17,7 @@ class ViscousBearing(Effect):
     text = "grease in the bearings resists with speed, and less once it is warm"
     needs = ("speed", "ambient")
     parameters = (
-        Parameter("coefficient", "Nm/(m/s)^(2/3)", 0.0, 400.0, 54.0, "drag at 20 degC", off=0.0),
+        Parameter("coefficient", "Nm/(m/s)^(2/3)", 0.0, 400.0, 54.0, "drag at 20 degC", off=0.0, of_size=True),
         Parameter("thinning", "1/K", 0.03, 0.07, 0.05, "fall of viscosity with temperature"),
         Parameter("rise", "K/(m/s)", 0.0, 5.0, 1.5, "warming of the bearing with speed", more_starts=(0.2,)),
         Parameter("time_constant", "s", 200.0, 4000.0, 1000.0, "of the bearing's temperature"),

@@ -54,7 +54,8 @@ def draw_all(d: Diagnosis, folder: Path) -> list[Picture]:
 
 def _before_after(d: Diagnosis, path: Path) -> Picture:
     """The held-out lap on which the model gained most."""
-    gained = d.held_out.by_lap["refitted"] - d.held_out.by_lap["with_effects"] if d.found else d.held_out.by_lap["refitted"]
+    mae = d.held_out.by_lap["mae"]
+    gained = mae["refitted"] - mae["with_effects"] if d.found else mae["refitted"]
     lap = d.split.held_out[int(np.argmax(gained))]
     index = next(i for i, s in enumerate(d.sessions) if (s.block == lap).any())
     session = d.sessions[index]
@@ -148,6 +149,9 @@ def _times(d: Diagnosis, path: Path) -> Picture:
                 for span in found.where:
                     if span.recording == session.name:
                         axis.axvspan(span.begin / 60.0, span.end / 60.0, ymax=0.06, color=ORANGE, linewidth=0)
+            for change in d.changes or ():
+                if change.recording == session.name:
+                    axis.axvline(change.time / 60.0, color=GREY, linestyle="--", linewidth=1.0, label="change of level")
             axis.axhline(0.0, color=GREY, linewidth=0.8)
             axis.set_title(Path(session.name).name)
         axes[0].legend(*_all_labels(list(axes)), loc="upper right", ncols=3)
@@ -206,9 +210,8 @@ def _laps(d: Diagnosis, path: Path) -> Picture:
         stages += [("with_effects", VERMILION, "with the effects")] if d.found else []
         wide = 0.8 / len(stages)
         for i, (stage, color, label) in enumerate(stages):
-            axis.bar(
-                np.arange(len(h.laps)) + (i - 0.5 * (len(stages) - 1)) * wide, h.by_lap[stage], wide, color=color, label=label
-            )
+            place = np.arange(len(h.laps)) + (i - 0.5 * (len(stages) - 1)) * wide
+            axis.bar(place, h.by_lap["mae"][stage], wide, color=color, label=label)
         axis.set_xticks(np.arange(len(h.laps)), [str(i + 1) for i in range(len(h.laps))])
         axis.set_xlabel("held-out lap")
         axis.set_ylabel("mean error [Nm]")

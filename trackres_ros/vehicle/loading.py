@@ -89,8 +89,10 @@ def build(path: Path, content: Mapping[str, Any], overrides: Mapping[str, float]
         assemblies=_assemblies(reader, content["assemblies"], axles, tracks),
         tracks=MappingProxyType(tracks),
         parameters=MappingProxyType(reader.parameters),
-        effects=check_effects(content["effects"], reader.where("effects"), catalogue()) if "effects" in content else (),
     )
+    if "effects" in content:
+        known = catalogue(size=vehicle.weight * vehicle.track_of(vehicle.assemblies[0]).sprocket_radius)
+        vehicle = replace(vehicle, effects=check_effects(content["effects"], reader.where("effects"), known))
     reader.check_overrides_used()
     return vehicle
 
