@@ -11,11 +11,13 @@ import numpy as np
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "real"
 FINAL_DRIVE = 9.665
 CLIPPED_NM = -80.0  # of the motor: below it torque and friction brakes cannot be told apart
+SLOWEST_MPS, YAW_OVER_S = 0.1, 0.5
 NM_PER_A = 1.0  # assumed: the base's scale is re-fitted
 RADIUS_M = {"husky": 0.159, "warthog": 0.3}
 
 
 def _write(path, columns):
+    path.parent.mkdir(parents=True, exist_ok=True)
     rows = np.column_stack(list(columns.values()))
     with path.open("w", encoding="utf-8") as file:
         file.write(",".join(columns) + "\n")
@@ -65,7 +67,7 @@ def car(name, folder, elevation=True):
 
 
 def robot(name, folder, yaw_rate=True):
-    """One recording of a skid-steered robot: torque as the sum of both sides' currents with the sign of their speed."""
+    """One recording of a skid-steered robot: power of both sides' currents over the mean speed, as its sides turn unalike."""
     text = gzip.decompress((DATA / "husky_warthog" / f"{name}.csv.gz").read_bytes()).decode()
     rows = list(csv.DictReader(io.StringIO(text)))
 
@@ -76,10 +78,20 @@ def robot(name, folder, yaw_rate=True):
     there = np.concatenate(([False], np.diff(time) > 0.0)) & (time > 1.0)
     left, right = (RADIUS_M[robot_of(name)] * column(f"meas_{side}_vel") for side in ("left", "right"))
     signs = [1.0, 1.0] if np.nanmin(column("left_wheel_current")) < -1.0 else [np.sign(left), np.sign(right)]
-    torque = NM_PER_A * (signs[0] * column("left_wheel_current") + signs[1] * column("right_wheel_current"))
-    columns = {"time_s": time, "speed_mps": 0.5 * (left + right), "torque_nm": torque}
-    if yaw_rate:
-        columns["yaw_rate_radps"] = column("imu_z")
+    power = signs[0] * column("left_wheel_current") * left + signs[1] * column("right_wheel_current") * right
+    mean = 0.5 * (left + right)
+    moving = np.abs(mean) > SLOWEST_MPS
+    columns = {
+        "time_s": time,
+        "speed_mps": mean,
+        "torque_nm": np.where(moving, NM_PER_A * power / np.where(moving, mean, 1.0), np.nan),
+    }
+    if yaw_rate:  # of the laser scans' position: the gyroscope is recorded for one of the robots alone
+        yaw = np.unwrap(2.0 * np.arctan2(column("icp_quat_z"), column("icp_quat_w"))[there])
+        at = time[there]
+        before, after = (np.interp(at + side * 0.5 * YAW_OVER_S, at, yaw) for side in (-1.0, 1.0))
+        columns["yaw_rate_radps"] = np.full(len(time), np.nan)
+        columns["yaw_rate_radps"][there] = (after - before) / YAW_OVER_S
     return _write(folder / f"{name}.csv", {key: value[there] for key, value in columns.items()})
 
 

@@ -16,8 +16,8 @@ import real
 pytestmark = pytest.mark.skipif(not real.DATA.is_dir(), reason="no real recordings on this machine")
 
 
-def run(vehicle, out, *paths):
-    done = CliRunner().invoke(cli, ["diagnose", *map(str, paths), "--vehicle", vehicle, "-o", str(out), "--quick"])
+def run(vehicle, out, *given):
+    done = CliRunner().invoke(cli, ["diagnose", *map(str, given), "--vehicle", vehicle, "-o", str(out), "--quick"])
     if done.exception and not isinstance(done.exception, SystemExit):
         raise done.exception
     return json.loads((Path(out) / "report.json").read_text())
@@ -26,6 +26,24 @@ def run(vehicle, out, *paths):
 def test_a_robot_off_the_ground_neither_rolls_nor_turns(tmp_path):
     found = run("husky", tmp_path / "out", real.robot("husky_avide2", tmp_path))
     assert {"turning_scrub", "cornering", "soft_ground", "grade"}.isdisjoint(n for e in found["effects"] for n in e["class"])
+
+
+def test_a_robot_on_wet_grass_turns_with_friction_if_its_yaw_rate_is_known(tmp_path):
+    known, hidden = (real.robot("husky_wetgrass", tmp_path / sub, yaw_rate=given) for sub, given in (("a", True), ("b", False)))
+    found = run("husky", tmp_path / "known", known)
+    (effect,) = found["effects"]
+    assert effect["class"] == ["turning_scrub"]
+    assert 0.2 < effect["parameters"]["friction"]["value"] < 1.2
+    assert found["heldout"]["mae"]["with_effects"] < 0.6 * found["heldout"]["mae"]["refitted"]
+    assert not any("turning_scrub" in e["class"] for e in run("husky", tmp_path / "hidden", hidden)["effects"])
+
+
+def test_a_car_in_winter_needs_more_until_it_is_warm(tmp_path):
+    paths = [real.car(name, tmp_path) for name in real.trips() if name.startswith("TripB")]
+    found = run("bmw_i3", tmp_path / "out", *paths, "--hide", "ambient")
+    (effect,) = found["effects"]
+    assert {"roadwheel_tyres", "warmup", "viscous_bearing"} & set(effect["class"])
+    assert found["heldout"]["mae"]["with_effects"] < found["heldout"]["mae"]["refitted"]
 
 
 def test_the_car_is_refitted_to_values_of_a_car(tmp_path):

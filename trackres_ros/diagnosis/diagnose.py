@@ -17,7 +17,7 @@ from trackres_ros.diagnosis.fitting import Fit, Problem
 from trackres_ros.diagnosis.gate import Gated, gate, split
 from trackres_ros.diagnosis.held_out import HeldOut, held_out
 from trackres_ros.diagnosis.intervals import Interval, intervals
-from trackres_ros.diagnosis.locate import ThermalCheck, acts, contribution, spans, thermal_check
+from trackres_ros.diagnosis.locate import ThermalCheck, acts, against_travel, contribution, spans, thermal_check
 from trackres_ros.diagnosis.naming import Step, begin, choose
 from trackres_ros.diagnosis.regimes import RegimeMap, cumulative_periodogram, regime_map
 from trackres_ros.diagnosis.sanity import aligned_clock, check_torque
@@ -145,7 +145,8 @@ def diagnose(
     found = []
     for active in final.effects:
         adds = contribution(final, active.effect.name)
-        where = acts(final, adds)
+        resists = against_travel(final.problem.sessions, adds) if active.effect.acts_on != "sensor" else adds
+        where = acts(final, resists)
         found.append(
             Found(
                 active.effect.name,
@@ -156,6 +157,7 @@ def diagnose(
                 active.values,
                 {q: bounds[active.effect.name, q] for q in active.values},
                 adds,
+                resists,
                 spans(final.problem.sessions, adds),
                 where,
                 at_base.within(where.variable, where.low, where.high),

@@ -197,6 +197,9 @@ def _session(recording: Recording, vehicle: Known, hide: frozenset[str], left_ou
     belt = np.mean(belts, axis=0) if belts else np.full(count, np.nan)
     given |= {"belt"} if belts and np.isfinite(belt).any() else frozenset()
     heading, yaw_rate = held("heading", np.nan), np.full(count, np.nan)
+    if "yaw_rate" in given and not np.ptp(series["yaw_rate"].value[np.isfinite(series["yaw_rate"].value)]):
+        given -= {"yaw_rate"}  # a gyroscope that is there is never still
+        notes.append(f"{recording.name}: yaw_rate never changes; taken for not recorded")
     if "yaw_rate" in given:
         yaw_rate = _means(*_ordered(series["yaw_rate"], start), edges)[0]
     if "yaw_rate" in given and "heading" not in given:

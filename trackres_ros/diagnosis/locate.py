@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -104,7 +104,12 @@ class Acts:
         return f"from {self.low:.3g} to {self.high:.3g} {self.unit} of {self.variable}"
 
 
-def acts(found: Fit, adds: list[Array]) -> Acts:
+def against_travel(sessions: Sequence[Session], adds: Sequence[Array]) -> list[Array]:
+    """A torque as a resistance: positive where it brakes, whichever way the vehicle moves."""
+    return [x * np.sign(s.speed) for s, x in zip(sessions, adds, strict=True)]
+
+
+def acts(found: Fit, adds: Sequence[Array]) -> Acts:
     """The variable whose bins explain most of a series, and the range of its bins where the series is large."""
     sessions = found.problem.sessions
     used = np.concatenate([s.used for s in sessions])

@@ -40,6 +40,7 @@ class Found:
     values: Mapping[str, float]
     intervals: Mapping[str, Interval]
     adds: list[Array]  # to the expected torque of each session [Nm]
+    resists: list[Array]  # the same, positive against travel whichever way; as shown, if a sensor adds it
     where: Sequence[Span]
     acts: Acts
     regime: Sequence[Bin]  # of the base's residual, where it acts
@@ -98,7 +99,7 @@ def moved_parameters(refitted: Fit) -> list[tuple[BaseParameter, float]]:
 
 
 def _of_effect(f: Found) -> str:
-    used = np.concatenate(f.adds)
+    used = np.concatenate(f.resists)
     acting = used[np.abs(used) >= 0.5 * np.percentile(np.abs(used), 95.0)]
     mean = float(np.mean(acting)) if len(acting) else 0.0
     side = "more" if mean > 0 else "less"

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.diagnose import Diagnosis
 from trackres_ros.diagnosis.fitting import Fit
-from trackres_ros.diagnosis.locate import VARIABLES
+from trackres_ros.diagnosis.locate import VARIABLES, against_travel
 from trackres_ros.diagnosis.regimes import Bin
 from trackres_ros.diagnosis.session import Session
 from trackres_ros.diagnosis.verdict import Found
@@ -165,8 +165,10 @@ def _partial(d: Diagnosis, found: Found, path: Path) -> Picture:
     """What is left without the effect, and what the effect adds, over the variable that it follows best."""
     fit = d.final
     used = np.concatenate([s.used for s in d.sessions])
-    adds = np.concatenate(found.adds)[used]
-    residual = np.concatenate([s.torque - p.torque for s, p in zip(d.sessions, fit.predicted, strict=True)])[used]
+    left_over = [s.torque - p.torque for s, p in zip(d.sessions, fit.predicted, strict=True)]
+    if found.acts_on != "sensor":
+        left_over = against_travel(d.sessions, left_over)
+    adds, residual = np.concatenate(found.resists)[used], np.concatenate(left_over)[used]
     unit, of = VARIABLES[found.acts.variable]
     label = f"{found.acts.variable} [{unit}]"
     x = np.concatenate([of(s, p.belt) for s, p in zip(d.sessions, fit.predicted, strict=True)])[used]
@@ -191,7 +193,7 @@ def _partial(d: Diagnosis, found: Found, path: Path) -> Picture:
         )
         axis.plot(middle[shown], term[shown], color=VERMILION, label=f"{found.name} as fitted")
         axis.set_xlabel(label)
-        axis.set_ylabel("torque [Nm]")
+        axis.set_ylabel("torque against travel [Nm]")
         axis.legend(loc="best")
         axis.set_title(f"{found.name}: {found.text}")
     return Picture(
