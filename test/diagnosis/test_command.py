@@ -151,6 +151,45 @@ def test_too_short_is_refused(run, recorded, tmp_path):
     assert "120 s" in str(done.exception)
 
 
+def test_a_gap_is_counted_and_does_not_make_an_effect(run, recorded, tmp_path):
+    holed = []
+    for path in recorded():
+        lines = path.read_text().splitlines()
+        holed.append(tmp_path / path.name)
+        holed[-1].write_text("\n".join(lines[:900] + lines[1500:]))
+    found = found_in(run, holed, tmp_path / "out")
+    assert found["verdict"]["status"] == "none"
+    left_out = {x["reason"]: x["samples"] for x in found["rejected"]}
+    assert 2 * 100 < left_out["no speed"] < 2 * 125
+
+
+def test_a_channel_without_values_or_life_is_as_if_not_recorded(run, recorded, tmp_path):
+    paths = recorded("turning_scrub")
+    for nothing in (np.nan, 0.0):
+        dead = {name: lambda x, v=nothing: np.full_like(x, v) for name in ("yaw_rate_radps", "heading_rad")}
+        found = found_in(run, [changed(path, tmp_path, **dead) for path in paths], tmp_path / "out")
+        assert any(n["name"] == "turning_scrub" for n in found["not_visible"])
+        assert not any("turning_scrub" in e["class"] for e in found["effects"])
+
+
+def test_recordings_of_two_vehicles_are_told(run, recorded, tmp_path):
+    one, other = recorded()
+    found = found_in(run, [one, changed(other, tmp_path, torque_nm=lambda x: 0.4 * x)], tmp_path / "out")
+    assert any("same vehicle" in note for note in found["notes"])
+
+
+def test_one_speed_alone_shows_little_and_says_so(run, loaded, tmp_path):
+    n = 3000
+    time, speed = 0.2 * np.arange(n), np.full(n, 5.0)
+    rng = np.random.default_rng(3)
+    columns = {"time_s": time, "speed_mps": speed, "torque_nm": rng.normal(5500.0, 40.0, n)}
+    path = tmp_path / "steady.csv"
+    np.savetxt(path, np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns), comments="")
+    found = found_in(run, [path], tmp_path / "out")
+    assert len(found["not_visible"]) > 10
+    assert found["verdict"]["status"] in ("none", "one_of", "unexplained")
+
+
 def test_a_clock_that_is_off_is_put_right(run, recorded, tmp_path):
     moved = []
     for path in recorded("turning_scrub"):

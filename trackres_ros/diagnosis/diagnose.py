@@ -20,7 +20,7 @@ from trackres_ros.diagnosis.intervals import Interval, intervals
 from trackres_ros.diagnosis.locate import ThermalCheck, acts, against_travel, contribution, spans, thermal_check
 from trackres_ros.diagnosis.naming import Step, begin, choose
 from trackres_ros.diagnosis.regimes import RegimeMap, cumulative_periodogram, regime_map
-from trackres_ros.diagnosis.sanity import aligned_clock, check_torque
+from trackres_ros.diagnosis.sanity import aligned_clock, check_torque, unlike
 from trackres_ros.diagnosis.screening import QUICK_REPLICATES, REPLICATES
 from trackres_ros.diagnosis.session import Session, Split
 from trackres_ros.diagnosis.verdict import Found, Verdict, judge
@@ -185,4 +185,5 @@ def _judged_by_nominal(gated: Gated, base: Base) -> tuple[Gated, tuple[Array, ..
     notes = (*gated.notes, *(note for _, note in moved if note))
     if base.name == "track":
         check_torque(sessions, expected)
+    notes = (*notes, *unlike(sessions, expected))
     return replace(gated, sessions=sessions, notes=notes), tuple(expected)

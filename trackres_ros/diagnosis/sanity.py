@@ -17,6 +17,7 @@ SURE = 0.5  # correlation from which a wrong sign or unit is no doubt
 KILO = (1.0 / 3000.0, 1.0 / 300.0)
 LARGEST_SHIFT_S = 30
 LEAST_SHIFT_S = 2
+UNLIKE = 1.8  # times the torque: more than load, ground and weather do to one vehicle between two drives
 CLEARLY_BETTER = 0.05  # in correlation
 
 
@@ -76,6 +77,19 @@ def check_torque(sessions: Sequence[Session], expected: Sequence[Array]) -> None
             f"{names}: torque", f"about {slope:.2g} of the expected", "the torque at the sprockets, whole vehicle",
             "multiply a motor torque by its ratio, and one side by two, with scale in the topics file",
         )  # fmt: skip
+
+
+def unlike(sessions: Sequence[Session], expected: Sequence[Array]) -> list[str]:
+    """What to say of recordings whose torque is in another proportion to the expected one than that of the others."""
+    shares = [
+        float(s.torque[s.used] @ e[s.used] / max(e[s.used] @ e[s.used], 1e-12)) for s, e in zip(sessions, expected, strict=True)
+    ]
+    middle = float(np.median(shares)) if len(shares) > 2 else max(shares)
+    return [
+        f"{s.name}: its torque is {share:.2g} of the expected one, of other recordings {middle:.2g}: is it of the same vehicle?"
+        for s, share in zip(sessions, shares, strict=True)
+        if s.used.sum() > 60 and not 1.0 / UNLIKE < share / middle < UNLIKE
+    ]
 
 
 def _correlation(a: Array, b: Array, used: NDArray[np.bool_]) -> float:
