@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 from trackres_ros.cli.main import cli
 from trackres_ros.effects import Active, Conditions, Terms, catalogue, check_effects, together
-from trackres_ros.effects.effect import ACTS_ON
+from trackres_ros.effects.effect import ACTS_ON, REFERENCE_NM
 from trackres_ros.effects.facts import facts_of
 from trackres_ros.errors import InputError
 from trackres_ros.vehicle import load
@@ -125,6 +125,15 @@ def test_values_of_a_vehicle_file_are_checked():
     ):
         with pytest.raises(InputError, match=said):
             check_effects(bad, "vehicle.yaml: effects", CATALOGUE)
+
+
+def test_what_is_typical_grows_with_the_vehicle():
+    whole, half = (catalogue(size=size)["warmup"].parameters[0] for size in (REFERENCE_NM, 0.5 * REFERENCE_NM))
+    assert (half.low, half.start, half.high) == (0.5 * whole.low, 0.5 * whole.start, 0.5 * whole.high)
+    assert catalogue(size=REFERENCE_NM)["warmup"].values() == CATALOGUE["warmup"].values()
+    on_tyres = catalogue(size=4600.0, on_tyres=True)["roadwheel_tyres"].parameters[0]
+    assert on_tyres.start == pytest.approx(46.0)
+    assert catalogue(size=0.5 * REFERENCE_NM)["headwind"].parameters == CATALOGUE["headwind"].parameters
 
 
 def test_an_effect_of_the_users_own_joins_the_catalogue(tmp_path):

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from trackres_ros.diagnosis import read_recordings
 from trackres_ros.diagnosis.belt_series import follow
@@ -58,6 +59,29 @@ def test_an_outlier_does_not_move_the_noise():
     mask = np.ones(3000, dtype=bool)
     clean, dirty = estimate_noise([series], [mask]), estimate_noise([spoilt], [mask])
     assert dirty.phi[0] == pytest.approx(clean.phi[0], abs=0.1)
+
+
+@pytest.mark.parametrize(("degrees", "low", "high"), [(3.0, 2.0, 5.0), (200.0, 10.0, 100.0)])
+def test_tails_are_as_heavy_as_the_data_say(degrees, low, high):
+    rng = np.random.default_rng(8)
+    e = rng.standard_t(degrees, 6000)
+    series = lfilter([1.0], [1.0, -0.7], 5.0 * e)
+    noise = estimate_noise([series], [np.ones(6000, dtype=bool)])
+    assert low <= noise.degrees <= high
+    assert noise.scale == pytest.approx(5.0, rel=0.1)
+    white = whitened(series, np.ones(6000, dtype=bool), noise.phi)
+    white = white[np.isfinite(white)] / noise.std
+    # The weights are those with which the squares fall as the log-density does.
+    h = 1e-4
+    slope = (noise.log_density(white + h) - noise.log_density(white - h)) / (2.0 * h)
+    np.testing.assert_allclose(slope, -noise.weights(white) * white, atol=1e-5)
+
+
+def test_a_parameter_more_never_makes_a_fit_less_likely(problem, effects):
+    before = begin(problem)
+    for name in ("torque_offset", "stribeck", "headwind"):
+        after = fit(problem, [effects[name]], before.at, before.noises)
+        assert after.log_likelihood > before.log_likelihood - 0.5  # to within the search's own tolerance
 
 
 def test_whitening_never_reaches_over_a_gap():

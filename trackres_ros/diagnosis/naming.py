@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 MOST_EFFECTS = 3
 MOST_REFITTED = 6
 FAR_BEHIND = 15.0  # in log-likelihood, to first order: no refit makes that good
+THROUGH_TEMPERATURE = ("heat", "cooling")  # but for what is far from linear
 ALIKE_WITHIN = 3.0  # in log-likelihood
 STABLE_SHARE = 0.8
 RESAMPLES = 500
@@ -117,7 +118,13 @@ def _round(current: Fit, effects: Mapping[str, Effect], replicates: int, rng: np
     best = screened.gains[0][1] if screened.gains else 0.0
     if best < 0.5 * screened.threshold or best < 1.0:
         return Step(current, seen, screened.threshold, gains, (), None, (), {}, 0.0)
-    worth = [s for s, gain in screened.gains if gain > 0.25 * screened.threshold and gain > best - max(FAR_BEHIND, 0.5 * best)]
+    within = max(FAR_BEHIND, 0.5 * best)
+    worth = [
+        s
+        for s, gain in screened.gains
+        if gain > 0.25 * screened.threshold
+        and (gain > best - within or (s.effect.acts_on in THROUGH_TEMPERATURE and gain > screened.threshold))
+    ]
     names = list(dict.fromkeys(s.effect.name for s in worth))[:MOST_REFITTED]
     candidates = [_refit(current, effects[name], [s for s in worth if s.effect.name == name]) for name in names]
     candidates.sort(key=lambda c: -c.criterion)

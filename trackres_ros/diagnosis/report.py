@@ -103,14 +103,14 @@ def _why(c: Candidate, step: Step) -> str:
     """Why a candidate was chosen, or was not."""
     if step.chosen is c:
         return "chosen"
+    if step.chosen is not None and c.name in step.members:
+        return f"cannot be told from {step.chosen.name} here"
     if c.gain <= step.threshold:
         return "noise alone may gain as much"
     if c.criterion <= 0.0:
         return "explains less than its parameters cost"
     if step.chosen is None:
         return f"not the best in {STABLE_SHARE:.0%} of resampled laps"
-    if c.name in step.members:
-        return f"cannot be told from {step.chosen.name} here"
     return f"{likelier(step.chosen, c)} times less likely than {step.chosen.name}"
 
 

@@ -81,9 +81,8 @@ def check_torque(sessions: Sequence[Session], expected: Sequence[Array]) -> None
 
 def unlike(sessions: Sequence[Session], expected: Sequence[Array]) -> list[str]:
     """What to say of recordings whose torque is in another proportion to the expected one than that of the others."""
-    shares = [
-        float(s.torque[s.used] @ e[s.used] / max(e[s.used] @ e[s.used], 1e-12)) for s, e in zip(sessions, expected, strict=True)
-    ]
+    used = [(s.torque[s.used], e[s.used]) for s, e in zip(sessions, expected, strict=True)]
+    shares = [float(m @ e) / max(float(e @ e), 1e-12) for m, e in used]
     middle = float(np.median(shares)) if len(shares) > 2 else max(shares)
     return [
         f"{s.name}: its torque is {share:.2g} of the expected one, of other recordings {middle:.2g}: is it of the same vehicle?"

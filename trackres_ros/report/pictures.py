@@ -53,10 +53,12 @@ def draw_all(d: Diagnosis, folder: Path) -> list[Picture]:
 
 
 def _before_after(d: Diagnosis, path: Path) -> Picture:
-    """The held-out lap on which the model gained most."""
+    """The held-out lap on which the model gained most, over all its samples."""
     mae = d.held_out.by_lap["mae"]
     gained = mae["refitted"] - mae["with_effects"] if d.found else mae["refitted"]
-    lap = d.split.held_out[int(np.argmax(gained))]
+    laps = [lap for lap in d.split.held_out if any((s.block[s.used] == lap).any() for s in d.sessions)]
+    samples = [sum(int((s.block[s.used] == lap).sum()) for s in d.sessions) for lap in laps]
+    lap = laps[int(np.argmax(gained * samples))]
     index = next(i for i, s in enumerate(d.sessions) if (s.block == lap).any())
     session = d.sessions[index]
     rows = np.flatnonzero(session.block == lap)
