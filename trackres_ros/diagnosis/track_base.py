@@ -76,20 +76,23 @@ class TrackBase:
         for session, course in zip(
             sessions, courses(sessions, self.facts, [*self.vehicle.effects, *effects], drive), strict=True
         ):
-            loss_torque, belts, skins = np.zeros(len(session)), np.zeros(len(session)), np.zeros(len(session))
+            loss_torque, belts, means, skins = (np.zeros(len(session)) for _ in range(4))
             for i, group in enumerate(self._groups):
-                loss, core, skin, temperatures[i] = self._roll(group, session, course, values, temperatures[i])
+                loss, core, mean, skin, temperatures[i] = self._roll(group, session, course, values, temperatures[i])
                 loss_torque += group.count * group.radius * loss
                 belts += group.count / self.facts.assemblies * core
+                means += group.count / self.facts.assemblies * mean
                 skins += group.count / self.facts.assemblies * skin
-            found.append(self._torque(session, course, values, loss_torque, belts, skins))
+            found.append(self._torque(session, course, values, loss_torque, belts, means, skins))
         return found
 
     def write(self, path: Path, values: Values, effects: Sequence[Active], text: str) -> None:
         """See `base.Base`."""
         write_track_vehicle(self.vehicle, path, values, [*self.vehicle.effects, *effects], text)
 
-    def _torque(self, session: Session, course: Course, values: Values, loss: Array, belt: Array, skin: Array) -> Predicted:
+    def _torque(
+        self, session: Session, course: Course, values: Values, loss: Array, belt: Array, mean: Array, skin: Array
+    ) -> Predicted:
         chassis, radius = self.vehicle.chassis, self.facts.radius
         speed, direction = np.asarray(course.at.speed), np.asarray(course.at.direction)
         area = values[DRAG] * chassis.frontal_area
@@ -101,12 +104,12 @@ class TrackBase:
         if "grade" in session.given:
             force = force + session.weight * session.grade / np.sqrt(1.0 + session.grade**2)
         at_sprockets = (loss * direction + radius * force + course.terms.torque) * course.terms.drive_gain
-        return Predicted(as_sensed(at_sprockets, course.terms, session), at_sprockets, belt, skin)
+        return Predicted(as_sensed(at_sprockets, course.terms, session), at_sprockets, belt, mean, skin)
 
     def _roll(
         self, group: _Group, session: Session, course: Course, values: Values, before: tuple[float, float] | None
-    ) -> tuple[Array, Array, Array, tuple[float, float]]:
-        """Loss [N], core and seen surface [degC] of one belt of a group, and its nodes at the end."""
+    ) -> tuple[Array, Array, Array, Array, tuple[float, float]]:
+        """Loss [N], core, mean and seen surface [degC] of one belt of a group, and its nodes at the end."""
         rubber, network, terms = self.vehicle.rubber, group.network, course.terms
         constants = np.empty(CONSTANTS)
         constants[at.FIRST_X], constants[at.STEP_X] = group.table.first_x, group.table.step_x
@@ -144,6 +147,8 @@ class TrackBase:
             skin,
         )
         end = (float(core[-1]), float(skin[-1]))
+        share = _skin_share(constants)
+        mean = (1.0 - share) * core + share * skin
         # A sensor sees the surface. What of the inner resistance has no node of its own lies between the last node and it.
         left = 1.0 / network.inner_conductance - constants[at.INNER_RESISTANCE]
         if left > at.LEAST_RESISTANCE:
@@ -152,16 +157,21 @@ class TrackBase:
             film = film + constants[at.FILM_SLOPE] * full(terms.film_slope_factor, session) * travel
             to_air = film * network.area  # as in `model.thermal.surface_temperature`, for a series
             skin = (skin / left + to_air * ambient) / (1.0 / left + to_air)
-        return loss, core, skin, end
+        return loss, core, mean, skin, end
 
 
 def _rested(before: tuple[float, float], seconds: float, ambient: float, constants: Array) -> tuple[float, float]:
     """Temperatures of a belt after a rest: its mean cools as a lumped one, core and surface have met."""
-    share = constants[at.SKIN_SHARE] if constants[at.INNER_RESISTANCE] > at.LEAST_RESISTANCE else 0.0
+    share = _skin_share(constants)
     mean = (1.0 - share) * before[0] + share * before[1]
     rate = -constants[at.FILM_OFFSET] * constants[at.AREA] / constants[at.CAPACITY]
     mean += rate * (mean - ambient) * seconds * phi_1(rate * seconds)
     return mean, mean
+
+
+def _skin_share(constants: Array) -> float:
+    """Of the heat capacity; 0 where core and surface are one."""
+    return float(constants[at.SKIN_SHARE]) if constants[at.INNER_RESISTANCE] > at.LEAST_RESISTANCE else 0.0
 
 
 def _groups(vehicle: Vehicle) -> list[_Group]:
