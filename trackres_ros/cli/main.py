@@ -13,6 +13,7 @@ from trackres_ros.cli.diagnose import diagnose_command, effects_command
 from trackres_ros.cli.explain import explain_command
 from trackres_ros.cli.live import live_command
 from trackres_ros.cli.play import play_command
+from trackres_ros.cli.prove import prove_command
 from trackres_ros.cli.record_sample import record_sample_command
 from trackres_ros.cli.replay import replay_command
 from trackres_ros.cli.reproduce import reproduce_command
@@ -46,6 +47,7 @@ for command in (
     simulate_command,
     explain_command,
     diagnose_command,
+    prove_command,
     effects_command,
     reproduce_command,
     record_sample_command,

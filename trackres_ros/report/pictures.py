@@ -118,7 +118,11 @@ def _regimes(d: Diagnosis, path: Path) -> Picture:
             axis.set_title(f"{name} [{of[0].unit}]")
         for axis in axes[len(variables) :]:
             axis.set_visible(False)
-        axes[0].legend(loc="best")
+        if variables:
+            axes[0].legend(loc="best")
+        else:
+            axes[0].set_visible(True)
+            axes[0].text(0.5, 0.5, "too few samples for any regime", ha="center", transform=axes[0].transAxes)
         figure.supylabel("mean residual [Nm]   (* stands out of noise)", fontsize=9)
     first = d.at_base.significant
     text = (

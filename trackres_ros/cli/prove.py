@@ -1,0 +1,63 @@
+"""`trackres prove`: the diagnosis on cases whose cause is concealed from it."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import click
+
+from trackres_ros.errors import InputError
+
+MINUTES = 15.0
+QUICK_MINUTES = 12.0
+REPORTED_SEED = 20260101
+FOLDERS = ("cases", "results", "sealed")
+
+
+@click.command("prove")
+@click.option("--level", "levels", multiple=True, metavar="L", help="Only this level; may be repeated.")
+@click.option("--cases", "count", type=click.IntRange(1), metavar="N", help="So many cases of each level.")
+@click.option("--seed", type=click.IntRange(0), default=REPORTED_SEED, show_default=True, help="Of all that is drawn.")
+@click.option("--quick", is_flag=True, help="70 cases of shorter drives.")
+@click.option("--fresh", is_flag=True, help="Begin anew instead of going on with what is in the folder.")
+@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, metavar="DIR", help="Folder for all of it.")
+def prove_command(levels: tuple[str, ...], count: int | None, seed: int, quick: bool, fresh: bool, output: Path) -> None:
+    """How often the diagnosis is right on simulated drives, how often wrong, and how often it rightly cannot tell.
+
+    \b
+    trackres prove --quick -o proof
+
+    Three processes: one draws the cases, prints a hash of their labels and writes recordings; one diagnoses, given
+    recordings and vehicle files and nothing else; one opens the labels and counts. An interrupted run goes on where it was.
+    """
+    from trackres_ros.proof.cases import LEVELS, QUICK
+
+    unknown = [level for level in levels if level not in LEVELS]
+    if unknown:
+        raise InputError("--level", unknown[0], ", ".join(LEVELS))
+    if output.exists() and not output.is_dir():
+        raise InputError("-o", str(output), "a folder; there is a file of that name")
+    of = QUICK if quick else LEVELS
+    counts = {level: count or of[level] for level in (levels or of)}
+    minutes = QUICK_MINUTES if quick else MINUTES
+    asked = f"{seed} {minutes:g} {' '.join(f'{level}={n}' for level, n in counts.items())}"
+    kept = output / "asked.txt"
+    if not kept.exists() and any((output / name).exists() for name in FOLDERS):
+        raise InputError("-o", str(output), f"a folder of its own; there are {', '.join(FOLDERS)} in it that are not of a proof")
+    if kept.exists() and (fresh or kept.read_text(encoding="utf-8") != asked):
+        for name in FOLDERS:
+            shutil.rmtree(output / name, ignore_errors=True)
+    output.mkdir(parents=True, exist_ok=True)
+    kept.write_text(asked, encoding="utf-8")
+    _process("generate", str(output), *asked.split())
+    _process("blind", str(output / "cases"), str(output / "results"))
+    _process("score", str(output))
+
+
+def _process(module: str, *arguments: str) -> None:
+    done = subprocess.run([sys.executable, "-m", f"trackres_ros.proof.{module}", *arguments], check=False)
+    if done.returncode:
+        raise click.ClickException(f"{module} ended with exit code {done.returncode}; what was done is kept")

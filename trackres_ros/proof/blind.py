@@ -1,0 +1,44 @@
+"""Second process of a run: diagnoses each case, given its recordings and vehicle file and nothing else.
+
+`python -m trackres_ros.proof.blind CASES RESULTS`; what is there already is not done again.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+
+
+def main(arguments: Sequence[str]) -> None:
+    """See above."""
+    cases, results = (Path(a) for a in arguments)
+    results.mkdir(parents=True, exist_ok=True)
+    folders = [f for f in sorted(cases.iterdir()) if not (results / f"{f.name}.json").exists()]
+    began = time.monotonic()
+    with ProcessPoolExecutor(os.cpu_count()) as pool:
+        tasks = [pool.submit(_diagnose, folder, results) for folder in folders]
+        for done, task in enumerate(as_completed(tasks), start=1):
+            task.result()
+            left = (time.monotonic() - began) / done * (len(folders) - done)
+            print(f"\rdiagnosed {done} of {len(folders)}, {left / 60.0:.0f} min to go   ", end="", flush=True)
+    print(flush=True)
+
+
+def _diagnose(folder: Path, results: Path) -> None:
+    from trackres_ros.diagnosis import diagnose, load_base, read_recordings
+    from trackres_ros.diagnosis.report import report
+
+    paths = sorted(folder.glob("drive_*.csv"))
+    found = diagnose(read_recordings(paths, None), load_base(folder / "vehicle.yaml"), quick=True)
+    partial = results / f"{folder.name}.part"
+    partial.write_text(json.dumps(report(found, paths)), encoding="utf-8")
+    partial.rename(results / f"{folder.name}.json")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

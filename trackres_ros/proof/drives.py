@@ -1,0 +1,83 @@
+"""Drives of the proof: drivers and routes that vary."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+STEP_S = 0.1
+MOST_SIDEWAYS_MPS2 = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """One drive, series of shape (n,): speed [m/s], acceleration [m/s^2], yaw rate [rad/s], heading, weight [N], air [degC]."""
+
+    step: float
+    speed: Array
+    accel: Array
+    yaw_rate: Array
+    heading: Array
+    weight: Array
+    ambient: Array
+
+    def __len__(self) -> int:
+        return len(self.speed)
+
+
+def drive(minutes: float, weight: float, ambient: float, fastest: float, rng: np.random.Generator) -> Drive:
+    """A drive over a closed course of its own, by a driver of his own."""
+    n = int(minutes * 60.0 / STEP_S)
+    brisk, restless = rng.uniform(0.2, 0.7), rng.uniform(25.0, 90.0)  # m/s^2, s between changes of mind
+    speed = _eased(_targets(n, fastest, restless, rng), brisk)
+    distance = np.cumsum(speed) * STEP_S
+    curvature = _course(distance, rng)
+    sideways = MOST_SIDEWAYS_MPS2 / np.maximum(speed, 0.5)
+    yaw_rate = np.clip(curvature * speed, -sideways, sideways)
+    air = ambient + rng.normal(0.0, 1.0) * np.sin(np.arange(n) * STEP_S / 1500.0)
+    return Drive(
+        STEP_S,
+        speed,
+        np.gradient(speed, STEP_S),
+        yaw_rate,
+        rng.uniform(0.0, 2.0 * np.pi) + np.cumsum(yaw_rate) * STEP_S,
+        np.full(n, weight),
+        air,
+    )
+
+
+def _targets(n: int, fastest: float, restless: float, rng: np.random.Generator) -> Array:
+    out, i = np.empty(n), 0
+    while i < n:
+        hold = int(rng.gamma(3.0, restless / 3.0) / STEP_S) + 50
+        stop = rng.random() < 0.12
+        out[i : i + hold] = 0.0 if stop else fastest * rng.beta(1.6, 1.3) * 0.85 + 0.8
+        i += hold
+    out[:30] = 0.0
+    return out
+
+
+def _eased(target: Array, brisk: float) -> Array:
+    """What a vehicle makes of it: bounded acceleration, smoothed jerk."""
+    speed, now, accel = np.empty(len(target)), 0.0, 0.0
+    for i, aim in enumerate(target):
+        wanted = np.clip((aim - now) / 1.5, -1.4 * brisk, brisk)
+        accel += (wanted - accel) * STEP_S / 0.6
+        now = max(0.0, now + accel * STEP_S)
+        speed[i] = now
+    return speed
+
+
+def _course(distance: Array, rng: np.random.Generator) -> Array:
+    """Curvature over distance: straights and bends of a course that is driven again and again [1/m]."""
+    edges, bends = [0.0], []
+    while edges[-1] < rng.uniform(900.0, 2500.0):
+        edges.append(edges[-1] + rng.uniform(30.0, 160.0))
+        bends.append(rng.choice((-1.0, 1.0)) / rng.uniform(18.0, 150.0) if rng.random() < 0.5 else 0.0)
+    place = np.searchsorted(edges, distance % edges[-1], side="right") - 1
+    raw = np.array(bends)[np.clip(place, 0, len(bends) - 1)]
+    return np.convolve(raw, np.ones(15) / 15.0, mode="same")

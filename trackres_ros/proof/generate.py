@@ -1,0 +1,125 @@
+"""First process of a run: draws the cases, seals them, and writes recordings and vehicle files that say nothing of them.
+
+`python -m trackres_ros.proof.generate FOLDER SEED MINUTES LEVEL=COUNT...`
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from trackres_ros.proof.cases import Case, build_of, draw_cases, sealed
+from trackres_ros.proof.drives import Drive, drive
+from trackres_ros.proof.sensors import Sensors, record
+from trackres_ros.proof.truth import Lived, live
+from trackres_ros.resources import find_vehicle
+
+VEHICLE = "xgd24d"
+LOADS, DULL_LOADS = (1.0, 0.8, 1.25), (1.0, 1.0, 1.0)
+AIRS_DEGC = (5.0, 15.0, 25.0)
+FASTEST_MPS = 16.7
+DULL_MPS = (6.0, 8.0)
+START_S, APART_S = 1_750_000_000.0, 1_300_000.0  # two weeks: each begins soaked
+EVERY = 10  # samples: what is kept of the truth for the score
+
+
+def main(arguments: Sequence[str]) -> None:
+    """See above."""
+    folder, seed, minutes = Path(arguments[0]), int(arguments[1]), float(arguments[2])
+    counts = {level: int(count) for level, _, count in (a.partition("=") for a in arguments[3:])}
+    cases = draw_cases(counts, seed)
+    for sub in ("cases", "sealed"):
+        (folder / sub).mkdir(parents=True, exist_ok=True)
+    seal = sealed(seed, cases)
+    print(f"sealed: {len(cases)} cases, SHA-256 {seal}", flush=True)
+    (folder / "seal.txt").write_text(seal + "\n", encoding="utf-8")
+    (folder / "sealed" / "labels.json").write_text(
+        json.dumps({"seed": seed, "cases": [asdict(case) for case in cases]}, indent=1), encoding="utf-8"
+    )
+    missing = [case for case in cases if not (folder / "sealed" / f"{case.name}.npz").exists()]
+    with ProcessPoolExecutor(os.cpu_count()) as pool:
+        for done, _ in enumerate(pool.map(_make, [(folder, case, minutes) for case in missing]), start=1):
+            print(f"\rrecorded {done} of {len(missing)}", end="", flush=True)
+    print(flush=True)
+
+
+def _make(task: tuple[Path, Case, float]) -> None:
+    folder, case, minutes = task
+    sheet = find_vehicle(VEHICLE)
+    content = yaml.safe_load(sheet.read_text(encoding="utf-8"))
+    content["rubber"]["file"] = str((sheet.parent / content["rubber"]["file"]).resolve())
+    content["model"]["thermal"] = "lumped" if case.lumped else "core_surface"
+    into = folder / "cases" / case.name
+    into.mkdir(exist_ok=True)
+    vehicle = into / "vehicle.yaml"
+    vehicle.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+    rng = np.random.default_rng(case.seed)
+    if case.compensated:
+        _, paths = _drive(case, into, "before", minutes, rng)
+        _prefit(paths, vehicle)
+        for path in paths:
+            path.unlink()
+    lived, _ = _drive(case, into, "drive", minutes, rng)
+    added = {f"added/{name}": np.concatenate([one.added[name][::EVERY] for one in lived]) for name in case.hidden}
+    lengths = np.array([len(one.torque[::EVERY]) for one in lived])
+    arrays: dict[str, Any] = {"lengths": lengths, **added}
+    np.savez_compressed(folder / "sealed" / f"{case.name}.npz", **arrays)
+
+
+def _drive(case: Case, into: Path, name: str, minutes: float, rng: np.random.Generator) -> tuple[list[Lived], list[Path]]:
+    sheet = find_vehicle(VEHICLE)
+    weight, radius = _weight_and_radius(sheet)
+    drives = [
+        _dull(minutes, weight, rng) if case.dull else drive(minutes, share * weight, air, FASTEST_MPS, rng)
+        for share, air in zip(DULL_LOADS if case.dull else LOADS, rng.permutation(AIRS_DEGC), strict=True)
+    ]
+    lived = live(sheet, build_of(case), case.hidden, drives)
+    paths = [into / f"{name}_{i + 1}.csv" for i in range(len(drives))]
+    sensors = Sensors(belt_measured=case.belt_measured)
+    for i, (path, one, true) in enumerate(zip(paths, drives, lived, strict=True)):
+        record(path, one, true, sensors, radius, START_S + i * APART_S, rng)
+    return lived, paths
+
+
+def _dull(minutes: float, weight: float, rng: np.random.Generator) -> Drive:
+    """A drive that shows little: straight on, at nearly one speed."""
+    made = drive(minutes, weight, 15.0, FASTEST_MPS, rng)
+    n = len(made)
+    time = np.arange(n) * made.step
+    speed = rng.uniform(*DULL_MPS) * np.minimum(1.0, time / 30.0) * (1.0 + 0.02 * np.sin(time / 40.0))
+    still = np.zeros(n)
+    return Drive(made.step, speed, np.gradient(speed, made.step), still, still, made.weight, made.ambient)
+
+
+def _weight_and_radius(sheet: Path) -> tuple[float, float]:
+    from trackres_ros.proof.data_sheet import read_data_sheet
+
+    numbers = read_data_sheet(sheet)
+    return numbers["weight"], numbers["track.sprocket_radius"]
+
+
+def _prefit(paths: Sequence[Path], vehicle: Path) -> None:
+    """Leave a vehicle file that was fitted to drives beforehand, as users do, whatever is hidden in them."""
+    from trackres_ros.diagnosis import load_base, read_recordings
+    from trackres_ros.diagnosis.fitting import Problem
+    from trackres_ros.diagnosis.gate import gate
+    from trackres_ros.diagnosis.naming import begin
+
+    loaded = load_base(vehicle)
+    sessions = gate(read_recordings(paths, None), loaded.known).sessions
+    still = tuple(np.zeros(len(s)) for s in sessions)
+    found = begin(Problem(loaded.base, sessions, tuple(s.used for s in sessions), still))
+    loaded.base.write(vehicle, found.base_values, (), "fitted to earlier drives")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
