@@ -13,7 +13,7 @@ demo: $(VENV)/.ready
 
 test: $(VENV)/.ready lint
 	$(RUN)/python -m pytest -q -n auto --dist loadfile $(addprefix --ignore ,$(LIVE_TESTS))
-	$(RUN)/python -m pytest -q $(LIVE_TESTS)
+	$(RUN)/python -m pytest -q --durations=12 $(LIVE_TESTS)
 
 lint: $(VENV)/.ready
 	$(RUN)/ruff check .

@@ -1,7 +1,6 @@
 """What it says of real recordings, where they are present: nothing that is plainly wrong."""
 
 import json
-import sys
 from pathlib import Path
 
 import pytest
@@ -9,11 +8,11 @@ from click.testing import CliRunner
 
 from trackres_ros.cli.main import cli
 from trackres_ros.errors import InputError
+from trackres_ros.proof.real_data import car, robot, trips
 
-sys.path.insert(0, str(Path(__file__).parent))
-import real
+DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "real"
 
-pytestmark = pytest.mark.skipif(not real.DATA.is_dir(), reason="no real recordings on this machine")
+pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="no real recordings on this machine")
 
 
 def run(vehicle, out, *given):
@@ -24,22 +23,24 @@ def run(vehicle, out, *given):
 
 
 def test_a_robot_off_the_ground_neither_rolls_nor_turns(tmp_path):
-    found = run("husky", tmp_path / "out", real.robot("husky_avide2", tmp_path))
+    found = run("husky", tmp_path / "out", robot(DATA, "husky_avide2", tmp_path))
     assert {"turning_scrub", "cornering", "soft_ground", "grade"}.isdisjoint(n for e in found["effects"] for n in e["class"])
 
 
 def test_a_robot_on_wet_grass_turns_with_friction_if_its_yaw_rate_is_known(tmp_path):
-    known, hidden = (real.robot("husky_wetgrass", tmp_path / sub, yaw_rate=given) for sub, given in (("a", True), ("b", False)))
-    found = run("husky", tmp_path / "known", known)
+    path = robot(DATA, "husky_wetgrass", tmp_path)
+    found = run("husky", tmp_path / "known", path)
     (effect,) = found["effects"]
     assert effect["class"] == ["turning_scrub"]
     assert 0.2 < effect["parameters"]["friction"]["value"] < 1.2
     assert found["heldout"]["mae"]["with_effects"] < 0.6 * found["heldout"]["mae"]["refitted"]
-    assert not any("turning_scrub" in e["class"] for e in run("husky", tmp_path / "hidden", hidden)["effects"])
+    assert not any(
+        "turning_scrub" in e["class"] for e in run("husky", tmp_path / "hidden", path, "--hide", "yaw_rate")["effects"]
+    )
 
 
 def test_a_car_in_winter_needs_more_until_it_is_warm(tmp_path):
-    paths = [real.car(name, tmp_path) for name in real.trips() if name.startswith("TripB")]
+    paths = [car(DATA, name, tmp_path) for name in trips(DATA) if name.startswith("TripB")]
     found = run("bmw_i3", tmp_path / "out", *paths, "--hide", "ambient")
     (effect,) = found["effects"]
     assert {"roadwheel_tyres", "warmup", "viscous_bearing"} & set(effect["class"])
@@ -47,7 +48,7 @@ def test_a_car_in_winter_needs_more_until_it_is_warm(tmp_path):
 
 
 def test_the_car_is_refitted_to_values_of_a_car(tmp_path):
-    paths = [real.car(name, tmp_path) for name in ("TripB18", "TripB21", "TripB24")]
+    paths = [car(DATA, name, tmp_path) for name in ("TripB18", "TripB21", "TripB24")]
     found = run("bmw_i3", tmp_path / "out", *paths)
     refitted = {name: q["value"] for name, q in found["base"]["refitted"].items()}
     assert 1.0 < refitted["rotating_mass_factor"] < 1.25
@@ -58,6 +59,6 @@ def test_the_car_is_refitted_to_values_of_a_car(tmp_path):
 
 
 def test_a_bag_without_a_torque_has_nothing_to_diagnose(tmp_path):
-    bag = real.DATA / "rosbag_gps_vehicle" / "bag"
+    bag = DATA / "rosbag_gps_vehicle" / "bag"
     with pytest.raises(InputError, match="torque"):
         run("xgd24d", tmp_path / "out", bag)

@@ -16,8 +16,11 @@ import numpy as np
 import peer
 import pytest
 
+from trackres_ros.diagnosis import diagnose, load_base, read_recordings
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.outputs import output_topics, values_of
+from trackres_ros.proof.cases import Case
+from trackres_ros.proof.generate import make_case
 from trackres_ros.vehicle import load
 
 SECOND_NS = 1_000_000_000
@@ -303,3 +306,45 @@ def test_signals_save_and_reset_without_ros(tmp_path, wire):
     n.drive(0.3)
     assert n.stop() == 0
     n.close()
+
+
+@pytest.fixture(scope="module")
+def diagnosed(tmp_path_factory):
+    """Vehicle file without and with what a diagnosis found missing, and a drive that it never saw: soft ground is the truth."""
+    folder = tmp_path_factory.mktemp("diagnosed")
+    case = Case("hidden", "single", {"soft_ground": {"torque": 2500.0, "power": 2.2}}, {}, False, False, False, False, 4)
+    for sub in ("cases", "sealed"):
+        (folder / sub).mkdir()
+    make_case((folder, case, 8.0))
+    *fitted, last = sorted((folder / "cases" / "hidden").glob("drive_*.csv"))
+    before = folder / "cases" / "hidden" / "vehicle.yaml"
+    base = load_base(before)
+    found = diagnose(read_recordings(fitted, None), base, quick=True)
+    assert [f.name for f in found.found] == ["soft_ground"]
+    after = folder / "after.yaml"
+    base.base.write(after, found.final.base_values, found.final.effects, found.verdict.sentence)
+    return before, after, np.genfromtxt(last, delimiter=",", names=True)
+
+
+def test_the_vehicle_file_of_a_diagnosis_makes_the_live_feedforward_better(simulated, diagnosed):
+    before, after, drive = diagnosed
+    every = 5  # of 10 Hz
+    error = {}
+    for name, vehicle in (("before", before), ("after", after)):
+        sim = simulated(vehicle=str(vehicle), name=name, namespace=f"/{name}")
+        measured = {}
+        for row in drive[::every]:
+            sim.to(sim.now_ns + SECOND_NS // 2)
+            sim.message("load", row["weight_n"])
+            sim.message("speed", row["speed_mps"])
+            measured[sim.now_ns] = row
+            time.sleep(0.003)
+        last = sim.sent[-1][1]
+        belt, feedforward = sim.node.out["belt"], sim.node.out["feedforward"]
+        sim.node.until(lambda belt=belt, last=last: any(stamp_ns(h.message) == last for h in belt.update()), "the end")
+        heard = {stamp_ns(h.message): h.message.wrench.torque.y for h in feedforward.update()}
+        stamps = [s for s in sorted(heard) if s in measured and abs(measured[s]["speed_mps"]) > 1.0]
+        torque = np.array([measured[s]["torque_nm"] - heard[s] for s in stamps])
+        # Speeding up and slowing down cancel over a drive; what is left of the mean is resistance.
+        error[name] = abs(np.nanmean(torque))
+    assert error["after"] < 0.25 * error["before"]

@@ -17,14 +17,17 @@ REPORTED_SEED = 20260101
 FOLDERS = ("cases", "results", "sealed")
 
 
-@click.command("prove")
+@click.group("prove", invoke_without_command=True)
+@click.pass_context
 @click.option("--level", "levels", multiple=True, metavar="L", help="Only this level; may be repeated.")
 @click.option("--cases", "count", type=click.IntRange(1), metavar="N", help="So many cases of each level.")
 @click.option("--seed", type=click.IntRange(0), default=REPORTED_SEED, show_default=True, help="Of all that is drawn.")
 @click.option("--quick", is_flag=True, help="70 cases of shorter drives.")
 @click.option("--fresh", is_flag=True, help="Begin anew instead of going on with what is in the folder.")
-@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, metavar="DIR", help="Folder for all of it.")
-def prove_command(levels: tuple[str, ...], count: int | None, seed: int, quick: bool, fresh: bool, output: Path) -> None:
+@click.option("-o", "--output", type=click.Path(path_type=Path), metavar="DIR", help="Folder for all of it.")
+def prove_command(
+    context: click.Context, levels: tuple[str, ...], count: int | None, seed: int, quick: bool, fresh: bool, output: Path | None
+) -> None:
     """How often the diagnosis is right on simulated drives, how often wrong, and how often it rightly cannot tell.
 
     \b
@@ -35,6 +38,10 @@ def prove_command(levels: tuple[str, ...], count: int | None, seed: int, quick: 
     """
     from trackres_ros.proof.cases import LEVELS, QUICK
 
+    if context.invoked_subcommand:
+        return
+    if output is None:
+        raise InputError("-o", "no folder", "a folder for cases, results and scores")
     unknown = [level for level in levels if level not in LEVELS]
     if unknown:
         raise InputError("--level", unknown[0], ", ".join(LEVELS))
@@ -61,3 +68,36 @@ def _process(module: str, *arguments: str) -> None:
     done = subprocess.run([sys.executable, "-m", f"trackres_ros.proof.{module}", *arguments], check=False)
     if done.returncode:
         raise click.ClickException(f"{module} ended with exit code {done.returncode}; what was done is kept")
+
+
+@prove_command.command("real")
+@click.option(
+    "--data", type=click.Path(path_type=Path), required=True, metavar="DIR", help="Folder with bmw_i3 and husky_warthog."
+)
+@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, metavar="DIR", help="Folder for tables and page.")
+def prove_real_command(data: Path, output: Path) -> None:
+    """The same on public recordings of real vehicles, with a measured channel concealed."""
+    from trackres_ros.proof.real import page, try_all
+
+    if output.exists() and not output.is_dir():
+        raise InputError("-o", str(output), "a folder; there is a file of that name")
+    output.mkdir(parents=True, exist_ok=True)
+    text = page(data, try_all(data, output))
+    (output / "proof-real.md").write_text(text, encoding="utf-8")
+    click.echo(text)
+
+
+@prove_command.command("paper")
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), required=True, metavar="DIR", help="Folder for recordings and page."
+)
+def prove_paper_command(output: Path) -> None:
+    """The paper's own test: laps of a circle on a tilted site, torque from the engine's, and what the diagnosis makes of it."""
+    from trackres_ros.proof.paper import ask_all, page
+
+    if output.exists() and not output.is_dir():
+        raise InputError("-o", str(output), "a folder; there is a file of that name")
+    output.mkdir(parents=True, exist_ok=True)
+    text = page(ask_all(output))
+    (output / "paper-test.md").write_text(text, encoding="utf-8")
+    click.echo(text)

@@ -109,7 +109,7 @@ def courses(sessions: Sequence[Session], facts: Facts, effects: Sequence[Active]
     found = []
     for session, torque in zip(sessions, drive, strict=True):
         at = Conditions(
-            facts, session.speed, session.accel, session.weight, session.ambient, session.yaw_rate, session.heading,
+            facts, session.speed, session.accel_apart, session.weight, session.ambient, session.yaw_rate, session.heading,
             session.distance, torque,
         )  # fmt: skip
         factor = 1.0

@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 
 STEP_S = 1.0  # mean torque over a step against the change of speed over it: exact, whatever happens within
 EDGE_S = 0.1  # the speed at the edge of a step is the mean within so much of it
+SLOWEST_FOR_NOISE_S, FEWEST_FOR_NOISE = 0.25, 100
+SECOND_DIFFERENCE = 6.0  # variance of a second difference over that of the noise
 SLOWEST_MPS, SLOWEST_SHARE = 0.3, 0.1  # of the greatest speed; below both friction may be static
 LONGEST_HOLD_S = 2.0  # of speed and torque over a gap
 SHORTEST_S, SHORTEST_MOVING_S = 120.0, 60.0
@@ -187,10 +189,10 @@ def _session(recording: Recording, vehicle: Known, hide: frozenset[str], left_ou
         return _held(series[role], start, edges, default) if role in series else np.full(count, default)
 
     given = frozenset(role for role in CHANNEL_OF if role in series and np.isfinite(series[role].value).any())
-    accel = np.diff(at_edges) / STEP_S
+    accel, accel_noise = np.diff(at_edges) / STEP_S, _accel_noise(speed_at, raw_speed)
     if "accel" in given:
         mean, there = _means(*_ordered(series["accel"], start), edges)
-        accel = np.where(there, mean, accel)
+        accel, accel_noise = np.where(there, mean, accel), 0.0
     weight, of_load = _weight(series, start, edges, vehicle.weight)
     given |= {"load"} if of_load else frozenset()
     belts = [_held(series[role], start, edges, np.nan) for role in series if role.partition("/")[0] == "belt"]
@@ -224,6 +226,7 @@ def _session(recording: Recording, vehicle: Known, hide: frozenset[str], left_ou
         block=np.zeros(count, dtype=np.int64),
         given=given,
         torque_course=_course([_ordered(series[role], start) for role in torques]),
+        accel_noise=accel_noise,
         belt_shows_surface=vehicle.belt_shows_surface,
     )
     return replace(session, used=_usable(session, known, measured, left_out, vehicle))
@@ -322,6 +325,21 @@ def _mean_around(at: Array, value: Array, edges: Array) -> Array:
     balanced = np.minimum(edges - at[0], at[-1] - edges) >= EDGE_S
     many = (last - first >= 4) & balanced
     return np.where(many, (total[last] - total[first]) / np.maximum(last - first, 1), np.interp(edges, at, value))
+
+
+def _accel_noise(at: Array, value: Array) -> float:
+    """Standard deviation of what noise of the speed makes of the acceleration over a step [m/s^2].
+
+    Second differences from one sample to the next show noise, where samples come faster than a vehicle changes its mind;
+    slower ones tell nothing, and 0 is given.
+    """
+    spacing = float(np.median(np.diff(at)))
+    if spacing > SLOWEST_FOR_NOISE_S or len(value) < FEWEST_FOR_NOISE:
+        return 0.0
+    second = np.abs(value[2:] - 2.0 * value[1:-1] + value[:-2])
+    noise = float(np.sqrt(np.mean(np.minimum(second, np.percentile(second, 95.0)) ** 2) / SECOND_DIFFERENCE))
+    averaged = 2.0 * EDGE_S / spacing
+    return float(np.sqrt(2.0) * noise / np.sqrt(averaged if averaged >= 4.0 else 1.0) / STEP_S)
 
 
 def _held(series: Series, start: int, edges: Array, default: float) -> Array:

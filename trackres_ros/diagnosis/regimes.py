@@ -18,7 +18,6 @@ Array = NDArray[np.float64]
 BINS = 6
 FEWEST_IN_BIN = 30
 FLIPPED_TOGETHER = 20
-AROUND = 5  # steps, odd
 UNITS = {
     "speed": "m/s",
     "acceleration": "m/s^2",
@@ -122,7 +121,7 @@ def _variables(sessions: Sequence[Session], predicted: Sequence[Predicted]) -> t
 
     found = {
         "speed": all_of("speed"),
-        "acceleration": np.concatenate([_without_own_noise(s.accel) for s in sessions]),
+        "acceleration": np.concatenate([s.accel_apart for s in sessions]),
         "load": all_of("weight"),
         "belt temperature": np.concatenate([p.belt for p in predicted]),
         "ambient temperature": all_of("ambient"),
@@ -132,14 +131,6 @@ def _variables(sessions: Sequence[Session], predicted: Sequence[Predicted]) -> t
     }
     varies = {name: v for name, v in found.items() if np.isfinite(v).all() and np.ptp(v) > 1e-9 * max(1.0, np.abs(v).max())}
     return list(varies), list(varies.values())
-
-
-def _without_own_noise(accel: Array) -> Array:
-    """Mean over `AROUND` steps: an error of the speed at the edges of one step is in its residual and in its acceleration
-    alike, and would look like a mismatch that goes with acceleration; in this mean it cancels.
-    """
-    weight = np.convolve(np.ones(len(accel)), np.ones(AROUND), mode="same")
-    return np.convolve(accel, np.ones(AROUND), mode="same") / weight
 
 
 def _edges(series: Array) -> list[tuple[float, float]]:

@@ -112,7 +112,7 @@ class RoadBase:
             speed, direction = np.asarray(course.at.speed), np.asarray(course.at.direction)
             rolling = (values["rolling_coefficient"] + values["rolling_rise"] * np.abs(speed)) * session.weight * direction
             air = 0.5 * fixed["air_density"] * values["drag_area"] * speed * np.abs(speed)
-            force = rolling + air + values["rotating_mass_factor"] * session.weight / GRAVITY * session.accel
+            force = rolling + air + values["rotating_mass_factor"] * session.weight / GRAVITY * session.accel_apart
             if "grade" in session.given:
                 force = force + session.weight * session.grade / np.sqrt(1.0 + session.grade**2)
             torque = (fixed["wheel_radius"] * force + course.terms.torque) * course.terms.drive_gain

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+
+AROUND = 5  # steps, odd
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +55,8 @@ class Session:
         Time off since the session before [s]; infinite where the belt starts soaked at the ambient temperature.
     given
         The channels that were measured.
+    accel_noise
+        Standard deviation of what an error of the speed makes of the acceleration [m/s^2]; 0 where that was measured.
     belt_shows_surface
         Whether the measured belt temperature is that of the surface, or the mean.
     torque_course
@@ -76,10 +81,24 @@ class Session:
     gap: float = np.inf
     given: frozenset[str] = field(default_factory=frozenset)
     torque_course: Course | None = None
+    accel_noise: float = 0.0
     belt_shows_surface: bool = False
 
     def __len__(self) -> int:
         return len(self.time)
+
+    @cached_property
+    def accel_apart(self) -> Array:
+        """Acceleration [m/s^2] without what is likely an error of the speed.
+
+        Such an error is in the inertia expected of a step and in its acceleration alike, and would look like an inertia or
+        an efficiency that is off, most where hardly anything speeds up. In the mean over `AROUND` steps it cancels; what
+        departs from that is taken back by the share that is noise.
+        """
+        inside = np.convolve(np.ones(len(self)), np.ones(AROUND), mode="same")
+        quick = self.accel - np.convolve(self.accel, np.ones(AROUND), mode="same") / inside
+        share = min(1.0, self.accel_noise**2 / max(float(np.var(quick)), 1e-12))
+        return np.asarray(self.accel - share * quick)
 
 
 @dataclass(frozen=True, eq=False)

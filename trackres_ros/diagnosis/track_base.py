@@ -96,15 +96,18 @@ class TrackBase:
         chassis, radius = self.vehicle.chassis, self.facts.radius
         speed, direction = np.asarray(course.at.speed), np.asarray(course.at.direction)
         area = values[DRAG] * chassis.frontal_area
+        inertia = chassis.rotating_mass_factor * session.weight / GRAVITY
         force = (
             values[BEARING] * session.weight * direction
             + 0.5 * chassis.air_density * area * speed * np.abs(speed)
-            + chassis.rotating_mass_factor * session.weight / GRAVITY * session.accel
+            + inertia * session.accel_apart
         )
         if "grade" in session.given:
             force = force + session.weight * session.grade / np.sqrt(1.0 + session.grade**2)
-        at_sprockets = (loss * direction + radius * force + course.terms.torque) * course.terms.drive_gain
-        return Predicted(as_sensed(at_sprockets, course.terms, session), at_sprockets, belt, mean, skin)
+        slow = (loss * direction + radius * force + course.terms.torque) * course.terms.drive_gain
+        # No effect acts on the rest of the inertia: what the speed's own noise makes of it would tell for or against it.
+        quick = radius * inertia * (session.accel - session.accel_apart)
+        return Predicted(as_sensed(slow, course.terms, session) + quick, slow + quick, belt, mean, skin)
 
     def _roll(
         self, group: _Group, session: Session, course: Course, values: Values, before: tuple[float, float] | None

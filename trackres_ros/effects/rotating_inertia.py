@@ -11,7 +11,7 @@ class RotatingInertia(Effect):
     acts_on = "torque"
     text = "rotating parts take torque to speed up and give it back"
     needs = ("speed", "accel")
-    parameters = (Parameter("factor", "1", -0.3, 0.8, 0.1, "added to the rotating-mass factor", off=0.0),)
+    parameters = (Parameter("factor", "1", -0.1, 0.8, 0.1, "added to the rotating-mass factor", off=0.0),)
 
     def terms(self, at: Conditions, p: Values) -> Terms:
         return Terms(torque=p["factor"] * at.weight / GRAVITY * at.accel * at.facts.radius)

@@ -47,12 +47,13 @@ def main(arguments: Sequence[str]) -> None:
     )
     missing = [case for case in cases if not (folder / "sealed" / f"{case.name}.npz").exists()]
     with ProcessPoolExecutor(os.cpu_count()) as pool:
-        for done, _ in enumerate(pool.map(_make, [(folder, case, minutes) for case in missing]), start=1):
+        for done, _ in enumerate(pool.map(make_case, [(folder, case, minutes) for case in missing]), start=1):
             print(f"\rrecorded {done} of {len(missing)}", end="", flush=True)
     print(flush=True)
 
 
-def _make(task: tuple[Path, Case, float]) -> None:
+def make_case(task: tuple[Path, Case, float]) -> None:
+    """Write one case: where to, which, and how long each drive is [min]."""
     folder, case, minutes = task
     sheet = find_vehicle(VEHICLE)
     content = yaml.safe_load(sheet.read_text(encoding="utf-8"))
