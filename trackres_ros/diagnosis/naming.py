@@ -108,7 +108,16 @@ def choose(
         current = _refreshed(step.chosen.fit)
     if len(current.effects) > 1:
         current, steps = _drop(current, steps)
-    return steps, current
+    return [_apart(s, current.effect_names) for s in steps], current
+
+
+def _apart(step: Step, chosen: Sequence[str]) -> Step:
+    """A round without those members of its class that another round chose: both are there, so they were told apart."""
+    if step.chosen is None:
+        return step
+    kept = {m: w for m, w in step.weights.items() if m == step.chosen.name or m not in chosen}
+    total = sum(kept.values())
+    return replace(step, members=tuple(kept), weights={m: w / total for m, w in kept.items()})
 
 
 def _round(current: Fit, effects: Mapping[str, Effect], replicates: int, rng: np.random.Generator) -> Step:

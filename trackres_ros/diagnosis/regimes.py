@@ -121,7 +121,7 @@ def _variables(sessions: Sequence[Session], predicted: Sequence[Predicted]) -> t
 
     found = {
         "speed": all_of("speed"),
-        "acceleration": np.concatenate([s.accel_apart for s in sessions]),
+        "acceleration": np.concatenate([s.accel_around for s in sessions]),
         "load": all_of("weight"),
         "belt temperature": np.concatenate([p.belt for p in predicted]),
         "ambient temperature": all_of("ambient"),

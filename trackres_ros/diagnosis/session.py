@@ -88,15 +88,20 @@ class Session:
         return len(self.time)
 
     @cached_property
+    def accel_around(self) -> Array:
+        """Acceleration [m/s^2] as a mean over `AROUND` steps, in which errors of the speed at the edges of a step cancel."""
+        inside = np.convolve(np.ones(len(self)), np.ones(AROUND), mode="same")
+        return np.asarray(np.convolve(self.accel, np.ones(AROUND), mode="same") / inside)
+
+    @cached_property
     def accel_apart(self) -> Array:
         """Acceleration [m/s^2] without what is likely an error of the speed.
 
         Such an error is in the inertia expected of a step and in its acceleration alike, and would look like an inertia or
-        an efficiency that is off, most where hardly anything speeds up. In the mean over `AROUND` steps it cancels; what
-        departs from that is taken back by the share that is noise.
+        an efficiency that is off, most where hardly anything speeds up. What departs from `accel_around` is taken back by
+        the share of it that is noise.
         """
-        inside = np.convolve(np.ones(len(self)), np.ones(AROUND), mode="same")
-        quick = self.accel - np.convolve(self.accel, np.ones(AROUND), mode="same") / inside
+        quick = self.accel - self.accel_around
         share = min(1.0, self.accel_noise**2 / max(float(np.var(quick)), 1e-12))
         return np.asarray(self.accel - share * quick)
 
