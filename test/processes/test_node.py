@@ -316,11 +316,11 @@ def diagnosed(tmp_path_factory):
     for sub in ("cases", "sealed"):
         (folder / sub).mkdir()
     make_case((folder, case, 8.0))
-    *fitted, last = sorted((folder / "cases" / "hidden").glob("drive_*.csv"))
+    *fitted, last = sorted((folder / "cases" / "hidden").glob("drive_*.csv"), reverse=True)
     before = folder / "cases" / "hidden" / "vehicle.yaml"
     base = load_base(before)
     found = diagnose(read_recordings(fitted, None), base, quick=True)
-    assert [f.name for f in found.found] == ["soft_ground"]
+    assert "soft_ground" in [name for f in found.found for name in f.step.members]
     after = folder / "after.yaml"
     base.base.write(after, found.final.base_values, found.final.effects, found.verdict.sentence)
     return before, after, np.genfromtxt(last, delimiter=",", names=True)
