@@ -12,7 +12,7 @@ demo: $(VENV)/.ready
 	$(RUN)/python tools/demo $(OUT)
 
 test: $(VENV)/.ready lint
-	$(RUN)/python -m pytest -q -n auto --dist loadfile $(addprefix --ignore ,$(LIVE_TESTS))
+	$(RUN)/python -m pytest -q -n auto --dist worksteal $(addprefix --ignore ,$(LIVE_TESTS))
 	$(RUN)/python -m pytest -q --durations=12 $(LIVE_TESTS)
 
 lint: $(VENV)/.ready
