@@ -56,7 +56,7 @@ class BySolveIvp(TrackBase):
         scale = values[LOSS] / rubber.loss_modulus_scale
         thermal = np.array(
             [
-                network.core_capacity * values[CAPACITY],
+                network.capacity * values[CAPACITY],
                 network.film_offset * values[FILM],
                 network.film_slope * values[FILM],
                 network.area,
@@ -77,7 +77,7 @@ class BySolveIvp(TrackBase):
             shift, _ = log_shift_factor(degc, *constants)
             x = shift + (math.log10(abs(speed[i])) if abs(speed[i]) > 1e-6 else -6.0)
             loss[i] = scale * look_up(table, 0, *axes, x, log_load[i])[0]
-        return loss, belt, belt, belt, (float(belt[-1]), float(belt[-1]))
+        return loss, belt, belt, (float(belt[-1]), float(belt[-1]))
 
 
 def run(minutes: float = 60.0, step_s: float = 0.01, quick: bool = False) -> dict[str, float]:

@@ -64,7 +64,7 @@ def plain(estimator: Estimator) -> Plain:
         raise ValueError("the rivals know only the lumped thermal model")
     return Plain(
         k.assembly[:, at.TABLE].astype(np.int64),
-        k.assembly[:, [at.CORE_CAPACITY, at.AREA, at.FILM_OFFSET, at.FILM_SLOPE]].copy(),
+        k.assembly[:, [at.CAPACITY, at.AREA, at.FILM_OFFSET, at.FILM_SLOPE]].copy(),
         k.assembly[:, at.FIRST_LOG_LOAD].copy(),
         k.assembly[:, at.STEP_LOG_LOAD].copy(),
         k.assembly[:, at.RADIUS].copy(),

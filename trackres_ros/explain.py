@@ -27,7 +27,7 @@ def explain(
     speed
         [m/s], either sign.
     belt_degc, ambient_degc
-        Belt temperature, the mean one (lumped) or core and surface alike, and ambient temperature [degC].
+        Belt temperature, the mean one, and ambient temperature [degC].
     weight_n
         Whole weight [N], shared as nominal; by default the vehicle file's.
 

@@ -58,7 +58,7 @@ def test_a_clock_that_went_back_counts_as_no_time_off(reference, tmp_path):
         (lambda text: "", "damaged"),
         (lambda text: text[: len(text) // 2], "damaged"),
         (lambda text: "[1, 2]", "another kind"),
-        (lambda text: text.replace('"version": 2', '"version": 99'), "version 99"),
+        (lambda text: text.replace('"version": 3', '"version": 99'), "version 99"),
         (lambda text: text.replace('"belts"', '"bolts"'), "belts"),
         (lambda text: text.replace("0x1.", "oops"), "do not fit"),
     ],

@@ -6,12 +6,18 @@ import sys
 import numpy as np
 import pytest
 
+from trackres_ros.diagnosis import load_base, read_recordings
+from trackres_ros.diagnosis.fitting import Problem
+from trackres_ros.diagnosis.gate import gate
+from trackres_ros.diagnosis.naming import begin
 from trackres_ros.proof.belt_heat import LAYERS, roll
 from trackres_ros.proof.belt_loss import LOG_SPEEDS, belt_loss
 from trackres_ros.proof.cases import CATALOGUE, LEVELS, OUTSIDE, draw_cases, sealed
 from trackres_ros.proof.data_sheet import read_data_sheet
 from trackres_ros.proof.drives import drive
+from trackres_ros.proof.generate import write_vehicle
 from trackres_ros.proof.material import fit_material
+from trackres_ros.proof.sensors import Sensors, record
 from trackres_ros.proof.truth import Build, live
 from trackres_ros.resources import find_vehicle
 
@@ -87,6 +93,32 @@ def test_what_is_switched_on_changes_the_torque_and_only_by_itself(drives):
         change = lived.shown - plain.shown
         assert np.isfinite(change).all(), name
         assert np.abs(change).max() > 0.01, name
+
+
+def test_the_base_refits_to_a_truth_without_effects(sheet, tmp_path):
+    """Two nodes stand for fifteen conducting layers, a loss table for another's: one percent of the torque is left over."""
+    vehicle = write_vehicle(tmp_path / "vehicle.yaml", "core_surface")
+    rng = np.random.default_rng(1)
+    made = [
+        drive(12.0, share * sheet["weight"], air, 16.7, rng)
+        for share, air in zip((1.0, 0.8, 1.25), (5.0, 15.0, 25.0), strict=True)
+    ]
+    good = Sensors(
+        torque_nm=1.0, torque_share=0.001, torque_step_nm=0.1, road=0.0, speed_mps=1e-4, speed_step_mps=1e-4, dropouts=0.0
+    )
+    paths = [tmp_path / f"drive_{i}.csv" for i in range(len(made))]
+    for i, (path, one, lived) in enumerate(zip(paths, made, live(SHEET, Build(), {}, made), strict=True)):
+        record(path, one, lived, good, sheet["track.sprocket_radius"], 1.7e9 + 1e6 * i, rng)
+    loaded = load_base(vehicle)
+    sessions = gate(read_recordings(paths, None), loaded.known).sessions
+    found = begin(Problem(loaded.base, sessions, tuple(s.used for s in sessions), tuple(np.zeros(len(s)) for s in sessions)))
+    left = np.concatenate([s.torque - p.torque for s, p in zip(sessions, found.predicted, strict=True)])
+    used = np.concatenate([s.used for s in sessions])
+    assert np.abs(left[used]).mean() < 0.01 * np.abs(np.concatenate([s.torque for s in sessions])[used]).mean()
+    values = found.base_values
+    assert values["conductivity"] == pytest.approx(Build().conductivity, rel=0.15)
+    assert values["capacity_scale"] == pytest.approx(1.0, abs=0.15)
+    assert values["loss_modulus_scale"] == pytest.approx(1.0, abs=0.15)
 
 
 def test_labels_are_sealed_and_names_say_nothing():

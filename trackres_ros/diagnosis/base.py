@@ -43,13 +43,12 @@ class BaseParameter:
 @dataclass(frozen=True, eq=False)
 class Predicted:
     """What a model expects of a session, series of shape (n,): the torque as the sensor shows it [Nm], the torque itself, and
-    the belt's temperatures [degC] that set its loss, that it has on the mean, and on its surface; nan where the model has none.
+    the belt's temperature [degC], which sets its loss, and that of its surface; nan where the model has none.
     """
 
     torque: Array
     at_sprockets: Array
     belt: Array
-    mean: Array
     skin: Array
 
 

@@ -24,7 +24,7 @@ SLOWEST_LOG_SPEED = -6.0
     WLF_C1,
     WLF_C2,
     CAPACITY,
-    SKIN_SHARE,
+    SURFACE_SHARE,
     AREA,
     FILM_OFFSET,
     FILM_SLOPE,
@@ -33,7 +33,7 @@ SLOWEST_LOG_SPEED = -6.0
     SOFTENING_FROM,
 ) = range(15)
 CONSTANTS = 15
-LEAST_RESISTANCE = 1e-6  # K/W: below it core and surface are one
+LEAST_RESISTANCE = 1e-6  # K/W: below it mean and surface are one
 
 
 @compiled
@@ -50,13 +50,13 @@ def roll_along(
     conductance: Array,
     sink: Array,
     heat: Array,
-    start_core: float,
-    start_skin: float,
+    start_mean: float,
+    start_surface: float,
     loss: Array,
-    core: Array,
-    skin: Array,
+    mean: Array,
+    surface: Array,
 ) -> None:
-    """Fill `loss` [N] and the temperatures of core and surface [degC], each as it is at its sample.
+    """Fill `loss` [N] and the temperatures of belt and surface [degC], each as it is at its sample.
 
     Parameters
     ----------
@@ -68,16 +68,16 @@ def roll_along(
         Time between samples [s].
     speed, log_load, ...
         Series of shape (n,): inputs and the terms of the effects, of one belt.
-    start_core, start_skin
+    start_mean, start_surface
         Temperatures at the first sample [degC].
     """
     inner_resistance = constants[INNER_RESISTANCE]
     capacity, area = constants[CAPACITY], constants[AREA]
     two_nodes = inner_resistance > LEAST_RESISTANCE
-    inner = 1.0 / inner_resistance if two_nodes else 0.0
-    skin_capacity = constants[SKIN_SHARE] * capacity
-    core_capacity = capacity - skin_capacity
-    hot, outer = start_core, start_skin
+    share = constants[SURFACE_SHARE]
+    skin_capacity = share * capacity
+    inner = (1.0 - share) / inner_resistance if two_nodes else 0.0
+    hot, outer = start_mean, start_surface
     for i in range(speed.shape[0]):
         travel = abs(speed[i])
         log_speed = math.log10(travel) if travel > 1e-6 else SLOWEST_LOG_SPEED
@@ -95,7 +95,7 @@ def roll_along(
         factor = loss_factor[i] * math.exp(-constants[SOFTENING] * (hot - constants[SOFTENING_FROM]))
         loss[i] = value * factor
         loss_slope = (slope * shift_slope - constants[SOFTENING] * value) * factor
-        core[i], skin[i] = hot, outer
+        mean[i], surface[i] = hot, outer
         film = constants[FILM_OFFSET] * film_offset_factor[i] + constants[FILM_SLOPE] * film_slope_factor[i] * travel
         cooling = film * area
         power, power_slope = loss[i] * travel + heat[i], loss_slope * travel
@@ -106,17 +106,19 @@ def roll_along(
             hot += step * phi_1(growth * step) * rate
             outer = hot
             continue
-        rate_core = (power - inner * (hot - outer)) / core_capacity
-        rate_skin = (inner * (hot - outer) - cooling * (outer - ambient[i]) + to_sink) / skin_capacity
+        gained, slope = power / capacity, power_slope / capacity  # alike all through the rubber
+        lost, carried = cooling * (outer - ambient[i]) - to_sink, cooling + conductance[i]
+        rate_mean = gained - lost / capacity
+        rate_surface = gained + (inner * (hot - outer) - lost) / skin_capacity
         m11, m12, m21, m22 = phi_matrix(
-            step * (power_slope - inner) / core_capacity,
-            step * inner / core_capacity,
-            step * inner / skin_capacity,
-            -step * (inner + cooling + conductance[i]) / skin_capacity,
+            step * slope,
+            -step * carried / capacity,
+            step * (slope + inner / skin_capacity),
+            -step * (inner + carried) / skin_capacity,
             1,
         )
-        hot += step * (m11 * rate_core + m12 * rate_skin)
-        outer += step * (m21 * rate_core + m22 * rate_skin)
+        hot += step * (m11 * rate_mean + m12 * rate_surface)
+        outer += step * (m21 * rate_mean + m22 * rate_surface)
 
 
 @compiled

@@ -97,7 +97,7 @@ class Problem:
         ]
 
     def _belt(self, session: int, predicted: Predicted) -> Array:
-        return (predicted.skin if self.sessions[session].belt_shows_surface else predicted.mean)[::BELT_EVERY]
+        return (predicted.skin if self.sessions[session].belt_shows_surface else predicted.belt)[::BELT_EVERY]
 
     def residuals(self, predicted: Sequence[Predicted]) -> list[Array]:
         """Measured less simulated, of each segment."""

@@ -117,9 +117,7 @@ class RoadBase:
                 force = force + session.weight * session.grade / np.sqrt(1.0 + session.grade**2)
             torque = (fixed["wheel_radius"] * force + course.terms.torque) * course.terms.drive_gain
             nothing = np.full(len(session), np.nan)
-            found.append(
-                Predicted(fixed["torque_scale"] * as_sensed(torque, course.terms, session), torque, nothing, nothing, nothing)
-            )
+            found.append(Predicted(fixed["torque_scale"] * as_sensed(torque, course.terms, session), torque, nothing, nothing))
         return found
 
     def write(self, path: Path, values: Values, effects: Sequence[Active], text: str) -> None:

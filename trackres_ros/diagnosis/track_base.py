@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +24,8 @@ from trackres_ros.vehicle import Vehicle
 Array = NDArray[np.float64]
 
 LOSS, BEARING, DRAG, FILM, CAPACITY = "loss_modulus_scale", "bearing_friction", "drag_coefficient", "film_scale", "capacity_scale"
+CONDUCTIVITY, SURFACE_SHARE = "conductivity", "surface_share"
+MOST_AT_SURFACE = 0.8
 CAPACITY_STD = 0.15  # relative: thickness, section of lugs and specific heat of the file's ranges together
 
 
@@ -36,7 +38,7 @@ class _Group:
     radius: float
     table: LossTable
     network: ThermalNetwork
-    skin_share: float
+    surface_share: float
 
 
 class TrackBase:
@@ -66,6 +68,10 @@ class TrackBase:
             BaseParameter(FILM, "1", 1.0, film.standard_deviation / film.value, 0.2, 5.0),
             BaseParameter(CAPACITY, "1", 1.0, CAPACITY_STD, 0.3, 3.0),
         )
+        if vehicle.thermal == "core_surface":
+            # Two nodes stand for a belt in which the temperature changes throughout: where they are to be is not known well.
+            share = known(SURFACE_SHARE, f"tracks.{first.name}.belt.surface_share")
+            self.parameters += (known(CONDUCTIVITY, "rubber.conductivity"), replace(share, high=min(share.high, MOST_AT_SURFACE)))
 
     def predict(
         self, sessions: Sequence[Session], values: Values, effects: Sequence[Active], drive: Sequence[Array]
@@ -76,23 +82,20 @@ class TrackBase:
         for session, course in zip(
             sessions, courses(sessions, self.facts, [*self.vehicle.effects, *effects], drive), strict=True
         ):
-            loss_torque, belts, means, skins = (np.zeros(len(session)) for _ in range(4))
+            loss_torque, belts, skins = (np.zeros(len(session)) for _ in range(3))
             for i, group in enumerate(self._groups):
-                loss, core, mean, skin, temperatures[i] = self._roll(group, session, course, values, temperatures[i])
+                loss, belt, skin, temperatures[i] = self._roll(group, session, course, values, temperatures[i])
                 loss_torque += group.count * group.radius * loss
-                belts += group.count / self.facts.assemblies * core
-                means += group.count / self.facts.assemblies * mean
+                belts += group.count / self.facts.assemblies * belt
                 skins += group.count / self.facts.assemblies * skin
-            found.append(self._torque(session, course, values, loss_torque, belts, means, skins))
+            found.append(self._torque(session, course, values, loss_torque, belts, skins))
         return found
 
     def write(self, path: Path, values: Values, effects: Sequence[Active], text: str) -> None:
         """See `base.Base`."""
         write_track_vehicle(self.vehicle, path, values, [*self.vehicle.effects, *effects], text)
 
-    def _torque(
-        self, session: Session, course: Course, values: Values, loss: Array, belt: Array, mean: Array, skin: Array
-    ) -> Predicted:
+    def _torque(self, session: Session, course: Course, values: Values, loss: Array, belt: Array, skin: Array) -> Predicted:
         chassis, radius = self.vehicle.chassis, self.facts.radius
         speed, direction = np.asarray(course.at.speed), np.asarray(course.at.direction)
         area = values[DRAG] * chassis.frontal_area
@@ -107,30 +110,34 @@ class TrackBase:
         slow = (loss * direction + radius * force + course.terms.torque) * course.terms.drive_gain
         # No effect acts on the rest of the inertia: what the speed's own noise makes of it would tell for or against it.
         quick = radius * inertia * (session.accel - session.accel_apart)
-        return Predicted(as_sensed(slow, course.terms, session) + quick, slow + quick, belt, mean, skin)
+        return Predicted(as_sensed(slow, course.terms, session) + quick, slow + quick, belt, skin)
 
     def _roll(
         self, group: _Group, session: Session, course: Course, values: Values, before: tuple[float, float] | None
-    ) -> tuple[Array, Array, Array, Array, tuple[float, float]]:
-        """Loss [N], core, mean and seen surface [degC] of one belt of a group, and its nodes at the end."""
+    ) -> tuple[Array, Array, Array, tuple[float, float]]:
+        """Loss [N], mean and seen surface [degC] of one belt of a group, and what it ends with."""
         rubber, network, terms = self.vehicle.rubber, group.network, course.terms
         constants = np.empty(CONSTANTS)
         constants[at.FIRST_X], constants[at.STEP_X] = group.table.first_x, group.table.step_x
         constants[at.FIRST_LOG_LOAD], constants[at.STEP_LOG_LOAD] = group.table.first_log_load, group.table.step_log_load
         constants[at.GLASS_TRANSITION], constants[at.WLF_C1] = rubber.glass_transition, rubber.wlf_c1
         constants[at.WLF_C2] = rubber.wlf_c2
-        constants[at.CAPACITY] = (network.core_capacity + network.surface_capacity) * values[CAPACITY]
-        constants[at.SKIN_SHARE], constants[at.AREA] = group.skin_share, network.area
+        constants[at.CAPACITY] = network.capacity * values[CAPACITY]
+        constants[at.SURFACE_SHARE], constants[at.AREA] = group.surface_share, network.area
         constants[at.FILM_OFFSET] = network.film_offset * values[FILM]
         constants[at.FILM_SLOPE] = network.film_slope * values[FILM]
-        own = 1.0 / network.inner_conductance if network.two_nodes else 0.0
+        inner = network.inner_conductance
+        if network.two_nodes:
+            inner *= values[CONDUCTIVITY] / rubber.conductivity
+            constants[at.SURFACE_SHARE] = values[SURFACE_SHARE]
+        own = 1.0 / inner if network.two_nodes else 0.0
         constants[at.INNER_RESISTANCE] = own + terms.inner_resistance
         constants[at.SOFTENING], constants[at.SOFTENING_FROM] = terms.softening, SOFTENING_FROM_DEGC
         ambient = full(session.ambient, session)
         start = (float(ambient[0]), float(ambient[0]))
         if before is not None and np.isfinite(session.gap):
             start = _rested(before, session.gap, float(ambient[0]), constants)
-        loss, core, skin = (np.empty(len(session)) for _ in range(3))
+        loss, mean, skin = (np.empty(len(session)) for _ in range(3))
         roll_along(
             constants,
             group.table.loss[np.newaxis],
@@ -146,35 +153,29 @@ class TrackBase:
             full(terms.heat, session),
             *start,
             loss,
-            core,
+            mean,
             skin,
         )
-        end = (float(core[-1]), float(skin[-1]))
-        share = _skin_share(constants)
-        mean = (1.0 - share) * core + share * skin
+        end = (float(mean[-1]), float(skin[-1]))
         # A sensor sees the surface. What of the inner resistance has no node of its own lies between the last node and it.
-        left = 1.0 / network.inner_conductance - constants[at.INNER_RESISTANCE]
+        left = 1.0 / inner - constants[at.INNER_RESISTANCE]
         if left > at.LEAST_RESISTANCE:
             travel = np.abs(course.at.speed)
             film = constants[at.FILM_OFFSET] * full(terms.film_offset_factor, session)
             film = film + constants[at.FILM_SLOPE] * full(terms.film_slope_factor, session) * travel
             to_air = film * network.area  # as in `model.thermal.surface_temperature`, for a series
             skin = (skin / left + to_air * ambient) / (1.0 / left + to_air)
-        return loss, core, mean, skin, end
+        return loss, mean, skin, end
 
 
 def _rested(before: tuple[float, float], seconds: float, ambient: float, constants: Array) -> tuple[float, float]:
-    """Temperatures of a belt after a rest: its mean cools as a lumped one, core and surface have met."""
-    share = _skin_share(constants)
-    mean = (1.0 - share) * before[0] + share * before[1]
-    rate = -constants[at.FILM_OFFSET] * constants[at.AREA] / constants[at.CAPACITY]
+    """Temperatures of a belt after a rest: its mean cools through film and inner resistance, and the surface has met it."""
+    mean = before[0]
+    rate = (
+        -1.0 / (1.0 / (constants[at.FILM_OFFSET] * constants[at.AREA]) + constants[at.INNER_RESISTANCE]) / constants[at.CAPACITY]
+    )
     mean += rate * (mean - ambient) * seconds * phi_1(rate * seconds)
     return mean, mean
-
-
-def _skin_share(constants: Array) -> float:
-    """Of the heat capacity; 0 where core and surface are one."""
-    return float(constants[at.SKIN_SHARE]) if constants[at.INNER_RESISTANCE] > at.LEAST_RESISTANCE else 0.0
 
 
 def _groups(vehicle: Vehicle) -> list[_Group]:

@@ -80,7 +80,7 @@ def write_recordings(
         torque = predicted.torque + drift + rng.normal(0.0, TORQUE_NOISE_NM, n)
         time = START_S + i * APART_S + session.time + 0.5 * session.step
         shown = (session.speed + rng.normal(0.0, SPEED_NOISE_MPS, n), session.accel, session.weight, session.ambient)
-        belt = predicted.mean + rng.normal(0.0, BELT_NOISE_K, n)
+        belt = predicted.belt + rng.normal(0.0, BELT_NOISE_K, n)
         rows = np.column_stack([time, *shown, session.yaw_rate, session.heading, torque, belt])
         path = folder / f"{session.name}.csv"
         np.savetxt(path, rows, delimiter=",", header=COLUMNS, comments="", fmt="%.6f")

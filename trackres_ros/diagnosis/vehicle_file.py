@@ -27,10 +27,14 @@ def write_track_vehicle(vehicle: Vehicle, path: Path, values: Mapping[str, float
     _set(content["rubber"]["loss_modulus_scale"], values["loss_modulus_scale"])
     for name in ("bearing_friction", "drag_coefficient"):
         _set(content["chassis"][name], values[name])
+    if "conductivity" in values:
+        _set(content["rubber"]["conductivity"], values["conductivity"])
     _set(content["rubber"]["heat_capacity"], _heat_capacity(vehicle, values["capacity_scale"]))
     for track in content["tracks"].values():
         for name in ("film_offset", "film_slope"):
             _scale(track["belt"][name], values["film_scale"])
+        if "surface_share" in values:
+            _set(track["belt"]["surface_share"], values["surface_share"])
     if effects:
         content["effects"] = {active.effect.name: dict(active.values) for active in effects}
     else:

@@ -6,13 +6,13 @@ from trackres_ros.effects.effect import Conditions, Effect, Parameter, Terms, Va
 
 
 class CoreSurface(Effect):
-    """Two nodes with 1/K between them, K about 6 k A/H; at 0 K/W they are one."""
+    """The mean and the surface with 1/K between them, K about 6 k A/H; at 0 K/W they are one."""
 
     name = "core_surface"
     acts_on = "cooling"
     text = "heat must first get from the inside of the belt to its surface, so the inside runs hotter"
     belt_only = True
-    parameters = (Parameter("resistance", "K/W", 0.0, 0.01, 0.004, "from the core of one belt to its surface", off=0.0),)
+    parameters = (Parameter("resistance", "K/W", 0.0, 0.01, 0.004, "from the mean of one belt to its surface", off=0.0),)
 
     def terms(self, at: Conditions, p: Values) -> Terms:  # noqa: ARG002
         return Terms(inner_resistance=p["resistance"])

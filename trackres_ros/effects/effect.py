@@ -126,7 +126,7 @@ class Terms:
     heat
         Into one belt [W].
     inner_resistance
-        From the core of one belt to its surface [K/W].
+        From the mean of one belt to its surface [K/W].
     speed_factor
         True over measured speed.
     sensor_gain, sensor_offset, sensor_delay

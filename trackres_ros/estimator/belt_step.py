@@ -1,6 +1,7 @@
 """One step of one assembly's belt: temperature, and what each cause of doubt makes of it, through the same dynamics.
 
-The belt state is an array (2 nodes, BELT_COLUMNS). Column 0 is the temperature of the mean (lumped) or of core and surface.
+The belt state is an array (2, BELT_COLUMNS): its mean, and its surface where that has a temperature of its own. Column 0 is
+the temperature.
 The others are departures [K] that one standard deviation of a cause makes: they obey the model's linearisation,
 forced by that cause, so their squares sum to the variance, and a cause that moves heat and torque together stays one.
 """
@@ -68,7 +69,7 @@ def film(k: Constants, i: int, speed: float) -> float:
 
 @compiled
 def surface(k: Constants, i: int, belt: Array, ambient: float, speed: float) -> tuple[float, float, float]:
-    """Surface temperature [degC], and its derivatives by the two nodes, shape of a row of the measurement matrix."""
+    """Surface temperature [degC], and its derivatives by mean and surface, shape of a row of the measurement matrix."""
     if k.number.two_nodes:
         return belt[1, TEMPERATURE], 0.0, 1.0
     to_air = film(k, i, speed)
@@ -78,11 +79,11 @@ def surface(k: Constants, i: int, belt: Array, ambient: float, speed: float) -> 
 
 
 @compiled
-def belt_variance(belt: Array, at_core: float, at_surface: float) -> float:
-    """Variance [K^2] of at_core x first node + at_surface x second node."""
+def belt_variance(belt: Array, of_mean: float, of_surface: float) -> float:
+    """Variance [K^2] of of_mean x mean + of_surface x surface."""
     total = 0.0
     for column in range(DOUBT_1, BELT_COLUMNS):
-        departure = at_core * belt[0, column] + at_surface * belt[1, column]
+        departure = of_mean * belt[0, column] + of_surface * belt[1, column]
         total += departure * departure
     return total
 
@@ -115,9 +116,8 @@ def advance_belt(
     cooling = film(k, i, speed) * k.assembly[i, at.AREA] + k.terms[at.TERM_CONDUCTANCE]
     # Air and sink together are one surrounding at a temperature between theirs.
     ambient += k.terms[at.TERM_CONDUCTANCE] / cooling * (k.terms[at.TERM_SINK] - ambient)
-    capacity = k.assembly[i, at.CORE_CAPACITY]
+    per_capacity = 1.0 / k.assembly[i, at.CAPACITY]
     if not k.number.two_nodes:
-        per_capacity = 1.0 / capacity
         gained, lost = power * per_capacity, cooling * (temperature - ambient) * per_capacity
         rate, growth = gained - lost, (power_slope - cooling) * per_capacity
         mean = dt * phi_1(growth * dt)
@@ -135,25 +135,27 @@ def advance_belt(
         departure = dt * dt * phi_2(growth * dt) * rate
         return power * dt + power_slope * departure, cooling * ((temperature - ambient) * dt + departure)
 
-    skin, outer = k.assembly[i, at.SKIN_CAPACITY], belt[1, TEMPERATURE]
-    inner = k.assembly[i, at.INNER_CONDUCTANCE]
-    j11, j12 = (power_slope - inner) / capacity, inner / capacity
-    j21, j22 = inner / skin, -(inner + cooling) / skin
-    rate_1 = (power - inner * (temperature - outer)) / capacity
-    rate_2 = (inner * (temperature - outer) - cooling * (outer - ambient)) / skin
+    share, outer = k.assembly[i, at.SURFACE_SHARE], belt[1, TEMPERATURE]
+    per_skin, inner = per_capacity / share, (1.0 - share) * k.assembly[i, at.INNER_CONDUCTANCE]
+    gained, slope = power * per_capacity, power_slope * per_capacity  # alike all through the rubber
+    lost = cooling * (outer - ambient)
+    j11, j12 = slope, -cooling * per_capacity
+    j21, j22 = slope + inner * per_skin, -(inner + cooling) * per_skin
+    rate_1 = gained - lost * per_capacity
+    rate_2 = gained + (inner * (temperature - outer) - lost) * per_skin
     m11, m12, m21, m22 = phi_matrix(j11 * dt, j12 * dt, j21 * dt, j22 * dt, 1)
     for column in range(DOUBT_1, BELT_COLUMNS):
         first, second = belt[0, column], belt[1, column]
         slope_1, slope_2 = j11 * first + j12 * second, j21 * first + j22 * second
         if column < DOUBT_AMBIENT:
             cause = column - DOUBT_1
-            slope_1 += power / capacity * k.assembly[i, at.LOSS_DOUBT + cause] - rate_1 * k.assembly[i, at.CAPACITY_DOUBT + cause]
-            slope_2 += (
-                -cooling * (outer - ambient) / skin * k.assembly[i, at.COOLING_DOUBT + cause]
-                - rate_2 * k.assembly[i, at.CAPACITY_DOUBT + cause]
-            )
+            heating = gained * k.assembly[i, at.LOSS_DOUBT + cause]
+            chilling, holding = lost * k.assembly[i, at.COOLING_DOUBT + cause], k.assembly[i, at.CAPACITY_DOUBT + cause]
+            slope_1 += heating - chilling * per_capacity - rate_1 * holding
+            slope_2 += heating - chilling * per_skin - rate_2 * holding
         elif column == DOUBT_AMBIENT:
-            slope_2 += cooling / skin * ambient_std
+            slope_1 += cooling * per_capacity * ambient_std
+            slope_2 += cooling * per_skin * ambient_std
         belt[0, column] = first + dt * (m11 * slope_1 + m12 * slope_2)
         belt[1, column] = second + dt * (m21 * slope_1 + m22 * slope_2)
     add_noise(belt, k.number.process_noise * math.sqrt(dt), k.number.process_noise * math.sqrt(dt))
@@ -178,7 +180,7 @@ def add_noise(belt: Array, first: float, second: float) -> None:
 
 
 @compiled
-def correct_belt(belt: Array, measured: float, variance: float, expected: float, at_core: float, at_surface: float) -> None:
+def correct_belt(belt: Array, measured: float, variance: float, expected: float, of_mean: float, of_surface: float) -> None:
     """Correct a belt by a measured temperature [degC] of a variance [K^2]: the Kalman update, changes `belt`.
 
     Notes
@@ -187,16 +189,16 @@ def correct_belt(belt: Array, measured: float, variance: float, expected: float,
     as the parameters stay wrong they grow back with time.
     """
     innovation = measured - expected
-    total = belt_variance(belt, at_core, at_surface) + variance
+    total = belt_variance(belt, of_mean, of_surface) + variance
     gain_1 = gain_2 = 0.0
     for column in range(DOUBT_1, BELT_COLUMNS):
-        departure = at_core * belt[0, column] + at_surface * belt[1, column]
+        departure = of_mean * belt[0, column] + of_surface * belt[1, column]
         gain_1 += belt[0, column] * departure / total
         gain_2 += belt[1, column] * departure / total
     belt[0, TEMPERATURE] += gain_1 * innovation
     belt[1, TEMPERATURE] += gain_2 * innovation
     for column in range(DOUBT_1, BELT_COLUMNS):
-        departure = at_core * belt[0, column] + at_surface * belt[1, column]
+        departure = of_mean * belt[0, column] + of_surface * belt[1, column]
         belt[0, column] -= gain_1 * departure
         belt[1, column] -= gain_2 * departure
     noise = math.sqrt(variance)

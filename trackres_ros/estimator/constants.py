@@ -112,7 +112,7 @@ def make_constants(vehicle: Vehicle, settings: Settings, cache: Path | None = No
     spreads = {name: spread(vehicle, name, cache) for name in names}
     axle_names = [axle.name for axle in vehicle.axles]
     chassis, loads = vehicle.chassis, vehicle.nominal_loads()
-    # An effect may part core and surface: then the belt has two nodes, whatever the file's thermal model.
+    # An effect may part mean and surface: then the belt has two nodes, whatever the file's thermal model.
     resistance = together([a.effect.terms(_nothing_known(vehicle), a.values) for a in vehicle.effects]).inner_resistance
     two_nodes = vehicle.thermal == "core_surface" or resistance > 0.0
     constants = np.empty((len(vehicle.assemblies), at.DOUBT_FACTOR))
@@ -122,7 +122,7 @@ def make_constants(vehicle: Vehicle, settings: Settings, cache: Path | None = No
         row[at.AXLE] = axle_names.index(assembly.axle)
         row[at.KIND] = row[at.TABLE] = names.index(assembly.track)
         row[at.NOMINAL_LOAD], row[at.RADIUS] = load, track.sprocket_radius
-        row[at.CORE_CAPACITY], row[at.SKIN_CAPACITY] = network.core_capacity, network.surface_capacity
+        row[at.CAPACITY], row[at.SURFACE_SHARE] = network.capacity, network.surface_share
         row[at.INNER_CONDUCTANCE], row[at.AREA] = _conductance(vehicle, network, resistance), network.area
         row[at.FILM_OFFSET], row[at.FILM_SLOPE] = network.film_offset, network.film_slope
         row[at.FIRST_LOG_LOAD], row[at.STEP_LOG_LOAD] = table.first_log_load, table.step_log_load
@@ -194,7 +194,7 @@ def make_constants(vehicle: Vehicle, settings: Settings, cache: Path | None = No
 
 
 def _conductance(vehicle: Vehicle, network: ThermalNetwork, resistance: float) -> float:
-    """From the mean or the core of a belt to its surface [W/K]; an effect's resistance [K/W] adds to a core's own."""
+    """From the mean of a belt to its surface [W/K]; an effect's resistance [K/W] adds to that of two nodes."""
     if resistance == 0.0:
         return network.inner_conductance
     own = 1.0 / network.inner_conductance if vehicle.thermal == "core_surface" else 0.0

@@ -151,18 +151,13 @@ class Road(NamedTuple):
 @inlined
 def measure(k: Constants, i: int, belt: Array, measured: float, ambient: float, speed: float) -> int:
     """Correct one belt by a new measurement [degC]; the reasons it gives."""
-    shown, to_core, to_surface = belt[0, at.TEMPERATURE], 1.0, 0.0
+    shown, of_mean, of_surface = belt[0, at.TEMPERATURE], 1.0, 0.0
     if k.number.belt_shows_surface:
-        shown, to_core, to_surface = surface(k, i, belt, ambient, speed)
-    elif k.number.two_nodes:
-        skin = k.assembly[i, at.SKIN_CAPACITY]
-        to_surface = skin / (k.assembly[i, at.CORE_CAPACITY] + skin)
-        to_core = 1.0 - to_surface
-        shown = to_core * belt[0, at.TEMPERATURE] + to_surface * belt[1, at.TEMPERATURE]
-    expected_variance = belt_variance(belt, to_core, to_surface) + k.number.belt_measured_variance
+        shown, of_mean, of_surface = surface(k, i, belt, ambient, speed)
+    expected_variance = belt_variance(belt, of_mean, of_surface) + k.number.belt_measured_variance
     if (measured - shown) ** 2 > DISAGREES * DISAGREES * expected_variance:
         return DISAGREEING
-    correct_belt(belt, measured, k.number.belt_measured_variance, shown, to_core, to_surface)
+    correct_belt(belt, measured, k.number.belt_measured_variance, shown, of_mean, of_surface)
     return 0
 
 

@@ -23,7 +23,7 @@ from trackres_ros.estimator import layout as at
 from trackres_ros.estimator.estimator import Estimator, Session, State
 
 FORMAT = "trackres-state"
-VERSION = 2
+VERSION = 3
 PART = ".part"
 REMEDY = "delete the file to start cold"
 

@@ -1,8 +1,10 @@
 """Belt temperature, equations (26), (30) and (31): two networks behind one interface.
 
-`lumped` is the paper's: one mean temperature, C dT/dt = P - U A (T - Ta). `core_surface` has two nodes,
-C_c dTc/dt = P - K (Tc - Ts) and C_s dTs/dt = K (Tc - Ts) - h A (Ts - Ta), with K = 6 k A / H, which is the resistance between
-the mean and the surface of a slab heated evenly. The Biot number is about 4, so the mean is not what an infrared sensor sees.
+`lumped` is the paper's: one mean temperature T, C dT/dt = P - U A (T - Ta). `core_surface` has a core and a surface layer
+that holds the share x of the heat capacity, and rubber that heats itself in both. Written with the mean temperature, at which
+the loss is that of the whole belt, C dT/dt = P - h A (Ts - Ta) and x C dTs/dt = x P + (1 - x) K (T - Ts) - h A (Ts - Ta), with
+K = 6 k A / H, which is the conductance between the mean and the surface of a slab heated evenly: in balance the belt is that
+slab, whatever x. The Biot number is about 4, so the mean is not what an infrared sensor sees.
 """
 
 from __future__ import annotations
@@ -16,14 +18,15 @@ from trackres_ros.vehicle import Belt, Rubber
 
 KMH_PER_MPS = 3.6
 SERIES_BELOW = 1e-3
+SERIES_TERMS = 15
 
 
 class ThermalNetwork(NamedTuple):
-    """Thermal constants of one assembly's belt. With `two_nodes` false the whole capacity is `core_capacity`."""
+    """Thermal constants of one assembly's belt."""
 
     two_nodes: bool
-    core_capacity: float  # J/K
-    surface_capacity: float  # J/K
+    capacity: float  # J/K
+    surface_share: float  # of the capacity, in the surface layer
     inner_conductance: float  # W/K, mean to surface
     area: float  # m^2
     film_offset: float  # W/m^2/K
@@ -34,13 +37,11 @@ def thermal_network(model: str, belt: Belt, rubber: Rubber) -> ThermalNetwork:
     """Thermal constants for the model `lumped` or `core_surface`."""
     capacity = belt_model.heat_capacity(belt, rubber)
     area = belt_model.cooled_area(belt)
-    two_nodes = model == "core_surface"
-    at_surface = belt.surface_share * capacity if two_nodes else 0.0
     slope = belt.film_slope * (KMH_PER_MPS if belt.film_speed_unit == "km/h" else 1.0)
     return ThermalNetwork(
-        two_nodes,
-        capacity - at_surface,
-        at_surface,
+        model == "core_surface",
+        capacity,
+        belt.surface_share,
         6.0 * rubber.conductivity * area / belt.thickness,
         area,
         belt.film_offset,
@@ -77,16 +78,36 @@ def phi_2(z: float) -> float:
 
 
 @compiled
+def phi_series(z11: float, z12: float, z21: float, z22: float, order: int) -> tuple[float, float, float, float]:
+    """The same by its series, for a matrix of which no term is much beyond 1."""
+    s11, s12, s21, s22 = 1.0, 0.0, 0.0, 1.0
+    for n in range(SERIES_TERMS, 0, -1):
+        by = 1.0 / (n + order)
+        s11, s12, s21, s22 = (
+            1.0 + by * (z11 * s11 + z12 * s21),
+            by * (z11 * s12 + z12 * s22),
+            by * (z21 * s11 + z22 * s21),
+            1.0 + by * (z21 * s12 + z22 * s22),
+        )
+    whole = 1.0 if order == 1 else 0.5
+    return whole * s11, whole * s12, whole * s21, whole * s22
+
+
+@compiled
 def phi_matrix(z11: float, z12: float, z21: float, z22: float, order: int) -> tuple[float, float, float, float]:
-    """phi_1 or phi_2 (order 1 or 2) of a 2 x 2 matrix with real eigenvalues, row by row.
+    """phi_1 or phi_2 (order 1 or 2) of a 2 x 2 matrix, row by row.
 
     Notes
     -----
-    Newton's divided difference on the eigenvalues: phi(Z) = phi(l1) I + phi[l1, l2] (Z - l1 I). The off-diagonal terms of
-    the belt's matrix are positive, so its eigenvalues are real and apart.
+    Newton's divided difference on the eigenvalues: phi(Z) = phi(l1) I + phi[l1, l2] (Z - l1 I). At rest those of a belt are
+    real and apart. Where the loss falls so steeply with temperature that they are not, the step is short: then the series.
     """
     middle = 0.5 * (z11 + z22)
-    spread = math.sqrt(max(0.25 * (z11 - z22) ** 2 + z12 * z21, 1e-300))
+    squared = 0.25 * (z11 - z22) ** 2 + z12 * z21
+    size = abs(z11) + abs(z12) + abs(z21) + abs(z22)
+    if size < SERIES_BELOW or (size < 2.0 and squared < (SERIES_BELOW * size) ** 2):
+        return phi_series(z11, z12, z21, z22, order)
+    spread = math.sqrt(max(squared, (1e-5 * size) ** 2))
     first, second = middle + spread, middle - spread
     if order == 1:
         at_first, at_second = phi_1(first), phi_1(second)

@@ -55,14 +55,9 @@ def main(arguments: Sequence[str]) -> None:
 def make_case(task: tuple[Path, Case, float]) -> None:
     """Write one case: where to, which, and how long each drive is [min]."""
     folder, case, minutes = task
-    sheet = find_vehicle(VEHICLE)
-    content = yaml.safe_load(sheet.read_text(encoding="utf-8"))
-    content["rubber"]["file"] = str((sheet.parent / content["rubber"]["file"]).resolve())
-    content["model"]["thermal"] = "lumped" if case.lumped else "core_surface"
     into = folder / "cases" / case.name
     into.mkdir(exist_ok=True)
-    vehicle = into / "vehicle.yaml"
-    vehicle.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+    vehicle = write_vehicle(into / "vehicle.yaml", "lumped" if case.lumped else "core_surface")
     rng = np.random.default_rng(case.seed)
     if case.compensated:
         _, paths = _drive(case, into, "before", minutes, rng)
@@ -74,6 +69,16 @@ def make_case(task: tuple[Path, Case, float]) -> None:
     lengths = np.array([len(one.torque[::EVERY]) for one in lived])
     arrays: dict[str, Any] = {"lengths": lengths, **added}
     np.savez_compressed(folder / "sealed" / f"{case.name}.npz", **arrays)
+
+
+def write_vehicle(path: Path, thermal: str) -> Path:
+    """Write the data sheet as a vehicle file with a thermal model."""
+    sheet = find_vehicle(VEHICLE)
+    content = yaml.safe_load(sheet.read_text(encoding="utf-8"))
+    content["rubber"]["file"] = str((sheet.parent / content["rubber"]["file"]).resolve())
+    content["model"]["thermal"] = thermal
+    path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+    return path
 
 
 def _drive(case: Case, into: Path, name: str, minutes: float, rng: np.random.Generator) -> tuple[list[Lived], list[Path]]:
