@@ -24,6 +24,7 @@ PLOTS = ["matplotlib>=3.6"]
 FAST = ["numba>=0.57"]
 CYCLONE = "cyclonedds>=11.0.1"
 DIAGNOSIS = ["jinja2>=3.1", "ruptures>=1.1.8", *PLOTS, *FAST]
+PROOF = [*DIAGNOSIS, "scikit-learn>=1.3"]
 DDS = [*BAGS, CYCLONE]
 # No wheels elsewhere, and its source needs the C library: there the tests of that edge are skipped.
 DDS_TESTED = [f"{CYCLONE}; platform_machine == 'x86_64' and python_version < '3.14'"]
@@ -54,8 +55,9 @@ setup(
         "fast": FAST,
         "dds": DDS,
         "diagnosis": DIAGNOSIS,
-        "all": BAGS + PARQUET + DIAGNOSIS,
-        "test": BAGS + PARQUET + DIAGNOSIS + DDS_TESTED + TEST,
+        "proof": PROOF,
+        "all": BAGS + PARQUET + PROOF,
+        "test": BAGS + PARQUET + PROOF + DDS_TESTED + TEST,
     },
     zip_safe=False,
     entry_points={

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import click
 
-from trackres_ros.errors import InputError
+from trackres_ros.errors import InputError, MissingExtraError
 
 MINUTES = 15.0
 QUICK_MINUTES = 12.0
 REPORTED_SEED = 20260101
-FOLDERS = ("cases", "results", "sealed")
+FOLLOWED, QUICK_FOLLOWED = 40, 8  # cases in which what was advised is driven
+FOLDERS = ("cases", "results", "next", "results_next", "sealed")
 
 
 @click.group("prove", invoke_without_command=True)
@@ -40,6 +43,8 @@ def prove_command(
 
     if context.invoked_subcommand:
         return
+    if find_spec("sklearn") is None:
+        raise MissingExtraError("trackres prove", "scikit-learn", "proof", "the methods it is compared with are from there")
     if output is None:
         raise InputError("-o", "no folder", "a folder for cases, results and scores")
     unknown = [level for level in levels if level not in LEVELS]
@@ -61,11 +66,16 @@ def prove_command(
     kept.write_text(asked, encoding="utf-8")
     _process("generate", str(output), *asked.split())
     _process("blind", str(output / "cases"), str(output / "results"))
+    _process("follow", str(output), f"{minutes:g}", str(QUICK_FOLLOWED if quick else FOLLOWED))
+    _process("blind", str(output / "next"), str(output / "results_next"))
     _process("score", str(output))
 
 
 def _process(module: str, *arguments: str) -> None:
-    done = subprocess.run([sys.executable, "-m", f"trackres_ros.proof.{module}", *arguments], check=False)
+    # Every core has a case of its own: threads within one would only be in each other's way.
+    alone = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+    command = [sys.executable, "-m", f"trackres_ros.proof.{module}", *arguments]
+    done = subprocess.run(command, env={**os.environ, **alone}, check=False)
     if done.returncode:
         raise click.ClickException(f"{module} ended with exit code {done.returncode}; what was done is kept")
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.fitting import Fit, Problem, fit
+from trackres_ros.diagnosis.locate import contribution
 from trackres_ros.diagnosis.screening import screen
 from trackres_ros.diagnosis.separability import Sensitivity, Separability, separability
 from trackres_ros.effects.effect import Effect
@@ -23,6 +24,7 @@ ALIKE_WITHIN = 3.0  # in log-likelihood
 STABLE_SHARE = 0.8
 RESAMPLES = 500
 LEAST_WEIGHT = 0.05
+LEAST_SHARE = 0.015  # of the torque, root mean square: the base itself is good to a percent, and what is smaller may be its error
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +43,8 @@ class Candidate:
         Twice the gain less the logarithm of the effective sample for each parameter that the data settle; for comparison.
     kept, d_prime
         See `separability.Sensitivity`.
+    share
+        Of the torque that it adds, root mean square.
     """
 
     name: str
@@ -50,6 +54,12 @@ class Candidate:
     bic_gain: float
     kept: float
     d_prime: float
+    share: float
+
+    @property
+    def matters(self) -> bool:
+        """Whether it is larger than the base's own error."""
+        return self.share >= LEAST_SHARE
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +72,8 @@ class Step:
         The fit it began with.
     separability, threshold, screened
         What could be seen, the gain that noise alone reaches once in twenty, and the gains to first order.
+    least_criterion
+        What the best has to reach, as it is the best of many: beforehand each is as likely as the others.
     candidates
         Those re-fitted, best first.
     chosen
@@ -75,6 +87,7 @@ class Step:
     before: Fit
     separability: Separability
     threshold: float
+    least_criterion: float
     screened: tuple[tuple[str, float], ...]
     candidates: tuple[Candidate, ...]
     chosen: Candidate | None
@@ -90,7 +103,8 @@ def choose(
     rng: np.random.Generator,
     said: Callable[[str], None] = lambda _: None,
 ) -> tuple[list[Step], Fit]:
-    """Choose at most `MOST_EFFECTS` effects, each only if it gains more than noise would; then drop what others made needless.
+    """Choose at most `MOST_EFFECTS` effects, each only if it gains more than noise would; then drop what others made needless,
+    and compare each with its rivals again, now that the others are there.
 
     Returns
     -------
@@ -108,6 +122,7 @@ def choose(
         current = _refreshed(step.chosen.fit)
     if len(current.effects) > 1:
         current, steps = _drop(current, steps)
+        current, steps = _compared_again(current, steps, effects, rng)
     return [_apart(s, current.effect_names) for s in steps], current
 
 
@@ -125,8 +140,9 @@ def _round(current: Fit, effects: Mapping[str, Effect], replicates: int, rng: np
     screened = screen(current, seen.visible, replicates, rng)
     gains = tuple((s.effect.name, gain) for s, gain in screened.gains)
     best = screened.gains[0][1] if screened.gains else 0.0
+    least = float(np.log(max(1, len(seen.names))))
     if best < 0.5 * screened.threshold or best < 1.0:
-        return Step(current, seen, screened.threshold, gains, (), None, (), {}, 0.0)
+        return Step(current, seen, screened.threshold, least, gains, (), None, (), {}, 0.0)
     within = max(FAR_BEHIND, 0.5 * best)
     worth = [
         s
@@ -137,13 +153,15 @@ def _round(current: Fit, effects: Mapping[str, Effect], replicates: int, rng: np
     names = list(dict.fromkeys(s.effect.name for s in worth))[:MOST_REFITTED]
     candidates = [_refit(current, effects[name], [s for s in worth if s.effect.name == name]) for name in names]
     candidates.sort(key=lambda c: -c.criterion)
+    # The best of those that matter, if any does.
+    candidates.sort(key=lambda c: not c.matters)
     first = candidates[0]
-    counts = first.gain > screened.threshold and first.criterion > 0.0
-    weights = _class_of(first, [c for c in candidates if c is first or c.gain > screened.threshold], seen)
+    counts = first.matters and first.gain > screened.threshold and first.criterion > least
+    weights = _class_of(first, [c for c in candidates if c is first or (c.matters and c.gain > screened.threshold)], seen)
     wins = _wins(current, candidates, rng)
     members, weights, stability = _widened(weights, wins)
     chosen = first if counts and stability >= STABLE_SHARE else None
-    return Step(current, seen, screened.threshold, gains, tuple(candidates), chosen, members, weights, stability)
+    return Step(current, seen, screened.threshold, least, gains, tuple(candidates), chosen, members, weights, stability)
 
 
 def _refit(current: Fit, effect: Effect, found: Sequence[Sensitivity]) -> Candidate:
@@ -156,11 +174,23 @@ def _refit(current: Fit, effect: Effect, found: Sequence[Sensitivity]) -> Candid
         if best is None or tried.log_likelihood > best.log_likelihood:
             best = tried
     assert best
-    gain = best.log_likelihood - current.log_likelihood
-    bic = 2.0 * gain - np.log(effective_samples(best)) * effective_parameters(best, effect.name)
     strongest = max(found, key=lambda s: s.d_prime)
-    criterion = best.log_evidence - current.log_evidence
-    return Candidate(effect.name, best, gain, criterion, bic, strongest.kept, strongest.d_prime)
+    return _candidate(current, best, effect.name, strongest.kept, strongest.d_prime)
+
+
+def _candidate(current: Fit, found: Fit, name: str, kept: float, d_prime: float) -> Candidate:
+    """What a fit with one more effect is worth over the one without."""
+    gain = found.log_likelihood - current.log_likelihood
+    bic = 2.0 * gain - np.log(effective_samples(found)) * effective_parameters(found, name)
+    criterion = found.log_evidence - current.log_evidence
+    share = _rms(contribution(found, name), found) / max(_rms([s.torque for s in found.problem.sessions], found), 1e-12)
+    return Candidate(name, found, gain, criterion, bic, kept, d_prime, share)
+
+
+def _rms(series: Sequence[Array], found: Fit) -> float:
+    """Root mean square over the samples that count."""
+    used = np.concatenate([x[m] for x, m in zip(series, found.problem.masks, strict=True)])
+    return float(np.sqrt(np.mean(used[np.isfinite(used)] ** 2)))
 
 
 def _begin(sensitivity: Sensitivity) -> dict[str, float]:
@@ -260,6 +290,45 @@ def _drop(current: Fit, steps: list[Step]) -> tuple[Fit, list[Step]]:
             current = reduced
     remaining = {a.effect.name for a in kept}
     return current, [s for s in steps if s.chosen is None or s.chosen.name in remaining]
+
+
+def _compared_again(
+    current: Fit, steps: list[Step], effects: Mapping[str, Effect], rng: np.random.Generator
+) -> tuple[Fit, list[Step]]:
+    """Each effect against its rivals beside the others: the first was chosen when what the others explain was still left."""
+    for i, step in enumerate(steps):
+        chosen = step.chosen
+        others = [a.effect for a in current.effects if chosen is None or a.effect.name != chosen.name]
+        taken = {effect.name for effect in others}
+        rivals = [
+            c
+            for c in step.candidates
+            if chosen is not None
+            and c.name not in taken
+            and c.matters
+            and c.gain > step.threshold
+            and c.criterion > chosen.criterion - FAR_BEHIND
+        ]
+        if len(rivals) < 2:
+            continue
+        without = fit(current.problem, others, current.at, current.noises)
+        again = sorted((_beside(without, others, effects[c.name], c) for c in rivals), key=lambda c: -c.criterion)
+        first = again[0]
+        weights = _class_of(first, again, step.separability)
+        members, widened, stability = _widened(weights, _wins(without, again, rng))
+        rest = [c for c in step.candidates if c.name not in {a.name for a in again}]
+        steps[i] = replace(
+            step, before=without, candidates=(*again, *rest), chosen=first, members=members, weights=widened, stability=stability
+        )
+        current = first.fit
+    return current, steps
+
+
+def _beside(without: Fit, others: Sequence[Effect], effect: Effect, before: Candidate) -> Candidate:
+    """A candidate fitted again, with other effects beside it than at first."""
+    own = {key: value for key, value in before.fit.at.items() if key[0] == effect.name}
+    found = fit(without.problem, [*others, effect], {**without.at, **own}, without.noises)
+    return _candidate(without, found, effect.name, before.kept, before.d_prime)
 
 
 def begin(problem: Problem) -> Fit:

@@ -109,6 +109,10 @@ def _why(c: Candidate, step: Step) -> str:
         return "noise alone may gain as much"
     if c.criterion <= 0.0:
         return "explains less than its parameters cost"
+    if not c.matters:
+        return f"adds {c.share:.1%} of the torque, which the model itself may be off by"
+    if step.chosen is None and c.criterion <= step.least_criterion:
+        return f"the best of {math.exp(step.least_criterion):.0f} effects may explain as much by chance"
     if step.chosen is None:
         return f"not the best in {STABLE_SHARE:.0%} of resampled laps"
     return f"{likelier(step.chosen, c)} times less likely than {step.chosen.name}"

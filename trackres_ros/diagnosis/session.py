@@ -12,6 +12,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 AROUND = 5  # steps, odd
+NEGLIGIBLE = 0.01  # share of a variance
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,15 +96,13 @@ class Session:
 
     @cached_property
     def accel_apart(self) -> Array:
-        """Acceleration [m/s^2] without what is likely an error of the speed.
+        """Acceleration [m/s^2] that shares no error of the speed with the inertia that is expected of a step.
 
-        Such an error is in the inertia expected of a step and in its acceleration alike, and would look like an inertia or
-        an efficiency that is off, most where hardly anything speeds up. What departs from `accel_around` is taken back by
-        the share of it that is noise.
+        Such an error is in both alike, and would look like an inertia or an efficiency that is off, the more the more the
+        noise is coloured. So `accel_around` is taken, unless the error is next to nothing beside what it leaves out.
         """
-        quick = self.accel - self.accel_around
-        share = min(1.0, self.accel_noise**2 / max(float(np.var(quick)), 1e-12))
-        return np.asarray(self.accel - share * quick)
+        quick = float(np.var(self.accel - self.accel_around))
+        return self.accel if self.accel_noise**2 <= NEGLIGIBLE * quick else self.accel_around
 
 
 @dataclass(frozen=True, eq=False)

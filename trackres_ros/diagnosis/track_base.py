@@ -61,7 +61,7 @@ class TrackBase:
 
         film = vehicle.parameters[f"tracks.{first.name}.belt.film_offset"]
         assert isinstance(film.value, float)
-        self.parameters = (
+        self.parameters: tuple[BaseParameter, ...] = (
             known(LOSS, "rubber.loss_modulus_scale"),
             known(BEARING, "chassis.bearing_friction"),
             known(DRAG, "chassis.drag_coefficient"),

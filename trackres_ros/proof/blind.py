@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict
 from pathlib import Path
 
 
@@ -18,7 +19,7 @@ def main(arguments: Sequence[str]) -> None:
     """See above."""
     cases, results = (Path(a) for a in arguments)
     results.mkdir(parents=True, exist_ok=True)
-    folders = [f for f in sorted(cases.iterdir()) if not (results / f"{f.name}.json").exists()]
+    folders = [f for f in sorted(cases.glob("*")) if not (results / f"{f.name}.json").exists()]
     began = time.monotonic()
     with ProcessPoolExecutor(os.cpu_count()) as pool:
         tasks = [pool.submit(_diagnose, folder, results) for folder in folders]
@@ -32,11 +33,13 @@ def main(arguments: Sequence[str]) -> None:
 def _diagnose(folder: Path, results: Path) -> None:
     from trackres_ros.diagnosis import diagnose, load_base, read_recordings
     from trackres_ros.diagnosis.report import report
+    from trackres_ros.proof.baselines import simple_answers
 
     paths = sorted(folder.glob("drive_*.csv"))
     found = diagnose(read_recordings(paths, None), load_base(folder / "vehicle.yaml"), quick=True)
+    simple = simple_answers(found.refitted, found.steps[0].separability)
     partial = results / f"{folder.name}.part"
-    partial.write_text(json.dumps(report(found, paths)), encoding="utf-8")
+    partial.write_text(json.dumps({"report": report(found, paths), "simple": asdict(simple)}), encoding="utf-8")
     partial.rename(results / f"{folder.name}.json")
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
 from pathlib import Path
@@ -16,12 +16,15 @@ from typing import Any
 
 import numpy as np
 import yaml
+from numpy.typing import NDArray
 
 from trackres_ros.proof.cases import Case, build_of, draw_cases, sealed
 from trackres_ros.proof.drives import Drive, drive
 from trackres_ros.proof.sensors import Sensors, record
 from trackres_ros.proof.truth import Lived, live
 from trackres_ros.resources import find_vehicle
+
+Array = NDArray[np.float64]
 
 VEHICLE = "xgd24d"
 LOADS, DULL_LOADS = (1.0, 0.8, 1.25), (1.0, 1.0, 1.0)
@@ -58,17 +61,57 @@ def make_case(task: tuple[Path, Case, float]) -> None:
     into = folder / "cases" / case.name
     into.mkdir(exist_ok=True)
     vehicle = write_vehicle(into / "vehicle.yaml", "lumped" if case.lumped else "core_surface")
-    rng = np.random.default_rng(case.seed)
     if case.compensated:
-        _, paths = _drive(case, into, "before", minutes, rng)
+        _, paths = _record(case, into, "before", _drives(case, minutes, "before"))
         _prefit(paths, vehicle)
         for path in paths:
             path.unlink()
-    lived, _ = _drive(case, into, "drive", minutes, rng)
-    added = {f"added/{name}": np.concatenate([one.added[name][::EVERY] for one in lived]) for name in case.hidden}
+    driven = _drives(case, minutes, "drive")
+    lived, _ = _record(case, into, "drive", driven)
+    np.savez_compressed(folder / "sealed" / f"{case.name}.npz", **_kept(case, driven, lived))
+
+
+def _kept(case: Case, driven: Sequence[Drive], lived: Sequence[Lived]) -> dict[str, Any]:
+    """Of the truth what the score needs: what each effect added, over what it may be looked at."""
+
+    def joined(series: Sequence[Array]) -> Array:
+        return np.concatenate([one[::EVERY] for one in series])
+
+    found = {f"added/{name}": joined([one.added[name] for one in lived]) for name in case.hidden}
+    over = {
+        "speed": [d.speed for d in driven],
+        "acceleration": [d.accel for d in driven],
+        "load": [d.weight for d in driven],
+        "belt temperature": [one.belt for one in lived],
+        "ambient temperature": [d.ambient for d in driven],
+        "yaw rate": [np.abs(d.yaw_rate) for d in driven],
+        "heading": [np.angle(np.exp(1j * d.heading)) for d in driven],
+        "time since start": [np.arange(len(d)) * d.step for d in driven],
+        "distance": [np.cumsum(np.abs(d.speed)) * d.step for d in driven],
+        "curvature": [np.abs(d.yaw_rate) / np.maximum(np.abs(d.speed), 0.3) for d in driven],
+    }
     lengths = np.array([len(one.torque[::EVERY]) for one in lived])
-    arrays: dict[str, Any] = {"lengths": lengths, **added}
-    np.savez_compressed(folder / "sealed" / f"{case.name}.npz", **arrays)
+    return {"lengths": lengths, **found, **{f"over/{name}": joined(series) for name, series in over.items()}}
+
+
+def drive_next(folder: Path, case: Case, minutes: float, name: str, planned: Callable[[Drive], Drive]) -> Path:
+    """Let the vehicle of a case drive once more, after all it has driven, and record it; `planned` gets its last drive."""
+    driven = _drives(case, minutes, "drive")
+    more = planned(driven[-1])
+    lived = live(find_vehicle(VEHICLE), build_of(case), case.hidden, [*driven, more])[-1]
+    path = folder / "cases" / case.name / f"{name}.csv"
+    _, radius = _weight_and_radius(find_vehicle(VEHICLE))
+    record(path, more, lived, _sensors(case), radius, START_S + len(driven) * APART_S, _draws(case, name))
+    return path
+
+
+def _draws(case: Case, what: str) -> np.random.Generator:
+    """A generator of its own for each thing that is drawn, so that each can be drawn again by itself."""
+    return np.random.default_rng([case.seed, *what.encode()])
+
+
+def _sensors(case: Case) -> Sensors:
+    return Sensors(belt_measured=case.belt_measured)
 
 
 def write_vehicle(path: Path, thermal: str) -> Path:
@@ -81,18 +124,23 @@ def write_vehicle(path: Path, thermal: str) -> Path:
     return path
 
 
-def _drive(case: Case, into: Path, name: str, minutes: float, rng: np.random.Generator) -> tuple[list[Lived], list[Path]]:
-    sheet = find_vehicle(VEHICLE)
-    weight, radius = _weight_and_radius(sheet)
-    drives = [
+def _drives(case: Case, minutes: float, name: str) -> list[Drive]:
+    rng = _draws(case, f"route of {name}")
+    weight, _ = _weight_and_radius(find_vehicle(VEHICLE))
+    return [
         _dull(minutes, weight, rng) if case.dull else drive(minutes, share * weight, air, FASTEST_MPS, rng)
         for share, air in zip(DULL_LOADS if case.dull else LOADS, rng.permutation(AIRS_DEGC), strict=True)
     ]
+
+
+def _record(case: Case, into: Path, name: str, drives: Sequence[Drive]) -> tuple[list[Lived], list[Path]]:
+    sheet = find_vehicle(VEHICLE)
+    _, radius = _weight_and_radius(sheet)
     lived = live(sheet, build_of(case), case.hidden, drives)
     paths = [into / f"{name}_{i + 1}.csv" for i in range(len(drives))]
-    sensors = Sensors(belt_measured=case.belt_measured)
+    rng = _draws(case, name)
     for i, (path, one, true) in enumerate(zip(paths, drives, lived, strict=True)):
-        record(path, one, true, sensors, radius, START_S + i * APART_S, rng)
+        record(path, one, true, _sensors(case), radius, START_S + i * APART_S, rng)
     return lived, paths
 
 
