@@ -9,7 +9,8 @@ import pytest
 from trackres_ros.diagnosis import load_base, read_recordings
 from trackres_ros.diagnosis.fitting import Problem
 from trackres_ros.diagnosis.gate import gate
-from trackres_ros.diagnosis.naming import begin
+from trackres_ros.diagnosis.locate import stray
+from trackres_ros.diagnosis.naming import MODEL_ERROR, begin
 from trackres_ros.proof.belt_heat import LAYERS, roll
 from trackres_ros.proof.belt_loss import LOG_SPEEDS, belt_loss
 from trackres_ros.proof.cases import CATALOGUE, LEVELS, OUTSIDE, draw_cases, sealed
@@ -115,6 +116,7 @@ def test_the_base_refits_to_a_truth_without_effects(sheet, tmp_path):
     left = np.concatenate([s.torque - p.torque for s, p in zip(sessions, found.predicted, strict=True)])
     used = np.concatenate([s.used for s in sessions])
     assert np.abs(left[used]).mean() < 0.01 * np.abs(np.concatenate([s.torque for s in sessions])[used]).mean()
+    assert stray(found).share < 1.5 * MODEL_ERROR
     values = found.base_values
     assert values["conductivity"] == pytest.approx(Build().conductivity, rel=0.15)
     assert values["capacity_scale"] == pytest.approx(1.0, abs=0.15)

@@ -111,3 +111,21 @@ def prove_paper_command(output: Path) -> None:
     text = page(ask_all(output))
     (output / "paper-test.md").write_text(text, encoding="utf-8")
     click.echo(text)
+
+
+@prove_command.command("loop")
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), required=True, metavar="DIR", help="Folder for recordings and page."
+)
+def prove_loop_command(output: Path) -> None:
+    """The feed-forward of the vehicle file that a diagnosis leaves, on a drive that it never saw."""
+    from trackres_ros.proof.loop import close_loop, draw, page
+
+    if output.exists() and not output.is_dir():
+        raise InputError("-o", str(output), "a folder; there is a file of that name")
+    output.mkdir(parents=True, exist_ok=True)
+    closed = close_loop(output)
+    draw(closed, output / "loop.png")
+    text = page(closed, "loop.png")
+    (output / "loop.md").write_text(text, encoding="utf-8")
+    click.echo(text)

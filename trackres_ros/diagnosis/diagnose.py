@@ -17,7 +17,7 @@ from trackres_ros.diagnosis.fitting import Fit, Problem
 from trackres_ros.diagnosis.gate import Gated, gate, split
 from trackres_ros.diagnosis.held_out import HeldOut, held_out
 from trackres_ros.diagnosis.intervals import Interval, intervals
-from trackres_ros.diagnosis.locate import ThermalCheck, acts, against_travel, contribution, spans, thermal_check
+from trackres_ros.diagnosis.locate import ThermalCheck, acts, against_travel, contribution, regime_of, spans, stray, thermal_check
 from trackres_ros.diagnosis.naming import Step, begin, choose
 from trackres_ros.diagnosis.regimes import RegimeMap, cumulative_periodogram, regime_map
 from trackres_ros.diagnosis.sanity import aligned_clock, check_torque, unlike
@@ -160,7 +160,7 @@ def diagnose(
                 resists,
                 spans(final.problem.sessions, adds),
                 where,
-                at_base.within(where.variable, where.low, where.high),
+                regime_of(refitted, at_base, where),
             )
         )
     said("what it is worth: laps held out")
@@ -171,7 +171,7 @@ def diagnose(
         base, gated, chosen, nominal, refitted, final, at_base, at_end, changes(refitted), cumulative_periodogram(final),
         thermal_check(refitted),
         tuple(steps), tuple(found), {name: b for (effect, name), b in bounds.items() if not effect}, worth, tuple(advice),
-        judge(found, refitted, at_end, worth),
+        judge(found, refitted, at_end, stray(final), worth),
     )  # fmt: skip
 
 

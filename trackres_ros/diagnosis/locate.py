@@ -9,12 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.fitting import Fit
+from trackres_ros.diagnosis.regimes import Bin, RegimeMap
 from trackres_ros.diagnosis.session import Session
 
 Array = NDArray[np.float64]
 
 ACTING_SHARE = 0.5  # of its 95th percentile
 JOINED_S, SHORTEST_S = 10.0, 5.0
+STRAY_S = 30.0
 MOST_SPANS = 60
 BINS = 12
 VARIABLES: dict[str, tuple[str, Callable[[Session, Array], Array]]] = {
@@ -131,6 +133,53 @@ def acts(found: Fit, adds: Sequence[Array]) -> Acts:
             high = edges[min(large[-1] + 1, len(edges) - 1)]
             result = Acts(name, unit, float(edges[large[0]]), float(high), float(edges[0]), float(edges[-1]))
     return result
+
+
+@dataclass(frozen=True, slots=True)
+class Stray:
+    """What is left of the torque residual in means over `STRAY_S`, root mean square [Nm]; its share of the torque, and the
+    slope that would do as much, nan where the slope was measured.
+    """
+
+    size: float
+    share: float
+    slope: float
+
+
+def stray(found: Fit) -> Stray:
+    """How far the measured torque strays from a model for longer than noise does."""
+    means, torques = [], []
+    for segment, residual in zip(found.problem.segments, found.residuals, strict=True):
+        if segment.kind != "torque":
+            continue
+        session = found.problem.sessions[segment.session]
+        number = (session.time // STRAY_S).astype(int)
+        count = np.bincount(number[segment.mask])
+        sums = np.bincount(number[segment.mask], weights=residual[segment.mask])
+        full = count * session.step > 0.5 * STRAY_S
+        means.append(sums[full] / count[full])
+        torques.append(session.torque[segment.mask])
+    size = float(np.sqrt(np.mean(np.concatenate(means) ** 2))) if sum(map(len, means)) else 0.0
+    torque = float(np.sqrt(np.mean(np.concatenate(torques) ** 2)))
+    facts, measured = found.problem.base.facts, all("grade" in s.given for s in found.problem.sessions)
+    return Stray(size, size / max(torque, 1e-12), float("nan") if measured else size / (facts.weight * facts.radius))
+
+
+def regime_of(refitted: Fit, at_base: RegimeMap, where: Acts) -> tuple[Bin, ...]:
+    """The residual of the base where an effect acts, and other regimes in which it stands out."""
+    _, of = VARIABLES[where.variable]
+    inside, residuals = [], []
+    for segment, residual in zip(refitted.problem.segments, refitted.residuals, strict=True):
+        if segment.kind == "torque":
+            session = refitted.problem.sessions[segment.session]
+            x = of(session, refitted.predicted[segment.session].belt)
+            inside.append((x >= where.low) & (x <= where.high) & segment.mask)
+            residuals.append(residual)
+    within = np.concatenate(residuals)[np.concatenate(inside)]
+    p = at_base.likeliest(where.variable, where.low, where.high)
+    mean = float(within.mean()) if len(within) else 0.0
+    here = Bin(where.variable, where.low, where.high, mean, where.unit, len(within), p)
+    return (here, *(b for b in at_base.significant if b.variable != where.variable))
 
 
 def thermal_check(found: Fit) -> ThermalCheck | None:

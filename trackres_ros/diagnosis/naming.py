@@ -24,7 +24,8 @@ ALIKE_WITHIN = 3.0  # in log-likelihood
 STABLE_SHARE = 0.8
 RESAMPLES = 500
 LEAST_WEIGHT = 0.05
-LEAST_SHARE = 0.015  # of the torque, root mean square: the base itself is good to a percent, and what is smaller may be its error
+LEAST_SHARE = 0.01  # of the torque, root mean square: what adds less hardly matters
+MODEL_ERROR = 0.004  # of the torque, root mean square and slow: what a re-fitted base is off by where nothing is missing
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +59,7 @@ class Candidate:
 
     @property
     def matters(self) -> bool:
-        """Whether it is larger than the base's own error."""
+        """Whether it adds enough to be worth a name."""
         return self.share >= LEAST_SHARE
 
 
@@ -70,10 +71,10 @@ class Step:
     ----------
     before
         The fit it began with.
-    separability, threshold, screened
-        What could be seen, the gain that noise alone reaches once in twenty, and the gains to first order.
-    least_criterion
-        What the best has to reach, as it is the best of many: beforehand each is as likely as the others.
+    separability, screened
+        What could be seen, and the gains to first order.
+    threshold
+        The gain that counts: more than noise alone reaches once in twenty, and more than the model's own error may give.
     candidates
         Those re-fitted, best first.
     chosen
@@ -87,7 +88,6 @@ class Step:
     before: Fit
     separability: Separability
     threshold: float
-    least_criterion: float
     screened: tuple[tuple[str, float], ...]
     candidates: tuple[Candidate, ...]
     chosen: Candidate | None
@@ -140,9 +140,9 @@ def _round(current: Fit, effects: Mapping[str, Effect], replicates: int, rng: np
     screened = screen(current, seen.visible, replicates, rng)
     gains = tuple((s.effect.name, gain) for s, gain in screened.gains)
     best = screened.gains[0][1] if screened.gains else 0.0
-    least = float(np.log(max(1, len(seen.names))))
+    threshold = max(screened.threshold, spurious_gain(current))
     if best < 0.5 * screened.threshold or best < 1.0:
-        return Step(current, seen, screened.threshold, least, gains, (), None, (), {}, 0.0)
+        return Step(current, seen, threshold, gains, (), None, (), {}, 0.0)
     within = max(FAR_BEHIND, 0.5 * best)
     worth = [
         s
@@ -156,12 +156,22 @@ def _round(current: Fit, effects: Mapping[str, Effect], replicates: int, rng: np
     # The best of those that matter, if any does.
     candidates.sort(key=lambda c: not c.matters)
     first = candidates[0]
-    counts = first.matters and first.gain > screened.threshold and first.criterion > least
+    counts = first.matters and first.gain > threshold and first.criterion > 0.0
     weights = _class_of(first, [c for c in candidates if c is first or (c.matters and c.gain > screened.threshold)], seen)
     wins = _wins(current, candidates, rng)
     members, weights, stability = _widened(weights, wins)
     chosen = first if counts and stability >= STABLE_SHARE else None
-    return Step(current, seen, screened.threshold, least, gains, tuple(candidates), chosen, members, weights, stability)
+    return Step(current, seen, threshold, gains, tuple(candidates), chosen, members, weights, stability)
+
+
+def spurious_gain(current: Fit) -> float:
+    """Log-likelihood that an effect can gain by mending the model's own error.
+
+    That error does not average out: the longer a recording and the smaller its noise, the more it looks like physics.
+    """
+    torque = _rms([s.torque for s in current.problem.sessions], current)
+    samples = sum(int(mask.sum()) for mask in current.problem.masks)
+    return 0.5 * samples * (MODEL_ERROR * torque * current.noise.gain / current.noise.std) ** 2
 
 
 def _refit(current: Fit, effect: Effect, found: Sequence[Sensitivity]) -> Candidate:

@@ -25,6 +25,7 @@ UNITS = {
     "belt temperature": "degC",
     "ambient temperature": "degC",
     "yaw rate": "rad/s",
+    "yaw rate to the left": "rad/s",
     "heading": "rad",
     "time since start": "s",
 }
@@ -56,10 +57,9 @@ class RegimeMap:
         """Bins that stand out, the clearest first."""
         return tuple(sorted((b for b in self.bins if b.p < 0.05), key=lambda b: (b.p, -abs(b.mean_residual))))
 
-    def within(self, variable: str, low: float, high: float) -> tuple[Bin, ...]:
-        """Bins of a variable whose middle lies in a range, and those of other variables that stand out."""
-        of = tuple(b for b in self.bins if b.variable == variable and low <= 0.5 * (b.low + b.high) <= high)
-        return (*of, *(b for b in self.significant if b.variable != variable))
+    def likeliest(self, variable: str, low: float, high: float) -> float:
+        """Least probability of the bins of a variable that reach into a range; 1 where none does."""
+        return min((b.p for b in self.bins if b.variable == variable and b.low < high and b.high > low), default=1.0)
 
 
 def regime_map(fit: Fit, rng: np.random.Generator, replicates: int = 400) -> RegimeMap:
@@ -126,6 +126,7 @@ def _variables(sessions: Sequence[Session], predicted: Sequence[Predicted]) -> t
         "belt temperature": np.concatenate([p.belt for p in predicted]),
         "ambient temperature": all_of("ambient"),
         "yaw rate": np.abs(all_of("yaw_rate")),
+        "yaw rate to the left": all_of("yaw_rate"),
         "heading": np.angle(np.exp(1j * all_of("heading"))),
         "time since start": all_of("time"),
     }

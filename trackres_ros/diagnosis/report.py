@@ -54,6 +54,7 @@ def report(d: Diagnosis, paths: Sequence[Path]) -> dict[str, Any]:
         "advice": [
             {
                 "separates": list(a.separates),
+                "groups": [list(group) for group in a.groups],
                 "manoeuvre": a.manoeuvre,
                 "expected_d_prime": _number(a.expected_d_prime),
                 "minutes": _number(a.minutes),
@@ -106,13 +107,11 @@ def _why(c: Candidate, step: Step) -> str:
     if step.chosen is not None and c.name in step.members:
         return f"cannot be told from {step.chosen.name} here"
     if c.gain <= step.threshold:
-        return "noise alone may gain as much"
+        return "noise or the model's own error may gain as much"
     if c.criterion <= 0.0:
         return "explains less than its parameters cost"
     if not c.matters:
-        return f"adds {c.share:.1%} of the torque, which the model itself may be off by"
-    if step.chosen is None and c.criterion <= step.least_criterion:
-        return f"the best of {math.exp(step.least_criterion):.0f} effects may explain as much by chance"
+        return f"adds {c.share:.1%} of the torque, which hardly matters"
     if step.chosen is None:
         return f"not the best in {STABLE_SHARE:.0%} of resampled laps"
     return f"{likelier(step.chosen, c)} times less likely than {step.chosen.name}"

@@ -13,8 +13,8 @@ from trackres_ros.diagnosis.base import BaseParameter
 from trackres_ros.diagnosis.fitting import Fit
 from trackres_ros.diagnosis.held_out import HeldOut
 from trackres_ros.diagnosis.intervals import Interval
-from trackres_ros.diagnosis.locate import Acts, Span
-from trackres_ros.diagnosis.naming import Candidate, Step
+from trackres_ros.diagnosis.locate import STRAY_S, Acts, Span, Stray
+from trackres_ros.diagnosis.naming import LEAST_SHARE, Candidate, Step
 from trackres_ros.diagnosis.regimes import Bin, RegimeMap
 from trackres_ros.effects.effect import Parameter
 
@@ -54,11 +54,11 @@ class Verdict:
     sentence: str
 
 
-def judge(found: Sequence[Found], refitted: Fit, at_end: RegimeMap, held_out: HeldOut) -> Verdict:
+def judge(found: Sequence[Found], refitted: Fit, at_end: RegimeMap, left_over: Stray, held_out: HeldOut) -> Verdict:
     """The verdict.
 
     What is left over after the last fit counts as unexplained where nothing was named, or where it is large beside
-    what the names explain.
+    what the names explain. What strays for half-minutes and follows nothing recorded counts where nothing was named.
     """
     left = [b for b in at_end.bins if b.p < LACK_OF_FIT_P]
     if found:
@@ -75,6 +75,8 @@ def judge(found: Sequence[Found], refitted: Fit, at_end: RegimeMap, held_out: He
         return Verdict(status, f"{'. '.join(_of_effect(f) for f in found)}. {gain[0].upper()}{gain[1:]}.{besides}")
     if left:
         return Verdict("unexplained", f"{_unexplained(left)}, and no effect of the catalogue explains it.")
+    if left_over.share > LEAST_SHARE:
+        return Verdict("unexplained", _strays(left_over))
     moved = moved_parameters(refitted)
     if moved:
         listed = ", ".join(
@@ -166,6 +168,14 @@ def _unexplained(left: Sequence[Bin]) -> str:
     first = max(left, key=lambda b: abs(b.mean_residual))
     side = "above" if first.mean_residual > 0 else "below"
     return f"Something is unexplained: the measured torque is {abs(first.mean_residual):.0f} Nm {side} the model {_range(first)}"
+
+
+def _strays(s: Stray) -> str:
+    slope = "" if math.isnan(s.slope) else f"; an unrecorded slope of {s.slope:.1%} would do as much"
+    return (
+        f"Something is unexplained: averaged over {STRAY_S:.0f} s the measured torque still strays from the model by "
+        f"{s.size:.0f} Nm, {s.share:.0%} of the torque, and follows nothing that was recorded{slope}."
+    )
 
 
 def _tentative(found: Sequence[Found]) -> str:

@@ -104,7 +104,7 @@ class Conditions:
     def curvature(self) -> Number:
         """Of the path [1/m], unsigned; bounded where it turns on the spot."""
         turning = np.abs(self.yaw_rate)
-        return turning / np.hypot(self.speed, self.facts.contact_length * turning + 1e-3)
+        return turning / np.hypot(self.speed, self.facts.contact_length * turning + STANDSTILL_MPS)
 
 
 @dataclass(frozen=True, slots=True)

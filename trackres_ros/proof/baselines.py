@@ -5,6 +5,7 @@ None of them whitens the residual, knows how alike two effects look, or may say 
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -21,6 +22,7 @@ MOST = 3  # names, as many as the diagnosis may give
 SURE_P = 0.05
 LEAST_SHARE = 0.1  # of what all terms of a sparse regression explain: less is not named
 FOLDS = 5
+FEWEST_TO_LEARN = 30
 
 
 @dataclass(frozen=True)
@@ -106,6 +108,7 @@ def _by_aic(residual: Array, own: Array, shapes: dict[str, Array]) -> list[str]:
 
 
 def _by_lasso(residual: Array, own: Array, shapes: dict[str, Array]) -> list[str]:
+    from sklearn.exceptions import ConvergenceWarning
     from sklearn.linear_model import LassoCV
     from sklearn.model_selection import KFold
 
@@ -118,7 +121,9 @@ def _by_lasso(residual: Array, own: Array, shapes: dict[str, Array]) -> list[str
     spread = columns.std(axis=0)
     columns, owners = columns[:, spread > 0.0] / spread[spread > 0.0], [o for o, s in zip(owners, spread, strict=True) if s > 0.0]
     target = residual - basis @ (basis.T @ residual)
-    found = LassoCV(cv=KFold(FOLDS), alphas=30, eps=1e-3, max_iter=3000).fit(columns, target).coef_
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)  # effects that look alike: which of them it takes is its own affair
+        found = LassoCV(cv=KFold(FOLDS), alphas=30, eps=1e-3, max_iter=3000).fit(columns, target).coef_
     parts = {name: columns @ np.where([o == name for o in owners], found, 0.0) for name in shapes}
     sizes = {name: float(part.std()) for name, part in parts.items()}
     least = LEAST_SHARE * float(np.sum(list(parts.values()), axis=0).std())
@@ -131,7 +136,8 @@ def _largest(sizes: dict[str, float], least: float) -> list[str]:
 
 
 def by_trees(features: Sequence[dict[str, tuple[float, float]]], labels: Sequence[str], names: Sequence[str]) -> list[str]:
-    """What boosted trees say of each case, trained on the others: those of other parts of a ten-fold split.
+    """What boosted trees say of each case, trained on the others: those of other parts of a ten-fold split. Nothing of so few
+    cases that there is nothing to learn from.
 
     Parameters
     ----------
@@ -143,6 +149,8 @@ def by_trees(features: Sequence[dict[str, tuple[float, float]]], labels: Sequenc
     from sklearn.ensemble import HistGradientBoostingClassifier
     from sklearn.model_selection import KFold
 
+    if len(labels) < FEWEST_TO_LEARN:
+        return []
     table = np.array([[x for name in names for x in of.get(name, (0.0, 0.0))] for of in features])
     known = np.array(labels)
     said = np.empty(len(known), dtype=object)

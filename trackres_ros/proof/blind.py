@@ -14,6 +14,8 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict
 from pathlib import Path
 
+FOLLOWED = "drive_next"
+
 
 def main(arguments: Sequence[str]) -> None:
     """See above."""
@@ -36,7 +38,9 @@ def _diagnose(folder: Path, results: Path) -> None:
     from trackres_ros.proof.baselines import simple_answers
 
     paths = sorted(folder.glob("drive_*.csv"))
-    found = diagnose(read_recordings(paths, None), load_base(folder / "vehicle.yaml"), quick=True)
+    # A drive made to tell effects apart is there to be fitted; the one before it is held out.
+    held_out = [paths[-2].stem] if paths[-1].stem == FOLLOWED else None
+    found = diagnose(read_recordings(paths, None), load_base(folder / "vehicle.yaml"), holdout=held_out, quick=True)
     simple = simple_answers(found.refitted, found.steps[0].separability)
     partial = results / f"{folder.name}.part"
     partial.write_text(json.dumps({"report": report(found, paths), "simple": asdict(simple)}), encoding="utf-8")

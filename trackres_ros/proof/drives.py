@@ -15,7 +15,9 @@ MOST_SIDEWAYS_MPS2 = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """One drive, series of shape (n,): speed [m/s], acceleration [m/s^2], yaw rate [rad/s], heading, weight [N], air [degC]."""
+    """One drive, series of shape (n,): speed [m/s], acceleration [m/s^2], yaw rate [rad/s], heading, weight [N], air [degC], and
+    the slope where it was surveyed [rise over run].
+    """
 
     step: float
     speed: Array
@@ -24,6 +26,7 @@ class Drive:
     heading: Array
     weight: Array
     ambient: Array
+    slope: Array | None = None
 
     def __len__(self) -> int:
         return len(self.speed)

@@ -18,11 +18,10 @@ from typing import Any
 import numpy as np
 
 from trackres_ros.proof.answers import of_report
+from trackres_ros.proof.blind import FOLLOWED
 from trackres_ros.proof.cases import Case
 from trackres_ros.proof.drives import STEP_S, Drive
 from trackres_ros.proof.generate import drive_next
-
-NAME = "drive_next"
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -34,31 +33,31 @@ def main(arguments: Sequence[str]) -> None:
         report = json.loads((folder / "results" / f"{case.name}.json").read_text(encoding="utf-8"))["report"]
         advice = advised(report, set(case.hidden))
         if advice is not None:
-            tasks.append((folder, case, minutes, advice))
+            tasks.append((folder, case, minutes, str(advice["manoeuvre"])))
     with ProcessPoolExecutor(os.cpu_count()) as pool:
         for done, _ in enumerate(pool.map(_follow, tasks[:most]), start=1):
             print(f"\rdriven as advised {done} of {len(tasks[:most])}", end="", flush=True)
     print(flush=True)
 
 
-def advised(report: dict[str, Any], true: set[str]) -> str | None:
-    """The first manoeuvre that is to tell a true effect from the rest of its class; None where there is none."""
+def advised(report: dict[str, Any], true: set[str]) -> dict[str, Any] | None:
+    """The first advice that is to tell a true effect from others of its class; None where there is none."""
     tied = [set(members) & true for members in of_report(report).classes if len(members) > 1]
     if not any(tied):
         return None
     for advice in report["advice"]:
         if any(members <= set(advice["separates"]) for members in tied if members):
-            return str(advice["manoeuvre"])
+            return dict(advice)
     return None
 
 
 def _follow(task: tuple[Path, Case, float, str]) -> None:
     folder, case, minutes, manoeuvre = task
     into = folder / "next" / case.name
-    if (into / f"{NAME}.csv").exists():
+    if (into / f"{FOLLOWED}.csv").exists():
         return
     before = folder / "cases" / case.name
-    recorded = drive_next(folder, case, minutes, NAME, lambda last: planned(manoeuvre, before, last))
+    recorded = drive_next(folder, case, minutes, FOLLOWED, lambda last: planned(manoeuvre, before, last))
     into.mkdir(parents=True, exist_ok=True)
     for path in [*sorted(before.glob("drive_[0-9]*.csv")), before / "vehicle.yaml"]:
         shutil.copy(path, into / path.name)
@@ -85,6 +84,7 @@ def planned(manoeuvre: str, before: Path, last: Drive) -> Drive:
         np.cumsum(yaw_rate) * STEP_S,
         np.interp(time, session.time, session.weight),
         np.full(len(time), last.ambient[0]),
+        np.interp(time, session.time, session.grade) if session.grade.any() else None,
     )
 
 

@@ -30,6 +30,8 @@ class Known:
         Effects that look the same as the first true one here (cosine beyond 0.95), itself among them.
     identifiable
         Whether the gain is plain, no other effect looks alike, and the base does not take it up.
+    plain_both
+        Of two effects: whether each gains as much beside the other.
     mae_base, mae
         Mean error on held-out laps [Nm] without and with the true effects.
     """
@@ -37,6 +39,7 @@ class Known:
     gain: float
     alike: tuple[str, ...]
     identifiable: bool
+    plain_both: bool
     mae_base: float
     mae: float
 
@@ -58,7 +61,7 @@ def ask(folder: Path, true: Sequence[str]) -> Known:
 
     mae_base = error([p.torque for p in before.predicted])
     if not true:
-        return Known(0.0, (), False, mae_base, mae_base)
+        return Known(0.0, (), False, False, mae_base, mae_base)
     wanted = [effects[name] for name in true]
     found = fit(before.problem, wanted, before.at, before.noises)
     gain = found.log_likelihood - before.log_likelihood
@@ -66,4 +69,9 @@ def ask(folder: Path, true: Sequence[str]) -> Known:
     alike = seen.alike(true[0]) if true[0] in seen.names else (true[0],)
     kept = max((s.kept for s in seen.visible if s.effect.name == true[0]), default=0.0)
     plain = gain > LEAST_GAIN and len(alike) == 1 and kept >= LEAST_KEPT
-    return Known(gain, alike, plain, mae_base, error([p.torque for p in found.predicted]))
+    both = len(wanted) > 1 and all(
+        found.log_likelihood - fit(before.problem, [e for e in wanted if e is not one], found.at, found.noises).log_likelihood
+        > LEAST_GAIN
+        for one in wanted
+    )
+    return Known(gain, alike, plain, both, mae_base, error([p.torque for p in found.predicted]))

@@ -42,7 +42,7 @@ def write_all(folder: Path, scored: Sequence[Scored], seal: str, seed: int) -> s
         write_case(folder, of[0], folder / f"{file_name(kind)}.html")
     _write_cases(folder / "cases.csv", scored)
     _draw_confusion(folder / CONFUSION, scored)
-    found = {method: shares(scored, method) for method in (OURS, *BASELINES)}
+    found = {method: shares(scored, method) for method in (OURS, *BASELINES) if method in scored[0].answers}
     kept = {
         "seed": seed,
         "seal": seal,
@@ -103,14 +103,13 @@ def table(
     found: Mapping[str, Mapping[str, tuple[int, int]]], own: Mapping[str, tuple[int, int]], other: Mapping[str, Sequence[float]]
 ) -> str:
     """All scores beside their targets and the baselines."""
-    lines = [
-        f"| Score | Measured | 95 % | Target | Met | {' | '.join(BASELINES.values())} |",
-        "|---" * (5 + len(BASELINES)) + "|",
-    ]
+    methods = [method for method in BASELINES if method in found]
+    heads = ["Score", "Measured", "95 %", "Target", "Met", *(BASELINES[method] for method in methods)]
+    lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
     for name, (hits, of) in {**found[OURS], **own}.items():
         low, high = wilson(hits, of)
         shown = f"{hits / of:.0%} ({hits} of {of})" if of else "no case"
-        beside = [_share(*found[method][name]) if name in found[method] else "" for method in BASELINES]
+        beside = [_share(*found[method][name]) if name in found[method] else "" for method in methods]
         target, met = _target(name, hits / of if of else float("nan"), lambda x: f"{x:.0%}")
         lines.append(
             f"| {name} | {shown} | {f'{low:.0%} to {high:.0%}' if of else ''} | {target} | {met} | {' | '.join(beside)} |"
@@ -120,7 +119,7 @@ def table(
             continue
         value = float(np.mean(values) if name.endswith("(mean)") else np.median(values))
         target, met = _target(name, value, lambda x: f"{x:g}")
-        lines.append(f"| {name} | {value:.2f} (of {len(values)}) | | {target} | {met} |{' |' * len(BASELINES)}")
+        lines.append(f"| {name} | {value:.2f} (of {len(values)}) | | {target} | {met} |{' |' * len(methods)}")
     return "\n".join(lines)
 
 
@@ -155,9 +154,10 @@ def _target(name: str, value: float, shown: Callable[[float], str]) -> tuple[str
 def _write_cases(path: Path, scored: Sequence[Scored]) -> None:
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)
-        writer.writerow(["case", "level", "hidden", "said", "status", "identifiable", "oracle_gain", "mistake", *BASELINES])
+        methods = [method for method in BASELINES if method in scored[0].answers]
+        writer.writerow(["case", "level", "hidden", "said", "status", "identifiable", "oracle_gain", "mistake", *methods])
         for s in sorted(scored, key=lambda s: (s.case.level, sorted(s.true))):
-            beside = ["+".join(m for (m,) in s.answers[method].classes) or s.answers[method].status for method in BASELINES]
+            beside = ["+".join(m for (m,) in s.answers[method].classes) or s.answers[method].status for method in methods]
             plain = "yes" if s.known.identifiable else "no"
             writer.writerow(
                 [s.case.name, s.case.level, "+".join(s.case.hidden), _said(s), s.answer.status, plain, f"{s.known.gain:.1f}",

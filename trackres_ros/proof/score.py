@@ -21,6 +21,7 @@ from scipy.stats import norm
 from trackres_ros.proof.answers import BASELINES, Answer, of_names, of_report
 from trackres_ros.proof.baselines import by_trees
 from trackres_ros.proof.cases import CATALOGUE, Case, sealed
+from trackres_ros.proof.follow import advised
 from trackres_ros.proof.oracle import Known, ask
 
 Array = NDArray[np.float64]
@@ -52,7 +53,8 @@ class Scored:
     overlap, jaccard
         Of the first true effect that was named: in time, and over the range of what it follows; nan where none was.
     resolved
-        Whether the advised manoeuvre left the true effect alone in its class; None where none was advised or driven.
+        Whether the advised manoeuvre left the true effect and took from its class all that was to be told from it; None where
+        none was advised, or driven.
     """
 
     case: Case
@@ -107,7 +109,7 @@ def main(arguments: Sequence[str]) -> None:
     assert seal == (folder / "seal.txt").read_text(encoding="utf-8").strip(), "the labels are not those that were sealed"
     simple = [json.loads((folder / "results" / f"{case.name}.json").read_text(encoding="utf-8"))["simple"] for case in cases]
     said = [next(iter(case.hidden), "none") if case.level != "outside" else "unexplained" for case in cases]
-    trees = by_trees([s["features"] for s in simple], said, list(CATALOGUE))
+    trees: Sequence[str | None] = by_trees([s["features"] for s in simple], said, list(CATALOGUE)) or [None] * len(cases)
     scored = []
     with ProcessPoolExecutor(os.cpu_count()) as pool:
         for done, one in enumerate(pool.map(_score, [(folder, c, t) for c, t in zip(cases, trees, strict=True)]), start=1):
@@ -117,7 +119,7 @@ def main(arguments: Sequence[str]) -> None:
     print(write_all(folder, scored, seal, labels["seed"]))
 
 
-def _score(task: tuple[Path, Case, str]) -> Scored:
+def _score(task: tuple[Path, Case, str | None]) -> Scored:
     folder, case, tree = task
     result = json.loads((folder / "results" / f"{case.name}.json").read_text(encoding="utf-8"))
     report, simple = result["report"], result["simple"]
@@ -127,7 +129,8 @@ def _score(task: tuple[Path, Case, str]) -> Scored:
         kept.write_text(json.dumps(asdict(known)), encoding="utf-8")
     known = Known(**json.loads(kept.read_text(encoding="utf-8")))
     answers = {name: of_names(simple[name]) for name in BASELINES if name in simple}
-    answers["trees"] = Answer(tree, ()) if tree in ("none", "unexplained") else of_names([tree])
+    if tree:
+        answers["trees"] = Answer(tree, ()) if tree in ("none", "unexplained") else of_names([tree])
     overlap, jaccard = _where(folder, case, report)
     return Scored(case, report, known, {OURS: of_report(report), **answers}, overlap, jaccard, _resolved(folder, case, report))
 
@@ -151,7 +154,7 @@ def _where(folder: Path, case: Case, report: dict[str, Any]) -> tuple[float, flo
         return overlap, float("nan")
     variable = regime[0]["variable"]
     over = truth[f"over/{variable}"]
-    inside = np.any([(over >= b["lo"]) & (over <= b["hi"]) for b in regime if b["variable"] == variable], axis=0)
+    inside = (over >= regime[0]["lo"]) & (over <= regime[0]["hi"])
     edges = np.unique(np.quantile(over, np.linspace(0.0, 1.0, BINS + 1)))
     place = np.clip(np.searchsorted(edges, over, side="right") - 1, 0, max(len(edges) - 2, 0))
     means = np.bincount(place, weights=added) / np.maximum(np.bincount(place), 1)
@@ -166,9 +169,12 @@ def _resolved(folder: Path, case: Case, report: dict[str, Any]) -> bool | None:
     path = folder / "results_next" / f"{case.name}.json"
     if not path.exists():
         return None
-    tied = {name for members in of_report(report).classes if len(members) > 1 for name in set(members) & set(case.hidden)}
+    advice, true = advised(report, set(case.hidden)), set(case.hidden)
+    assert advice is not None
     after = of_report(json.loads(path.read_text(encoding="utf-8"))["report"])
-    return any((name,) in after.classes for name in tied)
+    stays = {name for group in advice["groups"] if set(group) & true for name in group}
+    gone = set(advice["separates"]) - stays
+    return any(set(members) & true & stays and not set(members) & gone for members in after.classes)
 
 
 def wilson(hits: int, of: int) -> tuple[float, float]:
@@ -210,6 +216,7 @@ def shares(scored: Sequence[Scored], method: str = OURS) -> dict[str, tuple[int,
         "compensated, all: right name": share(compensated, right),
         "masked, identifiable: right name": share(plain(masked), right),
         "masked, all: right name": share(masked, right),
+        "two, each identifiable: both": share([s for s in two if s.known.plain_both], lambda s, a: a.holds(s.true) >= 2),
         "two: both": share(two, lambda s, a: a.holds(s.true) >= 2),
         "two: at least one": share(two, in_class),
         "two: no false third": share(two, lambda s, a: a.holds(s.true) == len(a.classes)),

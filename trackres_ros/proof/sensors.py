@@ -14,6 +14,7 @@ from trackres_ros.proof.truth import Lived
 Array = NDArray[np.float64]
 
 COLUMNS = ("time_s", "speed_mps", "weight_n", "ambient_degc", "yaw_rate_radps", "heading_rad", "torque_nm")
+RESTING_MPS = 1e-3  # an encoder that does not turn counts nothing
 HEAVY_TAILS = 5.0  # degrees of freedom of the torque's white noise
 
 
@@ -43,6 +44,7 @@ def record(
     torque = np.round(torque / sensors.torque_step_nm) * sensors.torque_step_nm
     speed = drive.speed + rng.normal(0.0, sensors.speed_mps, n)
     speed = np.round(speed / sensors.speed_step_mps) * sensors.speed_step_mps
+    speed = np.where(np.abs(drive.speed) < RESTING_MPS, 0.0, speed)
     columns = [
         start_s + np.arange(n) * drive.step,
         speed,
@@ -53,6 +55,9 @@ def record(
         np.where(_bursts(n, sensors.dropouts, rng), np.nan, torque),
     ]
     names = list(COLUMNS)
+    if drive.slope is not None:
+        columns.append(drive.slope)
+        names.append("grade")
     if sensors.belt_measured:
         columns.append(lived.belt + rng.normal(0.0, 0.4, n))
         names.append("belt_degc")

@@ -207,6 +207,7 @@ def _resistance(sheet: DataSheet, build: Build, hidden: Hidden, at: _Now, force:
         + build.bearing * sheet["chassis.bearing_friction"] * weight * at.direction
         + drag * at.speed * at.travel
         + inertia * weight / G * drive.accel
+        + (0.0 if drive.slope is None else weight * np.sin(np.arctan(drive.slope)))
     )
     for name, adds in PHENOMENA.items():
         if name in hidden:
