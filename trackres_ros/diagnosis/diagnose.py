@@ -171,7 +171,7 @@ def diagnose(
         base, gated, chosen, nominal, refitted, final, at_base, at_end, changes(refitted), cumulative_periodogram(final),
         thermal_check(refitted),
         tuple(steps), tuple(found), {name: b for (effect, name), b in bounds.items() if not effect}, worth, tuple(advice),
-        judge(found, refitted, at_end, stray(final), worth),
+        judge(found, refitted, at_end, stray(final), steps[-1].hint, worth),
     )  # fmt: skip
 
 

@@ -73,8 +73,9 @@ class Step:
         The fit it began with.
     separability, screened
         What could be seen, and the gains to first order.
-    threshold
-        The gain that counts: more than noise alone reaches once in twenty, and more than the model's own error may give.
+    by_noise, threshold
+        The gain that noise alone reaches once in twenty; and the one that counts, which is also more than the model's own
+        error may give.
     candidates
         Those re-fitted, best first.
     chosen
@@ -87,6 +88,7 @@ class Step:
 
     before: Fit
     separability: Separability
+    by_noise: float
     threshold: float
     screened: tuple[tuple[str, float], ...]
     candidates: tuple[Candidate, ...]
@@ -94,6 +96,14 @@ class Step:
     members: tuple[str, ...]
     weights: Mapping[str, float]
     stability: float
+
+    @property
+    def hint(self) -> str:
+        """The effect that would be named if the model were exact; empty where none would, or one was."""
+        if self.chosen is not None:
+            return ""
+        beyond = [c for c in self.candidates if c.gain > self.by_noise and c.criterion > 0.0]
+        return max(beyond, key=lambda c: c.criterion).name if beyond else ""
 
 
 def choose(
@@ -142,7 +152,7 @@ def _round(current: Fit, effects: Mapping[str, Effect], replicates: int, rng: np
     best = screened.gains[0][1] if screened.gains else 0.0
     threshold = max(screened.threshold, spurious_gain(current))
     if best < 0.5 * screened.threshold or best < 1.0:
-        return Step(current, seen, threshold, gains, (), None, (), {}, 0.0)
+        return Step(current, seen, screened.threshold, threshold, gains, (), None, (), {}, 0.0)
     within = max(FAR_BEHIND, 0.5 * best)
     worth = [
         s
@@ -161,7 +171,7 @@ def _round(current: Fit, effects: Mapping[str, Effect], replicates: int, rng: np
     wins = _wins(current, candidates, rng)
     members, weights, stability = _widened(weights, wins)
     chosen = first if counts and stability >= STABLE_SHARE else None
-    return Step(current, seen, threshold, gains, tuple(candidates), chosen, members, weights, stability)
+    return Step(current, seen, screened.threshold, threshold, gains, tuple(candidates), chosen, members, weights, stability)
 
 
 def spurious_gain(current: Fit) -> float:

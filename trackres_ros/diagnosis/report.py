@@ -36,7 +36,7 @@ def report(d: Diagnosis, paths: Sequence[Path]) -> dict[str, Any]:
                 for name, value in d.final.base_values.items()
             },
         },
-        "verdict": {"status": d.verdict.status, "sentence": d.verdict.sentence},
+        "verdict": {"status": d.verdict.status, "sentence": d.verdict.sentence, "hint": d.steps[-1].hint or None},
         "effects": [_effect(f) for f in d.found],
         "heldout": {
             "laps": list(d.held_out.laps),
@@ -107,7 +107,7 @@ def _why(c: Candidate, step: Step) -> str:
     if step.chosen is not None and c.name in step.members:
         return f"cannot be told from {step.chosen.name} here"
     if c.gain <= step.threshold:
-        return "noise or the model's own error may gain as much"
+        return "noise alone may gain as much" if c.gain <= step.by_noise else "the model's own error may gain as much"
     if c.criterion <= 0.0:
         return "explains less than its parameters cost"
     if not c.matters:

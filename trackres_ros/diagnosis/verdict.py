@@ -54,7 +54,7 @@ class Verdict:
     sentence: str
 
 
-def judge(found: Sequence[Found], refitted: Fit, at_end: RegimeMap, left_over: Stray, held_out: HeldOut) -> Verdict:
+def judge(found: Sequence[Found], refitted: Fit, at_end: RegimeMap, left_over: Stray, hint: str, held_out: HeldOut) -> Verdict:
     """The verdict.
 
     What is left over after the last fit counts as unexplained where nothing was named, or where it is large beside
@@ -78,18 +78,20 @@ def judge(found: Sequence[Found], refitted: Fit, at_end: RegimeMap, left_over: S
     if left_over.share > LEAST_SHARE:
         return Verdict("unexplained", _strays(left_over))
     moved = moved_parameters(refitted)
+    exact = f" Were the model exact, {hint} would be missing; as it is, its own error may look the same." if hint else ""
     if moved:
         listed = ", ".join(
             f"{q.name} {q.nominal:.4g} -> {value:.4g}{'' if q.unit == '1' else f' {q.unit}'}" for q, value in moved
         )
         return Verdict(
             "none",
-            f"No physics is missing, but parameters of the vehicle file were off: {listed}; {_gain(held_out, 'refitted')}.",
+            f"No physics is missing, but parameters of the vehicle file were off: {listed}; "
+            f"{_gain(held_out, 'refitted')}.{exact}",
         )
     return Verdict(
         "none",
         f"No mismatch beyond noise: on laps not used for fitting the mean error is {held_out.mae['nominal']:.0f} Nm "
-        f"with the vehicle file as it is and {held_out.mae['refitted']:.0f} Nm re-fitted.",
+        f"with the vehicle file as it is and {held_out.mae['refitted']:.0f} Nm re-fitted.{exact}",
     )
 
 
