@@ -11,6 +11,10 @@ class InputError(ValueError):
         text = f"{where}: given {given!r}; allowed: {allowed}"
         super().__init__(f"{text}; {remedy}" if remedy else text)
 
+    def __reduce__(self) -> tuple[object, ...]:
+        """So that it crosses from one process to another as what it is."""
+        return InputError, (self.where, self.given, self.allowed, self.remedy)
+
 
 class MissingExtraError(InputError):
     """An optional library is needed and not installed."""

@@ -1,5 +1,6 @@
 """The steps of the diagnosis by themselves: laws first."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -7,10 +8,11 @@ import pytest
 from scipy.signal import lfilter
 
 from trackres_ros.diagnosis import read_recordings
+from trackres_ros.diagnosis.advise import menu
 from trackres_ros.diagnosis.belt_series import follow
 from trackres_ros.diagnosis.changes import changes
 from trackres_ros.diagnosis.fitting import Problem, fit
-from trackres_ros.diagnosis.gate import STEP_S, gate, split
+from trackres_ros.diagnosis.gate import SHORTEST_MOVING_S, SHORTEST_S, SLOWEST_MPS, STEP_S, gate, split
 from trackres_ros.diagnosis.naming import begin
 from trackres_ros.diagnosis.screening import screen
 from trackres_ros.diagnosis.separability import separability
@@ -207,3 +209,16 @@ def test_a_change_of_level_is_found_where_it_is(recorded, loaded, step_nm):
         assert nearest.after - nearest.before == pytest.approx(step_nm, abs=30.0)
     else:
         assert not found
+
+
+def test_every_manoeuvre_of_the_menu_is_long_enough_to_be_diagnosed(problem):
+    for name, drive in menu(problem.base.facts.weight, 14.0).items():
+        made = drive(problem.sessions[0])
+        assert len(made) * made.step >= SHORTEST_S, name
+        assert (np.abs(made.speed) > SLOWEST_MPS).sum() * made.step >= SHORTEST_MOVING_S, name
+
+
+def test_a_refusal_crosses_from_one_process_to_another():
+    refused = pickle.loads(pickle.dumps(InputError("a.csv", 3, "more than 4", "drive on")))
+    assert isinstance(refused, InputError)
+    assert str(refused) == "a.csv: given 3; allowed: more than 4; drive on"

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.fitting import DIFFERENCE, Fit
+from trackres_ros.diagnosis.gate import SLOWEST_MPS
 from trackres_ros.diagnosis.naming import Candidate
 from trackres_ros.diagnosis.session import Session
-from trackres_ros.diagnosis.whitening import MOST_LAGS, whitened
+from trackres_ros.diagnosis.whitening import whitened
 from trackres_ros.effects.effect import Active
 
 Array = NDArray[np.float64]
@@ -107,7 +108,6 @@ def menu(weight: float, max_speed: float) -> dict[str, Callable[[Session], Sessi
         (30.0 * i + t, v) for i in range(10) for t, v in ((0.0, 0.0), (6.0, fast / 2), (20.0, fast / 2), (26.0, 0.0), (29.0, 0.0))
     ]
     return {
-        "stand still for a minute, torque recorded, then drive for a minute": drive([(0, 0), (60, 0), (70, slow), (120, slow)]),
         "drive forwards and then in reverse, two minutes each": drive(
             [(0, 0), (10, slow), (120, slow), (135, -slow), (250, -slow)]
         ),
@@ -141,11 +141,11 @@ def _apart(truth: Fit, rival: Fit, session: Session) -> float:
     for i, f in enumerate(rival.free):
         step = DIFFERENCE * f.scale * (-1.0 if rival.at[f.key] + DIFFERENCE * f.scale > f.high else 1.0)
         columns[:, i] = (torque(rival, {**rival.at, f.key: rival.at[f.key] + step}) - expected) / step
-    everything = np.ones(len(session), dtype=bool)
+    moving = np.abs(session.speed) > SLOWEST_MPS  # the gate leaves out the rest
 
     def white(x: Array) -> Array:
-        out = whitened(x, everything, rival.noise.phi) / rival.noise.std
-        return out[MOST_LAGS:]
+        out = whitened(x, moving, rival.noise.phi) / rival.noise.std
+        return np.asarray(out[np.isfinite(out) if out.ndim == 1 else np.isfinite(out).all(axis=1)])
 
     difference, j = white(shown - expected), white(columns)
     gram = np.linalg.pinv(rival.covariance, rcond=1e-12) + j.T @ j
