@@ -32,7 +32,7 @@ def test_the_labels_are_opened_only_by_the_score(tmp_path):
     page = process("score", tmp_path)
     assert seal in page
     scores = json.loads((tmp_path / "scores.json").read_text())
-    assert sorted(c["level"] for c in scores["cases"]) == ["none", "single"]
+    assert sorted(c["case"]["level"] for c in scores["cases"]) == ["none", "single"]
     labels = tmp_path / "sealed" / "labels.json"
     labels.write_text(labels.read_text().replace('"level": "single"', '"level": "none"'))
     with pytest.raises(subprocess.CalledProcessError):
