@@ -16,11 +16,9 @@ import numpy as np
 import peer
 import pytest
 
-from trackres_ros.diagnosis import diagnose, load_base, read_recordings
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.outputs import output_topics, values_of
-from trackres_ros.proof.cases import Case
-from trackres_ros.proof.generate import make_case
+from trackres_ros.proof.loop import left_by_diagnosis
 from trackres_ros.vehicle import load
 
 SECOND_NS = 1_000_000_000
@@ -311,19 +309,10 @@ def test_signals_save_and_reset_without_ros(tmp_path, wire):
 @pytest.fixture(scope="module")
 def diagnosed(tmp_path_factory):
     """Vehicle file without and with what a diagnosis found missing, and a drive that it never saw: soft ground is the truth."""
-    folder = tmp_path_factory.mktemp("diagnosed")
-    case = Case("hidden", "single", {"soft_ground": {"torque": 2500.0, "power": 2.2}}, {}, False, False, False, False, 4)
-    for sub in ("cases", "sealed"):
-        (folder / sub).mkdir()
-    make_case((folder, case, 8.0))
-    *fitted, last = sorted((folder / "cases" / "hidden").glob("drive_*.csv"), reverse=True)
-    before = folder / "cases" / "hidden" / "vehicle.yaml"
-    base = load_base(before)
-    found = diagnose(read_recordings(fitted, None), base, quick=True)
-    assert "soft_ground" in [name for f in found.found for name in f.step.members]
-    after = folder / "after.yaml"
-    base.base.write(after, found.final.base_values, found.final.effects, found.verdict.sentence)
-    return before, after, np.genfromtxt(last, delimiter=",", names=True)
+    hidden = {"soft_ground": {"torque": 2500.0, "power": 2.2}}
+    left = left_by_diagnosis(tmp_path_factory.mktemp("diagnosed"), hidden, 8.0, 0, seed=4)
+    assert "soft_ground" in [name for f in left.found.found for name in f.step.members]
+    return left.before, left.after, np.genfromtxt(left.kept_back, delimiter=",", names=True)
 
 
 def test_the_vehicle_file_of_a_diagnosis_makes_the_live_feedforward_better(simulated, diagnosed):

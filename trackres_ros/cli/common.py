@@ -70,6 +70,13 @@ def output_path(path: Path, suffixes: tuple[str, ...] = OUTPUT_SUFFIXES) -> Path
     return path
 
 
+def output_folder(path: Path) -> Path:
+    """The path, if it is a folder or may become one."""
+    if path.exists() and not path.is_dir():
+        raise InputError("-o", str(path), "a folder; there is a file of that name")
+    return path
+
+
 def without_suffix(path: Path) -> Path:
     """The path without its suffix, of which `.csv.gz` is one."""
     return path.with_name(

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from trackres_ros.cli.common import emit, json_option, method_options, vehicle_option
+from trackres_ros.cli.common import emit, json_option, method_options, output_folder, vehicle_option
 from trackres_ros.errors import InputError, MissingExtraError
 
 
@@ -76,8 +76,7 @@ def diagnose_command(
     for channel in hide:
         if base_role(channel) not in ROLES:
             raise InputError("--hide", channel, ", ".join(ROLES), nearest(channel, ROLES))
-    if output.exists() and not output.is_dir():
-        raise InputError("-o", str(output), "a folder; there is a file of that name")
+    output_folder(output)
     held = None if holdout is None else int(holdout) if holdout.isdecimal() else [name.strip() for name in holdout.split(",")]
     topics = Topics.load(topics_file) if topics_file else None
     loaded = load_base(vehicle, method, thermal, topics)

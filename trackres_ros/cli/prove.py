@@ -11,6 +11,7 @@ from pathlib import Path
 
 import click
 
+from trackres_ros.cli.common import output_folder
 from trackres_ros.errors import InputError, MissingExtraError
 
 MINUTES = 15.0
@@ -18,6 +19,11 @@ QUICK_MINUTES = 12.0
 REPORTED_SEED = 20260101
 FOLLOWED, QUICK_FOLLOWED = 40, 8  # cases in which what was advised is driven
 FOLDERS = ("cases", "results", "next", "results_next", "sealed")
+
+
+folder_option = click.option(
+    "-o", "--output", type=click.Path(path_type=Path), required=True, metavar="DIR", help="Folder for recordings and page."
+)
 
 
 @click.group("prove", invoke_without_command=True)
@@ -50,8 +56,7 @@ def prove_command(
     unknown = [level for level in levels if level not in LEVELS]
     if unknown:
         raise InputError("--level", unknown[0], ", ".join(LEVELS))
-    if output.exists() and not output.is_dir():
-        raise InputError("-o", str(output), "a folder; there is a file of that name")
+    output_folder(output)
     of = QUICK if quick else LEVELS
     counts = {level: count or of[level] for level in (levels or of)}
     minutes = QUICK_MINUTES if quick else MINUTES
@@ -71,6 +76,11 @@ def prove_command(
     _process("score", str(output))
 
 
+def _tell(path: Path, text: str) -> None:
+    path.write_text(text, encoding="utf-8")
+    click.echo(text)
+
+
 def _process(module: str, *arguments: str) -> None:
     # Every core has a case of its own: threads within one would only be in each other's way.
     alone = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
@@ -84,48 +94,32 @@ def _process(module: str, *arguments: str) -> None:
 @click.option(
     "--data", type=click.Path(path_type=Path), required=True, metavar="DIR", help="Folder with bmw_i3 and husky_warthog."
 )
-@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, metavar="DIR", help="Folder for tables and page.")
+@folder_option
 def prove_real_command(data: Path, output: Path) -> None:
     """The same on public recordings of real vehicles, with a measured channel concealed."""
     from trackres_ros.proof.real import page, try_all
 
-    if output.exists() and not output.is_dir():
-        raise InputError("-o", str(output), "a folder; there is a file of that name")
-    output.mkdir(parents=True, exist_ok=True)
-    text = page(data, try_all(data, output))
-    (output / "proof-real.md").write_text(text, encoding="utf-8")
-    click.echo(text)
+    output_folder(output).mkdir(parents=True, exist_ok=True)
+    _tell(output / "proof-real.md", page(data, try_all(data, output)))
 
 
 @prove_command.command("paper")
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path), required=True, metavar="DIR", help="Folder for recordings and page."
-)
+@folder_option
 def prove_paper_command(output: Path) -> None:
     """The paper's own test: laps of a circle on a tilted site, torque from the engine's, and what the diagnosis makes of it."""
     from trackres_ros.proof.paper import ask_all, page
 
-    if output.exists() and not output.is_dir():
-        raise InputError("-o", str(output), "a folder; there is a file of that name")
-    output.mkdir(parents=True, exist_ok=True)
-    text = page(ask_all(output))
-    (output / "paper-test.md").write_text(text, encoding="utf-8")
-    click.echo(text)
+    output_folder(output).mkdir(parents=True, exist_ok=True)
+    _tell(output / "paper-test.md", page(ask_all(output)))
 
 
 @prove_command.command("loop")
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path), required=True, metavar="DIR", help="Folder for recordings and page."
-)
+@folder_option
 def prove_loop_command(output: Path) -> None:
     """The feed-forward of the vehicle file that a diagnosis leaves, on a drive that it never saw."""
     from trackres_ros.proof.loop import close_loop, draw, page
 
-    if output.exists() and not output.is_dir():
-        raise InputError("-o", str(output), "a folder; there is a file of that name")
-    output.mkdir(parents=True, exist_ok=True)
+    output_folder(output).mkdir(parents=True, exist_ok=True)
     closed = close_loop(output)
     draw(closed, output / "loop.png")
-    text = page(closed, "loop.png")
-    (output / "loop.md").write_text(text, encoding="utf-8")
-    click.echo(text)
+    _tell(output / "loop.md", page(closed, "loop.png"))

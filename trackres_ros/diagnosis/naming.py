@@ -162,9 +162,7 @@ def _round(current: Fit, effects: Mapping[str, Effect], replicates: int, rng: np
     ]
     names = list(dict.fromkeys(s.effect.name for s in worth))[:MOST_REFITTED]
     candidates = [_refit(current, effects[name], [s for s in worth if s.effect.name == name]) for name in names]
-    candidates.sort(key=lambda c: -c.criterion)
-    # The best of those that matter, if any does.
-    candidates.sort(key=lambda c: not c.matters)
+    candidates.sort(key=lambda c: (not c.matters, -c.criterion))
     first = candidates[0]
     counts = first.matters and first.gain > threshold and first.criterion > 0.0
     weights = _class_of(first, [c for c in candidates if c is first or (c.matters and c.gain > screened.threshold)], seen)

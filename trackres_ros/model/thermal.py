@@ -105,7 +105,7 @@ def phi_matrix(z11: float, z12: float, z21: float, z22: float, order: int) -> tu
     middle = 0.5 * (z11 + z22)
     squared = 0.25 * (z11 - z22) ** 2 + z12 * z21
     size = abs(z11) + abs(z12) + abs(z21) + abs(z22)
-    if size < SERIES_BELOW or (size < 2.0 and squared < (SERIES_BELOW * size) ** 2):
+    if size < 2.0 and squared <= (SERIES_BELOW * size) ** 2:
         return phi_series(z11, z12, z21, z22, order)
     spread = math.sqrt(max(squared, (1e-5 * size) ** 2))
     first, second = middle + spread, middle - spread

@@ -13,6 +13,10 @@ from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from trackres_ros.diagnosis import Diagnosis
 
 FOLLOWED = "drive_next"
 
@@ -32,15 +36,21 @@ def main(arguments: Sequence[str]) -> None:
     print(flush=True)
 
 
-def _diagnose(folder: Path, results: Path) -> None:
+def diagnosed(folder: Path) -> tuple[Diagnosis, list[Path]]:
+    """What the diagnosis finds in the folder of a case, and the recordings there."""
     from trackres_ros.diagnosis import diagnose, load_base, read_recordings
-    from trackres_ros.diagnosis.report import report
-    from trackres_ros.proof.baselines import simple_answers
 
     paths = sorted(folder.glob("drive_*.csv"))
     # A drive made to tell effects apart is there to be fitted; the one before it is held out.
     held_out = [paths[-2].stem] if paths[-1].stem == FOLLOWED else None
-    found = diagnose(read_recordings(paths, None), load_base(folder / "vehicle.yaml"), holdout=held_out, quick=True)
+    return diagnose(read_recordings(paths, None), load_base(folder / "vehicle.yaml"), holdout=held_out, quick=True), paths
+
+
+def _diagnose(folder: Path, results: Path) -> None:
+    from trackres_ros.diagnosis.report import report
+    from trackres_ros.proof.baselines import simple_answers
+
+    found, paths = diagnosed(folder)
     simple = simple_answers(found.refitted, found.steps[0].separability)
     partial = results / f"{folder.name}.part"
     partial.write_text(json.dumps({"report": report(found, paths), "simple": asdict(simple)}), encoding="utf-8")

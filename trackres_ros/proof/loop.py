@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis import diagnose, load_base, read_recordings
+from trackres_ros.diagnosis import Diagnosis, diagnose, load_base, read_recordings
 from trackres_ros.plots import BLACK, BLUE, GREY, VERMILION, picture
 from trackres_ros.proof.cases import Case
 from trackres_ros.proof.generate import make_case
+from trackres_ros.proof.truth import Hidden
 
 Array = NDArray[np.float64]
 
@@ -39,17 +40,35 @@ class Closed:
         return float(np.abs(_smooth(self.torque - feedforward))[where & np.isfinite(self.torque)].mean())
 
 
-def close_loop(folder: Path, seed: int = 5) -> Closed:
-    """Drive three times, diagnose two, replay the third with the vehicle file before and after."""
+@dataclass(frozen=True, eq=False)
+class Left:
+    """Vehicle files before and after a diagnosis, a drive that it never saw, and what it found."""
+
+    before: Path
+    after: Path
+    kept_back: Path
+    found: Diagnosis
+
+
+def left_by_diagnosis(folder: Path, hidden: Hidden, minutes: float, kept_back: int, seed: int) -> Left:
+    """Drive three times with effects hidden, diagnose two, and keep one back by its index."""
     for sub in ("cases", "sealed"):
         (folder / sub).mkdir(parents=True, exist_ok=True)
-    make_case((folder, Case("loop", "two", HIDDEN, {}, False, False, False, True, seed), MINUTES))
-    before = folder / "cases" / "loop" / "vehicle.yaml"
-    *fitted, last = sorted((folder / "cases" / "loop").glob("drive_*.csv"))
+    case = Case("loop", "single", {name: dict(values) for name, values in hidden.items()}, {}, False, False, False, True, seed)
+    make_case((folder, case, minutes))
+    before, after = folder / "cases" / "loop" / "vehicle.yaml", folder / "after.yaml"
+    paths = sorted(before.parent.glob("drive_*.csv"))
+    last = paths.pop(kept_back)
     loaded = load_base(before)
-    found = diagnose(read_recordings(fitted, None), loaded)
-    after = folder / "after.yaml"
+    found = diagnose(read_recordings(paths, None), loaded)
     loaded.base.write(after, found.final.base_values, found.final.effects, found.verdict.sentence)
+    return Left(before, after, last, found)
+
+
+def close_loop(folder: Path, seed: int = 5) -> Closed:
+    """Replay a drive that was kept back, with the vehicle file before and after the others were diagnosed."""
+    left = left_by_diagnosis(folder, HIDDEN, MINUTES, -1, seed)
+    before, after, last, found = left.before, left.after, left.kept_back, left.found
     drive = np.genfromtxt(last, delimiter=",", names=True)
     rows = [_replayed(last, vehicle, folder / f"{name}.csv") for name, vehicle in (("before", before), ("after", after))]
     time = drive["time_s"] - drive["time_s"][0]

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from trackres_ros.diagnosis import diagnose, load_base, read_recordings
 from trackres_ros.diagnosis.report import report
 from trackres_ros.plots import picture
 from trackres_ros.proof.answers import BASELINES
+from trackres_ros.proof.blind import diagnosed
 from trackres_ros.proof.score import OURS, Scored, own_shares, shares, sizes, wilson
 from trackres_ros.report.page import write_page
 from trackres_ros.report.pictures import draw_all
@@ -91,8 +91,7 @@ def file_name(kind: str) -> str:
 
 def write_case(folder: Path, s: Scored, path: Path) -> None:
     """The page that the diagnosis makes of a case."""
-    paths = sorted((folder / "cases" / s.case.name).glob("drive_*.csv"))
-    found = diagnose(read_recordings(paths, None), load_base(folder / "cases" / s.case.name / "vehicle.yaml"), quick=True)
+    found, paths = diagnosed(folder / "cases" / s.case.name)
     into = folder / "pictures" / s.case.name
     into.mkdir(parents=True, exist_ok=True)
     hidden = ", ".join(s.case.hidden) or "nothing"
