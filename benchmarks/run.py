@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import platform
 import re
@@ -64,8 +65,13 @@ def kept() -> dict[str, str]:
     }
 
 
-def main(titles: list[str]) -> int:
+def main(arguments: list[str]) -> int:
     """Run the benchmarks of some titles, or all; print them and write the page, in which the others stay as they are."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("titles", nargs="*", metavar="TITLE", help=f"one of: {', '.join(BENCHMARKS)}; all without any")
+    titles = parser.parse_args(arguments).titles
+    if unknown := [title for title in titles if title not in BENCHMARKS]:
+        parser.error(f"no benchmark {unknown[0]!r}; there are: {', '.join(BENCHMARKS)}")
     load_before = os.getloadavg()[0]
     template = Path(__file__).with_name("performance.in.md").read_text(encoding="utf-8")
     sections = kept()

@@ -97,10 +97,11 @@ def _process(module: str, *arguments: str) -> None:
 @folder_option
 def prove_real_command(data: Path, output: Path) -> None:
     """The same on public recordings of real vehicles, with a measured channel concealed."""
-    from trackres_ros.proof.real import page, try_all
+    from trackres_ros.proof.real import try_all
+    from trackres_ros.proof.real_page import write_page
 
     output_folder(output).mkdir(parents=True, exist_ok=True)
-    _tell(output / "proof-real.md", page(data, try_all(data, output)))
+    _tell(output / "proof-real.md", write_page(data, try_all(data, output), output))
 
 
 @prove_command.command("paper")

@@ -42,8 +42,9 @@ class BaseParameter:
 
 @dataclass(frozen=True, eq=False)
 class Predicted:
-    """What a model expects of a session, series of shape (n,): the torque as the sensor shows it [Nm], the torque itself, and
-    the belt's temperature [degC], which sets its loss, and that of its surface; nan where the model has none.
+    """What a model expects of a session, series of shape (n,): the torque as the sensor shows it [Nm], the torque itself
+    without what `Session.accel_apart` leaves out of the inertia, and the belt's temperature [degC], which sets its loss, and
+    that of its surface; nan where the model has none.
     """
 
     torque: Array

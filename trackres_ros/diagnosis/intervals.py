@@ -1,4 +1,6 @@
-"""Step 7: how well the parameters of a chosen effect are known: profile likelihood, widened by what laps say."""
+"""Step 7: how well the parameters of a chosen effect are known: profile likelihood, widened by what laps say, and by how far
+nature's function may be from the catalogue's.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from trackres_ros.diagnosis.fitting import Fit, fit, free_parameters
+from trackres_ros.diagnosis.other_forms import FORM_ERROR
 from trackres_ros.diagnosis.separability import base_columns, split_rows
 from trackres_ros.effects.effect import Effect
 
@@ -31,8 +34,12 @@ class Interval:
 
 
 def intervals(found: Fit) -> dict[tuple[str, str], Interval]:
-    """Intervals of all parameters: the base's by the curvature, those of effects by their profile; both by laps where wider."""
+    """Intervals of all parameters: the base's by the curvature, those of effects by their profile; both by laps where wider.
+
+    How large an effect is depends on its function too, which is nature's to `FORM_ERROR` only.
+    """
     by_laps = lap_std(found)
+    offs = {(a.effect.name, q.name): q.off for a in found.effects for q in a.effect.parameters if q.off is not None}
     result = {}
     for f in free_parameters(found.problem.base, [a.effect for a in found.effects]):
         at = found.at[f.key]
@@ -43,7 +50,9 @@ def intervals(found: Fit) -> dict[tuple[str, str], Interval]:
         low, low_open = _edge(found, f.key, -1.0, f.low)
         high, high_open = _edge(found, f.key, 1.0, f.high)
         lap = NORMAL_95 * by_laps.get(f.key, 0.0)
-        result[f.key] = Interval(max(f.low, min(low, at - lap)), min(f.high, max(high, at + lap)), low_open or high_open)
+        form = NORMAL_95 * FORM_ERROR * abs(at - offs.get(f.key, at))
+        below, above = (float(np.hypot(max(reach, lap), form)) for reach in (at - low, high - at))
+        result[f.key] = Interval(max(f.low, at - below), min(f.high, at + above), low_open or high_open)
     return result
 
 

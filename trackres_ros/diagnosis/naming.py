@@ -24,7 +24,7 @@ ALIKE_WITHIN = 3.0  # in log-likelihood
 STABLE_SHARE = 0.8
 RESAMPLES = 500
 LEAST_WEIGHT = 0.05
-LEAST_SHARE = 0.01  # of the torque, root mean square: what adds less hardly matters
+LEAST_SHARE = 0.005  # of the torque, root mean square: what adds less hardly matters
 MODEL_ERROR = 0.004  # of the torque, root mean square and slow: what a re-fitted base is off by where nothing is missing
 
 
@@ -46,6 +46,8 @@ class Candidate:
         See `separability.Sensitivity`.
     share
         Of the torque that it adds, root mean square.
+    taken
+        What other forms of the effects beside it take of the gain, see `other_forms`.
     """
 
     name: str
@@ -56,6 +58,16 @@ class Candidate:
     kept: float
     d_prime: float
     share: float
+    taken: float
+
+    @property
+    def worth(self) -> float:
+        """In log-evidence, beyond what other forms of the effects beside it take."""
+        return self.criterion - self.taken
+
+    def counts(self, threshold: float) -> bool:
+        """Whether it deserves a name."""
+        return self.matters and self.gain - self.taken > threshold and self.worth > 0.0
 
     @property
     def matters(self) -> bool:
@@ -102,8 +114,8 @@ class Step:
         """The effect that would be named if the model were exact; empty where none would, or one was."""
         if self.chosen is not None:
             return ""
-        beyond = [c for c in self.candidates if c.gain > self.by_noise and c.criterion > 0.0]
-        return max(beyond, key=lambda c: c.criterion).name if beyond else ""
+        beyond = [c for c in self.candidates if c.gain - c.taken > self.by_noise and c.worth > 0.0]
+        return max(beyond, key=lambda c: c.worth).name if beyond else ""
 
 
 def choose(
@@ -161,14 +173,18 @@ def _round(current: Fit, effects: Mapping[str, Effect], replicates: int, rng: np
         and (gain > best - within or (s.effect.acts_on in THROUGH_TEMPERATURE and gain > screened.threshold))
     ]
     names = list(dict.fromkeys(s.effect.name for s in worth))[:MOST_REFITTED]
-    candidates = [_refit(current, effects[name], [s for s in worth if s.effect.name == name]) for name in names]
-    candidates.sort(key=lambda c: (not c.matters, -c.criterion))
+    candidates = [
+        _refit(current, effects[name], [s for s in worth if s.effect.name == name], screened.taken.get(name, 0.0))
+        for name in names
+    ]
+    candidates.sort(key=lambda c: (not c.counts(threshold), not c.matters, -c.worth))
     first = candidates[0]
-    counts = first.matters and first.gain > threshold and first.criterion > 0.0
-    weights = _class_of(first, [c for c in candidates if c is first or (c.matters and c.gain > screened.threshold)], seen)
+    weights = _class_of(
+        first, [c for c in candidates if c is first or (c.matters and c.gain - c.taken > screened.threshold)], seen
+    )
     wins = _wins(current, candidates, rng)
     members, weights, stability = _widened(weights, wins)
-    chosen = first if counts and stability >= STABLE_SHARE else None
+    chosen = first if first.counts(threshold) and stability >= STABLE_SHARE else None
     return Step(current, seen, screened.threshold, threshold, gains, tuple(candidates), chosen, members, weights, stability)
 
 
@@ -182,7 +198,7 @@ def spurious_gain(current: Fit) -> float:
     return 0.5 * samples * (MODEL_ERROR * torque * current.noise.gain / current.noise.std) ** 2
 
 
-def _refit(current: Fit, effect: Effect, found: Sequence[Sensitivity]) -> Candidate:
+def _refit(current: Fit, effect: Effect, found: Sequence[Sensitivity], taken: float) -> Candidate:
     """The best of the fits from each start."""
     active = [a.effect for a in current.effects]
     best: Fit | None = None
@@ -193,16 +209,16 @@ def _refit(current: Fit, effect: Effect, found: Sequence[Sensitivity]) -> Candid
             best = tried
     assert best
     strongest = max(found, key=lambda s: s.d_prime)
-    return _candidate(current, best, effect.name, strongest.kept, strongest.d_prime)
+    return _candidate(current, best, effect.name, strongest.kept, strongest.d_prime, taken)
 
 
-def _candidate(current: Fit, found: Fit, name: str, kept: float, d_prime: float) -> Candidate:
+def _candidate(current: Fit, found: Fit, name: str, kept: float, d_prime: float, taken: float) -> Candidate:
     """What a fit with one more effect is worth over the one without."""
     gain = found.log_likelihood - current.log_likelihood
     bic = 2.0 * gain - np.log(effective_samples(found)) * effective_parameters(found, name)
     criterion = found.log_evidence - current.log_evidence
     share = _rms(contribution(found, name), found) / max(_rms([s.torque for s in found.problem.sessions], found), 1e-12)
-    return Candidate(name, found, gain, criterion, bic, kept, d_prime, share)
+    return Candidate(name, found, gain, criterion, bic, kept, d_prime, share, taken)
 
 
 def _rms(series: Sequence[Array], found: Fit) -> float:
@@ -238,11 +254,9 @@ def _class_of(first: Candidate, candidates: Sequence[Candidate], seen: Separabil
     """Weights of the candidates that explain as much as the first: by BIC, or by the likelihood alone where they look alike."""
     alike = set(seen.alike(first.name)) if first.name in seen.names else {first.name}
     near = [
-        c
-        for c in candidates
-        if c.criterion > first.criterion - ALIKE_WITHIN or (c.name in alike and c.gain > first.gain - ALIKE_WITHIN)
+        c for c in candidates if c.worth > first.worth - ALIKE_WITHIN or (c.name in alike and c.gain > first.gain - ALIKE_WITHIN)
     ]
-    raw = np.exp(np.array([c.criterion for c in near]) - first.criterion)
+    raw = np.exp(np.array([c.worth for c in near]) - first.worth)
     weights = raw / raw.sum()
     kept = [(c.name, float(w)) for c, w in zip(near, weights, strict=True) if w >= LEAST_WEIGHT or c.name in alike]
     total = sum(w for _, w in kept)
@@ -269,7 +283,7 @@ def _wins(current: Fit, candidates: Sequence[Candidate], rng: np.random.Generato
         block, density = _log_density(candidate.fit)
         table[i] = np.bincount(np.searchsorted(blocks, block), weights=density - null, minlength=len(blocks))
     draws = rng.multinomial(len(blocks), np.full(len(blocks), 1.0 / len(blocks)), size=RESAMPLES)
-    penalty = np.array([c.gain - c.criterion for c in candidates])
+    penalty = np.array([c.gain - c.worth for c in candidates])
     by_priors = np.array([c.gain for c in candidates]) - table.sum(axis=1)  # the same on whatever laps
     scores = draws @ table.T + by_priors - penalty
     best = np.argmax(scores, axis=1)
@@ -296,14 +310,14 @@ def _refreshed(found: Fit) -> Fit:
 def _drop(current: Fit, steps: list[Step]) -> tuple[Fit, list[Step]]:
     """Leave out what gains less than its threshold once the others are there."""
     kept = list(current.effects)
-    threshold = {s.chosen.name: s.threshold for s in steps if s.chosen}
+    needed = {s.chosen.name: s.threshold + s.chosen.taken for s in steps if s.chosen}
     for active in list(kept):
         if len(kept) == 1:
             break
         without = [a.effect for a in kept if a is not active]
         reduced = fit(current.problem, without, current.at, current.noises)
         gain = current.log_likelihood - reduced.log_likelihood
-        if gain < threshold.get(active.effect.name, 0.0) or current.log_evidence < reduced.log_evidence:
+        if gain < needed.get(active.effect.name, 0.0) or current.log_evidence < reduced.log_evidence:
             kept = [a for a in kept if a is not active]
             current = reduced
     remaining = {a.effect.name for a in kept}
@@ -324,13 +338,13 @@ def _compared_again(
             if chosen is not None
             and c.name not in taken
             and c.matters
-            and c.gain > step.threshold
-            and c.criterion > chosen.criterion - FAR_BEHIND
+            and c.gain - c.taken > step.threshold
+            and c.worth > chosen.worth - FAR_BEHIND
         ]
         if len(rivals) < 2:
             continue
         without = fit(current.problem, others, current.at, current.noises)
-        again = sorted((_beside(without, others, effects[c.name], c) for c in rivals), key=lambda c: -c.criterion)
+        again = sorted((_beside(without, others, effects[c.name], c) for c in rivals), key=lambda c: -c.worth)
         first = again[0]
         weights = _class_of(first, again, step.separability)
         members, widened, stability = _widened(weights, _wins(without, again, rng))
@@ -346,7 +360,7 @@ def _beside(without: Fit, others: Sequence[Effect], effect: Effect, before: Cand
     """A candidate fitted again, with other effects beside it than at first."""
     own = {key: value for key, value in before.fit.at.items() if key[0] == effect.name}
     found = fit(without.problem, [*others, effect], {**without.at, **own}, without.noises)
-    return _candidate(without, found, effect.name, before.kept, before.d_prime)
+    return _candidate(without, found, effect.name, before.kept, before.d_prime, before.taken)
 
 
 def begin(problem: Problem) -> Fit:

@@ -11,6 +11,7 @@ from scipy.optimize import lsq_linear
 from scipy.signal import lfilter
 
 from trackres_ros.diagnosis.fitting import LARGE, Fit
+from trackres_ros.diagnosis.other_forms import other_forms
 from trackres_ros.diagnosis.separability import Sensitivity, base_columns
 from trackres_ros.diagnosis.whitening import MOST_LAGS, Noise, improved, whole_past
 
@@ -25,11 +26,24 @@ LEVEL = 0.95
 
 @dataclass(frozen=True, eq=False)
 class Screened:
-    """First-order gains in log-likelihood of effects over a fit, and what noise alone reaches."""
+    """First-order gains in log-likelihood of effects over a fit, and what noise alone reaches.
 
-    gains: tuple[tuple[Sensitivity, float], ...]  # best first
+    Attributes
+    ----------
+    gains
+        Best first; over a fit whose effects may have another form, see `other_forms`.
+    taken
+        What other forms of the effects in the fit take of each effect's gain.
+    threshold
+        What the best gains by noise alone once in twenty.
+    reached
+        Largest gain of each replicate of the bootstrap.
+    """
+
+    gains: tuple[tuple[Sensitivity, float], ...]
+    taken: Mapping[str, float]
     threshold: float
-    reached: Array  # largest gain of each replicate of the bootstrap
+    reached: Array
 
 
 def screen(fit: Fit, candidates: Sequence[Sensitivity], replicates: int, rng: np.random.Generator) -> Screened:
@@ -40,12 +54,17 @@ def screen(fit: Fit, candidates: Sequence[Sensitivity], replicates: int, rng: np
     The noise is fitted with each candidate anew: a slow effect that is left out looks like slow noise, and whitening with
     that would hide it.
     """
-    linear = _Linear(fit)
+    forms = other_forms(fit)
+    linear = _Linear(fit, forms)
     movers = [linear.mover(c) for c in candidates]
     residual = linear.lagged(np.concatenate(fit.residuals))
-    null = linear.likelihood(residual, linear.own)
-    found = [linear.likelihood(residual, m) - null for m in movers]
+    found = linear.gains(residual, movers)
     gains = sorted(zip(candidates, found, strict=True), key=lambda pair: -pair[1])
+    taken: dict[str, float] = {}
+    if forms.shape[1]:
+        strict = _Linear(fit, forms[:, :0])
+        plain = strict.gains(residual, [strict.mover(c) for c in candidates])
+        taken = {name: max(0.0, _best(name, candidates, plain) - _best(name, candidates, found)) for name in _names(candidates)}
     reached = np.zeros(replicates)
     for i in range(replicates):
         drawn = linear.lagged(linear.drawn(rng))
@@ -54,7 +73,15 @@ def screen(fit: Fit, candidates: Sequence[Sensitivity], replicates: int, rng: np
         nearly = sorted(movers, key=lambda m: -linear.likelihood(drawn, m, at_home=True, turns=1))[:NEARLY_LARGEST]
         reached[i] = max((linear.likelihood(drawn, m, at_home=True) - before for m in nearly), default=0.0)
     threshold = float(np.quantile(reached, LEVEL)) if replicates else np.inf
-    return Screened(tuple(gains), threshold, reached)
+    return Screened(tuple(gains), taken, threshold, reached)
+
+
+def _names(candidates: Sequence[Sensitivity]) -> set[str]:
+    return {c.effect.name for c in candidates}
+
+
+def _best(name: str, candidates: Sequence[Sensitivity], gains: Sequence[float]) -> float:
+    return max(gain for c, gain in zip(candidates, gains, strict=True) if c.effect.name == name)
 
 
 Lagged = Mapping[str, Array]
@@ -73,19 +100,20 @@ class _Mover:
 
 
 class _Linear:
-    """The fit, linearised: likelihoods by linear algebra."""
+    """The fit, linearised, with further columns of which each may move by about one: likelihoods by linear algebra."""
 
-    def __init__(self, fit: Fit) -> None:
+    def __init__(self, fit: Fit, further: Array) -> None:
         self._fit = fit
         first, rows = 0, dict[str, list[NDArray[np.int64]]]()
         for segment in fit.problem.segments:
             rows.setdefault(segment.kind, []).append(first + np.flatnonzero(whole_past(segment.mask, MOST_LAGS)))
             first += len(segment.measured)
         self._at = {kind: np.concatenate(of) for kind, of in rows.items()}
-        self._columns = base_columns(fit) * np.array([f.scale for f in fit.free])
-        far = np.full(len(fit.free), np.inf)
-        prior = np.array([f.scale / f.std for f in fit.free])
-        pull = -np.array([(x - f.nominal) / f.std for f, x in zip(fit.free, fit.point, strict=True)])
+        self._columns = np.column_stack([base_columns(fit) * np.array([f.scale for f in fit.free]), further])
+        far = np.full(self._columns.shape[1], np.inf)
+        prior = np.array([*(f.scale / f.std for f in fit.free), *np.ones(further.shape[1])])
+        pulls = [(x - f.nominal) / f.std for f, x in zip(fit.free, fit.point, strict=True)]
+        pull = -np.array([*pulls, *np.zeros(further.shape[1])])
         self.own = _Mover(self.lagged(self._columns), -far, far, prior, pull)
 
     def lagged(self, rows: Array) -> Lagged:
@@ -107,6 +135,11 @@ class _Linear:
             np.append(own.prior, np.full(len(limits), 1.0 / LARGE)),
             np.append(own.pull, np.zeros(len(limits))),
         )
+
+    def gains(self, residual: Lagged, movers: Sequence[_Mover]) -> list[float]:
+        """In log-likelihood of each mover over the fit's own."""
+        null = self.likelihood(residual, self.own)
+        return [self.likelihood(residual, m) - null for m in movers]
 
     def likelihood(self, residual: Lagged, mover: _Mover, at_home: bool = False, turns: int = TURNS) -> float:
         """Of a residual with a mover's parameters free within their bounds, and the noise fitted along.

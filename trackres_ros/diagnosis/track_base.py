@@ -110,7 +110,7 @@ class TrackBase:
         slow = (loss * direction + radius * force + course.terms.torque) * course.terms.drive_gain
         # No effect acts on the rest of the inertia: what the speed's own noise makes of it would tell for or against it.
         quick = radius * inertia * (session.accel - session.accel_apart)
-        return Predicted(as_sensed(slow, course.terms, session) + quick, slow + quick, belt, skin)
+        return Predicted(as_sensed(slow, course.terms, session) + quick, slow, belt, skin)
 
     def _roll(
         self, group: _Group, session: Session, course: Course, values: Values, before: tuple[float, float] | None

@@ -15,7 +15,7 @@ from trackres_ros.diagnosis.report import report
 from trackres_ros.plots import picture
 from trackres_ros.proof.answers import BASELINES
 from trackres_ros.proof.blind import diagnosed
-from trackres_ros.proof.score import OURS, Scored, own_shares, shares, sizes, wilson
+from trackres_ros.proof.scored import OURS, Scored, own_shares, shares, sizes, wilson
 from trackres_ros.report.page import write_page
 from trackres_ros.report.pictures import draw_all
 

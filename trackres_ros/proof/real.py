@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import spearmanr
 
 from trackres_ros.diagnosis import Diagnosis, diagnose, load_base, read_recordings
+from trackres_ros.diagnosis.whitening import whitened
 from trackres_ros.errors import InputError
 from trackres_ros.proof.real_data import car, robot, trips
 
@@ -26,6 +26,7 @@ TWICE = ("TripB16", "TripB17")
 COLD_S = 180.0
 COLD_AFTER_H = 5.0
 EVERY_M, SMOOTHED = 50.0, 5
+WARM_PERCENTILE = 5.0  # of what an effect adds over all trips: what it adds when warm
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,68 +104,86 @@ def try_all(data: Path, folder: Path) -> list[Tried]:
 
 @dataclass(frozen=True)
 class Start:
-    """The beginning of one trip: torque that the base, re-fitted to all trips, lacks in the first three minutes [Nm]."""
+    """How one trip began, and what was concealed of it.
+
+    Attributes
+    ----------
+    lacks
+        Torque that the base, re-fitted to all trips, lacks in the first three minutes [Nm].
+    state, std
+        Start state fitted to this trip alone, with its standard deviation: 0 as warm as after a long drive, 1 as cold as a
+        trip on average; nan where nothing that warms up was named.
+    """
 
     trip: str
     stood_h: float
     ambient: float
     lacks: float
+    state: float
+    std: float
 
 
 def starts(data: Path, tried: Tried) -> list[Start]:
-    """Unseal standing time and ambient temperature beside what each trip's beginning lacked."""
+    """Standing time and ambient temperature, unsealed, beside what each trip's beginning lacked and how cold it seems."""
     rows, found = trips(data), []
-    for session, predicted in zip(tried.found.sessions, tried.found.refitted.predicted, strict=True):
+    sessions = tried.found.sessions
+    for i, (session, predicted) in enumerate(zip(sessions, tried.found.refitted.predicted, strict=True)):
         row, early = rows[Path(session.name).stem], session.used & (session.time < COLD_S)
         stood = float(row["hours_since_previous_trip_ended"] or "nan")
         lacks = float((session.torque - predicted.torque)[early].mean())
-        found.append(Start(row["trip"], stood, float(row["ambient_degc"]), lacks))
+        found.append(Start(row["trip"], stood, float(row["ambient_degc"]), lacks, *_start_state(tried, i)))
     return found
 
 
-def locked_to_position(tried: Tried) -> float:
-    """Correlation over distance of the residuals of two drives of one route."""
-    residuals = []
+def _start_state(tried: Tried, index: int) -> tuple[float, float]:
+    """Of one trip: by how much what the effect adds to it over a warm drive has to be scaled, by weighted least squares."""
+    warms = next((f for f in tried.found.found if set(f.step.members) & WARM), None)
+    if warms is None:
+        return float("nan"), float("nan")
+    final, session = tried.found.final, tried.found.sessions[index]
+    warm = float(np.percentile(np.concatenate(warms.adds), WARM_PERCENTILE))
+    cold = warms.adds[index] - warm
+    left = session.torque - final.predicted[index].torque + cold
+    white = whitened(np.column_stack((left, cold)), session.used, final.noise.phi) / final.noise.std
+    y, x = white[np.isfinite(white).all(axis=1)].T
+    return float(x @ y / (x @ x)), float(1.0 / np.sqrt(x @ x))
+
+
+@dataclass(frozen=True, eq=False)
+class Twice:
+    """Residuals of two drives of one route and the slope by the elevation, each [Nm] and [1] over distance [m], and the
+    correlation of the residuals with each other and with the slope.
+    """
+
+    distance: Array
+    residuals: Array  # (2, n)
+    slope: Array
+    repeats: float
+    follows_slope: float
+
+
+def twice(tried: Tried) -> Twice:
+    """What is locked to position on a route driven twice, beside the slope that was concealed."""
+    residuals, slopes = [], []
     for session, predicted in zip(tried.found.sessions, tried.found.refitted.predicted, strict=True):
         far = session.distance - session.distance[0]
         grid = np.arange(500.0, far[-1] - 500.0, EVERY_M)
         used = session.used
-        plain = np.interp(grid, far[used], (session.torque - predicted.torque)[used])
-        residuals.append(np.convolve(plain, np.ones(SMOOTHED) / SMOOTHED, mode="same"))
+        residuals.append(_smooth(np.interp(grid, far[used], (session.torque - predicted.torque)[used])))
+        table = np.genfromtxt(session.name, delimiter=",", names=True)
+        slopes.append(
+            _smooth(np.interp(grid, far, np.interp(session.time, table["time_s"] - table["time_s"][0], table["grade"])))
+        )
     n = min(map(len, residuals))
-    return float(np.corrcoef(residuals[0][:n], residuals[1][:n])[0, 1])
+    both, mean = np.array([r[:n] for r in residuals]), np.asarray(np.mean([s[:n] for s in slopes], axis=0), dtype=float)
+    return Twice(
+        np.arange(500.0, 500.0 + n * EVERY_M, EVERY_M)[:n],
+        both,
+        mean,
+        float(np.corrcoef(both[0], both[1])[0, 1]),
+        float(np.corrcoef(both.mean(axis=0), mean)[0, 1]),
+    )
 
 
-def page(data: Path, tried: Sequence[Tried]) -> str:
-    """All of it in words and tables."""
-    lines = [
-        "| Recordings | Concealed | Said | Mean error on held-out laps, re-fitted and with effects [Nm] | Judged |",
-        "|---|---|---|---|---|",
-    ]
-    for t in tried:
-        said = "; ".join(" or ".join(members) for members in t.named) or t.found.verdict.status
-        mae = t.found.held_out.mae
-        lines.append(f"| {t.what} | {t.hidden} | {said} | {mae['refitted']:.3g}, {mae['with_effects']:.3g} | {t.judged} |")
-    lines += ["", "What it said, word for word:", ""]
-    lines += [f"- {t.what}, without {t.hidden}: {t.found.verdict.sentence}" for t in tried]
-    begun = starts(data, tried[0])
-    lines += ["", "## The car's starts, unsealed", ""]
-    lines += ["| Trip | Stood [h] | Ambient [degC] | Lacks in the first three minutes [Nm] |", "|---|---|---|---|"]
-    lines += [f"| {s.trip} | {s.stood_h:.1f} | {s.ambient:g} | {s.lacks:.0f} |" for s in sorted(begun, key=lambda s: -s.stood_h)]
-    stood, lacks = np.array([s.stood_h for s in begun]), np.array([s.lacks for s in begun])
-    rank = spearmanr(stood, lacks)
-    cold = stood > COLD_AFTER_H
-    lines += [
-        "",
-        f"After a night or a day ({COLD_AFTER_H:g} h and more) the first three minutes lack {lacks[cold].mean():.0f} Nm, "
-        f"after a short stop {lacks[~cold].mean():.0f} Nm; "
-        f"rank correlation with the time it stood {rank.statistic:.2f} (p = {rank.pvalue:.2g}).",
-    ]
-    twice = next(t for t in tried if "twice" in t.what)
-    lines += [
-        "",
-        f"On the route driven twice the residuals repeat over distance with a correlation of {locked_to_position(twice):.2f}: "
-        "locked to position, which is not yet grade. "
-        + ("Grade was not named." if twice.judged == "right" else "And yet something was named."),
-    ]
-    return "\n".join(lines) + "\n"
+def _smooth(series: Array) -> Array:
+    return np.asarray(np.convolve(series, np.ones(SMOOTHED) / SMOOTHED, mode="same"))

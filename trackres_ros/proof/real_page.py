@@ -1,0 +1,166 @@
+"""Page and pictures of the diagnosis on real recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import spearmanr
+
+from trackres_ros.diagnosis.fitting import Fit
+from trackres_ros.plots import BLUE, GREY, ORANGE, VERMILION, picture
+from trackres_ros.proof.real import COLD_AFTER_H, Start, Tried, Twice, starts, twice
+
+Array = NDArray[np.float64]
+
+EARLY_S, BIN_S = 900.0, 60.0
+YAW_BINS = 16
+SETTLED_STD = 0.5  # of a start state: less sure, and it says nothing
+
+
+def write_page(data: Path, tried: Sequence[Tried], folder: Path, of_pictures: str = "") -> str:
+    """Draw the pictures into a folder and give the page, whose links to them begin with `of_pictures`."""
+    winter = tried[0]
+    route = next(t for t in tried if "twice" in t.what)
+    grass = next(t for t in tried if "yaw_rate" in t.found.sessions[0].given)
+    begun, repeated = starts(data, winter), twice(route)
+    _draw_starts(folder / "starts.png", winter, begun)
+    _draw_twice(folder / "twice.png", route, repeated)
+    _draw_turning(folder / "turning.png", grass)
+    lines = [
+        "| Recordings | Concealed | Said | Mean error on held-out laps, re-fitted and with effects [Nm] | Judged |",
+        "|---|---|---|---|---|",
+    ]
+    for t in tried:
+        said = "; ".join(" or ".join(members) for members in t.named) or t.found.verdict.status
+        mae = t.found.held_out.mae
+        lines.append(f"| {t.what} | {t.hidden} | {said} | {mae['refitted']:.3g}, {mae['with_effects']:.3g} | {t.judged} |")
+    lines += ["", "What it said, word for word:", ""]
+    lines += [f"- {t.what}, without {t.hidden}: {t.found.verdict.sentence}" for t in tried]
+    lines += ["", "## The car's starts, unsealed", "", *_starts(begun), ""]
+    lines += [
+        f"![Torque that the re-fitted base lacks over the time since the start, and start states.]({of_pictures}starts.png)",
+        "",
+    ]
+    lines += ["## A route driven twice", "", *_twice(route, repeated), ""]
+    lines += [f"![Residuals of both drives and the slope over the distance.]({of_pictures}twice.png)", ""]
+    lines += ["## Turning on wet grass", ""]
+    lines += [f"![Measured and expected torque over the yaw rate.]({of_pictures}turning.png)"]
+    return "\n".join(lines) + "\n"
+
+
+def _starts(begun: Sequence[Start]) -> list[str]:
+    lines = [
+        "The start state of each trip is fitted to that trip alone, with what was named: 0 as warm as after a long drive, 1 as "
+        "cold as the common fit has every trip begin, for it knows neither standing time nor air.",
+        "",
+        "| Trip | Stood [h] | Ambient [degC] | Lacks in the first three minutes [Nm] | Start state |",
+        "|---|---|---|---|---|",
+    ]
+    lines += [
+        f"| {s.trip} | {s.stood_h:.1f} | {s.ambient:g} | {s.lacks:.0f} | {s.state:.2f} +- {s.std:.2f} |"
+        for s in sorted(begun, key=lambda s: -s.stood_h)
+    ]
+    stood, lacks = np.array([s.stood_h for s in begun]), np.array([s.lacks for s in begun])
+    state, weight = np.array([s.state for s in begun]), np.array([s.std for s in begun]) ** -2.0
+    cold = stood > COLD_AFTER_H
+    means = [float(np.average(state[at], weights=weight[at])) for at in (cold, ~cold)]
+    doubts = [float(weight[at].sum() ** -0.5) for at in (cold, ~cold)]
+    settled = np.array([s.std < SETTLED_STD for s in begun])
+    return [
+        *lines,
+        "",
+        f"After a night or a day ({COLD_AFTER_H:g} h and more) the first three minutes lack {lacks[cold].mean():.0f} Nm, "
+        f"after a short stop {lacks[~cold].mean():.0f} Nm. The start states are {means[0]:.2f} +- {doubts[0]:.2f} and "
+        f"{means[1]:.2f} +- {doubts[1]:.2f} (one standard deviation of their weighted means). {_ranks(begun, settled)}",
+    ]
+
+
+def _ranks(begun: Sequence[Start], settled: NDArray[np.bool_]) -> str:
+    sure = [s for s, one in zip(begun, settled, strict=True) if one]
+    if len(sure) < 4:
+        return "Too few of them are sure enough to be ranked."
+    stood = spearmanr([s.stood_h for s in sure], [s.state for s in sure])
+    ambient = spearmanr([s.ambient for s in sure], [s.state for s in sure])
+    return (
+        f"Rank correlation of the {len(sure)} that are sure to {SETTLED_STD:g} with the time it stood {stood.statistic:.2f} "
+        f"(p = {stood.pvalue:.2g}), with the ambient temperature {ambient.statistic:.2f} (p = {ambient.pvalue:.2g})."
+    )
+
+
+def _twice(route: Tried, repeated: Twice) -> list[str]:
+    return [
+        f"The residuals of both drives repeat over distance with a correlation of {repeated.repeats:.2f}, and follow the "
+        f"concealed slope with {repeated.follows_slope:.2f}: locked to position, which is not yet grade. "
+        + ("Grade was not named." if route.judged == "right" else "And yet something was named.")
+    ]
+
+
+def _over_time(fit: Fit, sessions: Sequence[int]) -> tuple[Array, Array]:
+    """Mean residual of sessions over the time since their start."""
+    time, left = [], []
+    for i in sessions:
+        session = fit.problem.sessions[i]
+        at = session.used & (session.time < EARLY_S)
+        time.append(session.time[at])
+        left.append((session.torque - fit.predicted[i].torque)[at])
+    place = (np.concatenate(time) / BIN_S).astype(int)
+    count = np.bincount(place, minlength=int(EARLY_S / BIN_S))
+    means = np.bincount(place, np.concatenate(left), minlength=int(EARLY_S / BIN_S)) / np.maximum(count, 1)
+    return np.asarray((np.arange(len(means)) + 0.5) * BIN_S / 60.0), np.where(count > 0, means, np.nan)
+
+
+def _draw_starts(path: Path, winter: Tried, begun: Sequence[Start]) -> None:
+    cold = [i for i, s in enumerate(begun) if s.stood_h > COLD_AFTER_H]
+    warm = [i for i, s in enumerate(begun) if s.stood_h <= COLD_AFTER_H]
+    with picture(path, 9.0, 3.4) as figure:
+        left, right = figure.subplots(1, 2)
+        for of, colour, what in ((cold, BLUE, "a night or a day"), (warm, ORANGE, "a short stop")):
+            left.plot(*_over_time(winter.found.refitted, of), color=colour, label=f"after {what}: re-fitted base")
+            left.plot(*_over_time(winter.found.final, of), color=colour, linestyle=":", label="with what was named")
+        left.axhline(0.0, color=GREY, linewidth=0.8)
+        left.set_xlabel("time since start [min]")
+        left.set_ylabel("measured less expected torque [Nm]")
+        left.legend()
+        for s in begun:
+            colour = BLUE if s.stood_h > COLD_AFTER_H else ORANGE
+            right.errorbar(max(s.stood_h, 0.03), s.state, yerr=1.96 * s.std, fmt="o", markersize=4, color=colour, linewidth=1.0)
+        right.set_xscale("log")
+        right.set_xlabel("time it had stood [h]")
+        right.set_ylabel("start state, 0 warm, 1 cold (95 %)")
+
+
+def _draw_twice(path: Path, route: Tried, repeated: Twice) -> None:
+    with picture(path, 9.0, 3.8) as figure:
+        upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+        for session, residual, colour in zip(route.found.sessions, repeated.residuals, (BLUE, ORANGE), strict=True):
+            upper.plot(repeated.distance / 1000.0, residual, color=colour, label=Path(session.name).stem)
+        upper.set_ylabel("measured less expected\ntorque [Nm]")
+        upper.legend(ncols=2)
+        lower.plot(repeated.distance / 1000.0, 100.0 * repeated.slope, color=GREY)
+        lower.set_ylabel("slope [%]\n(concealed)")
+        lower.set_xlabel("distance [km]")
+
+
+def _draw_turning(path: Path, grass: Tried) -> None:
+    rows: list[tuple[Array, Array, Array, Array]] = []
+    f = grass.found
+    for session, base, final in zip(f.sessions, f.refitted.predicted, f.final.predicted, strict=True):
+        at, way = session.used, np.sign(session.speed)
+        resists = [way * torque for torque in (session.torque, base.torque, final.torque)]
+        rows.append((np.abs(session.yaw_rate)[at], resists[0][at], resists[1][at], resists[2][at]))
+    yaw, *torques = (np.concatenate(column) for column in zip(*rows, strict=True))
+    edges = np.unique(np.quantile(yaw, np.linspace(0.0, 1.0, YAW_BINS + 1)))
+    place = np.clip(np.searchsorted(edges, yaw, side="right") - 1, 0, len(edges) - 2)
+    count = np.bincount(place)
+    middle = np.bincount(place, yaw) / count
+    with picture(path, 6.0, 3.4) as figure:
+        axes = figure.subplots()
+        labels = ("measured", "re-fitted base", "with what was named")
+        for torque, colour, label in zip(torques, (GREY, BLUE, VERMILION), labels, strict=True):
+            axes.plot(middle, np.bincount(place, torque) / count, color=colour, marker="o", markersize=3, label=label)
+        axes.set_xlabel("yaw rate, size [rad/s]")
+        axes.set_ylabel("torque against travel, mean [Nm]")
+        axes.legend()
