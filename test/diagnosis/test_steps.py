@@ -13,7 +13,9 @@ from trackres_ros.diagnosis.belt_series import follow
 from trackres_ros.diagnosis.changes import changes
 from trackres_ros.diagnosis.fitting import Problem, fit
 from trackres_ros.diagnosis.gate import SHORTEST_MOVING_S, SHORTEST_S, SLOWEST_MPS, STEP_S, gate, split
+from trackres_ros.diagnosis.intervals import NORMAL_95, intervals
 from trackres_ros.diagnosis.naming import begin
+from trackres_ros.diagnosis.other_forms import FORM_ERROR, other_forms
 from trackres_ros.diagnosis.screening import screen
 from trackres_ros.diagnosis.separability import separability
 from trackres_ros.diagnosis.session import Course
@@ -143,7 +145,7 @@ def test_a_fit_finds_the_parameters_that_made_the_data(loaded):
     still = [np.zeros(len(s)) for s in sessions]
     rng = np.random.default_rng(5)
     shown = [p.torque + rng.normal(0.0, 1.0, len(p.torque)) for p in base.predict(sessions, true, (), still)]
-    measured = tuple(_with_torque(s, t) for s, t in zip(sessions, shown, strict=True))
+    measured = tuple(replace(s, torque=t) for s, t in zip(sessions, shown, strict=True))
     found = fit(Problem(base, measured, tuple(s.used for s in measured), tuple(still)))
     for name, value in true.items():
         assert found.base_values[name] == pytest.approx(value, abs=max(4.0 * found.std_of("", name), 1e-6))
@@ -188,10 +190,50 @@ def test_sensitivities_are_those_of_the_model(problem, effects):
     assert inertia.columns[:rows, 0] * 0.1 == pytest.approx(change, abs=1e-6 * np.abs(change).max())
 
 
-def _with_torque(session, torque):
-    from dataclasses import replace
+def test_other_forms_are_a_share_of_what_the_effects_add(problem, effects):
+    assert other_forms(begin(problem)).shape == (len(np.concatenate(begin(problem).residuals)), 0)
+    found = fit(problem, [effects["turning_scrub"]])
+    adds = np.concatenate([p.torque for p in found.predicted])
+    adds -= np.concatenate([p.torque for p in problem.predict(found.base_values, [])])
+    forms = other_forms(found)[: len(adds)]
+    assert forms.shape[1] >= 5
+    used = np.concatenate(problem.masks)
+    assert np.all(forms[np.abs(adds) < 1e-9] == 0.0)
+    strength = np.sqrt(np.mean(forms[used] ** 2, axis=0) / np.mean(adds[used] ** 2))
+    assert np.all((strength > 0.2 * FORM_ERROR) & (strength < 5.0 * FORM_ERROR))
 
-    return replace(session, torque=torque)
+
+def test_a_companion_that_another_form_explains_counts_for_less(recorded, loaded, effects):
+    gated = gate(read_recordings(recorded("grade_profile"), None), loaded.known)
+    bent = tuple(
+        replace(s, torque=s.torque + 0.05 * 0.01 * s.weight * loaded.base.facts.radius * np.cos(2.0 * s.heading))
+        for s in gated.sessions
+    )
+    start = begin(Problem(loaded.base, bent, tuple(s.used for s in bent), tuple(np.zeros(len(s)) for s in bent)))
+    found = fit(start.problem, [effects["grade_profile"]], start.at, start.noises)
+    result = screen(found, separability(effects, found).visible, 5, np.random.default_rng(0))
+    assert all(taken >= 0.0 for taken in result.taken.values())
+    assert result.taken["headwind"] > 0.0
+    assert not screen(start, separability(effects, start).visible, 0, np.random.default_rng(0)).taken
+
+
+def test_an_interval_knows_that_the_function_is_not_nature(problem, effects):
+    found = fit(problem, [effects["turning_scrub"]])
+    friction = found.at["turning_scrub", "friction"]
+    bounds = intervals(found)["turning_scrub", "friction"]
+    assert bounds.high - friction >= NORMAL_95 * FORM_ERROR * abs(friction)
+
+
+def test_what_effects_see_of_the_torque_has_no_error_of_the_speed_in_it(problem):
+    rng, values = np.random.default_rng(2), {q.name: q.nominal for q in problem.base.parameters}
+    noisy = tuple(
+        replace(s, accel=s.accel + np.diff(rng.normal(0.0, 0.05, len(s) + 1)), accel_noise=0.07) for s in problem.sessions
+    )
+    with_error = replace(problem, sessions=noisy).predict(values, [])
+    for before, after in zip(problem.predict(values, []), with_error, strict=True):
+        shown = np.std(after.torque - before.torque)
+        seen = np.std(after.at_sprockets - np.convolve(before.at_sprockets, np.ones(5) / 5.0, mode="same"))
+        assert seen < 0.5 * shown
 
 
 @pytest.mark.parametrize("step_nm", [0.0, 150.0])

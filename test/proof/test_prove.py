@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 from trackres_ros.cli.main import cli
 from trackres_ros.errors import InputError
-from trackres_ros.proof.score import wilson
+from trackres_ros.proof.scored import wilson
 
 
 def process(module, *arguments):

@@ -177,7 +177,7 @@ def _round(current: Fit, effects: Mapping[str, Effect], replicates: int, rng: np
         _refit(current, effects[name], [s for s in worth if s.effect.name == name], screened.taken.get(name, 0.0))
         for name in names
     ]
-    candidates.sort(key=lambda c: (not c.counts(threshold), not c.matters, -c.worth))
+    candidates.sort(key=lambda c: (not c.matters, -c.worth))
     first = candidates[0]
     weights = _class_of(
         first, [c for c in candidates if c is first or (c.matters and c.gain - c.taken > screened.threshold)], seen

@@ -68,6 +68,7 @@ def report(d: Diagnosis, paths: Sequence[Path]) -> dict[str, Any]:
                 "delta_loglik": _number(c.gain),
                 "log_evidence": _number(c.criterion),
                 "bic_gain": _number(c.bic_gain),
+                "taken_by_other_forms": _number(c.taken),
                 "kept": _number(c.kept),
                 "d_prime": _number(c.d_prime),
                 "threshold": _number(s.threshold),
@@ -108,7 +109,9 @@ def _why(c: Candidate, step: Step) -> str:
         return f"cannot be told from {step.chosen.name} here"
     if c.gain <= step.threshold:
         return "noise alone may gain as much" if c.gain <= step.by_noise else "the model's own error may gain as much"
-    if c.criterion <= 0.0:
+    if c.gain - c.taken <= step.threshold:
+        return f"another form of {' or '.join(step.before.effect_names)} may gain as much"
+    if c.worth <= 0.0:
         return "explains less than its parameters cost"
     if not c.matters:
         return f"adds {c.share:.1%} of the torque, which hardly matters"

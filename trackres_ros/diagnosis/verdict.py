@@ -132,13 +132,13 @@ def _rival(f: Found) -> str:
     others = [c for c in f.step.candidates if c.name not in f.step.members]
     if not others or f.step.chosen is None:
         return ""
-    next_best = max(others, key=lambda c: c.criterion)
+    next_best = max(others, key=lambda c: c.worth)
     return f"; {next_best.name} is {likelier(f.step.chosen, next_best)} times less likely"
 
 
 def likelier(one: Candidate, other: Candidate) -> str:
     """How many times likelier one is than another."""
-    times = math.exp(min(one.criterion - other.criterion, MOST_CERTAIN))
+    times = math.exp(min(one.worth - other.worth, MOST_CERTAIN))
     return f"{times:.0f}" if times < 1000.0 else "over a thousand"
 
 

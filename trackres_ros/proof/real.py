@@ -131,11 +131,11 @@ def starts(data: Path, tried: Tried) -> list[Start]:
         row, early = rows[Path(session.name).stem], session.used & (session.time < COLD_S)
         stood = float(row["hours_since_previous_trip_ended"] or "nan")
         lacks = float((session.torque - predicted.torque)[early].mean())
-        found.append(Start(row["trip"], stood, float(row["ambient_degc"]), lacks, *_start_state(tried, i)))
+        found.append(Start(row["trip"], stood, float(row["ambient_degc"]), lacks, *start_state(tried, i)))
     return found
 
 
-def _start_state(tried: Tried, index: int) -> tuple[float, float]:
+def start_state(tried: Tried, index: int) -> tuple[float, float]:
     """Of one trip: by how much what the effect adds to it over a warm drive has to be scaled, by weighted least squares."""
     warms = next((f for f in tried.found.found if set(f.step.members) & WARM), None)
     if warms is None:
