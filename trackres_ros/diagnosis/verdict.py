@@ -14,13 +14,14 @@ from trackres_ros.diagnosis.fitting import Fit
 from trackres_ros.diagnosis.held_out import HeldOut
 from trackres_ros.diagnosis.intervals import Interval
 from trackres_ros.diagnosis.locate import STRAY_S, Acts, Span, Stray
-from trackres_ros.diagnosis.naming import LEAST_SHARE, Candidate, Step
+from trackres_ros.diagnosis.naming import Candidate, Step
 from trackres_ros.diagnosis.regimes import Bin, RegimeMap
 from trackres_ros.effects.effect import Parameter
 
 Array = NDArray[np.float64]
 
 LACK_OF_FIT_P = 0.01
+MOST_STRAY = 0.015  # of the torque, in means over half a minute
 LEFT_SHARE = 0.5  # of what the effects explain: more left over, and the names explain little
 MOST_CERTAIN = 20.0  # in log-likelihood: more is no more certain
 FINE_R2 = 0.995  # above it R2 says nothing that the mean error does not
@@ -71,12 +72,14 @@ def judge(found: Sequence[Found], refitted: Fit, at_end: RegimeMap, left_over: S
             return Verdict("unexplained", f"{_worse(held_out)} {_tentative(found)}")
         status = "named" if all(len(f.step.members) <= 1 for f in found) else "one_of"
         besides = f" Something small is left, {_range(left[0])}." if left else ""
+        if left_over.share > MOST_STRAY:
+            besides += f" And {_strays(left_over)}."
         gain = _gain(held_out)
         return Verdict(status, f"{'. '.join(_of_effect(f) for f in found)}. {gain[0].upper()}{gain[1:]}.{besides}")
     if left:
         return Verdict("unexplained", f"{_unexplained(left)}, and no effect of the catalogue explains it.")
-    if left_over.share > LEAST_SHARE:
-        return Verdict("unexplained", _strays(left_over))
+    if left_over.share > MOST_STRAY:
+        return Verdict("unexplained", f"Something is unexplained: {_strays(left_over)}.")
     moved = moved_parameters(refitted)
     exact = f" Were the model exact, {hint} would be missing; as it is, its own error may look the same." if hint else ""
     if moved:
@@ -175,8 +178,8 @@ def _unexplained(left: Sequence[Bin]) -> str:
 def _strays(s: Stray) -> str:
     slope = "" if math.isnan(s.slope) else f"; an unrecorded slope of {s.slope:.1%} would do as much"
     return (
-        f"Something is unexplained: averaged over {STRAY_S:.0f} s the measured torque still strays from the model by "
-        f"{s.size:.0f} Nm, {s.share:.0%} of the torque, and follows nothing that was recorded{slope}."
+        f"averaged over {STRAY_S:.0f} s the measured torque still strays from the model by "
+        f"{s.size:.0f} Nm, {s.share:.0%} of the torque, and follows nothing that was recorded{slope}"
     )
 
 
