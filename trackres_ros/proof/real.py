@@ -149,6 +149,13 @@ def start_state(tried: Tried, index: int) -> tuple[float, float]:
     return float(x @ y / (x @ x)), float(1.0 / np.sqrt(x @ x))
 
 
+def acts_early(tried: Tried, index: int) -> float:
+    """For how long what was named first acts in the first `COLD_S` of one recording [s]."""
+    name = tried.found.sessions[index].name
+    spans = tried.found.found[0].where if tried.found.found else ()
+    return sum(max(0.0, min(s.end, COLD_S) - s.begin) for s in spans if s.recording == name)
+
+
 @dataclass(frozen=True, eq=False)
 class Twice:
     """Residuals of two drives of one route and the slope by the elevation, each [Nm] and [1] over distance [m], and the

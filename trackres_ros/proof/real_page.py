@@ -11,12 +11,13 @@ from scipy.stats import spearmanr
 
 from trackres_ros.diagnosis.fitting import Fit
 from trackres_ros.plots import BLUE, GREY, ORANGE, VERMILION, picture
-from trackres_ros.proof.real import COLD_AFTER_H, Start, Tried, Twice, starts, twice
+from trackres_ros.proof.real import COLD_AFTER_H, COLD_S, Start, Tried, Twice, acts_early, starts, twice
 
 Array = NDArray[np.float64]
 
 EARLY_S, BIN_S = 900.0, 60.0
 YAW_BINS = 16
+SIGNIFICANT = 0.05
 SETTLED_STD = 0.5  # of a start state: less sure, and it says nothing
 
 
@@ -39,7 +40,7 @@ def write_page(data: Path, tried: Sequence[Tried], folder: Path, of_pictures: st
         lines.append(f"| {t.what} | {t.hidden} | {said} | {mae['refitted']:.3g}, {mae['with_effects']:.3g} | {t.judged} |")
     lines += ["", "What it said, word for word:", ""]
     lines += [f"- {t.what}, without {t.hidden}: {t.found.verdict.sentence}" for t in tried]
-    lines += ["", "## The car's starts, unsealed", "", *_starts(begun), ""]
+    lines += ["", "## The car's starts, unsealed", "", *_starts(begun), _where(tried[1], begun), ""]
     lines += [
         f"![Torque that the re-fitted base lacks over the time since the start, and start states.]({of_pictures}starts.png)",
         "",
@@ -78,15 +79,32 @@ def _starts(begun: Sequence[Start]) -> list[str]:
     ]
 
 
+def _where(known: Tried, begun: Sequence[Start]) -> str:
+    """Where what was named acts, once the standing time is known."""
+    early = np.array([acts_early(known, i) for i in range(len(begun))])
+    cold = np.array([s.stood_h > COLD_AFTER_H for s in begun])
+    return (
+        f"Given the clock, and so the standing time, but not the ambient temperature, what is named acts for "
+        f"{early[cold].mean():.0f} of the first {COLD_S:.0f} s of trips after a night or a day, and for "
+        f"{early[~cold].mean():.0f} s of those after a short stop."
+    )
+
+
 def _ranks(begun: Sequence[Start], settled: NDArray[np.bool_]) -> str:
     sure = [s for s, one in zip(begun, settled, strict=True) if one]
     if len(sure) < 4:
         return "Too few of them are sure enough to be ranked."
     stood = spearmanr([s.stood_h for s in sure], [s.state for s in sure])
     ambient = spearmanr([s.ambient for s in sure], [s.state for s in sure])
+    follow = stood.pvalue < SIGNIFICANT and stood.statistic > 0.0
     return (
         f"Rank correlation of the {len(sure)} that are sure to {SETTLED_STD:g} with the time it stood {stood.statistic:.2f} "
-        f"(p = {stood.pvalue:.2g}), with the ambient temperature {ambient.statistic:.2f} (p = {ambient.pvalue:.2g})."
+        f"(p = {stood.pvalue:.2g}), with the ambient temperature {ambient.statistic:.2f} (p = {ambient.pvalue:.2g}): "
+        + (
+            "the start states follow the standing time."
+            if follow
+            else "the start states do not follow the standing time, trip by trip."
+        )
     )
 
 
