@@ -4,7 +4,7 @@ VENV := .venv
 RUN := $(VENV)/bin
 OUT := out
 # These start nodes and watch the clock: one after the other, with the machine to themselves.
-LIVE_TESTS := test/live test/dds test/processes
+LIVE_TESTS := test/dds test/processes
 
 .PHONY: demo test lint clean
 
