@@ -81,6 +81,12 @@ def spans(sessions: tuple[Session, ...], series: list[Array]) -> list[Span]:
     return [s for s in lasting if s in longest]
 
 
+def evenly_filled(x: Array, bins: int) -> tuple[Array, NDArray[np.int64]]:
+    """Edges of at most so many bins with as many samples in each, and the bin of each sample."""
+    edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, bins + 1)))
+    return edges, np.clip(np.searchsorted(edges, x, side="right") - 1, 0, max(len(edges) - 2, 0))
+
+
 @dataclass(frozen=True, slots=True)
 class Acts:
     """Where an effect acts: the variable that it follows best, and the range of it where it is large."""
@@ -121,8 +127,7 @@ def acts(found: Fit, adds: Sequence[Array]) -> Acts:
         x = np.concatenate([of(s, p.belt) for s, p in zip(sessions, found.predicted, strict=True)])[used]
         if not np.isfinite(x).all() or np.ptp(x) == 0.0:
             continue
-        edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, BINS + 1)))
-        place = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, max(len(edges) - 2, 0))
+        edges, place = evenly_filled(x, BINS)
         count = np.maximum(np.bincount(place), 1)
         means = np.bincount(place, weights=series) / count
         explained = float(np.var(means[place]))

@@ -61,13 +61,18 @@ class Candidate:
     taken: float
 
     @property
+    def beyond(self) -> float:
+        """The gain beyond what other forms of the effects beside it take."""
+        return self.gain - self.taken
+
+    @property
     def worth(self) -> float:
-        """In log-evidence, beyond what other forms of the effects beside it take."""
+        """The same in log-evidence."""
         return self.criterion - self.taken
 
     def counts(self, threshold: float) -> bool:
         """Whether it deserves a name."""
-        return self.matters and self.gain - self.taken > threshold and self.worth > 0.0
+        return self.matters and self.beyond > threshold and self.worth > 0.0
 
     @property
     def matters(self) -> bool:
@@ -114,7 +119,7 @@ class Step:
         """The effect that would be named if the model were exact; empty where none would, or one was."""
         if self.chosen is not None:
             return ""
-        beyond = [c for c in self.candidates if c.gain - c.taken > self.by_noise and c.worth > 0.0]
+        beyond = [c for c in self.candidates if c.beyond > self.by_noise and c.worth > 0.0]
         return max(beyond, key=lambda c: c.worth).name if beyond else ""
 
 
@@ -179,9 +184,7 @@ def _round(current: Fit, effects: Mapping[str, Effect], replicates: int, rng: np
     ]
     candidates.sort(key=lambda c: (not c.matters, -c.worth))
     first = candidates[0]
-    weights = _class_of(
-        first, [c for c in candidates if c is first or (c.matters and c.gain - c.taken > screened.threshold)], seen
-    )
+    weights = _class_of(first, [c for c in candidates if c is first or (c.matters and c.beyond > screened.threshold)], seen)
     wins = _wins(current, candidates, rng)
     members, weights, stability = _widened(weights, wins)
     chosen = first if first.counts(threshold) and stability >= STABLE_SHARE else None
@@ -338,7 +341,7 @@ def _compared_again(
             if chosen is not None
             and c.name not in taken
             and c.matters
-            and c.gain - c.taken > step.threshold
+            and c.beyond > step.threshold
             and c.worth > chosen.worth - FAR_BEHIND
         ]
         if len(rivals) < 2:

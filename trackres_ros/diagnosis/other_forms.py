@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.base import Predicted
 from trackres_ros.diagnosis.fitting import Fit
 from trackres_ros.diagnosis.locate import VARIABLES, contribution
-from trackres_ros.diagnosis.session import Session
 
 Array = NDArray[np.float64]
 
@@ -28,27 +24,23 @@ def other_forms(fit: Fit) -> Array:
     -------
     Change of what is expected of all segments, one after the other, shape (n, columns).
     """
-    used = [mask & s.used for mask, s in zip(fit.problem.masks, fit.problem.sessions, strict=True)]
+    masks, driven = fit.problem.masks, list(zip(fit.problem.sessions, fit.predicted, strict=True))
     found = []
     for active in fit.effects:
         adds = contribution(fit, active.effect.name)
-        largest = max((float(np.abs(x[m]).max()) for x, m in zip(adds, used, strict=True) if m.any()), default=0.0)
+        largest = max((float(np.abs(x[m]).max()) for x, m in zip(adds, masks, strict=True) if m.any()), default=0.0)
         if not largest > 0.0:
             continue
-        shapes = [[VARIABLES[name][1](s, p.belt) for s, p in _pairs(fit)] for name in FOLLOWED]
-        shapes += [[turn(s.heading) for s, _ in _pairs(fit)] for turn in (np.cos, np.sin)]
+        shapes = [[VARIABLES[name][1](s, p.belt) for s, p in driven] for name in FOLLOWED]
+        shapes += [[turn(s.heading) for s, _ in driven] for turn in (np.cos, np.sin)]
         shapes += [[np.abs(x) / largest for x in adds]]
         for shape in shapes:
-            over = np.concatenate([z[m] for z, m in zip(shape, used, strict=True)])
+            over = np.concatenate([z[m] for z, m in zip(shape, masks, strict=True)])
             spread = float(over.std()) if np.isfinite(over).all() else 0.0
             if spread > 0.0:
                 mean = float(over.mean())
                 found.append(_rows(fit, [FORM_ERROR * x * (z - mean) / spread for x, z in zip(adds, shape, strict=True)]))
     return np.column_stack(found) if found else np.empty((sum(len(g.measured) for g in fit.problem.segments), 0))
-
-
-def _pairs(fit: Fit) -> Iterator[tuple[Session, Predicted]]:
-    return zip(fit.problem.sessions, fit.predicted, strict=True)
 
 
 def _rows(fit: Fit, torques: list[Array]) -> Array:

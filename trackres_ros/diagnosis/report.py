@@ -109,7 +109,7 @@ def _why(c: Candidate, step: Step) -> str:
         return f"cannot be told from {step.chosen.name} here"
     if c.gain <= step.threshold:
         return "noise alone may gain as much" if c.gain <= step.by_noise else "the model's own error may gain as much"
-    if c.gain - c.taken <= step.threshold:
+    if c.beyond <= step.threshold:
         return f"another form of {' or '.join(step.before.effect_names)} may gain as much"
     if c.worth <= 0.0:
         return "explains less than its parameters cost"

@@ -54,17 +54,18 @@ def screen(fit: Fit, candidates: Sequence[Sensitivity], replicates: int, rng: np
     The noise is fitted with each candidate anew: a slow effect that is left out looks like slow noise, and whitening with
     that would hide it.
     """
-    forms = other_forms(fit)
-    linear = _Linear(fit, forms)
+    own, forms = base_columns(fit), other_forms(fit)
+    linear = _Linear(fit, own, forms)
     movers = [linear.mover(c) for c in candidates]
     residual = linear.lagged(np.concatenate(fit.residuals))
     found = linear.gains(residual, movers)
     gains = sorted(zip(candidates, found, strict=True), key=lambda pair: -pair[1])
     taken: dict[str, float] = {}
     if forms.shape[1]:
-        strict = _Linear(fit, forms[:, :0])
+        strict = _Linear(fit, own, forms[:, :0])
         plain = strict.gains(residual, [strict.mover(c) for c in candidates])
-        taken = {name: max(0.0, _best(name, candidates, plain) - _best(name, candidates, found)) for name in _names(candidates)}
+        names = dict.fromkeys(c.effect.name for c in candidates)
+        taken = {name: max(0.0, _best(name, candidates, plain) - _best(name, candidates, found)) for name in names}
     reached = np.zeros(replicates)
     for i in range(replicates):
         drawn = linear.lagged(linear.drawn(rng))
@@ -74,10 +75,6 @@ def screen(fit: Fit, candidates: Sequence[Sensitivity], replicates: int, rng: np
         reached[i] = max((linear.likelihood(drawn, m, at_home=True) - before for m in nearly), default=0.0)
     threshold = float(np.quantile(reached, LEVEL)) if replicates else np.inf
     return Screened(tuple(gains), taken, threshold, reached)
-
-
-def _names(candidates: Sequence[Sensitivity]) -> set[str]:
-    return {c.effect.name for c in candidates}
 
 
 def _best(name: str, candidates: Sequence[Sensitivity], gains: Sequence[float]) -> float:
@@ -102,14 +99,14 @@ class _Mover:
 class _Linear:
     """The fit, linearised, with further columns of which each may move by about one: likelihoods by linear algebra."""
 
-    def __init__(self, fit: Fit, further: Array) -> None:
+    def __init__(self, fit: Fit, own: Array, further: Array) -> None:
         self._fit = fit
         first, rows = 0, dict[str, list[NDArray[np.int64]]]()
         for segment in fit.problem.segments:
             rows.setdefault(segment.kind, []).append(first + np.flatnonzero(whole_past(segment.mask, MOST_LAGS)))
             first += len(segment.measured)
         self._at = {kind: np.concatenate(of) for kind, of in rows.items()}
-        self._columns = np.column_stack([base_columns(fit) * np.array([f.scale for f in fit.free]), further])
+        self._columns = np.column_stack([own * np.array([f.scale for f in fit.free]), further])
         far = np.full(self._columns.shape[1], np.inf)
         prior = np.array([*(f.scale / f.std for f in fit.free), *np.ones(further.shape[1])])
         pulls = [(x - f.nominal) / f.std for f, x in zip(fit.free, fit.point, strict=True)]

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import yaml
 
 from trackres_ros.diagnosis import Diagnosis, diagnose, load_base, read_recordings
 from trackres_ros.proof.data_sheet import read_data_sheet
 from trackres_ros.proof.drives import STEP_S, Drive, drive
+from trackres_ros.proof.generate import APART_S, FASTEST_MPS, LOADS, START_S, VEHICLE, write_vehicle
 from trackres_ros.proof.sensors import Sensors, record
 from trackres_ros.proof.truth import Build, live
 from trackres_ros.resources import find_vehicle
@@ -26,8 +26,6 @@ HIDDEN = {
 }
 LAP_SPEEDS_MPS = (10.0 / 3.6, 20.0 / 3.6, 30.0 / 3.6)
 MINUTES = 15.0
-FASTEST_MPS = 16.7
-START_S, APART_S = 1_750_000_000.0, 1_300_000.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,11 +38,11 @@ class Asked:
 
 def ask_all(folder: Path, seed: int = 3) -> list[Asked]:
     """The paper's circle, and the drives that would tell its causes apart."""
-    sheet = find_vehicle("xgd24d")
+    sheet = find_vehicle(VEHICLE)
     weight = read_data_sheet(sheet)["weight"]
     rng = np.random.default_rng(seed)
     circles = [circle(MINUTES, speed, weight) for speed in LAP_SPEEDS_MPS]
-    courses = [drive(MINUTES, share * weight, 15.0, FASTEST_MPS, rng) for share in (1.0, 0.8, 1.25)]
+    courses = [drive(MINUTES, share * weight, 15.0, FASTEST_MPS, rng) for share in LOADS]
     return [
         Asked("laps of one circle at three speeds", _asked(folder / "circle", sheet, circles, rng)),
         Asked("a course with bends and straights, three loads", _asked(folder / "course", sheet, courses, rng)),
@@ -64,11 +62,7 @@ def circle(minutes: float, speed: float, weight: float) -> Drive:
 
 def _asked(folder: Path, sheet: Path, drives: list[Drive], rng: np.random.Generator) -> Diagnosis:
     folder.mkdir(parents=True, exist_ok=True)
-    content = yaml.safe_load(sheet.read_text(encoding="utf-8"))
-    content["rubber"]["file"] = str((sheet.parent / content["rubber"]["file"]).resolve())
-    content["model"]["thermal"] = "core_surface"
-    vehicle = folder / "vehicle.yaml"
-    vehicle.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+    vehicle = write_vehicle(folder / "vehicle.yaml", "core_surface")
     radius = read_data_sheet(sheet)["track.sprocket_radius"]
     paths = []
     for i, (one, lived) in enumerate(zip(drives, live(sheet, Build(), HIDDEN, drives), strict=True)):

@@ -122,15 +122,19 @@ class Start:
     state: float
     std: float
 
+    @property
+    def cold(self) -> bool:
+        """Whether it had stood for a night or a day."""
+        return self.stood_h > COLD_AFTER_H
+
 
 def starts(data: Path, tried: Tried) -> list[Start]:
     """Standing time and ambient temperature, unsealed, beside what each trip's beginning lacked and how cold it seems."""
     rows, found = trips(data), []
-    sessions = tried.found.sessions
-    for i, (session, predicted) in enumerate(zip(sessions, tried.found.refitted.predicted, strict=True)):
+    for i, session in enumerate(tried.found.sessions):
         row, early = rows[Path(session.name).stem], session.used & (session.time < COLD_S)
         stood = float(row["hours_since_previous_trip_ended"] or "nan")
-        lacks = float((session.torque - predicted.torque)[early].mean())
+        lacks = float(tried.found.refitted.residuals[i][early].mean())
         found.append(Start(row["trip"], stood, float(row["ambient_degc"]), lacks, *start_state(tried, i)))
     return found
 
@@ -143,7 +147,7 @@ def start_state(tried: Tried, index: int) -> tuple[float, float]:
     final, session = tried.found.final, tried.found.sessions[index]
     warm = float(np.percentile(np.concatenate(warms.adds), WARM_PERCENTILE))
     cold = warms.adds[index] - warm
-    left = session.torque - final.predicted[index].torque + cold
+    left = final.residuals[index] + cold
     white = whitened(np.column_stack((left, cold)), session.used, final.noise.phi) / final.noise.std
     y, x = white[np.isfinite(white).all(axis=1)].T
     return float(x @ y / (x @ x)), float(1.0 / np.sqrt(x @ x))
@@ -172,11 +176,11 @@ class Twice:
 def twice(tried: Tried) -> Twice:
     """What is locked to position on a route driven twice, beside the slope that was concealed."""
     residuals, slopes = [], []
-    for session, predicted in zip(tried.found.sessions, tried.found.refitted.predicted, strict=True):
+    for i, session in enumerate(tried.found.sessions):
         far = session.distance - session.distance[0]
         grid = np.arange(500.0, far[-1] - 500.0, EVERY_M)
         used = session.used
-        residuals.append(_smooth(np.interp(grid, far[used], (session.torque - predicted.torque)[used])))
+        residuals.append(_smooth(np.interp(grid, far[used], tried.found.refitted.residuals[i][used])))
         table = np.genfromtxt(session.name, delimiter=",", names=True)
         slopes.append(
             _smooth(np.interp(grid, far, np.interp(session.time, table["time_s"] - table["time_s"][0], table["grade"])))

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
 from trackres_ros.diagnosis.fitting import Fit
+from trackres_ros.diagnosis.intervals import NORMAL_95
+from trackres_ros.diagnosis.locate import evenly_filled
 from trackres_ros.plots import BLUE, GREY, ORANGE, VERMILION, picture
 from trackres_ros.proof.real import COLD_AFTER_H, COLD_S, Start, Tried, Twice, acts_early, starts, twice
 
@@ -17,6 +19,7 @@ Array = NDArray[np.float64]
 
 EARLY_S, BIN_S = 900.0, 60.0
 YAW_BINS = 16
+LEAST_SHOWN_H = 0.03  # on an axis of logarithms, for a trip that began as the one before ended
 SIGNIFICANT = 0.05
 SETTLED_STD = 0.5  # of a start state: less sure, and it says nothing
 
@@ -64,25 +67,24 @@ def _starts(begun: Sequence[Start]) -> list[str]:
         f"| {s.trip} | {s.stood_h:.1f} | {s.ambient:g} | {s.lacks:.0f} | {s.state:.2f} +- {s.std:.2f} |"
         for s in sorted(begun, key=lambda s: -s.stood_h)
     ]
-    stood, lacks = np.array([s.stood_h for s in begun]), np.array([s.lacks for s in begun])
+    lacks = np.array([s.lacks for s in begun])
     state, weight = np.array([s.state for s in begun]), np.array([s.std for s in begun]) ** -2.0
-    cold = stood > COLD_AFTER_H
+    cold = np.array([s.cold for s in begun])
     means = [float(np.average(state[at], weights=weight[at])) for at in (cold, ~cold)]
     doubts = [float(weight[at].sum() ** -0.5) for at in (cold, ~cold)]
-    settled = np.array([s.std < SETTLED_STD for s in begun])
     return [
         *lines,
         "",
         f"After a night or a day ({COLD_AFTER_H:g} h and more) the first three minutes lack {lacks[cold].mean():.0f} Nm, "
         f"after a short stop {lacks[~cold].mean():.0f} Nm. The start states are {means[0]:.2f} +- {doubts[0]:.2f} and "
-        f"{means[1]:.2f} +- {doubts[1]:.2f} (one standard deviation of their weighted means). {_ranks(begun, settled)}",
+        f"{means[1]:.2f} +- {doubts[1]:.2f} (one standard deviation of their weighted means). {_ranks(begun)}",
     ]
 
 
 def _where(known: Tried, begun: Sequence[Start]) -> str:
     """Where what was named acts, once the standing time is known."""
     early = np.array([acts_early(known, i) for i in range(len(begun))])
-    cold = np.array([s.stood_h > COLD_AFTER_H for s in begun])
+    cold = np.array([s.cold for s in begun])
     return (
         f"Given the clock, and so the standing time, but not the ambient temperature, what is named acts for "
         f"{early[cold].mean():.0f} of the first {COLD_S:.0f} s of trips after a night or a day, and for "
@@ -90,8 +92,8 @@ def _where(known: Tried, begun: Sequence[Start]) -> str:
     )
 
 
-def _ranks(begun: Sequence[Start], settled: NDArray[np.bool_]) -> str:
-    sure = [s for s, one in zip(begun, settled, strict=True) if one]
+def _ranks(begun: Sequence[Start]) -> str:
+    sure = [s for s in begun if s.std < SETTLED_STD]
     if len(sure) < 4:
         return "Too few of them are sure enough to be ranked."
     stood = spearmanr([s.stood_h for s in sure], [s.state for s in sure])
@@ -123,7 +125,7 @@ def _over_time(fit: Fit, sessions: Sequence[int]) -> tuple[Array, Array]:
         session = fit.problem.sessions[i]
         at = session.used & (session.time < EARLY_S)
         time.append(session.time[at])
-        left.append((session.torque - fit.predicted[i].torque)[at])
+        left.append(fit.residuals[i][at])
     place = (np.concatenate(time) / BIN_S).astype(int)
     count = np.bincount(place, minlength=int(EARLY_S / BIN_S))
     means = np.bincount(place, np.concatenate(left), minlength=int(EARLY_S / BIN_S)) / np.maximum(count, 1)
@@ -131,8 +133,8 @@ def _over_time(fit: Fit, sessions: Sequence[int]) -> tuple[Array, Array]:
 
 
 def _draw_starts(path: Path, winter: Tried, begun: Sequence[Start]) -> None:
-    cold = [i for i, s in enumerate(begun) if s.stood_h > COLD_AFTER_H]
-    warm = [i for i, s in enumerate(begun) if s.stood_h <= COLD_AFTER_H]
+    cold = [i for i, s in enumerate(begun) if s.cold]
+    warm = [i for i, s in enumerate(begun) if not s.cold]
     with picture(path, 9.0, 3.4) as figure:
         left, right = figure.subplots(1, 2)
         for of, colour, what in ((cold, BLUE, "a night or a day"), (warm, ORANGE, "a short stop")):
@@ -143,8 +145,10 @@ def _draw_starts(path: Path, winter: Tried, begun: Sequence[Start]) -> None:
         left.set_ylabel("measured less expected torque [Nm]")
         left.legend()
         for s in begun:
-            colour = BLUE if s.stood_h > COLD_AFTER_H else ORANGE
-            right.errorbar(max(s.stood_h, 0.03), s.state, yerr=1.96 * s.std, fmt="o", markersize=4, color=colour, linewidth=1.0)
+            colour = BLUE if s.cold else ORANGE
+            right.errorbar(
+                max(s.stood_h, LEAST_SHOWN_H), s.state, yerr=NORMAL_95 * s.std, fmt="o", markersize=4, color=colour, linewidth=1.0
+            )
         right.set_xscale("log")
         right.set_xlabel("time it had stood [h]")
         right.set_ylabel("start state, 0 warm, 1 cold (95 %)")
@@ -170,8 +174,7 @@ def _draw_turning(path: Path, grass: Tried) -> None:
         resists = [way * torque for torque in (session.torque, base.torque, final.torque)]
         rows.append((np.abs(session.yaw_rate)[at], resists[0][at], resists[1][at], resists[2][at]))
     yaw, *torques = (np.concatenate(column) for column in zip(*rows, strict=True))
-    edges = np.unique(np.quantile(yaw, np.linspace(0.0, 1.0, YAW_BINS + 1)))
-    place = np.clip(np.searchsorted(edges, yaw, side="right") - 1, 0, len(edges) - 2)
+    _, place = evenly_filled(yaw, YAW_BINS)
     count = np.bincount(place)
     middle = np.bincount(place, yaw) / count
     with picture(path, 6.0, 3.4) as figure:

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.diagnosis.locate import evenly_filled
 from trackres_ros.proof.answers import BASELINES, Answer, of_names, of_report
 from trackres_ros.proof.baselines import by_trees
 from trackres_ros.proof.cases import CATALOGUE, Case, sealed
@@ -86,8 +87,7 @@ def _where(folder: Path, case: Case, report: dict[str, Any]) -> tuple[float, flo
     variable = regime[0]["variable"]
     over = truth[f"over/{variable}"]
     inside = (over >= regime[0]["lo"]) & (over <= regime[0]["hi"])
-    edges = np.unique(np.quantile(over, np.linspace(0.0, 1.0, BINS + 1)))
-    place = np.clip(np.searchsorted(edges, over, side="right") - 1, 0, max(len(edges) - 2, 0))
+    _, place = evenly_filled(over, BINS)
     means = np.bincount(place, weights=added) / np.maximum(np.bincount(place), 1)
     return overlap, _common((means >= ACTING_SHARE * means.max())[place], inside)
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.diagnose import Diagnosis
 from trackres_ros.diagnosis.fitting import Fit
-from trackres_ros.diagnosis.locate import VARIABLES, against_travel
+from trackres_ros.diagnosis.locate import VARIABLES, against_travel, evenly_filled
 from trackres_ros.diagnosis.regimes import Bin
 from trackres_ros.diagnosis.session import Session
 from trackres_ros.diagnosis.verdict import Found
@@ -178,8 +178,7 @@ def _partial(d: Diagnosis, found: Found, path: Path) -> Picture:
     unit, of = VARIABLES[found.acts.variable]
     label = f"{found.acts.variable} [{unit}]"
     x = np.concatenate([of(s, p.belt) for s, p in zip(d.sessions, fit.predicted, strict=True)])[used]
-    edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, SHOWN_BINS + 1)))
-    place = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, max(len(edges) - 2, 0))
+    _, place = evenly_filled(x, SHOWN_BINS)
     count = np.bincount(place)
     middle, term, left = (np.bincount(place, weights=w) / np.maximum(count, 1) for w in (x, adds, adds + residual))
     spread = np.sqrt(np.bincount(place, weights=(residual - (left - term)[place]) ** 2) / np.maximum(count, 1))
