@@ -256,6 +256,16 @@ def test_what_was_sent_before_a_speed_counts_for_it_whatever_comes_first(desk):
     assert d.app.overview().values["weight_n"] == pytest.approx(300e3)
 
 
+def test_what_waits_for_a_speed_is_counted_when_the_node_ends(desk):
+    d = desk()
+    load = next(i for i, given in enumerate(d.app.inputs) if "load" in given.roles)
+    d.drive(1.0)
+    before = sum(number for name, _, number in d.app.session.counts() if name == "load")
+    d.app.receive_values(load, None, [300e3], sent_ns=d.now_ns())
+    d.app.close()
+    assert sum(number for name, _, number in d.app.session.counts() if name == "load") == before + 1
+
+
 def test_a_fault_inside_is_said_and_does_not_silence_the_outputs(desk, monkeypatch):
     d = desk()
     d.drive(1.0)

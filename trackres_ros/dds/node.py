@@ -120,7 +120,6 @@ class DdsNode:
         self.log(Level.OK, f"{application.vehicle.title}; {application.began_with}")
         application.activate()
         wait = self._participant.waiter()
-        inputs = list(zip(range(len(self._readers)), self._readers, self._input_readers, strict=True))
         next_tick = time.monotonic_ns()
         while not self._stop:
             left = next_tick - time.monotonic_ns()
@@ -130,8 +129,10 @@ class DdsNode:
                 for raw, _ in self._clock.take():
                     with suppress(MalformedError):
                         self._set_clock(clock_ns(raw))
-            for index, reader, message in inputs:
-                for raw, sent_ns in reader.take():
+            # Looked at from the last, which feeds the speed: then whatever was sent before a speed is there with it.
+            taken = [reader.take() for reader in reversed(self._readers)]
+            for index, message in enumerate(self._input_readers):
+                for raw, sent_ns in taken.pop():
                     try:
                         stamp_ns, values = message.read(raw)
                     except MalformedError:

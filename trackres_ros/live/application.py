@@ -351,6 +351,7 @@ class Application:
     def close(self) -> str:
         """Save the state and end what runs beside; what was done, in words."""
         self.deactivate()
+        self._work_off([True] * len(self._waiting))
         self._warm_up.close()
         counted = ", ".join(f"{name} {count.name.lower()} {number}" for name, count, number in self.session.counts())
         self._edge.log(Level.OK, f"messages: {counted or 'none'}")

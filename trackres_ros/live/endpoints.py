@@ -49,7 +49,8 @@ class InputTopic:
 def input_topics(topics: Topics) -> tuple[InputTopic, ...]:
     """All topics to subscribe to; those that feed a speed last.
 
-    Where messages wait on several topics, an edge takes them in this order: what a speed is to be computed with comes first.
+    Where messages wait on several topics, an edge hands them over in this order: what a speed is to be computed with comes
+    first.
     """
     by_name: dict[tuple[str, str], list[str]] = {}
     for role in topics:

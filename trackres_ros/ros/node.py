@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
@@ -27,7 +27,10 @@ from trackres_ros.ros.messages import Fill, diagnostic_array, input_type, prepar
 SECOND_NS = 1_000_000_000
 COLLECTED_FROM_HZ = 20.0  # of the outputs: the inputs' queues hold what comes between two of them, at 1 kHz too
 
-MOST_COLLECTED = 1000  # of a topic at a tick, so that a flood does not keep the tick itself from coming
+MOST_COLLECTED = 1000  # of a topic at a time, so that a flood does not keep the tick from coming
+
+Taken = tuple[Any, dict[str, int]]
+"""A message and what the middleware says about it."""
 
 
 class Counter(CallbackGroup):  # type: ignore[misc]
@@ -163,12 +166,11 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
             self._outputs.append(self.create_lifecycle_publisher(kind, name, profile, event_callbacks=events))
         self._input_profile = _profile(input_quality(parameters))
         self._inbox = Inbox()
-        self._takers = [self._taker(index) for index in range(len(application.inputs))]
         self._inputs = [
             self.create_subscription(
                 kind,
                 given.name,
-                self._takers[index],
+                self._taker(index),
                 self._input_profile,
                 callback_group=self._inbox,
                 event_callbacks=SubscriptionEventCallbacks(
@@ -255,12 +257,9 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
     # What ROS calls
 
     def _taker(self, index: int) -> Callable[[Any, dict[str, int]], None]:
-        application = self.application
-        assert application
-
         def take(message: Any, about: dict[str, int]) -> None:
             self._counter.open = False
-            application.receive(index, message, about["source_timestamp"])
+            self._collect(index, (message, about))
 
         return take
 
@@ -271,15 +270,21 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         if self.application:
             self.application.tick()
 
-    def _collect(self) -> None:
-        """Take the messages that have come since the last tick."""
-        for given, take in zip(self._inputs, self._takers, strict=True):
-            with given.handle:
-                for _ in range(MOST_COLLECTED):
-                    taken = given.handle.take_message(given.msg_type, given.raw)
-                    if taken is None:
-                        break
-                    take(*taken)
+    def _collect(self, first_of: int | None = None, *first: Taken) -> None:
+        """Hand over the messages that have come, behind those of a topic that were taken already.
+
+        The topics are looked at from the last to the first and handed over from the first to the last. The last feeds the speed,
+        so whatever was sent before a speed is there when the speed is handed over. Looked at in turn, a load could come just
+        after its topic was found empty, and the speed sent after it just before its own was.
+        """
+        assert self.application
+        taken: list[list[Taken]] = [[] for _ in self._inputs]
+        for index in reversed(range(len(self._inputs))):
+            taken[index].extend(first if index == first_of else ())
+            taken[index].extend(_come(self._inputs[index]))
+        for index, messages in enumerate(taken):
+            for message, about in messages:
+                self.application.receive(index, message, about["source_timestamp"])
 
     def _wait_or_collect(self, application: Application) -> None:
         """Wait for messages where they are answered, or where simulated time stamps their arrival and runs fast."""
@@ -327,6 +332,16 @@ class _Always(CallbackGroup):  # type: ignore[misc]
 
     def ending_execution(self, entity: Any) -> None:
         pass
+
+
+def _come(given: Any) -> Iterator[Taken]:
+    """Take what waits in a subscription."""
+    with given.handle:
+        for _ in range(MOST_COLLECTED):
+            taken = given.handle.take_message(given.msg_type, given.raw)
+            if taken is None:
+                return
+            yield taken
 
 
 def _profile(quality: Quality) -> QoSProfile:
