@@ -6,7 +6,11 @@ from trackres_ros.effects.effect import Conditions, Effect, Number, Parameter, T
 
 
 class Payne(Effect):
-    """Kraus' form E'' = E''_inf + 2 dE'' x^p/(1 + x^2p), x the strain over its critical one, that goes as load^(2/3)."""
+    """Kraus' form E'' = E''_inf + 2 dE'' x^p/(1 + x^2p), x the strain over its critical one, that goes as load^(2/3).
+
+    What the base model knows is the loss at nominal load; the form stands relative to it. So it is positive for every height, and
+    steepest, as load^0.4, where the peak is all there is.
+    """
 
     name = "payne"
     acts_on = "heat"
@@ -14,15 +18,15 @@ class Payne(Effect):
     needs = ("speed", "weight")
     belt_only = True
     parameters = (
-        Parameter("height", "1", 0.0, 0.6, 0.2, "of the peak over strain, as a share of the loss", off=0.0),
+        Parameter("height", "1", 0.0, 10.0, 1.0, "of the peak over strain, dE'' over E''_inf", off=0.0),
         Parameter("strain", "1", 0.1, 10.0, 0.5, "at nominal load, over the one at the peak", more_starts=(2.0,)),
     )
     EXPONENT = 0.6
 
     def terms(self, at: Conditions, p: Values) -> Terms:
-        at_load = self._peak(p["strain"] * (at.weight / at.facts.weight) ** (2.0 / 3.0))
-        return Terms(loss_factor=1.0 + p["height"] * (at_load - self._peak(p["strain"])))
+        at_load = self._loss(p, p["strain"] * (at.weight / at.facts.weight) ** (2.0 / 3.0))
+        return Terms(loss_factor=at_load / self._loss(p, p["strain"]))
 
-    def _peak(self, strain: Number) -> Number:
+    def _loss(self, p: Values, strain: Number) -> Number:
         power = strain**self.EXPONENT
-        return 2.0 * power / (1.0 + power * power)
+        return 1.0 + p["height"] * 2.0 * power / (1.0 + power * power)
