@@ -24,7 +24,7 @@ from trackres_ros.live.outlet import Outlet
 from trackres_ros.live.remarks import Remark, level_of
 from trackres_ros.live.report import Overview, overview, statuses
 from trackres_ros.live.state_keeper import StateKeeper, state_path
-from trackres_ros.live.warm_up import WarmUp
+from trackres_ros.live.warm_up import WarmUp, exercise
 from trackres_ros.live.watch import Watch
 from trackres_ros.parameters import Parameters
 from trackres_ros.resources import config_dir, find_vehicle
@@ -83,6 +83,7 @@ class Application:
         settings = settings_for(parameters.settings(), self.topics)
         self._warm_up = WarmUp(str(vehicle_file))
         self.estimator = Estimator(self.vehicle, settings, entries=self._warm_up.first)
+        exercise(self.estimator)  # loading what is compiled takes a third of a second, which the first message need not wait
         self.inputs = input_topics(self.topics)
         self.outputs = live_topics(self.vehicle, self.topics)
         self.mismatch = MismatchDetector(parameters.mismatch())

@@ -13,6 +13,7 @@ from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallba
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible
+from rclpy.subscription import Subscription
 from std_srvs.srv import Trigger
 
 from trackres_ros.errors import InputError
@@ -37,16 +38,17 @@ class Counter(CallbackGroup):  # type: ignore[misc]
     """Services and events wait here while messages pass, and are served after the next tick.
 
     rclpy builds its wait set anew for each message, out of every entity that may run: with dozens of services and event
-    handlers in it that takes longer than the estimate itself.
+    handlers in it that takes longer than the estimate itself. The one subscription here is rclpy's own, of /clock, and passes
+    with the messages: it is their time.
     """
 
     def __init__(self) -> None:
         super().__init__()
         self.open = True
 
-    def can_execute(self, entity: Any) -> bool:  # noqa: ARG002 - alike for all
-        """Whether the counter is open."""
-        return self.open
+    def can_execute(self, entity: Any) -> bool:
+        """Whether the counter is open, or need not be."""
+        return self.open or isinstance(entity, Subscription)
 
     def beginning_execution(self, entity: Any) -> bool:  # noqa: ARG002
         """Executors with one thread need no more."""
