@@ -13,7 +13,7 @@ else:
     sys.path.insert(0, str(Path(__file__).parents[1] / "processes"))
     import peer
 
-DOMAIN = 73
+    DOMAIN = peer.domain_of_worker(73)
 
 
 @pytest.fixture

@@ -18,8 +18,9 @@ else:
     sys.path.insert(0, str(Path(__file__).parent))
     import peer
 
+    DOMAIN = peer.domain_of_worker(71)
+
 HERE = Path(__file__).parent
-DOMAIN = 71
 WITHIN_S = 30.0
 FEEDFORWARD_LIMIT_NM = 0.1 * 272000 * 0.4
 WRENCH, JOINTS = "geometry_msgs/msg/WrenchStamped", "sensor_msgs/msg/JointState"

@@ -34,6 +34,11 @@ ANY = SampleState.Any | ViewState.Any | InstanceState.Any
 _structs, _domains = {}, {}
 
 
+def domain_of_worker(first):
+    """A domain for tests that run beside others: `first`, or one further on for each further worker of pytest-xdist."""
+    return first + 10 * int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
+
+
 def struct_of(kind):
     """Cyclone's type of a message."""
     if kind not in _structs:

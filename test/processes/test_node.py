@@ -130,8 +130,10 @@ def test_a_bag_that_loops_starts_anew_each_time(simulated):
 
 
 def test_publisher_node_and_subscriber_are_three_processes(node, edge, tmp_path):
+    from conftest import DOMAIN
+
     n = node(output_rate_hz=0.0)
-    environment = {**os.environ, "ROS_DOMAIN_ID": "71"}
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(DOMAIN)}
     kind = "geometry_msgs/msg/TwistStamped"
     topics = [f"{n.base.rpartition('/')[0]}/speed", f"{n.base}/feedforward_torque"]
     commands = {"publish": [topics[0], kind], "listen": [topics[1], "geometry_msgs/msg/WrenchStamped"]}

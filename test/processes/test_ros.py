@@ -10,6 +10,7 @@ import time
 import numpy as np
 import pytest
 from conftest import environment, why_not
+from peer import domain_of_worker
 
 if why_not("ros"):
     pytest.skip(why_not("ros"), allow_module_level=True)
@@ -17,14 +18,15 @@ ROS2 = shutil.which("ros2")
 if not ROS2:
     pytest.skip("the command ros2 is not on the PATH", allow_module_level=True)
 PLAYER = "/rosbag2_player"
+DOMAIN = str(domain_of_worker(72))
 
 
 class Shell:
     """Runs commands in one environment and ends what it started."""
 
-    def __init__(self, folder, rmw, domain="72"):
+    def __init__(self, folder, rmw):
         self.folder, self.running = folder, []
-        self.environment = {**environment(rmw, folder), "ROS_DOMAIN_ID": domain, "ROS_LOG_DIR": str(folder / "log")}
+        self.environment = {**environment(rmw, folder), "ROS_DOMAIN_ID": DOMAIN, "ROS_LOG_DIR": str(folder / "log")}
 
     def ros2(self, *arguments, within_s=30.0, check=True):
         """Output of a `ros2` command."""
