@@ -103,6 +103,20 @@ def test_friction_turns_with_the_direction_and_vanishes_at_rest(name):
     assert float(still.torque) == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.parametrize("strain", [0.1, 1.0, 10.0])
+def test_a_loss_that_depends_on_strain_is_positive_and_as_steep_as_its_peak(strain):
+    payne, nominal = CATALOGUE["payne"], conditions().facts.weight
+    shares = np.linspace(0.5, 1.5, 21)
+    loss = payne.terms(conditions(weight=nominal * shares), {"height": 10.0, "strain": strain}).loss_factor
+    assert loss[10] == pytest.approx(1.0, abs=1e-15)
+    assert np.all(loss > 0.0)
+    # Kraus' peak goes as strain^(+-p) far from itself, and strain as load^(2/3); the loss beside the peak holds it back.
+    slope = np.diff(np.log(loss)) / np.diff(np.log(shares))
+    assert np.all(np.abs(slope) < 2.0 * payne.EXPONENT / 3.0)
+    # Known of filled rubber: a fifth to a third of the hysteresis over the loads driven.
+    assert (np.ptp(loss) > 0.2) == (strain != 1.0)
+
+
 def test_terms_add_and_multiply_and_two_sinks_are_one_between_them():
     both = together(
         [

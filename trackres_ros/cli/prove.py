@@ -16,7 +16,7 @@ from trackres_ros.errors import InputError, MissingExtraError
 
 MINUTES = 15.0
 QUICK_MINUTES = 12.0
-REPORTED_SEED = 20260202
+REPORTED_SEED = 20260303
 FOLLOWED, QUICK_FOLLOWED = 40, 8  # cases in which what was advised is driven
 FOLDERS = ("cases", "results", "next", "results_next", "sealed")
 
