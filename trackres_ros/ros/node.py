@@ -261,31 +261,30 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
     def _taker(self, index: int) -> Callable[[Any, dict[str, int]], None]:
         def take(message: Any, about: dict[str, int]) -> None:
             self._counter.open = False
-            self._collect(index, (message, about))
+            self._collect({index: [(message, about)]})
 
         return take
 
     def _tick(self) -> None:
-        if self.application and not self._inbox.waited_for:
-            self._collect()
+        if not self._inbox.waited_for:
+            self._collect({})
         self._counter.open = True
         if self.application:
             self.application.tick()
 
-    def _collect(self, first_of: int | None = None, *first: Taken) -> None:
+    def _collect(self, taken: dict[int, list[Taken]]) -> None:
         """Hand over the messages that have come, behind those of a topic that were taken already.
 
         The topics are looked at from the last to the first and handed over from the first to the last. The last feeds the speed,
         so whatever was sent before a speed is there when the speed is handed over. Looked at in turn, a load could come just
         after its topic was found empty, and the speed sent after it just before its own was.
         """
-        assert self.application
-        taken: list[list[Taken]] = [[] for _ in self._inputs]
+        if self.application is None:
+            return
         for index in reversed(range(len(self._inputs))):
-            taken[index].extend(first if index == first_of else ())
-            taken[index].extend(_come(self._inputs[index]))
-        for index, messages in enumerate(taken):
-            for message, about in messages:
+            taken.setdefault(index, []).extend(_come(self._inputs[index]))
+        for index in range(len(self._inputs)):
+            for message, about in taken[index]:
                 self.application.receive(index, message, about["source_timestamp"])
 
     def _wait_or_collect(self, application: Application) -> None:
