@@ -51,7 +51,7 @@ def test_it_names_what_was_left_out_and_how_large_it_is(scrubbed):
     assert effect["name"] == "turning_scrub"
     low, high = effect["parameters"]["friction"]["ci95"]
     assert low < 0.3 < high
-    assert high - low < 0.45 * 0.3  # a fifth either way for the function, and a little for the noise
+    assert 0.38 * 0.3 < high - low < 0.45 * 0.3  # a fifth either way for the function, and a little for the noise
     assert effect["evidence"]["stability"] >= 0.8
     assert found["verdict"]["sentence"] in done.output
     assert any(r["variable"] == "yaw rate" for r in effect["where"]["regime"])

@@ -34,7 +34,26 @@ Taken = tuple[Any, dict[str, int]]
 """A message and what the middleware says about it."""
 
 
-class Counter(CallbackGroup):  # type: ignore[misc]
+class Gate(CallbackGroup):  # type: ignore[misc]
+    """What is behind it runs while it is open; with one thread an executor need know no more."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open = True
+
+    def can_execute(self, entity: Any) -> bool:  # noqa: ARG002 - alike for all
+        """Whether the executor is to wait for it, or run it."""
+        return self.open
+
+    def beginning_execution(self, entity: Any) -> bool:  # noqa: ARG002
+        """Nothing else runs meanwhile."""
+        return True
+
+    def ending_execution(self, entity: Any) -> None:
+        """Nothing is held."""
+
+
+class Counter(Gate):
     """Services and events wait here while messages pass, and are served after the next tick.
 
     rclpy builds its wait set anew for each message, out of every entity that may run: with dozens of services and event
@@ -42,43 +61,9 @@ class Counter(CallbackGroup):  # type: ignore[misc]
     with the messages: it is their time.
     """
 
-    def __init__(self) -> None:
-        super().__init__()
-        self.open = True
-
     def can_execute(self, entity: Any) -> bool:
-        """Whether the counter is open, or need not be."""
+        """Whether it is open, or need not be."""
         return self.open or isinstance(entity, Subscription)
-
-    def beginning_execution(self, entity: Any) -> bool:  # noqa: ARG002
-        """Executors with one thread need no more."""
-        return True
-
-    def ending_execution(self, entity: Any) -> None:
-        """Nothing is held."""
-
-
-class Inbox(CallbackGroup):  # type: ignore[misc]
-    """Whether the executor waits for messages, or each tick takes what has come.
-
-    Outputs at a fixed rate change at a tick only. So nothing is lost by taking the messages there, and rclpy, for which
-    waiting for one message is half the work of it all, waits half as often.
-    """
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.waited_for = True
-
-    def can_execute(self, entity: Any) -> bool:  # noqa: ARG002
-        """Whether the executor is to wait for messages."""
-        return self.waited_for
-
-    def beginning_execution(self, entity: Any) -> bool:  # noqa: ARG002
-        """Executors with one thread need no more."""
-        return True
-
-    def ending_execution(self, entity: Any) -> None:
-        """Nothing is held."""
 
 
 class EstimatorNode(LifecycleNode):  # type: ignore[misc]
@@ -167,7 +152,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
             kind = kind or type(fill(0, [0.0] * max(len(topic.columns), 1)))  # type: ignore[misc]
             self._outputs.append(self.create_lifecycle_publisher(kind, name, profile, event_callbacks=events))
         self._input_profile = _profile(input_quality(parameters))
-        self._inbox = Inbox()
+        self._inbox = Gate()
         self._inputs = [
             self.create_subscription(
                 kind,
@@ -191,7 +176,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
             post_callback=lambda _: application.time_went_back(),
         )
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._ticker = self.create_timer(application.period_s, self._tick, callback_group=_Always(), clock=self._steady)
+        self._ticker = self.create_timer(application.period_s, self._tick, callback_group=Gate(), clock=self._steady)
         self._wait_or_collect(application)
         self.get_logger().info(f"{application.vehicle.title}; {application.began_with}")
 
@@ -266,7 +251,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         return take
 
     def _tick(self) -> None:
-        if not self._inbox.waited_for:
+        if not self._inbox.open:
             self._collect({})
         self._counter.open = True
         if self.application:
@@ -288,9 +273,13 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
                 self.application.receive(index, message, about["source_timestamp"])
 
     def _wait_or_collect(self, application: Application) -> None:
-        """Wait for messages where they are answered, or where simulated time stamps their arrival and runs fast."""
+        """Wait for messages where they are answered, or where simulated time stamps their arrival and runs fast.
+
+        Elsewhere each tick takes what has come. Outputs at a fixed rate change at a tick only, so nothing is lost by that, and
+        rclpy, for which waiting for one message is half the work of it all, waits half as often.
+        """
         rate_hz = application.parameters.number("output_rate_hz")
-        self._inbox.waited_for = rate_hz < COLLECTED_FROM_HZ or application.parameters.sim_time
+        self._inbox.open = rate_hz < COLLECTED_FROM_HZ or application.parameters.sim_time
 
     def _server(self, what: Callable[[], str]) -> Callable[[Any, Any], Any]:
         def serve(_request: Any, response: Any) -> Any:
@@ -320,19 +309,6 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
             period_ns = int(self.application.period_s * SECOND_NS)
             if self._ticker.timer_period_ns != period_ns:
                 self._ticker.timer_period_ns = period_ns
-
-
-class _Always(CallbackGroup):  # type: ignore[misc]
-    """May always run: there is one thread."""
-
-    def can_execute(self, entity: Any) -> bool:  # noqa: ARG002
-        return True
-
-    def beginning_execution(self, entity: Any) -> bool:  # noqa: ARG002
-        return True
-
-    def ending_execution(self, entity: Any) -> None:
-        pass
 
 
 def _come(given: Any) -> Iterator[Taken]:
