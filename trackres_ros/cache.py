@@ -27,7 +27,7 @@ def usable(folder: Path | None) -> Path | None:
     if folder is None:
         _say("there is no home folder")
         return None
-    folder = Path(os.path.abspath(folder))
+    folder = folder.absolute()
     reason = _made(folder) or why_not(folder)
     if reason:
         _say(reason)
@@ -71,7 +71,7 @@ def drop(folder: Path, name: str) -> None:
 
 def why_not(folder: Path) -> str:
     """Why another user could write what is read from a folder; empty if none could."""
-    real = Path(os.path.realpath(folder))
+    real = folder.resolve()
     for place in (real, *real.parents):
         try:
             found = place.stat()

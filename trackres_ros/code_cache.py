@@ -50,7 +50,7 @@ class CodeCache:
 
     def load_overload(self, signature: Any, target: Any) -> Any:
         """The compiled function for a signature, or None."""
-        from numba.core.compiler import CompileResult
+        from numba.core import compiler
 
         target.refresh()
         folder, name = self._folder(), self._name(signature, target.codegen())
@@ -58,15 +58,17 @@ class CodeCache:
         if payload is None or folder is None:
             return None
         try:
-            return CompileResult._rebuild(target, *pickle.loads(payload))  # sealed, in a folder where only we can write
+            rebuild: Callable[..., Any] = compiler.CompileResult._rebuild
+            return rebuild(target, *pickle.loads(payload))  # sealed, in a folder where only we can write
         except Exception:  # whatever it is, compiling anew mends it
             drop(folder, name)
             return None
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
         """Keep the compiled function for a signature."""
-        from numba.core.serialize import dumps
+        from numba.core import serialize
 
+        dumps: Callable[[Any], bytes] = serialize.dumps
         if self._folder() is None or compiled.lifted or compiled.library.has_dynamic_globals:
             return
         keep(self._folder(), self._name(signature, compiled.codegen), dumps(compiled._reduce()))

@@ -1,7 +1,7 @@
 """Files that this program writes for itself and reads again: none of them is trusted for its name alone.
 
-A disk fills up, power fails, another program writes there, another user does. So what is read is a regular file of a bounded size,
-what is written replaces the old one in one step, and a seal over the content shows whether it is what was written.
+A disk fills up, power fails, another program writes there, another user does. So what is read is a regular file of a bounded
+size, what is written replaces the old one in one step, and a seal over the content shows whether it is what was written.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ KINDS = {
 }
 
 
-class NotOneOfOurs(OSError):
+class NotOurFileError(OSError):
     """What stands in the place of a file of our own is something else; the text says what."""
 
 
@@ -33,25 +33,25 @@ def read(path: Path, most: int) -> bytes:
     Raises
     ------
     OSError
-        If there is none, or it cannot be read; `NotOneOfOurs` if it is not a regular file, or larger.
+        If there is none, or it cannot be read; `NotOurFileError` if it is not a regular file, or larger.
     """
     try:
-        _check(os.stat(path), most)  # before it is opened: to open a device may do something
-        with open(os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK), "rb") as file:
+        _check(path.stat(), most)  # before it is opened: to open a device may do something
+        with os.fdopen(os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK), "rb") as file:
             _check(os.fstat(file.fileno()), most)
             data = file.read(most + 1)
     except ValueError as error:  # a path with a zero byte in it
-        raise NotOneOfOurs(str(error)) from error
+        raise NotOurFileError(str(error)) from error
     if len(data) > most:
-        raise NotOneOfOurs(f"more than {most} bytes")
+        raise NotOurFileError(f"more than {most} bytes")
     return data
 
 
 def _check(found: os.stat_result, most: int) -> None:
     if not stat.S_ISREG(found.st_mode):
-        raise NotOneOfOurs(KINDS.get(stat.S_IFMT(found.st_mode), "not a regular file"))
+        raise NotOurFileError(KINDS.get(stat.S_IFMT(found.st_mode), "not a regular file"))
     if found.st_size > most:
-        raise NotOneOfOurs(f"{found.st_size} bytes, and no file of this kind has more than {most}")
+        raise NotOurFileError(f"{found.st_size} bytes, and no file of this kind has more than {most}")
 
 
 def write(path: Path, data: bytes) -> None:
@@ -64,7 +64,7 @@ def write(path: Path, data: bytes) -> None:
         there would destroy a device or a pipe.
     """
     if path.exists() and not path.is_file():
-        raise NotOneOfOurs(KINDS.get(stat.S_IFMT(path.stat().st_mode), "not a regular file"))
+        raise NotOurFileError(KINDS.get(stat.S_IFMT(path.stat().st_mode), "not a regular file"))
     with tempfile.NamedTemporaryFile(dir=path.parent, prefix=path.name, suffix=PART, delete=False) as file:
         try:
             file.write(data)

@@ -109,10 +109,11 @@ def taken(estimator, path, data):
     path.write_bytes(data)
     try:
         return snapshot.content(snapshot.resume(estimator, path), 1.0)
-    except InputError as refusal:
-        assert str(path) in str(refusal)
-        assert "\n" not in str(refusal)
-        return None
+    except InputError as error:
+        refusal = str(error)
+    assert str(path) in refusal
+    assert "\n" not in refusal
+    return None
 
 
 def mutated(data, random):
@@ -226,7 +227,8 @@ def test_the_command_line_refuses_each_with_one_line_and_without_waiting(tmp_pat
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "deep").write_text("[" * 100_000)
     (tmp_path / "bytes").write_bytes(b"\xff\xfe{}")
-    base = [sys.executable, "-m", "trackres_ros.cli.main", "replay", str(drive), "--vehicle", "xgd24d", "-o", str(tmp_path / "o.csv")]
+    base = [sys.executable, "-m", "trackres_ros.cli.main", "replay", str(drive), "--vehicle", "xgd24d"]
+    base += ["-o", str(tmp_path / "o.csv")]
     for name in ("pipe", "deep", "bytes", "missing"):
         done = subprocess.run([*base, "--resume", str(tmp_path / name)], capture_output=True, text=True, timeout=120, check=False)
         assert done.returncode == 2, done.stderr

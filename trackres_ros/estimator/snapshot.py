@@ -194,7 +194,7 @@ def _read(estimator: Estimator, path: Path) -> dict[str, Any]:
     if content.get("key") != key(estimator):
         raise InputError(
             where,
-            f"a state of vehicle {content['vehicle'][:80] if isinstance(content.get('vehicle'), str) else ''}, or of other values in its file",
+            f"a state of vehicle {str(content.get('vehicle'))[:80]}, or of other values in its file",
             f"a state of this very vehicle, {estimator.vehicle.name}",
             REMEDY,
         )
