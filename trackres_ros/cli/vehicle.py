@@ -140,11 +140,13 @@ def _physics(vehicle: Vehicle, name: str, model: TrackModel, table: LossTable) -
         )
     if settles > covered.hottest:
         remarks.append(
-            f"track {name}: at {chassis.max_speed * 3.6:.0f} km/h the belt settles at {settles:.0f} degC, and the data and the life "
-            f"of its rubber end at {covered.hottest:.0f} degC: hotter the status says OUTSIDE_TABLE"
+            f"track {name}: at {chassis.max_speed * 3.6:.0f} km/h the belt settles at {settles:.0f} degC, and the data or the "
+            f"life of its rubber end at {covered.hottest:.0f} degC: hotter the status says OUTSIDE_TABLE"
         )
     if strain > DEEP_STRAIN:
-        remarks.append(f"track {name}: a hot road wheel presses {strain:.0%} of the belt's thickness in: too deep for the contact model")
+        remarks.append(
+            f"track {name}: a road wheel presses {strain:.0%} of the thickness of a hot belt in: too deep for the contact model"
+        )
     physics = {
         "balance_degc": settles,
         "largest_strain": strain,
@@ -166,6 +168,7 @@ def _text(result: dict[str, Any]) -> str:
     ]
     for name, t in result["tracks"].items():
         table, doubt, data = t["table"], t["uncertainty"], t["rubber_data"]
+        ends = zip(data["speed_mps"], data["coldest_degc"], strict=True)
         lines += [
             f"Track {name}",
             "  wheel loads        " + ", ".join(f"{load:.0f}" for load in t["wheel_loads_n"]) + " N",
@@ -180,11 +183,11 @@ def _text(result: dict[str, Any]) -> str:
             f"{table['points']} points, "
             f"loads {table['load_range_n'][0] / 1e3:.1f} to {table['load_range_n'][1] / 1e3:.1f} kN, "
             f"ready in {table['seconds']:.2f} s",
-            f"  drive torque       moves the loss by at most {table['drive_torque_share']:.4%}; forward and reverse differ by at most "
-            f"{table['reverse_share']:.4%}",
+            f"  drive torque       moves the loss by at most {table['drive_torque_share']:.4%}; "
+            f"forward and reverse differ by at most {table['reverse_share']:.4%}",
             "  rubber data        cover belts of "
-            + ", ".join(f"{low:.0f} degC at {v * 3.6:.0f} km/h" for v, low in zip(data["speed_mps"], data["coldest_degc"], strict=True))
+            + ", ".join(f"{low:.0f} degC at {v * 3.6:.0f} km/h" for v, low in ends)
             + f" and warmer, to {data['hottest_degc']:.0f} degC",
-            f"  heat               in balance at {t['balance_degc']:.0f} degC at the greatest speed, nominal load and ambient temperature",
+            f"  heat               in balance at {t['balance_degc']:.0f} degC at the greatest speed and nominal load",
         ]
     return "\n".join(lines)
