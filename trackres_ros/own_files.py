@@ -6,9 +6,11 @@ size, what is written replaces the old one in one step, and a seal over the cont
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
 import stat
+import sys
 import tempfile
 from pathlib import Path
 
@@ -36,22 +38,22 @@ def read(path: Path, most: int) -> bytes:
         If there is none, or it cannot be read; `NotOurFileError` if it is not a regular file, or larger.
     """
     try:
-        _check(path.stat(), most)  # before it is opened: to open a device may do something
+        _check(path, path.stat(), most)  # before it is opened: to open a device may do something
         with os.fdopen(os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK), "rb") as file:
-            _check(os.fstat(file.fileno()), most)
+            _check(path, os.fstat(file.fileno()), most)
             data = file.read(most + 1)
     except ValueError as error:  # a path with a zero byte in it
-        raise NotOurFileError(str(error)) from error
+        raise NotOurFileError(errno.EINVAL, str(error), str(path)) from error
     if len(data) > most:
-        raise NotOurFileError(f"more than {most} bytes")
+        raise NotOurFileError(errno.EFBIG, f"more than {most} bytes", str(path))
     return data
 
 
-def _check(found: os.stat_result, most: int) -> None:
+def _check(path: Path, found: os.stat_result, most: int) -> None:
     if not stat.S_ISREG(found.st_mode):
-        raise NotOurFileError(KINDS.get(stat.S_IFMT(found.st_mode), "not a regular file"))
+        raise NotOurFileError(errno.EINVAL, KINDS.get(stat.S_IFMT(found.st_mode), "not a regular file"), str(path))
     if found.st_size > most:
-        raise NotOurFileError(f"{found.st_size} bytes, and no file of this kind has more than {most}")
+        raise NotOurFileError(errno.EFBIG, f"{found.st_size} bytes, and no file of this kind has more than {most}", str(path))
 
 
 def write(path: Path, data: bytes) -> None:
@@ -63,8 +65,8 @@ def write(path: Path, data: bytes) -> None:
         If it cannot be written; an older file is then left whole. Also if something other than a file stands there, as moving
         there would destroy a device or a pipe.
     """
-    if path.exists() and not path.is_file():
-        raise NotOurFileError(KINDS.get(stat.S_IFMT(path.stat().st_mode), "not a regular file"))
+    if path.exists():
+        _check(path, path.stat(), sys.maxsize)
     with tempfile.NamedTemporaryFile(dir=path.parent, prefix=path.name, suffix=PART, delete=False) as file:
         try:
             file.write(data)

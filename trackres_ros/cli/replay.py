@@ -81,6 +81,8 @@ def replay_command(
 
     path = output_path(output)
     if state_file:
+        if not state_file.parent.is_dir() or (state_file.exists() and not state_file.is_file()):
+            raise InputError("--save-state", str(state_file), "a file in a folder that exists")
         watch(state_file)
     if any(path.exists() and path.resolve() == given.resolve() for given in recording):
         raise InputError("-o", str(path), "another file than the recording, which it would replace")
