@@ -13,7 +13,6 @@ import pytest
 from trackres_ros import cache, own_files
 from trackres_ros import compiled as compiling
 from trackres_ros.cached import cached_arrays
-from trackres_ros.resources import cache_dir
 
 needs_numba = pytest.mark.skipif(not compiling.HAVE_NUMBA, reason="numba is not installed: nothing is compiled")
 
@@ -266,7 +265,8 @@ def test_a_simulation_without_a_cache_gives_the_same_and_says_so(warm, tmp_path,
 @pytest.mark.long
 def test_a_simulation_with_damaged_code_gives_the_same(tmp_path, repository, reference, compiled):
     kept = tmp_path / "trackres"
-    shutil.copytree(cache_dir(), kept, ignore=shutil.ignore_patterns("loss-*", "*.nb*"))
+    kept.mkdir(mode=0o700)
+    shutil.copytree(compiling.code_folder(), kept / compiling.code_folder().name)
     whole, _ = simulate(tmp_path, tmp_path / "whole.csv", repository)
     for number, damage in enumerate(("empty", "cut", "other bytes")):
         for file in kept.rglob("*.code"):
