@@ -123,7 +123,8 @@ def test_what_is_kept_is_never_worse_than_the_file_on_held_out_laps(diagnosed, l
     values = found.kept.values or {q.name: q.nominal for q in loaded.base.parameters}
     written = found.base.predict(found.sessions, values, found.kept.effects, found.final.problem.drive)
     error = np.abs(laps.measured - laps.of([p.torque for p in written])).mean()
-    assert error <= found.held_out.mae["nominal"] * (1.0 + 1e-3)  # the driving torque that effects look at is that of the last fit
+    # The driving torque that some effects look at is that of the last fit here.
+    assert error <= found.held_out.mae["nominal"] * (1.0 + 1e-3)
     assert set(found.kept.intervals) == (
         {("", name) for name in values} | {(a.effect.name, q) for a in found.kept.effects for q in a.values}
         if found.kept.values

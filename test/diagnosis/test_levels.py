@@ -23,7 +23,7 @@ def road():
 
 
 def street(seed, road, slow_nm=60.0, slow_s=120.0, quick_nm=12.0, misfit=0.06):
-    """Sessions of a car on streets: slopes that no one measured, shocks that lean to one side, a powertrain that is not linear."""
+    """Sessions of a car on streets: slopes that no one measured, shocks that lean to one side, a powertrain that is bent."""
     rng, base = np.random.default_rng(seed), road.base
     sessions = drives(base, road.known.max_speed / 2.0, TRAINED + 1, MINUTES, rng, STEP_S)
     true = {q.name: q.nominal + 0.7 * q.std for q in base.parameters}
@@ -57,7 +57,8 @@ def pairs(found):
 def robust_least_squares(problem):
     """The same base by scipy's least squares with a soft L1 loss and the file's priors, and nothing else."""
     names = [q.name for q in problem.base.parameters]
-    low, high, nominal, std = (np.array([getattr(q, a) for q in problem.base.parameters]) for a in ("low", "high", "nominal", "std"))
+    columns = ("low", "high", "nominal", "std")
+    low, high, nominal, std = (np.array([getattr(q, name) for q in problem.base.parameters]) for name in columns)
 
     def residuals(values):
         predicted = problem.predict(dict(zip(names, values, strict=True)), ())
