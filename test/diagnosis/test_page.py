@@ -24,7 +24,7 @@ def test_the_page_opens_without_an_error_or_a_network(scrubbed, tmp_path):
     assert int(seen["pictures"]) > 4
     assert seen["shown"] == seen["described"] == seen["pictures"]
     assert seen["requests"] == "0"
-    assert float(seen["mae"]) == pytest.approx(found["heldout"]["mae"]["with_effects"], rel=1e-3)
+    assert float(seen["mae"]) == pytest.approx(found["heldout"]["mae"]["with_effects"], rel=5e-3)
 
 
 SCRIPT = """<script>window.onload = () => {
