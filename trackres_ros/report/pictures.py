@@ -141,6 +141,7 @@ def _runs(session: Session, inside: Mask) -> Iterator[tuple[float, float]]:
 
 
 def draw_regimes(d: Diagnosis, path: Path) -> Picture:
+    """The mean residual by bins of each variable that varies, between the edges of the bins."""
     by_variable: dict[str, list[Bin]] = {}
     for b in d.at_base.bins:
         by_variable.setdefault(b.variable, []).append(b)
