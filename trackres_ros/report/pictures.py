@@ -72,7 +72,8 @@ def _before_after(d: Diagnosis, path: Path) -> Picture:
         upper.plot(time, before, color=BLUE, label="simulated, base re-fitted")
         if d.found:
             upper.plot(time, after, color=VERMILION, label="simulated, with the effects")
-        upper.fill_between(time, measured, before, color=ORANGE, alpha=0.35, linewidth=0, label="mismatch before")
+        mismatch = "mismatch before" if d.found else "mismatch"
+        upper.fill_between(time, measured, before, color=ORANGE, alpha=0.35, linewidth=0, label=mismatch)
         upper.set_ylabel("torque [Nm]")
         upper.set_title(f"{shortened(Path(session.name).name, TITLE_LETTERS - 40)}, a lap that was not used for fitting")
         lower.plot(time, session.speed[rows], color=GREY)
@@ -82,8 +83,8 @@ def _before_after(d: Diagnosis, path: Path) -> Picture:
     return Picture(
         path,
         "Measured against simulated",
-        f"Torque over time on a held-out lap: the mean error is {decimals(error[0])} Nm before"
-        f"{f' and {decimals(error[1])} Nm with {_listed(d)}' if d.found else ''}.",
+        f"Torque over time on a held-out lap: the mean error is {decimals(error[0])} Nm"
+        f"{f' before and {decimals(error[1])} Nm with {_listed(d)}' if d.found else ''}.",
     )
 
 
