@@ -82,7 +82,7 @@ def line(seen: Overview) -> str:
     coldest, hottest = decimals(min(belts), 1), decimals(max(belts), 1)
     return (
         f"{_time(seen)}  {decimals(value['speed_mps'] * KMH, 1):>5} km/h  "
-        f"resistance {decimals(value['resistance_torque_nm']):>6} +- {value['resistance_std_nm']:.0f} Nm  "
+        f"resistance {decimals(value['resistance_torque_nm']):>6} +- {decimals(value['resistance_std_nm'])} Nm  "
         f"feed-forward {decimals(value['feedforward_torque_nm'] * seen.left):>6} Nm  "
         f"belts {coldest} to {hottest} degC  {seen.level.name}: {seen.message}"
     )
@@ -113,7 +113,7 @@ def _torques(seen: Overview) -> Table:
         if name not in ("total", "drive"):
             shown.add_row(name, decimals(seen.values[column]))
     std = seen.values["resistance_std_nm"]
-    shown.add_row("[b]resistance[/b] (first three)", f"[b]{decimals(seen.values['resistance_torque_nm'])}[/b] +- {std:.0f}")
+    shown.add_row("[b]resistance[/b] (first three)", f"[b]{decimals(seen.values['resistance_torque_nm'])}[/b] +- {decimals(std)}")
     shown.add_row("[b]feed-forward[/b]", f"[b]{decimals(seen.values['feedforward_torque_nm'] * seen.left)}[/b]")
     return shown
 
@@ -125,8 +125,8 @@ def _belts(seen: Overview) -> Table:
         shown.add_column(name, justify="right")
     for name in seen.assemblies:
         of = {column: seen.values[f"{column}/{name}"] for column in ("belt_degc", "belt_std_k", "load_n", "resistance_torque_nm")}
-        belt = f"{decimals(of['belt_degc'], 1)} +- {of['belt_std_k']:.1f}"
-        shown.add_row(name, belt, f"{of['load_n'] / 1e3:.1f}", decimals(of["resistance_torque_nm"]))
+        belt = f"{decimals(of['belt_degc'], 1)} +- {decimals(of['belt_std_k'], 1)}"
+        shown.add_row(name, belt, decimals(of["load_n"] / 1e3, 1), decimals(of["resistance_torque_nm"]))
     return shown
 
 
