@@ -75,7 +75,7 @@ def test_laps_without_a_sample_are_refused(loaded):
 
 
 @pytest.fixture(scope="module")
-def diagnosed(recorded, loaded):
+def diagnoses(recorded, loaded):
     """Diagnoses of recordings with effects; the same ones are made once."""
     made = {}
 
@@ -116,8 +116,8 @@ def test_what_only_the_fitted_laps_have_is_not_written(run, pumped, tmp_path, lo
 
 
 @pytest.mark.parametrize("names", [(), ("turning_scrub",), ("turning_scrub", "torque_offset")])
-def test_what_is_kept_is_never_worse_than_the_file_on_held_out_laps(diagnosed, loaded, names):
-    found = diagnosed(*names)
+def test_what_is_kept_is_never_worse_than_the_file_on_held_out_laps(diagnoses, loaded, names):
+    found = diagnoses(*names)
     masks = [found.split.held_out_mask(s) for s in found.sessions]
     laps = HeldOutLaps(found.sessions, masks, np.random.default_rng(1))
     values = found.kept.values or {q.name: q.nominal for q in loaded.base.parameters}
@@ -132,17 +132,17 @@ def test_what_is_kept_is_never_worse_than_the_file_on_held_out_laps(diagnosed, l
     )
 
 
-def test_each_of_two_effects_is_graded_by_itself(diagnosed):
-    found = diagnosed("turning_scrub", "torque_offset")
+def test_each_of_two_effects_is_graded_by_itself(diagnoses):
+    found = diagnoses("turning_scrub", "torque_offset")
     graded = {f.name: f.graded for f in found.found}
     assert graded["turning_scrub"].grade == CONFIRMED
     for g in graded.values():
         assert g.improvement.after == pytest.approx(found.held_out.mae["with_effects"])
 
 
-def test_an_effect_that_held_out_laps_refute_is_left_out(diagnosed, effects):
+def test_an_effect_that_held_out_laps_refute_is_left_out(diagnoses, effects):
     """The scrub is real; an efficiency that no lap has is forced into the fit and must go."""
-    sound = diagnosed("turning_scrub")
+    sound = diagnoses("turning_scrub")
     laps = HeldOutLaps(
         sound.sessions, [sound.split.held_out_mask(s) for s in sound.sessions], np.random.default_rng(1)
     )
@@ -169,17 +169,17 @@ def test_a_name_on_a_bound_is_at_best_suspected(run, recorded, tmp_path):
     assert all(e["grade"] != CONFIRMED and e["name"] not in found["written"]["effects"] for e in on_bounds)
 
 
-def test_every_verdict_says_whether_it_is_confirmed(diagnosed):
+def test_every_verdict_says_whether_it_is_confirmed(diagnoses):
     for names in ((), ("turning_scrub",), ("grade_profile",)):
-        verdict = diagnosed(*names).verdict
+        verdict = diagnoses(*names).verdict
         assert isinstance(verdict, Verdict)
         assert verdict.grade in (CONFIRMED, SUSPECTED, REFUTED)
         if verdict.names:
             assert ("Confirmed" in verdict.sentence) == (verdict.grade == CONFIRMED)
 
 
-def test_a_tilted_plane_takes_more_one_way_and_less_the_other(diagnosed, loaded):
-    found = diagnosed("grade_profile")
+def test_a_tilted_plane_takes_more_one_way_and_less_the_other(diagnoses, loaded):
+    found = diagnoses("grade_profile")
     (effect,) = found.found
     assert effect.acts.variable == "heading"
     most = 0.014 * loaded.base.facts.weight * loaded.base.facts.radius  # both slopes of a hundredth
@@ -191,9 +191,9 @@ def test_a_tilted_plane_takes_more_one_way_and_less_the_other(diagnosed, loaded)
 
 @pytest.mark.long
 @pytest.mark.parametrize("names", [(), ("turning_scrub",)])
-def test_the_seed_does_not_decide(diagnosed, names):
+def test_the_seed_does_not_decide(diagnoses, names):
     said = {
         (found.verdict.status, found.verdict.grade, tuple(f.step.members for f in found.found))
-        for found in (diagnosed(*names, seed=seed) for seed in (1, 2, 3))
+        for found in (diagnoses(*names, seed=seed) for seed in (1, 2, 3))
     }
     assert len(said) == 1

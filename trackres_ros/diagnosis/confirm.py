@@ -13,6 +13,7 @@ from trackres_ros.diagnosis.held_out import CONFIRMED, REFUTED, SUSPECTED, HeldO
 from trackres_ros.diagnosis.intervals import Interval, intervals
 from trackres_ros.diagnosis.levels import with_levels
 from trackres_ros.effects.effect import Active
+from trackres_ros.shown import figures
 
 Array = NDArray[np.float64]
 
@@ -118,9 +119,9 @@ def keep(
             found = bounds if model is final else intervals(model)
             of_effects = ", ".join(a.effect.name for a in model.effects)
             what = f"the base's values and {of_effects}" if of_effects else "the base's values"
-            error = f"the mean error on laps not used for fitting is {after:.3g} Nm, {before:.3g} Nm with the file as it was"
+            error = f"the mean error on laps not used for fitting is {figures(after)} Nm, {figures(before)} Nm with the old one"
             return Kept(dict(model.base_values), model.effects, found, f"written: {what}; {error}")
-    why = f"as no re-fit has a smaller error on laps not used for fitting than they, {before:.3g} Nm"
+    why = f"as no re-fit has a smaller error on laps not used for fitting than they, {figures(before)} Nm"
     return Kept(None, (), {}, f"written: the file's own values, {why}")
 
 

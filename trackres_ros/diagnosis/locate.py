@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from trackres_ros.diagnosis.fitting import Fit
 from trackres_ros.diagnosis.regimes import Bin, RegimeMap
 from trackres_ros.diagnosis.session import Session
+from trackres_ros.shown import figures
 
 Array = NDArray[np.float64]
 
@@ -128,10 +129,10 @@ class Acts:
         if from_start and to_end:
             return ""
         if to_end:
-            return f"above {self.low:.3g} {self.unit} of {self.variable}"
+            return f"above {figures(self.low)} {self.unit} of {self.variable}"
         if from_start:
-            return f"below {self.high:.3g} {self.unit} of {self.variable}"
-        return f"from {self.low:.3g} to {self.high:.3g} {self.unit} of {self.variable}"
+            return f"below {figures(self.high)} {self.unit} of {self.variable}"
+        return f"from {figures(self.low)} to {figures(self.high)} {self.unit} of {self.variable}"
 
     @property
     def both_ways(self) -> bool:

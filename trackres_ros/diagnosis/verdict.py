@@ -18,6 +18,7 @@ from trackres_ros.diagnosis.locate import STRAY_S, Acts, Span, Stray
 from trackres_ros.diagnosis.naming import Candidate, Step
 from trackres_ros.diagnosis.regimes import Bin, RegimeMap
 from trackres_ros.effects.effect import Parameter
+from trackres_ros.shown import figures
 
 Array = NDArray[np.float64]
 
@@ -119,7 +120,7 @@ def judge(
     if hint:
         besides += f" Were the model exact, {hint} would be missing; as it is, its own error may look the same."
     moved = moved_parameters(refitted)
-    listed = ", ".join(f"{q.name} {q.nominal:.4g} -> {value:.4g}{'' if q.unit == '1' else f' {q.unit}'}" for q, value in moved)
+    listed = ", ".join(_moved(q, value) for q, value in moved)
     of_refit = held_out.of_refit
     if moved and of_refit.grade == CONFIRMED:
         return Verdict(
@@ -138,8 +139,8 @@ def judge(
     return Verdict(
         "none",
         CONFIRMED,
-        f"No mismatch beyond noise: on laps not used for fitting the mean error is {held_out.mae['nominal']:.3g} Nm "
-        f"with the vehicle file as it is and {held_out.mae['refitted']:.3g} Nm re-fitted.{besides}",
+        f"No mismatch beyond noise: on laps not used for fitting the mean error is {figures(held_out.mae['nominal'])} Nm "
+        f"with the vehicle file as it is and {figures(held_out.mae['refitted'])} Nm re-fitted.{besides}",
     )
 
 
@@ -167,13 +168,20 @@ def _doubt(f: Found) -> str:
     i, bounds = f.graded.improvement, f.graded.on_bounds
     if i.grade == CONFIRMED:
         return f"{f.name} lies on a bound of what is plausible ({', '.join(bounds)})"
-    error = f"from {i.before:.3g} to {i.after:.3g} Nm ({i.low:.2g} to {i.high:.2g} Nm better, 95 %)"
+    error = f"from {figures(i.before)} to {figures(i.after)} Nm ({figures(i.low, 2)} to {figures(i.high, 2)} Nm better, 95 %)"
     return f"Laps not used for fitting do not confirm {f.name}: with it their mean error goes {error}"
 
 
 def _refuted(refuted: Sequence[Graded]) -> str:
-    of = "; ".join(f"{g.name}, {g.improvement.before:.3g} to {g.improvement.after:.3g} Nm of mean error" for g in refuted)
+    errors = [(g.name, figures(g.improvement.before), figures(g.improvement.after)) for g in refuted]
+    of = "; ".join(f"{name}, {before} to {after} Nm of mean error" for name, before, after in errors)
     return f"Refuted, as it fits the laps that were used and makes the others worse: {of}."
+
+
+def _moved(q: BaseParameter, value: float) -> str:
+    """A parameter of the base and where it went."""
+    unit = "" if q.unit == "1" else f" {q.unit}"
+    return f"{q.name} {figures(q.nominal, 4)} -> {figures(value, 4)}{unit}"
 
 
 def _rival(f: Found) -> str:
@@ -193,15 +201,15 @@ def likelier(one: Candidate, other: Candidate) -> str:
 
 def _with_interval(value: float, interval: Interval | None) -> str:
     if interval is None:
-        return f"{value:.3g}"
+        return figures(value)
     if interval.bound_only:
-        return f"{value:.3g}, only bounded by {interval.low:.3g} to {interval.high:.3g}"
-    return f"{value:.3g} [{interval.low:.3g}, {interval.high:.3g}]"
+        return f"{figures(value)}, only bounded by {figures(interval.low)} to {figures(interval.high)}"
+    return f"{figures(value)} [{figures(interval.low)}, {figures(interval.high)}]"
 
 
 def _gain(h: HeldOut, stage: str) -> str:
     before = "refitted" if stage == "with_effects" else "nominal"
-    was, now = f"{h.mae[before]:.3g}", f"{h.mae[stage]:.3g}"
+    was, now = figures(h.mae[before]), figures(h.mae[stage])
     way = f"stays at {now}" if was == now else f"{'falls' if h.mae[stage] < h.mae[before] else 'rises'} from {was} to {now}"
     text = f"on laps not used for fitting: the mean error {way} Nm"
     if h.r2[before] <= FINE_R2:
@@ -210,7 +218,7 @@ def _gain(h: HeldOut, stage: str) -> str:
 
 
 def _range(b: Bin) -> str:
-    return f"at {b.variable} {b.low:.3g} to {b.high:.3g} {b.unit}"
+    return f"at {b.variable} {figures(b.low)} to {figures(b.high)} {b.unit}"
 
 
 def _unexplained(left: Sequence[Bin]) -> str:

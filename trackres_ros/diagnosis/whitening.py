@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from scipy.linalg import solve
 from scipy.special import gammaln
 
+from trackres_ros.shown import figures
+
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
@@ -47,7 +49,7 @@ class Noise:
     @property
     def text(self) -> str:
         """All of it in words."""
-        return f"AR({len(self.phi)}) {np.array2string(self.phi, precision=2)}, {self.std:.3g} Nm, t({self.degrees:g})"
+        return f"AR({len(self.phi)}) {np.array2string(self.phi, precision=2)}, {figures(self.std)} Nm, t({self.degrees:g})"
 
     def weights(self, white: Array) -> Array:
         """How much residuals over `std` count: about 1 on average, and ever less the further out."""
