@@ -17,6 +17,7 @@ from trackres_ros.live.edge import Level
 from trackres_ros.live.report import Overview
 from trackres_ros.outputs import TOTALS
 from trackres_ros.recording import ROLES, base_role
+from trackres_ros.shown import decimals, figures
 
 REFRESH_S = 0.5
 PLAIN_PERIOD_S = 10.0
@@ -78,10 +79,12 @@ def line(seen: Overview) -> str:
         return f"{seen.level.name}: {seen.message}"
     value = seen.values
     belts = [value[f"belt_degc/{name}"] for name in seen.assemblies]
+    coldest, hottest = decimals(min(belts), 1), decimals(max(belts), 1)
     return (
-        f"{_time(seen)}  {value['speed_mps'] * KMH:5.1f} km/h  resistance {value['resistance_torque_nm']:6.0f} "
-        f"+- {value['resistance_std_nm']:.0f} Nm  feed-forward {value['feedforward_torque_nm'] * seen.left:6.0f} Nm  "
-        f"belts {min(belts):.1f} to {max(belts):.1f} degC  {seen.level.name}: {seen.message}"
+        f"{_time(seen)}  {decimals(value['speed_mps'] * KMH, 1):>5} km/h  "
+        f"resistance {decimals(value['resistance_torque_nm']):>6} +- {decimals(value['resistance_std_nm'])} Nm  "
+        f"feed-forward {decimals(value['feedforward_torque_nm'] * seen.left):>6} Nm  "
+        f"belts {coldest} to {hottest} degC  {seen.level.name}: {seen.message}"
     )
 
 
@@ -96,7 +99,7 @@ def _inputs(seen: Overview) -> Table:
         accepted = counts.pop("accepted", 0)
         rest = ", ".join(f"{number} {name}" for name, number in counts.items())
         unit = ROLES[base_role(given.role)].unit
-        value = "" if math.isnan(given.value) else f"{given.value:.5g} {unit if unit != '1' else ''}".rstrip()
+        value = "" if math.isnan(given.value) else f"{figures(given.value, 5)} {unit if unit != '1' else ''}".rstrip()
         rate = "" if math.isnan(given.rate_hz) else f"{given.rate_hz:.1f}"
         shown.add_row(given.role, given.topic, value, rate, _number(given.age_s, 2), str(accepted), rest)
     return shown
@@ -108,10 +111,10 @@ def _torques(seen: Overview) -> Table:
     shown.add_column("Nm", justify="right")
     for name, column in TOTALS.items():
         if name not in ("total", "drive"):
-            shown.add_row(name, f"{seen.values[column]:.0f}")
+            shown.add_row(name, decimals(seen.values[column]))
     std = seen.values["resistance_std_nm"]
-    shown.add_row("[b]resistance[/b] (first three)", f"[b]{seen.values['resistance_torque_nm']:.0f}[/b] +- {std:.0f}")
-    shown.add_row("[b]feed-forward[/b]", f"[b]{seen.values['feedforward_torque_nm'] * seen.left:.0f}[/b]")
+    shown.add_row("[b]resistance[/b] (first three)", f"[b]{decimals(seen.values['resistance_torque_nm'])}[/b] +- {decimals(std)}")
+    shown.add_row("[b]feed-forward[/b]", f"[b]{decimals(seen.values['feedforward_torque_nm'] * seen.left)}[/b]")
     return shown
 
 
@@ -122,13 +125,13 @@ def _belts(seen: Overview) -> Table:
         shown.add_column(name, justify="right")
     for name in seen.assemblies:
         of = {column: seen.values[f"{column}/{name}"] for column in ("belt_degc", "belt_std_k", "load_n", "resistance_torque_nm")}
-        belt = f"{of['belt_degc']:.1f} +- {of['belt_std_k']:.1f}"
-        shown.add_row(name, belt, f"{of['load_n'] / 1e3:.1f}", f"{of['resistance_torque_nm']:.0f}")
+        belt = f"{decimals(of['belt_degc'], 1)} +- {decimals(of['belt_std_k'], 1)}"
+        shown.add_row(name, belt, decimals(of["load_n"] / 1e3, 1), decimals(of["resistance_torque_nm"]))
     return shown
 
 
 def _foot(seen: Overview) -> str:
-    speed = f"{seen.values['speed_mps'] * KMH:.1f} km/h, " if seen.values else ""
+    speed = f"{decimals(seen.values['speed_mps'] * KMH, 1)} km/h, " if seen.values else ""
     kept = f"state in {seen.state_file}" if seen.state_file else "no state kept"
     if not math.isnan(seen.saved_s_ago):
         kept += f", saved {seen.saved_s_ago:.0f} s ago"

@@ -11,6 +11,7 @@ import numpy as np
 from trackres_ros.cli.common import emit, json_option, method_options, number, output_path, vehicle_option
 from trackres_ros.errors import InputError
 from trackres_ros.recording import Recording
+from trackres_ros.shown import decimals
 
 KMH = 1 / 3.6
 SUMMARY_TIMES_S = (50.0, 250.0, 600.0, 1000.0, 2500.0)
@@ -130,8 +131,9 @@ def _text(result: dict[str, Any]) -> str:
         f"{'s':>8} {'km/h':>9} {'Nm':>11} {'Nm':>11} {'Nm':>9} {'Nm':>7} {'degC':>8}",
     ]
     lines += [
-        f"{p['time_s']:8.0f} {p['speed_mps'] * 3.6:9.1f} {p['resistance_torque_nm']:11.0f} {p['hysteresis_nm']:11.0f} "
-        f"{p['bearing_nm']:9.0f} {p['wind_nm']:7.0f} {p['belt_degc']:8.1f}"
+        f"{decimals(p['time_s']):>8} {decimals(p['speed_mps'] * 3.6, 1):>9} {decimals(p['resistance_torque_nm']):>11} "
+        f"{decimals(p['hysteresis_nm']):>11} {decimals(p['bearing_nm']):>9} {decimals(p['wind_nm']):>7} "
+        f"{decimals(p['belt_degc'], 1):>8}"
         for p in result["points"]
     ]
     return "\n".join([*lines, f"{result['rows']} rows in {result['output']}"])
