@@ -5,6 +5,7 @@ import pickle
 import shutil
 import subprocess
 import sys
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
@@ -268,10 +269,11 @@ def test_a_simulation_with_damaged_code_gives_the_same(tmp_path, repository, ref
     kept.mkdir(mode=0o700)
     shutil.copytree(compiling.code_folder(), kept / compiling.code_folder().name)
     whole, _ = simulate(tmp_path, tmp_path / "whole.csv", repository)
-    for number, damage in enumerate(("empty", "cut", "other bytes")):
-        for file in kept.rglob("*.code"):
-            file.write_bytes(DAMAGES[damage](file.read_bytes()))
-        assert simulate(tmp_path, tmp_path / f"{number}.csv", repository) == (whole, "")
+    files = sorted(kept.rglob("*.code"))
+    assert files
+    for file, damage in zip(files, cycle(("empty", "cut", "other bytes")), strict=False):
+        file.write_bytes(DAMAGES[damage](file.read_bytes()))
+    assert simulate(tmp_path, tmp_path / "again.csv", repository) == (whole, "")
 
 
 @needs_numba
