@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-import tempfile
-import zipfile
-import zlib
+import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.cache import fetched, keep, usable
+from trackres_ros.own_files import SEAL
 from trackres_ros.resources import cache_dir
 
 Array = NDArray[np.float64]
-DAMAGED = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error)
+
+STORED = np.dtype("<f8")
 
 
 def cached_arrays(
@@ -27,34 +28,17 @@ def cached_arrays(
     key
         File name without suffix; must change with everything the arrays depend on.
     shapes
-        Names and shapes: a stored file that has others, or values that are not finite, is computed anew.
+        Names and shapes: they are stored one after the other, so the shapes say the size of the file.
     cache
-        Folder; by default `trackres_ros.resources.cache_dir`. Where it cannot be written the next start computes again.
+        Folder; by default `trackres_ros.resources.cache_dir`. Where it cannot be used the next start computes again.
     """
-    path = (cache or cache_dir()) / f"{key}.npz"
-    stored = _read(path, shapes)
-    if stored is not None:
-        return stored
+    folder, name = usable(cache or cache_dir()), f"{key}.arrays"
+    sizes = [math.prod(shape) for shape in shapes.values()]
+    stored = fetched(folder, name, sum(sizes) * STORED.itemsize + SEAL().digest_size)
+    if stored is not None and len(stored) == sum(sizes) * STORED.itemsize:
+        numbers = np.frombuffer(stored, dtype=STORED).astype(float)
+        parts = np.split(numbers, np.cumsum(sizes)[:-1])
+        return {name: part.reshape(shape) for (name, shape), part in zip(shapes.items(), parts, strict=True)}
     arrays = {name: np.asarray(value, dtype=float) for name, value in compute().items()}
-    _write(path, arrays)
+    keep(folder, name, b"".join(np.ascontiguousarray(arrays[each], dtype=STORED).tobytes() for each in shapes))
     return arrays
-
-
-def _read(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, Array] | None:
-    try:
-        with path.open("rb") as stored, np.load(stored) as file:
-            arrays = {name: np.asarray(file[name], dtype=float) for name in shapes}
-    except DAMAGED:
-        return None
-    whole = all(arrays[name].shape == shape and np.isfinite(arrays[name]).all() for name, shape in shapes.items())
-    return arrays if whole else None
-
-
-def _write(path: Path, arrays: Mapping[str, Array]) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".npz", delete=False) as file:
-            np.savez(file, allow_pickle=False, **dict(arrays))
-        Path(file.name).replace(path)
-    except OSError:
-        return

@@ -10,10 +10,13 @@ import hashlib
 import os
 import sys
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from types import FunctionType
 from typing import Any, TypeVar, cast
 
+from trackres_ros.cache import usable
+from trackres_ros.code_cache import CodeCache
 from trackres_ros.resources import cache_dir
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -55,8 +58,24 @@ def _cache_name() -> str:
 _CACHE_NAME = _cache_name()
 
 
-def _compiled_dir() -> Path:
-    return Path((_library.config.CACHE_DIR if HAVE_NUMBA else "") or cache_dir()) / _CACHE_NAME
+def _base() -> Path | None:
+    return Path(_library.config.CACHE_DIR) if HAVE_NUMBA and _library.config.CACHE_DIR else cache_dir()
+
+
+@cache
+def _folder(base: Path | None) -> Path | None:
+    checked = usable(base)
+    return None if checked is None else usable(checked / _CACHE_NAME)
+
+
+def code_folder() -> Path | None:
+    """Where compiled code is kept; None where it cannot be."""
+    return _folder(_base())
+
+
+def keep_code_in(base: Path) -> None:
+    """From now on keep compiled code below another folder."""
+    _library.config.CACHE_DIR = str(base)
 
 
 def compiled(function: Function) -> Function:
@@ -72,21 +91,14 @@ def inlined(function: Function) -> Function:
 def _compile(function: Function, inline: str) -> Function:
     if not HAVE_NUMBA:
         return function
-    config = _library.config
-    others = config.CACHE_DIR
-    config.CACHE_DIR = str(_compiled_dir())
-    try:
-        return cast(Function, _library.njit(cache=True, nogil=True, error_model="numpy", inline=inline)(function))
-    finally:
-        config.CACHE_DIR = others
+    dispatcher = _library.njit(nogil=True, error_model="numpy", inline=inline)(function)
+    dispatcher._cache = CodeCache(cast(FunctionType, function), code_folder)
+    return cast(Function, dispatcher)
 
 
 def is_cached(function: Callable[..., Any]) -> bool:
-    """Whether machine code of a compiled function lies in the cache; true without numba, as then nothing is compiled."""
-    python = getattr(function, "py_func", None)
-    if python is None:
-        return True
-    return any(_compiled_dir().rglob(f"{Path(python.__code__.co_filename).stem}.{python.__name__}-*.nbi"))
+    """Whether whole machine code of a compiled function lies in the cache; true without numba, as then nothing is compiled."""
+    return not hasattr(function, "py_func") or CodeCache(function.py_func, code_folder).any()
 
 
 def interpreted(function: Function, _known: dict[Any, Any] | None = None) -> Function:

@@ -55,10 +55,13 @@ def find_vehicle(path_or_name: str | os.PathLike[str]) -> Path:
     raise InputError("vehicle", str(path_or_name), f"the path of a vehicle file, or one of {', '.join(shipped)}")
 
 
-def cache_dir() -> Path:
-    """Folder for what can be computed again: $XDG_CACHE_HOME/trackres or ~/.cache/trackres."""
+def cache_dir() -> Path | None:
+    """Folder for what can be computed again: $XDG_CACHE_HOME/trackres or ~/.cache/trackres; None without a home."""
     base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "trackres"
+    try:
+        return (Path(base) if base else Path.home() / ".cache") / "trackres"
+    except RuntimeError:  # no HOME, and a user the system does not know
+        return None
 
 
 def _with_section(section: str) -> dict[str, Path]:

@@ -231,6 +231,8 @@ BAD = [
     (("replay", "empty.csv", "--vehicle", "xgd24d", "-o", "x.csv"), "empty.csv"),
     (("replay", "good.csv", "--vehicle", "xgd24d", "--params", "params.yaml", "-o", "x.csv"), "gap_s"),
     (("replay", "good.csv", "--vehicle", "xgd24d", "--resume", "none.json", "-o", "x.csv"), "none.json"),
+    (("replay", "good.csv", "--vehicle", "xgd24d", "--save-state", "no/such.json", "-o", "x.csv"), "--save-state"),
+    (("replay", "good.csv", "--vehicle", "xgd24d", "--save-state", "/dev/null", "-o", "x.csv"), "--save-state"),
     (("replay", "kmh.csv", "--vehicle", "xgd24d", "-o", "x.csv"), "unit"),
     (("replay", "good.csv", "--vehicle", "xgd24d", "-o", "good.csv"), "another file"),
     (("explain", "--vehicle", "xgd24d", "--speed-kmh", "5"), "--belt-degc"),

@@ -1,9 +1,17 @@
 """Saved and taken up again."""
 
 import json
+import math
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import snapshot
@@ -58,9 +66,14 @@ def test_a_clock_that_went_back_counts_as_no_time_off(reference, tmp_path):
         (lambda text: "", "damaged"),
         (lambda text: text[: len(text) // 2], "damaged"),
         (lambda text: "[1, 2]", "another kind"),
-        (lambda text: text.replace('"version": 3', '"version": 99'), "version 99"),
-        (lambda text: text.replace('"belts"', '"bolts"'), "belts"),
-        (lambda text: text.replace("0x1.", "oops"), "do not fit"),
+        (lambda text: text.replace('"version": 4', '"version": 99'), "version 99"),
+        (lambda text: text.replace('"version": 4', '"version": 3'), "version 3"),
+        (lambda text: text.replace('"belts"', '"bolts"'), "checksum"),
+        (lambda text: text.replace("0x1.", "oops", 1), "checksum"),
+        (lambda text: text + " ", "checksum"),
+        (lambda text: "[" * 100_000, "damaged"),
+        (lambda text: '{"a":' * 100_000, "damaged"),
+        (lambda text: '{"format": ' + "9" * 5000 + "}", "damaged"),
     ],
 )
 def test_a_file_that_is_not_right_says_why(reference, tmp_path, damage, said):
@@ -83,6 +96,146 @@ def test_a_state_of_another_vehicle_is_refused(reference, carrier, tmp_path):
         snapshot.resume(carrier, tmp_path / "state.json")
 
 
+@pytest.fixture(scope="module")
+def saved(reference):
+    """A state file of a drive, as bytes."""
+    session = reference.session()
+    session.handle_block(*messages(500))
+    return snapshot.content(session, 1.0)
+
+
+def taken(estimator, path, data):
+    """What a file gives: the content of the session, or None where it is refused; nothing else may happen."""
+    path.write_bytes(data)
+    try:
+        return snapshot.content(snapshot.resume(estimator, path), 1.0)
+    except InputError as error:
+        refusal = str(error)
+    assert str(path) in refusal
+    assert "\n" not in refusal
+    return None
+
+
+def mutated(data, random):
+    """One to three bytes changed, cut out, doubled or put in, or the file cut."""
+    out = bytearray(data)
+    for _ in range(random.integers(1, 4)):
+        at, length = int(random.integers(0, len(out))), int(random.integers(1, 30))
+        kind = random.integers(0, 5)
+        if kind == 0:
+            out[at] = int(random.integers(0, 256))
+        elif kind == 1:
+            del out[at : at + length]
+        elif kind == 2:
+            out[at:at] = out[at : at + length]
+        elif kind == 3:
+            out[at:at] = random.bytes(length)
+        else:
+            del out[at + 1 :]
+    return bytes(out)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_mutation_of_any_bytes_is_refused_or_gives_the_very_same_state(reference, saved, tmp_path, seed):
+    random = np.random.default_rng(seed)
+    for _ in range(100):
+        data = mutated(saved, random)
+        assert taken(reference, tmp_path / "state.json", data) in (None, saved if data == saved else None)
+
+
+WRONG = [math.nan, math.inf, -1e300, 1e300, -(1 << 70), 1 << 70, "abc", None, True, [], {}, [[]], "0x1p+1000", "nan", "-0x1p+900"]
+
+
+@settings(max_examples=150)
+@given(
+    name=st.sampled_from([*snapshot.FLOATS, *snapshot.INTEGERS, "saved_at", "started"]),
+    place=st.integers(0, 10_000),
+    wrong=st.sampled_from(WRONG),
+)
+@example(name="saved_at", place=0, wrong="abc")
+def test_a_number_no_drive_leaves_is_refused_under_a_right_seal_too(reference, saved, name, place, wrong):
+    content = json.loads(saved)
+    if isinstance(content[name], list):
+        at = place % len(content[name])
+        if content[name][at] == wrong or (name in ("effects", "values") and wrong == "nan"):
+            return
+        content[name][at] = wrong
+    else:
+        content[name] = wrong
+        if name == "started" and wrong is True:
+            return
+    with tempfile.TemporaryDirectory() as folder:
+        assert taken(reference, Path(folder) / "state.json", snapshot.seal(content)) is None
+
+
+@pytest.mark.parametrize("name", [*snapshot.FLOATS, *snapshot.INTEGERS])
+@pytest.mark.parametrize("change", [lambda a: a[:-1], lambda a: [*a, a[-1]], lambda a: [a], lambda a: "abc", lambda a: []])
+def test_arrays_of_another_length_are_refused(reference, saved, tmp_path, name, change):
+    content = json.loads(saved)
+    content[name] = change(content[name])
+    assert taken(reference, tmp_path / "state.json", snapshot.seal(content)) is None
+
+
+@pytest.mark.parametrize("missing", [*snapshot.FLOATS, *snapshot.INTEGERS, "format", "version", "key", "saved_at", "started"])
+def test_a_part_that_is_missing_is_refused(reference, saved, tmp_path, missing):
+    content = json.loads(saved)
+    del content[missing]
+    assert taken(reference, tmp_path / "state.json", snapshot.seal(content)) is None
+
+
+@settings(max_examples=60)
+@given(
+    speeds=st.lists(st.floats(-25.0, 25.0), min_size=1, max_size=40),
+    steps=st.lists(st.sampled_from([1, 1000, MS, 20 * MS, 900 * MS, 10_000 * MS, 100_000 * MS]), min_size=40, max_size=40),
+)
+def test_any_state_that_was_saved_is_taken_up(reference, tmp_path_factory, speeds, steps):
+    stamp = START + np.cumsum(np.array(steps[: len(speeds)], dtype=np.int64))
+    session = reference.session()
+    session.handle_block(np.zeros(len(speeds), dtype=np.int16), stamp, stamp, np.array(speeds))
+    data = snapshot.content(session, 1.0)
+    assert taken(reference, tmp_path_factory.getbasetemp() / "any.json", data) == data
+
+
+def test_what_is_not_a_file_is_named_at_once_and_never_replaced(reference, tmp_path):
+    pipe, folder, link = tmp_path / "pipe", tmp_path / "folder", tmp_path / "link"
+    os.mkfifo(pipe)
+    folder.mkdir()
+    link.symlink_to(link)
+    device = Path("/dev/zero")
+    for path, said in ((pipe, "named pipe"), (folder, "folder"), (device, "device"), (link, "symbolic")):
+        with pytest.raises(InputError, match=said):
+            snapshot.resume(reference, path)
+    session = reference.session()
+    for path in (pipe, folder, device):
+        with pytest.raises(OSError, match="a "):
+            snapshot.save(session, path, 1.0)
+    assert pipe.is_fifo()
+    assert device.is_char_device()
+
+
+def test_a_huge_file_is_not_read(reference, tmp_path):
+    path = tmp_path / "state.json"
+    with path.open("wb") as file:
+        file.truncate(1 << 40)
+    with pytest.raises(InputError, match="no file of this kind"):
+        snapshot.resume(reference, path)
+
+
+def test_the_command_line_refuses_each_with_one_line_and_without_waiting(tmp_path, repository):
+    drive = tmp_path / "drive.csv"
+    drive.write_text("time_s,speed_mps\n" + "".join(f"{i * 0.1:.1f},5.0\n" for i in range(50)))
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "deep").write_text("[" * 100_000)
+    (tmp_path / "bytes").write_bytes(b"\xff\xfe{}")
+    base = [sys.executable, "-m", "trackres_ros.cli.main", "replay", str(drive), "--vehicle", "xgd24d"]
+    base += ["-o", str(tmp_path / "o.csv")]
+    for name in ("pipe", "deep", "bytes", "missing"):
+        done = subprocess.run([*base, "--resume", str(tmp_path / name)], capture_output=True, text=True, timeout=120, check=False)
+        assert done.returncode == 2, done.stderr
+        assert done.stderr.count("\n") == 1
+        assert name in done.stderr
+
+
 def test_a_missing_file_is_named(reference, tmp_path):
     with pytest.raises(InputError, match=r"nothing\.json"):
         snapshot.resume(reference, tmp_path / "nothing.json")
@@ -98,7 +251,7 @@ def test_a_save_that_fails_leaves_the_old_file_whole(reference, tmp_path, monkey
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(snapshot.os, "fsync", full)
+    monkeypatch.setattr("os.fsync", full)
     with pytest.raises(OSError, match="No space"):
         snapshot.save(session, path, saved_at=2.0)
     assert path.read_bytes() == before

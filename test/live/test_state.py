@@ -7,6 +7,7 @@ import resource
 import pytest
 
 from trackres_ros.errors import InputError
+from trackres_ros.estimator.snapshot import seal
 from trackres_ros.live.state_keeper import state_path
 
 
@@ -28,7 +29,7 @@ def first_belt(d):
 def shifted(path, seconds):
     content = json.loads(path.read_text())
     content["saved_at"] -= seconds
-    path.write_text(json.dumps(content))
+    path.write_bytes(seal(content))
 
 
 def test_belts_come_back_and_have_cooled_over_the_time_off(desk, warm):
@@ -47,7 +48,7 @@ def test_belts_that_wait_for_a_speed_cool_meanwhile(desk, warm, monkeypatch):
     path, belt = warm
     now = [1e9]
     content = json.loads(path.read_text())
-    path.write_text(json.dumps({**content, "saved_at": now[0]}))
+    path.write_bytes(seal({**content, "saved_at": now[0]}))
     monkeypatch.setattr("time.time", lambda: now[0])
     d = desk(state_file=str(path))
     now[0] += 3600.0
@@ -62,8 +63,13 @@ def test_belts_that_wait_for_a_speed_cool_meanwhile(desk, warm, monkeypatch):
     [
         (lambda path: path.write_text(""), "damaged"),
         (lambda path: path.write_text(path.read_text()[:200]), "damaged"),
-        (lambda path: path.write_text(json.dumps({**json.loads(path.read_text()), "version": 99})), "version 99"),
-        (lambda path: path.write_text(json.dumps({**json.loads(path.read_text()), "key": "x"})), "vehicle"),
+        (lambda path: path.write_bytes(seal({**json.loads(path.read_text()), "version": 99})), "version 99"),
+        (lambda path: path.write_bytes(seal({**json.loads(path.read_text()), "key": "x"})), "vehicle"),
+        (lambda path: path.write_bytes(seal({**json.loads(path.read_text()), "saved_at": "abc"})), "saved_at"),
+        (lambda path: path.write_text("[" * 100_000), "damaged"),
+        (lambda path: (path.unlink(), path.mkdir()), "a folder"),
+        (lambda path: (path.unlink(), os.mkfifo(path)), "a named pipe"),
+        (lambda path: (path.unlink(), path.symlink_to("/dev/zero")), "a device"),
         (lambda path: path.write_text("[1, 2]"), "another kind"),
         (lambda path: path.write_bytes(os.urandom(300)), "damaged"),
     ],

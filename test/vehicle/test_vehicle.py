@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -139,9 +140,11 @@ SWEEP = "T_degC,E_storage_MPa_10Hz,E_loss_MPa_10Hz\n-50,700,300\n0,14,2.5\n50,8,
         (SWEEP.replace("2.5", "nan"), "finite"),
         (SWEEP.replace("\n50,", "\n0,"), "rising"),
         (SWEEP.replace("\n50,", "\n-80,"), "rising"),
-        (SWEEP.replace("14", "0"), "positive moduli"),
-        (SWEEP.replace("2.5", "-2.5"), "positive moduli"),
-        (SWEEP.replace("2.5", "2500"), "modulus"),
+        (SWEEP.replace("14", "0"), "E_storage_MPa_10Hz"),
+        (SWEEP.replace("2.5", "-2.5"), "E_loss_MPa_10Hz"),
+        (SWEEP.replace("2.5", "2500"), "loss over storage modulus"),
+        ("T_degC,E_storage_MPa_10Hz,E_loss_MPa_10Hz\n223,700,300\n273,14,2.5\n323,8,1\n373,7,0.6\n", "kelvin"),
+        (SWEEP.replace("8,1", "2000,1").replace("7,0.6", "1900,1"), "storage modulus at 100 degC"),
     ],
 )
 def test_a_sweep_that_is_refused(tmp_path: Path, text: str, said: str) -> None:
@@ -151,6 +154,47 @@ def test_a_sweep_that_is_refused(tmp_path: Path, text: str, said: str) -> None:
         read_rubber_sweep(path)
     assert str(path) in caught.value.where
     assert said in str(caught.value)
+
+
+@pytest.mark.parametrize("factors", [(1e6, 1e6), (1e3, 1e3), (1e-3, 1e-3), (1e6, 1.0), (1.0, 1e6), (1e-3, 1.0), (1.0, 1e3)])
+def test_moduli_in_another_unit_than_the_header_says_are_refused(tmp_path: Path, factors: tuple[float, float]) -> None:
+    """The shipped sweep, one column or both a thousand or a million times too large or too small."""
+    text = (config_dir() / "rubber" / "nr_sbr_10hz.csv").read_text(encoding="utf-8").splitlines()
+    path = tmp_path / "sweep.csv"
+    rows = [line.split(",") for line in text[1:]]
+    lines = [f"{row[0]},{float(row[1]) * factors[0]},{float(row[2]) * factors[1]}" for row in rows]
+    path.write_text("\n".join([",".join(text[0].split(",")[:3]), *lines]), encoding="utf-8")
+    with pytest.raises(InputError, match=r"MPa|in one unit"):
+        read_rubber_sweep(path)
+
+
+def test_a_copied_vehicle_file_finds_the_shipped_rubber_and_says_so(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = Path(shutil.copy(config_dir() / "xgd24d.yaml", tmp_path / "mine.yaml"))
+    vehicle = load(path)
+    assert vehicle.rubber_source == config_dir() / "rubber" / "nr_sbr_10hz.csv"
+    assert np.array_equal(vehicle.rubber.loss_pa, load("xgd24d").rubber.loss_pa)
+    assert len(caplog.records) == 1
+    assert str(vehicle.rubber_source) in caplog.records[0].getMessage()
+    load(path)
+    assert len(caplog.records) == 1
+    (tmp_path / "rubber").mkdir()
+    (tmp_path / "rubber" / "nr_sbr_10hz.csv").write_text(SWEEP, encoding="utf-8")
+    assert load(path).rubber_source == tmp_path / "rubber" / "nr_sbr_10hz.csv"
+
+
+def test_road_wheels_that_overlap_are_refused_unless_they_stand_side_by_side(folder: Path, content: dict[str, Any]) -> None:
+    wheels, path = content["tracks"]["triangular"]["road_wheels"], folder / "given.yaml"
+    wheels["radius"].update(value=0.26, range=[0.1, 0.3])  # the diameter for the radius
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    with pytest.raises(InputError, match="overlap along the track"):
+        load(path)
+    wheels["contact_length"].update(value=0.3, range=[0.1, 0.635])  # interleaved, two rows on a belt of 0.635 m
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    load(path)
+    wheels["radius"].update(value=0.36, range=[0.1, 0.5])  # three of 0.3 m have no place beside each other
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    with pytest.raises(InputError, match="3 wheels"):
+        load(path)
 
 
 def test_a_sweep_that_is_not_there(folder: Path, content: dict[str, Any]) -> None:

@@ -5,18 +5,22 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeVar
 
 import click
 
-from trackres_ros.errors import InputError
+from trackres_ros.cli.written import watch
+from trackres_ros.errors import InputError, MissingExtraError
 from trackres_ros.resources import shipped_vehicles
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 TABLE_SUFFIXES = (".csv", ".csv.gz", ".parquet")
 OUTPUT_SUFFIXES = (*TABLE_SUFFIXES, ".mcap")
+WRITTEN_WITH = {".parquet": ("writing Parquet", "parquet", "pyarrow"), ".mcap": ("writing bags", "bags", "rosbags")}
+DISTRIBUTIONS = {"sklearn": "scikit-learn"}  # where its name is not that of the module
 
 
 def vehicle_option(command: Command) -> Command:
@@ -59,14 +63,24 @@ class _Finite(click.FloatRange):
         return converted
 
 
+def needs(feature: str, extra: str, *modules: str) -> None:
+    """Refuse before any work what would end without an optional library."""
+    for module in modules:
+        if find_spec(module) is None:
+            raise MissingExtraError(feature, DISTRIBUTIONS.get(module, module), extra)
+
+
 def output_path(path: Path, suffixes: tuple[str, ...] = OUTPUT_SUFFIXES) -> Path:
-    """The path, if its suffix says how to write it and its folder is there."""
+    """The path, if its suffix says how to write it, what writes it is installed, and its folder is there."""
     if not path.name.lower().endswith(suffixes):
         raise InputError("-o", str(path), f"a file name that ends in {', '.join(suffixes)}")
     if not path.parent.is_dir():
         raise InputError("-o", str(path), "a file in a folder that exists", f"make it first: mkdir -p {path.parent}")
     if path.is_dir():
         raise InputError("-o", str(path), "a file; there is a folder of that name")
+    if path.suffix.lower() in WRITTEN_WITH:
+        needs(*WRITTEN_WITH[path.suffix.lower()])
+    watch(path)
     return path
 
 
@@ -74,6 +88,7 @@ def output_folder(path: Path) -> Path:
     """The path, if it is a folder or may become one."""
     if path.exists() and not path.is_dir():
         raise InputError("-o", str(path), "a folder; there is a file of that name")
+    watch(path)
     return path
 
 

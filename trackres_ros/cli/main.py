@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import click
 
 from trackres_ros import __version__
+from trackres_ros.cli import written
 from trackres_ros.cli.diagnose import diagnose_command, effects_command
 from trackres_ros.cli.explain import explain_command
 from trackres_ros.cli.live import live_command
@@ -58,6 +59,7 @@ for command in (
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line; bad input ends with exit code 2 and one line that says what to do."""
+    written.begin()
     try:
         result = cli.main(args=list(arguments) if arguments is not None else None, prog_name="trackres", standalone_mode=False)
     except click.ClickException as error:
@@ -75,7 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except OSError as error:
         _fail(f"{error.filename or 'system'}: {error.strerror or error}")
     except (click.Abort, KeyboardInterrupt):
-        click.echo("trackres: interrupted; nothing was written in part", err=True)
+        click.echo(f"trackres: interrupted; {written.so_far()}", err=True)
         sys.exit(INTERRUPTED)
     sys.exit(result if isinstance(result, int) else 0)
 

@@ -6,18 +6,19 @@ import os
 import shutil
 import subprocess
 import sys
-from importlib.util import find_spec
 from pathlib import Path
+from typing import IO
 
 import click
 
-from trackres_ros.cli.common import output_folder
-from trackres_ros.errors import InputError, MissingExtraError
+from trackres_ros.cli.common import emit, json_option, needs, output_folder
+from trackres_ros.errors import InputError
 
 MINUTES = 15.0
 QUICK_MINUTES = 12.0
 REPORTED_SEED = 20260303
 FOLLOWED, QUICK_FOLLOWED = 40, 8  # cases in which what was advised is driven
+EXTRA = "proof", "numba", "matplotlib", "jinja2", "ruptures"
 FOLDERS = ("cases", "results", "next", "results_next", "sealed")
 
 
@@ -34,8 +35,16 @@ folder_option = click.option(
 @click.option("--quick", is_flag=True, help="70 cases of shorter drives.")
 @click.option("--fresh", is_flag=True, help="Begin anew instead of going on with what is in the folder.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), metavar="DIR", help="Folder for all of it.")
+@json_option
 def prove_command(
-    context: click.Context, levels: tuple[str, ...], count: int | None, seed: int, quick: bool, fresh: bool, output: Path | None
+    context: click.Context,
+    levels: tuple[str, ...],
+    count: int | None,
+    seed: int,
+    quick: bool,
+    fresh: bool,
+    output: Path | None,
+    as_json: bool,
 ) -> None:
     """How often the diagnosis is right on simulated drives, how often wrong, and how often it rightly cannot tell.
 
@@ -45,12 +54,11 @@ def prove_command(
     Three processes: one draws the cases, prints a hash of their labels and writes recordings; one diagnoses, given
     recordings and vehicle files and nothing else; one opens the labels and counts. An interrupted run goes on where it was.
     """
-    from trackres_ros.proof.cases import LEVELS, QUICK
-
     if context.invoked_subcommand:
         return
-    if find_spec("sklearn") is None:
-        raise MissingExtraError("trackres prove", "scikit-learn", "proof", "the methods it is compared with are from there")
+    needs("trackres prove", *EXTRA, "sklearn")
+    from trackres_ros.proof.cases import LEVELS, QUICK
+
     if output is None:
         raise InputError("-o", "no folder", "a folder for cases, results and scores")
     unknown = [level for level in levels if level not in LEVELS]
@@ -69,23 +77,26 @@ def prove_command(
             shutil.rmtree(output / name, ignore_errors=True)
     output.mkdir(parents=True, exist_ok=True)
     kept.write_text(asked, encoding="utf-8")
-    _process("generate", str(output), *asked.split())
-    _process("blind", str(output / "cases"), str(output / "results"))
-    _process("follow", str(output), f"{minutes:g}", str(QUICK_FOLLOWED if quick else FOLLOWED))
-    _process("blind", str(output / "next"), str(output / "results_next"))
-    _process("score", str(output))
+    said_to = sys.stderr if as_json else None
+    _process(said_to, "generate", str(output), *asked.split())
+    _process(said_to, "blind", str(output / "cases"), str(output / "results"))
+    _process(said_to, "follow", str(output), f"{minutes:g}", str(QUICK_FOLLOWED if quick else FOLLOWED))
+    _process(said_to, "blind", str(output / "next"), str(output / "results_next"))
+    _process(said_to, "score", str(output))
+    if as_json:
+        click.echo((output / "scores.json").read_text(encoding="utf-8"))
 
 
-def _tell(path: Path, text: str) -> None:
+def _tell(path: Path, text: str, as_json: bool) -> None:
     path.write_text(text, encoding="utf-8")
-    click.echo(text)
+    emit({"written": str(path), "text": text}, as_json, lambda: text)
 
 
-def _process(module: str, *arguments: str) -> None:
+def _process(said_to: IO[str] | None, module: str, *arguments: str) -> None:
     # Every core has a case of its own: threads within one would only be in each other's way.
     alone = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     command = [sys.executable, "-m", f"trackres_ros.proof.{module}", *arguments]
-    done = subprocess.run(command, env={**os.environ, **alone}, check=False)
+    done = subprocess.run(command, env={**os.environ, **alone}, stdout=said_to, check=False)
     if done.returncode:
         raise click.ClickException(f"{module} ended with exit code {done.returncode}; what was done is kept")
 
@@ -95,32 +106,38 @@ def _process(module: str, *arguments: str) -> None:
     "--data", type=click.Path(path_type=Path), required=True, metavar="DIR", help="Folder with bmw_i3 and husky_warthog."
 )
 @folder_option
-def prove_real_command(data: Path, output: Path) -> None:
+@json_option
+def prove_real_command(data: Path, output: Path, as_json: bool) -> None:
     """The same on public recordings of real vehicles, with a measured channel concealed."""
+    needs("trackres prove real", *EXTRA)
     from trackres_ros.proof.real import try_all
     from trackres_ros.proof.real_page import write_page
 
     output_folder(output).mkdir(parents=True, exist_ok=True)
-    _tell(output / "proof-real.md", write_page(data, try_all(data, output), output))
+    _tell(output / "proof-real.md", write_page(data, try_all(data, output), output), as_json)
 
 
 @prove_command.command("paper")
 @folder_option
-def prove_paper_command(output: Path) -> None:
+@json_option
+def prove_paper_command(output: Path, as_json: bool) -> None:
     """The paper's own test: laps of a circle on a tilted site, torque from the engine's, and what the diagnosis makes of it."""
+    needs("trackres prove paper", *EXTRA)
     from trackres_ros.proof.paper import ask_all, page
 
     output_folder(output).mkdir(parents=True, exist_ok=True)
-    _tell(output / "paper-test.md", page(ask_all(output)))
+    _tell(output / "paper-test.md", page(ask_all(output)), as_json)
 
 
 @prove_command.command("loop")
 @folder_option
-def prove_loop_command(output: Path) -> None:
+@json_option
+def prove_loop_command(output: Path, as_json: bool) -> None:
     """The feed-forward of the vehicle file that a diagnosis leaves, on a drive that it never saw."""
+    needs("trackres prove loop", *EXTRA)
     from trackres_ros.proof.loop import close_loop, draw, page
 
     output_folder(output).mkdir(parents=True, exist_ok=True)
     closed = close_loop(output)
     draw(closed, output / "loop.png")
-    _tell(output / "loop.md", page(closed, "loop.png"))
+    _tell(output / "loop.md", page(closed, "loop.png"), as_json)

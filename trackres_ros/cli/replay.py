@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from trackres_ros.cli.common import emit, json_option, method_options, output_path, progress, vehicle_option, without_suffix
+from trackres_ros.cli.written import watch
 from trackres_ros.errors import InputError, MissingExtraError
 
 
@@ -79,9 +80,14 @@ def replay_command(
     from trackres_ros.vehicle import load
 
     path = output_path(output)
+    if state_file:
+        if not state_file.parent.is_dir() or (state_file.exists() and not state_file.is_file()):
+            raise InputError("--save-state", str(state_file), "a file in a folder that exists")
+        watch(state_file)
     if any(path.exists() and path.resolve() == given.resolve() for given in recording):
         raise InputError("-o", str(path), "another file than the recording, which it would replace")
     picture = without_suffix(path).with_name(without_suffix(path).name + ".png")
+    watch(picture)
     topics = Topics.load(topics_file) if topics_file else None
     parameters = make_parameters(read_parameters(params_file))
     source = open_source(recording, topics)

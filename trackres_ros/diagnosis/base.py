@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from trackres_ros.diagnosis.belt_series import follow
 from trackres_ros.diagnosis.session import Session
 from trackres_ros.effects.effect import Active, Conditions, Facts, Terms, together
+from trackres_ros.errors import InputError
 
 Array = NDArray[np.float64]
 Values = Mapping[str, float]
@@ -150,7 +151,8 @@ def _own_state(active: Active, at: Conditions, session: Session, before: float |
     start = float(full(lag.start, session)[0])
     if before is not None and np.isfinite(session.gap):
         rest = active.effect.lag(replace(at, speed=np.zeros(len(session))), active.values)
-        assert rest
+        if rest is None:
+            raise InputError(f"effect {active.effect.name}", "a lag while driving and none at rest", "a lag always or never")
         decay = np.exp(-session.gap / float(full(rest.time_constant, session)[0]))
         start = float(full(rest.target, session)[0]) * (1.0 - decay) + before * decay
     series = np.empty(len(session))

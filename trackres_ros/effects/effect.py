@@ -159,7 +159,8 @@ class Terms:
 
 FACTORS = ("drive_gain", "loss_factor", "film_offset_factor", "film_slope_factor", "speed_factor", "sensor_gain")
 SUMS = ("torque", "softening", "heat", "inner_resistance", "sensor_offset", "sensor_delay")
-assert {*FACTORS, *SUMS, "conductance", "sink"} == {field.name for field in fields(Terms)}
+if {*FACTORS, *SUMS, "conductance", "sink"} != {field.name for field in fields(Terms)}:
+    raise TypeError("Terms has a field that is neither a factor nor a sum: say how two effects act together in it")
 SOFTENING_FROM_DEGC = 40.0
 
 

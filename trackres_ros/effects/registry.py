@@ -91,8 +91,8 @@ def _python_files(folder: Path | None) -> list[Path]:
 
 def _module_of(path: Path) -> ModuleType:
     spec = importlib.util.spec_from_file_location(f"own_effect_{path.stem}", path)
-    assert spec
-    assert spec.loader
+    if spec is None or spec.loader is None:
+        raise InputError(str(path), "a file that Python does not know how to import", "a Python file, .py")
     module = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)

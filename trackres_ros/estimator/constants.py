@@ -13,6 +13,7 @@ from trackres_ros.effects.facts import facts_of
 from trackres_ros.estimator import layout as at
 from trackres_ros.estimator.settings import PARTS, Settings
 from trackres_ros.estimator.spread import spread
+from trackres_ros.model.coverage import check_heat, coverage
 from trackres_ros.model.loss_table import loss_table
 from trackres_ros.model.thermal import ThermalNetwork, thermal_network
 from trackres_ros.vehicle import Vehicle
@@ -43,6 +44,8 @@ class Numbers(NamedTuple):
     glass_transition: float
     wlf_c1: float
     wlf_c2: float
+    hottest: float  # degC: beyond it the rubber data end
+    fastest_x: float  # log10(a_T v): so do they beyond this
     two_nodes: bool
     belt_shows_surface: bool
     bearing_friction: float
@@ -109,6 +112,9 @@ def make_constants(vehicle: Vehicle, settings: Settings, cache: Path | None = No
     """Gather the constants; builds the loss tables or takes them from the cache."""
     names = list(vehicle.tracks)
     tables = [loss_table(vehicle, name, cache) for name in names]
+    for name, table in zip(names, tables, strict=True):
+        check_heat(vehicle, name, table)
+    covered = [coverage(vehicle, name) for name in names]
     spreads = {name: spread(vehicle, name, cache) for name in names}
     axle_names = [axle.name for axle in vehicle.axles]
     chassis, loads = vehicle.chassis, vehicle.nominal_loads()
@@ -148,6 +154,8 @@ def make_constants(vehicle: Vehicle, settings: Settings, cache: Path | None = No
         glass_transition=vehicle.rubber.glass_transition,
         wlf_c1=vehicle.rubber.wlf_c1,
         wlf_c2=vehicle.rubber.wlf_c2,
+        hottest=min(each.hottest for each in covered),
+        fastest_x=min(each.log_reduced_speed for each in covered),
         two_nodes=two_nodes,
         belt_shows_surface=settings.belt_sensor == "surface",
         bearing_friction=chassis.bearing_friction,

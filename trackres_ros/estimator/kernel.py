@@ -23,6 +23,7 @@ from trackres_ros.estimator.belt_step import (
 from trackres_ros.estimator.constants import Constants
 from trackres_ros.estimator.motion_step import advance_motion, start_motion
 from trackres_ros.model.resistance import bearing_force, direction, grade_force, inertia_force, wind_force
+from trackres_ros.model.rubber import log_shift_factor
 
 Array = NDArray[np.float64]
 
@@ -30,7 +31,6 @@ FIRST_OF_ASSEMBLIES, COLUMNS_EACH = len(at.VEHICLE_COLUMNS), len(at.ASSEMBLY_COL
 LONGEST_SUBSTEP = 0.5  # s while rolling
 MOST_SUBSTEPS = 20000
 DISAGREES = 5.0  # standard deviations between measured and expected belt temperature
-DRIVING_TEMPERATURES = (-60.0, 150.0)
 
 BELT_UNSURE, DISAGREEING = int(at.Reason.BELT_UNSURE), int(at.Reason.BELT_SENSOR_DISAGREES)
 BRIDGED, UNKNOWN = int(at.Reason.GAP_BRIDGED), int(at.Reason.GAP_UNKNOWN)
@@ -187,9 +187,10 @@ def advance_assembly(k: Constants, i: int, belt: Array, load: float, measured: f
         reasons |= BELT_UNSURE
     first_log_load = k.assembly[i, at.FIRST_LOG_LOAD]
     last_log_load = first_log_load + k.assembly[i, at.STEP_LOG_LOAD] * (k.loss.shape[2] - 1)
-    if not (DRIVING_TEMPERATURES[0] < temperature < DRIVING_TEMPERATURES[1]) or not (
-        first_log_load - 1e-9 <= log_load <= last_log_load + 1e-9
-    ):
+    reduced = road.log10_speed + log_shift_factor(temperature, k.number.glass_transition, k.number.wlf_c1, k.number.wlf_c2)[0]
+    if temperature > k.number.hottest or reduced > k.number.fastest_x:
+        reasons |= OUTSIDE
+    if not (first_log_load - 1e-9 <= log_load <= last_log_load + 1e-9):
         reasons |= OUTSIDE
 
     arm = radius * share

@@ -9,23 +9,31 @@ from __future__ import annotations
 import glob
 import hashlib
 import json
-import math
-import os
-import tempfile
+import re
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from trackres_ros import own_files
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import layout as at
 from trackres_ros.estimator.estimator import Estimator, Session, State
+from trackres_ros.estimator.plausible_state import check_effects, check_memory, check_state
 
 FORMAT = "trackres-state"
-VERSION = 3
-PART = ".part"
+VERSION = 4
 REMEDY = "delete the file to start cold"
+LARGEST = 4 << 20  # bytes; that of a vehicle with four assemblies has 10 thousand
+FARTHEST_SAVED_AT = 1e10  # s: the year 2286, and as far before 1970
+LONGEST_OFF = 7 * 86400.0  # s: by then any belt has the temperature of the air, and is as uncertain as at a cold start
+SEAL = re.compile(rb', "sha256": "([0-9a-f]{64})"\}\Z')
+
+# What a state file holds of a session, in the order of `_arrays`.
+FLOATS = ("belts", "motion", "effects", "values")
+INTEGERS = ("times", "counters", "reasons")
 
 
 def key(estimator: Estimator) -> str:
@@ -54,12 +62,13 @@ def save(session: Session, path: Path, saved_at: float) -> None:
     OSError
         If the file cannot be written; an older one is then left whole.
     """
-    write(path, content(session, saved_at))
+    own_files.write(path, content(session, saved_at))
 
 
-def content(session: Session, saved_at: float) -> str:
-    """Text of a state file; see `save`."""
-    return json.dumps(
+def content(session: Session, saved_at: float) -> bytes:
+    """Content of a state file, sealed; see `save`."""
+    arrays = _arrays(session)
+    return seal(
         {
             "format": FORMAT,
             "version": VERSION,
@@ -67,39 +76,21 @@ def content(session: Session, saved_at: float) -> str:
             "vehicle": session.estimator.vehicle.name,
             "saved_at": saved_at,
             "started": session.started,
-            "belts": _text(session.belts),
-            "motion": _text(session.motion),
-            "effects": _text(session.effects),
-            "values": _text(session.memory.values),
-            "times": session.memory.times.tolist(),
-            "counters": session.memory.counters.tolist(),
-            "reasons": session.memory.reasons.tolist(),
+            **{name: [float(value).hex() for value in arrays[name].ravel()] for name in FLOATS},  # bit by bit, nan too
+            **{name: arrays[name].ravel().tolist() for name in INTEGERS},
         }
     )
 
 
-def write(path: Path, text: str) -> None:
-    """Write the text of a state file beside its place and move it there.
-
-    Raises
-    ------
-    OSError
-        If it cannot be written; an older file is then left whole.
-    """
-    with tempfile.NamedTemporaryFile("w", dir=path.parent, prefix=path.name, suffix=PART, delete=False, encoding="utf-8") as file:
-        try:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-            Path(file.name).replace(path)
-        except BaseException:
-            Path(file.name).unlink(missing_ok=True)
-            raise
+def seal(content: dict[str, Any]) -> bytes:
+    """The content as JSON that ends in a digest of all before it."""
+    body = json.dumps({name: value for name, value in content.items() if name != "sha256"})[:-1].encode()
+    return body + f', "sha256": "{hashlib.sha256(body).hexdigest()}"}}'.encode()
 
 
 def leftovers(path: Path) -> list[Path]:
     """Parts of a state file whose writing was cut off."""
-    return list(path.parent.glob(f"{glob.escape(path.name)}*{PART}"))
+    return list(path.parent.glob(f"{glob.escape(path.name)}*{own_files.PART}"))
 
 
 def resume(estimator: Estimator, path: Path) -> Session:
@@ -110,15 +101,8 @@ def resume(estimator: Estimator, path: Path) -> Session:
     InputError
         If the file is missing, damaged, of another version or of another vehicle; says which.
     """
-    content = _read(estimator, path)
     session = estimator.session()
-    session.belts[:] = _numbers(content["belts"], session.belts.shape)
-    session.motion[:] = _numbers(content["motion"], session.motion.shape)
-    session.effects = _numbers(content["effects"], session.effects.shape)
-    session.memory.values[:] = _numbers(content["values"], session.memory.values.shape)
-    session.memory.times[:] = np.array(content["times"], dtype=np.int64).reshape(session.memory.times.shape)
-    session.memory.counters[:] = np.array(content["counters"], dtype=np.int64).reshape(session.memory.counters.shape)
-    session.memory.reasons[:] = np.array(content["reasons"], dtype=np.int64).reshape(session.memory.reasons.shape)
+    _take(session, path)
     return session
 
 
@@ -131,58 +115,91 @@ def after_time_off(estimator: Estimator, path: Path, now: float, ambient: float 
         Wall-clock time [s since 1970]. A clock that stands before `saved_at` counts as no time off.
     ambient
         Ambient temperature while off [degC]; by default the vehicle file's.
+
+    Raises
+    ------
+    InputError
+        As `resume`.
     """
-    content = _read(estimator, path)
-    session = estimator.session()
-    if not content["started"]:
+    before, session = estimator.session(), estimator.session()
+    saved_at = _take(before, path)
+    if not before.started:
         return session, 0.0
-    off = max(0.0, now - float(content["saved_at"]))
-    state = State(
-        _numbers(content["belts"], session.belts.shape),
-        _numbers(content["motion"], session.motion.shape),
-        _numbers(content["effects"], session.effects.shape),
-    )
+    off = max(0.0, now - saved_at)
     ambient = estimator.vehicle.chassis.ambient if ambient is None else ambient
-    session.begin(estimator.rest(state, ambient, off))
+    session.begin(estimator.rest(State(before.belts, before.motion, before.effects), ambient, min(off, LONGEST_OFF)))
     return session, off
 
 
-def _read(estimator: Estimator, path: Path) -> dict[str, Any]:
+def _arrays(session: Session) -> dict[str, NDArray[Any]]:
+    memory = session.memory
+    arrays = (session.belts, session.motion, session.effects, memory.values, memory.times, memory.counters, memory.reasons)
+    return dict(zip((*FLOATS, *INTEGERS), arrays, strict=True))
+
+
+def _take(session: Session, path: Path) -> float:
+    """Fill a new session from a state file; returns when it was saved [s since 1970]."""
+    where = f"state file {path}"
+    content = _read(session.estimator, path)
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        for name, array in _arrays(session).items():
+            given = content[name]
+            if not isinstance(given, list) or len(given) != array.size:
+                raise ValueError(f"{name} of another length")
+            numbers = [float.fromhex(one) for one in given] if name in FLOATS else [_integer(one) for one in given]
+            array[:] = np.array(numbers, dtype=array.dtype).reshape(array.shape)
+        saved_at = content["saved_at"]
+        if isinstance(saved_at, bool) or not isinstance(saved_at, int | float) or not abs(saved_at) <= FARTHEST_SAVED_AT:
+            raise ValueError("saved_at is no time")
+        if content["started"] is not session.started:
+            raise ValueError("started does not fit the motion")
+        check_state(session.estimator, session.belts, session.motion)
+        check_effects(session.effects)
+        check_memory(session.memory, session.estimator.constants.channel_limits)
+    except KeyError as error:
+        raise InputError(where, f"no {error.args[0]}", "a whole file written by this program", REMEDY) from error
+    except (TypeError, ValueError, OverflowError) as error:
+        given = f"numbers that do not fit: {str(error)[:80]}"
+        raise InputError(where, given, "the state of a vehicle, as this program writes it", REMEDY) from error
+    return float(saved_at)
+
+
+def _integer(given: Any) -> int:
+    if isinstance(given, bool) or not isinstance(given, int):
+        raise TypeError("a count or time that is no whole number")
+    return given
+
+
+def _read(estimator: Estimator, path: Path) -> dict[str, Any]:
+    """The one way into a state file: nothing of it counts before its seal was found whole."""
+    where, whole = f"state file {path}", "a whole file written by this program"
+    try:
+        data = own_files.read(path, LARGEST)
     except OSError as error:
-        raise InputError(
-            f"state file {path}", error.strerror or "an unreadable file", "a file written by this program", REMEDY
-        ) from error
-    except ValueError as error:
-        raise InputError(f"state file {path}", "a damaged file", "a whole file written by this program", REMEDY) from error
+        raise InputError(where, error.strerror or str(error), "a file written by this program", REMEDY) from error
+    found = SEAL.search(data)
+    intact = found is not None and hashlib.sha256(data[: found.start()]).hexdigest().encode() == found.group(1)
+    try:
+        content = json.loads(data.decode("utf-8"), parse_constant=_no_constant)
+    except (ValueError, RecursionError) as error:
+        raise InputError(where, "a damaged file", whole, REMEDY) from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise InputError(f"state file {path}", "another kind of file", f"a file of format {FORMAT}", REMEDY)
-    if content.get("version") != VERSION:
-        raise InputError(f"state file {path}", f"version {content.get('version')}", f"version {VERSION}", REMEDY)
+        raise InputError(where, "another kind of file", f"a file of format {FORMAT}", REMEDY)
+    version = content.get("version")
+    if version != VERSION:
+        given = f"version {version}" if isinstance(version, int) and 0 <= version < 1000 else "no version"
+        raise InputError(where, given, f"version {VERSION}", REMEDY)
+    if not intact:
+        raise InputError(where, "a damaged file: its content is not what its checksum says", whole, REMEDY)
     if content.get("key") != key(estimator):
         raise InputError(
-            f"state file {path}",
-            f"a state of vehicle {content.get('vehicle')}, or of other values in its file",
+            where,
+            f"a state of vehicle {str(content.get('vehicle'))[:80]}, or of other values in its file",
             f"a state of this very vehicle, {estimator.vehicle.name}",
             REMEDY,
         )
-    missing = {"belts", "motion", "effects", "values", "times", "counters", "reasons", "saved_at", "started"} - content.keys()
-    if missing:
-        raise InputError(f"state file {path}", f"no {', '.join(sorted(missing))}", "a whole file", REMEDY)
     return content
 
 
-def _text(array: np.ndarray[Any, np.dtype[np.float64]]) -> list[str]:
-    """Floats that come back bit by bit, nan too."""
-    return [float(value).hex() for value in array.ravel()]
-
-
-def _numbers(texts: list[str], shape: tuple[int, ...]) -> np.ndarray[Any, np.dtype[np.float64]]:
-    try:
-        values = np.array([float.fromhex(text) for text in texts]).reshape(shape)
-    except (TypeError, ValueError) as error:
-        raise InputError("state file", "numbers that do not fit", "a whole file", REMEDY) from error
-    if math.prod(shape) and not np.isfinite(values).all() and len(shape) != 1:
-        raise InputError("state file", "a temperature that is not finite", "finite temperatures", REMEDY)
-    return values
+def _no_constant(text: str) -> float:
+    raise ValueError(f"{text} in a file that writes it otherwise")

@@ -7,9 +7,10 @@ import time
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
+from trackres_ros import own_files
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.estimator import Estimator, Session
-from trackres_ros.estimator.snapshot import after_time_off, content, leftovers, write
+from trackres_ros.estimator.snapshot import after_time_off, content, leftovers
 
 AUTO, NONE = "auto", "none"
 
@@ -40,10 +41,13 @@ class StateKeeper:
         """A session that begins with the kept belts, cooled since, or cold; what was found; and whether a file was of no use."""
         if self.path is None:
             return estimator.session(), "no state is kept: cold start", False
-        for part in leftovers(self.path):
-            part.unlink(missing_ok=True)
-        if not self.path.exists():
-            return estimator.session(), f"no state file {self.path} yet: cold start", False
+        try:
+            for part in leftovers(self.path):
+                part.unlink(missing_ok=True)
+            if not self.path.exists():
+                return estimator.session(), f"no state file {self.path} yet: cold start", False
+        except (OSError, ValueError) as error:
+            return estimator.session(), f"cold start, as the state file {self.path} is out of reach: {error}", True
         try:
             session, off_s = after_time_off(estimator, self.path, time.time())
         except InputError as error:
@@ -78,11 +82,11 @@ class StateKeeper:
         """Wait for what is being written."""
         self._writer.shutdown()
 
-    def _write(self, text: str, path: Path) -> None:
+    def _write(self, data: bytes, path: Path) -> None:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            write(path, text)
-        except OSError as error:
-            self.error = error.strerror or str(error)
+            own_files.write(path, data)
+        except (OSError, ValueError) as error:
+            self.error = getattr(error, "strerror", None) or str(error)
         else:
             self.error, self.saved_at = "", time.time()

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
+import tempfile
 import threading
+from pathlib import Path
 
-from trackres_ros.compiled import is_cached
+from trackres_ros.compiled import code_folder, is_cached, keep_code_in
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.session import COMPILED, Entries, interpreted_entries
 from trackres_ros.vehicle import load
@@ -34,17 +37,30 @@ class WarmUp:
         self._vehicle_file = vehicle_file
         self._ready = threading.Event()
         self._process: subprocess.Popen[bytes] | None = None
+        self._folder: tempfile.TemporaryDirectory[str] | None = None
         self.first: Entries = COMPILED
         if not is_warm():
             self.first = interpreted_entries()
             self._process = subprocess.Popen(
                 [sys.executable, "-m", "trackres_ros.live.warm_up", vehicle_file],
+                env=self._environment(),
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
             )
             self._thread = threading.Thread(target=self._wait, name="warm-up", daemon=True)
             self._thread.start()
+
+    def _environment(self) -> dict[str, str]:
+        """That of the compiling process: without a cache that can be used both meet in a folder of this run."""
+        if code_folder() is not None:
+            return dict(os.environ)
+        try:
+            self._folder = tempfile.TemporaryDirectory(prefix="trackres")
+        except OSError:  # nowhere at all: then this process compiles once more by itself
+            return dict(os.environ)
+        keep_code_in(Path(self._folder.name))
+        return {**os.environ, "NUMBA_CACHE_DIR": self._folder.name}
 
     @property
     def running(self) -> bool:
@@ -65,18 +81,17 @@ class WarmUp:
         if self._process.poll() is None:
             self._process.terminate()
         self._thread.join()
+        if self._folder is not None:
+            self._folder.cleanup()
 
     def _wait(self) -> None:
-        assert self._process is not None
-        if self._process.wait() == 0:
+        if self._process is not None and self._process.wait() == 0:
             exercise(Estimator(load(self._vehicle_file)))
             self._ready.set()
 
 
 def main() -> None:
     """Compile for a vehicle file, as the other process."""
-    import os
-
     os.nice(NICENESS)
     exercise(Estimator(load(sys.argv[1])))
 

@@ -156,7 +156,22 @@ def interpolation_error(
 
 def drive_share(table: LossTable, loads: LoadRange, sprocket_radius: float) -> float:
     """Largest share of the loss that the drive torque adds or takes, over all reduced speeds at nominal load."""
+    return _largest_share(table, loads, sprocket_radius, np.abs(table.drive[:, 0]) + np.abs(table.drive[:, 1]))
+
+
+def reverse_share(table: LossTable, loads: LoadRange, sprocket_radius: float) -> float:
+    """Largest share of the loss by which forward and reverse differ.
+
+    Notes
+    -----
+    Driven backwards a sprocket slackens the run of the belt that it pulls taut forward, so where the drive's strain meets the
+    bending over a wheel, the one adds to the other or takes from it. It is the torque's sign that counts, not that of the
+    travel: on its own, to drive or to brake backwards is as forward.
+    """
+    return _largest_share(table, loads, sprocket_radius, 2.0 * np.abs(table.drive[:, 0]))
+
+
+def _largest_share(table: LossTable, loads: LoadRange, sprocket_radius: float, per_torque: Array) -> float:
     torque = DRIVE_TORQUE_SHARE * loads.nominal * sprocket_radius
     column = int(round((np.log(loads.nominal) - table.first_log_load) / table.step_log_load))
-    change = np.abs(table.drive[:, 0]) * torque + np.abs(table.drive[:, 1]) * torque
-    return float(np.max(change / table.loss[:, column]))
+    return float(np.max(per_torque * torque / table.loss[:, column]))

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.locate import evenly_filled
+from trackres_ros.errors import InputError
 from trackres_ros.proof.answers import BASELINES, Answer, of_names, of_report
 from trackres_ros.proof.baselines import by_trees
 from trackres_ros.proof.cases import CATALOGUE, Case, sealed
@@ -38,7 +39,9 @@ def main(arguments: Sequence[str]) -> None:
     labels = json.loads((folder / "sealed" / "labels.json").read_text(encoding="utf-8"))
     cases = [Case(**c) for c in labels["cases"]]
     seal = sealed(labels["seed"], cases)
-    assert seal == (folder / "seal.txt").read_text(encoding="utf-8").strip(), "the labels are not those that were sealed"
+    if seal != (folder / "seal.txt").read_text(encoding="utf-8").strip():
+        given = "labels that are not those that were sealed"
+        raise InputError(str(folder / "sealed"), given, "the labels of the cases as drawn", "begin anew with --fresh")
     simple = [json.loads((folder / "results" / f"{case.name}.json").read_text(encoding="utf-8"))["simple"] for case in cases]
     said = [next(iter(case.hidden), "none") if case.level != "outside" else "unexplained" for case in cases]
     trees: Sequence[str | None] = by_trees([s["features"] for s in simple], said, list(CATALOGUE)) or [None] * len(cases)
@@ -109,4 +112,7 @@ def _resolved(folder: Path, case: Case, report: dict[str, Any]) -> bool | None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    try:
+        main(sys.argv[1:])
+    except InputError as refused:
+        sys.exit(f"trackres: error: {refused}")

@@ -168,6 +168,7 @@ class Vehicle:
     name: str
     title: str
     source: Path
+    rubber_source: Path  # of the temperature sweep
     hysteresis: str
     thermal: str
     rubber: Rubber

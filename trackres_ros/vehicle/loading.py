@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import csv
+import logging
 import math
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -15,7 +17,7 @@ import numpy as np
 
 from trackres_ros.effects.registry import catalogue, check_effects
 from trackres_ros.errors import InputError
-from trackres_ros.resources import find_vehicle
+from trackres_ros.resources import config_dir, find_vehicle
 from trackres_ros.shown import figures
 from trackres_ros.vehicle import schema
 from trackres_ros.vehicle.description import (
@@ -78,13 +80,15 @@ def build(path: Path, content: Mapping[str, Any], overrides: Mapping[str, float]
     if not isinstance(content["tracks"], dict) or not content["tracks"]:
         raise InputError(reader.where("tracks"), content["tracks"], "a mapping with at least one kind of track by name")
     tracks = {str(name): _track(reader, str(name), entry) for name, entry in content["tracks"].items()}
+    rubber, rubber_source = _rubber(reader, content["rubber"])
     vehicle = Vehicle(
         name=reader.text(content["name"], "name"),
         title=reader.text(content["title"], "title"),
         source=path,
         hysteresis=reader.text(model["hysteresis"], "model.hysteresis", schema.MODEL_CHOICES["hysteresis"]),
         thermal=reader.text(model["thermal"], "model.thermal", schema.MODEL_CHOICES["thermal"]),
-        rubber=_rubber(reader, content["rubber"]),
+        rubber=rubber,
+        rubber_source=rubber_source,
         chassis=chassis,
         axles=axles,
         assemblies=_assemblies(reader, content["assemblies"], axles, tracks),
@@ -98,12 +102,26 @@ def build(path: Path, content: Mapping[str, Any], overrides: Mapping[str, float]
     return vehicle
 
 
-def _rubber(reader: Reader, given: Any) -> Rubber:
+def _rubber(reader: Reader, given: Any) -> tuple[Rubber, Path]:
     values = reader.table(given, "rubber", schema.RUBBER, others=("file",))
-    file = Path(reader.text(given["file"], "rubber.file"))
-    path = file if file.is_absolute() else reader.path.parent / file
+    path = _rubber_file(reader.path, Path(reader.text(given["file"], "rubber.file")))
     sweep_degc, storage_pa, loss_pa = read_rubber_sweep(path)
-    return Rubber(sweep_degc, storage_pa, loss_pa, **values)
+    return Rubber(sweep_degc, storage_pa, loss_pa, **values), path
+
+
+def _rubber_file(vehicle_file: Path, file: Path) -> Path:
+    """The rubber file, relative to the vehicle file; where none is there, the shipped one of that name, which is said once."""
+    path = vehicle_file.parent / file
+    shipped = config_dir() / "rubber" / file.name
+    if path.exists() or file.is_absolute() or not shipped.exists():
+        return path
+    _say_shipped(path, shipped)
+    return shipped
+
+
+@cache
+def _say_shipped(path: Path, shipped: Path) -> None:
+    logging.getLogger("trackres").warning("trackres: there is no %s: the shipped %s is used", path, shipped)
 
 
 def read_rubber_sweep(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -136,9 +154,30 @@ def read_rubber_sweep(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             "temperatures that do not rise, or values that are not finite",
             "finite numbers with T_degC rising from row to row",
         )
-    if (table[:, 1:] <= 0).any() or (table[:, 2] >= 100 * table[:, 1]).any():
-        raise InputError(f"{path}", "a modulus that is zero, negative or out of proportion", "positive moduli in MPa")
+    _check_sweep(path, table)
     return table[:, 0].copy(), table[:, 1] * 1e6, table[:, 2] * 1e6
+
+
+def _check_sweep(path: Path, table: np.ndarray) -> None:
+    """Refuse moduli that no rubber has, as values in Pa below a header in MPa."""
+    degc, storage, loss = table.T
+    moduli = "the columns are in MPa: divide values in Pa by 1e6, multiply values in GPa by 1000"
+    for what, values, limits, remedy in (
+        ("T_degC", degc, schema.SWEEP_DEGC, "subtract 273.15 from values in kelvin"),
+        (RUBBER_COLUMNS[1], storage, schema.SWEEP_STORAGE, moduli),
+        (RUBBER_COLUMNS[2], loss, schema.SWEEP_LOSS, moduli),
+    ):
+        _within(path, what, values, limits, remedy)
+    columns = "check that both columns are of one test and in one unit"
+    with np.errstate(over="ignore"):
+        _within(path, "loss over storage modulus", loss / storage, schema.SWEEP_TAN_DELTA, columns)
+    _within(path, f"storage modulus at {degc[-1]:g} degC", storage[-1:], schema.WARM_STORAGE, moduli)
+
+
+def _within(path: Path, what: str, values: np.ndarray, limits: schema.Limits, remedy: str) -> None:
+    if values.min() < limits.low or values.max() > limits.high:
+        given = f"{values.min():.4g} to {values.max():.4g} {limits.unit}"
+        raise InputError(f"{path}: {what}", given, f"{limits.low:g} to {limits.high:g} {limits.unit}", remedy)
 
 
 def _chassis(reader: Reader, given: Any) -> tuple[Chassis, tuple[Axle, ...]]:
@@ -239,6 +278,11 @@ def _beam(reader: Reader, key: str, given: Any, top: bool = False) -> Beam | int
     return Beam(split, own, _beam(reader, f"{key}.front", given["front"]), _beam(reader, f"{key}.rear", given["rear"]))
 
 
+def _wheels_side_by_side(positions: np.ndarray, radius: float) -> int:
+    """How many road wheels there are at most over one place of the ground: more than one where they interleave."""
+    return max(int(np.count_nonzero((positions >= at) & (positions < at + 2 * radius * (1 - 1e-9)))) for at in positions)
+
+
 def _check_geometry(reader: Reader, key: str, track: Track) -> None:
     """Refuse a track whose parts do not fit each other."""
     belt, wheels = track.belt, track.road_wheels
@@ -262,6 +306,15 @@ def _check_geometry(reader: Reader, key: str, track: Track) -> None:
     if wheels.contact_length > belt.width:
         raise InputError(
             reader.where(f"{key}.road_wheels.contact_length"), wheels.contact_length, f"at most the belt width {belt.width:g} m"
+        )
+    beside = _wheels_side_by_side(positions, wheels.radius)
+    if beside * wheels.contact_length > belt.width:
+        raise InputError(
+            reader.where(f"{key}.road_wheels.positions"),
+            f"{beside} wheels of radius {wheels.radius:g} m that overlap along the track, with contacts of "
+            f"{wheels.contact_length:g} m each on a belt {belt.width:g} m wide",
+            f"wheels at least {2 * wheels.radius:g} m apart, or so narrow that those which overlap stand side by side",
+            "check radius (not diameter) and positions",
         )
     if belt.tread_depth * belt.width * belt.tread_land_ratio > belt.lug_section:
         raise InputError(

@@ -30,6 +30,14 @@ RUBBER = {
     "loss_modulus_scale": Limits("1", 0.1, 10.0, "factor on the loss modulus of the file"),
 }
 
+# The temperature sweep. A rubber is glassy at some GPa at most, and at the warm end no rubber above 1 GPa; filled or not its
+# loss over storage modulus stays within tan delta (Mark, Erman, Roland: The Science and Technology of Rubber, 4th ed., ch. 3).
+SWEEP_DEGC = Limits("degC", -150.0, 300.0, "temperature of a row")
+SWEEP_STORAGE = Limits("MPa", 0.05, 2e4, "storage modulus")
+SWEEP_LOSS = Limits("MPa", 1e-4, 1e4, "loss modulus")
+SWEEP_TAN_DELTA = Limits("1", 1e-4, 5.0, "loss over storage modulus")
+WARM_STORAGE = Limits("MPa", 0.05, 1e3, "storage modulus at the warm end, where it is a rubber")
+
 CHASSIS = {
     "bearing_friction": Limits("1", 0.0, 0.2, "bearing friction coefficient"),
     "drag_coefficient": Limits("1", 0.0, 3.0, "aerodynamic drag coefficient"),

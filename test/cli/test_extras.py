@@ -1,0 +1,144 @@
+"""Commands with an optional library missing, interrupted commands, and checks that hold under `python -O`."""
+
+import ast
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import asdict
+from pathlib import Path
+
+import pytest
+
+import trackres_ros
+from trackres_ros.proof.cases import draw_cases, sealed
+
+# Blocks the import of modules, then runs the command line as it is.
+BLOCKED = """
+import sys
+for name in {modules!r}:
+    sys.modules[name] = None
+from trackres_ros.cli.main import main
+main({arguments!r})
+"""
+OPTIONAL = ("numba", "rosbags", "pyarrow", "matplotlib", "jinja2", "ruptures", "sklearn", "cyclonedds")
+
+
+def without(modules, *arguments, cwd):
+    program = BLOCKED.format(modules=tuple(modules), arguments=[str(a) for a in arguments])
+    environment = {**os.environ, "TRACKRES_INTERPRETED": "1"}  # nothing here is worth compiling
+    return subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=cwd, env=environment, check=False)
+
+
+NEEDED = [
+    (("prove", "--quick", "-o", "out"), ("sklearn", "matplotlib", "jinja2", "ruptures", "numba")),
+    (("prove", "--quick", "--json", "-o", "out"), ("sklearn",)),
+    (("prove", "paper", "-o", "out"), ("matplotlib", "ruptures")),
+    (("prove", "loop", "-o", "out"), ("matplotlib",)),
+    (("prove", "real", "--data", "here", "-o", "out"), ("matplotlib",)),
+    (("reproduce", "-o", "out"), ("matplotlib",)),
+    (("record-sample", "-o", "out.mcap"), ("rosbags",)),
+    (("simulate", "--vehicle", "agri3t", "--speed-kmh", "5", "-o", "out.parquet"), ("pyarrow",)),
+    (("simulate", "--vehicle", "agri3t", "--speed-kmh", "5", "-o", "out.mcap"), ("rosbags",)),
+    (("replay", "drive.csv", "--vehicle", "agri3t", "-o", "out.parquet"), ("pyarrow",)),
+    (("replay", "drive.csv", "--vehicle", "agri3t", "-o", "out.mcap"), ("rosbags",)),
+    (("live", "--edge", "dds", "--vehicle", "agri3t"), ("cyclonedds",)),
+    (("live", "--edge", "dds", "--vehicle", "agri3t", "--record", "out.mcap"), ("rosbags",)),
+    (("play", "lap.mcap"), ("cyclonedds",)),
+]
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "here").mkdir()
+    (tmp_path / "drive.csv").write_text("time_s,speed_mps\n" + "".join(f"{i * 0.1:.1f},2.0\n" for i in range(30)))
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("arguments", "module"), [(a, m) for a, modules in NEEDED for m in modules], ids=lambda v: v if isinstance(v, str) else v[0]
+)
+def test_a_library_that_is_missing_is_said_before_any_work(folder, arguments, module):
+    before = sorted(folder.rglob("*"))
+    done = without([module], *arguments, cwd=folder)
+    assert done.returncode == 2, done.stderr
+    assert done.stdout == ""
+    assert done.stderr.count("\n") == 1, done.stderr
+    assert "pip install" in done.stderr
+    assert sorted(folder.rglob("*")) == before
+
+
+WORKS = [
+    ("simulate", "--vehicle", "agri3t", "--speed-kmh", "5", "--duration-s", "5", "-o", "out.csv"),
+    ("replay", "drive.csv", "--vehicle", "agri3t", "-o", "out.csv"),
+    ("explain", "--vehicle", "agri3t", "--speed-kmh", "5", "--belt-degc", "20"),
+    ("effects",),
+]
+
+
+@pytest.mark.parametrize("arguments", WORKS, ids=lambda a: a[0])
+def test_without_any_of_them_the_rest_works(folder, arguments):
+    done = without(OPTIONAL, *arguments, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_every_command_that_is_interrupted_says_what_it_has_written(tmp_path):
+    pytest.importorskip("matplotlib")
+    command = [sys.executable, "-m", "trackres_ros", "reproduce", "-o", str(tmp_path / "figures")]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    until = time.monotonic() + 300.0
+    while not list(tmp_path.rglob("*.csv")) and time.monotonic() < until and process.poll() is None:
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=120)
+    assert process.returncode == 130
+    assert "written until then" in said
+    first = sorted(path for path in (tmp_path / "figures").rglob("*") if path.is_file())[0]
+    assert str(first) in said
+
+
+def test_a_command_interrupted_before_it_wrote_says_so(tmp_path, monkeypatch, capsys):
+    from trackres_ros.cli import main as cli_main
+
+    def stop(*_args, **_kwargs):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli_main.cli, "main", stop)
+    with pytest.raises(SystemExit) as ended:
+        cli_main.main(["simulate"])
+    assert ended.value.code == 130
+    assert "nothing was written" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("flags", [(), ("-O",)])
+def test_labels_that_are_not_those_sealed_are_refused_without_asserts_too(tmp_path, flags):
+    cases = draw_cases({"none": 2, "single": 2}, 5)
+    (tmp_path / "seal.txt").write_text(sealed(5, cases) + "\n")
+    (tmp_path / "sealed").mkdir()
+    labels = {"seed": 5, "cases": [asdict(case) for case in cases]}
+    labels["cases"][0]["level"] = "single" if labels["cases"][0]["level"] == "none" else "none"
+    (tmp_path / "sealed" / "labels.json").write_text(json.dumps(labels))
+    command = [sys.executable, *flags, "-m", "trackres_ros.proof.score", str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode
+    assert done.stderr.startswith("trackres: error: ")
+    assert "not those that were sealed" in done.stderr
+    assert not (tmp_path / "scores.json").exists()
+
+
+def _says_only_a_type(test):
+    if isinstance(test, ast.Call):
+        return isinstance(test.func, ast.Name) and test.func.id == "isinstance"
+    if isinstance(test, ast.Compare):
+        return all(isinstance(op, ast.IsNot) for op in test.ops) and isinstance(test.comparators[0], ast.Constant)
+    return isinstance(test, ast.Name | ast.Attribute)
+
+
+def test_no_assert_of_the_package_guards_more_than_a_type():
+    for path in Path(trackres_ros.__file__).parent.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Assert):
+                assert _says_only_a_type(node.test), f"{path}:{node.lineno} is gone under python -O"

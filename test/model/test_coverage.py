@@ -1,0 +1,198 @@
+"""Where the rubber data end, where a belt settles, and that forward and reverse are one."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from trackres_ros.errors import InputError
+from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.estimator.layout import Reason
+from trackres_ros.model.coverage import DESTROYED_DEGC, balance_degc, check_heat, coverage
+from trackres_ros.model.hysteresis import METHODS
+from trackres_ros.model.loss_table import loss_table, reverse_share
+from trackres_ros.model.rubber import RubberModel
+from trackres_ros.model.track import load_range, track_model, with_methods
+from trackres_ros.resources import config_dir
+from trackres_ros.vehicle import Vehicle, load
+
+
+def cut(vehicle: Vehicle, low: float, high: float) -> Vehicle:
+    """The same vehicle with a sweep that begins and ends elsewhere."""
+    rubber = vehicle.rubber
+    kept = (rubber.sweep_degc >= low) & (rubber.sweep_degc <= high)
+    parts = (rubber.sweep_degc[kept], rubber.storage_pa[kept], rubber.loss_pa[kept])
+    return replace(vehicle, rubber=replace(rubber, sweep_degc=parts[0], storage_pa=parts[1], loss_pa=parts[2]))
+
+
+@given(low=st.sampled_from([-60, -40, -20, 0, 20]), share=st.floats(0.02, 1.0), factor=st.floats(1.02, 3.0))
+def test_colder_or_faster_than_the_data_the_main_frequency_is_beyond_the_sweep(
+    xgd24d: Vehicle, low: int, share: float, factor: float
+) -> None:
+    vehicle = cut(xgd24d, low, 120)
+    name, speed = next(iter(vehicle.tracks)), share * xgd24d.chassis.max_speed
+    rubber, model, load_n = RubberModel(vehicle.rubber), track_model(vehicle, name), load_range(vehicle, name).nominal
+    coldest = coverage(vehicle, name).coldest(rubber, speed)
+
+    def equivalent(v: float) -> float:
+        frequency = model.loss.contacts(v, coldest, load_n).frequency.mean()
+        return float(rubber.equivalent_temperature(rubber.reduced(frequency, coldest)))
+
+    assert equivalent(speed / factor) > low  # slower it lies within the sweep
+    assert equivalent(speed * factor) == pytest.approx(low)  # faster it is held at the end
+
+
+def test_a_longer_sweep_covers_more(xgd24d: Vehicle) -> None:
+    rubber, name = RubberModel(xgd24d.rubber), next(iter(xgd24d.tracks))
+    ends = [coverage(cut(xgd24d, low, 100), name).coldest(rubber, 10.0) for low in (-40, -20, 0, 20)]
+    assert ends == sorted(ends)
+    assert [coverage(cut(xgd24d, -90, high), name).hottest for high in (20, 60, 100)] == [20, 60, 100]
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The reference vehicle with a sweep from 0 to 60 degC."""
+    folder = tmp_path_factory.mktemp("short")
+    (folder / "rubber").mkdir()
+    header, *rows = (config_dir() / "rubber" / "nr_sbr_10hz.csv").read_text(encoding="utf-8").splitlines()
+    kept = [row for row in rows if 0 <= float(row.split(",")[0]) <= 60]
+    (folder / "rubber" / "nr_sbr_10hz.csv").write_text("\n".join([header, *kept]), encoding="utf-8")
+    (folder / "mine.yaml").write_text((config_dir() / "xgd24d.yaml").read_text(encoding="utf-8"), encoding="utf-8")
+    return folder / "mine.yaml"
+
+
+@pytest.fixture(scope="module")
+def short_estimator(short: Path) -> Estimator:
+    return Estimator(load(short))
+
+
+@settings(max_examples=60)
+@given(speed=st.floats(-16.0, 16.0), belt=st.floats(-50.0, 110.0))
+def test_the_status_says_where_the_data_end(short_estimator: Estimator, speed: float, belt: float) -> None:
+    vehicle = short_estimator.vehicle
+    covered, rubber = coverage(vehicle, "triangular"), RubberModel(vehicle.rubber)
+    inputs = short_estimator.inputs(speed, ambient=15.0)
+    _, estimate = short_estimator.step(short_estimator.cold_start(inputs, belt), inputs, 0.0)
+    coldest = covered.coldest(rubber, max(abs(speed), 1e-6))
+    if abs(belt - coldest) < 0.01 or abs(belt - covered.hottest) < 0.01:
+        return
+    assert bool(estimate.reasons & Reason.OUTSIDE_TABLE) == (belt < coldest or belt > covered.hottest)
+
+
+def test_a_shipped_vehicle_is_within_its_data_from_minus_fifty_to_its_balance(reference: Estimator, carrier: Estimator) -> None:
+    for estimator in (reference, carrier):
+        most = estimator.vehicle.chassis.max_speed
+        name = next(iter(estimator.vehicle.tracks))
+        settles = balance_degc(estimator.vehicle, name, loss_table(estimator.vehicle, name), most, 45.0)
+        for speed in (0.0, 0.3 * most, most):
+            for belt in (-50.0, 0.0, settles):
+                inputs = estimator.inputs(speed, ambient=15.0)
+                _, estimate = estimator.step(estimator.cold_start(inputs, belt), inputs, 0.0)
+                assert not estimate.reasons & Reason.OUTSIDE_TABLE
+
+
+@pytest.mark.parametrize("thermal", ["lumped", "core_surface"])
+def test_the_balance_is_where_a_long_drive_ends(xgd24d: Vehicle, thermal: str) -> None:
+    vehicle = with_methods(xgd24d, thermal=thermal)
+    estimator = Estimator(vehicle)
+    speed = vehicle.chassis.max_speed
+    inputs = estimator.inputs(speed, ambient=vehicle.chassis.ambient, acceleration=0.0)
+    times = np.arange(0.0, 30_000.0, 5.0)
+    _, rows = estimator.run(estimator.cold_start(inputs), times, np.full(len(times), speed), vehicle.weight, 15.0)
+    belt = rows[-1, estimator.column_index["belt_degc/front_left"]]
+    assert belt == pytest.approx(balance_degc(vehicle, "triangular", loss_table(vehicle, "triangular"), speed, 15.0), abs=0.2)
+
+
+def changed(tmp_path: Path, change: dict[str, float]) -> Path:
+    content = yaml.safe_load((config_dir() / "xgd24d.yaml").read_text(encoding="utf-8"))
+    for path, value in change.items():
+        at = content
+        for key in path.split("."):
+            at = at[key]
+        at.update(value=value, range=[min(value, at["range"][0]), max(value, at["range"][1])])
+    (tmp_path / "mine.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
+    return tmp_path / "mine.yaml"
+
+
+BURNS = {
+    "tracks.triangular.belt.film_offset": 0.5,
+    "tracks.triangular.belt.film_slope": 0.01,
+    "rubber.loss_modulus_scale": 10.0,
+}
+
+
+def command(*arguments: object) -> subprocess.CompletedProcess[str]:
+    run = [sys.executable, "-m", "trackres_ros.cli.main", *map(str, arguments)]
+    return subprocess.run(run, capture_output=True, text=True, check=False)
+
+
+def test_a_vehicle_that_would_burn_is_refused_with_its_temperature(tmp_path: Path) -> None:
+    path = changed(tmp_path, BURNS)
+    vehicle = load(path)
+    with pytest.raises(InputError, match=r"settles at \d+ degC"):
+        check_heat(vehicle, "triangular", loss_table(vehicle, "triangular"))
+    assert balance_degc(vehicle, "triangular", loss_table(vehicle, "triangular"), 16.7, 15.0) > DESTROYED_DEGC
+    for arguments in (("vehicle", "check", path), ("simulate", "--vehicle", path, "--speed-kmh", 50, "-o", tmp_path / "out.csv")):
+        done = command(*arguments)
+        assert done.returncode == 2
+        assert "settles at" in done.stderr
+        assert done.stderr.strip().splitlines()[-1].startswith("trackres: error: ")
+
+
+def test_vehicle_check_says_what_the_data_cover(short: Path) -> None:
+    done = command("vehicle", "check", short)
+    assert done.returncode == 0
+    assert "  ! track triangular: the rubber data end at" in done.stdout
+    assert "settles at" in done.stdout
+    assert "warmer, to 60 degC" in done.stdout
+    assert "  ! " not in command("vehicle", "check", "xgd24d").stdout
+
+
+# Forward and reverse
+
+
+@given(speed=st.floats(0.1, 16.0), belt=st.floats(-40.0, 100.0), torque=st.floats(-1.0, 1.0))
+@pytest.mark.parametrize("method", list(METHODS))
+def test_the_travel_alone_makes_no_difference(vehicle: Vehicle, method: str, speed: float, belt: float, torque: float) -> None:
+    """Only the sign of the drive torque may: which run of the belt it pulls taut."""
+    name = next(iter(vehicle.tracks))
+    model, load_n = track_model(with_methods(vehicle, method), name), load_range(vehicle, name).nominal
+    torque *= 0.15 * load_n * model.track.sprocket_radius
+    forward, backward = (model.loss.loss_force(v, belt, load_n, torque).total for v in (speed, -speed))
+    assert float(backward) == float(forward)
+
+
+@settings(max_examples=30)
+@given(speeds=st.lists(st.floats(-1.0, 1.0), min_size=2, max_size=30), ambient=st.floats(-30.0, 40.0), grade=st.floats(-0.2, 0.2))
+@pytest.mark.parametrize("which", ["reference", "carrier"])
+def test_a_drive_and_its_mirror_image_give_the_same_with_the_other_sign(
+    request: pytest.FixtureRequest, which: str, speeds: list[float], ambient: float, grade: float
+) -> None:
+    """To rounding where the drive's strain does not meet bending, else to what `vehicle check` says of the vehicle."""
+    estimator: Estimator = request.getfixturevalue(which)
+    vehicle = estimator.vehicle
+    name = next(iter(vehicle.tracks))
+    share = reverse_share(loss_table(vehicle, name), load_range(vehicle, name), vehicle.tracks[name].sprocket_radius)
+    rows = []
+    for sign in (1.0, -1.0):
+        session = estimator.cold_start(estimator.inputs(0.0, ambient=ambient))
+        for speed in speeds:
+            inputs = estimator.inputs(sign * speed * vehicle.chassis.max_speed, ambient=ambient, grade=sign * grade)
+            session, estimate = estimator.step(session, inputs, 0.5)
+        rows.append(estimate)
+    odd = ("resistance_torque_nm", "hysteresis_nm", "bearing_nm", "wind_nm", "grade_nm", "inertia_nm", "drive_torque_nm")
+    scale = 1e-9 + 10.0 * share  # 10: the table's share is of a torque of 0.15 of the load, a hard brake has more
+    for column in odd:
+        assert rows[1][column] == pytest.approx(-rows[0][column], rel=scale, abs=1e-6 + scale * abs(rows[0]["hysteresis_nm"]))
+    assert rows[1].belt_degc() == pytest.approx(rows[0].belt_degc(), rel=scale, abs=1e-9)
+    assert rows[1].reasons == rows[0].reasons
+    assert math.isclose(rows[1].resistance_std_nm, rows[0].resistance_std_nm, rel_tol=scale)

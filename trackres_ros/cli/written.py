@@ -1,0 +1,49 @@
+"""What a command has written so far, for true words when it is interrupted."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+SHOWN = 8
+CLOCK_TICK_NS = 20_000_000  # a file's time may be that of the kernel's last tick
+
+_places: list[Path] = []
+_began_ns = 0
+
+
+def begin() -> None:
+    """A command begins: nothing is written yet."""
+    global _began_ns
+    _places.clear()
+    _began_ns = time.time_ns()
+
+
+def watch(*places: Path) -> None:
+    """Files that a command is to write, or folders it writes into."""
+    _places.extend(places)
+
+
+def so_far() -> str:
+    """What stands there that is newer than the command, in words."""
+    found = sorted({str(path) for place in _places for path in _files(place) if _is_new(path)})
+    if not found:
+        return "nothing was written"
+    more = f" and {len(found) - SHOWN} more" if len(found) > SHOWN else ""
+    return f"written until then: {', '.join(found[:SHOWN])}{more}"
+
+
+def _files(place: Path) -> Iterator[Path]:
+    if not place.is_dir():
+        yield place
+    for folder, _, names in os.walk(place):
+        yield from (Path(folder) / name for name in names)
+
+
+def _is_new(path: Path) -> bool:
+    try:
+        return path.stat().st_mtime_ns >= _began_ns - CLOCK_TICK_NS
+    except OSError:
+        return False

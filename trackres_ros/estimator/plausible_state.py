@@ -1,0 +1,79 @@
+"""Whether the numbers of a stored state can be those of a vehicle: each is held against what the estimate can reach.
+
+A seal shows that a file is as it was written; these checks show that what was written is a state. Both are needed: nothing that
+is read again may move a vehicle by a number that no drive could have left.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from trackres_ros.estimator import layout as at
+from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.estimator.guards import Memory
+
+Array = NDArray[np.float64]
+
+BELT_DEGC = (-100.0, 400.0)  # wider than any rubber lives through
+LARGEST_DEPARTURE = 1000.0  # K, of a standard deviation of any cause
+SPEED_REACH = 3.0  # of the greatest speed: the filter may overshoot, and effects scale the speed
+LARGEST_ACCEL = 1e4  # m/s^2, by a filter on stamps a few microseconds apart
+LARGEST_COVARIANCE = 1e6
+ROUNDING = 1e-9
+NO_QUANTUM = 1e9  # as `kernel.start` begins
+TORQUE_REACH = 1e4  # of weight times sprocket radius: inertia by the acceleration above
+STARTED = (at.START_ANEW, 0.0, 0.5, 1.0)
+FARTHEST_NS = 1 << 62
+MOST_SUSPECTS = 1000
+LARGEST_EFFECT = 1e12  # distance [m], time constant [s], or the state of an effect in any unit
+
+
+def check_state(estimator: Estimator, belts: Array, motion: Array) -> None:
+    """Raise ValueError for belts or a motion that no drive leaves."""
+    _within("belt temperatures", belts[:, :, at.TEMPERATURE], *BELT_DEGC)
+    _within("departures of belt temperatures", belts[:, :, at.DOUBT_1 :], -LARGEST_DEPARTURE, LARGEST_DEPARTURE)
+    speed = SPEED_REACH * estimator.vehicle.chassis.max_speed
+    k = estimator.constants.assembly
+    torque = TORQUE_REACH * float(k[:, at.NOMINAL_LOAD] @ k[:, at.RADIUS])
+    for name, index, low, high in (
+        ("filtered speed", at.FILTERED_SPEED, -speed, speed),
+        ("last speed", at.LAST_SPEED, -speed, speed),
+        ("acceleration", at.FILTERED_ACCEL, -LARGEST_ACCEL, LARGEST_ACCEL),
+        ("covariance of the speed", at.COV_SPEED, -ROUNDING, LARGEST_COVARIANCE),
+        ("covariance of speed and acceleration", at.COV_BOTH, -LARGEST_COVARIANCE, LARGEST_COVARIANCE),
+        ("covariance of the acceleration", at.COV_ACCEL, -ROUNDING, LARGEST_COVARIANCE),
+        ("smallest step of the speed", at.QUANTUM, 0.0, NO_QUANTUM),
+        ("feed-forward", at.FEEDFORWARD, -torque, torque),
+        ("drive torque", at.LAST_DRIVE, -torque, torque),
+    ):
+        _within(name, motion[index], low, high)
+    if motion[at.STARTED] not in STARTED:
+        raise ValueError("started is none of its values")
+
+
+def check_effects(memory: Array) -> None:
+    """Raise ValueError for a memory of effects that none leaves; one that has not acted yet is nan."""
+    _within("memory of effects", memory[~np.isnan(memory)], -LARGEST_EFFECT, LARGEST_EFFECT)
+
+
+def check_memory(memory: Memory, limits: Array) -> None:
+    """Raise ValueError for a memory of the guards that no stream of messages leaves."""
+    known = ~np.isnan(memory.values)
+    if ((memory.values < limits[:, 0]) | (memory.values > limits[:, 1]))[known].any():
+        raise ValueError("last values outside of the plausible range of their channels")
+    _within("times", memory.times, -FARTHEST_NS, FARTHEST_NS)
+    _within("marks of channels", memory.times[:, [at.SEEN, at.FRESH]], 0, 1)
+    _within("suspects", memory.times[:, at.SUSPECTS], 0, MOST_SUSPECTS)
+    if (known != (memory.times[:, at.SEEN] == 1)).any():
+        raise ValueError("channels with a time and no value, or the other way round")
+    _within("counters", memory.counters, 0, FARTHEST_NS)
+    _within("counts of reasons", memory.reasons, 0, FARTHEST_NS)
+
+
+def _within(name: str, given: ArrayLike, low: float, high: float) -> None:
+    values: NDArray[Any] = np.asarray(given)
+    if not ((values >= low) & (values <= high)).all():  # nan is not either
+        raise ValueError(f"{name} beyond {low:g} to {high:g}")

@@ -1,0 +1,97 @@
+"""What the rubber data cover of a vehicle's temperatures and speeds, and where its belts settle.
+
+By time-temperature superposition a sweep at one frequency covers a range of the reduced frequency a_T f. The passage of a road
+wheel, which makes most of the loss, has the frequency v / (2a); so the cold end of the sweep is a reduced speed a_T v, and
+colder or faster than that the moduli are held at their last values. Slower and warmer than the warm end they are held too, where
+rubber hardly changes any more with frequency; a belt hotter than the sweep ever was is still outside of the data.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from trackres_ros.errors import InputError
+from trackres_ros.model.contact import half_length_for_force
+from trackres_ros.model.loads import wheel_loads
+from trackres_ros.model.loss_table import LOG_SPEED, LossTable
+from trackres_ros.model.rubber import RubberModel
+from trackres_ros.model.thermal import film_coefficient, thermal_network
+from trackres_ros.model.track import load_range
+from trackres_ros.vehicle import Vehicle
+
+LIVES_DEGC = 150.0  # natural rubber and SBR revert and crack beyond (Mark, Erman, Roland, 4th ed., ch. 7)
+DESTROYED_DEGC = 300.0  # and decompose by here: no vehicle has driven so
+COLDEST_DEGC, PASSES = -150.0, 60
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """Where the data of a kind of track end."""
+
+    hottest: float  # degC
+    log_reduced_speed: float  # log10(a_T v [m/s]) at the cold end of the sweep
+
+    def coldest(self, rubber: RubberModel, speed: float) -> float:
+        """Belt temperature [degC] below which the data do not reach at a speed [m/s]."""
+        low, high = COLDEST_DEGC, self.hottest
+        for _ in range(PASSES):
+            middle = 0.5 * (low + high)
+            if float(rubber.log_shift(middle)) + np.log10(speed) > self.log_reduced_speed:
+                low = middle
+            else:
+                high = middle
+        return high
+
+
+def coverage(vehicle: Vehicle, track_name: str) -> Coverage:
+    """What the sweep covers for a kind of track at nominal load."""
+    track, rubber = vehicle.tracks[track_name], RubberModel(vehicle.rubber)
+    wheels, sweep = track.road_wheels, vehicle.rubber.sweep_degc
+    loads = wheel_loads(track, load_range(vehicle, track_name).nominal)
+    modulus = rubber.dynamic_modulus(vehicle.rubber.sweep_frequency, sweep[0])
+    half_length = half_length_for_force(loads.mean(), modulus, wheels.radius, wheels.contact_length, track.belt.thickness)
+    reach = float(rubber.log_shift(sweep[0]) + np.log10(2.0 * half_length * vehicle.rubber.sweep_frequency))
+    return Coverage(min(float(sweep[-1]), LIVES_DEGC), min(reach, LOG_SPEED[1]))
+
+
+def balance_degc(vehicle: Vehicle, track_name: str, table: LossTable, speed: float, ambient: float) -> float:
+    """Mean belt temperature [degC] at which heat and cooling balance at a speed [m/s] and nominal load."""
+    track, rubber = vehicle.tracks[track_name], RubberModel(vehicle.rubber)
+    network = thermal_network(vehicle.thermal, track.belt, vehicle.rubber)
+    resistance = 1.0 / (network.area * film_coefficient(speed, network.film_offset, network.film_slope))
+    if network.two_nodes:
+        resistance += 1.0 / network.inner_conductance
+    load = load_range(vehicle, track_name).nominal
+
+    def warmer(belt_degc: float) -> float:
+        return ambient + resistance * speed * float(table.at(np.log10(speed) + rubber.log_shift(belt_degc), load)) - belt_degc
+
+    low, high = ambient, ambient + 1.0
+    while warmer(high) > 0.0:
+        low, high = high, ambient + 2.0 * (high - ambient)
+    for _ in range(PASSES):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if warmer(middle) > 0.0 else (low, middle)
+    return high
+
+
+def check_heat(vehicle: Vehicle, track_name: str, table: LossTable) -> float:
+    """The balance at the greatest speed in the file's ambient temperature [degC], if rubber could be there.
+
+    Raises
+    ------
+    InputError
+        If the belt would be destroyed long before.
+    """
+    chassis = vehicle.chassis
+    found = balance_degc(vehicle, track_name, table, chassis.max_speed, chassis.ambient)
+    if found > DESTROYED_DEGC:
+        raise InputError(
+            f"{vehicle.source}: tracks.{track_name}",
+            f"a belt that settles at {found:.0f} degC at {chassis.max_speed * 3.6:.0f} km/h under its nominal load",
+            f"values with which it stays below {DESTROYED_DEGC:g} degC, where rubber decomposes",
+            "check the unit of the moduli, belt thickness, film coefficient and max_speed",
+        )
+    return found
