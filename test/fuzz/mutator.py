@@ -93,8 +93,10 @@ def _text(data: bytearray, dice: random.Random) -> None:
 
 
 CHANGES: tuple[Callable[[bytearray, random.Random], None], ...] = (
-    _flip, _noise, _cut, _remove, _insert, _repeat, _move, _extreme, _extreme, _digits, _text,
-)  # fmt: skip
+    *(_flip, _flip, _flip, _flip, _extreme, _extreme, _extreme, _digits, _digits),
+    *(_noise, _cut, _remove, _insert, _repeat, _move, _text),
+)
+"""Small changes come more often: large ones are mostly refused at the door."""
 
 
 def mutations(data: bytes, count: int, seed: int) -> Iterator[bytes]:
