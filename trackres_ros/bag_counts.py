@@ -10,8 +10,13 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 ROWS = "SELECT topic_id, count(*) FROM messages NOT INDEXED GROUP BY topic_id"
-FOOTER = struct.Struct("<QQI")
 MAGIC = b"\x89MCAP0\r\n"
+RECORD = struct.Struct("<BQ")
+"""Head of a record of MCAP: its kind, and the length of the rest."""
+HEADER, FOOTER, CHUNK, MESSAGE_INDEX, DATA_END = 0x01, 0x02, 0x06, 0x07, 0x0F
+DATA, SUMMARY = {0x03, 0x04, 0x05, CHUNK, MESSAGE_INDEX, 0x09, 0x0C, DATA_END}, {FOOTER, 0x03, 0x04, 0x08, 0x0A, 0x0B, 0x0D, 0x0E}
+"""Kinds of records before and behind the end of the data."""
+FOOTER_BYTES = 20
 MOST_HEAD_BYTES = 2**16
 INDEX_DATA = 4
 """Kind of the record of ROS 1 that counts the messages of one connection in the chunk before it."""
@@ -64,8 +69,7 @@ def counts_of(reader: Any, path: Path) -> Counts:
                 counts.add(names, dict(storage.dbconn.execute(ROWS)))
             else:
                 _count_mcap(storage, names, counts)
-                if _without_summary(storage):
-                    counts.remarks.append("the file has no summary: messages that were lost before it was closed do not show")
+                counts.remarks += _look_at_mcap(storage)
     for topic, count in _by_topic(reader).items():
         counts.by_topic[topic] = max(counts.by_topic[topic], count)
     counts.unknown = max(counts.unknown, reader.message_count - counts.by_topic.total())
@@ -95,10 +99,26 @@ def _count_mcap(storage: Any, names: dict[Any, str], counts: Counts) -> None:
     counts.add(names, said | indexed)
 
 
-def _without_summary(storage: Any) -> bool:
-    """Whether the footer of an MCAP file names no summary, so that the counts are of what a scan met."""
-    storage.bio.seek(-FOOTER.size - len(MAGIC), 2)
-    return bool(FOOTER.unpack(storage.bio.read(FOOTER.size))[0] == 0)
+def _look_at_mcap(storage: Any) -> Iterator[str]:
+    """Say where the records of an MCAP file do not follow on one another, and what its index leaves out."""
+    with storage.path.open("rb") as file:
+        size = file.seek(0, 2) - len(MAGIC)
+        at, kind, chunks, allowed = len(MAGIC), 0, 0, {HEADER}
+        while at < size and kind != FOOTER:
+            file.seek(at)
+            before, (kind, length) = kind, RECORD.unpack(file.read(RECORD.size).ljust(RECORD.size))
+            if kind not in allowed or (kind == MESSAGE_INDEX and before not in (CHUNK, MESSAGE_INDEX)):
+                break
+            allowed = SUMMARY if kind == DATA_END or allowed is SUMMARY else DATA
+            chunks += kind == CHUNK
+            at += RECORD.size + length
+        if at != size:
+            yield f"records do not follow on one another at byte {at}: messages behind it may be lost"
+        elif chunks != len(storage.chunks):
+            yield f"the index names {len(storage.chunks)} of {chunks} chunks: messages may be lost"
+        file.seek(size - FOOTER_BYTES)
+        if not any(file.read(8)):
+            yield "the file has no summary: messages that were lost before it was closed do not show"
 
 
 def _count_ros1(reader: Any, path: Path, counts: Counts) -> None:

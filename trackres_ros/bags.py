@@ -7,6 +7,7 @@ import weakref
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
+from functools import lru_cache
 from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -26,6 +27,7 @@ from trackres_ros.unpacking import MAX_CHUNK_BYTES, MAX_MESSAGE_BYTES, TooLargeE
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
+    from rosbags.interfaces.typing import Typesdict
     from rosbags.rosbag1 import Reader as Reader1
     from rosbags.rosbag2 import Reader as Reader2
 
@@ -414,22 +416,36 @@ def _joined(blocks: Sequence[Block]) -> Block:
     )
 
 
+@lru_cache
+def _common(encoding: Encoding) -> Typesdict:
+    """Return the definitions of the common types."""
+    from rosbags.typesys import Stores, get_typestore
+
+    return message_fields(get_typestore(Stores.ROS1_NOETIC if encoding is Encoding.ROS1 else Stores.LATEST))
+
+
+@lru_cache
+def _told(text: str, msgtype: str) -> Typesdict:
+    """Return the definitions in the text that a bag has of a type."""
+    from rosbags.typesys import get_types_from_idl, get_types_from_msg
+
+    separator = "=" * 80 + "\n"
+    if not text.startswith(f"{separator}IDL: "):
+        return get_types_from_msg(text, msgtype) if text else {}
+    told: Typesdict = {}
+    for part in text.split(separator)[1:]:
+        told.update(get_types_from_idl(part.partition("\n")[2]))
+    return told
+
+
 def _types(one: Connection, path: Path, encoding: Encoding) -> Definitions:
     """Return the definition of a connection's type: of the bag where it has one, else the common one."""
-    from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
-
     text = one.msgdef if isinstance(one.msgdef, str) else one.msgdef.data
-    separator = "=" * 80 + "\n"
-    fields = dict(message_fields(get_typestore(Stores.ROS1_NOETIC if encoding is Encoding.ROS1 else Stores.LATEST)))
     where = f"{path}: {one.topic}"
     with reading(Path(where), f"a definition of {one.msgtype} that can be read"):
-        if text.startswith(f"{separator}IDL: "):
-            for part in text.split(separator)[1:]:
-                fields.update(get_types_from_idl(part.partition("\n")[2]))
-        elif text:
-            fields.update(get_types_from_msg(text, one.msgtype))
+        told = _told(text, one.msgtype)
     try:
-        types = definitions(fields, one.msgtype)
+        types = definitions({**_common(encoding), **told}, one.msgtype)
     except KeyError as error:
         raise InputError(
             where,
