@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO
 
+from trackres_ros.errors import shown
+
 ROWS = "SELECT topic_id, count(*) FROM messages NOT INDEXED GROUP BY topic_id"
 MAGIC = b"\x89MCAP0\r\n"
 RECORD = struct.Struct("<BQ")
@@ -18,6 +20,8 @@ DATA, SUMMARY = {0x03, 0x04, 0x05, CHUNK, MESSAGE_INDEX, 0x09, 0x0C, DATA_END}, 
 """Kinds of records before and behind the end of the data."""
 FOOTER_BYTES = 20
 MOST_HEAD_BYTES = 2**16
+MOST_MESSAGES = 2**48
+"""No disk holds as many; what counts more counts nothing."""
 INDEX_DATA = 4
 """Kind of the record of ROS 1 that counts the messages of one connection in the chunk before it."""
 
@@ -44,9 +48,16 @@ class Counts:
         """Add counts by identity of a connection."""
         for number, count in counts.items():
             if number in names:
-                self.by_topic[names[number]] += count
+                self.by_topic[names[number]] += self.checked(count)
             else:
-                self.unknown += count
+                self.unknown += self.checked(count)
+
+    def checked(self, count: object) -> int:
+        """Return a count that is one; of what is none a remark remains."""
+        if isinstance(count, int) and 0 <= count <= MOST_MESSAGES:
+            return count
+        self.remarks.append(f"it counts {shown(count)} messages: what is lost cannot be told")
+        return 0
 
 
 def counts_of(reader: Any, path: Path) -> Counts:
@@ -70,9 +81,11 @@ def counts_of(reader: Any, path: Path) -> Counts:
             else:
                 _count_mcap(storage, names, counts)
                 counts.remarks += _look_at_mcap(storage)
-    for topic, count in _by_topic(reader).items():
-        counts.by_topic[topic] = max(counts.by_topic[topic], count)
-    counts.unknown = max(counts.unknown, reader.message_count - counts.by_topic.total())
+    said: Counter[str] = Counter()
+    for one in reader.connections:
+        said[one.topic] += counts.checked(one.msgcount)
+    counts.by_topic |= said
+    counts.unknown = max(counts.unknown, counts.checked(reader.message_count) - counts.by_topic.total())
     return counts
 
 
@@ -81,13 +94,6 @@ def storages_of(reader: Any) -> Sequence[Any]:
     if not hasattr(reader, "storage"):
         return ()
     return getattr(reader.storage, "storages", (reader.storage,))
-
-
-def _by_topic(reader: Any) -> Counter[str]:
-    said: Counter[str] = Counter()
-    for one in reader.connections:
-        said[one.topic] += one.msgcount
-    return said
 
 
 def _count_mcap(storage: Any, names: dict[Any, str], counts: Counts) -> None:
