@@ -88,27 +88,27 @@ def lines(process: subprocess.Popen[bytes]) -> Iterator[dict[str, Any] | None]:
     yield None
 
 
-def fuzzed(name: str, count: int, seed: int) -> Result:
-    """Read `count` mutations of a format."""
+def fuzzed(name: str, count: int, seed: int, script: Path = Path(__file__)) -> Result:
+    """Read `count` mutations of a format, by processes of a script."""
     result = Result()
     next_number = 0
     while next_number < count:
-        command = [sys.executable, __file__, "--worker", name, "--count", str(count), "--seed", str(seed)]
-        process = subprocess.Popen([*command, "--start", str(next_number)], stdout=subprocess.PIPE)
-        begun, hung, first = next_number, False, next_number
-        try:
-            for said in lines(process):
-                if said is None:
-                    hung = True
-                elif "begin" in said:
-                    begun = said["begin"]
-                else:
-                    result.add(said["number"], said["outcome"], said["text"])
-                    next_number = said["number"] + 1
-        finally:
-            process.kill()
-            status = process.wait()
-        if next_number < count and next_number == begun and (begun > first or hung or status):
+        command = [sys.executable, str(script), "--worker", name, "--count", str(count), "--seed", str(seed)]
+        begun, hung = next_number, False
+        with subprocess.Popen([*command, "--start", str(next_number)], stdout=subprocess.PIPE) as process:
+            try:
+                for said in lines(process):
+                    if said is None:
+                        hung = True
+                    elif "begin" in said:
+                        begun = said["begin"]
+                    else:
+                        result.add(said["number"], said["outcome"], said["text"])
+                        next_number = said["number"] + 1
+            finally:
+                process.kill()  # it has ended, or hangs
+                status = process.wait()
+        if next_number < count and (hung or next_number == begun):
             result.add(begun, "hang" if hung else "traceback", f"the process ended with status {status}")
             next_number = begun + 1
     return result
