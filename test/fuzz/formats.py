@@ -102,6 +102,16 @@ def _own_mcap(folder: Path) -> None:
             writer.write(topics[topic], writer.typestore.deserialize_cdr(raw, msgtype), at_ns, at_ns)
 
 
+def _fill(writer: Any, store: Any, serialise: Callable[[Any, str], Any]) -> None:
+    """Write with the library rosbags."""
+    with writer:
+        connections: dict[str, Any] = {}
+        for topic, msgtype, at_ns, raw in _traffic(store, serialise):
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, msgtype, typestore=store)
+            writer.write(connections[topic], at_ns, raw)
+
+
 def _rosbag2(storage: str, compression: str = "") -> Callable[[Path], None]:
     def write(folder: Path) -> None:
         from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
@@ -110,12 +120,7 @@ def _rosbag2(storage: str, compression: str = "") -> Callable[[Path], None]:
         writer = Writer(folder / "run", version=9, storage_plugin=StoragePlugin[storage])
         if compression:
             writer.set_compression(CompressionMode[compression], CompressionFormat.ZSTD)
-        with writer:
-            connections: dict[str, Any] = {}
-            for topic, msgtype, at_ns, raw in _traffic(store, store.serialize_cdr):
-                if topic not in connections:
-                    connections[topic] = writer.add_connection(topic, msgtype, typestore=store)
-                writer.write(connections[topic], at_ns, raw)
+        _fill(writer, store, store.serialize_cdr)
 
     return write
 
@@ -135,12 +140,7 @@ def _ros1(compression: str) -> Callable[[Path], None]:
         if compression != "NONE":
             writer.set_compression(Writer.CompressionFormat[compression])
         writer.chunk_threshold = 2048
-        with writer:
-            connections: dict[str, Any] = {}
-            for topic, msgtype, at_ns, raw in _traffic(store, store.serialize_ros1):
-                if topic not in connections:
-                    connections[topic] = writer.add_connection(topic, msgtype, typestore=store)
-                writer.write(connections[topic], at_ns, raw)
+        _fill(writer, store, store.serialize_ros1)
 
     return write
 
