@@ -50,6 +50,7 @@ MAX_TIME_S = 4.6e9
 lies beyond."""
 MAX_ROW_BYTES = 2**24
 """Longest line, and longest row of quoted lines, that is read: one of 200,000 columns is a fifth of it."""
+HEAD_BYTES = 2**16
 NAMES_SHOWN = 20
 PARQUET_BUFFER_BYTES = 2**20
 """Read at once of a column; without it, and with buffering ahead, pyarrow holds a whole row group: that may be the whole file."""
@@ -169,9 +170,11 @@ class TableSource:
     def _header(self) -> list[str]:
         """Read the names of a CSV, and settle encoding and delimiter."""
         with _binary(self._path) as file:
-            head = file.read(MAX_ROW_BYTES)
+            head = file.read(HEAD_BYTES)
+            if not re.search(rb"[\r\n]", head):
+                head += file.read(MAX_ROW_BYTES)
         line = re.split(rb"[\r\n]", head.removeprefix(codecs.BOM_UTF8), maxsplit=1)[0]
-        if len(line) > MAX_ROW_BYTES - len(codecs.BOM_UTF8) - 1:
+        if len(line) >= MAX_ROW_BYTES:
             raise InputError(self.name, f"a first line of more than {MAX_ROW_BYTES} bytes", "CSV with a line of column names")
         try:
             text = line.decode("utf-8")

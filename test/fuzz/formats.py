@@ -218,7 +218,8 @@ def judged(one: Damaged) -> dict[str, Any]:
         return {"outcome": "traceback", "text": f"{type(error).__name__}: {error}"}
     read = Counter({role: len(series) for role, series in recording.series.items()})
     expected = _expected(one)
-    lost = (expected - read).total()
+    short = expected - read
+    lost = short.total() if source.zero_is_unset else max(short.values(), default=0)  # a row of a table is several samples
     said = sum(finding.count for finding in recording.findings if finding.kind in LOSSES)
     words = any(finding.kind == "structure" for finding in recording.findings)
     words |= any(note.startswith("ignored columns") and note != "ignored columns: note" for note in recording.notes)
