@@ -213,12 +213,13 @@ def test_parquet_of_other_types(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"speed_mps: given 'string'.*a column of numbers"):
         read(path)
     path.write_bytes(b"PAR1 no")
-    with pytest.raises(InputError, match="a Parquet file"):
+    with pytest.raises(InputError, match="Parquet that can be read to its end"):
         read(path)
 
 
 def test_parquet_needs_pyarrow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)
+    (tmp_path / "run.parquet").write_bytes(b"PAR1")
     with pytest.raises(MissingExtraError, match="pip install pyarrow"):
         TableSource(tmp_path / "run.parquet")
     with pytest.raises(MissingExtraError, match="pip install pyarrow"):

@@ -7,27 +7,40 @@ import weakref
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
+from functools import lru_cache
 from operator import itemgetter
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
+from trackres_ros.bag_counts import counts_of, storages_of
 from trackres_ros.cdr import Encoding, FieldReader
-from trackres_ros.errors import InputError, MissingExtraError
-from trackres_ros.message_types import Definitions, check_field, definitions, message_fields, stamp_path
+from trackres_ros.errors import InputError, MissingExtraError, one_line
+from trackres_ros.message_types import Definitions, check_field, check_size, definitions, message_fields, stamp_path
+from trackres_ros.reading import check_file, check_there, reading
 from trackres_ros.recording import Block, Finding, IntArray
 from trackres_ros.topics import TopicBinding, Topics, guess, nearest
+from trackres_ros.unpacking import MAX_CHUNK_BYTES, MAX_MESSAGE_BYTES, TooLargeError, check_space, set_ceilings, unpack_message
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
+    from rosbags.interfaces.typing import Typesdict
     from rosbags.rosbag1 import Reader as Reader1
     from rosbags.rosbag2 import Reader as Reader2
 
 BATCH_ROWS, BATCH_BYTES = 2048, 32 * 2**20
 """Serialised messages held at once: few stay in the cache of the processor, and large ones do not fill the memory."""
+READABLE = "a bag that can be read to its end"
 REMEDIES = {".mcap": "a file that was cut off is repaired with: mcap recover", ".bag": "try: rosbag reindex"}
+MAX_LOG_NS = 2**62
+"""Log times from 1970 to 2116 are taken: differences of two of them fit in 64 bits [ns]."""
+MAX_METADATA_BYTES, MAX_METADATA_DEPTH = 2**24, 50
+"""Of the metadata.yaml of a bag; ten hours in files of a minute fill a hundredth of it, and the deepest value has 8 above it."""
+SQLITE_LIMIT_LENGTH = 0
+TOPICS_SHOWN = 50
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +63,10 @@ class _Tally:
     malformed: dict[int, tuple[int, int]] = field(default_factory=dict)
     absent: dict[int, tuple[int, int]] = field(default_factory=dict)
     missing: dict[int, int] = field(default_factory=dict)
+    unusable: dict[int, int] = field(default_factory=dict)
+    unknown: int = 0
+    speeds: int = 0
+    remarks: list[str] = field(default_factory=list)
 
     def add(self, into: dict[int, tuple[int, int]], role: int, arrival_ns: IntArray) -> None:
         """Count samples of a role; the first one met keeps its place."""
@@ -82,7 +99,7 @@ class BagSource:
     zero_is_unset = True
 
     def __init__(self, paths: Sequence[Path], topics: Topics | None = None) -> None:
-        self.name = ", ".join(str(path) for path in paths)
+        self.name = one_line(", ".join(str(path) for path in paths))
         self._paths = tuple(paths)
         found: list[tuple[Path, list[Connection]]] = []
         self._kept = {self._paths[0]: open_bag(self._paths[0])}
@@ -100,8 +117,9 @@ class BagSource:
         if "speed" not in bindings:
             raise InputError(f"{topics.origin}: speed", "no topic", "a topic for speed", "add a line for it")
         self.roles = tuple(sorted(bindings, key=lambda role: role == "speed"))
+        self._origin = topics.origin
         self._topics = self._bound(found, bindings, topics.origin)
-        self.notes = (*said, *self._stamp_notes())
+        self.notes = tuple(map(one_line, (*said, *self._stamp_notes())))
         self.findings: tuple[Finding, ...] = ()
 
     def _bound(
@@ -114,7 +132,7 @@ class BagSource:
             named = bindings[role].topic
             name = named if named in there or named.startswith("/") else f"/{named}"
             if name not in there:
-                listed = "; ".join(f"{topic} ({kind})" for topic, kind in sorted(there.items()))
+                listed = "; ".join(f"{topic} ({kind})" for topic, kind in sorted(there.items())[:TOPICS_SHOWN])
                 raise InputError(f"{origin}: {role}: topic", named, f"a topic of {self.name}: {listed}", nearest(named, there))
             by_topic.setdefault(name, []).append(role)
         bound: dict[tuple[Path, str], _Topic] = {}
@@ -122,9 +140,14 @@ class BagSource:
         for path, connections in found:
             for one in connections:
                 roles = by_topic.get(one.topic, [])
-                if not roles or (path, one.topic) in bound:
+                if not roles:
                     continue
-                encoding = Encoding.ROS1 if path.suffix == ".bag" else Encoding.CDR
+                if (path, one.topic) in bound:
+                    if one.msgtype != bound[path, one.topic].msgtype:
+                        kinds = f"{one.topic} as {bound[path, one.topic].msgtype} and as {one.msgtype}"
+                        raise InputError(str(path), kinds, "one type on a topic that is read")
+                    continue
+                encoding = Encoding.ROS1 if is_ros1(path) else Encoding.CDR
                 key = (one.topic, one.msgtype, str(one.msgdef), encoding)
                 types = readers[key].types if key in readers else _types(one, path, encoding)
                 chosen = tuple(bindings[role] for role in roles)
@@ -172,26 +195,50 @@ class BagSource:
         if held:
             yield _joined(held)
         self.findings = tuple(self._found(tally))
+        speed = len(self.roles) - 1
+        if not tally.speeds and speed in tally.absent:
+            where, given = f"{self._origin}: speed: field", f"{self._field(speed)}, {self._lack(speed)}"
+            raise InputError(where, given, f"an element that the messages of {self.name} have")
+
+    def _field(self, role: int) -> str:
+        return next(topic.bindings[topic.roles.index(role)].field for topic in self._topics.values() if role in topic.roles)
+
+    def _lack(self, role: int) -> str:
+        """Why messages have no element for a role."""
+        lacks = [topic.reader.lacks.get(topic.roles.index(role), "") for topic in self._topics.values() if role in topic.roles]
+        return next(filter(None, lacks), "")
 
     def _batches(self, path: Path, max_rows: int, tally: _Tally) -> Iterator[Block]:
         """Read one bag in the small batches that are decoded together."""
-        with closing(self._kept.pop(path) if path in self._kept else open_bag(path)) as reader:
+        with (
+            reading(path, READABLE, remedy(path)),
+            closing(self._kept.pop(path) if path in self._kept else open_bag(path)) as reader,
+        ):
+            counts = counts_of(reader, path)
+            tally.unknown += counts.unknown
+            tally.remarks += counts.remarks
             wanted = [one for one in reader.connections if (path, one.topic) in self._topics]
             if not wanted:
                 return
             topics = list({one.topic: self._topics[path, one.topic] for one in wanted}.values())
             index = {one.id: topics.index(self._topics[path, one.topic]) for one in wanted}
-            lost = np.zeros(len(topics), np.int64)
-            for one in wanted:
-                lost[index[one.id]] += one.msgcount
-            messages = reader.messages(wanted)
+            lost = np.array([counts.by_topic[topic.name] for topic in topics], np.int64)
+            batches = messages(reader, wanted)
             most = min(BATCH_ROWS, max(1, max_rows // max(len(topic.roles) for topic in topics)))
             size = min(64, most)
-            while batch := _batch(messages, size, path):
+            while batch := list(itertools.islice(batches, size)):
                 connections, stamps, raws = zip(*batch, strict=True)
                 which = np.fromiter(map(index.__getitem__, map(itemgetter(0), connections)), np.intp, len(batch))
                 lost -= np.bincount(which, minlength=len(topics))
-                yield self._block(topics, which, np.fromiter(stamps, np.int64, len(batch)), raws, tally)
+                if not _usable(stamps, raws):
+                    good = [_usable(stamps[row : row + 1], raws[row : row + 1]) for row in range(len(batch))]
+                    for number in which[~np.array(good)].tolist():
+                        role = topics[number].roles[0]
+                        tally.unusable[role] = tally.unusable.get(role, 0) + 1
+                    which, stamps = which[good], tuple(itertools.compress(stamps, good))
+                    raws = tuple(itertools.compress(raws, good))
+                if len(raws):
+                    yield self._block(topics, which, np.array(stamps, np.int64), raws, tally)
                 size = min(most, 1 + BATCH_BYTES * len(raws) // max(1, sum(map(len, raws))))
             for topic, count in zip(topics, lost.tolist(), strict=True):
                 if count > 0:
@@ -221,6 +268,7 @@ class BagSource:
                 keep[to] = ~decoded.absent[:, slot]
                 tally.add(tally.malformed, role, arrived[decoded.malformed])
                 tally.add(tally.absent, role, arrived[decoded.absent[:, slot]])
+        tally.speeds += int(np.count_nonzero(keep & (block.role == len(self.roles) - 1)))
         if keep.all():
             return block
         return Block(block.role[keep], block.stamp_ns[keep], block.arrival_ns[keep], block.value[keep])
@@ -236,10 +284,28 @@ class BagSource:
                 "absent",
                 count,
                 (first - start) / 1e9,
-                f"{count} messages do not have the element; they give no sample",
+                f"{count} messages do not have {self._field(role)}: {self._lack(role)}; they give no sample",
             )
         for role, count in tally.missing.items():
             yield Finding(self.roles[role], "missing", count, float("nan"), f"{count} messages fewer than the bag says it holds")
+        for role, count in tally.unusable.items():
+            text = f"{count} messages left out: they hold no bytes, or no log time between 1970 and 2116"
+            yield Finding(self.roles[role], "unusable", count, float("nan"), text)
+        if tally.unknown:
+            text = f"{tally.unknown} messages of topics that the bag does not describe are left out"
+            yield Finding("", "unknown_topic", tally.unknown, float("nan"), text)
+        for remark in dict.fromkeys(tally.remarks):
+            yield Finding("", "structure", 1, float("nan"), remark)
+
+
+def is_ros1(path: Path) -> bool:
+    """Whether a path is a bag of ROS 1: a file; a folder of such a name is a rosbag2."""
+    return path.suffix == ".bag" and not path.is_dir()
+
+
+def remedy(path: Path) -> str:
+    """What may help where a bag cannot be read."""
+    return "try: ros2 bag reindex" if path.is_dir() else REMEDIES.get(path.suffix, "try: ros2 bag reindex")
 
 
 def open_bag(path: Path) -> Reader1 | Reader2:
@@ -248,7 +314,7 @@ def open_bag(path: Path) -> Reader1 | Reader2:
     Raises
     ------
     InputError
-        It is no bag.
+        It is no bag, or asks for more memory or space than is there.
     MissingExtraError
         rosbags is not installed.
     """
@@ -257,12 +323,81 @@ def open_bag(path: Path) -> Reader1 | Reader2:
         from rosbags.rosbag2 import Reader as Reader2
     except ImportError:
         raise MissingExtraError("reading bags", "rosbags", "bags") from None
-    try:
-        reader = Reader1(path) if path.suffix == ".bag" else Reader2(path)
+    check_there(path)
+    if path.is_dir():
+        _check_folder(path)
+    else:
+        check_file(path)
+    set_ceilings()
+    with reading(path, READABLE, remedy(path)):
+        reader = Reader1(path) if is_ros1(path) else Reader2(path)
         reader.open()
-    except Exception as error:
-        raise unreadable(path, error) from error
+        try:
+            for storage in storages_of(reader):
+                _check_storage(storage)
+        except BaseException:
+            reader.close()
+            raise
     return reader
+
+
+def _check_folder(path: Path) -> None:
+    """Refuse a rosbag2 folder in which there is more, or something else, than recorders write."""
+    for inside in sorted(path.iterdir()):
+        check_there(inside)
+        if inside.suffix == ".zstd":
+            check_space(inside)
+    metadata = path / "metadata.yaml"
+    if not metadata.is_file():
+        return
+    if metadata.stat().st_size > MAX_METADATA_BYTES:
+        raise InputError(str(metadata), f"{metadata.stat().st_size} bytes", f"at most {MAX_METADATA_BYTES}")
+    depth = 0
+    with reading(metadata, "YAML as ros2 bag writes it", "try: ros2 bag reindex"):
+        for event in yaml.parse(metadata.read_text(encoding="utf-8"), getattr(yaml, "CSafeLoader", yaml.SafeLoader)):
+            depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+            if isinstance(event, yaml.AliasEvent) or depth > MAX_METADATA_DEPTH:
+                given = "an alias" if depth <= MAX_METADATA_DEPTH else f"more than {MAX_METADATA_DEPTH} values in one another"
+                raise InputError(str(metadata), given, "YAML as ros2 bag writes it", "try: ros2 bag reindex")
+
+
+def _check_storage(storage: Any) -> None:
+    """Refuse what would fill the memory when it is read."""
+    database = getattr(storage, "dbconn", None)
+    if database is not None:
+        limit = getattr(database, "limit", None) or database.setlimit
+        limit(SQLITE_LIMIT_LENGTH, MAX_MESSAGE_BYTES)
+    together, most = 0, 0
+    spans = [(one.message_start_time, one.message_end_time, one.uncompressed_size) for one in getattr(storage, "chunks", ())]
+    ends = [(end, 1, -size) for _, end, size in spans]
+    for _, _, size in sorted([(start, 0, size) for start, _, size in spans] + ends):
+        together += size
+        most = max(most, together)
+    if most > MAX_CHUNK_BYTES:
+        raise TooLargeError(f"chunks of the same span of time that unpack to {most} bytes; at most {MAX_CHUNK_BYTES} are read")
+
+
+def messages(reader: Any, wanted: Sequence[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
+    """Yield the messages of a bag; those that are packed one by one are unpacked here, up to a ceiling."""
+    if getattr(reader, "compression_mode", None) != "message":
+        yield from reader.messages(wanted)
+        return
+    storage = reader.storage
+    storage.metadata = storage.metadata._replace(compression_mode=None)
+    for connection, stamp, raw in reader.messages(wanted):
+        try:
+            yield connection, stamp, unpack_message(raw)
+        except TooLargeError as error:
+            raise TooLargeError(f"a message of {connection.topic}: {error}") from None
+        except Exception:
+            yield connection, stamp, b""  # what cannot be unpacked is malformed, and counted so
+
+
+def _usable(stamps: Sequence[object], raws: Sequence[object]) -> bool:
+    """Whether log times and messages are such, as columns of a database need not be."""
+    typed = set(map(type, stamps)) == {int} and set(map(type, raws)) == {bytes}
+    times = cast("Sequence[int]", stamps)
+    return typed and min(times) >= 0 and max(times) < MAX_LOG_NS
 
 
 def _close(readers: Mapping[Path, Reader1 | Reader2]) -> None:
@@ -281,47 +416,45 @@ def _joined(blocks: Sequence[Block]) -> Block:
     )
 
 
-def _batch(messages: Iterator[tuple[Connection, int, bytes]], size: int, path: Path) -> list[tuple[Connection, int, bytes]]:
-    """Return the next messages; whatever the library stumbles over is the bag's damage, said with its path."""
-    try:
-        return list(itertools.islice(messages, size))
-    except Exception as error:
-        raise unreadable(path, error) from error
+@lru_cache
+def _common(encoding: Encoding) -> Typesdict:
+    """Return the definitions of the common types."""
+    from rosbags.typesys import Stores, get_typestore
+
+    return message_fields(get_typestore(Stores.ROS1_NOETIC if encoding is Encoding.ROS1 else Stores.LATEST))
 
 
-def unreadable(path: Path, error: Exception) -> InputError:
-    """What to raise where the library stumbles over a bag."""
-    remedy = REMEDIES.get(path.suffix, "try: ros2 bag reindex")
-    if path.is_file() and "metadata.yaml" in str(error):
-        remedy = "name its directory: this version of rosbags reads no single file; or pip install --upgrade rosbags"
-    return InputError(str(path), f"{type(error).__name__}: {error}", "a bag that can be read to its end", remedy)
+@lru_cache
+def _told(text: str, msgtype: str) -> Typesdict:
+    """Return the definitions in the text that a bag has of a type."""
+    from rosbags.typesys import get_types_from_idl, get_types_from_msg
+
+    separator = "=" * 80 + "\n"
+    if not text.startswith(f"{separator}IDL: "):
+        return get_types_from_msg(text, msgtype) if text else {}
+    told: Typesdict = {}
+    for part in text.split(separator)[1:]:
+        told.update(get_types_from_idl(part.partition("\n")[2]))
+    return told
 
 
 def _types(one: Connection, path: Path, encoding: Encoding) -> Definitions:
     """Return the definition of a connection's type: of the bag where it has one, else the common one."""
-    from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
-
     text = one.msgdef if isinstance(one.msgdef, str) else one.msgdef.data
-    separator = "=" * 80 + "\n"
-    fields = dict(message_fields(get_typestore(Stores.ROS1_NOETIC if encoding is Encoding.ROS1 else Stores.LATEST)))
+    where = f"{path}: {one.topic}"
+    with reading(Path(where), f"a definition of {one.msgtype} that can be read"):
+        told = _told(text, one.msgtype)
     try:
-        if text.startswith(f"{separator}IDL: "):
-            for part in text.split(separator)[1:]:
-                fields.update(get_types_from_idl(part.partition("\n")[2]))
-        elif text:
-            fields.update(get_types_from_msg(text, one.msgtype))
-        return definitions(fields, one.msgtype)
+        types = definitions({**_common(encoding), **told}, one.msgtype)
     except KeyError as error:
         raise InputError(
-            f"{path}: {one.topic}",
+            where,
             f"{one.msgtype} with {error}",
             "a message type with its definition",
             "the bag holds no definition of it: record as MCAP, which does",
         ) from None
-    except Exception as error:
-        raise InputError(
-            f"{path}: {one.topic}", f"{type(error).__name__}: {error}", f"a definition of {one.msgtype} that can be read"
-        ) from error
+    check_size(types, one.msgtype, where, MAX_MESSAGE_BYTES)
+    return types
 
 
 def _check_binding(binding: TopicBinding, one: Connection, types: Definitions, where: str) -> None:

@@ -8,7 +8,7 @@ decoding, message by message.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Literal, cast
@@ -22,6 +22,7 @@ from trackres_ros.recording import FloatArray, IntArray
 from trackres_ros.topics import FieldStep
 
 SECOND_NS = 1_000_000_000
+NAMES_SHOWN = 20
 MAX_LAYOUTS = 16
 """So many layouts of one length are tried on all rows; rows that fit none are then walked one by one."""
 
@@ -49,11 +50,14 @@ class Layout:
         Offset and content of what must be equal: lengths, ends of strings, names that were looked up.
     spots : tuple of (int, str) or None
         Offset and numpy type of each wanted number; None where the message has no such element.
+    lacks : mapping of int to str
+        By place among the wanted numbers: why the message has no such element.
     """
 
     length: int
     fixed: tuple[tuple[int, bytes], ...]
     spots: tuple[tuple[int, str] | None, ...]
+    lacks: Mapping[int, str]
 
     def column(self, data: bytes, spot: tuple[int, str]) -> NDArray[np.generic]:
         """Return a number of every message of `data`, which are joined; a view, shape (n,)."""
@@ -81,6 +85,7 @@ class _Walk:
         self.pos = 0
         self.fixed: list[tuple[int, int]] = []
         self.spots: dict[int, tuple[int, str] | None] = {}
+        self.lacks: dict[int, str] = {}
         self.order: Literal["<", ">"] = "<"
         if self.cdr:
             start = self.take(4)
@@ -139,22 +144,38 @@ class _Walk:
                 for slot, steps in mine:
                     if steps[0].element is None:
                         self._spot(slot, arrays[field.name], steps[0].index or 0)
+                        if self.spots[slot] is None:
+                            self.lacks[slot] = _few(field.name, count)
             elif field.type == "string":
                 keep = bool(by_name) and field.name == "name"
                 found = [self.string(keep) for _ in range(count)]
                 names = found if keep else names
             elif field.type in self.types:
+                for slot, steps in mine:
+                    if (steps[0].index or 0) >= count:
+                        self.lacks[slot] = _few(steps[0].name, count)
                 for index in range(count):
+                    before = self.pos
                     self.message(field.type, [(slot, steps[1:]) for slot, steps in mine if (steps[0].index or 0) == index])
+                    if self.pos == before:  # elements of no bytes at all, and as many as anybody likes
+                        break
             else:
                 raise MalformedError(f"no rule for {field.type}")
         for slot, step in by_name:
             element = cast("str", step.element).encode()
             self._spot(slot, arrays[step.name], names.index(element) if element in names else -1)
+            if self.spots[slot] is None:
+                there = ", ".join(name.decode(errors="replace") for name in names[:NAMES_SHOWN]) or "none"
+                of = _few(step.name, arrays[step.name][1])
+                self.lacks[slot] = of if element in names else f"its names are {there}"
 
     def _spot(self, slot: int, array: tuple[int, int, str], index: int) -> None:
         start, count, kind = array
         self.spots[slot] = (start + index * int(kind[1]), self.order + kind) if 0 <= index < count else None
+
+
+def _few(name: str, count: int) -> str:
+    return f"the array {name} has {f'only {count}' if count else 'no'} element{'s' * (count != 1)}"
 
 
 def layout_of(
@@ -182,6 +203,7 @@ def layout_of(
         len(raw),
         tuple((start, raw[start:end]) for start, end in fixed),
         tuple(walk.spots.get(slot) for slot in range(len(paths))),
+        walk.lacks,
     )
 
 
@@ -239,6 +261,7 @@ class FieldReader:
         if stamp:
             seconds, fraction = (field.name for field in types[TIME])
             self.paths += [(*stamp, FieldStep(seconds)), (*stamp, FieldStep(fraction))]
+        self.lacks: dict[int, str] = {}
         self._layouts: dict[int, list[Layout]] = {}
 
     def decode(self, raws: Sequence[bytes]) -> Decoded:
@@ -290,6 +313,7 @@ class FieldReader:
         for slot, column in enumerate(columns[: self.count]):
             if column is None:
                 out.absent[rows, slot] = True
+                self.lacks.setdefault(slot, layout.lacks.get(slot, ""))
             else:
                 out.value[rows, slot] = column
         if len(columns) > self.count:

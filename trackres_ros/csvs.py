@@ -8,9 +8,11 @@ import gzip
 import io
 import itertools
 import os
+import re
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, suppress
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType, TracebackType
@@ -19,7 +21,8 @@ from typing import IO, Any, Self, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.errors import InputError, MissingExtraError
+from trackres_ros.errors import InputError, MissingExtraError, one_line
+from trackres_ros.reading import check_file, reading
 from trackres_ros.recording import ROLES, Block, Finding, FloatArray, base_role
 from trackres_ros.topics import Topics, nearest
 
@@ -42,13 +45,30 @@ COLUMNS: Mapping[str, tuple[str, float]] = MappingProxyType(
 )
 """Columns known by name: role, and scale to its unit. ``weight_n/front`` is the load of the axle or assembly front."""
 CHUNK_ROWS = 8192
-MAX_TIME_S = 9e9
-"""Beyond it, nanoseconds do not fit in 64 bits [s]; a time in milliseconds or nanoseconds mostly lies beyond."""
+MAX_TIME_S = 4.6e9
+"""Beyond it, differences of two times in nanoseconds do not fit in 64 bits [s]; a time in milliseconds or nanoseconds mostly
+lies beyond."""
+MAX_ROW_BYTES = 2**24
+"""Longest line, and longest row of quoted lines, that is read: one of 200,000 columns is a fifth of it."""
+HEAD_BYTES = 2**16
+NAMES_SHOWN = 20
+PARQUET_BUFFER_BYTES = 2**20
+"""Read at once of a column; without it, and with buffering ahead, pyarrow holds a whole row group: that may be the whole file."""
 SUFFIXES = (".csv", ".csv.gz", ".parquet")
 
 
 _Cells = tuple[FloatArray, NDArray[np.bool_]]
 """Numbers of some rows, time first, shape (n, 1 + k), and where there is one."""
+
+
+@dataclass(slots=True)
+class _Met:
+    """What one run of reading a CSV met: rows so far, whether that is all, whether there are quotes, and the last byte."""
+
+    rows: int = 0
+    complete: bool = False
+    quoted: bool = False
+    last: bytes = b""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,12 +107,14 @@ class TableSource:
     zero_is_unset = False
 
     def __init__(self, path: Path, topics: Topics | None = None) -> None:
-        self.name = str(path)
+        self.name = one_line(str(path))
         self._path = path
         self._parquet = path.name.lower().endswith(".parquet")
         self._encoding, self._delimiter = "utf-8", ","
         self.findings: tuple[Finding, ...] = ()
-        names = self._parquet_names() if self._parquet else self._header()
+        check_file(path)
+        with self._reading():
+            names = self._parquet_names() if self._parquet else self._header()
         self._time, columns = _chosen(names, topics, self.name)
         self._columns = tuple(sorted(columns, key=lambda column: column.role == "speed"))
         self.roles = tuple(column.role for column in self._columns)
@@ -100,10 +122,10 @@ class TableSource:
         used = {self._time, *(column.place for column in columns)}
         ignored = [name for place, name in enumerate(names) if place not in used]
         if ignored:
-            notes.append(f"ignored columns: {', '.join(ignored)}")
+            notes.append(f"ignored columns: {_listed(ignored)}")
         if self._encoding == "latin-1":
             notes.append("the file is not UTF-8; read as Latin-1")
-        self.notes = tuple(notes)
+        self.notes = tuple(map(one_line, notes))
 
     def blocks(self, max_rows: int = 65536) -> Iterator[Block]:
         """Read the table; see `trackres_ros.recording.Source.blocks`.
@@ -111,8 +133,16 @@ class TableSource:
         Raises
         ------
         InputError
-            No row at all, a cell that is no number, a row without time or of another length: with its place.
+            No row at all, a cell that is no number, a row without time or of another length: with its place. A file that
+            is damaged.
         """
+        with self._reading():
+            yield from self._blocks(max_rows)
+
+    def _reading(self) -> AbstractContextManager[None]:
+        return reading(self._path, f"{'Parquet' if self._parquet else 'CSV'} that can be read to its end")
+
+    def _blocks(self, max_rows: int) -> Iterator[Block]:
         places = [self._time, *(column.place for column in self._columns)]
         scale = np.array([column.scale for column in self._columns])
         offset = np.array([column.offset for column in self._columns])
@@ -139,13 +169,15 @@ class TableSource:
 
     def _header(self) -> list[str]:
         """Read the names of a CSV, and settle encoding and delimiter."""
+        with _binary(self._path) as file:
+            head = file.read(HEAD_BYTES)
+            if not re.search(rb"[\r\n]", head):
+                head += file.read(MAX_ROW_BYTES)
+        line = re.split(rb"[\r\n]", head.removeprefix(codecs.BOM_UTF8), maxsplit=1)[0]
+        if len(line) >= MAX_ROW_BYTES:
+            raise InputError(self.name, f"a first line of more than {MAX_ROW_BYTES} bytes", "CSV with a line of column names")
         try:
-            with _binary(self._path) as file:
-                line = file.readline()
-        except (OSError, EOFError) as error:
-            raise InputError(self.name, str(error), "a readable CSV file") from None
-        try:
-            text = line.removeprefix(codecs.BOM_UTF8).decode("utf-8")
+            text = line.decode("utf-8")
         except UnicodeDecodeError:
             self._encoding, text = "latin-1", line.decode("latin-1")
         self._delimiter = max(",;\t", key=text.count)
@@ -157,13 +189,15 @@ class TableSource:
 
     def _csv_chunks(self, places: Sequence[int]) -> Iterator[_Cells]:
         """Yield the rows: by pyarrow as far as it is there and understands them, the rest as plain text."""
-        done = 0
-        for cells, given in self._fast_chunks(places):
-            done += len(cells)
-            yield cells, given
-        yield from self._plain_chunks(places, done)
+        met = _Met()
+        for chunks in (self._fast_chunks, self._plain_chunks):
+            if not met.complete:
+                for cells, given in chunks(places, met):
+                    met.rows += len(cells)
+                    yield cells, given
+        self.findings = tuple(self._look_at_lines(met))
 
-    def _fast_chunks(self, places: Sequence[int]) -> Iterator[_Cells]:
+    def _fast_chunks(self, places: Sequence[int], met: _Met) -> Iterator[_Cells]:
         """Yield rows until the first block that pyarrow does not take as numbers."""
         try:
             import pyarrow as pa
@@ -182,31 +216,45 @@ class TableSource:
         )
         parse = arrow.ParseOptions(delimiter=self._delimiter)
         with (
-            _binary(self._path) as file,
-            suppress(pa.ArrowException, OSError, EOFError, zlib.error),
+            _Tap(self._path, met) as file,
+            suppress(pa.ArrowException, OSError, EOFError, ValueError, zlib.error),  # the plain way says it, with the line
             arrow.open_csv(file, read_options=read, parse_options=parse, convert_options=convert) as reader,
         ):
             while True:
                 try:
-                    batch = reader.read_next_batch()
+                    cells = _cells(reader.read_next_batch(), wanted)
                 except StopIteration:
+                    met.complete = True
                     return
-                yield _cells(batch, wanted)
+                yield cells
 
-    def _plain_chunks(self, places: Sequence[int], skip: int) -> Iterator[_Cells]:
-        """Yield the rows after the first `skip`, cell by cell; the same numbers, and an error with its line."""
-        text = io.TextIOWrapper(_binary(self._path), encoding=self._encoding, errors="replace", newline="")
-        with text as file:
-            reader = csv.reader(file, delimiter=self._delimiter)
+    def _plain_chunks(self, places: Sequence[int], met: _Met) -> Iterator[_Cells]:
+        """Yield the rows after those that were met, cell by cell; the same numbers, and an error with its line."""
+        tap = cast("IO[bytes]", _Tap(self._path, met))
+        with tap, io.TextIOWrapper(tap, self._encoding, errors="replace", newline="") as file:
+            lines = _Lines(file, self.name)
+            reader = csv.reader(lines, delimiter=self._delimiter)
             try:
-                rows = (row for row in itertools.islice(reader, 1, None) if row)
-                next(itertools.islice(rows, skip, skip), None)
+                rows = (row for row in itertools.islice(lines.rows(reader), 1, None) if row)
+                next(itertools.islice(rows, met.rows, met.rows), None)
                 while chunk := [self._numbers(row, places, reader.line_num) for row in itertools.islice(rows, CHUNK_ROWS)]:
                     given = np.array([[number is not None for number in row] for row in chunk])
                     yield np.array(chunk, np.float64), given
-            except (csv.Error, OSError, EOFError, zlib.error) as error:
+            except csv.Error as error:
                 where = f"{self.name}: line {reader.line_num + 1}"
-                raise InputError(where, str(error), "CSV to the end of the file") from None
+                raise InputError(where, str(error), "CSV to the end of the file") from error
+
+    def _look_at_lines(self, met: _Met) -> Iterator[Finding]:
+        """Say where a line of the file is no row of the table, and where the last one may be half a row."""
+        if met.quoted:
+            with _binary(self._path) as file:
+                swallowed = sum(bool(line.strip(b"\r\n")) for line in file) - 1 - met.rows
+            if swallowed > 0:
+                text = f"{swallowed} lines are no rows: they stand inside quotes that an earlier line opens"
+                yield Finding("", "quoted", swallowed, float("nan"), text)
+        if met.last not in (b"\n", b"\r"):
+            text = "the last line does not end: the file may have been cut off, and its last number with it"
+            yield Finding("", "cut", 1, float("nan"), text)
 
     def _numbers(self, row: Sequence[str], places: Sequence[int], line: int) -> list[float | None]:
         """Return the wanted cells of a row, None where empty."""
@@ -226,14 +274,12 @@ class TableSource:
     def _parquet_file(self) -> Any:
         """Open the file with pyarrow, which has no types of its own."""
         try:
-            import pyarrow as pa
             from pyarrow import parquet
         except ImportError:
             raise MissingExtraError("reading Parquet", "pyarrow", "parquet") from None
-        try:
-            return parquet.ParquetFile(self._path)
-        except (pa.ArrowException, OSError) as error:
-            raise InputError(self.name, str(error), "a Parquet file") from None
+        return parquet.ParquetFile(
+            self._path, buffer_size=PARQUET_BUFFER_BYTES, pre_buffer=False, page_checksum_verification=True
+        )
 
     def _parquet_names(self) -> list[str]:
         with self._parquet_file() as file:
@@ -249,11 +295,29 @@ class TableSource:
                 kind = schema.field(place).type
                 if not (pa.types.is_floating(kind) or pa.types.is_integer(kind)):
                     raise InputError(f"{self.name}: {name}", str(kind), "a column of numbers")
-            try:
-                for batch in file.iter_batches(batch_size=CHUNK_ROWS, columns=names):
-                    yield _cells(batch, names)
-            except (pa.ArrowException, OSError) as error:
-                raise InputError(self.name, str(error), "Parquet to the end of the file") from None
+            rows, empty = 0, np.zeros(len(names), np.int64)
+            for batch in file.iter_batches(batch_size=CHUNK_ROWS, columns=names, use_threads=False):
+                cells, given = _cells(batch, names)
+                rows += len(cells)
+                empty += np.count_nonzero(~given, axis=0)
+                yield cells, given
+            self.findings = tuple(_look_at_counts(file.metadata, names, rows, empty))
+
+
+def _look_at_counts(metadata: Any, names: Sequence[str], rows: int, empty: NDArray[np.int64]) -> Iterator[Finding]:
+    """Hold what was read of a Parquet file against what the file says it holds."""
+    groups = [metadata.row_group(number) for number in range(metadata.num_row_groups)]
+    said = max(metadata.num_rows, sum(group.num_rows for group in groups))
+    if said > rows:
+        yield Finding("", "missing", said - rows, float("nan"), f"{said - rows} rows fewer than the file says it holds")
+    for name, found in zip(names, empty.tolist(), strict=True):
+        chunks = [group.column(place) for group in groups for place in range(group.num_columns)]
+        counts = [chunk.statistics for chunk in chunks if chunk.path_in_schema == name]
+        if all(count is not None and count.has_null_count for count in counts):
+            more = found - sum(count.null_count for count in counts)
+            if more > 0:
+                text = f"{more} cells of {name} are empty and should not be, as the file counts them"
+                yield Finding("", "missing", more, float("nan"), text)
 
 
 def _cells(batch: Any, names: Sequence[str]) -> _Cells:
@@ -268,13 +332,15 @@ def _cells(batch: Any, names: Sequence[str]) -> _Cells:
 
 def _chosen(names: Sequence[str], topics: Topics | None, origin: str) -> tuple[int, list[_Column]]:
     """Return the place of the time, and the columns to read: as the topics file says, else those known by name."""
-    places = {name: names.index(name) for name in names}
+    places: dict[str, int] = {}
+    for place, name in enumerate(names):
+        places.setdefault(name, place)
     columns: dict[str, _Column] = {}
     for role, binding in topics.bindings.items() if topics else ():
         if binding.column:
             if binding.column not in places:
                 where = f"{topics.origin if topics else origin}: {role}: column"
-                raise InputError(where, binding.column, ", ".join(names), nearest(binding.column, names))
+                raise InputError(where, binding.column, _listed(names), nearest(binding.column, names))
             columns[role] = _Column(places[binding.column], binding.column, role, binding.scale, binding.offset)
     by_file = frozenset(columns)
     for name, place in places.items():
@@ -292,22 +358,76 @@ def _chosen(names: Sequence[str], topics: Topics | None, origin: str) -> tuple[i
                 )
             columns[role] = _Column(place, name, role, scale)
     if TIME not in places:
-        raise InputError(origin, f"columns {', '.join(names)}", f"a column {TIME}, in seconds", nearest(TIME, names))
+        raise InputError(origin, f"columns {_listed(names)}", f"a column {TIME}, in seconds", nearest(TIME, names))
     if "speed" not in columns:
         raise InputError(
             origin,
-            f"columns {', '.join(names)}",
+            f"columns {_listed(names)}",
             "a column speed_mps or speed_kmh",
             "or name it in a topics file: speed: {column: NAME, scale: 1.0}",
         )
+    count = Counter(names)
     for name in (TIME, *(column.name for column in columns.values())):
-        if list(names).count(name) > 1:
-            raise InputError(origin, f"{list(names).count(name)} columns {name}", "each column once")
+        if count[name] > 1:
+            raise InputError(origin, f"{count[name]} columns {name}", "each column once")
     return places[TIME], list(columns.values())
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Names as far as anybody reads them."""
+    more = f" and {len(names) - NAMES_SHOWN} more" if len(names) > NAMES_SHOWN else ""
+    return ", ".join(names[:NAMES_SHOWN]) + more
 
 
 def _binary(path: Path) -> IO[bytes]:
     return cast("IO[bytes]", gzip.open(path)) if path.name.lower().endswith(".gz") else path.open("rb")
+
+
+class _Tap(io.BufferedIOBase):
+    """The bytes of a CSV file as they pass: whether there are quotes among them, and which is the last."""
+
+    def __init__(self, path: Path, met: _Met) -> None:
+        self._file, self._met = _binary(path), met
+
+    def readable(self) -> bool:
+        """Always."""
+        return True
+
+    def read(self, size: int | None = -1) -> bytes:
+        """Pass on the next bytes."""
+        data = self._file.read(-1 if size is None else size)
+        if data:
+            self._met.quoted = self._met.quoted or b'"' in data
+            self._met.last = data[-1:]
+        return data
+
+    read1 = read
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+        super().close()
+
+
+class _Lines:
+    """Lines of a text, none longer than memory takes, nor all lines of one row together."""
+
+    def __init__(self, file: IO[str], name: str) -> None:
+        self._file, self._name = file, name
+        self._of_row = 0
+
+    def __iter__(self) -> Iterator[str]:
+        while line := self._file.readline(MAX_ROW_BYTES):
+            self._of_row += len(line)
+            if self._of_row >= MAX_ROW_BYTES:
+                raise InputError(self._name, f"a row of more than {MAX_ROW_BYTES} bytes", "CSV with one line a row")
+            yield line
+
+    def rows(self, reader: Iterable[list[str]]) -> Iterator[list[str]]:
+        """Pass on the rows that a reader makes of these lines."""
+        for row in reader:
+            self._of_row = 0
+            yield row
 
 
 class TableWriter:
@@ -387,7 +507,9 @@ class TableWriter:
 
         table = pa.table([pa.array(column, from_pandas=True) for column in columns], names=list(self.names))
         if self._out is None:
-            self._out = self._files.enter_context(parquet.ParquetWriter(str(self._part), table.schema))
+            self._out = self._files.enter_context(
+                parquet.ParquetWriter(str(self._part), table.schema, write_page_checksum=True)
+            )
         self._out.write_table(table)
 
 

@@ -29,6 +29,10 @@ NUMBERS = {
     "float64": "f8",
 }
 """Numbers of the interface definition language, as numpy kind and size."""
+LENGTH_BYTES = 4
+"""Of a string or sequence, before what is in it."""
+MAX_DEPTH = 50
+"""Of messages within messages; the deepest common one has 6."""
 HEADER, TIME = "std_msgs/msg/Header", "builtin_interfaces/msg/Time"
 
 
@@ -96,6 +100,47 @@ def definitions(fielddefs: Mapping[str, tuple[object, object]], msgtype: str) ->
             fields.append(Field(field, kind, many, count))
         found[name] = tuple(fields)
     return found
+
+
+def check_size(types: Definitions, msgtype: str, where: str, most: int) -> None:
+    """Refuse a type no message of which could be read: a few letters define an array of any length.
+
+    Parameters
+    ----------
+    types : Definitions
+        The type and all it contains.
+    msgtype : str
+        ``package/msg/Name``.
+    where : str
+        For messages to the user.
+    most : int
+        Largest message that is read [bytes].
+
+    Raises
+    ------
+    InputError
+        A fixed array, or a message within messages, that is too long, or a type within itself.
+    """
+    sizes: dict[str, int] = {}
+
+    def size_of(name: str, within: tuple[str, ...]) -> int:
+        if name in within or len(within) > MAX_DEPTH:
+            given = f"{name} within itself" if name in within else f"more than {MAX_DEPTH} messages within one another"
+            raise InputError(where, given, f"a definition of {msgtype} that can be read")
+        if name not in sizes:
+            total = 0
+            for field in types[name]:
+                one = int(NUMBERS[field.type][1]) if field.type in NUMBERS else LENGTH_BYTES
+                if field.type in types:
+                    one = max(1, size_of(field.type, (*within, name)))
+                total += LENGTH_BYTES if field.many == "sequence" else one * field.count
+                if total > most:
+                    text = f"{name} with {field.type}[{field.count}] {field.name}"
+                    raise InputError(where, text, f"arrays that together take at most {most} bytes")
+            sizes[name] = total
+        return sizes[name]
+
+    size_of(msgtype, ())
 
 
 def stamp_path(types: Definitions, msgtype: str) -> tuple[FieldStep, ...]:

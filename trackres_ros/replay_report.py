@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.errors import one_line
 from trackres_ros.estimator import layout as at
 from trackres_ros.recording import Block, Finding, Recording, Source
 from trackres_ros.replay import Replayed
@@ -17,6 +18,8 @@ from trackres_ros.shown import decimals
 Array = NDArray[np.float64]
 
 HEAD = 1  # columns of a picture row before the results: the time
+MOST_KEPT = 10_000_000
+"""Samples kept to be looked at, a quarter of a gigabyte; ten hours of three channels at 50 Hz are half as many."""
 
 
 class KeptSource:
@@ -25,20 +28,29 @@ class KeptSource:
     def __init__(self, source: Source, keep: bool) -> None:
         self._source, self._keep = source, keep
         self._kept: list[Block] = []
+        self._dropped = False
         self.name, self.roles, self.notes = source.name, source.roles, source.notes
         self.zero_is_unset = source.zero_is_unset
 
     @property
     def findings(self) -> tuple[Finding, ...]:
         """What reading itself met."""
-        return self._source.findings
+        if not self._dropped:
+            return self._source.findings
+        text = f"more than {MOST_KEPT} samples: gaps, stuck and quantised values are not looked for"
+        return (*self._source.findings, Finding("", "too_long", 1, float("nan"), text))
 
     def blocks(self, max_rows: int = 65536) -> Iterator[Block]:
         """Blocks of the source; read a second time they come from memory."""
         if self._kept:
             yield from self._kept
             return
+        samples = 0
         for block in self._source.blocks(max_rows):
+            samples += len(block)
+            if self._keep and samples > MOST_KEPT:
+                self._kept.clear()
+                self._keep, self._dropped = False, True
             if self._keep:
                 self._kept.append(block)
             yield block
@@ -89,7 +101,7 @@ def text(report: dict[str, Any]) -> str:
     belts = {name.partition("/")[2]: value for name, value in last.items() if name.startswith("belt_degc/")}
     lines = [f"{report['messages']} messages, {report['steps']} steps over {report['duration_s']:.1f} s"]
     lines += [f"  taken: {note}" for note in report["notes"]]
-    lines += [f"  found: {item['role']}: {item['text']}" for item in report["findings"]]
+    lines += [f"  found: {item['role'] and item['role'] + ': '}{item['text']}" for item in report["findings"]]
     for channel, counts in report["counters"].items():
         refused = {name: number for name, number in counts.items() if name != "accepted"}
         if refused:
@@ -102,7 +114,7 @@ def text(report: dict[str, Any]) -> str:
         f"{decimals(report['resistance_torque_nm']['largest'])} Nm"
     )
     lines.append("Belts: " + ", ".join(f"{name} {decimals(value, 1)} degC" for name, value in belts.items()))
-    return "\n".join([*lines, f"Written: {', '.join(report['written'])}"])
+    return "\n".join(map(one_line, [*lines, f"Written: {', '.join(report['written'])}"]))
 
 
 def _finite(value: float) -> float | None:

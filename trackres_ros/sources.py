@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from trackres_ros.errors import InputError
+from trackres_ros.reading import check_there
 from trackres_ros.recording import Source
 from trackres_ros.topics import Topics
 
@@ -48,6 +49,7 @@ def open_source(paths: Sequence[Path], topics: Topics | None = None) -> Source:
 
 def _is_table(path: Path) -> bool:
     """Return whether a path is a table (True) or a bag (False), by suffix or content of the directory."""
+    check_there(path)
     if path.is_dir():
         if (path / "metadata.yaml").is_file():
             return False
@@ -55,8 +57,6 @@ def _is_table(path: Path) -> bool:
         remedy = "name the file in it" if inside else "a rosbag2 directory has one; ros2 bag reindex writes it"
         given = f"no metadata.yaml, but {', '.join(inside)}" if inside else "a directory without metadata.yaml"
         raise InputError(str(path), given, ALLOWED, remedy)
-    if not path.exists():
-        raise InputError(str(path), "nothing at this path", ALLOWED)
     name = path.name.lower()
     if name.endswith(BAG_SUFFIXES):
         return False

@@ -20,7 +20,7 @@ from trackres_ros.cli.replay import replay_command
 from trackres_ros.cli.reproduce import reproduce_command
 from trackres_ros.cli.simulate import simulate_command
 from trackres_ros.cli.vehicle import vehicle_group
-from trackres_ros.errors import InputError
+from trackres_ros.errors import InputError, one_line
 
 BAD_INPUT = 2
 INTERRUPTED = 130
@@ -75,7 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(0)
     except OSError as error:
-        _fail(f"{error.filename or 'system'}: {error.strerror or error}")
+        _fail(one_line(f"{error.filename or 'system'}: {error.strerror or error}"))
     except (click.Abort, KeyboardInterrupt):
         click.echo(f"trackres: interrupted; {written.so_far()}", err=True)
         sys.exit(INTERRUPTED)

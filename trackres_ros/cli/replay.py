@@ -9,7 +9,7 @@ import click
 
 from trackres_ros.cli.common import emit, json_option, method_options, output_path, progress, vehicle_option, without_suffix
 from trackres_ros.cli.written import watch
-from trackres_ros.errors import InputError, MissingExtraError
+from trackres_ros.errors import InputError, MissingExtraError, one_line
 
 
 @click.command("replay")
@@ -98,7 +98,7 @@ def replay_command(
         result = replay(look, estimator, write, session, advance)
     if state_file:
         save(result.session, state_file, int(result.session.memory.times[at.SPEED, at.LAST_ARRIVAL]) * NANOSECOND)
-    title = f"{', '.join(p.name for p in recording)}: {estimator.vehicle.title}"
+    title = one_line(f"{', '.join(p.name for p in recording)}: {estimator.vehicle.title}")
     written = [str(path)]
     try:
         plot_estimate(picture, result.picture[:, 0], picture_columns(result.session.estimator.columns, result.picture), title)

@@ -9,11 +9,12 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-from trackres_ros.bags import open_bag, unreadable
+from trackres_ros.bags import READABLE, is_ros1, messages, open_bag, remedy
 from trackres_ros.dds.participant import ALIGNMENT, Participant, Writer
 from trackres_ros.dds.wire import typestore
 from trackres_ros.errors import InputError
 from trackres_ros.live.endpoints import Quality
+from trackres_ros.reading import reading
 
 CLOCK_PERIOD_S = 0.01  # of this machine, not of the bag
 QUALITY = Quality(reliable=True, depth=100, deadline_s=0.0)
@@ -41,7 +42,7 @@ class Player:
     def __init__(self, path: Path, rate: float) -> None:
         self.rate = rate
         self._path = path
-        if path.suffix == ".bag":
+        if is_ros1(path):
             raise InputError(str(path), "a bag of ROS 1", "a bag of ROS 2", "convert it with: rosbags-convert")
         with closing(open_bag(path)) as reader:
             known = {c.topic: c.msgtype for c in reader.connections if c.msgtype in typestore().types}
@@ -96,13 +97,10 @@ class Player:
         self._participant.close()
 
     def _messages(self) -> Iterator[tuple[Writer, int, bytes]]:
-        with closing(open_bag(self._path)) as reader:
+        with reading(self._path, READABLE, remedy(self._path)), closing(open_bag(self._path)) as reader:
             wanted: list[Any] = [c for c in reader.connections if c.topic in self._writers]
-            try:
-                for connection, at_ns, raw in reader.messages(wanted):
-                    yield self._writers[connection.topic], at_ns, bytes(raw)
-            except (ValueError, KeyError, EOFError, struct.error, OSError) as error:
-                raise unreadable(self._path, error) from error
+            for connection, at_ns, raw in messages(reader, wanted):
+                yield self._writers[connection.topic], at_ns, bytes(raw)
 
     def _tell_time(self, now_ns: int) -> None:
         self._clock.write(struct.pack("<4siI", b"\0\1\0\0", *divmod(now_ns, SECOND_NS)))

@@ -1,0 +1,256 @@
+"""Small files of every kind a reader takes, what is in them, and how a damaged copy is read and judged."""
+
+from __future__ import annotations
+
+import contextlib
+import gzip
+import random
+import shutil
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mutator import mutations
+
+from trackres_ros.errors import InputError
+from trackres_ros.reading import OWN_FAULT
+from trackres_ros.recording import Recording
+from trackres_ros.sources import open_source
+from trackres_ros.topics import Topics
+
+ROWS, LOAD_EVERY = 60, 3
+START_NS, STEP_NS = 1_700_000_000 * 10**9, 20_000_000
+SPEED, LOAD = "geometry_msgs/msg/TwistStamped", "std_msgs/msg/Float64"
+TOPICS = Topics.parse({
+    "speed": {"topic": "/vehicle/speed", "type": SPEED, "field": "twist.linear.x"},
+    "load": {"topic": "/vehicle/load", "type": LOAD, "field": "data"},
+}, "topics.yaml")
+EXPECTED = Counter({"speed": ROWS, "load": ROWS // LOAD_EVERY})
+METADATA_SHARE = 0.2  # of the mutations of a folder that hit its metadata.yaml
+LOSSES = ("missing", "unusable", "unknown_topic", "malformed", "absent", "quoted", "cut")
+MOST_OF_A_LINE = 8000
+
+
+@dataclass(frozen=True)
+class Format:
+    """A kind of file: how a small one is written, and where."""
+
+    name: str
+    write: Callable[[Path], None]
+    file: str  # the name of the file or folder that is read
+
+
+def _store(version: str) -> Any:
+    from rosbags.typesys import Stores, get_typestore
+
+    return get_typestore(Stores[version])
+
+
+def _traffic(store: Any, serialise: Callable[[Any, str], Any]) -> Iterator[tuple[str, str, int, bytes]]:
+    """Yield topic, type, log time and message."""
+    types = store.types
+    vector = types["geometry_msgs/msg/Vector3"]
+    for row in range(ROWS):
+        at_ns = START_NS + row * STEP_NS
+        stamp = types["builtin_interfaces/msg/Time"](*divmod(at_ns, 10**9))
+        first = [row] if "seq" in types["std_msgs/msg/Header"].__annotations__ else []
+        header = types["std_msgs/msg/Header"](*first, stamp, "base")
+        twist = types["geometry_msgs/msg/Twist"](vector(5.0 + row / 10, 0.0, 0.0), vector(0.0, 0.0, 0.0))
+        yield "/vehicle/speed", SPEED, at_ns, bytes(serialise(types[SPEED](header, twist), SPEED))
+        if row % LOAD_EVERY == 0:
+            yield "/vehicle/load", LOAD, at_ns + 1, bytes(serialise(types[LOAD](2e5 + row), LOAD))
+        if row % 5 == 0:
+            text = "std_msgs/msg/String"
+            yield "/chatter", text, at_ns + 2, bytes(serialise(types[text]("x" * row), text))
+
+
+def _mcap(**options: Any) -> Callable[[Path], None]:
+    """Write with the reference implementation of the format."""
+
+    def write(folder: Path) -> None:
+        from mcap.writer import CompressionType, Writer
+
+        store = _store("LATEST")
+        compression = CompressionType[options.get("compression", "none").upper()]
+        with (folder / "run.mcap").open("wb") as file:
+            writer = Writer(file, chunk_size=2048, compression=compression, use_chunking=options.get("chunked", True))
+            writer.start("ros2", "fuzz")
+            channels: dict[str, int] = {}
+            for topic, msgtype, at_ns, raw in _traffic(store, store.serialize_cdr):
+                if topic not in channels:
+                    text = store.generate_msgdef(msgtype, ros_version=2)[0]
+                    schema = writer.register_schema(msgtype, "ros2msg", text.encode())
+                    channels[topic] = writer.register_channel(topic, "cdr", schema)
+                writer.add_message(channels[topic], at_ns, raw, at_ns)
+            writer.finish()
+
+    return write
+
+
+def _own_mcap(folder: Path) -> None:
+    """Write with our own writer."""
+    from trackres_ros.bag_writer import BagWriter
+
+    with BagWriter(folder / "run.mcap") as writer:
+        topics: dict[str, Any] = {}
+        for topic, msgtype, at_ns, raw in _traffic(writer.typestore, writer.typestore.serialize_cdr):
+            if topic not in topics:
+                topics[topic] = writer.topic(topic, msgtype)
+            writer.write(topics[topic], writer.typestore.deserialize_cdr(raw, msgtype), at_ns, at_ns)
+
+
+def _fill(writer: Any, store: Any, serialise: Callable[[Any, str], Any]) -> None:
+    """Write with the library rosbags."""
+    with writer:
+        connections: dict[str, Any] = {}
+        for topic, msgtype, at_ns, raw in _traffic(store, serialise):
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, msgtype, typestore=store)
+            writer.write(connections[topic], at_ns, raw)
+
+
+def _rosbag2(storage: str, compression: str = "") -> Callable[[Path], None]:
+    def write(folder: Path) -> None:
+        from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+
+        store = _store("LATEST")
+        writer = Writer(folder / "run", version=9, storage_plugin=StoragePlugin[storage])
+        if compression:
+            writer.set_compression(CompressionMode[compression], CompressionFormat.ZSTD)
+        _fill(writer, store, store.serialize_cdr)
+
+    return write
+
+
+def _db3(folder: Path) -> None:
+    _rosbag2("SQLITE3")(folder)
+    (folder / "run" / "run.db3").rename(folder / "run.db3")
+    shutil.rmtree(folder / "run")
+
+
+def _ros1(compression: str) -> Callable[[Path], None]:
+    def write(folder: Path) -> None:
+        from rosbags.rosbag1 import Writer
+
+        store = _store("ROS1_NOETIC")
+        writer = Writer(folder / "run.bag")
+        if compression != "NONE":
+            writer.set_compression(Writer.CompressionFormat[compression])
+        writer.chunk_threshold = 2048
+        _fill(writer, store, store.serialize_ros1)
+
+    return write
+
+
+def _table(suffix: str) -> Callable[[Path], None]:
+    def write(folder: Path) -> None:
+        from trackres_ros.csvs import write_table
+
+        row = np.arange(ROWS)
+        load = np.where(row % LOAD_EVERY == 0, 2e5 + row, np.nan)
+        note = np.array([f"lap {number}" for number in row])
+        write_table(
+            folder / f"run{suffix}", {"time_s": row / 50, "speed_mps": 5.0 + row / 10, "weight_n": load, "note": note}
+        )
+
+    return write
+
+
+FORMATS = {one.name: one for one in (
+    Format("mcap, not chunked", _mcap(chunked=False), "run.mcap"),
+    Format("mcap", _mcap(), "run.mcap"),
+    Format("mcap zstd", _mcap(compression="zstd"), "run.mcap"),
+    Format("mcap lz4", _mcap(compression="lz4"), "run.mcap"),
+    Format("mcap, our own", _own_mcap, "run.mcap"),
+    Format("mcap zstd, folder", _rosbag2("MCAP", "STORAGE"), "run"),
+    Format("sqlite3", _db3, "run.db3"),
+    Format("sqlite3, folder", _rosbag2("SQLITE3"), "run"),
+    Format("sqlite3 zstd by file", _rosbag2("SQLITE3", "FILE"), "run"),
+    Format("sqlite3 zstd by message", _rosbag2("SQLITE3", "MESSAGE"), "run"),
+    Format("ROS 1", _ros1("NONE"), "run.bag"),
+    Format("ROS 1 bz2", _ros1("BZ2"), "run.bag"),
+    Format("ROS 1 lz4", _ros1("LZ4"), "run.bag"),
+    Format("csv", _table(".csv"), "run.csv"),
+    Format("csv.gz", _table(".csv.gz"), "run.csv.gz"),
+    Format("parquet", _table(".parquet"), "run.parquet"),
+)}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Damaged:
+    """One mutation: the path to read, and which file of it was changed."""
+
+    path: Path
+    changed: Path
+    data: bytes
+
+
+def damaged(form: Format, folder: Path, count: int, seed: int, start: int = 0) -> Iterator[Damaged]:
+    """Write the mutations `start` and following of a small file of a format, one after another at the same place."""
+    form.write(folder)
+    path = folder / form.file
+    files = sorted(path.iterdir(), key=lambda one: one.name == "metadata.yaml") if path.is_dir() else [path]
+    originals = [file.read_bytes() for file in files]
+    copies = [mutations(original, count, seed) for original in originals]
+    for number in range(count):
+        copy = [next(each) for each in copies]
+        if number < start:
+            continue
+        hit = len(files) - 1 if random.Random(f"{seed} {number}").random() < METADATA_SHARE else 0
+        for place, file in enumerate(files):
+            file.write_bytes(copy[place] if place == hit else originals[place])
+        yield Damaged(path, files[hit], copy[hit])
+
+
+def judged(one: Damaged) -> dict[str, Any]:
+    """Read a damaged file as the commands do, and say what became of it."""
+    try:
+        source = open_source([one.path], None if one.path.suffix in (".csv", ".gz", ".parquet") else TOPICS)
+        recording = Recording.from_source(source)
+        recording.aligned()
+        recording.report()
+    except InputError as error:
+        return _judged_refusal(error)
+    except Exception as error:
+        return {"outcome": "traceback", "text": f"{type(error).__name__}: {error}"}
+    read = Counter({role: len(series) for role, series in recording.series.items()})
+    expected = _expected(one)
+    short = expected - read
+    lost = short.total() if source.zero_is_unset else max(short.values(), default=0)  # a row of a table is several samples
+    said = sum(finding.count for finding in recording.findings if finding.kind in LOSSES)
+    words = any(finding.kind == "structure" for finding in recording.findings)
+    words |= any(note.startswith("ignored columns") and note != "ignored columns: note" for note in recording.notes)
+    remarks = [finding.kind for finding in recording.findings]
+    outcome = "lost" if lost > said and not words else "remarks" if remarks else "alike"
+    return {"outcome": outcome, "text": f"{dict(read)} of {dict(expected)}; {said} said; {remarks}; {recording.notes}"}
+
+
+def _judged_refusal(error: InputError) -> dict[str, Any]:
+    text = str(error)
+    if OWN_FAULT in text or not text.isprintable() or len(text) > MOST_OF_A_LINE:
+        return {"outcome": "traceback", "text": text}
+    return {"outcome": "refused", "text": text}
+
+
+def _expected(one: Damaged) -> Counter[str]:
+    """Return the samples that are in a file: of a table in text those of its lines, else those of the whole file."""
+    if ".csv" not in one.path.name:
+        return EXPECTED
+    data = one.data
+    if one.path.suffix == ".gz":
+        try:
+            data = gzip.decompress(data)
+        except Exception:
+            return EXPECTED
+    header, *lines = [line for line in data.replace(b"\r", b"\n").split(b"\n") if line]
+    names = [name.strip() for name in header.split(b",")]
+    found: Counter[str] = Counter()
+    for role, column in (("speed", b"speed_mps"), ("load", b"weight_n")):
+        with contextlib.suppress(ValueError):
+            place = names.index(column)
+            cells = [line.split(b",") for line in lines]
+            found[role] = sum(len(cell) > place and bool(cell[place].strip()) for cell in cells)
+    return found

@@ -1,0 +1,73 @@
+"""Every reader on damaged files of its format: nothing but one line, no hang, no flood, no row lost without a word."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rosbags")
+pytest.importorskip("mcap")
+pytest.importorskip("pyarrow")
+
+import run
+from formats import EXPECTED, FORMATS, Damaged, judged
+
+MUTATIONS = 300
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_the_whole_file_is_read_whole(tmp_path, name):
+    FORMATS[name].write(tmp_path)
+    path = tmp_path / FORMATS[name].file
+    said = judged(Damaged(path, path, path.read_bytes() if path.is_file() else b""))
+    assert said["outcome"] == "alike"
+    assert said["text"].startswith(f"{dict(sorted(EXPECTED.items()))} of")
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", FORMATS)
+def test_damaged_files(name):
+    result = run.fuzzed(name, MUTATIONS, seed=1)
+    assert result.outcomes.total() == MUTATIONS
+    assert not result.faults
+    assert not any(result.outcomes[fault] for fault in run.FAULTS)
+    assert f"| {name} | {MUTATIONS} |" in run.table({name: result})
+
+
+def test_the_command_prints_counts():
+    script = Path(__file__).with_name("run.py")
+    command = [sys.executable, str(script), "--count", "3", "--format", "csv", "--json"]
+    done = subprocess.run(command, capture_output=True, check=True)
+    counts = json.loads(done.stdout)["csv"]
+    assert counts.pop("faults") == []
+    assert sum(counts.values()) == 3
+
+
+WORKER = """
+import json, os, sys, time
+for number in range(int(sys.argv[sys.argv.index("--start") + 1]), 4):
+    print(json.dumps({"begin": number}), flush=True)
+    outcome = "alike"
+    if number == 1:
+        FAULT
+    print(json.dumps({"number": number, "outcome": outcome, "text": ""}), flush=True)
+    if outcome == "memory":
+        break
+"""
+
+
+@pytest.mark.parametrize(("fault", "outcome"), [
+    ("outcome = 'traceback'", "traceback"), ("raise ZeroDivisionError", "traceback"), ("os.abort()", "traceback"),
+    ("os._exit(0)", "traceback"), ("time.sleep(60)", "hang"), ("outcome = 'memory'", "memory"), ("outcome = 'lost'", "lost"),
+])  # fmt: skip
+def test_the_watch_sees_every_fault_and_goes_on(tmp_path, monkeypatch, fault, outcome):
+    monkeypatch.setattr(run, "HANG_S", 2.0)
+    script = tmp_path / "worker.py"
+    script.write_text(WORKER.replace("FAULT", fault))
+    result = run.fuzzed("csv", 4, seed=1, script=script)
+    assert result.outcomes == {"alike": 3, outcome: 1}
+    assert [(one["number"], one["outcome"]) for one in result.faults] == [(1, outcome)]
