@@ -7,13 +7,23 @@ from typing import Any
 
 import click
 
-from trackres_ros.cli.common import emit, json_option, method_options, output_path, progress, vehicle_option, without_suffix
+from trackres_ros.cli.common import (
+    emit,
+    json_option,
+    method_options,
+    output_path,
+    progress,
+    surroundings_option,
+    vehicle_option,
+    without_suffix,
+)
 from trackres_ros.errors import InputError, MissingExtraError
 
 
 @click.command("replay")
 @click.argument("recording", nargs=-1, required=True, type=click.Path(path_type=Path))
 @vehicle_option
+@surroundings_option
 @click.option(
     "--topics",
     "topics_file",
@@ -45,6 +55,7 @@ from trackres_ros.errors import InputError, MissingExtraError
 def replay_command(
     recording: tuple[Path, ...],
     vehicle: str,
+    surroundings_file: Path | None,
     topics_file: Path | None,
     params_file: Path | None,
     method: str | None,
@@ -76,7 +87,7 @@ def replay_command(
     from trackres_ros.sources import open_source
     from trackres_ros.topic_settings import settings_for
     from trackres_ros.topics import Topics
-    from trackres_ros.vehicle import load
+    from trackres_ros.vehicle import load, with_surroundings
 
     path = output_path(output)
     if any(path.exists() and path.resolve() == given.resolve() for given in recording):
@@ -85,7 +96,8 @@ def replay_command(
     topics = Topics.load(topics_file) if topics_file else None
     parameters = make_parameters(read_parameters(params_file))
     source = open_source(recording, topics)
-    estimator = Estimator(with_methods(load(vehicle), method, thermal), settings_for(parameters.settings(), topics))
+    description = with_surroundings(with_methods(load(vehicle), method, thermal), surroundings_file)
+    estimator = Estimator(description, settings_for(parameters.settings(), topics))
     session = resume(estimator, resume_file) if resume_file else None
     look = KeptSource(source, keep=path.suffix.lower() != ".mcap")
     with progress("replaying", None) as advance, result_writer(path, estimator) as write:

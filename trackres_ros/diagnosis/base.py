@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.belt_series import follow
+from trackres_ros.diagnosis.kept import Kept
 from trackres_ros.diagnosis.session import Session
 from trackres_ros.effects.effect import Active, Conditions, Facts, Terms, together
 
@@ -73,6 +74,10 @@ class Base(Protocol):
         """Names of effects that are in it already."""
 
     @property
+    def torque_scale(self) -> float:
+        """Shown over true torque where the torque's topic says nothing of it."""
+
+    @property
     def parameters(self) -> tuple[BaseParameter, ...]:
         """What may be re-fitted."""
 
@@ -91,8 +96,8 @@ class Base(Protocol):
             Expected torque of each session, which some effects look at [Nm].
         """
 
-    def write(self, path: Path, values: Values, effects: Sequence[Active], text: str) -> None:
-        """Write a vehicle file with these values and effects."""
+    def write(self, path: Path, kept: Kept, text: str) -> list[Path]:
+        """Write a vehicle file with what was kept, surroundings beside it; returns the files that are for use."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,6 +17,7 @@ from trackres_ros.diagnosis.fitting import Fit, Problem
 from trackres_ros.diagnosis.gate import Gated, gate, split
 from trackres_ros.diagnosis.held_out import HeldOut, held_out
 from trackres_ros.diagnosis.intervals import Interval, intervals
+from trackres_ros.diagnosis.kept import Kept
 from trackres_ros.diagnosis.locate import ThermalCheck, acts, against_travel, contribution, regime_of, spans, stray, thermal_check
 from trackres_ros.diagnosis.naming import Step, begin, choose
 from trackres_ros.diagnosis.regimes import RegimeMap, cumulative_periodogram, regime_map
@@ -58,6 +59,8 @@ class Diagnosis:
         Of the base's parameters in `final`.
     held_out, advice, verdict
         What it is worth, what to drive next, and what it comes to.
+    kept
+        What is written out.
     """
 
     base: Base
@@ -77,6 +80,7 @@ class Diagnosis:
     held_out: HeldOut
     advice: tuple[Advice, ...]
     verdict: Verdict
+    kept: Kept
 
     @property
     def sessions(self) -> tuple[Session, ...]:
@@ -172,6 +176,7 @@ def diagnose(
         thermal_check(refitted),
         tuple(steps), tuple(found), {name: b for (effect, name), b in bounds.items() if not effect}, worth, tuple(advice),
         judge(found, refitted, at_end, stray(final), steps[-1].hint, worth),
+        Kept(final.base_values, tuple(final.effects), bounds),
     )  # fmt: skip
 
 

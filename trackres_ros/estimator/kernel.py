@@ -272,6 +272,19 @@ def fade(age: float, max_age: float, fade_s: float) -> float:
 
 
 @inlined
+def fed_effects(k: Constants, speed: float, given_accel: bool) -> float:
+    """What effects of the vehicle add to the feed-forward before its gain [Nm].
+
+    Only what resists motion is fed forward, so it is faded out where nothing moves: friction holds a standing vehicle by itself,
+    and whatever else an effect says at rest would push it. Inertia is fed forward as the part `inertia` is.
+    """
+    fed = float(k.terms[at.TERM_FED] * abs(direction(speed)))
+    if given_accel:
+        fed += float(k.number.feed_inertia * k.terms[at.TERM_FED_INERTIA])
+    return fed
+
+
+@inlined
 def feedforward(k: Constants, motion: Array, total: Array, of_effects: float, given_accel: bool, dt: float) -> tuple[float, int]:
     """Chosen parts [Nm], limited in size and rate, and the reasons that gives."""
     number, reasons = k.number, 0
@@ -284,6 +297,7 @@ def feedforward(k: Constants, motion: Array, total: Array, of_effects: float, gi
     )
     if given_accel:  # an acceleration filtered from the speed would feed the controller's own noise back to it
         wanted += number.feed_inertia * total[at.PART_INERTIA]
+    wanted *= k.terms[at.TERM_FED_GAIN]
     if abs(wanted) > number.feedforward_limit:
         wanted = math.copysign(number.feedforward_limit, wanted)
         reasons |= CLAMPED
@@ -310,7 +324,7 @@ def advance(k: Constants, belts: Array, motion: Array, inputs: Inputs, dt: float
     """
     number, terms = k.number, k.terms
     reasons = inputs.reasons | int(terms[at.TERM_REASONS])
-    speed = inputs.speed * terms[at.TERM_SPEED]
+    speed = inputs.speed
     started = motion[at.STARTED] > 0.0
     last_speed = motion[at.LAST_SPEED] if started else speed
     if started and 0.0 < dt <= number.bridge:
@@ -351,12 +365,15 @@ def advance(k: Constants, belts: Array, motion: Array, inputs: Inputs, dt: float
     driving = without_gain * terms[at.TERM_DRIVE_GAIN]
     of_effects = terms[at.TERM_TORQUE] + driving - without_gain
     resistance += driving - without_gain
-    wanted, of_feedforward = feedforward(k, motion, total, of_effects, given_accel, dt)
+    wanted, of_feedforward = feedforward(k, motion, total, fed_effects(k, speed, given_accel), given_accel, dt)
     variance = (
         total[at.PART_NOISE]
         + total[at.PART_DOUBT_AMBIENT] ** 2
         + (total[at.PART_BEARING] * number.bearing_doubt) ** 2
         + (total[at.PART_WIND] * number.drag_doubt) ** 2
+        + terms[at.TERM_VARIANCE]
+        + terms[at.TERM_LOSS_VARIANCE] * total[at.PART_HYSTERESIS] ** 2
+        + terms[at.TERM_GAIN_VARIANCE] * driving**2
     )
     for cause in range(4):
         variance += total[at.PART_DOUBT + cause] ** 2
@@ -380,7 +397,7 @@ def advance(k: Constants, belts: Array, motion: Array, inputs: Inputs, dt: float
     out[at.OUT_FEEDFORWARD] = wanted
     out[at.OUT_MOTOR] = driving * number.motor_gain
     out[at.OUT_MEASURED] = inputs.measured_torque
-    out[at.OUT_RESIDUAL] = inputs.measured_torque - (driving * terms[at.TERM_SENSOR_GAIN] + terms[at.TERM_SENSOR_OFFSET])
+    out[at.OUT_RESIDUAL] = inputs.measured_torque - driving
     out[at.OUT_HEAT] = total[at.PART_HEAT]
     out[at.OUT_COOLING] = total[at.PART_COOLING]
     out[at.OUT_REASONS] = reasons | of_assemblies | of_feedforward
