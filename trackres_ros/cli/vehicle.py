@@ -39,6 +39,7 @@ def check_command(file: str, points: int, as_json: bool) -> None:
     from trackres_ros.model.loss_table import drive_share, interpolation_error, loss_table
     from trackres_ros.model.track import load_range, steady_tension, track_model
     from trackres_ros.vehicle import load
+    from trackres_ros.vehicle.reading import FLAGS
 
     vehicle = load(file)
     rubber = vehicle.rubber
@@ -92,7 +93,8 @@ def check_command(file: str, points: int, as_json: bool) -> None:
         "thermal": vehicle.thermal,
         "weight_n": vehicle.weight,
         "assemblies": {a.name: float(n) for a, n in zip(vehicle.assemblies, vehicle.nominal_loads(), strict=True)},
-        "quantities": {flag: flags.count(flag) for flag in ("P", "L", "A")},
+        "quantities": {flag: flags.count(flag) for flag in FLAGS},
+        "effects": {a.effect.name: dict(a.values) for a in vehicle.effects},
         "tracks": tracks,
     }
     emit(result, as_json, lambda: _text(result))

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from trackres_ros.diagnosis.intervals import Interval
 from trackres_ros.effects.effect import Active
+
+if TYPE_CHECKING:
+    from trackres_ros.diagnosis.intervals import Interval
 
 
 @dataclass(frozen=True, eq=False)

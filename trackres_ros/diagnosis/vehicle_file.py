@@ -97,7 +97,8 @@ def set_quantity(document: Document, path: Sequence[str], old: Quantity, value: 
     low, high = (old.low, old.high) if learned is None else learned
     low, high = (min(max(x, limits.low), limits.high) for x in (low, high))
     span = [_figures(min(low, value)), _figures(max(high, value))]
-    given = {"value": _figures(value), "range": span, "flag": "A" if learned is None else FITTED, "reason": REASON}
+    reason = old.reason if old.reason.startswith(REASON) else f"{REASON}; before it {old.value:g} ({old.flag}): {old.reason}"
+    given = {"value": _figures(value), "range": span, "flag": "A" if learned is None else FITTED, "reason": reason}
     for key, new in given.items():
         document.set((*path, key), new)
 

@@ -34,6 +34,7 @@ PLAUSIBLE = {
 }
 LEAST_LOAD_SHARE = 0.1  # of nominal weight: less is not a driving vehicle
 LARGEST_LOAD_SHARE = 2.5
+LEAST_RESISTANCE = 1e-6  # K/W, as in `diagnosis.belt_series`: below it mean and surface of a belt are one
 OVERSPEED = 1.2  # of the vehicle file's greatest speed
 
 
@@ -117,6 +118,7 @@ def make_constants(vehicle: Vehicle, settings: Settings, cache: Path | None = No
     # An effect may part mean and surface: then the belt has two nodes, whatever the file's thermal model.
     at_rest = [terms_of(active, _nothing_known(vehicle), 0.0) for active in vehicle.active]
     resistance = sum(terms.inner_resistance for terms in at_rest if terms is not None)
+    resistance = resistance if resistance > LEAST_RESISTANCE else 0.0
     two_nodes = vehicle.thermal == "core_surface" or resistance > 0.0
     constants = np.empty((len(vehicle.assemblies), at.DOUBT_FACTOR))
     for row, load, assembly in zip(constants, loads, vehicle.assemblies, strict=True):
