@@ -104,11 +104,14 @@ def _text(result: dict[str, Any]) -> str:
     quantities = result["quantities"]
     lines = [
         f"{result['title']} ({result['file']}): all values are as allowed",
-        f"  {quantities['P']} values from the paper, {quantities['L']} from literature, {quantities['A']} assumed; "
+        f"  {quantities['P']} values from the paper, {quantities['L']} from literature, {quantities['A']} assumed, "
+        f"{quantities['F']} fitted; "
         f"hysteresis {result['hysteresis']}, thermal {result['thermal']}",
         f"  weight {result['weight_n'] / 1e3:.1f} kN on "
         + ", ".join(f"{k} {v / 1e3:.1f} kN" for k, v in result["assemblies"].items()),
     ]
+    if result["effects"]:
+        lines.append(f"  with {', '.join(result['effects'])}")
     for name, t in result["tracks"].items():
         table, doubt = t["table"], t["uncertainty"]
         lines += [
