@@ -72,7 +72,8 @@ def left(tmp_path, loaded, own):
     effects = [Active(known[name], known[name].values()) for name in ("stribeck", "squeak", "grade_profile", "torque_gain")]
     folder = tmp_path / "left"
     folder.mkdir()
-    files = loaded.base.write(folder / "vehicle.yaml", kept_of(loaded.base, effects), "What it is.\nWritten by trackres diagnose from x.")
+    text = "What it is.\nWritten by trackres diagnose from x."
+    files = loaded.base.write(folder / "vehicle.yaml", kept_of(loaded.base, effects), text)
     assert [path.name for path in files] == ["vehicle.yaml", "surroundings.yaml"]
     return folder
 
@@ -103,7 +104,8 @@ def test_intervals_become_ranges_and_the_estimate_is_as_sure_as_what_was_learned
     before, after = load("xgd24d"), load(left / "vehicle.yaml")
     for name in ("chassis.bearing_friction", "chassis.drag_coefficient", "rubber.loss_modulus_scale"):
         q, was = after.parameters[name], before.parameters[name]
-        assert (q.low, q.value, q.high) == pytest.approx((0.97 * 0.98 * was.value, 0.98 * was.value, 1.03 * 0.98 * was.value), rel=1e-5)
+        fitted = 0.98 * was.value
+        assert (q.low, q.value, q.high) == pytest.approx((0.97 * fitted, fitted, 1.03 * fitted), rel=1e-5)
         assert q.flag == "F"
         assert "re-fitted by trackres diagnose" in q.reason
         assert was.reason in q.reason
@@ -202,7 +204,8 @@ def test_a_vehicle_file_with_what_is_not_of_the_vehicle_is_refused_by_the_comman
     for effect, said in (("grade: {grade: 0.02}", "--surroundings"), ("torque_gain: {error: 0.02}", "topics file")):
         text = source.read_text().replace("rubber/nr", f"{source.parent}/rubber/nr")
         (tmp_path / "v.yaml").write_text(f"{text}\neffects: {{{effect}}}\n")
-        done = CliRunner().invoke(cli, ["replay", str(drive), "--vehicle", str(tmp_path / "v.yaml"), "-o", str(tmp_path / "o.csv")])
+        command = ["replay", str(drive), "--vehicle", str(tmp_path / "v.yaml"), "-o", str(tmp_path / "o.csv")]
+        done = CliRunner().invoke(cli, command)
         assert isinstance(done.exception, InputError)
         assert said in str(done.exception)
 
@@ -266,7 +269,8 @@ def test_a_road_load_file_too(tmp_path, own):
     np.testing.assert_allclose(*torques, rtol=1e-4, atol=1e-3)
 
 
-SENSORS = [{"torque_gain": 0.04}, {"torque_offset": 300.0}, {"speed_scale": 0.03}, {"delay": 0.4}, {"torque_gain": -0.05, "torque_offset": -150.0}]
+SENSORS = [{"torque_gain": 0.04}, {"torque_offset": 300.0}, {"speed_scale": 0.03}, {"delay": 0.4}]
+SENSORS += [{"torque_gain": -0.05, "torque_offset": -150.0}]
 
 
 @pytest.mark.parametrize("wrong", SENSORS, ids=lambda wrong: "+".join(wrong))

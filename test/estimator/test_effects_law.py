@@ -1,4 +1,4 @@
-"""Whatever effects a vehicle file or the surroundings switch on: nothing pushes a standing vehicle, and every number stays one."""
+"""Whatever effects a vehicle file or the surroundings switch on: nothing pushes a standing vehicle, every number stays one."""
 
 import math
 from dataclasses import replace
@@ -75,7 +75,8 @@ def nasty(draw):
 def states(draw):
     """Effects, where they belong, and what is known at a few steps."""
     effects = draw(st.lists(st.one_of(of_catalogue(), nasty()), min_size=1, max_size=3, unique_by=lambda a: a.effect.name))
-    where = [a.effect.belongs_to if a.effect.name != "nasty" else draw(st.sampled_from(["vehicle", "surroundings"])) for a in effects]
+    places = st.sampled_from(["vehicle", "surroundings"])
+    where = [draw(places) if active.effect.name == "nasty" else active.effect.belongs_to for active in effects]
     parts = draw(st.sets(st.sampled_from(PARTS)))
     known = {
         "load": draw(st.floats(0.15, 2.4)) * VEHICLE.weight,
@@ -191,7 +192,8 @@ def test_a_vehicles_effect_is_fed_forward_and_that_of_the_surroundings_only_expe
 
 def test_what_comes_with_an_acceleration_is_fed_forward_as_inertia_is():
     rotating = Active(next(e for e in CATALOGUE if e.name == "rotating_inertia"), {"factor": 0.5})
-    for parts, known, fed_forward in (((), {"accel": 1.0}, False), (("inertia",), {"accel": 1.0}, True), (("inertia",), {}, False)):
+    given_ = {"accel": 1.0}
+    for parts, known, fed_forward in (((), given_, False), (("inertia",), given_, True), (("inertia",), {}, False)):
         (with_it, _), (without, _) = fed([rotating], ["vehicle"], parts, 5.0, **known)
         assert (abs(with_it - without) > 1000.0) == fed_forward
 
