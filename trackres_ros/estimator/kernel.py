@@ -272,19 +272,6 @@ def fade(age: float, max_age: float, fade_s: float) -> float:
 
 
 @inlined
-def fed_effects(k: Constants, speed: float, given_accel: bool) -> float:
-    """What effects of the vehicle add to the feed-forward before its gain [Nm].
-
-    Only what resists motion is fed forward, so it is faded out where nothing moves: friction holds a standing vehicle by itself,
-    and whatever else an effect says at rest would push it. Inertia is fed forward as the part `inertia` is.
-    """
-    fed = float(k.terms[at.TERM_FED] * abs(direction(speed)))
-    if given_accel:
-        fed += float(k.number.feed_inertia * k.terms[at.TERM_FED_INERTIA])
-    return fed
-
-
-@inlined
 def feedforward(k: Constants, motion: Array, total: Array, of_effects: float, given_accel: bool, dt: float) -> tuple[float, int]:
     """Chosen parts [Nm], limited in size and rate, and the reasons that gives."""
     number, reasons = k.number, 0
@@ -296,7 +283,7 @@ def feedforward(k: Constants, motion: Array, total: Array, of_effects: float, gi
         + of_effects
     )
     if given_accel:  # an acceleration filtered from the speed would feed the controller's own noise back to it
-        wanted += number.feed_inertia * total[at.PART_INERTIA]
+        wanted += number.feed_inertia * (total[at.PART_INERTIA] + k.terms[at.TERM_FED_INERTIA])
     wanted *= k.terms[at.TERM_FED_GAIN]
     if abs(wanted) > number.feedforward_limit:
         wanted = math.copysign(number.feedforward_limit, wanted)
@@ -365,7 +352,10 @@ def advance(k: Constants, belts: Array, motion: Array, inputs: Inputs, dt: float
     driving = without_gain * terms[at.TERM_DRIVE_GAIN]
     of_effects = terms[at.TERM_TORQUE] + driving - without_gain
     resistance += driving - without_gain
-    wanted, of_feedforward = feedforward(k, motion, total, fed_effects(k, speed, given_accel), given_accel, dt)
+    # What resists motion is fed forward, so of effects nothing where nothing moves: friction holds a standing vehicle by itself,
+    # and whatever else an effect says at rest would push it.
+    fed_effects = terms[at.TERM_FED] * abs(direction(speed))
+    wanted, of_feedforward = feedforward(k, motion, total, fed_effects, given_accel, dt)
     variance = (
         total[at.PART_NOISE]
         + total[at.PART_DOUBT_AMBIENT] ** 2
