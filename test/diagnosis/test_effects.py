@@ -24,19 +24,6 @@ BOTH_WAYS = ("grade", "grade_profile", "headwind", "rotating_inertia")
 OF_SURROUNDINGS = {"grade", "grade_profile", "headwind", "rain", "soft_ground", "solar"}
 OF_SENSORS = {"delay", "speed_scale", "torque_gain", "torque_offset"}
 CATALOGUE = catalogue()
-OWN = """
-from trackres_ros.effects import Effect, Parameter, Terms
-
-class Squeak(Effect):
-    name = "squeak"
-    acts_on = "torque"
-    belongs_to = "vehicle"
-    text = "something squeaks"
-    parameters = (Parameter("torque", "Nm", 0.0, 100.0, 10.0, "of it", off=0.0),)
-
-    def terms(self, at, p):
-        return Terms(torque=p["torque"] * at.direction)
-"""
 
 
 def conditions(**changed):
@@ -192,10 +179,10 @@ def test_what_is_typical_grows_with_the_vehicle():
     assert catalogue(size=0.5 * REFERENCE_NM)["headwind"].parameters == CATALOGUE["headwind"].parameters
 
 
-def test_an_effect_of_the_users_own_joins_the_catalogue(tmp_path):
-    (tmp_path / "squeak.py").write_text(OWN)
+def test_an_effect_of_the_users_own_joins_the_catalogue(tmp_path, squeak):
+    (tmp_path / "squeak.py").write_text(squeak)
     assert set(catalogue(tmp_path)) == {*NAMES, "squeak"}
-    (tmp_path / "again.py").write_text(OWN.replace('"squeak"', '"grade"'))
+    (tmp_path / "again.py").write_text(squeak.replace('"squeak"', '"grade"'))
     with pytest.raises(InputError, match="no other effect"):
         catalogue(tmp_path)
     with pytest.raises(InputError, match="Python files"):
@@ -217,9 +204,9 @@ def test_an_effect_of_the_users_own_joins_the_catalogue(tmp_path):
         ("class Squeak", "raise SystemExit(0)\n\nclass Squeak", "SystemExit"),
     ],
 )
-def test_an_effect_of_the_users_own_that_is_not_right_is_refused(tmp_path, was, becomes, said):
-    assert was in OWN
-    (tmp_path / "squeak.py").write_text(OWN.replace(was, becomes))
+def test_an_effect_of_the_users_own_that_is_not_right_is_refused(tmp_path, squeak, was, becomes, said):
+    assert was in squeak
+    (tmp_path / "squeak.py").write_text(squeak.replace(was, becomes))
     with pytest.raises(InputError, match=said):
         catalogue(tmp_path)
 

@@ -25,19 +25,6 @@ from trackres_ros.topics import Topics
 from trackres_ros.vehicle import load, with_surroundings
 
 FITTED = {"loss_modulus_scale", "bearing_friction", "drag_coefficient", "heat_capacity", "film_offset", "film_slope"}
-SQUEAK = """
-from trackres_ros.effects import Effect, Parameter, Terms
-
-class Squeak(Effect):
-    name = "squeak"
-    acts_on = "torque"
-    belongs_to = "vehicle"
-    text = "something squeaks"
-    parameters = (Parameter("torque", "Nm", 0.0, 100.0, 10.0, "of it", off=0.0),)
-
-    def terms(self, at, p):
-        return Terms(torque=p["torque"] * at.direction)
-"""
 DRIVE = "time_s,speed_mps,heading_rad\n" + "".join(f"{i * 0.1:.1f},{5.0 if i < 100 else 0.0},0.0\n" for i in range(200))
 
 
@@ -58,10 +45,10 @@ def kept_of(base, effects, share=0.98, half=0.03):
 
 
 @pytest.fixture
-def own(tmp_path):
+def own(tmp_path, squeak):
     folder = tmp_path / "mine"
     folder.mkdir()
-    (folder / "squeak.py").write_text(SQUEAK)
+    (folder / "squeak.py").write_text(squeak)
     return folder
 
 
@@ -294,6 +281,17 @@ def test_with_the_line_that_is_printed_a_sensor_shows_what_is_so(wrong, loaded, 
         np.interp(np.arange(20.0, 160.0, 0.2), r.time_s("torque"), r.series["torque"].value) for r in (corrected, right)
     )
     np.testing.assert_allclose(corrected, right, rtol=1e-4, atol=15.0)  # the noise came behind the sensor's error
+
+
+@pytest.mark.parametrize("says", ["at.direction / 0", "at.direction * float('nan')", "p['nothing']"])
+def test_an_effect_of_the_users_own_that_fails_in_a_fit_ends_it_with_its_name(says, loaded, own):
+    own_file = own / "squeak.py"
+    own_file.write_text(own_file.read_text().replace('p["torque"] * at.direction', says))
+    squeak = catalogue(own)["squeak"]
+    (session,) = drives(loaded.base, loaded.known.max_speed, 1, 1.0, np.random.default_rng(1))
+    values, still = {q.name: q.nominal for q in loaded.base.parameters}, [np.zeros(len(session))]
+    with np.errstate(all="ignore"), pytest.raises(InputError, match=r"squeak\.py: effect squeak"):
+        loaded.base.predict([session], values, [Active(squeak, squeak.values())], still)
 
 
 def test_a_hidden_slope_is_never_pushed_against_at_a_standstill(loaded, effects, tmp_path):
