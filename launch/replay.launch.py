@@ -7,10 +7,11 @@ from launch_ros.substitutions import ExecutableInPackage
 
 
 def _replay(context: LaunchContext) -> list[ExecuteProcess]:
-    given = {name: LaunchConfiguration(name).perform(context) for name in ("recording", "vehicle", "output", "topics")}
-    topics = ["--topics", given["topics"]] if given["topics"] else []
+    names = ("recording", "vehicle", "output", "topics", "surroundings")
+    given = {name: LaunchConfiguration(name).perform(context) for name in names}
+    options = [text for name in ("topics", "surroundings") if given[name] for text in (f"--{name}", given[name])]
     command = [ExecutableInPackage(executable="trackres", package="trackres_ros"), "replay", given["recording"]]
-    return [ExecuteProcess(cmd=[*command, "--vehicle", given["vehicle"], "-o", given["output"], *topics], output="screen")]
+    return [ExecuteProcess(cmd=[*command, "--vehicle", given["vehicle"], "-o", given["output"], *options], output="screen")]
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -21,6 +22,7 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument("vehicle", description="Vehicle file, or the name of a shipped one"),
             DeclareLaunchArgument("output", description="File to write: .csv, .parquet or .mcap"),
             DeclareLaunchArgument("topics", default_value="", description="Topics file; guessed by message type without"),
+            DeclareLaunchArgument("surroundings", default_value="", description="File of effects of site, weather and ground"),
             OpaqueFunction(function=_replay),
         ]
     )

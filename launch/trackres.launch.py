@@ -7,6 +7,7 @@ from launch_ros.actions import LifecycleNode
 
 ARGUMENTS = {
     "vehicle": (None, "Vehicle file, or the name of a shipped one"),
+    "surroundings": ("", "File of effects of site, weather and ground that hold here and now"),
     "topics": ("", "Topics file: which topic feeds which role; config/topics/default.yaml without"),
     "params_file": ("", "Parameter file; config/trackres.yaml lists all parameters"),
     "name": ("trackres", "Name of the node"),
@@ -20,7 +21,7 @@ ARGUMENTS = {
 
 def _node(context: LaunchContext) -> list[LifecycleNode]:
     given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
-    single = {"vehicle": given["vehicle"], "topics": given["topics"]}
+    single = {name: given[name] for name in ("vehicle", "surroundings", "topics") if given[name]}
     flags = {name: given[name].lower() == "true" for name in ("use_sim_time", "autostart")}
     files = [given["params_file"]] if given["params_file"] else []
     return [

@@ -144,6 +144,18 @@ def test_ros2_bags(tmp_path: Path, storage: str, compression: str) -> None:
     assert source.findings == ()
 
 
+def test_a_torque_that_comes_late_is_of_an_earlier_time(tmp_path: Path) -> None:
+    path = write(tmp_path / "bag", "mcap")
+    line = {"topic": "/joints", "type": "sensor_msgs/JointState", "field": "effort[right]", "delay_s": 0.25}
+    speed = {"topic": "/odom", "type": ODOMETRY, "field": "twist.twist.linear.x"}
+    late = open_source([path], Topics.parse({"speed": speed, "torque": line}))
+    shifted = [row for row in by_blocks(late) if row[0] == "torque"]
+    as_stamped = [row for row in by_blocks(open_source([path], TOPICS)) if row[0] == "torque"]
+    assert len(shifted) == 100
+    assert shifted == [(role, stamp - 250_000_000, arrival, value) for role, stamp, arrival, value in as_stamped]
+    assert late.bindings["torque"].delay_s == 0.25
+
+
 @pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
 def test_a_single_storage_file(tmp_path: Path, storage: str) -> None:
     path = write(tmp_path / "bag", storage)

@@ -55,6 +55,8 @@ torque: {column: "Torque [kNm]", scale: 1000}
     ("speed: {topic: /a, type: std_msgs/msg/Float64, field: data.}", ["speed: field", "data.", "twist.linear.x"]),
     ("speed: {topic: /a, type: std_msgs/msg/Float64, field: data, stamp: heade}", ["stamp", "did you mean header?"]),
     ("speed: {topic: /a, type: std_msgs/msg/Float64, field: data, max_age_s: 0}", ["max_age_s", "positive"]),
+    ("speed: {column: v, delay_s: 0.1}", ["delay_s", "only for torque"]),
+    ("torque: {column: m, delay_s: -0.1}", ["delay_s", "0 to 10"]),
     ("belt: {column: a, std_k: -1}", ["belt: std_k", "positive"]),
     ("speed: 3", ["speed", "a mapping"]),
     ("[speed]", ["a mapping with one line a role"]),
@@ -136,3 +138,16 @@ def test_nothing_tells_the_speed() -> None:
     for part in ("/cmd_vel (geometry_msgs/msg/TwistStamped)", "/engine_speed_rpm", "/imu (sensor_msgs/msg/Imu)",
                  "topics file"):
         assert part in str(caught.value)
+
+
+def test_a_torque_that_comes_late_is_of_an_earlier_time(tmp_path: Path) -> None:
+    from trackres_ros.recording import Recording
+    from trackres_ros.sources import open_source
+
+    table = tmp_path / "drive.csv"
+    table.write_text("time_s,speed_mps,torque_nm\n" + "".join(f"{t},5.0,{100 * t}\n" for t in range(5)), encoding="utf-8")
+    late = load(tmp_path, "torque: {column: torque_nm, delay_s: 0.4}")
+    recording = Recording.from_source(open_source([table], late))
+    apart = recording.series["torque"].stamp_ns - recording.series["speed"].stamp_ns
+    assert set(apart.tolist()) == {-400_000_000}
+    assert open_source([table], late).bindings["torque"].delay_s == 0.4

@@ -113,7 +113,7 @@ class BagSource:
         if topics is None:
             filled = {one.topic: one.msgtype for _, ones in found for one in ones if one.msgcount}
             topics, said = guess(filled)
-        bindings = {role: topics[role] for role in topics if topics[role].topic}
+        bindings = self.bindings = {role: topics[role] for role in topics if topics[role].topic}
         if "speed" not in bindings:
             raise InputError(f"{topics.origin}: speed", "no topic", "a topic for speed", "add a line for it")
         self.roles = tuple(sorted(bindings, key=lambda role: role == "speed"))
@@ -263,7 +263,8 @@ class BagSource:
                 to = start[mine] + slot
                 block.role[to] = role
                 block.arrival_ns[to] = arrived
-                block.stamp_ns[to] = np.where(decoded.malformed, arrived, decoded.stamp_ns) if header else arrived
+                stamps = np.where(decoded.malformed, arrived, decoded.stamp_ns) if header else arrived
+                block.stamp_ns[to] = np.where(stamps != 0, stamps - binding.delay_ns, 0) if binding.delay_ns else stamps
                 block.value[to] = binding.scale * decoded.value[:, slot] + binding.offset
                 keep[to] = ~decoded.absent[:, slot]
                 tally.add(tally.malformed, role, arrived[decoded.malformed])

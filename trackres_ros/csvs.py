@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from trackres_ros.errors import InputError, MissingExtraError, one_line
 from trackres_ros.reading import check_file, reading
 from trackres_ros.recording import ROLES, Block, Finding, FloatArray, base_role
-from trackres_ros.topics import Topics, nearest
+from trackres_ros.topics import TopicBinding, Topics, nearest
 
 TIME = "time_s"
 COLUMNS: Mapping[str, tuple[str, float]] = MappingProxyType(
@@ -80,6 +80,7 @@ class _Column:
     role: str
     scale: float = 1.0
     offset: float = 0.0
+    delay_s: float = 0.0
 
 
 class TableSource:
@@ -118,6 +119,9 @@ class TableSource:
         self._time, columns = _chosen(names, topics, self.name)
         self._columns = tuple(sorted(columns, key=lambda column: column.role == "speed"))
         self.roles = tuple(column.role for column in self._columns)
+        self.bindings = {
+            c.role: TopicBinding(column=c.name, scale=c.scale, offset=c.offset, delay_s=c.delay_s) for c in self._columns
+        }
         notes = [f"{column.role}: column {column.name}" for column in self._columns]
         used = {self._time, *(column.place for column in columns)}
         ignored = [name for place, name in enumerate(names) if place not in used]
@@ -146,6 +150,7 @@ class TableSource:
         places = [self._time, *(column.place for column in self._columns)]
         scale = np.array([column.scale for column in self._columns])
         offset = np.array([column.offset for column in self._columns])
+        delay_ns = np.array([round(column.delay_s * 1e9) for column in self._columns])
         at_once = max(1, max_rows // len(self._columns))
         done = 0
         for cells, given in self._parquet_chunks(places) if self._parquet else self._csv_chunks(places):
@@ -163,7 +168,7 @@ class TableSource:
                     continue
                 rows += start
                 values = scale[column] * cells[rows, column + 1] + offset[column]
-                yield Block(column.astype(np.int16), stamp_ns[rows], stamp_ns[rows], values)
+                yield Block(column.astype(np.int16), stamp_ns[rows] - delay_ns[column], stamp_ns[rows], values)
         if not done:
             raise InputError(self.name, "no row", "at least one row below the column names")
 
@@ -341,7 +346,9 @@ def _chosen(names: Sequence[str], topics: Topics | None, origin: str) -> tuple[i
             if binding.column not in places:
                 where = f"{topics.origin if topics else origin}: {role}: column"
                 raise InputError(where, binding.column, _listed(names), nearest(binding.column, names))
-            columns[role] = _Column(places[binding.column], binding.column, role, binding.scale, binding.offset)
+            columns[role] = _Column(
+                places[binding.column], binding.column, role, binding.scale, binding.offset, binding.delay_s
+            )
     by_file = frozenset(columns)
     for name, place in places.items():
         base, slash, part = name.partition("/")

@@ -98,6 +98,12 @@ def _of(settings: type[Settings | MismatchSettings]) -> tuple[Parameter, ...]:
 
 NODE_PARAMETERS = (
     Parameter("vehicle", "", "vehicle file, or the name of a shipped vehicle; must be given", fixed_because=AT_START),
+    Parameter(
+        "surroundings",
+        "",
+        "file of effects of site, weather and ground that hold here and now, as trackres diagnose writes it; empty: none",
+        fixed_because=AT_START,
+    ),
     Parameter("topics", "", "topics file; empty: config/topics/default.yaml", fixed_because=AT_START),
     Parameter(
         "state_file",

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from trackres_ros.errors import InputError
 from trackres_ros.reading import check_there
-from trackres_ros.recording import Source
 from trackres_ros.topics import Topics
+
+if TYPE_CHECKING:
+    from trackres_ros.bags import BagSource
+    from trackres_ros.csvs import TableSource
 
 BAG_SUFFIXES = (".mcap", ".db3", ".bag")
 TABLE_SUFFIXES = (".csv", ".csv.gz", ".parquet")
 ALLOWED = "a rosbag2 directory, .mcap, .db3, .bag, .csv, .csv.gz or .parquet"
 
 
-def open_source(paths: Sequence[Path], topics: Topics | None = None) -> Source:
+def open_source(paths: Sequence[Path], topics: Topics | None = None) -> BagSource | TableSource:
     """Return the source for what is at some paths.
 
     Parameters

@@ -16,10 +16,11 @@ import yaml
 from trackres_ros.errors import InputError
 from trackres_ros.recording import ROLES, base_role
 
-KEYS = ("topic", "type", "field", "column", "scale", "offset", "stamp", "max_age_s", "sensor", "std_k")
+KEYS = ("topic", "type", "field", "column", "scale", "offset", "stamp", "max_age_s", "sensor", "std_k", "delay_s")
 STEP = re.compile(r"([A-Za-z_]\w*)(?:\[([^\[\]]+)\])?")
 MESSAGE_TYPE = re.compile(r"([A-Za-z]\w*)/(?:msg/)?([A-Za-z]\w*)")
 PART = re.compile(r"[A-Za-z0-9_\-]+")
+MOST_DELAY_S = 10.0
 EXAMPLE = "speed: {topic: /vehicle/speed, type: geometry_msgs/msg/TwistStamped, field: twist.linear.x}"
 
 
@@ -55,6 +56,8 @@ class TopicBinding:
         Of a belt temperature: what is measured, ``surface`` or ``mean``.
     std_k : float
         Standard deviation of a belt temperature [K].
+    delay_s : float
+        By how much a torque comes late [s]: what is shown was so that long before its stamp.
     """
 
     topic: str = ""
@@ -67,6 +70,12 @@ class TopicBinding:
     max_age_s: float | None = None
     sensor: Literal["surface", "mean"] = "surface"
     std_k: float = 3.0
+    delay_s: float = 0.0
+
+    @property
+    def delay_ns(self) -> int:
+        """The delay [ns]."""
+        return round(self.delay_s * 1e9)
 
     @property
     def steps(self) -> tuple[FieldStep, ...]:
@@ -251,6 +260,8 @@ def _binding(role: str, line: object, where: str) -> TopicBinding:
             raise InputError(f"{where}: key", key, ", ".join(KEYS), nearest(str(key), KEYS))
         if key in ("sensor", "std_k") and base_role(role) != "belt":
             raise InputError(f"{where}: key", key, "sensor and std_k only for belt")
+        if key == "delay_s" and role != "torque":
+            raise InputError(f"{where}: key", key, "delay_s only for torque")
         if "column" in line and key in ("topic", "type", "field", "stamp", "max_age_s"):
             raise InputError(f"{where}: key", key, "either column, or topic with type and field")
     texts = {key: _text(line, key, where) for key in ("topic", "type", "field", "column")}
@@ -276,7 +287,10 @@ def _binding(role: str, line: object, where: str) -> TopicBinding:
         max_age_s=max_age_s,
         sensor=cast("Literal['surface', 'mean']", _choice(line, "sensor", ("surface", "mean"), "surface", where)),
         std_k=_number(line, "std_k", 3.0, where),
+        delay_s=_number(line, "delay_s", 0.0, where),
     )
+    if not 0.0 <= binding.delay_s <= MOST_DELAY_S:
+        raise InputError(f"{where}: delay_s", binding.delay_s, f"a number from 0 to {MOST_DELAY_S:g} s")
     if binding.scale == 0.0:
         raise InputError(f"{where}: scale", 0.0, "a finite number that is not 0")
     for key, number in (("max_age_s", max_age_s), ("std_k", binding.std_k)):

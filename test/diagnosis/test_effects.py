@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 from trackres_ros.cli.main import cli
 from trackres_ros.effects import Active, Conditions, Terms, catalogue, check_effects, together
-from trackres_ros.effects.effect import ACTS_ON, REFERENCE_NM
+from trackres_ros.effects.effect import ACTS_ON, BELONGS_TO, REFERENCE_NM
 from trackres_ros.effects.facts import facts_of
 from trackres_ros.errors import InputError
 from trackres_ros.vehicle import load
@@ -21,19 +21,9 @@ NAMES = [
     "roadwheel_tyres", "soft_ground", "vibration", "warmup", "torque_offset", "torque_gain", "speed_scale", "delay",
 ]  # fmt: skip
 BOTH_WAYS = ("grade", "grade_profile", "headwind", "rotating_inertia")
+OF_SURROUNDINGS = {"grade", "grade_profile", "headwind", "rain", "soft_ground", "solar"}
+OF_SENSORS = {"delay", "speed_scale", "torque_gain", "torque_offset"}
 CATALOGUE = catalogue()
-OWN = """
-from trackres_ros.effects import Effect, Parameter, Terms
-
-class Squeak(Effect):
-    name = "squeak"
-    acts_on = "torque"
-    text = "something squeaks"
-    parameters = (Parameter("torque", "Nm", 0.0, 100.0, 10.0, "of it", off=0.0),)
-
-    def terms(self, at, p):
-        return Terms(torque=p["torque"] * at.direction)
-"""
 
 
 def conditions(**changed):
@@ -48,6 +38,14 @@ def same(a, b):
 
 def test_the_catalogue_holds_what_was_agreed():
     assert sorted(CATALOGUE) == sorted(NAMES)
+
+
+def test_each_effect_says_what_it_belongs_to():
+    by_kind = {kind: {n for n, e in CATALOGUE.items() if e.belongs_to == kind} for kind in BELONGS_TO}
+    assert by_kind["surroundings"] == OF_SURROUNDINGS
+    assert by_kind["sensor"] == OF_SENSORS == {n for n, e in CATALOGUE.items() if e.acts_on == "sensor"}
+    assert by_kind["vehicle"] == set(NAMES) - OF_SURROUNDINGS - OF_SENSORS
+    assert {e.belongs_to for e in CATALOGUE.values() if vars(type(e)).get("belongs_to") is None} == set()
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -129,16 +127,47 @@ def test_terms_add_and_multiply_and_two_sinks_are_one_between_them():
 
 def test_values_of_a_vehicle_file_are_checked():
     good = {"warmup": {"torque": 100.0, "time_constant": 200.0, "cooling": 5000.0}}
-    (active,) = check_effects(good, "vehicle.yaml: effects", CATALOGUE)
+    (active,) = check_effects(good, "vehicle.yaml: effects", CATALOGUE, "vehicle")
     assert isinstance(active, Active)
+    assert not active.ranges
     for bad, said in (
         ({"warmpu": {}}, "did you mean warmup"),
         ({"warmup": {"torque": 1.0}}, "time_constant"),
         ({"warmup": {**good["warmup"], "torque": -1.0}}, "0 to 2500 Nm"),
         ([], "a mapping"),
+        (with_torque({"value": 100.0}), "range: "),
+        (with_torque({"value": 100.0, "range": 50.0}), "two numbers"),
+        (with_torque({"value": 100.0, "range": [150.0, 50.0]}), "low <= high"),
+        (with_torque({"value": 100.0, "range": [110.0, 150.0]}), "from 110 to 150 Nm"),
+        (with_torque({"value": 100.0, "range": [50.0, 9e9]}), "from 0 to 2500 Nm"),
+        (with_torque({"value": float("nan"), "range": [50.0, 150.0]}), "from 50 to 150 Nm"),
     ):
         with pytest.raises(InputError, match=said):
-            check_effects(bad, "vehicle.yaml: effects", CATALOGUE)
+            check_effects(bad, "vehicle.yaml: effects", CATALOGUE, "vehicle")
+
+
+def with_torque(given):
+    return {"warmup": {"torque": given, "time_constant": 200.0, "cooling": 5000.0}}
+
+
+def test_a_range_goes_with_its_value():
+    (active,) = check_effects(with_torque({"value": 100.0, "range": [60.0, 140.0]}), "effects", CATALOGUE, "vehicle")
+    assert active.values["torque"] == 100.0
+    assert active.ranges == {"torque": (60.0, 140.0)}
+    (moved,) = active.shifted()
+    assert moved.values == {**active.values, "torque": 120.0}
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("place", ["vehicle", "surroundings"])
+def test_what_belongs_elsewhere_is_refused_with_where_it_goes(name, place):
+    effect = CATALOGUE[name]
+    if effect.belongs_to == place:
+        assert check_effects({name: effect.values()}, "file", CATALOGUE, place)
+        return
+    remedy = {"vehicle": "vehicle file", "surroundings": "--surroundings", "sensor": "topics file"}[effect.belongs_to]
+    with pytest.raises(InputError, match=remedy):
+        check_effects({name: effect.values()}, "file", CATALOGUE, place)
 
 
 def test_what_is_typical_grows_with_the_vehicle():
@@ -150,14 +179,36 @@ def test_what_is_typical_grows_with_the_vehicle():
     assert catalogue(size=0.5 * REFERENCE_NM)["headwind"].parameters == CATALOGUE["headwind"].parameters
 
 
-def test_an_effect_of_the_users_own_joins_the_catalogue(tmp_path):
-    (tmp_path / "squeak.py").write_text(OWN)
+def test_an_effect_of_the_users_own_joins_the_catalogue(tmp_path, squeak):
+    (tmp_path / "squeak.py").write_text(squeak)
     assert set(catalogue(tmp_path)) == {*NAMES, "squeak"}
-    (tmp_path / "again.py").write_text(OWN.replace('"squeak"', '"grade"'))
+    (tmp_path / "again.py").write_text(squeak.replace('"squeak"', '"grade"'))
     with pytest.raises(InputError, match="no other effect"):
         catalogue(tmp_path)
     with pytest.raises(InputError, match="Python files"):
         catalogue(tmp_path / "nowhere")
+    assert catalogue(files=[tmp_path / "squeak.py"])["squeak"].source == tmp_path / "squeak.py"
+
+
+@pytest.mark.parametrize(
+    ("was", "becomes", "said"),
+    [
+        ('    belongs_to = "vehicle"\n', "", "vehicle, surroundings, sensor"),
+        ('"vehicle"', '"driver"', "vehicle, surroundings, sensor"),
+        ('"vehicle"', '"sensor"', "both sensor, or neither"),
+        ("0.0, 100.0, 10.0", "0.0, float('inf'), 10.0", "finite"),
+        ("off=0.0", "off=None", "without effect"),
+        ('"squeak"', "7", "two texts"),
+        ("(Parameter", "[(Parameter", "SyntaxError"),
+        ('parameters = (Parameter("torque", "Nm", 0.0, 100.0, 10.0, "of it", off=0.0),)', "parameters = (1,)", "Parameter"),
+        ("class Squeak", "raise SystemExit(0)\n\nclass Squeak", "SystemExit"),
+    ],
+)
+def test_an_effect_of_the_users_own_that_is_not_right_is_refused(tmp_path, squeak, was, becomes, said):
+    assert was in squeak
+    (tmp_path / "squeak.py").write_text(squeak.replace(was, becomes))
+    with pytest.raises(InputError, match=said):
+        catalogue(tmp_path)
 
 
 def test_the_command_lists_them():
@@ -165,7 +216,7 @@ def test_the_command_lists_them():
     listed = {e["name"]: e for e in json.loads(done.output)["effects"]}
     assert sorted(listed) == sorted(NAMES)
     assert listed["warmup"]["parameters"]["torque"]["unit"] == "Nm"
-    assert "warmup (torque)" in CliRunner().invoke(cli, ["effects"]).output
+    assert "warmup (torque, of the vehicle)" in CliRunner().invoke(cli, ["effects"]).output
 
 
 def test_conditions_bound_the_curvature_on_the_spot():

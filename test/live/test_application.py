@@ -306,3 +306,21 @@ def test_counters_add_up_to_the_messages(desk):
     d.forward(1.0)
     counts = d.app.session.memory.counters[d.app.session.channel("speed")]
     assert counts[:7].sum() == 500
+
+
+def test_surroundings_that_are_assumed_are_said_and_warned_of(desk, tmp_path):
+    file = tmp_path / "surroundings.yaml"
+    file.write_text("schema: 1\nvehicle: xgd24d\neffects:\n  grade: {grade: 0.02}\n")
+    plain, d = desk(), desk(surroundings=str(file))
+    for one in (plain, d):
+        one.drive(2.0, load=272e3, ambient=15.0)
+    assert d.names() - plain.names() == {"SURROUNDINGS"}
+    assert next(remark.level for remark in d.app.remarks() if remark.name == "SURROUNDINGS") is Level.WARN
+    assert f"--surroundings {file}" in d.app.look_into_it()
+    fed, expected = (
+        [one.last(name)[1][0] for one in (plain, d)] for name in ("feedforward_torque", "resistance_torque")
+    )
+    assert fed[0] == pytest.approx(fed[1], rel=1e-3)
+    assert expected[0] != pytest.approx(expected[1], rel=0.1)
+    with pytest.raises(InputError, match="configured"):
+        d.app.change({"surroundings": ""})

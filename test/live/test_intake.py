@@ -84,3 +84,12 @@ def test_names_of_outputs(name, node, namespace, full):
 
 def test_names_of_inputs():
     assert [input_name("speed", "/"), input_name("speed", "/a"), input_name("/speed", "/a")] == ["/speed", "/a/speed", "/speed"]
+
+
+def test_a_torque_that_comes_late_is_of_an_earlier_time_and_a_stamp_never_set_stays_so():
+    taken, _ = intake(
+        torque={**JOINTS, "field": "effort[a]", "delay_s": 0.25}, speed={**JOINTS, "field": "velocity[a]"}
+    )
+    for header, shifted in ((5 * 10**9, 5 * 10**9 - 250_000_000), (0, 0)):
+        (_, torque_stamp, _), (_, speed_stamp, _) = samples(taken, joint_state(header, a=3.0), 9 * 10**9)
+        assert (torque_stamp, speed_stamp) == (shifted, header)

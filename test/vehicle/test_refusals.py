@@ -236,8 +236,8 @@ def test_another_unit_is_not_converted(folder: Path, content: Content) -> None:
     ("key", "value", "allowed"),
     [
         ("schema", 2, "1"),
-        (f"{THICKNESS}.flag", "X", "one of P, L, A"),
-        (f"{THICKNESS}.flag", None, "one of P, L, A"),
+        (f"{THICKNESS}.flag", "X", "one of P, L, A, F"),
+        (f"{THICKNESS}.flag", None, "one of P, L, A, F"),
         (f"{THICKNESS}.reason", " ", "a text"),
         (f"{THICKNESS}.reason", 5, "a text"),
         ("name", "", "a text"),

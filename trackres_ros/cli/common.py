@@ -33,6 +33,17 @@ def vehicle_option(command: Command) -> Command:
     )(command)
 
 
+def surroundings_option(command: Command) -> Command:
+    """`--surroundings`: a file of the site, the weather and the ground, as `trackres diagnose` writes it."""
+    return click.option(
+        "--surroundings",
+        "surroundings_file",
+        type=click.Path(path_type=Path),
+        metavar="S.yaml",
+        help="Effects of site, weather and ground that hold here and now, as trackres diagnose writes them; never fed forward.",
+    )(command)
+
+
 def json_option(command: Command) -> Command:
     """`--json`: the same facts for programs."""
     return click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on standard output.")(command)

@@ -7,13 +7,14 @@ from pathlib import Path
 
 import click
 
-from trackres_ros.cli.common import emit, json_option, method_options, output_folder, vehicle_option
+from trackres_ros.cli.common import emit, json_option, method_options, output_folder, surroundings_option, vehicle_option
 from trackres_ros.errors import InputError, MissingExtraError
 
 
 @click.command("diagnose")
 @click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path))
 @vehicle_option
+@surroundings_option
 @click.option(
     "--topics", "topics_file", type=click.Path(path_type=Path), metavar="T.yaml", help="Which topic or column feeds which role."
 )
@@ -47,6 +48,7 @@ from trackres_ros.errors import InputError, MissingExtraError
 def diagnose_command(
     recordings: tuple[Path, ...],
     vehicle: str,
+    surroundings_file: Path | None,
     topics_file: Path | None,
     hide: tuple[str, ...],
     holdout: str | None,
@@ -65,12 +67,14 @@ def diagnose_command(
     \b
     trackres diagnose day1.mcap day2.mcap --vehicle xgd24d --topics topics.yaml -o report
 
-    Writes report.json, report.html, vehicle.yaml and pictures, and says in one sentence what it comes to. Ends with
-    exit code 0 whatever the verdict.
+    Writes report.json, report.html, vehicle.yaml and pictures, and says in one sentence what it comes to. What is of the site,
+    the weather or the ground goes to surroundings.yaml instead; what is a sensor's is printed as lines for the topics file.
+    Ends with exit code 0 whatever the verdict.
     """
     from trackres_ros.diagnosis import diagnose, load_base, read_recordings
     from trackres_ros.diagnosis.report import report
     from trackres_ros.recording import ROLES, base_role
+    from trackres_ros.sources import open_source
     from trackres_ros.topics import Topics, nearest
 
     for channel in hide:
@@ -79,16 +83,15 @@ def diagnose_command(
     output_folder(output)
     held = None if holdout is None else int(holdout) if holdout.isdecimal() else [name.strip() for name in holdout.split(",")]
     topics = Topics.load(topics_file) if topics_file else None
-    loaded = load_base(vehicle, method, thermal, topics)
+    loaded = load_base(vehicle, method, thermal, topics, surroundings_file)
     read = read_recordings(recordings, topics)
     found = diagnose(read, loaded, hide, held, seed, quick, effects_dir, said=lambda stage: click.echo(f"  {stage}", err=True))
-    content = report(found, recordings)
+    content = report(found, recordings, open_source([recordings[0]], topics).bindings)
     output.mkdir(parents=True, exist_ok=True)
     (output / "report.json").write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     text = f"{found.verdict.sentence}\nWritten by trackres diagnose from {', '.join(path.name for path in recordings)}."
-    values = found.kept.values or {q.name: q.nominal for q in loaded.base.parameters}
-    loaded.base.write(output / "vehicle.yaml", values, found.kept.effects, text)
-    written = ["report.json", "vehicle.yaml"]
+    files = loaded.base.write(output / "vehicle.yaml", found.kept, text)
+    written = ["report.json", *(path.name for path in files)]
     try:
         from trackres_ros.report.page import write_page
         from trackres_ros.report.pictures import draw_all
@@ -98,7 +101,8 @@ def diagnose_command(
         written += ["report.html", *(p.path.name for p in pictures)]
     except MissingExtraError as error:
         click.echo(f"trackres: no page: {error}", err=True)
-    emit(content, as_json, lambda: f"{found.verdict.sentence}\n{output}: {', '.join(written)}")
+    lines = [found.verdict.sentence, *content["to_do"], *content["topics_lines"].values(), f"{output}: {', '.join(written)}"]
+    emit(content, as_json, lambda: "\n".join(lines))
 
 
 @click.command("effects")
@@ -113,7 +117,8 @@ def effects_command(effects_dir: Path | None, as_json: bool) -> None:
     def text() -> str:
         lines = []
         for effect in listed:
-            lines.append(f"{effect['name']} ({effect['acts_on']}): {effect['text']}; needs {', '.join(effect['needs'])}")
+            of = f"{effect['acts_on']}, of the {effect['belongs_to']}"
+            lines.append(f"{effect['name']} ({of}): {effect['text']}; needs {', '.join(effect['needs'])}")
             lines += [
                 f"    {name} {q['low']:g} to {q['high']:g} {q['unit']}: {q['text']}" for name, q in effect["parameters"].items()
             ]

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 @click.command("live")
 @click.option("--vehicle", metavar="FILE|NAME", help="Vehicle file or shipped name; may stand in the parameter file instead.")
+@click.option("--surroundings", metavar="S.yaml", help="Effects of site, weather and ground that hold here and now.")
 @click.option("--topics", metavar="T.yaml", help="Which topic feeds which role; by default config/topics/default.yaml.")
 @click.option(
     "--params", "params_file", type=click.Path(path_type=Path), metavar="P.yaml", help="Parameter file, flat or as ROS has it."
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
 @click.option("--quiet", is_flag=True, help="No table in the terminal.")
 def live_command(
     vehicle: str | None,
+    surroundings: str | None,
     topics: str | None,
     params_file: Path | None,
     single: tuple[str, ...],
@@ -67,7 +69,8 @@ def live_command(
     recorder = Recorder(output_path(record, (".mcap",))) if record else None
     given = read_parameters(params_file, name, namespace)
     given.update(dict(_single(text) for text in single))
-    given.update({key: value for key, value in (("vehicle", vehicle), ("topics", topics)) if value is not None})
+    named = {"vehicle": vehicle, "surroundings": surroundings, "topics": topics}
+    given.update({key: value for key, value in named.items() if value is not None})
     parameters = make_parameters(given)
     shown: list[LiveTable] = []
 

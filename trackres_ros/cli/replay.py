@@ -7,7 +7,16 @@ from typing import Any
 
 import click
 
-from trackres_ros.cli.common import emit, json_option, method_options, output_path, progress, vehicle_option, without_suffix
+from trackres_ros.cli.common import (
+    emit,
+    json_option,
+    method_options,
+    output_path,
+    progress,
+    surroundings_option,
+    vehicle_option,
+    without_suffix,
+)
 from trackres_ros.cli.written import watch
 from trackres_ros.errors import InputError, MissingExtraError, one_line
 
@@ -15,6 +24,7 @@ from trackres_ros.errors import InputError, MissingExtraError, one_line
 @click.command("replay")
 @click.argument("recording", nargs=-1, required=True, type=click.Path(path_type=Path))
 @vehicle_option
+@surroundings_option
 @click.option(
     "--topics",
     "topics_file",
@@ -46,6 +56,7 @@ from trackres_ros.errors import InputError, MissingExtraError, one_line
 def replay_command(
     recording: tuple[Path, ...],
     vehicle: str,
+    surroundings_file: Path | None,
     topics_file: Path | None,
     params_file: Path | None,
     method: str | None,
@@ -77,7 +88,7 @@ def replay_command(
     from trackres_ros.sources import open_source
     from trackres_ros.topic_settings import settings_for
     from trackres_ros.topics import Topics
-    from trackres_ros.vehicle import load
+    from trackres_ros.vehicle import load, with_surroundings
 
     path = output_path(output)
     if state_file:
@@ -91,7 +102,8 @@ def replay_command(
     topics = Topics.load(topics_file) if topics_file else None
     parameters = make_parameters(read_parameters(params_file))
     source = open_source(recording, topics)
-    estimator = Estimator(with_methods(load(vehicle), method, thermal), settings_for(parameters.settings(), topics))
+    description = with_surroundings(with_methods(load(vehicle), method, thermal), surroundings_file)
+    estimator = Estimator(description, settings_for(parameters.settings(), topics))
     session = resume(estimator, resume_file) if resume_file else None
     look = KeptSource(source, keep=path.suffix.lower() != ".mcap")
     with progress("replaying", None) as advance, result_writer(path, estimator) as write:

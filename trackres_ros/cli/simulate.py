@@ -8,7 +8,7 @@ from typing import Any
 import click
 import numpy as np
 
-from trackres_ros.cli.common import emit, json_option, method_options, number, output_path, vehicle_option
+from trackres_ros.cli.common import emit, json_option, method_options, number, output_path, surroundings_option, vehicle_option
 from trackres_ros.errors import InputError
 from trackres_ros.recording import Recording
 from trackres_ros.shown import decimals
@@ -19,6 +19,7 @@ SUMMARY_TIMES_S = (50.0, 250.0, 600.0, 1000.0, 2500.0)
 
 @click.command("simulate")
 @vehicle_option
+@surroundings_option
 @click.option("--speed-kmh", type=number(-100, 100), help="Speed after the ramp [km/h].")
 @click.option("--ramp-s", type=number(0, 1e5), default=50.0, show_default=True, help="Time from rest to that speed [s].")
 @click.option("--duration-s", type=number(1e-3, 1e7), help="How long to simulate [s]; 2500 with --speed-kmh.")
@@ -39,6 +40,7 @@ SUMMARY_TIMES_S = (50.0, 250.0, 600.0, 1000.0, 2500.0)
 @json_option
 def simulate_command(
     vehicle: str,
+    surroundings_file: Path | None,
     speed_kmh: float | None,
     ramp_s: float,
     duration_s: float | None,
@@ -66,14 +68,14 @@ def simulate_command(
     from trackres_ros.model.track import with_methods
     from trackres_ros.output_bag import OutputBag
     from trackres_ros.simulate import ramp_and_hold, run_drive, series_of, through_points
-    from trackres_ros.vehicle import load
+    from trackres_ros.vehicle import load, with_surroundings
 
     if (speed_kmh is None) == (profile is None):
         raise InputError("--speed-kmh, --profile", "both" if profile else "neither", "one of the two")
     if profile is not None and duration_s is not None:
         raise InputError("--duration-s", duration_s, "only with --speed-kmh: a profile says itself how long it is")
     path = output_path(output)
-    description = with_methods(load(vehicle), method, thermal)
+    description = with_surroundings(with_methods(load(vehicle), method, thermal), surroundings_file)
     if speed_kmh is not None:
         _check_speed(speed_kmh * KMH, description.chassis.max_speed)
         drive = ramp_and_hold(speed_kmh * KMH, ramp_s, 2500.0 if duration_s is None else duration_s, dt)

@@ -49,6 +49,7 @@ def check_command(file: str, points: int, as_json: bool) -> None:
     from trackres_ros.model.loss_table import drive_share, interpolation_error, loss_table, reverse_share
     from trackres_ros.model.track import load_range, steady_tension, track_model
     from trackres_ros.vehicle import load
+    from trackres_ros.vehicle.reading import FLAGS
 
     vehicle = load(file)
     rubber = vehicle.rubber
@@ -106,7 +107,8 @@ def check_command(file: str, points: int, as_json: bool) -> None:
         "thermal": vehicle.thermal,
         "weight_n": vehicle.weight,
         "assemblies": {a.name: float(n) for a, n in zip(vehicle.assemblies, vehicle.nominal_loads(), strict=True)},
-        "quantities": {flag: flags.count(flag) for flag in ("P", "L", "A")},
+        "quantities": {flag: flags.count(flag) for flag in FLAGS},
+        "effects": {a.effect.name: dict(a.values) for a in vehicle.effects},
         "rubber_file": str(vehicle.rubber_source),
         "tracks": tracks,
         "remarks": remarks,
@@ -160,12 +162,15 @@ def _text(result: dict[str, Any]) -> str:
     lines = [
         f"{result['title']} ({result['file']}): all values are as allowed" + (", but:" if result["remarks"] else ""),
         *(f"  ! {remark}" for remark in result["remarks"]),
-        f"  {quantities['P']} values from the paper, {quantities['L']} from literature, {quantities['A']} assumed; "
+        f"  {quantities['P']} values from the paper, {quantities['L']} from literature, {quantities['A']} assumed, "
+        f"{quantities['F']} fitted; "
         f"hysteresis {result['hysteresis']}, thermal {result['thermal']}",
         f"  rubber of {result['rubber_file']}",
         f"  weight {result['weight_n'] / 1e3:.1f} kN on "
         + ", ".join(f"{k} {v / 1e3:.1f} kN" for k, v in result["assemblies"].items()),
     ]
+    if result["effects"]:
+        lines.append(f"  with {', '.join(result['effects'])}")
     for name, t in result["tracks"].items():
         table, doubt, data = t["table"], t["uncertainty"], t["rubber_data"]
         ends = zip(data["speed_mps"], data["coldest_degc"], strict=True)

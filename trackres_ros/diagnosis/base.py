@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -11,12 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.belt_series import follow
+from trackres_ros.diagnosis.kept import Kept
 from trackres_ros.diagnosis.session import Session
 from trackres_ros.effects.effect import Active, Conditions, Facts, Terms, together
 from trackres_ros.errors import InputError
 
 Array = NDArray[np.float64]
 Values = Mapping[str, float]
+
+SERIES = "finite terms, for a series as for a number, with all values of its parameters within their bounds"
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +77,10 @@ class Base(Protocol):
         """Names of effects that are in it already."""
 
     @property
+    def torque_scale(self) -> float:
+        """Shown over true torque where the torque's topic says nothing of it."""
+
+    @property
     def parameters(self) -> tuple[BaseParameter, ...]:
         """What may be re-fitted."""
 
@@ -92,8 +99,8 @@ class Base(Protocol):
             Expected torque of each session, which some effects look at [Nm].
         """
 
-    def write(self, path: Path, values: Values, effects: Sequence[Active], text: str) -> None:
-        """Write a vehicle file with these values and effects."""
+    def write(self, path: Path, kept: Kept, text: str) -> list[Path]:
+        """Write a vehicle file with what was kept, surroundings beside it; returns the files that are for use."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +129,7 @@ def courses(sessions: Sequence[Session], facts: Facts, effects: Sequence[Active]
         terms = []
         for i, active in enumerate(effects):
             series, own[i] = _own_state(active, at, session, own[i])
-            terms.append(active.terms(at, series))
+            terms.append(_checked(active, at, series))
         found.append(Course(at, together(terms)))
     return found
 
@@ -141,6 +148,27 @@ def as_sensed(torque: Array, terms: Terms, session: Session) -> Array:
         return np.interp(session.time - terms.sensor_delay, session.time, shown)
     # Within a step the torque may jump, which its mean does not show. So the measured one is taken later instead, exactly.
     return shown - (session.torque_course.means(session.time + terms.sensor_delay, session.step) - session.torque)
+
+
+def _checked(active: Active, at: Conditions, own: Array | float) -> Terms:
+    """What an effect does along a session.
+
+    Raises
+    ------
+    InputError
+        If an effect of the user's own fails, or says what is no number.
+    """
+    where = f"{active.effect.source}: effect {active.effect.name}"
+    try:
+        terms = active.terms(at, own)
+        bad = [f.name for f in fields(Terms) if not np.isfinite(getattr(terms, f.name)).all()] if active.effect.source else []
+    except Exception as error:
+        if active.effect.source is None:
+            raise
+        raise InputError(where, f"{type(error).__name__}: {error}", SERIES) from error
+    if bad:
+        raise InputError(where, f"{', '.join(bad)} that is not finite with {dict(active.values)}", SERIES)
+    return terms
 
 
 def _own_state(active: Active, at: Conditions, session: Session, before: float | None) -> tuple[Array | float, float | None]:

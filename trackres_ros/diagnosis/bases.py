@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from os import PathLike
+from pathlib import Path
 
 from trackres_ros.diagnosis.base import Base
 from trackres_ros.diagnosis.gate import Known
@@ -14,7 +15,7 @@ from trackres_ros.model.track import with_methods
 from trackres_ros.resources import find_vehicle
 from trackres_ros.topic_settings import settings_for
 from trackres_ros.topics import Topics
-from trackres_ros.vehicle import load
+from trackres_ros.vehicle import load, with_surroundings
 from trackres_ros.vehicle.reading import read_yaml
 
 
@@ -28,11 +29,15 @@ class LoadedBase:
 
 
 def load_base(
-    vehicle: str | PathLike[str], hysteresis: str | None = None, thermal: str | None = None, topics: Topics | None = None
+    vehicle: str | PathLike[str],
+    hysteresis: str | None = None,
+    thermal: str | None = None,
+    topics: Topics | None = None,
+    surroundings: Path | None = None,
 ) -> LoadedBase:
     """Load the base model of a vehicle file: `road_load` where it has that section, else `track`.
 
-    A topics file says what a measured belt temperature shows.
+    A topics file says what a measured belt temperature shows; `surroundings` is the file of what holds where it was driven.
 
     Raises
     ------
@@ -42,11 +47,11 @@ def load_base(
     path = find_vehicle(vehicle)
     content = read_yaml(path)
     if "road_load" in content:
-        road = load_road_vehicle(path, content)
+        road = load_road_vehicle(path, content, surroundings)
         base = RoadBase(road)
         known = Known(base.facts.weight, road.values["max_speed"], road.values["ambient"], road.friction_brakes)
         return LoadedBase(base, road.title, known)
-    track = with_methods(load(path), hysteresis, thermal)
+    track = with_surroundings(with_methods(load(path), hysteresis, thermal), surroundings)
     settings = settings_for(Settings(), topics)
     known = Known(track.weight, track.chassis.max_speed, track.chassis.ambient, False, settings.belt_sensor == "surface")
     return LoadedBase(TrackBase(track), track.title, known)

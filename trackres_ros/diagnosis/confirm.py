@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from trackres_ros.diagnosis.fitting import Fit
 from trackres_ros.diagnosis.held_out import CONFIRMED, REFUTED, SUSPECTED, HeldOut, HeldOutLaps, Improvement
 from trackres_ros.diagnosis.intervals import Interval, intervals
+from trackres_ros.diagnosis.kept import Kept
 from trackres_ros.diagnosis.levels import with_levels
 from trackres_ros.effects.effect import Active
 from trackres_ros.shown import figures
@@ -42,28 +43,6 @@ class Graded:
     def grade(self) -> str:
         """See above."""
         return SUSPECTED if self.on_bounds and self.improvement.grade == CONFIRMED else self.improvement.grade
-
-
-@dataclass(frozen=True, eq=False)
-class Kept:
-    """What may be written: nothing that held-out laps do not bear out.
-
-    Attributes
-    ----------
-    values
-        Of the base's parameters; None where those of the vehicle file stay.
-    effects
-        The effects that go with them.
-    intervals
-        Of all of them, by (effect or "", parameter).
-    text
-        What was kept and why, in a sentence.
-    """
-
-    values: dict[str, float] | None
-    effects: tuple[Active, ...]
-    intervals: Mapping[tuple[str, str], Interval]
-    text: str
 
 
 def confirm(final: Fit, refitted: Fit, laps: HeldOutLaps) -> tuple[Fit, dict[str, Graded], tuple[Graded, ...]]:

@@ -13,11 +13,12 @@ from trackres_ros.diagnosis.advise import Advice, advise
 from trackres_ros.diagnosis.base import Base
 from trackres_ros.diagnosis.bases import LoadedBase
 from trackres_ros.diagnosis.changes import Change, changes
-from trackres_ros.diagnosis.confirm import Graded, Kept, confirm, keep
+from trackres_ros.diagnosis.confirm import Graded, confirm, keep
 from trackres_ros.diagnosis.fitting import Fit, Problem
 from trackres_ros.diagnosis.gate import Gated, gate, split
 from trackres_ros.diagnosis.held_out import CONFIRMED, HeldOut, HeldOutLaps, held_out
 from trackres_ros.diagnosis.intervals import Interval, intervals
+from trackres_ros.diagnosis.kept import Kept
 from trackres_ros.diagnosis.levels import for_tests, with_levels
 from trackres_ros.diagnosis.locate import ThermalCheck, acts, against_travel, contribution, regime_of, spans, stray, thermal_check
 from trackres_ros.diagnosis.naming import Step, begin, choose

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -14,14 +15,21 @@ from trackres_ros.diagnosis.held_out import Improvement
 from trackres_ros.diagnosis.intervals import Interval
 from trackres_ros.diagnosis.naming import STABLE_SHARE, Candidate, Step
 from trackres_ros.diagnosis.regimes import Bin
+from trackres_ros.diagnosis.sensor_lines import sensor_lines
+from trackres_ros.diagnosis.vehicle_file import SURROUNDINGS_FILE
 from trackres_ros.diagnosis.verdict import Found, likelier
+from trackres_ros.effects.effect import BELONGS_TO
+from trackres_ros.topics import TopicBinding
 
 SCHEMA = 1
+NO_BINDINGS: Mapping[str, TopicBinding] = MappingProxyType({})
 
 
-def report(d: Diagnosis, paths: Sequence[Path]) -> dict[str, Any]:
-    """All findings as plain data."""
+def report(d: Diagnosis, paths: Sequence[Path], bindings: Mapping[str, TopicBinding] = NO_BINDINGS) -> dict[str, Any]:
+    """All findings as plain data; `bindings` are how the recordings were read."""
     nominal = {q.name: q for q in d.base.parameters}
+    belongs_to = {active.effect.name: active.effect.belongs_to for active in d.final.effects}
+    lines = sensor_lines(d.kept.of("sensor"), bindings, d.base.torque_scale)
     return {
         "schema": SCHEMA,
         "recordings": [str(path) for path in paths],
@@ -43,7 +51,7 @@ def report(d: Diagnosis, paths: Sequence[Path]) -> dict[str, Any]:
             "sentence": d.verdict.sentence,
             "hint": d.steps[-1].hint or None,
         },
-        "effects": [_effect(f) for f in d.found],
+        "effects": [_effect(f, belongs_to[f.name]) for f in d.found],
         "refuted": [{"name": g.name, "heldout": _improvement(g.improvement)} for g in d.refuted],
         "written": {
             "base": d.kept.values is not None,
@@ -108,10 +116,26 @@ def report(d: Diagnosis, paths: Sequence[Path]) -> dict[str, Any]:
         "noise": d.noise.text,
         "split": d.split.text,
         "notes": list(d.gated.notes),
+        "kept": {kind: [a.effect.name for a in d.kept.of(kind)] for kind in BELONGS_TO},
+        "topics_lines": lines,
+        "to_do": _to_do(d, lines),
         "thermal": None
         if d.thermal is None
         else {"mean_k": _number(d.thermal.mean_k), "mean_abs_k": _number(d.thermal.mean_abs_k), "text": d.thermal.text},
     }
+
+
+def _to_do(d: Diagnosis, lines: Mapping[str, str]) -> list[str]:
+    """What is to be done with what was kept, besides driving with the vehicle file."""
+    said = []
+    around, sensors = (", ".join(a.effect.name for a in d.kept.of(kind)) for kind in ("surroundings", "sensor"))
+    if around:
+        said.append(
+            f"Of the surroundings, not of the vehicle: {around}. It is in {SURROUNDINGS_FILE}, for --surroundings where it holds."
+        )
+    if lines:
+        said.append(f"Of a sensor: {sensors}. It is in no file: put into the topics file, instead of the line for the role:")
+    return said
 
 
 def _why(c: Candidate, step: Step) -> str:
@@ -133,7 +157,7 @@ def _why(c: Candidate, step: Step) -> str:
     return f"{likelier(step.chosen, c)} times less likely than {step.chosen.name}"
 
 
-def _effect(f: Found) -> dict[str, Any]:
+def _effect(f: Found, belongs_to: str) -> dict[str, Any]:
     chosen = f.step.chosen
     assert chosen
     units = {q.name: q.unit for q in f.parameters}
@@ -145,6 +169,7 @@ def _effect(f: Found) -> dict[str, Any]:
         "grade": f.graded.grade,
         "heldout": _improvement(f.graded.improvement),
         "on_bounds": list(f.graded.on_bounds),
+        "belongs_to": belongs_to,
         "parameters": {
             name: {
                 "value": _number(value),

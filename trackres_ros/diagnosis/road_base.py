@@ -11,15 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base import BaseParameter, Predicted, Values, as_sensed, courses
+from trackres_ros.diagnosis.kept import Kept
 from trackres_ros.diagnosis.session import Session
-from trackres_ros.diagnosis.vehicle_file import REASON, write_yaml
+from trackres_ros.diagnosis.vehicle_file import finish, opened, set_quantity
 from trackres_ros.effects.delay import Delay
 from trackres_ros.effects.drivetrain_efficiency import DrivetrainEfficiency
 from trackres_ros.effects.effect import Active, Facts
 from trackres_ros.errors import InputError
 from trackres_ros.model.belt import GRAVITY
+from trackres_ros.vehicle import Quantity
+from trackres_ros.vehicle.loading import EFFECT_KEYS, listed_effects
 from trackres_ros.vehicle.reading import Reader
 from trackres_ros.vehicle.schema import Limits
+from trackres_ros.vehicle.surroundings import load_surroundings
 
 Array = NDArray[np.float64]
 
@@ -49,13 +53,14 @@ class RoadVehicle:
     title: str
     source: Path
     values: Mapping[str, float]
-    std: Mapping[str, float]
-    content: Mapping[str, Any]
+    parameters: Mapping[str, Quantity]
     friction_brakes: bool  # whether brakes of which nothing is recorded help a torque that brakes
+    effects: tuple[Active, ...]
+    surroundings: tuple[Active, ...]
 
 
-def load_road_vehicle(path: Path, content: Mapping[str, Any]) -> RoadVehicle:
-    """Check the content of a road-load file.
+def load_road_vehicle(path: Path, content: Mapping[str, Any], surroundings: Path | None = None) -> RoadVehicle:
+    """Check the content of a road-load file, and read the file of the surroundings if one is named.
 
     Raises
     ------
@@ -63,14 +68,17 @@ def load_road_vehicle(path: Path, content: Mapping[str, Any]) -> RoadVehicle:
         On a missing, unknown or implausible value.
     """
     reader = Reader(path, None)
-    reader.keys(content, "", ("schema", "name", "title", "friction_brakes", "road_load"), ("effects",))
+    reader.keys(content, "", ("schema", "name", "title", "friction_brakes", "road_load"), EFFECT_KEYS)
     values = reader.table(content["road_load"], "road_load", QUANTITIES)
-    std = {name: reader.parameters[f"road_load.{name}"].standard_deviation for name in values}
+    parameters = {name: reader.parameters[f"road_load.{name}"] for name in values}
     brakes = content["friction_brakes"]
     if not isinstance(brakes, bool):
         raise InputError(reader.where("friction_brakes"), brakes, "true or false")
     name, title = reader.text(content["name"], "name"), reader.text(content["title"], "title")
-    return RoadVehicle(name, title, path, values, std, content, brakes)
+    size = values["mass"] * GRAVITY * values["wheel_radius"]
+    effects = listed_effects(reader, content, size, True, "vehicle")
+    around = load_surroundings(surroundings, name, size, True) if surroundings else ()
+    return RoadVehicle(name, title, path, values, parameters, brakes, effects, around)
 
 
 class RoadBase:
@@ -78,11 +86,13 @@ class RoadBase:
 
     name = "road_load"
     has_belt = False
-    includes = (DrivetrainEfficiency.name, Delay.name)
 
     def __init__(self, vehicle: RoadVehicle) -> None:
         self.vehicle = vehicle
+        self._active = (*vehicle.effects, *vehicle.surroundings)
+        self.includes = (DrivetrainEfficiency.name, Delay.name, *(active.effect.name for active in self._active))
         v = vehicle.values
+        self.torque_scale = v["torque_scale"]
         self.facts = Facts(
             radius=v["wheel_radius"], weight=v["mass"] * GRAVITY, drag_area=v["drag_area"], air_density=v["air_density"],
             contact_length=v["contact_length"], assemblies=1, cooled_area=0.0, tension=1.0,
@@ -92,7 +102,7 @@ class RoadBase:
                 name,
                 QUANTITIES[name].unit,
                 v[name],
-                vehicle.std[name],
+                vehicle.parameters[name].standard_deviation,
                 QUANTITIES[name].low,
                 QUANTITIES[name].high,
             )
@@ -108,7 +118,8 @@ class RoadBase:
             Active(DrivetrainEfficiency(), {"efficiency": values["efficiency"]}),
             Active(Delay(), {"time": values["torque_delay"]}),
         )
-        for session, course in zip(sessions, courses(sessions, self.facts, [*chain, *effects], drive), strict=True):
+        everything = [*chain, *self._active, *effects]
+        for session, course in zip(sessions, courses(sessions, self.facts, everything, drive), strict=True):
             speed, direction = np.asarray(course.at.speed), np.asarray(course.at.direction)
             rolling = (values["rolling_coefficient"] + values["rolling_rise"] * np.abs(speed)) * session.weight * direction
             air = 0.5 * fixed["air_density"] * values["drag_area"] * speed * np.abs(speed)
@@ -120,14 +131,11 @@ class RoadBase:
             found.append(Predicted(fixed["torque_scale"] * as_sensed(torque, course.terms, session), torque, nothing, nothing))
         return found
 
-    def write(self, path: Path, values: Values, effects: Sequence[Active], text: str) -> None:
+    def write(self, path: Path, kept: Kept, text: str) -> list[Path]:
         """See `base.Base`."""
-        content = {**self.vehicle.content, "road_load": dict(self.vehicle.content["road_load"])}
-        for name in FITTED:
-            quantity = dict(content["road_load"][name])
-            low, high = quantity["range"]
-            quantity.update(value=values[name], range=[min(low, values[name]), max(high, values[name])], flag="A", reason=REASON)
-            content["road_load"][name] = quantity
-        if effects:
-            content["effects"] = {a.effect.name: dict(a.values) for a in effects}
-        write_yaml(path, content, text)
+        vehicle, document = self.vehicle, opened(self.vehicle.source)
+        if kept.values is not None:
+            for name in FITTED:
+                old = vehicle.parameters[name]
+                set_quantity(document, ("road_load", name), old, kept.values[name], kept.range_of(name), QUANTITIES[name])
+        return finish(document, vehicle.name, vehicle.effects, vehicle.surroundings, path, kept, text)

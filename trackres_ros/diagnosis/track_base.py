@@ -12,20 +12,33 @@ from numpy.typing import NDArray
 from trackres_ros.diagnosis import belt_series as at
 from trackres_ros.diagnosis.base import BaseParameter, Course, Predicted, Values, as_sensed, courses, full
 from trackres_ros.diagnosis.belt_series import CONSTANTS, roll_along
+from trackres_ros.diagnosis.kept import Kept
 from trackres_ros.diagnosis.session import Session
-from trackres_ros.diagnosis.vehicle_file import write_track_vehicle
+from trackres_ros.diagnosis.vehicle_file import rubber_share, write_track_vehicle
 from trackres_ros.effects.effect import SOFTENING_FROM_DEGC, Active
 from trackres_ros.effects.facts import facts_of
 from trackres_ros.model.belt import GRAVITY
 from trackres_ros.model.loss_table import LossTable, loss_table
 from trackres_ros.model.thermal import ThermalNetwork, phi_1, thermal_network
 from trackres_ros.vehicle import Vehicle
+from trackres_ros.vehicle.reading import FITTED
+from trackres_ros.vehicle.schema import BELT, CHASSIS, RUBBER
 
 Array = NDArray[np.float64]
 
 LOSS, BEARING, DRAG, FILM, CAPACITY = "loss_modulus_scale", "bearing_friction", "drag_coefficient", "film_scale", "capacity_scale"
 CONDUCTIVITY, SURFACE_SHARE = "conductivity", "surface_share"
 MOST_AT_SURFACE = 0.8
+# What a fit may come to whatever range the file gives, which after a diagnosis is that of what was learned: a fifth of the lower
+# and three times the upper end of what data sheets of the shipped vehicles say.
+PLAUSIBLE = {
+    LOSS: (0.16, 3.6),
+    BEARING: (0.0008, 0.036),
+    DRAG: (0.12, 3.0),
+    CONDUCTIVITY: (0.04, 1.05),
+    SURFACE_SHARE: (0.02, MOST_AT_SURFACE),
+}
+PLAUSIBLE_FILM, PLAUSIBLE_CAPACITY = (0.2, 5.0), (0.3, 3.0)  # factors on the file's
 CAPACITY_STD = 0.15  # relative: thickness, section of lugs and specific heat of the file's ranges together
 
 
@@ -50,28 +63,36 @@ class TrackBase:
     def __init__(self, vehicle: Vehicle) -> None:
         self.vehicle = vehicle
         self._groups = _groups(vehicle)
-        self.includes = tuple(active.effect.name for active in vehicle.effects)
+        self.includes = tuple(active.effect.name for active in vehicle.active)
         self.facts = facts_of(vehicle)
+        self.torque_scale = 1.0
         first = vehicle.track_of(vehicle.assemblies[0])
+        limits = {**RUBBER, **CHASSIS, **BELT}
 
         def known(name: str, path: str) -> BaseParameter:
-            q = vehicle.parameters[path]
+            q, limit, (low, high) = vehicle.parameters[path], limits[name], PLAUSIBLE[name]
             assert isinstance(q.value, float)
-            return BaseParameter(name, q.unit, q.value, q.standard_deviation, 0.2 * q.low, 3.0 * q.high)
+            low, high = max(limit.low, min(low, 0.2 * q.low)), min(limit.high, max(high, 3.0 * q.high))
+            return BaseParameter(name, q.unit, q.value, q.standard_deviation, low, high)
 
-        film = vehicle.parameters[f"tracks.{first.name}.belt.film_offset"]
+        film, capacity = vehicle.parameters[f"tracks.{first.name}.belt.film_offset"], vehicle.parameters["rubber.heat_capacity"]
         assert isinstance(film.value, float)
+        assert isinstance(capacity.value, float)
+        share = rubber_share(vehicle)
+        learned = capacity.flag == FITTED
+        capacity_std = share * capacity.standard_deviation / capacity.value if learned else CAPACITY_STD
         self.parameters: tuple[BaseParameter, ...] = (
             known(LOSS, "rubber.loss_modulus_scale"),
             known(BEARING, "chassis.bearing_friction"),
             known(DRAG, "chassis.drag_coefficient"),
-            BaseParameter(FILM, "1", 1.0, film.standard_deviation / film.value, 0.2, 5.0),
-            BaseParameter(CAPACITY, "1", 1.0, CAPACITY_STD, 0.3, 3.0),
+            BaseParameter(FILM, "1", 1.0, film.standard_deviation / film.value, *_film_factors(vehicle)),
+            BaseParameter(CAPACITY, "1", 1.0, capacity_std, *_capacity_factors(capacity.value, share)),
         )
         if vehicle.thermal == "core_surface":
             # Two nodes stand for a belt in which the temperature changes throughout: where they are to be is not known well.
-            share = known(SURFACE_SHARE, f"tracks.{first.name}.belt.surface_share")
-            self.parameters += (known(CONDUCTIVITY, "rubber.conductivity"), replace(share, high=min(share.high, MOST_AT_SURFACE)))
+            of_surface = known(SURFACE_SHARE, f"tracks.{first.name}.belt.surface_share")
+            of_surface = replace(of_surface, high=min(of_surface.high, MOST_AT_SURFACE))
+            self.parameters += (known(CONDUCTIVITY, "rubber.conductivity"), of_surface)
 
     def predict(
         self, sessions: Sequence[Session], values: Values, effects: Sequence[Active], drive: Sequence[Array]
@@ -80,7 +101,7 @@ class TrackBase:
         temperatures: list[tuple[float, float] | None] = [None] * len(self._groups)
         found = []
         for session, course in zip(
-            sessions, courses(sessions, self.facts, [*self.vehicle.effects, *effects], drive), strict=True
+            sessions, courses(sessions, self.facts, [*self.vehicle.active, *effects], drive), strict=True
         ):
             loss_torque, belts, skins = (np.zeros(len(session)) for _ in range(3))
             for i, group in enumerate(self._groups):
@@ -91,9 +112,9 @@ class TrackBase:
             found.append(self._torque(session, course, values, loss_torque, belts, skins))
         return found
 
-    def write(self, path: Path, values: Values, effects: Sequence[Active], text: str) -> None:
+    def write(self, path: Path, kept: Kept, text: str) -> list[Path]:
         """See `base.Base`."""
-        write_track_vehicle(self.vehicle, path, values, [*self.vehicle.effects, *effects], text)
+        return write_track_vehicle(self.vehicle, path, kept, text)
 
     def _torque(self, session: Session, course: Course, values: Values, loss: Array, belt: Array, skin: Array) -> Predicted:
         chassis, radius = self.vehicle.chassis, self.facts.radius
@@ -195,3 +216,22 @@ def _groups(vehicle: Vehicle) -> list[_Group]:
         )
         for (track, share), count in kinds.items()
     ]
+
+
+def _film_factors(vehicle: Vehicle) -> tuple[float, float]:
+    """Bounds of the factor on the film coefficient, with which no belt leaves what a vehicle file may say."""
+    low, high = PLAUSIBLE_FILM
+    for name in vehicle.tracks:
+        for key in ("film_offset", "film_slope"):
+            value, limit = vehicle.parameters[f"tracks.{name}.belt.{key}"].value, BELT[key]
+            assert isinstance(value, float)
+            if value > 0.0:
+                low, high = max(low, limit.low / value), min(high, limit.high / value)
+    return low, high
+
+
+def _capacity_factors(heat_capacity: float, share: float) -> tuple[float, float]:
+    """The same for the heat that a belt holds, of which the rubber has a share."""
+    (low, high), limit = PLAUSIBLE_CAPACITY, RUBBER["heat_capacity"]
+    least, most = (1.0 + share * (end / heat_capacity - 1.0) for end in (limit.low, limit.high))
+    return max(low, least), min(high, most)

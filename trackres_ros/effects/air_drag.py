@@ -10,6 +10,7 @@ from trackres_ros.effects.effect import Conditions, Effect, Parameter, Terms, Va
 class AirDrag(Effect):
     name = "air_drag"
     acts_on = "torque"
+    belongs_to = "vehicle"  # of its drag area above all; the air's density varies by a tenth
     text = "air density or drag area are other than in the vehicle file"
     parameters = (Parameter("share", "1", -0.7, 2.0, 0.3, "added, of the file's air drag", off=0.0),)
 

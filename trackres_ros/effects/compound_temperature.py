@@ -8,6 +8,7 @@ from trackres_ros.effects.effect import Conditions, Effect, Parameter, Terms, Va
 class CompoundTemperature(Effect):
     name = "compound_temperature"
     acts_on = "heat"
+    belongs_to = "vehicle"
     text = "the rubber's loss falls with temperature faster or slower than the rubber file says"
     belt_only = True
     parameters = (Parameter("slope", "1/K", -0.03, 0.03, 0.006, "further fall of the loss with temperature", off=0.0),)

@@ -8,6 +8,7 @@ from trackres_ros.effects.effect import Conditions, Effect, Parameter, Terms, Va
 class Convection(Effect):
     name = "convection"
     acts_on = "cooling"
+    belongs_to = "vehicle"  # of where its belts run
     text = "the air cools the belt more or less than assumed, and otherwise with speed"
     belt_only = True
     parameters = (

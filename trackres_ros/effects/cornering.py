@@ -11,6 +11,7 @@ class Cornering(Effect):
 
     name = "cornering"
     acts_on = "torque"
+    belongs_to = "vehicle"  # of its tracks or tyres
     text = "the side force of a bend needs a slip angle, and that a pull"
     needs = ("speed", "yaw_rate")
     parameters = (

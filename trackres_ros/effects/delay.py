@@ -10,6 +10,7 @@ class Delay(Effect):
 
     name = "delay"
     acts_on = "sensor"
+    belongs_to = "sensor"
     text = "the measured torque is late against the speed"
     needs = ("speed", "accel")
     parameters = (Parameter("time", "s", 0.0, 1.0, 0.2, "by which it is late", off=0.0),)

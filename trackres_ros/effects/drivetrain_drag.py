@@ -8,6 +8,7 @@ from trackres_ros.effects.effect import Conditions, Effect, Parameter, Terms, Va
 class DrivetrainDrag(Effect):
     name = "drivetrain_drag"
     acts_on = "torque"
+    belongs_to = "vehicle"
     text = "gears and brakes drag with a constant torque while turning"
     parameters = (Parameter("drag", "Nm", 0.0, 400.0, 150.0, "at the sprockets", off=0.0, of_size=True),)
 

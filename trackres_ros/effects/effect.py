@@ -5,7 +5,8 @@ from __future__ import annotations
 import copy
 from abc import ABC
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -18,6 +19,7 @@ Values = Mapping[str, float]
 STANDSTILL_MPS = 0.05  # over it friction changes its sign smoothly, as in `model.resistance`
 REFERENCE_NM = 97920.0  # weight times wheel radius of the 24-tonne vehicle that the magnitudes of the catalogue are of
 ACTS_ON = ("torque", "heat", "cooling", "sensor")
+BELONGS_TO = ("vehicle", "surroundings", "sensor")
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,6 +184,9 @@ class Effect(ABC):
         Stable identifier.
     acts_on
         One of `ACTS_ON`.
+    belongs_to
+        One of `BELONGS_TO`: what stays with the vehicle wherever it drives; what is of the site, the weather or the ground,
+        and is another tomorrow; what a sensor makes of it.
     text
         One line that a test engineer understands.
     needs
@@ -190,14 +195,18 @@ class Effect(ABC):
         See `Parameter`.
     belt_only
         Whether it makes sense only where there is a belt.
+    source
+        The file of an effect of the user's own; None for those of the catalogue.
     """
 
     name: ClassVar[str]
     acts_on: ClassVar[str]
+    belongs_to: ClassVar[str]
     text: ClassVar[str]
     needs: ClassVar[tuple[str, ...]] = ("speed",)
     parameters: tuple[Parameter, ...]
     belt_only: ClassVar[bool] = False
+    source: Path | None = None
 
     def lag(self, at: Conditions, p: Values) -> Lag | None:  # noqa: ARG002 - most have none
         """Its own state, if it has one: what it tends to under the conditions."""
@@ -222,6 +231,7 @@ class Effect(ABC):
         return {
             "name": self.name,
             "acts_on": self.acts_on,
+            "belongs_to": self.belongs_to,
             "text": self.text,
             "needs": list(self.needs),
             "belt_only": self.belt_only,
@@ -234,14 +244,26 @@ class Effect(ABC):
 
 @dataclass(frozen=True)
 class Active:
-    """An effect with values for its parameters."""
+    """An effect with values for its parameters, and where they are known the ranges that they lie in."""
 
     effect: Effect
     values: Values
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def terms(self, at: Conditions, own: Number) -> Terms:
         """What it does, its own state given."""
         return self.effect.terms(replace(at, own=own), self.values)
+
+    def shifted(self) -> list[Active]:
+        """The same with one parameter of size a standard deviation off, for each that has a range (of +-2 of them)."""
+        found = []
+        for q in self.effect.parameters:
+            low, high = self.ranges.get(q.name, (0.0, 0.0))
+            if q.off is not None and high > low:
+                value, std = self.values[q.name], 0.25 * (high - low)
+                moved = value + std if value + std <= q.high else value - std
+                found.append(replace(self, values={**self.values, q.name: moved}))
+        return found
 
 
 def together(terms: Sequence[Terms]) -> Terms:

@@ -13,6 +13,7 @@ SLOWEST_MPS = 0.1
 class Frequency(Effect):
     name = "frequency"
     acts_on = "heat"
+    belongs_to = "vehicle"
     text = "the rubber's loss rises with frequency, so with speed"
     belt_only = True
     parameters = (Parameter("exponent", "1", -0.1, 0.25, 0.1, "of frequency, beyond that of the rubber file", off=0.0),)

@@ -8,6 +8,7 @@ from trackres_ros.effects.effect import Conditions, Effect, Parameter, Terms, Va
 class Grade(Effect):
     name = "grade"
     acts_on = "torque"
+    belongs_to = "surroundings"
     text = "the road rises or falls steadily"
     parameters = (Parameter("grade", "1", -0.3, 0.3, 0.01, "rise over run the way the vehicle points", off=0.0),)
 

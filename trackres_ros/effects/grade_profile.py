@@ -10,6 +10,7 @@ from trackres_ros.effects.effect import Conditions, Effect, Parameter, Terms, Va
 class GradeProfile(Effect):
     name = "grade_profile"
     acts_on = "torque"
+    belongs_to = "surroundings"
     text = "the ground is a tilted plane: uphill one way, downhill the other, again on each lap"
     needs = ("speed", "heading")
     parameters = (

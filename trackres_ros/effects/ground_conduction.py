@@ -12,6 +12,7 @@ class GroundConduction(Effect):
 
     name = "ground_conduction"
     acts_on = "cooling"
+    belongs_to = "vehicle"  # its rubber conducts worst of what the heat goes through, whatever the ground
     text = "ground and wheels take heat out of the belt where they touch it"
     needs = ("speed", "ambient")
     belt_only = True

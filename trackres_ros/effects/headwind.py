@@ -12,6 +12,7 @@ class Headwind(Effect):
 
     name = "headwind"
     acts_on = "torque"
+    belongs_to = "surroundings"
     text = "a steady wind blows: against the vehicle one way, with it the other"
     needs = ("speed", "heading")
     parameters = (

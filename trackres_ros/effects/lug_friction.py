@@ -10,6 +10,7 @@ from trackres_ros.effects.effect import Conditions, Effect, Parameter, Terms, Va
 class LugFriction(Effect):
     name = "lug_friction"
     acts_on = "torque"
+    belongs_to = "vehicle"
     text = "guide lugs and drive teeth rub, with the tension and with the torque they carry"
     needs = ("speed", "drive_torque")
     belt_only = True

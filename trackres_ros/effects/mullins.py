@@ -10,6 +10,7 @@ from trackres_ros.effects.effect import Conditions, Effect, Parameter, Terms, Va
 class Mullins(Effect):
     name = "mullins"
     acts_on = "heat"
+    belongs_to = "vehicle"
     text = "a new belt loses more until it has run in, and never again"
     needs = ("speed", "distance")
     belt_only = True

@@ -8,6 +8,7 @@ from trackres_ros.effects.effect import Conditions, Effect, Parameter, Terms, Va
 class Rain(Effect):
     name = "rain"
     acts_on = "cooling"
+    belongs_to = "surroundings"
     text = "rain or a wet road cools the belt"
     belt_only = True
     parameters = (Parameter("factor", "1", 1.0, 11.0, 3.0, "on the whole film coefficient", off=1.0),)

@@ -5,27 +5,35 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import inspect
+import math
 import pkgutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from trackres_ros.effects.effect import ACTS_ON, Active, Effect
+from trackres_ros.effects.effect import ACTS_ON, BELONGS_TO, Active, Effect, Parameter
 from trackres_ros.errors import InputError
 from trackres_ros.topics import nearest
 
 HELPERS = ("effect", "facts", "registry")
+ELSEWHERE = {
+    "vehicle": "list it under effects of the vehicle file",
+    "surroundings": "move it to a file of the surroundings and give that with --surroundings where it holds",
+    "sensor": "correct the sensor in the topics file, by scale, offset or delay_s of its line",
+}
 
 
-def catalogue(folder: Path | None = None, size: float | None = None, on_tyres: bool = False) -> dict[str, Effect]:
-    """All effects by name: the shipped ones, and those in the Python files of a folder; for a vehicle with a
+def catalogue(
+    folder: Path | None = None, size: float | None = None, on_tyres: bool = False, files: Sequence[Path] = ()
+) -> dict[str, Effect]:
+    """All effects by name: the shipped ones, and those in the Python files of a folder or in single files; for a vehicle with a
     weight times wheel radius [Nm], where that is given, on tracks or on tyres.
 
     Raises
     ------
     InputError
-        If the folder holds no usable effect, or one whose name is taken.
+        If a folder or file holds no usable effect, or one whose name is taken.
     """
     package = importlib.import_module("trackres_ros.effects")
     modules = [
@@ -34,7 +42,7 @@ def catalogue(folder: Path | None = None, size: float | None = None, on_tyres: b
         if found.name not in HELPERS
     ]
     effects = {effect.name: effect for module in modules for effect in _effects_in(module)}
-    for path in _python_files(folder):
+    for path in (*_python_files(folder), *files):
         own = _effects_in(_module_of(path))
         if not own:
             raise InputError(str(path), "no class derived from trackres_ros.effects.Effect", "at least one in each file")
@@ -42,17 +50,19 @@ def catalogue(folder: Path | None = None, size: float | None = None, on_tyres: b
             _check(effect, path)
             if effect.name in effects:
                 raise InputError(f"{path}: name", effect.name, "a name that no other effect has")
+            effect.source = path.resolve()
             effects[effect.name] = effect
     return {name: effect.for_size(size, on_tyres) for name, effect in effects.items()} if size else effects
 
 
-def check_effects(given: Any, where: str, known: Mapping[str, Effect]) -> tuple[Active, ...]:
-    """Effects with their values, as a vehicle file lists them: ``name: {parameter: value, ...}``.
+def check_effects(given: Any, where: str, known: Mapping[str, Effect], belongs_to: str) -> tuple[Active, ...]:
+    """Effects with their values, as a file lists them: ``name: {parameter: value or {value: v, range: [low, high]}, ...}``.
 
     Raises
     ------
     InputError
-        For an unknown effect or parameter, a missing one, or a value out of its bounds.
+        For an unknown effect or parameter, a missing one, a value or range out of its bounds, or an effect that belongs to
+        something else than the file is of.
     """
     if not isinstance(given, Mapping):
         raise InputError(where, given, "a mapping of effects: name: {parameter: value}")
@@ -61,15 +71,36 @@ def check_effects(given: Any, where: str, known: Mapping[str, Effect]) -> tuple[
         if name not in known:
             raise InputError(f"{where}: effect", name, ", ".join(known), nearest(str(name), known))
         effect = known[name]
+        if effect.belongs_to != belongs_to:
+            raise InputError(f"{where}: effect", name, f"effects of the {belongs_to}", ELSEWHERE[effect.belongs_to])
         wanted = {q.name: q for q in effect.parameters}
         if not isinstance(values, Mapping) or set(values) != set(wanted):
             raise InputError(f"{where}.{name}", values, f"a value for each of {', '.join(wanted)}")
-        for key, value in values.items():
-            q = wanted[key]
-            if isinstance(value, bool) or not isinstance(value, int | float) or not q.low <= value <= q.high:
-                raise InputError(f"{where}.{name}.{key}", value, f"a number from {q.low:g} to {q.high:g} {q.unit}")
-        active.append(Active(effect, {key: float(value) for key, value in values.items()}))
+        checked = {key: _with_range(value, f"{where}.{name}.{key}", wanted[key]) for key, value in values.items()}
+        ranges = {key: span for key, (_, span) in checked.items() if span is not None}
+        active.append(Active(effect, {key: value for key, (value, _) in checked.items()}, ranges))
     return tuple(active)
+
+
+def _with_range(given: Any, where: str, q: Parameter) -> tuple[float, tuple[float, float] | None]:
+    """Value and range of a parameter: a plain number has none."""
+    if not isinstance(given, Mapping):
+        return _within(given, where, q, q.low, q.high), None
+    if set(given) != {"value", "range"}:
+        raise InputError(where, dict(given), "a number, or {value: number, range: [low, high]}")
+    bounds = given["range"]
+    if not isinstance(bounds, list) or len(bounds) != 2:
+        raise InputError(f"{where}.range", bounds, "two numbers, [low, high]")
+    low, high = (_within(bound, f"{where}.range", q, q.low, q.high) for bound in bounds)
+    if low > high:
+        raise InputError(f"{where}.range", bounds, "[low, high] with low <= high")
+    return _within(given["value"], f"{where}.value", q, low, high), (low, high)
+
+
+def _within(given: Any, where: str, q: Parameter, low: float, high: float) -> float:
+    if isinstance(given, bool) or not isinstance(given, int | float) or not low <= given <= high:
+        raise InputError(where, given, f"a number from {low:g} to {high:g} {q.unit}")
+    return float(given)
 
 
 def _effects_in(module: ModuleType) -> list[Effect]:
@@ -96,19 +127,29 @@ def _module_of(path: Path) -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise InputError(str(path), f"{type(error).__name__}: {error}", "a Python file that can be imported") from error
     return module
 
 
 def _check(effect: Effect, path: Path) -> None:
-    for attribute in ("name", "acts_on", "text", "parameters"):
+    for attribute in ("name", "acts_on", "belongs_to", "text", "parameters"):
         if not getattr(effect, attribute, None):
-            raise InputError(f"{path}: {type(effect).__name__}", f"no {attribute}", "name, acts_on, text and parameters")
-    if effect.acts_on not in ACTS_ON:
-        raise InputError(f"{path}: acts_on", effect.acts_on, ", ".join(ACTS_ON))
+            wanted = "name, acts_on, belongs_to, text and parameters"
+            remedy = f"one of {', '.join(BELONGS_TO)}" if attribute == "belongs_to" else ""
+            raise InputError(f"{path}: {type(effect).__name__}", f"no {attribute}", wanted, remedy)
+    if not isinstance(effect.name, str) or not isinstance(effect.text, str):
+        raise InputError(f"{path}: name, text", (effect.name, effect.text), "two texts")
+    for attribute, allowed in (("acts_on", ACTS_ON), ("belongs_to", BELONGS_TO)):
+        if getattr(effect, attribute) not in allowed:
+            raise InputError(f"{path}: {attribute}", getattr(effect, attribute), ", ".join(allowed))
+    if (effect.acts_on == "sensor") != (effect.belongs_to == "sensor"):
+        given = f"acts_on {effect.acts_on}, belongs_to {effect.belongs_to}"
+        raise InputError(f"{path}: {effect.name}", given, "both sensor, or neither")
+    if not all(isinstance(q, Parameter) for q in effect.parameters):
+        raise InputError(f"{path}: parameters", effect.parameters, "a tuple of trackres_ros.effects.Parameter")
     for q in effect.parameters:
-        if not q.low <= q.start <= q.high or (q.off is not None and not q.low <= q.off <= q.high):
-            raise InputError(f"{path}: {q.name}", (q.low, q.start, q.high, q.off), "start and off within low and high")
+        if not -math.inf < q.low <= q.start <= q.high < math.inf or (q.off is not None and not q.low <= q.off <= q.high):
+            raise InputError(f"{path}: {q.name}", (q.low, q.start, q.high, q.off), "start and off within finite low and high")
     if all(q.off is None for q in effect.parameters):
         raise InputError(f"{path}: parameters", [q.name for q in effect.parameters], "one with a value without effect (off)")

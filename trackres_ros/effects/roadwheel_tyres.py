@@ -12,6 +12,7 @@ REFERENCE_DEGC = 20.0
 class RoadwheelTyres(Effect):
     name = "roadwheel_tyres"
     acts_on = "torque"
+    belongs_to = "vehicle"
     text = "the rubber of wheels or tyres loses with the load, and less once it is warm"
     needs = ("speed", "weight", "ambient")
     parameters = (

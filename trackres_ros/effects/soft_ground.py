@@ -10,6 +10,7 @@ class SoftGround(Effect):
 
     name = "soft_ground"
     acts_on = "torque"
+    belongs_to = "surroundings"
     text = "the vehicle sinks in and pushes a rut"
     needs = ("speed", "weight")
     parameters = (

@@ -8,6 +8,7 @@ from trackres_ros.effects.effect import Conditions, Effect, Parameter, Terms, Va
 class Solar(Effect):
     name = "solar"
     acts_on = "cooling"
+    belongs_to = "surroundings"
     text = "the sun heats the belt"
     belt_only = True
     parameters = (Parameter("flux", "W/m^2", 0.0, 1000.0, 400.0, "absorbed by what the sun sees of the belt", off=0.0),)

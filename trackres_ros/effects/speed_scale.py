@@ -8,6 +8,7 @@ from trackres_ros.effects.effect import Conditions, Effect, Parameter, Terms, Va
 class SpeedScale(Effect):
     name = "speed_scale"
     acts_on = "sensor"
+    belongs_to = "sensor"
     text = "the measured speed is off by a factor"
     parameters = (Parameter("error", "1", -0.15, 0.15, 0.03, "true over measured speed, less one", off=0.0),)
 

@@ -12,6 +12,7 @@ WALKING_MPS = 1.0
 class StillAir(Effect):
     name = "still_air"
     acts_on = "cooling"
+    belongs_to = "vehicle"  # of where its belts run
     text = "the belt cools far slower while it stands than the film coefficient says"
     belt_only = True
     parameters = (Parameter("share", "1", 0.0, 0.9, 0.7, "of the film coefficient that is missing at rest", off=0.0),)

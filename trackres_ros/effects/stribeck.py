@@ -10,6 +10,7 @@ from trackres_ros.effects.effect import Conditions, Effect, Parameter, Terms, Va
 class Stribeck(Effect):
     name = "stribeck"
     acts_on = "torque"
+    belongs_to = "vehicle"
     text = "seals rub with a constant torque, and more at a crawl"
     parameters = (
         Parameter("constant", "Nm", 0.0, 300.0, 100.0, "friction at speed", off=0.0, of_size=True),

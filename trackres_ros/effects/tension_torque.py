@@ -12,6 +12,7 @@ class TensionTorque(Effect):
 
     name = "tension_torque"
     acts_on = "heat"
+    belongs_to = "vehicle"
     text = "the torque stretches the belt, which then loses more"
     needs = ("speed", "drive_torque")
     belt_only = True

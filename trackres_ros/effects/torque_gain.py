@@ -8,6 +8,7 @@ from trackres_ros.effects.effect import Conditions, Effect, Parameter, Terms, Va
 class TorqueGain(Effect):
     name = "torque_gain"
     acts_on = "sensor"
+    belongs_to = "sensor"
     text = "the torque sensor's scale is off"
     parameters = (Parameter("error", "1", -0.15, 0.15, 0.03, "relative", off=0.0),)
 

@@ -8,6 +8,7 @@ from trackres_ros.effects.effect import Conditions, Effect, Parameter, Terms, Va
 class TorqueOffset(Effect):
     name = "torque_offset"
     acts_on = "sensor"
+    belongs_to = "sensor"
     text = "the torque sensor shows a torque where there is none"
     parameters = (Parameter("offset", "Nm", -2000.0, 2000.0, 150.0, "shown at no torque", off=0.0, of_size=True),)
 

@@ -10,6 +10,7 @@ from trackres_ros.effects.effect import Conditions, Effect, Parameter, Terms, Va
 class Vibration(Effect):
     name = "vibration"
     acts_on = "torque"
+    belongs_to = "vehicle"
     text = "the belt swings, most at one speed"
     belt_only = True
     parameters = (

@@ -14,6 +14,7 @@ class ViscousBearing(Effect):
 
     name = "viscous_bearing"
     acts_on = "torque"
+    belongs_to = "vehicle"
     text = "grease in the bearings resists with speed, and less once it is warm"
     needs = ("speed", "ambient")
     parameters = (

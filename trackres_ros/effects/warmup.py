@@ -14,6 +14,7 @@ class WarmUp(Effect):
 
     name = "warmup"
     acts_on = "torque"
+    belongs_to = "vehicle"
     text = "oil and bearings drag more after a stop, until they are warm"
     parameters = (
         Parameter("torque", "Nm", 0.0, 2500.0, 200.0, "when cold", off=0.0, of_size=True, on_tyres=0.01),

@@ -8,15 +8,17 @@ from typing import Any, NamedTuple, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.effects.effect import Conditions, together
+from trackres_ros.effects.effect import Conditions
 from trackres_ros.effects.facts import facts_of
 from trackres_ros.estimator import layout as at
+from trackres_ros.estimator.effects_step import terms_of
 from trackres_ros.estimator.settings import PARTS, Settings
 from trackres_ros.estimator.spread import spread
 from trackres_ros.model.coverage import check_heat, coverage
 from trackres_ros.model.loss_table import loss_table
 from trackres_ros.model.thermal import ThermalNetwork, thermal_network
 from trackres_ros.vehicle import Vehicle
+from trackres_ros.vehicle.reading import FITTED
 
 Array = NDArray[np.float64]
 
@@ -33,6 +35,7 @@ PLAUSIBLE = {
 }
 LEAST_LOAD_SHARE = 0.1  # of nominal weight: less is not a driving vehicle
 LARGEST_LOAD_SHARE = 2.5
+LEAST_RESISTANCE = 1e-6  # K/W, as in `diagnosis.belt_series`: below it mean and surface of a belt are one
 OVERSPEED = 1.2  # of the vehicle file's greatest speed
 
 
@@ -119,7 +122,9 @@ def make_constants(vehicle: Vehicle, settings: Settings, cache: Path | None = No
     axle_names = [axle.name for axle in vehicle.axles]
     chassis, loads = vehicle.chassis, vehicle.nominal_loads()
     # An effect may part mean and surface: then the belt has two nodes, whatever the file's thermal model.
-    resistance = together([a.effect.terms(_nothing_known(vehicle), a.values) for a in vehicle.effects]).inner_resistance
+    at_rest = [terms_of(active, _nothing_known(vehicle), 0.0) for active in vehicle.active]
+    resistance = sum(terms.inner_resistance for terms in at_rest if terms is not None)
+    resistance = resistance if resistance > LEAST_RESISTANCE else 0.0
     two_nodes = vehicle.thermal == "core_surface" or resistance > 0.0
     constants = np.empty((len(vehicle.assemblies), at.DOUBT_FACTOR))
     for row, load, assembly in zip(constants, loads, vehicle.assemblies, strict=True):
@@ -145,6 +150,9 @@ def make_constants(vehicle: Vehicle, settings: Settings, cache: Path | None = No
         quantities = [vehicle.parameters[f"chassis.{path}"] for path in paths]
         return float(np.sqrt(sum((q.standard_deviation / max(abs(float(np.mean(q.value))), 1e-12)) ** 2 for q in quantities)))
 
+    # What was fitted is the drag of the whole area; the air is another on another day.
+    area = () if vehicle.parameters["chassis.drag_coefficient"].flag == FITTED else ("frontal_area",)
+
     def ns(seconds: float) -> int:
         return int(round(seconds * 1e9))
 
@@ -161,7 +169,7 @@ def make_constants(vehicle: Vehicle, settings: Settings, cache: Path | None = No
         bearing_friction=chassis.bearing_friction,
         bearing_doubt=relative("bearing_friction"),
         drag_area=chassis.drag_coefficient * chassis.frontal_area,
-        drag_doubt=relative("drag_coefficient", "frontal_area", "air_density"),
+        drag_doubt=relative("drag_coefficient", *area, "air_density"),
         air_density=chassis.air_density,
         rotating_mass_factor=chassis.rotating_mass_factor,
         motor_gain=float(gain),

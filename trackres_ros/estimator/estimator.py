@@ -128,7 +128,7 @@ class Estimator:
         self.columns = at.columns(vehicle)
         self.column_index = {name: i for i, name in enumerate(self.columns)}
         self._no_belts = np.full(len(self.assemblies), math.nan)
-        self.effects = EffectsStep(vehicle.effects, facts_of(vehicle))
+        self.effects = EffectsStep(vehicle.effects, vehicle.surroundings, facts_of(vehicle))
 
     def inputs(
         self,

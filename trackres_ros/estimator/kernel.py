@@ -284,7 +284,8 @@ def feedforward(k: Constants, motion: Array, total: Array, of_effects: float, gi
         + of_effects
     )
     if given_accel:  # an acceleration filtered from the speed would feed the controller's own noise back to it
-        wanted += number.feed_inertia * total[at.PART_INERTIA]
+        wanted += number.feed_inertia * (total[at.PART_INERTIA] + k.terms[at.TERM_FED_INERTIA])
+    wanted *= k.terms[at.TERM_FED_GAIN]
     if abs(wanted) > number.feedforward_limit:
         wanted = math.copysign(number.feedforward_limit, wanted)
         reasons |= CLAMPED
@@ -311,7 +312,7 @@ def advance(k: Constants, belts: Array, motion: Array, inputs: Inputs, dt: float
     """
     number, terms = k.number, k.terms
     reasons = inputs.reasons | int(terms[at.TERM_REASONS])
-    speed = inputs.speed * terms[at.TERM_SPEED]
+    speed = inputs.speed
     started = motion[at.STARTED] > 0.0
     last_speed = motion[at.LAST_SPEED] if started else speed
     if started and 0.0 < dt <= number.bridge:
@@ -352,12 +353,18 @@ def advance(k: Constants, belts: Array, motion: Array, inputs: Inputs, dt: float
     driving = without_gain * terms[at.TERM_DRIVE_GAIN]
     of_effects = terms[at.TERM_TORQUE] + driving - without_gain
     resistance += driving - without_gain
-    wanted, of_feedforward = feedforward(k, motion, total, of_effects, given_accel, dt)
+    # What resists motion is fed forward, so of effects nothing where nothing moves: friction holds a standing vehicle by itself,
+    # and whatever else an effect says at rest would push it.
+    fed_effects = terms[at.TERM_FED] * abs(direction(speed))
+    wanted, of_feedforward = feedforward(k, motion, total, fed_effects, given_accel, dt)
     variance = (
         total[at.PART_NOISE]
         + total[at.PART_DOUBT_AMBIENT] ** 2
         + (total[at.PART_BEARING] * number.bearing_doubt) ** 2
         + (total[at.PART_WIND] * number.drag_doubt) ** 2
+        + terms[at.TERM_VARIANCE]
+        + terms[at.TERM_LOSS_VARIANCE] * total[at.PART_HYSTERESIS] ** 2
+        + terms[at.TERM_GAIN_VARIANCE] * driving**2
     )
     for cause in range(4):
         variance += total[at.PART_DOUBT + cause] ** 2
@@ -381,7 +388,7 @@ def advance(k: Constants, belts: Array, motion: Array, inputs: Inputs, dt: float
     out[at.OUT_FEEDFORWARD] = wanted
     out[at.OUT_MOTOR] = driving * number.motor_gain
     out[at.OUT_MEASURED] = inputs.measured_torque
-    out[at.OUT_RESIDUAL] = inputs.measured_torque - (driving * terms[at.TERM_SENSOR_GAIN] + terms[at.TERM_SENSOR_OFFSET])
+    out[at.OUT_RESIDUAL] = inputs.measured_torque - driving
     out[at.OUT_HEAT] = total[at.PART_HEAT]
     out[at.OUT_COOLING] = total[at.PART_COOLING]
     out[at.OUT_REASONS] = reasons | of_assemblies | of_feedforward

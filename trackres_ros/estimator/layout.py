@@ -47,7 +47,9 @@ LOSS_DOUBT, COOLING_DOUBT, CAPACITY_DOUBT, RADIUS_DOUBT = (DOUBT_FACTOR + 4 * ro
 ) = range(10)
 PARTS = PART_DOUBT + 4
 
-# What left-out effects do in a step, see `effects.effect.Terms`; the values that do nothing.
+# What left-out effects do in a step, see `effects.effect.Terms`; the values that do nothing. TERM_TORQUE and TERM_DRIVE_GAIN are
+# of all effects; fed forward are only the vehicle's own: its torque, its gain, and its torque that comes with an acceleration.
+# The variances are of torque [Nm^2], and relative ones of loss and of driving torque.
 (
     TERM_TORQUE,
     TERM_DRIVE_GAIN,
@@ -58,12 +60,15 @@ PARTS = PART_DOUBT + 4
     TERM_CONDUCTANCE,
     TERM_SINK,
     TERM_HEAT,
-    TERM_SPEED,
-    TERM_SENSOR_GAIN,
-    TERM_SENSOR_OFFSET,
+    TERM_FED,
+    TERM_FED_GAIN,
+    TERM_FED_INERTIA,
+    TERM_VARIANCE,
+    TERM_LOSS_VARIANCE,
+    TERM_GAIN_VARIANCE,
     TERM_REASONS,
-) = range(13)
-NO_TERMS = (0.0, 1.0, 1.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0)
+) = range(16)
+NO_TERMS = (0.0, 1.0, 1.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 SOFTENING_FROM_DEGC = 40.0
 
 # Columns of an assembly's belt state, [K] but the first: temperature, then what each cause of doubt makes of it.
@@ -120,6 +125,7 @@ class Reason(IntFlag):
     FEEDFORWARD_RATE_LIMITED = 1 << 12
     SPEED_QUANTISED = 1 << 13
     EFFECT_LEFT_OUT = 1 << 14
+    SURROUNDINGS = 1 << 15
 
 
 REASON_TEXT = {
@@ -137,7 +143,8 @@ REASON_TEXT = {
     Reason.FEEDFORWARD_CLAMPED: "the feed-forward torque is at its limit",
     Reason.FEEDFORWARD_RATE_LIMITED: "the feed-forward torque follows at its largest rate",
     Reason.SPEED_QUANTISED: "the speed comes in coarse steps: its acceleration is known only roughly",
-    Reason.EFFECT_LEFT_OUT: "an input of an effect of the vehicle file is missing: the effect is left out",
+    Reason.EFFECT_LEFT_OUT: "an effect is left out: an input of it is missing, or what it says is no number or beyond all reason",
+    Reason.SURROUNDINGS: "site, weather and ground are taken from the file of the surroundings, not measured",
 }
 # Remarks that go with a fully usable estimate; any other reason makes it a warning.
 HARMLESS = Reason.LOAD_HELD | Reason.FEEDFORWARD_RATE_LIMITED | Reason.GAP_BRIDGED | Reason.SPEED_QUANTISED

@@ -49,7 +49,7 @@ def key(estimator: Estimator) -> str:
         at.MOTION_COLUMNS,
         values,
         asdict(vehicle.rubber),
-        [(active.effect.name, dict(active.values)) for active in vehicle.effects],
+        [[(active.effect.name, dict(active.values)) for active in some] for some in (vehicle.effects, vehicle.surroundings)],
     ]
     return hashlib.sha256(json.dumps(parts, sort_keys=True, default=lambda a: a.tolist()).encode()).hexdigest()[:32]
 

@@ -19,6 +19,7 @@ from trackres_ros.model.rubber import RubberModel
 from trackres_ros.model.thermal import film_coefficient, thermal_network
 from trackres_ros.model.track import load_range
 from trackres_ros.vehicle import Vehicle, variants
+from trackres_ros.vehicle.reading import FITTED
 
 Array = NDArray[np.float64]
 
@@ -26,6 +27,7 @@ STEP = 0.1  # of a standard deviation, for the differences
 REFERENCE_BELT_DEGC = (10.0, 60.0)
 REFERENCE_SPEED_SHARE = 0.5  # of the greatest speed
 HARMONICS = 512
+LOSS, CAPACITY = "rubber.loss_modulus_scale", "rubber.heat_capacity"  # factors of the whole that a fit finds; and the film
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,8 +48,12 @@ def spread(vehicle: Vehicle, track_name: str, cache: Path | None = None) -> Spre
     Notes
     -----
     A wider belt loses more, cools better and holds more heat: such ties are what the covariance keeps.
+
+    Where a factor of the whole was fitted to recordings, its own range says how well the whole is known, and other ranges say
+    nothing more about it: what they may be off by, the factor has made good. The torque was measured at the sprockets, so with
+    the loss their radius is known too. Film offset and slope are fitted by one factor, and are off together.
     """
-    ranges = {path: (q.low, q.high) for path, q in vehicle.parameters.items()}
+    ranges = {path: (q.low, q.high, q.flag == FITTED) for path, q in vehicle.parameters.items()}
     key = hashlib.sha256(
         json.dumps(
             [fingerprint(vehicle, track_name), ranges, vehicle.chassis.max_speed, vehicle.thermal], sort_keys=True
@@ -60,7 +66,7 @@ def spread(vehicle: Vehicle, track_name: str, cache: Path | None = None) -> Spre
 def _factor(vehicle: Vehicle, track_name: str) -> Array:
     base = _logarithms(vehicle, track_name)
     variant = variants(vehicle)
-    columns = []
+    rows: dict[str, Array] = {}
     for path, quantity in vehicle.parameters.items():
         if not path.startswith(("rubber.", f"tracks.{track_name}.")) or isinstance(quantity.value, tuple):
             continue
@@ -72,9 +78,18 @@ def _factor(vehicle: Vehicle, track_name: str) -> Array:
                 moved = variant({path: quantity.value + step})
             except InputError:  # the geometry allows no such step; the other way it does
                 continue
-            columns.append((_logarithms(moved, track_name) - base) / (sign * STEP))
+            rows[path] = (_logarithms(moved, track_name) - base) / (sign * STEP)
             break
-    slopes = np.array(columns)
+    belt = f"tracks.{track_name}.belt"
+    for fitted, columns in ((LOSS, (0, 3)), (f"{belt}.film_offset", (1,)), (CAPACITY, (2,))):
+        if vehicle.parameters[fitted].flag == FITTED:
+            for path in rows:
+                if path != fitted and not (path == f"{belt}.film_slope" and columns == (1,)):
+                    rows[path][list(columns)] = 0.0
+    offset, slope = rows.get(f"{belt}.film_offset"), rows.get(f"{belt}.film_slope")
+    if offset is not None and slope is not None and vehicle.parameters[f"{belt}.film_offset"].flag == FITTED:
+        offset += rows.pop(f"{belt}.film_slope")
+    slopes = np.array(list(rows.values())).reshape(-1, 4)
     covariance = slopes.T @ slopes + np.diag(np.full(4, 1e-12))
     return np.asarray(np.linalg.cholesky(covariance))
 

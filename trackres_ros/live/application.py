@@ -30,7 +30,7 @@ from trackres_ros.parameters import Parameters
 from trackres_ros.resources import config_dir, find_vehicle
 from trackres_ros.topic_settings import settings_for
 from trackres_ros.topics import Topics
-from trackres_ros.vehicle import load
+from trackres_ros.vehicle import load, with_surroundings
 
 SECOND_NS = 1_000_000_000
 TIME_RESET = int(at.Reason.TIME_RESET)
@@ -79,7 +79,7 @@ class Application:
         self.topics = Topics.load(Path(topics_file) if topics_file else config_dir() / "topics" / "default.yaml")
         _check_live(self.topics)
         vehicle_file = find_vehicle(parameters.text("vehicle"))
-        self.vehicle = load(vehicle_file)
+        self.vehicle = with_surroundings(load(vehicle_file), parameters.text("surroundings"))
         settings = settings_for(parameters.settings(), self.topics)
         self._warm_up = WarmUp(str(vehicle_file))
         self.estimator = Estimator(self.vehicle, settings, entries=self._warm_up.first)
@@ -275,8 +275,8 @@ class Application:
 
     def look_into_it(self) -> str:
         """The command that finds out where measured and expected torque differ, and why."""
-        topics = f" --topics {self.parameters.text('topics')}" if self.parameters.text("topics") else ""
-        return f"trackres diagnose RECORDING --vehicle {self.parameters.text('vehicle')}{topics} -o report"
+        given = [f" --{name} {self.parameters.text(name)}" for name in ("surroundings", "topics") if self.parameters.text(name)]
+        return f"trackres diagnose RECORDING --vehicle {self.parameters.text('vehicle')}{''.join(given)} -o report"
 
     def overview(self, steady: int | None = None) -> Overview:
         """All there is to see now, for statuses and the terminal."""

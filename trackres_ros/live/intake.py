@@ -36,7 +36,10 @@ class Intake:
         self.received = [0] * len(inputs)
         self.absent = [0] * len(channels)
         self._readers = [
-            [(_channel(role, channels), _getter(b), b.stamp != "log") for role, b in zip(i.roles, i.bindings, strict=True)]
+            [
+                (_channel(role, channels), _getter(b), b.stamp != "log", b.delay_ns)
+                for role, b in zip(i.roles, i.bindings, strict=True)
+            ]
             for i in inputs
         ]
         self._last_clock = [0] * len(channels)
@@ -44,7 +47,7 @@ class Intake:
 
     def read(self, index: int, message: object) -> tuple[int | None, list[float | None]]:
         """Stamp and values in a message whose attributes are its fields, as `samples` takes them."""
-        return _stamp(message), [_value(read, message) for _, read, _ in self._readers[index]]
+        return _stamp(message), [_value(read, message) for _, read, _, _ in self._readers[index]]
 
     def samples(self, index: int, stamp_ns: int | None, values: Sequence[float | None], now_ns: int) -> list[Sample]:
         """Samples out of what was read from a message.
@@ -64,12 +67,12 @@ class Intake:
         """
         self.received[index] += 1
         found = []
-        for (channel, _, by_header), value in zip(self._readers[index], values, strict=True):
+        for (channel, _, by_header, delay_ns), value in zip(self._readers[index], values, strict=True):
             if value is None:
                 self.absent[channel] += 1
             else:
                 stamp = stamp_ns if by_header and stamp_ns is not None else self._own_stamp(channel, now_ns)
-                found.append((channel, stamp, value))
+                found.append((channel, stamp - delay_ns if stamp else 0, value))
         return found
 
     def _own_stamp(self, channel: int, now_ns: int) -> int:

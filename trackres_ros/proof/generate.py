@@ -166,6 +166,7 @@ def _prefit(paths: Sequence[Path], vehicle: Path) -> None:
     from trackres_ros.diagnosis import load_base, read_recordings
     from trackres_ros.diagnosis.fitting import Problem
     from trackres_ros.diagnosis.gate import gate
+    from trackres_ros.diagnosis.kept import Kept
     from trackres_ros.diagnosis.levels import with_levels
     from trackres_ros.diagnosis.naming import begin
 
@@ -173,7 +174,7 @@ def _prefit(paths: Sequence[Path], vehicle: Path) -> None:
     sessions = gate(read_recordings(paths, None), loaded.known).sessions
     still = tuple(np.zeros(len(s)) for s in sessions)
     found = with_levels(begin(Problem(loaded.base, sessions, tuple(s.used for s in sessions), still)))
-    loaded.base.write(vehicle, found.base_values, (), "fitted to earlier drives")
+    loaded.base.write(vehicle, Kept(found.base_values, (), {}), "fitted to earlier drives")
 
 
 if __name__ == "__main__":

@@ -61,7 +61,7 @@ def left_by_diagnosis(folder: Path, hidden: Hidden, minutes: float, kept_back: i
     last = paths.pop(kept_back)
     loaded = load_base(before)
     found = diagnose(read_recordings(paths, None), loaded)
-    loaded.base.write(after, found.final.base_values, found.final.effects, found.verdict.sentence)
+    loaded.base.write(after, found.kept, found.verdict.sentence)
     return Left(before, after, last, found)
 
 

@@ -14,6 +14,7 @@ from trackres_ros.vehicle.description import (
     WrappedWheel,
 )
 from trackres_ros.vehicle.loading import load, variants
+from trackres_ros.vehicle.surroundings import with_surroundings
 
 __all__ = [
     "Assembly",
@@ -29,4 +30,5 @@ __all__ = [
     "WrappedWheel",
     "load",
     "variants",
+    "with_surroundings",
 ]

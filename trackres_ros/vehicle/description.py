@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """One value of the vehicle file with where it is from: P the paper, L literature, A assumed."""
+    """One value of the vehicle file with where it is from: P the paper, L literature, A assumed, F fitted to recordings."""
 
     value: float | tuple[float, ...]
     unit: str
@@ -178,6 +178,12 @@ class Vehicle:
     tracks: Mapping[str, Track]
     parameters: Mapping[str, Quantity]
     effects: tuple[Active, ...] = ()  # left-out physics that the file switches on
+    surroundings: tuple[Active, ...] = ()  # the same of site, weather and ground, from a file of their own
+
+    @property
+    def active(self) -> tuple[Active, ...]:
+        """All effects in use, the vehicle's first."""
+        return (*self.effects, *self.surroundings)
 
     @property
     def weight(self) -> float:

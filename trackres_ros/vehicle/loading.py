@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from trackres_ros.effects.effect import Active
 from trackres_ros.effects.registry import catalogue, check_effects
 from trackres_ros.errors import InputError
 from trackres_ros.resources import config_dir, find_vehicle
@@ -35,6 +36,7 @@ from trackres_ros.vehicle.description import (
 from trackres_ros.vehicle.reading import Reader, read_yaml
 
 TOP_KEYS = ("schema", "name", "title", "model", "rubber", "chassis", "assemblies", "tracks")
+EFFECT_KEYS = ("effects", "effect_files")
 RUBBER_COLUMNS = ("T_degC", "E_storage_MPa_10Hz", "E_loss_MPa_10Hz")
 CLOSED_LOOP_TOLERANCE_RAD = 0.05
 
@@ -59,10 +61,14 @@ def load(path_or_name: str | os.PathLike[str], overrides: Mapping[str, float] | 
 
 
 def variants(vehicle: Vehicle) -> Callable[[Mapping[str, float]], Vehicle]:
-    """A function that makes the same vehicle with other values, by path; it reads the file only once."""
-    content = read_yaml(vehicle.source)
+    """A function that makes the same vehicle with other values, by path; it reads the file only once, and effects stay."""
+    content = {key: value for key, value in read_yaml(vehicle.source).items() if key not in EFFECT_KEYS}
     return lambda overrides: replace(
-        build(vehicle.source, content, overrides), hysteresis=vehicle.hysteresis, thermal=vehicle.thermal
+        build(vehicle.source, content, overrides),
+        hysteresis=vehicle.hysteresis,
+        thermal=vehicle.thermal,
+        effects=vehicle.effects,
+        surroundings=vehicle.surroundings,
     )
 
 
@@ -72,7 +78,7 @@ def build(path: Path, content: Mapping[str, Any], overrides: Mapping[str, float]
     if isinstance(content.get("road_load"), dict):
         given = "a vehicle of the base model road_load"
         raise InputError(str(path), given, "a track vehicle", "road_load serves trackres diagnose alone")
-    reader.keys(content, "", TOP_KEYS, ("effects",))
+    reader.keys(content, "", TOP_KEYS, EFFECT_KEYS)
     if content["schema"] != 1:
         raise InputError(reader.where("schema"), content["schema"], "1")
     model = reader.keys(content["model"], "model", tuple(schema.MODEL_CHOICES))
@@ -95,11 +101,30 @@ def build(path: Path, content: Mapping[str, Any], overrides: Mapping[str, float]
         tracks=MappingProxyType(tracks),
         parameters=MappingProxyType(reader.parameters),
     )
-    if "effects" in content:
-        known = catalogue(size=vehicle.weight * vehicle.track_of(vehicle.assemblies[0]).sprocket_radius)
-        vehicle = replace(vehicle, effects=check_effects(content["effects"], reader.where("effects"), known))
+    size = vehicle.weight * vehicle.track_of(vehicle.assemblies[0]).sprocket_radius
+    vehicle = replace(vehicle, effects=listed_effects(reader, content, size, False, "vehicle"))
     reader.check_overrides_used()
     return vehicle
+
+
+def listed_effects(
+    reader: Reader, content: Mapping[str, Any], size: float, on_tyres: bool, belongs_to: str
+) -> tuple[Active, ...]:
+    """The effects that a file switches on, those of its `effect_files` among them; see `catalogue` and `check_effects`.
+
+    Python is run only of files that are named there, relative to the file that names them.
+    """
+    given = content.get("effect_files", [])
+    if not isinstance(given, list):
+        raise InputError(reader.where("effect_files"), given, "a list of Python files")
+    files = [reader.path.parent / reader.text(name, f"effect_files[{i}]") for i, name in enumerate(given)]
+    if not files and "effects" not in content:
+        return ()
+    for file in files:
+        if not file.is_file():
+            raise InputError(reader.where("effect_files"), str(file), "Python files that are there, relative to this file")
+    known = catalogue(size=size, on_tyres=on_tyres, files=files)
+    return check_effects(content.get("effects", {}), reader.where("effects"), known, belongs_to)
 
 
 def _rubber(reader: Reader, given: Any) -> tuple[Rubber, Path]:

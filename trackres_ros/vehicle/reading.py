@@ -14,7 +14,8 @@ from trackres_ros.vehicle import schema
 from trackres_ros.vehicle.description import Quantity
 
 QUANTITY_KEYS = ("value", "unit", "flag", "range", "reason")
-FLAGS = ("P", "L", "A")
+FITTED = "F"
+FLAGS = ("P", "L", "A", FITTED)
 
 
 class _UniqueKeyLoader(yaml.SafeLoader):

@@ -1,0 +1,75 @@
+"""Changes in the text of a YAML file: what is changed is, and nothing else."""
+
+import pytest
+import yaml
+
+from trackres_ros.diagnosis.yaml_edit import Document
+
+TEXT = """# on top
+a: {value: 1.0, range: [0.5, 1.50], reason: "as said"}   # beside
+b:
+  # above
+  c: 3.0e-7
+  list:
+    - one
+    - two   # the second
+  text: >
+    folded
+    words
+# between
+d: last"""
+
+
+def test_a_value_changes_where_it_stands():
+    document = Document(TEXT)
+    document.set(("a", "value"), 2e-05)
+    document.set(("a", "range"), [1e-05, 3.0])
+    document.set(("a", "reason"), "now: so, 'quoted' \\ \\n")
+    document.set(("b", "c"), 4.0)
+    document.set(("d",), "first")
+    lines, before = document.text().splitlines(), TEXT.splitlines()
+    assert [i for i, (x, y) in enumerate(zip(lines, before, strict=True)) if x != y] == [1, 4, 12]
+    assert lines[1].endswith("   # beside")
+    content = yaml.safe_load(document.text())
+    assert content["a"] == {"value": 2e-05, "range": [1e-05, 3.0], "reason": "now: so, 'quoted' \\ \\n"}
+
+
+@pytest.mark.parametrize(("key", "value"), [("list", [1, 2]), ("text", "plain"), ("c", {"x": None})])
+def test_what_stands_over_several_lines_is_replaced_whole(key, value):
+    document = Document(TEXT)
+    document.set(("b", key), value)
+    text = document.text()
+    wanted = yaml.safe_load(TEXT)
+    wanted["b"][key] = value
+    assert yaml.safe_load(text) == wanted
+    assert {"# on top", "  # above", "# between"} <= set(text.splitlines())
+
+
+@pytest.mark.parametrize(
+    "there",
+    ["", "e: {}", "e: {x: 1}", "e: {x: {y: 1},\n    z: 2}  # two", "e:\n  x: 1  # one\n  # end\n", "e:\n    x: >\n      words\n"],
+)
+@pytest.mark.parametrize("after", ["", "\n", "\n# the end\n", "\nf: 1\n"])
+def test_entries_join_a_mapping_however_it_is_written(there, after):
+    text = f"{TEXT}\n{there}{after}"
+    document = Document(text)
+    document.add("e", {"new": {"v": {"value": 1.0, "range": [0.5, 2.0]}}, "other": 2})
+    document.set(("files",), ["a b.py"])
+    wanted = yaml.safe_load(text)
+    wanted["e"] = {**wanted.get("e", {}), "new": {"v": {"value": 1.0, "range": [0.5, 2.0]}}, "other": 2}
+    wanted["files"] = ["a b.py"]
+    changed = document.text()
+    assert yaml.safe_load(changed) == wanted
+    assert [line for line in text.splitlines() if line.lstrip().startswith("#") and line not in changed.splitlines()] == []
+
+
+def test_what_is_shared_is_not_changed_in_one_place_for_all():
+    text = "a: &x {value: 1.0, unit: m}\nb: {<<: *x, unit: km}\nc: *x\n"
+    document = Document(text)
+    document.set(("b", "value"), 2.0)
+    assert document.text() is None
+    plain = yaml.safe_load(document.plain())
+    assert plain == {"a": {"value": 1.0, "unit": "m"}, "b": {"value": 2.0, "unit": "km"}, "c": {"value": 1.0, "unit": "m"}}
+    document = Document(text)
+    document.set(("b", "unit"), "cm")
+    assert yaml.safe_load(document.text())["b"] == {"value": 1.0, "unit": "cm"}

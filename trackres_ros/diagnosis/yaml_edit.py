@@ -1,0 +1,109 @@
+"""Change single values in the text of a YAML file: all the rest stays as it was written, comments, order, layout and figures."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import yaml
+
+Path = Sequence[str]
+
+
+class Document:
+    """The text of a YAML mapping, with changes to be made in it."""
+
+    def __init__(self, text: str) -> None:
+        self._text = text
+        self._root = yaml.compose(text, Loader=yaml.SafeLoader)
+        self._wanted = copy.deepcopy(yaml.safe_load(text))
+        self._edits: dict[tuple[int, int], str] = {}
+
+    def set(self, path: Path, value: Any) -> None:
+        """Put a value where another stands, or a new key at the top."""
+        _inside(self._wanted, path[:-1])[path[-1]] = value
+        node = self._find(path)
+        if node is None:
+            self._append(f"{path[-1]}: {flow(value)}")
+        else:
+            start, end = node.start_mark.index, _end(node)
+            self._edits[start, end] = flow(value) + ("\n" if self._text[start:end].endswith("\n") else "")
+
+    def add(self, key: str, entries: Mapping[str, Any]) -> None:
+        """Add entries to a mapping at the top, or such a mapping with them."""
+        if not entries:
+            return
+        self._wanted.setdefault(key, {}).update(entries)
+        lines = [f"{name}: {flow(value)}" for name, value in entries.items()]
+        node = self._find((key,))
+        if node is None:
+            self._append("\n  ".join([f"{key}:", *lines]))
+        elif node.flow_style:
+            last = node.end_mark.index - 1
+            self._edits[last, last] = (", " if node.value else "") + ", ".join(lines)
+        else:
+            end, indent = _end(node), " " * node.start_mark.column
+            if self._text[end - 1] == "\n":
+                self._edits[end, end] = "".join(f"{indent}{line}\n" for line in lines)
+            else:
+                at = self._text.find("\n", end)
+                at = len(self._text) if at < 0 else at
+                self._edits[at, at] = "".join(f"\n{indent}{line}" for line in lines)
+
+    def text(self) -> str | None:
+        """The text with all changes; None where they cannot be made in it without changing something else."""
+        text = self._text
+        for (start, end), new in sorted(self._edits.items(), reverse=True):
+            text = text[:start] + new + text[end:]
+        try:
+            return text if yaml.safe_load(text) == self._wanted else None
+        except yaml.YAMLError:
+            return None
+
+    def plain(self) -> str:
+        """The same content without comments and layout."""
+        return yaml.safe_dump(self._wanted, sort_keys=False, allow_unicode=True, width=130)
+
+    def _append(self, entry: str) -> None:
+        end = len(self._text)
+        before = self._edits.get((end, end), "" if self._text.endswith("\n") else "\n")
+        self._edits[end, end] = f"{before}\n{entry}\n"
+
+    def _find(self, path: Path) -> Any:
+        node = self._root
+        for key in path:
+            node = None if node is None else _child(node, key)
+        return node
+
+
+def flow(value: Any) -> str:
+    """A value as YAML within one line."""
+    return yaml.safe_dump([value], default_flow_style=True, sort_keys=False, allow_unicode=True, width=math.inf).strip()[1:-1]
+
+
+def _child(node: yaml.Node, key: str) -> yaml.Node | None:
+    if not isinstance(node, yaml.MappingNode):
+        return None
+    merged: list[yaml.Node] = []
+    for at, value in node.value:
+        if at.value == key:
+            return value  # type: ignore[no-any-return]
+        if at.tag == "tag:yaml.org,2002:merge":
+            merged += value.value if isinstance(value, yaml.SequenceNode) else [value]
+    return next((found for one in merged if (found := _child(one, key)) is not None), None)
+
+
+def _end(node: yaml.Node) -> int:
+    """Index behind a node; a block ends with its last leaf, not with the comments below it."""
+    while isinstance(node, yaml.CollectionNode) and not node.flow_style and node.value:
+        last = node.value[-1]
+        node = last[1] if isinstance(node, yaml.MappingNode) else last
+    return node.end_mark.index
+
+
+def _inside(content: Any, path: Path) -> Any:
+    for key in path:
+        content = content[key]
+    return content
