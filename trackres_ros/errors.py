@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Mapping
+
+MOST_SHOWN, MOST_OF_TEXT = 80, 200  # characters of what was given: of data, and of a text, which may be a sentence of ours
+MOST_SAID = 1000  # characters of each other part
+SHORT_NUMBER_BITS = 200
+
 
 class InputError(ValueError):
-    """Bad input from outside: a file, an option, a topic. Its text is one line that a user can act on."""
+    """Bad input from outside: a file, an option, a topic. Its text is one line that a user can act on, however long or tangled
+    what was given is.
+    """
 
     def __init__(self, where: str, given: object, allowed: str, remedy: str = "") -> None:
         self.where, self.given, self.allowed, self.remedy = where, given, allowed, remedy
-        text = f"{where}: given {given!r}; allowed: {allowed}"
-        super().__init__(f"{text}; {remedy}" if remedy else text)
+        text = f"{_line(where)}: given {shown(given)}; allowed: {_line(allowed)}"
+        super().__init__(f"{text}; {_line(remedy)}" if remedy else text)
 
     def __reduce__(self) -> tuple[object, ...]:
         """So that it crosses from one process to another as what it is."""
@@ -26,3 +34,49 @@ class MissingExtraError(InputError):
             f"an installed {module}",
             f"install it with: pip install {module} (or this package with its extra [{extra}]){remark and f'; {remark}'}",
         )
+
+
+def shown(given: object) -> str:
+    """What was given as one short line: no more of it is looked at than is shown, so it may be huge or hold itself."""
+    most = MOST_OF_TEXT if isinstance(given, str) else MOST_SHOWN
+    text = ""
+    for piece in _pieces(given):
+        text += piece
+        if len(text) > most:
+            return f"{text[: most - 3]}..."
+    return text
+
+
+def _pieces(given: object) -> Iterator[str]:
+    """`repr`, piece by piece."""
+    if isinstance(given, str | bytes):
+        yield repr(given[: MOST_OF_TEXT + 1])
+    elif isinstance(given, int) and given.bit_length() > SHORT_NUMBER_BITS:  # thousands of digits cannot be written at all
+        yield f"a whole number of {given.bit_length()} bits"
+    elif isinstance(given, Mapping):
+        yield from _joined("{", ((key, value) for key, value in given.items()), "}")
+    elif isinstance(given, list):
+        yield from _joined("[", ((value,) for value in given), "]")
+    elif isinstance(given, tuple):
+        yield from _joined("(", ((value,) for value in given), ",)" if len(given) == 1 else ")")
+    elif isinstance(given, set | frozenset):
+        yield from _joined("{", ((value,) for value in given), "}")
+    else:
+        yield _line(repr(given))
+
+
+def _joined(before: str, parts: Iterable[tuple[object, ...]], after: str) -> Iterator[str]:
+    """A collection; a part is a value, or a key and its value."""
+    yield before
+    for i, part in enumerate(parts):
+        yield ", " if i else ""
+        for j, value in enumerate(part):
+            yield ": " if j else ""
+            yield from _pieces(value)
+    yield after
+
+
+def _line(text: str) -> str:
+    """A text on one line that any terminal takes: what cannot be printed is written as an escape, what is long is cut."""
+    cut = text if len(text) <= MOST_SAID else f"{text[: MOST_SAID - 3]}..."
+    return cut if cut.isprintable() else "".join(c if c.isprintable() else repr(c)[1:-1] for c in cut)

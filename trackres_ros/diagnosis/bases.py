@@ -15,7 +15,7 @@ from trackres_ros.resources import find_vehicle
 from trackres_ros.topic_settings import settings_for
 from trackres_ros.topics import Topics
 from trackres_ros.vehicle import load
-from trackres_ros.vehicle.reading import read_yaml
+from trackres_ros.yamls import read_yaml
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,8 +12,8 @@ import yaml
 from trackres_ros.effects.effect import Active
 from trackres_ros.model.belt import heat_capacity
 from trackres_ros.vehicle import Vehicle
-from trackres_ros.vehicle.reading import read_yaml
 from trackres_ros.vehicle.schema import RUBBER
+from trackres_ros.yamls import read_yaml
 
 REASON = "re-fitted by trackres diagnose"
 
