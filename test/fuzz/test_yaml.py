@@ -25,7 +25,7 @@ from trackres_ros.yamls import MOST_BYTES, MOST_DEPTH, MOST_NODES, parse_yaml, r
 SPOILT_OF_EACH, MORE = 30, 300
 LONGEST_LINE = 3000  # characters
 
-EFFECTS = "\neffects: {turning_scrub: {friction: 0.3}, rain: {}}\n"
+EFFECTS = "\neffects: {turning_scrub: {friction: 0.3}, rain: {factor: 3.0}}\n"
 ROS_PARAMETERS = (
     "/**:\n  ros__parameters: {output_rate_hz: 20.0, vehicle: xgd24d, feedforward_parts: [wind]}\nother: {ros__parameters: {}}\n"
 )
@@ -169,17 +169,13 @@ def test_anything_as_the_whole_file(kind, nasty):
     assert isinstance(taken(nasty.encode("utf-8", "surrogatepass")), InputError) or nasty == "{}"
 
 
-def test_what_is_no_file_is_not_waited_for(kind, tmp_path):
-    taken, _ = kind
+def test_what_is_no_file_is_not_waited_for(tmp_path):
     path = tmp_path / "given.yaml"
-    for make in (os.mkfifo, os.mkdir, lambda p: os.symlink("/dev/zero", p), lambda p: os.symlink(p, p)):
-        path.unlink()
+    for make in (os.mkfifo, os.mkdir, lambda p: p.symlink_to("/dev/zero"), lambda p: p.symlink_to(p)):
         make(path)
         with pytest.raises(InputError, match=re.escape(str(path))):
             read_yaml(path)
-        if path.is_dir() and not path.is_symlink():
-            path.rmdir()
-            path.touch()
+        path.rmdir() if path.is_dir() else path.unlink()
 
 
 def test_what_is_too_large_is_refused(kind):

@@ -65,8 +65,8 @@ def simulate_command(
     trackres simulate --vehicle xgd24d --profile laps.csv --ambient-degc -15 -o out.mcap
 
     Columns: time_s, speed_mps, weight_n, ambient_degc, belt_degc (mean over the assemblies), resistance_torque_nm (hysteresis,
-    bearing and wind), hysteresis_nm, bearing_nm, wind_nm, inertia_nm, drive_torque_nm (all four); whole vehicle. With a grade in the profile grade_nm too, which the
-    drive torque holds as well.
+    bearing and wind), hysteresis_nm, bearing_nm, wind_nm, inertia_nm, drive_torque_nm (all four); whole vehicle.
+    With a grade in the profile grade_nm too, which the drive torque holds as well.
     """
     from trackres_ros.csvs import write_table
     from trackres_ros.estimator.estimator import Estimator, Steps

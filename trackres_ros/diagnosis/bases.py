@@ -44,9 +44,22 @@ def load_base(
     if "road_load" in content:
         road = load_road_vehicle(path, content)
         base = RoadBase(road)
-        known = Known(base.facts.weight, road.values["max_speed"], road.values["ambient"], road.friction_brakes)
+        known = Known(
+            base.facts.weight,
+            road.values["max_speed"],
+            road.values["ambient"],
+            road.friction_brakes,
+            torque_scale=road.torque_shown,
+        )
         return LoadedBase(base, road.title, known)
     track = with_methods(load(path), hysteresis, thermal)
     settings = settings_for(Settings(), topics)
-    known = Known(track.weight, track.chassis.max_speed, track.chassis.ambient, False, settings.belt_sensor == "surface")
+    known = Known(
+        track.weight,
+        track.chassis.max_speed,
+        track.chassis.ambient,
+        False,
+        settings.belt_sensor == "surface",
+        track.chassis.motor_ratio,
+    )
     return LoadedBase(TrackBase(track), track.title, known)

@@ -52,6 +52,7 @@ class RoadVehicle:
     std: Mapping[str, float]
     content: Mapping[str, Any]
     friction_brakes: bool  # whether brakes of which nothing is recorded help a torque that brakes
+    torque_shown: tuple[float, float]  # least and most times the expected torque, by the ranges of its scale and of the mass
 
 
 def load_road_vehicle(path: Path, content: Mapping[str, Any]) -> RoadVehicle:
@@ -66,11 +67,13 @@ def load_road_vehicle(path: Path, content: Mapping[str, Any]) -> RoadVehicle:
     reader.keys(content, "", ("schema", "name", "title", "friction_brakes", "road_load"), ("effects",))
     values = reader.table(content["road_load"], "road_load", QUANTITIES)
     std = {name: reader.parameters[f"road_load.{name}"].standard_deviation for name in values}
+    name, title = reader.text(content["name"], "name"), reader.text(content["title"], "title")
     brakes = content["friction_brakes"]
     if not isinstance(brakes, bool):
         raise InputError(reader.where("friction_brakes"), brakes, "true or false")
-    name, title = reader.text(content["name"], "name"), reader.text(content["title"], "title")
-    return RoadVehicle(name, title, path, values, std, content, brakes)
+    scale, mass = (reader.parameters[f"road_load.{name}"] for name in ("torque_scale", "mass"))
+    shown = (scale.low * mass.low / values["mass"], scale.high * mass.high / values["mass"])
+    return RoadVehicle(name, title, path, values, std, content, brakes, shown)
 
 
 class RoadBase:
