@@ -12,7 +12,9 @@ Mask = NDArray[np.bool_]
 
 SLOWEST_MPS = 0.5
 STAND_S = 10.0  # of standing: long enough to tell whether the altitude runs away by itself
-DRIFT = 3.0  # times what scatters about it: a run while standing that is none of noise
+DRIFT, LEAST_DRIFT_M = 3.0, 5.0  # times what scatters about it, and at least: a run while standing that is none of noise
+HARMLESS_SLOPE = 0.01  # what such a run would make of a drive at the usual speed
+REACH_S = 120.0  # by which it may have begun before a stand, or end after it
 STEEPEST = 0.2  # rise over run; a few streets are steeper, no road that recordings are made on
 GRID_M = 5.0
 SHORTEST_M, LONGEST_M = 200.0, 3000.0  # over which a slope is taken
@@ -32,8 +34,8 @@ def slopes(time_s: Array, speed: Array, altitude: Array) -> Array:
     Notes
     -----
     What the altitude does while the vehicle stands is no slope, and is taken out. Where it runs away while the vehicle stands,
-    as that of a receiver or a pressure that still settles, it is not trusted up to the stands before and after, either. The
-    rest is fitted by straight lines over as much of the way as its noise and its steps ask for.
+    as that of a receiver or a pressure that still settles, it is not trusted for minutes before and after, either, or up to a
+    stand in which it is still. The rest is fitted by straight lines over as much of the way as its noise and its steps ask for.
     """
     known = np.isfinite(altitude)
     if known.sum() < 2:
@@ -54,7 +56,7 @@ def slopes(time_s: Array, speed: Array, altitude: Array) -> Array:
     noise = max(MAD_TO_STD * float(np.median(np.abs(rough - np.median(rough)))), step / OF_A_LINE)
     length = min(max(noise * OF_A_LINE / SURE_SLOPE, SHORTEST_M), LONGEST_M)
     found = np.interp(distance, at, _lines(profile, length)[1])
-    found[~(np.abs(found) <= STEEPEST) | _untrusted(time_s, height, moving, step)] = np.nan
+    found[~(np.abs(found) <= STEEPEST) | _untrusted(time_s, height, speed, moving)] = np.nan
     return found
 
 
@@ -75,18 +77,20 @@ def _lines(profile: Array, length: float) -> tuple[Array, Array]:
     return (y - slope * x) / n + slope * place, slope / GRID_M
 
 
-def _untrusted(time_s: Array, height: Array, moving: Mask, step: float) -> Mask:
-    """From the stand before to the stand after each stand in which the altitude runs away."""
+def _untrusted(time_s: Array, height: Array, speed: Array, moving: Mask) -> Mask:
+    """Around each stand in which the altitude runs away, at most up to the stands before and after."""
     stands = [(a, b) for a, b in _runs(~moving) if time_s[b - 1] - time_s[a] >= STAND_S]
+    usual = float(np.median(np.abs(speed[moving])))
     bad = np.zeros(len(time_s), dtype=bool)
     for i, (a, b) in enumerate(stands):
         t = time_s[a:b] - time_s[a]
-        slope, level = np.polyfit(t, height[a:b], 1)
-        scatter = max(float(np.std(height[a:b] - level - slope * t)), step)
-        if abs(slope) * t[-1] > DRIFT * scatter:
+        rate, level = np.polyfit(t, height[a:b], 1)
+        scatter = float(np.std(height[a:b] - level - rate * t))
+        if abs(rate) > HARMLESS_SLOPE * usual and abs(rate) * t[-1] > max(DRIFT * scatter, LEAST_DRIFT_M):
+            begin, end = np.searchsorted(time_s, (time_s[a] - REACH_S, time_s[b - 1] + REACH_S))
             before = stands[i - 1][1] if i else 0
             after = stands[i + 1][0] if i + 1 < len(stands) else len(time_s)
-            bad[before:after] = True
+            bad[max(begin, before) : min(end, after)] = True
     return bad
 
 

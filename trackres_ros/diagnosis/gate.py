@@ -24,6 +24,8 @@ SLOWEST_MPS, SLOWEST_SHARE = 0.3, 0.1  # of the greatest speed; below both frict
 LONGEST_HOLD_S = 2.0  # of speed and torque over a gap
 SHORTEST_S, SHORTEST_MOVING_S = 120.0, 60.0
 FULL_STOP_S = 5.0
+LONGEST_UNKNOWN_S, UNUSUAL_SPACING = 5.0, 10.0  # of a slope, and times its usual spacing
+MOST_UNKNOWN = 0.5  # of a recording
 EARLIEST_CLOCK_S = 6e8  # 1989: a recording that begins before it counts from its own start
 MOST_OVERLAP = 0.1  # of the shorter: more is no clock that is a little off
 FEWEST_FILLED, SHORTEST_FILLED_S = 5, 3.0
@@ -226,6 +228,17 @@ def _filled(at: Array, value: Array) -> list[tuple[float, float]]:
     ]
 
 
+def _without_value(series: Series, start: int, edges: Array) -> NDArray[np.bool_]:
+    """Steps in a gap of a series that is long beside its usual spacing, or before or after all of it by as much."""
+    at, _ = _ordered(series, start)
+    if len(at) < FEWEST_FOR_NOISE:
+        return np.zeros(len(edges) - 1, dtype=bool)
+    longest = max(LONGEST_UNKNOWN_S, UNUSUAL_SPACING * float(np.median(np.diff(at))))
+    around = np.concatenate(([edges[0] - 0.5 * longest], at, [edges[-1] + 0.5 * longest]))
+    gaps = np.flatnonzero(np.diff(around) > longest)
+    return _within([(float(around[i]), float(around[i + 1])) for i in gaps], edges)
+
+
 def _within(spans: Sequence[tuple[float, float]], edges: Array) -> NDArray[np.bool_]:
     """Steps that a span reaches into."""
     inside = np.zeros(len(edges) - 1, dtype=bool)
@@ -290,6 +303,10 @@ def _session(recording: Recording, vehicle: Known, hide: frozenset[str], left_ou
         heading = np.cumsum(np.nan_to_num(yaw_rate)) * STEP_S
         given |= {"heading"}
         notes.append(f"{recording.name}: heading is integrated from the yaw rate")
+    no_slope = _without_value(series["grade"], start, edges) if "grade" in given else np.zeros(count, dtype=bool)
+    if no_slope.mean() > MOST_UNKNOWN:
+        notes.append(f"{recording.name}: the slope is not known for {no_slope.mean():.0%} of it; taken for not recorded")
+        given, no_slope = given - {"grade"}, np.zeros(count, dtype=bool)
     session = Session(
         name=recording.name,
         step=STEP_S,
@@ -298,7 +315,7 @@ def _session(recording: Recording, vehicle: Known, hide: frozenset[str], left_ou
         accel=accel,
         weight=weight,
         ambient=held("ambient", vehicle.ambient),
-        grade=held("grade", 0.0),
+        grade=held("grade", 0.0) if "grade" in given else np.zeros(count),
         yaw_rate=yaw_rate,
         heading=heading,
         distance=np.cumsum(np.abs(speed)) * STEP_S,
@@ -311,7 +328,7 @@ def _session(recording: Recording, vehicle: Known, hide: frozenset[str], left_ou
         accel_noise=accel_noise,
         belt_shows_surface=vehicle.belt_shows_surface,
     )
-    return replace(session, used=_usable(session, known, measured, filled, left_out, vehicle))
+    return replace(session, used=_usable(session, known, measured, filled, no_slope, left_out, vehicle))
 
 
 def _course(torques: Sequence[tuple[Array, Array]]) -> Course:
@@ -325,6 +342,7 @@ def _usable(
     known: NDArray[np.bool_],
     measured: NDArray[np.bool_],
     filled: NDArray[np.bool_],
+    no_slope: NDArray[np.bool_],
     left_out: dict[str, int],
     vehicle: Known,
 ) -> NDArray[np.bool_]:
@@ -338,6 +356,7 @@ def _usable(
         ("no speed", ~known),
         ("no torque", ~measured),
         ("gap filled by straight lines", filled),
+        ("slope not known", no_slope),
         (f"slower than {vehicle.slowest:g} m/s", slow),
         ("torque stuck", stuck),
         ("may brake", braking),
