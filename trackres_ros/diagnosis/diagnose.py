@@ -129,7 +129,7 @@ def diagnose(
     effects = catalogue(effects_dir, base.facts.weight * base.facts.radius, on_tyres=not base.has_belt)
     said("gate: units, clocks, gaps")
     gated = gate(recordings, vehicle.known, hide)
-    gated, nominal = _judged_by_nominal(gated, vehicle)
+    gated, nominal = judged_by_nominal(gated, vehicle)
     chosen = split(gated.sessions, holdout)
     masks = tuple(chosen.training_mask(s) for s in gated.sessions)
     said("re-fit of the base")
@@ -175,7 +175,7 @@ def diagnose(
     )  # fmt: skip
 
 
-def _judged_by_nominal(gated: Gated, vehicle: LoadedBase) -> tuple[Gated, tuple[Array, ...]]:
+def judged_by_nominal(gated: Gated, vehicle: LoadedBase) -> tuple[Gated, tuple[Array, ...]]:
     """Clocks put right, sign and unit checked, by the torque that the vehicle file expects; and that torque."""
     values = {q.name: q.nominal for q in vehicle.base.parameters}
 
