@@ -16,6 +16,7 @@ from trackres_ros.diagnosis.vehicle_file import REASON, write_yaml
 from trackres_ros.effects.delay import Delay
 from trackres_ros.effects.drivetrain_efficiency import DrivetrainEfficiency
 from trackres_ros.effects.effect import Active, Facts
+from trackres_ros.effects.torque_gain import TorqueGain
 from trackres_ros.errors import InputError
 from trackres_ros.model.belt import GRAVITY
 from trackres_ros.vehicle.reading import Reader
@@ -38,7 +39,12 @@ QUANTITIES = {
     "max_speed": Limits("m/s", 0.1, 100.0, "greatest speed"),
     "ambient": Limits("degC", -60.0, 60.0, "ambient temperature where none is given"),
 }
-FITTED = ("rolling_coefficient", "rolling_rise", "drag_area", "rotating_mass_factor", "efficiency", "torque_delay")
+FITTED = (
+    "rolling_coefficient", "rolling_rise", "drag_area", "mass",
+    "rotating_mass_factor", "torque_scale", "efficiency", "torque_delay",
+)  # fmt: skip
+"""What is re-fitted, if its range has a width. The range is the prior: what recordings cannot tell apart, such as the mass and
+the scale of a torque on a flat road, stays where the file has it; a mass where the load is recorded stays, too."""
 
 
 @dataclass(frozen=True)
@@ -81,8 +87,6 @@ class RoadBase:
 
     name = "road_load"
     has_belt = False
-    includes = (DrivetrainEfficiency.name, Delay.name)
-
     def __init__(self, vehicle: RoadVehicle) -> None:
         self.vehicle = vehicle
         v = vehicle.values
@@ -100,33 +104,38 @@ class RoadBase:
                 QUANTITIES[name].high,
             )
             for name in FITTED
+            if vehicle.std[name] > 0.0
         )
+        scaled = (TorqueGain.name,) if vehicle.std["torque_scale"] > 0.0 else ()
+        self.includes = (DrivetrainEfficiency.name, Delay.name, *scaled)
 
     def predict(
         self, sessions: Sequence[Session], values: Values, effects: Sequence[Active], drive: Sequence[Array]
     ) -> list[Predicted]:
         """See `base.Base`."""
         fixed, found = self.vehicle.values, []
+        values = {**fixed, **values}
         chain = (
             Active(DrivetrainEfficiency(), {"efficiency": values["efficiency"]}),
             Active(Delay(), {"time": values["torque_delay"]}),
         )
         for session, course in zip(sessions, courses(sessions, self.facts, [*chain, *effects], drive), strict=True):
             speed, direction = np.asarray(course.at.speed), np.asarray(course.at.direction)
-            rolling = (values["rolling_coefficient"] + values["rolling_rise"] * np.abs(speed)) * session.weight * direction
+            weight = session.weight if "load" in session.given else values["mass"] * GRAVITY
+            rolling = (values["rolling_coefficient"] + values["rolling_rise"] * np.abs(speed)) * weight * direction
             air = 0.5 * fixed["air_density"] * values["drag_area"] * speed * np.abs(speed)
-            force = rolling + air + values["rotating_mass_factor"] * session.weight / GRAVITY * session.accel_apart
+            force = rolling + air + values["rotating_mass_factor"] * weight / GRAVITY * session.accel_apart
             if "grade" in session.given:
-                force = force + session.weight * session.grade / np.sqrt(1.0 + session.grade**2)
+                force = force + weight * session.grade / np.sqrt(1.0 + session.grade**2)
             torque = (fixed["wheel_radius"] * force + course.terms.torque) * course.terms.drive_gain
             nothing = np.full(len(session), np.nan)
-            found.append(Predicted(fixed["torque_scale"] * as_sensed(torque, course.terms, session), torque, nothing, nothing))
+            found.append(Predicted(values["torque_scale"] * as_sensed(torque, course.terms, session), torque, nothing, nothing))
         return found
 
     def write(self, path: Path, values: Values, effects: Sequence[Active], text: str) -> None:
         """See `base.Base`."""
         content = {**self.vehicle.content, "road_load": dict(self.vehicle.content["road_load"])}
-        for name in FITTED:
+        for name in values:
             quantity = dict(content["road_load"][name])
             low, high = quantity["range"]
             quantity.update(value=values[name], range=[min(low, values[name]), max(high, values[name])], flag="A", reason=REASON)
