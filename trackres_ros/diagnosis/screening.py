@@ -184,7 +184,7 @@ class _Linear:
 def _thinned(rows: NDArray[np.int64], share: float) -> NDArray[np.int64]:
     """A share of the rows, in stretches that are evenly spaced."""
     stretch = np.arange(len(rows)) // STRETCH
-    return np.asarray(rows[np.floor((stretch + 1) * share) > np.floor(stretch * share)])
+    return np.asarray(rows[np.ceil((stretch + 1) * share) > np.ceil(stretch * share)])
 
 
 def _white(lagged: Array, noise: Noise) -> Array:
