@@ -43,8 +43,12 @@ FITTED = (
     "rolling_coefficient", "rolling_rise", "drag_area", "mass",
     "rotating_mass_factor", "torque_scale", "efficiency", "torque_delay",
 )  # fmt: skip
-"""What is re-fitted, if its range has a width. The range is the prior: what recordings cannot tell apart, such as the mass and
-the scale of a torque on a flat road, stays where the file has it; a mass where the load is recorded stays, too."""
+"""What is re-fitted, if its range has a width."""
+ONLY_ONE_OF = ("mass", "torque_scale")
+"""Both scale nearly all, and only the product shows: of these, one is re-fitted where the file holds the other, by a range
+without width. With both free a robot's scale came to lie at half to a tenth of its value, as errors of the speed hide a part of the
+inertia, and the friction of its turning at its bound; a car's mean error on held-out laps fell by 0.2 of 60 Nm.
+"""
 
 
 @dataclass(frozen=True)
@@ -94,6 +98,9 @@ class RoadBase:
             radius=v["wheel_radius"], weight=v["mass"] * GRAVITY, drag_area=v["drag_area"], air_density=v["air_density"],
             contact_length=v["contact_length"], assemblies=1, cooled_area=0.0, tension=1.0,
         )  # fmt: skip
+        free = [name for name in FITTED if vehicle.std[name] > 0.0]
+        if set(ONLY_ONE_OF) <= set(free):
+            free = [name for name in free if name not in ONLY_ONE_OF]
         self.parameters = tuple(
             BaseParameter(
                 name,
@@ -103,10 +110,9 @@ class RoadBase:
                 QUANTITIES[name].low,
                 QUANTITIES[name].high,
             )
-            for name in FITTED
-            if vehicle.std[name] > 0.0
+            for name in free
         )
-        scaled = (TorqueGain.name,) if vehicle.std["torque_scale"] > 0.0 else ()
+        scaled = (TorqueGain.name,) if "torque_scale" in free else ()
         self.includes = (DrivetrainEfficiency.name, Delay.name, *scaled)
 
     def predict(

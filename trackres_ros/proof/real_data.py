@@ -24,7 +24,7 @@ FINAL_DRIVE = 9.665
 CLIPPED_NM = -80.0  # of the motor: below it torque and friction brakes cannot be told apart
 KMH = 3.6
 SLOWEST_MPS, YAW_OVER_S = 0.1, 0.5
-NM_PER_A = 1.0  # assumed: the base's scale is re-fitted
+NM_PER_A = 1.0  # assumed: what is found of the robots is in units of it
 RADIUS_M = {"husky": 0.159, "warthog": 0.3}
 OF_CAR = ("Time [s]", "Velocity [km/h]", "Elevation [m]", "Motor Torque [Nm]", "Ambient Temperature")
 
