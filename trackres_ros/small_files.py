@@ -15,7 +15,7 @@ def read_text(path: Path, what: str, most_bytes: int) -> str:
     Parameters
     ----------
     what
-        What it is to be, with its article, for messages.
+        What it is to be, such as "YAML file", for messages.
     most_bytes
         A longer one is refused.
 
@@ -30,12 +30,12 @@ def read_text(path: Path, what: str, most_bytes: int) -> str:
             mode = os.fstat(file.fileno()).st_mode
             content = file.read(most_bytes + 1) if stat.S_ISREG(mode) else b""
     except (OSError, ValueError) as error:  # ValueError: a path with a null byte
-        raise InputError(str(path), getattr(error, "strerror", None) or str(error), f"{what} that can be read") from None
+        raise InputError(str(path), getattr(error, "strerror", None) or str(error), f"a readable {what}") from None
     if not stat.S_ISREG(mode):
-        raise InputError(str(path), "a pipe" if stat.S_ISFIFO(mode) else "a device", what)
+        raise InputError(str(path), "a pipe" if stat.S_ISFIFO(mode) else "a device", f"a {what}")
     if len(content) > most_bytes:
-        raise InputError(str(path), f"more than {most_bytes} bytes", f"{what} of at most so many")
+        raise InputError(str(path), f"more than {most_bytes} bytes", f"a {what} of at most so many")
     try:
         return content.decode("utf-8")
     except UnicodeDecodeError as error:
-        raise InputError(str(path), f"byte {error.start} is no UTF-8", f"{what} in UTF-8") from None
+        raise InputError(str(path), f"byte {error.start} is no UTF-8", f"a {what} in UTF-8") from None

@@ -78,7 +78,7 @@ class _Loader(yaml.SafeLoader):
                 continue  # lists and mappings cannot be keys: the library says so
             key = self.construct_object(key_node, deep=True)
             if key in seen:
-                raise _Refused(f"given twice: {key_node.value}", key_node)
+                raise _Refused(f"given twice: {key_node.value} (of a key that stands twice one would be lost)", key_node)
             seen.add(key)
 
 
@@ -115,9 +115,9 @@ def parse_yaml(text: str, where: str) -> object:
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = f", line {mark.line + 1}" if mark else ""
-        raise InputError(f"{where}{line}", " ".join((error.problem or error.context or "no YAML").split()), "YAML") from None
+        raise InputError(f"{where}{line}", " ".join((error.problem or error.context or "no YAML").split()), "a YAML file or value") from None
     except Exception as error:  # a date 2001-99-99, !!int abc, 5,000 digits: constructors raise whatever they meet
-        raise InputError(where, " ".join(f"{error}".split()) or type(error).__name__, "YAML with plain values") from None
+        raise InputError(where, " ".join(f"{error}".split()) or type(error).__name__, "a YAML file or value of plain data") from None
 
 
 def read_yaml(path: Path, allowed: str = "a YAML mapping at the top", remedy: str = "") -> dict[str, Any]:
@@ -133,7 +133,7 @@ def read_yaml(path: Path, allowed: str = "a YAML mapping at the top", remedy: st
     InputError
         There is no such file, it is none that can be read at once, or what `parse_yaml` says.
     """
-    found = parse_yaml(read_text(path, "a YAML file", MOST_BYTES), str(path))
+    found = parse_yaml(read_text(path, "YAML file", MOST_BYTES), str(path))
     if not isinstance(found, dict):
         raise InputError(str(path), "nothing" if found is None else found, allowed, remedy)
     return found

@@ -46,8 +46,8 @@ FITTED = (
 """What is re-fitted, if its range has a width."""
 ONLY_ONE_OF = ("mass", "torque_scale")
 """Both scale nearly all, and only the product shows: of these, one is re-fitted where the file holds the other, by a range
-without width. With both free a robot's scale came to lie at half to a tenth of its value, as errors of the speed hide a part of the
-inertia, and the friction of its turning at its bound; a car's mean error on held-out laps fell by 0.2 of 60 Nm.
+without width. With both free a robot's scale came to lie at half to a tenth of its value, as errors of the speed hide a
+part of the inertia, and the friction of its turning at its bound; a car's mean error on held-out laps fell by 0.2 of 60 Nm.
 """
 
 

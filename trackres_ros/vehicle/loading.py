@@ -115,7 +115,7 @@ def read_rubber_sweep(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     The file is a CSV with the columns T_degC, E_storage_MPa_10Hz and E_loss_MPa_10Hz; the sweep's frequency is said in the
     vehicle file. Further columns are allowed.
     """
-    text = read_text(path, "a CSV with a temperature sweep", MOST_RUBBER_BYTES)
+    text = read_text(path, "CSV with a temperature sweep", MOST_RUBBER_BYTES)
     try:
         rows = list(csv.DictReader(io.StringIO(text, newline="")))
     except csv.Error as error:
