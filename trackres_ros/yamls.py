@@ -115,9 +115,13 @@ def parse_yaml(text: str, where: str) -> object:
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = f", line {mark.line + 1}" if mark else ""
-        raise InputError(f"{where}{line}", " ".join((error.problem or error.context or "no YAML").split()), "a YAML file or value") from None
+        raise InputError(
+            f"{where}{line}", " ".join((error.problem or error.context or "no YAML").split()), "a YAML file or value"
+        ) from None
     except Exception as error:  # a date 2001-99-99, !!int abc, 5,000 digits: constructors raise whatever they meet
-        raise InputError(where, " ".join(f"{error}".split()) or type(error).__name__, "a YAML file or value of plain data") from None
+        raise InputError(
+            where, " ".join(f"{error}".split()) or type(error).__name__, "a YAML file or value of plain data"
+        ) from None
 
 
 def read_yaml(path: Path, allowed: str = "a YAML mapping at the top", remedy: str = "") -> dict[str, Any]:
