@@ -71,7 +71,7 @@ def test_what_is_fixed_may_be_set_to_what_it_is():
         ("trackres:\n  ros__parameters:\n    gap_s: 2.0\n", "trackres", "/", {"gap_s": 2.0}),
         ("/a/trackres:\n  ros__parameters:\n    gap_s: 2.0\n", "trackres", "/a", {"gap_s": 2.0}),
         ("/a:\n  trackres:\n    ros__parameters:\n      gap_s: 2.0\n", "trackres", "/a", {"gap_s": 2.0}),
-        ("/a/trackres:\n  ros__parameters:\n    gap_s: 2.0\n", "trackres", "/b", {}),
+        ("other:\n  ros__parameters: {x: 1}\n/**:\n  ros__parameters:\n", "trackres", "/b", {}),
         ("/**:\n  ros__parameters: {gap_s: 2.0}\ntrackres:\n  ros__parameters: {gap_s: 3.0}\n", "trackres", "/", {"gap_s": 3.0}),
     ],
 )
@@ -79,6 +79,25 @@ def test_files_of_both_forms_are_read(tmp_path, text, node, namespace, expected)
     path = tmp_path / "p.yaml"
     path.write_text(text)
     assert read_parameters(path, node, namespace) == expected
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("/a/trackres:\n  ros__parameters: {gap_s: 2.0}\n", ["/a/trackres", "/b/trackres", "/**"]),
+        ("left: {x: {ros__parameters: {gap_s: 2.0}}, y: {ros__parameters: {}}}\n", ["/left/x, /left/y", "/b/trackres"]),
+        ("/b/trackres: {ros_parameters: {gap_s: 2.0}}\n", ["b/trackres/ros_parameters", "did you mean ros__parameters?"]),
+        ("gap_s: 1.0\n/**: {ros__parameters: {gap_s: 2.0}}\n", ["gap_s", "1.0", "name of a node"]),
+        ("/**: {ros__parameters: 3}\n", ["ros__parameters", "3"]),
+    ],
+)
+def test_no_section_is_ignored_for_its_name(tmp_path, text, said):
+    path = tmp_path / "p.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        read_parameters(path, "trackres", "/b")
+    for part in (str(path), *said):
+        assert part in str(caught.value)
 
 
 @pytest.mark.parametrize("text", ["gap: 2.0\n", "gap_s: -1\n", "/**:\n  ros__parameters:\n    gap_s: .nan\n", "- 1\n", "a: {"])

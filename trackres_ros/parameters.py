@@ -18,7 +18,7 @@ from typing import Any, cast
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.settings import BELT_SENSORS, PARTS, Settings
 from trackres_ros.live.mismatch import MismatchSettings
-from trackres_ros.vehicle.reading import read_yaml
+from trackres_ros.yamls import read_yaml
 
 Value = float | bool | str | tuple[str, ...]
 
@@ -216,7 +216,7 @@ def known(name: str) -> Parameter:
         If there is none; with the nearest name.
     """
     if name not in PARAMETERS:
-        near = difflib.get_close_matches(name, PARAMETERS, n=1)
+        near = difflib.get_close_matches(str(name), PARAMETERS, n=1)
         raise InputError("parameter", name, f"one of {', '.join(PARAMETERS)}", f"did you mean {near[0]}?" if near else "")
     return PARAMETERS[name]
 
@@ -244,7 +244,7 @@ def read_parameters(path: Path | None, node: str = "trackres", namespace: str = 
     Raises
     ------
     InputError
-        If the file cannot be read or an entry is unknown or bad.
+        If the file cannot be read, an entry is unknown or bad, or no section fits the node.
     """
     if path is None:
         return {}
@@ -252,9 +252,13 @@ def read_parameters(path: Path | None, node: str = "trackres", namespace: str = 
     full = f"{namespace.rstrip('/')}/{node}"
     given: dict[str, object] = {}
     if any(isinstance(value, Mapping) for value in content.values()):
-        for pattern, values in _sections(content, ""):
-            if fnmatchcase(full, pattern) or pattern == "/**":
-                given.update(values)
+        sections = _sections(content, "", str(path))
+        fitting = [values for pattern, values in sections if fnmatchcase(full, pattern) or pattern == "/**"]
+        if not fitting:
+            names = ", ".join(pattern for pattern, _ in sections)
+            raise InputError(str(path), f"parameters of {names}", f"a section for {full}", "name it so, or /** for any node")
+        for values in fitting:
+            given.update(values)
     else:
         given = dict(content)
     try:
@@ -264,15 +268,20 @@ def read_parameters(path: Path | None, node: str = "trackres", namespace: str = 
     return given
 
 
-def _sections(content: Mapping[str, Any], prefix: str) -> list[tuple[str, Mapping[str, object]]]:
-    """Node patterns and their parameters in a ROS parameter file, namespaces nested or not."""
+def _sections(content: Mapping[Any, Any], prefix: str, origin: str) -> list[tuple[str, Mapping[str, object]]]:
+    """Node patterns and their parameters in a ROS parameter file, namespaces nested or not; what is neither is refused."""
     found: list[tuple[str, Mapping[str, object]]] = []
     for key, value in content.items():
-        if not isinstance(value, Mapping):
-            continue
         name = f"{prefix}/{str(key).strip('/')}"
-        if isinstance(value.get(ROS_KEY), Mapping):
-            found.append((name, value[ROS_KEY]))
-        else:
-            found += _sections(value, name)
+        if not isinstance(value, Mapping) or not value:
+            near = f"did you mean {ROS_KEY}?" if difflib.get_close_matches(ROS_KEY, name.split("/")) else ""
+            allowed = f"the name of a node or namespace with a mapping that ends in {ROS_KEY}"
+            raise InputError(f"{origin}: {name.strip('/')}", value, allowed, near)
+        rest = {inner: below for inner, below in value.items() if inner != ROS_KEY}
+        if ROS_KEY in value:
+            parameters = value[ROS_KEY]
+            if not isinstance(parameters, Mapping | None):
+                raise InputError(f"{origin}: {name.strip('/')}.{ROS_KEY}", parameters, "names and values of parameters")
+            found.append((name, parameters or {}))
+        found += _sections(rest, name, origin)
     return found

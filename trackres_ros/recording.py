@@ -173,12 +173,15 @@ class Recording:
         What was guessed and which stamps are used.
     findings : tuple of Finding
         What was found wrong.
+    zero_is_unset : bool
+        See `Source`.
     """
 
     name: str
     series: Mapping[str, Series]
     notes: tuple[str, ...] = ()
     findings: tuple[Finding, ...] = ()
+    zero_is_unset: bool = True
 
     @classmethod
     def from_source(cls, source: Source) -> Recording:
@@ -203,16 +206,16 @@ class Recording:
                 elif rows.size:
                     part.append((block.stamp_ns[rows], block.arrival_ns[rows], block.value[rows]))
         series = {role: _joined(part) for role, part in zip(source.roles, parts, strict=True)}
-        start_ns = _start_ns(series)
+        start_ns = _start_ns(series, source.zero_is_unset)
         found = [*source.findings]
         for role, samples in series.items():
             found += findings_of(role, samples, start_ns, source.zero_is_unset)
-        return cls(source.name, MappingProxyType(series), source.notes, tuple(found))
+        return cls(source.name, MappingProxyType(series), source.notes, tuple(found), source.zero_is_unset)
 
     @property
     def start_ns(self) -> int:
-        """Stamp of time 0: the first non-zero one of speed, or of the first role with samples [ns]."""
-        return _start_ns(self.series)
+        """Stamp of time 0: the first of speed that is set, or of the first role with samples [ns]."""
+        return _start_ns(self.series, self.zero_is_unset)
 
     def time_s(self, role: str) -> FloatArray:
         """Return the stamps of a role from the start of the recording [s], shape (n,)."""
@@ -388,11 +391,11 @@ def _joined(parts: list[tuple[IntArray, IntArray, FloatArray]]) -> Series:
     return Series(stamp_ns, arrival_ns, value)
 
 
-def _start_ns(series: Mapping[str, Series]) -> int:
+def _start_ns(series: Mapping[str, Series], zero_is_unset: bool) -> int:
     for role in sorted(series, key=lambda role: role != "speed"):
         stamp_ns = series[role].stamp_ns
         if stamp_ns.size:
-            return int(stamp_ns[np.argmax(stamp_ns != 0)])
+            return int(stamp_ns[np.argmax(stamp_ns != 0) if zero_is_unset else 0])
     return 0
 
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import layout as at
@@ -78,40 +79,45 @@ def laps(speed: float, lap_m: float, count: int, ramp_s: float, stop_s: float, d
 def simulate(
     estimator: Estimator,
     drive: Drive,
-    weight_n: float | None = None,
-    ambient_degc: float | None = None,
+    weight_n: ArrayLike | None = None,
+    ambient_degc: ArrayLike | None = None,
     initial_degc: float | None = None,
+    grade: ArrayLike = math.nan,
 ) -> dict[str, Array]:
     """Torques and mean belt temperature along a drive, whole vehicle.
 
     Parameters
     ----------
     weight_n, ambient_degc
-        Whole weight [N] and ambient temperature [degC]; by default those of the vehicle file.
+        Whole weight [N] and ambient temperature [degC], numbers or shape (times,); by default those of the vehicle file.
     initial_degc
         Belt temperature at the start [degC], by default the ambient one.
+    grade
+        Rise over run, a number or shape (times,); nan where it is not known.
 
     Returns
     -------
     dict
         The series of `COLUMNS`, each of shape (times,). The belt temperature is the mean over the assemblies.
     """
-    return series_of(estimator, drive, run_drive(estimator, drive, weight_n, ambient_degc, initial_degc))
+    return series_of(estimator, drive, run_drive(estimator, drive, weight_n, ambient_degc, initial_degc, grade))
 
 
 def run_drive(
     estimator: Estimator,
     drive: Drive,
-    weight_n: float | None = None,
-    ambient_degc: float | None = None,
+    weight_n: ArrayLike | None = None,
+    ambient_degc: ArrayLike | None = None,
     initial_degc: float | None = None,
+    grade: ArrayLike = math.nan,
 ) -> Array:
     """Rows of results along a drive, shape (times, columns); see `simulate`."""
     weight = estimator.vehicle.weight if weight_n is None else weight_n
     ambient = estimator.vehicle.chassis.ambient if ambient_degc is None else ambient_degc
-    first = estimator.inputs(float(drive.speed[0]), weight=weight, ambient=ambient)
+    speed, first_weight, first_ambient = (float(np.ravel(x)[0]) for x in (drive.speed, weight, ambient))
+    first = estimator.inputs(speed, weight=first_weight, ambient=first_ambient)
     state = estimator.cold_start(first, belt_degc=initial_degc)
-    return estimator.run(state, drive.time_s, drive.speed, weight, ambient, drive.acceleration)[1]
+    return estimator.run(state, drive.time_s, drive.speed, weight, ambient, drive.acceleration, grade)[1]
 
 
 def series_of(estimator: Estimator, drive: Drive, rows: Array) -> dict[str, Array]:

@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 import difflib
-import math
 import re
-from collections.abc import Hashable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import Literal, cast
 
-import yaml
-
 from trackres_ros.errors import InputError
 from trackres_ros.recording import ROLES, base_role
+from trackres_ros.yamls import read_yaml
 
 KEYS = ("topic", "type", "field", "column", "scale", "offset", "stamp", "max_age_s", "sensor", "std_k", "delay_s")
 STEP = re.compile(r"([A-Za-z_]\w*)(?:\[([^\[\]]+)\])?")
 MESSAGE_TYPE = re.compile(r"([A-Za-z]\w*)/(?:msg/)?([A-Za-z]\w*)")
 PART = re.compile(r"[A-Za-z0-9_\-]+")
 MOST_DELAY_S = 10.0
+LARGEST = 1e300  # a whole number may be larger than any float
 EXAMPLE = "speed: {topic: /vehicle/speed, type: geometry_msgs/msg/TwistStamped, field: twist.linear.x}"
 
 
@@ -141,15 +140,7 @@ class Topics:
         InputError
             The file is not there, no YAML, or says something that is not allowed: which role and key.
         """
-        try:
-            text = path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise InputError(str(path), str(error), "a readable topics file in UTF-8") from None
-        try:
-            content = yaml.load(text, _Loader)
-        except yaml.YAMLError as error:
-            raise InputError(str(path), " ".join(str(error).split()), "YAML with one line a role", EXAMPLE) from None
-        return cls.parse(content, str(path))
+        return cls.parse(read_yaml(path, "a mapping with one line a role", f"write for example: {EXAMPLE}"), str(path))
 
     @classmethod
     def parse(cls, content: object, origin: str = "topics") -> Topics:
@@ -216,22 +207,6 @@ def message_type(name: str) -> str:
     if not match:
         raise ValueError(f"no message type: {name!r}")
     return f"{match.group(1)}/msg/{match.group(2)}"
-
-
-class _Loader(yaml.SafeLoader):
-    """YAML that refuses a key given twice, where plain YAML would take the last in silence."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, object]:
-        keys = [self.construct_object(key, deep=True) for key, _ in node.value]
-        twice = {str(key) for key in keys if keys.count(key) > 1}
-        if twice:
-            raise yaml.constructor.ConstructorError(None, None, f"given twice: {', '.join(sorted(twice))}", node.start_mark)
-        return super().construct_mapping(node, deep)
-
-
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float", re.compile(r"[-+]?[0-9]+(?:\.[0-9]*)?[eE][-+]?[0-9]+"), list("-+0123456789")
-)
 
 
 def _check_role(role: object, origin: str) -> None:
@@ -308,7 +283,7 @@ def _text(line: Mapping[object, object], key: str, where: str) -> str:
 
 def _number(line: Mapping[object, object], key: str, default: float, where: str) -> float:
     number = line.get(key, default)
-    if isinstance(number, bool) or not isinstance(number, int | float) or not math.isfinite(number):
+    if isinstance(number, bool) or not isinstance(number, int | float) or not abs(number) < LARGEST:
         raise InputError(f"{where}: {key}", number, "a finite number")
     return float(number)
 

@@ -9,6 +9,10 @@ import sys
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
+
+from trackres_ros.cli.main import cli
+from trackres_ros.errors import InputError
 
 
 @pytest.fixture(scope="module")
@@ -112,6 +116,57 @@ def test_simulate_takes_a_profile_and_writes_every_format(folder, suffix):
     assert out.stat().st_size > 1000
     assert done["points"][-1]["speed_mps"] == pytest.approx(10.0)
     assert 39 < done["points"][0]["belt_degc"] < 43
+
+
+def test_a_profile_sets_weight_weather_and_slope(folder):
+    def run(text, *options):
+        profile, out = folder / "profile.csv", folder / "conditions.csv"
+        profile.write_text(text)
+        good("simulate", "--vehicle", "xgd24d", "--profile", profile, "-o", out, *options)
+        return table(out)
+
+    flat = run("time_s,speed_mps\n0,0\n10,5\n60,5\n")
+    columns = run("time_s,speed_mps,weight_n,ambient_degc,grade\n0,0,300000,-10,0\n10,5,300000,-10,0\n60,5,,,0.05\n")
+    assert columns["weight_n"] == pytest.approx(300e3)
+    assert columns["ambient_degc"] == pytest.approx(-10.0)
+    assert columns["belt_degc"][0] == pytest.approx(-10.0)
+    assert columns["grade_nm"][100] == pytest.approx(0.0)
+    assert np.all(np.diff(columns["grade_nm"][101:]) > 0.0)
+    assert columns["grade_nm"][-1] > 1000.0
+    assert columns["drive_torque_nm"] == pytest.approx(
+        columns["resistance_torque_nm"] + columns["grade_nm"] + columns["inertia_nm"]
+    )
+    assert "grade_nm" not in flat
+
+
+def test_a_profile_that_begins_at_zero_is_driven_as_it_stands(folder):
+    profile, out = folder / "ramp.csv", folder / "ramp_out.csv"
+    profile.write_text("time_s,speed_mps\n0,0\n10,5\n20,5\n")
+    good("simulate", "--vehicle", "xgd24d", "--profile", profile, "-o", out)
+    columns = table(out)
+    assert columns["time_s"][[0, -1]] == pytest.approx([0.0, 20.0])
+    assert columns["speed_mps"] == pytest.approx(np.minimum(columns["time_s"] / 2.0, 5.0))
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "said"),
+    [
+        ("time_s,speed_mps,belt_degc\n0,0,20\n10,5,20\n", (), "belt"),
+        ("time_s,speed_mps,accel_mps2\n0,0,1\n10,5,1\n", (), "accel"),
+        ("time_s,speed_mps,ambient_degc\n0,0,288\n10,5,288\n", (), "-60 to 60 degC"),
+        ("time_s,speed_mps,weight_n\n0,0,27700\n10,5,1\n", (), "load"),
+        ("time_s,speed_mps,grade\n0,0,nan\n10,5,0\n", (), "grade"),
+        ("time_s,speed_mps,ambient_degc\n0,0,10\n10,5,10\n", ("--ambient-degc", "5"), "--ambient-degc"),
+    ],
+)
+def test_a_profile_with_what_cannot_count_is_refused(folder, text, options, said):
+    profile = folder / "refused.csv"
+    profile.write_text(text)
+    done = CliRunner().invoke(
+        cli, ["simulate", "--vehicle", "xgd24d", "--profile", str(profile), "-o", str(folder / "x.csv"), *options]
+    )
+    assert isinstance(done.exception, InputError)
+    assert said in str(done.exception)
 
 
 def test_methods_differ_as_the_model_says(folder):

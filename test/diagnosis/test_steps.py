@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from trackres_ros.diagnosis import read_recordings
+from trackres_ros.diagnosis import changes as level_changes
+from trackres_ros.diagnosis import read_recordings, screening
 from trackres_ros.diagnosis.advise import menu
 from trackres_ros.diagnosis.belt_series import follow
 from trackres_ros.diagnosis.changes import changes
@@ -181,6 +182,17 @@ def test_without_an_effect_nothing_gains_more_than_noise(problem, effects):
     assert result.gains[0][1] < max(result.threshold, 6.0)
 
 
+def test_what_noise_alone_gains_hardly_depends_on_how_much_of_it_is_drawn(problem, effects, monkeypatch):
+    found = begin(problem)
+    visible = separability(effects, found).visible
+    whole = screen(found, visible, 29, np.random.default_rng(0))
+    monkeypatch.setattr(screening, "MOST_DRAWN_ROWS", 400)
+    part = screen(found, visible, 29, np.random.default_rng(0))
+    assert [gain for _, gain in part.gains] == pytest.approx([gain for _, gain in whole.gains])
+    assert np.median(part.reached) == pytest.approx(np.median(whole.reached), rel=0.5)
+    assert not np.array_equal(part.reached, whole.reached)
+
+
 def test_sensitivities_are_those_of_the_model(problem, effects):
     found = begin(problem)
     (inertia,) = [s for s in separability(effects, found).visible if s.effect.name == "rotating_inertia"]
@@ -236,9 +248,10 @@ def test_what_effects_see_of_the_torque_has_no_error_of_the_speed_in_it(problem)
         assert seen < 0.5 * shown
 
 
-@pytest.mark.parametrize("step_nm", [0.0, 150.0])
-def test_a_change_of_level_is_found_where_it_is(recorded, loaded, step_nm):
+@pytest.mark.parametrize(("step_nm", "most"), [(0.0, 400), (150.0, 400), (150.0, 12)])
+def test_a_change_of_level_is_found_where_it_is(recorded, loaded, step_nm, most, monkeypatch):
     pytest.importorskip("ruptures")
+    monkeypatch.setattr(level_changes, "MOST_PIECES", most)
     gated = gate(read_recordings(recorded(count=1), None), loaded.known)
     (session,) = gated.sessions
     changed = replace(session, torque=session.torque + np.where(session.time > 0.5 * session.time[-1], step_nm, 0.0))

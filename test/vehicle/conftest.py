@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from trackres_ros.resources import config_dir
-from trackres_ros.vehicle.reading import read_yaml
+from trackres_ros.yamls import read_yaml
 
 
 @pytest.fixture

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-import yaml
 
 from trackres_ros.cli.common import output_path
 from trackres_ros.errors import InputError
@@ -109,10 +108,9 @@ def _single(text: str) -> tuple[str, object]:
     name, mark, value = text.partition(":=")
     if not mark or not name:
         raise InputError("-p", text, "NAME:=VALUE", "for example: -p output_rate_hz:=100")
-    try:
-        return name, yaml.safe_load(value)
-    except yaml.YAMLError as error:
-        raise InputError(f"-p {name}", value, "a YAML value") from error
+    from trackres_ros.yamls import parse_yaml
+
+    return name, parse_yaml(value, f"-p {name}")
 
 
 def _check_names(name: str, namespace: str) -> None:

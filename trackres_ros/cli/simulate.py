@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
+from numpy.typing import NDArray
 
 from trackres_ros.cli.common import emit, json_option, method_options, number, output_path, surroundings_option, vehicle_option
 from trackres_ros.errors import InputError
-from trackres_ros.recording import Recording
+from trackres_ros.recording import ROLES, Recording
 from trackres_ros.shown import decimals
 
+Array = NDArray[np.float64]
+
 KMH = 1 / 3.6
+OPTION_OF = {"load": "--weight-kn", "ambient": "--ambient-degc", "grade": ""}
+"""What a profile may say beside the speed, and the option that says the same."""
 SUMMARY_TIMES_S = (50.0, 250.0, 600.0, 1000.0, 2500.0)
 
 
@@ -27,7 +33,8 @@ SUMMARY_TIMES_S = (50.0, 250.0, 600.0, 1000.0, 2500.0)
     "--profile",
     type=click.Path(path_type=Path),
     metavar="P.csv",
-    help="CSV or Parquet with time_s and speed_mps or speed_kmh instead; straight lines between its rows.",
+    help="CSV or Parquet with time_s and speed_mps or speed_kmh instead, and weight_n, ambient_degc and grade if need be; "
+    "straight lines between its rows.",
 )
 @click.option("--ambient-degc", type=number(-60, 60), help="Ambient temperature [degC]; default the vehicle file's.")
 @click.option("--initial-degc", type=number(-60, 150), help="Belt temperature at the start [degC]; default the ambient one.")
@@ -62,6 +69,7 @@ def simulate_command(
 
     Columns: time_s, speed_mps, weight_n, ambient_degc, belt_degc (mean over the assemblies), resistance_torque_nm (hysteresis,
     bearing and wind), hysteresis_nm, bearing_nm, wind_nm, inertia_nm, drive_torque_nm (all four); whole vehicle.
+    With a grade in the profile grade_nm too, which the drive torque holds as well.
     """
     from trackres_ros.csvs import write_table
     from trackres_ros.estimator.estimator import Estimator, Steps
@@ -76,16 +84,25 @@ def simulate_command(
         raise InputError("--duration-s", duration_s, "only with --speed-kmh: a profile says itself how long it is")
     path = output_path(output)
     description = with_surroundings(with_methods(load(vehicle), method, thermal), surroundings_file)
+    estimator = Estimator(description)
+    given: dict[str, Any] = {
+        role: value
+        for role, value in (("load", None if weight_kn is None else weight_kn * 1e3), ("ambient", ambient_degc))
+        if value is not None
+    }
     if speed_kmh is not None:
         _check_speed(speed_kmh * KMH, description.chassis.max_speed)
         drive = ramp_and_hold(speed_kmh * KMH, ramp_s, 2500.0 if duration_s is None else duration_s, dt)
     else:
         assert profile is not None
-        drive = through_points(*_read_profile(profile), dt)
+        recording = _read_profile(profile)
+        drive = through_points(recording.time_s("speed"), recording.series["speed"].value, dt)
         _check_speed(float(np.abs(drive.speed).max()), description.chassis.max_speed)
-    estimator = Estimator(description)
-    rows = run_drive(estimator, drive, None if weight_kn is None else weight_kn * 1e3, ambient_degc, initial_degc)
+        given |= _conditions(recording, drive.time_s, given, description.weight)
+    rows = run_drive(estimator, drive, given.get("load"), given.get("ambient"), initial_degc, given.get("grade", np.nan))
     series = series_of(estimator, drive, rows)
+    if "grade" in given:
+        series["grade_nm"] = rows[:, estimator.column_index["grade_nm"]]
     if path.suffix.lower() == ".mcap":
         stamps = np.round((drive.time_s - drive.time_s[0]) * 1e9).astype(np.int64)
         with OutputBag(path, estimator) as bag:
@@ -115,16 +132,42 @@ def _check_speed(speed: float, most: float) -> None:
         )
 
 
-def _read_profile(path: Path) -> tuple[Any, Any]:
+def _read_profile(path: Path) -> Recording:
+    """The profile; a column that would do nothing is refused, and one of an unknown name is told."""
     from trackres_ros.csvs import TableSource
     from trackres_ros.sources import open_source
 
     source = open_source([path])
     if not isinstance(source, TableSource):
         raise InputError("--profile", str(path), "a CSV or Parquet table; trackres replay reads bags")
-    recording = Recording.from_source(source)
-    speed = recording.series["speed"]
-    return recording.time_s("speed"), speed.value
+    unused = [role for role in source.roles if role not in ("speed", *OPTION_OF)]
+    if unused:
+        allowed = f"speed, {', '.join(OPTION_OF)}"
+        raise InputError(f"{path}: columns of", ", ".join(unused), allowed, "leave out what a simulation does not take")
+    for note in source.notes:
+        if note.startswith("ignored"):
+            click.echo(f"trackres: {path}: {note}", err=True)
+    return Recording.from_source(source)
+
+
+def _conditions(recording: Recording, time_s: Array, given: Collection[str], weight: float) -> dict[str, Array]:
+    """What a profile says of its conditions at some times [s], along straight lines, by role."""
+    from trackres_ros.estimator.constants import LARGEST_LOAD_SHARE, LEAST_LOAD_SHARE, PLAUSIBLE
+
+    limits = {**PLAUSIBLE, "load": (LEAST_LOAD_SHARE * weight, LARGEST_LOAD_SHARE * weight)}
+    found = {}
+    for role, option in OPTION_OF.items():
+        samples = recording.series.get(role)
+        if samples is None or not len(samples):
+            continue
+        if role in given:
+            raise InputError(f"{recording.name}, {option}", f"{role} in both", "one of the two")
+        low, high = limits[role]
+        bad = samples.value[~((samples.value >= low) & (samples.value <= high))]
+        if bad.size:
+            raise InputError(f"{recording.name}: {role}", float(bad[0]), f"{low:g} to {high:g} {ROLES[role].unit}")
+        found[role] = np.interp(time_s, recording.time_s(role), samples.value)
+    return found
 
 
 def _text(result: dict[str, Any]) -> str:

@@ -16,7 +16,7 @@ from trackres_ros.resources import find_vehicle
 from trackres_ros.topic_settings import settings_for
 from trackres_ros.topics import Topics
 from trackres_ros.vehicle import load, with_surroundings
-from trackres_ros.vehicle.reading import read_yaml
+from trackres_ros.yamls import read_yaml
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,9 +49,22 @@ def load_base(
     if "road_load" in content:
         road = load_road_vehicle(path, content, surroundings)
         base = RoadBase(road)
-        known = Known(base.facts.weight, road.values["max_speed"], road.values["ambient"], road.friction_brakes)
+        known = Known(
+            base.facts.weight,
+            road.values["max_speed"],
+            road.values["ambient"],
+            road.friction_brakes,
+            torque_scale=road.torque_shown,
+        )
         return LoadedBase(base, road.title, known)
     track = with_surroundings(with_methods(load(path), hysteresis, thermal), surroundings)
     settings = settings_for(Settings(), topics)
-    known = Known(track.weight, track.chassis.max_speed, track.chassis.ambient, False, settings.belt_sensor == "surface")
+    known = Known(
+        track.weight,
+        track.chassis.max_speed,
+        track.chassis.ambient,
+        False,
+        settings.belt_sensor == "surface",
+        track.chassis.motor_ratio,
+    )
     return LoadedBase(TrackBase(track), track.title, known)

@@ -13,7 +13,7 @@ from trackres_ros.diagnosis.fitting import Fit
 
 Array = NDArray[np.float64]
 
-PIECE_S = 30.0
+PIECE_S, MOST_PIECES = 30.0, 400  # the search takes the square of their number; longer recordings have longer pieces
 SHORTEST_PIECES = 4
 COST_OF_A_CHANGE = 3.0  # times the logarithm of the number of pieces: its place, its size, and the many places it could be
 
@@ -45,7 +45,8 @@ def changes(found: Fit) -> list[Change] | None:
             continue
         session = found.problem.sessions[segment.session]
         valid = np.isfinite(white)
-        piece = (session.time // PIECE_S).astype(int)
+        length = PIECE_S * max(1, -(-int(session.time[-1] // PIECE_S + 1) // MOST_PIECES))
+        piece = (session.time // length).astype(int)
         count = np.bincount(piece[valid], minlength=piece[-1] + 1)
         there = count > 0
         if there.sum() < 2 * SHORTEST_PIECES:
@@ -55,7 +56,7 @@ def changes(found: Fit) -> list[Change] | None:
         penalty = COST_OF_A_CHANGE * math.log(len(level))
         ends = Pelt(model="l2", min_size=SHORTEST_PIECES, jump=1).fit(level).predict(pen=penalty)
         starts = np.flatnonzero(there)
-        edges = [0.0, *(PIECE_S * starts[end] for end in ends[:-1]), np.inf]
+        edges = [0.0, *(length * starts[end] for end in ends[:-1]), np.inf]
         means = [float(residual[segment.mask & (session.time >= a) & (session.time < b)].mean()) for a, b in pairwise(edges)]
         listed += [Change(session.name, float(t), *levels) for t, levels in zip(edges[1:-1], pairwise(means), strict=True)]
     return listed

@@ -145,7 +145,7 @@ def diagnose(
     effects = catalogue(effects_dir, base.facts.weight * base.facts.radius, on_tyres=not base.has_belt)
     said("gate: units, clocks, gaps")
     gated = gate(recordings, vehicle.known, hide)
-    gated, nominal = align_and_check(gated, base)
+    gated, nominal = align_and_check(gated, vehicle)
     chosen = split(gated.sessions, holdout)
     masks = tuple(chosen.training_mask(s) for s in gated.sessions)
     said("re-fit of the base")
@@ -201,15 +201,17 @@ def diagnose(
     )  # fmt: skip
 
 
-def align_and_check(gated: Gated, base: Base) -> tuple[Gated, tuple[Array, ...]]:
+def align_and_check(gated: Gated, vehicle: LoadedBase) -> tuple[Gated, tuple[Array, ...]]:
     """Clocks put right, sign and unit checked, by the torque that the vehicle file expects; and that torque."""
-    values = {q.name: q.nominal for q in base.parameters}
-    still = [np.zeros(len(s)) for s in gated.sessions]
-    expected = [p.torque for p in base.predict(gated.sessions, values, (), still)]
+    values = {q.name: q.nominal for q in vehicle.base.parameters}
+
+    def by_file(sessions: Sequence[Session]) -> list[Array]:
+        return [p.torque for p in vehicle.base.predict(sessions, values, (), [np.zeros(len(s)) for s in sessions])]
+
+    expected = by_file(gated.sessions)
     moved = [aligned_clock(s, e) for s, e in zip(gated.sessions, expected, strict=True)]
     sessions = tuple(s for s, _ in moved)
     notes = (*gated.notes, *(note for _, note in moved if note))
-    if base.name == "track":
-        check_torque(sessions, expected)
+    check_torque(sessions, expected, by_file([replace(s, accel=np.zeros(len(s))) for s in sessions]), vehicle.known)
     notes = (*notes, *unlike(sessions, expected))
     return replace(gated, sessions=sessions, notes=notes), tuple(expected)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.session import Course, Session, Split
+from trackres_ros.diagnosis.units import KMH, Conversion, check_speed_unit, check_units
 from trackres_ros.errors import InputError
 from trackres_ros.recording import Recording, Series
 
@@ -22,6 +24,12 @@ SLOWEST_MPS, SLOWEST_SHARE = 0.3, 0.1  # of the greatest speed; below both frict
 LONGEST_HOLD_S = 2.0  # of speed and torque over a gap
 SHORTEST_S, SHORTEST_MOVING_S = 120.0, 60.0
 FULL_STOP_S = 5.0
+LONGEST_UNKNOWN_S, UNUSUAL_SPACING = 5.0, 10.0  # of a slope, and times its usual spacing
+MOST_UNKNOWN = 0.5  # of a recording
+EARLIEST_CLOCK_S = 6e8  # 1989: a recording that begins before it counts from its own start
+MOST_OVERLAP = 0.1  # of the shorter: more is no clock that is a little off
+FEWEST_FILLED, SHORTEST_FILLED_S = 5, 3.0
+EXACT = 1e-6  # of the largest values: as exact as six digits are written
 SAME_SHARE = 1e-9  # of the largest torque: a difference that rounding makes
 PIECES, SHORTEST_PIECE_S, LONGEST_PIECE_S = 20, 60.0, 300.0
 FEWEST_DRIVES, FEWEST_SESSIONS = 8, 4
@@ -60,6 +68,10 @@ class Known:
         Whether brakes of which nothing is recorded help a torque that brakes.
     belt_shows_surface
         Whether a measured belt temperature is that of the surface, as infrared sees it, or the mean.
+    motor_ratio
+        Turns of the motor to one of the sprocket; None where the file does not say.
+    torque_scale
+        Least and most times the expected torque that the file allows to be shown.
     """
 
     weight: float
@@ -67,6 +79,8 @@ class Known:
     ambient: float
     friction_brakes: bool
     belt_shows_surface: bool = False
+    motor_ratio: float | None = None
+    torque_scale: tuple[float, float] = (1.0, 1.0)
 
     @property
     def slowest(self) -> float:
@@ -95,7 +109,8 @@ def gate(recordings: Sequence[Recording], known: Known, hide: Sequence[str] = ()
     block = 0
     end_ns: int | None = None
     end_m = 0.0
-    for recording in recordings:
+    _refuse_overlaps(recordings, notes)
+    for recording in _long_enough(recordings, left_out, notes):
         session = _session(recording, known, frozenset(hide), left_out, notes)
         _check_speed(session, known.max_speed)
         begin_ns = recording.start_ns
@@ -159,6 +174,79 @@ def split(sessions: Sequence[Session], held_out: int | Sequence[str] | None = No
     return Split(training, tuple(b for i in sorted(chosen) for b in blocks[i]), text)
 
 
+def _duration_s(recording: Recording) -> float:
+    """From the first speed to the last [s]."""
+    speed = recording.series.get("speed")
+    at = speed.stamp_ns[np.isfinite(speed.value)] if speed else np.empty(0)
+    return float(at.max() - at.min()) * 1e-9 if len(at) else 0.0
+
+
+def _long_enough(recordings: Sequence[Recording], left_out: dict[str, int], notes: list[str]) -> list[Recording]:
+    """Recordings without those too short to be one; unless all are: then what each lacks is said where it is read."""
+    short = [r for r in recordings if "speed" in r.series and _duration_s(r) < SHORTEST_S]
+    if len(short) == len(recordings):
+        return list(recordings)
+    for recording in short:
+        seconds = _duration_s(recording)
+        notes.append(f"{recording.name}: left out, it has {seconds:.0f} s of {SHORTEST_S:.0f} s at least")
+        reason = f"in recordings of less than {SHORTEST_S:.0f} s"
+        left_out[reason] = left_out.get(reason, 0) + int(seconds / STEP_S)
+    return [r for r in recordings if r not in short]
+
+
+def _refuse_overlaps(recordings: Sequence[Recording], notes: list[str]) -> None:
+    """Two recordings of one time show the same drive twice; without a clock of the day nothing can be said."""
+    clocked = [(r.start_ns * 1e-9, r) for r in recordings if r.start_ns * 1e-9 > EARLIEST_CLOCK_S]
+    spans = sorted((begin, begin + _duration_s(r), r.name) for begin, r in clocked)
+    for i, (begin, end, name) in enumerate(spans):
+        for other_begin, other_end, other in spans[i + 1 :]:
+            both = min(end, other_end) - other_begin
+            if both > MOST_OVERLAP * min(end - begin, other_end - other_begin) and both > STEP_S:
+                raise InputError(
+                    f"{name}, {other}",
+                    f"{both:.0f} s of one time in both",
+                    "recordings of different times",
+                    "give one of them, or join what each has in one recording",
+                )
+            if both > STEP_S:
+                notes.append(f"{name}, {other}: their clocks overlap by {both:.0f} s; taken for one after the other")
+
+
+def _filled(at: Array, value: Array) -> list[tuple[float, float]]:
+    """Spans [s] in which a series is exactly a straight line that rises or falls: no sensor measures so, but a filled gap is."""
+    step, rise = np.diff(at), np.diff(value)
+    if len(step) < FEWEST_FILLED:
+        return []
+    slope = rise / step
+    exact = EXACT * max(float(np.percentile(np.abs(value), 99.0)), 1e-12)
+    bends = np.abs(slope[1:] - slope[:-1]) * np.minimum(step[1:], step[:-1]) > exact
+    ends = np.flatnonzero(np.concatenate(([True], bends, [True])))
+    return [
+        (float(at[a]), float(at[b]))
+        for a, b in pairwise(ends.tolist())
+        if b - a >= FEWEST_FILLED and at[b] - at[a] >= SHORTEST_FILLED_S and abs(value[b] - value[a]) > 100.0 * exact
+    ]
+
+
+def _without_value(series: Series, start: int, edges: Array) -> NDArray[np.bool_]:
+    """Steps in a gap of a series that is long beside its usual spacing, or before or after all of it by as much."""
+    at, _ = _ordered(series, start)
+    if len(at) < FEWEST_FOR_NOISE:
+        return np.zeros(len(edges) - 1, dtype=bool)
+    longest = max(LONGEST_UNKNOWN_S, UNUSUAL_SPACING * float(np.median(np.diff(at))))
+    around = np.concatenate(([edges[0] - 0.5 * longest], at, [edges[-1] + 0.5 * longest]))
+    gaps = np.flatnonzero(np.diff(around) > longest)
+    return _within([(float(around[i]), float(around[i + 1])) for i in gaps], edges)
+
+
+def _within(spans: Sequence[tuple[float, float]], edges: Array) -> NDArray[np.bool_]:
+    """Steps that a span reaches into."""
+    inside = np.zeros(len(edges) - 1, dtype=bool)
+    for begin, end in spans:
+        inside |= (edges[:-1] < end) & (edges[1:] > begin)
+    return inside
+
+
 def _session(recording: Recording, vehicle: Known, hide: frozenset[str], left_out: dict[str, int], notes: list[str]) -> Session:
     series = {role: s for role, s in recording.series.items() if role not in hide and role.partition("/")[0] not in hide}
     torques = [role for role in series if role.partition("/")[0] == "torque" and np.isfinite(series[role].value).any()]
@@ -176,20 +264,27 @@ def _session(recording: Recording, vehicle: Known, hide: frozenset[str], left_ou
         raise InputError(recording.name, f"{speed_at[-1] - speed_at[0]:.0f} s", f"at least {SHORTEST_S:.0f} s of recording")
     edges = np.arange(0.0, speed_at[-1] + 1e-9, STEP_S)
     count = len(edges) - 1
+    notes += check_units(recording.name, series, vehicle.weight)
     at_edges = _mean_around(speed_at, raw_speed, edges)
     speed, known = _means(speed_at, raw_speed, edges)
     if "torque" in torques:
         torques = ["torque"]
     torque, measured = np.zeros(count), np.ones(count, dtype=bool)
+    filled = np.zeros(count, dtype=bool)
     for role in torques:
         part, there = _means(*_ordered(series[role], start), edges)
         torque, measured = torque + part, measured & there
+        filled |= _within(_filled(*_ordered(series[role], start)), edges)
+    filled &= _within(_filled(speed_at, raw_speed), edges)
 
     def held(role: str, default: float) -> Array:
         return _held(series[role], start, edges, default) if role in series else np.full(count, default)
 
     given = frozenset(role for role in CHANNEL_OF if role in series and np.isfinite(series[role].value).any())
     accel, accel_noise = np.diff(at_edges) / STEP_S, _accel_noise(speed_at, raw_speed)
+    way = series.get("distance")
+    by_way = np.diff(np.interp(edges, *_ordered(way, start))) / STEP_S if way and np.isfinite(way.value).any() else None
+    check_speed_unit(recording.name, speed, accel, held("accel", np.nan) if "accel" in given else None, by_way)
     if "accel" in given:
         mean, there = _means(*_ordered(series["accel"], start), edges)
         accel, accel_noise = np.where(there, mean, accel), 0.0
@@ -208,6 +303,10 @@ def _session(recording: Recording, vehicle: Known, hide: frozenset[str], left_ou
         heading = np.cumsum(np.nan_to_num(yaw_rate)) * STEP_S
         given |= {"heading"}
         notes.append(f"{recording.name}: heading is integrated from the yaw rate")
+    no_slope = _without_value(series["grade"], start, edges) if "grade" in given else np.zeros(count, dtype=bool)
+    if no_slope.mean() > MOST_UNKNOWN:
+        notes.append(f"{recording.name}: the slope is not known for {no_slope.mean():.0%} of it; taken for not recorded")
+        given, no_slope = given - {"grade"}, np.zeros(count, dtype=bool)
     session = Session(
         name=recording.name,
         step=STEP_S,
@@ -216,7 +315,7 @@ def _session(recording: Recording, vehicle: Known, hide: frozenset[str], left_ou
         accel=accel,
         weight=weight,
         ambient=held("ambient", vehicle.ambient),
-        grade=held("grade", 0.0),
+        grade=held("grade", 0.0) if "grade" in given else np.zeros(count),
         yaw_rate=yaw_rate,
         heading=heading,
         distance=np.cumsum(np.abs(speed)) * STEP_S,
@@ -229,7 +328,7 @@ def _session(recording: Recording, vehicle: Known, hide: frozenset[str], left_ou
         accel_noise=accel_noise,
         belt_shows_surface=vehicle.belt_shows_surface,
     )
-    return replace(session, used=_usable(session, known, measured, left_out, vehicle))
+    return replace(session, used=_usable(session, known, measured, filled, no_slope, left_out, vehicle))
 
 
 def _course(torques: Sequence[tuple[Array, Array]]) -> Course:
@@ -239,7 +338,13 @@ def _course(torques: Sequence[tuple[Array, Array]]) -> Course:
 
 
 def _usable(
-    session: Session, known: NDArray[np.bool_], measured: NDArray[np.bool_], left_out: dict[str, int], vehicle: Known
+    session: Session,
+    known: NDArray[np.bool_],
+    measured: NDArray[np.bool_],
+    filled: NDArray[np.bool_],
+    no_slope: NDArray[np.bool_],
+    left_out: dict[str, int],
+    vehicle: Known,
 ) -> NDArray[np.bool_]:
     used = np.ones(len(session), dtype=bool)
     braking = (session.accel < BRAKING_MPS2) & (session.torque <= 0.0)
@@ -250,6 +355,8 @@ def _usable(
     for reason, bad in (
         ("no speed", ~known),
         ("no torque", ~measured),
+        ("gap filled by straight lines", filled),
+        ("slope not known", no_slope),
         (f"slower than {vehicle.slowest:g} m/s", slow),
         ("torque stuck", stuck),
         ("may brake", braking),
@@ -275,7 +382,7 @@ def _check_speed(session: Session, max_speed: float) -> None:
             f"{session.name}: speed",
             f"{fastest:.0f} m/s",
             f"at most the vehicle's {max_speed:g} m/s",
-            "if it is in km/h, give it a scale of 0.27778",
+            f"if it is in km/h, {Conversion(1.0 / KMH).line('speed')}",
         )
 
 

@@ -29,7 +29,8 @@ def report(d: Diagnosis, paths: Sequence[Path], bindings: Mapping[str, TopicBind
     """All findings as plain data; `bindings` are how the recordings were read."""
     nominal = {q.name: q for q in d.base.parameters}
     belongs_to = {active.effect.name: active.effect.belongs_to for active in d.final.effects}
-    lines = sensor_lines(d.kept.of("sensor"), bindings, d.base.torque_scale)
+    scale = (d.kept.values or {}).get("torque_scale", d.base.torque_scale)
+    lines = sensor_lines(d.kept.of("sensor"), bindings, scale)
     return {
         "schema": SCHEMA,
         "recordings": [str(path) for path in paths],

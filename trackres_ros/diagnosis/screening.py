@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -22,6 +23,8 @@ FLIPPED_TOGETHER = 20  # samples whose sign the bootstrap flips as one: what whi
 REPLICATES, QUICK_REPLICATES = 99, 39
 NEARLY_LARGEST = 6
 GUMBEL_95 = (-np.log(-np.log(0.95)) - np.euler_gamma) * np.sqrt(6.0) / np.pi  # standard deviations from mean to 95th percentile
+MOST_DRAWN_ROWS = 7200  # two hours of driving
+STRETCH = 200  # rows that stay together where not all are drawn
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +55,8 @@ def screen(fit: Fit, candidates: Sequence[Sensitivity], replicates: int, rng: np
     Notes
     -----
     The noise is fitted with each candidate anew: a slow effect that is left out looks like slow noise, and whitening with
-    that would hide it.
+    that would hide it. What noise alone gains hardly depends on how much of it there is: of more than `MOST_DRAWN_ROWS` rows,
+    stretches of that many together are drawn, and priors weigh as much less.
     """
     own, forms = base_columns(fit), other_forms(fit)
     linear = _Linear(fit, own, forms)
@@ -66,13 +70,15 @@ def screen(fit: Fit, candidates: Sequence[Sensitivity], replicates: int, rng: np
         plain = strict.gains(residual, [strict.mover(c) for c in candidates])
         names = dict.fromkeys(c.effect.name for c in candidates)
         taken = {name: max(0.0, _best(name, candidates, plain) - _best(name, candidates, found)) for name in names}
+    few = linear if linear.rows <= MOST_DRAWN_ROWS else _Linear(fit, own, forms, MOST_DRAWN_ROWS)
+    movers = movers if few is linear else [few.mover(c) for c in candidates]
     reached = np.zeros(replicates)
     for i in range(replicates):
-        drawn = linear.lagged(linear.drawn(rng))
-        before = linear.likelihood(drawn, linear.own, at_home=True)
+        drawn = few.lagged(few.drawn(rng))
+        before = few.likelihood(drawn, few.own, at_home=True)
         # One turn tells which come near the largest; only those are turned to the end.
-        nearly = sorted(movers, key=lambda m: -linear.likelihood(drawn, m, at_home=True, turns=1))[:NEARLY_LARGEST]
-        reached[i] = max((linear.likelihood(drawn, m, at_home=True) - before for m in nearly), default=0.0)
+        nearly = sorted(movers, key=lambda m: -few.likelihood(drawn, m, at_home=True, turns=1))[:NEARLY_LARGEST]
+        reached[i] = max((few.likelihood(drawn, m, at_home=True) - before for m in nearly), default=0.0)
     return Screened(tuple(gains), taken, largest_by_noise(reached), reached)
 
 
@@ -108,16 +114,20 @@ class _Mover:
 class _Linear:
     """The fit, linearised, with further columns of which each may move by about one: likelihoods by linear algebra."""
 
-    def __init__(self, fit: Fit, own: Array, further: Array) -> None:
+    def __init__(self, fit: Fit, own: Array, further: Array, most_rows: int = sys.maxsize) -> None:
         self._fit = fit
         first, rows = 0, dict[str, list[NDArray[np.int64]]]()
         for segment in fit.problem.segments:
             rows.setdefault(segment.kind, []).append(first + np.flatnonzero(whole_past(segment.mask, MOST_LAGS)))
             first += len(segment.measured)
-        self._at = {kind: np.concatenate(of) for kind, of in rows.items()}
+        all_rows = {kind: np.concatenate(of) for kind, of in rows.items()}
+        self.rows = sum(map(len, all_rows.values()))
+        share = min(1.0, most_rows / max(self.rows, 1))
+        self._at = {kind: _thinned(at, share) for kind, at in all_rows.items()}
+        self._lighter = float(np.sqrt(share))
         self._columns = np.column_stack([own * np.array([f.scale for f in fit.free]), further])
         far = np.full(self._columns.shape[1], np.inf)
-        prior = np.array([*(f.scale / f.std for f in fit.free), *np.ones(further.shape[1])])
+        prior = self._lighter * np.array([*(f.scale / f.std for f in fit.free), *np.ones(further.shape[1])])
         pulls = [(x - f.nominal) / f.std for f, x in zip(fit.free, fit.point, strict=True)]
         pull = -np.array([*pulls, *np.zeros(further.shape[1])])
         self.own = _Mover(self.lagged(self._columns), -far, far, prior, pull)
@@ -138,7 +148,7 @@ class _Linear:
             self.lagged(np.column_stack([self._columns, candidate.columns * spans])),
             np.append(own.low, [low - 1e-9 for low, _ in limits]),
             np.append(own.high, [high + 1e-9 for _, high in limits]),
-            np.append(own.prior, np.full(len(limits), 1.0 / LARGE)),
+            np.append(own.prior, np.full(len(limits), self._lighter / LARGE)),
             np.append(own.pull, np.zeros(len(limits))),
         )
 
@@ -178,6 +188,12 @@ class _Linear:
             e = e * np.repeat(rng.choice((-1.0, 1.0), pieces), FLIPPED_TOGETHER)[: len(e)]
             parts.append(coloured(e, noise, rng))
         return np.concatenate(parts)
+
+
+def _thinned(rows: NDArray[np.int64], share: float) -> NDArray[np.int64]:
+    """A share of the rows, in stretches that are evenly spaced."""
+    stretch = np.arange(len(rows)) // STRETCH
+    return np.asarray(rows[np.ceil((stretch + 1) * share) > np.ceil(stretch * share)])
 
 
 def _white(lagged: Array, noise: Noise) -> Array:

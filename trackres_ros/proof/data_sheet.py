@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
+
+from trackres_ros.yamls import read_yaml
 
 Array = NDArray[np.float64]
 
@@ -30,7 +31,7 @@ class DataSheet:
 
 def read_data_sheet(path: Path) -> DataSheet:
     """Read a track vehicle's file with one kind of track."""
-    content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    content = read_yaml(path)
     (track,) = content["tracks"].values()
     numbers: dict[str, float] = {}
     for name, part in (("rubber", content["rubber"]), ("chassis", content["chassis"]), ("track", track)):

@@ -23,6 +23,7 @@ from trackres_ros.proof.drives import Drive, drive
 from trackres_ros.proof.sensors import Sensors, record
 from trackres_ros.proof.truth import Lived, live
 from trackres_ros.resources import find_vehicle
+from trackres_ros.yamls import read_yaml
 
 Array = NDArray[np.float64]
 
@@ -117,7 +118,7 @@ def _sensors(case: Case) -> Sensors:
 def write_vehicle(path: Path, thermal: str) -> Path:
     """Write the data sheet as a vehicle file with a thermal model."""
     sheet = find_vehicle(VEHICLE)
-    content = yaml.safe_load(sheet.read_text(encoding="utf-8"))
+    content = read_yaml(sheet)
     content["rubber"]["file"] = str((sheet.parent / content["rubber"]["file"]).resolve())
     content["model"]["thermal"] = thermal
     path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")

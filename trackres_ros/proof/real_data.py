@@ -16,14 +16,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.slopes import slopes
+
 Array = NDArray[np.float64]
 
 FINAL_DRIVE = 9.665
 CLIPPED_NM = -80.0  # of the motor: below it torque and friction brakes cannot be told apart
 KMH = 3.6
-SLOPE_OVER_M = 200.0  # elevation comes in steps of a metre
 SLOWEST_MPS, YAW_OVER_S = 0.1, 0.5
-NM_PER_A = 1.0  # assumed: the base's scale is re-fitted
+NM_PER_A = 1.0  # assumed: what is found of the robots is in units of it
 RADIUS_M = {"husky": 0.159, "warthog": 0.3}
 OF_CAR = ("Time [s]", "Velocity [km/h]", "Elevation [m]", "Motor Torque [Nm]", "Ambient Temperature")
 
@@ -46,15 +47,12 @@ def car(data: Path, name: str, folder: Path, clock: bool = True) -> Path:
     time, kmh, height, torque, ambient = table[first].T
     speed = kmh / KMH
     start = datetime.fromisoformat(trips(data)[name]["start_local"]).replace(tzinfo=UTC).timestamp() if clock else 0.0
-    distance = np.concatenate(([0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time))))
-    at, index = np.unique(distance, return_index=True)
-    after, before = (np.interp(distance + side * 0.5 * SLOPE_OVER_M, at, height[index]) for side in (1.0, -1.0))
     columns = {
         "time_s": start + time,
         "speed_mps": speed,
         "torque_nm": np.where(torque < CLIPPED_NM, np.nan, torque * FINAL_DRIVE),
         "ambient_degc": ambient,
-        "grade": (after - before) / SLOPE_OVER_M,
+        "grade": slopes(time, speed, height),
     }
     return _write(folder / f"{name}.csv", columns)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import logging
 import math
 import os
@@ -20,6 +21,7 @@ from trackres_ros.effects.registry import catalogue, check_effects
 from trackres_ros.errors import InputError
 from trackres_ros.resources import config_dir, find_vehicle
 from trackres_ros.shown import figures
+from trackres_ros.small_files import read_text
 from trackres_ros.vehicle import schema
 from trackres_ros.vehicle.description import (
     Assembly,
@@ -33,11 +35,13 @@ from trackres_ros.vehicle.description import (
     Vehicle,
     WrappedWheel,
 )
-from trackres_ros.vehicle.reading import Reader, read_yaml
+from trackres_ros.vehicle.reading import Reader
+from trackres_ros.yamls import read_yaml
 
 TOP_KEYS = ("schema", "name", "title", "model", "rubber", "chassis", "assemblies", "tracks")
 EFFECT_KEYS = ("effects", "effect_files")
 RUBBER_COLUMNS = ("T_degC", "E_storage_MPa_10Hz", "E_loss_MPa_10Hz")
+MOST_RUBBER_BYTES = 1 << 20  # a sweep has some tens of rows
 CLOSED_LOOP_TOLERANCE_RAD = 0.05
 
 
@@ -155,11 +159,11 @@ def read_rubber_sweep(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     The file is a CSV with the columns T_degC, E_storage_MPa_10Hz and E_loss_MPa_10Hz; the sweep's frequency is said in the
     vehicle file. Further columns are allowed.
     """
+    text = read_text(path, "CSV with a temperature sweep", MOST_RUBBER_BYTES)
     try:
-        with path.open(encoding="utf-8", newline="") as lines:
-            rows = list(csv.DictReader(lines))
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}", str(error), "a readable CSV with a temperature sweep") from error
+        rows = list(csv.DictReader(io.StringIO(text, newline="")))
+    except csv.Error as error:
+        raise InputError(f"{path}", str(error), "a CSV with a temperature sweep") from None
     if len(rows) < 4 or any(name not in rows[0] for name in RUBBER_COLUMNS):
         raise InputError(
             f"{path}",

@@ -7,8 +7,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from trackres_ros.errors import InputError
 from trackres_ros.vehicle import schema
 from trackres_ros.vehicle.description import Quantity
@@ -16,34 +14,6 @@ from trackres_ros.vehicle.description import Quantity
 QUANTITY_KEYS = ("value", "unit", "flag", "range", "reason")
 FITTED = "F"
 FLAGS = ("P", "L", "A", FITTED)
-
-
-class _UniqueKeyLoader(yaml.SafeLoader):
-    """YAML in which a key given twice is an error instead of a silent loss."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        seen: set[str] = set()
-        keys = [key for key, _ in node.value if isinstance(key, yaml.ScalarNode)]  # others cannot be keys: super() says so
-        for key_node in keys:
-            if key_node.value in seen:
-                raise yaml.constructor.ConstructorError(
-                    None, None, f"the key '{key_node.value}' stands twice", key_node.start_mark
-                )
-            seen.add(key_node.value)
-        return super().construct_mapping(node, deep)
-
-
-def read_yaml(path: Path) -> dict[str, Any]:
-    """Read a YAML mapping; a syntax error names file and line."""
-    try:
-        content = yaml.load(path.read_text(encoding="utf-8"), Loader=_UniqueKeyLoader)  # a SafeLoader
-    except OSError as error:
-        raise InputError(str(path), error.strerror or "an unreadable file", "a readable YAML file") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise InputError(str(path), " ".join(str(error).split()), "a YAML file") from error
-    if not isinstance(content, dict):
-        raise InputError(str(path), type(content).__name__, "a YAML mapping at the top")
-    return content
 
 
 class Reader:
@@ -143,11 +113,6 @@ class Reader:
 
     def _number(self, given: Any, key: str, low: float, high: float, unit: str) -> float:
         allowed = f"a number from {low:g} to {high:g} {unit}"
-        if isinstance(given, str):  # YAML 1.1 reads 1.2e11, without the sign in the exponent, as text
-            try:
-                given = float(given)
-            except ValueError:
-                raise InputError(self.where(key), given, allowed) from None
         if isinstance(given, bool) or not isinstance(given, int | float):
             raise InputError(self.where(key), given, allowed)
         if not low <= given <= high:  # nan is not either

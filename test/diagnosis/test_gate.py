@@ -1,0 +1,237 @@
+"""The gate: what an engineer gets wrong is said with the line that mends it, and what is healthy passes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from trackres_ros.diagnosis import load_base, read_recordings
+from trackres_ros.diagnosis.diagnose import judged_by_nominal
+from trackres_ros.diagnosis.gate import gate
+from trackres_ros.diagnosis.sanity import nothing_to_conclude
+from trackres_ros.diagnosis.trial import drives, write_recordings
+from trackres_ros.errors import InputError
+from trackres_ros.proof.cases import CATALOGUE, OUTSIDE, Case
+from trackres_ros.proof.generate import make_case
+from trackres_ros.recording import Recording
+from trackres_ros.slopes import STEEPEST, slopes
+
+
+def rewritten(path, folder, change, name=""):
+    """A copy of a table; `change` gets its columns by name and may alter, add or cut them."""
+    header = path.read_text().splitlines()[0].split(",")
+    columns = dict(zip(header, np.loadtxt(path, delimiter=",", skiprows=1).T, strict=True))
+    change(columns)
+    copy = folder / (name or path.name)
+    rows = np.column_stack(list(columns.values()))
+    np.savetxt(copy, rows, delimiter=",", header=",".join(columns), comments="", fmt="%.6f")
+    return copy
+
+
+def scaled(name, scale=1.0, offset=0.0):
+    """A change: the column as another unit shows it."""
+
+    def change(columns):
+        columns[name] = (columns[name] - offset) / scale
+
+    return change
+
+
+def with_distance(columns):
+    columns["distance_m"] = np.cumsum(columns["speed_mps"]) * 0.2
+    columns["speed_mps"] *= 3.6
+
+
+WRONG = {
+    "ambient in kelvin": (scaled("ambient_degc", 1.0, -273.15), "ambient: {..., offset: -273.15}"),
+    "ambient in fahrenheit": (
+        lambda c: c.update(ambient_degc=0.0 * c["ambient_degc"] + 68.0),
+        "ambient: {..., scale: 0.55556, offset: -17.778}",
+    ),
+    "belt in kelvin": (scaled("belt_degc", 1.0, -273.15), "belt: {..., offset: -273.15}"),
+    "load in kg": (scaled("weight_n", 9.80665), "load: {..., scale: 9.8066}"),
+    "load in kN": (scaled("weight_n", 1000.0), "load: {..., scale: 1000}"),
+    "load in t": (scaled("weight_n", 9806.65), "load: {..., scale: 9806.6}"),
+    "load of the payload": (lambda c: c.update(weight_n=c["weight_n"] - 0.99 * c["weight_n"].min()), "offset"),
+    "yaw rate in degrees": (scaled("yaw_rate_radps", np.pi / 180.0), "yaw_rate: {..., scale: 0.017453}"),
+    "heading in degrees": (
+        lambda c: c.update(heading_rad=np.degrees(np.angle(np.exp(1j * c["heading_rad"])))),
+        "heading: {..., scale: 0.017453}",
+    ),
+    "grade in percent": (lambda c: c.update(grade=2.0 * np.sin(c["time_s"] / 60.0)), "grade: {..., scale: 0.01}"),
+    "speed in km/h": (scaled("speed_mps", 1.0 / 3.6), "speed: {..., scale: 0.27778}"),
+    "speed in km/h beside a distance": (with_distance, "speed: {..., scale: 0.27778}"),
+    "accel in g": (scaled("accel_mps2", 9.80665), "accel: {..., scale: 9.8066}"),
+    "torque of one side": (scaled("torque_nm", 2.0), "torque: {..., scale: 2}"),
+    "torque of one track": (scaled("torque_nm", 4.0), "torque: {..., scale: 4}"),
+    "torque counted twice": (scaled("torque_nm", 0.4), "scale"),
+    "torque in kNm": (scaled("torque_nm", 1000.0), "torque: {..., scale: 1000}"),
+    "torque with the other sign": (scaled("torque_nm", -1.0), "torque: {..., scale: -1}"),
+}
+
+
+@pytest.mark.parametrize("what", WRONG)
+def test_what_is_wrong_is_said_with_the_line_that_mends_it(run, recorded, tmp_path, what):
+    change, said = WRONG[what]
+    done = run([rewritten(path, tmp_path, change) for path in recorded()], tmp_path / "out")
+    assert isinstance(done.exception, InputError)
+    assert said in str(done.exception)
+    assert not (tmp_path / "out" / "vehicle.yaml").exists()
+
+
+def test_a_slow_vehicle_in_kmh_is_told_by_what_changes_of_speed_take(run, loaded, tmp_path):
+    def in_kmh(columns):
+        columns.pop("accel_mps2")  # that would tell
+        columns["speed_mps"] *= 3.6
+
+    rng = np.random.default_rng(3)
+    slow = drives(loaded.base, 0.9 * loaded.known.max_speed / 3.6, 2, 8.0, rng)
+    paths = write_recordings(loaded.base, tmp_path, slow, [], rng)
+    done = run([rewritten(path, tmp_path, in_kmh) for path in paths], tmp_path / "out")
+    assert isinstance(done.exception, InputError)
+    assert "speed: {..., scale: 0.27778}" in str(done.exception)
+
+
+def judged(paths, loaded):
+    return judged_by_nominal(gate(read_recordings(paths, None), loaded.known), loaded)[0]
+
+
+@pytest.mark.parametrize("name", sorted({**CATALOGUE, **OUTSIDE}))
+def test_no_effect_that_nature_has_is_refused(tmp_path, name):
+    rng = np.random.default_rng(3)
+    hidden = {name: {key: float(x) for key, x in {**CATALOGUE, **OUTSIDE}[name](rng, 1.5).items()}}
+    build = dict.fromkeys(("loss", "bearing", "drag", "film", "capacity"), 1.0)
+    case = Case("case", "single", hidden, build, False, False, False, True, 5)
+    (tmp_path / "cases").mkdir()
+    (tmp_path / "sealed").mkdir()
+    make_case((tmp_path, case, 4.0))
+    folder = tmp_path / "cases" / "case"
+    passed = judged(sorted(folder.glob("drive*.csv")), load_base(folder / "vehicle.yaml"))
+    assert len(passed.sessions) >= 3
+    assert not any("filled" in x.reason for x in passed.left_out)
+    assert not any("clocks overlap" in note or "unusual" in note for note in passed.notes)
+
+
+def test_nothing_is_concluded_where_the_mean_is_better_than_the_model():
+    worse = {"nominal": -0.4, "refitted": -0.3, "with_effects": -0.2}
+    off = {"nominal": 300.0, "refitted": 290.0, "with_effects": 280.0}
+    refused = nothing_to_conclude("a.csv", worse, off, 500.0)
+    assert "R2 -0.20" in str(refused)
+    assert "nothing can be concluded" in str(refused)
+    assert nothing_to_conclude("a.csv", {**worse, "nominal": 0.1}, off, 500.0) is None
+    assert nothing_to_conclude("steady.csv", worse, off, 5000.0) is None
+
+
+def test_a_gap_filled_by_straight_lines_is_left_out_and_counted(recorded, loaded, tmp_path):
+    begin, end = 200.0, 260.0
+
+    def fill(columns):
+        time = columns["time_s"] - columns["time_s"][0]
+        inside = (time > begin) & (time < end)
+        for name in columns:
+            columns[name][inside] = np.interp(time[inside], time[~inside], columns[name][~inside])
+
+    one, other = recorded()
+    healthy = judged([one, other], loaded)
+    found = judged([rewritten(one, tmp_path, fill), other], loaded)
+    (count,) = [x.samples for x in found.left_out if "filled" in x.reason]
+    assert end - begin - 1 <= count <= end - begin + 2
+    assert not found.sessions[0].used[round(begin) + 1 : round(end) - 1].any()
+    assert not any("filled" in x.reason for x in healthy.left_out)
+
+
+def test_standing_still_and_steady_cruising_are_no_filled_gap(recorded, loaded, tmp_path):
+    def steady(columns):
+        columns["speed_mps"][1000:1400] = 5.0
+        columns["torque_nm"][1000:1120] = 5500.0
+
+    found = judged([rewritten(path, tmp_path, steady) for path in recorded()], loaded)
+    assert not any("filled" in x.reason for x in found.left_out)
+
+
+def test_two_recordings_of_one_time_are_refused_by_name(run, recorded, tmp_path):
+    one = recorded()[0]
+    copy = rewritten(one, tmp_path, lambda c: c.update(time_s=c["time_s"] + 60.0), "again.csv")
+    done = run([one, copy], tmp_path / "out")
+    assert isinstance(done.exception, InputError)
+    for part in (one.name, "again.csv", "of one time"):
+        assert part in str(done.exception)
+
+
+def test_clocks_that_overlap_a_little_are_told_and_those_of_no_day_are_not(recorded, loaded, tmp_path):
+    one = recorded()[0]
+    length = 600.0
+    later = rewritten(one, tmp_path, lambda c: c.update(time_s=c["time_s"] + length - 20.0), "later.csv")
+    (note,) = [n for n in judged([one, later], loaded).notes if "clocks overlap by" in n]
+    assert "later.csv" in note
+    from_zero = [rewritten(path, tmp_path, lambda c: c.update(time_s=c["time_s"] - c["time_s"][0])) for path in recorded()]
+    assert not any("clocks overlap" in n for n in judged(from_zero, loaded).notes)
+
+
+def test_a_short_recording_among_others_is_left_out_with_a_note(recorded, loaded, tmp_path):
+    def cut(columns):
+        for name in columns:
+            columns[name] = columns[name][:400]
+
+    one, other = recorded()
+    short = rewritten(other, tmp_path, cut, "short.csv")
+    found = judged([one, short], loaded)
+    assert [s.name for s in found.sessions] == [str(one)]
+    assert any("short.csv" in note and "left out" in note for note in found.notes)
+    assert [x.samples for x in found.left_out if "less than 120 s" in x.reason] == [79]
+    with pytest.raises(InputError, match="at least 120 s"):
+        judged([short], loaded)
+
+
+def test_start_of_a_recording_that_counts_from_zero():
+    class Table:
+        name, roles, notes, findings, zero_is_unset = "t", ("speed",), (), (), False
+
+        def blocks(self, max_rows=0):
+            from trackres_ros.recording import Block
+
+            stamps = np.array([0, 10, 20]) * 10**9
+            yield Block(np.zeros(3, np.int16), stamps, stamps, np.zeros(3))
+
+    made = Recording.from_source(Table())
+    assert made.time_s("speed").tolist() == [0.0, 10.0, 20.0]
+    assert replace(made, zero_is_unset=True).time_s("speed").tolist() == [-10.0, 0.0, 10.0]
+
+
+# A slope by the altitude
+
+
+def hills(seconds=1800):
+    """Time, speed with stops, the way, and altitude and slope of the road there."""
+    time = np.arange(0.0, seconds, 0.5)
+    speed = 12.0 * (np.sin(time / 60.0) > -0.7)
+    way = np.cumsum(speed) * 0.5
+    return time, speed, way, 500.0 + 20.0 * np.sin(way / 900.0), 20.0 / 900.0 * np.cos(way / 900.0)
+
+
+@pytest.mark.parametrize(("noise", "step", "off"), [(0.0, 0.0, 0.002), (0.0, 1.0, 0.006), (1.0, 0.0, 0.008)])
+def test_a_slope_is_that_of_the_road(noise, step, off):
+    time, speed, _, altitude, slope = hills()
+    shown = altitude + np.random.default_rng(2).normal(0.0, noise, len(time))
+    found = slopes(time, speed, np.round(shown / step) * step if step else shown)
+    assert np.isfinite(found).all()
+    assert np.sqrt(np.mean((found - slope)[100:-100] ** 2)) < off
+
+
+def test_what_the_altitude_does_while_the_vehicle_stands_is_no_slope():
+    time, speed, _, altitude, slope = hills()
+    settling = altitude + 80.0 * np.maximum(0.0, 1.0 - time / 400.0)  # as a receiver that still settles
+    found = slopes(time, speed, settling)
+    assert np.isnan(found).any()
+    known = np.isfinite(found)
+    assert np.sqrt(np.mean((found - slope)[known] ** 2)) < 0.01
+    assert known[time > 700.0].mean() > 0.9
+    still = slopes(time, 0.0 * speed, settling)
+    assert np.isnan(still).all()
+
+
+def test_no_slope_is_steeper_than_roads_are():
+    time, speed, way, _, _ = hills()
+    found = slopes(time, speed, 0.01 * way + np.where(way > way[-1] / 2, 300.0, 0.0))
+    assert np.nanmax(np.abs(found)) <= STEEPEST
+    assert np.isnan(found).any()

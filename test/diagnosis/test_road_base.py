@@ -1,0 +1,71 @@
+"""The road load: what is re-fitted, and what stays where the file has it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+
+from trackres_ros.diagnosis import load_base
+from trackres_ros.diagnosis.fitting import Problem, fit
+from trackres_ros.diagnosis.road_base import FITTED
+from trackres_ros.diagnosis.trial import drives
+from trackres_ros.resources import config_dir
+
+
+def car(folder, **changes):
+    """The base of the car with other ranges."""
+    content = yaml.safe_load((config_dir() / "bmw_i3.yaml").read_text())
+    for name, change in changes.items():
+        content["road_load"][name].update(change)
+    path = folder / "car.yaml"
+    path.write_text(yaml.safe_dump(content))
+    return load_base(path).base
+
+
+def fitted(base, given=frozenset({"grade"}), **true):
+    """A fit to drives over hills of a car with other values than its file's."""
+    rng = np.random.default_rng(1)
+    made = []
+    for session in drives(base, 30.0, 2, 10.0, rng, step=1.0):
+        grade = 0.04 * np.sin(session.distance / 300.0) * ("grade" in given)
+        made.append(replace(session, grade=grade, given=given, weight=np.full(len(session), 1.1 * base.facts.weight)))
+    values = {q.name: q.nominal for q in base.parameters} | true
+    still = tuple(np.zeros(len(s)) for s in made)
+    torques = [p.torque + rng.normal(0.0, 3.0, len(p.torque)) for p in base.predict(made, values, (), still)]
+    sessions = tuple(replace(s, torque=t) for s, t in zip(made, torques, strict=True))
+    return fit(Problem(base, sessions, tuple(np.abs(s.speed) > 0.5 for s in sessions), still))
+
+
+def test_the_mass_is_found_where_the_scale_of_the_torque_is_known(tmp_path):
+    base = car(tmp_path, torque_scale={"range": [1.0, 1.0]})
+    assert "torque_scale" not in {q.name for q in base.parameters}
+    found = fitted(base, mass=1500.0)
+    assert found.base_values["mass"] == pytest.approx(1500.0, rel=0.02)
+    assert found.std_of("", "mass") < 0.5 * next(q.std for q in base.parameters if q.name == "mass")
+
+
+def test_the_scale_is_found_where_the_mass_is_known(tmp_path):
+    base = car(tmp_path, mass={"range": [1400.0, 1400.0]}, drag_area={"range": [0.69, 0.69]}, efficiency={"range": [0.97, 0.97]})
+    found = fitted(base, frozenset({"grade", "load"}), torque_scale=0.93)
+    assert found.base_values["torque_scale"] == pytest.approx(0.93, rel=0.01)
+    assert "mass" not in found.base_values
+
+
+def test_of_mass_and_scale_neither_is_re_fitted_where_both_are_open(tmp_path):
+    assert {q.name for q in car(tmp_path).parameters} == set(FITTED) - {"mass", "torque_scale"}
+
+
+def test_a_range_without_width_holds_its_value_and_the_file_is_written_all_the_same(tmp_path):
+    base = car(tmp_path, mass={"range": [1400.0, 1400.0]}, torque_delay={"range": [0.1, 0.1]})
+    assert {q.name for q in base.parameters} == set(FITTED) - {"mass", "torque_delay"}
+    found = fitted(base, rolling_coefficient=0.015)
+    base.write(tmp_path / "written.yaml", found.base_values, (), "for a test")
+    again = load_base(tmp_path / "written.yaml").base.vehicle.values
+    assert again["mass"] == 1400.0
+    assert again["rolling_coefficient"] == pytest.approx(0.015, rel=0.05)
+
+
+def test_a_gain_is_no_effect_beside_a_scale_that_is_re_fitted(tmp_path):
+    assert "torque_gain" in car(tmp_path, mass={"range": [1400.0, 1400.0]}).includes
+    assert "torque_gain" not in car(tmp_path).includes

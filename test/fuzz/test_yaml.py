@@ -1,0 +1,231 @@
+"""Every kind of YAML that is read: whatever stands in it, it is taken, or one line says why not."""
+
+from __future__ import annotations
+
+import os
+import random
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import yaml
+from click.testing import CliRunner
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from trackres_ros.cli.main import cli
+from trackres_ros.diagnosis import load_base
+from trackres_ros.errors import InputError
+from trackres_ros.parameters import make_parameters, read_parameters
+from trackres_ros.resources import config_dir
+from trackres_ros.topics import Topics
+from trackres_ros.yamls import MOST_BYTES, MOST_DEPTH, MOST_NODES, parse_yaml, read_yaml
+
+SPOILT_OF_EACH, MORE = 30, 300
+LONGEST_LINE = 3000  # characters
+
+EFFECTS = "\neffects: {turning_scrub: {friction: 0.3}, rain: {factor: 3.0}}\n"
+ROS_PARAMETERS = (
+    "/**:\n  ros__parameters: {output_rate_hz: 20.0, vehicle: xgd24d, feedforward_parts: [wind]}\nother: {ros__parameters: {}}\n"
+)
+
+KINDS: dict[str, tuple[Callable[[Path], object], str]] = {
+    "track vehicle": (load_base, (config_dir() / "xgd24d.yaml").read_text() + EFFECTS),
+    "road vehicle": (load_base, (config_dir() / "husky.yaml").read_text()),
+    "topics": (Topics.load, (config_dir() / "topics" / "sample.yaml").read_text()),
+    "parameters": (read_parameters, (config_dir() / "trackres.yaml").read_text()),
+    "parameters as ROS has them": (read_parameters, ROS_PARAMETERS),
+}
+"""What reads it, and one that is right."""
+
+BOMB = (
+    "[&a [x, x, x, x, x, x, x, x, x, x]"
+    + "".join(f", &{new} [{', '.join([f'*{old}'] * 10)}]" for old, new in zip("abcdefg", "bcdefgh", strict=True))
+    + "]"
+)
+NASTY = (
+    "2001-99-99",
+    "2001-01-01",
+    "!!int abc",
+    "!!float abc",
+    "!!bool maybe",
+    "!!timestamp x",
+    "!!binary x",
+    "!!python/object/apply:os.system [true]",
+    "!unknown x",
+    "9" * 5000,
+    "0x" + "f" * 5000,
+    "-" + "9" * 400,
+    "1e999",
+    ".nan",
+    "[" * 1000 + "]" * 1000,
+    "[" * 100_000,
+    "&self [*self]",
+    "&self {a: *self}",
+    "{<<: &m {a: 1}, b: 2}",
+    "*nowhere",
+    BOMB,
+    "{a: 1, a: 2}",
+    "{[a]: 1}",
+    "{1: a, 0x1: b}",
+    "'" + "long " * 10_000 + "'",
+    '"\\0"',
+    '"\\ud800"',
+    '"a\\nb\\e[31m"',
+    "null",
+    "true",
+    "[]",
+    "{}",
+    "''",
+)
+
+
+def spoiled(content: bytes, rng: random.Random) -> bytes:
+    """A few bytes flipped, cut out, doubled, put elsewhere or made up."""
+    spoilt = bytearray(content)
+    for _ in range(rng.choice((1, 1, 2, 5, 20))):
+        at = rng.randrange(len(spoilt) + 1)
+        length = min(rng.choice((1, 1, 2, 8, 60)), len(spoilt) - at)
+        kind = rng.randrange(6)
+        if kind == 0 and at < len(spoilt):
+            spoilt[at] ^= 1 << rng.randrange(8)
+        elif kind == 1:
+            del spoilt[at : at + length]
+        elif kind == 2:
+            spoilt[at:at] = spoilt[at : at + length] * rng.choice((1, 3, 50))
+        elif kind == 3:
+            spoilt[at : at + length] = rng.randbytes(length)
+        elif kind == 4:
+            spoilt[at:at] = rng.choice((b"[", b"{", b"&a ", b"*a ", b"!!int ", b"- ", b": ", b"\t", b"\x00", b"#", b"'", b"\n"))
+        else:
+            del spoilt[at:]
+    return bytes(spoilt)
+
+
+@pytest.fixture(params=KINDS)
+def kind(request, tmp_path):
+    """Reads a text as one kind of file: what it made of it, or the refusal; anything else is raised."""
+    read, right = KINDS[request.param]
+    path = tmp_path / "given.yaml"
+    if "rubber" in right:
+        right = right.replace("rubber/nr_sbr", f"{config_dir()}/rubber/nr_sbr")
+
+    def taken(content: bytes) -> object:
+        path.write_bytes(content)
+        try:
+            return read(path)
+        except InputError as refused:
+            line = str(refused)
+            assert len(line) < LONGEST_LINE
+            assert line.isprintable()
+            assert str(path) in line
+            return refused
+
+    assert not isinstance(taken(right.encode()), InputError)
+    return taken, right
+
+
+def test_spoilt_bytes(kind, request):
+    taken, right = kind
+    refused = [isinstance(taken(spoiled(right.encode(), random.Random(i))), InputError) for i in range(SPOILT_OF_EACH)]
+    assert any(refused)
+
+
+@pytest.mark.long
+def test_more_spoilt_bytes(kind):
+    taken, right = kind
+    for i in range(SPOILT_OF_EACH, SPOILT_OF_EACH + MORE):
+        taken(spoiled(right.encode(), random.Random(i)))
+
+
+def places(content: object, path: tuple = ()) -> list[tuple]:
+    """Where something stands in nested mappings and lists, and where a key does."""
+    found = [path] if path else []
+    items = content.items() if isinstance(content, dict) else enumerate(content) if isinstance(content, list) else ()
+    return found + [p for key, value in items for p in places(value, (*path, key))]
+
+
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+@given(data=st.data())
+def test_anything_in_any_place(kind, data):
+    taken, right = kind
+    content = yaml.safe_load(right)
+    parent, place = content, data.draw(st.sampled_from(places(content)))
+    for key in place[:-1]:
+        parent = parent[key]
+    nasty = data.draw(st.sampled_from(NASTY) | st.text(max_size=30).map(repr) | st.floats().map(str) | st.integers().map(str))
+    if isinstance(parent, dict) and data.draw(st.booleans()):
+        parent["_HERE_"] = parent.pop(place[-1])  # as a key
+    else:
+        parent[place[-1]] = "_HERE_"
+    text = yaml.safe_dump(content, default_flow_style=None, width=10**6).replace("_HERE_", nasty)
+    taken(text.encode("utf-8", "surrogatepass"))
+
+
+@pytest.mark.parametrize("nasty", NASTY)
+def test_anything_as_the_whole_file(kind, nasty):
+    taken, _ = kind
+    assert isinstance(taken(nasty.encode("utf-8", "surrogatepass")), InputError) or nasty == "{}"
+
+
+def test_what_is_no_file_is_not_waited_for(tmp_path):
+    path = tmp_path / "given.yaml"
+    for make in (os.mkfifo, os.mkdir, lambda p: p.symlink_to("/dev/zero"), lambda p: p.symlink_to(p)):
+        make(path)
+        with pytest.raises(InputError, match=re.escape(str(path))):
+            read_yaml(path)
+        path.rmdir() if path.is_dir() else path.unlink()
+
+
+def test_what_is_too_large_is_refused(kind):
+    taken, right = kind
+    for content in (right + "\n#" + "x" * MOST_BYTES, f"a: [{'1, ' * MOST_NODES}]", f"a: {'[' * (MOST_DEPTH + 1)}", "\xff"):
+        assert isinstance(taken(content.encode("latin-1")), InputError)
+
+
+@pytest.mark.parametrize("nasty", NASTY)
+def test_one_parameter_on_the_command_line(nasty):
+    for name in ("output_rate_hz", "vehicle", "feedforward_parts", "use_sim_time", nasty.replace(":", "")[:50]):
+        if "\0" not in nasty:
+            done = CliRunner().invoke(cli, ["live", "--quiet", "-p", f"{name}:={nasty}", "-p", "state_file:=3"])
+            assert isinstance(done.exception, InputError)  # the second at the latest
+            assert len(str(done.exception)) < LONGEST_LINE
+
+
+def test_the_process_says_it_in_one_line_and_ends_with_2(tmp_path):
+    path = tmp_path / "v.yaml"
+    path.write_text(f"a: {BOMB}\n")
+    done = CliRunner().invoke(cli, ["vehicle", "check", str(path)])
+    assert isinstance(done.exception, InputError)
+    assert f"more than {MOST_NODES} values" in str(done.exception)
+    assert "line 1" in str(done.exception)
+
+
+@given(
+    st.recursive(
+        st.none() | st.booleans() | st.floats() | st.text() | st.integers(), lambda x: st.lists(x) | st.dictionaries(st.text(), x)
+    )
+)
+def test_what_was_given_is_shown_as_it_is_while_it_is_short(given_):
+    line = str(InputError("w", given_, "a"))
+    assert line.isprintable()
+    assert len(line) < 300
+    if len(repr(given_)) <= 80:
+        assert repr(given_) in line
+
+
+def test_what_holds_itself_or_is_huge_can_be_shown():
+    knot: list = []
+    knot.append({"a": (knot,)})
+    assert "..." in str(InputError("w", knot, "a"))
+    assert len(str(InputError("w", [["x" * 10**7] * 10**6] * 10**6, "a"))) < 120
+    assert "bits" in str(InputError("w", 10**5000, "a"))
+
+
+def test_shipped_files_are_far_from_the_limits():
+    for path in config_dir().rglob("*.yaml"):
+        assert path.stat().st_size < MOST_BYTES / 10
+        read_yaml(path)
+    assert make_parameters(read_parameters(config_dir() / "trackres.yaml")) == make_parameters({})
+    assert parse_yaml("{a: &x {b: 1e3}, c: {<<: *x, d: 2}}", "w") == {"a": {"b": 1000.0}, "c": {"b": 1000.0, "d": 2}}

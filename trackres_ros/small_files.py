@@ -1,0 +1,41 @@
+"""Small text files out of a user's hands: read whole, or refused in one line; never waited for, never without end."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+
+from trackres_ros.errors import InputError
+
+
+def read_text(path: Path, what: str, most_bytes: int) -> str:
+    """The text of a file.
+
+    Parameters
+    ----------
+    what
+        What it is to be, such as "YAML file", for messages.
+    most_bytes
+        A longer one is refused.
+
+    Raises
+    ------
+    InputError
+        There is no such file, it is a folder, pipe or device, too long, or no UTF-8.
+    """
+    try:
+        # Without blocking: a pipe in place of a file would be waited for until someone writes.
+        with open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as file:
+            mode = os.fstat(file.fileno()).st_mode
+            content = file.read(most_bytes + 1) if stat.S_ISREG(mode) else b""
+    except (OSError, ValueError) as error:  # ValueError: a path with a null byte
+        raise InputError(str(path), getattr(error, "strerror", None) or str(error), f"a readable {what}") from None
+    if not stat.S_ISREG(mode):
+        raise InputError(str(path), "a pipe" if stat.S_ISFIFO(mode) else "a device", f"a {what}")
+    if len(content) > most_bytes:
+        raise InputError(str(path), f"more than {most_bytes} bytes", f"a {what} of at most so many")
+    try:
+        return content.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise InputError(str(path), f"byte {error.start} is no UTF-8", f"a {what} in UTF-8") from None
