@@ -61,6 +61,6 @@ setup(
     },
     zip_safe=False,
     entry_points={
-        "console_scripts": ["trackres = trackres_ros.cli.main:main", "estimator = trackres_ros.ros.main:main"],
+        "console_scripts": ["trackres = trackres_ros.cli.entry:main", "estimator = trackres_ros.ros.estimator:main"],
     },
 )

@@ -11,6 +11,10 @@ class InputError(ValueError):
         text = f"{where}: given {given!r}; allowed: {allowed}"
         super().__init__(f"{text}; {remedy}" if remedy else text)
 
+    def as_dict(self) -> dict[str, str]:
+        """Its parts for programs."""
+        return {"where": self.where, "given": str(self.given), "allowed": self.allowed, "remedy": self.remedy}
+
     def __reduce__(self) -> tuple[object, ...]:
         """So that it crosses from one process to another as what it is."""
         return InputError, (self.where, self.given, self.allowed, self.remedy)

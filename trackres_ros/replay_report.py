@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.estimator import layout as at
+from trackres_ros.outputs import RESISTANCE_PARTS
 from trackres_ros.recording import Block, Finding, Recording, Source
 from trackres_ros.replay import Replayed
 
@@ -96,9 +97,9 @@ def text(report: dict[str, Any]) -> str:
     lines += [f"  status: {item['text']} ({item['steps']} steps)" for item in report["reasons"]]
     lines.append(
         f"At the end, at {last['speed_mps'] * 3.6:.1f} km/h: resistance "
-        f"{last['resistance_torque_nm']:.0f} +- {last['resistance_std_nm']:.0f} Nm (hysteresis "
-        f"{last['hysteresis_nm']:.0f}, bearing {last['bearing_nm']:.0f}, wind {last['wind_nm']:.0f}), largest "
-        f"{report['resistance_torque_nm']['largest']:.0f} Nm"
+        f"{last['resistance_torque_nm']:.0f} +- {last['resistance_std_nm']:.0f} Nm ("
+        + ", ".join(f"{part} {last[column]:.0f}" for part, column in RESISTANCE_PARTS.items())
+        + f"), largest {report['resistance_torque_nm']['largest']:.0f} Nm"
     )
     lines.append("Belts: " + ", ".join(f"{name} {value:.1f} degC" for name, value in belts.items()))
     return "\n".join([*lines, f"Written: {', '.join(report['written'])}"])

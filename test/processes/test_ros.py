@@ -52,7 +52,7 @@ class Shell:
         process = self.start(
             sys.executable,
             "-m",
-            "trackres_ros.ros.main",
+            "trackres_ros.ros.estimator",
             "--ros-args",
             "-p",
             "vehicle:=xgd24d",
@@ -165,18 +165,18 @@ def test_two_publishers_and_a_wrong_type_are_seen(shell):
 
 
 def test_a_bad_start_ends_with_code_2_or_waits_to_be_configured(cyclone):
-    bad = cyclone.start(sys.executable, "-m", "trackres_ros.ros.main", "--ros-args", "-p", "vehicle:=nonsense")
+    bad = cyclone.start(sys.executable, "-m", "trackres_ros.ros.estimator", "--ros-args", "-p", "vehicle:=nonsense")
     assert bad.wait(30) == 2
     assert "one of agri3t, xgd24d" in bad.said() or "xgd24d" in bad.said()
     assert "Traceback" not in bad.said()
-    bad = cyclone.start(sys.executable, "-m", "trackres_ros.ros.main", "--ros-args", "-p", "vehicle:=xgd24d", "-p", "gap_s:=1e9")
+    bad = cyclone.start(sys.executable, "-m", "trackres_ros.ros.estimator", "--ros-args", "-p", "vehicle:=xgd24d", "-p", "gap_s:=1e9")
     assert bad.wait(30) == 2
     assert "gap_s" in bad.said()
     assert "Traceback" not in bad.said()
     waiting = cyclone.start(
         sys.executable,
         "-m",
-        "trackres_ros.ros.main",
+        "trackres_ros.ros.estimator",
         "--ros-args",
         "-p",
         "vehicle:=nonsense",

@@ -10,6 +10,7 @@ import numpy as np
 
 from trackres_ros.cli.common import emit, json_option, method_options, number, output_path, vehicle_option
 from trackres_ros.errors import InputError
+from trackres_ros.outputs import RESISTANCE_PARTS
 from trackres_ros.recording import Recording
 
 KMH = 1 / 3.6
@@ -57,8 +58,9 @@ def simulate_command(
     trackres simulate --vehicle xgd24d --speed-kmh 50 -o out.csv
     trackres simulate --vehicle xgd24d --profile laps.csv --ambient-degc -15 -o out.mcap
 
-    Columns: time_s, speed_mps, weight_n, ambient_degc, belt_degc (mean over the assemblies), resistance_torque_nm (hysteresis,
-    bearing and wind), hysteresis_nm, bearing_nm, wind_nm, inertia_nm, drive_torque_nm (all four); whole vehicle.
+    Columns: time_s, speed_mps, weight_n, ambient_degc, belt_degc (mean over the assemblies), resistance_torque_nm, which is the
+    sum of hysteresis_nm, bearing_nm, wind_nm and effects_nm (of the vehicle file's effects), inertia_nm, drive_torque_nm
+    (resistance and inertia); whole vehicle.
     """
     from trackres_ros.csvs import write_table
     from trackres_ros.estimator.estimator import Estimator, Steps
@@ -125,13 +127,15 @@ def _read_profile(path: Path) -> tuple[Any, Any]:
 
 
 def _text(result: dict[str, Any]) -> str:
+    parts = {"resistance": "resistance_torque_nm", **RESISTANCE_PARTS}
     lines = [
-        f"{'time':>8} {'speed':>9} {'resistance':>11} {'hysteresis':>11} {'bearing':>9} {'wind':>7} {'belt':>8}",
-        f"{'s':>8} {'km/h':>9} {'Nm':>11} {'Nm':>11} {'Nm':>9} {'Nm':>7} {'degC':>8}",
+        f"{'time':>8} {'speed':>7} " + " ".join(f"{part:>10}" for part in parts) + f" {'belt':>6}",
+        f"{'s':>8} {'km/h':>7} " + " ".join(f"{'Nm':>10}" for _ in parts) + f" {'degC':>6}",
     ]
     lines += [
-        f"{p['time_s']:8.0f} {p['speed_mps'] * 3.6:9.1f} {p['resistance_torque_nm']:11.0f} {p['hysteresis_nm']:11.0f} "
-        f"{p['bearing_nm']:9.0f} {p['wind_nm']:7.0f} {p['belt_degc']:8.1f}"
+        f"{p['time_s']:8.0f} {p['speed_mps'] * 3.6:7.1f} "
+        + " ".join(f"{p[column]:10.0f}" for column in parts.values())
+        + f" {p['belt_degc']:6.1f}"
         for p in result["points"]
     ]
     return "\n".join([*lines, f"{result['rows']} rows in {result['output']}"])

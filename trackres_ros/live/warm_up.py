@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import fcntl
 import subprocess
 import sys
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 
 from trackres_ros.compiled import is_cached
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.session import COMPILED, Entries, interpreted_entries
+from trackres_ros.resources import cache_dir
 from trackres_ros.vehicle import load
 
 NICENESS = 10
+LOCK = "compiling.lock"
 START_NS = 1_700_000_000_000_000_000
 
 
@@ -73,12 +78,29 @@ class WarmUp:
             self._ready.set()
 
 
+@contextmanager
+def one_at_a_time() -> Iterator[None]:
+    """Hold off other processes that would compile the same meanwhile, and find it done after; where no lock can be had, go on."""
+    try:
+        folder = cache_dir()
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = (folder / LOCK).open("a")
+    except (AttributeError, OSError, RuntimeError):  # no cache to share
+        yield
+        return
+    with lock:
+        with suppress(OSError):  # of a file system that has none
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
 def main() -> None:
     """Compile for a vehicle file, as the other process."""
     import os
 
     os.nice(NICENESS)
-    exercise(Estimator(load(sys.argv[1])))
+    with one_at_a_time():
+        exercise(Estimator(load(sys.argv[1])))
 
 
 if __name__ == "__main__":
