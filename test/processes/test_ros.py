@@ -169,7 +169,8 @@ def test_a_bad_start_ends_with_code_2_or_waits_to_be_configured(cyclone):
     assert bad.wait(30) == 2
     assert "one of agri3t, xgd24d" in bad.said() or "xgd24d" in bad.said()
     assert "Traceback" not in bad.said()
-    bad = cyclone.start(sys.executable, "-m", "trackres_ros.ros.estimator", "--ros-args", "-p", "vehicle:=xgd24d", "-p", "gap_s:=1e9")
+    given = ["--ros-args", "-p", "vehicle:=xgd24d", "-p", "gap_s:=1e9"]
+    bad = cyclone.start(sys.executable, "-m", "trackres_ros.ros.estimator", *given)
     assert bad.wait(30) == 2
     assert "gap_s" in bad.said()
     assert "Traceback" not in bad.said()

@@ -98,7 +98,8 @@ def _inputs(seen: Overview) -> Group:
         counts = dict(given.counts)
         accepted = counts.pop("accepted", 0)
         unit = ROLES[base_role(given.role)].unit
-        value = "" if math.isnan(given.value) else f"{given.value:.{0 if abs(given.value) >= WHOLE_FROM else 3}f} {unit if unit != '1' else ''}".rstrip()
+        number = f"{given.value:.{0 if abs(given.value) >= WHOLE_FROM else 3}f}"
+        value = "" if math.isnan(given.value) else f"{number} {unit}".removesuffix(" 1")
         rate = "" if math.isnan(given.rate_hz) else f"{given.rate_hz:.1f}"
         shown.add_row(given.role, given.topic, value, rate, _age(given.age_s), str(accepted))
         if counts:
