@@ -113,7 +113,7 @@ def test_a_first_stamp_that_no_message_can_carry_is_refused_and_counted(desk):
     d = desk(output_rate_hz=50.0)
     index = {role: i for i, given in enumerate(d.app.inputs) for role in given.roles}
     d.app.receive(index["speed"], message_of("speed", 2**31 - 1, 10**9, 8.0))
-    d.forward(1.5)
+    d.forward(0.5)
     assert "REFUSED" in d.names()
     speed = next(given for given in d.app.overview().inputs if given.role == "speed")
     assert dict(speed.counts) == {"bad_stamp": 1}
@@ -153,10 +153,10 @@ def test_the_outputs_move_at_feedforward_rate_over_any_speeds_and_pauses(desk, r
     risen = 0
     for (before_s, before), (now_s, now) in itertools.pairwise(outputs):
         if abs(now) > abs(before) and now * before >= 0.0:
-            assert abs(now - before) <= nm_per_s * (now_s - before_s) + 1e-6
+            assert abs(now - before) <= nm_per_s * (now_s - before_s) + 1e-3  # of a clock that counts nanoseconds
             risen += 1
         else:
-            assert abs(now - before) <= (nm_per_s + fading) * (now_s - before_s) + 1e-6
+            assert abs(now - before) <= (nm_per_s + fading) * (now_s - before_s) + 1e-3
     assert risen > 20
 
 

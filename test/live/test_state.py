@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from trackres_ros.errors import InputError
 from trackres_ros.live.state_keeper import state_name, state_path
+from trackres_ros.resources import cache_dir
 
 
 @pytest.fixture
@@ -169,6 +170,7 @@ def test_a_vehicle_whose_name_is_a_path_keeps_its_state_where_all_do(desk, monke
 
 
 def test_without_a_home_it_runs_and_says_that_no_state_is_kept(desk, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(cache_dir().parent))
     monkeypatch.delenv("HOME", raising=False)
     monkeypatch.delenv("XDG_STATE_HOME", raising=False)
     monkeypatch.setattr("pathlib.Path.home", lambda: (_ for _ in ()).throw(RuntimeError("no home")))

@@ -65,7 +65,7 @@ def table(title: str, seen: Overview) -> Panel:
     status = Text.assemble((f" {seen.level.name} ", f"bold reverse {colour}"), f"  {seen.message}")
     parts: list[RenderableType] = [status, Text(""), _inputs(seen)]
     if seen.values:
-        side_by_side = Table.grid(padding=(0, 3))
+        side_by_side = Table.grid(padding=(0, 2))
         side_by_side.add_row(_torques(seen), _belts(seen))
         parts += [Text(""), side_by_side, Text("")]
     if any(given.role == "torque" for given in seen.inputs):
@@ -110,12 +110,12 @@ def _inputs(seen: Overview) -> Group:
 
 def _torques(seen: Overview) -> Table:
     shown = Table(box=None, pad_edge=False, header_style="dim")
-    shown.add_column("torque at sprockets", no_wrap=True)
+    shown.add_column("at sprockets", no_wrap=True)
     shown.add_column("Nm", justify="right", no_wrap=True)
     values, std = seen.values, seen.values["resistance_std_nm"]
     for name, column in RESISTANCE_PARTS.items():
         shown.add_row(f"  {name}", f"{values[column]:.0f}")
-    shown.add_row("[b]resistance[/b], their sum", f"[b]{values['resistance_torque_nm']:.0f}[/b] +- {std:.0f}")
+    shown.add_row("[b]resistance[/b] (sum)", f"[b]{values['resistance_torque_nm']:.0f}[/b] +- {std:.0f}")
     shown.add_row("grade", f"{values['grade_nm']:.0f}")
     shown.add_row("inertia", f"{values['inertia_nm']:.0f}")
     shown.add_row("[b]feed-forward[/b]", f"[b]{seen.feedforward_nm:.0f}[/b]")

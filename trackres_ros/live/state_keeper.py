@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import re
 import time
@@ -37,9 +38,9 @@ def state_name(node: str, namespace: str, vehicle: str) -> str:
 
     The readable part may be alike for two of them; the digest of the whole is not.
     """
-    identity = "\0".join(("/".join(filter(None, namespace.split("/"))), node, vehicle))
-    readable = re.sub(r"[^A-Za-z0-9]+", "_", identity).strip("_")[:LONGEST_NAME]
-    return f"{readable}-{hashlib.sha256(identity.encode('utf-8', 'surrogatepass')).hexdigest()[:12]}.json"
+    identity = [*filter(None, namespace.split("/"))], node, vehicle
+    readable = re.sub(r"[^A-Za-z0-9]+", "_", "_".join((*identity[0], node, vehicle))).strip("_")[:LONGEST_NAME]
+    return f"{readable}-{hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:12]}.json"
 
 
 class StateKeeper:
