@@ -22,9 +22,12 @@ RESISTANCE_PARTS = {"hysteresis": "hysteresis_nm", "bearing": "bearing_nm", "win
 """What the resistance torque is the sum of, and the column of each; the last is what the effects of the vehicle file add."""
 TOTALS = {
     "total": "resistance_torque_nm",
-    **RESISTANCE_PARTS,
+    "hysteresis": "hysteresis_nm",
+    "bearing": "bearing_nm",
+    "wind": "wind_nm",
     "grade": "grade_nm",
     "inertia": "inertia_nm",
+    "effects": "effects_nm",
     "drive": "drive_torque_nm",
 }
 """Torques of the whole vehicle; total, grade and inertia add up to the drive torque."""
