@@ -1,6 +1,8 @@
 """The node as a person on ROS 2 meets it: by `ros2 run`'s executable, the command line, launch, lifecycle, bags."""
 
+import importlib.util
 import json
+import os
 import shutil
 import signal
 import subprocess
@@ -250,9 +252,28 @@ def test_a_bag_played_live_is_recorded_as_the_offline_replay_gives_it(cyclone, r
     assert compared > 0.99 * len(rows)
 
 
-def test_launch_starts_it(cyclone, repository):
-    if "trackres_ros" not in cyclone.ros2("pkg", "list"):
-        pytest.skip("the package is not built into a sourced workspace: `ros2 launch` cannot find it")
+@pytest.fixture(scope="module")
+def workspace(tmp_path_factory, repository):
+    """Environment of a workspace that the package is built into as a user builds it."""
+    if not importlib.util.find_spec("colcon_ros"):
+        pytest.skip("colcon is not installed for this Python: pip install colcon-common-extensions")
+    folder = tmp_path_factory.mktemp("workspace")
+    source = folder / "src" / "trackres_ros"
+    left = ("[.]*", "build", "install", "log", "out", "docs", "*.egg-info", "__pycache__")
+    shutil.copytree(repository, source, ignore=shutil.ignore_patterns(*left))
+    program = "import sys; from colcon_core.command import main; sys.exit(main())"
+    build = [sys.executable, "-W", "ignore", "-c", program, "build", "--packages-select", "trackres_ros"]
+    done = subprocess.run(build, cwd=folder, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stdout + done.stderr
+    sourced = f"source {folder}/install/setup.bash && env -0"
+    said = subprocess.run(["bash", "-c", sourced], capture_output=True, text=True, check=True).stdout
+    return dict(line.split("=", 1) for line in said.split("\0") if "=" in line)
+
+
+def test_launch_starts_it(cyclone, workspace):
+    cyclone.environment = {**workspace, **{k: v for k, v in cyclone.environment.items() if os.environ.get(k) != v}}
+    assert "trackres_ros" in cyclone.ros2("pkg", "list")
+    assert {"estimator", "trackres"} <= set(cyclone.ros2("pkg", "executables", "trackres_ros").split())
     launch = cyclone.start(
         ROS2, "launch", "trackres_ros", "trackres.launch.py", "vehicle:=xgd24d", "namespace:=left", "use_sim_time:=true"
     )
