@@ -118,6 +118,7 @@ class DdsNode:
         application.activate()
         wait = self._participant.waiter()
         self._next_tick = time.monotonic_ns()
+        asked.started()
         while not asked.to_stop:
             left = self._next_tick - time.monotonic_ns()
             if left > 0:

@@ -36,9 +36,12 @@ class Asked:
         for number in WHAT:
             signal.signal(number, self._take)
 
+    def started(self) -> None:
+        """The node runs: what is asked from now on is done at once."""
+        self._starting = False
+
     def answers(self, application: Application) -> Iterator[tuple[Level, str]]:
         """Do what was asked for, and say what was done."""
-        self._starting = False
         if not self._waiting:
             return
         from trackres_ros.errors import InputError

@@ -70,6 +70,7 @@ def _run(
         if started and node.application:
             started(node.application)
         gc.freeze()  # what was loaded stays: looking through it would hold up a message now and then
+        asked.started()
         while not asked.to_stop:
             executor.spin_once(timeout_sec=LONGEST_WAIT_S)
             if node.application:
