@@ -1,4 +1,6 @@
+from itertools import combinations
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import settings
@@ -32,3 +34,54 @@ def repository():
 def compiled(reference):
     """The kernels are compiled: nodes that are started then need not do so beside, each anew, while they are tested."""
     exercise(reference)
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    """`figures` as they are saved, and `faults(figure)`: what of one is cut off, collides or covers something."""
+    from matplotlib.figure import Figure
+
+    figures, save = [], Figure.savefig
+
+    def saved(figure, *args, **kwargs):
+        save(figure, *args, **kwargs)
+        figures.append(figure)
+
+    monkeypatch.setattr(Figure, "savefig", saved)
+    return SimpleNamespace(figures=figures, faults=_faults)
+
+
+def _faults(figure):
+    """What a person would find hard to read, in words."""
+    from matplotlib.axis import Tick
+    from matplotlib.legend import Legend
+    from matplotlib.text import Text
+
+    renderer, whole = figure.canvas.get_renderer(), figure.bbox.padded(1.0)
+    axes = [a for a in figure.axes if a.get_visible()]
+    of_hidden = {id(t) for a in figure.axes if not a.get_visible() for t in a.findobj(Text)}
+    of_ticks = {id(t) for tick in figure.findobj(Tick) for t in tick.findobj(Text)}
+    texts = [t for t in figure.findobj(Text) if id(t) not in of_hidden | of_ticks]
+    found = []
+    for one in axes:
+        for axis in (one.xaxis, one.yaxis):
+            low, high = sorted(axis.get_view_interval())
+            labels = [t.label1 for t in axis.get_major_ticks() if low <= t.get_loc() <= high]
+            labels = [t for t in labels if t.get_visible() and t.get_text()]
+            boxes = [(t.get_text(), t.get_window_extent(renderer)) for t in labels]
+            found += [f"{a!r} touches {b!r}" for (a, at), (b, by) in combinations(boxes, 2) if at.overlaps(by)]
+            texts += labels
+    for text in texts:
+        if text.get_visible() and text.get_text().strip() and _outside(text.get_window_extent(renderer), whole):
+            found.append(f"{text.get_text()!r} is cut off")
+    for legend in figure.findobj(Legend):
+        box = legend.get_window_extent(renderer)
+        if any(box.overlaps(one.get_window_extent(renderer)) for one in axes):
+            found.append("a legend lies over axes")
+        if _outside(box, whole):
+            found.append("a legend is cut off")
+    return found
+
+
+def _outside(box, whole):
+    return box.x0 < whole.x0 or box.y0 < whole.y0 or box.x1 > whole.x1 or box.y1 > whole.y1

@@ -47,6 +47,13 @@ def test_a_replay_draws_alike_twice_and_other_data_draw_otherwise(estimate, tmp_
     assert (tmp_path / "first.png").read_bytes() != (tmp_path / "other.png").read_bytes()
 
 
+@pytest.mark.parametrize("title", ["drive", ", ".join(f"2026-02-03_vehicle_17_part_{i}.mcap" for i in range(40))])
+def test_a_replay_can_be_read(estimate, drawn, tmp_path, title):
+    time_s, columns = estimate
+    plot_estimate(tmp_path / "p.png", time_s, columns, title)
+    assert not drawn.faults(drawn.figures[0])
+
+
 def test_it_draws_alike_whatever_the_user_set_up(estimate, tmp_path):
     import matplotlib
 

@@ -416,7 +416,7 @@ def write_table(path: Path, columns: Mapping[str, NDArray[Any]]) -> None:
 def _texts(column: NDArray[Any]) -> list[str]:
     """Return the cells of a column as they stand in a CSV."""
     if column.dtype.kind == "f":
-        texts = list(map(repr, column.astype(np.float64).tolist()))
+        texts = list(map(repr, (column.astype(np.float64) + 0.0).tolist()))  # which takes the sign off a zero
         return ["" if text == "nan" else text for text in texts] if np.isnan(column).any() else texts
     if column.dtype.kind in "iub":
         return list(map(str, column.astype(np.int64).tolist()))

@@ -18,7 +18,7 @@ from trackres_ros.errors import InputError, MissingExtraError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure, SubFigure
 
 Array = NDArray[np.float64]
 
@@ -26,6 +26,8 @@ MOST_POINTS = 4000  # of one line; more than a picture has columns of pixels
 DOTS_PER_INCH = 110
 KMH_PER_MPS = 3.6
 HOURS_FROM_S = 3 * 3600.0  # a longer time axis is in hours
+LEGEND_INCHES = 0.28
+TITLE_LETTERS = 95  # that a line across a picture of 9 inches holds
 ALIKE_K = 0.5  # assemblies whose temperatures differ by less are one line
 MEASURED = ("torque_nm", "belt_degc")
 
@@ -77,6 +79,25 @@ def picture(path: Path, width: float, height: float) -> Iterator[Figure]:
         yield figure
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path, format="png", metadata={"Software": None})
+
+
+@contextmanager
+def picture_with_legend(path: Path, width: float, height: float) -> Iterator[SubFigure]:
+    """As `picture`, of which a row above all axes is kept for one legend of all their labels, where it covers nothing."""
+    with picture(path, width, height + LEGEND_INCHES) as figure:
+        head, body = np.ravel(np.asarray(figure.subfigures(2, 1, height_ratios=(LEGEND_INCHES, height))))
+        yield body
+        entries = {label: line for axes in body.axes for line, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+        if entries:
+            head.legend(list(entries.values()), list(entries), loc="center left", ncols=len(entries), borderaxespad=0.0)
+
+
+def shortened(text: str, most: int) -> str:
+    """A text of at most so many characters; its middle gives way."""
+    if len(text) <= most:
+        return text
+    kept = most - 3
+    return f"{text[: kept - kept // 2]}...{text[len(text) - kept // 2 :]}"
 
 
 def thinned(x: ArrayLike, y: ArrayLike, most: int = MOST_POINTS) -> tuple[Array, Array]:
@@ -157,7 +178,7 @@ def plot_estimate(
     x = time / 3600.0 if in_hours else time
     with picture(path, 9.0, 7.2) as figure:
         speed, torque, belt = figure.subplots(3, 1, sharex=True, height_ratios=(1.0, 1.8, 1.4))
-        figure.suptitle(title, x=0.01, ha="left", fontsize=11)
+        figure.suptitle(shortened(title, TITLE_LETTERS), x=0.01, ha="left", fontsize=11)
         _line(speed, x, np.asarray(columns["speed_mps"], float) * KMH_PER_MPS, "speed", BLACK)
         speed.set_ylabel("speed [km/h]")
         _draw_torque(torque, x, columns, given.get("torque_nm"))

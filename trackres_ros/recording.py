@@ -10,6 +10,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.shown import figures
+
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
@@ -407,12 +409,12 @@ def _span(span_ns: int) -> str:
     """Return a span of time in the unit a reader would choose."""
     for size, unit in ((86400e9, "days"), (3600e9, "h"), (60e9, "min"), (1e9, "s"), (1e6, "ms")):
         if span_ns >= (2 if unit in ("h", "min") else 1) * size:
-            return f"{span_ns / size:.3g} {unit}"
+            return f"{figures(span_ns / size)} {unit}"
     return f"{span_ns} ns"
 
 
 def _step_text(step: float, unit: str) -> str:
-    return f"{step:.4g} m/s ({step * 3.6:.3g} km/h)" if unit == "m/s" else f"{step:.4g} {unit}"
+    return f"{figures(step, 4)} m/s ({figures(step * 3.6)} km/h)" if unit == "m/s" else f"{figures(step, 4)} {unit}"
 
 
 def _summary(samples: Series) -> str:
@@ -421,5 +423,5 @@ def _summary(samples: Series) -> str:
         return f"{len(samples)} samples, none with a value"
     steps = np.diff(samples.stamp_ns)
     median = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
-    rate = f" at {1e9 / median:.4g} Hz" if median else ""
-    return f"{len(samples)} samples{rate}, {finite.min():.6g} to {finite.max():.6g}"
+    rate = f" at {figures(1e9 / median, 4)} Hz" if median else ""
+    return f"{len(samples)} samples{rate}, {figures(finite.min(), 6)} to {figures(finite.max(), 6)}"

@@ -13,6 +13,7 @@ from trackres_ros.estimator import layout as at
 from trackres_ros.outputs import RESISTANCE_PARTS
 from trackres_ros.recording import Block, Finding, Recording, Source
 from trackres_ros.replay import Replayed
+from trackres_ros.shown import decimals
 
 Array = NDArray[np.float64]
 
@@ -96,12 +97,12 @@ def text(report: dict[str, Any]) -> str:
             lines.append(f"  counted: {channel}: " + ", ".join(f"{name} {number}" for name, number in refused.items()))
     lines += [f"  status: {item['text']} ({item['steps']} steps)" for item in report["reasons"]]
     lines.append(
-        f"At the end, at {last['speed_mps'] * 3.6:.1f} km/h: resistance "
-        f"{last['resistance_torque_nm']:.0f} +- {last['resistance_std_nm']:.0f} Nm ("
-        + ", ".join(f"{part} {last[column]:.0f}" for part, column in RESISTANCE_PARTS.items())
-        + f"), largest {report['resistance_torque_nm']['largest']:.0f} Nm"
+        f"At the end, at {decimals(last['speed_mps'] * 3.6, 1)} km/h: resistance "
+        f"{decimals(last['resistance_torque_nm'])} +- {decimals(last['resistance_std_nm'])} Nm ("
+        + ", ".join(f"{part} {decimals(last[column])}" for part, column in RESISTANCE_PARTS.items())
+        + f"), largest {decimals(report['resistance_torque_nm']['largest'])} Nm"
     )
-    lines.append("Belts: " + ", ".join(f"{name} {value:.1f} degC" for name, value in belts.items()))
+    lines.append("Belts: " + ", ".join(f"{name} {decimals(value, 1)} degC" for name, value in belts.items()))
     return "\n".join([*lines, f"Written: {', '.join(report['written'])}"])
 
 

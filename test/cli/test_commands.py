@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import re
 import subprocess
 import sys
 
@@ -36,6 +37,10 @@ def table(path):
     with path.open() as lines:
         rows = list(csv.DictReader(lines))
     return {name: np.array([float(row[name] or "nan") for row in rows]) for name in rows[0]}
+
+
+def no_signed_zero(text):
+    return re.findall(r"(?<![\w.+-])-0(?:\.0*)?(?![\d.])", text) == []
 
 
 @pytest.fixture(scope="module")
@@ -253,3 +258,16 @@ def test_bad_input_is_one_line_and_exit_code_2(tmp_path, repository, arguments, 
     assert done.stderr.count("\n") == 1
     assert named in done.stderr
     assert not (tmp_path / "x.csv").exists()
+
+
+def test_no_zero_that_is_shown_has_a_sign(folder):
+    assert no_signed_zero("wind 0, inertia -1, -0.4")
+    assert not no_signed_zero("wind -0, inertia 1")
+    assert not no_signed_zero("speed,-0.0,1")
+    of = ("--vehicle", "xgd24d", "--speed-kmh", -0.001)
+    assert no_signed_zero(good("explain", *of, "--belt-degc", 0))
+    drive, again = folder / "slow.csv", folder / "again.csv"
+    assert no_signed_zero(good("simulate", *of, "--duration-s", 60, "--ambient-degc", 0, "-o", drive))
+    assert no_signed_zero(drive.read_text())
+    assert no_signed_zero(good("replay", drive, "--vehicle", "xgd24d", "-o", again))
+    assert no_signed_zero(again.read_text())

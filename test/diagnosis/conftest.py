@@ -6,7 +6,7 @@ import pytest
 from click.testing import CliRunner
 
 from trackres_ros.cli.main import cli
-from trackres_ros.diagnosis import load_base
+from trackres_ros.diagnosis import diagnose, load_base, read_recordings
 from trackres_ros.diagnosis.trial import drives, write_recordings
 from trackres_ros.effects import Active, catalogue
 
@@ -47,6 +47,12 @@ def run():
         return CliRunner().invoke(cli, command, catch_exceptions=True)
 
     return run_it
+
+
+@pytest.fixture(scope="session")
+def diagnosed(recorded, loaded):
+    """The same as an object, of the Python interface."""
+    return diagnose(read_recordings(recorded("turning_scrub"), None), loaded, seed=1, quick=True)
 
 
 @pytest.fixture(scope="session")

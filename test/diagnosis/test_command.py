@@ -10,7 +10,6 @@ import yaml
 from click.testing import CliRunner
 
 from trackres_ros.cli.main import cli
-from trackres_ros.diagnosis import diagnose, read_recordings
 from trackres_ros.diagnosis.report import report
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.estimator import Estimator
@@ -88,7 +87,7 @@ def test_the_page_says_the_same_as_the_report(scrubbed):
     assert html.escape(found["verdict"]["sentence"], quote=False) in html.unescape(page)
     for stage in ("nominal", "refitted", "with_effects"):
         shown = re.search(rf'id="mae-{stage}">([^<]+)<', page).group(1)
-        assert float(shown) == pytest.approx(found["heldout"]["mae"][stage], rel=1e-3)
+        assert float(shown) == pytest.approx(found["heldout"]["mae"][stage], rel=5e-3)
     assert page.count("<img") == page.count('alt="') > 4
     assert not re.search(r'(src|href)="(?!data:|#)', page)
 
@@ -113,9 +112,8 @@ def test_a_parameter_that_is_off_is_no_physics(recorded, tmp_path):
     assert found["base"]["refitted"]["bearing_friction"]["value"] == pytest.approx(0.0075, rel=0.1)
 
 
-def test_python_and_command_give_the_same_for_the_same_seed(scrubbed, recorded, loaded):
-    paths = recorded("turning_scrub")
-    assert report(diagnose(read_recordings(paths, None), loaded, seed=1, quick=True), paths) == scrubbed[1]
+def test_python_and_command_give_the_same_for_the_same_seed(scrubbed, recorded, diagnosed):
+    assert report(diagnosed, recorded("turning_scrub")) == scrubbed[1]
 
 
 def test_what_is_hidden_is_not_used(run, recorded, tmp_path):

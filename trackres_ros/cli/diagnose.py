@@ -86,7 +86,8 @@ def diagnose_command(
     output.mkdir(parents=True, exist_ok=True)
     (output / "report.json").write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     text = f"{found.verdict.sentence}\nWritten by trackres diagnose from {', '.join(path.name for path in recordings)}."
-    loaded.base.write(output / "vehicle.yaml", found.final.base_values, found.final.effects, text)
+    values = found.kept.values or {q.name: q.nominal for q in loaded.base.parameters}
+    loaded.base.write(output / "vehicle.yaml", values, found.kept.effects, text)
     written = ["report.json", "vehicle.yaml"]
     try:
         from trackres_ros.report.page import write_page

@@ -8,6 +8,7 @@ import click
 
 from trackres_ros.cli.common import emit, json_option, number, vehicle_option
 from trackres_ros.errors import InputError
+from trackres_ros.shown import decimals, figures
 
 
 @click.command("explain")
@@ -44,8 +45,8 @@ def explain_command(
         raise InputError(
             "--weight-kn",
             weight_kn,
-            f"{0.05 * description.weight / 1e3:.3g} to {20 * description.weight / 1e3:.3g} kN for "
-            f"a vehicle of {description.weight / 1e3:.3g} kN",
+            f"{figures(0.05 * description.weight / 1e3)} to {figures(20 * description.weight / 1e3)} kN for "
+            f"a vehicle of {figures(description.weight / 1e3)} kN",
         )
     result = explain(description, speed_kmh / 3.6, belt_degc, ambient_degc, None if weight_kn is None else weight_kn * 1e3)
     emit(result, as_json, lambda: _text(result))
@@ -54,8 +55,8 @@ def explain_command(
 def _text(result: dict[str, Any]) -> str:
     contact, loss, torque = result["contact"], result["loss_force_n"], result["torque_nm"]
     lines = [
-        f"{result['vehicle']}: {result['speed_mps'] * 3.6:.1f} km/h, belt {result['belt_degc']:.1f} degC, ambient "
-        f"{result['ambient_degc']:.1f} degC, {result['weight_n'] / 1e3:.1f} kN, {result['method']}",
+        f"{result['vehicle']}: {decimals(result['speed_mps'] * 3.6, 1)} km/h, belt {decimals(result['belt_degc'], 1)} degC, "
+        f"ambient {decimals(result['ambient_degc'], 1)} degC, {result['weight_n'] / 1e3:.1f} kN, {result['method']}",
         "",
         f"Road wheels of {result['assemblies'][0]}",
         f"{'':4}{'load':>9} {'half length':>12} {'strain':>8} {'frequency':>10} {'modulus':>9}",
@@ -69,10 +70,11 @@ def _text(result: dict[str, Any]) -> str:
     lines += [
         "",
         f"Belt tension {result['tension_n']:.0f} N; film coefficient {result['film_coefficient_w_m2k']:.1f} W/m2K",
-        f"Loss per metre of travel of {result['assemblies'][0]} [N]: " + ", ".join(f"{k} {v:.1f}" for k, v in loss.items()),
-        f"Heat of all belts {result['heat_w'] / 1e3:.2f} kW, cooling {result['cooling_w'] / 1e3:.2f} kW",
+        f"Loss per metre of travel of {result['assemblies'][0]} [N]: "
+        + ", ".join(f"{k} {decimals(v, 1)}" for k, v in loss.items()),
+        f"Heat of all belts {result['heat_w'] / 1e3:.2f} kW, cooling {decimals(result['cooling_w'] / 1e3, 2)} kW",
         "",
-        "Torque at the sprockets, whole vehicle [Nm]: " + ", ".join(f"{k} {v:.0f}" for k, v in torque.items()),
+        "Torque at the sprockets, whole vehicle [Nm]: " + ", ".join(f"{k} {decimals(v)}" for k, v in torque.items()),
     ]
     if result["effects_left_out"]:
         lines.append(f"Left out, as they need more than an operating point: {', '.join(result['effects_left_out'])}")

@@ -17,11 +17,11 @@ from trackres_ros.live.edge import Level
 from trackres_ros.live.report import Overview
 from trackres_ros.outputs import RESISTANCE_PARTS
 from trackres_ros.recording import ROLES, base_role
+from trackres_ros.shown import decimals, figures
 
 REFRESH_S = 0.5
 PLAIN_PERIOD_S = 10.0
 KMH = 3.6
-WHOLE_FROM = 1000.0  # larger values are shown without decimals
 LONG_AGE_S = 100.0  # from here on whole seconds
 COLOURS = {Level.OK: "green", Level.WARN: "yellow", Level.ERROR: "red", Level.STALE: "magenta"}
 
@@ -80,10 +80,12 @@ def line(seen: Overview) -> str:
         return f"{seen.level.name}: {seen.message}"
     value = seen.values
     belts = [value[f"belt_degc/{name}"] for name in seen.assemblies]
+    coldest, hottest = decimals(min(belts), 1), decimals(max(belts), 1)
     return (
-        f"{_time(seen)}  {value['speed_mps'] * KMH:5.1f} km/h  resistance {value['resistance_torque_nm']:6.0f} "
-        f"+- {value['resistance_std_nm']:.0f} Nm  feed-forward {seen.feedforward_nm:6.0f} Nm  "
-        f"belts {min(belts):.1f} to {max(belts):.1f} degC  {seen.level.name}: {seen.message}"
+        f"{_time(seen)}  {decimals(value['speed_mps'] * KMH, 1):>5} km/h  "
+        f"resistance {decimals(value['resistance_torque_nm']):>6} +- {decimals(value['resistance_std_nm'])} Nm  "
+        f"feed-forward {decimals(seen.feedforward_nm):>6} Nm  "
+        f"belts {coldest} to {hottest} degC  {seen.level.name}: {seen.message}"
     )
 
 
@@ -98,8 +100,7 @@ def _inputs(seen: Overview) -> Group:
         counts = dict(given.counts)
         accepted = counts.pop("accepted", 0)
         unit = ROLES[base_role(given.role)].unit
-        number = f"{given.value:.{0 if abs(given.value) >= WHOLE_FROM else 3}f}"
-        value = "" if math.isnan(given.value) else f"{number} {unit}".removesuffix(" 1")
+        value = "" if math.isnan(given.value) else f"{figures(given.value, 5)} {unit}".removesuffix(" 1")
         rate = "" if math.isnan(given.rate_hz) else f"{given.rate_hz:.1f}"
         shown.add_row(given.role, given.topic, value, rate, _age(given.age_s), str(accepted))
         if counts:
@@ -114,11 +115,11 @@ def _torques(seen: Overview) -> Table:
     shown.add_column("Nm", justify="right", no_wrap=True)
     values, std = seen.values, seen.values["resistance_std_nm"]
     for name, column in RESISTANCE_PARTS.items():
-        shown.add_row(f"  {name}", f"{values[column]:.0f}")
-    shown.add_row("[b]resistance[/b] (sum)", f"[b]{values['resistance_torque_nm']:.0f}[/b] +- {std:.0f}")
-    shown.add_row("grade", f"{values['grade_nm']:.0f}")
-    shown.add_row("inertia", f"{values['inertia_nm']:.0f}")
-    shown.add_row("[b]feed-forward[/b]", f"[b]{seen.feedforward_nm:.0f}[/b]")
+        shown.add_row(f"  {name}", decimals(values[column]))
+    shown.add_row("[b]resistance[/b] (sum)", f"[b]{decimals(values['resistance_torque_nm'])}[/b] +- {decimals(std)}")
+    shown.add_row("grade", decimals(values["grade_nm"]))
+    shown.add_row("inertia", decimals(values["inertia_nm"]))
+    shown.add_row("[b]feed-forward[/b]", f"[b]{decimals(seen.feedforward_nm)}[/b]")
     return shown
 
 
@@ -129,13 +130,13 @@ def _belts(seen: Overview) -> Table:
         shown.add_column(name, justify="right", no_wrap=True)
     for name in seen.assemblies:
         of = {column: seen.values[f"{column}/{name}"] for column in ("belt_degc", "belt_std_k", "load_n", "resistance_torque_nm")}
-        belt = f"{of['belt_degc']:.1f} +- {of['belt_std_k']:.1f}"
-        shown.add_row(name, belt, f"{of['load_n'] / 1e3:.1f}", f"{of['resistance_torque_nm']:.0f}")
+        belt = f"{decimals(of['belt_degc'], 1)} +- {decimals(of['belt_std_k'], 1)}"
+        shown.add_row(name, belt, decimals(of["load_n"] / 1e3, 1), decimals(of["resistance_torque_nm"]))
     return shown
 
 
 def _foot(seen: Overview) -> str:
-    speed = f"{seen.values['speed_mps'] * KMH:.1f} km/h, " if seen.values else ""
+    speed = f"{decimals(seen.values['speed_mps'] * KMH, 1)} km/h, " if seen.values else ""
     kept = f"state in {seen.state_file}" if seen.state_file else "no state kept"
     if not math.isnan(seen.saved_s_ago):
         kept += f", saved {seen.saved_s_ago:.0f} s ago"

@@ -12,6 +12,7 @@ from trackres_ros.cli.common import emit, json_option, method_options, number, o
 from trackres_ros.errors import InputError
 from trackres_ros.outputs import RESISTANCE_PARTS
 from trackres_ros.recording import Recording
+from trackres_ros.shown import decimals
 
 KMH = 1 / 3.6
 SUMMARY_TIMES_S = (50.0, 250.0, 600.0, 1000.0, 2500.0)
@@ -133,9 +134,9 @@ def _text(result: dict[str, Any]) -> str:
         f"{'s':>8} {'km/h':>7} " + " ".join(f"{'Nm':>10}" for _ in parts) + f" {'degC':>6}",
     ]
     lines += [
-        f"{p['time_s']:8.0f} {p['speed_mps'] * 3.6:7.1f} "
-        + " ".join(f"{p[column]:10.0f}" for column in parts.values())
-        + f" {p['belt_degc']:6.1f}"
+        f"{decimals(p['time_s']):>8} {decimals(p['speed_mps'] * 3.6, 1):>7} "
+        + " ".join(f"{decimals(p[column]):>10}" for column in parts.values())
+        + f" {decimals(p['belt_degc'], 1):>6}"
         for p in result["points"]
     ]
     return "\n".join([*lines, f"{result['rows']} rows in {result['output']}"])

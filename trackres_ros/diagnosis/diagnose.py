@@ -13,10 +13,12 @@ from trackres_ros.diagnosis.advise import Advice, advise
 from trackres_ros.diagnosis.base import Base
 from trackres_ros.diagnosis.bases import LoadedBase
 from trackres_ros.diagnosis.changes import Change, changes
+from trackres_ros.diagnosis.confirm import Graded, Kept, confirm, keep
 from trackres_ros.diagnosis.fitting import Fit, Problem
 from trackres_ros.diagnosis.gate import Gated, gate, split
-from trackres_ros.diagnosis.held_out import HeldOut, held_out
+from trackres_ros.diagnosis.held_out import CONFIRMED, HeldOut, HeldOutLaps, held_out
 from trackres_ros.diagnosis.intervals import Interval, intervals
+from trackres_ros.diagnosis.levels import for_tests, with_levels
 from trackres_ros.diagnosis.locate import ThermalCheck, acts, against_travel, contribution, regime_of, spans, stray, thermal_check
 from trackres_ros.diagnosis.naming import Step, begin, choose
 from trackres_ros.diagnosis.regimes import RegimeMap, cumulative_periodogram, regime_map
@@ -24,6 +26,7 @@ from trackres_ros.diagnosis.sanity import aligned_clock, check_torque, unlike
 from trackres_ros.diagnosis.screening import QUICK_REPLICATES, REPLICATES
 from trackres_ros.diagnosis.session import Session, Split
 from trackres_ros.diagnosis.verdict import Found, Verdict, judge
+from trackres_ros.diagnosis.whitening import Noise
 from trackres_ros.effects import catalogue
 from trackres_ros.recording import Recording
 from trackres_ros.sources import open_source
@@ -43,7 +46,7 @@ class Diagnosis:
     nominal
         Torque of each session with the values of the vehicle file [Nm].
     refitted, final
-        The base re-fitted, and with the effects chosen.
+        The base re-fitted, and with the effects found; values as by `levels.with_levels`.
     at_base, at_end
         Residual by regime of both.
     changes
@@ -52,12 +55,14 @@ class Diagnosis:
         Probability that the last whitened residual is white.
     thermal
         Measured against simulated belt temperature, with the base re-fitted; None where none was measured.
-    steps, found
-        Rounds of the choice, and the effects chosen.
+    steps, found, refuted
+        Rounds of the choice, the effects found, and those that were chosen and that held-out laps refute.
     base_intervals
         Of the base's parameters in `final`.
     held_out, advice, verdict
         What it is worth, what to drive next, and what it comes to.
+    kept
+        What of it may be written.
     """
 
     base: Base
@@ -73,10 +78,17 @@ class Diagnosis:
     thermal: ThermalCheck | None
     steps: tuple[Step, ...]
     found: tuple[Found, ...]
+    refuted: tuple[Graded, ...]
     base_intervals: dict[str, Interval]
     held_out: HeldOut
     advice: tuple[Advice, ...]
     verdict: Verdict
+    kept: Kept
+
+    @property
+    def noise(self) -> Noise:
+        """What whitens the residual of the last fit as far as it goes."""
+        return for_tests(self.final).noise
 
     @property
     def sessions(self) -> tuple[Session, ...]:
@@ -99,6 +111,7 @@ def diagnose(
     seed: int = 1,
     quick: bool = False,
     effects_dir: Path | None = None,
+    keep_suspected: bool = False,
     said: Callable[[str], None] = lambda _: None,
 ) -> Diagnosis:
     """Find where recordings part from a base model, which effect is left out, and what a model with it is worth.
@@ -117,6 +130,8 @@ def diagnose(
         Fewer draws.
     effects_dir
         Folder with effects of the user's own.
+    keep_suspected
+        Whether effects that fit and that held-out laps do not confirm are kept too.
     said
         Takes the name of each stage.
 
@@ -129,16 +144,24 @@ def diagnose(
     effects = catalogue(effects_dir, base.facts.weight * base.facts.radius, on_tyres=not base.has_belt)
     said("gate: units, clocks, gaps")
     gated = gate(recordings, vehicle.known, hide)
-    gated, nominal = _judged_by_nominal(gated, base)
+    gated, nominal = align_and_check(gated, base)
     chosen = split(gated.sessions, holdout)
     masks = tuple(chosen.training_mask(s) for s in gated.sessions)
     said("re-fit of the base")
-    refitted = begin(Problem(base, gated.sessions, masks, nominal))
+    tested = begin(Problem(base, gated.sessions, masks, nominal))
     said("where: residual by regime")
-    at_base = regime_map(refitted, rng)
-    steps, final = choose(refitted, effects, QUICK_REPLICATES if quick else REPLICATES, rng, said)
+    refitted = with_levels(tested)
+    tested_base = for_tests(refitted)
+    at_base = regime_map(tested_base, rng)
+    steps, best = choose(tested, effects, QUICK_REPLICATES if quick else REPLICATES, rng, said)
+    said("what it is worth: laps held out")
+    laps = HeldOutLaps(gated.sessions, [chosen.held_out_mask(s) for s in gated.sessions], rng)
+    final, graded, refuted = confirm(with_levels(best), refitted, laps) if best.effects else (refitted, {}, ())
+    predicted = {"refitted": refitted.predicted, "with_effects": final.predicted}
+    worth = held_out(laps, {"nominal": nominal, **{stage: [p.torque for p in of] for stage, of in predicted.items()}})
     said("what is left")
-    at_end = regime_map(final, rng)
+    tested_end = for_tests(final)
+    at_end = regime_map(tested_end, rng)
     said("how sure: intervals")
     bounds = intervals(final)
     by_name = {s.chosen.name: s for s in steps if s.chosen}
@@ -161,21 +184,23 @@ def diagnose(
                 spans(final.problem.sessions, adds),
                 where,
                 regime_of(refitted, at_base, where),
+                graded[active.effect.name],
             )
         )
-    said("what it is worth: laps held out")
-    worth = held_out(nominal, refitted, final, [chosen.held_out_mask(s) for s in gated.sessions], rng)
     said("what to drive next")
-    advice = [a for s in steps if s.chosen for a in advise(s.candidates, s.members, vehicle.known.max_speed)]
+    told = [s for s in steps if s.chosen and s.chosen.name in graded]
+    advice = [a for s in told for a in advise(s.candidates, s.members, vehicle.known.max_speed)]
+    verdict = judge(found, refuted, refitted, at_end, stray(final), steps[-1].hint, worth)
+    believed = [f.name for f in found if keep_suspected or (verdict.names and f.graded.grade == CONFIRMED)]
     return Diagnosis(
-        base, gated, chosen, nominal, refitted, final, at_base, at_end, changes(refitted), cumulative_periodogram(final),
+        base, gated, chosen, nominal, refitted, final, at_base, at_end, changes(tested_base), cumulative_periodogram(tested_end),
         thermal_check(refitted),
-        tuple(steps), tuple(found), {name: b for (effect, name), b in bounds.items() if not effect}, worth, tuple(advice),
-        judge(found, refitted, at_end, stray(final), steps[-1].hint, worth),
+        tuple(steps), tuple(found), refuted, {name: b for (effect, name), b in bounds.items() if not effect},
+        worth, tuple(advice), verdict, keep(believed, final, refitted, worth, laps, bounds),
     )  # fmt: skip
 
 
-def _judged_by_nominal(gated: Gated, base: Base) -> tuple[Gated, tuple[Array, ...]]:
+def align_and_check(gated: Gated, base: Base) -> tuple[Gated, tuple[Array, ...]]:
     """Clocks put right, sign and unit checked, by the torque that the vehicle file expects; and that torque."""
     values = {q.name: q.nominal for q in base.parameters}
     still = [np.zeros(len(s)) for s in gated.sessions]

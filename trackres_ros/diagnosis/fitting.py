@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 
 from trackres_ros.diagnosis.base import Base, BaseParameter, Predicted
 from trackres_ros.diagnosis.session import Session
-from trackres_ros.diagnosis.whitening import Noise, estimate_noise, whitened
+from trackres_ros.diagnosis.whitening import LARGEST_ROOT, Noise, estimate_noise, whitened
 from trackres_ros.effects.effect import Active, Effect
 
 Array = NDArray[np.float64]
@@ -107,12 +107,12 @@ class Problem:
         """Whitened rows of each segment over their standard deviation, nan where they do not count."""
         return [whitened(r, g.mask, noises[g.kind].phi) / noises[g.kind].std for r, g in zip(rows, self.segments, strict=True)]
 
-    def noises(self, residuals: Sequence[Array]) -> dict[str, Noise]:
-        """Noise of each kind of segment."""
+    def noises(self, residuals: Sequence[Array], largest_root: float = LARGEST_ROOT) -> dict[str, Noise]:
+        """Noise of each kind of segment, its autoregression's roots bounded."""
         found = {}
         for kind in dict.fromkeys(g.kind for g in self.segments):
             of = [(r, g.mask) for r, g in zip(residuals, self.segments, strict=True) if g.kind == kind]
-            found[kind] = estimate_noise([r for r, _ in of], [m for _, m in of])
+            found[kind] = estimate_noise([r for r, _ in of], [m for _, m in of], largest_root)
         return found
 
 
@@ -221,6 +221,7 @@ def fit(
     noises: Mapping[str, Noise] | None = None,
     rounds: int = ROUNDS,
     fixed: Mapping[tuple[str, str], float] | None = None,
+    largest_root: float = LARGEST_ROOT,
 ) -> Fit:
     """Fit the base's parameters and those of effects together.
 
@@ -234,6 +235,8 @@ def fit(
         How often fit and noise take turns.
     fixed
         Parameters that are held at a value.
+    largest_root
+        Bound on the roots of the noise's autoregression.
     """
     held = dict(fixed or {})
     free = tuple(f for f in free_parameters(problem.base, effects) if f.key not in held)
@@ -251,7 +254,7 @@ def fit(
     def residuals(at: Array) -> list[Array]:
         return problem.residuals(problem.predict(*model(at)))
 
-    current = dict(noises or problem.noises(residuals(point)))
+    current = dict(noises or problem.noises(residuals(point), largest_root))
 
     def objective(at: Array) -> Array:
         """Roots of what each whitened residual and each prior takes off the likelihood."""
@@ -271,7 +274,7 @@ def fit(
             xtol=1e-7,
         )
         point = solution.x
-        current = problem.noises(residuals(point))
+        current = problem.noises(residuals(point), largest_root)
     assert solution is not None
     likelihood = log_likelihood(problem, residuals(point), current) - 0.5 * float((((point - nominal) / std) ** 2).sum())
     scaled = solution.jac * scale  # in units of each parameter's scale: they differ by many orders of magnitude

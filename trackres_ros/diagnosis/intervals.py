@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from trackres_ros.diagnosis.fitting import Fit, fit, free_parameters
+from trackres_ros.diagnosis.levels import LARGEST_ROOT
 from trackres_ros.diagnosis.other_forms import FORM_ERROR
 from trackres_ros.diagnosis.separability import base_columns, split_rows
 from trackres_ros.effects.effect import Effect
@@ -34,7 +35,8 @@ class Interval:
 
 
 def intervals(found: Fit) -> dict[tuple[str, str], Interval]:
-    """Intervals of all parameters: the base's by the curvature, those of effects by their profile; both by laps where wider.
+    """Intervals of all parameters of a fit by `levels.with_levels`: the base's by the curvature, those of effects by their
+    profile; both by laps where wider.
 
     How large an effect is depends on its function too, which is nature's to `FORM_ERROR` only.
     """
@@ -102,4 +104,5 @@ def _edge(found: Fit, key: tuple[str, str], side: float, bound: float) -> tuple[
 
 
 def _held(found: Fit, effects: Sequence[Effect], key: tuple[str, str], value: float) -> float:
-    return fit(found.problem, effects, found.at, found.noises, rounds=1, fixed={key: value}).log_likelihood
+    held = fit(found.problem, effects, found.at, found.noises, rounds=1, fixed={key: value}, largest_root=LARGEST_ROOT)
+    return held.log_likelihood

@@ -11,10 +11,13 @@ from numpy.typing import NDArray
 from trackres_ros.diagnosis.fitting import Fit
 from trackres_ros.diagnosis.regimes import Bin, RegimeMap
 from trackres_ros.diagnosis.session import Session
+from trackres_ros.shown import figures
 
 Array = NDArray[np.float64]
 
 ACTING_SHARE = 0.5  # of its 95th percentile
+BOTH_WAYS_SHARE = 0.25  # of the larger side: what adds as much as this on the other changes its sign
+FOLLOWS_LEAST = 0.3  # of the mean square: less goes with no variable that is looked at
 JOINED_S, SHORTEST_S = 10.0, 5.0
 STRAY_S = 30.0
 MOST_SPANS = 60
@@ -89,27 +92,61 @@ def evenly_filled(x: Array, bins: int) -> tuple[Array, NDArray[np.int64]]:
 
 @dataclass(frozen=True, slots=True)
 class Acts:
-    """Where an effect acts: the variable that it follows best, and the range of it where it is large."""
+    """Where an effect acts and how much it adds there.
+
+    Attributes
+    ----------
+    variable, unit
+        What the effect follows best.
+    low, high
+        The range of it where the effect is large.
+    least, most
+        The range of it anywhere.
+    smallest, largest
+        Least and greatest mean of what the effect adds, over bins of the variable [Nm].
+    rms
+        Root mean square of what it adds where it is large [Nm].
+    follows
+        Share of the size of what it adds that goes with the variable.
+    """
 
     variable: str
     unit: str
     low: float
     high: float
-    least: float  # of the variable, anywhere
+    least: float
     most: float
+    smallest: float
+    largest: float
+    rms: float
+    follows: float
 
     @property
     def text(self) -> str:
-        """In words."""
+        """The range in words; empty where it is everywhere."""
         whole = self.most - self.least
         from_start, to_end = self.low - self.least < 0.1 * whole, self.most - self.high < 0.1 * whole
         if from_start and to_end:
             return ""
         if to_end:
-            return f"above {self.low:.3g} {self.unit} of {self.variable}"
+            return f"above {figures(self.low)} {self.unit} of {self.variable}"
         if from_start:
-            return f"below {self.high:.3g} {self.unit} of {self.variable}"
-        return f"from {self.low:.3g} to {self.high:.3g} {self.unit} of {self.variable}"
+            return f"below {figures(self.high)} {self.unit} of {self.variable}"
+        return f"from {figures(self.low)} to {figures(self.high)} {self.unit} of {self.variable}"
+
+    @property
+    def both_ways(self) -> bool:
+        """Whether it takes more in one part of the range and less in another."""
+        return min(self.largest, -self.smallest) >= BOTH_WAYS_SHARE * max(self.largest, -self.smallest)
+
+    @property
+    def size(self) -> str:
+        """How much more or less it takes there, in words."""
+        if self.follows < FOLLOWS_LEAST:
+            return f"it takes more at times and less at others, {self.rms:.0f} Nm root mean square,"
+        if self.both_ways:
+            return f"it takes from {-self.smallest:.0f} Nm less to {self.largest:.0f} Nm more, by the {self.variable},"
+        return f"it takes about {self.rms:.0f} Nm {'more' if self.largest > -self.smallest else 'less'}"
 
 
 def against_travel(sessions: Sequence[Session], adds: Sequence[Array]) -> list[Array]:
@@ -122,7 +159,8 @@ def acts(found: Fit, adds: Sequence[Array]) -> Acts:
     sessions = found.problem.sessions
     used = np.concatenate([s.used for s in sessions])
     series = np.concatenate(adds)[used]
-    best, result = -1.0, Acts("speed", "m/s", -np.inf, np.inf, -np.inf, np.inf)
+    square = float(np.mean(series**2))
+    best, result = -1.0, Acts("speed", "m/s", -np.inf, np.inf, -np.inf, np.inf, 0.0, 0.0, float(np.sqrt(square)), 0.0)
     for name, (unit, of) in VARIABLES.items():
         x = np.concatenate([of(s, p.belt) for s, p in zip(sessions, found.predicted, strict=True)])[used]
         if not np.isfinite(x).all() or np.ptp(x) == 0.0:
@@ -136,7 +174,12 @@ def acts(found: Fit, adds: Sequence[Array]) -> Acts:
             size = np.bincount(place, weights=np.abs(series)) / count
             large = np.flatnonzero(size >= ACTING_SHARE * size.max())
             high = edges[min(large[-1] + 1, len(edges) - 1)]
-            result = Acts(name, unit, float(edges[large[0]]), float(high), float(edges[0]), float(edges[-1]))
+            there = series[np.isin(place, large)]
+            result = Acts(
+                name, unit, float(edges[large[0]]), float(high), float(edges[0]), float(edges[-1]),
+                min(0.0, float(means.min())), max(0.0, float(means.max())), float(np.sqrt(np.mean(there**2))),
+                float(np.mean(means[place] ** 2)) / max(square, 1e-300),
+            )  # fmt: skip
     return result
 
 

@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 BINS = 6
 FEWEST_IN_BIN = 30
 FLIPPED_TOGETHER = 20
+REPLICATES = 4000  # a probability of a hundredth is then known to a sixth of it
 UNITS = {
     "speed": "m/s",
     "acceleration": "m/s^2",
@@ -62,7 +63,7 @@ class RegimeMap:
         return min((b.p for b in self.bins if b.variable == variable and b.low < high and b.high > low), default=1.0)
 
 
-def regime_map(fit: Fit, rng: np.random.Generator, replicates: int = 400) -> RegimeMap:
+def regime_map(fit: Fit, rng: np.random.Generator, replicates: int = REPLICATES) -> RegimeMap:
     """Look at the residual of a fit by bins of every variable that varies.
 
     Notes

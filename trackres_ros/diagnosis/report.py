@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from trackres_ros.diagnosis.diagnose import Diagnosis
+from trackres_ros.diagnosis.held_out import Improvement
 from trackres_ros.diagnosis.intervals import Interval
 from trackres_ros.diagnosis.naming import STABLE_SHARE, Candidate, Step
 from trackres_ros.diagnosis.regimes import Bin
@@ -36,14 +37,26 @@ def report(d: Diagnosis, paths: Sequence[Path]) -> dict[str, Any]:
                 for name, value in d.final.base_values.items()
             },
         },
-        "verdict": {"status": d.verdict.status, "sentence": d.verdict.sentence, "hint": d.steps[-1].hint or None},
+        "verdict": {
+            "status": d.verdict.status,
+            "grade": d.verdict.grade,
+            "sentence": d.verdict.sentence,
+            "hint": d.steps[-1].hint or None,
+        },
         "effects": [_effect(f) for f in d.found],
+        "refuted": [{"name": g.name, "heldout": _improvement(g.improvement)} for g in d.refuted],
+        "written": {
+            "base": d.kept.values is not None,
+            "effects": [a.effect.name for a in d.kept.effects],
+            "why": d.kept.text,
+        },
         "heldout": {
             "laps": list(d.held_out.laps),
             "mae": _numbers(d.held_out.mae),
             "r2": _numbers(d.held_out.r2),
             "bias": _numbers(d.held_out.bias),
-            "improvement_ci95": [_number(x) for x in d.held_out.improvement_ci95],
+            "improvement_ci95": [_number(d.held_out.of_effects.low), _number(d.held_out.of_effects.high)],
+            "of_refit": _improvement(d.held_out.of_refit),
             "by_lap": {
                 measure: {stage: [_number(float(x)) for x in values] for stage, values in stages.items()}
                 for measure, stages in d.held_out.by_lap.items()
@@ -92,7 +105,7 @@ def report(d: Diagnosis, paths: Sequence[Path]) -> dict[str, Any]:
             for c in d.changes
         ],
         "whiteness_p": _number(d.periodogram_p),
-        "noise": d.final.noise.text,
+        "noise": d.noise.text,
         "split": d.split.text,
         "notes": list(d.gated.notes),
         "thermal": None
@@ -129,6 +142,9 @@ def _effect(f: Found) -> dict[str, Any]:
         "class": list(f.step.members),
         "weights": _numbers(dict(f.step.weights)),
         "acts_on": f.acts_on,
+        "grade": f.graded.grade,
+        "heldout": _improvement(f.graded.improvement),
+        "on_bounds": list(f.graded.on_bounds),
         "parameters": {
             name: {
                 "value": _number(value),
@@ -162,6 +178,10 @@ def _effect(f: Found) -> dict[str, Any]:
         },
         "text": f.text,
     }
+
+
+def _improvement(i: Improvement) -> dict[str, Any]:
+    return {"mae": [_number(i.before), _number(i.after)], "ci95": [_number(i.low), _number(i.high)], "grade": i.grade}
 
 
 def _bin(b: Bin) -> dict[str, Any]:

@@ -10,13 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base import BaseParameter
+from trackres_ros.diagnosis.confirm import Graded
 from trackres_ros.diagnosis.fitting import Fit
-from trackres_ros.diagnosis.held_out import HeldOut
+from trackres_ros.diagnosis.held_out import CONFIRMED, REFUTED, SUSPECTED, HeldOut
 from trackres_ros.diagnosis.intervals import Interval
 from trackres_ros.diagnosis.locate import STRAY_S, Acts, Span, Stray
 from trackres_ros.diagnosis.naming import Candidate, Step
 from trackres_ros.diagnosis.regimes import Bin, RegimeMap
 from trackres_ros.effects.effect import Parameter
+from trackres_ros.shown import figures
 
 Array = NDArray[np.float64]
 
@@ -25,7 +27,6 @@ MOST_STRAY = 0.015  # of the torque, in means over half a minute
 LEFT_SHARE = 0.5  # of what the effects explain: more left over, and the names explain little
 MOST_CERTAIN = 20.0  # in log-likelihood: more is no more certain
 FINE_R2 = 0.995  # above it R2 says nothing that the mean error does not
-CLEARLY_WORSE = 0.02  # of the mean error on held-out laps
 MOVED = 1.5  # standard deviations of the file's own range
 
 
@@ -45,56 +46,101 @@ class Found:
     where: Sequence[Span]
     acts: Acts
     regime: Sequence[Bin]  # of the base's residual, where it acts
+    graded: Graded
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """Status ``none``, ``named``, ``one_of`` or ``unexplained``, and the sentence."""
+    """What it comes to.
+
+    Attributes
+    ----------
+    status
+        ``none``, ``named``, ``one_of`` or ``unexplained``.
+    grade
+        Whether laps not used for fitting confirm it: ``confirmed``, ``suspected`` or ``refuted``.
+    sentence
+        In words.
+    """
 
     status: str
+    grade: str
     sentence: str
 
+    @property
+    def names(self) -> bool:
+        """Whether it stands by names of effects."""
+        return self.status in ("named", "one_of")
 
-def judge(found: Sequence[Found], refitted: Fit, at_end: RegimeMap, left_over: Stray, hint: str, held_out: HeldOut) -> Verdict:
+
+def judge(
+    found: Sequence[Found],
+    refuted: Sequence[Graded],
+    refitted: Fit,
+    at_end: RegimeMap,
+    left_over: Stray,
+    hint: str,
+    held_out: HeldOut,
+) -> Verdict:
     """The verdict.
 
     What is left over after the last fit counts as unexplained where nothing was named, or where it is large beside
     what the names explain. What strays for half-minutes and follows nothing recorded counts where nothing was named.
+
+    Parameters
+    ----------
+    found, refuted
+        Effects that fit, and those that fit and that held-out laps refute.
     """
     left = [b for b in at_end.bins if b.p < LACK_OF_FIT_P]
+    besides = f" {_refuted(refuted)}" if refuted else ""
     if found:
         added = np.concatenate([sum(x) for x in zip(*(f.adds for f in found), strict=True)])
         explained = float(np.percentile(np.abs(added), 95.0))  # where they act: some do for minutes of an hour
         largest = max((abs(b.mean_residual) for b in left), default=0.0)
         if largest > LEFT_SHARE * explained:
-            return Verdict("unexplained", f"{_unexplained(left)}; {_tentative(found)}")
-        if held_out.improvement_ci95[1] < -CLEARLY_WORSE * held_out.mae["refitted"]:
-            return Verdict("unexplained", f"{_worse(held_out)} {_tentative(found)}")
+            return Verdict("unexplained", SUSPECTED, f"{_unexplained(left)}; {_tentative(found)}{besides}")
         status = "named" if all(len(f.step.members) <= 1 for f in found) else "one_of"
-        besides = f" Something small is left, {_range(left[0])}." if left else ""
+        if left:
+            besides += f" Something small is left, {_range(left[0])}."
         if left_over.share > MOST_STRAY:
             besides += f" And {_strays(left_over)}."
-        gain = _gain(held_out)
-        return Verdict(status, f"{'. '.join(_of_effect(f) for f in found)}. {gain[0].upper()}{gain[1:]}.{besides}")
+        doubted = [f for f in found if f.graded.grade != CONFIRMED]
+        said = ". ".join(_of_effect(f) for f in found)
+        if not doubted:
+            return Verdict(status, CONFIRMED, f"{said}. Confirmed {_gain(held_out, 'with_effects')}.{besides}")
+        why = ". ".join(_doubt(f) for f in doubted)
+        return Verdict(status, SUSPECTED, f"Suspected: {said}. {why}.{besides}")
     if left:
-        return Verdict("unexplained", f"{_unexplained(left)}, and no effect of the catalogue explains it.")
+        text = f"{_unexplained(left)}, and no effect of the catalogue explains it."
+        return Verdict("unexplained", REFUTED if refuted else SUSPECTED, text + besides)
     if left_over.share > MOST_STRAY:
-        return Verdict("unexplained", f"Something is unexplained: {_strays(left_over)}.")
+        text = f"Something is unexplained: {_strays(left_over)}."
+        return Verdict("unexplained", REFUTED if refuted else SUSPECTED, text + besides)
+    if hint:
+        besides += f" Were the model exact, {hint} would be missing; as it is, its own error may look the same."
     moved = moved_parameters(refitted)
-    exact = f" Were the model exact, {hint} would be missing; as it is, its own error may look the same." if hint else ""
-    if moved:
-        listed = ", ".join(
-            f"{q.name} {q.nominal:.4g} -> {value:.4g}{'' if q.unit == '1' else f' {q.unit}'}" for q, value in moved
-        )
+    listed = ", ".join(_moved(q, value) for q, value in moved)
+    of_refit = held_out.of_refit
+    if moved and of_refit.grade == CONFIRMED:
         return Verdict(
             "none",
-            f"No physics is missing, but parameters of the vehicle file were off: {listed}; "
-            f"{_gain(held_out, 'refitted')}.{exact}",
+            CONFIRMED,
+            "No physics is missing, but parameters of the vehicle file were off: "
+            f"{listed}; confirmed {_gain(held_out, 'refitted')}.{besides}",
+        )
+    if moved:
+        return Verdict(
+            "none",
+            of_refit.grade,
+            f"No physics is missing. A re-fit would move parameters of the vehicle file: {listed}; that is "
+            f"{'refuted' if of_refit.grade == REFUTED else 'not confirmed'} {_gain(held_out, 'refitted')}.{besides}",
         )
     return Verdict(
         "none",
-        f"No mismatch beyond noise: on laps not used for fitting the mean error is {held_out.mae['nominal']:.0f} Nm "
-        f"with the vehicle file as it is and {held_out.mae['refitted']:.0f} Nm re-fitted.{exact}",
+        CONFIRMED,
+        f"No mismatch beyond noise: on laps not used for fitting the mean error is {figures(held_out.mae['nominal'])} Nm "
+        f"with the vehicle file as it is and {figures(held_out.mae['refitted'])} Nm re-fitted.{besides}",
     )
 
 
@@ -106,14 +152,8 @@ def moved_parameters(refitted: Fit) -> list[tuple[BaseParameter, float]]:
 
 
 def _of_effect(f: Found) -> str:
-    used = np.concatenate(f.resists)
-    acting = used[np.abs(used) >= 0.5 * np.percentile(np.abs(used), 95.0)]
-    mean = float(np.mean(acting)) if len(acting) else 0.0
-    side = "more" if mean > 0 else "less"
     where = f.acts.text
-    measured = (
-        f"{where[0].upper() + where[1:] if where else 'Everywhere'} it takes about {abs(mean):.0f} Nm {side} than the model has"
-    )
+    measured = f"{where[0].upper() + where[1:] if where else 'Everywhere'} {f.acts.size} than the model has"
     units = {q.name: "" if q.unit == "1" else f" {q.unit}" for q in f.parameters}
     values = ", ".join(f"{name} {_with_interval(value, f.intervals.get(name))}{units[name]}" for name, value in f.values.items())
     members = f.step.members
@@ -123,11 +163,25 @@ def _of_effect(f: Found) -> str:
     return f"{measured}: one of {others}, which these recordings cannot tell apart"
 
 
-def _worse(h: HeldOut) -> str:
-    return (
-        "Something is unexplained: what explains the laps that were fitted makes the others worse, "
-        f"{h.mae['refitted']:.3g} to {h.mae['with_effects']:.3g} Nm of mean error;"
-    )
+def _doubt(f: Found) -> str:
+    """Why an effect is only suspected."""
+    i, bounds = f.graded.improvement, f.graded.on_bounds
+    if i.grade == CONFIRMED:
+        return f"{f.name} lies on a bound of what is plausible ({', '.join(bounds)})"
+    error = f"from {figures(i.before)} to {figures(i.after)} Nm ({figures(i.low, 2)} to {figures(i.high, 2)} Nm better, 95 %)"
+    return f"Laps not used for fitting do not confirm {f.name}: with it their mean error goes {error}"
+
+
+def _refuted(refuted: Sequence[Graded]) -> str:
+    errors = [(g.name, figures(g.improvement.before), figures(g.improvement.after)) for g in refuted]
+    of = "; ".join(f"{name}, {before} to {after} Nm of mean error" for name, before, after in errors)
+    return f"Refuted, as it fits the laps that were used and makes the others worse: {of}."
+
+
+def _moved(q: BaseParameter, value: float) -> str:
+    """A parameter of the base and where it went."""
+    unit = "" if q.unit == "1" else f" {q.unit}"
+    return f"{q.name} {figures(q.nominal, 4)} -> {figures(value, 4)}{unit}"
 
 
 def _rival(f: Found) -> str:
@@ -147,26 +201,24 @@ def likelier(one: Candidate, other: Candidate) -> str:
 
 def _with_interval(value: float, interval: Interval | None) -> str:
     if interval is None:
-        return f"{value:.3g}"
+        return figures(value)
     if interval.bound_only:
-        return f"{value:.3g}, only bounded by {interval.low:.3g} to {interval.high:.3g}"
-    return f"{value:.3g} [{interval.low:.3g}, {interval.high:.3g}]"
+        return f"{figures(value)}, only bounded by {figures(interval.low)} to {figures(interval.high)}"
+    return f"{figures(value)} [{figures(interval.low)}, {figures(interval.high)}]"
 
 
-def _gain(h: HeldOut, stage: str = "with_effects") -> str:
+def _gain(h: HeldOut, stage: str) -> str:
     before = "refitted" if stage == "with_effects" else "nominal"
-    way = "falls" if h.mae[stage] <= h.mae[before] else "rises"
-    text = f"on laps not used for fitting the mean error {way} from {h.mae[before]:.3g} to {h.mae[stage]:.3g} Nm"
+    was, now = figures(h.mae[before]), figures(h.mae[stage])
+    way = f"stays at {now}" if was == now else f"{'falls' if h.mae[stage] < h.mae[before] else 'rises'} from {was} to {now}"
+    text = f"on laps not used for fitting: the mean error {way} Nm"
     if h.r2[before] <= FINE_R2:
         text += f", R2 from {h.r2[before]:.3f} to {h.r2[stage]:.3f}"
-    low, high = h.improvement_ci95
-    if stage == "with_effects" and low <= 0.0:
-        text += f", which may be chance ({low:.2g} to {high:.2g} Nm better, 95 %)"
     return text
 
 
 def _range(b: Bin) -> str:
-    return f"at {b.variable} {b.low:.3g} to {b.high:.3g} {b.unit}"
+    return f"at {b.variable} {figures(b.low)} to {figures(b.high)} {b.unit}"
 
 
 def _unexplained(left: Sequence[Bin]) -> str:

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from scipy.linalg import solve
 from scipy.special import gammaln
 
+from trackres_ros.shown import figures
+
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
@@ -47,7 +49,7 @@ class Noise:
     @property
     def text(self) -> str:
         """All of it in words."""
-        return f"AR({len(self.phi)}) {np.array2string(self.phi, precision=2)}, {self.std:.3g} Nm, t({self.degrees:g})"
+        return f"AR({len(self.phi)}) {np.array2string(self.phi, precision=2)}, {figures(self.std)} Nm, t({self.degrees:g})"
 
     def weights(self, white: Array) -> Array:
         """How much residuals over `std` count: about 1 on average, and ever less the further out."""
@@ -100,16 +102,16 @@ def whole_past(mask: Mask, lags: int) -> Mask:
     return valid
 
 
-def estimate_noise(residuals: Sequence[Array], masks: Sequence[Mask]) -> Noise:
-    """Fit the autoregression and the tails of residuals; the order by BIC."""
+def estimate_noise(residuals: Sequence[Array], masks: Sequence[Mask], largest_root: float = LARGEST_ROOT) -> Noise:
+    """Fit the autoregression, its roots bounded, and the tails of residuals; the order by BIC."""
     rows, targets = [], []
     for series, mask in zip(residuals, masks, strict=True):
         at = np.flatnonzero(whole_past(mask, MOST_LAGS))
         rows.append(np.stack([series[at - lag] for lag in range(1, MOST_LAGS + 1)], axis=1))
         targets.append(series[at])
     x, y = np.concatenate(rows), np.concatenate(targets)
-    degrees = max(DEGREES, key=lambda d: _log_likelihood(x, y, _most_likely(x, y, d)))
-    found = [_most_likely(x[:, :order], y, degrees) for order in range(MOST_LAGS + 1)]
+    degrees = max(DEGREES, key=lambda d: _log_likelihood(x, y, _most_likely(x, y, d, largest_root)))
+    found = [_most_likely(x[:, :order], y, degrees, largest_root) for order in range(MOST_LAGS + 1)]
 
     def criterion(noise: Noise) -> float:
         order = len(noise.phi)
@@ -118,7 +120,7 @@ def estimate_noise(residuals: Sequence[Array], masks: Sequence[Mask]) -> Noise:
     return max(found, key=criterion)
 
 
-def improved(x: Array, y: Array, noise: Noise, turns: int = 2) -> Noise:
+def improved(x: Array, y: Array, noise: Noise, turns: int = 2, largest_root: float = LARGEST_ROOT) -> Noise:
     """Coefficients and scale made more likely in turn, as in expectation and maximisation; order and tails stay.
 
     Parameters
@@ -130,7 +132,7 @@ def improved(x: Array, y: Array, noise: Noise, turns: int = 2) -> Noise:
     left = y - x @ phi
     for _ in range(turns):
         weight = 1.0 / (1.0 + (left / scale) ** 2 / degrees)
-        phi = _coefficients(x, y, weight)
+        phi = _coefficients(x, y, weight, largest_root)
         left = y - x @ phi
         scale = max(float(np.sqrt(np.mean((degrees + 1.0) / degrees * weight * left**2))), 1e-12 * scale)
     return Noise(phi, scale, degrees)
@@ -140,27 +142,27 @@ def _log_likelihood(x: Array, y: Array, noise: Noise) -> float:
     return float(noise.log_density((y - x @ noise.phi) / noise.std).sum())
 
 
-def _most_likely(x: Array, y: Array, degrees: float) -> Noise:
+def _most_likely(x: Array, y: Array, degrees: float, largest_root: float) -> Noise:
     """The noise with as many lags as x has columns."""
     scale = MAD_TO_STD * float(np.median(np.abs(y))) or float(np.abs(y).max()) or 1.0
     tame = OUTLIER * scale  # to begin with: what is far out would pull all coefficients to itself
-    phi = _coefficients(np.clip(x, -tame, tame), np.clip(y, -tame, tame), np.ones(len(y)))
+    phi = _coefficients(np.clip(x, -tame, tame), np.clip(y, -tame, tame), np.ones(len(y)), largest_root)
     scale = MAD_TO_STD * float(np.median(np.abs(y - x @ phi))) or scale
-    return improved(x, y, Noise(phi, scale, degrees), TURNS)
+    return improved(x, y, Noise(phi, scale, degrees), TURNS, largest_root)
 
 
-def _coefficients(x: Array, y: Array, weight: Array) -> Array:
+def _coefficients(x: Array, y: Array, weight: Array, largest_root: float) -> Array:
     if not x.shape[1]:
         return np.empty(0)
     weighted = x.T * weight
     normal = weighted @ x
-    return _stable(solve(normal + 1e-9 * np.trace(normal) * np.eye(len(normal)), weighted @ y, assume_a="pos"))
+    return _stable(solve(normal + 1e-9 * np.trace(normal) * np.eye(len(normal)), weighted @ y, assume_a="pos"), largest_root)
 
 
-def _stable(phi: Array) -> Array:
-    """Shrink an autoregression until its largest root is `LARGEST_ROOT`."""
-    if np.abs(phi) @ LARGEST_ROOT ** -np.arange(1.0, len(phi) + 1.0) < 1.0:
+def _stable(phi: Array, largest_root: float) -> Array:
+    """Shrink an autoregression until its largest root is no larger than allowed."""
+    if np.abs(phi) @ largest_root ** -np.arange(1.0, len(phi) + 1.0) < 1.0:
         return phi
     largest = float(np.abs(np.roots(np.concatenate(([1.0], -phi)))).max())
-    shrink = min(1.0, LARGEST_ROOT / largest) if largest > 0 else 1.0
+    shrink = min(1.0, largest_root / largest) if largest > 0 else 1.0
     return phi * shrink ** np.arange(1, len(phi) + 1)

@@ -166,12 +166,13 @@ def _prefit(paths: Sequence[Path], vehicle: Path) -> None:
     from trackres_ros.diagnosis import load_base, read_recordings
     from trackres_ros.diagnosis.fitting import Problem
     from trackres_ros.diagnosis.gate import gate
+    from trackres_ros.diagnosis.levels import with_levels
     from trackres_ros.diagnosis.naming import begin
 
     loaded = load_base(vehicle)
     sessions = gate(read_recordings(paths, None), loaded.known).sessions
     still = tuple(np.zeros(len(s)) for s in sessions)
-    found = begin(Problem(loaded.base, sessions, tuple(s.used for s in sessions), still))
+    found = with_levels(begin(Problem(loaded.base, sessions, tuple(s.used for s in sessions), still)))
     loaded.base.write(vehicle, found.base_values, (), "fitted to earlier drives")
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from trackres_ros.diagnosis import load_base, read_recordings
 from trackres_ros.diagnosis.fitting import Problem, fit
 from trackres_ros.diagnosis.gate import gate, split
+from trackres_ros.diagnosis.levels import with_levels
 from trackres_ros.diagnosis.naming import begin
 from trackres_ros.diagnosis.separability import LEAST_KEPT, separability
 from trackres_ros.effects import catalogue
@@ -59,7 +60,7 @@ def ask(folder: Path, true: Sequence[str]) -> Known:
     def error(predicted: Sequence[np.ndarray]) -> float:
         return float(np.abs(measured - np.concatenate([p[m] for p, m in zip(predicted, held, strict=True)])).mean())
 
-    mae_base = error([p.torque for p in before.predicted])
+    mae_base = error([p.torque for p in with_levels(before).predicted])
     if not true:
         return Known(0.0, (), False, False, mae_base, mae_base)
     wanted = [effects[name] for name in true]
@@ -74,4 +75,4 @@ def ask(folder: Path, true: Sequence[str]) -> Known:
         > LEAST_GAIN
         for one in wanted
     )
-    return Known(gain, alike, plain, both, mae_base, error([p.torque for p in found.predicted]))
+    return Known(gain, alike, plain, both, mae_base, error([p.torque for p in with_levels(found).predicted]))

@@ -148,7 +148,8 @@ def start_state(tried: Tried, index: int) -> tuple[float, float]:
     warm = float(np.percentile(np.concatenate(warms.adds), WARM_PERCENTILE))
     cold = warms.adds[index] - warm
     left = final.residuals[index] + cold
-    white = whitened(np.column_stack((left, cold)), session.used, final.noise.phi) / final.noise.std
+    noise = tried.found.noise
+    white = whitened(np.column_stack((left, cold)), session.used, noise.phi) / noise.std
     y, x = white[np.isfinite(white).all(axis=1)].T
     return float(x @ y / (x @ x)), float(1.0 / np.sqrt(x @ x))
 

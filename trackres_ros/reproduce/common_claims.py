@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from trackres_ros.reproduce.bench import COMBINATIONS, Bench
 from trackres_ros.reproduce.families import Family, first_comparable
 from trackres_ros.reproduce.section import FAILS, HOLDS, Claim, listed, percent, percents, span
+from trackres_ros.shown import figures
 
 SAME = 0.01   # values are the same that differ by less than 1 %: three times the error of the program's own loss table
 
@@ -40,7 +41,11 @@ def falls(key: str, where: str, family: Family, start_s: float) -> Claim:
     return Claim(
         f"{key}_torque_falls", where, "The torque gradually decreases with time.", {c: rises[c] < 0 for c in COMBINATIONS},
         f"From {start_s:.0f} to {end:.0f} s it falls by {percents(np.concatenate(list(shares.values())), 0)}"
-        + (", from every sample to the next." if largest < 0 else f", and rises by up to {largest:.2g} Nm between samples."),
+        + (
+            ", from every sample to the next."
+            if largest < 0
+            else f", and rises by up to {figures(largest, 2)} Nm between samples."
+        ),
         {HOLDS: "The belt starts at ambient temperature, the loss warms it, and a warmer compound loses less."},
         {"fall": {c: s.tolist() for c, s in shares.items()}, "largest_rise_nm": rises},
         {f"fall, over {family.quantity}": {c: percents(s, 0) for c, s in shares.items()}})

@@ -16,6 +16,7 @@ import numpy as np
 from trackres_ros.effects.registry import catalogue, check_effects
 from trackres_ros.errors import InputError
 from trackres_ros.resources import find_vehicle
+from trackres_ros.shown import figures
 from trackres_ros.vehicle import schema
 from trackres_ros.vehicle.description import (
     Assembly,
@@ -266,7 +267,7 @@ def _check_geometry(reader: Reader, key: str, track: Track) -> None:
         raise InputError(
             reader.where(f"{key}.belt.lug_section"),
             belt.lug_section,
-            f"at least the tread bars {belt.tread_depth * belt.width * belt.tread_land_ratio:.4g} m^2",
+            f"at least the tread bars {figures(belt.tread_depth * belt.width * belt.tread_land_ratio, 4)} m^2",
         )
     if belt.cord_section >= belt.width * belt.thickness / 2:
         raise InputError(reader.where(f"{key}.belt.cord_section"), belt.cord_section, "less than half the belt section")

@@ -1,0 +1,108 @@
+"""The pictures of a diagnosis as a person sees them, and what they show whatever was found."""
+
+from dataclasses import replace
+from itertools import pairwise
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from trackres_ros.diagnosis.regimes import Bin, RegimeMap
+from trackres_ros.report.pictures import MOST_RECORDINGS, draw_all, draw_regimes, draw_times
+
+pytest.importorskip("matplotlib")
+LONG = "2026-02-03T11-12-13_vehicle_17_test_ground_north_loop_second_driver_with_trailer_and_snow_chains_part_0001.mcap"
+
+
+@pytest.fixture
+def nothing_named(diagnosed):
+    """The same recordings, had nothing been found."""
+    return replace(diagnosed, found=(), final=diagnosed.refitted, at_end=diagnosed.at_base)
+
+
+def with_sessions(d, sessions, of):
+    """What the picture over time looks at, with other sessions; `of` says of which of the old ones each is made."""
+    fits = [SimpleNamespace(predicted=[fit.predicted[i] for i in of]) for fit in (d.refitted, d.final)]
+    return SimpleNamespace(
+        sessions=sessions, nominal=[d.nominal[i] for i in of], refitted=fits[0], final=fits[1], found=d.found, split=d.split,
+        changes=d.changes,
+    )  # fmt: skip
+
+
+def lines(axes):
+    """Lines over time by their label; the zero line has none."""
+    return {line.get_label(): line for line in axes.get_lines() if not line.get_label().startswith("_")}
+
+
+def test_every_picture_can_be_read(drawn, diagnosed, tmp_path):
+    pictures = draw_all(diagnosed, tmp_path)
+    names = [p.path.name for p in pictures]
+    assert len(drawn.figures) == len(pictures) >= 5
+    assert names.index("where_time.png") < names.index("where_regime.png")
+    for picture, figure in zip(pictures, drawn.figures, strict=True):
+        assert not drawn.faults(figure), picture.path.name
+        assert "-0 " not in picture.alternative
+        assert "e+" not in picture.alternative
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_the_residual_over_time_is_drawn_whether_or_not_anything_was_named(drawn, diagnosed, nothing_named, tmp_path, named):
+    d = diagnosed if named else nothing_named
+    draw_times(d, tmp_path / "t.png")
+    axes = drawn.figures[0].axes
+    assert len(axes) == len(d.sessions)
+    for axis, session in zip(axes, d.sessions, strict=True):
+        shown = lines(axis)
+        assert {"vehicle file as it is", "base re-fitted"} <= set(shown)
+        assert ("with the effects" in shown) == named
+        assert shown["vehicle file as it is"].get_linewidth() < shown["base re-fitted"].get_linewidth()
+        for line in shown.values():
+            assert np.isfinite(line.get_ydata()).sum() > 0.8 * session.used.sum()
+
+
+def test_a_gap_breaks_the_line(drawn, diagnosed, tmp_path):
+    used = diagnosed.sessions[0].used.copy()
+    begin, end = 200, 260
+    used[begin:end] = False
+    holed = replace(diagnosed.sessions[0], used=used)
+    draw_times(with_sessions(diagnosed, [holed], [0]), tmp_path / "t.png")
+    minutes = holed.time[[begin + 5, end - 5]] / 60.0
+    for line in lines(drawn.figures[0].axes[0]).values():
+        x, y = line.get_xdata(), line.get_ydata()
+        assert np.isnan(y[(x > minutes[0]) & (x < minutes[1])]).all()
+
+
+@pytest.mark.parametrize("count", [1, 9, 70])
+def test_any_number_of_recordings_with_any_names(drawn, diagnosed, tmp_path, count):
+    of = [i % 2 for i in range(count)]
+    sessions = [replace(diagnosed.sessions[i], name=f"{k}_{LONG}") for k, i in enumerate(of)]
+    picture = draw_times(with_sessions(diagnosed, sessions, of), tmp_path / "t.png")
+    (figure,) = drawn.figures
+    assert not drawn.faults(figure)
+    assert sum(axes.get_visible() for axes in figure.axes) == min(count, MOST_RECORDINGS)
+    if count > MOST_RECORDINGS:
+        assert f"{count - MOST_RECORDINGS} are not drawn" in picture.alternative
+    else:
+        assert "not drawn" not in picture.alternative
+
+
+@pytest.mark.parametrize(
+    "edges",
+    [
+        [0.0217, 0.0221, 0.0229, 0.0241, 0.0251, 0.0262, 0.0277],
+        [-0.2123, -0.1119, -0.0217, -0.0011, 0.0009, 0.0218, 0.2077],
+        [214_321.0, 252_117.0, 262_006.0, 272_000.0, 281_999.0, 300_001.0, 326_400.0],
+        [-3.1415, -2.01, -1.0001, 0.0, 0.9999, 2.0, 3.1415],
+        [-1234.5, -567.8, -12.3, -0.04, 0.04, 890.1, 16_543.2],
+    ],
+)
+def test_any_regimes(drawn, diagnosed, tmp_path, edges):
+    rng = np.random.default_rng(1)
+    bins = tuple(
+        Bin(name, low, high, float(rng.normal(0.0, 900.0)), "rad/s", 100, float(rng.choice([0.01, 0.5])))
+        for name in ("speed", "yaw rate to the left", "load", "time since start")
+        for low, high in pairwise(edges)
+    )
+    found = RegimeMap(bins, 0.01, 1000)
+    draw_regimes(replace(diagnosed, at_base=found, at_end=found), tmp_path / "r.png")
+    assert not drawn.faults(drawn.figures[0])

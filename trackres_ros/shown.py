@@ -1,0 +1,51 @@
+"""Numbers as people are shown them: no more figures than matter, plain below a million, and no zero with a sign."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+PLAIN_BELOW = 1e6
+PLAIN_FROM = 1e-4
+MOST_FIGURES = 6
+MISSING = "-"
+
+
+def figures(value: float | None, count: int = 3) -> str:
+    """A number with at most so many figures: ``1650``, ``0.565``, ``0``; a dash where there is none."""
+    if value is None or math.isnan(value):
+        return MISSING
+    text = f"{value:.{count}g}"
+    rounded = float(text)
+    if rounded == 0.0:
+        return "0"
+    return f"{rounded:.0f}" if "e+" in text and abs(value) < PLAIN_BELOW else text
+
+
+def decimals(value: float | None, places: int = 0, signed: bool = False) -> str:
+    """A number with so many decimals, with its sign in front even if positive where asked; a zero has none."""
+    if value is None or math.isnan(value):
+        return MISSING
+    text = f"{value:{'+' if signed else ''}.{places}f}"
+    return f"{0.0:.{places}f}" if float(text) == 0.0 else text
+
+
+def alike(values: Sequence[float | None], apart: float, count: int = 2) -> list[str]:
+    """Numbers to one and the same step, so that what they are `apart` shows with `count` figures.
+
+    A value and the ends of its interval, or the edges of bins, are then written alike: ``0.30``, ``0.24``, ``0.36``.
+    """
+    size = max((abs(v) for v in values if v is not None and math.isfinite(v)), default=0.0)
+    if not (math.isfinite(apart) and apart > 0.0 and size > 0.0):
+        return [figures(v) for v in values]
+    places = min(count - 1 - _exponent(apart), MOST_FIGURES - 1 - _exponent(size))
+    if not PLAIN_FROM <= size < PLAIN_BELOW:
+        return [figures(v, max(1, places + 1 + _exponent(size))) for v in values]
+    return [
+        MISSING if v is None or math.isnan(v) else decimals(round(v, places) if math.isfinite(v) else v, max(0, places))
+        for v in values
+    ]
+
+
+def _exponent(value: float) -> int:
+    return math.floor(math.log10(value))
