@@ -92,6 +92,7 @@ def test_simulate_writes_the_columns_of_the_issue(folder):
         "hysteresis_nm",
         "bearing_nm",
         "wind_nm",
+        "effects_nm",
         "inertia_nm",
         "drive_torque_nm",
     ]

@@ -25,7 +25,7 @@ class Outlet:
     While the speed is old the last state goes on being published with its stamp, and the feed-forward fades to zero: who takes it
     without its stamp is safe too. From output to output the feed-forward moves by `feedforward_rate` at most, whatever the speeds
     and their pauses were: it follows its last target where a step left it on the way, and begins where it had faded to when a
-    speed comes back. Time for that is the controller's, `pace`: a steady clock, or the simulated one.
+    speed comes back. Time for that is the controller's, `pace`: a steady clock, or the simulated one where that goes faster.
 
     A topic that cannot be published holds up no other one; `failed` says which and why.
     """
@@ -41,14 +41,14 @@ class Outlet:
         self._edge = edge
         self._taken_ns = self._taken_pace = 0
         self._target = self._unfaded = 0.0
-        self._published_pace: int | None = None
+        self._published_at: tuple[int, int] | None = None
         index = estimator.column_index
         self._values = [(i, _values(topic, index)) for i, topic in enumerate(outputs) if topic.kind != "status"]
 
     def begin(self) -> None:
         """Begin to publish: the feed-forward rises from zero."""
         self.feedforward = self._unfaded = 0.0
-        self._published_pace = None
+        self._published_at = None
 
     def take(self, row: Row, target: float, stamp_ns: int, steady: int, pace: int) -> None:
         """Keep a row of results, what its feed-forward is on its way to, and the time of its state."""
@@ -71,10 +71,11 @@ class Outlet:
         if self.stamp_ns is None:
             return
         rate = self.estimator.settings.feedforward_rate
-        elapsed_s = 0.0 if self._published_pace is None else max(0.0, (pace - self._published_pace) * NANOSECOND)
+        before_pace, before_ns = self._published_at or (pace, steady)
+        elapsed_s = max(0, pace - before_pace, steady - before_ns) * NANOSECOND  # a simulated clock stands between its ticks
         goal = FOLLOWED(self.row[at.OUT_FEEDFORWARD], self._target, rate, (pace - self._taken_pace) * NANOSECOND)
         self._unfaded = TOWARDS(self._unfaded, goal, rate * elapsed_s)
-        self.feedforward, self._published_pace = self._unfaded * self.left(steady), pace
+        self.feedforward, self._published_at = self._unfaded * self.left(steady), (pace, steady)
         row = self.row.copy()
         row[at.OUT_FEEDFORWARD] = self.feedforward
         for output, values in self._values:
