@@ -30,6 +30,7 @@ DDS = [*BAGS, CYCLONE]
 DDS_TESTED = [f"{CYCLONE}; platform_machine == 'x86_64' and python_version < '3.14'"]
 TEST = ["pytest>=7.4", "pytest-xdist>=3.4", "hypothesis>=6.98", "rainflow>=3.1", "mcap>=1.1", "setuptools>=70.1"]
 TEST += ["ruff>=0.4", "mypy>=1.8", "types-PyYAML"]
+TEST += ["colcon-common-extensions>=0.3"]  # where ROS 2 is, the package is built into a workspace and launched from there
 
 setup(
     name=PACKAGE,
@@ -61,6 +62,6 @@ setup(
     },
     zip_safe=False,
     entry_points={
-        "console_scripts": ["trackres = trackres_ros.cli.main:main", "estimator = trackres_ros.ros.main:main"],
+        "console_scripts": ["trackres = trackres_ros.cli.entry:main", "estimator = trackres_ros.ros.estimator:main"],
     },
 )

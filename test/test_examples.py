@@ -18,6 +18,7 @@ SAYS = {
     "04_own_vehicle.py": "Refused: own.yaml",
     "05_snapshot.py": "without a stop: True",
     "06_diagnose.py": "turning_scrub: friction",
+    "07_controller.py": "a fault                       0 Nm of 3000 Nm",
 }
 
 

@@ -1,5 +1,5 @@
 """`python -m trackres_ros`: the `trackres` command."""
 
-from trackres_ros.cli.main import main
+from trackres_ros.cli.entry import main
 
 main()

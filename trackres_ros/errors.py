@@ -19,6 +19,10 @@ class InputError(ValueError):
         text = f"{one_line(where)}: given {shown(given)}; allowed: {one_line(allowed)}"
         super().__init__(f"{text}; {one_line(remedy)}" if remedy else text)
 
+    def as_dict(self) -> dict[str, str]:
+        """Its parts for programs."""
+        return {"where": self.where, "given": str(self.given), "allowed": self.allowed, "remedy": self.remedy}
+
     def __reduce__(self) -> tuple[object, ...]:
         """So that it crosses from one process to another as what it is."""
         return InputError, (self.where, self.given, self.allowed, self.remedy)

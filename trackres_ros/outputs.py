@@ -1,7 +1,8 @@
 """What leaves the estimator on topics: one table of names, types and columns, for the bag of a replay and for live.
 
-Signs after REP-103: rolling forward is positive rotation about y, so what resists it is a negative torque and the
-feed-forward that cancels it a positive one. In tables and reports a resistance is a positive number.
+Signs after REP-103: rolling forward is positive rotation about y. So what resists it is a negative torque, and what drives a
+positive one: the feed-forward, what driving takes in all, a measured torque. A quantity has one sign on all topics, `sign_of`.
+In tables, reports and the terminal a resistance is a positive number.
 """
 
 from __future__ import annotations
@@ -17,6 +18,8 @@ from trackres_ros.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 
+RESISTANCE_PARTS = {"hysteresis": "hysteresis_nm", "bearing": "bearing_nm", "wind": "wind_nm", "effects": "effects_nm"}
+"""What the resistance torque is the sum of, and the column of each; the last is what the effects of the vehicle file add."""
 TOTALS = {
     "total": "resistance_torque_nm",
     "hysteresis": "hysteresis_nm",
@@ -27,6 +30,8 @@ TOTALS = {
     "effects": "effects_nm",
     "drive": "drive_torque_nm",
 }
+"""Torques of the whole vehicle; total, grade and inertia add up to the drive torque."""
+RESISTING = frozenset(("resistance_torque_nm", "grade_nm", "inertia_nm", *RESISTANCE_PARTS.values()))
 DEFAULT_NODE = "trackres"
 BASE_FRAME = "base_link"
 
@@ -44,8 +49,6 @@ class OutputTopic:
         Columns of a row of results, see `estimator.layout.columns`.
     names
         Names of the joints.
-    sign
-        Factor from the column to the message.
     """
 
     name: str
@@ -54,7 +57,16 @@ class OutputTopic:
     meaning: str
     columns: tuple[str, ...] = ()
     names: tuple[str, ...] = ()
-    sign: float = 1.0
+
+    @property
+    def signs(self) -> tuple[float, ...]:
+        """Factor from each column to the message."""
+        return tuple(sign_of(column) for column in self.columns)
+
+
+def sign_of(column: str) -> float:
+    """Factor from a column of results, of the vehicle or of an assembly, to what stands on topics."""
+    return -1.0 if column.partition("/")[0] in RESISTING else 1.0
 
 
 def output_topics(vehicle: Vehicle) -> tuple[OutputTopic, ...]:
@@ -79,14 +91,14 @@ def output_topics(vehicle: Vehicle) -> tuple[OutputTopic, ...]:
             "resistance_torque",
             "sensor_msgs/msg/JointState",
             "joints",
-            "torque about y that resists, at the sprockets [Nm]: total (hysteresis, bearing, wind), each part, what driving "
-            "takes in all, each assembly's total and hysteresis",
+            "torque about y at the sprockets [Nm]: what resists, negative forward: total and its parts (hysteresis, bearing, "
+            "wind, effects), grade and inertia; drive, the positive torque that overcomes all that; of each assembly total and "
+            "hysteresis",
             (
                 *TOTALS.values(),
                 *(f"{column}/{name}" for name in assemblies for column in ("resistance_torque_nm", "hysteresis_nm")),
             ),
             (*TOTALS, *(f"{joint}/{name}" for name in assemblies for joint in ("total", "hysteresis"))),
-            -1.0,
         ),
         *(
             OutputTopic(
@@ -117,7 +129,7 @@ def output_topics(vehicle: Vehicle) -> tuple[OutputTopic, ...]:
 
 def values_of(topic: OutputTopic, rows: Array, index: dict[str, int]) -> Array:
     """Numbers of a topic's messages out of rows of results, shape (rows, numbers)."""
-    values = rows[:, [index[name] for name in topic.columns]] * topic.sign
+    values = rows[:, [index[name] for name in topic.columns]] * np.array(topic.signs)
     if topic.kind == "temperature":
         values[:, 1] **= 2
     return np.asarray(values + 0.0)  # no negative zeros

@@ -124,7 +124,13 @@ NODE_PARAMETERS = (
         fixed_because=CONNECTED,
     ),
     Parameter(
-        "input_depth", 100.0, "messages of one topic that may wait to be taken", "1", 1.0, 10000.0, fixed_because=CONNECTED
+        "input_depth",
+        100.0,
+        "messages of one topic that may wait to be worked off; the oldest of more are dropped, and counted",
+        "1",
+        1.0,
+        10000.0,
+        fixed_because=CONNECTED,
     ),
     Parameter(
         "input_deadline_s",

@@ -150,7 +150,7 @@ def plot_estimate(
         [s], shape (times,).
     columns
         Series by name, each of shape (times,), as `simulate.simulate` or a replay gives them: `speed_mps`,
-        `resistance_torque_nm` with `resistance_std_nm`, `hysteresis_nm`, `bearing_nm`, `wind_nm`, `drive_torque_nm`,
+        `resistance_torque_nm` with `resistance_std_nm`, its parts (`outputs.RESISTANCE_PARTS`), `drive_torque_nm`,
         `belt_degc` or `belt_degc/<assembly>` with `belt_std_k/<assembly>`, `ambient_degc`. What is not there is not drawn.
     title
         Heading of the picture.
@@ -205,8 +205,9 @@ def _draw_torque(axes: Axes, x: Array, columns: Mapping[str, Array], measured: A
         ("hysteresis_nm", "hysteresis", BLUE),
         ("bearing_nm", "bearings", ORANGE),
         ("wind_nm", "wind", SKY),
+        ("effects_nm", "effects", PURPLE),
     ):
-        if name in columns:
+        if name in columns and (name != "effects_nm" or np.any(columns[name])):  # of a vehicle file that has some
             _line(axes, x, columns[name], label, colour)
     axes.set_ylabel("torque at sprockets [Nm]")
 

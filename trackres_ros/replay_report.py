@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.errors import one_line
 from trackres_ros.estimator import layout as at
+from trackres_ros.outputs import RESISTANCE_PARTS
 from trackres_ros.recording import Block, Finding, Recording, Source
 from trackres_ros.replay import Replayed
 from trackres_ros.shown import decimals
@@ -109,9 +110,9 @@ def text(report: dict[str, Any]) -> str:
     lines += [f"  status: {item['text']} ({item['steps']} steps)" for item in report["reasons"]]
     lines.append(
         f"At the end, at {decimals(last['speed_mps'] * 3.6, 1)} km/h: resistance "
-        f"{decimals(last['resistance_torque_nm'])} +- {last['resistance_std_nm']:.0f} Nm (hysteresis "
-        f"{decimals(last['hysteresis_nm'])}, bearing {decimals(last['bearing_nm'])}, wind {decimals(last['wind_nm'])}), largest "
-        f"{decimals(report['resistance_torque_nm']['largest'])} Nm"
+        f"{decimals(last['resistance_torque_nm'])} +- {decimals(last['resistance_std_nm'])} Nm ("
+        + ", ".join(f"{part} {decimals(last[column])}" for part, column in RESISTANCE_PARTS.items())
+        + f"), largest {decimals(report['resistance_torque_nm']['largest'])} Nm"
     )
     lines.append("Belts: " + ", ".join(f"{name} {decimals(value, 1)} degC" for name, value in belts.items()))
     return "\n".join(map(one_line, [*lines, f"Written: {', '.join(report['written'])}"]))

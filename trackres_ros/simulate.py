@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import layout as at
 from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.outputs import RESISTANCE_PARTS
 
 Array = NDArray[np.float64]
 
@@ -21,9 +22,7 @@ COLUMNS = (
     "ambient_degc",
     "belt_degc",
     "resistance_torque_nm",
-    "hysteresis_nm",
-    "bearing_nm",
-    "wind_nm",
+    *RESISTANCE_PARTS.values(),
     "inertia_nm",
     "drive_torque_nm",
 )

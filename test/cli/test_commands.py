@@ -96,6 +96,7 @@ def test_simulate_writes_the_columns_of_the_issue(folder):
         "hysteresis_nm",
         "bearing_nm",
         "wind_nm",
+        "effects_nm",
         "inertia_nm",
         "drive_torque_nm",
     ]
@@ -209,7 +210,7 @@ def test_explain_says_what_the_issue_asks():
     } <= result.keys()
     assert set(result["contact"][0]) == {"half_length_m", "max_strain", "frequency_hz", "modulus_mpa"}
     assert set(result["loss_force_n"]) == {"indentation", "bending", "tension", "drive", "total"}
-    assert {"hysteresis", "bearing", "wind", "inertia", "resistance"} == result["torque_nm"].keys()
+    assert {"hysteresis", "bearing", "wind", "effects", "inertia", "resistance"} == result["torque_nm"].keys()
     assert result["heat_w"] == pytest.approx(4 * result["loss_force_n"]["total"] * 50 / 3.6)
     assert {row[3] for row in result["rainflow"]} == {"through", "along"}
     assert "Torque at the sprockets" in good("explain", "--vehicle", "agri3t", "--speed-kmh", -5, "--belt-degc", 15)

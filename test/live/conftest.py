@@ -83,12 +83,70 @@ class Desk:
         return all(math.isfinite(value) for _, _, values in self.published for value in values)
 
 
+class Wild(Desk):
+    """An edge that packs what it is given as a middleware does, and refuses whatever it is told to."""
+
+    def __init__(self, **given):
+        self.broken, self.own_clock = set(), None
+        super().__init__(**given)
+
+    def _may(self, what):
+        if what in self.broken:
+            raise OSError(f"{what} does not work")
+
+    def now_ns(self):
+        self._may("now_ns")
+        return super().now_ns() if self.own_clock is None else self.own_clock
+
+    def publish(self, output, stamp_ns, values):
+        self._may("publish")
+        assert stamp_ns_fits(stamp_ns)
+        super().publish(output, stamp_ns, values)
+
+    def publish_status(self, output, stamp_ns, statuses):
+        self._may("publish_status")
+        assert stamp_ns_fits(stamp_ns)
+        super().publish_status(output, stamp_ns, statuses)
+
+    def peers(self, index):
+        self._may("peers")
+        return super().peers(index)
+
+    def log(self, level, text):
+        self._may("log")
+        super().log(level, text)
+
+
+def stamp_ns_fits(stamp):
+    seconds, nanoseconds = divmod(stamp, SECOND_NS)
+    return -(2**31) <= seconds < 2**31 and 0 <= nanoseconds < SECOND_NS
+
+
+@pytest.fixture(scope="module")
+def wild_by_clock():
+    """One application on each kind of clock, simulated or not: to make one takes longer than a whole example."""
+    made = {sim: Wild(output_rate_hz=rate, use_sim_time=sim) for sim, rate in ((False, 50.0), (True, 0.0))}
+    yield made
+    for one in made.values():
+        one.broken.clear()
+        one.app.close()
+
+
+@pytest.fixture
+def wild_desk():
+    yield from _desks(Wild)
+
+
 @pytest.fixture
 def desk():
+    yield from _desks(Desk)
+
+
+def _desks(kind):
     desks = []
 
     def make(**given):
-        desks.append(Desk(**given))
+        desks.append(kind(**given))
         return desks[-1]
 
     yield make

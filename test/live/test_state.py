@@ -2,13 +2,17 @@
 
 import json
 import os
+import re
 import resource
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.snapshot import seal
-from trackres_ros.live.state_keeper import state_path
+from trackres_ros.live.state_keeper import state_name, state_path
+from trackres_ros.resources import cache_dir
 
 
 @pytest.fixture
@@ -134,12 +138,51 @@ def test_parts_of_a_saving_that_was_killed_are_cleared_away(desk, warm):
 def test_each_node_and_vehicle_has_a_file_of_its_own(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     paths = {
-        state_path("auto", False, node, namespace, vehicle)
+        state_path("auto", False, node, namespace, vehicle)[0]
         for node in ("trackres", "other")
         for namespace in ("/", "/a", "/a/b")
         for vehicle in ("xgd24d", "agri3t")
     }
     assert len(paths) == 12
     assert all(tmp_path in path.parents for path in paths)
-    assert state_path("auto", True, "trackres", "/", "xgd24d") is None
-    assert state_path("none", False, "trackres", "/", "xgd24d") is None
+    assert state_path("auto", True, "trackres", "/", "xgd24d") == (None, "")
+    assert state_path("none", False, "trackres", "/", "xgd24d") == (None, "")
+
+
+ODD_NAMES = ["../../etc/x", "/etc/passwd", "a/b", "a_b", "a b", ".", "..", "", "a\nb", "a\0b", "x" * 500]
+NAMES = st.text(max_size=60) | st.sampled_from(ODD_NAMES)
+
+
+@given(st.tuples(NAMES, NAMES, NAMES), st.tuples(NAMES, NAMES, NAMES))
+def test_whatever_they_are_called_the_file_is_a_plain_name_and_no_other_ones(one, other):
+    for node, namespace, vehicle in (one, other):
+        name = state_name(node, namespace, vehicle)
+        assert re.fullmatch(r"[A-Za-z0-9_]*-[0-9a-f]{12}\.json", name)
+        assert len(name) < 200
+    levels = [tuple(filter(None, namespace.split("/"))) for _, namespace, _ in (one, other)]
+    alike = (levels[0], one[0], one[2]) == (levels[1], other[0], other[2])
+    assert (state_name(*one) == state_name(*other)) is alike
+
+
+def test_a_vehicle_whose_name_is_a_path_keeps_its_state_where_all_do(desk, monkeypatch, tmp_path, repository):
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    text = (repository / "config" / "xgd24d.yaml").read_text()
+    vehicle = tmp_path / "mine.yaml"
+    vehicle.write_text(re.sub(r"(?m)^name:.*$", "name: ../../../x", text).replace("rubber/", f"{repository}/config/rubber/"))
+    d = desk(vehicle=str(vehicle), state_file="auto")
+    d.drive(0.1)
+    d.app.save_state()
+    assert [path.parent for path in tmp_path.rglob("*.json")] == [tmp_path / "state" / "trackres"]
+
+
+def test_without_a_home_it_runs_and_says_that_no_state_is_kept(desk, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(cache_dir().parent))
+    monkeypatch.delenv("HOME", raising=False)
+    monkeypatch.delenv("XDG_STATE_HOME", raising=False)
+    monkeypatch.setattr("pathlib.Path.home", lambda: (_ for _ in ()).throw(RuntimeError("no home")))
+    d = desk(state_file="auto")
+    d.drive(0.5)
+    assert d.published
+    assert "home" in d.app.began_with
+    assert "STATE_NOT_SAVED" in d.names()
+    assert d.app.close() == "no state is kept"

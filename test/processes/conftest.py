@@ -109,9 +109,10 @@ class Node:
         """What it has logged so far."""
         return self.log_path.read_text()
 
-    def started(self):
+    def started(self, within_s=WITHIN_S):
         """Wait until it talks and listens."""
-        self.until(lambda: self.statuses() and all(given.matched for given in self.inputs.values()), "the node to start")
+        connected = lambda: self.statuses() and all(given.matched for given in self.inputs.values())  # noqa: E731
+        self.until(connected, "the node to start", within_s)
         return self
 
     def until(self, holds, what, within_s=WITHIN_S, meanwhile=None):

@@ -1,6 +1,8 @@
 """The node as a person on ROS 2 meets it: by `ros2 run`'s executable, the command line, launch, lifecycle, bags."""
 
+import importlib.util
 import json
+import os
 import shutil
 import signal
 import subprocess
@@ -52,7 +54,7 @@ class Shell:
         process = self.start(
             sys.executable,
             "-m",
-            "trackres_ros.ros.main",
+            "trackres_ros.ros.estimator",
             "--ros-args",
             "-p",
             "vehicle:=xgd24d",
@@ -165,18 +167,19 @@ def test_two_publishers_and_a_wrong_type_are_seen(shell):
 
 
 def test_a_bad_start_ends_with_code_2_or_waits_to_be_configured(cyclone):
-    bad = cyclone.start(sys.executable, "-m", "trackres_ros.ros.main", "--ros-args", "-p", "vehicle:=nonsense")
+    bad = cyclone.start(sys.executable, "-m", "trackres_ros.ros.estimator", "--ros-args", "-p", "vehicle:=nonsense")
     assert bad.wait(30) == 2
     assert "one of agri3t, xgd24d" in bad.said() or "xgd24d" in bad.said()
     assert "Traceback" not in bad.said()
-    bad = cyclone.start(sys.executable, "-m", "trackres_ros.ros.main", "--ros-args", "-p", "vehicle:=xgd24d", "-p", "gap_s:=1e9")
+    given = ["--ros-args", "-p", "vehicle:=xgd24d", "-p", "gap_s:=1e9"]
+    bad = cyclone.start(sys.executable, "-m", "trackres_ros.ros.estimator", *given)
     assert bad.wait(30) == 2
     assert "gap_s" in bad.said()
     assert "Traceback" not in bad.said()
     waiting = cyclone.start(
         sys.executable,
         "-m",
-        "trackres_ros.ros.main",
+        "trackres_ros.ros.estimator",
         "--ros-args",
         "-p",
         "vehicle:=nonsense",
@@ -249,9 +252,28 @@ def test_a_bag_played_live_is_recorded_as_the_offline_replay_gives_it(cyclone, r
     assert compared > 0.99 * len(rows)
 
 
-def test_launch_starts_it(cyclone, repository):
-    if "trackres_ros" not in cyclone.ros2("pkg", "list"):
-        pytest.skip("the package is not built into a sourced workspace: `ros2 launch` cannot find it")
+@pytest.fixture(scope="module")
+def workspace(tmp_path_factory, repository):
+    """Environment of a workspace that the package is built into as a user builds it."""
+    if not importlib.util.find_spec("colcon_ros"):
+        pytest.skip("colcon is not installed for this Python: pip install colcon-common-extensions")
+    folder = tmp_path_factory.mktemp("workspace")
+    source = folder / "src" / "trackres_ros"
+    left = ("[.]*", "build", "install", "log", "out", "docs", "*.egg-info", "__pycache__")
+    shutil.copytree(repository, source, ignore=shutil.ignore_patterns(*left))
+    program = "import sys; from colcon_core.command import main; sys.exit(main())"
+    build = [sys.executable, "-W", "ignore", "-c", program, "build", "--packages-select", "trackres_ros"]
+    done = subprocess.run(build, cwd=folder, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stdout + done.stderr
+    sourced = f"source {folder}/install/setup.bash && env -0"
+    said = subprocess.run(["bash", "-c", sourced], capture_output=True, text=True, check=True).stdout
+    return dict(line.split("=", 1) for line in said.split("\0") if "=" in line)
+
+
+def test_launch_starts_it(cyclone, workspace):
+    cyclone.environment = {**workspace, **{k: v for k, v in cyclone.environment.items() if os.environ.get(k) != v}}
+    assert "trackres_ros" in cyclone.ros2("pkg", "list")
+    assert {"estimator", "trackres"} <= set(cyclone.ros2("pkg", "executables", "trackres_ros").split())
     launch = cyclone.start(
         ROS2, "launch", "trackres_ros", "trackres.launch.py", "vehicle:=xgd24d", "namespace:=left", "use_sim_time:=true"
     )

@@ -6,6 +6,7 @@ checks all there were), outputs or statuses go on, the status gives the reason, 
 
 import itertools
 import math
+import random
 import time
 
 import peer
@@ -177,4 +178,45 @@ def test_coarse_steps_and_one_value_for_long(node):
     assert n.level() == 0
     n.drive(0.5)
     n.remarked("SPEED_STUCK", meanwhile=lambda: n.drive(0.3, speed=lambda: 8.0))
+    recovers(n)
+
+
+def test_a_noisy_speed_at_rest_is_fed_exactly_nothing(standing):
+    standing.healthy()
+    noise = random.Random(4)
+    rest = lambda: noise.gauss(0.0, 0.02)  # noqa: E731 - speed_std_mps
+    standing.until(lambda: standing.torques()[-1] == 0.0, "rest", meanwhile=lambda: standing.drive(0.3, speed=rest))
+    first = len(standing.torques())
+    standing.drive(3.0, speed=rest)
+    standing.drive(0.2, speed=rest)
+    assert len(standing.torques()) > first + 50
+    assert set(standing.torques()[first:]) == {0.0}
+    assert all(heard.message.effort[0] != 0.0 for heard in standing.out["resistance"].update()[-5:])
+    recovers(standing)
+
+
+def test_a_stamp_that_no_message_can_carry_comes_first(node):
+    n = node(namespace="/stamps")
+    header = {"stamp": {"sec": 2**31 - 1, "nanosec": 10**9}, "frame_id": ""}
+    for _ in range(3):
+        n.inputs["speed"].publish(header=header, twist={"linear": {"x": 8.0, "y": 0.0, "z": 0.0}})
+    n.until(lambda: int(n.values("input speed").get("bad_stamp", 0)) == 3, "the counter")
+    count = len(n.statuses())
+    n.until(lambda: len(n.statuses()) > count, "statuses going on")
+    assert "INTERNAL_ERROR" not in n.remarks()
+    recovers(n)
+
+
+def test_outputs_move_at_their_rate_over_a_pause(node):
+    n = node(namespace="/pace", feedforward_rate=4000.0, feedforward_fade_s=5.0)
+    n.healthy()
+    n.until(lambda: n.torques()[-1] > 2000.0, "the whole torque", meanwhile=lambda: n.drive(0.3))
+    for pause_s in (0.8, 2.0, 3.5):
+        time.sleep(pause_s)
+        n.drive(0.5)
+    torques = n.torques()
+    # Sent at 50 Hz by the node's clock; how they are heard is the middleware's, so as many as could be between two are allowed.
+    rises = [b - a for a, b in itertools.pairwise(torques)]
+    assert max(rises[:20] + rises) <= 4000.0 * 0.2
+    assert sum(rise > 0.0 for rise in rises) > 20
     recovers(n)

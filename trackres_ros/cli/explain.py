@@ -76,4 +76,6 @@ def _text(result: dict[str, Any]) -> str:
         "",
         "Torque at the sprockets, whole vehicle [Nm]: " + ", ".join(f"{k} {decimals(v)}" for k, v in torque.items()),
     ]
+    if result["effects_left_out"]:
+        lines.append(f"Left out, as they need more than an operating point: {', '.join(result['effects_left_out'])}")
     return "\n".join(lines)

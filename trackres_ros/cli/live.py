@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     help="Write every estimate as topics, and a picture, at the end.",
 )
 @click.option("--quiet", is_flag=True, help="No table in the terminal.")
+@click.option("--json", "as_json", is_flag=True, help="Instead of the table a line of JSON a second, and one at the end.")
 def live_command(
     vehicle: str | None,
     surroundings: str | None,
@@ -50,6 +51,7 @@ def live_command(
     edge: str,
     record: Path | None,
     quiet: bool,
+    as_json: bool,
 ) -> int:
     """Run the live estimate until interrupted.
 
@@ -57,10 +59,11 @@ def live_command(
     trackres live --vehicle xgd24d --topics topics.yaml
     trackres live --vehicle xgd24d -p output_rate_hz:=100 -p use_sim_time:=true
 
-    Signals: INT and TERM end it and save the state. On DDS, where there are no services, USR1 saves the state and USR2
-    starts cold.
+    Signals: INT and TERM end it and save the state, USR1 saves the state and USR2 starts cold.
     """
+    from trackres_ros.cli.live_json import LiveJson
     from trackres_ros.cli.live_table import LiveTable
+    from trackres_ros.live.asked import ASKED
     from trackres_ros.live.record import Recorder
     from trackres_ros.parameters import make_parameters, read_parameters
 
@@ -71,29 +74,33 @@ def live_command(
     named = {"vehicle": vehicle, "surroundings": surroundings, "topics": topics}
     given.update({key: value for key, value in named.items() if value is not None})
     parameters = make_parameters(given)
-    shown: list[LiveTable] = []
+    ASKED.listen()
+    shown: list[LiveTable | LiveJson] = []
 
     def started(application: Application) -> None:
         if recorder:
             application.on_estimate = recorder.begin(application.estimator)
-        if not quiet:
+        if as_json:
+            shown.append(LiveJson(application.overview))
+        elif not quiet:
             shown.append(LiveTable(f"{name}: {application.vehicle.title}", application.overview))
-            shown[-1].start()
+        for display in shown:
+            display.start()
 
     try:
         if edge == "ros" or (edge == "auto" and _rclpy_imports()):
             from trackres_ros.ros.main import run as run_on_ros
 
-            return run_on_ros(parameters, name, namespace, started)
+            return run_on_ros(parameters, name, namespace, ASKED, started)
         from trackres_ros.dds.node import run as run_on_dds
 
-        return run_on_dds(parameters, name, namespace, started)
+        return run_on_dds(parameters, name, namespace, ASKED, started)
     finally:
-        for table in shown:
-            table.stop()
+        for display in shown:
+            display.stop()
         if recorder:
             for text in recorder.end():
-                click.echo(text)
+                click.echo(text, err=as_json)
 
 
 def _rclpy_imports() -> bool:

@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable
 from datetime import UTC, datetime
 
-from rich.console import Console, Group
+from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.panel import Panel
 from rich.table import Table
@@ -15,13 +15,14 @@ from rich.text import Text
 
 from trackres_ros.live.edge import Level
 from trackres_ros.live.report import Overview
-from trackres_ros.outputs import TOTALS
+from trackres_ros.outputs import RESISTANCE_PARTS
 from trackres_ros.recording import ROLES, base_role
 from trackres_ros.shown import decimals, figures
 
 REFRESH_S = 0.5
 PLAIN_PERIOD_S = 10.0
 KMH = 3.6
+LONG_AGE_S = 100.0  # from here on whole seconds
 COLOURS = {Level.OK: "green", Level.WARN: "yellow", Level.ERROR: "red", Level.STALE: "magenta"}
 
 
@@ -62,11 +63,11 @@ def table(title: str, seen: Overview) -> Panel:
     """The overview as a picture for the terminal."""
     colour = COLOURS[seen.level]
     status = Text.assemble((f" {seen.level.name} ", f"bold reverse {colour}"), f"  {seen.message}")
-    parts: list[Text | Table] = [status, _inputs(seen)]
+    parts: list[RenderableType] = [status, Text(""), _inputs(seen)]
     if seen.values:
-        side_by_side = Table.grid(padding=(0, 4))
+        side_by_side = Table.grid(padding=(0, 2))
         side_by_side.add_row(_torques(seen), _belts(seen))
-        parts.append(side_by_side)
+        parts += [Text(""), side_by_side, Text("")]
     if any(given.role == "torque" for given in seen.inputs):
         parts.append(Text(f"measured torque: {seen.mismatch.text}"))
     parts.append(Text(_foot(seen), style="dim"))
@@ -83,46 +84,50 @@ def line(seen: Overview) -> str:
     return (
         f"{_time(seen)}  {decimals(value['speed_mps'] * KMH, 1):>5} km/h  "
         f"resistance {decimals(value['resistance_torque_nm']):>6} +- {decimals(value['resistance_std_nm'])} Nm  "
-        f"feed-forward {decimals(value['feedforward_torque_nm'] * seen.left):>6} Nm  "
+        f"feed-forward {decimals(seen.feedforward_nm):>6} Nm  "
         f"belts {coldest} to {hottest} degC  {seen.level.name}: {seen.message}"
     )
 
 
-def _inputs(seen: Overview) -> Table:
-    shown = Table(box=None, pad_edge=False, header_style="dim")
-    for name, justify in (("input", "left"), ("topic", "left"), ("value", "right"), ("Hz", "right"), ("age s", "right")):
-        shown.add_column(name, justify=justify)  # type: ignore[arg-type]
-    shown.add_column("accepted", justify="right")
-    shown.add_column("refused, remarks", overflow="fold")
+def _inputs(seen: Overview) -> Group:
+    parts: list[Text] = []  # what else was counted has a line of its own: there is no telling how much it is
+    shown = Table(expand=True, box=None, pad_edge=False, header_style="dim")
+    shown.add_column("input", no_wrap=True)
+    shown.add_column("topic", overflow="fold", ratio=1)
+    for name in ("value", "Hz", "age s", "accepted"):
+        shown.add_column(name, justify="right", no_wrap=True)
     for given in seen.inputs:
         counts = dict(given.counts)
         accepted = counts.pop("accepted", 0)
-        rest = ", ".join(f"{number} {name}" for name, number in counts.items())
         unit = ROLES[base_role(given.role)].unit
-        value = "" if math.isnan(given.value) else f"{figures(given.value, 5)} {unit if unit != '1' else ''}".rstrip()
+        value = "" if math.isnan(given.value) else f"{figures(given.value, 5)} {unit}".removesuffix(" 1")
         rate = "" if math.isnan(given.rate_hz) else f"{given.rate_hz:.1f}"
-        shown.add_row(given.role, given.topic, value, rate, _number(given.age_s, 2), str(accepted), rest)
-    return shown
+        shown.add_row(given.role, given.topic, value, rate, _age(given.age_s), str(accepted))
+        if counts:
+            listed = ", ".join(f"{name} {number}" for name, number in counts.items())
+            parts.append(Text(f"  {given.role}: {listed}", style="yellow"))
+    return Group(shown, *parts)
 
 
 def _torques(seen: Overview) -> Table:
     shown = Table(box=None, pad_edge=False, header_style="dim")
-    shown.add_column("torque at the sprockets")
-    shown.add_column("Nm", justify="right")
-    for name, column in TOTALS.items():
-        if name not in ("total", "drive"):
-            shown.add_row(name, decimals(seen.values[column]))
-    std = seen.values["resistance_std_nm"]
-    shown.add_row("[b]resistance[/b] (first three)", f"[b]{decimals(seen.values['resistance_torque_nm'])}[/b] +- {decimals(std)}")
-    shown.add_row("[b]feed-forward[/b]", f"[b]{decimals(seen.values['feedforward_torque_nm'] * seen.left)}[/b]")
+    shown.add_column("at sprockets", no_wrap=True)
+    shown.add_column("Nm", justify="right", no_wrap=True)
+    values, std = seen.values, seen.values["resistance_std_nm"]
+    for name, column in RESISTANCE_PARTS.items():
+        shown.add_row(f"  {name}", decimals(values[column]))
+    shown.add_row("[b]resistance[/b] (sum)", f"[b]{decimals(values['resistance_torque_nm'])}[/b] +- {decimals(std)}")
+    shown.add_row("grade", decimals(values["grade_nm"]))
+    shown.add_row("inertia", decimals(values["inertia_nm"]))
+    shown.add_row("[b]feed-forward[/b]", f"[b]{decimals(seen.feedforward_nm)}[/b]")
     return shown
 
 
 def _belts(seen: Overview) -> Table:
     shown = Table(box=None, pad_edge=False, header_style="dim")
-    shown.add_column("assembly")
-    for name in ("belt degC", "load kN", "torque Nm"):
-        shown.add_column(name, justify="right")
+    shown.add_column("assembly", overflow="fold")
+    for name in ("belt degC", "kN", "Nm"):
+        shown.add_column(name, justify="right", no_wrap=True)
     for name in seen.assemblies:
         of = {column: seen.values[f"{column}/{name}"] for column in ("belt_degc", "belt_std_k", "load_n", "resistance_torque_nm")}
         belt = f"{decimals(of['belt_degc'], 1)} +- {decimals(of['belt_std_k'], 1)}"
@@ -135,7 +140,7 @@ def _foot(seen: Overview) -> str:
     kept = f"state in {seen.state_file}" if seen.state_file else "no state kept"
     if not math.isnan(seen.saved_s_ago):
         kept += f", saved {seen.saved_s_ago:.0f} s ago"
-    return f"{_time(seen)}: {speed}age {_number(seen.age_s, 2) or 'none'} s, {seen.steps_hz:.1f} estimates/s, {kept}"
+    return f"{_time(seen)}: {speed}age {_age(seen.age_s) or 'none'} s, {seen.steps_hz:.1f} estimates/s, {kept}"
 
 
 def _time(seen: Overview) -> str:
@@ -144,5 +149,5 @@ def _time(seen: Overview) -> str:
     return datetime.fromtimestamp(seen.stamp_ns * 1e-9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
 
 
-def _number(value: float, digits: int) -> str:
-    return f"{value:.{digits}f}" if math.isfinite(value) else ""
+def _age(value: float) -> str:
+    return (f"{value:.2f}" if value < LONG_AGE_S else f"{value:.0f}") if math.isfinite(value) else ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 from collections.abc import Sequence
@@ -58,32 +59,39 @@ for command in (
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line; bad input ends with exit code 2 and one line that says what to do."""
+    """Run the command line; bad input ends with exit code 2 and one line that says what to do, with --json as JSON."""
     written.begin()
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    as_json = "--json" in given
     try:
-        result = cli.main(args=list(arguments) if arguments is not None else None, prog_name="trackres", standalone_mode=False)
+        result = cli.main(args=given, prog_name="trackres", standalone_mode=False)
     except click.ClickException as error:
         if type(error).__name__ == "NoArgsIsHelpError":  # click 8.2 and newer: the help is the message
             click.echo(error.format_message())
             sys.exit(BAD_INPUT)
         context = getattr(error, "ctx", None)
-        hint = f" (see {context.command_path} --help)" if context else ""
-        _fail(" ".join(error.format_message().split()) + hint)
+        path = context.command_path if context else "trackres"
+        text = " ".join(error.format_message().split())
+        _fail(InputError(path, " ".join(given), text, f"see {path} --help"), f"{text} (see {path} --help)", as_json)
     except InputError as error:
-        _fail(str(error))
+        _fail(error, str(error), as_json)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(0)
     except OSError as error:
-        _fail(one_line(f"{error.filename or 'system'}: {error.strerror or error}"))
+        where, why = str(error.filename or "system"), str(error.strerror or error)
+        _fail(InputError(where, why, "a file or device that can be used"), one_line(f"{where}: {why}"), as_json)
     except (click.Abort, KeyboardInterrupt):
         click.echo(f"trackres: interrupted; {written.so_far()}", err=True)
         sys.exit(INTERRUPTED)
     sys.exit(result if isinstance(result, int) else 0)
 
 
-def _fail(text: str) -> None:
-    click.echo(f"trackres: error: {text}", err=True)
+def _fail(error: InputError, text: str, as_json: bool) -> None:
+    if as_json:
+        click.echo(json.dumps({"error": error.as_dict()}))
+    else:
+        click.echo(f"trackres: error: {text}", err=True)
     sys.exit(BAD_INPUT)
 
 

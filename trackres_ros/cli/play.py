@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from trackres_ros.cli.common import number, progress
+from trackres_ros.cli.common import emit, json_option, number, progress
 from trackres_ros.errors import InputError
 
 LISTENERS_WITHIN_S = 30.0
@@ -18,7 +18,8 @@ LISTENERS_WITHIN_S = 30.0
 @click.argument("recording", type=click.Path(path_type=Path))
 @click.option("--rate", type=number(0.01, 1000.0), default=1.0, show_default=True, help="So much faster than it was recorded.")
 @click.option("--wait-for", multiple=True, metavar="TOPIC", help="Begin when somebody listens to it; may be given several times.")
-def play_command(recording: Path, rate: float, wait_for: tuple[str, ...]) -> None:
+@json_option
+def play_command(recording: Path, rate: float, wait_for: tuple[str, ...], as_json: bool) -> None:
     """Play a bag of ROS 2 to a live node, with a /clock, on machines without ROS; elsewhere `ros2 bag play --clock` does it.
 
     \b
@@ -41,6 +42,13 @@ def play_command(recording: Path, rate: float, wait_for: tuple[str, ...]) -> Non
             raise InputError("--wait-for", ", ".join(wait_for), f"a node that listens within {LISTENERS_WITHIN_S:g} s")
         with progress("playing", player.duration_s) as advance:
             count = player.play(advance, lambda: not stop.is_set())
-        click.echo(f"{count} messages played")
+        result = {
+            "recording": str(recording),
+            "messages": count,
+            "topics": list(player.topics),
+            "left_out": player.left_out,
+            "to_the_end": not stop.is_set(),
+        }
+        emit(result, as_json, lambda: f"{count} messages played")
     finally:
         player.close()

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.cli.common import emit, json_option, method_options, number, output_path, surroundings_option, vehicle_option
 from trackres_ros.errors import InputError
+from trackres_ros.outputs import RESISTANCE_PARTS
 from trackres_ros.recording import ROLES, Recording
 from trackres_ros.shown import decimals
 
@@ -67,8 +68,9 @@ def simulate_command(
     trackres simulate --vehicle xgd24d --speed-kmh 50 -o out.csv
     trackres simulate --vehicle xgd24d --profile laps.csv --ambient-degc -15 -o out.mcap
 
-    Columns: time_s, speed_mps, weight_n, ambient_degc, belt_degc (mean over the assemblies), resistance_torque_nm (hysteresis,
-    bearing and wind), hysteresis_nm, bearing_nm, wind_nm, inertia_nm, drive_torque_nm (all four); whole vehicle.
+    Columns: time_s, speed_mps, weight_n, ambient_degc, belt_degc (mean over the assemblies), resistance_torque_nm, which is the
+    sum of hysteresis_nm, bearing_nm, wind_nm and effects_nm (of the vehicle file's effects), inertia_nm, drive_torque_nm
+    (resistance and inertia); whole vehicle.
     With a grade in the profile grade_nm too, which the drive torque holds as well.
     """
     from trackres_ros.csvs import write_table
@@ -171,14 +173,15 @@ def _conditions(recording: Recording, time_s: Array, given: Collection[str], wei
 
 
 def _text(result: dict[str, Any]) -> str:
+    parts = {"resistance": "resistance_torque_nm", **RESISTANCE_PARTS}
     lines = [
-        f"{'time':>8} {'speed':>9} {'resistance':>11} {'hysteresis':>11} {'bearing':>9} {'wind':>7} {'belt':>8}",
-        f"{'s':>8} {'km/h':>9} {'Nm':>11} {'Nm':>11} {'Nm':>9} {'Nm':>7} {'degC':>8}",
+        f"{'time':>8} {'speed':>7} " + " ".join(f"{part:>10}" for part in parts) + f" {'belt':>6}",
+        f"{'s':>8} {'km/h':>7} " + " ".join(f"{'Nm':>10}" for _ in parts) + f" {'degC':>6}",
     ]
     lines += [
-        f"{decimals(p['time_s']):>8} {decimals(p['speed_mps'] * 3.6, 1):>9} {decimals(p['resistance_torque_nm']):>11} "
-        f"{decimals(p['hysteresis_nm']):>11} {decimals(p['bearing_nm']):>9} {decimals(p['wind_nm']):>7} "
-        f"{decimals(p['belt_degc'], 1):>8}"
+        f"{decimals(p['time_s']):>8} {decimals(p['speed_mps'] * 3.6, 1):>7} "
+        + " ".join(f"{decimals(p[column]):>10}" for column in parts.values())
+        + f" {decimals(p['belt_degc'], 1):>6}"
         for p in result["points"]
     ]
     return "\n".join([*lines, f"{result['rows']} rows in {result['output']}"])

@@ -11,12 +11,12 @@ from trackres_ros.dds.participant import serialized
 from trackres_ros.dds.wire import known_type, typestore
 from trackres_ros.live.edge import Status
 from trackres_ros.live.endpoints import InputTopic
+from trackres_ros.live.stamps import SECOND_NS, UNUSABLE, stamp_ns
 from trackres_ros.message_types import TIME, check_field, definitions, message_fields, stamp_path
 from trackres_ros.output_bag import FIELDS, template_message
 from trackres_ros.outputs import OutputTopic
 from trackres_ros.topics import FieldStep, field_steps
 
-SECOND_NS = 1_000_000_000
 CLOCK_BYTES = 12
 CODES = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "i8": "q", "u8": "Q", "f4": "f", "f8": "d"}
 STRUCTS = {order + kind: struct.Struct(order + code) for order in "<>" for kind, code in CODES.items()}
@@ -38,10 +38,10 @@ class Prepared:
         self._stamp = [offset for offset, _ in places[-2:]] if stamp else []
         self._numbers = [offset for offset, _ in (places[:-2] if stamp else places)]
 
-    def filled(self, stamp_ns: int, values: Sequence[float]) -> bytes:
-        """The message with a stamp and its numbers."""
+    def filled(self, stamp: int, values: Sequence[float]) -> bytes:
+        """The message with a stamp [ns] and its numbers."""
         if self._stamp:
-            seconds, nanoseconds = divmod(stamp_ns, SECOND_NS)
+            seconds, nanoseconds = divmod(stamp, SECOND_NS)
             struct.pack_into("<i", self._bytes, self._stamp[0], seconds)
             struct.pack_into("<I", self._bytes, self._stamp[1], nanoseconds)
         for offset, value in zip(self._numbers, values, strict=True):
@@ -49,10 +49,10 @@ class Prepared:
         return bytes(self._bytes)
 
 
-def diagnostic_array(stamp_ns: int, statuses: Sequence[Status], frame_id: str) -> bytes:
+def diagnostic_array(stamp: int, statuses: Sequence[Status], frame_id: str) -> bytes:
     """A DiagnosticArray."""
     types = typestore().types
-    seconds, nanoseconds = divmod(stamp_ns, SECOND_NS)
+    seconds, nanoseconds = divmod(stamp, SECOND_NS)
     header = types["std_msgs/msg/Header"](
         stamp=types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds), frame_id=frame_id
     )
@@ -110,7 +110,7 @@ class InputReader:
         stamp = None
         if self._has_stamp:
             nanoseconds, seconds = numbers.pop(), numbers.pop()
-            stamp = int(seconds) * SECOND_NS + int(nanoseconds)
+            stamp = stamp_ns(int(seconds), int(nanoseconds))
         return stamp, [
             None if number is None else scale * number + offset
             for number, (scale, offset) in zip(numbers, self._scales, strict=True)
@@ -129,9 +129,12 @@ def clock_ns(raw: bytes) -> int:
     Raises
     ------
     MalformedError
-        If the bytes are too few.
+        If the bytes are too few, or hold no time.
     """
     if len(raw) < CLOCK_BYTES:
         raise MalformedError("too short")
     seconds, nanoseconds = struct.unpack_from("<iI" if raw[1] else ">iI", raw, 4)
-    return int(seconds) * SECOND_NS + int(nanoseconds)
+    stamp = stamp_ns(int(seconds), int(nanoseconds))
+    if stamp == UNUSABLE:
+        raise MalformedError("no time")
+    return stamp

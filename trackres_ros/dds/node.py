@@ -5,27 +5,26 @@ from __future__ import annotations
 import gc
 import importlib.util
 import os
-import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from types import FrameType
 
 from trackres_ros.cdr import MalformedError
 from trackres_ros.dds.messages import InputReader, Prepared, clock_ns, diagnostic_array
 from trackres_ros.dds.participant import Participant, Reader
-from trackres_ros.errors import InputError
 from trackres_ros.live.application import Application
+from trackres_ros.live.asked import Asked
 from trackres_ros.live.edge import Level, Peer, Status
 from trackres_ros.live.endpoints import Quality, full_name, input_name, input_quality, output_quality
+from trackres_ros.live.inbox import Arrival, Inbox
+from trackres_ros.live.stamps import SECOND_NS
 from trackres_ros.parameters import Parameters
 
 CLOCK_TYPE = "rosgraph_msgs/msg/Clock"
 CLOCK_QUALITY = Quality(reliable=False, depth=1, deadline_s=0.0)
 # Naps this short cost two percent of a core, and keep the way of a message in the caches: the torque leaves a tenth sooner.
 LONGEST_WAIT_NS = 2_000_000
-SECOND_NS = 1_000_000_000
 
 
 class DdsNode:
@@ -60,8 +59,14 @@ class DdsNode:
         if parameters.sim_time:
             self._clock = self._participant.reader("/clock", CLOCK_TYPE, CLOCK_QUALITY)
         self._participant.announce()
-        self._stop = False
-        self._asked: list[Callable[[], str]] = []
+        self._inbox = Inbox(
+            [reader.take for reader in self._readers],
+            self._hand,
+            application.arrival,
+            application.dropped,
+            int(parameters.number("input_depth")),
+        )
+        self._next_tick = 0
 
     # What the application asks of its edge
 
@@ -103,16 +108,8 @@ class DdsNode:
 
     # Running
 
-    def stop(self) -> None:
-        """Let `spin` end; may be called from a signal handler."""
-        self._stop = True
-
-    def ask(self, what: Callable[[], str]) -> None:
-        """Have something done between two messages; may be called from a signal handler."""
-        self._asked.append(what)
-
-    def spin(self) -> None:
-        """Run until `stop`."""
+    def spin(self, asked: Asked) -> None:
+        """Run until a signal asks to stop, and do what others ask for."""
         application = self.application
         why = "without rclpy" if importlib.util.find_spec("rclpy") else "rclpy is not there"
         reach = self._participant.reach
@@ -120,34 +117,37 @@ class DdsNode:
         self.log(Level.OK, f"{application.vehicle.title}; {application.began_with}")
         application.activate()
         wait = self._participant.waiter()
-        next_tick = time.monotonic_ns()
-        while not self._stop:
-            left = next_tick - time.monotonic_ns()
+        self._next_tick = time.monotonic_ns()
+        asked.started()
+        while not asked.to_stop:
+            left = self._next_tick - time.monotonic_ns()
             if left > 0:
                 wait(min(left, LONGEST_WAIT_NS))
             if self._clock:
                 for raw, _ in self._clock.take():
                     with suppress(MalformedError):
                         self._set_clock(clock_ns(raw))
-            # Looked at from the last, which feeds the speed: then whatever was sent before a speed is there with it.
-            taken = [reader.take() for reader in reversed(self._readers)]
-            for index, message in enumerate(self._input_readers):
-                for raw, sent_ns in taken.pop():
-                    try:
-                        stamp_ns, values = message.read(raw)
-                    except MalformedError:
-                        application.undecodable(index, sent_ns)
-                    else:
-                        application.receive_values(index, stamp_ns, values, sent_ns)
-            now = time.monotonic_ns()
-            if now >= next_tick:
-                application.tick()
-                next_tick = max(next_tick + int(application.period_s * SECOND_NS), now)
-            while self._asked:
-                try:
-                    self.log(Level.OK, self._asked.pop(0)())
-                except InputError as error:
-                    self.log(Level.WARN, str(error))
+            self._inbox.collect()
+            # A simulated clock stands while messages are worked off, and none comes between it and them.
+            self._inbox.work_off(self._tick_if_due, collecting=self._clock is None)
+            self._tick_if_due()
+            for level, text in asked.answers(application):
+                self.log(level, text)
+
+    def _hand(self, index: int, message: tuple[bytes, int], arrived: Arrival) -> None:
+        raw, sent_ns = message
+        try:
+            stamp, values = self._input_readers[index].read(raw)
+        except Exception:  # whatever the bytes are, they end nothing
+            self.application.undecodable(index, sent_ns, arrived)
+        else:
+            self.application.receive_values(index, stamp, values, sent_ns, arrived)
+
+    def _tick_if_due(self) -> None:
+        now = time.monotonic_ns()
+        if now >= self._next_tick:
+            self._next_tick = max(self._next_tick + int(self.application.period_s * SECOND_NS), now)
+            self.application.tick()
 
     def close(self) -> None:
         """Save the state and leave."""
@@ -161,8 +161,10 @@ class DdsNode:
             self.application.time_went_back()
 
 
-def run(parameters: Parameters, node: str, namespace: str, started: Callable[[Application], None] | None = None) -> int:
-    """Run the node until SIGINT or SIGTERM; SIGUSR1 saves the state, SIGUSR2 starts cold.
+def run(
+    parameters: Parameters, node: str, namespace: str, asked: Asked, started: Callable[[Application], None] | None = None
+) -> int:
+    """Run the node until a signal asks to stop.
 
     Returns
     -------
@@ -170,20 +172,11 @@ def run(parameters: Parameters, node: str, namespace: str, started: Callable[[Ap
         Exit code, 0.
     """
     running = DdsNode(parameters, node, namespace)
-    application = running.application
-
-    def stop(_signal: int, _frame: FrameType | None) -> None:
-        running.stop()
-
-    signal.signal(signal.SIGINT, stop)
-    signal.signal(signal.SIGTERM, stop)
-    signal.signal(signal.SIGUSR1, lambda *_: running.ask(application.save_state))
-    signal.signal(signal.SIGUSR2, lambda *_: running.ask(application.reset))
     gc.freeze()  # what was loaded stays: looking through it would hold up a message now and then
     try:
         if started:
-            started(application)
-        running.spin()
+            started(running.application)
+        running.spin(asked)
     finally:
         running.close()
     return 0

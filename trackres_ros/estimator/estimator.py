@@ -285,7 +285,7 @@ class Estimator:
         self.entries.rest_belts(
             *self.kernel_arguments, belts, float(ambient), self.constants.number.ambient_unknown_std, float(seconds)
         )
-        motion[at.FEEDFORWARD] = 0.0
+        motion[at.FEEDFORWARD] = motion[at.FEEDFORWARD_TARGET] = motion[at.ROLLS] = 0.0
         effects = state.effects
         if self.effects.effects and seconds > 0.0:
             nothing = np.array(at.NO_TERMS)

@@ -21,7 +21,7 @@ from trackres_ros.estimator.belt_step import (
     surface,
 )
 from trackres_ros.estimator.constants import Constants
-from trackres_ros.estimator.motion_step import advance_motion, start_motion
+from trackres_ros.estimator.motion_step import advance_motion, rolls, start_motion
 from trackres_ros.model.resistance import bearing_force, direction, grade_force, inertia_force, wind_force
 from trackres_ros.model.rubber import log_shift_factor
 
@@ -31,6 +31,8 @@ FIRST_OF_ASSEMBLIES, COLUMNS_EACH = len(at.VEHICLE_COLUMNS), len(at.ASSEMBLY_COL
 LONGEST_SUBSTEP = 0.5  # s while rolling
 MOST_SUBSTEPS = 20000
 DISAGREES = 5.0  # standard deviations between measured and expected belt temperature
+FEEDFORWARD_STEP_S = 0.02  # between two outputs at the default rate: so far the feed-forward moves at once, the rest follows
+LEAST_DOUBT = 0.001  # of the resistance: torque transducers are no better (class 0.1), so no estimate is
 
 BELT_UNSURE, DISAGREEING = int(at.Reason.BELT_UNSURE), int(at.Reason.BELT_SENSOR_DISAGREES)
 BRIDGED, UNKNOWN = int(at.Reason.GAP_BRIDGED), int(at.Reason.GAP_UNKNOWN)
@@ -139,6 +141,7 @@ class Road(NamedTuple):
     sign: float
     weight: float
     bearing: float
+    rolling_bearing: float  # what `bearing` is at a crawl forward, where it is not yet small by its sign
     wind: float
     uphill: float
     inertia: float
@@ -181,7 +184,8 @@ def advance_assembly(k: Constants, i: int, belt: Array, load: float, measured: f
         reasons |= measure(k, i, belt, measured, road.ambient, road.speed)
     temperature = belt[0, at.TEMPERATURE]
     loss, slope = loss_force(k, i, temperature, road.log10_speed, log_load, drive)
-    own = radius * loss * road.sign
+    unsigned = radius * loss
+    own = unsigned * road.sign
     std = math.sqrt(belt_variance(belt, 1.0, 0.0))
     if std > k.number.belt_std_warn:
         reasons |= BELT_UNSURE
@@ -195,16 +199,18 @@ def advance_assembly(k: Constants, i: int, belt: Array, load: float, measured: f
 
     arm = radius * share
     resisting = own + arm * (road.bearing + road.wind)
-    by_temperature = radius * slope * road.sign
+    # What is in doubt at rest is what it would be at a crawl: the sign of friction is known, its size is not.
+    by_temperature, doubted = radius * slope, unsigned + arm * (road.rolling_bearing + abs(road.wind))
+    part[at.PART_ARM], part[at.PART_UNSIGNED] = arm, doubted
     part[at.PART_HYSTERESIS], part[at.PART_BEARING], part[at.PART_WIND] = own, arm * road.bearing, arm * road.wind
     part[at.PART_GRADE], part[at.PART_INERTIA] = arm * road.uphill, arm * road.inertia
     for cause in range(3):
         part[at.PART_DOUBT + cause] = (
             by_temperature * belt[0, at.DOUBT_1 + cause]
-            + own * k.assembly[i, at.LOSS_DOUBT + cause]
-            + resisting * k.assembly[i, at.RADIUS_DOUBT + cause]
+            + unsigned * k.assembly[i, at.LOSS_DOUBT + cause]
+            + doubted * k.assembly[i, at.RADIUS_DOUBT + cause]
         )
-    part[at.PART_DOUBT + 3] = resisting * k.assembly[i, at.RADIUS_DOUBT + 3]
+    part[at.PART_DOUBT + 3] = doubted * k.assembly[i, at.RADIUS_DOUBT + 3]
     part[at.PART_DOUBT_AMBIENT] = by_temperature * belt[0, at.DOUBT_AMBIENT]
     part[at.PART_NOISE] = by_temperature * by_temperature * (belt[0, at.NOISE_1] ** 2 + belt[0, at.NOISE_2] ** 2)
     first = FIRST_OF_ASSEMBLIES + i * COLUMNS_EACH
@@ -272,29 +278,47 @@ def fade(age: float, max_age: float, fade_s: float) -> float:
     return min(1.0, max(0.0, 1.0 - (age - max_age) / fade_s))
 
 
+@compiled
+def towards(here: float, there: float, room: float) -> float:
+    """From one value to another, by no more than `room`."""
+    return there if abs(there - here) <= room else here + math.copysign(room, there - here)
+
+
+@compiled
+def followed(value: float, target: float, rate: float, age: float) -> float:
+    """Where the feed-forward [Nm] of a step is so long after it [s], on its way to the target; the first output is the step's."""
+    return towards(value, target, rate * max(0.0, age - FEEDFORWARD_STEP_S))
+
+
 @inlined
 def feedforward(k: Constants, motion: Array, total: Array, of_effects: float, given_accel: bool, dt: float) -> tuple[float, int]:
-    """Chosen parts [Nm], limited in size and rate, and the reasons that gives."""
+    """Chosen parts [Nm], limited in size and rate, and the reasons that gives; keeps what it is on its way to in `motion`.
+
+    It begins where the outputs are by now, which have followed their last target, and faded if the speed has paused. From there
+    it moves by as much as one output may. A vehicle that stands is fed nothing of what rolling takes.
+    """
     number, reasons = k.number, 0
-    wanted = (
-        number.feed_hysteresis * total[at.PART_HYSTERESIS]
-        + number.feed_bearing * total[at.PART_BEARING]
-        + number.feed_wind * total[at.PART_WIND]
-        + number.feed_grade * total[at.PART_GRADE]
-        + of_effects
-    )
+    wanted = number.feed_grade * total[at.PART_GRADE]
+    if motion[at.ROLLS] > 0.0:
+        wanted += (
+            number.feed_hysteresis * total[at.PART_HYSTERESIS]
+            + number.feed_bearing * total[at.PART_BEARING]
+            + number.feed_wind * total[at.PART_WIND]
+            + of_effects
+        )
     if given_accel:  # an acceleration filtered from the speed would feed the controller's own noise back to it
         wanted += number.feed_inertia * (total[at.PART_INERTIA] + k.terms[at.TERM_FED_INERTIA])
     wanted *= k.terms[at.TERM_FED_GAIN]
     if abs(wanted) > number.feedforward_limit:
         wanted = math.copysign(number.feedforward_limit, wanted)
         reasons |= CLAMPED
-    room = number.feedforward_rate * min(dt, number.gap)
-    last = motion[at.FEEDFORWARD] * fade(dt, number.speed_max_age, number.feedforward_fade)
-    if abs(wanted - last) > room:
-        wanted = last + math.copysign(room, wanted - last)
+    last = followed(motion[at.FEEDFORWARD], motion[at.FEEDFORWARD_TARGET], number.feedforward_rate, dt)
+    last *= fade(dt, number.speed_max_age, number.feedforward_fade)
+    moved = towards(last, wanted, number.feedforward_rate * min(dt, FEEDFORWARD_STEP_S))
+    if moved != wanted:
         reasons |= LIMITED
-    return wanted, reasons
+    motion[at.FEEDFORWARD_TARGET] = wanted
+    return moved, reasons
 
 
 @inlined
@@ -321,6 +345,7 @@ def advance(k: Constants, belts: Array, motion: Array, inputs: Inputs, dt: float
         )
     elif not started or dt > 0.0:
         start_motion(motion, speed, number.speed_variance, number.acceleration_variance)
+    motion[at.ROLLS] = rolls(motion, speed, number.speed_variance)
     if dt > number.bridge:
         reasons |= UNKNOWN
     elif dt > number.gap:
@@ -339,6 +364,7 @@ def advance(k: Constants, belts: Array, motion: Array, inputs: Inputs, dt: float
         direction(speed),
         weight,
         bearing_force(speed, weight, number.bearing_friction),
+        number.bearing_friction * weight,
         wind_force(speed, number.drag_area, number.air_density),
         grade_force(grade, weight),
         inertia_force(accel, weight, number.rotating_mass_factor),
@@ -353,6 +379,8 @@ def advance(k: Constants, belts: Array, motion: Array, inputs: Inputs, dt: float
     driving = without_gain * terms[at.TERM_DRIVE_GAIN]
     of_effects = terms[at.TERM_TORQUE] + driving - without_gain
     resistance += driving - without_gain
+    for i in range(belts.shape[0]):  # effects are of the whole vehicle, and shared as the load is
+        out[FIRST_OF_ASSEMBLIES + i * COLUMNS_EACH + at.PER_RESISTANCE] += of_effects * (inputs.load[i] / weight)
     # What resists motion is fed forward, so of effects nothing where nothing moves: friction holds a standing vehicle by itself,
     # and whatever else an effect says at rest would push it.
     fed_effects = terms[at.TERM_FED] * abs(direction(speed))
@@ -360,7 +388,7 @@ def advance(k: Constants, belts: Array, motion: Array, inputs: Inputs, dt: float
     variance = (
         total[at.PART_NOISE]
         + total[at.PART_DOUBT_AMBIENT] ** 2
-        + (total[at.PART_BEARING] * number.bearing_doubt) ** 2
+        + (total[at.PART_ARM] * road.rolling_bearing * number.bearing_doubt) ** 2
         + (total[at.PART_WIND] * number.drag_doubt) ** 2
         + terms[at.TERM_VARIANCE]
         + terms[at.TERM_LOSS_VARIANCE] * total[at.PART_HYSTERESIS] ** 2
@@ -384,7 +412,7 @@ def advance(k: Constants, belts: Array, motion: Array, inputs: Inputs, dt: float
     out[at.OUT_INERTIA] = total[at.PART_INERTIA]
     out[at.OUT_EFFECTS] = of_effects
     out[at.OUT_DRIVE] = driving
-    out[at.OUT_STD] = math.sqrt(variance)
+    out[at.OUT_STD] = max(math.sqrt(variance), LEAST_DOUBT * total[at.PART_UNSIGNED])
     out[at.OUT_FEEDFORWARD] = wanted
     out[at.OUT_MOTOR] = driving * number.motor_gain
     out[at.OUT_MEASURED] = inputs.measured_torque

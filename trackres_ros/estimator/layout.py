@@ -32,7 +32,8 @@ CHANNELS = ("speed", "load", "torque", "ambient", "belt", "accel", "grade", "yaw
 ) = range(16)
 LOSS_DOUBT, COOLING_DOUBT, CAPACITY_DOUBT, RADIUS_DOUBT = (DOUBT_FACTOR + 4 * row for row in range(4))
 
-# What an assembly adds to the totals of a step; from PART_DOUBT on the four causes of its factor of doubt.
+# What an assembly adds to the totals of a step: torques by part, heat and cooling, doubt by the ambient temperature and by
+# noise, the arm of a force on the whole vehicle, what resists without its sign; from PART_DOUBT on its four causes of doubt.
 (
     PART_HYSTERESIS,
     PART_BEARING,
@@ -43,8 +44,10 @@ LOSS_DOUBT, COOLING_DOUBT, CAPACITY_DOUBT, RADIUS_DOUBT = (DOUBT_FACTOR + 4 * ro
     PART_COOLING,
     PART_DOUBT_AMBIENT,
     PART_NOISE,
+    PART_ARM,
+    PART_UNSIGNED,
     PART_DOUBT,
-) = range(10)
+) = range(12)
 PARTS = PART_DOUBT + 4
 
 # What left-out effects do in a step, see `effects.effect.Terms`; the values that do nothing. TERM_TORQUE and TERM_DRIVE_GAIN are
@@ -77,9 +80,22 @@ TEMPERATURE, DOUBT_1, DOUBT_2, DOUBT_3, DOUBT_AMBIENT, NOISE_1, NOISE_2 = range(
 BELT_COLUMNS = 7
 
 # The motion state: filtered speed and acceleration, their covariance, the quantum seen, and of the last step
-# speed, feed-forward and drive torque.
-FILTERED_SPEED, FILTERED_ACCEL, COV_SPEED, COV_BOTH, COV_ACCEL, QUANTUM, LAST_SPEED, FEEDFORWARD, LAST_DRIVE, STARTED = range(10)
-MOTION_COLUMNS = 10
+# speed, feed-forward and drive torque; what the feed-forward is on its way to, and whether the vehicle rolls (1) or stands (0).
+(
+    FILTERED_SPEED,
+    FILTERED_ACCEL,
+    COV_SPEED,
+    COV_BOTH,
+    COV_ACCEL,
+    QUANTUM,
+    LAST_SPEED,
+    FEEDFORWARD,
+    LAST_DRIVE,
+    STARTED,
+    FEEDFORWARD_TARGET,
+    ROLLS,
+) = range(12)
+MOTION_COLUMNS = 12
 START_ANEW = -1.0  # in STARTED: time went back, the next speed starts cold and says so
 
 # What the guards remember of a channel.

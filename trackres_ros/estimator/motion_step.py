@@ -23,6 +23,7 @@ from trackres_ros.estimator.layout import (
     FILTERED_ACCEL,
     FILTERED_SPEED,
     QUANTUM,
+    ROLLS,
     STARTED,
 )
 
@@ -30,6 +31,9 @@ Array = NDArray[np.float64]
 
 LARGEST_QUANTUM = 1.0  # m/s: a greater smallest step is not a quantum
 SAME_VALUE = 1e-6  # m/s: rounding of a scaled bus value
+# Standard deviations of the speed's noise, besides half a quantum: one sample in 5e8 of a speed at rest is further off than six,
+# at 50 Hz one in four months. Once it rolls the half of that will do, and keeps a crawl from going on and off.
+ROLLS_FROM, ROLLS_UNTIL = 6.0, 3.0
 
 
 @compiled
@@ -41,6 +45,14 @@ def start_motion(motion: Array, speed: float, speed_variance: float, acceleratio
     motion[COV_BOTH] = 0.0
     motion[COV_ACCEL] = acceleration_variance
     motion[STARTED] = 1.0
+
+
+@compiled
+def rolls(motion: Array, speed: float, speed_variance: float) -> float:
+    """1 while the speed [m/s] is more than the noise that its sensor has at rest, else 0."""
+    noise = ROLLS_UNTIL if motion[ROLLS] > 0.0 else ROLLS_FROM
+    quantum = motion[QUANTUM] if motion[QUANTUM] < LARGEST_QUANTUM else 0.0
+    return 1.0 if abs(speed) > noise * math.sqrt(speed_variance) + 0.5 * quantum else 0.0
 
 
 @compiled

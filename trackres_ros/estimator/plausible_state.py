@@ -47,6 +47,8 @@ def check_state(estimator: Estimator, belts: Array, motion: Array) -> None:
         ("covariance of the acceleration", at.COV_ACCEL, -ROUNDING, LARGEST_COVARIANCE),
         ("smallest step of the speed", at.QUANTUM, 0.0, NO_QUANTUM),
         ("feed-forward", at.FEEDFORWARD, -torque, torque),
+        ("target of the feed-forward", at.FEEDFORWARD_TARGET, -torque, torque),
+        ("mark of rolling", at.ROLLS, 0.0, 1.0),
         ("drive torque", at.LAST_DRIVE, -torque, torque),
     ):
         _within(name, motion[index], low, high)

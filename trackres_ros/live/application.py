@@ -10,19 +10,22 @@ import math
 import time
 import traceback
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from operator import itemgetter
 from pathlib import Path
 
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import layout as at
 from trackres_ros.estimator.estimator import Estimate, Estimator
-from trackres_ros.live.edge import Edge, Level
+from trackres_ros.live.edge import Edge, Level, Peer, Status
 from trackres_ros.live.endpoints import input_topics, live_topics
+from trackres_ros.live.inbox import Arrival
 from trackres_ros.live.intake import Intake, Sample
 from trackres_ros.live.mismatch import MismatchDetector
 from trackres_ros.live.outlet import Outlet
 from trackres_ros.live.remarks import Remark, level_of
 from trackres_ros.live.report import Overview, overview, statuses
+from trackres_ros.live.stamps import nearest_usable
 from trackres_ros.live.state_keeper import StateKeeper, state_path
 from trackres_ros.live.warm_up import WarmUp, exercise
 from trackres_ros.live.watch import Watch
@@ -33,7 +36,7 @@ from trackres_ros.topics import Topics
 from trackres_ros.vehicle import load, with_surroundings
 
 SECOND_NS = 1_000_000_000
-TIME_RESET = int(at.Reason.TIME_RESET)
+TIME_RESET, ACCEPTED = int(at.Reason.TIME_RESET), int(at.Count.ACCEPTED)
 LONGEST_PERIOD_S = 0.1  # between two looks at the age of the speed, and between two outputs
 LONGEST_WAIT_NS = 50_000_000  # of a message for a speed that was sent later
 MOST_BEFORE_CLOCK = 10000
@@ -88,14 +91,14 @@ class Application:
         self.outputs = live_topics(self.vehicle, self.topics)
         self.mismatch = MismatchDetector(parameters.mismatch())
         self.keeper = StateKeeper(
-            state_path(parameters.text("state_file"), parameters.sim_time, node, namespace, self.vehicle.name)
+            *state_path(parameters.text("state_file"), parameters.sim_time, node, namespace, self.vehicle.name)
         )
         self.active = False
         self.on_estimate: Callable[[list[float], int, int], None] | None = None  # row, stamp, arrival
         self._edge, self._steady_ns = edge, steady_ns
         self._is_speed = ["speed" in given.roles for given in self.inputs]
         self._waiting: list[Arrived] = []
-        self._before_clock: list[tuple[int, int | None, Sequence[float | None], int]] = []
+        self._before_clock: list[tuple[int, int | None, Sequence[float | None], int, Arrival]] = []
         self._intake = Intake(self.inputs, self.estimator.channels)
         self._outlet = Outlet(self.outputs, self.estimator, edge)
         self._arrival_offset_ns = time.time_ns() - steady_ns()
@@ -122,37 +125,67 @@ class Application:
 
     # What arrives
 
-    def receive(self, index: int, message: object, sent_ns: int = 0) -> None:
+    def arrival(self) -> Arrival:
+        """The arrival of a message that comes now."""
+        return self._steady_ns(), self._edge.now_ns()
+
+    def dropped(self, index: int) -> None:
+        """Take note of a message of an input topic that had to make way for later ones."""
+        self._intake.dropped[index] += 1
+
+    def receive(self, index: int, message: object, sent_ns: int = 0, arrived: Arrival | None = None) -> None:
         """Take a decoded message of an input topic, sent at a time [ns] of its publisher's machine, 0 where that is not known."""
-        self.receive_values(index, *self._intake.read(index, message), sent_ns)
+        try:
+            read = self._intake.read(index, message)
+        except Exception as error:  # a fault of ours must not end the node
+            self._fault(error)
+            return
+        self.receive_values(index, *read, sent_ns, arrived)
 
-    def undecodable(self, index: int, sent_ns: int = 0) -> None:
+    def undecodable(self, index: int, sent_ns: int = 0, arrived: Arrival | None = None) -> None:
         """Take note of a message of an input topic that cannot be decoded: no number, at the node's time."""
-        self.receive_values(index, None, [math.nan] * len(self.inputs[index].roles), sent_ns)
+        self.receive_values(index, None, [math.nan] * len(self.inputs[index].roles), sent_ns, arrived)
 
-    def receive_values(self, index: int, stamp_ns: int | None, values: Sequence[float | None], sent_ns: int = 0) -> None:
-        """Take what an edge has read from a message of an input topic; see `Intake.samples`.
+    def receive_values(
+        self,
+        index: int,
+        stamp_ns: int | None,
+        values: Sequence[float | None],
+        sent_ns: int = 0,
+        arrived: Arrival | None = None,
+    ) -> None:
+        """Take what an edge has read from a message of an input topic; see `Intake.samples`. By default it arrives now.
 
         Messages are worked off in the order they were sent, as a bag holds them. Where many wait, as after a pause of this
         process, a middleware hands over one of each topic in turn. So what is no speed waits for the first speed that was sent
         later. And what comes before the simulated clock waits for it: without a time nothing can be said of its age.
         """
-        steady, now = self._steady_ns(), self._edge.now_ns()
+        try:
+            self._receive(index, stamp_ns, values, sent_ns, arrived or self.arrival())
+        except Exception as error:  # as above
+            self._fault(error)
+
+    def _receive(
+        self, index: int, stamp_ns: int | None, values: Sequence[float | None], sent_ns: int, arrived: Arrival
+    ) -> None:
+        steady, now = arrived
+        if now == 0 and self.parameters.sim_time:
+            now = self._edge.now_ns()
         if now == 0 and self.parameters.sim_time:
             if len(self._before_clock) < MOST_BEFORE_CLOCK:
-                self._before_clock.append((index, stamp_ns, values, sent_ns))
+                self._before_clock.append((index, stamp_ns, values, sent_ns, arrived))
             return
         if self._before_clock:
             earlier, self._before_clock = self._before_clock, []
             for waiting in earlier:
                 self.receive_values(*waiting)
-        arrived = (sent_ns, steady, now, self._intake.samples(index, stamp_ns, values, now))
+        message = (sent_ns, steady, now, self._intake.samples(index, stamp_ns, values, now))
         if sent_ns and not self._is_speed[index]:
-            self._waiting.append(arrived)
+            self._waiting.append(message)
             return
         if self._waiting:
             self._work_off([waiting[0] <= sent_ns or not sent_ns for waiting in self._waiting])
-        self._handle(arrived)
+        self._handle(message)
 
     def _work_off(self, due: Sequence[bool]) -> None:
         waiting = self._waiting
@@ -164,22 +197,26 @@ class Application:
         _, steady, now, samples = arrived
         arrival = now if self.parameters.sim_time else steady + self._arrival_offset_ns
         try:
+            counters = self.session.memory.counters
             for channel, stamp, value in samples:
+                before = counters[channel, ACCEPTED]
                 estimate = self.session.handle(channel, stamp, arrival, value)
+                if counters[channel, ACCEPTED] != before:
+                    self._watch.accepted_ns[channel] = steady
                 if estimate is not None:
                     self._take(estimate, steady, now, arrival)
         except Exception as error:  # a fault of ours must not silence the outputs
-            self._fault(error, steady)
+            self._fault(error)
 
     def _take(self, estimate: Estimate, steady: int, now: int, arrival: int) -> None:
         values = estimate.row.tolist()
         if not all(math.isfinite(values[column]) for column in MUST_BE_FINITE):
             raise ArithmeticError(f"the estimate is not finite: {values}")
         stamp = int(self.session.memory.times[at.SPEED, at.LAST_STAMP])
-        self._outlet.take(values, stamp, steady)
+        self._outlet.take(values, float(self.session.motion[at.FEEDFORWARD_TARGET]), stamp, steady, self._pace(steady))
         if self.active and self._on_speed:
             self._next_output_ns = steady + int(LONGEST_PERIOD_S * SECOND_NS)
-            self._outlet.publish(steady)
+            self._publish(self._steady_ns())
         self._state_at = time.time()
         reasons = int(values[at.OUT_REASONS])
         if reasons & TIME_RESET:
@@ -193,18 +230,30 @@ class Application:
             values[at.OUT_ACCEL],
         )
         if self._watch.accepted(reasons, now - stamp) and self.active:
-            self._publish_status(steady)
+            self._publish_status(self._steady_ns())
         if self.on_estimate:
             self.on_estimate(values, stamp, arrival)
 
-    def _fault(self, error: Exception, steady: int) -> None:
-        if self._watch.fault(error, steady):
-            self._edge.log(Level.ERROR, f"a message could not be worked off: {''.join(traceback.format_exception(error))}")
+    def _fault(self, error: Exception) -> None:
+        if self._watch.fault(error, self._steady_ns()):
+            self._log(Level.ERROR, f"a fault of this program: {''.join(traceback.format_exception(error))}")
+
+    def _log(self, level: Level, text: str) -> None:
+        with suppress(Exception):  # nobody to tell that nobody can be told
+            self._edge.log(level, text)
+
+    def _pace(self, steady: int) -> int:
+        """Time by which the feed-forward moves: that of the controller, the simulated one where there is one [ns]."""
+        return nearest_usable(self._edge.now_ns()) if self.parameters.sim_time else steady
+
+    def _publish(self, steady: int) -> None:
+        self._outlet.publish(steady, self._pace(steady))
 
     # What leaves
 
     def activate(self) -> None:
         """Begin to publish. The estimate runs whether it is published or not."""
+        self._outlet.begin()
         self.active = True
 
     def deactivate(self) -> None:
@@ -212,46 +261,81 @@ class Application:
         self.active = False
 
     def tick(self) -> None:
-        """Publish what is due, look at ages and peers, save the state; to be called every `period_s`."""
-        steady = self._steady_ns()
-        if self._waiting:
-            self._work_off([steady - waiting[1] > LONGEST_WAIT_NS for waiting in self._waiting])
-        try:
-            self._tick(steady)
-        except Exception as error:  # as above
-            self._fault(error, steady)
+        """Publish what is due, look at ages and peers, save the state; to be called every `period_s`.
 
-    def _tick(self, steady: int) -> None:
-        settings = self.estimator.settings
-        turned_old = self._watch.look_at_age(self._outlet.age_s(steady), settings.speed_max_age_s)
-        if self.active and steady >= self._next_output_ns - int(0.5 * self.period_s * SECOND_NS):
-            between_ns = int(self._between_outputs_s * SECOND_NS)
-            self._next_output_ns = max(self._next_output_ns + between_ns, steady)
-            self._outlet.publish(steady)
+        It never raises: a part that fails is said on the status, and the others are done.
+        """
+        steady = self._steady_ns()
+        turned_old = self._watch.look_at_age(self._outlet.age_s(steady), self.estimator.settings.speed_max_age_s)
+        self._safely(self._hand_over_late, steady)
+        self._safely(self._publish_due, steady)
         if steady >= self._next_second_ns:
             self._next_second_ns += SECOND_NS * (1 + (steady - self._next_second_ns) // SECOND_NS)
             self._every_second(steady)
         elif turned_old and self.active:
             self._publish_status(steady)
+        self._safely(self._save_due, steady)
+
+    def _safely(self, do: Callable[[int], None], steady: int) -> None:
+        try:
+            do(steady)
+        except Exception as error:  # as above
+            self._fault(error)
+
+    def _hand_over_late(self, steady: int) -> None:
+        if self._waiting:
+            self._work_off([steady - waiting[1] > LONGEST_WAIT_NS for waiting in self._waiting])
+
+    def _publish_due(self, steady: int) -> None:
+        if self.active and steady >= self._next_output_ns - int(0.5 * self.period_s * SECOND_NS):
+            between_ns = int(self._between_outputs_s * SECOND_NS)
+            self._next_output_ns = max(self._next_output_ns + between_ns, steady)
+            self._publish(steady)
+
+    def _save_due(self, steady: int) -> None:
         if steady >= self._next_save_ns:
             self._next_save_ns = steady + self._save_period_ns()
             self._rest_unused_belts()
             self.keeper.save_soon(self.session, self._state_at)
 
     def _every_second(self, steady: int) -> None:
-        compiled = self._warm_up.finished()
-        if compiled:
-            self._go_on_with(Estimator(self.vehicle, self.estimator.settings, entries=compiled))
-        self._watch.every_second(self.session, self._intake, [self._edge.peers(i) for i in range(len(self.inputs))], steady)
-        said = self._watch.to_log(self.remarks(steady))
-        if said:
-            self._edge.log(*said)
+        for part in (self._change_over, self._look, self._log_remarks):
+            self._safely(part, steady)
         if self.active:
             self._publish_status(steady, diagnostics=True)
 
+    def _change_over(self, _steady: int) -> None:
+        compiled = self._warm_up.finished()
+        if compiled:
+            self._go_on_with(Estimator(self.vehicle, self.estimator.settings, entries=compiled))
+
+    def _look(self, steady: int) -> None:
+        peers: list[Sequence[Peer]] = [()] * len(self.inputs)
+        try:
+            peers = [self._edge.peers(i) for i in range(len(self.inputs))]
+        finally:  # rates and refusals are of interest without peers too
+            self._watch.every_second(self.session, self._intake, peers, steady)
+
+    def _log_remarks(self, steady: int) -> None:
+        said = self._watch.to_log(self.remarks(steady))
+        if said:
+            self._log(*said)
+
     def _publish_status(self, steady: int, diagnostics: bool = False) -> None:
-        found = statuses(self.overview(steady), f"{self.namespace.rstrip('/')}/{self.node}".lstrip("/"), self.vehicle.name)
-        self._outlet.publish_statuses(found, self._edge.now_ns(), diagnostics)
+        name = f"{self.namespace.rstrip('/')}/{self.node}".lstrip("/")
+        try:
+            found = statuses(self.overview(steady), name, self.vehicle.name)
+        except Exception as error:  # then that much is to be said
+            self._fault(error)
+            values = (("level", "error"), ("remarks", "INTERNAL_ERROR"))
+            text = f"{type(error).__name__}: {error}"
+            found = [Status(Level.ERROR, f"{name}: estimate", f"a fault of this program: {text}", self.vehicle.name, values)]
+        try:
+            now_ns = self._edge.now_ns()
+        except Exception as error:  # as above
+            self._fault(error)
+            now_ns = steady + self._arrival_offset_ns
+        self._outlet.publish_statuses(found, now_ns, diagnostics)
 
     def remarks(self, steady: int | None = None) -> list[Remark]:
         """All that is to be remarked now, heaviest first."""
@@ -265,8 +349,11 @@ class Application:
         verdict = self.mismatch.verdict
         if verdict.parted:
             found.append(Remark("MISMATCH", f"{verdict.text}; look into it with: {self.look_into_it()}"))
+        for topic, error in self._outlet.failed.items():
+            found.append(Remark("OUTPUT_FAILED", f"{topic} cannot be published: {error}"))
         if self.keeper.error:
-            found.append(Remark("STATE_NOT_SAVED", f"the state cannot be saved in {self.keeper.path}: {self.keeper.error}"))
+            where = f" in {self.keeper.path}" if self.keeper.path else ""
+            found.append(Remark("STATE_NOT_SAVED", f"the state cannot be saved{where}: {self.keeper.error}"))
         if self._watch.state_unused:
             found.append(Remark("STATE_NOT_USED", self.began_with))
         if self.estimator.entries is self._warm_up.first and not self.estimator.entries.compiled and self._warm_up.running:
@@ -329,7 +416,7 @@ class Application:
         self.session.start_anew(time_went_back=False)
         self.mismatch.restart()
         text = "the estimate starts anew, with cold belts, at the next speed"
-        self._edge.log(Level.WARN, f"reset: {text}")
+        self._log(Level.WARN, f"reset: {text}")
         return text
 
     def save_state(self) -> str:
@@ -347,15 +434,17 @@ class Application:
         """The simulated clock jumped back: start anew, and say so with the next estimate."""
         self.session.start_anew(time_went_back=True)
         self.mismatch.restart()
-        self._edge.log(Level.WARN, "time went back: the estimate starts anew")
+        self._log(Level.WARN, "time went back: the estimate starts anew")
 
     def close(self) -> str:
         """Save the state and end what runs beside; what was done, in words."""
         self.deactivate()
         self._work_off([True] * len(self._waiting))
         self._warm_up.close()
-        counted = ", ".join(f"{name} {count.name.lower()} {number}" for name, count, number in self.session.counts())
-        self._edge.log(Level.OK, f"messages: {counted or 'none'}")
+        counted = [f"{name} {count.name.lower()} {number}" for name, count, number in self.session.counts()]
+        counted += [f"{name} bad_stamp {n}" for name, n in zip(self.estimator.channels, self._intake.bad_stamp, strict=True) if n]
+        counted += [f"{i.name} dropped {n}" for i, n in zip(self.inputs, self._intake.dropped, strict=True) if n]
+        self._log(Level.OK, f"messages: {', '.join(counted) or 'none'}")
         try:
             return "no state is kept" if self.keeper.path is None else self.save_state()
         except InputError as error:

@@ -15,6 +15,7 @@ DIAGNOSTICS = OutputTopic(
     "status",
     "once a second: the estimate, each input, the comparison with a measured torque, the state file",
 )
+WIRE_DEPTH = 5000  # that a middleware drops nothing while this process is held up for a few seconds at 1 kHz: it would not say so
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,10 +74,10 @@ def live_topics(vehicle: Vehicle, topics: Topics) -> tuple[OutputTopic, ...]:
 
 
 def input_quality(parameters: Parameters) -> Quality:
-    """Quality of service of every input."""
+    """Quality of service of every input; `input_depth` bounds what waits in this process, where it is counted."""
     return Quality(
         parameters.text("input_reliability") == "reliable",
-        int(parameters.number("input_depth")),
+        max(int(parameters.number("input_depth")), WIRE_DEPTH),
         parameters.number("input_deadline_s"),
     )
 

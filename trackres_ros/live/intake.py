@@ -9,9 +9,9 @@ from typing import Any
 
 from trackres_ros.errors import InputError
 from trackres_ros.live.endpoints import InputTopic
+from trackres_ros.live.stamps import is_usable, stamp_ns
 from trackres_ros.topics import TopicBinding
 
-SECOND_NS = 1_000_000_000
 Sample = tuple[int, int, float]
 """Channel, stamp [ns] and value."""
 
@@ -34,7 +34,9 @@ class Intake:
 
     def __init__(self, inputs: Sequence[InputTopic], channels: Sequence[str]) -> None:
         self.received = [0] * len(inputs)
+        self.dropped = [0] * len(inputs)
         self.absent = [0] * len(channels)
+        self.bad_stamp = [0] * len(channels)
         self._readers = [
             [
                 (_channel(role, channels), _getter(b), b.stamp != "log", b.delay_ns)
@@ -58,7 +60,7 @@ class Intake:
             Which input topic.
         stamp_ns
             Stamp of the message [ns], None where its type has none; one that was never set is 0 and stays so. What has no stamp
-            gets the node's time.
+            gets the node's time. One that no message can carry gives no sample: it could not be published again.
         values
             One for each binding of the topic, scaled: nan where it is no number, None where the message has no such element,
             which gives no sample.
@@ -72,7 +74,11 @@ class Intake:
                 self.absent[channel] += 1
             else:
                 stamp = stamp_ns if by_header and stamp_ns is not None else self._own_stamp(channel, now_ns)
-                found.append((channel, stamp - delay_ns if stamp else 0, value))
+                stamp = stamp - delay_ns if stamp else 0
+                if is_usable(stamp):
+                    found.append((channel, stamp, value))
+                else:
+                    self.bad_stamp[channel] += 1
         return found
 
     def _own_stamp(self, channel: int, now_ns: int) -> int:
@@ -109,4 +115,7 @@ def _value(read: Callable[[Any], float], message: object) -> float | None:
 
 def _stamp(message: object) -> int | None:
     stamp = getattr(getattr(message, "header", message), "stamp", None)
-    return None if stamp is None else int(stamp.sec) * SECOND_NS + int(stamp.nanosec)
+    try:
+        return None if stamp is None else stamp_ns(int(stamp.sec), int(stamp.nanosec))
+    except (AttributeError, TypeError, ValueError):  # a field of that name which is no time
+        return None

@@ -39,8 +39,12 @@ LIVE_KINDS = {
         "and the feed-forward fades to zero",
     ),
     "NO_CLOCK": Kind(Level.STALE, "`use_sim_time` is set and no /clock has come"),
-    "INTERNAL_ERROR": Kind(Level.ERROR, "a message could not be worked off by a fault of this program; the log has it"),
+    "INTERNAL_ERROR": Kind(Level.ERROR, "something could not be done by a fault of this program; the log has it"),
+    "OUTPUT_FAILED": Kind(Level.ERROR, "the middleware did not take a message of an output topic; the others go on"),
     "REFUSED": Kind(Level.WARN, "more than a tenth of the messages of an input were refused in the last second"),
+    "OVERRUN": Kind(
+        Level.WARN, "messages came faster than they could be worked off: the oldest were dropped, and are counted as `dropped`"
+    ),
     "NO_PUBLISHER": Kind(Level.WARN, "nobody publishes on the topic of an input"),
     "WRONG_TYPE": Kind(Level.WARN, "somebody publishes another message type on the topic of an input; it never arrives"),
     "INCOMPATIBLE_QOS": Kind(Level.WARN, "a publisher's quality of service is less than the input asks for; it never connects"),

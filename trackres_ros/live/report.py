@@ -13,7 +13,7 @@ from trackres_ros.live.outlet import Outlet
 from trackres_ros.live.remarks import Remark
 from trackres_ros.live.state_keeper import StateKeeper
 from trackres_ros.live.watch import InputState, Watch
-from trackres_ros.outputs import TOTALS
+from trackres_ros.outputs import TOTALS, sign_of
 
 ESTIMATE_KEYS = {
     "level": "ok, warn, error or stale",
@@ -23,8 +23,8 @@ ESTIMATE_KEYS = {
     "rate_hz": "estimates made [1/s], over the last second",
     "published": "how often the outputs were published",
     "feedforward_left": "share of the feed-forward that is published: 1, falling to 0 while the speed is old",
-    "resistance_torque_nm": "hysteresis, bearings and wind [Nm], positive where it resists",
-    "resistance_std_nm": "its standard deviation [Nm]",
+    "resistance_torque/<name>": f"as on that topic, of {', '.join(TOTALS)} [Nm]: negative what resists forward travel",
+    "resistance_std_nm": "standard deviation of its total [Nm]",
     "feedforward_torque_nm": "feed-forward as published [Nm]",
     "speed_mps": "speed of the last step [m/s]",
     "weight_n": "weight of the last step [N]",
@@ -35,11 +35,12 @@ ESTIMATE_KEYS = {
 INPUT_KEYS = {
     "topic": "the topic",
     "rate_hz": "messages [1/s] over the last second, refused ones too",
-    "age_s": "time since the last accepted one, by arrival [s]",
+    "age_s": "time since the last accepted one came, by a clock that never jumps [s]",
     "value": "last accepted value in the unit of the role",
-    "accepted, non_finite, out_of_range, duplicate, late, future, backward": "messages so far; each is in exactly one of these",
+    "accepted, non_finite, out_of_range, duplicate, late, future, backward, bad_stamp": "messages so far; each is in exactly one",
     "zero_stamp, gap, clock_jump, reset": "remarks on accepted messages so far",
     "absent": "messages without the element, so far",
+    "dropped": "messages of the topic so far that came faster than they could be worked off, and are in no other counter",
 }
 COMPARISON_KEYS = {
     "parted": "true while measured and expected torque have parted",
@@ -62,6 +63,7 @@ class Overview:
     steps_hz: float
     published: int
     left: float
+    feedforward_nm: float  # as last published
     values: dict[str, float]  # the last row of results by name, empty before the first
     assemblies: tuple[str, ...]
     inputs: tuple[InputState, ...]
@@ -89,9 +91,10 @@ def overview(
         watch.steps_hz,
         outlet.published,
         outlet.left(steady),
+        outlet.feedforward,
         dict(zip(estimator.columns, outlet.row, strict=True)) if outlet.row else {},
         estimator.assemblies,
-        watch.inputs,
+        watch.inputs(steady),
         mismatch,
         str(keeper.path or ""),
         math.nan if keeper.saved_at is None else time.time() - keeper.saved_at,
@@ -111,9 +114,10 @@ def statuses(seen: Overview, node: str, vehicle: str) -> list[Status]:
         ("feedforward_left", _text(seen.left, 3)),
     ]
     if seen.values:
-        of_vehicle = (*TOTALS.values(), "resistance_std_nm", "speed_mps", "weight_n", "ambient_degc")
-        estimate += [(name, _text(seen.values[name], 3)) for name in of_vehicle]
-        estimate.append(("feedforward_torque_nm", _text(seen.values["feedforward_torque_nm"] * seen.left, 3)))
+        values = seen.values
+        estimate += [(f"resistance_torque/{part}", _text(values[name] * sign_of(name) + 0.0, 3)) for part, name in TOTALS.items()]
+        estimate += [(name, _text(values[name], 3)) for name in ("resistance_std_nm", "speed_mps", "weight_n", "ambient_degc")]
+        estimate.append(("feedforward_torque_nm", _text(seen.feedforward_nm, 3)))
         for assembly in seen.assemblies:
             estimate += [
                 (f"{name}/{assembly}", _text(seen.values[f"{name}/{assembly}"], 3)) for name in ("belt_degc", "belt_std_k")

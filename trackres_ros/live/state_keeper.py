@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
+import re
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
@@ -13,34 +16,48 @@ from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.estimator.snapshot import after_time_off, content, leftovers
 
 AUTO, NONE = "auto", "none"
+LONGEST_NAME = 100
+NO_HOME = "there is no home folder to keep it in: set state_file or XDG_STATE_HOME"
 
 
-def state_path(parameter: str, sim_time: bool, node: str, namespace: str, vehicle: str) -> Path | None:
-    """Where the state of a node is kept; None where it is not kept."""
+def state_path(parameter: str, sim_time: bool, node: str, namespace: str, vehicle: str) -> tuple[Path | None, str]:
+    """Where the state of a node is kept, None where it is not; and why not, where that is not what was asked for."""
     if parameter == NONE or (parameter == AUTO and sim_time):
-        return None
-    if parameter != AUTO:
-        return Path(parameter).expanduser()
+        return None, ""
     base = os.environ.get("XDG_STATE_HOME")
-    folder = (Path(base) if base else Path.home() / ".local" / "state") / "trackres"
-    name = "_".join(part for part in (*namespace.split("/"), node, vehicle) if part)
-    return folder / f"{name}.json"
+    try:
+        if parameter != AUTO:
+            return Path(parameter).expanduser(), ""
+        folder = (Path(base) if base else Path.home() / ".local" / "state") / "trackres"
+    except RuntimeError:  # no HOME, and a user that the system does not know
+        return None, NO_HOME
+    return folder / state_name(node, namespace, vehicle), ""
+
+
+def state_name(node: str, namespace: str, vehicle: str) -> str:
+    """Name of the state file of a node with a vehicle: a plain one, whatever they are called, and another for each.
+
+    The readable part may be alike for two of them; the digest of the whole is not.
+    """
+    identity = [*filter(None, namespace.split("/"))], node, vehicle
+    readable = re.sub(r"[^A-Za-z0-9]+", "_", "_".join((*identity[0], node, vehicle))).strip("_")[:LONGEST_NAME]
+    return f"{readable}-{hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:12]}.json"
 
 
 class StateKeeper:
     """One state file. Times are the machine's: the belt cools while the machine is off, whatever time is simulated."""
 
-    def __init__(self, path: Path | None) -> None:
+    def __init__(self, path: Path | None, why_none: str = "") -> None:
         self.path = path
         self.saved_at: float | None = None
-        self.error = ""
+        self.error = why_none
         self._writer = ThreadPoolExecutor(max_workers=1, thread_name_prefix="state")
         self._writing: Future[None] | None = None
 
     def load(self, estimator: Estimator) -> tuple[Session, str, bool]:
         """A session that begins with the kept belts, cooled since, or cold; what was found; and whether a file was of no use."""
         if self.path is None:
-            return estimator.session(), "no state is kept: cold start", False
+            return estimator.session(), f"no state is kept{self.error and f', as {self.error}'}: cold start", False
         try:
             for part in leftovers(self.path):
                 part.unlink(missing_ok=True)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import subprocess
 import sys
 import tempfile
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from trackres_ros.compiled import code_folder, is_cached, keep_code_in
@@ -15,6 +18,7 @@ from trackres_ros.estimator.session import COMPILED, Entries, interpreted_entrie
 from trackres_ros.vehicle import load
 
 NICENESS = 10
+LOCK = "compiling.lock"
 START_NS = 1_700_000_000_000_000_000
 
 
@@ -90,10 +94,28 @@ class WarmUp:
             self._ready.set()
 
 
+@contextmanager
+def one_at_a_time() -> Iterator[None]:
+    """Hold off other processes that would compile the same meanwhile, and find it done after; where no lock can be had, go on."""
+    folder = code_folder()
+    try:
+        lock = (folder / LOCK).open("a") if folder else None
+    except OSError:
+        lock = None
+    if lock is None:  # no cache to share
+        yield
+        return
+    with lock:
+        with suppress(OSError):  # of a file system that has none
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
 def main() -> None:
     """Compile for a vehicle file, as the other process."""
     os.nice(NICENESS)
-    exercise(Estimator(load(sys.argv[1])))
+    with one_at_a_time():
+        exercise(Estimator(load(sys.argv[1])))
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -32,7 +32,7 @@ class InputState:
     rate_hz
         Messages taken in, refused ones too [1/s].
     age_s
-        Since the last accepted one by the arrival clock [s]; nan if there was none.
+        Since the last accepted one came, by a clock that never jumps [s]; nan if there was none.
     value
         The last accepted value, in the unit of the role; nan if there was none.
     counts
@@ -52,13 +52,17 @@ class Watch:
 
     def __init__(self, estimator: Estimator, inputs: Sequence[InputTopic], state_unused: bool) -> None:
         self.state_unused = state_unused
-        self.inputs: tuple[InputState, ...] = ()
+        self.accepted_ns: list[int | None] = [None] * len(estimator.channels)  # by a steady clock
+        self._inputs: tuple[InputState, ...] = ()
         self.steps_hz = 0.0
         self._roles = [(role, i) for i, given in enumerate(inputs) for role in given.roles]
         self._channel = {role: estimator.channels.index(role) for role, _ in self._roles}
         self._topics = inputs
         self._peers: Sequence[Sequence[Peer]] = [()] * len(inputs)
         self._last_counts = np.zeros((len(estimator.channels), len(at.Count)), dtype=np.int64)
+        self._last_bad_stamp = np.zeros(len(estimator.channels), dtype=np.int64)
+        self._last_dropped = [0] * len(inputs)
+        self._overrun: list[tuple[str, int]] = []
         self._refused: dict[str, list[tuple[str, int]]] = {}
         self._looked_ns: int | None = None
         self._shown_reasons, self._second_reasons = 0, 0
@@ -83,6 +87,14 @@ class Watch:
         turned, self._old = old is not self._old, old
         return turned
 
+    def inputs(self, steady: int) -> tuple[InputState, ...]:
+        """Every role as it was in the last second, with its age now."""
+        ages = {role: self.accepted_ns[self._channel[role]] for role, _ in self._roles}
+        return tuple(
+            replace(state, age_s=math.nan if (at_ns := ages[state.role]) is None else (steady - at_ns) * 1e-9)
+            for state in self._inputs
+        )
+
     def fault(self, error: Exception, steady: int) -> bool:
         """Take note of a fault of this program; true if it is a new one, to be logged."""
         text = f"{type(error).__name__}: {error}"
@@ -95,23 +107,30 @@ class Watch:
         elapsed_s = math.nan if self._looked_ns is None else max((steady - self._looked_ns) * 1e-9, 1e-9)
         counts = session.memory.counters.copy()
         new, self._last_counts = counts - self._last_counts, counts
+        bad_stamp = np.array(intake.bad_stamp) - self._last_bad_stamp
+        self._last_bad_stamp += bad_stamp
+        dropped = list(intake.dropped)
+        self._overrun = [
+            (given.name, now - before)
+            for given, now, before in zip(self._topics, dropped, self._last_dropped, strict=True)
+            if now > before
+        ]
+        self._last_dropped = dropped
         self._refused.clear()
         states = []
         for role, i in self._roles:
             channel = self._channel[role]
-            messages, refused = int(new[channel, : at.Count.BACKWARD + 1].sum()), new[channel, REFUSALS]
-            if refused.sum() > REFUSED_SHARE * messages:
-                self._refused[role] = [(at.Count(c).name.lower(), int(n)) for c, n in zip(REFUSALS, refused, strict=True) if n]
-            seen = [(count.name.lower(), int(counts[channel, count])) for count in at.Count if counts[channel, count]]
-            if intake.absent[channel]:
-                seen.append(("absent", intake.absent[channel]))
-            times = session.memory.times
-            age_s = math.nan
-            if times[channel, at.SEEN]:
-                age_s = (times[:, at.LAST_ARRIVAL].max() - times[channel, at.LAST_ARRIVAL]) * 1e-9
+            messages = int(new[channel, : at.Count.BACKWARD + 1].sum()) + int(bad_stamp[channel])
+            refused = [(at.Count(c).name.lower(), int(new[channel, c])) for c in REFUSALS]
+            refused.append(("bad_stamp", int(bad_stamp[channel])))
+            if sum(number for _, number in refused) > REFUSED_SHARE * messages:
+                self._refused[role] = [(name, number) for name, number in refused if number]
+            seen = [(count.name.lower(), int(counts[channel, count])) for count in at.Count]
+            seen += [("bad_stamp", intake.bad_stamp[channel]), ("absent", intake.absent[channel]), ("dropped", dropped[i])]
             value = float(session.memory.values[channel])
-            states.append(InputState(role, self._topics[i].name, messages / elapsed_s, age_s, value, tuple(seen)))
-        self.inputs = tuple(states)
+            shown = tuple((name, number) for name, number in seen if number)
+            states.append(InputState(role, self._topics[i].name, messages / elapsed_s, math.nan, value, shown))
+        self._inputs = tuple(states)
         self.steps_hz, self._steps = self._steps / elapsed_s, 0
         self._peers, self._looked_ns = peers, steady
         self._shown_reasons, self._second_reasons = self._second_reasons, 0
@@ -127,7 +146,10 @@ class Watch:
             fading = "the feed-forward fades to zero"
             found.append(Remark("SPEED_OLD", f"no speed for {age_s:.1f} s, allowed are {max_age_s:g} s: {fading}"))
         if steady - self._fault_ns < FAULT_SHOWN_NS:
-            found.append(Remark("INTERNAL_ERROR", f"a message could not be worked off: {self._fault_text}"))
+            found.append(Remark("INTERNAL_ERROR", f"a fault of this program: {self._fault_text}"))
+        for name, number in self._overrun:
+            text = f"{name}: {number} messages of the last second came faster than they could be worked off"
+            found.append(Remark("OVERRUN", text))
         for role, refused in self._refused.items():
             why = ", ".join(f"{number} {name}" for name, number in refused)
             found.append(Remark("REFUSED", f"{role}: refused in the last second: {why}"))

@@ -1,15 +1,14 @@
-"""Entries of the node on ROS 2: the executable `estimator`, and what `trackres live` runs."""
+"""The node on ROS 2 run to its end, for the executable `estimator` and for `trackres live`."""
 
 from __future__ import annotations
 
 import gc
-import signal
 import sys
-import threading
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from trackres_ros.errors import InputError
+from trackres_ros.live.asked import Asked
 from trackres_ros.parameters import Parameters
 
 if TYPE_CHECKING:
@@ -33,27 +32,28 @@ except ImportError as error:
     ) from error
 
 
-def main(args: list[str] | None = None) -> None:
-    """Run the executable; ROS arguments give name, namespace, remappings and parameters."""
+def run_executable(asked: Asked) -> int:
+    """Run the executable; ROS arguments give name, namespace, remappings and parameters. The exit code."""
     from trackres_ros.ros.node import EstimatorNode
 
-    sys.exit(_run(lambda: EstimatorNode(), args, None))
+    return _run(lambda: EstimatorNode(), asked, None, None)
 
 
-def run(parameters: Parameters, node: str, namespace: str, started: Callable[[Application], None] | None = None) -> int:
-    """Run the node with checked parameters until SIGINT or SIGTERM; the exit code."""
+def run(
+    parameters: Parameters, node: str, namespace: str, asked: Asked, started: Callable[[Application], None] | None = None
+) -> int:
+    """Run the node with checked parameters until a signal asks to stop; the exit code."""
     from trackres_ros.ros.node import EstimatorNode
 
     sim_time = rclpy.Parameter("use_sim_time", value=parameters.sim_time)
-    return _run(lambda: EstimatorNode(parameters, node, namespace=namespace, parameter_overrides=[sim_time]), [], started)
+    return _run(lambda: EstimatorNode(parameters, node, namespace=namespace, parameter_overrides=[sim_time]), asked, [], started)
 
 
-def _run(make: Callable[[], Any], args: list[str] | None, started: Callable[[Application], None] | None) -> int:
+def _run(
+    make: Callable[[], Any], asked: Asked, args: list[str] | None, started: Callable[[Application], None] | None
+) -> int:
     # rclpy's own handlers would take the context away before the node has saved its state and said so.
     rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-    stopped = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stopped.set())
     node = None
     try:
         try:
@@ -70,8 +70,12 @@ def _run(make: Callable[[], Any], args: list[str] | None, started: Callable[[App
         if started and node.application:
             started(node.application)
         gc.freeze()  # what was loaded stays: looking through it would hold up a message now and then
-        while not stopped.is_set():
+        asked.started()
+        while not asked.to_stop:
             executor.spin_once(timeout_sec=LONGEST_WAIT_S)
+            if node.application:
+                for level, text in asked.answers(node.application):
+                    node.log(level, text)
     finally:
         if node is not None:
             node.release()
@@ -80,5 +84,3 @@ def _run(make: Callable[[], Any], args: list[str] | None, started: Callable[[App
     return 0
 
 
-if __name__ == "__main__":
-    main()

@@ -15,10 +15,10 @@ from std_msgs.msg import Header
 from trackres_ros.errors import InputError
 from trackres_ros.live.edge import Status
 from trackres_ros.live.endpoints import InputTopic
+from trackres_ros.live.stamps import SECOND_NS
 from trackres_ros.message_types import NUMBERS, Definitions, Field, check_field
 from trackres_ros.outputs import OutputTopic
 
-SECOND_NS = 1_000_000_000
 ALIASES = {"boolean": "bool", "double": "float64", "float": "float32", "octet": "byte"}
 FIELD_TYPE = re.compile(r"(?:sequence<(?P<element>[^,>]+)(?:,\s*\d+)?>|(?P<plain>[^\[\]<>]+(?:<\d+>)?)(?:\[(?P<count>\d+)\])?)")
 

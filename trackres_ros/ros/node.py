@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
@@ -20,15 +22,16 @@ from trackres_ros.errors import InputError
 from trackres_ros.live.application import Application
 from trackres_ros.live.edge import Level, Peer, Status
 from trackres_ros.live.endpoints import Quality, input_quality, output_quality
+from trackres_ros.live.inbox import Arrival, Inbox
+from trackres_ros.live.stamps import SECOND_NS
 from trackres_ros.outputs import DEFAULT_NODE
 from trackres_ros.parameters import Parameters, make_parameters
 from trackres_ros.ros import parameters as ros_parameters
 from trackres_ros.ros.messages import Fill, diagnostic_array, input_type, prepared
 
-SECOND_NS = 1_000_000_000
 COLLECTED_FROM_HZ = 20.0  # of the outputs: the inputs' queues hold what comes between two of them, at 1 kHz too
 
-MOST_COLLECTED = 1000  # of a topic at a time, so that a flood does not keep the tick from coming
+MOST_COLLECTED = 1000  # of a topic at a time
 
 Taken = tuple[Any, dict[str, int]]
 """A message and what the middleware says about it."""
@@ -152,20 +155,28 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
             kind = kind or type(fill(0, [0.0] * max(len(topic.columns), 1)))  # type: ignore[misc]
             self._outputs.append(self.create_lifecycle_publisher(kind, name, profile, event_callbacks=events))
         self._input_profile = _profile(input_quality(parameters))
-        self._inbox = Gate()
+        self._gate = Gate()
         self._inputs = [
             self.create_subscription(
                 kind,
                 given.name,
                 self._taker(index),
                 self._input_profile,
-                callback_group=self._inbox,
+                callback_group=self._gate,
                 event_callbacks=SubscriptionEventCallbacks(
                     incompatible_qos=self._reporter(f"a publisher of {given.name}"), use_default_callbacks=False
                 ),
             )
             for index, (given, kind) in enumerate(zip(application.inputs, kinds, strict=True))
         ]
+        self._inbox = Inbox(
+            [partial(_come, given) for given in self._inputs],
+            self._hand,
+            application.arrival,
+            application.dropped,
+            int(parameters.number("input_depth")),
+        )
+        self._next_tick = 0
         self._offered = [
             self.create_service(Trigger, "~/reset", self._server(application.reset)),
             self.create_service(Trigger, "~/save_state", self._server(application.save_state)),
@@ -246,31 +257,36 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
     def _taker(self, index: int) -> Callable[[Any, dict[str, int]], None]:
         def take(message: Any, about: dict[str, int]) -> None:
             self._counter.open = False
-            self._collect({index: [(message, about)]})
+            if self.application:
+                self._inbox.put(index, (message, about))
+                self._collect()
 
         return take
 
     def _tick(self) -> None:
-        if not self._inbox.open:
-            self._collect({})
+        if self.application and not self._gate.open:
+            self._collect()
         self._counter.open = True
+        self._tick_now()
+
+    def _tick_now(self) -> None:
         if self.application:
+            self._next_tick = time.monotonic_ns() + int(self.application.period_s * SECOND_NS)
             self.application.tick()
 
-    def _collect(self, taken: dict[int, list[Taken]]) -> None:
-        """Hand over the messages that have come, behind those of a topic that were taken already.
+    def _tick_if_due(self) -> None:
+        if time.monotonic_ns() >= self._next_tick:
+            self._tick_now()
 
-        The topics are looked at from the last to the first and handed over from the first to the last. The last feeds the speed,
-        so whatever was sent before a speed is there when the speed is handed over. Looked at in turn, a load could come just
-        after its topic was found empty, and the speed sent after it just before its own was.
-        """
-        if self.application is None:
-            return
-        for index in reversed(range(len(self._inputs))):
-            taken.setdefault(index, []).extend(_come(self._inputs[index]))
-        for index in range(len(self._inputs)):
-            for message, about in taken[index]:
-                self.application.receive(index, message, about["source_timestamp"])
+    def _collect(self) -> None:
+        """Take the messages that have come, and hand them over."""
+        assert self.application
+        self._inbox.collect()
+        self._inbox.work_off(self._tick_if_due, collecting=not self.application.parameters.sim_time)
+
+    def _hand(self, index: int, message: Taken, arrived: Arrival) -> None:
+        if self.application:
+            self.application.receive(index, message[0], message[1]["source_timestamp"], arrived)
 
     def _wait_or_collect(self, application: Application) -> None:
         """Wait for messages where they are answered, or where simulated time stamps their arrival and runs fast.
@@ -279,7 +295,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         rclpy, for which waiting for one message is half the work of it all, waits half as often.
         """
         rate_hz = application.parameters.number("output_rate_hz")
-        self._inbox.open = rate_hz < COLLECTED_FROM_HZ or application.parameters.sim_time
+        self._gate.open = rate_hz < COLLECTED_FROM_HZ or application.parameters.sim_time
 
     def _server(self, what: Callable[[], str]) -> Callable[[Any, Any], Any]:
         def serve(_request: Any, response: Any) -> Any:

@@ -1,0 +1,118 @@
+"""The feed-forward from step to step: its rate over any pauses, nothing at rest, and a doubt that is never zero."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from trackres_ros.estimator import layout as at
+from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.estimator.kernel import FEEDFORWARD_STEP_S
+from trackres_ros.estimator.motion_step import ROLLS_FROM
+from trackres_ros.estimator.settings import Settings
+from trackres_ros.outputs import RESISTANCE_PARTS
+from trackres_ros.vehicle import load
+
+START_NS = 1_700_000_000_000_000_000
+SPEEDS = st.floats(-20.0, 20.0) | st.sampled_from([0.0, 1e-4, 0.05, -0.05, 8.0])
+PAUSES_S = st.floats(0.001, 0.1) | st.floats(0.1, 5.0) | st.sampled_from([0.02, 40.0, 1000.0])
+RATES = {rate: Estimator(load("xgd24d"), Settings(feedforward_rate=rate)) for rate in (2000.0, 20000.0)}
+
+
+def rows_of(estimator, steps):
+    """Rows of results of speeds after pauses, and the times between them [s]."""
+    session, now, rows = estimator.session(), START_NS, []
+    for pause, speed in steps:
+        now += round(pause * 1e9)
+        estimate = session.handle(at.SPEED, now, now, speed)
+        if estimate is not None:
+            rows.append((now, estimate))
+    return rows
+
+
+def left_of(settings, pause):
+    return min(1.0, max(0.0, 1.0 - (pause - settings.speed_max_age_s) / settings.feedforward_fade_s))
+
+
+@settings(max_examples=150)
+@given(st.sampled_from(sorted(RATES)), st.lists(st.tuples(PAUSES_S, SPEEDS), min_size=2, max_size=40))
+def test_it_moves_by_its_rate_and_begins_after_a_pause_where_it_had_faded_to(rate, steps):
+    estimator = RATES[rate]
+    limit = estimator.constants.number.feedforward_limit
+    rows = rows_of(estimator, steps)
+    for (before_ns, before), (now_ns, now) in itertools.pairwise(rows):
+        pause = (now_ns - before_ns) * 1e-9
+        left = left_of(estimator.settings, pause)
+        moved = abs(now.feedforward_torque_nm - before.feedforward_torque_nm)
+        assert moved <= rate * pause + (1.0 - left) * limit + 1e-6
+        if left == 0.0:
+            assert abs(now.feedforward_torque_nm) <= rate * FEEDFORWARD_STEP_S + 1e-6
+        assert abs(now.feedforward_torque_nm) <= limit + 1e-6
+
+
+@settings(max_examples=60)
+@given(st.floats(0.5, 20.0), st.floats(0.0, 20.0))
+def test_after_any_pause_the_first_step_is_one_output_away_from_where_it_had_faded_to(speed, pause):
+    estimator = RATES[2000.0]
+    steps = [(0.02, speed)] * 200
+    full = rows_of(estimator, steps)[-1][1].feedforward_torque_nm
+    again = rows_of(estimator, [*steps, (pause + 0.02, speed)])[-1][1]
+    faded = full * left_of(estimator.settings, pause + 0.02)
+    assert abs(again.feedforward_torque_nm - faded) <= 2000.0 * FEEDFORWARD_STEP_S + 1.0  # the belt has changed a little too
+
+
+@pytest.mark.parametrize("quantum", [0.0, 0.05, 1 / 3.6])
+@pytest.mark.parametrize("std", [0.02, 0.1])
+def test_a_standing_vehicle_with_its_sensors_noise_is_fed_exactly_nothing(quantum, std):
+    estimator = Estimator(load("xgd24d"), Settings(speed_std_mps=std))
+    noise = np.clip(np.random.default_rng(5).normal(0.0, std, 5000), -ROLLS_FROM * std, ROLLS_FROM * std)
+    speeds = np.round(noise / quantum) * quantum if quantum else noise
+    fed = [estimate.feedforward_torque_nm for _, estimate in rows_of(estimator, [(0.02, float(v)) for v in speeds])]
+    assert fed == [0.0] * 5000
+    # After a drive too, once it has come down.
+    down = [(0.02, 5.0)] * 100 + [(0.02, float(v)) for v in speeds]
+    rows = [estimate.feedforward_torque_nm for _, estimate in rows_of(estimator, down)]
+    assert rows[99] > 1000.0
+    quiet = rows[100 + 50 :]
+    if quantum:
+        assert quiet == [0.0] * len(quiet)
+    else:  # three standard deviations are passed now and then until it has come to rest once
+        assert all(fed == 0.0 for fed in quiet[quiet.index(0.0) :])
+
+
+@settings(max_examples=40)
+@given(st.lists(st.tuples(st.just(0.02), SPEEDS), min_size=2, max_size=60))
+def test_forward_and_reverse_are_alike(steps):
+    forward = rows_of(RATES[20000.0], steps)
+    reverse = rows_of(RATES[20000.0], [(pause, -speed) for pause, speed in steps])
+    for (_, one), (_, other) in zip(forward, reverse, strict=True):
+        assert one.feedforward_torque_nm == pytest.approx(-other.feedforward_torque_nm, rel=2e-3, abs=1.0)
+
+
+@settings(max_examples=100)
+@given(st.lists(st.tuples(PAUSES_S, SPEEDS), min_size=1, max_size=20))
+def test_the_doubt_is_positive_and_finite_in_any_state_and_the_parts_add_up(steps):
+    for _, estimate in rows_of(RATES[20000.0], steps):
+        assert 0.0 < estimate.resistance_std_nm < math.inf
+        assert estimate.resistance_torque_nm == pytest.approx(sum(estimate[c] for c in RESISTANCE_PARTS.values()), abs=1e-9)
+
+
+def test_at_rest_the_doubt_is_that_of_a_crawl():
+    rested, crawling = (rows_of(RATES[20000.0], [(0.02, v)] * 3)[-1][1].resistance_std_nm for v in (0.0, 1e-3))
+    assert rested == pytest.approx(crawling, rel=0.05)
+    walking = rows_of(RATES[20000.0], [(0.02, 0.2)] * 3)[-1][1].resistance_std_nm
+    assert 0.5 * walking < rested < 2.0 * walking
+
+
+def test_a_file_and_settings_without_any_doubt_leave_what_no_sensor_is_better_than():
+    sure = Settings(initial_belt_std_k=0.0, process_noise_k=0.0, ambient_std_k=0.0, ambient_unknown_std_k=0.0)
+    estimator = Estimator(load("xgd24d"), sure)
+    k = estimator.constants
+    k.assembly[:, at.DOUBT_FACTOR :] = 0.0
+    estimator.kernel_arguments[0]["bearing_doubt"] = estimator.kernel_arguments[0]["drag_doubt"] = 0.0
+    for speed in (0.0, 8.0):
+        estimate = rows_of(estimator, [(0.02, speed)])[-1][1]
+        assert estimate.resistance_std_nm == pytest.approx(1e-3 * 3000.0, rel=0.5)

@@ -1,0 +1,57 @@
+"""The controller of docs/controller.md is the example that runs, and takes the feed-forward only when it may."""
+
+import importlib.util
+import itertools
+
+import pytest
+
+
+@pytest.fixture(scope="module")
+def example(repository):
+    path = repository / "examples" / "07_controller.py"
+    found = importlib.util.spec_from_file_location("controller", path)
+    module = importlib.util.module_from_spec(found)
+    found.loader.exec_module(module)
+    return module
+
+
+def test_the_page_shows_the_example(repository):
+    source = (repository / "examples" / "07_controller.py").read_text()
+    shown = (repository / "docs" / "controller.md").read_text().split("```python\n")[1].split("```")[0]
+    assert shown.strip() == source[source.index("OK, WARN") : source.index("if __name__")].strip()
+
+
+def run(drive, seconds, stamp_age_s, level, start_s=1000.0, torque=3000.0):
+    used = []
+    for step in range(round(seconds / 0.02)):
+        now = start_s + 0.02 * step
+        if stamp_age_s is not None:
+            drive.take(now - stamp_age_s, torque)
+        if level is not None:
+            drive.judge(now, level)
+        drive.torque(now, 5.0, 5.0)
+        used.append(drive.used)
+    return used
+
+
+@pytest.mark.parametrize("level", range(4))
+@pytest.mark.parametrize("age_s", [None, -3600.0, -0.1, -0.01, 0.0, 0.3, 0.6, 3600.0])
+def test_only_fresh_stamps_and_a_good_status_count(example, age_s, level):
+    used = run(example.Drive(), 2.0, age_s, level)
+    good = age_s is not None and -0.05 <= age_s <= 0.5 and level in (0, 1)
+    assert used[-1] == (3000.0 if good else 0.0)
+
+
+def test_nothing_is_used_before_a_status_nor_long_after_the_last(example):
+    assert run(example.Drive(), 2.0, 0.01, None)[-1] == 0.0
+    drive = example.Drive()
+    assert run(drive, 2.0, 0.01, 0)[-1] == 3000.0
+    assert run(drive, 6.0, 0.01, None, start_s=1002.0)[-1] == 0.0
+
+
+def test_it_comes_and_goes_by_its_ramp(example):
+    drive = example.Drive()
+    used = run(drive, 2.0, 0.01, 0) + run(drive, 2.0, 0.01, 2, start_s=1002.0)
+    assert max(used) == 3000.0
+    assert used[-1] == 0.0
+    assert all(abs(b - a) <= 5000.0 * 0.02 + 1e-6 for a, b in itertools.pairwise(used))

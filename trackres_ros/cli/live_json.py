@@ -1,0 +1,80 @@
+"""What the live table shows as lines of JSON, for programs."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import sys
+import threading
+from collections.abc import Callable
+from typing import Any
+
+from trackres_ros.live.report import Overview
+
+PERIOD_S = 1.0
+
+
+class LiveJson:
+    """Prints an overview once a second, from a thread of its own, and a last time with `"final": true`."""
+
+    def __init__(self, overview: Callable[[], Overview]) -> None:
+        self._overview = overview
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="json", daemon=True)
+
+    def start(self) -> None:
+        """Begin to print."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Print the last line and end."""
+        self._stop.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        over = False
+        while not over:
+            over = self._stop.wait(PERIOD_S)
+            try:
+                print(json.dumps(as_dict(self._overview(), over), allow_nan=False), flush=True)
+            except BrokenPipeError:  # nobody reads any more, which does not end the node
+                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+                return
+
+
+def as_dict(seen: Overview, final: bool) -> dict[str, Any]:
+    """The overview ready for JSON; torques [Nm] positive where they resist forward travel, numbers that are not known null."""
+    return {
+        "final": final,
+        "level": seen.level.name.lower(),
+        "remarks": [{"name": r.name, "level": r.level.name.lower(), "text": r.text} for r in seen.remarks],
+        "stamp_ns": seen.stamp_ns,
+        "age_s": _known(seen.age_s),
+        "rate_hz": _known(seen.steps_hz),
+        "published": seen.published,
+        "feedforward_published_nm": seen.feedforward_nm,
+        "estimate": {name: _known(value) for name, value in seen.values.items() if name != "reasons"},
+        "inputs": [
+            {
+                "role": given.role,
+                "topic": given.topic,
+                "value": _known(given.value),
+                "rate_hz": _known(given.rate_hz),
+                "age_s": _known(given.age_s),
+                "counts": dict(given.counts),
+            }
+            for given in seen.inputs
+        ],
+        "comparison": {
+            "parted": seen.mismatch.parted,
+            "settled": seen.mismatch.settled,
+            "mean_nm": _known(seen.mismatch.mean_nm),
+            "text": seen.mismatch.text,
+        },
+        "state": {"file": seen.state_file, "saved_s_ago": _known(seen.saved_s_ago), "error": seen.state_error},
+    }
+
+
+def _known(value: float) -> float | None:
+    return value if math.isfinite(value) else None
