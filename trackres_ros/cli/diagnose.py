@@ -30,6 +30,9 @@ from trackres_ros.errors import InputError, MissingExtraError
 @click.option("--seed", type=int, default=1, show_default=True, help="Of all that is drawn at random.")
 @click.option("--quick", is_flag=True, help="Fewer draws for thresholds.")
 @click.option(
+    "--keep-suspected", is_flag=True, help="Write effects too that fit and that laps not used for fitting do not confirm."
+)
+@click.option(
     "--effects",
     "effects_dir",
     type=click.Path(path_type=Path),
@@ -56,6 +59,7 @@ def diagnose_command(
     thermal: str | None,
     seed: int,
     quick: bool,
+    keep_suspected: bool,
     effects_dir: Path | None,
     output: Path,
     as_json: bool,
@@ -85,7 +89,9 @@ def diagnose_command(
     topics = Topics.load(topics_file) if topics_file else None
     loaded = load_base(vehicle, method, thermal, topics, surroundings_file)
     read = read_recordings(recordings, topics)
-    found = diagnose(read, loaded, hide, held, seed, quick, effects_dir, said=lambda stage: click.echo(f"  {stage}", err=True))
+    found = diagnose(
+        read, loaded, hide, held, seed, quick, effects_dir, keep_suspected, said=lambda stage: click.echo(f"  {stage}", err=True)
+    )
     content = report(found, recordings, open_source([recordings[0]], topics).bindings)
     output.mkdir(parents=True, exist_ok=True)
     (output / "report.json").write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
@@ -101,7 +107,8 @@ def diagnose_command(
         written += ["report.html", *(p.path.name for p in pictures)]
     except MissingExtraError as error:
         click.echo(f"trackres: no page: {error}", err=True)
-    lines = [found.verdict.sentence, *content["to_do"], *content["topics_lines"].values(), f"{output}: {', '.join(written)}"]
+    why = found.kept.text
+    lines = [found.verdict.sentence, f"{why[0].upper()}{why[1:]}.", *content["to_do"], *content["topics_lines"].values(), f"{output}: {', '.join(written)}"]
     emit(content, as_json, lambda: "\n".join(lines))
 
 

@@ -81,6 +81,10 @@ class Base(Protocol):
         """Shown over true torque where the torque's topic says nothing of it."""
 
     @property
+    def rotating_mass_factor(self) -> float:
+        """Effective over true mass in acceleration, by the vehicle file."""
+
+    @property
     def parameters(self) -> tuple[BaseParameter, ...]:
         """What may be re-fitted."""
 

@@ -92,6 +92,8 @@ def keep(
     if believed:
         models.insert(0, final if set(believed) == set(named) else with_levels(final, [n for n in named if n not in believed]))
     before = held_out.mae["nominal"]
+    doubted = [name for name in named if name not in believed]
+    but = f"; not written: {', '.join(doubted)}" if doubted else ""
     for model in models:
         after = float(np.abs(laps.measured - laps.of(_torques(model))).mean())
         if after <= before:
@@ -99,9 +101,9 @@ def keep(
             of_effects = ", ".join(a.effect.name for a in model.effects)
             what = f"the base's values and {of_effects}" if of_effects else "the base's values"
             error = f"the mean error on laps not used for fitting is {figures(after)} Nm, {figures(before)} Nm with the old one"
-            return Kept(dict(model.base_values), model.effects, found, f"written: {what}; {error}")
+            return Kept(dict(model.base_values), model.effects, found, f"written: {what}; {error}{but}")
     why = f"as no re-fit has a smaller error on laps not used for fitting than they, {figures(before)} Nm"
-    return Kept(None, (), {}, f"written: the file's own values, {why}")
+    return Kept(None, (), {}, f"written: the file's own values, {why}{but}")
 
 
 def _graded(active: Active, final: Fit, refitted: Fit, laps: HeldOutLaps) -> Graded:

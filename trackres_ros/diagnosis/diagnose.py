@@ -23,12 +23,13 @@ from trackres_ros.diagnosis.levels import for_tests, with_levels
 from trackres_ros.diagnosis.locate import ThermalCheck, acts, against_travel, contribution, regime_of, spans, stray, thermal_check
 from trackres_ros.diagnosis.naming import Step, begin, choose
 from trackres_ros.diagnosis.regimes import RegimeMap, cumulative_periodogram, regime_map
-from trackres_ros.diagnosis.sanity import aligned_clock, check_torque, unlike
+from trackres_ros.diagnosis.sanity import aligned_clock, check_torque, nothing_to_conclude, unlike
 from trackres_ros.diagnosis.screening import QUICK_REPLICATES, REPLICATES
 from trackres_ros.diagnosis.session import Session, Split
 from trackres_ros.diagnosis.verdict import Found, Verdict, judge
 from trackres_ros.diagnosis.whitening import Noise
 from trackres_ros.effects import catalogue
+from trackres_ros.effects.rotating_inertia import RotatingInertia
 from trackres_ros.recording import Recording
 from trackres_ros.sources import open_source
 from trackres_ros.topics import Topics
@@ -142,7 +143,10 @@ def diagnose(
         If the recordings cannot be used; says why.
     """
     rng, base = np.random.default_rng(seed), vehicle.base
-    effects = catalogue(effects_dir, base.facts.weight * base.facts.radius, on_tyres=not base.has_belt)
+    effects = {
+        name: effect.beside(base.rotating_mass_factor) if isinstance(effect, RotatingInertia) else effect
+        for name, effect in catalogue(effects_dir, base.facts.weight * base.facts.radius, on_tyres=not base.has_belt).items()
+    }
     said("gate: units, clocks, gaps")
     gated = gate(recordings, vehicle.known, hide)
     gated, nominal = align_and_check(gated, vehicle)
@@ -160,6 +164,11 @@ def diagnose(
     final, graded, refuted = confirm(with_levels(best), refitted, laps) if best.effects else (refitted, {}, ())
     predicted = {"refitted": refitted.predicted, "with_effects": final.predicted}
     worth = held_out(laps, {"nominal": nominal, **{stage: [p.torque for p in of] for stage, of in predicted.items()}})
+    refused = nothing_to_conclude(
+        ", ".join(s.name for s in gated.sessions), worth.r2, worth.mae, float(np.abs(laps.measured).mean())
+    )
+    if refused:
+        raise refused
     said("what is left")
     tested_end = for_tests(final)
     at_end = regime_map(tested_end, rng)
@@ -192,7 +201,11 @@ def diagnose(
     told = [s for s in steps if s.chosen and s.chosen.name in graded]
     advice = [a for s in told for a in advise(s.candidates, s.members, vehicle.known.max_speed)]
     verdict = judge(found, refuted, refitted, at_end, stray(final), steps[-1].hint, worth)
-    believed = [f.name for f in found if keep_suspected or (verdict.names and f.graded.grade == CONFIRMED)]
+    kinds = {name: effect.belongs_to for name, effect in effects.items()}
+    settled = {f.name for f in found if {kinds[m] for m in f.step.members} <= {kinds[f.name]}}
+    believed = [
+        f.name for f in found if keep_suspected or (verdict.names and f.graded.grade == CONFIRMED and f.name in settled)
+    ]
     return Diagnosis(
         base, gated, chosen, nominal, refitted, final, at_base, at_end, changes(tested_base), cumulative_periodogram(tested_end),
         thermal_check(refitted),

@@ -104,7 +104,7 @@ class RoadBase:
         self.vehicle = vehicle
         self._active = (*vehicle.effects, *vehicle.surroundings)
         v = vehicle.values
-        self.torque_scale = v["torque_scale"]
+        self.torque_scale, self.rotating_mass_factor = v["torque_scale"], v["rotating_mass_factor"]
         self.facts = Facts(
             radius=v["wheel_radius"], weight=v["mass"] * GRAVITY, drag_area=v["drag_area"], air_density=v["air_density"],
             contact_length=v["contact_length"], assemblies=1, cooled_area=0.0, tension=1.0,

@@ -66,6 +66,7 @@ class TrackBase:
         self.includes = tuple(active.effect.name for active in vehicle.active)
         self.facts = facts_of(vehicle)
         self.torque_scale = 1.0
+        self.rotating_mass_factor = vehicle.chassis.rotating_mass_factor
         first = vehicle.track_of(vehicle.assemblies[0])
         limits = {**RUBBER, **CHASSIS, **BELT}
 
