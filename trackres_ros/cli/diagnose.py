@@ -108,8 +108,8 @@ def diagnose_command(
     except MissingExtraError as error:
         click.echo(f"trackres: no page: {error}", err=True)
     why = found.kept.text
-    lines = [found.verdict.sentence, f"{why[0].upper()}{why[1:]}.", *content["to_do"], *content["topics_lines"].values(), f"{output}: {', '.join(written)}"]
-    emit(content, as_json, lambda: "\n".join(lines))
+    lines = [found.verdict.sentence, f"{why[0].upper()}{why[1:]}.", *content["to_do"], *content["topics_lines"].values()]
+    emit(content, as_json, lambda: "\n".join([*lines, f"{output}: {', '.join(written)}"]))
 
 
 @click.command("effects")
