@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import BinaryIO, Protocol
 
 from trackres_ros.errors import InputError
+from trackres_ros.shown import figures
 
 MAX_CHUNK_BYTES = 2**28
 """Of what a chunk holds; recorders write chunks of 1 to 4 MB, or of one message. Reading it takes twice that in memory."""
@@ -146,9 +147,9 @@ def check_space(path: Path) -> None:
     folder = tempfile.gettempdir()
     free = shutil.disk_usage(folder).free
     if size > free:
-        given = f"zstd that unpacks to up to {size / 1e9:.3g} GB"
+        given = f"zstd that unpacks to up to {figures(size / 1e9)} GB"
         raise InputError(
-            str(path), given, f"{free / 1e9:.3g} GB, which are free in {folder}", "name another folder: export TMPDIR=FOLDER"
+            str(path), given, f"{figures(free / 1e9)} GB, which are free in {folder}", "name another folder: export TMPDIR=FOLDER"
         )
 
 
