@@ -20,12 +20,14 @@ from trackres_ros.errors import InputError
 from trackres_ros.parameters import make_parameters, read_parameters
 from trackres_ros.resources import config_dir
 from trackres_ros.topics import Topics
+from trackres_ros.vehicle.surroundings import load_surroundings
 from trackres_ros.yamls import MOST_BYTES, MOST_DEPTH, MOST_NODES, parse_yaml, read_yaml
 
 SPOILT_OF_EACH, MORE = 30, 300
 LONGEST_LINE = 3000  # characters
 
-EFFECTS = "\neffects: {turning_scrub: {friction: 0.3}, rain: {factor: 3.0}}\n"
+EFFECTS = "\neffects: {turning_scrub: {friction: 0.3}, still_air: {share: {value: 0.5, range: [0.4, 0.6]}}}\n"
+SURROUNDINGS = "schema: 1\nvehicle: xgd24d\neffects: {grade: {grade: {value: 0.01, range: [0.0, 0.02]}}, rain: {factor: 3.0}}\n"
 ROS_PARAMETERS = (
     "/**:\n  ros__parameters: {output_rate_hz: 20.0, vehicle: xgd24d, feedforward_parts: [wind]}\nother: {ros__parameters: {}}\n"
 )
@@ -33,6 +35,7 @@ ROS_PARAMETERS = (
 KINDS: dict[str, tuple[Callable[[Path], object], str]] = {
     "track vehicle": (load_base, (config_dir() / "xgd24d.yaml").read_text() + EFFECTS),
     "road vehicle": (load_base, (config_dir() / "husky.yaml").read_text()),
+    "surroundings": (lambda path: load_surroundings(path, "xgd24d", 97920.0, on_tyres=False), SURROUNDINGS),
     "topics": (Topics.load, (config_dir() / "topics" / "sample.yaml").read_text()),
     "parameters": (read_parameters, (config_dir() / "trackres.yaml").read_text()),
     "parameters as ROS has them": (read_parameters, ROS_PARAMETERS),

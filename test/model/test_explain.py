@@ -27,7 +27,7 @@ def test_what_a_point_consists_of(vehicle: Vehicle) -> None:
     point = explain(vehicle, 3.0, 20.0)
     assert set(point) >= {"wheel_loads_n", "contact", "tension_n", "loss_force_n", "torque_nm", "heat_w", "cooling_w", "rainflow"}
     assert set(point["loss_force_n"]) == {*PARTS, "total"}
-    assert set(point["torque_nm"]) == {"hysteresis", "bearing", "wind", "inertia", "resistance"}
+    assert set(point["torque_nm"]) == {"hysteresis", "bearing", "wind", "effects", "inertia", "resistance"}
     wheels = len(vehicle.track_of(vehicle.assemblies[0]).road_wheels.positions)
     assert [len(loads) for loads in point["wheel_loads_n"]] == [wheels] * len(vehicle.assemblies)
     assert len(point["contact"]) == wheels

@@ -205,7 +205,7 @@ def _check_sweep(path: Path, table: np.ndarray) -> None:
 
 def _within(path: Path, what: str, values: np.ndarray, limits: schema.Limits, remedy: str) -> None:
     if values.min() < limits.low or values.max() > limits.high:
-        given = f"{values.min():.4g} to {values.max():.4g} {limits.unit}"
+        given = f"{figures(values.min(), 4)} to {figures(values.max(), 4)} {limits.unit}"
         raise InputError(f"{path}: {what}", given, f"{limits.low:g} to {limits.high:g} {limits.unit}", remedy)
 
 
