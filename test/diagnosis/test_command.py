@@ -171,9 +171,18 @@ def test_a_channel_without_values_or_life_is_as_if_not_recorded(run, recorded, t
 
 
 def test_recordings_of_two_vehicles_are_told(run, recorded, tmp_path):
-    one, other = recorded()
-    found = found_in(run, [one, changed(other, tmp_path, torque_nm=lambda x: 0.4 * x)], tmp_path / "out")
+    one, *others = recorded(count=3)
+    found = found_in(run, [changed(one, tmp_path, torque_nm=lambda x: 0.5 * x), *others], tmp_path / "out")
     assert any("same vehicle" in note for note in found["notes"])
+
+
+def test_where_nothing_is_explained_nothing_is_concluded(run, recorded, tmp_path):
+    one, other = recorded()
+    done = run([one, changed(other, tmp_path, torque_nm=lambda x: 0.4 * x)], tmp_path / "out")
+    assert isinstance(done.exception, InputError)
+    assert "nothing can be concluded" in str(done.exception)
+    assert "same vehicle" in str(done.exception)
+    assert not (tmp_path / "out").exists()
 
 
 def test_one_speed_alone_shows_little_and_says_so(run, loaded, tmp_path):

@@ -164,9 +164,8 @@ def diagnose(
     final, graded, refuted = confirm(with_levels(best), refitted, laps) if best.effects else (refitted, {}, ())
     predicted = {"refitted": refitted.predicted, "with_effects": final.predicted}
     worth = held_out(laps, {"nominal": nominal, **{stage: [p.torque for p in of] for stage, of in predicted.items()}})
-    refused = nothing_to_conclude(
-        ", ".join(s.name for s in gated.sessions), worth.r2, worth.mae, float(np.abs(laps.measured).mean())
-    )
+    names, odd = ", ".join(s.name for s in gated.sessions), unlike(gated.sessions, nominal)
+    refused = nothing_to_conclude(names, worth.r2, worth.mae, float(np.abs(laps.measured).mean()), odd)
     if refused:
         raise refused
     said("what is left")

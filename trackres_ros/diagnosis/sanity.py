@@ -141,7 +141,12 @@ def _remedy(share: float, sessions: Sequence[Session], known: Known) -> str:
     return "; ".join(said)
 
 
-def nothing_to_conclude(names: str, r2: Mapping[str, float], mae: Mapping[str, float], size: float) -> InputError | None:
+LOOK_AT = "look at units, sign and whether it is that of the whole vehicle, for torque, speed and load, and at the vehicle file"
+
+
+def nothing_to_conclude(
+    names: str, r2: Mapping[str, float], mae: Mapping[str, float], size: float, notes: Sequence[str] = ()
+) -> InputError | None:
     """What to say where no stage of the model explains the torque of laps held out any better than its mean does.
 
     Parameters
@@ -153,6 +158,8 @@ def nothing_to_conclude(names: str, r2: Mapping[str, float], mae: Mapping[str, f
     size
         Mean size of the torque there [Nm]: that of a steady drive hardly varies, and R2 says nothing where the error is
         small beside it.
+    notes
+        What was found odd about the recordings, see `unlike`.
     """
     best = max(r2, key=lambda stage: r2[stage])
     if r2[best] >= 0.0 or min(mae.values()) < SMALL_ERROR * size:
@@ -161,7 +168,7 @@ def nothing_to_conclude(names: str, r2: Mapping[str, float], mae: Mapping[str, f
         f"{names}: torque",
         f"R2 {r2[best]:.2f} on laps held out, {mae[best]:.3g} Nm off where it is {size:.3g} Nm",
         "a torque that follows speed and load at all: nothing can be concluded",
-        "look at units, sign and whether it is that of the whole vehicle, for torque, speed and load, and at the vehicle file",
+        "; ".join((*notes, LOOK_AT)),
     )
 
 
