@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from trackres_ros.diagnosis import load_base, read_recordings
-from trackres_ros.diagnosis.diagnose import judged_by_nominal
+from trackres_ros.diagnosis.diagnose import align_and_check
 from trackres_ros.diagnosis.gate import gate
 from trackres_ros.diagnosis.sanity import nothing_to_conclude
 from trackres_ros.diagnosis.trial import drives, write_recordings
@@ -93,7 +93,7 @@ def test_a_slow_vehicle_in_kmh_is_told_by_what_changes_of_speed_take(run, loaded
 
 
 def judged(paths, loaded):
-    return judged_by_nominal(gate(read_recordings(paths, None), loaded.known), loaded)[0]
+    return align_and_check(gate(read_recordings(paths, None), loaded.known), loaded)[0]
 
 
 @pytest.mark.parametrize("name", sorted({**CATALOGUE, **OUTSIDE}))
