@@ -312,10 +312,10 @@ def test_signals_save_and_reset_without_ros(tmp_path, wire):
 
 @pytest.fixture(scope="module")
 def diagnosed(tmp_path_factory):
-    """Vehicle file without and with what a diagnosis found missing, and a drive that it never saw: soft ground is the truth."""
-    hidden = {"soft_ground": {"torque": 2500.0, "power": 2.2}}
+    """Vehicle file without and with what a diagnosis found missing, and a drive that it never saw: a belt that swings is the truth."""
+    hidden = {"vibration": {"torque": 700.0, "speed": 6.0, "width": 2.0}}
     left = left_by_diagnosis(tmp_path_factory.mktemp("diagnosed"), hidden, 8.0, 0, seed=4)
-    assert "soft_ground" in [name for f in left.found.found for name in f.step.members]
+    assert "vibration" in [name for f in left.found.found for name in f.step.members]
     return left.before, left.after, np.genfromtxt(left.kept_back, delimiter=",", names=True)
 
 
@@ -340,4 +340,4 @@ def test_the_vehicle_file_of_a_diagnosis_makes_the_live_feedforward_better(simul
         torque = np.array([measured[s]["torque_nm"] - heard[s] for s in stamps])
         # Speeding up and slowing down cancel over a drive; what is left of the mean is resistance.
         error[name] = abs(np.nanmean(torque))
-    assert error["after"] < 0.25 * error["before"]
+    assert error["after"] < 0.4 * error["before"]
