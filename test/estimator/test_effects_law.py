@@ -108,9 +108,7 @@ def check(estimator, row, parts, accel, grade, stood):
     speed, fed = row[at.OUT_SPEED], row[at.OUT_FEEDFORWARD]
     limit = estimator.constants.number.feedforward_limit
     assert abs(fed) <= limit * (1.0 + 1e-12)
-    assert row[at.OUT_STD] >= 0.0
-    if abs(speed) > STANDSTILL_MPS:
-        assert row[at.OUT_STD] > 0.0
+    assert row[at.OUT_STD] > 0.0
     if stood and not (grade and "grade" in parts) and not (accel and "inertia" in parts):
         assert fed == 0.0 if speed == 0.0 else abs(fed) < 1.0
 

@@ -312,7 +312,7 @@ def test_signals_save_and_reset_without_ros(tmp_path, wire):
 
 @pytest.fixture(scope="module")
 def diagnosed(tmp_path_factory):
-    """Vehicle file without and with what a diagnosis found missing, and a drive that it never saw: a belt that swings is the truth."""
+    """Vehicle file without and with what a diagnosis found missing, and a drive that it never saw: a belt that swings."""
     hidden = {"vibration": {"torque": 700.0, "speed": 6.0, "width": 2.0}}
     left = left_by_diagnosis(tmp_path_factory.mktemp("diagnosed"), hidden, 8.0, 0, seed=4)
     assert "vibration" in [name for f in left.found.found for name in f.step.members]

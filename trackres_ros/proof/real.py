@@ -109,7 +109,8 @@ class Start:
     Attributes
     ----------
     lacks
-        Torque that the base, re-fitted to all trips, lacks in the first three minutes [Nm].
+        Torque that the base, re-fitted to all trips, lacks in the first three minutes [Nm]; nan where nothing there
+        can be compared.
     state, std
         Start state fitted to this trip alone, with its standard deviation: 0 as warm as after a long drive, 1 as cold as a
         trip on average; nan where nothing that warms up was named.
@@ -134,7 +135,7 @@ def starts(data: Path, tried: Tried) -> list[Start]:
     for i, session in enumerate(tried.found.sessions):
         row, early = rows[Path(session.name).stem], session.used & (session.time < COLD_S)
         stood = float(row["hours_since_previous_trip_ended"] or "nan")
-        lacks = float(tried.found.refitted.residuals[i][early].mean())
+        lacks = float(tried.found.refitted.residuals[i][early].mean()) if early.any() else float("nan")
         found.append(Start(row["trip"], stood, float(row["ambient_degc"]), lacks, *start_state(tried, i)))
     return found
 

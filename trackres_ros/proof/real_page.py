@@ -14,6 +14,7 @@ from trackres_ros.diagnosis.intervals import NORMAL_95
 from trackres_ros.diagnosis.locate import evenly_filled
 from trackres_ros.plots import BLUE, GREY, ORANGE, VERMILION, picture
 from trackres_ros.proof.real import COLD_AFTER_H, COLD_S, Start, Tried, Twice, acts_early, starts, twice
+from trackres_ros.shown import decimals
 
 Array = NDArray[np.float64]
 
@@ -64,7 +65,7 @@ def _starts(begun: Sequence[Start]) -> list[str]:
         "|---|---|---|---|---|",
     ]
     lines += [
-        f"| {s.trip} | {s.stood_h:.1f} | {s.ambient:g} | {s.lacks:.0f} | {s.state:.2f} +- {s.std:.2f} |"
+        f"| {s.trip} | {s.stood_h:.1f} | {s.ambient:g} | {decimals(s.lacks)} | {s.state:.2f} +- {s.std:.2f} |"
         for s in sorted(begun, key=lambda s: -s.stood_h)
     ]
     lacks = np.array([s.lacks for s in begun])
@@ -75,8 +76,8 @@ def _starts(begun: Sequence[Start]) -> list[str]:
     return [
         *lines,
         "",
-        f"After a night or a day ({COLD_AFTER_H:g} h and more) the first three minutes lack {lacks[cold].mean():.0f} Nm, "
-        f"after a short stop {lacks[~cold].mean():.0f} Nm. The start states are {means[0]:.2f} +- {doubts[0]:.2f} and "
+        f"After a night or a day ({COLD_AFTER_H:g} h and more) the first three minutes lack {np.nanmean(lacks[cold]):.0f} Nm, "
+        f"after a short stop {np.nanmean(lacks[~cold]):.0f} Nm. The start states are {means[0]:.2f} +- {doubts[0]:.2f} and "
         f"{means[1]:.2f} +- {doubts[1]:.2f} (one standard deviation of their weighted means). {_ranks(begun)}",
     ]
 
