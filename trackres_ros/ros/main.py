@@ -36,7 +36,7 @@ def run_executable(asked: Asked) -> int:
     """Run the executable; ROS arguments give name, namespace, remappings and parameters. The exit code."""
     from trackres_ros.ros.node import EstimatorNode
 
-    return _run(lambda: EstimatorNode(), asked, None, None)
+    return _run(lambda: EstimatorNode(), asked, None, None, of_command=False)
 
 
 def run(
@@ -46,11 +46,19 @@ def run(
     from trackres_ros.ros.node import EstimatorNode
 
     sim_time = rclpy.Parameter("use_sim_time", value=parameters.sim_time)
-    return _run(lambda: EstimatorNode(parameters, node, namespace=namespace, parameter_overrides=[sim_time]), asked, [], started)
+
+    def make() -> Any:
+        return EstimatorNode(parameters, node, namespace=namespace, parameter_overrides=[sim_time])
+
+    return _run(make, asked, [], started, of_command=True)
 
 
 def _run(
-    make: Callable[[], Any], asked: Asked, args: list[str] | None, started: Callable[[Application], None] | None
+    make: Callable[[], Any],
+    asked: Asked,
+    args: list[str] | None,
+    started: Callable[[Application], None] | None,
+    of_command: bool,
 ) -> int:
     # rclpy's own handlers would take the context away before the node has saved its state and said so.
     rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
@@ -65,6 +73,8 @@ def _run(
         executor.add_node(node)
         if node.get_parameter("autostart").value:
             if node.trigger_configure() != TransitionCallbackReturn.SUCCESS:
+                if of_command and node.refused:
+                    raise node.refused
                 return BAD_INPUT
             node.trigger_activate()
         if started and node.application:

@@ -84,6 +84,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         self._counter = Counter()
         self.application: Application | None = None
         self.failure = ""
+        self.refused: InputError | None = None  # what a transition refused last
         super().__init__(node, **arguments)
         self.add_on_set_parameters_callback(self._check)
         ros_parameters.declare(self, values or make_parameters({}))
@@ -125,7 +126,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         try:
             step(state)
         except InputError as error:
-            self.failure = str(error)
+            self.failure, self.refused = str(error), error
             self.get_logger().error(self.failure)
             self.release()
             return TransitionCallbackReturn.FAILURE
