@@ -65,19 +65,24 @@ def _starts(begun: Sequence[Start]) -> list[str]:
         "|---|---|---|---|---|",
     ]
     lines += [
-        f"| {s.trip} | {s.stood_h:.1f} | {s.ambient:g} | {decimals(s.lacks)} | {s.state:.2f} +- {s.std:.2f} |"
+        f"| {s.trip} | {s.stood_h:.1f} | {s.ambient:g} | {decimals(s.lacks)} | {decimals(s.state, 2)} +- {decimals(s.std, 2)} |"
         for s in sorted(begun, key=lambda s: -s.stood_h)
     ]
     lacks = np.array([s.lacks for s in begun])
     state, weight = np.array([s.state for s in begun]), np.array([s.std for s in begun]) ** -2.0
     cold = np.array([s.cold for s in begun])
+    of_mean = (
+        f"After a night or a day ({COLD_AFTER_H:g} h and more) the first three minutes lack {np.nanmean(lacks[cold]):.0f} Nm, "
+        f"after a short stop {np.nanmean(lacks[~cold]):.0f} Nm."
+    )
+    if not np.isfinite(state).all():
+        return [*lines, "", f"{of_mean} Nothing that warms up was named, so there are no start states."]
     means = [float(np.average(state[at], weights=weight[at])) for at in (cold, ~cold)]
     doubts = [float(weight[at].sum() ** -0.5) for at in (cold, ~cold)]
     return [
         *lines,
         "",
-        f"After a night or a day ({COLD_AFTER_H:g} h and more) the first three minutes lack {np.nanmean(lacks[cold]):.0f} Nm, "
-        f"after a short stop {np.nanmean(lacks[~cold]):.0f} Nm. The start states are {means[0]:.2f} +- {doubts[0]:.2f} and "
+        f"{of_mean} The start states are {means[0]:.2f} +- {doubts[0]:.2f} and "
         f"{means[1]:.2f} +- {doubts[1]:.2f} (one standard deviation of their weighted means). {_ranks(begun)}",
     ]
 
