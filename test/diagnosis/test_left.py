@@ -37,7 +37,7 @@ def run(*arguments):
 def kept_of(base, effects, share=0.98, half=0.03):
     """Values a little off, known to a few percent; effects known to a tenth."""
     values = {q.name: share * q.nominal for q in base.parameters}
-    wide = {q.name: half * max(abs(q.nominal), 1e-3 * (q.high - q.low)) for q in base.parameters}
+    wide = {q.name: half * max(abs(values[q.name]), 1e-3 * (q.high - q.low)) for q in base.parameters}
     intervals = {("", name): Interval(v - wide[name], v + wide[name], False) for name, v in values.items()}
     for active in effects:
         for name, v in active.values.items():
