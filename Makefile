@@ -6,17 +6,37 @@ OUT := out
 # These start nodes and mostly wait for them. Two files at a time: more would keep the nodes from their clock.
 LIVE_TESTS := test/dds test/processes
 
-.PHONY: demo test lint clean
+.PHONY: demo test test-live test-rest compiled mutants lint clean
 
 demo: $(VENV)/.ready
 	$(RUN)/python tools/demo $(OUT)
 
-test: $(VENV)/.ready lint
-	$(RUN)/python -m pytest -q -n auto --dist worksteal $(addprefix --ignore ,$(LIVE_TESTS))
-	$(RUN)/python -m pytest -q -n 2 --dist loadfile --durations=12 $(LIVE_TESTS)
+# What computes does so beside what waits, and gives way to it. Tests run as many at once as there are processors: no further
+# threads in each.
+test: export OPENBLAS_NUM_THREADS := 1
+test: $(VENV)/.ready
+	$(MAKE) --no-print-directory -j 2 lint compiled
+	$(MAKE) --no-print-directory -j 2 test-live test-rest
+
+test-live: $(VENV)/.ready
+	@log=$$(mktemp); $(RUN)/python -m pytest -q -n 2 --dist loadfile --durations=12 $(LIVE_TESTS) > $$log 2>&1; \
+	status=$$?; cat $$log; rm $$log; exit $$status
+
+test-rest: $(VENV)/.ready
+	nice -n 19 $(RUN)/python -m pytest -q -n auto --dist worksteal $(addprefix --ignore ,$(LIVE_TESTS))
+
+# Once, before several tests would do so at a time.
+compiled: $(VENV)/.ready
+	@$(RUN)/python -m trackres_ros.node.warm_up config/xgd24d.yaml
+
+# Small faults put into a module one at a time: how many of them its tests find. By hand: it takes half an hour.
+mutants: $(VENV)/.ready
+	$(RUN)/python -m pip install --quiet --disable-pip-version-check --use-pep517 --editable ".[mutation]"
+	$(RUN)/python tools/mutants
 
 lint: $(VENV)/.ready
 	$(RUN)/ruff check .
+	$(RUN)/ruff format --check --quiet .
 	$(RUN)/mypy
 
 $(VENV)/.ready: setup.py

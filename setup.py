@@ -22,6 +22,7 @@ BAGS = ["rosbags>=0.11"]
 PARQUET = ["pyarrow>=14"]
 PLOTS = ["matplotlib>=3.6"]
 FAST = ["numba>=0.57"]
+NOTEBOOK = ["pandas>=2.0", "xarray>=2023.1", *PLOTS]
 CYCLONE = "cyclonedds>=11.0.1"
 DIAGNOSIS = ["jinja2>=3.1", "ruptures>=1.1.8", *PLOTS, *FAST]
 PROOF = [*DIAGNOSIS, "scikit-learn>=1.3"]
@@ -29,8 +30,9 @@ DDS = [*BAGS, CYCLONE]
 # No wheels elsewhere, and its source needs the C library: there the tests of that edge are skipped.
 DDS_TESTED = [f"{CYCLONE}; platform_machine == 'x86_64' and python_version < '3.14'"]
 TEST = ["pytest>=7.4", "pytest-xdist>=3.4", "hypothesis>=6.98", "rainflow>=3.1", "mcap>=1.1", "setuptools>=70.1"]
-TEST += ["ruff>=0.4", "mypy>=1.8", "types-PyYAML"]
+TEST += ["jsonschema>=4.10", "ruff>=0.4", "mypy>=1.8", "types-PyYAML"]
 TEST += ["colcon-common-extensions>=0.3"]  # where ROS 2 is, the package is built into a workspace and launched from there
+MUTATION = ["cosmic-ray>=8.3"]  # for tools/mutants, by hand
 
 setup(
     name=PACKAGE,
@@ -40,7 +42,7 @@ setup(
     long_description_content_type="text/markdown",
     license="Apache-2.0",
     packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
-    package_data={PACKAGE: ["py.typed"], f"{PACKAGE}.report": ["page.html"]},
+    package_data={PACKAGE: ["py.typed"], f"{PACKAGE}.diagnosis.report": ["page.html", "report.schema.json"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
@@ -54,14 +56,16 @@ setup(
         "parquet": PARQUET,
         "plots": PLOTS,
         "fast": FAST,
+        "notebook": NOTEBOOK,
         "dds": DDS,
         "diagnosis": DIAGNOSIS,
         "proof": PROOF,
-        "all": BAGS + PARQUET + PROOF,
-        "test": BAGS + PARQUET + PROOF + DDS_TESTED + TEST,
+        "all": BAGS + PARQUET + NOTEBOOK + PROOF,
+        "test": BAGS + PARQUET + NOTEBOOK + PROOF + DDS_TESTED + TEST,
+        "mutation": MUTATION,
     },
     zip_safe=False,
     entry_points={
-        "console_scripts": ["trackres = trackres_ros.cli.entry:main", "estimator = trackres_ros.ros.estimator:main"],
+        "console_scripts": ["trackres = trackres_ros.cli.entry:main", "estimator = trackres_ros.node.ros.estimator:main"],
     },
 )

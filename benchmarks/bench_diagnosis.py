@@ -12,16 +12,18 @@ import numpy as np
 from measuring import alternated, at_least, at_most, median_ratio
 from scipy.integrate import solve_ivp
 
-from trackres_ros.compiled import compiled
 from trackres_ros.diagnosis import diagnose, load_base, read_recordings
-from trackres_ros.diagnosis.base import full
-from trackres_ros.diagnosis.fitting import Problem, fit
-from trackres_ros.diagnosis.gate import gate
-from trackres_ros.diagnosis.track_base import CAPACITY, FILM, LOSS, TrackBase
-from trackres_ros.diagnosis.trial import drives, write_recordings
+from trackres_ros.diagnosis.base.base import Acting, Predicted
+from trackres_ros.diagnosis.base.track import TrackBase
+from trackres_ros.diagnosis.inference.fitting import Problem, fit
+from trackres_ros.diagnosis.prepare.gate import gate
 from trackres_ros.effects import Active, catalogue
+from trackres_ros.estimator import columns as at
+from trackres_ros.evaluation.synthetic import drives, write_recordings
+from trackres_ros.jit.compiled import compiled
 from trackres_ros.model.loss_table import look_up
 from trackres_ros.model.rubber import log_shift_factor
+from trackres_ros.units import GRAVITY, STANDSTILL_MPS
 
 EFFECT = "viscous_bearing"
 SEED = 2
@@ -36,48 +38,48 @@ TARGETS = {
 
 @compiled
 def rate(
-    t: float, y: Any, step: float, speed: Any, log_load: Any, ambient: float, axes: Any, table: Any, rubber: Any, thermal: Any
+    t: float, temperature: float, step: float, speed: Any, log_load: Any, ambient: float, belt: Any, numbers: Any, table: Any
 ) -> float:
-    """dT/dt [K/s] of one belt."""
-    i = min(int(t / step), len(speed) - 1)
-    shift, _ = log_shift_factor(y[0], rubber[0], rubber[1], rubber[2])
-    travel = abs(speed[i])
+    """dT/dt [K/s] of one belt, its speed straight from sample to sample."""
+    place = min(t / step, len(speed) - 1.000001)
+    i = int(place)
+    travel = abs(speed[i] + (place - i) * (speed[i + 1] - speed[i]))
+    shift, _ = log_shift_factor(temperature, numbers[2], numbers[3], numbers[4])
     x = shift + (math.log10(travel) if travel > 1e-6 else -6.0)
-    loss, _ = look_up(table, 0, axes[0], axes[1], axes[2], axes[3], x, log_load[i])
-    film = thermal[1] + thermal[2] * travel
-    return float((loss * thermal[4] * travel - film * thermal[3] * (y[0] - ambient)) / thermal[0])
+    loss, _ = look_up(table, 0, numbers[0], numbers[1], belt[at.FIRST_LOG_LOAD], belt[at.STEP_LOG_LOAD], x, log_load[i + 1])
+    film = belt[at.FILM_OFFSET] + belt[at.FILM_SLOPE] * travel
+    return float((loss * travel - film * belt[at.AREA] * (temperature - ambient)) / belt[at.CAPACITY])
 
 
 class BySolveIvp(TrackBase):
-    """The same base with the temperatures by scipy."""
+    """The same base with the temperatures by scipy; of a vehicle with one kind of belt and without effects."""
 
-    def _roll(self, group: Any, session: Any, course: Any, values: Any, before: Any) -> Any:  # noqa: ARG002
-        rubber, network = self.vehicle.rubber, group.network
-        scale = values[LOSS] / rubber.loss_modulus_scale
-        thermal = np.array(
-            [
-                network.capacity * values[CAPACITY],
-                network.film_offset * values[FILM],
-                network.film_slope * values[FILM],
-                network.area,
-                scale,
-            ]
-        )
-        axes = np.array([group.table.first_x, group.table.step_x, group.table.first_log_load, group.table.step_log_load])
-        constants = np.array([rubber.glass_transition, rubber.wlf_c1, rubber.wlf_c2])
-        speed, log_load, ambient = full(course.at.speed, session), np.log(session.weight * group.share), float(session.ambient[0])
-        table = group.table.loss[np.newaxis]
-        solved = solve_ivp(
-            lambda t, y: [rate(t, y, session.step, speed, log_load, ambient, axes, table, constants, thermal)],
-            (0.0, session.time[-1]), [ambient], "LSODA", session.time, rtol=TOLERANCE, atol=TOLERANCE, max_step=session.step,
-        )  # fmt: skip
-        belt = solved.y[0]
-        loss = np.empty_like(belt)
-        for i, degc in enumerate(belt):
-            shift, _ = log_shift_factor(degc, *constants)
-            x = shift + (math.log10(abs(speed[i])) if abs(speed[i]) > 1e-6 else -6.0)
-            loss[i] = scale * look_up(table, 0, *axes, x, log_load[i])[0]
-        return loss, belt, belt, (float(belt[-1]), float(belt[-1]))
+    def predict(self, sessions: Any, values: Any, effects: Any) -> list[Predicted]:  # noqa: ARG002
+        k = self._with(values, Acting.of((), self.facts))
+        n, belt = k.number, k.assembly[0]
+        numbers = np.array([n.first_x, n.step_x, n.glass_transition, n.wlf_c1, n.wlf_c2])
+        found = []
+        for session in sessions:
+            speed, log_load = session.speed, np.log(session.weight * belt[at.SHARE_OF_ALL])
+            ambient = float(session.ambient[0])
+            arguments = (session.step, speed, log_load, ambient, belt, numbers, k.loss)
+            solved = solve_ivp(
+                lambda t, y, given=arguments: [rate(t, y[0], *given)], (0.0, session.time[-1]), [ambient], "LSODA",
+                session.time, rtol=TOLERANCE, atol=TOLERANCE, max_step=session.step,
+            )  # fmt: skip
+            degc = solved.y[0]
+            loss = np.empty_like(degc)
+            for i, one in enumerate(degc):
+                shift, _ = log_shift_factor(one, *numbers[2:])
+                x = shift + (math.log10(abs(speed[i])) if abs(speed[i]) > 1e-6 else -6.0)
+                loss[i] = look_up(k.loss, 0, *numbers[:2], belt[at.FIRST_LOG_LOAD], belt[at.STEP_LOG_LOAD], x, log_load[i])[0]
+            sign = np.tanh(speed / STANDSTILL_MPS)
+            force = len(self.vehicle.assemblies) * loss * sign + n.bearing_friction * session.weight * sign
+            force += 0.5 * n.air_density * n.drag_area * speed * np.abs(speed)
+            force += n.rotating_mass_factor * session.weight / GRAVITY * session.accel
+            torque = self.facts.radius * force
+            found.append(Predicted(torque, torque, degc, degc))
+        return found
 
 
 def run(minutes: float = 60.0, step_s: float = 0.01, quick: bool = False) -> dict[str, float]:
@@ -95,7 +97,7 @@ def run(minutes: float = 60.0, step_s: float = 0.01, quick: bool = False) -> dic
             loaded,
             seed=SEED,
             quick=quick,
-            said=lambda stage: stages.append((stage.split(":")[0].split(",")[0], time.perf_counter())),
+            on_stage=lambda stage: stages.append((stage.split(":")[0].split(",")[0], time.perf_counter())),
         )
         end = time.perf_counter()
     found["whole diagnosis of an hour at 100 Hz [s]"] = end - stages[0][1]
@@ -109,13 +111,13 @@ def run(minutes: float = 60.0, step_s: float = 0.01, quick: bool = False) -> dic
 
 
 def _fits(loaded: Any, sessions: Any) -> dict[str, float]:
-    still, masks = tuple(np.zeros(len(s)) for s in sessions), tuple(s.used for s in sessions)
+    masks = tuple(s.used for s in sessions)
     bases = {"ours": loaded.base, "solve_ivp": BySolveIvp(loaded.base.vehicle)}
-    fits = {name: (lambda base=base: fit(Problem(base, sessions, masks, still), rounds=1)) for name, base in bases.items()}
+    fits = {name: (lambda base=base: fit(Problem(base, sessions, masks), rounds=1)) for name, base in bases.items()}
     ends = {name: run_it() for name, run_it in fits.items()}  # compiled from here on
     times = alternated(fits, REPEATS)
     values = ends["ours"].base_values
-    ours, theirs = (np.concatenate([p.torque for p in base.predict(sessions, values, (), still)]) for base in bases.values())
+    ours, theirs = (np.concatenate([p.torque for p in base.predict(sessions, values, ())]) for base in bases.values())
     return {
         "fit [ms]": 1e3 * min(times["ours"]),
         "fit with solve_ivp over fit": median_ratio(times["solve_ivp"], times["ours"]),

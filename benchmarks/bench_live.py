@@ -86,9 +86,9 @@ class DdsClient:
     """Publishes speeds and waits for torques by Cyclone DDS."""
 
     def __init__(self) -> None:
-        from trackres_ros.dds.participant import Participant, serialized
-        from trackres_ros.dds.wire import typestore
-        from trackres_ros.live.endpoints import Quality
+        from trackres_ros.node.dds.participant import Participant, serialized
+        from trackres_ros.node.dds.wire import typestore
+        from trackres_ros.node.endpoints import Quality
 
         os.environ.update({key: value for key, value in environment().items() if key.startswith(("ROS_", "CYCLONE"))})
         self._participant = Participant("client", "/")
@@ -274,9 +274,9 @@ def echo_dds() -> None:
     from cyclonedds.sub import DataReader
     from cyclonedds.topic import Topic
 
-    from trackres_ros.dds.participant import EVERY_SAMPLE, Participant, serialized
-    from trackres_ros.dds.wire import idl_struct, qos, typestore
-    from trackres_ros.live.endpoints import Quality
+    from trackres_ros.node.dds.participant import EVERY_SAMPLE, Participant, serialized
+    from trackres_ros.node.dds.wire import idl_struct, qos, typestore
+    from trackres_ros.node.endpoints import Quality
 
     participant = Participant("echo", "/")
     writer = participant.writer(TORQUE, WRENCH, Quality(True, 10, 0.0))

@@ -15,13 +15,13 @@ from measuring import at_most, child
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from trackres_ros.bags import BagSource
-from trackres_ros.cdr import Template
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.message_types import definitions
-from trackres_ros.recording import Recording
-from trackres_ros.replay import replay
-from trackres_ros.topics import Topics
+from trackres_ros.offline.replay import replay
+from trackres_ros.recording.bindings import Topics
+from trackres_ros.recording.cdr import Template
+from trackres_ros.recording.message_types import definitions
+from trackres_ros.recording.recording import Recording
+from trackres_ros.recording.rosbag import BagSource
 from trackres_ros.vehicle import load
 
 SPEED_MESSAGES = 250_000
@@ -51,8 +51,10 @@ def write_bag(path: Path, storage: StoragePlugin, messages: int) -> None:
     stamp_ns = 1_700_000_000_000_000_000 + 10_000_000 * np.arange(messages)
     speed = 10.0 + np.sin(np.arange(messages) / 500.0) + np.random.default_rng(1).normal(0.0, 0.01, messages)
     rows = {}
-    for name, inner, field, value in (("TwistStamped", "Twist", "twist.linear.x", speed),
-                                      ("WrenchStamped", "Wrench", "wrench.force.z", 272e3 + 100.0 * speed)):
+    for name, inner, field, value in (
+        ("TwistStamped", "Twist", "twist.linear.x", speed),
+        ("WrenchStamped", "Wrench", "wrench.force.z", 272e3 + 100.0 * speed),
+    ):
         msgtype = f"geometry_msgs/msg/{name}"
         message = types[msgtype](header, types[f"geometry_msgs/msg/{inner}"](vector, vector))
         raw = bytes(STORE.serialize_cdr(message, msgtype))

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import math
 import statistics
+from dataclasses import replace
 
 import numpy as np
 from measuring import alternated, at_least, at_most, median_ratio, seconds
 from numpy.typing import NDArray
 from rivals import PaperAlgorithm, Road, by_odeint, by_odeint_each_sample, by_solve_ivp, limit, plain
 
-from trackres_ros.estimator import layout as at
+from trackres_ros.effects import Active, catalogue
+from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.model.track import with_methods
-from trackres_ros.simulate import Drive, laps, ramp_and_hold
+from trackres_ros.offline.simulate import Drive, laps, ramp_and_hold
 from trackres_ros.vehicle import load
 
 Array = NDArray[np.float64]
@@ -31,7 +33,13 @@ AMBIENT_DEGC = 15.0
 MOVING = 0.5  # m/s: torques are compared relatively above
 START_NS = 1_700_000_000_000_000_000
 
+EFFECTS = ("warmup", "viscous_bearing", "tension_torque")
+
 TARGETS = {
+    "laps: run over the limit": at_most(1.3),
+    "laps: session with guards over the limit": at_most(2.5),
+    "laps: run with three effects over without": at_most(2),
+    "laps: session with three effects over without": at_most(2),
     "laps: LSODA (odeint) over run": at_least(30),
     "laps: LSODA (solve_ivp) over run": at_least(30),
     "held: LSODA (odeint) over run": at_least(30),
@@ -114,6 +122,30 @@ def _against_lsoda(estimator: Estimator, name: str, road: Road, repeats: int) ->
     return result
 
 
+def _with_effects(estimator: Estimator, road: Road, repeats: int) -> dict[str, float]:
+    """Three effects, with the ranges that a diagnosis writes, over none."""
+    shipped = catalogue()
+    effects = []
+    for name in EFFECTS:
+        values = shipped[name].values()
+        ranges = {q: (0.9 * value, 1.1 * value) for q, value in values.items()}
+        effects.append(Active(shipped[name], values, ranges))
+    loaded = Estimator(replace(estimator.vehicle, effects=tuple(effects)))
+    rivals = {
+        "run": lambda: by_run(estimator, road),
+        "run with effects": lambda: by_run(loaded, road),
+        "session": lambda: by_session(estimator, road),
+        "session with effects": lambda: by_session(loaded, road),
+    }
+    for rival in rivals.values():
+        rival()
+    times = alternated(rivals, repeats)
+    return {
+        f"laps: {way} with three effects over without": median_ratio(times[f"{way} with effects"], times[way])
+        for way in ("run", "session")
+    }
+
+
 def _against_restarted(estimator: Estimator, road: Road, samples: int) -> float:
     """LSODA started anew at every sample over our run, by time a sample."""
     part = Road(road.time[:samples], road.speed[:samples], road.acceleration[:samples], road.loads, road.ambient)
@@ -170,6 +202,7 @@ def run(
     result["LSODA, largest error of its torque [%]"] = max(
         result.pop(f"{name}: LSODA, largest error of its torque [%]") for name in drives
     )
+    result |= _with_effects(estimator, drives["laps"], repeats)
     result["laps: LSODA started anew at each sample over run"] = _against_restarted(estimator, drives["laps"], restarted)
     for method in ("rainflow", "spectral"):
         result |= _against_paper(method, drives["laps"], exact_samples)

@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 from measuring import at_most, child
 
-from trackres_ros.compiled import HAVE_NUMBA
-from trackres_ros.estimator import layout as at
+from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator, Session
+from trackres_ros.jit.compiled import HAVE_NUMBA
 from trackres_ros.vehicle import load
 
 STEPS = 5_000

@@ -13,15 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import odeint, solve_ivp
 
-from trackres_ros.compiled import compiled
-from trackres_ros.estimator import layout as at
+from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.belt_step import SLOWEST_LOG_SPEED
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.model.belt import GRAVITY
+from trackres_ros.jit.compiled import compiled, compiled_anew
 from trackres_ros.model.hysteresis import METHODS, LossMethod
 from trackres_ros.model.loss_table import look_up, look_up_drive
-from trackres_ros.model.resistance import STANDSTILL_SPEED
 from trackres_ros.model.rubber import REFERENCE_ABOVE_TG, RubberModel, log_shift_factor
+from trackres_ros.units import GRAVITY, STANDSTILL_MPS
 
 Array = NDArray[np.float64]
 
@@ -101,7 +100,7 @@ def plain_loop(
         middle = 0.5 * (before + speed)
         log_middle = math.log10(max(abs(middle), SLOWEST))
         log_speed = math.log10(max(abs(speed), SLOWEST))
-        sign = math.tanh(speed / STANDSTILL_SPEED)
+        sign = math.tanh(speed / STANDSTILL_MPS)
         own = 0.0
         for i in range(assemblies):
             table, log_load = p.table[i], math.log(loads[i])
@@ -146,7 +145,7 @@ def torques(p: Plain, road: Road, temps: Array) -> Array:
     speed, weight = road.speed, road.loads.sum()
     share = road.loads / weight
     arm = p.radius @ share
-    sign = np.tanh(speed / STANDSTILL_SPEED)
+    sign = np.tanh(speed / STANDSTILL_MPS)
     above, span = temps - tg, c2 - REFERENCE_ABOVE_TG
     warm = np.maximum(above, 0.0)
     x = -c1 * (warm - REFERENCE_ABOVE_TG) / (span + warm) - c1 * c2 / span**2 * (above - warm)
@@ -174,7 +173,7 @@ def torques(p: Plain, road: Road, temps: Array) -> Array:
     return np.stack([hysteresis, bearing, wind, accelerating], axis=1)
 
 
-@compiled
+@compiled_anew
 def rates(
     time: float, temps: Array, p: Any, step: float, speeds: Array, accelerations: Array, loads: Array, ambient: float
 ) -> Array:
@@ -183,7 +182,7 @@ def rates(
     place = min(max(time / step, 0.0), speeds.shape[0] - 1.000001)
     n = int(place)
     speed = speeds[n] + (place - n) * (speeds[n + 1] - speeds[n])
-    log_speed, sign = math.log10(max(abs(speed), SLOWEST)), math.tanh(speed / STANDSTILL_SPEED)
+    log_speed, sign = math.log10(max(abs(speed), SLOWEST)), math.tanh(speed / STANDSTILL_MPS)
     weight, arm, own = 0.0, 0.0, 0.0
     rate = np.empty(loads.shape[0])
     for i in range(loads.shape[0]):
@@ -271,7 +270,7 @@ class PaperAlgorithm:
         cooling = (film_offset + film_slope * abs(speed)) * area
         after = temps + dt * (force * abs(speed) - cooling * (temps - road.ambient)) / capacity
         friction, drag, inertia = p.numbers[5:]
-        weight, sign = road.loads.sum(), math.tanh(speed / STANDSTILL_SPEED)
+        weight, sign = road.loads.sum(), math.tanh(speed / STANDSTILL_MPS)
         arm = (p.radius @ road.loads) / weight
         others = friction * weight * sign, drag * speed * abs(speed), inertia * weight * road.acceleration[n]
         return after, np.array([(force @ p.radius) * sign, *(arm * each for each in others)])

@@ -1,27 +1,14 @@
-"""A recording made on the spot, read into a Recording, and through the estimator to a table."""
+"""A recording made on the spot, read with what is wrong with it, and through the estimator to a table."""
 
-from pathlib import Path
+import trackres_ros as tr
 
-from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.recording import Recording
-from trackres_ros.replay import replay, result_writer
-from trackres_ros.resources import config_dir
-from trackres_ros.sample import write_sample
-from trackres_ros.sources import open_source
-from trackres_ros.topics import Topics
-from trackres_ros.vehicle import load
+vehicle = tr.load_vehicle("xgd24d")
+sample = tr.record_sample("laps.mcap", vehicle=vehicle, speed_kmh=10.0, laps=2)
 
-vehicle = load("xgd24d")
-bag, table = Path("laps.mcap"), Path("estimate.csv")
-write_sample(bag, vehicle, speed_kmh=10.0, laps_driven=2)
+recording = tr.read(sample.path, topics=sample.topics)
+print(recording)
 
-topics = Topics.load(config_dir() / "topics" / "sample.yaml")
-for line in Recording.from_source(open_source([bag], topics)).report():
-    print(line)
-
-estimator = Estimator(vehicle)
-with result_writer(table, estimator) as write:
-    result = replay(open_source([bag], topics), estimator, write)
-last = dict(zip(estimator.columns, result.last, strict=True))
+result = tr.replay(recording, vehicle)
+table = result.save("estimate.csv")
 print(f"{result.messages} messages, {result.steps} steps over {result.duration_s:.0f} s, written to {table}")
-print(f"At the end: {last['resistance_torque_nm']:.0f} Nm, front left belt {last['belt_degc/front_left']:.1f} degC")
+print(f"At the end: {result['resistance_torque_nm'][-1]:.0f} Nm, front left belt {result['belt_degc/front_left'][-1]:.1f} degC")

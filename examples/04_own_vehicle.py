@@ -7,7 +7,7 @@ import yaml
 
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.resources import config_dir
+from trackres_ros.files.resources import config_dir
 from trackres_ros.vehicle import load
 
 own = Path("own.yaml")

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from trackres_ros.errors import InputError, MissingExtraError
-from trackres_ros.recording import Recording
-from trackres_ros.sources import open_source
-from trackres_ros.topics import Topics
+from trackres_ros.recording.bindings import Topics
+from trackres_ros.recording.opening import open_source
+from trackres_ros.recording.recording import Recording
 
 pytest.importorskip("rosbags")
 
@@ -25,18 +25,21 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from trackres_ros.bag_writer import BagWriter
+from trackres_ros.output.mcap import BagWriter
 
 STORE = get_typestore(Stores.LATEST)
 STORE1 = get_typestore(Stores.ROS1_NOETIC)
 START = 1_700_000_000 * 10**9
 ODOMETRY, JOINTS, WRENCH = "nav_msgs/msg/Odometry", "sensor_msgs/msg/JointState", "geometry_msgs/msg/WrenchStamped"
-TOPICS = Topics.parse({
-    "speed": {"topic": "/odom", "type": ODOMETRY, "field": "twist.twist.linear.x", "scale": 0.5, "offset": 1},
-    "yaw_rate": {"topic": "odom", "type": ODOMETRY, "field": "twist.twist.angular.z", "stamp": "log"},
-    "torque": {"topic": "/joints", "type": "sensor_msgs/JointState", "field": "effort[right]"},
-    "load/front": {"topic": "/weight", "type": "std_msgs/msg/Float64", "field": "data"},
-}, "topics.yaml")
+TOPICS = Topics.parse(
+    {
+        "speed": {"topic": "/odom", "type": ODOMETRY, "field": "twist.twist.linear.x", "scale": 0.5, "offset": 1},
+        "yaw_rate": {"topic": "odom", "type": ODOMETRY, "field": "twist.twist.angular.z", "stamp": "log"},
+        "torque": {"topic": "/joints", "type": "sensor_msgs/JointState", "field": "effort[right]"},
+        "load/front": {"topic": "/weight", "type": "std_msgs/msg/Float64", "field": "data"},
+    },
+    "topics.yaml",
+)
 
 
 def header(store: Any, stamp_ns: int, frame: str) -> Any:
@@ -49,12 +52,16 @@ def header(store: Any, stamp_ns: int, frame: str) -> Any:
 def odometry(store: Any, stamp_ns: int, number: float, frame: str = "odom") -> Any:
     types = store.types
     vector = types["geometry_msgs/msg/Vector3"]
-    pose = types["geometry_msgs/msg/Pose"](types["geometry_msgs/msg/Point"](0.0, 0.0, 0.0),
-                                           types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0))
+    pose = types["geometry_msgs/msg/Pose"](
+        types["geometry_msgs/msg/Point"](0.0, 0.0, 0.0), types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+    )
     twist = types["geometry_msgs/msg/Twist"](vector(number, 0.0, 0.0), vector(0.0, 0.0, -number))
-    return types[ODOMETRY](header(store, stamp_ns, frame), "",
-                           types["geometry_msgs/msg/PoseWithCovariance"](pose, np.zeros(36)),
-                           types["geometry_msgs/msg/TwistWithCovariance"](twist, np.zeros(36)))
+    return types[ODOMETRY](
+        header(store, stamp_ns, frame),
+        "",
+        types["geometry_msgs/msg/PoseWithCovariance"](pose, np.zeros(36)),
+        types["geometry_msgs/msg/TwistWithCovariance"](twist, np.zeros(36)),
+    )
 
 
 def joints(store: Any, stamp_ns: int, names: list[str], effort: list[float]) -> Any:
@@ -118,8 +125,15 @@ def by_blocks(source: Any, max_rows: int = 65536) -> list[tuple[str, int, int, f
     rows = []
     for block in source.blocks(max_rows):
         assert 0 < len(block) <= max(max_rows, 2)
-        rows += list(zip([source.roles[index] for index in block.role], block.stamp_ns.tolist(),
-                         block.arrival_ns.tolist(), block.value.tolist(), strict=True))
+        rows += list(
+            zip(
+                [source.roles[index] for index in block.role],
+                block.stamp_ns.tolist(),
+                block.arrival_ns.tolist(),
+                block.value.tolist(),
+                strict=True,
+            )
+        )
     return rows
 
 
@@ -128,10 +142,18 @@ def in_order(rows: list[tuple[str, int, int, float]]) -> list[tuple[str, int, in
     return [row for _, group in itertools.groupby(rows, key=lambda row: row[2]) for row in sorted(group)]
 
 
-@pytest.mark.parametrize(("storage", "compression"), [
-    ("sqlite3", ""), ("sqlite3", "file"), ("sqlite3", "message"),
-    ("mcap", ""), ("mcap", "file"), ("mcap", "message"), ("mcap", "storage"),
-])
+@pytest.mark.parametrize(
+    ("storage", "compression"),
+    [
+        ("sqlite3", ""),
+        ("sqlite3", "file"),
+        ("sqlite3", "message"),
+        ("mcap", ""),
+        ("mcap", "file"),
+        ("mcap", "message"),
+        ("mcap", "storage"),
+    ],
+)
 def test_ros2_bags(tmp_path: Path, storage: str, compression: str) -> None:
     path = write(tmp_path / "bag", storage, compression)
     source = open_source([path], TOPICS)
@@ -207,17 +229,22 @@ def test_guessed_without_a_topics_file(tmp_path: Path) -> None:
     assert len(recording.series["load"]) == 2
 
 
-@pytest.mark.parametrize(("role", "change", "says"), [
-    ("speed", {"topic": "/odm"}, ["topics.yaml: speed: topic", "/odm", "/chatter (std_msgs/msg/String)", "/odom",
-                                  "did you mean /odom?"]),
-    ("speed", {"field": "twist.linear.x"}, ["speed: field", "fields of geometry_msgs/msg/TwistWithCovariance: twist"]),
-    ("speed", {"type": "geometry_msgs/msg/Twist"}, ["speed: type", ODOMETRY]),
-    ("load/front", {"stamp": "header"}, ["load/front: stamp", "std_msgs/msg/Float64 has no stamp"]),
-    ("torque", {"field": "effort"}, ["torque: field", "an index, as effort[0]"]),
-])
+@pytest.mark.parametrize(
+    ("role", "change", "says"),
+    [
+        (
+            "speed",
+            {"topic": "/odm"},
+            ["topics.yaml: speed: topic", "/odm", "/chatter (std_msgs/msg/String)", "/odom", "did you mean /odom?"],
+        ),
+        ("speed", {"field": "twist.linear.x"}, ["speed: field", "fields of geometry_msgs/msg/TwistWithCovariance: twist"]),
+        ("speed", {"type": "geometry_msgs/msg/Twist"}, ["speed: type", ODOMETRY]),
+        ("load/front", {"stamp": "header"}, ["load/front: stamp", "std_msgs/msg/Float64 has no stamp"]),
+        ("torque", {"field": "effort"}, ["torque: field", "an index, as effort[0]"]),
+    ],
+)
 def test_refused_with_what_is_there(tmp_path: Path, role: str, change: dict[str, str], says: list[str]) -> None:
-    lines = {name: {"topic": TOPICS[name].topic, "type": TOPICS[name].type, "field": TOPICS[name].field}
-             for name in TOPICS}
+    lines = {name: {"topic": TOPICS[name].topic, "type": TOPICS[name].type, "field": TOPICS[name].field} for name in TOPICS}
     lines[role].update(change)
     with pytest.raises(InputError) as caught:
         open_source([write(tmp_path / "bag", count=3)], Topics.parse(lines, "topics.yaml"))
@@ -258,8 +285,10 @@ def test_damaged_and_odd_messages_are_counted_and_kept(tmp_path: Path) -> None:
             writer.write(odom, START + row, raw[:40] if row == 20 else raw)
             names = ["left"] if row < 5 else ["right"]
             writer.write(joint, START + row, STORE.serialize_cdr(joints(STORE, START + row, names, [1.0]), JOINTS))
-    chosen = {role: {"topic": TOPICS[role].topic, "type": TOPICS[role].type, "field": TOPICS[role].field}
-              for role in ("speed", "torque")}
+    chosen = {
+        role: {"topic": TOPICS[role].topic, "type": TOPICS[role].type, "field": TOPICS[role].field}
+        for role in ("speed", "torque")
+    }
     recording = Recording.from_source(open_source([tmp_path / "bag"], Topics.parse(chosen)))
     assert np.flatnonzero(np.isnan(recording.series["speed"].value)).tolist() == [20]
     assert recording.series["speed"].stamp_ns[20] == START + 20
@@ -275,8 +304,7 @@ def test_messages_the_metadata_promises(tmp_path: Path) -> None:
     metadata = (path / "metadata.yaml").read_text()
     (path / "metadata.yaml").write_text(metadata.replace("message_count: 5", "message_count: 8"))
     recording = Recording.from_source(open_source([path]))
-    assert {(finding.kind, finding.count) for finding in recording.findings if finding.role == "speed"} >= {
-        ("missing", 3)}
+    assert {(finding.kind, finding.count) for finding in recording.findings if finding.role == "speed"} >= {("missing", 3)}
 
 
 @pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
@@ -285,7 +313,7 @@ def test_a_file_that_was_cut_off(tmp_path: Path, storage: str, keep: float) -> N
     path = write(tmp_path / "bag", storage)
     file = next(one for one in path.iterdir() if one.suffix in (".db3", ".mcap"))
     raw = file.read_bytes()
-    file.write_bytes(raw[:int(len(raw) * keep)])
+    file.write_bytes(raw[: int(len(raw) * keep)])
     with pytest.raises(InputError, match="bag") as caught:
         by_blocks(open_source([file], TOPICS))
     assert "\n" not in str(caught.value)
@@ -299,8 +327,12 @@ def test_paths_that_are_no_recording(tmp_path: Path) -> None:
     (tmp_path / "run.csv").touch()
     (tmp_path / "bad.bag").write_bytes(b"#ROSBAG V2.0\n")
     for paths, says in [
-        ([], "no path"), (["none.mcap"], "nothing at this path"), (["empty"], "without metadata.yaml"),
-        (["files"], "run_0.mcap"), (["run.txt"], r"\.txt"), (["run.csv", "run.csv"], "tables one at a time"),
+        ([], "no path"),
+        (["none.mcap"], "nothing at this path"),
+        (["empty"], "without metadata.yaml"),
+        (["files"], "run_0.mcap"),
+        (["run.txt"], r"\.txt"),
+        (["run.csv", "run.csv"], "tables one at a time"),
         (["bad.bag"], "rosbag reindex"),
     ]:
         with pytest.raises(InputError, match=says):
@@ -336,10 +368,13 @@ def write_outputs(path: Path, count: int, at_once: int = 256) -> None:
         store = writer.typestore
         blank = header(store, 0, "base_link")
         vector = store.types["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
-        twist = store.types["geometry_msgs/msg/TwistStamped"](
-            blank, store.types["geometry_msgs/msg/Twist"](vector, vector))
-        torque = writer.topic("/trackres/resistance_torque", JOINTS, joints(store, 0, ["total", "wind"], [0.0, 0.0]),
-                              ["effort[total]", "effort[wind]"])
+        twist = store.types["geometry_msgs/msg/TwistStamped"](blank, store.types["geometry_msgs/msg/Twist"](vector, vector))
+        torque = writer.topic(
+            "/trackres/resistance_torque",
+            JOINTS,
+            joints(store, 0, ["total", "wind"], [0.0, 0.0]),
+            ["effort[total]", "effort[wind]"],
+        )
         speed = writer.topic("/vehicle/speed", "geometry_msgs/msg/TwistStamped", twist, ["twist.linear.x"])
         note = writer.topic("/trackres/status", "std_msgs/msg/String")
         for start in range(0, count, at_once):
@@ -356,10 +391,12 @@ def check_outputs(rows: list[tuple[str, int, Any]], count: int) -> None:
     assert all(list(message.name) == ["total", "wind"] for _, message in torques)
     assert [list(message.effort) for _, message in torques] == [[row * 1.5, -row] for row in range(count)]
     assert [message.header.stamp.sec * 10**9 + message.header.stamp.nanosec for _, message in torques] == [
-        START + 10_000_000 * row for row in range(count)]
+        START + 10_000_000 * row for row in range(count)
+    ]
     assert all(message.header.frame_id == "base_link" for topic, _, message in rows if topic == "/vehicle/speed")
     assert [message.data for topic, _, message in rows if topic == "/trackres/status"] == [
-        f"from {start}" for start in range(0, count, 256)]
+        f"from {start}" for start in range(0, count, 256)
+    ]
 
 
 @pytest.mark.parametrize("count", [0, 1, 300, 20_000])
@@ -370,8 +407,7 @@ def test_what_is_written_the_library_reads(tmp_path: Path, count: int) -> None:
     assert [one.name for one in tmp_path.iterdir()] == ["out.mcap"]
     with Reader(path) as reader:
         assert reader.message_count == 2 * count + -(-count // 256)
-        assert {one.topic for one in reader.connections} == {
-            "/trackres/resistance_torque", "/vehicle/speed", "/trackres/status"}
+        assert {one.topic for one in reader.connections} == {"/trackres/resistance_torque", "/vehicle/speed", "/trackres/status"}
         if count:
             assert (reader.start_time, reader.end_time) == (START, START + 10_000_000 * (count - 1) + 6)
         rows = [(one.topic, log, STORE.deserialize_cdr(raw, one.msgtype)) for one, log, raw in reader.messages()]

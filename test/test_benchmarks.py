@@ -33,7 +33,9 @@ def benchmark_module(repository, monkeypatch):
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", SIZES)
-def test_gives_finite_positive_numbers(name, benchmark_module):
+def test_gives_finite_positive_numbers(name, benchmark_module, monkeypatch):
+    if name == "bench_table":  # the process that it starts with an empty cache need not compile all: no time is judged
+        monkeypatch.setenv("TRACKRES_INTERPRETED", "1")
     results = benchmark_module(name).run(**SIZES[name])
     assert results
     for what, value in results.items():
@@ -57,8 +59,10 @@ def test_a_part_of_the_page_stays_where_another_is_measured(benchmark_module):
 
 def test_table_says_which_targets_are_missed(benchmark_module):
     run, measuring = benchmark_module("run"), benchmark_module("measuring")
-    lines = run.rows({"slow": 2.0, "fast": 40.0, "free": 1.0}, {
-        "slow": measuring.at_most(1.0), "fast": measuring.at_least(30), "left out": measuring.at_most(1.0)})
+    lines = run.rows(
+        {"slow": 2.0, "fast": 40.0, "free": 1.0},
+        {"slow": measuring.at_most(1.0), "fast": measuring.at_least(30), "left out": measuring.at_most(1.0)},
+    )
     assert lines[2:] == [
         "| slow | 2 | at most 1 | **no** |",
         "| fast | 40 | at least 30 | yes |",

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from trackres_ros import cache, own_files
-from trackres_ros import compiled as compiling
-from trackres_ros.cached import cached_arrays
+from trackres_ros.files import cache, own_files
+from trackres_ros.files.cached_arrays import cached_arrays
+from trackres_ros.jit import compiled as compiling
 
 needs_numba = pytest.mark.skipif(not compiling.HAVE_NUMBA, reason="numba is not installed: nothing is compiled")
 

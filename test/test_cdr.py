@@ -16,9 +16,9 @@ pytest.importorskip("rosbags")
 
 from rosbags.typesys import Stores, get_typestore
 
-from trackres_ros.cdr import NUMBERS, Encoding, FieldReader, MalformedError, Template, layout_of
-from trackres_ros.message_types import check_field, definitions
-from trackres_ros.topics import TopicBinding
+from trackres_ros.recording.bindings import TopicBinding
+from trackres_ros.recording.cdr import NUMBERS, Encoding, FieldReader, MalformedError, Template, layout_of
+from trackres_ros.recording.message_types import check_field, definitions
 
 STORE = get_typestore(Stores.LATEST)
 STORE1 = get_typestore(Stores.ROS1_NOETIC)
@@ -90,8 +90,10 @@ def test_equals_decoding_each_message(msgtype: str, data: st.DataObject) -> None
     sent = [message for message in sent for _ in range(data.draw(st.integers(1, 3)))]
     little = data.draw(st.lists(st.booleans(), min_size=len(sent), max_size=len(sent)))
     padding = data.draw(st.lists(st.integers(0, 3), min_size=len(sent), max_size=len(sent)))
-    raws = [bytes(STORE.serialize_cdr(message, msgtype, little_endian=side)) + b"\0" * pad
-            for message, side, pad in zip(sent, little, padding, strict=True)]
+    raws = [
+        bytes(STORE.serialize_cdr(message, msgtype, little_endian=side)) + b"\0" * pad
+        for message, side, pad in zip(sent, little, padding, strict=True)
+    ]
     reader = FieldReader(definitions(STORE.fielddefs, msgtype), msgtype, CASES[msgtype])
     check(reader.decode(raws), [STORE.deserialize_cdr(raw, msgtype) for raw in raws], CASES[msgtype])
 
@@ -119,7 +121,8 @@ def twist(number: float, frame: str = "base_link") -> bytes:
     vector = types["geometry_msgs/msg/Vector3"]
     header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](1, 2), frame)
     message = types["geometry_msgs/msg/TwistStamped"](
-        header, types["geometry_msgs/msg/Twist"](vector(number, 0.0, 0.0), vector(0.0, 0.0, 0.0)))
+        header, types["geometry_msgs/msg/Twist"](vector(number, 0.0, 0.0), vector(0.0, 0.0, 0.0))
+    )
     return bytes(STORE.serialize_cdr(message, "geometry_msgs/msg/TwistStamped"))
 
 
@@ -179,14 +182,17 @@ def test_no_messages_and_empty_ones() -> None:
     assert decoded.malformed.tolist() == [True, False, True]
 
 
-@pytest.mark.parametrize(("field", "says"), [
-    ("twist.linera.x", "linear, angular; did you mean linear?"),
-    ("twst.linear.x", "fields of geometry_msgs/msg/TwistStamped: header, twist; did you mean twist?"),
-    ("twist.linear", "a number, not geometry_msgs/msg/Vector3; it holds x, y, z"),
-    ("twist.linear.x.y", "nothing after x, which is float64"),
-    ("twist[0].linear.x", "no index: twist is no array"),
-    ("header.frame_id", "a number, not string"),
-])
+@pytest.mark.parametrize(
+    ("field", "says"),
+    [
+        ("twist.linera.x", "linear, angular; did you mean linear?"),
+        ("twst.linear.x", "fields of geometry_msgs/msg/TwistStamped: header, twist; did you mean twist?"),
+        ("twist.linear", "a number, not geometry_msgs/msg/Vector3; it holds x, y, z"),
+        ("twist.linear.x.y", "nothing after x, which is float64"),
+        ("twist[0].linear.x", "no index: twist is no array"),
+        ("header.frame_id", "a number, not string"),
+    ],
+)
 def test_a_field_that_is_not_there(field: str, says: str) -> None:
     with pytest.raises(InputError) as caught:
         twist_reader(field)
@@ -194,12 +200,15 @@ def test_a_field_that_is_not_there(field: str, says: str) -> None:
     assert field in str(caught.value)
 
 
-@pytest.mark.parametrize(("msgtype", "field", "says"), [
-    ("nav_msgs/msg/Odometry", "pose.covariance", "an index, as covariance[0]"),
-    ("nav_msgs/msg/Odometry", "pose.covariance[36]", "an index below 36"),
-    ("nav_msgs/msg/Odometry", "pose.covariance[a]", "only beside a field string[] name"),
-    ("sensor_msgs/msg/JointState", "name[0]", "a number, not string"),
-])
+@pytest.mark.parametrize(
+    ("msgtype", "field", "says"),
+    [
+        ("nav_msgs/msg/Odometry", "pose.covariance", "an index, as covariance[0]"),
+        ("nav_msgs/msg/Odometry", "pose.covariance[36]", "an index below 36"),
+        ("nav_msgs/msg/Odometry", "pose.covariance[a]", "only beside a field string[] name"),
+        ("sensor_msgs/msg/JointState", "name[0]", "a number, not string"),
+    ],
+)
 def test_an_element_that_cannot_be(msgtype: str, field: str, says: str) -> None:
     with pytest.raises(InputError, match="given") as caught:
         check_field(definitions(STORE.fielddefs, msgtype), msgtype, field, "here")

@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trackres_ros.csvs import TableSource, TableWriter, write_table
 from trackres_ros.errors import InputError, MissingExtraError
-from trackres_ros.recording import Recording
-from trackres_ros.topics import Topics
+from trackres_ros.recording.bindings import Topics
+from trackres_ros.recording.recording import Recording
+from trackres_ros.recording.table import TableSource, TableWriter, write_table
 
 try:  # a pyarrow that does not fit the installed numpy raises ImportError too
     import pyarrow as pa
@@ -47,8 +47,10 @@ def read(path: Path, topics: Topics | None = None, max_rows: int = 65536) -> lis
     for block in source.blocks(max_rows):
         assert 0 < len(block) <= max(max_rows, len(source.roles))
         np.testing.assert_array_equal(block.stamp_ns, block.arrival_ns)
-        rows += [(source.roles[role], stamp / 1e9, value)
-                 for role, stamp, value in zip(block.role, block.stamp_ns, block.value, strict=True)]
+        rows += [
+            (source.roles[role], stamp / 1e9, value)
+            for role, stamp, value in zip(block.role, block.stamp_ns, block.value, strict=True)
+        ]
     return rows
 
 
@@ -57,8 +59,13 @@ def test_columns_units_parts_and_empty_cells(tmp_path: Path, reader: str, name: 
     text = "time_s,speed_kmh,weight_kn/front,note,belt_degc\n0,36,1.5,x,\n0.1,,2,y,20\n\n0.2,72,,z,21\n"
     path = table(tmp_path, text, name)
     assert read(path) == [
-        ("load/front", 0.0, 1500.0), ("speed", 0.0, 10.0), ("load/front", 0.1, 2000.0), ("belt", 0.1, 20.0),
-        ("belt", 0.2, 21.0), ("speed", 0.2, 20.0)]
+        ("load/front", 0.0, 1500.0),
+        ("speed", 0.0, 10.0),
+        ("load/front", 0.1, 2000.0),
+        ("belt", 0.1, 20.0),
+        ("belt", 0.2, 21.0),
+        ("speed", 0.2, 20.0),
+    ]
     assert read(path, max_rows=2) == read(path)
     source = TableSource(path)
     assert source.roles == ("load/front", "belt", "speed")
@@ -67,31 +74,37 @@ def test_columns_units_parts_and_empty_cells(tmp_path: Path, reader: str, name: 
 
 
 def test_every_column_by_name(tmp_path: Path, reader: str) -> None:
-    names = ("time_s,speed_mps,weight_n,torque_nm,belt_degc,ambient_degc,grade,yaw_rate_radps,heading_rad,accel_mps2,"
-             "distance_m")
+    names = "time_s,speed_mps,weight_n,torque_nm,belt_degc,ambient_degc,grade,yaw_rate_radps,heading_rad,accel_mps2,distance_m"
     path = table(tmp_path, names + "\n" + ",".join(map(str, range(11))) + "\n")
-    assert {role: value for role, _, value in read(path)} == dict(zip(
-        ["speed", "load", "torque", "belt", "ambient", "grade", "yaw_rate", "heading", "accel", "distance"],
-        map(float, range(1, 11)), strict=True))
+    assert {role: value for role, _, value in read(path)} == dict(
+        zip(
+            ["speed", "load", "torque", "belt", "ambient", "grade", "yaw_rate", "heading", "accel", "distance"],
+            map(float, range(1, 11)),
+            strict=True,
+        )
+    )
 
 
-@pytest.mark.parametrize(("text", "says"), [
-    ("time_s,speed_mps\n0,1\n1,fast\n2,3\n", ["line 3", "'fast'", "a number, or an empty cell"]),
-    ("time_s,speed_mps\n0,1\n1,1_0\n", ["line 3", "'1_0'"]),
-    ("time_s,speed_mps\n0,1\n,2\n", ["time_s, row 2", "''", "a time in seconds"]),
-    ("time_s,speed_mps\n0,1\nnan,2\n", ["time_s, row 2", "nan"]),
-    ("time_s,speed_mps\n1700000000000,1\n", ["time_s, row 1", "1700000000000.0", "seconds"]),
-    ("time_s,speed_mps\n0,1\n1,2,3\n", ["line 3", "3 cells", "2 cells"]),
-    ("time_s,speed_mps\n0,1\n1\n", ["line 3", "1 cells"]),
-    ("time_s,speed_mps\n", ["no row"]),
-    ("", ["empty file"]),
-    ("\n1,2\n", ["empty file or first line"]),
-    ("speed_mps,grade\n1,2\n", ["speed_mps, grade", "a column time_s"]),
-    ("tine_s,speed_mps\n1,2\n", ["did you mean time_s?"]),
-    ("time_s,grade\n1,2\n", ["time_s, grade", "speed_mps or speed_kmh", "topics file"]),
-    ("time_s,speed_mps,speed_kmh\n1,2,3\n", ["speed_mps and speed_kmh", "one column for speed"]),
-    ("time_s,speed_mps,speed_mps\n1,2,3\n", ["2 columns speed_mps"]),
-])
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("time_s,speed_mps\n0,1\n1,fast\n2,3\n", ["line 3", "'fast'", "a number, or an empty cell"]),
+        ("time_s,speed_mps\n0,1\n1,1_0\n", ["line 3", "'1_0'"]),
+        ("time_s,speed_mps\n0,1\n,2\n", ["time_s, row 2", "''", "a time in seconds"]),
+        ("time_s,speed_mps\n0,1\nnan,2\n", ["time_s, row 2", "nan"]),
+        ("time_s,speed_mps\n1700000000000,1\n", ["time_s, row 1", "1700000000000.0", "seconds"]),
+        ("time_s,speed_mps\n0,1\n1,2,3\n", ["line 3", "3 cells", "2 cells"]),
+        ("time_s,speed_mps\n0,1\n1\n", ["line 3", "1 cells"]),
+        ("time_s,speed_mps\n", ["no row"]),
+        ("", ["empty file"]),
+        ("\n1,2\n", ["empty file or first line"]),
+        ("speed_mps,grade\n1,2\n", ["speed_mps, grade", "a column time_s"]),
+        ("tine_s,speed_mps\n1,2\n", ["did you mean time_s?"]),
+        ("time_s,grade\n1,2\n", ["time_s, grade", "speed_mps or speed_kmh", "topics file"]),
+        ("time_s,speed_mps,speed_kmh\n1,2,3\n", ["speed_mps and speed_kmh", "one column for speed"]),
+        ("time_s,speed_mps,speed_mps\n1,2,3\n", ["2 columns speed_mps"]),
+    ],
+)
 def test_refused_with_the_place(tmp_path: Path, reader: str, text: str, says: list[str]) -> None:
     path = table(tmp_path, text)
     if "tine" in text:
@@ -120,8 +133,13 @@ def test_a_bad_cell_far_down(tmp_path: Path, reader: str) -> None:
 def test_a_topics_file_names_other_columns(tmp_path: Path, reader: str) -> None:
     path = tmp_path / "run.csv"
     path.write_bytes("time_s;Geschwindigkeit [km/h];Öl;ambient_degc\n0;36;1;15\n".encode("latin-1"))
-    topics = Topics.parse({"speed": {"column": "Geschwindigkeit [km/h]", "scale": 1 / 3.6, "offset": 1.0},
-                           "load": {"topic": "/load", "type": "std_msgs/msg/Float64", "field": "data"}}, "t.yaml")
+    topics = Topics.parse(
+        {
+            "speed": {"column": "Geschwindigkeit [km/h]", "scale": 1 / 3.6, "offset": 1.0},
+            "load": {"topic": "/load", "type": "std_msgs/msg/Float64", "field": "data"},
+        },
+        "t.yaml",
+    )
     assert read(path, topics) == [("ambient", 0.0, 15.0), ("speed", 0.0, 11.0)]
     assert any("Latin-1" in note for note in TableSource(path, topics).notes)
     with pytest.raises(InputError, match=r"t\.yaml: speed: column: given 'Geschwindigkeit'.*did you mean"):
@@ -158,8 +176,9 @@ NUMBERS = st.one_of(st.floats(allow_nan=False), st.just(float("nan")), st.floats
 @pytest.mark.parametrize("suffix", [".csv", ".csv.gz", pytest.param(".parquet", marks=with_pyarrow)])
 @settings(max_examples=30, deadline=None)
 @given(values=st.lists(st.tuples(NUMBERS, NUMBERS), min_size=1, max_size=20))
-def test_what_is_written_reads_back(tmp_path_factory: pytest.TempPathFactory, suffix: str,
-                                    values: list[tuple[float, float]]) -> None:
+def test_what_is_written_reads_back(
+    tmp_path_factory: pytest.TempPathFactory, suffix: str, values: list[tuple[float, float]]
+) -> None:
     path = tmp_path_factory.mktemp("t") / f"run{suffix}"
     speed, load = np.array(values).T
     columns = {"time_s": np.arange(len(speed)) / 3.0, "speed_mps": speed, "weight_n": load}
@@ -178,8 +197,16 @@ def test_what_is_written_reads_back(tmp_path_factory: pytest.TempPathFactory, su
 
 def test_the_text_of_a_table(tmp_path: Path) -> None:
     path = tmp_path / "out.csv"
-    write_table(path, {"time_s": np.array([0.0, 0.1]), "n": np.array([1, 2]), "ok": np.array([True, False]),
-                       'why, "so"': np.array(["a,b", 'say "x"']), "x": np.array([np.nan, 1e22])})
+    write_table(
+        path,
+        {
+            "time_s": np.array([0.0, 0.1]),
+            "n": np.array([1, 2]),
+            "ok": np.array([True, False]),
+            'why, "so"': np.array(["a,b", 'say "x"']),
+            "x": np.array([np.nan, 1e22]),
+        },
+    )
     assert path.read_text() == 'time_s,n,ok,"why, ""so""",x\n0.0,1,1,"a,b",\n0.1,2,0,"say ""x""",1e+22\n'
 
 

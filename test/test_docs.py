@@ -1,5 +1,6 @@
 """What is generated in docs/ is what the program says now, and the links in the pages lead somewhere."""
 
+import doctest
 import json
 import re
 import subprocess
@@ -8,13 +9,14 @@ import xml.etree.ElementTree as ET
 
 import pytest
 
-from trackres_ros.estimator.layout import REASON_TEXT, Count
-from trackres_ros.live.remarks import LIVE_KINDS
-from trackres_ros.live.report import COMPARISON_KEYS, ESTIMATE_KEYS, INPUT_KEYS, STATE_KEYS
-from trackres_ros.outputs import output_topics
+import trackres_ros as tr
+from trackres_ros.estimator.columns import REASON_TEXT, Count
+from trackres_ros.node.remarks import LIVE_KINDS
+from trackres_ros.node.report import COMPARISON_KEYS, ESTIMATE_KEYS, INPUT_KEYS, STATE_KEYS
+from trackres_ros.output.topics import output_topics
 from trackres_ros.vehicle import load
 
-GENERATED = ["docs/settings.md", "docs/node.md", "docs/effects.md"]
+GENERATED = ["docs/api.md", "docs/settings.md", "docs/node.md", "docs/effects.md"]
 GENERATED += ["config/trackres.yaml", "config/plotjuggler.xml", "config/foxglove.json"]
 
 
@@ -23,6 +25,22 @@ def test_what_is_generated_is_up_to_date(repository, name):
     command = [sys.executable, repository / "tools" / "make-docs", "--print", name]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert done.stdout == (repository / name).read_text()
+
+
+def test_the_examples_of_the_interface_hold(repository, tmp_path, monkeypatch):
+    for module in ("pandas", "rosbags"):
+        pytest.importorskip(module)
+    monkeypatch.chdir(tmp_path)
+    page = repository / "docs" / "api.md"
+    failed, tried = doctest.testfile(str(page), module_relative=False, optionflags=doctest.NORMALIZE_WHITESPACE)
+    assert not failed
+    assert tried > 20
+
+
+def test_the_page_of_the_interface_has_all_of_it(repository):
+    page = (repository / "docs" / "api.md").read_text()
+    told = set(re.findall(r"^### `(\w+)`", page, re.MULTILINE))
+    assert told == {*tr.__all__} - {"__version__", "MissingExtraError"}
 
 
 def test_layouts_name_only_what_is_published(repository):

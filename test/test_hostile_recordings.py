@@ -16,15 +16,16 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trackres_ros import replay_report, unpacking
 from trackres_ros.cli.main import main
-from trackres_ros.csvs import MAX_ROW_BYTES, TableSource, write_table
 from trackres_ros.errors import InputError
-from trackres_ros.reading import OWN_FAULT, reading
-from trackres_ros.recording import Recording
-from trackres_ros.replay_report import KeptSource
-from trackres_ros.sources import open_source
-from trackres_ros.topics import Topics
+from trackres_ros.offline import summary as replay_report
+from trackres_ros.offline.summary import KeptSource
+from trackres_ros.recording import unpacking
+from trackres_ros.recording.bindings import Topics
+from trackres_ros.recording.opening import open_source
+from trackres_ros.recording.reading import OWN_FAULT, reading
+from trackres_ros.recording.recording import Recording
+from trackres_ros.recording.table import MAX_ROW_BYTES, TableSource, write_table
 
 TWIST = "geometry_msgs/msg/TwistStamped"
 FLOATS = "std_msgs/msg/Float64MultiArray"
@@ -154,13 +155,16 @@ def refusal(path: Path) -> str:
     return ""
 
 
-@pytest.mark.parametrize(("error", "says"), [
-    (MemoryError(), "more than fits into memory"),
-    (RecursionError("maximum depth"), "nested too deeply"),
-    (OSError(5, "Input/output error"), "given 'Input/output error'"),
-    (EOFError("cut"), "EOFError: cut"),
-    (UnicodeDecodeError("utf-8", b"\xff", 0, 1, "bad\nbyte"), "UnicodeDecodeError"),
-])
+@pytest.mark.parametrize(
+    ("error", "says"),
+    [
+        (MemoryError(), "more than fits into memory"),
+        (RecursionError("maximum depth"), "nested too deeply"),
+        (OSError(5, "Input/output error"), "given 'Input/output error'"),
+        (EOFError("cut"), "EOFError: cut"),
+        (UnicodeDecodeError("utf-8", b"\xff", 0, 1, "bad\nbyte"), "UnicodeDecodeError"),
+    ],
+)
 def test_what_any_library_raises_is_one_line_with_its_cause(error, says):
     with pytest.raises(InputError) as caught, reading(Path("run.csv"), "a table"):
         raise error
@@ -173,11 +177,11 @@ def test_what_any_library_raises_is_one_line_with_its_cause(error, says):
 def test_a_fault_of_our_own_is_said_to_be_one(tmp_path, monkeypatch):
     path = tmp_path / "run.csv"
     path.write_bytes(CSV)
-    monkeypatch.setattr("trackres_ros.csvs._chosen", lambda *_: 1 // 0)
+    monkeypatch.setattr("trackres_ros.recording.table._chosen", lambda *_: 1 // 0)
     with pytest.raises(ZeroDivisionError):  # outside of reading a fault stays what it is
         TableSource(path)
-    monkeypatch.setattr("trackres_ros.csvs.re.split", lambda *_, **__: [])
-    with pytest.raises(InputError, match=r"IndexError: .* at csvs\.py:\d+") as caught:
+    monkeypatch.setattr("trackres_ros.recording.table.re.split", lambda *_, **__: [])
+    with pytest.raises(InputError, match=r"IndexError: .* at table\.py:\d+") as caught:
         TableSource(path)
     assert OWN_FAULT in str(caught.value)
 
@@ -225,12 +229,15 @@ def test_every_damage_of_an_archive_is_said(tmp_path):
         assert str(path) in said or len(speeds(path, None).series["speed"]) == 2000
 
 
-@pytest.mark.parametrize(("text", "rows", "kind", "count"), [
-    ('time_s,speed_mps,note\n0,1,"a\n1,2,b\n2,3,c\n', 1, "quoted", 2),
-    ('time_s,speed_mps,note\n0,1,"a\n1,2,b"\n2,3,c\n', 2, "quoted", 1),
-    ('time_s,speed_mps,note\n0,1,"a"\n\n1,2,b\n', 2, "", 0),
-    ("time_s,speed_mps\n0,1\n1,2", 2, "cut", 1),
-])
+@pytest.mark.parametrize(
+    ("text", "rows", "kind", "count"),
+    [
+        ('time_s,speed_mps,note\n0,1,"a\n1,2,b\n2,3,c\n', 1, "quoted", 2),
+        ('time_s,speed_mps,note\n0,1,"a\n1,2,b"\n2,3,c\n', 2, "quoted", 1),
+        ('time_s,speed_mps,note\n0,1,"a"\n\n1,2,b\n', 2, "", 0),
+        ("time_s,speed_mps\n0,1\n1,2", 2, "cut", 1),
+    ],
+)
 @pytest.mark.parametrize("fast", [True, False])
 def test_lines_that_are_no_rows_are_counted(tmp_path, monkeypatch, text, rows, kind, count, fast):
     if not fast:
@@ -352,13 +359,16 @@ def test_rows_of_a_database_of_any_type_are_counted(tmp_path):
 ARRAY = f"{{}}\nfloat64 speed\n{'=' * 80}\nMSG: my_msgs/E\n{{}}\n"
 
 
-@pytest.mark.parametrize(("first", "element", "says"), [
-    ("my_msgs/E[999999999] many", "uint8 a", "my_msgs/msg/E[999999999] many"),
-    ("my_msgs/E[999999999] many", "string a", "my_msgs/msg/E[999999999] many"),
-    ("my_msgs/E[9999] many", "uint8[99999] a", "my_msgs/msg/E[9999] many"),
-    ("float64[999999999] many", "uint8 a", "float64[999999999] many"),
-    ("my_msgs/E one", "my_msgs/E again", "my_msgs/msg/E within itself"),
-])
+@pytest.mark.parametrize(
+    ("first", "element", "says"),
+    [
+        ("my_msgs/E[999999999] many", "uint8 a", "my_msgs/msg/E[999999999] many"),
+        ("my_msgs/E[999999999] many", "string a", "my_msgs/msg/E[999999999] many"),
+        ("my_msgs/E[9999] many", "uint8[99999] a", "my_msgs/msg/E[9999] many"),
+        ("float64[999999999] many", "uint8 a", "float64[999999999] many"),
+        ("my_msgs/E one", "my_msgs/E again", "my_msgs/msg/E within itself"),
+    ],
+)
 def test_definitions_of_arrays_without_end(tmp_path, first, element, says):
     path = mcap_bag(tmp_path / "run.mcap", [(START, b"\0\1\0\0" + bytes(64))], ARRAY.format(first, element), "my_msgs/msg/Mine")
     topics = Topics.parse({"speed": {"topic": "/speed", "type": "my_msgs/msg/Mine", "field": "speed"}})
@@ -473,13 +483,16 @@ def test_an_element_beyond_the_end_of_an_array(tmp_path, refused, counts):
         assert any(f"5 messages do not have data[99]: {only}" in line for line in recording.report())
 
 
-@pytest.mark.parametrize(("text", "says"), [
-    ("a: &a [1, 2]\nb: [*a, *a]\n", "an alias"),
-    ("a: " + "[" * 1000 + "]" * 1000, "values in one another"),
-    ("rosbag2_bagfile_information: 5", "bag"),
-    ("a: [", "ParserError"),
-    ("\xff: \x00", "ReaderError"),
-])
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("a: &a [1, 2]\nb: [*a, *a]\n", "an alias"),
+        ("a: " + "[" * 1000 + "]" * 1000, "values in one another"),
+        ("rosbag2_bagfile_information: 5", "bag"),
+        ("a: [", "ParserError"),
+        ("\xff: \x00", "ReaderError"),
+    ],
+)
 def test_metadata_that_no_recorder_writes(tmp_path, refused, text, says):
     path = folder_bag(tmp_path / "bag")
     (path / "metadata.yaml").write_text(text)

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.settings import Settings
-from trackres_ros.parameters import PARAMETERS, Parameters, make_parameters, read_parameters
-from trackres_ros.topic_settings import AGE_LIMITS, settings_for
-from trackres_ros.topics import Topics
+from trackres_ros.estimator.topic_settings import AGE_LIMITS, settings_for
+from trackres_ros.node.parameters import PARAMETERS, Parameters, make_parameters, read_parameters
+from trackres_ros.recording.bindings import Topics
 
 NUMBERS = [p for p in PARAMETERS.values() if isinstance(p.default, float)]
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from trackres_ros.errors import InputError, MissingExtraError
-from trackres_ros.plots import plot_estimate, thinned
-from trackres_ros.simulate import ramp_and_hold, run_drive, simulate
+from trackres_ros.offline.simulate import ramp_and_hold, run_drive, simulate
+from trackres_ros.output.plots import plot_estimate, thinned
 
 pytest.importorskip("matplotlib")
 
@@ -115,7 +115,7 @@ def test_without_matplotlib_it_says_what_to_install(estimate, tmp_path, monkeypa
 def test_importing_plots_does_not_import_matplotlib(tmp_path):
     import subprocess
 
-    code = "import sys, trackres_ros.plots, trackres_ros.reproduce; assert 'matplotlib' not in sys.modules"
+    code = "import sys, trackres_ros.output.plots, trackres_ros.evaluation.reproduce; assert 'matplotlib' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True)
 
 

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trackres_ros.recording import Recording
-from trackres_ros.sources import open_source
+from trackres_ros.recording.opening import open_source
+from trackres_ros.recording.recording import Recording
 
 pytest.importorskip("rosbags")
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trackres_ros.recording import ROLES, Block, Finding, FloatArray, IntArray, Recording, base_role
+from trackres_ros.recording.recording import ROLES, Block, Finding, FloatArray, IntArray, Recording, base_role
 
 S = 10**9
 
@@ -29,13 +29,14 @@ class Given:
             stamp_ns = np.rint(np.multiply(stamps, S)).astype(np.int64)
             log_ns = np.rint(np.multiply(logged[0], S)).astype(np.int64) if logged else stamp_ns
             values = np.broadcast_to(values, stamp_ns.shape)
-            self.rows += [(int(log), index, int(stamp), float(value))
-                          for log, stamp, value in zip(log_ns, stamp_ns, values, strict=True)]
+            self.rows += [
+                (int(log), index, int(stamp), float(value)) for log, stamp, value in zip(log_ns, stamp_ns, values, strict=True)
+            ]
         self.rows.sort(key=lambda row: row[0])
 
     def blocks(self, max_rows: int = 7) -> Iterator[Block]:
         for start in range(0, len(self.rows), 7):
-            log, role, stamp, value = zip(*self.rows[start:start + 7], strict=True)
+            log, role, stamp, value = zip(*self.rows[start : start + 7], strict=True)
             yield Block(np.array(role, np.int16), np.array(stamp, np.int64), np.array(log, np.int64), np.array(value))
 
 
@@ -59,19 +60,22 @@ def test_nothing_is_found_in_a_clean_series() -> None:
     np.testing.assert_allclose(recording.time_s("speed"), np.arange(2000) / 10, atol=1e-9)
 
 
-@pytest.mark.parametrize(("change", "kind", "count", "first", "says"), [
-    (lambda t, v: (t, np.where(np.isin(np.arange(len(t)), [5, 9]), np.nan, v)), "non_finite", 2, 0.5, "2 values"),
-    (lambda t, v: (np.where(np.arange(len(t)) == 50, 0.0, t), v, t), "zero_stamp", 1, 5.0, "zero"),
-    (lambda t, v: (np.where(np.arange(len(t)) == 50, t - 0.1, t), v, t), "duplicate_stamp", 1, 4.9, "equal"),
-    (lambda t, v: (np.where(np.arange(len(t)) >= 50, t - 3.0, t), v, t), "backward_stamp", 1, 2.0, "up to 2.9 s"),
-    (lambda t, v: (np.where(np.arange(len(t)) >= 50, t + 4.0, t), v), "gap", 1, 4.9, "the longest 4.1 s"),
-    (lambda t, v: (t, np.rint(v * 3.6) / 3.6), "quantised", 1, 0.0, "0.2778 m/s (1 km/h)"),
-    (lambda t, v: (t, np.where(np.arange(len(t)) > 300, 4.0, v)), "stuck", 1699, 30.1, "one non-zero value"),
-    (lambda t, v: (t, np.where(np.isin(np.arange(len(t)), [20, 40]), 0.0, v)), "dropout", 2, 2.0, "exactly 0"),
-    (lambda t, v: (t, v * np.nan), "empty", 2000, np.nan, "none of 2000"),
-    (lambda t, v: (t[:0], v[:0]), "empty", 0, np.nan, "no sample at all"),
-    (lambda t, v: (t, v, t + 61.2 * 86400), "stamp_offset", 2000, 0.0, "61.2 days before log time"),
-])
+@pytest.mark.parametrize(
+    ("change", "kind", "count", "first", "says"),
+    [
+        (lambda t, v: (t, np.where(np.isin(np.arange(len(t)), [5, 9]), np.nan, v)), "non_finite", 2, 0.5, "2 values"),
+        (lambda t, v: (np.where(np.arange(len(t)) == 50, 0.0, t), v, t), "zero_stamp", 1, 5.0, "zero"),
+        (lambda t, v: (np.where(np.arange(len(t)) == 50, t - 0.1, t), v, t), "duplicate_stamp", 1, 4.9, "equal"),
+        (lambda t, v: (np.where(np.arange(len(t)) >= 50, t - 3.0, t), v, t), "backward_stamp", 1, 2.0, "up to 2.9 s"),
+        (lambda t, v: (np.where(np.arange(len(t)) >= 50, t + 4.0, t), v), "gap", 1, 4.9, "the longest 4.1 s"),
+        (lambda t, v: (t, np.rint(v * 3.6) / 3.6), "quantised", 1, 0.0, "0.2778 m/s (1 km/h)"),
+        (lambda t, v: (t, np.where(np.arange(len(t)) > 300, 4.0, v)), "stuck", 1699, 30.1, "one non-zero value"),
+        (lambda t, v: (t, np.where(np.isin(np.arange(len(t)), [20, 40]), 0.0, v)), "dropout", 2, 2.0, "exactly 0"),
+        (lambda t, v: (t, v * np.nan), "empty", 2000, np.nan, "none of 2000"),
+        (lambda t, v: (t[:0], v[:0]), "empty", 0, np.nan, "no sample at all"),
+        (lambda t, v: (t, v, t + 61.2 * 86400), "stamp_offset", 2000, 0.0, "61.2 days before log time"),
+    ],
+)
 def test_each_kind_is_found_where_it_is(change: object, kind: str, count: int, first: float, says: str) -> None:
     assert callable(change)
     finding = found(recorded(speed=change(*smooth(2000))))[kind]
@@ -83,8 +87,15 @@ def test_each_kind_is_found_where_it_is(change: object, kind: str, count: int, f
 def test_what_is_normal_is_not_found() -> None:
     time = np.arange(2000) / 10.0
     ramp_and_hold = np.minimum(time, 50.0) / 3.6
-    recording = recorded(zero_is_unset=False, speed=(time, ramp_and_hold), ambient=(time, 15.0), load=(time, 2e5),
-                         heading=(time, 1.0), distance=(time, 3.0), torque=(time, 0.0))
+    recording = recorded(
+        zero_is_unset=False,
+        speed=(time, ramp_and_hold),
+        ambient=(time, 15.0),
+        load=(time, 2e5),
+        heading=(time, 1.0),
+        distance=(time, 3.0),
+        torque=(time, 0.0),
+    )
     assert {(finding.role, finding.kind) for finding in recording.findings} == {("speed", "stuck")}
 
 

@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 
 from trackres_ros.errors import InputError
-from trackres_ros.reproduce import reproduce
-from trackres_ros.reproduce.ambients import _warmer_is_larger_later
-from trackres_ros.reproduce.bench import COMBINATIONS, Bench, Stable
-from trackres_ros.reproduce.common_claims import falls, same_stable
-from trackres_ros.reproduce.families import Family
-from trackres_ros.reproduce.indentation import indentation, search_error
-from trackres_ros.reproduce.page import page
-from trackres_ros.reproduce.section import FAILS, HOLDS, IN_PART, OPEN, UNEXPLAINED, Claim
-from trackres_ros.reproduce.spectrum import spectrum
-from trackres_ros.reproduce.speeds import _order_from
-from trackres_ros.reproduce.trials import ACCELERATION, TRIALS
-from trackres_ros.reproduce.weights import weights
+from trackres_ros.evaluation.reproduce import reproduce
+from trackres_ros.evaluation.reproduce.ambients import _warmer_is_larger_later
+from trackres_ros.evaluation.reproduce.bench import COMBINATIONS, Bench, Stable
+from trackres_ros.evaluation.reproduce.common_claims import falls, same_stable
+from trackres_ros.evaluation.reproduce.families import Family
+from trackres_ros.evaluation.reproduce.indentation import indentation, search_error
+from trackres_ros.evaluation.reproduce.page import page
+from trackres_ros.evaluation.reproduce.section import FAILS, HOLDS, IN_PART, OPEN, UNEXPLAINED, Claim
+from trackres_ros.evaluation.reproduce.spectrum import spectrum
+from trackres_ros.evaluation.reproduce.speeds import _order_from
+from trackres_ros.evaluation.reproduce.trials import ACCELERATION, TRIALS
+from trackres_ros.evaluation.reproduce.weights import weights
 from trackres_ros.vehicle import load
 
 pytest.importorskip("matplotlib")

@@ -4,7 +4,7 @@ import json
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 
-from trackres_ros.outputs import DEFAULT_NODE, TOTALS, OutputTopic, output_topics
+from trackres_ros.output.topics import DEFAULT_NODE, TOTALS, OutputTopic, output_topics
 from trackres_ros.vehicle import Vehicle
 
 COLOURS = ("#1f77b4", "#d62728", "#2ca02c", "#ff7f0e", "#9467bd", "#8c564b", "#17becf", "#bcbd22")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Iterable, Iterator, Mapping
 
 MOST_SHOWN, MOST_OF_TEXT = 80, 200  # characters of what was given: of data, and of a text, which may be a sentence of ours
@@ -84,3 +85,9 @@ def one_line(text: str) -> str:
     """A text on one line that any terminal takes: what cannot be printed is written as an escape, what is long is cut."""
     cut = text if len(text) <= MOST_SAID else f"{text[: MOST_SAID - 3]}..."
     return cut if cut.isprintable() else "".join(c if c.isprintable() else repr(c)[1:-1] for c in cut)
+
+
+def nearest(given: str, names: Iterable[str]) -> str:
+    """Return ``did you mean X?`` for the nearest of some names, or nothing."""
+    close = difflib.get_close_matches(given, list(names), 1)
+    return f"did you mean {close[0]}?" if close else ""

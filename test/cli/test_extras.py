@@ -6,14 +6,14 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from dataclasses import asdict
 from pathlib import Path
 
 import pytest
+from waiting import wait_for
 
 import trackres_ros
-from trackres_ros.proof.cases import draw_cases, sealed
+from trackres_ros.evaluation.sealed.cases import draw_cases, sealed
 
 # Blocks the import of modules, then runs the command line as it is.
 BLOCKED = """
@@ -23,7 +23,7 @@ for name in {modules!r}:
 from trackres_ros.cli.main import main
 main({arguments!r})
 """
-OPTIONAL = ("numba", "rosbags", "pyarrow", "matplotlib", "jinja2", "ruptures", "sklearn", "cyclonedds")
+OPTIONAL = ("numba", "rosbags", "pyarrow", "pandas", "xarray", "matplotlib", "jinja2", "ruptures", "sklearn", "cyclonedds")
 
 
 def without(modules, *arguments, cwd):
@@ -90,15 +90,59 @@ def test_every_command_that_is_interrupted_says_what_it_has_written(tmp_path):
     pytest.importorskip("matplotlib")
     command = [sys.executable, "-m", "trackres_ros", "reproduce", "-o", str(tmp_path / "figures")]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    until = time.monotonic() + 300.0
-    while not list(tmp_path.rglob("*.csv")) and time.monotonic() < until and process.poll() is None:
-        time.sleep(0.05)
+    assert wait_for(lambda: list(tmp_path.rglob("*.csv")) or process.poll() is not None, working=process.pid)
     process.send_signal(signal.SIGINT)
     _, said = process.communicate(timeout=120)
     assert process.returncode == 130
     assert "written until then" in said
     first = sorted(path for path in (tmp_path / "figures").rglob("*") if path.is_file())[0]
     assert str(first) in said
+
+
+SWALLOWED = """
+import os, signal, threading, weakref
+from trackres_ros.cli import entry
+entry.AGAIN_S = 0.2
+entry.insist()
+class Some: pass
+def callback(_):  # what is raised in here goes nowhere
+    os.kill(os.getpid(), signal.SIGINT)
+    for _ in range(1000):  # until the signal is handled
+        pass
+some = Some()
+watched = weakref.ref(some, callback)
+del some
+try:
+    threading.Event().wait(60.0)
+except KeyboardInterrupt:
+    entry.taken()
+    os.kill(os.getpid(), signal.SIGINT)
+    print("taken")
+"""
+
+
+def test_an_interrupt_that_is_swallowed_is_raised_again_until_it_is_taken():
+    done = subprocess.run([sys.executable, "-c", SWALLOWED], capture_output=True, text=True, check=True, timeout=50)
+    assert done.stdout == "taken\n"
+    assert "Exception ignored" in done.stderr
+
+
+MET_IN_A_STRING = """
+import sys
+from trackres_ros.cli import entry
+entry.insist()
+try:
+    exec("import os, signal, threading; os.kill(os.getpid(), signal.SIGINT); threading.Event().wait(60.0)")
+except KeyboardInterrupt:
+    entry.taken()
+    sys.exit(entry.INTERRUPTED)
+"""
+
+
+def test_an_interrupt_that_met_the_evaluation_of_a_string_ends_as_any_other(tmp_path):
+    (tmp_path / "interrupted.py").write_text(MET_IN_A_STRING)
+    done = subprocess.run([sys.executable, "-m", "interrupted"], cwd=tmp_path, timeout=50, capture_output=True)
+    assert done.returncode == 130
 
 
 def test_a_command_interrupted_before_it_wrote_says_so(tmp_path, monkeypatch, capsys):
@@ -122,7 +166,7 @@ def test_labels_that_are_not_those_sealed_are_refused_without_asserts_too(tmp_pa
     labels = {"seed": 5, "cases": [asdict(case) for case in cases]}
     labels["cases"][0]["level"] = "single" if labels["cases"][0]["level"] == "none" else "none"
     (tmp_path / "sealed" / "labels.json").write_text(json.dumps(labels))
-    command = [sys.executable, *flags, "-m", "trackres_ros.proof.score", str(tmp_path)]
+    command = [sys.executable, *flags, "-m", "trackres_ros.evaluation.sealed.score", str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode
     assert done.stderr.startswith("trackres: error: ")

@@ -9,11 +9,11 @@ from rich.console import Console
 
 from trackres_ros.cli.live_json import as_dict
 from trackres_ros.cli.live_table import line, table
-from trackres_ros.live.edge import Level
-from trackres_ros.live.mismatch import Mismatch
-from trackres_ros.live.remarks import KINDS, Remark
-from trackres_ros.live.report import Overview
-from trackres_ros.live.watch import InputState
+from trackres_ros.node.edge import Level
+from trackres_ros.node.mismatch import Mismatch
+from trackres_ros.node.remarks import KINDS, Remark
+from trackres_ros.node.report import Overview
+from trackres_ros.node.watch import InputState
 
 ASSEMBLIES = ("front_left", "front_right", "rear_left", "rear_right")
 TOPICS = ("speed", "/vehicle/status/velocity_status", "/a/very/long/name/of/a/topic/that/somebody/has/chosen/for/his/load/cells")

@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 
-from trackres_ros.outputs import RESISTANCE_PARTS
+from trackres_ros.output.topics import RESISTANCE_PARTS
 
 EFFECTS = """
 effects:

@@ -2,15 +2,12 @@
 
 import importlib.util
 import os
-import sys
-from pathlib import Path
 
 import pytest
 
 if not importlib.util.find_spec("cyclonedds"):
     collect_ignore_glob = ["test_*.py"]
 else:
-    sys.path.insert(0, str(Path(__file__).parents[1] / "processes"))
     import peer
 
     DOMAIN = peer.domain_of_worker(73)

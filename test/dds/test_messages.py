@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trackres_ros.cdr import MalformedError
-from trackres_ros.dds.messages import InputReader, Prepared, clock_ns, diagnostic_array
-from trackres_ros.dds.wire import typestore
 from trackres_ros.errors import InputError
-from trackres_ros.live.edge import Level, Status
-from trackres_ros.live.endpoints import InputTopic, live_topics
-from trackres_ros.topics import TopicBinding, Topics
+from trackres_ros.node.dds.messages import InputReader, Prepared, clock_ns, diagnostic_array
+from trackres_ros.node.dds.wire import typestore
+from trackres_ros.node.edge import Level, Status
+from trackres_ros.node.endpoints import InputTopic, live_topics
+from trackres_ros.recording.bindings import TopicBinding, Topics
+from trackres_ros.recording.cdr import MalformedError
 from trackres_ros.vehicle import load
 
 STAMP_NS = 1_700_000_000_123_456_789

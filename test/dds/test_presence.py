@@ -17,23 +17,13 @@ from cyclonedds.idl import types as idl
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
+from waiting import PATIENCE_S, wait_for
 
-from trackres_ros.dds.participant import Participant, Publication
-from trackres_ros.dds.wire import type_hash
-from trackres_ros.live.endpoints import Quality
+from trackres_ros.node.dds.participant import Participant, Publication
+from trackres_ros.node.dds.wire import type_hash
+from trackres_ros.node.endpoints import Quality
 
-WITHIN_S = 20.0
 FLOAT, TWIST = "std_msgs/msg/Float64", "geometry_msgs/msg/TwistStamped"
-
-
-def wait_for(holds, within_s=WITHIN_S):
-    """Wait until something holds; whether it did."""
-    until = time.monotonic() + within_s
-    while not holds():
-        if time.monotonic() > until:
-            return False
-        time.sleep(0.01)
-    return True
 
 
 @dataclass
@@ -156,8 +146,8 @@ def test_it_comes_with_all_its_endpoints_and_goes_at_once(graph, command, start,
     assert speed.type_name == "geometry_msgs::msg::dds_::TwistStamped_"
     assert speed.qos[Policy.Reliability] == Policy.Reliability.BestEffort
     node.send_signal(signal.SIGTERM)
-    assert wait_for(lambda: not graph.endpoints(below), within_s=5.0)  # a lease would take 10 s to run out
-    assert node.wait(WITHIN_S) == 0
+    assert wait_for(lambda: not graph.endpoints(below), patience_s=5.0)  # a lease would take 10 s to run out
+    assert node.wait(PATIENCE_S) == 0
     where = f"in domain {environment['ROS_DOMAIN_ID']}, on this machine only"
     assert f"Cyclone DDS {where}: topics and presence" in node.stderr.read()
 
@@ -235,7 +225,7 @@ def test_a_log_that_nobody_reads_any_more_ends_nothing(command, start, tmp_path)
     node.send_signal(signal.SIGUSR1)
     assert wait_for(state.exists)  # and then says so
     node.send_signal(signal.SIGTERM)
-    assert node.wait(WITHIN_S) == 0
+    assert node.wait(PATIENCE_S) == 0
 
 
 @pytest.mark.parametrize(
@@ -247,7 +237,7 @@ def test_a_log_that_nobody_reads_any_more_ends_nothing(command, start, tmp_path)
 )
 def test_an_environment_it_cannot_start_in_is_said_in_one_line(command, start, variables, said):
     node = start(command(), **variables)
-    assert node.wait(WITHIN_S) == 2
+    assert node.wait(PATIENCE_S) == 2
     log = node.stderr.read()
     assert said in log.splitlines()[-1]
     assert "Traceback" not in log
@@ -276,7 +266,7 @@ def test_in_the_last_domain_every_port_is_one(start, command):
         assert said[-1], "".join(said)
         said.append(node.stderr.readline())
     node.send_signal(signal.SIGTERM)
-    assert node.wait(WITHIN_S) == 0
+    assert node.wait(PATIENCE_S) == 0
     assert "failed" not in "".join(said) + node.stderr.read()
 
 

@@ -10,7 +10,8 @@ import pytest
 from cyclonedds.core import Policy
 from cyclonedds.util import duration
 
-from trackres_ros.dds.wire import (
+from trackres_ros.errors import InputError
+from trackres_ros.node.dds.wire import (
     dds_type_name,
     domain_id,
     idl_struct,
@@ -21,9 +22,8 @@ from trackres_ros.dds.wire import (
     type_hash,
     typestore,
 )
-from trackres_ros.errors import InputError
-from trackres_ros.live.endpoints import Quality
-from trackres_ros.message_types import message_fields
+from trackres_ros.node.endpoints import Quality
+from trackres_ros.recording.message_types import message_fields
 
 HASHES = {  # as ROS 2 Jazzy has installed them, share/*/msg/*.json
     "std_msgs/msg/Float64": "705ba9c3d1a09df43737eb67095534de36fd426c0587779bda2bc51fe790182a",

@@ -1,14 +1,16 @@
 import json
 from pathlib import Path
 
+import jsonschema
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
+import trackres_ros.diagnosis.report
 from trackres_ros.cli.main import cli
 from trackres_ros.diagnosis import diagnose, load_base, read_recordings
-from trackres_ros.diagnosis.trial import drives, write_recordings
 from trackres_ros.effects import Active, catalogue
+from trackres_ros.evaluation.synthetic import drives, write_recordings
 
 SQUEAK = """
 from trackres_ros.effects import Effect, Parameter, Terms
@@ -21,7 +23,7 @@ class Squeak(Effect):
     parameters = (Parameter("torque", "Nm", 0.0, 100.0, 10.0, "of it", off=0.0),)
 
     def terms(self, at, p):
-        return Terms(torque=p["torque"] * at.direction)
+        return Terms(torque=p.torque * at.direction)
 """
 
 
@@ -64,15 +66,42 @@ def run():
 
     def run_it(paths, out, *options):
         command = ["diagnose", *map(str, paths), "--vehicle", "xgd24d", "-o", str(out), "--quick", *options]
-        return CliRunner().invoke(cli, command, catch_exceptions=True)
+        done = CliRunner().invoke(cli, command, catch_exceptions=True)
+        if done.exit_code == 0:
+            check_report(json.loads((Path(out) / "report.json").read_text()))
+        return done
 
     return run_it
 
 
 @pytest.fixture(scope="session")
-def diagnosed(recorded, loaded):
-    """The same as an object, of the Python interface."""
-    return diagnose(read_recordings(recorded("turning_scrub"), None), loaded, seed=1, quick=True)
+def check_form():
+    """Refuses what is no report.json by its schema."""
+    return check_report
+
+
+def check_report(report):
+    schema = Path(trackres_ros.diagnosis.report.__file__).parent / "report.schema.json"
+    jsonschema.Draft202012Validator(json.loads(schema.read_text())).validate(report)
+
+
+@pytest.fixture(scope="session")
+def diagnoses(recorded, loaded):
+    """Diagnoses of recordings with effects, as objects of the Python interface; the same ones are made once."""
+    made = {}
+
+    def make(*names, seed=1):
+        if (*names, seed) not in made:
+            made[(*names, seed)] = diagnose(read_recordings(recorded(*names), None), loaded, quick=True, seed=seed)
+        return made[(*names, seed)]
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def diagnosed(diagnoses):
+    """That of recordings with turning scrub."""
+    return diagnoses("turning_scrub")
 
 
 @pytest.fixture(scope="session")

@@ -3,21 +3,41 @@
 import html
 import json
 import re
+from dataclasses import replace
 
+import jsonschema
 import numpy as np
 import pytest
 import yaml
 from click.testing import CliRunner
 
 from trackres_ros.cli.main import cli
-from trackres_ros.diagnosis.report import report
+from trackres_ros.diagnosis import read_recordings
+from trackres_ros.diagnosis.pipeline import align_and_check
+from trackres_ros.diagnosis.prepare.gate import gate
+from trackres_ros.diagnosis.report.content import report
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.replay import replay
-from trackres_ros.sources import open_source
+from trackres_ros.offline.replay import replay
+from trackres_ros.recording.opening import open_source
 from trackres_ros.vehicle import load
 
 FORM = {"schema", "recordings", "base", "verdict", "effects", "heldout", "not_visible", "rejected", "advice"}
+
+
+def test_the_schema_of_the_report_refuses_what_is_none(scrubbed, check_form):
+    _, found, _ = scrubbed
+    check_form(found)
+    check_form({**found, "more": 1})  # additions are allowed
+    for bad in (
+        {key: value for key, value in found.items() if key != "verdict"},
+        {**found, "schema": 2},
+        {**found, "verdict": {**found["verdict"], "grade": "sure"}},
+        {**found, "effects": [{**found["effects"][0], "parameters": {"friction": 0.3}}]},
+        {**found, "heldout": {**found["heldout"], "mae": {"nominal": "60"}}},
+    ):
+        with pytest.raises(jsonschema.ValidationError):
+            check_form(bad)
 
 
 def found_in(run, paths, out, *options):
@@ -170,10 +190,17 @@ def test_a_channel_without_values_or_life_is_as_if_not_recorded(run, recorded, t
     assert sum("never changes" in note for note in found["notes"]) == len(paths)
 
 
-def test_recordings_of_two_vehicles_are_told(run, recorded, tmp_path):
+def test_recordings_of_two_vehicles_are_told(recorded, loaded, tmp_path):
     one, *others = recorded(count=3)
-    found = found_in(run, [changed(one, tmp_path, torque_nm=lambda x: 0.5 * x), *others], tmp_path / "out")
-    assert any("same vehicle" in note for note in found["notes"])
+    recordings = read_recordings([changed(one, tmp_path, torque_nm=lambda x: 0.5 * x), *others], None)
+    checked, _ = align_and_check(gate(recordings, loaded.known), loaded)
+    (told,) = (note for note in checked.notes if "same vehicle" in note)
+    assert told.startswith(f"{tmp_path / one.name}: ")
+
+
+def test_what_is_noted_of_recordings_is_in_the_report(diagnosed):
+    noted = replace(diagnosed, gated=replace(diagnosed.gated, notes=("something is odd",)))
+    assert report(noted, [])["notes"] == ["something is odd"]
 
 
 def test_where_nothing_is_explained_nothing_is_concluded(run, recorded, tmp_path):

@@ -9,14 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trackres_ros.diagnosis import diagnose, read_recordings
-from trackres_ros.diagnosis.confirm import Graded, confirm
-from trackres_ros.diagnosis.held_out import CONFIRMED, NO_WORSE, REFUTED, SUSPECTED, HeldOutLaps, Improvement
-from trackres_ros.diagnosis.levels import with_levels
-from trackres_ros.diagnosis.trial import drives
-from trackres_ros.diagnosis.verdict import Verdict
+from trackres_ros.diagnosis.findings.verdict import Verdict
+from trackres_ros.diagnosis.inference.levels import with_levels
+from trackres_ros.diagnosis.selection.confirm import Graded, confirm
+from trackres_ros.diagnosis.selection.held_out import CONFIRMED, NO_WORSE, REFUTED, SUSPECTED, HeldOutLaps, Improvement
 from trackres_ros.effects import Active
 from trackres_ros.errors import InputError
+from trackres_ros.evaluation.synthetic import drives
 
 PUMP_NM, PUMP_S = 600.0, 100.0
 
@@ -60,32 +59,17 @@ def test_the_same_error_is_no_improvement_and_a_smaller_one_everywhere_is_confir
 
 
 def drives_like(seconds):
-    from trackres_ros.diagnosis.session import Session
+    from trackres_ros.diagnosis.prepare.session import Session
 
     series = np.zeros(seconds)
     time = np.arange(seconds, dtype=float)
-    return (
-        Session("laps", 1.0, time, *(series,) * 8, series + 100.0, series, series == 0.0, (time // 60).astype(np.int64)),
-    )
+    return (Session("laps", 1.0, time, *(series,) * 8, series + 100.0, series, series == 0.0, (time // 60).astype(np.int64)),)
 
 
 def test_laps_without_a_sample_are_refused(loaded):
     (session,) = drives(loaded.base, 10.0, 1, 3.0, np.random.default_rng(1))
     with pytest.raises(InputError, match="held-out"):
         HeldOutLaps([session], [np.zeros(len(session), dtype=bool)], np.random.default_rng(1))
-
-
-@pytest.fixture(scope="module")
-def diagnoses(recorded, loaded):
-    """Diagnoses of recordings with effects; the same ones are made once."""
-    made = {}
-
-    def make(*names, seed=1):
-        if (*names, seed) not in made:
-            made[(*names, seed)] = diagnose(read_recordings(recorded(*names), None), loaded, quick=True, seed=seed)
-        return made[(*names, seed)]
-
-    return make
 
 
 @pytest.fixture(scope="module")
@@ -122,7 +106,7 @@ def test_what_is_kept_is_never_worse_than_the_file_on_held_out_laps(diagnoses, l
     masks = [found.split.held_out_mask(s) for s in found.sessions]
     laps = HeldOutLaps(found.sessions, masks, np.random.default_rng(1))
     values = found.kept.values or {q.name: q.nominal for q in loaded.base.parameters}
-    written = found.base.predict(found.sessions, values, found.kept.effects, found.final.problem.drive)
+    written = found.base.predict(found.sessions, values, found.kept.effects)
     error = np.abs(laps.measured - laps.of([p.torque for p in written])).mean()
     # The driving torque that some effects look at is that of the last fit here.
     assert error <= found.held_out.mae["nominal"] * (1.0 + 1e-3)
@@ -144,9 +128,7 @@ def test_each_of_two_effects_is_graded_by_itself(diagnoses):
 def test_an_effect_that_held_out_laps_refute_is_left_out(diagnoses, effects):
     """The scrub is real; an efficiency that no lap has is forced into the fit and must go."""
     sound = diagnoses("turning_scrub")
-    laps = HeldOutLaps(
-        sound.sessions, [sound.split.held_out_mask(s) for s in sound.sessions], np.random.default_rng(1)
-    )
+    laps = HeldOutLaps(sound.sessions, [sound.split.held_out_mask(s) for s in sound.sessions], np.random.default_rng(1))
     wrong = Active(effects["drivetrain_efficiency"], {"efficiency": 0.8})
     spoilt = replace(
         sound.final,

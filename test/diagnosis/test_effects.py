@@ -1,17 +1,20 @@
 """The catalogue: what each effect declares, and laws that all obey."""
 
+import gc
 import json
-from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from trackres_ros.cli.main import cli
-from trackres_ros.effects import Active, Conditions, Terms, catalogue, check_effects, together
+from trackres_ros.effects import Active, Terms, catalogue, check_effects, together
 from trackres_ros.effects.effect import ACTS_ON, BELONGS_TO, REFERENCE_NM
-from trackres_ros.effects.facts import facts_of
+from trackres_ros.effects.effect import conditions as known_conditions
+from trackres_ros.effects.stepping import FIRST_OWN, effect_table, is_compiled, look, new_memory, new_work, step_effects
+from trackres_ros.effects.vehicle.payne import EXPONENT
 from trackres_ros.errors import InputError
+from trackres_ros.model.facts import facts_of
 from trackres_ros.vehicle import load
 
 NAMES = [
@@ -28,11 +31,15 @@ CATALOGUE = catalogue()
 
 def conditions(**changed):
     known = {"speed": 5.0, "accel": 0.2, "weight": 250e3, "ambient": 10.0, "yaw_rate": 0.1, "heading": 0.5, "distance": 900.0}
-    return Conditions(facts_of(load("xgd24d")), **{**known, "drive_torque": 3000.0, "own": 12.0, **changed})
+    return known_conditions(facts_of(load("xgd24d")), **{**known, "drive_torque": 3000.0, "own": 12.0, **changed})
+
+
+def terms_of(effect, at, values=None):
+    return Active(effect, effect.values() if values is None else values).terms(at, at.own)
 
 
 def same(a, b):
-    names = [f.name for f in fields(Terms) if f.name != "sink" or a.conductance or b.conductance]
+    names = [name for name in Terms._fields if name != "sink" or a.conductance or b.conductance]
     return all(np.allclose(getattr(a, name), getattr(b, name), rtol=1e-12, atol=1e-9) for name in names)
 
 
@@ -51,7 +58,7 @@ def test_each_effect_says_what_it_belongs_to():
 @pytest.mark.parametrize("name", NAMES)
 def test_an_effect_that_is_off_does_nothing(name):
     effect = CATALOGUE[name]
-    assert same(effect.terms(conditions(), effect.values(off=True)), Terms())
+    assert same(terms_of(effect, conditions(), effect.values(off=True)), Terms())
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -59,8 +66,8 @@ def test_a_typical_effect_does_what_it_says_it_acts_on(name):
     effect = CATALOGUE[name]
     # Away from the points where an effect is nothing by its definition.
     at = conditions(weight=310e3, speed=0.4 if name == "still_air" else 7.0)
-    terms = effect.terms(at, effect.values())
-    changed = {f.name for f in fields(Terms) if not np.allclose(getattr(terms, f.name), getattr(Terms(), f.name), rtol=1e-12)}
+    terms = terms_of(effect, at)
+    changed = {name for name in Terms._fields if not np.allclose(getattr(terms, name), getattr(Terms(), name), rtol=1e-12)}
     by_action = {
         "torque": {"torque", "drive_gain"},
         "heat": {"loss_factor", "softening"},
@@ -72,17 +79,73 @@ def test_a_typical_effect_does_what_it_says_it_acts_on(name):
     assert changed <= by_action[effect.acts_on]
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_a_series_is_as_good_as_one_number_after_the_other(name):
-    effect = CATALOGUE[name]
-    speeds = np.array([-3.0, 0.0, 0.2, 6.0, 13.0])
-    whole = effect.terms(conditions(speed=speeds), effect.values())
-    for i, speed in enumerate(speeds):
-        one = effect.terms(conditions(speed=float(speed)), effect.values())
-        for f in fields(Terms):
-            assert np.broadcast_to(getattr(whole, f.name), speeds.shape)[i] == pytest.approx(
-                float(getattr(one, f.name)), rel=1e-12
-            )
+@pytest.mark.parametrize("name", sorted(set(NAMES) - OF_SENSORS))
+def test_the_step_runs_what_the_file_says_as_machine_code(name):
+    active = Active(CATALOGUE[name], CATALOGUE[name].values())
+    assert is_compiled(active.effect)
+    facts, table, memory = facts_of(load("xgd24d")), effect_table([active]), new_memory(1)
+    work = new_work(facts)
+    for speed in (-3.0, 0.0, 0.2, 6.0, 13.0):
+        at = conditions(speed=speed)
+        look(work, *at[1:9])
+        assert step_effects(table.rows, table.values, memory, work, 0.0) == 0
+        lag = active.lag(at)
+        said = active.terms(at, 0.0 if lag is None else memory[FIRST_OWN])
+        assert same(Terms(*work[:10]), said)
+
+
+OWN = """
+from trackres_ros.effects import Effect, Parameter, Terms
+
+CONSTANT = {constant}
+
+class Own(Effect):
+    name = "own"
+    acts_on = "torque"
+    belongs_to = "vehicle"
+    text = "something"
+    parameters = (Parameter("torque", "Nm", 0.0, 100.0, 10.0, "of it", off=0.0),)
+
+    def terms(self, at, p):
+        return Terms(torque=p.torque * CONSTANT{more})
+"""
+
+
+def table_of(folder, constant, more=""):
+    """The table of an effect of a user's own, which nothing else holds."""
+    (folder / "own.py").write_text(OWN.format(constant=constant, more=more))
+    effect = catalogue(folder)["own"]
+    assert is_compiled(effect) == (not more)
+    return effect_table([Active(effect, effect.values())])
+
+
+def torque_by(table):
+    gc.collect()
+    memory, work = new_memory(1), new_work(facts_of(load("xgd24d")))
+    look(work, *conditions()[1:9])
+    assert step_effects(table.rows, table.values, memory, work, 0.0) == 0
+    return work[0]
+
+
+def test_a_constant_that_is_changed_in_a_file_is_changed_in_its_code(tmp_path):
+    assert torque_by(table_of(tmp_path, 2.0)) == 20.0
+    assert torque_by(table_of(tmp_path, 3.0)) == 30.0
+
+
+def test_what_cannot_be_compiled_runs_as_long_as_a_table_has_its_address(tmp_path):
+    tables = [table_of(tmp_path, float(i), " + len(type(self).text) - 8") for i in range(50)]
+    assert [torque_by(table) for table in tables] == [10.0 * i + 1.0 for i in range(50)]
+
+
+def test_an_effects_own_state_follows_its_target_exactly_and_from_anywhere():
+    tyres = CATALOGUE["roadwheel_tyres"]
+    active = Active(tyres, {**tyres.values(), "rise": 2.0, "time_constant": 300.0})
+    facts, table, memory = facts_of(load("xgd24d")), effect_table([active]), new_memory(1)
+    work = new_work(facts)
+    for i in range(100):
+        look(work, *conditions(speed=5.0, ambient=10.0)[1:9])
+        step_effects(table.rows, table.values, memory, work, 7.0 if i else 0.0)
+        assert memory[FIRST_OWN] == pytest.approx(10.0 + 10.0 * (1.0 - np.exp(-7.0 * i / 300.0)), rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -95,8 +158,8 @@ def test_a_series_is_as_good_as_one_number_after_the_other(name):
 )
 def test_friction_turns_with_the_direction_and_vanishes_at_rest(name):
     effect = CATALOGUE[name]
-    forward, back = (effect.terms(conditions(speed=v, drive_torque=np.sign(v) * 3000.0), effect.values()) for v in (4.0, -4.0))
-    still = effect.terms(conditions(speed=0.0), effect.values())
+    forward, back = (terms_of(effect, conditions(speed=v, drive_torque=np.sign(v) * 3000.0)) for v in (4.0, -4.0))
+    still = terms_of(effect, conditions(speed=0.0))
     assert float(forward.torque) == pytest.approx(-float(back.torque), rel=1e-9)
     assert float(still.torque) == pytest.approx(0.0, abs=1e-9)
 
@@ -105,12 +168,13 @@ def test_friction_turns_with_the_direction_and_vanishes_at_rest(name):
 def test_a_loss_that_depends_on_strain_is_positive_and_as_steep_as_its_peak(strain):
     payne, nominal = CATALOGUE["payne"], conditions().facts.weight
     shares = np.linspace(0.5, 1.5, 21)
-    loss = payne.terms(conditions(weight=nominal * shares), {"height": 10.0, "strain": strain}).loss_factor
+    values = {"height": 10.0, "strain": strain}
+    loss = np.array([terms_of(payne, conditions(weight=nominal * share), values).loss_factor for share in shares])
     assert loss[10] == pytest.approx(1.0, abs=1e-15)
     assert np.all(loss > 0.0)
     # Kraus' peak goes as strain^(+-p) far from itself, and strain as load^(2/3); the loss beside the peak holds it back.
     slope = np.diff(np.log(loss)) / np.diff(np.log(shares))
-    assert np.all(np.abs(slope) < 2.0 * payne.EXPONENT / 3.0)
+    assert np.all(np.abs(slope) < 2.0 * EXPONENT / 3.0)
     # Known of filled rubber: a fifth to a third of the hysteresis over the loads driven.
     assert (np.ptp(loss) > 0.2) == (strain != 1.0)
 
@@ -222,4 +286,4 @@ def test_the_command_lists_them():
 def test_conditions_bound_the_curvature_on_the_spot():
     at = conditions(speed=0.0, yaw_rate=1.0)
     assert 0.0 < at.curvature <= 1.0 / at.facts.contact_length
-    assert replace(at, speed=50.0).curvature == pytest.approx(1.0 / 50.0, rel=1e-2)
+    assert conditions(speed=50.0, yaw_rate=1.0).curvature == pytest.approx(1.0 / 50.0, rel=1e-2)

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from trackres_ros.diagnosis import load_base, read_recordings
-from trackres_ros.diagnosis.diagnose import align_and_check
-from trackres_ros.diagnosis.gate import gate
-from trackres_ros.diagnosis.sanity import nothing_to_conclude
-from trackres_ros.diagnosis.trial import drives, write_recordings
+from trackres_ros.diagnosis.pipeline import align_and_check
+from trackres_ros.diagnosis.prepare.gate import gate
+from trackres_ros.diagnosis.prepare.torque_checks import nothing_to_conclude
 from trackres_ros.errors import InputError
-from trackres_ros.proof.cases import CATALOGUE, OUTSIDE, Case
-from trackres_ros.proof.generate import make_case
-from trackres_ros.recording import Recording
-from trackres_ros.slopes import STEEPEST, slopes
+from trackres_ros.evaluation.sealed.cases import CATALOGUE, OUTSIDE, Case
+from trackres_ros.evaluation.sealed.generate import make_case
+from trackres_ros.evaluation.synthetic import drives, write_recordings
+from trackres_ros.recording.recording import Recording
+from trackres_ros.recording.slopes import STEEPEST, slopes
 
 
 def rewritten(path, folder, change, name=""):
@@ -188,7 +188,7 @@ def test_start_of_a_recording_that_counts_from_zero():
         name, roles, notes, findings, zero_is_unset = "t", ("speed",), (), (), False
 
         def blocks(self, max_rows=0):
-            from trackres_ros.recording import Block
+            from trackres_ros.recording.recording import Block
 
             stamps = np.array([0, 10, 20]) * 10**9
             yield Block(np.zeros(3, np.int16), stamps, stamps, np.zeros(3))

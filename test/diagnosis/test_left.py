@@ -10,18 +10,18 @@ from click.testing import CliRunner
 
 from trackres_ros.cli.main import cli
 from trackres_ros.diagnosis import load_base
-from trackres_ros.diagnosis.intervals import Interval
-from trackres_ros.diagnosis.kept import Kept
-from trackres_ros.diagnosis.sensor_lines import sensor_lines
-from trackres_ros.diagnosis.trial import drives, write_recordings
+from trackres_ros.diagnosis.selection.intervals import Interval
+from trackres_ros.diagnosis.writing.kept import Kept
+from trackres_ros.diagnosis.writing.sensor_lines import sensor_lines
 from trackres_ros.effects import Active, catalogue
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import snapshot
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.estimator.spread import spread
-from trackres_ros.recording import Recording
-from trackres_ros.sources import open_source
-from trackres_ros.topics import Topics
+from trackres_ros.estimator.uncertainty import spread
+from trackres_ros.evaluation.synthetic import drives, write_recordings
+from trackres_ros.recording.bindings import Topics
+from trackres_ros.recording.opening import open_source
+from trackres_ros.recording.recording import Recording
 from trackres_ros.vehicle import load, with_surroundings
 
 FITTED = {"loss_modulus_scale", "bearing_friction", "drag_coefficient", "heat_capacity", "film_offset", "film_slope"}
@@ -251,7 +251,7 @@ def test_a_road_load_file_too(tmp_path, own):
     assert "# A small skid-steered robot" in text
     (session,) = drives(first, 1.5, 1, 2.0, np.random.default_rng(1))
     torques = [
-        base.predict([session], {q.name: q.nominal for q in first.parameters}, active, [np.zeros(len(session))])[0].torque
+        base.predict([session], {q.name: q.nominal for q in first.parameters}, active)[0].torque
         for base, active in ((first, effects), (second, ()))
     ]
     np.testing.assert_allclose(*torques, rtol=1e-4, atol=1e-3)
@@ -284,15 +284,15 @@ def test_with_the_line_that_is_printed_a_sensor_shows_what_is_so(wrong, loaded, 
     np.testing.assert_allclose(corrected, right, rtol=1e-4, atol=15.0)  # the noise came behind the sensor's error
 
 
-@pytest.mark.parametrize("says", ["at.direction / 0", "at.direction * float('nan')", "p['nothing']"])
+@pytest.mark.parametrize("says", ["at.direction / 0", "at.direction * float('nan')", "p.nothing"])
 def test_an_effect_of_the_users_own_that_fails_in_a_fit_ends_it_with_its_name(says, loaded, own):
     own_file = own / "squeak.py"
-    own_file.write_text(own_file.read_text().replace('p["torque"] * at.direction', says))
+    own_file.write_text(own_file.read_text().replace("p.torque * at.direction", says))
     squeak = catalogue(own)["squeak"]
     (session,) = drives(loaded.base, loaded.known.max_speed, 1, 1.0, np.random.default_rng(1))
-    values, still = {q.name: q.nominal for q in loaded.base.parameters}, [np.zeros(len(session))]
+    values = {q.name: q.nominal for q in loaded.base.parameters}
     with np.errstate(all="ignore"), pytest.raises(InputError, match=r"squeak\.py: effect squeak"):
-        loaded.base.predict([session], values, [Active(squeak, squeak.values())], still)
+        loaded.base.predict([session], values, [Active(squeak, squeak.values())])
 
 
 def test_a_hidden_slope_is_never_pushed_against_at_a_standstill(loaded, effects, tmp_path):

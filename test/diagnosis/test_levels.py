@@ -8,10 +8,9 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 from trackres_ros.diagnosis import load_base
-from trackres_ros.diagnosis.fitting import Problem
-from trackres_ros.diagnosis.levels import for_tests, with_levels
-from trackres_ros.diagnosis.naming import begin
-from trackres_ros.diagnosis.trial import drives
+from trackres_ros.diagnosis.inference.fitting import Problem, fit
+from trackres_ros.diagnosis.inference.levels import for_tests, with_levels
+from trackres_ros.evaluation.synthetic import drives
 
 STEP_S = 1.0
 TRAINED, MINUTES = 3, 25.0  # the last of four drives is held out
@@ -28,7 +27,7 @@ def street(seed, road, slow_nm=60.0, slow_s=120.0, quick_nm=12.0, misfit=0.06):
     sessions = drives(base, road.known.max_speed / 2.0, TRAINED + 1, MINUTES, rng, STEP_S)
     true = {q.name: q.nominal + 0.7 * q.std for q in base.parameters}
     found = []
-    for session, predicted in zip(sessions, base.predict(sessions, true, (), [np.zeros(len(s)) for s in sessions]), strict=True):
+    for session, predicted in zip(sessions, base.predict(sessions, true, ()), strict=True):
         n = len(session)
         keep = np.exp(-STEP_S / slow_s)
         slow = lfilter([np.sqrt(1.0 - keep**2)], [1.0, -keep], rng.normal(0.0, slow_nm, n))
@@ -42,7 +41,7 @@ def street(seed, road, slow_nm=60.0, slow_s=120.0, quick_nm=12.0, misfit=0.06):
 
 def problem_of(sessions, road):
     masks = tuple(s.used & (i < TRAINED) for i, s in enumerate(sessions))
-    return Problem(road.base, sessions, masks, tuple(np.zeros(len(s)) for s in sessions))
+    return Problem(road.base, sessions, masks)
 
 
 def errors(found, trained):
@@ -76,7 +75,7 @@ def test_a_refit_keeps_its_level_and_is_no_worse_than_the_file_or_robust_least_s
     means, ours, files, robust = [], [], [], []
     for seed in range(6):
         problem = problem_of(street(seed, road), road)
-        levelled = with_levels(begin(problem))
+        levelled = with_levels(fit(problem))
         means.append(errors(levelled, trained=True).mean() / errors(levelled, trained=True).std())
         ours.append(np.abs(errors(levelled, trained=False)).mean())
         nominal = problem.predict({q.name: q.nominal for q in road.base.parameters}, ())
@@ -89,7 +88,7 @@ def test_a_refit_keeps_its_level_and_is_no_worse_than_the_file_or_robust_least_s
 
 def test_near_a_unit_root_tests_see_differences_and_values_do_not_follow_them(road):
     """What the fit for tests is off by in level is what the values are not: else the two need not be kept apart."""
-    leaning = [begin(problem_of(street(seed, road), road)) for seed in range(3)]
+    leaning = [fit(problem_of(street(seed, road), road)) for seed in range(3)]
     for tested in leaning:
         assert np.abs(np.roots(np.concatenate(([1.0], -tested.noise.phi)))).max() > 0.9
     before = np.mean([abs(errors(tested, trained=True).mean()) for tested in leaning])
@@ -101,16 +100,16 @@ def test_where_noise_is_short_both_are_one(loaded):
     rng, base = np.random.default_rng(4), loaded.base
     sessions = drives(base, loaded.known.max_speed, 2, 10.0, rng, STEP_S)
     values = {q.name: q.nominal for q in base.parameters}
-    predicted = base.predict(sessions, values, (), [np.zeros(len(s)) for s in sessions])
+    predicted = base.predict(sessions, values, ())
     shown = tuple(replace(s, torque=p.torque + rng.normal(0.0, 20.0, len(s))) for s, p in zip(sessions, predicted, strict=True))
-    found = begin(Problem(base, shown, tuple(s.used for s in shown), tuple(np.zeros(len(s)) for s in shown)))
+    found = fit(Problem(base, shown, tuple(s.used for s in shown)))
     levelled = with_levels(found)
     for f in found.free:
         assert levelled.at[f.key] == pytest.approx(found.at[f.key], abs=0.3 * found.std_of(*f.key))
 
 
 def test_the_noise_for_tests_is_whitened_as_far_as_it_goes(road):
-    levelled = with_levels(begin(problem_of(street(1, road), road)))
+    levelled = with_levels(fit(problem_of(street(1, road), road)))
     e = np.concatenate([w[np.isfinite(w)] for w in for_tests(levelled).white])
     left = np.concatenate([w[np.isfinite(w)] for w in levelled.white])
     assert abs(np.corrcoef(e[1:], e[:-1])[0, 1]) < 0.1 < np.corrcoef(left[1:], left[:-1])[0, 1]

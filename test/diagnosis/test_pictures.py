@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from trackres_ros.diagnosis.regimes import Bin, RegimeMap
-from trackres_ros.report.pictures import MOST_RECORDINGS, draw_all, draw_regimes, draw_times
+from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
+from trackres_ros.diagnosis.report.pictures import MOST_RECORDINGS, draw_all, draw_regimes, draw_times
 
 pytest.importorskip("matplotlib")
 LONG = "2026-02-03T11-12-13_vehicle_17_test_ground_north_loop_second_driver_with_trailer_and_snow_chains_part_0001.mcap"

@@ -7,11 +7,11 @@ import pytest
 import yaml
 
 from trackres_ros.diagnosis import load_base
-from trackres_ros.diagnosis.fitting import Problem, fit
-from trackres_ros.diagnosis.kept import Kept
-from trackres_ros.diagnosis.road_base import FITTED
-from trackres_ros.diagnosis.trial import drives
-from trackres_ros.resources import config_dir
+from trackres_ros.diagnosis.base.road_load import FITTED
+from trackres_ros.diagnosis.inference.fitting import Problem, fit
+from trackres_ros.diagnosis.writing.kept import Kept
+from trackres_ros.evaluation.synthetic import drives
+from trackres_ros.files.resources import config_dir
 
 
 def car(folder, **changes):
@@ -32,10 +32,9 @@ def fitted(base, given=frozenset({"grade"}), **true):
         grade = 0.04 * np.sin(session.distance / 300.0) * ("grade" in given)
         made.append(replace(session, grade=grade, given=given, weight=np.full(len(session), 1.1 * base.facts.weight)))
     values = {q.name: q.nominal for q in base.parameters} | true
-    still = tuple(np.zeros(len(s)) for s in made)
-    torques = [p.torque + rng.normal(0.0, 3.0, len(p.torque)) for p in base.predict(made, values, (), still)]
+    torques = [p.torque + rng.normal(0.0, 3.0, len(p.torque)) for p in base.predict(made, values, ())]
     sessions = tuple(replace(s, torque=t) for s, t in zip(made, torques, strict=True))
-    return fit(Problem(base, sessions, tuple(np.abs(s.speed) > 0.5 for s in sessions), still))
+    return fit(Problem(base, sessions, tuple(np.abs(s.speed) > 0.5 for s in sessions)))
 
 
 def test_the_mass_is_found_where_the_scale_of_the_torque_is_known(tmp_path):

@@ -7,23 +7,22 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from trackres_ros.diagnosis import changes as level_changes
-from trackres_ros.diagnosis import read_recordings, screening
-from trackres_ros.diagnosis.advise import menu
-from trackres_ros.diagnosis.belt_series import follow
-from trackres_ros.diagnosis.changes import changes
-from trackres_ros.diagnosis.fitting import Problem, fit
-from trackres_ros.diagnosis.gate import SHORTEST_MOVING_S, SHORTEST_S, SLOWEST_MPS, STEP_S, gate, split
-from trackres_ros.diagnosis.intervals import NORMAL_95, intervals
-from trackres_ros.diagnosis.naming import begin
-from trackres_ros.diagnosis.other_forms import FORM_ERROR, other_forms
-from trackres_ros.diagnosis.screening import screen
-from trackres_ros.diagnosis.separability import separability
-from trackres_ros.diagnosis.session import Course
-from trackres_ros.diagnosis.trial import drives
-from trackres_ros.diagnosis.whitening import MOST_LAGS, Noise, estimate_noise, whitened
+from trackres_ros.diagnosis import read_recordings
+from trackres_ros.diagnosis.findings import change_points as level_changes
+from trackres_ros.diagnosis.findings.change_points import changes
+from trackres_ros.diagnosis.findings.next_drives import menu
+from trackres_ros.diagnosis.inference.fitting import Problem, fit
+from trackres_ros.diagnosis.inference.noise import MOST_LAGS, Noise, estimate_noise, whitened
+from trackres_ros.diagnosis.prepare.gate import SHORTEST_MOVING_S, SHORTEST_S, SLOWEST_MPS, STEP_S, gate, split
+from trackres_ros.diagnosis.prepare.session import Course
+from trackres_ros.diagnosis.selection import screening
+from trackres_ros.diagnosis.selection.form_error import FORM_ERROR, other_forms
+from trackres_ros.diagnosis.selection.intervals import NORMAL_95, intervals
+from trackres_ros.diagnosis.selection.screening import screen
+from trackres_ros.diagnosis.selection.visibility import separability
 from trackres_ros.effects import Active
 from trackres_ros.errors import InputError
+from trackres_ros.evaluation.synthetic import drives
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +33,7 @@ def gated(recorded, loaded):
 @pytest.fixture(scope="module")
 def problem(gated, loaded):
     masks = tuple(s.used for s in gated.sessions)
-    return Problem(loaded.base, gated.sessions, masks, tuple(np.zeros(len(s)) for s in gated.sessions))
+    return Problem(loaded.base, gated.sessions, masks)
 
 
 def autoregression(phi, n, rng):
@@ -51,7 +50,7 @@ def test_noise_is_recognised_and_whitening_makes_it_white(phi):
     mask = rng.random(4000) > 0.01
     noise = estimate_noise([series], [mask])
     assert noise.std == pytest.approx(1.0, rel=0.05)
-    assert noise.gain == pytest.approx(1.0 - sum(phi), abs=0.08)
+    assert noise.dc_gain == pytest.approx(1.0 - sum(phi), abs=0.08)
     e = whitened(series, mask, noise.phi)
     e = e[np.isfinite(e)]
     assert abs(np.corrcoef(e[1:], e[:-1])[0, 1]) < 0.05
@@ -83,7 +82,7 @@ def test_tails_are_as_heavy_as_the_data_say(degrees, low, high):
 
 
 def test_a_parameter_more_never_makes_a_fit_less_likely(problem, effects):
-    before = begin(problem)
+    before = fit(problem)
     for name in ("torque_offset", "stribeck", "headwind"):
         after = fit(problem, [effects[name]], before.at, before.noises)
         assert after.log_likelihood > before.log_likelihood - 0.5  # to within the search's own tolerance
@@ -95,13 +94,7 @@ def test_whitening_never_reaches_over_a_gap():
     e = whitened(np.arange(20.0), mask, np.array([0.5, 0.1]))
     unknown = [*range(MOST_LAGS), *range(9, 10 + MOST_LAGS)]
     assert np.flatnonzero(np.isnan(e)).tolist() == unknown
-    assert Noise(np.array([0.5, 0.1]), 1.0, 60.0).gain == pytest.approx(0.4)
-
-
-def test_a_lag_follows_its_target_exactly():
-    target, tau, out = np.full(100, 3.0), np.full(100, 7.0), np.empty(100)
-    follow(target, tau, 0.5, 1.0, out)
-    assert out == pytest.approx(3.0 - 2.0 * np.exp(-0.5 * np.arange(100) / 7.0))
+    assert Noise(np.array([0.5, 0.1]), 1.0, 60.0).dc_gain == pytest.approx(0.4)
 
 
 def test_means_of_a_course_keep_its_integral():
@@ -143,11 +136,10 @@ def test_a_fit_finds_the_parameters_that_made_the_data(loaded):
     base = loaded.base
     sessions = drives(base, loaded.known.max_speed, 2, 10.0, np.random.default_rng(4))
     true = {q.name: q.nominal + (0.5 if np.isfinite(q.std) else 0.0) * q.std for q in base.parameters}
-    still = [np.zeros(len(s)) for s in sessions]
     rng = np.random.default_rng(5)
-    shown = [p.torque + rng.normal(0.0, 1.0, len(p.torque)) for p in base.predict(sessions, true, (), still)]
+    shown = [p.torque + rng.normal(0.0, 1.0, len(p.torque)) for p in base.predict(sessions, true, ())]
     measured = tuple(replace(s, torque=t) for s, t in zip(sessions, shown, strict=True))
-    found = fit(Problem(base, measured, tuple(s.used for s in measured), tuple(still)))
+    found = fit(Problem(base, measured, tuple(s.used for s in measured)))
     for name, value in true.items():
         assert found.base_values[name] == pytest.approx(value, abs=max(4.0 * found.std_of("", name), 1e-6))
 
@@ -158,17 +150,17 @@ def test_temperature_is_carried_over_a_gap_and_forgotten_without(loaded):
     base = loaded.base
     one, two = drives(base, loaded.known.max_speed, 2, 10.0, np.random.default_rng(4))
     two = replace(two, ambient=one.ambient)
-    values, still = {q.name: q.nominal for q in base.parameters}, [np.zeros(len(one)), np.zeros(len(two))]
-    first, soaked = base.predict([one, two], values, (), still)
-    _, straight_on = base.predict([one, replace(two, gap=1.0)], values, (), still)
-    _, next_day = base.predict([one, replace(two, gap=86400.0)], values, (), still)
+    values = {q.name: q.nominal for q in base.parameters}
+    first, soaked = base.predict([one, two], values, ())
+    _, straight_on = base.predict([one, replace(two, gap=1.0)], values, ())
+    _, next_day = base.predict([one, replace(two, gap=86400.0)], values, ())
     assert soaked.belt[0] == pytest.approx(one.ambient[0])
     assert straight_on.belt[0] == pytest.approx(first.belt[-1], abs=0.3)
     assert next_day.belt[0] == pytest.approx(one.ambient[0], abs=0.1)
 
 
 def test_what_the_base_takes_up_is_not_visible_and_what_needs_a_channel_is_not_without(problem, effects):
-    seen = separability(effects, begin(problem))
+    seen = separability(effects, fit(problem))
     hidden = {n.name: n.why for n in seen.not_visible}
     assert "speed_scale" in hidden  # it hides in the coefficients
     assert {"turning_scrub", "warmup", "rotating_inertia"} <= set(seen.names)
@@ -177,13 +169,13 @@ def test_what_the_base_takes_up_is_not_visible_and_what_needs_a_channel_is_not_w
 
 
 def test_without_an_effect_nothing_gains_more_than_noise(problem, effects):
-    found = begin(problem)
+    found = fit(problem)
     result = screen(found, separability(effects, found).visible, 19, np.random.default_rng(0))
     assert result.gains[0][1] < max(result.threshold, 6.0)
 
 
 def test_what_noise_alone_gains_hardly_depends_on_how_much_of_it_is_drawn(problem, effects, monkeypatch):
-    found = begin(problem)
+    found = fit(problem)
     visible = separability(effects, found).visible
     whole = screen(found, visible, 29, np.random.default_rng(0))
     monkeypatch.setattr(screening, "MOST_DRAWN_ROWS", 400)
@@ -194,7 +186,7 @@ def test_what_noise_alone_gains_hardly_depends_on_how_much_of_it_is_drawn(proble
 
 
 def test_sensitivities_are_those_of_the_model(problem, effects):
-    found = begin(problem)
+    found = fit(problem)
     (inertia,) = [s for s in separability(effects, found).visible if s.effect.name == "rotating_inertia"]
     with_it = found.problem.predict(found.base_values, [Active(effects["rotating_inertia"], {"factor": 0.1})])
     change = np.concatenate([p.torque for p in with_it]) - np.concatenate([p.torque for p in found.predicted])
@@ -203,14 +195,14 @@ def test_sensitivities_are_those_of_the_model(problem, effects):
 
 
 def test_other_forms_are_a_share_of_what_the_effects_add(problem, effects):
-    assert other_forms(begin(problem)).shape == (len(np.concatenate(begin(problem).residuals)), 0)
+    assert other_forms(fit(problem)).shape == (len(np.concatenate(fit(problem).residuals)), 0)
     found = fit(problem, [effects["turning_scrub"]])
     adds = np.concatenate([p.torque for p in found.predicted])
     adds -= np.concatenate([p.torque for p in problem.predict(found.base_values, [])])
     forms = other_forms(found)[: len(adds)]
     assert forms.shape[1] >= 5
     used = np.concatenate(problem.masks)
-    assert np.all(forms[np.abs(adds) < 1e-9] == 0.0)
+    assert np.abs(forms[np.abs(adds) < 1e-9]).max() < 1e-9
     strength = np.sqrt(np.mean(forms[used] ** 2, axis=0) / np.mean(adds[used] ** 2))
     assert np.all((strength > 0.2 * FORM_ERROR) & (strength < 5.0 * FORM_ERROR))
 
@@ -221,12 +213,12 @@ def test_a_companion_that_another_form_explains_counts_for_less(recorded, loaded
         replace(s, torque=s.torque + 0.05 * 0.01 * s.weight * loaded.base.facts.radius * np.cos(2.0 * s.heading))
         for s in gated.sessions
     )
-    start = begin(Problem(loaded.base, bent, tuple(s.used for s in bent), tuple(np.zeros(len(s)) for s in bent)))
+    start = fit(Problem(loaded.base, bent, tuple(s.used for s in bent)))
     found = fit(start.problem, [effects["grade_profile"]], start.at, start.noises)
     result = screen(found, separability(effects, found).visible, 5, np.random.default_rng(0))
-    assert all(taken >= 0.0 for taken in result.taken.values())
-    assert result.taken["headwind"] > 0.0
-    assert not screen(start, separability(effects, start).visible, 0, np.random.default_rng(0)).taken
+    assert all(taken >= 0.0 for taken in result.form_error_gain.values())
+    assert result.form_error_gain["headwind"] > 0.0
+    assert not screen(start, separability(effects, start).visible, 0, np.random.default_rng(0)).form_error_gain
 
 
 def test_an_interval_knows_that_the_function_is_not_nature(problem, effects):
@@ -255,7 +247,7 @@ def test_a_change_of_level_is_found_where_it_is(recorded, loaded, step_nm, most,
     gated = gate(read_recordings(recorded(count=1), None), loaded.known)
     (session,) = gated.sessions
     changed = replace(session, torque=session.torque + np.where(session.time > 0.5 * session.time[-1], step_nm, 0.0))
-    fitted = begin(Problem(loaded.base, gated.sessions, (session.used,), (np.zeros(len(session)),)))
+    fitted = fit(Problem(loaded.base, gated.sessions, (session.used,)))
     still = replace(fitted, problem=replace(fitted.problem, sessions=(changed,)))
     found = changes(still)
     if step_nm:

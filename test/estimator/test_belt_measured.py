@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from trackres_ros.estimator.columns import Reason
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.estimator.layout import Reason
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.vehicle import load
 

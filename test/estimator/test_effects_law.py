@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from trackres_ros.effects import Active, Effect, Lag, Parameter, Terms, catalogue
-from trackres_ros.effects.effect import STANDSTILL_MPS
-from trackres_ros.estimator import layout as at
+from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.settings import PARTS, Settings
+from trackres_ros.units import STANDSTILL_MPS
 from trackres_ros.vehicle import load
 
 START_NS = 1_700_000_000_000_000_000
@@ -21,7 +21,7 @@ SIZE = VEHICLE.weight * VEHICLE.track_of(VEHICLE.assemblies[0]).sprocket_radius
 CATALOGUE = [effect for effect in catalogue(size=SIZE).values() if effect.belongs_to != "sensor"]
 WILD = [0.0, 1e12, -1e12, 1e300, -1e300, math.inf, -math.inf, math.nan, 1e-300, -1.0]
 USABLE = [0.02, 0.5, 1.0, 3.0, 50.0]
-TERMS = [name for name in Terms.__slots__ if not name.startswith(("sensor", "speed"))]
+TERMS = [name for name in Terms._fields if not name.startswith(("sensor", "speed"))]
 SPEEDS = st.one_of(
     st.sampled_from([0.0, -0.0, 1e-12, -1e-12, 1e-3, -0.02, STANDSTILL_MPS, -STANDSTILL_MPS]), st.floats(-16.0, 16.0)
 )

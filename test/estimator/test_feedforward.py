@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trackres_ros.estimator import layout as at
+from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.kernel import FEEDFORWARD_STEP_S
 from trackres_ros.estimator.motion_step import ROLLS_FROM
 from trackres_ros.estimator.settings import Settings
-from trackres_ros.outputs import RESISTANCE_PARTS
+from trackres_ros.output.topics import RESISTANCE_PARTS
 from trackres_ros.vehicle import load
 
 START_NS = 1_700_000_000_000_000_000

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trackres_ros.estimator.layout import REFUSALS, Count, Reason
+from trackres_ros.estimator.columns import REFUSALS, Count, Reason
 
 START = 1_700_000_000_000_000_000
 MS = 1_000_000

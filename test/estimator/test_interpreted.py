@@ -4,17 +4,22 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from trackres_ros.compiled import HAVE_NUMBA
+from trackres_ros.effects import Active, catalogue, stepping
+from trackres_ros.estimator.entry_points import interpreted_entries
+from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.jit.compiled import HAVE_NUMBA
+from trackres_ros.vehicle import load
 
 PROGRAM = """
 import json, sys
 import numpy as np
 from dataclasses import replace
-from trackres_ros.compiled import HAVE_NUMBA
+from trackres_ros.jit.compiled import HAVE_NUMBA
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.vehicle import load
 out = []
@@ -44,3 +49,16 @@ def test_interpreted_equals_compiled():
     assert (compiled[0], interpreted[0]) == (True, False)
     for fast, slow in zip(compiled[1], interpreted[1], strict=True):
         np.testing.assert_allclose(fast, slow, rtol=1e-9, atol=1e-9)
+
+
+def test_where_nothing_is_to_be_compiled_effects_are_not_either(monkeypatch):
+    def refuse(*_):
+        raise AssertionError("an effect is compiled")
+
+    monkeypatch.setattr(stepping, "_machine_code", refuse)
+    drag = catalogue()["drivetrain_drag"]
+    vehicle = replace(load("xgd24d"), effects=(Active(drag, drag.values()),))
+    estimator = Estimator(vehicle, entries=interpreted_entries())
+    inputs = estimator.inputs(5.0, ambient=15.0)
+    _, estimate = estimator.step(estimator.cold_start(inputs), inputs, 0.1)
+    assert estimate["effects_nm"] == pytest.approx(drag.values()["drag"])

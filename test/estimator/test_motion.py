@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from trackres_ros.estimator import layout as at
+from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.motion_step import advance_motion, start_motion
 from trackres_ros.estimator.settings import Settings
 

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from trackres_ros.estimator.columns import Reason
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.estimator.layout import Reason
 from trackres_ros.estimator.settings import Settings
-from trackres_ros.simulate import assembly_values
+from trackres_ros.offline.simulate import assembly_values
 from trackres_ros.vehicle import load
 
 SPEED = 30 / 3.6

@@ -16,18 +16,21 @@ import numpy as np
 from mutator import mutations
 
 from trackres_ros.errors import InputError
-from trackres_ros.reading import OWN_FAULT
-from trackres_ros.recording import Recording
-from trackres_ros.sources import open_source
-from trackres_ros.topics import Topics
+from trackres_ros.recording.bindings import Topics
+from trackres_ros.recording.opening import open_source
+from trackres_ros.recording.reading import OWN_FAULT
+from trackres_ros.recording.recording import Recording
 
 ROWS, LOAD_EVERY = 60, 3
 START_NS, STEP_NS = 1_700_000_000 * 10**9, 20_000_000
 SPEED, LOAD = "geometry_msgs/msg/TwistStamped", "std_msgs/msg/Float64"
-TOPICS = Topics.parse({
-    "speed": {"topic": "/vehicle/speed", "type": SPEED, "field": "twist.linear.x"},
-    "load": {"topic": "/vehicle/load", "type": LOAD, "field": "data"},
-}, "topics.yaml")
+TOPICS = Topics.parse(
+    {
+        "speed": {"topic": "/vehicle/speed", "type": SPEED, "field": "twist.linear.x"},
+        "load": {"topic": "/vehicle/load", "type": LOAD, "field": "data"},
+    },
+    "topics.yaml",
+)
 EXPECTED = Counter({"speed": ROWS, "load": ROWS // LOAD_EVERY})
 METADATA_SHARE = 0.2  # of the mutations of a folder that hit its metadata.yaml
 LOSSES = ("missing", "unusable", "unknown_topic", "malformed", "absent", "quoted", "cut")
@@ -92,7 +95,7 @@ def _mcap(**options: Any) -> Callable[[Path], None]:
 
 def _own_mcap(folder: Path) -> None:
     """Write with our own writer."""
-    from trackres_ros.bag_writer import BagWriter
+    from trackres_ros.output.mcap import BagWriter
 
     with BagWriter(folder / "run.mcap") as writer:
         topics: dict[str, Any] = {}
@@ -147,14 +150,12 @@ def _ros1(compression: str) -> Callable[[Path], None]:
 
 def _table(suffix: str) -> Callable[[Path], None]:
     def write(folder: Path) -> None:
-        from trackres_ros.csvs import write_table
+        from trackres_ros.recording.table import write_table
 
         row = np.arange(ROWS)
         load = np.where(row % LOAD_EVERY == 0, 2e5 + row, np.nan)
         note = np.array([f"lap {number}" for number in row])
-        write_table(
-            folder / f"run{suffix}", {"time_s": row / 50, "speed_mps": 5.0 + row / 10, "weight_n": load, "note": note}
-        )
+        write_table(folder / f"run{suffix}", {"time_s": row / 50, "speed_mps": 5.0 + row / 10, "weight_n": load, "note": note})
 
     return write
 

@@ -17,11 +17,11 @@ from hypothesis import strategies as st
 from trackres_ros.cli.main import cli
 from trackres_ros.diagnosis import load_base
 from trackres_ros.errors import InputError
-from trackres_ros.parameters import make_parameters, read_parameters
-from trackres_ros.resources import config_dir
-from trackres_ros.topics import Topics
+from trackres_ros.files.resources import config_dir
+from trackres_ros.files.yamls import MOST_BYTES, MOST_DEPTH, MOST_NODES, parse_yaml, read_yaml
+from trackres_ros.node.parameters import make_parameters, read_parameters
+from trackres_ros.recording.bindings import Topics
 from trackres_ros.vehicle.surroundings import load_surroundings
-from trackres_ros.yamls import MOST_BYTES, MOST_DEPTH, MOST_NODES, parse_yaml, read_yaml
 
 SPOILT_OF_EACH, MORE = 30, 300
 LONGEST_LINE = 3000  # characters

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from trackres_ros.live.application import Application
-from trackres_ros.parameters import make_parameters
+from trackres_ros.node.application import Application
+from trackres_ros.node.parameters import make_parameters
 
 START_NS = 1_700_000_000_000_000_000
 SECOND_NS = 1_000_000_000

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from trackres_ros.errors import InputError
+from trackres_ros.estimator.columns import Count
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.estimator.layout import Count
-from trackres_ros.live.edge import Level, Peer
-from trackres_ros.live.remarks import KINDS
-from trackres_ros.outputs import output_topics, values_of
+from trackres_ros.node.edge import Level, Peer
+from trackres_ros.node.remarks import KINDS
+from trackres_ros.output.topics import output_topics, values_of
 from trackres_ros.vehicle import load
 
 START_NS = 1_700_000_000_000_000_000
@@ -316,9 +316,7 @@ def test_surroundings_that_are_assumed_are_said_and_warned_of(desk, tmp_path):
     assert d.names() - plain.names() == {"SURROUNDINGS"}
     assert next(remark.level for remark in d.app.remarks() if remark.name == "SURROUNDINGS") is Level.WARN
     assert f"--surroundings {file}" in d.app.look_into_it()
-    fed, expected = (
-        [one.last(name)[1][0] for one in (plain, d)] for name in ("feedforward_torque", "resistance_torque")
-    )
+    fed, expected = ([one.last(name)[1][0] for one in (plain, d)] for name in ("feedforward_torque", "resistance_torque"))
     assert fed[0] == pytest.approx(fed[1], rel=1e-3)
     assert expected[0] != pytest.approx(expected[1], rel=0.1)
     with pytest.raises(InputError, match="configured"):

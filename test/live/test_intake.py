@@ -6,9 +6,9 @@ from types import SimpleNamespace
 import pytest
 
 from trackres_ros.errors import InputError
-from trackres_ros.live.endpoints import full_name, input_name, input_topics
-from trackres_ros.live.intake import Intake
-from trackres_ros.topics import Topics
+from trackres_ros.node.endpoints import full_name, input_name, input_topics
+from trackres_ros.node.intake import Intake
+from trackres_ros.recording.bindings import Topics
 
 CHANNELS = ("speed", "load", "torque", "ambient", "load/front")
 JOINTS = {"topic": "/drive", "type": "sensor_msgs/msg/JointState"}
@@ -87,9 +87,7 @@ def test_names_of_inputs():
 
 
 def test_a_torque_that_comes_late_is_of_an_earlier_time_and_a_stamp_never_set_stays_so():
-    taken, _ = intake(
-        torque={**JOINTS, "field": "effort[a]", "delay_s": 0.25}, speed={**JOINTS, "field": "velocity[a]"}
-    )
+    taken, _ = intake(torque={**JOINTS, "field": "effort[a]", "delay_s": 0.25}, speed={**JOINTS, "field": "velocity[a]"})
     for header, shifted in ((5 * 10**9, 5 * 10**9 - 250_000_000), (0, 0)):
         (_, torque_stamp, _), (_, speed_stamp, _) = samples(taken, joint_state(header, a=3.0), 9 * 10**9)
         assert (torque_stamp, speed_stamp) == (shifted, header)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.live.mismatch import KNOWN_AFTER, MismatchDetector, MismatchSettings
+from trackres_ros.node.mismatch import KNOWN_AFTER, MismatchDetector, MismatchSettings
 from trackres_ros.vehicle import load
 
 START_NS = 10**18

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.snapshot import seal
-from trackres_ros.live.state_keeper import state_name, state_path
-from trackres_ros.resources import cache_dir
+from trackres_ros.files.resources import cache_dir
+from trackres_ros.node.state_keeper import state_name, state_path
 
 
 @pytest.fixture

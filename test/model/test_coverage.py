@@ -15,14 +15,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from trackres_ros.errors import InputError
+from trackres_ros.estimator.columns import Reason
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.estimator.layout import Reason
+from trackres_ros.files.resources import config_dir
 from trackres_ros.model.coverage import DESTROYED_DEGC, balance_degc, check_heat, coverage
 from trackres_ros.model.hysteresis import METHODS
 from trackres_ros.model.loss_table import loss_table, reverse_share
 from trackres_ros.model.rubber import RubberModel
 from trackres_ros.model.track import load_range, track_model, with_methods
-from trackres_ros.resources import config_dir
 from trackres_ros.vehicle import Vehicle, load
 
 

@@ -15,7 +15,7 @@ import pytest
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.kernel import LEAST_DOUBT
 from trackres_ros.estimator.settings import Settings
-from trackres_ros.estimator.spread import REFERENCE_SPEED_SHARE, spread
+from trackres_ros.estimator.uncertainty import REFERENCE_SPEED_SHARE, spread
 from trackres_ros.model import belt as belt_model
 from trackres_ros.model.track import with_methods
 from trackres_ros.vehicle import Vehicle, variants

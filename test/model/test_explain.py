@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.explain import explain
+from trackres_ros.model.operating_point import explain
 from trackres_ros.model.track import with_methods
 from trackres_ros.vehicle import Vehicle, load
 

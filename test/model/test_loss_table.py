@@ -13,11 +13,11 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
+from trackres_ros.files.resources import config_dir
 from trackres_ros.model import loss_table as lt
 from trackres_ros.model.hysteresis import METHODS
 from trackres_ros.model.loss_table import LossTable, fingerprint, interpolation_error, loss_table
 from trackres_ros.model.track import load_range, track_model, with_methods
-from trackres_ros.resources import config_dir
 from trackres_ros.vehicle import Quantity, Vehicle, load, variants
 
 LARGEST_ERROR = {"spectral": 0.003, "rainflow": 0.003}  # of the loss

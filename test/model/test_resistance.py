@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from trackres_ros.model import resistance as r
-from trackres_ros.model.belt import GRAVITY
+from trackres_ros.units import GRAVITY
 
 KMH = 3.6
 G, R1, F_BEARING, C_D, AREA, RHO = 272e3, 0.36, 0.0075, 0.8, 7.5, 1.225  # the reference vehicle
@@ -20,9 +20,9 @@ weights = st.floats(1e3, 1e6)
 def test_direction_is_the_sign_of_the_speed_but_smooth(speed: float) -> None:
     assert r.direction(-speed) == -r.direction(speed)
     assert abs(r.direction(speed)) <= 1.0
-    if abs(speed) > 8 * r.STANDSTILL_SPEED:
+    if abs(speed) > 8 * r.STANDSTILL_MPS:
         assert r.direction(speed) == pytest.approx(1.0 if speed > 0 else -1.0, abs=1e-6)
-    assert abs(r.direction(speed + 1e-6) - r.direction(speed)) <= 1.0001e-6 / r.STANDSTILL_SPEED
+    assert abs(r.direction(speed + 1e-6) - r.direction(speed)) <= 1.0001e-6 / r.STANDSTILL_MPS
 
 
 @given(speed=speeds, weight=weights, friction=st.floats(0.0, 0.1))
@@ -62,7 +62,7 @@ def test_nothing_jumps_at_standstill(limit: float) -> None:
         lambda v: G * r.direction(v),
     ):
         assert part(0.0) == 0.0
-        assert abs(part(limit) - part(-limit)) <= 2.0 * limit * G / r.STANDSTILL_SPEED
+        assert abs(part(limit) - part(-limit)) <= 2.0 * limit * G / r.STANDSTILL_MPS
 
 
 def scaled(formula, **units):  # type: ignore[no-untyped-def]

@@ -14,8 +14,8 @@ from scipy.integrate import quad, solve_bvp, solve_ivp
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
+from trackres_ros.estimator.columns import TEMPERATURE
 from trackres_ros.estimator.estimator import Estimator, State
-from trackres_ros.estimator.layout import TEMPERATURE
 from trackres_ros.model.loss_table import loss_table
 from trackres_ros.model.thermal import (
     ThermalNetwork,
@@ -27,7 +27,7 @@ from trackres_ros.model.thermal import (
     thermal_network,
 )
 from trackres_ros.model.track import TrackModel, track_model, with_methods
-from trackres_ros.simulate import ramp_and_hold, simulate
+from trackres_ros.offline.simulate import ramp_and_hold, simulate
 from trackres_ros.vehicle import Vehicle, load
 
 NETWORKS = ("lumped", "core_surface")

@@ -11,17 +11,15 @@ import time
 from pathlib import Path
 
 import pytest
+from waiting import PATIENCE_S, Pace, wait_for
 
 if not importlib.util.find_spec("cyclonedds"):
     collect_ignore_glob = ["test_*.py"]
 else:
-    sys.path.insert(0, str(Path(__file__).parent))
     import peer
 
     DOMAIN = peer.domain_of_worker(71)
 
-HERE = Path(__file__).parent
-WITHIN_S = 30.0
 FEEDFORWARD_LIMIT_NM = 0.1 * 272000 * 0.4
 WRENCH, JOINTS = "geometry_msgs/msg/WrenchStamped", "sensor_msgs/msg/JointState"
 TWIST, FLOAT, TEMPERATURE = "geometry_msgs/msg/TwistStamped", "std_msgs/msg/Float64", "sensor_msgs/msg/Temperature"
@@ -109,22 +107,25 @@ class Node:
         """What it has logged so far."""
         return self.log_path.read_text()
 
-    def started(self, within_s=WITHIN_S):
+    def started(self):
         """Wait until it talks and listens."""
         connected = lambda: self.statuses() and all(given.matched for given in self.inputs.values())  # noqa: E731
-        self.until(connected, "the node to start", within_s)
+        self.until(connected, "the node to start", working=True)
         return self
 
-    def until(self, holds, what, within_s=WITHIN_S, meanwhile=None):
-        """Wait until something holds, doing something meanwhile."""
-        end = time.monotonic() + within_s
-        while not holds():
-            assert self.process.poll() is None, f"the node has ended with {self.process.returncode}:\n{self.log}"
-            assert time.monotonic() < end, f"waited in vain for {what}; the last status: {self.status()}\n{self.log}"
-            if meanwhile:
-                meanwhile()
-            else:
-                time.sleep(0.01)
+    def sees_its_publishers(self, tell_time):
+        """Wait until the node has seen all publishers and the simulated clock: what is sent before is not kept for it."""
+        self.until(lambda: not {"NO_PUBLISHER", "NO_CLOCK"} & self.last_remarks(), "the node to see all", meanwhile=tell_time)
+
+    def until(self, holds, what, patience_s=PATIENCE_S, meanwhile=None, working=False):
+        """Wait until something holds, doing something meanwhile; if `working`, as long as the node computes."""
+
+        def decided():
+            return holds() or self.process.poll() is not None
+
+        found = wait_for(decided, patience_s, self.process.pid if working else None, meanwhile)
+        assert self.process.poll() is None, f"the node has ended with {self.process.returncode}:\n{self.log}"
+        assert found, f"waited in vain for {what}; the last status: {self.status()}\n{self.log}"
 
     def send(self, role, value, stamp_ns=None):
         """Publish a value of a role, stamped now or as given."""
@@ -138,7 +139,7 @@ class Node:
 
     def drive(self, seconds, hz=50.0, speed=8.0, load=272e3, ambient=15.0, stamps=lambda: None):
         """Publish all inputs for a while; `speed` is a number or a function that gives one."""
-        begin, count = time.monotonic(), 0
+        begin, count, pace = time.monotonic(), 0, Pace(hz)
         while time.monotonic() - begin < seconds:
             if load is not None and count % 5 == 0:
                 self.send("load", load)
@@ -149,7 +150,12 @@ class Node:
                 self.send("speed", value, stamps())
             count += 1
             self.out["feedforward"].update()
-            time.sleep(max(0.0, begin + count / hz - time.monotonic()))
+            pace.next()
+
+    def silent(self, seconds):
+        """Send nothing until the node has published as often as it does in so many seconds; at its own rate of 50 Hz."""
+        last = len(self.torques()) + int(50.0 * seconds)
+        self.until(lambda: len(self.torques()) >= last, f"{seconds} s of outputs")
 
     def healthy(self):
         """Drive until nothing is to be remarked."""
@@ -174,10 +180,14 @@ class Node:
         """Names of everything that was remarked since so many statuses."""
         return {name for status in self.statuses()[since:] for name in _values(status)["remarks"].split()}
 
-    def remarked(self, name, meanwhile=None, within_s=WITHIN_S):
+    def last_remarks(self):
+        """Names of what the last status remarks."""
+        return set(_values(self.status())["remarks"].split())
+
+    def remarked(self, name, meanwhile=None):
         """Wait until a remark is made."""
         since = len(self.statuses())
-        self.until(lambda: name in self.remarks(since), f"the remark {name}", within_s, meanwhile)
+        self.until(lambda: name in self.remarks(since), f"the remark {name}", meanwhile=meanwhile)
 
     def values(self, entry):
         """Keys and values of an entry of the last diagnostics, such as `input speed`."""

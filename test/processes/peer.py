@@ -4,11 +4,15 @@ As a program it prints what it receives on topics as lines of JSON, or publishes
 `peer.py listen TOPIC TYPE ...`, `peer.py publish TOPIC TYPE`.
 """
 
+import fcntl
 import json
+import math
 import os
 import sys
+import tempfile
 import time
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from cyclonedds._clayer import ddspy_take, ddspy_write
@@ -20,6 +24,7 @@ from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 from rosbags.typesys import Stores, get_typestore
+from waiting import PATIENCE_S, wait_for
 
 LOOPBACK = (
     "<CycloneDDS><Domain><General><AllowMulticast>false</AllowMulticast><Interfaces>"
@@ -31,12 +36,25 @@ STORE = get_typestore(Stores.ROS2_JAZZY)
 FIELDS = getattr(STORE, "fielddefs", None) or STORE.FIELDDEFS
 PLAIN = {"byte": types.uint8, "char": types.uint8, "bool": bool}
 ANY = SampleState.Any | ViewState.Any | InstanceState.Any
-_structs, _domains = {}, {}
+LAST_DOMAIN = 232
+_structs, _domains, _taken = {}, {}, {}
 
 
 def domain_of_worker(first):
-    """A domain for tests that run beside others: `first`, or one further on for each further worker of pytest-xdist."""
-    return first + 10 * int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
+    """A domain for tests that run beside others, of this run or of another one on this machine: `first`, or one further on.
+
+    It is this process' until it ends.
+    """
+    if first not in _taken:
+        for domain in range(first, LAST_DOMAIN, 10):
+            try:
+                lock = os.open(Path(tempfile.gettempdir()) / f"trackres-test-domain-{domain}", os.O_RDWR | os.O_CREAT)
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:  # another's
+                continue
+            _taken[first] = (domain, lock)
+            break
+    return _taken[first][0]
 
 
 def struct_of(kind):
@@ -153,6 +171,10 @@ class Publisher:
         """Subscribers connected."""
         return len(self._writer.get_matched_subscriptions())
 
+    def delivered(self):
+        """Wait until all that was sent has come to all who listen reliably."""
+        assert self._writer.wait_for_acks(duration(seconds=PATIENCE_S)), "what was sent is not acknowledged"
+
     def close(self):
         """Leave the topic."""
         self._writer._delete(self._writer._ref)
@@ -194,23 +216,24 @@ def main():
     what, rest = sys.argv[1], sys.argv[2:]
     if what == "listen":
         listening = {topic: wire.subscribe(topic, kind) for topic, kind in zip(rest[::2], rest[1::2], strict=True)}
+        wait_for(lambda: all(subscription.matched for subscription in listening.values()))
         print(json.dumps("ready"), flush=True)
-        while os.getppid() != 1:
+
+        def told():
             for topic, subscription in listening.items():
                 for heard in subscription.update():
                     print(json.dumps({"topic": topic, "message": plain(heard.message)}), flush=True)
                 subscription.heard.clear()
-            time.sleep(0.002)
+            return os.getppid() == 1
+
+        wait_for(told, math.inf)
     elif what == "publish":
         publisher = wire.publisher(*rest)
-        until = time.monotonic() + 20
-        while not publisher.matched and time.monotonic() < until:
-            time.sleep(0.02)
+        wait_for(lambda: publisher.matched)
         print(json.dumps("ready"), flush=True)
         for line in sys.stdin:
             publisher.publish(**json.loads(line))
             print(json.dumps("sent"), flush=True)
-        time.sleep(0.2)
 
 
 if __name__ == "__main__":

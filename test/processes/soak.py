@@ -6,10 +6,11 @@ By hand, for as long as wanted: `python test/processes/soak.py --edge dds --minu
 import argparse
 import math
 import random
-import sys
 import tempfile
 import time
 from pathlib import Path
+
+from waiting import Pace
 
 SECOND_NS = 1_000_000_000
 START_NS = 1_700_000_000 * SECOND_NS
@@ -49,11 +50,11 @@ class Soak:
         self.faults = dict.fromkeys(FAULTS, 0)
         self.outputs, self.memory = 0, []
         node.until(lambda: self.torque.matched and self.clock.matched, "torque and clock to connect")
-        time.sleep(0.5)
+        node.sees_its_publishers(self.tell_time)
 
     def run(self, minutes):
         """Drive so many minutes of vehicle time; then check."""
-        begin, steps = time.monotonic(), int(minutes * 60 * HZ)
+        begin, steps, pace = time.monotonic(), int(minutes * 60 * HZ), Pace(HZ * self.speedup)
         fault, left = None, 0
         for step in range(steps):
             if left == 0:
@@ -62,8 +63,7 @@ class Soak:
                 self.begin(fault)
             left -= 1
             self.step(step, fault)
-            due = begin + (step + 1) / HZ / self.speedup
-            time.sleep(max(0.0, due - time.monotonic()))
+            pace.next()
             if step % 500 == 0:
                 self.collect()
         self.wall_s = time.monotonic() - begin
@@ -72,31 +72,40 @@ class Soak:
     def begin(self, fault):
         """What a fault does once."""
         if self.second:
-            time.sleep(0.05)
+            self.second.delivered()
             self.second.close()
             self.second = None
         if fault is None:
             return
         self.faults[fault] += 1
         if fault == "loop":
-            time.sleep(0.05)
+            self.node.inputs["speed"].delivered()
             self.now_ns -= 10 * SECOND_NS
         elif fault == "two publishers":
             self.second = self.node.wire.publisher(self.speed_topic, "geometry_msgs/msg/TwistStamped")
-            self.node.until(lambda: self.second.matched, "the second publisher")
-            time.sleep(0.05)
+            self.seen(self.second, "the second publisher")
         elif fault == "restart":
-            time.sleep(0.05)
+            self.node.inputs["speed"].delivered()
             self.node.inputs["speed"].close()
             self.node.inputs["speed"] = self.node.wire.publisher(self.speed_topic, "geometry_msgs/msg/TwistStamped")
-            self.node.until(lambda: self.node.inputs["speed"].matched, "the new publisher")
-            time.sleep(0.05)
+            self.seen(self.node.inputs["speed"], "the new publisher")
+
+    def seen(self, publisher, what):
+        """Wait until a publisher and the node know each other: what is sent before is not kept."""
+        since = len(self.node.statuses())
+        # The node looks at who publishes once a second, and tells; it may have looked just before the publisher came.
+        told = lambda: len(self.node.statuses()) >= since + 2 and "NO_PUBLISHER" not in self.node.last_remarks()  # noqa: E731
+        self.node.until(lambda: publisher.matched and told(), what)
+
+    def tell_time(self):
+        """Set the clock."""
+        self.clock.publish(clock={"sec": self.now_ns // SECOND_NS, "nanosec": self.now_ns % SECOND_NS})
 
     def step(self, step, fault):
         """All messages of one hundredth of a second."""
         self.now_ns += SECOND_NS // HZ
         if step % 2 == 0:
-            self.clock.publish(clock={"sec": self.now_ns // SECOND_NS, "nanosec": self.now_ns % SECOND_NS})
+            self.tell_time()
             torque = math.nan if fault == "torque nan" else 3000.0 + self.random.gauss(0.0, 200.0)
             self.torque.publish(header=self.header(), wrench={"torque": {"x": 0.0, "y": torque, "z": 0.0}})
             self.sent["torque"] += 1
@@ -149,7 +158,7 @@ class Soak:
     def finish(self):
         """What must hold in the end."""
         if self.second:
-            time.sleep(0.1)
+            self.second.delivered()
             self.second.close()
         self.node.until(lambda: all(self.counted(role) >= sent for role, sent in self.sent.items()), f"all counted: {self.sent}")
         self.collect()
@@ -171,7 +180,6 @@ class Soak:
 
 def main():
     """Run it by hand."""
-    sys.path.insert(0, str(Path(__file__).parent))
     import conftest
     import peer
 

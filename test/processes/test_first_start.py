@@ -10,8 +10,9 @@ from pathlib import Path
 
 import pytest
 from conftest import EDGES, Node, environment
+from waiting import Pace, wait_for, work_s
 
-from trackres_ros.resources import cache_dir
+from trackres_ros.files.resources import cache_dir
 
 REFUSALS_AND_ACCEPTED = ("accepted", "non_finite", "out_of_range", "duplicate", "late", "future", "backward", "bad_stamp")
 HZ = 1000
@@ -30,12 +31,12 @@ def test_two_nodes_that_compile_count_every_speed_and_no_clock_jumps(edge, tmp_p
     nodes = [Node(edge, tmp_path, wire, name=name, namespace=f"/{name}") for name in ("left", "right")]
     try:
         for node in nodes:
-            node.started(within_s=200.0)  # with no tables yet either, and whatever else the machine does
-        begin = time.monotonic()
+            node.started()
+        begin, pace = time.monotonic(), Pace(HZ)
         for count in itertools.count():
             for node in nodes:
                 node.send("speed", 8.0 + 0.001 * (count % 7))
-            time.sleep(max(0.0, begin + (count + 1) / HZ - time.monotonic()))
+            pace.next()
             if count % HZ == 0 and count >= 8 * HZ and time.monotonic() - begin > 8.0:
                 compiling = [node.remarks(max(0, len(node.statuses()) - 3)) for node in nodes]
                 if not any("COMPILING" in names for names in compiling) or time.monotonic() - begin > 60.0:
@@ -65,25 +66,26 @@ def command(edge, folder, *more):
 
 def when_it_listens(process):
     """As soon as python has come to the program's first line: a signal before is the system's."""
-    end = time.monotonic() + 30.0
-    while time.monotonic() < end:
+
+    def listens():
         status = Path(f"/proc/{process.pid}/status").read_text().splitlines()
         caught = next(line for line in status if line.startswith("SigCgt"))
-        if int(caught.split()[1], 16) & (1 << (signal.SIGUSR1 - 1)):
-            return
-        time.sleep(0.001)
-    raise AssertionError("it never listened")
+        return int(caught.split()[1], 16) & (1 << (signal.SIGUSR1 - 1))
+
+    assert wait_for(listens, working=process.pid), "it never listened"
 
 
 @pytest.mark.parametrize("edge", EDGES)
-@pytest.mark.parametrize("delay_s", [0.0, 0.2, 0.6])
+@pytest.mark.parametrize("further_s", [0.0, 0.2, 0.6])
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_signal_to_stop_while_starting_ends_it_with_0_and_says_so(edge, tmp_path, number, delay_s):
+def test_a_signal_to_stop_while_starting_ends_it_with_0_and_says_so(edge, tmp_path, number, further_s):
+    """At moments that are as far into the start, by the work done, on any machine."""
     process = subprocess.Popen(
         command(edge, tmp_path), env=environment(edge, tmp_path), stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True
     )
     when_it_listens(process)
-    time.sleep(delay_s)
+    then = work_s(process.pid) + further_s
+    assert wait_for(lambda: work_s(process.pid) >= then)
     process.send_signal(number)
     _, said = process.communicate(timeout=60)
     assert process.returncode == 0, said
@@ -99,11 +101,9 @@ def test_signals_to_save_and_reset_while_starting_are_done_once_it_runs(edge, tm
     when_it_listens(process)
     for number in (signal.SIGUSR1, signal.SIGUSR2):
         process.send_signal(number)
-    end = time.monotonic() + 60.0
-    while "starts anew" not in log.read_text():
-        assert process.poll() is None, log.read_text()
-        assert time.monotonic() < end, log.read_text()
-        time.sleep(0.05)
+    ended_or = lambda holds: holds or process.poll() is not None  # noqa: E731
+    assert wait_for(lambda: ended_or("starts anew" in log.read_text()), working=process.pid), log.read_text()
+    assert process.poll() is None, log.read_text()
     assert (tmp_path / "state.json").exists()
     process.send_signal(signal.SIGTERM)
     assert process.wait(30) == 0
@@ -121,11 +121,12 @@ def test_lines_of_json_for_programs(tmp_path, wire):
         lines = []
         while len(lines) < 3:
             if speed.matched:
+                pace = Pace(50.0)
                 for step in range(20):
                     node.inputs["speed"], kept = speed, node.inputs["speed"]
                     node.send("speed", 8.0 + 0.01 * step)
                     node.inputs["speed"] = kept
-                    time.sleep(0.02)
+                    pace.next()
             lines.append(json.loads(process.stdout.readline()))
         process.send_signal(signal.SIGTERM)
         lines += [json.loads(line) for line in process.stdout]
@@ -160,11 +161,12 @@ def test_without_a_home_as_a_user_that_nobody_knows_it_runs_and_says_what_it_can
         words = [sys.executable, "-c", NOBODY, *command(edge, tmp_path)[3:-2], "--namespace", "/nobody"]
         process = subprocess.Popen(words, env=kept, stderr=said, stdout=said)
     status = wire.subscribe("/nobody/trackres/status", "diagnostic_msgs/msg/DiagnosticArray")
-    end = time.monotonic() + 120.0
-    while not any("STATE_NOT_SAVED" in str(heard.message) for heard in status.update()):
-        assert process.poll() is None, log.read_text()
-        assert time.monotonic() < end
-        time.sleep(0.1)
+
+    def said_or_ended():
+        return any("STATE_NOT_SAVED" in str(heard.message) for heard in status.update()) or process.poll() is not None
+
+    assert wait_for(said_or_ended, working=process.pid), log.read_text()
+    assert process.poll() is None, log.read_text()
     process.send_signal(signal.SIGTERM)
     assert process.wait(60) == 0, log.read_text()
     assert "no home folder" in log.read_text()

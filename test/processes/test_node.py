@@ -18,8 +18,8 @@ import pytest
 
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.settings import Settings
-from trackres_ros.outputs import output_topics, values_of
-from trackres_ros.proof.loop import left_by_diagnosis
+from trackres_ros.evaluation.closed_loop import left_by_diagnosis
+from trackres_ros.output.topics import output_topics, values_of
 from trackres_ros.vehicle import load
 
 SECOND_NS = 1_000_000_000
@@ -35,30 +35,33 @@ class Simulated:
         self.node, self.now_ns, self.sent = node, START_NS, []
         self.clock = node.wire.publisher("/clock", "rosgraph_msgs/msg/Clock")
         node.until(lambda: self.clock.matched, "the clock to connect")
-        time.sleep(0.5)  # the other side connects a little later, and what is sent before is not kept
+        node.sees_its_publishers(lambda: self.to(START_NS))
 
     def to(self, now_ns):
         """Set the clock."""
         self.now_ns = now_ns
         self.clock.publish(clock={"sec": now_ns // SECOND_NS, "nanosec": now_ns % SECOND_NS})
 
-    def drive(self, steps, speed=8.0, dt_ns=SECOND_NS // 10, pace_s=0.004):
-        """Speeds every dt, loads and ambient temperatures between them; all at half a step's distance."""
+    def drive(self, steps, speed=8.0, dt_ns=SECOND_NS // 10):
+        """Speeds every dt, loads and ambient temperatures between them, at half a step's distance; each speed is worked off."""
         for step in range(steps):
             self.to(self.now_ns + dt_ns // 2)
             if step % 5 == 0:
                 self.message("load", 272e3 + 1e3 * (step % 3))
                 self.message("ambient", 15.0 + step % 2)
-                time.sleep(pace_s)
             self.to(self.now_ns + dt_ns // 2)
-            time.sleep(0.001)
             self.message("speed", speed + 0.1 * (step % 11))
-            time.sleep(pace_s)
+            self.worked_off()
 
     def message(self, role, value):
         """A message at the time of the clock."""
         self.sent.append((role, self.now_ns, value))
         self.node.send(role, value, self.now_ns)
+
+    def worked_off(self):
+        """Wait until the speed sent last has made an output: then all that was sent before is worked off too."""
+        heard = self.node.out["belt"]
+        self.node.until(lambda: heard.update() and stamp_ns(heard.heard[-1].message) == self.now_ns, "the output of a speed")
 
 
 def offline(sent):
@@ -89,7 +92,8 @@ def test_live_and_offline_give_the_same_numbers_at_the_same_stamps(simulated):
     sim.drive(300)
     node = sim.node
     last = sim.sent[-1][1]
-    node.until(lambda: any(stamp_ns(h.message) == last for h in node.out["belt"].update()), "the last estimate")
+    for name in ("feedforward", "resistance"):  # the belt's was waited for
+        node.until(lambda name=name: stamp_ns(node.out[name].update()[-1].message) == last, "the last estimate")
     estimator, expected = offline(sim.sent)
     for name, topic in (
         ("feedforward", "feedforward_torque"),
@@ -122,7 +126,6 @@ def test_a_bag_that_loops_starts_anew_each_time(simulated):
     for _ in range(2):
         sim.now_ns = START_NS
         sim.drive(150)
-        time.sleep(0.3)  # what was sent has been worked off
     node.until(lambda: "TIME_RESET" in node.remarks(), "the remark")
     stamps = [stamp_ns(h.message) for h in node.out["belt"].update()]
     assert sum(b < a for a, b in itertools.pairwise(stamps)) == 1
@@ -140,26 +143,27 @@ def test_publisher_node_and_subscriber_are_three_processes(node, edge, tmp_path)
     topics = [f"{n.base.rpartition('/')[0]}/speed", f"{n.base}/feedforward_torque"]
     commands = {"publish": [topics[0], kind], "listen": [topics[1], "geometry_msgs/msg/WrenchStamped"]}
     with ExitStack() as stack:
-        others = {
-            what: stack.enter_context(
-                subprocess.Popen(
-                    [sys.executable, PEER, what, *rest], env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-                )
-            )
-            for what, rest in commands.items()
-        }
-        for other in others.values():
+        others, said = {}, {}
+        for what, rest in commands.items():
+            log = stack.enter_context((tmp_path / f"{what}.log").open("w"))
+            command = [sys.executable, PEER, what, *rest]
+            other = subprocess.Popen(command, env=environment, stdin=subprocess.PIPE, stdout=log, text=True)
+            others[what] = stack.enter_context(other)
             stack.callback(other.kill)
-            assert json.loads(other.stdout.readline()) == "ready"
-        time.sleep(1.0)
-        torques = []
-        for step in range(20):
-            now = time.time_ns()
-            twist = {"linear": {"x": 8.0 + 0.01 * step, "y": 0.0, "z": 0.0}}
-            others["publish"].stdin.write(json.dumps({"header": peer.stamp(now), "twist": twist}) + "\n")
+            said[what] = lambda path=Path(log.name): path.read_text().splitlines()
+            n.until(said[what], f"the process to {what}")
+            assert json.loads(said[what]()[0]) == "ready"
+        n.until(lambda: "SEVERAL_PUBLISHERS" in n.last_remarks(), "the node to see it besides our own")
+
+        def publish(value):
+            twist = {"linear": {"x": value, "y": 0.0, "z": 0.0}}
+            others["publish"].stdin.write(json.dumps({"header": peer.stamp(time.time_ns()), "twist": twist}) + "\n")
             others["publish"].stdin.flush()
-            heard = json.loads(others["listen"].stdout.readline())
-            torques.append(heard["message"]["wrench"]["torque"]["y"])
+
+        for step in range(20):
+            come = lambda step=step: len(said["listen"]()) > step + 1  # noqa: E731
+            n.until(come, "a torque", meanwhile=lambda step=step: publish(8.0 + 0.01 * step))
+        torques = [json.loads(line)["message"]["wrench"]["torque"]["y"] for line in said["listen"]()[1:21]]
         assert torques[-1] > torques[0] >= 0.0
 
 
@@ -177,7 +181,7 @@ def test_outputs_come_at_their_rate_whatever_the_speed_comes_at(node):
 def test_belts_outlive_a_restart(simulated, tmp_path):
     state = tmp_path / "state.json"
     sim = simulated(state_file=str(state))
-    sim.drive(800, speed=15.0, dt_ns=2 * SECOND_NS // 5, pace_s=0.002)
+    sim.drive(800, speed=15.0, dt_ns=2 * SECOND_NS // 5)
     belt = sim.node.out["belt"].update()[-1].message.temperature
     assert belt > 20.0
     assert sim.node.stop(signal.SIGTERM) == 0
@@ -265,10 +269,10 @@ ambient: {topic: ambient, type: sensor_msgs/msg/Temperature, field: temperature}
 torque: {topic: torque, type: geometry_msgs/msg/WrenchStamped, field: wrench.torque.y}
 """
     n = node(topics=topics, use_sim_time=True, output_rate_hz=0.0, mismatch_hold_s=60.0)
-    sim = Simulated(n)
     torque = n.wire.publisher("/alone/torque", "geometry_msgs/msg/WrenchStamped")
     residual = n.wire.subscribe(f"{n.base}/torque_residual", "sensor_msgs/msg/JointState")
     n.until(lambda: torque.matched and residual.matched, "the torque to connect")
+    sim = Simulated(n)
     noise = random.Random(1)
     for step in range(1500):
         sim.to(sim.now_ns + SECOND_NS // 5)
@@ -282,9 +286,8 @@ torque: {topic: torque, type: geometry_msgs/msg/WrenchStamped, field: wrench.tor
         if step % 5 == 0:
             sim.message("load", 272e3)
             sim.message("ambient", 15.0)
-        time.sleep(0.001)
         sim.message("speed", 8.0 + 0.001 * (step % 5))
-        time.sleep(0.002)
+        sim.worked_off()
     n.remarked("MISMATCH", meanwhile=lambda: sim.drive(5))
     status = next(s for s in reversed(n.statuses()) if "above the expected" in s.message)
     assert "trackres diagnose RECORDING --vehicle xgd24d" in status.message
@@ -331,10 +334,8 @@ def test_the_vehicle_file_of_a_diagnosis_makes_the_live_feedforward_better(simul
             sim.message("load", row["weight_n"])
             sim.message("speed", row["speed_mps"])
             measured[sim.now_ns] = row
-            time.sleep(0.003)
-        last = sim.sent[-1][1]
-        belt, feedforward = sim.node.out["belt"], sim.node.out["feedforward"]
-        sim.node.until(lambda belt=belt, last=last: any(stamp_ns(h.message) == last for h in belt.update()), "the end")
+            sim.worked_off()
+        feedforward = sim.node.out["feedforward"]
         heard = {stamp_ns(h.message): h.message.wrench.torque.y for h in feedforward.update()}
         stamps = [s for s in sorted(heard) if s in measured and abs(measured[s]["speed_mps"]) > 1.0]
         torque = np.array([measured[s]["torque_nm"] - heard[s] for s in stamps])

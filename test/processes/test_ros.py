@@ -7,12 +7,12 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
+from pathlib import Path
 
-import numpy as np
 import pytest
 from conftest import environment, why_not
-from peer import domain_of_worker
+from peer import Wire, domain_of_worker
+from waiting import wait_for
 
 if why_not("ros"):
     pytest.skip(why_not("ros"), allow_module_level=True)
@@ -54,7 +54,7 @@ class Shell:
         process = self.start(
             sys.executable,
             "-m",
-            "trackres_ros.ros.estimator",
+            "trackres_ros.node.ros.estimator",
             "--ros-args",
             "-p",
             "vehicle:=xgd24d",
@@ -83,12 +83,11 @@ class Shell:
         subprocess.run([ROS2, "daemon", "stop"], env=self.environment, capture_output=True, timeout=30)
 
 
-def wait(holds, process=None, within_s=30.0):
-    end = time.monotonic() + within_s
-    while not holds():
-        assert time.monotonic() < end, process and process.said()
-        assert process is None or process.poll() is None, process.said()
-        time.sleep(0.05)
+def wait(holds, process=None):
+    """Wait until something holds; if a process is to bring it about, as long as it computes."""
+    found = wait_for(lambda: holds() or (process and process.poll() is not None), working=process and process.pid)
+    assert found, process and process.said()
+    assert process is None or process.poll() is None, process.said()
 
 
 RMWS = ["ros", *([] if why_not("fast") else ["fast"])]
@@ -104,6 +103,18 @@ def shell(request, tmp_path):
 @pytest.fixture
 def cyclone(tmp_path):
     made = Shell(tmp_path, "ros")
+    yield made
+    made.close()
+
+
+def stamp_of(message):
+    return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+
+
+@pytest.fixture
+def wire():
+    """In the domain of these tests."""
+    made = Wire(int(DOMAIN))
     yield made
     made.close()
 
@@ -167,19 +178,19 @@ def test_two_publishers_and_a_wrong_type_are_seen(shell):
 
 
 def test_a_bad_start_ends_with_code_2_or_waits_to_be_configured(cyclone):
-    bad = cyclone.start(sys.executable, "-m", "trackres_ros.ros.estimator", "--ros-args", "-p", "vehicle:=nonsense")
+    bad = cyclone.start(sys.executable, "-m", "trackres_ros.node.ros.estimator", "--ros-args", "-p", "vehicle:=nonsense")
     assert bad.wait(30) == 2
     assert "one of agri3t, xgd24d" in bad.said() or "xgd24d" in bad.said()
     assert "Traceback" not in bad.said()
     given = ["--ros-args", "-p", "vehicle:=xgd24d", "-p", "gap_s:=1e9"]
-    bad = cyclone.start(sys.executable, "-m", "trackres_ros.ros.estimator", *given)
+    bad = cyclone.start(sys.executable, "-m", "trackres_ros.node.ros.estimator", *given)
     assert bad.wait(30) == 2
     assert "gap_s" in bad.said()
     assert "Traceback" not in bad.said()
     waiting = cyclone.start(
         sys.executable,
         "-m",
-        "trackres_ros.ros.estimator",
+        "trackres_ros.node.ros.estimator",
         "--ros-args",
         "-p",
         "vehicle:=nonsense",
@@ -197,15 +208,12 @@ def test_a_bad_start_ends_with_code_2_or_waits_to_be_configured(cyclone):
 
 
 @pytest.mark.long
-def test_a_bag_played_live_is_recorded_as_the_offline_replay_gives_it(cyclone, repository):
-    from rosbags.highlevel import AnyReader
-    from rosbags.typesys import Stores, get_typestore
-
+def test_a_bag_played_live_is_recorded_as_the_offline_replay_gives_it(cyclone, repository, wire):
     from trackres_ros.estimator.estimator import Estimator
-    from trackres_ros.replay import replay
-    from trackres_ros.sample import write_sample
-    from trackres_ros.sources import open_source
-    from trackres_ros.topics import Topics
+    from trackres_ros.offline.replay import replay
+    from trackres_ros.offline.sample import write_sample
+    from trackres_ros.recording.bindings import Topics
+    from trackres_ros.recording.opening import open_source
     from trackres_ros.vehicle import load
 
     bag, topics = cyclone.folder / "laps.mcap", repository / "config" / "topics" / "sample.yaml"
@@ -217,11 +225,14 @@ def test_a_bag_played_live_is_recorded_as_the_offline_replay_gives_it(cyclone, r
         estimator,
         lambda steps: rows.update(zip(steps.stamp_ns.tolist(), steps.rows, strict=True)),
     )
-    sent = {role: number for role, _, number in offline.session.counts()}
+    sent, last = {role: number for role, _, number in offline.session.counts()}, max(rows)
+    ours = wire.subscribe("/trackres/resistance_torque", "sensor_msgs/msg/JointState")
     given = {"topics": topics, "use_sim_time": "true", "output_rate_hz": 0.0}
     given |= {"input_reliability": "reliable", "input_depth": 10000.0, "output_depth": 10000.0}
     index = estimator.column_index["resistance_torque_nm"]
-    for attempt in range(4):  # until the player and the machine lose nothing: the belts remember every message
+    # Until the player and the machine lose nothing, and no topic overtakes another, of which no middleware gives a promise: the
+    # belts remember every message.
+    for attempt in range(4):
         node = cyclone.estimator(*(word for name, value in given.items() for word in ("-p", f"{name}:={value}")))
         out = cyclone.folder / f"out{attempt}"
         record = cyclone.start(ROS2, "bag", "record", "-s", "mcap", "-o", str(out), "/trackres/resistance_torque")
@@ -232,24 +243,29 @@ def test_a_bag_played_live_is_recorded_as_the_offline_replay_gives_it(cyclone, r
         wait(lambda: PLAYER in cyclone.ros2("node", "list"), play)
         cyclone.ros2("service", "call", f"{PLAYER}/resume", "rosbag2_interfaces/srv/Resume")
         assert play.wait(120.0) == 0
-        time.sleep(1.0)
+        # Where messages were lost the last may be among them, and the bag is played once more.
+        wait_for(lambda: ours.update() and stamp_of(ours.heard[-1].message) == last, patience_s=5.0)
         assert cyclone.end(record) == 0
         assert cyclone.end(node) == 0
-        if all(f"{role} accepted {number}" in node.said() for role, number in sent.items()):
+        off = [abs(torque - rows[stamp][index]) / max(1.0, abs(torque)) for stamp, torque in recorded(out)]
+        whole = all(f"{role} accepted {number}" in node.said() for role, number in sent.items())
+        if whole and len(off) > 0.99 * len(rows) and max(off) <= 1e-9:
             break
     else:
-        pytest.fail(node.said())
-    compared = 0
-    with AnyReader([out], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
-        seen = set()
+        pytest.fail(f"off by {max(off, default=1.0):g}, {len(off)} of {len(rows)}; {node.said()}")
+
+
+def recorded(bag):
+    """Stamp and resistance torque [Nm] of each estimate in a recorded bag, the first of a stamp."""
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
+    found = {}
+    with AnyReader([bag], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
         for connection, _, raw in reader.messages():
             message = reader.deserialize(raw, connection.msgtype)
-            stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
-            if stamp not in seen:
-                seen.add(stamp)
-                compared += 1
-                np.testing.assert_allclose(-message.effort[0], rows[stamp][index], rtol=1e-9, atol=1e-9)
-    assert compared > 0.99 * len(rows)
+            found.setdefault(stamp_of(message), -message.effort[0])
+    return found.items()
 
 
 @pytest.fixture(scope="module")
@@ -307,37 +323,57 @@ def test_the_edge_without_ros_is_seen_by_ros(shell):
     assert shell.end(node) == 0
 
 
+# What `ros2 topic info -v` says of each topic, in one process for all: of the node's endpoints, once they are all there.
+OFFERED = """
+import json, sys, rclpy
+from waiting import wait_for
+rclpy.init()
+node = rclpy.create_node("looker")
+def look():
+    found.clear()
+    for topic, kinds in node.get_topic_names_and_types():
+        ends = [*node.get_publishers_info_by_topic(topic), *node.get_subscriptions_info_by_topic(topic)]
+        mine = [end for end in ends if end.node_name == "trackres"]
+        if ("/trackres/" in topic or topic in ("/speed", "/load", "/ambient")) and "transition_event" not in topic and mine:
+            said = [(e.endpoint_type, e.topic_type_hash, e.qos_profile) for e in mine]
+            found[f"{topic} {kinds}"] = sorted(
+                f"{end.name} {hash} {q.reliability.name} {q.history.name} {q.durability.name} {q.deadline.nanoseconds}"
+                for end, hash, q in said
+            )
+    return len(found) >= int(sys.argv[1])
+found = {}
+wait_for(look)
+print(json.dumps(found))
+"""
+
+
 def test_both_edges_offer_the_same(cyclone):
-    def offered(name):
-        found = {}
-        for line in cyclone.ros2("topic", "list", "-t", "--no-daemon").splitlines():
-            topic, kind = line.split(" ")
-            if name in topic or topic in ("/speed", "/load", "/ambient"):
-                info = cyclone.ros2("topic", "info", "-v", topic, "--no-daemon")
-                mine = [part for part in info.split("\n\n") if "Node name: trackres" in part]
-                kept = ("Endpoint type", "Reliability", "History", "Durability", "Deadline", "Topic type hash")
-                found[topic, kind] = sorted(
-                    line.strip() for part in mine for line in part.splitlines() if line.strip().startswith(kept)
-                )
-        return {key: value for key, value in found.items() if "transition_event" not in key[0]}
+    cyclone.environment["PYTHONPATH"] = os.pathsep.join([str(Path(__file__).parent), cyclone.environment.get("PYTHONPATH", "")])
+
+    def offered(process):
+        looked = cyclone.start(sys.executable, "-c", OFFERED, "11")
+        assert looked.wait(60) == 0, looked.said()
+        assert process.poll() is None
+        return json.loads(looked.said().splitlines()[-1])
 
     ros = cyclone.estimator()
-    on_ros = offered("/trackres/")
+    on_ros = offered(ros)
     cyclone.end(ros)
     dds = cyclone.start(
         sys.executable, "-m", "trackres_ros", "live", "--edge", "dds", "--quiet", "--vehicle", "xgd24d", "-p", "state_file:=none"
     )
     wait(lambda: "24 t chassis" in dds.said(), dds)
-    assert offered("/trackres/") == on_ros
+    assert offered(dds) == on_ros
     assert len(on_ros) == 11
+    assert all("RIHS01" in said for ends in on_ros.values() for said in ends)
 
 
 def test_two_nodes_in_one_process(cyclone):
     program = """
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
-from trackres_ros.parameters import make_parameters
-from trackres_ros.ros.node import EstimatorNode
+from trackres_ros.node.parameters import make_parameters
+from trackres_ros.node.ros.node import EstimatorNode
 rclpy.init()
 executor = SingleThreadedExecutor()
 values = make_parameters({"vehicle": "xgd24d", "state_file": "none"})

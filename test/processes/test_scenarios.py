@@ -11,6 +11,7 @@ import time
 
 import peer
 import pytest
+from waiting import Pace
 
 SECOND_NS = 1_000_000_000
 
@@ -123,9 +124,10 @@ def test_the_clock_of_the_stamps_jumps_and_stays(standing):
 
 def test_a_trickle(standing):
     standing.healthy()
+    once_a_second = Pace(1.0)
     for _ in range(3):
         standing.drive(0.05, hz=20.0)
-        time.sleep(0.95)
+        once_a_second.next()
     assert "SPEED_OLD" in standing.remarks()
     recovers(standing)
 
@@ -212,7 +214,7 @@ def test_outputs_move_at_their_rate_over_a_pause(node):
     n.healthy()
     n.until(lambda: n.torques()[-1] > 2000.0, "the whole torque", meanwhile=lambda: n.drive(0.3))
     for pause_s in (0.8, 2.0, 3.5):
-        time.sleep(pause_s)
+        n.silent(pause_s)
         n.drive(0.5)
     torques = n.torques()
     # Sent at 50 Hz by the node's clock; how they are heard is the middleware's, so as many as could be between two are allowed.

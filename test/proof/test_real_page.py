@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from trackres_ros.diagnosis import diagnose, load_base, read_recordings
-from trackres_ros.proof.loop import left_by_diagnosis
-from trackres_ros.proof.real import NOTHING, TWICE, UPHILL, WARM, Tried, start_state, twice
-from trackres_ros.proof.real_data import car
+from trackres_ros.evaluation.closed_loop import left_by_diagnosis
+from trackres_ros.evaluation.field.data import car
+from trackres_ros.evaluation.field.run import NOTHING, TWICE, UPHILL, WARM, FieldTrial, start_state, twice
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "real"
 
@@ -16,7 +16,7 @@ DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "real"
 @pytest.mark.long
 def test_drives_that_all_begin_cold_have_a_start_state_of_one(tmp_path):
     left = left_by_diagnosis(tmp_path, {"warmup": {"torque": 600.0, "seconds": 400.0}}, 12.0, -1, 3)
-    tried = Tried("drives", "a cold drive train", WARM, NOTHING, left.found)
+    tried = FieldTrial("drives", "a cold drive train", WARM, NOTHING, left.found)
     assert tried.judged == "right"
     states = [start_state(tried, i) for i in range(len(left.found.sessions))]
     assert len(states) == 2
@@ -30,7 +30,7 @@ def test_drives_that_all_begin_cold_have_a_start_state_of_one(tmp_path):
 def test_a_route_driven_twice_repeats_its_residuals_but_not_as_the_slope(tmp_path):
     paths = [car(DATA, name, tmp_path) for name in TWICE]
     found = diagnose(read_recordings(paths, None), load_base("bmw_i3"), hide=["grade"], quick=True)
-    tried = Tried("one route twice", "elevation", NOTHING, UPHILL, found)
+    tried = FieldTrial("one route twice", "elevation", NOTHING, UPHILL, found)
     assert tried.judged == "right"
     repeated = twice(tried)
     assert np.all(np.diff(repeated.distance) > 0.0)

@@ -7,20 +7,20 @@ import numpy as np
 import pytest
 
 from trackres_ros.diagnosis import load_base, read_recordings
-from trackres_ros.diagnosis.fitting import Problem
-from trackres_ros.diagnosis.gate import gate
-from trackres_ros.diagnosis.locate import stray
-from trackres_ros.diagnosis.naming import MODEL_ERROR, begin
-from trackres_ros.proof.belt_heat import LAYERS, roll
-from trackres_ros.proof.belt_loss import LOG_SPEEDS, belt_loss
-from trackres_ros.proof.cases import CATALOGUE, LEVELS, OUTSIDE, draw_cases, sealed
-from trackres_ros.proof.data_sheet import read_data_sheet
-from trackres_ros.proof.drives import drive
-from trackres_ros.proof.generate import write_vehicle
-from trackres_ros.proof.material import fit_material
-from trackres_ros.proof.sensors import Sensors, record
-from trackres_ros.proof.truth import Build, live
-from trackres_ros.resources import find_vehicle
+from trackres_ros.diagnosis.findings.locate import slow_residual
+from trackres_ros.diagnosis.inference.fitting import Problem, fit
+from trackres_ros.diagnosis.prepare.gate import gate
+from trackres_ros.diagnosis.selection.naming import MODEL_ERROR
+from trackres_ros.evaluation.sealed.belt_heat import LAYERS, roll
+from trackres_ros.evaluation.sealed.belt_loss import LOG_SPEEDS, belt_loss
+from trackres_ros.evaluation.sealed.cases import CATALOGUE, LEVELS, OUTSIDE, draw_cases, sealed
+from trackres_ros.evaluation.sealed.data_sheet import read_data_sheet
+from trackres_ros.evaluation.sealed.drives import drive
+from trackres_ros.evaluation.sealed.generate import write_vehicle
+from trackres_ros.evaluation.sealed.material import fit_material
+from trackres_ros.evaluation.sealed.sensors import Sensors, record
+from trackres_ros.evaluation.sealed.truth import Build, live
+from trackres_ros.files.resources import find_vehicle
 
 SHEET = find_vehicle("xgd24d")
 FORBIDDEN = ("model", "effects", "diagnosis", "vehicle", "estimator")
@@ -47,7 +47,7 @@ def drives(sheet):
 
 
 def test_the_truth_is_made_without_any_code_that_is_to_be_proved():
-    modules = [f"trackres_ros.proof.{name}" for name in ("truth", "sensors", "drives")]
+    modules = [f"trackres_ros.evaluation.sealed.{name}" for name in ("truth", "sensors", "drives")]
     code = f"import sys, {', '.join(modules)}; print(*[m for m in sys.modules if m.startswith('trackres_ros.')])"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     assert not [m for m in loaded if m.split(".")[1] in FORBIDDEN]
@@ -112,11 +112,11 @@ def test_the_base_refits_to_a_truth_without_effects(sheet, tmp_path):
         record(path, one, lived, good, sheet["track.sprocket_radius"], 1.7e9 + 1e6 * i, rng)
     loaded = load_base(vehicle)
     sessions = gate(read_recordings(paths, None), loaded.known).sessions
-    found = begin(Problem(loaded.base, sessions, tuple(s.used for s in sessions), tuple(np.zeros(len(s)) for s in sessions)))
+    found = fit(Problem(loaded.base, sessions, tuple(s.used for s in sessions)))
     left = np.concatenate([s.torque - p.torque for s, p in zip(sessions, found.predicted, strict=True)])
     used = np.concatenate([s.used for s in sessions])
     assert np.abs(left[used]).mean() < 0.01 * np.abs(np.concatenate([s.torque for s in sessions])[used]).mean()
-    assert stray(found).share < 1.5 * MODEL_ERROR
+    assert slow_residual(found).share < 1.5 * MODEL_ERROR
     values = found.base_values
     assert values["conductivity"] == pytest.approx(Build().conductivity, rel=0.15)
     assert values["capacity_scale"] == pytest.approx(1.0, abs=0.15)

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from trackres_ros.resources import config_dir
-from trackres_ros.yamls import read_yaml
+from trackres_ros.files.resources import config_dir
+from trackres_ros.files.yamls import read_yaml
 
 
 @pytest.fixture

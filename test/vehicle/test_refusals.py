@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from trackres_ros.errors import InputError
-from trackres_ros.resources import config_dir
+from trackres_ros.files.resources import config_dir
 from trackres_ros.vehicle import load
 from trackres_ros.vehicle.loading import build
 

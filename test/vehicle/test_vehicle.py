@@ -13,7 +13,7 @@ import pytest
 import yaml
 
 from trackres_ros.errors import InputError
-from trackres_ros.resources import config_dir, shipped_vehicles
+from trackres_ros.files.resources import config_dir, shipped_vehicles
 from trackres_ros.vehicle import load, variants
 from trackres_ros.vehicle.loading import read_rubber_sweep
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 import json
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
@@ -11,19 +13,45 @@ from typing import Any, TypeVar
 
 import click
 
+from trackres_ros import InputError, MissingExtraError
 from trackres_ros.cli.written import watch
-from trackres_ros.errors import InputError, MissingExtraError
-from trackres_ros.resources import shipped_vehicles
+from trackres_ros.files.resources import shipped_vehicles
 
-Command = TypeVar("Command", bound=Callable[..., Any])
+Decorated = TypeVar("Decorated", bound=Callable[..., Any])
 
-TABLE_SUFFIXES = (".csv", ".csv.gz", ".parquet")
-OUTPUT_SUFFIXES = (*TABLE_SUFFIXES, ".mcap")
-WRITTEN_WITH = {".parquet": ("writing Parquet", "parquet", "pyarrow"), ".mcap": ("writing bags", "bags", "rosbags")}
 DISTRIBUTIONS = {"sklearn": "scikit-learn"}  # where its name is not that of the module
 
 
-def vehicle_option(command: Command) -> Command:
+class Command(click.Command):
+    """A command in whose errors an argument of a function is named by the option that the user typed."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run it."""
+        try:
+            return super().invoke(ctx)
+        except InputError as error:
+            option_of = {p.name: p.opts[0] for p in self.params if isinstance(p, click.Option)}
+            names = error.where.split(", ")
+            if not all(name in option_of for name in names):
+                raise
+            raise InputError(", ".join(option_of[n] for n in names), error.given, error.allowed, error.remedy) from error
+
+
+def default_of(function: Callable[..., Any], argument: str) -> Any:
+    """The default of a function's argument, for the option that says the same."""
+    return inspect.signature(function).parameters[argument].default
+
+
+@contextmanager
+def warnings_told() -> Iterator[None]:
+    """What functions warn of is said on standard error."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        warnings.showwarning = lambda message, *_: click.echo(f"trackres: {message}", err=True)
+        yield
+
+
+def vehicle_option(command: Decorated) -> Decorated:
     """`--vehicle`: a path or the name of a shipped vehicle."""
     return click.option(
         "--vehicle",
@@ -33,23 +61,22 @@ def vehicle_option(command: Command) -> Command:
     )(command)
 
 
-def surroundings_option(command: Command) -> Command:
+def surroundings_option(command: Decorated) -> Decorated:
     """`--surroundings`: a file of the site, the weather and the ground, as `trackres diagnose` writes it."""
     return click.option(
         "--surroundings",
-        "surroundings_file",
         type=click.Path(path_type=Path),
         metavar="S.yaml",
         help="Effects of site, weather and ground that hold here and now, as trackres diagnose writes them; never fed forward.",
     )(command)
 
 
-def json_option(command: Command) -> Command:
+def json_option(command: Decorated) -> Decorated:
     """`--json`: the same facts for programs."""
     return click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on standard output.")(command)
 
 
-def method_options(command: Command) -> Command:
+def method_options(command: Decorated) -> Decorated:
     """`--method` and `--thermal`: other models than the vehicle file names."""
     command = click.option(
         "--thermal", type=click.Choice(["lumped", "core_surface"]), help="Thermal model instead of the vehicle file's."
@@ -81,33 +108,17 @@ def needs(feature: str, extra: str, *modules: str) -> None:
             raise MissingExtraError(feature, DISTRIBUTIONS.get(module, module), extra)
 
 
-def output_path(path: Path, suffixes: tuple[str, ...] = OUTPUT_SUFFIXES) -> Path:
-    """The path, if its suffix says how to write it, what writes it is installed, and its folder is there."""
-    if not path.name.lower().endswith(suffixes):
-        raise InputError("-o", str(path), f"a file name that ends in {', '.join(suffixes)}")
-    if not path.parent.is_dir():
-        raise InputError("-o", str(path), "a file in a folder that exists", f"make it first: mkdir -p {path.parent}")
-    if path.is_dir():
-        raise InputError("-o", str(path), "a file; there is a folder of that name")
-    if path.suffix.lower() in WRITTEN_WITH:
-        needs(*WRITTEN_WITH[path.suffix.lower()])
-    watch(path)
-    return path
-
-
 def output_folder(path: Path) -> Path:
-    """The path, if it is a folder or may become one."""
-    if path.exists() and not path.is_dir():
-        raise InputError("-o", str(path), "a folder; there is a file of that name")
+    """A folder to write into, made if need be, that an interrupted command looks into."""
     watch(path)
+    path.mkdir(parents=True, exist_ok=True)
     return path
 
 
-def without_suffix(path: Path) -> Path:
-    """The path without its suffix, of which `.csv.gz` is one."""
-    return path.with_name(
-        next(path.name[: -len(s)] for s in sorted(OUTPUT_SUFFIXES, key=len, reverse=True) if path.name.lower().endswith(s))
-    )
+def picture_beside(path: Path) -> Path:
+    """The picture that goes beside a file, of whose suffixes `.csv.gz` is one."""
+    name = path.name[: -len(".gz")] if path.name.lower().endswith(".csv.gz") else path.name
+    return path.with_name(f"{Path(name).stem}.png")
 
 
 def emit(result: dict[str, Any], as_json: bool, text: Callable[[], str]) -> None:

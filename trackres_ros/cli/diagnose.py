@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import click
 
-from trackres_ros.cli.common import emit, json_option, method_options, output_folder, surroundings_option, vehicle_option
-from trackres_ros.errors import InputError, MissingExtraError
+import trackres_ros as tr
+from trackres_ros.cli.common import (
+    Command,
+    default_of,
+    emit,
+    json_option,
+    method_options,
+    surroundings_option,
+    vehicle_option,
+    warnings_told,
+)
+from trackres_ros.cli.written import watch
 
 
-@click.command("diagnose")
+@click.command("diagnose", cls=Command)
 @click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path))
 @vehicle_option
 @surroundings_option
-@click.option(
-    "--topics", "topics_file", type=click.Path(path_type=Path), metavar="T.yaml", help="Which topic or column feeds which role."
-)
+@click.option("--topics", type=click.Path(path_type=Path), metavar="T.yaml", help="Which topic or column feeds which role.")
 @click.option(
     "--hide", multiple=True, metavar="CHANNEL", help="Leave a channel unread, such as grade or yaw_rate; may be repeated."
 )
@@ -27,14 +34,15 @@ from trackres_ros.errors import InputError, MissingExtraError
     help="How many of the last recordings or laps to hold out, or names of recordings with commas.",
 )
 @method_options
-@click.option("--seed", type=int, default=1, show_default=True, help="Of all that is drawn at random.")
+@click.option(
+    "--seed", type=int, default=default_of(tr.diagnose, "seed"), show_default=True, help="Of all that is drawn at random."
+)
 @click.option("--quick", is_flag=True, help="Fewer draws for thresholds.")
 @click.option(
     "--keep-suspected", is_flag=True, help="Write effects too that fit and that laps not used for fitting do not confirm."
 )
 @click.option(
     "--effects",
-    "effects_dir",
     type=click.Path(path_type=Path),
     metavar="DIR",
     help="Folder with effects of your own, a Python file each.",
@@ -42,7 +50,7 @@ from trackres_ros.errors import InputError, MissingExtraError
 @click.option(
     "-o",
     "--output",
-    type=click.Path(path_type=Path),
+    type=click.Path(path_type=Path, file_okay=False),
     required=True,
     metavar="DIR",
     help="Folder for the report; made if need be.",
@@ -51,8 +59,8 @@ from trackres_ros.errors import InputError, MissingExtraError
 def diagnose_command(
     recordings: tuple[Path, ...],
     vehicle: str,
-    surroundings_file: Path | None,
-    topics_file: Path | None,
+    surroundings: Path | None,
+    topics: Path | None,
     hide: tuple[str, ...],
     holdout: str | None,
     method: str | None,
@@ -60,7 +68,7 @@ def diagnose_command(
     seed: int,
     quick: bool,
     keep_suspected: bool,
-    effects_dir: Path | None,
+    effects: Path | None,
     output: Path,
     as_json: bool,
 ) -> None:
@@ -75,51 +83,34 @@ def diagnose_command(
     the weather or the ground goes to surroundings.yaml instead; what is a sensor's is printed as lines for the topics file.
     Ends with exit code 0 whatever the verdict.
     """
-    from trackres_ros.diagnosis import diagnose, load_base, read_recordings
-    from trackres_ros.diagnosis.report import report
-    from trackres_ros.recording import ROLES, base_role
-    from trackres_ros.sources import open_source
-    from trackres_ros.topics import Topics, nearest
-
-    for channel in hide:
-        if base_role(channel) not in ROLES:
-            raise InputError("--hide", channel, ", ".join(ROLES), nearest(channel, ROLES))
-    output_folder(output)
+    watch(output)
     held = None if holdout is None else int(holdout) if holdout.isdecimal() else [name.strip() for name in holdout.split(",")]
-    topics = Topics.load(topics_file) if topics_file else None
-    loaded = load_base(vehicle, method, thermal, topics, surroundings_file)
-    read = read_recordings(recordings, topics)
-    found = diagnose(
-        read, loaded, hide, held, seed, quick, effects_dir, keep_suspected, said=lambda stage: click.echo(f"  {stage}", err=True)
+    found = tr.diagnose(
+        recordings,
+        vehicle,
+        topics=topics,
+        surroundings=surroundings,
+        hide=hide,
+        holdout=held,
+        method=method,
+        thermal=thermal,
+        seed=seed,
+        quick=quick,
+        keep_suspected=keep_suspected,
+        effects=effects,
+        on_stage=lambda stage: click.echo(f"  {stage}", err=True),
     )
-    content = report(found, recordings, open_source([recordings[0]], topics).bindings)
-    output.mkdir(parents=True, exist_ok=True)
-    (output / "report.json").write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    text = f"{found.verdict.sentence}\nWritten by trackres diagnose from {', '.join(path.name for path in recordings)}."
-    files = loaded.base.write(output / "vehicle.yaml", found.kept, text)
-    written = ["report.json", *(path.name for path in files)]
-    try:
-        from trackres_ros.report.page import write_page
-        from trackres_ros.report.pictures import draw_all
-
-        pictures = draw_all(found, output)
-        write_page(output / "report.html", content, pictures, f"Diagnosis of {loaded.title}")
-        written += ["report.html", *(p.path.name for p in pictures)]
-    except MissingExtraError as error:
-        click.echo(f"trackres: no page: {error}", err=True)
-    why = found.kept.text
-    lines = [found.verdict.sentence, f"{why[0].upper()}{why[1:]}.", *content["to_do"], *content["topics_lines"].values()]
-    emit(content, as_json, lambda: "\n".join([*lines, f"{output}: {', '.join(written)}"]))
+    with warnings_told():
+        found.report(output)
+    emit(found.as_dict(), as_json, lambda: f"{found!r}\n{output}: {', '.join(path.name for path in found.written)}")
 
 
-@click.command("effects")
-@click.option("--effects", "effects_dir", type=click.Path(path_type=Path), metavar="DIR", help="Folder with effects of your own.")
+@click.command("effects", cls=Command)
+@click.option("--effects", type=click.Path(path_type=Path), metavar="DIR", help="Folder with effects of your own.")
 @json_option
-def effects_command(effects_dir: Path | None, as_json: bool) -> None:
+def effects_command(effects: Path | None, as_json: bool) -> None:
     """The catalogue of left-out effects: what each does, and its parameters."""
-    from trackres_ros.effects import catalogue
-
-    listed = [effect.describe() for effect in catalogue(effects_dir).values()]
+    listed = [effect.describe() for effect in tr.effects.catalogue(effects).values()]
 
     def text() -> str:
         lines = []

@@ -2,23 +2,56 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 
 INTERRUPTED = 130
+AGAIN_S = 3.0  # longer than any command needs to put things in order
+
+
+def insist() -> None:
+    """Raise an interrupt again until it is taken: where it meets a callback or a destructor, Python swallows it."""
+    signal.signal(signal.SIGINT, _interrupt)
+    signal.signal(signal.SIGALRM, _interrupt)
+
+
+def _interrupt(_number: int, _frame: object) -> None:
+    signal.setitimer(signal.ITIMER_REAL, AGAIN_S)
+    raise KeyboardInterrupt
+
+
+def taken() -> None:
+    """An interrupt was taken: nothing more is raised, whatever comes, while the command says so and ends."""
+    # `python -m` ends by the signal if the interrupt met the evaluation of a string, as making a named tuple is one, whoever
+    # caught it there (CPython's unhandled_keyboard_interrupt). Evaluating another string makes it forget that.
+    exec("")
+    if signal.getsignal(signal.SIGINT) is _interrupt:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def main() -> None:
     """Run the command line."""
     if next((word for word in sys.argv[1:] if not word.startswith("-")), "") == "live":
-        from trackres_ros.live.asked import ASKED
+        from trackres_ros.node.asked import ASKED
 
         ASKED.listen()
+    else:
+        insist()
     try:
         from trackres_ros.cli.main import main as run
     except KeyboardInterrupt:
+        taken()
         print("trackres: interrupted; nothing was begun", file=sys.stderr)
         sys.exit(INTERRUPTED)
-    run()
+    try:
+        run()
+    except KeyboardInterrupt:  # in the moment in which the command line has just ended
+        taken()
+        from trackres_ros.cli import written
+
+        print(f"trackres: interrupted; {written.so_far()}", file=sys.stderr)
+        sys.exit(INTERRUPTED)
 
 
 if __name__ == "__main__":

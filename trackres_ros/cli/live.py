@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 import click
 
-from trackres_ros.cli.common import output_path
-from trackres_ros.errors import InputError
+from trackres_ros import InputError
+from trackres_ros.cli.written import watch
 
 if TYPE_CHECKING:
-    from trackres_ros.live.application import Application
+    from trackres_ros.node.application import Application
 
 
 @click.command("live")
@@ -63,12 +63,14 @@ def live_command(
     """
     from trackres_ros.cli.live_json import LiveJson
     from trackres_ros.cli.live_table import LiveTable
-    from trackres_ros.live.asked import ASKED
-    from trackres_ros.live.record import Recorder
-    from trackres_ros.parameters import make_parameters, read_parameters
+    from trackres_ros.files.output_files import BAG_SUFFIX, output_file
+    from trackres_ros.node.asked import ASKED
+    from trackres_ros.node.parameters import make_parameters, read_parameters
+    from trackres_ros.node.record import Recorder
 
     _check_names(name, namespace)
-    recorder = Recorder(output_path(record, (".mcap",))) if record else None
+    recorder = Recorder(output_file(record, (BAG_SUFFIX,), "--record")) if record else None
+    watch(*([record] if record else []))
     given = read_parameters(params_file, name, namespace)
     given.update(dict(_single(text) for text in single))
     named = {"vehicle": vehicle, "surroundings": surroundings, "topics": topics}
@@ -89,10 +91,10 @@ def live_command(
 
     try:
         if edge == "ros" or (edge == "auto" and _rclpy_imports()):
-            from trackres_ros.ros.main import run as run_on_ros
+            from trackres_ros.node.ros.main import run as run_on_ros
 
             return run_on_ros(parameters, name, namespace, ASKED, started)
-        from trackres_ros.dds.node import run as run_on_dds
+        from trackres_ros.node.dds.node import run as run_on_dds
 
         return run_on_dds(parameters, name, namespace, ASKED, started)
     finally:
@@ -115,7 +117,7 @@ def _single(text: str) -> tuple[str, object]:
     name, mark, value = text.partition(":=")
     if not mark or not name:
         raise InputError("-p", text, "NAME:=VALUE", "for example: -p output_rate_hz:=100")
-    from trackres_ros.yamls import parse_yaml
+    from trackres_ros.files.yamls import parse_yaml
 
     return name, parse_yaml(value, f"-p {name}")
 

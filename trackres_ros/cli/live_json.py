@@ -10,7 +10,7 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
-from trackres_ros.live.report import Overview
+from trackres_ros.node.report import Overview
 
 PERIOD_S = 1.0
 

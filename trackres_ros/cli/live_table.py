@@ -13,15 +13,15 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from trackres_ros.live.edge import Level
-from trackres_ros.live.report import Overview
-from trackres_ros.outputs import RESISTANCE_PARTS
-from trackres_ros.recording import ROLES, base_role
-from trackres_ros.shown import decimals, figures
+from trackres_ros.model.resistance import RESISTANCE_PARTS
+from trackres_ros.node.edge import Level
+from trackres_ros.node.report import Overview
+from trackres_ros.recording.recording import ROLES, base_role
+from trackres_ros.text.numbers import decimals, figures
+from trackres_ros.units import KMH_PER_MPS
 
 REFRESH_S = 0.5
 PLAIN_PERIOD_S = 10.0
-KMH = 3.6
 LONG_AGE_S = 100.0  # from here on whole seconds
 COLOURS = {Level.OK: "green", Level.WARN: "yellow", Level.ERROR: "red", Level.STALE: "magenta"}
 
@@ -82,7 +82,7 @@ def line(seen: Overview) -> str:
     belts = [value[f"belt_degc/{name}"] for name in seen.assemblies]
     coldest, hottest = decimals(min(belts), 1), decimals(max(belts), 1)
     return (
-        f"{_time(seen)}  {decimals(value['speed_mps'] * KMH, 1):>5} km/h  "
+        f"{_time(seen)}  {decimals(value['speed_mps'] * KMH_PER_MPS, 1):>5} km/h  "
         f"resistance {decimals(value['resistance_torque_nm']):>6} +- {decimals(value['resistance_std_nm'])} Nm  "
         f"feed-forward {decimals(seen.feedforward_nm):>6} Nm  "
         f"belts {coldest} to {hottest} degC  {seen.level.name}: {seen.message}"
@@ -136,7 +136,7 @@ def _belts(seen: Overview) -> Table:
 
 
 def _foot(seen: Overview) -> str:
-    speed = f"{decimals(seen.values['speed_mps'] * KMH, 1)} km/h, " if seen.values else ""
+    speed = f"{decimals(seen.values['speed_mps'] * KMH_PER_MPS, 1)} km/h, " if seen.values else ""
     kept = f"state in {seen.state_file}" if seen.state_file else "no state kept"
     if not math.isnan(seen.saved_s_ago):
         kept += f", saved {seen.saved_s_ago:.0f} s ago"

@@ -9,9 +9,10 @@ from collections.abc import Sequence
 
 import click
 
-from trackres_ros import __version__
+from trackres_ros import InputError, __version__
 from trackres_ros.cli import written
 from trackres_ros.cli.diagnose import diagnose_command, effects_command
+from trackres_ros.cli.entry import INTERRUPTED, taken
 from trackres_ros.cli.explain import explain_command
 from trackres_ros.cli.live import live_command
 from trackres_ros.cli.play import play_command
@@ -21,10 +22,9 @@ from trackres_ros.cli.replay import replay_command
 from trackres_ros.cli.reproduce import reproduce_command
 from trackres_ros.cli.simulate import simulate_command
 from trackres_ros.cli.vehicle import vehicle_group
-from trackres_ros.errors import InputError, one_line
+from trackres_ros.errors import one_line
 
 BAD_INPUT = 2
-INTERRUPTED = 130
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -82,6 +82,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         where, why = str(error.filename or "system"), str(error.strerror or error)
         _fail(InputError(where, why, "a file or device that can be used"), one_line(f"{where}: {why}"), as_json)
     except (click.Abort, KeyboardInterrupt):
+        taken()
         click.echo(f"trackres: interrupted; {written.so_far()}", err=True)
         sys.exit(INTERRUPTED)
     sys.exit(result if isinstance(result, int) else 0)

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import click
 
+from trackres_ros import InputError
 from trackres_ros.cli.common import emit, json_option, number, progress
-from trackres_ros.errors import InputError
 
 LISTENERS_WITHIN_S = 30.0
 
@@ -26,7 +26,7 @@ def play_command(recording: Path, rate: float, wait_for: tuple[str, ...], as_jso
     trackres live --edge dds --vehicle xgd24d --topics config/topics/sample.yaml -p use_sim_time:=true
     trackres play lap.mcap --rate 20 --wait-for /vehicle/speed
     """
-    from trackres_ros.dds.player import Player
+    from trackres_ros.node.dds.player import Player
 
     player = Player(recording, rate)
     stop = threading.Event()

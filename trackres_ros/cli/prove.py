@@ -11,8 +11,8 @@ from typing import IO
 
 import click
 
+from trackres_ros import InputError
 from trackres_ros.cli.common import emit, json_option, needs, output_folder
-from trackres_ros.errors import InputError
 
 MINUTES = 15.0
 QUICK_MINUTES = 12.0
@@ -23,7 +23,12 @@ FOLDERS = ("cases", "results", "next", "results_next", "sealed")
 
 
 folder_option = click.option(
-    "-o", "--output", type=click.Path(path_type=Path), required=True, metavar="DIR", help="Folder for recordings and page."
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path, file_okay=False),
+    required=True,
+    metavar="DIR",
+    help="Folder for recordings and page.",
 )
 
 
@@ -34,7 +39,7 @@ folder_option = click.option(
 @click.option("--seed", type=click.IntRange(0), default=REPORTED_SEED, show_default=True, help="Of all that is drawn.")
 @click.option("--quick", is_flag=True, help="70 cases of shorter drives.")
 @click.option("--fresh", is_flag=True, help="Begin anew instead of going on with what is in the folder.")
-@click.option("-o", "--output", type=click.Path(path_type=Path), metavar="DIR", help="Folder for all of it.")
+@click.option("-o", "--output", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="Folder for all of it.")
 @json_option
 def prove_command(
     context: click.Context,
@@ -57,7 +62,7 @@ def prove_command(
     if context.invoked_subcommand:
         return
     needs("trackres prove", *EXTRA, "sklearn")
-    from trackres_ros.proof.cases import LEVELS, QUICK
+    from trackres_ros.evaluation.sealed.cases import LEVELS, QUICK
 
     if output is None:
         raise InputError("-o", "no folder", "a folder for cases, results and scores")
@@ -75,7 +80,6 @@ def prove_command(
     if kept.exists() and (fresh or kept.read_text(encoding="utf-8") != asked):
         for name in FOLDERS:
             shutil.rmtree(output / name, ignore_errors=True)
-    output.mkdir(parents=True, exist_ok=True)
     kept.write_text(asked, encoding="utf-8")
     said_to = sys.stderr if as_json else None
     _process(said_to, "generate", str(output), *asked.split())
@@ -95,7 +99,7 @@ def _tell(path: Path, text: str, as_json: bool) -> None:
 def _process(said_to: IO[str] | None, module: str, *arguments: str) -> None:
     # Every core has a case of its own: threads within one would only be in each other's way.
     alone = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-    command = [sys.executable, "-m", f"trackres_ros.proof.{module}", *arguments]
+    command = [sys.executable, "-m", f"trackres_ros.evaluation.sealed.{module}", *arguments]
     done = subprocess.run(command, env={**os.environ, **alone}, stdout=said_to, check=False)
     if done.returncode:
         raise click.ClickException(f"{module} ended with exit code {done.returncode}; what was done is kept")
@@ -110,10 +114,10 @@ def _process(said_to: IO[str] | None, module: str, *arguments: str) -> None:
 def prove_real_command(data: Path, output: Path, as_json: bool) -> None:
     """The same on public recordings of real vehicles, with a measured channel concealed."""
     needs("trackres prove real", *EXTRA)
-    from trackres_ros.proof.real import try_all
-    from trackres_ros.proof.real_page import write_page
+    from trackres_ros.evaluation.field.page import write_page
+    from trackres_ros.evaluation.field.run import try_all
 
-    output_folder(output).mkdir(parents=True, exist_ok=True)
+    output_folder(output)
     _tell(output / "proof-real.md", write_page(data, try_all(data, output), output), as_json)
 
 
@@ -123,9 +127,9 @@ def prove_real_command(data: Path, output: Path, as_json: bool) -> None:
 def prove_paper_command(output: Path, as_json: bool) -> None:
     """The paper's own test: laps of a circle on a tilted site, torque from the engine's, and what the diagnosis makes of it."""
     needs("trackres prove paper", *EXTRA)
-    from trackres_ros.proof.paper import ask_all, page
+    from trackres_ros.evaluation.paper import ask_all, page
 
-    output_folder(output).mkdir(parents=True, exist_ok=True)
+    output_folder(output)
     _tell(output / "paper-test.md", page(ask_all(output)), as_json)
 
 
@@ -135,9 +139,9 @@ def prove_paper_command(output: Path, as_json: bool) -> None:
 def prove_loop_command(output: Path, as_json: bool) -> None:
     """The feed-forward of the vehicle file that a diagnosis leaves, on a drive that it never saw."""
     needs("trackres prove loop", *EXTRA)
-    from trackres_ros.proof.loop import close_loop, draw, page
+    from trackres_ros.evaluation.closed_loop import close_loop, draw, page
 
-    output_folder(output).mkdir(parents=True, exist_ok=True)
+    output_folder(output)
     closed = close_loop(output)
     draw(closed, output / "loop.png")
     _tell(output / "loop.md", page(closed, "loop.png"), as_json)

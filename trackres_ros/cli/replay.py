@@ -7,47 +7,43 @@ from typing import Any
 
 import click
 
+import trackres_ros as tr
 from trackres_ros.cli.common import (
+    Command,
     emit,
     json_option,
     method_options,
-    output_path,
+    picture_beside,
     progress,
     surroundings_option,
     vehicle_option,
-    without_suffix,
 )
 from trackres_ros.cli.written import watch
-from trackres_ros.errors import InputError, MissingExtraError, one_line
+from trackres_ros.errors import one_line
 
 
-@click.command("replay")
+@click.command("replay", cls=Command)
 @click.argument("recording", nargs=-1, required=True, type=click.Path(path_type=Path))
 @vehicle_option
 @surroundings_option
 @click.option(
     "--topics",
-    "topics_file",
     type=click.Path(path_type=Path),
     metavar="T.yaml",
     help="Which topic, field or column feeds which role; guessed by message type without.",
 )
 @click.option(
     "--params",
-    "params_file",
     type=click.Path(path_type=Path),
     metavar="P.yaml",
     help="Parameter file, flat or as the live node reads it; what concerns the estimator counts.",
 )
 @method_options
-@click.option(
-    "--resume", "resume_file", type=click.Path(path_type=Path), metavar="STATE", help="Go on from a state saved by --save-state."
-)
-@click.option("--save-state", "state_file", type=click.Path(path_type=Path), metavar="STATE", help="Save the state at the end.")
+@click.option("--resume", type=click.Path(path_type=Path), metavar="STATE", help="Go on from a state saved by --save-state.")
+@click.option("--save-state", type=click.Path(path_type=Path), metavar="STATE", help="Save the state at the end.")
 @click.option(
     "-o",
     "--output",
-    "output",
     type=click.Path(path_type=Path),
     required=True,
     help="Result: .csv, .csv.gz or .parquet as a table, .mcap as topics. A picture .png goes beside it.",
@@ -56,13 +52,13 @@ from trackres_ros.errors import InputError, MissingExtraError, one_line
 def replay_command(
     recording: tuple[Path, ...],
     vehicle: str,
-    surroundings_file: Path | None,
-    topics_file: Path | None,
-    params_file: Path | None,
+    surroundings: Path | None,
+    topics: Path | None,
+    params: Path | None,
     method: str | None,
     thermal: str | None,
-    resume_file: Path | None,
-    state_file: Path | None,
+    resume: Path | None,
+    save_state: Path | None,
     output: Path,
     as_json: bool,
 ) -> None:
@@ -77,45 +73,25 @@ def replay_command(
 
     Messages are taken in the order they were logged and by their own stamps: twice the same recording gives twice the same bits.
     """
-    from trackres_ros.estimator import layout as at
-    from trackres_ros.estimator.estimator import Estimator
-    from trackres_ros.estimator.snapshot import resume, save
-    from trackres_ros.model.track import with_methods
-    from trackres_ros.parameters import make_parameters, read_parameters
-    from trackres_ros.plots import plot_estimate
-    from trackres_ros.replay import NANOSECOND, replay, result_writer
-    from trackres_ros.replay_report import KeptSource, picture_columns, summary, text
-    from trackres_ros.sources import open_source
-    from trackres_ros.topic_settings import settings_for
-    from trackres_ros.topics import Topics
-    from trackres_ros.vehicle import load, with_surroundings
-
-    path = output_path(output)
-    if state_file:
-        if not state_file.parent.is_dir() or (state_file.exists() and not state_file.is_file()):
-            raise InputError("--save-state", str(state_file), "a file in a folder that exists")
-        watch(state_file)
-    if any(path.exists() and path.resolve() == given.resolve() for given in recording):
-        raise InputError("-o", str(path), "another file than the recording, which it would replace")
-    picture = without_suffix(path).with_name(without_suffix(path).name + ".png")
-    watch(picture)
-    topics = Topics.load(topics_file) if topics_file else None
-    parameters = make_parameters(read_parameters(params_file))
-    source = open_source(recording, topics)
-    description = with_surroundings(with_methods(load(vehicle), method, thermal), surroundings_file)
-    estimator = Estimator(description, settings_for(parameters.settings(), topics))
-    session = resume(estimator, resume_file) if resume_file else None
-    look = KeptSource(source, keep=path.suffix.lower() != ".mcap")
-    with progress("replaying", None) as advance, result_writer(path, estimator) as write:
-        result = replay(look, estimator, write, session, advance)
-    if state_file:
-        save(result.session, state_file, int(result.session.memory.times[at.SPEED, at.LAST_ARRIVAL]) * NANOSECOND)
-    title = one_line(f"{', '.join(p.name for p in recording)}: {estimator.vehicle.title}")
-    written = [str(path)]
+    picture = picture_beside(output)
+    watch(output, picture, *([save_state] if save_state else []))
+    described = tr.load_vehicle(vehicle, method=method, thermal=thermal, surroundings=surroundings)
+    with progress("replaying", None) as advance:
+        result = tr.replay(
+            recording,
+            described,
+            topics=topics,
+            params=params,
+            resume=resume,
+            save_state=save_state,
+            output=output,
+            progress=advance,
+        )
+    written = [str(output)]
     try:
-        plot_estimate(picture, result.picture[:, 0], picture_columns(result.session.estimator.columns, result.picture), title)
+        result.plot(picture)
         written.append(str(picture))
-    except MissingExtraError as error:
+    except tr.MissingExtraError as error:
         click.echo(f"trackres: no picture: {error}", err=True)
-    report: dict[str, Any] = summary(result, look, written)
-    emit(report, as_json, lambda: text(report))
+    report: dict[str, Any] = {**result.as_dict(), "written": written}
+    emit(report, as_json, lambda: "\n".join([repr(result), one_line(f"Written: {', '.join(written)}")]))

@@ -7,9 +7,9 @@ from typing import Any
 
 import click
 
+from trackres_ros import InputError
 from trackres_ros.cli.common import emit, json_option, needs, output_folder, progress
 from trackres_ros.cli.written import watch
-from trackres_ros.errors import InputError
 
 
 @click.command("reproduce")
@@ -30,12 +30,12 @@ def reproduce_command(output: Path, page: Path | None, as_json: bool) -> None:
     \b
     trackres reproduce -o figures
     """
-    from trackres_ros.reproduce import reproduce
+    from trackres_ros.evaluation.reproduce import reproduce
 
     needs("pictures", "plots", "matplotlib")
     if page is not None and not page.parent.is_dir():
         raise InputError("--page", str(page), "a file in a folder that exists")
-    output_folder(output).mkdir(parents=True, exist_ok=True)
+    output_folder(output)
     if page is not None:
         watch(page)
     with progress("figures", 1.0) as advance:

@@ -1,6 +1,6 @@
-"""Where simulation and recording part, which physics is missing, and the model that has it."""
+"""Recordings and a vehicle in; out come where they part from the simulation, what physics is missing, and a model that has it."""
 
-from trackres_ros.diagnosis.bases import load_base
-from trackres_ros.diagnosis.diagnose import Diagnosis, diagnose, read_recordings
+from trackres_ros.diagnosis.base.loading import load_base
+from trackres_ros.diagnosis.pipeline import Diagnosis, diagnose, read_recordings
 
 __all__ = ["Diagnosis", "diagnose", "load_base", "read_recordings"]

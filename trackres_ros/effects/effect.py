@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import copy
+import math
 from abc import ABC
+from collections import namedtuple
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
+from trackres_ros.units import STANDSTILL_MPS
 
-Number = float | NDArray[np.float64]
-"""A number now, in the live estimator, or a series of them, in a fit: an effect is written for both."""
-Values = Mapping[str, float]
-
-STANDSTILL_MPS = 0.05  # over it friction changes its sign smoothly, as in `model.resistance`
 REFERENCE_NM = 97920.0  # weight times wheel radius of the 24-tonne vehicle that the magnitudes of the catalogue are of
 ACTS_ON = ("torque", "heat", "cooling", "sensor")
 BELONGS_TO = ("vehicle", "surroundings", "sensor")
@@ -68,8 +65,20 @@ class Parameter:
         return replace(self, low=low, high=high, start=start, more_starts=tuple(factor * x for x in self.more_starts))
 
 
-@dataclass(frozen=True, slots=True)
-class Facts:
+class Values(Protocol):
+    """Values of an effect's parameters, each an attribute."""
+
+    def __getattr__(self, name: str, /) -> float:
+        """The value of a parameter."""
+
+
+@cache
+def values_type(names: tuple[str, ...]) -> Any:
+    """A tuple with a field for each parameter."""
+    return namedtuple("values", names)
+
+
+class Facts(NamedTuple):
     """What an effect may know of the vehicle, SI; of an assembly where it says so."""
 
     radius: float  # sprocket pitch radius, or of the wheel
@@ -77,40 +86,51 @@ class Facts:
     drag_area: float  # C_d A
     air_density: float
     contact_length: float  # on the ground
-    assemblies: int
+    assemblies: float
     cooled_area: float  # of one assembly's belt; 0 where there is none
     tension: float  # of one belt; 0 where there is none
 
 
-@dataclass(frozen=True, slots=True)
-class Conditions:
-    """What an effect may look at, each a number or a series of equal shape; nan where not known."""
+class Conditions(NamedTuple):
+    """What an effect may look at, at one instant; nan where not known. `conditions` makes it from what is measured."""
 
     facts: Facts
-    speed: Number  # m/s
-    accel: Number  # m/s^2
-    weight: Number  # N, whole vehicle
-    ambient: Number  # degC
-    yaw_rate: Number  # rad/s
-    heading: Number  # rad
-    distance: Number  # m, driven since the first known start
-    drive_torque: Number  # Nm, expected at the sprockets a step before
-    own: Number = 0.0  # the effect's own state, see `Effect.lag`
-
-    @property
-    def direction(self) -> Number:
-        """Sign of the speed, smooth through zero."""
-        return np.tanh(np.asarray(self.speed) / STANDSTILL_MPS)
-
-    @property
-    def curvature(self) -> Number:
-        """Of the path [1/m], unsigned; bounded where it turns on the spot."""
-        turning = np.abs(self.yaw_rate)
-        return turning / np.hypot(self.speed, self.facts.contact_length * turning + STANDSTILL_MPS)
+    speed: float  # m/s
+    accel: float  # m/s^2
+    weight: float  # N, whole vehicle
+    ambient: float  # degC
+    yaw_rate: float  # rad/s
+    heading: float  # rad
+    distance: float  # m, driven since the first known start
+    drive_torque: float  # Nm, expected at the sprockets without what the effects change in this step
+    direction: float  # sign of the speed, smooth through zero
+    curvature: float  # of the path [1/m], unsigned; bounded where it turns on the spot
+    own: float = 0.0  # the effect's own state, see `Effect.lag`
 
 
-@dataclass(frozen=True, slots=True)
-class Terms:
+def conditions(
+    facts: Facts,
+    speed: float = 0.0,
+    accel: float = 0.0,
+    weight: float | None = None,
+    ambient: float = 20.0,
+    yaw_rate: float = math.nan,
+    heading: float = math.nan,
+    distance: float = math.nan,
+    drive_torque: float = 0.0,
+    own: float = 0.0,
+) -> Conditions:
+    """What effects look at, from what is known: units of `Conditions`, the nominal weight without one."""
+    turning = abs(yaw_rate)
+    curvature = turning / math.hypot(speed, facts.contact_length * turning + STANDSTILL_MPS)
+    weight = facts.weight if weight is None else weight
+    return Conditions(
+        facts, speed, accel, weight, ambient, yaw_rate, heading, distance, drive_torque,
+        math.tanh(speed / STANDSTILL_MPS), curvature, own,
+    )  # fmt: skip
+
+
+class Terms(NamedTuple):
     """What an effect does now. The defaults do nothing.
 
     Attributes
@@ -128,22 +148,22 @@ class Terms:
     heat
         Into one belt [W].
     inner_resistance
-        From the mean of one belt to its surface [K/W].
+        From the mean of one belt to its surface [K/W]; hangs on nothing but the parameters.
     speed_factor
-        True over measured speed.
+        True over measured speed; as those below it hangs on nothing but the parameters.
     sensor_gain, sensor_offset, sensor_delay
         What the torque sensor makes of it: factor, [Nm], by how much it is late [s].
     """
 
-    torque: Number = 0.0
-    drive_gain: Number = 1.0
-    loss_factor: Number = 1.0
+    torque: float = 0.0
+    drive_gain: float = 1.0
+    loss_factor: float = 1.0
     softening: float = 0.0
-    film_offset_factor: Number = 1.0
-    film_slope_factor: Number = 1.0
-    conductance: Number = 0.0
-    sink: Number = 0.0
-    heat: Number = 0.0
+    film_offset_factor: float = 1.0
+    film_slope_factor: float = 1.0
+    conductance: float = 0.0
+    sink: float = 0.0
+    heat: float = 0.0
     inner_resistance: float = 0.0
     speed_factor: float = 1.0
     sensor_gain: float = 1.0
@@ -153,30 +173,33 @@ class Terms:
     def with_(self, other: Terms) -> Terms:
         """Both together."""
         conductance = self.conductance + other.conductance
-        share = np.divide(other.conductance, conductance, out=np.zeros(np.shape(conductance)), where=np.asarray(conductance) != 0)
-        products = {name: getattr(self, name) * getattr(other, name) for name in FACTORS}
-        sums = {name: getattr(self, name) + getattr(other, name) for name in SUMS}
-        return Terms(**products, **sums, conductance=conductance, sink=self.sink + share * (np.asarray(other.sink) - self.sink))
+        share = other.conductance / conductance if conductance != 0.0 else 0.0
+        both = {name: getattr(self, name) * getattr(other, name) for name in FACTORS}
+        both |= {name: getattr(self, name) + getattr(other, name) for name in SUMS}
+        return Terms(**both, conductance=conductance, sink=self.sink + share * (other.sink - self.sink))
 
 
 FACTORS = ("drive_gain", "loss_factor", "film_offset_factor", "film_slope_factor", "speed_factor", "sensor_gain")
 SUMS = ("torque", "softening", "heat", "inner_resistance", "sensor_offset", "sensor_delay")
-if {*FACTORS, *SUMS, "conductance", "sink"} != {field.name for field in fields(Terms)}:
+if {*FACTORS, *SUMS, "conductance", "sink"} != set(Terms._fields):
     raise TypeError("Terms has a field that is neither a factor nor a sum: say how two effects act together in it")
 SOFTENING_FROM_DEGC = 40.0
 
 
-@dataclass(frozen=True, slots=True)
-class Lag:
+class Lag(NamedTuple):
     """A state of an effect's own: it follows a target with a time constant [s], from a value after a long rest."""
 
-    target: Number
-    time_constant: Number
-    start: Number
+    target: float
+    time_constant: float
+    start: float
 
 
 class Effect(ABC):
     """A left-out effect. A class of its own in a file of its own; it holds nothing but what is written here.
+
+    `lag` and `terms` are for one instant: numbers in, numbers out. They are compiled into the step that runs live, in replay and
+    in a fit, so they use their arguments, constants of their file and `math`, and no `self`; what cannot be compiled runs in
+    plain Python, some hundred times slower.
 
     Attributes
     ----------
@@ -211,6 +234,16 @@ class Effect(ABC):
     def lag(self, at: Conditions, p: Values) -> Lag | None:  # noqa: ARG002 - most have none
         """Its own state, if it has one: what it tends to under the conditions."""
         return None
+
+    @property
+    def has_lag(self) -> bool:
+        """Whether it has a state of its own."""
+        return type(self).lag is not Effect.lag
+
+    @property
+    def pack(self) -> Any:
+        """Makes the argument `p` of `lag` and `terms` from values in the order of the parameters."""
+        return values_type(tuple(q.name for q in self.parameters))
 
     def terms(self, at: Conditions, p: Values) -> Terms:
         """What it does under the conditions with these values of its parameters."""
@@ -247,12 +280,21 @@ class Active:
     """An effect with values for its parameters, and where they are known the ranges that they lie in."""
 
     effect: Effect
-    values: Values
+    values: Mapping[str, float]
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
-    def terms(self, at: Conditions, own: Number) -> Terms:
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        """The values in the order of the parameters."""
+        return tuple(float(self.values[q.name]) for q in self.effect.parameters)
+
+    def terms(self, at: Conditions, own: float = 0.0) -> Terms:
         """What it does, its own state given."""
-        return self.effect.terms(replace(at, own=own), self.values)
+        return self.effect.terms(at._replace(own=own), self.effect.pack(*self.numbers))
+
+    def lag(self, at: Conditions) -> Lag | None:
+        """What its own state tends to, if it has one."""
+        return self.effect.lag(at, self.effect.pack(*self.numbers))
 
     def shifted(self) -> list[Active]:
         """The same with one parameter of size a standard deviation off, for each that has a range (of +-2 of them)."""

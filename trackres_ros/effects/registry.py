@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import inspect
+import keyword
 import math
 import pkgutil
 from collections.abc import Mapping, Sequence
@@ -12,11 +13,10 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from trackres_ros.effects.effect import ACTS_ON, BELONGS_TO, Active, Effect, Parameter
-from trackres_ros.errors import InputError
-from trackres_ros.topics import nearest
+from trackres_ros.effects.effect import ACTS_ON, BELONGS_TO, Active, Effect, Facts, Parameter, conditions
+from trackres_ros.errors import InputError, nearest
 
-HELPERS = ("effect", "facts", "registry")
+NOWHERE = Facts(1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
 ELSEWHERE = {
     "vehicle": "list it under effects of the vehicle file",
     "surroundings": "move it to a file of the surroundings and give that with --surroundings where it holds",
@@ -35,13 +35,14 @@ def catalogue(
     InputError
         If a folder or file holds no usable effect, or one whose name is taken.
     """
-    package = importlib.import_module("trackres_ros.effects")
+    packages = [importlib.import_module(f"{__package__}.{kind}") for kind in BELONGS_TO]
     modules = [
-        importlib.import_module(f"trackres_ros.effects.{found.name}")
+        importlib.import_module(f"{package.__name__}.{found.name}")
+        for package in packages
         for found in pkgutil.iter_modules(package.__path__)
-        if found.name not in HELPERS
     ]
-    effects = {effect.name: effect for module in modules for effect in _effects_in(module)}
+    shipped = [effect for module in modules for effect in _effects_in(module)]
+    effects = {effect.name: effect for effect in sorted(shipped, key=lambda effect: effect.name)}
     for path in (*_python_files(folder), *files):
         own = _effects_in(_module_of(path))
         if not own:
@@ -149,7 +150,16 @@ def _check(effect: Effect, path: Path) -> None:
     if not all(isinstance(q, Parameter) for q in effect.parameters):
         raise InputError(f"{path}: parameters", effect.parameters, "a tuple of trackres_ros.effects.Parameter")
     for q in effect.parameters:
+        if not q.name.isidentifier() or keyword.iskeyword(q.name) or q.name.startswith("_"):
+            raise InputError(f"{path}: parameters", q.name, "a name that Python can write as p.name")
         if not -math.inf < q.low <= q.start <= q.high < math.inf or (q.off is not None and not q.low <= q.off <= q.high):
             raise InputError(f"{path}: {q.name}", (q.low, q.start, q.high, q.off), "start and off within finite low and high")
     if all(q.off is None for q in effect.parameters):
         raise InputError(f"{path}: parameters", [q.name for q in effect.parameters], "one with a value without effect (off)")
+    try:
+        Active(effect, effect.values()).terms(conditions(NOWHERE, speed=1.0))
+    except TypeError as error:
+        if "indices must be" in str(error):  # as effects were written once
+            raise InputError(f"{path}: {effect.name}", 'p["name"]', "p.name for the value of a parameter") from error
+    except Exception:  # said where it is used, with what it was used for
+        return

@@ -13,10 +13,20 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.compiled import compiled
-from trackres_ros.estimator import layout as at
+from trackres_ros.effects.effect import SOFTENING_FROM_DEGC
+from trackres_ros.effects.stepping import (
+    TERM_CONDUCTANCE,
+    TERM_FILM_OFFSET,
+    TERM_FILM_SLOPE,
+    TERM_HEAT,
+    TERM_LOSS_FACTOR,
+    TERM_SINK,
+    TERM_SOFTENING,
+)
+from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.columns import BELT_COLUMNS, DOUBT_1, DOUBT_AMBIENT, NOISE_1, NOISE_2, TEMPERATURE
 from trackres_ros.estimator.constants import Constants
-from trackres_ros.estimator.layout import BELT_COLUMNS, DOUBT_1, DOUBT_AMBIENT, NOISE_1, NOISE_2, TEMPERATURE
+from trackres_ros.jit.compiled import compiled, inlined
 from trackres_ros.model.loss_table import look_up, look_up_drive
 from trackres_ros.model.rubber import log_shift_factor
 from trackres_ros.model.thermal import film_coefficient, phi_1, phi_2, phi_matrix, surface_temperature
@@ -26,14 +36,14 @@ Array = NDArray[np.float64]
 SLOWEST_LOG_SPEED = -6.0  # log10(m/s); below it the loss per metre of travel no longer changes
 
 
-@compiled
+@inlined
 def log_speed(speed: float) -> float:
     """log10 of a speed [m/s], bounded below."""
     magnitude = abs(speed)
     return math.log10(magnitude) if magnitude > 1e-6 else SLOWEST_LOG_SPEED
 
 
-@compiled
+@inlined
 def loss_force(
     k: Constants, i: int, belt_degc: float, log10_speed: float, log_load: float, drive_torque: float
 ) -> tuple[float, float]:
@@ -53,32 +63,35 @@ def loss_force(
     )
     signed, unsigned = look_up_drive(k.drive, table, k.number.first_x, k.number.step_x, x)
     total = loss + drive_torque * signed + abs(drive_torque) * unsigned
-    factor = k.terms[at.TERM_LOSS_FACTOR] * math.exp(-k.terms[at.TERM_SOFTENING] * (belt_degc - at.SOFTENING_FROM_DEGC))
-    return total * factor, (slope * shift_slope - k.terms[at.TERM_SOFTENING] * total) * factor
+    factor, softening = k.work[TERM_LOSS_FACTOR], k.work[TERM_SOFTENING]
+    if softening != 0.0:
+        factor *= math.exp(-softening * (belt_degc - SOFTENING_FROM_DEGC))
+    return total * factor, (slope * shift_slope - softening * total) * factor
 
 
-@compiled
+@inlined
 def film(k: Constants, i: int, speed: float) -> float:
     """Film coefficient of a belt [W/m^2/K]."""
     return film_coefficient(
         speed,
-        k.assembly[i, at.FILM_OFFSET] * k.terms[at.TERM_FILM_OFFSET],
-        k.assembly[i, at.FILM_SLOPE] * k.terms[at.TERM_FILM_SLOPE],
+        k.assembly[i, at.FILM_OFFSET] * k.work[TERM_FILM_OFFSET],
+        k.assembly[i, at.FILM_SLOPE] * k.work[TERM_FILM_SLOPE],
     )
 
 
-@compiled
+@inlined
 def surface(k: Constants, i: int, belt: Array, ambient: float, speed: float) -> tuple[float, float, float]:
     """Surface temperature [degC], and its derivatives by mean and surface, shape of a row of the measurement matrix."""
-    if k.number.two_nodes:
-        return belt[1, TEMPERATURE], 0.0, 1.0
-    to_air = film(k, i, speed)
-    inner, outer = k.assembly[i, at.INNER_CONDUCTANCE], to_air * k.assembly[i, at.AREA]
-    value = surface_temperature(belt[0, TEMPERATURE], ambient, to_air, k.assembly[i, at.AREA], inner)
-    return value, inner / (inner + outer), 0.0
+    value, share = belt[1 if k.number.two_nodes else 0, TEMPERATURE], 1.0
+    inner = k.assembly[i, at.SKIN_CONDUCTANCE]
+    if math.isfinite(inner):
+        to_air = film(k, i, speed)
+        value = surface_temperature(value, ambient, to_air, k.assembly[i, at.AREA], inner)
+        share = inner / (inner + to_air * k.assembly[i, at.AREA])
+    return (value, 0.0, share) if k.number.two_nodes else (value, share, 0.0)
 
 
-@compiled
+@inlined
 def belt_variance(belt: Array, of_mean: float, of_surface: float) -> float:
     """Variance [K^2] of of_mean x mean + of_surface x surface."""
     total = 0.0
@@ -101,7 +114,8 @@ def advance_belt(
     ambient_std: float,
     dt: float,
 ) -> tuple[float, float]:
-    """Advance one belt by dt [s] at constant speed [m/s]; changes `belt`, returns heat in and out [J] over the step.
+    """Advance one belt by dt [s] at constant speed [m/s]; changes `belt`, returns heat in and out [J] over the step, which are
+    not a number where only the temperatures are wanted.
 
     Notes
     -----
@@ -112,15 +126,18 @@ def advance_belt(
     temperature = belt[0, TEMPERATURE]
     loss, loss_slope = loss_force(k, i, temperature, log10_speed, log_load, drive_torque)
     travel = abs(speed)
-    power, power_slope = loss * travel + k.terms[at.TERM_HEAT], loss_slope * travel
-    cooling = film(k, i, speed) * k.assembly[i, at.AREA] + k.terms[at.TERM_CONDUCTANCE]
+    power, power_slope = loss * travel + k.work[TERM_HEAT], loss_slope * travel
+    cooling = film(k, i, speed) * k.assembly[i, at.AREA] + k.work[TERM_CONDUCTANCE]
     # Air and sink together are one surrounding at a temperature between theirs.
-    ambient += k.terms[at.TERM_CONDUCTANCE] / cooling * (k.terms[at.TERM_SINK] - ambient)
+    ambient += k.work[TERM_CONDUCTANCE] / cooling * (k.work[TERM_SINK] - ambient)
     per_capacity = 1.0 / k.assembly[i, at.CAPACITY]
     if not k.number.two_nodes:
         gained, lost = power * per_capacity, cooling * (temperature - ambient) * per_capacity
         rate, growth = gained - lost, (power_slope - cooling) * per_capacity
         mean = dt * phi_1(growth * dt)
+        belt[0, TEMPERATURE] = temperature + mean * rate
+        if not k.number.with_doubt:
+            return math.nan, math.nan
         for cause in range(3):
             forced = (
                 gained * k.assembly[i, at.LOSS_DOUBT + cause]
@@ -131,7 +148,6 @@ def advance_belt(
         belt[0, DOUBT_AMBIENT] += mean * (growth * belt[0, DOUBT_AMBIENT] + cooling * per_capacity * ambient_std)
         kept = belt[0, NOISE_1] * (1.0 + mean * growth)
         belt[0, NOISE_1] = math.sqrt(kept * kept + k.number.process_noise * k.number.process_noise * dt)
-        belt[0, TEMPERATURE] = temperature + mean * rate
         departure = dt * dt * phi_2(growth * dt) * rate
         return power * dt + power_slope * departure, cooling * ((temperature - ambient) * dt + departure)
 
@@ -144,6 +160,10 @@ def advance_belt(
     rate_1 = gained - lost * per_capacity
     rate_2 = gained + (inner * (temperature - outer) - lost) * per_skin
     m11, m12, m21, m22 = phi_matrix(j11 * dt, j12 * dt, j21 * dt, j22 * dt, 1)
+    belt[0, TEMPERATURE] = temperature + dt * (m11 * rate_1 + m12 * rate_2)
+    belt[1, TEMPERATURE] = outer + dt * (m21 * rate_1 + m22 * rate_2)
+    if not k.number.with_doubt:
+        return math.nan, math.nan
     for column in range(DOUBT_1, BELT_COLUMNS):
         first, second = belt[0, column], belt[1, column]
         slope_1, slope_2 = j11 * first + j12 * second, j21 * first + j22 * second
@@ -159,8 +179,6 @@ def advance_belt(
         belt[0, column] = first + dt * (m11 * slope_1 + m12 * slope_2)
         belt[1, column] = second + dt * (m21 * slope_1 + m22 * slope_2)
     add_noise(belt, k.number.process_noise * math.sqrt(dt), k.number.process_noise * math.sqrt(dt))
-    belt[0, TEMPERATURE] = temperature + dt * (m11 * rate_1 + m12 * rate_2)
-    belt[1, TEMPERATURE] = outer + dt * (m21 * rate_1 + m22 * rate_2)
     p11, p12, p21, p22 = phi_matrix(j11 * dt, j12 * dt, j21 * dt, j22 * dt, 2)
     departure_1 = dt * dt * (p11 * rate_1 + p12 * rate_2)
     departure_2 = dt * dt * (p21 * rate_1 + p22 * rate_2)

@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.effects.effect import Conditions
-from trackres_ros.effects.facts import facts_of
-from trackres_ros.estimator import layout as at
-from trackres_ros.estimator.effects_step import terms_of
+from trackres_ros.effects.effect import Active, Facts, conditions
+from trackres_ros.effects.stepping import LIMITS, effect_table, new_work
+from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.settings import PARTS, Settings
-from trackres_ros.estimator.spread import spread
+from trackres_ros.estimator.uncertainty import spread
 from trackres_ros.model.coverage import check_heat, coverage
+from trackres_ros.model.facts import facts_of
 from trackres_ros.model.loss_table import loss_table
 from trackres_ros.model.thermal import ThermalNetwork, thermal_network
 from trackres_ros.vehicle import Vehicle
 from trackres_ros.vehicle.reading import FITTED
 
 Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 # Limits beyond which a measurement is refused, where the vehicle file does not say: [low, high] in SI, degC.
 PLAUSIBLE = {
@@ -35,7 +38,7 @@ PLAUSIBLE = {
 }
 LEAST_LOAD_SHARE = 0.1  # of nominal weight: less is not a driving vehicle
 LARGEST_LOAD_SHARE = 2.5
-LEAST_RESISTANCE = 1e-6  # K/W, as in `diagnosis.belt_series`: below it mean and surface of a belt are one
+LEAST_RESISTANCE = 1e-6  # K/W: below it mean and surface of a belt are one
 OVERSPEED = 1.2  # of the vehicle file's greatest speed
 
 
@@ -49,6 +52,8 @@ class Numbers(NamedTuple):
     wlf_c2: float
     hottest: float  # degC: beyond it the rubber data end
     fastest_x: float  # log10(a_T v): so do they beyond this
+    with_doubt: bool  # whether standard deviations and heat are wanted besides temperatures and torques
+    surroundings: bool  # whether effects of the surroundings are among the effects
     two_nodes: bool
     belt_shows_surface: bool
     bearing_friction: float
@@ -93,26 +98,39 @@ class Constants(NamedTuple):
     """What the kernel reads. Inside compiled code `number` is a record with the fields of `Numbers`."""
 
     number: Numbers
-    assembly: Array  # (assemblies, constants), see layout
+    assembly: Array  # (assemblies, constants), see columns
     loss: Array  # (tables, x, load)
     drive: Array  # (tables, x, 2)
     channel_limits: Array  # (channels, 2)
-    terms: Array  # what effects do in the next step, see layout; the only part that changes
+    effects: IntArray  # (rows, effects.stepping.ROW)
+    effect_values: Array  # (rows, most parameters of one)
+    work: Array  # what effects look at and do in a step, see effects.stepping; the only part that changes
 
 
-def kernel_arguments(constants: Constants, for_compiled: bool) -> tuple[Any, Array, Array, Array, Array, Array]:
+def work_space(facts: Facts, assemblies: int) -> Array:
+    """Where a step puts what it needs meanwhile: no step asks for memory."""
+    parts_and_belts = at.PARTS * (1 + assemblies) + 2 * 2 * at.BELT_COLUMNS
+    return np.concatenate([new_work(facts), np.empty(parts_and_belts)])
+
+
+def kernel_arguments(constants: Constants, for_compiled: bool) -> tuple[Any, ...]:
     """The constants as the kernel's entries take them: the numbers as one record of an array, which costs a call a tenth of
     what fifty separate ones do.
     """
     if not for_compiled:
         return ([constants.number], *constants[1:])
+    return (np.array([tuple(constants.number)], dtype=_record()), *constants[1:])
+
+
+@functools.cache
+def _record() -> np.dtype[Any]:
+    """The record that `Numbers` are in compiled code."""
     kinds = {float: np.float64, int: np.int64, bool: np.bool_}
-    dtype = np.dtype([(name, kinds[kind]) for name, kind in get_type_hints(Numbers).items()])
-    return (np.array([tuple(constants.number)], dtype=dtype), *constants[1:])
+    return np.dtype([(name, kinds[kind]) for name, kind in get_type_hints(Numbers).items()])
 
 
-def make_constants(vehicle: Vehicle, settings: Settings, cache: Path | None = None) -> Constants:
-    """Gather the constants; builds the loss tables or takes them from the cache."""
+def make_constants(vehicle: Vehicle, settings: Settings, cache: Path | None = None, machine: bool = True) -> Constants:
+    """Gather the constants; builds the loss tables or takes them from the cache. Effects are `machine` code or plain Python."""
     names = list(vehicle.tracks)
     tables = [loss_table(vehicle, name, cache) for name in names]
     for name, table in zip(names, tables, strict=True):
@@ -121,22 +139,21 @@ def make_constants(vehicle: Vehicle, settings: Settings, cache: Path | None = No
     spreads = {name: spread(vehicle, name, cache) for name in names}
     axle_names = [axle.name for axle in vehicle.axles]
     chassis, loads = vehicle.chassis, vehicle.nominal_loads()
-    # An effect may part mean and surface: then the belt has two nodes, whatever the file's thermal model.
-    at_rest = [terms_of(active, _nothing_known(vehicle), 0.0) for active in vehicle.active]
-    resistance = sum(terms.inner_resistance for terms in at_rest if terms is not None)
-    resistance = resistance if resistance > LEAST_RESISTANCE else 0.0
+    acting = effect_table(vehicle.effects, vehicle.surroundings, machine=machine)
+    resistance = parting_resistance(vehicle.active, facts_of(vehicle))
     two_nodes = vehicle.thermal == "core_surface" or resistance > 0.0
     constants = np.empty((len(vehicle.assemblies), at.DOUBT_FACTOR))
     for row, load, assembly in zip(constants, loads, vehicle.assemblies, strict=True):
-        track, table = vehicle.track_of(assembly), tables[names.index(assembly.track)]
+        track, losses = vehicle.track_of(assembly), tables[names.index(assembly.track)]
         network = thermal_network("core_surface" if two_nodes else "lumped", track.belt, vehicle.rubber)
         row[at.AXLE] = axle_names.index(assembly.axle)
         row[at.KIND] = row[at.TABLE] = names.index(assembly.track)
         row[at.NOMINAL_LOAD], row[at.RADIUS] = load, track.sprocket_radius
         row[at.CAPACITY], row[at.SURFACE_SHARE] = network.capacity, network.surface_share
-        row[at.INNER_CONDUCTANCE], row[at.AREA] = _conductance(vehicle, network, resistance), network.area
+        row[at.INNER_CONDUCTANCE], row[at.SKIN_CONDUCTANCE] = conductances(network, vehicle.thermal, resistance)
+        row[at.AREA] = network.area
         row[at.FILM_OFFSET], row[at.FILM_SLOPE] = network.film_offset, network.film_slope
-        row[at.FIRST_LOG_LOAD], row[at.STEP_LOG_LOAD] = table.first_log_load, table.step_log_load
+        row[at.FIRST_LOG_LOAD], row[at.STEP_LOG_LOAD] = losses.first_log_load, losses.step_log_load
         row[at.SHARE_OF_AXLE] = load / loads[list(vehicle.assemblies_of(assembly.axle))].sum()
         row[at.SHARE_OF_ALL] = load / loads.sum()
     doubt = np.array([spreads[a.track].factor.ravel() for a in vehicle.assemblies])
@@ -164,6 +181,8 @@ def make_constants(vehicle: Vehicle, settings: Settings, cache: Path | None = No
         wlf_c2=vehicle.rubber.wlf_c2,
         hottest=min(each.hottest for each in covered),
         fastest_x=min(each.log_reduced_speed for each in covered),
+        with_doubt=True,
+        surroundings=bool(vehicle.surroundings),
         two_nodes=two_nodes,
         belt_shows_surface=settings.belt_sensor == "surface",
         bearing_friction=chassis.bearing_friction,
@@ -205,20 +224,39 @@ def make_constants(vehicle: Vehicle, settings: Settings, cache: Path | None = No
         np.stack([t.loss for t in tables]),
         np.stack([t.drive for t in tables]),
         _channel_limits(vehicle),
-        np.array(at.NO_TERMS),
+        acting.rows,
+        acting.values,
+        work_space(facts_of(vehicle), len(vehicle.assemblies)),
     )
 
 
-def _conductance(vehicle: Vehicle, network: ThermalNetwork, resistance: float) -> float:
-    """From the mean of a belt to its surface [W/K]; an effect's resistance [K/W] adds to that of two nodes."""
-    if resistance == 0.0:
-        return network.inner_conductance
-    own = 1.0 / network.inner_conductance if vehicle.thermal == "core_surface" else 0.0
-    return 1.0 / (own + resistance)
+def parting_resistance(effects: Sequence[Active], facts: Facts) -> float:
+    """What effects put between the mean of a belt and its surface [K/W]: with it the belt has two nodes, whatever the file says.
+
+    It hangs on nothing but the parameters. What fails, as an effect of the user's own may, puts nothing there.
+    """
+    total = 0.0
+    for active in effects:
+        try:
+            found = float(active.terms(conditions(facts)).inner_resistance)
+        except Exception:  # of any kind, as the code is not ours
+            continue
+        low, high = LIMITS["inner_resistance"]
+        total += found if low <= found <= high else 0.0
+    return total if total > LEAST_RESISTANCE else 0.0
 
 
-def _nothing_known(vehicle: Vehicle) -> Conditions:
-    return Conditions(facts_of(vehicle), *[0.0] * 8)
+def conductances(network: ThermalNetwork, thermal: str, resistance: float) -> tuple[float, float]:
+    """Between the two nodes of a belt, and from its last node to the skin that a sensor sees [W/K].
+
+    The rubber's own resistance lies between the nodes where the file has two; an effect's adds to that. Of a file with one node,
+    what an effect leaves of it lies between the last node and the skin.
+    """
+    own = 1.0 / network.inner_conductance
+    between = resistance + (own if thermal == "core_surface" else 0.0)
+    left = own - between
+    inner = 1.0 / between if between > 0.0 else network.inner_conductance
+    return inner, 1.0 / left if left > LEAST_RESISTANCE else np.inf
 
 
 def _channel_limits(vehicle: Vehicle) -> Array:

@@ -4,42 +4,45 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from trackres_ros.effects.effect import Conditions
-from trackres_ros.effects.facts import facts_of
-from trackres_ros.estimator import layout as at
+from trackres_ros.effects.stepping import cooled as cooled_effects
+from trackres_ros.effects.stepping import new_memory as new_effects_memory
+from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.constants import Constants, kernel_arguments, make_constants
-from trackres_ros.estimator.effects_step import LAST_SPEED, EffectsStep
-from trackres_ros.estimator.effects_step import cooled as cooled_effects
-from trackres_ros.estimator.effects_step import new_memory as new_effects_memory
+from trackres_ros.estimator.entry_points import COMPILED, Entries
 from trackres_ros.estimator.guards import Memory, new_memory
 from trackres_ros.estimator.kernel import Inputs
-from trackres_ros.estimator.session import COMPILED, Entries
 from trackres_ros.estimator.settings import Settings
+from trackres_ros.text.numbers import decimals
 from trackres_ros.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class State:
-    """What is carried from step to step; see `layout` and `belt_step` for what stands where. Not to be changed."""
+    """What is carried from step to step; see `columns` and `belt_step` for what stands where. Not to be changed."""
 
     belts: Array  # (assemblies, 2, BELT_COLUMNS)
     motion: Array  # (MOTION_COLUMNS,)
-    effects: Array = field(default_factory=lambda: new_effects_memory(0))  # see `effects_step`
+    effects: Array = field(default_factory=lambda: new_effects_memory(0))  # see `effects.stepping`
+
+    def __repr__(self) -> str:
+        belts = ", ".join(decimals(float(degc), 1) for degc in self.belts[:, 0, at.TEMPERATURE])
+        return f"<State: belts {belts} degC, speed {decimals(float(self.motion[at.LAST_SPEED]), 2)} m/s>"
 
 
 class Estimate:
     """One row of results by name: torques [Nm] positive where they resist forward travel, temperatures [degC].
 
-    Every name of `layout.columns` works as a key, `estimate["belt_degc/front_left"]`; the most used are attributes.
+    Every name of `columns.columns` works as a key, `estimate["belt_degc/front_left"]`; the most used are attributes.
     """
 
     __slots__ = ("index", "row")
@@ -50,6 +53,14 @@ class Estimate:
 
     def __getitem__(self, name: str) -> float:
         return float(self.row[self.index[name]])
+
+    def __repr__(self) -> str:
+        belts = ", ".join(decimals(float(degc), 1) for degc in self.belt_degc())
+        texts = f": {'; '.join(self.reason_texts())}" if self.reasons else ""
+        return (
+            f"<Estimate: resistance {decimals(self.resistance_torque_nm)} +- {decimals(self.resistance_std_nm)} Nm "
+            f"at {decimals(self['speed_mps'], 2)} m/s, belts {belts} degC, {self.status}{texts}>"
+        )
 
     @property
     def resistance_torque_nm(self) -> float:
@@ -92,27 +103,63 @@ class Estimate:
         return self.row[len(at.VEHICLE_COLUMNS) + column :: len(at.ASSEMBLY_COLUMNS)]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Steps:
-    """Results of a block of messages: one row a step."""
+    """Results of a block of messages: one row a step.
+
+    Attributes
+    ----------
+    stamp_ns, arrival_ns
+        Time of measurement and of logging of the speed that made the step [ns], shape (steps,).
+    rows
+        Results, shape (steps, columns), as `Estimator.columns` names them.
+    """
 
     stamp_ns: IntArray
     arrival_ns: IntArray
-    rows: Array  # (steps, columns)
+    rows: Array
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __repr__(self) -> str:
+        seconds = (int(self.stamp_ns[-1]) - int(self.stamp_ns[0])) * 1e-9 if len(self) else 0.0
+        return f"<Steps: {len(self)} over {decimals(seconds, 1)} s>"
 
 
 class Estimator:
     """Resistance torque and belt temperatures of one vehicle; holds what never changes, so one serves many sessions.
 
+    `step` is pure: state and inputs in, state and estimate out. `run` does it along a series; `session` takes messages as
+    they come, with guards for what may be wrong with them.
+
+    Parameters
+    ----------
+    vehicle
+        As `trackres_ros.load_vehicle` gives it.
+    settings
+        See docs/settings.md; by default those.
+    cache
+        Folder of computed tables; by default the user's.
+    entries
+        The kernels, compiled where numba is installed.
+
+    Attributes
+    ----------
+    assemblies, columns, channels
+        Names of the track assemblies, of the results in a row, and of the kinds of message a session takes.
+
     Examples
     --------
-    >>> from trackres_ros.vehicle import load
-    >>> estimator = Estimator(load("xgd24d"))
+    >>> import trackres_ros as tr
+    >>> estimator = tr.Estimator(tr.load_vehicle("xgd24d"))
     >>> inputs = estimator.inputs(speed=50 / 3.6, ambient=15.0)
     >>> state = estimator.cold_start(inputs)
     >>> state, estimate = estimator.step(state, inputs, 0.1)
     >>> 3500 < estimate.resistance_torque_nm < 3700
     True
+    >>> estimator
+    <Estimator of xgd24d: assemblies front_left, front_right, rear_left, rear_right; spectral, lumped>
     """
 
     def __init__(
@@ -121,14 +168,21 @@ class Estimator:
         self.vehicle = vehicle
         self.settings = settings or Settings()
         self.entries = entries
-        self.constants: Constants = make_constants(vehicle, self.settings, cache)
+        self.constants: Constants = make_constants(vehicle, self.settings, cache, entries.compiled)
         self.kernel_arguments = kernel_arguments(self.constants, entries.compiled)
         self.assemblies = tuple(a.name for a in vehicle.assemblies)
         self.channels = at.channels(vehicle)
         self.columns = at.columns(vehicle)
         self.column_index = {name: i for i, name in enumerate(self.columns)}
         self._no_belts = np.full(len(self.assemblies), math.nan)
-        self.effects = EffectsStep(vehicle.effects, vehicle.surroundings, facts_of(vehicle))
+
+    def __repr__(self) -> str:
+        names = ", ".join(active.effect.name for active in self.vehicle.active)
+        with_effects = f", with {names}" if names else ""
+        return (
+            f"<Estimator of {self.vehicle.name}: assemblies {', '.join(self.assemblies)}; {self.vehicle.hysteresis}, "
+            f"{self.vehicle.thermal}{with_effects}>"
+        )
 
     def inputs(
         self,
@@ -139,6 +193,9 @@ class Estimator:
         load: Array | None = None,
         acceleration: float = math.nan,
         grade: float = math.nan,
+        yaw_rate: float = math.nan,
+        heading: float = math.nan,
+        distance: float = math.nan,
         measured_torque: float = math.nan,
     ) -> Inputs:
         """Inputs of a step from what is known, the rest nominal.
@@ -153,8 +210,9 @@ class Estimator:
             [degC].
         belt_measured
             New belt temperatures [degC], nan where there is none.
-        acceleration, grade, measured_torque
-            [m/s^2], rise over run, and [Nm]; nan where not known.
+        acceleration, grade, yaw_rate, heading, distance, measured_torque
+            [m/s^2], rise over run, [rad/s], [rad], [m] and [Nm]; nan where not known. A distance that is not known is counted
+            from the speed. The last four serve effects and the residual.
         """
         k = self.constants
         loads = k.assembly[:, at.NOMINAL_LOAD].copy() if load is None else np.asarray(load, dtype=float)
@@ -168,14 +226,17 @@ class Estimator:
             self._no_belts if belt_measured is None else np.asarray(belt_measured, dtype=float),
             float(acceleration),
             float(grade),
+            float(yaw_rate),
+            float(heading),
+            float(distance),
             float(measured_torque),
         )
 
     def cold_start(self, inputs: Inputs, belt_degc: float | None = None, belt_std_k: float | None = None) -> State:
         """State of belts that are at the ambient temperature, or at a known one [degC] with a standard deviation [K]."""
-        memory = new_effects_memory(len(self.effects.effects))
-        state = State(np.empty((len(self.assemblies), 2, at.BELT_COLUMNS)), np.empty(at.MOTION_COLUMNS), memory)
-        self.entries.start_belts(*self.kernel_arguments, state.belts, state.motion, inputs.ambient, inputs.ambient_std)
+        belts = np.empty((len(self.assemblies), 2, at.BELT_COLUMNS))
+        state = State(belts, np.empty(at.MOTION_COLUMNS), new_effects_memory(len(self.vehicle.active)))
+        self.entries.start_belts(*self.kernel_arguments, *_arrays(state), inputs.ambient, inputs.ambient_std)
         if belt_degc is not None:
             state.belts[:, :, at.TEMPERATURE] = belt_degc
             state.belts[:, :, at.DOUBT_AMBIENT] = 0.0
@@ -185,16 +246,10 @@ class Estimator:
 
     def step(self, state: State, inputs: Inputs, dt: float) -> tuple[State, Estimate]:
         """Advance by dt [s] to the time of `inputs`. Pure: the state given is left as it was."""
-        belts, motion, row = state.belts.copy(), state.motion.copy(), np.empty(len(self.columns))
-        effects, arguments = state.effects, self.kernel_arguments
-        if self.effects.effects:
-            arguments = (*arguments[:-1], arguments[-1].copy())
-            now = self._conditions(inputs, motion)
-            effects = self.effects.step(effects, now, float(dt), arguments[-1])
+        row, after = np.empty(len(self.columns)), _copy(state)
         self.entries.step_once(
-            *arguments,
-            belts,
-            motion,
+            *self.own_arguments(),
+            *_arrays(after),
             inputs.speed,
             inputs.load,
             inputs.ambient,
@@ -202,19 +257,19 @@ class Estimator:
             inputs.belt_measured,
             inputs.acceleration,
             inputs.grade,
+            inputs.yaw_rate,
+            inputs.heading,
+            inputs.distance,
             inputs.measured_torque,
             inputs.reasons,
             float(dt),
             row,
         )
-        return State(belts, motion, effects), Estimate(row, self.column_index)
+        return after, Estimate(row, self.column_index)
 
-    def _conditions(self, inputs: Inputs, motion: Array) -> Conditions:
-        accel = inputs.acceleration if math.isfinite(inputs.acceleration) else float(motion[at.FILTERED_ACCEL])
-        return Conditions(
-            self.effects.facts, inputs.speed, accel, float(inputs.load.sum()), inputs.ambient, math.nan, math.nan, math.nan,
-            float(motion[at.LAST_DRIVE]),
-        )  # fmt: skip
+    def own_arguments(self) -> tuple[Any, ...]:
+        """The kernel's arguments with a work space of the caller's own, so that threads do not meet in it."""
+        return (*self.kernel_arguments[:-1], self.kernel_arguments[-1].copy())
 
     def run(
         self,
@@ -225,6 +280,9 @@ class Estimator:
         ambient: ArrayLike,
         acceleration: ArrayLike = math.nan,
         grade: ArrayLike = math.nan,
+        yaw_rate: ArrayLike = math.nan,
+        heading: ArrayLike = math.nan,
+        distance: ArrayLike = math.nan,
     ) -> tuple[State, Array]:
         """`step` along a whole series: the same numbers, without a call for each.
 
@@ -234,9 +292,9 @@ class Estimator:
             State at the first time.
         time_s, speed
             Rising times [s] and speeds [m/s], shape (times,).
-        weight, ambient, acceleration, grade
-            Whole weight [N], ambient temperature [degC], acceleration [m/s^2] and grade, each a number or shape (times,); nan
-            where the last two are unknown.
+        weight, ambient, acceleration, grade, yaw_rate, heading, distance
+            Whole weight [N], ambient temperature [degC], and as in `inputs`; each a number or shape (times,), all but the first
+            two nan where unknown.
 
         Returns
         -------
@@ -244,60 +302,48 @@ class Estimator:
             State at the last time; results, shape (times, columns).
         """
         times = np.ascontiguousarray(time_s, dtype=float)
-        if self.effects.effects:
-            return self._run_step_by_step(state, times, speed, weight, ambient, acceleration, grade)
         series = [
             np.ascontiguousarray(np.broadcast_to(np.asarray(a, dtype=float), times.shape)).copy()
-            for a in (speed, weight, ambient, acceleration, grade)
+            for a in (speed, weight, ambient, acceleration, grade, yaw_rate, heading, distance)
         ]
-        belts, motion = state.belts.copy(), state.motion.copy()
-        rows = np.empty((len(times), len(self.columns)))
-        number = self.constants.number
+        after, rows = _copy(state), np.empty((len(times), len(self.columns)))
         self.entries.run_series(
-            *self.kernel_arguments,
-            belts,
-            motion,
+            *self.own_arguments(),
+            *_arrays(after),
             times,
-            series[0],
-            series[1],
-            series[2],
-            number.ambient_std,
-            series[3],
-            series[4],
+            *series[:3],
+            self.constants.number.ambient_std,
+            *series[3:],
             np.empty(len(self.assemblies)),
             self._no_belts,
             rows,
         )
-        return State(belts, motion), rows
-
-    def _run_step_by_step(self, state: State, times: Array, *given: ArrayLike) -> tuple[State, Array]:
-        series = [np.broadcast_to(np.asarray(a, dtype=float), times.shape) for a in given]
-        rows = np.empty((len(times), len(self.columns)))
-        for i, (v, w, ambient, accel, grade) in enumerate(zip(*series, strict=True)):
-            inputs = self.inputs(v, weight=w, ambient=ambient, acceleration=accel, grade=grade)
-            state, estimate = self.step(state, inputs, times[i] - times[i - 1] if i else 0.0)
-            rows[i] = estimate.row
-        return state, rows
+        return after, rows
 
     def rest(self, state: State, ambient: float, seconds: float) -> State:
         """The state after standing, or being switched off, for a while at an ambient temperature [degC]."""
-        belts, motion = state.belts.copy(), state.motion.copy()
-        self.entries.rest_belts(
-            *self.kernel_arguments, belts, float(ambient), self.constants.number.ambient_unknown_std, float(seconds)
+        after = _copy(state)
+        self.entries.rest_vehicle(
+            *self.own_arguments(),
+            *_arrays(after),
+            float(ambient),
+            self.constants.number.ambient_unknown_std,
+            float(seconds),
         )
-        motion[at.FEEDFORWARD] = motion[at.FEEDFORWARD_TARGET] = motion[at.ROLLS] = 0.0
-        effects = state.effects
-        if self.effects.effects and seconds > 0.0:
-            nothing = np.array(at.NO_TERMS)
-            still = replace(self._conditions(self.inputs(0.0, ambient=ambient), motion), drive_torque=0.0)
-            effects = effects.copy()
-            effects[LAST_SPEED] = 0.0
-            effects = self.effects.step(self.effects.step(effects, still, 0.0, nothing), still, seconds, nothing)
-        return State(belts, motion, effects)
+        return after
 
     def session(self) -> Session:
         """A new session: a stream of messages through the guards."""
         return Session(self)
+
+
+def _copy(state: State) -> State:
+    return State(*(array.copy() for array in _arrays(state)))
+
+
+def _arrays(state: State) -> tuple[Array, Array, Array]:
+    """As the kernel's entries take them."""
+    return state.belts, state.motion, state.effects
 
 
 class Session:
@@ -309,15 +355,14 @@ class Session:
         self.memory: Memory = new_memory(len(estimator.channels))
         self.belts = np.zeros((assemblies, 2, at.BELT_COLUMNS))
         self.motion = np.zeros(at.MOTION_COLUMNS)
-        self.effects = new_effects_memory(len(estimator.effects.effects))
-        self._terms = np.array(at.NO_TERMS)
+        self.effects = new_effects_memory(len(estimator.vehicle.active))
         self._loads = np.zeros(assemblies)
         self._arguments = (
-            *estimator.kernel_arguments[:-1],
-            self._terms,
+            *estimator.own_arguments(),
             *self.memory,
             self.belts,
             self.motion,
+            self.effects,
             self._loads,
             np.zeros(assemblies),
         )
@@ -337,20 +382,20 @@ class Session:
         """Begin from a known state instead of a cold start."""
         self.belts[:], self.motion[:] = state.belts, state.motion
         if len(state.effects) == len(self.effects):
-            self.effects = state.effects.copy()
+            self.effects[:] = state.effects
         self.motion[at.STARTED] = 0.5
 
     def adopt(self, other: Session) -> None:
         """Go on where another session of the same vehicle is: all it remembers, under this one's settings."""
         self.belts[:], self.motion[:], self._loads[:] = other.belts, other.motion, other._loads
-        self.effects = other.effects.copy()
+        self.effects[:] = other.effects
         for mine, its in zip(self.memory, other.memory, strict=True):
             mine[:] = its
 
     def start_anew(self, time_went_back: bool) -> None:
         """Forget belts and messages, as at a cold start; counters stay. The next estimate says so if time went back."""
         self.memory.times[:], self.memory.values[:] = 0, math.nan
-        self.effects = cooled_effects(self.effects)
+        self.effects[:] = cooled_effects(self.effects)
         self.motion[at.STARTED] = at.START_ANEW if time_went_back else 0.0
 
     def channel(self, name: str) -> int:
@@ -360,55 +405,16 @@ class Session:
     def handle(self, channel: int, stamp_ns: int, arrival_ns: int, value: float) -> Estimate | None:
         """Take in one message; an estimate if it was an accepted speed, else None."""
         row = np.empty(len(self.estimator.columns))
-        effects = self._effects_by(channel, stamp_ns, arrival_ns, value) if self.estimator.effects.effects else self.effects
         stepped = self.estimator.entries.feed_one(*self._arguments, channel, stamp_ns, arrival_ns, value, row)
-        if not stepped:
-            return None
-        self.effects = effects
-        return Estimate(row, self.estimator.column_index)
-
-    def _effects_by(self, channel: int, stamp_ns: int, arrival_ns: int, value: float) -> Array:
-        """Prepare the terms of the step that a speed would make; the effects' memory after it, should it be accepted."""
-        if channel != at.SPEED or not math.isfinite(value):
-            return self.effects
-        k, times = self.estimator.constants, self.memory.times
-
-        def held(which: int, hold_ns: int, otherwise: float) -> float:
-            fresh = times[which, at.SEEN] and arrival_ns - times[which, at.LAST_ARRIVAL] <= hold_ns
-            return float(self.memory.values[which]) if fresh else otherwise
-
-        number = k.number
-        weight = float(self._loads.sum()) or float(k.assembly[:, at.NOMINAL_LOAD].sum())
-        accel = held(at.ACCEL, number.motion_hold_ns, float(self.motion[at.FILTERED_ACCEL]))
-        ambient = held(at.AMBIENT, number.ambient_hold_ns, number.nominal_ambient)
-        turning = held(at.YAW_RATE, number.motion_hold_ns, math.nan), held(at.HEADING, number.motion_hold_ns, math.nan)
-        drive = float(self.motion[at.LAST_DRIVE])
-        now = Conditions(self.estimator.effects.facts, value, accel, weight, ambient, *turning, math.nan, drive)
-        elapsed = (stamp_ns - times[at.SPEED, at.LAST_STAMP]) * 1e-9 if times[at.SPEED, at.SEEN] else 0.0
-        if not 0.0 <= elapsed <= number.bridge:  # a jump or a long gap: how it went is not known, least of all by the stamps
-            elapsed = 0.0
-        return self.estimator.effects.step(self.effects, now, elapsed, self._terms)
+        return Estimate(row, self.estimator.column_index) if stepped else None
 
     def handle_block(self, channel: NDArray[np.int16], stamp_ns: IntArray, arrival_ns: IntArray, value: Array) -> Steps:
         """Take in many messages, arrays of shape (messages,) in the order they arrived."""
-        if self.estimator.effects.effects:
-            return self._one_by_one(channel, stamp_ns, arrival_ns, value)
         most = int(np.count_nonzero(channel == at.SPEED))
         rows = np.empty((most + 1, len(self.estimator.columns)))
         stamps, arrivals = np.empty((2, most + 1), dtype=np.int64)
         steps = self.estimator.entries.feed_many(*self._arguments, channel, stamp_ns, arrival_ns, value, rows, stamps, arrivals)
         return Steps(stamps[:steps], arrivals[:steps], rows[:steps])
-
-    def _one_by_one(self, channel: NDArray[np.int16], stamp_ns: IntArray, arrival_ns: IntArray, value: Array) -> Steps:
-        stamps, arrivals, rows = [], [], []
-        for message in zip(channel.tolist(), stamp_ns.tolist(), arrival_ns.tolist(), value.tolist(), strict=True):
-            estimate = self.handle(*message)
-            if estimate is not None:
-                stamps.append(int(self.memory.times[at.SPEED, at.LAST_STAMP]))
-                arrivals.append(message[2])
-                rows.append(estimate.row)
-        columns = len(self.estimator.columns)
-        return Steps(np.array(stamps, np.int64), np.array(arrivals, np.int64), np.array(rows).reshape(-1, columns))
 
     def counts(self) -> Iterator[tuple[str, at.Count, int]]:
         """All counters that are not zero: channel, counter, number."""

@@ -12,10 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.compiled import compiled, inlined
-from trackres_ros.estimator import layout as at
+from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.constants import Constants
 from trackres_ros.estimator.kernel import Inputs
+from trackres_ros.jit.compiled import compiled, inlined
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -195,6 +195,9 @@ def gather(k: Constants, memory: Memory, outcome: int, motion: Array, loads: Arr
         belt_measured,
         held(memory, at.ACCEL, now, k.number.motion_hold_ns),
         held(memory, at.GRADE, now, k.number.motion_hold_ns),
+        held(memory, at.YAW_RATE, now, k.number.motion_hold_ns),
+        held(memory, at.HEADING, now, k.number.motion_hold_ns),
+        math.nan,  # an odometer begins anywhere; the distance is counted from the speed, as in a fit
         held(memory, at.TORQUE, now, k.number.torque_hold_ns),
         reasons,
     )

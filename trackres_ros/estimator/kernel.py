@@ -8,8 +8,22 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.compiled import compiled, inlined
-from trackres_ros.estimator import layout as at
+from trackres_ros.effects.stepping import (
+    ALL_WELL,
+    FIRST_OWN,
+    TERM_DRIVE_GAIN,
+    TERM_FED,
+    TERM_FED_GAIN,
+    TERM_FED_INERTIA,
+    TERM_GAIN_VARIANCE,
+    TERM_LOSS_VARIANCE,
+    TERM_TORQUE,
+    TERM_VARIANCE,
+    WORK,
+    look,
+    step_effects,
+)
+from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.belt_step import (
     SLOWEST_LOG_SPEED,
     add_noise,
@@ -22,6 +36,7 @@ from trackres_ros.estimator.belt_step import (
 )
 from trackres_ros.estimator.constants import Constants
 from trackres_ros.estimator.motion_step import advance_motion, rolls, start_motion
+from trackres_ros.jit.compiled import compiled, inlined
 from trackres_ros.model.resistance import bearing_force, direction, grade_force, inertia_force, wind_force
 from trackres_ros.model.rubber import log_shift_factor
 
@@ -41,6 +56,14 @@ OUTSIDE, CLAMPED, LIMITED = (
     int(at.Reason.FEEDFORWARD_CLAMPED),
     int(at.Reason.FEEDFORWARD_RATE_LIMITED),
 )
+PREDICTED_DRIVE, PREDICTED_BELT, PREDICTED_SKIN, PREDICTED_OUTCOME = range(4)
+PREDICTED = 4
+# Behind what effects use of the work space: a belt before a gap and after a rest, then the parts of all assemblies and of each.
+BEFORE = WORK
+RESTED = BEFORE + 2 * at.BELT_COLUMNS
+PARTS_OF_ALL = RESTED + 2 * at.BELT_COLUMNS
+PARTS_OF_EACH = PARTS_OF_ALL + at.PARTS
+SURROUNDINGS, EFFECT_LEFT_OUT = int(at.Reason.SURROUNDINGS), int(at.Reason.EFFECT_LEFT_OUT)
 
 
 class Inputs(NamedTuple):
@@ -53,12 +76,15 @@ class Inputs(NamedTuple):
     belt_measured: Array  # degC, nan where there is no new one
     acceleration: float = math.nan  # m/s^2 along the travel, commanded or measured without gravity's part
     grade: float = math.nan  # rise over run, positive uphill the way the vehicle points
+    yaw_rate: float = math.nan  # rad/s
+    heading: float = math.nan  # rad
+    distance: float = math.nan  # m, driven; without one it is counted from the speed
     measured_torque: float = math.nan  # Nm at the sprockets, whole vehicle
-    reasons: int = 0  # layout.Reason found before the step
+    reasons: int = 0  # columns.Reason found before the step
 
 
 @compiled
-def start(k: Constants, belts: Array, motion: Array, ambient: float, ambient_std: float) -> None:
+def start(k: Constants, belts: Array, motion: Array, effects: Array, ambient: float, ambient_std: float) -> None:
     """A cold start: every belt at the ambient temperature, and uncertain."""
     for i in range(belts.shape[0]):
         for node in range(2):
@@ -70,6 +96,8 @@ def start(k: Constants, belts: Array, motion: Array, ambient: float, ambient_std
     for column in range(at.MOTION_COLUMNS):
         motion[column] = 0.0
     motion[at.QUANTUM] = 1e9
+    for place in range(FIRST_OWN, effects.shape[0]):  # as after a long rest; the distance driven stays
+        effects[place] = math.nan
 
 
 @compiled
@@ -118,16 +146,23 @@ def pass_gap(
     dt: float,
 ) -> None:
     """A gap too long to bridge: the middle between resting and driving on all the while, and as uncertain as they differ."""
-    rested = belt.copy()
-    roll(k, assembly, rested, 0.0, 0.0, SLOWEST_LOG_SPEED, log_load, 0.0, ambient, ambient_std, dt)
+    before, rested = k.work[BEFORE:RESTED], k.work[RESTED:PARTS_OF_ALL]
+    for node in range(2):
+        for column in range(at.BELT_COLUMNS):
+            before[node * at.BELT_COLUMNS + column] = belt[node, column]
+    roll(k, assembly, belt, 0.0, 0.0, SLOWEST_LOG_SPEED, log_load, 0.0, ambient, ambient_std, dt)
+    for node in range(2):
+        for column in range(at.BELT_COLUMNS):
+            rested[node * at.BELT_COLUMNS + column] = belt[node, column]
+            belt[node, column] = before[node * at.BELT_COLUMNS + column]
     roll(
         k, assembly, belt, speed_from, speed_to, log_speed(0.5 * (speed_from + speed_to)), log_load, 0.0, ambient, ambient_std, dt
     )
-    difference_1 = belt[0, at.TEMPERATURE] - rested[0, at.TEMPERATURE]
-    difference_2 = belt[1, at.TEMPERATURE] - rested[1, at.TEMPERATURE]
+    difference_1 = belt[0, at.TEMPERATURE] - rested[at.TEMPERATURE]
+    difference_2 = belt[1, at.TEMPERATURE] - rested[at.BELT_COLUMNS + at.TEMPERATURE]
     for node in range(2):
         for column in range(at.BELT_COLUMNS):
-            belt[node, column] = 0.5 * (belt[node, column] + rested[node, column])
+            belt[node, column] = 0.5 * (belt[node, column] + rested[node * at.BELT_COLUMNS + column])
     add_noise(belt, difference_1 / math.sqrt(12.0), difference_2 / math.sqrt(12.0))
 
 
@@ -151,7 +186,7 @@ class Road(NamedTuple):
     dt: float
 
 
-@inlined
+@compiled
 def measure(k: Constants, i: int, belt: Array, measured: float, ambient: float, speed: float) -> int:
     """Correct one belt by a new measurement [degC]; the reasons it gives."""
     shown, of_mean, of_surface = belt[0, at.TEMPERATURE], 1.0, 0.0
@@ -248,43 +283,45 @@ def twin_of(k: Constants, i: int, belts: Array, inputs: Inputs) -> int:
 
 @inlined
 def advance_assemblies(k: Constants, belts: Array, inputs: Inputs, road: Road, out: Array) -> tuple[Array, int]:
-    """Advance all assemblies; the sums of their parts, shape (PARTS,), and their reasons."""
+    """Advance all assemblies; the sums of their parts, shape (PARTS,), which lie in the work space, and their reasons."""
     assemblies = belts.shape[0]
-    parts, total = np.empty((assemblies, at.PARTS)), np.zeros(at.PARTS)
-    twins = np.empty(assemblies, dtype=np.int64)
+    total, parts = k.work[PARTS_OF_ALL:PARTS_OF_EACH], k.work[PARTS_OF_EACH:]
+    for column in range(at.PARTS):
+        total[column] = 0.0
     for i in range(assemblies):
-        twins[i] = twin_of(k, i, belts, inputs)
+        parts[i * at.PARTS + at.PART_TWIN] = twin_of(k, i, belts, inputs)
     reasons = 0
     for i in range(assemblies):
-        if twins[i] == i:
-            reasons |= advance_assembly(k, i, belts[i], inputs.load[i], inputs.belt_measured[i], road, parts[i], out)
+        part = parts[i * at.PARTS : (i + 1) * at.PARTS]
+        j = int(part[at.PART_TWIN])
+        if j == i:
+            reasons |= advance_assembly(k, i, belts[i], inputs.load[i], inputs.belt_measured[i], road, part, out)
         else:
-            j = twins[i]
             for column in range(at.BELT_COLUMNS):
                 belts[i, 0, column] = belts[j, 0, column]
                 belts[i, 1, column] = belts[j, 1, column]
             for column in range(at.PARTS):
-                parts[i, column] = parts[j, column]
+                part[column] = parts[j * at.PARTS + column]
             for column in range(COLUMNS_EACH):
                 out[FIRST_OF_ASSEMBLIES + i * COLUMNS_EACH + column] = out[FIRST_OF_ASSEMBLIES + j * COLUMNS_EACH + column]
         for column in range(at.PARTS):
-            total[column] += parts[i, column]
+            total[column] += part[column]
     return total, reasons
 
 
-@compiled
+@inlined
 def fade(age: float, max_age: float, fade_s: float) -> float:
     """Share of the feed-forward that is left when the speed is so old [s]: all until `max_age`, none `fade_s` later."""
     return min(1.0, max(0.0, 1.0 - (age - max_age) / fade_s))
 
 
-@compiled
+@inlined
 def towards(here: float, there: float, room: float) -> float:
     """From one value to another, by no more than `room`."""
     return there if abs(there - here) <= room else here + math.copysign(room, there - here)
 
 
-@compiled
+@inlined
 def followed(value: float, target: float, rate: float, age: float) -> float:
     """Where the feed-forward [Nm] of a step is so long after it [s], on its way to the target; the first output is the step's."""
     return towards(value, target, rate * max(0.0, age - FEEDFORWARD_STEP_S))
@@ -307,8 +344,8 @@ def feedforward(k: Constants, motion: Array, total: Array, of_effects: float, gi
             + of_effects
         )
     if given_accel:  # an acceleration filtered from the speed would feed the controller's own noise back to it
-        wanted += number.feed_inertia * (total[at.PART_INERTIA] + k.terms[at.TERM_FED_INERTIA])
-    wanted *= k.terms[at.TERM_FED_GAIN]
+        wanted += number.feed_inertia * (total[at.PART_INERTIA] + k.work[TERM_FED_INERTIA])
+    wanted *= k.work[TERM_FED_GAIN]
     if abs(wanted) > number.feedforward_limit:
         wanted = math.copysign(number.feedforward_limit, wanted)
         reasons |= CLAMPED
@@ -322,20 +359,87 @@ def feedforward(k: Constants, motion: Array, total: Array, of_effects: float, gi
 
 
 @inlined
-def advance(k: Constants, belts: Array, motion: Array, inputs: Inputs, dt: float, out: Array) -> None:
-    """Advance the whole estimate by dt [s] to the time of `inputs`; changes `belts` and `motion`, fills one row of results.
+def road_now(
+    k: Constants,
+    last_speed: float,
+    speed: float,
+    accel: float,
+    grade: float,
+    weight: float,
+    last_drive: float,
+    ambient: float,
+    ambient_std: float,
+    dt: float,
+) -> Road:
+    """Forces on the whole vehicle at the end of a step; without a grade the ground is level."""
+    number = k.number
+    return Road(
+        last_speed,
+        speed,
+        log_speed(0.5 * (last_speed + speed)),
+        log_speed(speed),
+        direction(speed),
+        weight,
+        bearing_force(speed, weight, number.bearing_friction),
+        number.bearing_friction * weight,
+        wind_force(speed, number.drag_area, number.air_density),
+        grade_force(0.0 if math.isnan(grade) else grade, weight),
+        inertia_force(accel, weight, number.rotating_mass_factor),
+        last_drive,
+        ambient,
+        ambient_std,
+        dt,
+    )
+
+
+@inlined
+def act(
+    k: Constants,
+    motion: Array,
+    effects: Array,
+    speed: float,
+    accel: float,
+    weight: float,
+    ambient: float,
+    turning: tuple[float, float, float],
+    others: float,
+    dt: float,
+) -> int:
+    """Fill the terms of all effects of a step; how that went.
+
+    Some effects look at the torque that drives, and are a part of it. They get that of the last step, moved by what is known
+    already of this one: `others` [Nm], all but belts and effects. `turning` is yaw rate, heading and distance.
+    """
+    if k.effects.shape[0] == 0:
+        return ALL_WELL
+    look(k.work, speed, accel, weight, ambient, *turning, motion[at.LAST_DRIVE] + others - motion[at.LAST_OTHERS])
+    # Of a gap too long to bridge it is not known how it went: no state of an effect moves, no distance is driven.
+    return step_effects(k.effects, k.effect_values, effects, k.work, dt if dt <= k.number.bridge else 0.0)
+
+
+@inlined
+def driving_torque(work: Array, resisting: float, uphill: float, inertia: float) -> tuple[float, float]:
+    """Torque at the sprockets [Nm] out of its parts, and what of it is the effects'."""
+    without_gain = resisting + work[TERM_TORQUE] + uphill + inertia
+    driving = without_gain * work[TERM_DRIVE_GAIN]
+    return driving, work[TERM_TORQUE] + driving - without_gain
+
+
+@compiled
+def advance(k: Constants, belts: Array, motion: Array, effects: Array, inputs: Inputs, dt: float, out: Array) -> None:
+    """Advance the whole estimate by dt [s] to the time of `inputs`; changes what it is carried in, fills one row of results.
 
     Parameters
     ----------
-    k, belts, motion, inputs
-        `constants.Constants`; arrays (assemblies, 2, BELT_COLUMNS) and (MOTION_COLUMNS,); `Inputs`.
+    k, belts, motion, effects, inputs
+        `constants.Constants`; arrays (assemblies, 2, BELT_COLUMNS), (MOTION_COLUMNS,) and of `stepping.new_memory`; `Inputs`.
     dt
         Time since the last step [s], 0 at the first.
     out
-        Row of results, shape (columns,), see `layout`.
+        Row of results, shape (columns,), see `columns`.
     """
-    number, terms = k.number, k.terms
-    reasons = inputs.reasons | int(terms[at.TERM_REASONS])
+    number, work = k.number, k.work
+    reasons = inputs.reasons
     speed = inputs.speed
     started = motion[at.STARTED] > 0.0
     last_speed = motion[at.LAST_SPEED] if started else speed
@@ -352,53 +456,45 @@ def advance(k: Constants, belts: Array, motion: Array, inputs: Inputs, dt: float
         reasons |= BRIDGED
     given_accel = not math.isnan(inputs.acceleration)
     accel = inputs.acceleration if given_accel else motion[at.FILTERED_ACCEL]
-    grade = 0.0 if math.isnan(inputs.grade) else inputs.grade
-    weight = 0.0
+    weight = arm = 0.0
     for i in range(belts.shape[0]):
         weight += inputs.load[i]
-    road = Road(
-        last_speed,
-        speed,
-        log_speed(0.5 * (last_speed + speed)),
-        log_speed(speed),
-        direction(speed),
-        weight,
-        bearing_force(speed, weight, number.bearing_friction),
-        number.bearing_friction * weight,
-        wind_force(speed, number.drag_area, number.air_density),
-        grade_force(grade, weight),
-        inertia_force(accel, weight, number.rotating_mass_factor),
-        motion[at.LAST_DRIVE],
-        inputs.ambient,
-        inputs.ambient_std,
-        dt,
-    )
+        arm += inputs.load[i] * k.assembly[i, at.RADIUS]
+    arm /= weight
+    air = inputs.ambient, inputs.ambient_std
+    road = road_now(k, last_speed, speed, accel, inputs.grade, weight, motion[at.LAST_DRIVE], *air, dt)
+    others = arm * (road.bearing + road.wind + road.uphill + road.inertia)
+    turning = inputs.yaw_rate, inputs.heading, inputs.distance
+    outcome = act(k, motion, effects, speed, accel, weight, inputs.ambient, turning, others, dt)
+    if outcome != ALL_WELL:
+        reasons |= EFFECT_LEFT_OUT
+    if number.surroundings:
+        reasons |= SURROUNDINGS
     total, of_assemblies = advance_assemblies(k, belts, inputs, road, out)
-    resistance = total[at.PART_HYSTERESIS] + total[at.PART_BEARING] + total[at.PART_WIND] + terms[at.TERM_TORQUE]
-    without_gain = resistance + total[at.PART_GRADE] + total[at.PART_INERTIA]
-    driving = without_gain * terms[at.TERM_DRIVE_GAIN]
-    of_effects = terms[at.TERM_TORQUE] + driving - without_gain
-    resistance += driving - without_gain
+    resisting = total[at.PART_HYSTERESIS] + total[at.PART_BEARING] + total[at.PART_WIND]
+    driving, of_effects = driving_torque(work, resisting, total[at.PART_GRADE], total[at.PART_INERTIA])
+    resistance = resisting + of_effects
     for i in range(belts.shape[0]):  # effects are of the whole vehicle, and shared as the load is
         out[FIRST_OF_ASSEMBLIES + i * COLUMNS_EACH + at.PER_RESISTANCE] += of_effects * (inputs.load[i] / weight)
     # What resists motion is fed forward, so of effects nothing where nothing moves: friction holds a standing vehicle by itself,
     # and whatever else an effect says at rest would push it.
-    fed_effects = terms[at.TERM_FED] * abs(direction(speed))
+    fed_effects = work[TERM_FED] * abs(direction(speed))
     wanted, of_feedforward = feedforward(k, motion, total, fed_effects, given_accel, dt)
     variance = (
         total[at.PART_NOISE]
         + total[at.PART_DOUBT_AMBIENT] ** 2
         + (total[at.PART_ARM] * road.rolling_bearing * number.bearing_doubt) ** 2
         + (total[at.PART_WIND] * number.drag_doubt) ** 2
-        + terms[at.TERM_VARIANCE]
-        + terms[at.TERM_LOSS_VARIANCE] * total[at.PART_HYSTERESIS] ** 2
-        + terms[at.TERM_GAIN_VARIANCE] * driving**2
+        + work[TERM_VARIANCE]
+        + work[TERM_LOSS_VARIANCE] * total[at.PART_HYSTERESIS] ** 2
+        + work[TERM_GAIN_VARIANCE] * driving**2
     )
     for cause in range(4):
         variance += total[at.PART_DOUBT + cause] ** 2
     motion[at.FEEDFORWARD] = wanted
     motion[at.LAST_SPEED] = speed
     motion[at.LAST_DRIVE] = driving
+    motion[at.LAST_OTHERS] = others
 
     out[at.OUT_SPEED] = speed
     out[at.OUT_ACCEL] = accel
@@ -420,3 +516,43 @@ def advance(k: Constants, belts: Array, motion: Array, inputs: Inputs, dt: float
     out[at.OUT_HEAT] = total[at.PART_HEAT]
     out[at.OUT_COOLING] = total[at.PART_COOLING]
     out[at.OUT_REASONS] = reasons | of_assemblies | of_feedforward
+
+
+@inlined
+def predict(
+    k: Constants, belts: Array, motion: Array, effects: Array, count: Array, speed: float, accel: float, grade: float,
+    weight: float, ambient: float, turning: tuple[float, float, float], dt: float, out: Array,
+) -> None:  # fmt: skip
+    """The step of `advance` without doubt, feed-forward and shares: what a fit asks for, thousands of times.
+
+    Parameters
+    ----------
+    belts
+        One belt of each kind, shape (kinds, 2, BELT_COLUMNS), as the rows of `k.assembly`.
+    count
+        How many assemblies there are of each kind, shape (kinds,).
+    out
+        `PREDICTED`: driving torque [Nm], mean of the belts' temperatures and of their skins [degC], how the effects went.
+    """  # fmt: skip
+    arm = 0.0
+    for i in range(belts.shape[0]):
+        arm += count[i] * k.assembly[i, at.SHARE_OF_ALL] * k.assembly[i, at.RADIUS]
+    last_speed = motion[at.LAST_SPEED] if motion[at.STARTED] > 0.0 else speed
+    road = road_now(k, last_speed, speed, accel, grade, weight, motion[at.LAST_DRIVE], ambient, 0.0, dt)
+    others = arm * (road.bearing + road.wind + road.uphill + road.inertia)
+    outcome = act(k, motion, effects, speed, accel, weight, ambient, turning, others, dt)
+    hysteresis = mean = skin = belts_in_all = 0.0
+    for i in range(belts.shape[0]):
+        belt, share = belts[i], k.assembly[i, at.SHARE_OF_ALL]
+        log_load, drive = math.log(share * weight), road.last_drive * share
+        if dt > 0.0:
+            roll(k, i, belt, last_speed, speed, road.log10_middle, log_load, drive, ambient, 0.0, dt)
+        loss, _ = loss_force(k, i, belt[0, at.TEMPERATURE], road.log10_speed, log_load, drive)
+        hysteresis += count[i] * k.assembly[i, at.RADIUS] * loss * road.sign
+        mean += count[i] * belt[0, at.TEMPERATURE]
+        skin += count[i] * surface(k, i, belt, ambient, speed)[0]
+        belts_in_all += count[i]
+    driving, _ = driving_torque(k.work, hysteresis + arm * (road.bearing + road.wind), arm * road.uphill, arm * road.inertia)
+    motion[at.STARTED], motion[at.LAST_SPEED], motion[at.LAST_DRIVE], motion[at.LAST_OTHERS] = 1.0, speed, driving, others
+    out[PREDICTED_DRIVE], out[PREDICTED_BELT], out[PREDICTED_SKIN] = driving, mean / belts_in_all, skin / belts_in_all
+    out[PREDICTED_OUTCOME] = outcome

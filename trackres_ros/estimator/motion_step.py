@@ -15,8 +15,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.compiled import compiled
-from trackres_ros.estimator.layout import (
+from trackres_ros.estimator.columns import (
     COV_ACCEL,
     COV_BOTH,
     COV_SPEED,
@@ -26,6 +25,7 @@ from trackres_ros.estimator.layout import (
     ROLLS,
     STARTED,
 )
+from trackres_ros.jit.compiled import inlined
 
 Array = NDArray[np.float64]
 
@@ -36,7 +36,7 @@ SAME_VALUE = 1e-6  # m/s: rounding of a scaled bus value
 ROLLS_FROM, ROLLS_UNTIL = 6.0, 3.0
 
 
-@compiled
+@inlined
 def start_motion(motion: Array, speed: float, speed_variance: float, acceleration_variance: float) -> None:
     """Begin the filter at a first speed [m/s]."""
     motion[FILTERED_SPEED] = speed
@@ -47,7 +47,7 @@ def start_motion(motion: Array, speed: float, speed_variance: float, acceleratio
     motion[STARTED] = 1.0
 
 
-@compiled
+@inlined
 def rolls(motion: Array, speed: float, speed_variance: float) -> float:
     """1 while the speed [m/s] is more than the noise that its sensor has at rest, else 0."""
     noise = ROLLS_UNTIL if motion[ROLLS] > 0.0 else ROLLS_FROM
@@ -55,7 +55,7 @@ def rolls(motion: Array, speed: float, speed_variance: float) -> float:
     return 1.0 if abs(speed) > noise * math.sqrt(speed_variance) + 0.5 * quantum else 0.0
 
 
-@compiled
+@inlined
 def advance_motion(
     motion: Array,
     speed: float,

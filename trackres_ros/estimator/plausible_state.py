@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from trackres_ros.estimator import layout as at
+from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.guards import Memory
 
@@ -50,6 +50,7 @@ def check_state(estimator: Estimator, belts: Array, motion: Array) -> None:
         ("target of the feed-forward", at.FEEDFORWARD_TARGET, -torque, torque),
         ("mark of rolling", at.ROLLS, 0.0, 1.0),
         ("drive torque", at.LAST_DRIVE, -torque, torque),
+        ("drive torque but for belts and effects", at.LAST_OTHERS, -torque, torque),
     ):
         _within(name, motion[index], low, high)
     if motion[at.STARTED] not in STARTED:

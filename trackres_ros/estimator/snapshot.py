@@ -17,14 +17,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros import own_files
 from trackres_ros.errors import InputError
-from trackres_ros.estimator import layout as at
+from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator, Session, State
 from trackres_ros.estimator.plausible_state import check_effects, check_memory, check_state
+from trackres_ros.files import own_files
 
 FORMAT = "trackres-state"
-VERSION = 4
+VERSION = 5
 REMEDY = "delete the file to start cold"
 LARGEST = 4 << 20  # bytes; that of a vehicle with four assemblies has 10 thousand
 FARTHEST_SAVED_AT = 1e10  # s: the year 2286, and as far before 1970
@@ -146,7 +146,7 @@ def _take(session: Session, path: Path) -> float:
             given = content[name]
             if not isinstance(given, list) or len(given) != array.size:
                 raise ValueError(f"{name} of another length")
-            numbers = [float.fromhex(one) for one in given] if name in FLOATS else [_integer(one) for one in given]
+            numbers = [_float(one) for one in given] if name in FLOATS else [_integer(one) for one in given]
             array[:] = np.array(numbers, dtype=array.dtype).reshape(array.shape)
         saved_at = content["saved_at"]
         if isinstance(saved_at, bool) or not isinstance(saved_at, int | float) or not abs(saved_at) <= FARTHEST_SAVED_AT:
@@ -162,6 +162,13 @@ def _take(session: Session, path: Path) -> float:
         given = f"numbers that do not fit: {str(error)[:80]}"
         raise InputError(where, given, "the state of a vehicle, as this program writes it", REMEDY) from error
     return float(saved_at)
+
+
+def _float(given: str) -> float:
+    value = float.fromhex(given)
+    if value.hex() != given:  # more than is written can be read: "abc" is 2748
+        raise ValueError("a number that is not written as it is written here")
+    return value
 
 
 def _integer(given: Any) -> int:

@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq
 
+from trackres_ros.units import GRAVITY
 from trackres_ros.vehicle import Belt, Rubber
 
 Array = NDArray[np.float64]
-
-GRAVITY = 9.80665  # m/s^2, ISO 80000-3
 
 
 def rubber_section(belt: Belt) -> float:

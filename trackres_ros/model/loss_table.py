@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import RectBivariateSpline
 
-from trackres_ros.cached import cached_arrays
-from trackres_ros.compiled import compiled
+from trackres_ros.files.cached_arrays import cached_arrays
+from trackres_ros.jit.compiled import inlined
 from trackres_ros.model.hysteresis import METHODS, LossMethod, Spectral
 from trackres_ros.model.rubber import REFERENCE_ABOVE_TG, RubberModel
 from trackres_ros.model.track import LoadRange, TrackModel, load_range
@@ -62,7 +62,7 @@ class LossTable:
         return out
 
 
-@compiled
+@inlined
 def look_up(
     loss: Array, table: int, first_x: float, step_x: float, first_log_load: float, step_log_load: float, x: float, log_load: float
 ) -> tuple[float, float]:
@@ -77,7 +77,7 @@ def look_up(
     return before + u * (after - before), (after - before) / step_x
 
 
-@compiled
+@inlined
 def look_up_drive(drive: Array, table: int, first_x: float, step_x: float, x: float) -> tuple[float, float]:
     """Loss per sprocket torque with its sign, and per its size [N/Nm]."""
     u = min(max((x - first_x) / step_x, 0.0), drive.shape[1] - 1.000001)
@@ -94,7 +94,7 @@ def loss_table(vehicle: Vehicle, track_name: str, cache: Path | None = None) -> 
     Parameters
     ----------
     cache
-        Folder of the cache, see `trackres_ros.cached`.
+        Folder of the cache, see `trackres_ros.files.cached_arrays`.
     """
 
     def compute() -> dict[str, Array]:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import PchipInterpolator
 
-from trackres_ros.compiled import compiled
+from trackres_ros.jit.compiled import inlined
 from trackres_ros.vehicle import Rubber
 
 Array = NDArray[np.float64]
@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 REFERENCE_ABOVE_TG = 50.0  # K: the shift function is 1 at Tg + 50, equation (4)
 
 
-@compiled
+@inlined
 def log_shift_factor(belt_degc: float, glass_transition: float, c1: float, c2: float) -> tuple[float, float]:
     """log10 a_T of one temperature and its derivative [1/K]; scalars in and out, shared with the live kernel.
 

@@ -12,11 +12,11 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from trackres_ros.compiled import compiled
+from trackres_ros.jit.compiled import compiled, inlined
 from trackres_ros.model import belt as belt_model
+from trackres_ros.units import KMH_PER_MPS
 from trackres_ros.vehicle import Belt, Rubber
 
-KMH_PER_MPS = 3.6
 SERIES_BELOW = 1e-3
 SERIES_TERMS = 15
 
@@ -49,19 +49,19 @@ def thermal_network(model: str, belt: Belt, rubber: Rubber) -> ThermalNetwork:
     )
 
 
-@compiled
+@inlined
 def film_coefficient(speed: float, film_offset: float, film_slope: float) -> float:
     """Film coefficient [W/m^2/K] at a speed [m/s], equation (31)."""
     return film_offset + film_slope * abs(speed)
 
 
-@compiled
+@inlined
 def surface_temperature(mean: float, ambient: float, film: float, area: float, inner_conductance: float) -> float:
     """Surface temperature [degC] that goes with a mean one in the lumped model: the flux through layer and film is one."""
     return (inner_conductance * mean + film * area * ambient) / (inner_conductance + film * area)
 
 
-@compiled
+@inlined
 def phi_1(z: float) -> float:
     """(e^z - 1)/z, the mean of a growing exponential."""
     if abs(z) < SERIES_BELOW:
@@ -69,7 +69,7 @@ def phi_1(z: float) -> float:
     return math.expm1(z) / z
 
 
-@compiled
+@inlined
 def phi_2(z: float) -> float:
     """((e^z - 1)/z - 1)/z, by which the mean departure over a step follows from the rate at its start."""
     if abs(z) < SERIES_BELOW:

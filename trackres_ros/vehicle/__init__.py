@@ -1,4 +1,4 @@
-"""What the vehicle is: file -> checked, frozen description with units and provenance."""
+"""Vehicle file in, checked and frozen description with units and provenance out."""
 
 from trackres_ros.vehicle.description import (
     Assembly,

@@ -161,7 +161,7 @@ class Chassis:
     motor_efficiency: float | None
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Vehicle:
     """The whole vehicle. `parameters` keeps every quantity by its path in the file, with range and provenance."""
 
@@ -179,6 +179,13 @@ class Vehicle:
     parameters: Mapping[str, Quantity]
     effects: tuple[Active, ...] = ()  # left-out physics that the file switches on
     surroundings: tuple[Active, ...] = ()  # the same of site, weather and ground, from a file of their own
+
+    def __repr__(self) -> str:
+        with_effects = f", with {', '.join(active.effect.name for active in self.active)}" if self.active else ""
+        return (
+            f"<Vehicle {self.name}: {self.title}; {self.weight / 1e3:.1f} kN on {len(self.assemblies)} tracks, "
+            f"{self.hysteresis}, {self.thermal}{with_effects}>"
+        )
 
     @property
     def active(self) -> tuple[Active, ...]:

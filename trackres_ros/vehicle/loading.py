@@ -19,9 +19,10 @@ import numpy as np
 from trackres_ros.effects.effect import Active
 from trackres_ros.effects.registry import catalogue, check_effects
 from trackres_ros.errors import InputError
-from trackres_ros.resources import config_dir, find_vehicle
-from trackres_ros.shown import figures
-from trackres_ros.small_files import read_text
+from trackres_ros.files.resources import config_dir, find_vehicle
+from trackres_ros.files.small_files import read_text
+from trackres_ros.files.yamls import read_yaml
+from trackres_ros.text.numbers import figures
 from trackres_ros.vehicle import schema
 from trackres_ros.vehicle.description import (
     Assembly,
@@ -36,7 +37,6 @@ from trackres_ros.vehicle.description import (
     WrappedWheel,
 )
 from trackres_ros.vehicle.reading import Reader
-from trackres_ros.yamls import read_yaml
 
 TOP_KEYS = ("schema", "name", "title", "model", "rubber", "chassis", "assemblies", "tracks")
 EFFECT_KEYS = ("effects", "effect_files")

@@ -8,10 +8,10 @@ from pathlib import Path
 
 from trackres_ros.effects.effect import Active
 from trackres_ros.errors import InputError
+from trackres_ros.files.yamls import read_yaml
 from trackres_ros.vehicle.description import Vehicle
 from trackres_ros.vehicle.loading import listed_effects
 from trackres_ros.vehicle.reading import Reader
-from trackres_ros.yamls import read_yaml
 
 SCHEMA = 1
 KEYS = ("schema", "vehicle", "effects")

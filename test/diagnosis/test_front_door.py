@@ -1,0 +1,142 @@
+"""`tr.diagnose` is `trackres diagnose`, as objects."""
+
+import json
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import trackres_ros as tr
+from trackres_ros.diagnosis.base.loading import load_base
+from trackres_ros.diagnosis.base.road_load import RoadVehicle
+from trackres_ros.diagnosis.writing.kept import Kept
+from trackres_ros.files.resources import shipped_road_vehicles
+
+
+@pytest.fixture(scope="module")
+def vehicle():
+    return tr.load_vehicle("xgd24d")
+
+
+@pytest.fixture(scope="module")
+def stages():
+    return []
+
+
+@pytest.fixture(scope="module")
+def found(recorded, vehicle, stages):
+    """Of a recording that is read and of a path."""
+    one, other = recorded("turning_scrub")
+    return tr.diagnose([tr.read(one), str(other)], vehicle, quick=True, on_stage=stages.append)
+
+
+@pytest.fixture(scope="module")
+def written(found, tmp_path_factory):
+    return found.report(tmp_path_factory.mktemp("found") / "report")
+
+
+def values_of(vehicle):
+    return {path: (q.value, q.low, q.high, q.flag) for path, q in vehicle.parameters.items()}
+
+
+def effects_of(vehicle):
+    return [(a.effect.name, dict(a.values), dict(a.ranges)) for a in vehicle.effects]
+
+
+def test_it_finds_what_the_command_finds(found, scrubbed, stages):
+    _, of_command, done = scrubbed
+    assert found.as_dict() == of_command
+    assert found.sentence == of_command["verdict"]["sentence"]
+    assert (found.status, found.grade) == ("named", "confirmed")
+    assert done.stdout.startswith(repr(found))
+    assert [f"  {stage}" for stage in stages] == done.stderr.splitlines()
+
+
+def test_the_report_is_the_commands(written, found, scrubbed):
+    folder, _, _ = scrubbed
+    names = {path.relative_to(folder) for path in folder.rglob("*") if path.is_file()}
+    assert names == {path.relative_to(written) for path in written.rglob("*") if path.is_file()}
+    assert {path.name for path in found.written} <= {name.name for name in names}
+    for name in names:
+        assert (folder / name).read_bytes() == (written / name).read_bytes(), name
+
+
+def test_the_vehicle_is_that_of_the_written_file(found, written):
+    loaded = tr.load_vehicle(written / "vehicle.yaml")
+    assert values_of(found.vehicle) == values_of(loaded)
+    assert effects_of(found.vehicle) == effects_of(loaded)
+    assert [name for name, _, _ in effects_of(loaded)] == ["turning_scrub"]
+    assert found.vehicle is found.vehicle
+    assert found.vehicle.source.is_file()
+
+
+def test_the_vehicle_serves_at_once_and_is_better(found, vehicle, recorded):
+    path = recorded("turning_scrub")[1]
+    error = {}
+    for name, of in (("given", vehicle), ("found", found.vehicle)):
+        result = tr.replay(path, of)
+        moves = np.abs(result["speed_mps"]) > 0.3
+        error[name] = float(np.nanmean(np.abs(result["residual_nm"][moves])))
+    assert error["found"] < 0.75 * error["given"]
+
+
+def test_an_effect_that_was_found_says_its_value(found):
+    (scrub,) = found.effects
+    assert scrub.name == "turning_scrub"
+    assert scrub.values["friction"] == pytest.approx(0.3, rel=0.2)
+    assert repr(scrub).startswith("<turning_scrub: friction 0.")
+    assert repr(scrub).endswith("; confirmed>")
+
+
+def test_a_notebook_shows_sentence_values_and_a_picture(found):
+    page = found._repr_html_()
+    assert found.sentence.split(":")[0] in page
+    assert "friction" in page
+    assert "data:image/png;base64," in page
+    assert "nan" not in page.split("<img")[0]
+
+
+def test_where_nothing_is_kept_the_vehicle_is_the_one_given(found, vehicle):
+    nothing = replace(found.diagnosis, kept=Kept(None, (), {}, "nothing is kept"))
+    result = tr.DiagnosisResult(nothing, found._loaded, found.recordings, {})
+    assert values_of(result.vehicle) == values_of(vehicle)
+    assert effects_of(result.vehicle) == []
+
+
+def test_surroundings_that_were_given_stay_and_found_ones_are_not_added(found, vehicle, effects):
+    site, headwind = (tr.effects.Active(effects[name], effects[name].values()) for name in ("grade_profile", "headwind"))
+    here = load_base(replace(vehicle, surroundings=(site,)))
+    with_wind = replace(found.diagnosis, kept=Kept(None, (headwind,), {}, "a wind is kept"))
+    result = tr.DiagnosisResult(with_wind, here, found.recordings, {})
+    assert result.vehicle.surroundings == (site,)
+    assert found.vehicle.surroundings == ()
+
+
+def test_without_the_libraries_of_the_page_the_rest_is_written(found, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "jinja2", None)
+    with pytest.warns(UserWarning, match=r"no page: .*pip install jinja2"):
+        folder = found.report(tmp_path / "bare")
+    assert (folder / "vehicle.yaml").is_file()
+    assert json.loads((folder / "report.json").read_text()) == found.as_dict()
+    assert not (folder / "report.html").exists()
+
+
+def test_a_vehicle_that_was_changed_in_memory_is_refused(recorded, vehicle):
+    from trackres_ros.vehicle import variants
+
+    changed = variants(vehicle)({"chassis.bearing_friction": 0.004})
+    with pytest.raises(tr.InputError, match=r"chassis\.bearing_friction"):
+        tr.diagnose(recorded(), changed)
+
+
+def test_a_road_vehicle_is_given_by_name_and_comes_back_as_one(found):
+    name = next(iter(shipped_road_vehicles()))
+    base = load_base(name)
+    nothing = replace(found.diagnosis, base=base.base, kept=Kept(None, (), {}, "nothing is kept"))
+    result = tr.DiagnosisResult(found.diagnosis, base, found.recordings, {})
+    result.diagnosis = nothing
+    road = result.vehicle
+    assert isinstance(road, RoadVehicle)
+    assert dict(road.values) == dict(base.base.vehicle.values)
+    assert load_base(road).title == base.title

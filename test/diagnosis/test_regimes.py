@@ -1,0 +1,154 @@
+"""The map of residuals by regime, on constructed residuals."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from trackres_ros.diagnosis.findings.residual_bins import BINS, FEWEST_IN_BIN, Bin, RegimeMap, cumulative_periodogram, regime_map
+from trackres_ros.diagnosis.prepare.session import Session
+
+N = 3000
+DRAWS = 400
+
+
+def fitted(residual, speed=None, yaw_rate=0.0, heading=0.0, white=None, belt=None, split=1):
+    """A fit whose torque residual is given, of sessions of equal length; belts are nowhere."""
+    n = len(residual)
+    speed = np.zeros(n) if speed is None else speed
+    sessions, segments, rows, whites, predicted = [], [], [], [], []
+    for i, part in enumerate(np.array_split(np.arange(n), split)):
+        none = np.zeros(len(part))
+        full = lambda x, part=part, none=none: none + (x[part] if np.ndim(x) else x)  # noqa: E731
+        sessions.append(
+            Session(
+                f"drive_{i}", 1.0, none, full(speed), none, none + 2e5, none + 15.0, none, full(yaw_rate), full(heading), none,
+                none, none, none == 0.0, none.astype(np.int64),
+            )
+        )  # fmt: skip
+        segments.append(SimpleNamespace(kind="torque"))
+        rows.append(residual[part])
+        whites.append((residual if white is None else white)[part])
+        predicted.append(SimpleNamespace(belt=none + np.nan if belt is None else belt[part]))
+    segments.append(SimpleNamespace(kind="belt"))
+    rows.append(np.full(50, 1e9))
+    whites.append(np.full(50, 1e9))
+    problem = SimpleNamespace(sessions=sessions, segments=segments)
+    return SimpleNamespace(problem=problem, predicted=predicted, residuals=rows, white=whites)
+
+
+def mapped(*args, seed=1, **given):
+    return regime_map(fitted(*args, **given), np.random.default_rng(seed), DRAWS)
+
+
+def noise(seed=0, n=N):
+    return np.random.default_rng(seed).normal(0.0, 1.0, n)
+
+
+def speeds(n=N):
+    return np.random.default_rng(7).permutation(np.linspace(0.0, 12.0, n))
+
+
+def test_a_residual_of_one_regime_is_found_there_with_its_size():
+    fast = speeds() > 10.0
+    found = mapped(noise() + 0.8 * fast, speed=speeds(), yaw_rate=noise(3))
+    (clearest, *_) = found.significant
+    assert clearest.variable == "speed"
+    assert (clearest.low, clearest.high) == pytest.approx((10.0, 12.0), abs=0.01)
+    assert clearest.mean_residual == pytest.approx(0.8, abs=0.15)
+    assert (clearest.unit, clearest.samples) == ("m/s", N // BINS)
+    assert found.p == clearest.p == pytest.approx(1.0 / (DRAWS + 1.0))
+    assert found.samples == N
+
+
+def test_noise_alone_hardly_ever_stands_out():
+    least = [mapped(noise(seed), speed=speeds(), yaw_rate=noise(seed + 100), seed=seed).p for seed in range(60)]
+    assert np.mean(np.array(least) < 0.05) <= 0.12
+    assert np.mean(least) == pytest.approx(0.5, abs=0.13)
+
+
+def test_noise_of_which_neighbours_are_alike_stands_out_no_more_often():
+    """What whitening left of it stays within pieces whose sign is flipped as one."""
+    alike = [np.repeat(noise(seed, N // 5), 5) for seed in range(40)]
+    assert np.mean([mapped(x, speed=np.repeat(speeds(N // 5), 5), seed=i).p < 0.05 for i, x in enumerate(alike)]) <= 0.15
+
+
+def test_more_places_to_look_in_make_each_find_less_sure():
+    residual, speed = noise() + 0.2 * (speeds() > 10.0), speeds()
+    one = mapped(residual, speed=speed)
+    many = mapped(residual, speed=speed, yaw_rate=noise(1), heading=noise(2), belt=noise(3))
+    p = lambda found: found.likeliest("speed", 11.0, 12.0)  # noqa: E731
+    assert p(many) >= p(one)
+    assert {b.variable for b in many.bins} == {
+        "speed", "yaw rate", "yaw rate to the left", "curvature", "heading", "belt temperature",
+    }  # fmt: skip
+
+
+def test_what_does_not_vary_or_is_not_known_is_not_looked_at():
+    belt = noise(3)
+    belt[5] = np.nan
+    found = mapped(noise(), speed=speeds(), belt=belt)
+    assert {b.variable for b in found.bins} == {"speed"}
+    nothing = mapped(noise())
+    assert (nothing.bins, nothing.p, nothing.samples) == ((), 1.0, N)
+
+
+def test_bins_are_evenly_filled_and_need_enough_samples():
+    found = mapped(noise(), speed=speeds())
+    assert [b.samples for b in found.bins] == [N // BINS] * BINS
+    assert [b.low for b in found.bins[1:]] == [b.high for b in found.bins[:-1]]
+    few = (FEWEST_IN_BIN - 1) * BINS
+    assert mapped(noise(n=few), speed=speeds(few)).bins == ()
+    assert len(mapped(noise(n=few + 2 * BINS), speed=speeds(few + 2 * BINS)).bins) == BINS
+
+
+def test_two_values_are_two_ends_of_one_bin():
+    found = mapped(noise(), speed=np.where(speeds() > 5.0, 10.0, 5.0))
+    assert [(b.low, b.high) for b in found.bins] == [(5.0, 10.0)]
+
+
+def test_headings_are_counted_once_around_and_turns_by_both_signs():
+    found = mapped(noise(), heading=speeds() * 10.0, yaw_rate=noise(4))
+    headings = [b for b in found.bins if b.variable == "heading"]
+    assert min(b.low for b in headings) >= -np.pi
+    assert max(b.high for b in headings) <= np.pi
+    assert min(b.low for b in found.bins if b.variable == "yaw rate") >= 0.0
+    assert min(b.low for b in found.bins if b.variable == "yaw rate to the left") < -1.0
+
+
+def test_rows_whose_past_is_not_known_are_not_counted_and_belts_neither():
+    white = noise()
+    white[:300] = np.nan
+    found = mapped(noise() + 0.0, speed=speeds(), white=white, split=3)
+    assert found.samples == N - 300
+    assert sum(b.samples for b in found.bins) >= N - 300
+
+
+def test_the_plain_residual_is_told_and_the_whitened_one_decides():
+    """A level that whitening takes away is told in Nm but does not stand out."""
+    plain, white = noise() + 5.0 * (speeds() > 10.0), noise()
+    found = mapped(plain, speed=speeds(), white=white)
+    assert found.bins[-1].mean_residual == pytest.approx(5.0, abs=0.2)
+    assert found.bins[-1].p > 0.05
+
+
+def test_the_clearest_come_first_and_a_range_has_the_least_of_its_bins():
+    bins = tuple(
+        Bin(variable, low, low + 1.0, mean, "m/s", 50, p)
+        for variable, low, mean, p in (
+            ("speed", 0.0, 3.0, 0.04), ("speed", 1.0, -5.0, 0.01), ("speed", 2.0, 9.0, 0.05), ("load", 0.0, -6.0, 0.01),
+        )
+    )  # fmt: skip
+    found = RegimeMap(bins, 0.01, 200)
+    assert [(b.variable, b.mean_residual) for b in found.significant] == [("load", -6.0), ("speed", -5.0), ("speed", 3.0)]
+    assert found.likeliest("speed", 0.2, 0.8) == 0.04
+    assert found.likeliest("speed", 0.5, 2.5) == 0.01
+    assert found.likeliest("speed", 3.0, 9.0) == 1.0
+    assert found.likeliest("heading", 0.0, 9.0) == 1.0
+
+
+def test_white_noise_has_a_flat_spectrum_and_a_slow_one_has_not():
+    assert cumulative_periodogram(fitted(noise())) > 0.05
+    slow = np.convolve(noise(n=N + 4), np.full(5, 0.2), mode="valid")
+    assert cumulative_periodogram(fitted(slow)) < 1e-6
+    assert cumulative_periodogram(fitted(noise(2), split=3)) > 0.05

@@ -1,0 +1,428 @@
+"""From what was found to one of four verdicts, its grade, and what may be written: on constructed findings."""
+
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from trackres_ros.diagnosis.base.base import BaseParameter
+from trackres_ros.diagnosis.findings.locate import Acts, SlowResidual
+from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
+from trackres_ros.diagnosis.findings.verdict import (
+    FINE_R2,
+    LEFT_SHARE,
+    MOST_STRAY,
+    Found,
+    Verdict,
+    judge,
+    likelier,
+    moved_parameters,
+)
+from trackres_ros.diagnosis.pipeline import believed_in
+from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.diagnosis.selection import confirm as confirming
+from trackres_ros.diagnosis.selection.confirm import Graded, confirm, keep
+from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, HeldOut, HeldOutLaps, Improvement, held_out
+from trackres_ros.diagnosis.selection.naming import Candidate, Step
+from trackres_ros.effects.effect import Parameter
+
+BETTER = Improvement(100.0, 80.0, 15.0, 25.0)
+UNSURE = Improvement(100.0, 95.0, -5.0, 15.0)
+WORSE = Improvement(100.0, 120.0, -30.0, -10.0)
+EVERYWHERE = Acts("speed", "m/s", 0.0, 10.0, 0.0, 10.0, 0.0, 100.0, 100.0, 1.0)
+SIZE = Parameter("size", "Nm", 0.0, 500.0, 100.0, "of it", off=0.0)
+QUIET, NOISY = SlowResidual(1.0, MOST_STRAY / 2, math.nan), SlowResidual(40.0, 0.08, 0.012)
+
+
+def candidate(name, worth=20.0):
+    return Candidate(name, None, worth + 2.0, worth, 0.0, 0.5, 5.0, 0.1, 0.0)
+
+
+def found(name="scrub", members=None, improvement=BETTER, on_bounds=(), adds=100.0, rivals=()):
+    members = members or (name,)
+    chosen = candidate(name)
+    weights = dict.fromkeys(members, 1.0 / len(members))
+    step = Step(None, None, 5.0, 5.0, (), (chosen, *rivals), chosen, members, weights, 1.0)
+    graded = Graded(name, improvement, on_bounds)
+    series = [np.full(100, adds)]
+    return Found(
+        name, f"{name} is missing", "torque", (SIZE,), step, {"size": 120.0}, {}, series, series, (), EVERYWHERE, (), graded
+    )
+
+
+def regimes(*means, p=0.001):
+    return RegimeMap(tuple(Bin("speed", i, i + 1.0, mean, "m/s", 50, p) for i, mean in enumerate(means)), p, 500)
+
+
+def worth(refit=BETTER, r2=0.9):
+    mae = {"nominal": 100.0, "refitted": 80.0, "with_effects": 60.0}
+    of = {"nominal": r2, "refitted": r2 + 0.01, "with_effects": r2 + 0.02}
+    return HeldOut(("a: 1",), mae, of, mae, {}, refit, BETTER)
+
+
+def refitted(*moved, std=0.1):
+    parameters = tuple(BaseParameter(f"q{i}", "1", 1.0, std, 0.0, 3.0) for i in range(len(moved)))
+    values = {q.name: 1.0 + std * m for q, m in zip(parameters, moved, strict=True)}
+    return SimpleNamespace(base_values=values, problem=SimpleNamespace(base=SimpleNamespace(parameters=parameters)))
+
+
+def said(found=(), refuted=(), base=None, at_end=None, stray=QUIET, hint="", held=None):
+    return judge(found, refuted, base or refitted(), at_end or regimes(), stray, hint, held or worth())
+
+
+# Nothing found
+
+
+def test_nothing_beyond_noise():
+    verdict = said()
+    assert (verdict.status, verdict.grade) == ("none", CONFIRMED)
+    assert "No mismatch beyond noise" in verdict.sentence
+    assert "100 Nm" in verdict.sentence
+    assert "80 Nm" in verdict.sentence
+    assert not verdict.names
+
+
+@pytest.mark.parametrize(
+    ("improvement", "grade", "word"),
+    [(BETTER, CONFIRMED, "were off"), (UNSURE, SUSPECTED, "not confirmed"), (WORSE, REFUTED, "is refuted")],
+)
+def test_parameters_that_moved_are_no_physics_and_are_graded_by_the_refit(improvement, grade, word):
+    verdict = said(base=refitted(2.0, 1.0), held=worth(improvement))
+    assert (verdict.status, verdict.grade) == ("none", grade)
+    assert "No physics is missing" in verdict.sentence
+    assert word in verdict.sentence
+    assert "q0 1 -> 1.2" in verdict.sentence
+    assert "q1" not in verdict.sentence
+
+
+def test_a_parameter_has_moved_if_it_left_its_range_furthest_first():
+    moved = moved_parameters(refitted(1.6, -3.0, 1.5, -1.4))
+    assert [(q.name, value) for q, value in moved] == [("q1", pytest.approx(0.7)), ("q0", pytest.approx(1.16))]
+
+
+def test_a_parameter_of_which_nothing_was_known_cannot_have_moved():
+    free = refitted(9.0)
+    (q,) = free.problem.base.parameters
+    free.problem.base.parameters = (replace(q, std=np.inf),)
+    assert moved_parameters(free) == []
+
+
+def test_a_hint_is_told_where_nothing_was_named_only():
+    assert "Were the model exact, headwind would be missing" in said(hint="headwind").sentence
+    assert "headwind" in said(hint="headwind", base=refitted(3.0)).sentence
+    assert "headwind" not in said([found()], hint="headwind").sentence
+
+
+def test_what_is_left_without_a_name_is_unexplained_where_it_is_largest():
+    verdict = said(at_end=regimes(30.0, -70.0))
+    assert (verdict.status, verdict.grade) == ("unexplained", SUSPECTED)
+    assert "70 Nm below the model at speed 1 to 2 m/s" in verdict.sentence
+    assert "30 Nm above the model at speed 0 to 1 m/s" in said(at_end=regimes(30.0, -7.0)).sentence
+    assert said(at_end=regimes(30.0, p=0.011)).status == "none"
+    assert said(at_end=regimes(30.0, p=0.0099)).status == "unexplained"
+
+
+def test_what_strays_is_unexplained_where_nothing_was_named():
+    verdict = said(stray=NOISY)
+    assert (verdict.status, verdict.grade) == ("unexplained", SUSPECTED)
+    assert "40 Nm, 8% of the torque" in verdict.sentence
+    assert "an unrecorded slope of 1.2% would do as much" in verdict.sentence
+    assert "slope" not in said(stray=SlowResidual(40.0, 0.08, math.nan)).sentence
+    assert said(stray=SlowResidual(9.0, MOST_STRAY, 0.0)).status == "none"
+
+
+@pytest.mark.parametrize("left", [{"at_end": regimes(30.0)}, {"stray": NOISY}], ids=["bins", "strays"])
+def test_what_laps_refuted_is_told_and_then_the_unexplained_is_refuted(left):
+    refuted = [Graded("payne", WORSE, ())]
+    verdict = said(refuted=refuted, **left)
+    assert (verdict.status, verdict.grade) == ("unexplained", REFUTED)
+    assert "Refuted" in verdict.sentence
+    assert "payne, 100 to 120 Nm" in verdict.sentence
+    none = said(refuted=refuted)
+    assert (none.status, none.grade) == ("none", CONFIRMED)
+    assert "payne" in none.sentence
+
+
+# Something found
+
+
+def test_a_name_that_laps_confirm_is_named():
+    verdict = said([found()])
+    assert (verdict.status, verdict.grade, verdict.names) == ("named", CONFIRMED, True)
+    where = "Everywhere it takes about 100 Nm more than the model has"
+    assert verdict.sentence.startswith(f"{where}: scrub is missing (scrub: size 120 Nm")
+    assert "falls from 80 to 60 Nm, R2 from 0.910 to 0.920" in verdict.sentence
+    assert "R2" not in said([found()], held=worth(r2=FINE_R2)).sentence
+
+
+def test_names_that_cannot_be_told_apart_are_one_of_a_class():
+    verdict = said([found(members=("scrub", "cornering")), found("payne")])
+    assert (verdict.status, verdict.grade, verdict.names) == ("one_of", CONFIRMED, True)
+    assert "one of scrub (50%), cornering (50%), which these recordings cannot tell apart" in verdict.sentence
+    assert said([found(), found("payne")]).status == "named"
+
+
+def test_one_that_laps_do_not_confirm_makes_all_of_it_suspected():
+    verdict = said([found(), found("payne", improvement=UNSURE)])
+    assert (verdict.status, verdict.grade) == ("named", SUSPECTED)
+    assert verdict.sentence.startswith("Suspected: ")
+    assert "do not confirm payne" in verdict.sentence
+    assert "do not confirm scrub" not in verdict.sentence
+
+
+def test_a_value_on_a_bound_makes_it_suspected_and_says_why():
+    verdict = said([found(on_bounds=("size",))])
+    assert verdict.grade == SUSPECTED
+    assert "scrub lies on a bound of what is plausible (size)" in verdict.sentence
+
+
+def test_what_is_left_beside_names_is_small_or_takes_the_names_away():
+    limit = LEFT_SHARE * 100.0
+    small, large = said([found()], at_end=regimes(-0.99 * limit)), said([found()], at_end=regimes(-1.01 * limit))
+    assert (small.status, small.grade) == ("named", CONFIRMED)
+    assert "Something small is left, at speed 0 to 1 m/s" in small.sentence
+    assert (large.status, large.grade, large.names) == ("unexplained", SUSPECTED, False)
+    assert "scrub would take up a part of it" in large.sentence
+    assert said([found()], at_end=regimes(-500.0, p=0.02)).status == "named"
+
+
+def test_what_several_explain_counts_together_where_they_act():
+    both = [found(adds=60.0), found("payne", adds=60.0)]
+    assert said(both, at_end=regimes(59.0)).status == "named"
+    assert said([found(adds=60.0)], at_end=regimes(59.0)).status == "unexplained"
+    seldom = found()
+    seldom.adds[0][:] = np.where(np.arange(100) < 10, 100.0, 0.0)  # for a tenth of the time
+    assert said([seldom], at_end=regimes(49.0)).status == "named"
+    seldom.adds[0][:] = np.where(np.arange(100) < 3, 100.0, 0.0)
+    assert said([seldom], at_end=regimes(49.0)).status == "unexplained"
+
+
+def test_what_strays_beside_a_name_is_only_told():
+    verdict = said([found()], stray=NOISY)
+    assert verdict.status == "named"
+    assert "And averaged over 30 s" in verdict.sentence
+    assert "averaged" not in said([found()]).sentence
+
+
+def test_the_next_best_is_told_with_how_much_less_likely_it_is():
+    rivals = (candidate("payne", 18.0), candidate("mullins", 19.0))
+    assert "mullins is 3 times less likely" in said([found(rivals=rivals)]).sentence
+    assert "less likely" not in said([found()]).sentence
+    members = found(members=("scrub", "mullins"), rivals=rivals)
+    assert "less likely" not in said([members]).sentence
+
+
+def test_certainty_is_bounded():
+    assert likelier(candidate("a", 22.0), candidate("b", 20.0)) == "7"
+    assert likelier(candidate("a", 900.0), candidate("b", 20.0)) == "over a thousand"
+
+
+# What may be written
+
+KINDS = {"scrub": "vehicle", "payne": "vehicle", "grade": "surroundings", "torque_gain": "sensor"}
+NAMED = Verdict("named", CONFIRMED, "")
+
+
+def test_what_is_believed_is_confirmed_and_of_one_kind():
+    assert believed_in([found()], NAMED, KINDS, False) == ["scrub"]
+    assert believed_in([found(members=("scrub", "payne"))], Verdict("one_of", CONFIRMED, ""), KINDS, False) == ["scrub"]
+    mixed = found(members=("scrub", "grade"))
+    assert believed_in([mixed, found("payne")], Verdict("one_of", CONFIRMED, ""), KINDS, False) == ["payne"]
+    assert believed_in([found(improvement=UNSURE)], NAMED, KINDS, False) == []
+    assert believed_in([found(on_bounds=("size",))], NAMED, KINDS, False) == []
+    assert believed_in([found()], Verdict("unexplained", SUSPECTED, ""), KINDS, False) == []
+
+
+def test_who_asks_for_it_keeps_what_is_suspected_too():
+    several = [found(improvement=UNSURE), found("grade", members=("grade", "torque_gain"))]
+    assert believed_in(several, Verdict("unexplained", SUSPECTED, ""), KINDS, True) == ["scrub", "grade"]
+
+
+class Fitted:
+    """A fit as `confirm` and `keep` see it: effects, a torque, and what it leaves out again."""
+
+    def __init__(self, *names, torque=0.0, value=50.0):
+        effects = [SimpleNamespace(name=n, parameters=(SIZE,)) for n in names]
+        self.effects = tuple(SimpleNamespace(effect=e, values={"size": value}) for e in effects)
+        self.names = frozenset(names)
+        self.predicted = (SimpleNamespace(torque=np.full(10, torque)),)
+        self.base_values = {"bearing": 0.01 * len(names)}
+
+
+class Laps:
+    """Held-out laps that say of each pair of models what a test wants."""
+
+    def __init__(self, says):
+        self.says = {(frozenset(a), frozenset(b)): x for (a, b), x in says.items()}
+        self.measured = np.zeros(10)
+
+    def improvement_of(self, before, after):
+        return self.says[before.names, after.names]
+
+    def of(self, series):
+        return series[0]
+
+
+@pytest.fixture
+def leave_out(monkeypatch):
+    """`with_levels` without a fit."""
+    monkeypatch.setattr(confirming, "with_levels", lambda fit, without=(): Fitted(*sorted(fit.names - set(without))))
+
+
+def test_what_laps_confirm_stays_each_graded_against_the_model_without_it(leave_out):
+    laps = Laps({("b", "ab"): BETTER, ("a", "ab"): UNSURE, ("", "ab"): BETTER})
+    final = Fitted("a", "b")
+    kept, graded, refuted = confirm(final, Fitted(), laps)
+    assert kept is final
+    assert {name: g.grade for name, g in graded.items()} == {"a": CONFIRMED, "b": SUSPECTED}
+    assert refuted == ()
+
+
+def test_what_laps_refute_goes_the_worst_first_and_the_rest_is_graded_anew(leave_out):
+    much = Improvement(100.0, 150.0, -60.0, -40.0)
+    laps = Laps({("bc", "abc"): WORSE, ("ac", "abc"): much, ("ab", "abc"): BETTER, ("", "abc"): BETTER,
+                 ("c", "ac"): BETTER, ("a", "ac"): UNSURE, ("", "ac"): BETTER})  # fmt: skip
+    kept, graded, refuted = confirm(Fitted("a", "b", "c"), Fitted(), laps)
+    assert kept.names == {"a", "c"}
+    assert [g.name for g in refuted] == ["b"]
+    assert {name: g.grade for name, g in graded.items()} == {"a": CONFIRMED, "c": SUSPECTED}
+
+
+def test_effects_that_together_make_it_worse_go_too(leave_out):
+    laps = Laps({("b", "ab"): BETTER, ("a", "ab"): UNSURE, ("", "ab"): WORSE, ("", "a"): WORSE})
+    base = Fitted()
+    kept, graded, refuted = confirm(Fitted("a", "b"), base, laps)
+    assert kept is base
+    assert graded == {}
+    assert [g.name for g in refuted] == ["b", "a"]
+
+
+@pytest.mark.parametrize(("value", "on"), [(500.0, ("size",)), (499.6, ("size",)), (499.4, ()), (0.0, ()), (250.0, ())])
+def test_a_bound_counts_unless_it_is_the_value_without_effect(leave_out, value, on):
+    final = Fitted("a", value=value)
+    _, graded, _ = confirm(final, Fitted(), Laps({("", "a"): BETTER}))
+    assert graded["a"].on_bounds == on
+    assert graded["a"].grade == (SUSPECTED if on else CONFIRMED)
+
+
+def test_nothing_to_confirm_is_left_as_it_is():
+    final = Fitted()
+    assert confirm(final, final, Laps({})) == (final, {}, ())
+
+
+def test_what_is_refuted_stays_so_on_a_bound():
+    assert Graded("a", WORSE, ("size",)).grade == REFUTED
+    assert Graded("a", UNSURE, ("size",)).grade == SUSPECTED
+
+
+@pytest.mark.parametrize(
+    ("errors", "believed", "written"),
+    [
+        ((90.0, 80.0), ["a", "b"], {"a", "b"}),
+        ((90.0, 100.0), ["a", "b"], {"a", "b"}),  # no worse than the file
+        ((90.0, 100.1), ["a", "b"], set()),  # then the base alone
+        ((100.1, 100.1), ["a", "b"], None),  # then the file as it is
+        ((90.0, 80.0), [], set()),
+        ((100.1, 80.0), [], None),
+    ],
+)
+def test_what_is_written_is_never_worse_than_the_file_on_held_out_laps(monkeypatch, errors, believed, written):
+    monkeypatch.setattr(confirming, "intervals", lambda fit: {"of": fit.names})
+    base, final = (Fitted(*names, torque=error) for names, error in zip(((), ("a", "b")), errors, strict=True))
+    bounds = {"of": "final"}
+    kept = keep(believed, final, base, worth(), Laps({}), bounds)
+    if written is None:
+        assert (kept.values, kept.effects, kept.intervals) == (None, (), {})
+        assert "the file's own values" in kept.text
+        return
+    model = final if written else base
+    assert kept.values == model.base_values
+    assert kept.effects == model.effects
+    assert kept.intervals == (bounds if written else {"of": frozenset()})
+    assert ("a, b" in kept.text.split(";")[0]) == bool(written)
+    assert ("not written: a, b" in kept.text) == (not believed)
+
+
+def test_only_what_is_believed_is_written_fitted_without_the_rest(monkeypatch, leave_out):
+    monkeypatch.setattr(confirming, "intervals", lambda fit: {"of": fit.names})
+    kept = keep(["b"], Fitted("a", "b", torque=500.0), Fitted(torque=500.0), worth(), Laps({}), {})
+    assert [active.effect.name for active in kept.effects] == ["b"]
+    assert kept.intervals == {"of": {"b"}}
+    assert kept.text.startswith("written: the base's values and b; the mean error on laps not used for fitting is 0 Nm, 100 Nm")
+    assert kept.text.endswith("; not written: a")
+
+
+# Held-out laps
+
+
+@pytest.mark.parametrize(
+    ("improvement", "grade"),
+    [
+        (Improvement(100.0, 90.0, 1.0, 19.0), CONFIRMED),
+        (Improvement(100.0, 90.0, -1.0, 21.0), SUSPECTED),
+        (Improvement(100.0, 90.0, -1.0, 21.0, 0.5), CONFIRMED),  # by the likelihood
+        (Improvement(100.0, 90.0, -1.0, 21.0, -0.5), SUSPECTED),
+        (Improvement(100.0, 100.0, -1.0, 1.0, 0.5), CONFIRMED),
+        (Improvement(100.0, 100.5, -2.0, 1.0, 0.5), SUSPECTED),  # likelier, and yet no smaller error
+        (Improvement(100.0, 101.0, -2.0, 1.0), SUSPECTED),
+        (Improvement(100.0, 101.1, -2.0, 1.0), REFUTED),
+        (Improvement(100.0, 100.5, -0.9, -0.1, 9.0), REFUTED),  # surely worse, however little
+        (Improvement(100.0, 100.5, -1.0, 0.0), SUSPECTED),
+    ],
+)
+def test_what_laps_say_of_an_improvement(improvement, grade):
+    assert improvement.grade == grade
+
+
+def session(laps, lap_s=60, torque=None, name="drive", first=0):
+    time = np.arange(laps * lap_s, dtype=float)
+    none = np.zeros(len(time))
+    block = first + (time // lap_s).astype(np.int64)
+    return Session(name, 1.0, time, *(none,) * 8, none if torque is None else torque, none, none == 0.0, block)
+
+
+def test_many_laps_are_drawn_as_laps_and_few_in_pieces_of_a_minute():
+    whole = np.ones(1200, dtype=bool)
+    many = HeldOutLaps([session(20)], [whole], np.random.default_rng(1))
+    assert len(many._count) == 20
+    few = HeldOutLaps([session(2, 600)], [whole], np.random.default_rng(1))
+    assert len(few._count) == 20
+    eight, seven = (HeldOutLaps([session(n, 90)], [np.ones(n * 90, dtype=bool)], np.random.default_rng(1)) for n in (8, 7))
+    assert len(eight._count) == 8
+    assert len(seven._count) == 14
+
+
+def test_an_interval_is_as_wide_as_laps_differ():
+    rng, one = np.random.default_rng(1), session(100)
+    laps = HeldOutLaps([one], [np.ones(6000, dtype=bool)], rng)
+    gained = np.repeat(rng.normal(5.0, 2.0, 100), 60)
+    found = laps.improvement([np.full(6000, 20.0)], [20.0 - gained])
+    assert found.before == pytest.approx(20.0)
+    assert found.after == pytest.approx(20.0 - gained.mean())
+    mean, std = gained.mean(), gained.std() / 10.0
+    assert (found.low, found.high) == pytest.approx((mean - 1.96 * std, mean + 1.96 * std), abs=0.15 * std)
+    assert found.likelier == -np.inf
+
+
+def test_errors_are_counted_by_stage_and_by_lap():
+    torque = np.tile([90.0, 110.0], 300)
+    sessions = (session(4, 100, torque[:400], "one"), session(2, 100, torque[:200], "two", first=4))
+    masks = [sessions[0].block >= 2, np.ones(200, dtype=bool)]
+    laps = HeldOutLaps(sessions, masks, np.random.default_rng(1))
+    off = {"nominal": 20.0, "refitted": -10.0, "with_effects": 2.0}
+    expected = {stage: [s.torque - by * (1.0 + (s.block == 5)) for s in sessions] for stage, by in off.items()}
+    found = held_out(laps, expected)
+    assert found.laps == ("one: 3", "one: 4", "two: 1", "two: 2")
+    for stage, by in off.items():
+        each = np.array([1.0, 1.0, 1.0, 2.0]) * by
+        assert found.by_lap["bias"][stage] == pytest.approx(each)
+        assert found.by_lap["mae"][stage] == pytest.approx(np.abs(each))
+        assert found.by_lap["r2"][stage] == pytest.approx(1.0 - each**2 / 100.0)
+        assert found.mae[stage] == pytest.approx(1.25 * abs(by))
+        assert found.bias[stage] == pytest.approx(1.25 * by)
+        assert found.r2[stage] == pytest.approx(1.0 - 1.75 * by**2 / 100.0)
+    assert (found.of_refit.before, found.of_refit.after) == pytest.approx((25.0, 12.5))
+    assert (found.of_effects.before, found.of_effects.after) == pytest.approx((12.5, 2.5))
+    assert found.of_effects.grade == CONFIRMED

@@ -1,0 +1,484 @@
+"""The rules of the guards one by one, in plain Python: a message is what it is by its stamp, its arrival and what came before."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from trackres_ros.estimator import columns as at
+from trackres_ros.estimator import guards
+from trackres_ros.estimator.columns import Count, Reason
+from trackres_ros.estimator.guards import TAKEN, TOOK_JUMP, TOOK_RESET, new_memory
+from trackres_ros.jit.compiled import interpreted
+
+S, MS = 1_000_000_000, 1_000_000
+T = 1_700_000_000 * S
+JUMP, AMBIENT_HOLD, MOTION_HOLD, TORQUE_HOLD, LOAD_HOLD, STUCK = 2 * S, 300 * S, 1 * S, 3 * S, 60 * S, 30 * S
+AXLES, ASSEMBLIES = 2, 4
+NAMED = {"axle": at.DISTANCE + 1, "assembly": at.DISTANCE + 1 + AXLES, "belt": at.DISTANCE + 1 + AXLES + ASSEMBLIES}
+CHANNELS = at.DISTANCE + 1 + AXLES + 2 * ASSEMBLIES
+SHARES_OF_ALL, SHARES_OF_AXLE = (0.3, 0.3, 0.25, 0.15), (0.5, 0.5, 0.625, 0.375)
+
+admit, held = interpreted(guards.admit), interpreted(guards.held)
+gather, gather_loads = interpreted(guards.gather), interpreted(guards.gather_loads)
+forget_others = interpreted(guards.forget_others)
+
+
+@pytest.fixture
+def k():
+    """Constants of a vehicle with two axles and four assemblies."""
+    assembly = np.zeros((ASSEMBLIES, at.DOUBT_FACTOR + 16))
+    assembly[:, at.AXLE] = (0, 0, 1, 1)
+    assembly[:, at.NOMINAL_LOAD] = (60e3, 61e3, 62e3, 63e3)
+    assembly[:, at.SHARE_OF_AXLE], assembly[:, at.SHARE_OF_ALL] = SHARES_OF_AXLE, SHARES_OF_ALL
+    limits = np.tile([-1e6, 1e6], (CHANNELS, 1))
+    limits[at.SPEED] = (-20.0, 25.0)
+    number = SimpleNamespace(
+        clock_jump_ns=JUMP, jumps_to_accept=3, load_hold_ns=LOAD_HOLD, ambient_hold_ns=AMBIENT_HOLD, motion_hold_ns=MOTION_HOLD,
+        torque_hold_ns=TORQUE_HOLD, stuck_ns=STUCK, axles=AXLES, nominal_ambient=15.0, ambient_std=0.5, ambient_unknown_std=9.0,
+    )  # fmt: skip
+    return SimpleNamespace(number=number, assembly=assembly, channel_limits=limits)
+
+
+class Guard:
+    """Memory and the messages of it."""
+
+    def __init__(self, k):
+        self.k, self.memory = k, new_memory(CHANNELS)
+
+    def send(self, stamp, value=8.0, channel=at.SPEED, arrival=None):
+        """Outcome and time elapsed of a message; the stamp and arrival [ns] since `T`, a stamp of None for none."""
+        came = stamp if arrival is None else arrival
+        return admit(self.k, self.memory, channel, 0 if stamp is None else T + stamp, T + came, value)
+
+    def counts(self, channel=at.SPEED):
+        return {Count(i).name: int(n) for i, n in enumerate(self.memory.counters[channel]) if n}
+
+    def of(self, column, channel=at.SPEED):
+        return int(self.memory.times[channel, column])
+
+    def inputs(self, outcome=TAKEN, started=1.0, quantum=0.0):
+        motion = np.zeros(at.MOTION_COLUMNS)
+        motion[at.STARTED], motion[at.QUANTUM] = started, quantum
+        self.loads, self.belts = np.zeros(ASSEMBLIES), np.zeros(ASSEMBLIES)
+        return gather(self.k, self.memory, outcome, motion, self.loads, self.belts)
+
+    def reasons(self, **given):
+        return Reason(self.inputs(**given).reasons)
+
+
+@pytest.fixture
+def guard(k):
+    return Guard(k)
+
+
+def test_outcomes_are_no_negative_numbers_which_refusals_are():
+    assert (TAKEN, TOOK_JUMP, TOOK_RESET) == (0, 1, 2)
+
+
+def test_it_begins_with_nothing(guard):
+    assert guard.counts() == {}
+    assert np.isnan(guard.memory.values).all()
+    assert not guard.memory.times.any()
+    assert not guard.memory.reasons.any()
+    assert guard.memory.times.shape == (CHANNELS, at.MEMORY_COLUMNS)
+    assert guard.memory.counters.shape == (CHANNELS, len(Count))
+
+
+# One message after another
+
+
+def test_good_messages_are_taken_with_the_time_between(guard):
+    assert guard.send(0, 8.0) == (TAKEN, 0)
+    assert guard.send(20 * MS, 8.1) == (TAKEN, 20 * MS)
+    assert guard.counts() == {"ACCEPTED": 2}
+    assert guard.memory.values[at.SPEED] == 8.1
+    assert (guard.of(at.SEEN), guard.of(at.FRESH), guard.of(at.LAST_STAMP) - T) == (1, 1, 20 * MS)
+
+
+@pytest.mark.parametrize(
+    ("value", "refused"),
+    [
+        (math.nan, "NON_FINITE"), (math.inf, "NON_FINITE"), (-math.inf, "NON_FINITE"), (25.01, "OUT_OF_RANGE"),
+        (-20.01, "OUT_OF_RANGE"), (25.0, ""), (-20.0, ""),
+    ],
+)  # fmt: skip
+def test_values_that_cannot_be_are_counted_and_leave_no_trace(guard, value, refused):
+    outcome, elapsed = guard.send(0, value)
+    if refused:
+        assert (outcome, elapsed) == (-Count[refused], 0)
+        assert guard.counts() == {refused: 1}
+        assert not guard.of(at.SEEN)
+        guard.send(1, value)
+        assert guard.counts() == {refused: 2}
+    else:
+        assert outcome == TAKEN
+
+
+def test_limits_are_those_of_the_channel(guard):
+    assert guard.send(0, 30.0, at.LOAD)[0] == TAKEN
+    assert guard.send(0, 30.0, at.SPEED)[0] == -Count.OUT_OF_RANGE
+
+
+@pytest.mark.parametrize(
+    ("offset", "refused"),
+    [(0, "DUPLICATE"), (-1, "LATE"), (-JUMP, "LATE"), (-JUMP - 1, "BACKWARD"), (1, ""), (JUMP, ""), (JUMP + 1, "FUTURE")],
+)
+def test_order_is_by_stamps(guard, offset, refused):
+    """While arrival stands still."""
+    guard.send(0)
+    outcome, elapsed = guard.send(offset, arrival=0)
+    assert (outcome, elapsed) == ((-Count[refused], 0) if refused else (TAKEN, offset))
+    assert guard.counts() == {"ACCEPTED": 1, refused: 1} if refused else {"ACCEPTED": 2}
+    assert guard.of(at.LAST_STAMP) == (T if refused else T + offset)
+
+
+def test_a_pause_in_which_arrival_goes_on_too_is_no_jump(guard):
+    guard.send(0)
+    assert guard.send(3600 * S) == (TAKEN, 3600 * S)
+    assert guard.send(7200 * S, arrival=7200 * S - JUMP) == (TAKEN, 3600 * S)
+    assert guard.send(10800 * S, arrival=9000 * S)[0] == -Count.FUTURE
+
+
+def test_counters_count_on(guard):
+    guard.send(0)
+    for n in (1, 2):
+        guard.send(0)
+        guard.send(-1)
+        guard.send(-3600 * S, arrival=n)
+        guard.send(3600 * S + n, arrival=n)
+        assert guard.counts() == {"ACCEPTED": 1, "DUPLICATE": n, "LATE": n, "BACKWARD": n, "FUTURE": n}
+
+
+# Without a stamp
+
+
+def test_without_a_stamp_the_arrival_counts(guard):
+    assert guard.send(None, arrival=5 * S) == (TAKEN, 0)
+    assert guard.of(at.LAST_STAMP) == T + 5 * S
+    assert guard.send(None, arrival=6 * S) == (TAKEN, S)
+    assert guard.counts() == {"ACCEPTED": 2, "ZERO_STAMP": 2}
+
+
+def test_without_a_stamp_the_offset_of_the_source_stays(guard):
+    guard.send(-500 * S, arrival=0)
+    assert guard.send(None, arrival=S) == (TAKEN, S)
+    assert guard.of(at.LAST_STAMP) == T - 499 * S
+    assert guard.of(at.LAST_ARRIVAL) == T + S
+
+
+def test_time_that_begins_at_zero_is_a_time(k):
+    memory = new_memory(CHANNELS)
+    assert admit(k, memory, at.SPEED, 0, 0, 8.0) == (TAKEN, 0)
+    assert memory.counters[at.SPEED, Count.ZERO_STAMP] == 0
+    assert admit(k, memory, at.SPEED, 10 * MS, 10 * MS, 8.0) == (TAKEN, 10 * MS)
+
+
+# Jumps
+
+
+@pytest.mark.parametrize(("jump", "refused"), [(3600 * S, "FUTURE"), (-3600 * S, "BACKWARD")])
+def test_the_third_that_agrees_is_believed_with_the_time_that_arrival_took(guard, jump, refused):
+    guard.send(0)
+    assert guard.send(jump, arrival=20 * MS) == (-Count[refused], 0)
+    assert guard.send(jump + 20 * MS, arrival=40 * MS) == (-Count[refused], 0)
+    assert guard.send(jump + 40 * MS, arrival=60 * MS) == (TOOK_JUMP, 60 * MS)
+    assert guard.counts() == {"ACCEPTED": 2, refused: 2, "CLOCK_JUMP": 1}
+    assert guard.of(at.SUSPECTS) == 0
+    assert guard.send(jump + 60 * MS, arrival=80 * MS) == (TAKEN, 20 * MS)
+
+
+def test_time_never_goes_back_by_a_jump(guard):
+    guard.send(0, arrival=S)
+    for i in range(3):
+        outcome = guard.send(3600 * S + i, arrival=i)
+    assert outcome == (TOOK_JUMP, 0)
+
+
+def test_suspects_that_do_not_agree_begin_anew(guard):
+    guard.send(0)
+    stamps = (3600 * S, 3600 * S + 1, 7200 * S, 7200 * S + 1)
+    assert [guard.send(s, arrival=i + 1)[0] for i, s in enumerate(stamps)] == [-Count.FUTURE] * 4
+    assert guard.of(at.SUSPECTS) == 2
+    assert guard.send(7200 * S + 2, arrival=5)[0] == TOOK_JUMP
+
+
+@pytest.mark.parametrize(("apart", "agrees"), [(1, True), (JUMP, True), (JUMP + 1, False), (0, False), (-1, False)])
+def test_suspects_agree_where_their_stamps_go_on_with_arrival(guard, apart, agrees):
+    guard.send(0)
+    guard.send(3600 * S, arrival=0)
+    guard.send(3600 * S + apart, arrival=0)
+    assert guard.of(at.SUSPECTS) == (2 if agrees else 1)
+    assert guard.of(at.SUSPECT_STAMP) == T + 3600 * S + apart
+
+
+def test_suspects_whose_arrival_ran_on_alone_do_not_agree(guard):
+    guard.send(0)
+    guard.send(3600 * S, arrival=0)
+    guard.send(3600 * S + 1, arrival=JUMP + 2)
+    assert guard.of(at.SUSPECTS) == 1
+    assert guard.of(at.SUSPECT_ARRIVAL) == T + JUMP + 2
+    guard.send(3600 * S + 2, arrival=2 * JUMP + 2)
+    assert guard.of(at.SUSPECTS) == 2
+
+
+def test_a_good_message_clears_the_suspicion(guard):
+    guard.send(0)
+    for i in range(2):
+        guard.send(3600 * S + i, arrival=i)
+    guard.send(20 * MS)
+    assert guard.of(at.SUSPECTS) == 0
+    assert guard.send(3600 * S + 5, arrival=30 * MS)[0] == -Count.FUTURE
+
+
+def test_a_first_suspect_is_none_by_what_was_long_ago(guard):
+    """Before the first the memory holds zeros, which no stamp follows."""
+    guard.k.number.jumps_to_accept = 2
+    memory = guard.memory
+    assert admit(guard.k, memory, at.SPEED, 10 * S, 10 * S, 8.0)[0] == TAKEN
+    assert admit(guard.k, memory, at.SPEED, 10 * S + JUMP + 1, 10 * S, 8.0)[0] == -Count.FUTURE
+
+
+# Time that goes back
+
+
+@pytest.mark.parametrize(
+    ("back", "arrival_back", "outcome"),
+    [
+        (3600 * S, 3600 * S, TOOK_RESET),
+        (JUMP + 1, JUMP + 1, TOOK_RESET),
+        (JUMP + 1, JUMP, -Count.BACKWARD),  # arrival hardly went back
+        (JUMP, JUMP + 1, -Count.LATE),
+    ],
+)
+def test_time_is_reset_where_arrival_goes_back_too(guard, back, arrival_back, outcome):
+    guard.send(0)
+    assert guard.send(-back, arrival=-arrival_back) == (outcome, 0)
+    assert guard.counts().get("RESET", 0) == (outcome == TOOK_RESET)
+
+
+def test_a_reset_counts_on_and_is_no_jump(guard):
+    guard.send(0)
+    for n in (1, 2):
+        guard.send(-3600 * S * n)
+        assert guard.counts() == {"ACCEPTED": 1 + n, "RESET": n}
+    assert guard.of(at.LAST_STAMP) == T - 7200 * S
+
+
+def test_what_is_forgotten_is_all_of_the_others_but_counters(guard):
+    last = CHANNELS - 1
+    for channel in (at.SPEED, at.LOAD, at.AMBIENT, last):
+        guard.send(0, 7.0, channel)
+    forget_others(guard.memory, at.LOAD)
+    assert guard.memory.values[at.LOAD] == 7.0
+    assert guard.of(at.SEEN, at.LOAD) == 1
+    for channel in (at.SPEED, at.AMBIENT, last):
+        assert math.isnan(guard.memory.values[channel])
+        assert not guard.memory.times[channel].any()
+        assert guard.counts(channel) == {"ACCEPTED": 1}
+
+
+# What is held
+
+
+def test_a_value_is_held_for_so_long(guard):
+    assert math.isnan(held(guard.memory, at.AMBIENT, T, 100))
+    guard.send(0, -3.0, at.AMBIENT)
+    assert held(guard.memory, at.AMBIENT, T + 100, 100) == -3.0
+    assert math.isnan(held(guard.memory, at.AMBIENT, T + 101, 100))
+
+
+def test_it_is_held_from_its_arrival(guard):
+    guard.send(-50 * S, -3.0, at.AMBIENT, arrival=0)
+    assert held(guard.memory, at.AMBIENT, T + 100, 100) == -3.0
+
+
+def test_the_speed_and_what_is_fresh_beside_it_make_the_inputs(guard):
+    values = {at.AMBIENT: -4.0, at.ACCEL: 0.3, at.GRADE: 0.02, at.TORQUE: 2500.0, at.LOAD: 240e3}
+    for channel, value in values.items():
+        guard.send(0, value, channel)
+    guard.send(MS, 7.5)
+    inputs = guard.inputs()
+    assert inputs.speed == 7.5
+    assert (inputs.ambient, inputs.ambient_std) == (-4.0, 0.5)
+    assert (inputs.acceleration, inputs.grade, inputs.measured_torque) == (0.3, 0.02, 2500.0)
+    assert inputs.reasons == 0
+
+
+@pytest.mark.parametrize(
+    ("channel", "name", "hold"),
+    [(at.ACCEL, "acceleration", MOTION_HOLD), (at.GRADE, "grade", MOTION_HOLD), (at.TORQUE, "measured_torque", TORQUE_HOLD)],
+)
+def test_each_is_held_for_its_own_time(guard, channel, name, hold):
+    guard.send(0, 0.5, channel)
+    guard.send(hold)
+    assert getattr(guard.inputs(), name) == 0.5
+    guard.send(hold + 1)
+    assert math.isnan(getattr(guard.inputs(), name))
+
+
+def test_without_an_ambient_temperature_that_of_the_file_with_its_doubt(guard):
+    guard.send(0, -4.0, at.AMBIENT)
+    guard.send(AMBIENT_HOLD)
+    assert not guard.reasons() & Reason.AMBIENT_NOMINAL
+    guard.send(AMBIENT_HOLD + 1)
+    inputs = guard.inputs()
+    assert (inputs.ambient, inputs.ambient_std) == (15.0, 9.0)
+    assert inputs.reasons & Reason.AMBIENT_NOMINAL
+
+
+# Loads
+
+
+def loads(guard, now=0):
+    found = np.zeros(ASSEMBLIES)
+    return Reason(gather_loads(guard.k, guard.memory, T + now, found)), found
+
+
+def test_no_load_at_all_is_the_nominal_one(guard):
+    reasons, found = loads(guard)
+    assert reasons == Reason.LOAD_NOMINAL
+    assert found.tolist() == [60e3, 61e3, 62e3, 63e3]
+
+
+def test_the_total_is_shared_by_nominal_loads(guard):
+    guard.send(0, 200e3, at.LOAD)
+    reasons, found = loads(guard)
+    assert reasons == 0
+    assert found == pytest.approx(200e3 * np.array(SHARES_OF_ALL))
+
+
+def test_the_load_of_an_axle_goes_before_the_total(guard):
+    guard.send(0, 200e3, at.LOAD)
+    guard.send(0, 80e3, NAMED["axle"] + 1)
+    _, found = loads(guard)
+    assert found == pytest.approx([60e3, 60e3, 50e3, 30e3])
+    guard.send(0, 150e3, NAMED["axle"])
+    assert loads(guard)[1] == pytest.approx([75e3, 75e3, 50e3, 30e3])
+
+
+def test_the_load_of_an_assembly_goes_before_that_of_its_axle(guard):
+    guard.send(0, 80e3, NAMED["axle"] + 1)
+    for i in range(ASSEMBLIES):
+        guard.send(0, 1e3 * (i + 1), NAMED["assembly"] + i)
+        _, found = loads(guard)
+        assert found[: i + 1] == pytest.approx([1e3 * (j + 1) for j in range(i + 1)])
+    reasons, _ = loads(guard)
+    assert reasons == 0
+
+
+def test_those_without_any_are_nominal_and_it_is_said(guard):
+    guard.send(0, 80e3, NAMED["axle"] + 1)
+    reasons, found = loads(guard)
+    assert reasons == Reason.LOAD_NOMINAL
+    assert found == pytest.approx([60e3, 61e3, 50e3, 30e3])
+
+
+@pytest.mark.parametrize("channel", [at.LOAD, NAMED["axle"], NAMED["assembly"]], ids=["total", "axle", "assembly"])
+def test_an_old_load_is_held_and_said_and_in_the_end_no_longer_used(guard, channel):
+    guard.send(0, 100e3, channel)
+    if channel != at.LOAD:
+        guard.send(LOAD_HOLD, 300e3, at.LOAD, arrival=LOAD_HOLD)  # for the others
+        guard.send(LOAD_HOLD, 80e3, NAMED["axle"] + 1)
+    held_from = 2 * S
+    first = {at.LOAD: 30e3, NAMED["axle"]: 50e3, NAMED["assembly"]: 100e3}[channel]
+    for now, said in ((0, 0), (held_from, 0), (held_from + 1, Reason.LOAD_HELD), (LOAD_HOLD, Reason.LOAD_HELD)):
+        reasons, found = loads(guard, now)
+        assert found[0] == pytest.approx(first)
+        assert reasons == said
+    reasons, found = loads(guard, LOAD_HOLD + 1)
+    assert found[0] == pytest.approx(60e3 if channel == at.LOAD else 90e3)
+    assert reasons == (Reason.LOAD_NOMINAL if channel == at.LOAD else 0)
+
+
+def test_the_loads_of_a_step_are_those_at_its_arrival(guard):
+    guard.send(0, 200e3, at.LOAD)
+    guard.send(0, arrival=10 * S)
+    assert guard.reasons() & Reason.LOAD_HELD
+    assert guard.loads == pytest.approx(200e3 * np.array(SHARES_OF_ALL))
+
+
+# Belts
+
+
+def test_a_belt_temperature_is_given_once_to_whom_it_is_of(guard):
+    guard.send(0)
+    guard.send(0, 40.0, NAMED["belt"] + 2)
+    guard.inputs()
+    assert np.isnan(guard.belts[[0, 1, 3]]).all()
+    assert guard.belts[2] == 40.0
+    guard.inputs()
+    assert np.isnan(guard.belts).all()
+
+
+def test_one_for_all_belts_goes_to_each_but_for_those_with_their_own(guard):
+    guard.send(0)
+    guard.send(0, 30.0, at.BELT)
+    guard.send(0, 40.0, NAMED["belt"])
+    guard.send(0, 41.0, NAMED["belt"] + 3)
+    guard.inputs()
+    assert guard.belts.tolist() == [40.0, 30.0, 30.0, 41.0]
+    guard.inputs()
+    assert np.isnan(guard.belts).all()
+
+
+# What is remarked
+
+
+def test_jumps_and_resets_are_remarked_with_the_step_that_follows(guard):
+    guard.send(0)
+    nothing = Reason.LOAD_NOMINAL | Reason.AMBIENT_NOMINAL
+    assert guard.reasons() == nothing
+    assert guard.reasons(outcome=TOOK_JUMP) == nothing | Reason.CLOCK_JUMPED
+    assert guard.reasons(outcome=TOOK_RESET) == nothing  # whichever channel saw it: the state says so
+    assert guard.reasons(started=at.START_ANEW) == nothing | Reason.TIME_RESET
+    assert guard.reasons(started=0.0) == nothing
+
+
+@pytest.mark.parametrize(
+    ("quantum", "started", "coarse"),
+    [(0.05, 1.0, False), (0.051, 1.0, True), (0.999, 1.0, True), (1.0, 1.0, False), (0.3, 0.0, False), (0.3, -1.0, False)],
+)
+def test_coarse_steps_are_remarked_once_it_runs(guard, quantum, started, coarse):
+    guard.send(0)
+    assert bool(guard.reasons(quantum=quantum, started=started) & Reason.SPEED_QUANTISED) == coarse
+
+
+@pytest.mark.parametrize("speed", [8.0, -8.0, 0.0011])
+def test_a_speed_that_stays_the_same_for_long_is_stuck(guard, speed):
+    guard.send(0, speed)
+    guard.send(STUCK, speed)
+    assert not guard.reasons() & Reason.SPEED_STUCK
+    guard.send(STUCK + 1, speed)
+    assert guard.reasons() & Reason.SPEED_STUCK
+    guard.send(STUCK + 2, speed + 1e-6)
+    assert not guard.reasons() & Reason.SPEED_STUCK
+    guard.send(2 * STUCK + 2, speed + 1e-6)
+    assert not guard.reasons() & Reason.SPEED_STUCK
+    guard.send(2 * STUCK + 3, speed + 1e-6)
+    assert guard.reasons() & Reason.SPEED_STUCK
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.001, -0.001])
+def test_who_stands_is_not_stuck(guard, speed):
+    guard.send(0, speed)
+    guard.send(10 * STUCK, speed)
+    assert not guard.reasons() & Reason.SPEED_STUCK
+
+
+def test_coarse_steps_are_given_ten_times_as_long(guard):
+    guard.send(0)
+    guard.send(10 * STUCK)
+    assert not guard.reasons(quantum=0.3) & Reason.SPEED_STUCK
+    assert guard.reasons() & Reason.SPEED_STUCK
+    guard.send(10 * STUCK + 1)
+    assert guard.reasons(quantum=0.3) & Reason.SPEED_STUCK
+
+
+def test_a_jump_of_the_clock_is_no_time_for_which_it_was_stuck(guard):
+    guard.send(0)
+    for i in range(3):
+        guard.send(3600 * S + i, arrival=i)
+    assert not guard.reasons() & Reason.SPEED_STUCK
+    assert guard.of(at.UNCHANGED_SINCE) == T + 3600 * S + 2

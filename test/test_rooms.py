@@ -1,0 +1,63 @@
+"""The house: rooms need only those before them, each says what it is for, and the page of it is true."""
+
+import ast
+import importlib.util
+
+import pytest
+
+
+@pytest.fixture(scope="module")
+def rooms(repository):
+    spec = importlib.util.spec_from_file_location("rooms", repository / "tools" / "rooms.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_no_room_needs_one_that_needs_it(rooms):
+    placed = rooms.order(rooms.needs())
+    assert placed.index("effects") < placed.index("vehicle") < placed.index("model") < placed.index("estimator")
+    assert placed.index("recording") < placed.index("estimator") < placed.index("output") < placed.index("node")
+
+
+def test_a_circle_is_found_and_named(rooms):
+    with pytest.raises(ValueError, match="x imports y"):
+        rooms.order({"a": {"b": ["x imports y"]}, "b": {"a": ["y imports x"]}, "c": {}})
+
+
+def test_nothing_but_the_front_door_and_what_all_use_lies_at_the_root(repository):
+    files = {path.name for path in (repository / "trackres_ros").glob("*.py")}
+    assert files == {"__init__.py", "__main__.py", "errors.py", "units.py"}
+
+
+def test_each_room_says_what_it_is_for(rooms):
+    for room in rooms.needs():
+        assert len(rooms.sentence(room)) > 20, room
+
+
+def test_the_truth_of_sealed_drives_shares_nothing_with_what_it_tests(rooms):
+    known = rooms.modules()
+    for name in ("truth", "belt_heat", "belt_loss", "drives", "sensors", "material", "data_sheet"):
+        used = {other.split(".")[0] for other in rooms.imported(known[f"evaluation.sealed.{name}"], known)}
+        assert not used & {"model", "effects", "diagnosis", "estimator"}, name
+
+
+def test_the_page_of_the_house_is_true(rooms, repository):
+    assert (repository / "docs" / "architecture.md").read_text(encoding="utf-8") == rooms.page()
+
+
+def test_every_constant_that_becomes_compiled_code_is_part_of_its_caches_name(rooms):
+    """Machine code keeps the constants it was compiled with: a file they come from must tell one cache from another."""
+    from trackres_ros.jit.compiled import COMPILED_ROOMS, CONSTANTS
+
+    known, strange = rooms.modules(), set()
+    for module, path in known.items():
+        if module.split(".")[0] not in COMPILED_ROOMS or "jit.compiled" not in path.read_text():
+            continue
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("trackres_ros."):
+                home = node.module.removeprefix("trackres_ros.")
+                numbers = [name.name for name in node.names if name.name.isupper() and name.name != "HAVE_NUMBA"]
+                if numbers and home.split(".")[0] not in COMPILED_ROOMS and f"{home}.py" != CONSTANTS:
+                    strange.add((module, home, *numbers))
+    assert not strange

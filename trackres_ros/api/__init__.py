@@ -1,0 +1,5 @@
+"""The front door: one function for each thing to be done with a vehicle and its recordings, one file each.
+
+`import trackres_ros as tr` has them all; see docs/api.md. The command line calls these functions and nothing else. Nothing
+is loaded before it is used: each function imports what it needs.
+"""

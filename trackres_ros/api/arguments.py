@@ -1,0 +1,52 @@
+"""What the functions of the front door take, and what they make of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias, Union
+
+from trackres_ros.errors import InputError
+
+if TYPE_CHECKING:
+    from trackres_ros.diagnosis.base.road_load import RoadVehicle
+    from trackres_ros.recording.bindings import Topics
+    from trackres_ros.vehicle import Vehicle
+
+
+StrPath: TypeAlias = str | PathLike[str]
+VehicleGiven: TypeAlias = Union["Vehicle", "RoadVehicle", StrPath]
+TopicsGiven: TypeAlias = Union["Topics", Mapping[str, Mapping[str, Any]], StrPath]
+
+
+def as_vehicle(vehicle: VehicleGiven) -> Vehicle:
+    """A track vehicle, given as such or by its file."""
+    from trackres_ros.vehicle import Vehicle, load
+
+    if isinstance(vehicle, str | PathLike):
+        return load(vehicle)
+
+    if not isinstance(vehicle, Vehicle):
+        raise InputError("vehicle", vehicle, "a track vehicle, its file, or its name", "road_load serves diagnose alone")
+    return vehicle
+
+
+def as_paths(recording: object) -> list[Path]:
+    """One path or several."""
+    if isinstance(recording, str | PathLike):
+        return [Path(recording)]
+    if not isinstance(recording, Sequence) or not all(isinstance(path, str | PathLike) for path in recording):
+        raise InputError("recording", recording, "a path, several paths, or what read gave")
+    return [Path(path) for path in recording]
+
+
+def as_topics(topics: TopicsGiven | None) -> Topics | None:
+    """A topics file, what stands in one, or neither."""
+    if topics is None:
+        return None
+    from trackres_ros.recording.bindings import Topics
+
+    if isinstance(topics, Topics):
+        return topics
+    return Topics.load(Path(topics)) if isinstance(topics, str | PathLike) else Topics.parse(topics)

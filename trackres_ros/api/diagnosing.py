@@ -1,0 +1,105 @@
+"""What recordings show that the model lacks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from trackres_ros.api.arguments import StrPath, TopicsGiven, VehicleGiven, as_topics
+from trackres_ros.api.recordings import read
+from trackres_ros.errors import InputError
+
+if TYPE_CHECKING:
+    from trackres_ros.recording.recording import Recording
+    from trackres_ros.results.diagnosis import DiagnosisResult
+
+
+def diagnose(
+    recordings: StrPath | Recording | Sequence[StrPath | Recording],
+    vehicle: VehicleGiven,
+    *,
+    topics: TopicsGiven | None = None,
+    surroundings: StrPath | None = None,
+    hide: Sequence[str] = (),
+    holdout: int | Sequence[str] | None = None,
+    method: str | None = None,
+    thermal: str | None = None,
+    seed: int = 1,
+    quick: bool = False,
+    keep_suspected: bool = False,
+    effects: StrPath | None = None,
+    on_stage: Callable[[str], None] = lambda _: None,
+) -> DiagnosisResult:
+    """Where recordings with a measured torque part from the simulation, which physics is missing, and a vehicle that has it.
+
+    Parameters
+    ----------
+    recordings
+        Each a session: what `read` gave, or a path of what it takes.
+    vehicle
+        A vehicle, the path of its file, or the name of a shipped one; also one of the base model ``road_load``.
+    topics
+        As in `read`, for the paths.
+    surroundings
+        File of the site, the weather and the ground that held where it was driven.
+    hide
+        Channels to be left unread, such as ``grade`` or ``yaw_rate``.
+    holdout
+        How many of the last recordings or laps to hold out, or names of recordings.
+    method, thermal
+        As in `load_vehicle`.
+    seed
+        Of all that is drawn at random: equal seeds give equal results.
+    quick
+        Fewer draws for thresholds.
+    keep_suspected
+        Keep effects too that fit and that laps not used for fitting do not confirm.
+    effects
+        Folder with effects of your own, a Python file each.
+    on_stage
+        Takes the name of each stage as it begins.
+
+    Returns
+    -------
+    DiagnosisResult
+        `sentence`, `effects`, `vehicle`, and `report("folder")`, which writes what `trackres diagnose` writes.
+
+    Raises
+    ------
+    InputError
+        If the recordings cannot be used; says why.
+
+    Examples
+    --------
+    >>> import trackres_ros as tr
+    >>> from pathlib import Path
+    >>> _ = Path("drive.csv").write_text("time_s,speed_kmh\\n0,0\\n10,36\\n200,36\\n")
+    >>> try:
+    ...     tr.diagnose("drive.csv", "xgd24d")
+    ... except tr.InputError as error:
+    ...     print(error.allowed)
+    a measured torque: without it there is nothing to compare
+    """
+    from trackres_ros.diagnosis.base.loading import load_base
+    from trackres_ros.diagnosis.pipeline import diagnose, in_order
+    from trackres_ros.errors import nearest
+    from trackres_ros.recording.recording import ROLES, Recording, base_role
+    from trackres_ros.results.diagnosis import DiagnosisResult
+
+    for channel in hide:
+        if base_role(channel) not in ROLES:
+            raise InputError("hide", channel, ", ".join(ROLES), nearest(channel, ROLES))
+    listed: Sequence[Any] = [recordings] if isinstance(recordings, str | PathLike | Recording) else recordings
+    if not listed:
+        raise InputError("recordings", "none", "at least one")
+    mapping = as_topics(topics)
+    if mapping is None:  # what a belt temperature shows is of the vehicle: any of the recordings says it for all
+        mapping = next((r.topics for r in listed if isinstance(r, Recording) and r.topics), None)
+    loaded = load_base(vehicle, method, thermal, mapping, surroundings)
+    sessions = [r if isinstance(r, Recording) else read(r, topics=mapping) for r in listed]
+    folder = None if effects is None else Path(effects)
+    found = diagnose(in_order(sessions), loaded, hide, holdout, seed, quick, folder, keep_suspected, on_stage=on_stage)
+    paths = [path for session in sessions for path in (session.paths or (Path(session.name),))]
+    return DiagnosisResult(found, loaded, paths, sessions[0].bindings)

@@ -1,0 +1,105 @@
+"""Recordings: made to try things on, and read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from trackres_ros.api.arguments import StrPath, TopicsGiven, VehicleGiven, as_paths, as_topics, as_vehicle
+
+if TYPE_CHECKING:
+    from trackres_ros.offline.sample import Sample
+    from trackres_ros.recording.recording import Recording
+
+
+def record_sample(
+    path: StrPath, *, vehicle: VehicleGiven = "xgd24d", speed_kmh: float = 10.0, laps: int = 3, ambient_degc: float = 15.0
+) -> Sample:
+    """Make a recording to try things on: the paper's lap test as a vehicle's bus would log it.
+
+    Speed comes in steps of 1 km/h at 50 Hz, load at 10 Hz and air temperature at 1 Hz, all with noise.
+
+    Parameters
+    ----------
+    path
+        The `.mcap` file to write.
+    vehicle
+        Whose weight is recorded.
+    speed_kmh
+        Speed on the lap [km/h].
+    laps
+        Laps of a circle of 100 m radius, with a stop after each.
+    ambient_degc
+        Air temperature [degC].
+
+    Returns
+    -------
+    Sample
+        Its `path`, and the file of its `topics`; equal calls give equal bytes.
+
+    Raises
+    ------
+    InputError
+        Another suffix, or no such folder.
+
+    Examples
+    --------
+    >>> import trackres_ros as tr
+    >>> sample = tr.record_sample("lap.mcap", laps=1)
+    >>> tr.read(sample.path, topics=sample.topics).roles
+    ('load', 'ambient', 'speed')
+    """
+    from trackres_ros.files.output_files import BAG_SUFFIX, output_file
+    from trackres_ros.files.resources import config_dir
+    from trackres_ros.offline.sample import Sample, write_sample
+
+    file = output_file(path, (BAG_SUFFIX,), "path")
+    drive = write_sample(file, as_vehicle(vehicle), speed_kmh, laps, ambient_degc)
+    distance = float((drive.speed[1:] * (drive.time_s[1] - drive.time_s[0])).sum())
+    return Sample(file, config_dir() / "topics" / "sample.yaml", float(drive.time_s[-1]), distance)
+
+
+def read(recording: StrPath | Sequence[StrPath], *, topics: TopicsGiven | None = None) -> Recording:
+    """Read a recording into memory, and look for what is wrong with it.
+
+    Parameters
+    ----------
+    recording
+        A rosbag2 folder, `.mcap`, `.db3`, `.bag`, `.csv`, `.csv.gz` or `.parquet`; of bags several, which are read one after
+        another as one recording.
+    topics
+        Which topic and field, or which column, feeds which role: a topics file, or what stands in one. Without it topics are
+        guessed by message type, and columns known by name.
+
+    Returns
+    -------
+    Recording
+        Samples by role in SI units with their stamps; `findings` says what was found wrong, and so does its `repr`.
+
+    Raises
+    ------
+    InputError
+        Nothing there, nothing that can be read, or no speed in it; says what to do.
+
+    Examples
+    --------
+    >>> import trackres_ros as tr
+    >>> from pathlib import Path
+    >>> _ = Path("drive.csv").write_text("time_s,speed_kmh\\n0,0\\n1,4\\n2,8\\n3,8\\n30,8\\n")
+    >>> tr.read("drive.csv")
+    Recording drive.csv
+      speed [m/s]: 5 samples at 1 Hz, 0 to 2.22222
+    Notes
+      speed: column speed_kmh
+    Found
+      speed: 1 gaps longer than 10 s, the longest 27 s (first at 3.00 s)
+    """
+    from dataclasses import replace
+
+    from trackres_ros.recording.opening import open_source
+    from trackres_ros.recording.recording import Recording
+
+    paths, mapping = as_paths(recording), as_topics(topics)
+    source = open_source(paths, mapping)
+    found = Recording.from_source(source)
+    return replace(found, paths=tuple(paths), bindings=source.bindings, topics=mapping)

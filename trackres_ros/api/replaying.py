@@ -1,0 +1,112 @@
+"""A recording through the estimator."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from trackres_ros.api.arguments import StrPath, TopicsGiven, VehicleGiven, as_paths, as_topics, as_vehicle
+from trackres_ros.errors import InputError, one_line
+
+if TYPE_CHECKING:
+    from trackres_ros.recording.recording import Recording
+    from trackres_ros.results.replay import ReplayResult
+
+
+def replay(
+    recording: Recording | StrPath | Sequence[StrPath],
+    vehicle: VehicleGiven,
+    *,
+    topics: TopicsGiven | None = None,
+    params: StrPath | Mapping[str, object] | None = None,
+    resume: StrPath | None = None,
+    save_state: StrPath | None = None,
+    output: StrPath | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> ReplayResult:
+    """Resistance torque and belt temperature over the time of a recording: what the live node would have said.
+
+    Messages are taken in the order they were logged and by their own stamps: twice the same recording gives twice the same bits.
+
+    Parameters
+    ----------
+    recording
+        What `read` gave, or what it takes.
+    vehicle
+        A vehicle, the path of its file, or the name of a shipped one.
+    topics
+        As in `read`, where paths are given.
+    params
+        Parameters of the estimator (docs/settings.md): a file, flat or as the live node reads it, or a mapping of name to value.
+    resume, save_state
+        State files: to go on from, and to save the state in at the end.
+    output
+        File to write while it runs, as `ReplayResult.save` does. Its rows are then not kept, so that memory does not grow with
+        the recording.
+    progress
+        Takes the number of messages of each block.
+
+    Returns
+    -------
+    ReplayResult
+        One row for each accepted speed: a mapping of column name to array, with `to_pandas`, `to_xarray`, `plot` and `save`.
+
+    Raises
+    ------
+    InputError
+        If the recording holds no usable speed, or something else cannot be used.
+
+    Examples
+    --------
+    >>> import trackres_ros as tr
+    >>> from pathlib import Path
+    >>> _ = Path("drive.csv").write_text("time_s,speed_kmh\\n0,0\\n10,36\\n60,36\\n")
+    >>> result = tr.replay("drive.csv", "xgd24d")
+    >>> len(result.to_pandas())
+    3
+    >>> print(f"{result['resistance_torque_nm'][-1]:.0f} Nm, belt {result['belt_degc/front_left'][-1]:.1f} degC")
+    3319 Nm, belt 17.5 degC
+    >>> result.save("out.csv").name
+    'out.csv'
+    """
+    from trackres_ros.estimator import columns as at
+    from trackres_ros.estimator.estimator import Estimator, Steps
+    from trackres_ros.estimator.snapshot import resume as resumed
+    from trackres_ros.estimator.snapshot import save
+    from trackres_ros.estimator.topic_settings import settings_for
+    from trackres_ros.files.output_files import BAG_SUFFIX, output_file, state_file
+    from trackres_ros.node.parameters import make_parameters, read_parameters
+    from trackres_ros.offline.replay import replay as run
+    from trackres_ros.offline.replay import result_writer
+    from trackres_ros.offline.summary import KeptSource
+    from trackres_ros.recording.opening import open_source
+    from trackres_ros.recording.recording import Recording
+    from trackres_ros.results.replay import ReplayResult
+    from trackres_ros.units import NANOSECOND
+
+    file = None if output is None else output_file(output)
+    state = None if save_state is None else state_file(save_state, "save_state")
+    in_memory = recording if isinstance(recording, Recording) else None
+    paths = in_memory.paths if in_memory else as_paths(recording)
+    if file is not None and any(file.exists() and file.resolve() == given.resolve() for given in paths):
+        raise InputError("output", str(file), "another file than the recording, which it would replace")
+    if in_memory and topics is not None:
+        raise InputError("topics", "with a recording that is read", "topics with a path", "give them to read")
+    mapping = in_memory.topics if in_memory else as_topics(topics)
+    given = params if isinstance(params, Mapping) else read_parameters(None if params is None else Path(params))
+    settings = settings_for(make_parameters(given).settings(), mapping)
+    source = in_memory or KeptSource(open_source(paths, mapping), keep=file is None or file.suffix.lower() != BAG_SUFFIX)
+    estimator = Estimator(as_vehicle(vehicle), settings)
+    session = None if resume is None else resumed(estimator, Path(resume))
+    kept: list[Steps] = []
+    if file is None:
+        done = run(source, estimator, kept.append, session, progress)
+    else:
+        with result_writer(file, estimator) as write:
+            done = run(source, estimator, write, session, progress)
+    if state is not None:
+        save(done.session, state, int(done.session.memory.times[at.SPEED, at.LAST_ARRIVAL]) * NANOSECOND)
+    title = one_line(f"{', '.join(path.name for path in paths) or source.name}: {estimator.vehicle.title}")
+    findings = source.all_findings() if isinstance(source, KeptSource) else source.findings
+    return ReplayResult(done, kept if file is None else None, title, source.name, source.notes, findings, file)

@@ -1,0 +1,166 @@
+"""Drives and operating points that were never driven."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from trackres_ros.api.arguments import StrPath, VehicleGiven, as_vehicle
+from trackres_ros.errors import InputError
+from trackres_ros.units import KMH_PER_MPS
+
+if TYPE_CHECKING:
+    from trackres_ros.recording.recording import Recording
+    from trackres_ros.results.operating_point import OperatingPoint
+    from trackres_ros.results.simulation import SimulationResult
+
+
+def simulate(
+    vehicle: VehicleGiven,
+    *,
+    speed_kmh: float | None = None,
+    ramp_s: float = 50.0,
+    duration_s: float | None = None,
+    profile: StrPath | Recording | None = None,
+    ambient_degc: float | None = None,
+    initial_degc: float | None = None,
+    weight_kn: float | None = None,
+    dt: float = 0.1,
+    output: StrPath | None = None,
+) -> SimulationResult:
+    """Torque and belt temperature along a drive that was never driven.
+
+    Parameters
+    ----------
+    vehicle
+        A vehicle, the path of its file, or the name of a shipped one.
+    speed_kmh, ramp_s, duration_s
+        Speed after a straight ramp from rest [km/h], time of the ramp [s], and how long to simulate [s]; 2500 s by default.
+    profile
+        Instead of them a CSV or Parquet table with ``time_s`` and ``speed_mps`` or ``speed_kmh``, and ``weight_n``,
+        ``ambient_degc`` and ``grade`` if need be; straight lines between its rows.
+    ambient_degc, initial_degc
+        Ambient temperature [degC], by default the vehicle file's, and that of the belts at the start, by default the same.
+    weight_kn
+        Weight of the whole vehicle [kN]; by default the vehicle file's.
+    dt
+        Time step [s].
+    output
+        File to write it to as well, as `SimulationResult.save` does.
+
+    Returns
+    -------
+    SimulationResult
+        One row a time step: a mapping of column name to array, with `to_pandas`, `to_xarray`, `plot` and `save`.
+
+    Raises
+    ------
+    InputError
+        A speed that the vehicle does not reach, a profile that cannot be used, or both of profile and speed.
+
+    Examples
+    --------
+    >>> import trackres_ros as tr
+    >>> drive = tr.simulate("xgd24d", speed_kmh=50, duration_s=600, dt=0.5)
+    >>> drive
+        time   speed resistance hysteresis    bearing       wind    effects   belt
+           s    km/h         Nm         Nm         Nm         Nm         Nm   degC
+          50    50.0       3502       2512        734        255          0   18.0
+         250    50.0       3117       2128        734        255          0   36.5
+         600    50.0       2893       1904        734        255          0   54.1
+    >>> print(f"{drive['resistance_torque_nm'].max():.0f} Nm")
+    3502 Nm
+    """
+    import numpy as np
+
+    from trackres_ros.estimator.estimator import Estimator
+    from trackres_ros.files.output_files import output_file
+    from trackres_ros.offline.profile import conditions, read_profile
+    from trackres_ros.offline.simulate import ramp_and_hold, run_drive, through_points
+    from trackres_ros.results.simulation import SimulationResult
+
+    if (speed_kmh is None) == (profile is None):
+        raise InputError("speed_kmh, profile", "neither" if profile is None else "both", "one of the two")
+    if profile is not None and duration_s is not None:
+        raise InputError("duration_s", duration_s, "only with speed_kmh: a profile says itself how long it is")
+    file = None if output is None else output_file(output)
+    described = as_vehicle(vehicle)
+    estimator = Estimator(described)
+    known = (("load", None if weight_kn is None else weight_kn * 1e3), ("ambient", ambient_degc))
+    given: dict[str, Any] = {role: value for role, value in known if value is not None}
+    notes: tuple[str, ...] = ()
+    if speed_kmh is not None:
+        _check_speed(speed_kmh / KMH_PER_MPS, described.chassis.max_speed)
+        drive = ramp_and_hold(speed_kmh / KMH_PER_MPS, ramp_s, 2500.0 if duration_s is None else duration_s, dt)
+    else:
+        assert profile is not None
+        recording = read_profile(profile)
+        notes = tuple(f"{recording.name}: {note}" for note in recording.notes if note.startswith("ignored"))
+        drive = through_points(recording.time_s("speed"), recording.series["speed"].value, dt)
+        _check_speed(float(np.abs(drive.speed).max()), described.chassis.max_speed)
+        given |= conditions(recording, drive.time_s, given, described.weight)
+    rows = run_drive(estimator, drive, given.get("load"), given.get("ambient"), initial_degc, given.get("grade", np.nan))
+    result = SimulationResult(estimator, drive, rows, "grade" in given, notes)
+    if file is not None:
+        result.save(file)
+    return result
+
+
+def _check_speed(speed: float, most: float) -> None:
+    if not abs(speed) <= 1.2 * most:
+        raise InputError(
+            "speed", f"{abs(speed) * 3.6:g} km/h", f"up to 1.2 times the vehicle file's max_speed, {1.2 * most * 3.6:.0f} km/h"
+        )
+
+
+def explain(
+    vehicle: VehicleGiven,
+    *,
+    speed_kmh: float,
+    belt_degc: float,
+    ambient_degc: float | None = None,
+    weight_kn: float | None = None,
+) -> OperatingPoint:
+    """Where the torque of one operating point comes from, by the exact methods.
+
+    Parameters
+    ----------
+    vehicle
+        A vehicle, the path of its file, or the name of a shipped one.
+    speed_kmh
+        [km/h]; negative in reverse.
+    belt_degc
+        Belt temperature, the mean one [degC].
+    ambient_degc, weight_kn
+        Ambient temperature [degC] and weight of the whole vehicle [kN]; by default the vehicle file's.
+
+    Returns
+    -------
+    OperatingPoint
+        A mapping of wheel loads, contacts, tension, losses, heat, torque by part and the rainflow matrix.
+
+    Raises
+    ------
+    InputError
+        For a weight that the vehicle cannot have.
+
+    Examples
+    --------
+    >>> import trackres_ros as tr
+    >>> point = tr.explain("xgd24d", speed_kmh=50, belt_degc=15)
+    >>> {part: round(torque) for part, torque in point["torque_nm"].items()}
+    {'hysteresis': 2604, 'bearing': 734, 'wind': 255, 'effects': 0, 'inertia': 0, 'resistance': 3593}
+    """
+    from trackres_ros.model.operating_point import explain
+    from trackres_ros.results.operating_point import OperatingPoint
+    from trackres_ros.text.numbers import figures
+
+    described = as_vehicle(vehicle)
+    if weight_kn is not None and not 0.05 * described.weight <= weight_kn * 1e3 <= 20 * described.weight:
+        raise InputError(
+            "weight_kn",
+            weight_kn,
+            f"{figures(0.05 * described.weight / 1e3)} to {figures(20 * described.weight / 1e3)} kN for "
+            f"a vehicle of {figures(described.weight / 1e3)} kN",
+        )
+    weight = None if weight_kn is None else weight_kn * 1e3
+    return OperatingPoint(explain(described, speed_kmh / KMH_PER_MPS, belt_degc, ambient_degc, weight))

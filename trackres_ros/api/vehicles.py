@@ -1,0 +1,85 @@
+"""Vehicle files: loaded, and checked."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from trackres_ros.api.arguments import StrPath, VehicleGiven, as_vehicle
+from trackres_ros.errors import InputError
+
+if TYPE_CHECKING:
+    from trackres_ros.results.vehicle_check import VehicleCheck
+    from trackres_ros.vehicle import Vehicle
+
+
+def load_vehicle(
+    vehicle: StrPath, *, method: str | None = None, thermal: str | None = None, surroundings: StrPath | None = None
+) -> Vehicle:
+    """Load a vehicle file.
+
+    Parameters
+    ----------
+    vehicle
+        Path of a vehicle file, or the name of a shipped vehicle such as ``xgd24d``.
+    method
+        Way from strain to heat instead of the file's: ``rainflow``, the paper's count, or ``spectral``, exact.
+    thermal
+        Thermal model instead of the file's: ``lumped`` or ``core_surface``.
+    surroundings
+        File of the site, the weather and the ground as they hold here and now, as a diagnosis writes it.
+
+    Returns
+    -------
+    Vehicle
+        Frozen and checked; SI units, temperatures in degC.
+
+    Raises
+    ------
+    InputError
+        On a missing, unknown or implausible value: file and key, what was given and what is allowed.
+
+    Examples
+    --------
+    >>> import trackres_ros as tr
+    >>> vehicle = tr.load_vehicle("agri3t")
+    >>> round(vehicle.weight)
+    29400
+    >>> tr.load_vehicle("agri3t", thermal="lumpy")
+    Traceback (most recent call last):
+    trackres_ros.errors.InputError: thermal: given 'lumpy'; allowed: lumped, core_surface; did you mean lumped?
+    """
+    from trackres_ros.errors import nearest
+    from trackres_ros.model.track import with_methods
+    from trackres_ros.vehicle import load, with_surroundings
+    from trackres_ros.vehicle.schema import MODEL_CHOICES
+
+    for where, given, key in (("method", method, "hysteresis"), ("thermal", thermal, "thermal")):
+        if given is not None and given not in MODEL_CHOICES[key]:
+            raise InputError(where, given, ", ".join(MODEL_CHOICES[key]), nearest(given, MODEL_CHOICES[key]))
+    return with_surroundings(with_methods(load(vehicle), method, thermal), surroundings)
+
+
+def check_vehicle(vehicle: VehicleGiven, *, points: int = 400) -> VehicleCheck:
+    """Check a vehicle and say what follows from it: wheel loads, masses, tension, where its data end, how exact its tables are.
+
+    Parameters
+    ----------
+    vehicle
+        A vehicle, the path of its file, or the name of a shipped one.
+    points
+        Random points at which the loss table is held against the exact method.
+
+    Returns
+    -------
+    VehicleCheck
+        A mapping; it prints as `trackres vehicle check` does.
+
+    Raises
+    ------
+    InputError
+        As `load_vehicle`, and where the physics shows that a value cannot be.
+    """
+    from trackres_ros.offline.vehicle_check import check_vehicle
+    from trackres_ros.results.vehicle_check import VehicleCheck
+
+    return VehicleCheck(check_vehicle(as_vehicle(vehicle), points))

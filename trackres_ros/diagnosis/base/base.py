@@ -1,0 +1,175 @@
+"""A base model: what is simulated without any left-out effect, and which of its parameters may be re-fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.diagnosis.writing.kept import Kept
+from trackres_ros.effects.effect import Active, Conditions, Facts, Terms, conditions, together
+from trackres_ros.effects.stepping import LIMITS, MOST_TORQUE, EffectTable, effect_table
+from trackres_ros.errors import InputError
+
+Array = NDArray[np.float64]
+Values = Mapping[str, float]
+
+USABLE = "finite terms within reason, with all values of its parameters within their bounds"
+MOST_CHECKED = 20  # steps looked at to find why an effect was left out
+
+
+@dataclass(frozen=True, slots=True)
+class BaseParameter:
+    """A parameter of a base model that may be re-fitted.
+
+    Attributes
+    ----------
+    name, unit
+        What it is.
+    nominal, std
+        The value of the vehicle file, and how well it is known: a Gaussian prior. Infinite where nothing is known.
+    low, high
+        Bounds.
+    """
+
+    name: str
+    unit: str
+    nominal: float
+    std: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, eq=False)
+class Predicted:
+    """What a model expects of a session, series of shape (n,): the torque as the sensor shows it [Nm], the torque itself
+    without what `Session.accel_decorrelated` leaves out of the inertia, and the belt's temperature [degC], which sets its
+    loss, and that of its surface; nan where the model has none.
+    """
+
+    torque: Array
+    at_sprockets: Array
+    belt: Array
+    skin: Array
+
+
+class Base(Protocol):
+    """A base model of one vehicle."""
+
+    @property
+    def name(self) -> str:
+        """``track`` or ``road_load``."""
+
+    @property
+    def has_belt(self) -> bool:
+        """Whether belts with a temperature are in it."""
+
+    @property
+    def facts(self) -> Facts:
+        """What effects may know of the vehicle."""
+
+    @property
+    def includes(self) -> tuple[str, ...]:
+        """Names of effects that are in it already."""
+
+    @property
+    def torque_scale(self) -> float:
+        """Shown over true torque where the torque's topic says nothing of it."""
+
+    @property
+    def rotating_mass_factor(self) -> float:
+        """Effective over true mass in acceleration, by the vehicle file."""
+
+    @property
+    def parameters(self) -> tuple[BaseParameter, ...]:
+        """What may be re-fitted."""
+
+    def predict(self, sessions: Sequence[Session], values: Values, effects: Sequence[Active]) -> list[Predicted]:
+        """Simulate sessions one after the other.
+
+        Parameters
+        ----------
+        values
+            Of `parameters`.
+        effects
+            What is added.
+        """
+
+    def write(self, path: Path, kept: Kept, text: str) -> list[Path]:
+        """Write a vehicle file with what was kept, surroundings beside it; returns the files that are for use."""
+
+
+@dataclass(frozen=True)
+class Acting:
+    """Effects sorted: those that act in every step, ready for it, and what those of sensors make of speed and torque."""
+
+    stepped: tuple[Active, ...]
+    table: EffectTable
+    sensors: Terms
+
+    @classmethod
+    def of(cls, effects: Sequence[Active], facts: Facts) -> Acting:
+        """Sort effects; what a sensor makes of it hangs on nothing but its parameters."""
+        stepped = tuple(active for active in effects if active.effect.acts_on != "sensor")
+        sensors = [active.terms(conditions(facts)) for active in effects if active.effect.acts_on == "sensor"]
+        return cls(stepped, effect_table(stepped, doubt=False), together(sensors))
+
+    def speed(self, session: Session) -> Array:
+        """True speed [m/s]."""
+        return np.ascontiguousarray(session.speed * self.sensors.speed_factor)
+
+    def sensed(self, torque: Array, session: Session) -> Array:
+        """What the torque sensor shows of a torque [Nm]."""
+        terms = self.sensors
+        shown = terms.sensor_gain * torque + terms.sensor_offset
+        if terms.sensor_delay <= 0.0:
+            return np.asarray(shown)
+        if session.torque_course is None:  # nothing was measured: the middle of a step is where its mean is
+            return np.interp(session.time - terms.sensor_delay, session.time, shown)
+        # Within a step the torque may jump, which its mean does not show. So the measured one is taken later instead, exactly.
+        later = session.torque_course.means(session.time + terms.sensor_delay, session.step)
+        return np.asarray(shown - (later - session.torque))
+
+    def check(self, left_out: Array, session: Session, facts: Facts) -> None:
+        """Refuse what a user's effect says where it was left out of a step though all that it needs is known.
+
+        Raises
+        ------
+        InputError
+            If it fails there, or says what is no number or beyond all reason.
+        """
+        own = [active for active in self.stepped if active.effect.source is not None]
+        if not own or not left_out.any():
+            return
+        for i in np.flatnonzero(left_out)[:MOST_CHECKED]:
+            at = conditions(
+                facts, session.speed[i] * self.sensors.speed_factor, session.accel_decorrelated[i], session.weight[i],
+                session.ambient[i], session.yaw_rate[i], session.heading[i], session.distance[i],
+            )  # fmt: skip
+            for active in own:
+                if all(np.isfinite(getattr(at, need)) for need in active.effect.needs):
+                    _refuse_unusable(active, at)
+
+
+def _refuse_unusable(active: Active, at: Conditions) -> None:
+    where = f"{active.effect.source}: effect {active.effect.name}"
+    try:
+        lag = active.lag(at)
+        terms = active.terms(at, 0.0 if lag is None else lag.start)
+        said = {**terms._asdict(), **({} if lag is None else lag._asdict())}
+        bad = {name: value for name, value in said.items() if not np.isfinite(float(value))}
+    except Exception as error:
+        raise InputError(where, f"{type(error).__name__}: {error}", USABLE) from error
+    most = MOST_TORQUE * at.facts.weight * at.facts.radius
+    for name, (low, high) in LIMITS.items():
+        low, high = (-most, most) if name == "torque" else (low, high)
+        if not low <= said[name] <= high:
+            bad[name] = said[name]
+    if bad:
+        said_of = ", ".join(f"{name} {value:g}" for name, value in bad.items())
+        raise InputError(where, f"{said_of} with {dict(active.values)} at {at.speed:g} m/s", USABLE)

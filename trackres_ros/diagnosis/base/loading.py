@@ -1,0 +1,95 @@
+"""Which base model a vehicle file asks for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+
+from trackres_ros.diagnosis.base.base import Base
+from trackres_ros.diagnosis.base.road_load import RoadBase, RoadVehicle, load_road_vehicle
+from trackres_ros.diagnosis.base.track import TrackBase
+from trackres_ros.diagnosis.prepare.gate import GateSettings
+from trackres_ros.effects.effect import Active
+from trackres_ros.errors import InputError
+from trackres_ros.estimator.settings import Settings
+from trackres_ros.estimator.topic_settings import settings_for
+from trackres_ros.files.resources import find_vehicle
+from trackres_ros.files.yamls import read_yaml
+from trackres_ros.model.track import with_methods
+from trackres_ros.recording.bindings import Topics
+from trackres_ros.vehicle import Vehicle, load, with_surroundings
+
+
+@dataclass(frozen=True, eq=False)
+class LoadedBase:
+    """A base model, the vehicle's title, what the gate needs to know of it, and the surroundings that it is in."""
+
+    base: Base
+    title: str
+    known: GateSettings
+    surroundings: tuple[Active, ...] = ()
+
+
+def load_base(
+    vehicle: str | PathLike[str] | Vehicle | RoadVehicle,
+    hysteresis: str | None = None,
+    thermal: str | None = None,
+    topics: Topics | None = None,
+    surroundings: str | PathLike[str] | None = None,
+) -> LoadedBase:
+    """The base model of a vehicle: `road_load` where its file has that section, else `track`.
+
+    A topics file says what a measured belt temperature shows; `surroundings` is the file of what holds where it was driven.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be used, or a vehicle is given with other values than its file has.
+    """
+    if isinstance(vehicle, RoadVehicle) and surroundings:
+        vehicle = vehicle.source
+    if isinstance(vehicle, RoadVehicle):
+        return _road(vehicle)
+    if not isinstance(vehicle, Vehicle):
+        path = find_vehicle(vehicle)
+        content = read_yaml(path)
+        if "road_load" in content:
+            return _road(load_road_vehicle(path, content, Path(surroundings) if surroundings else None))
+        vehicle = load(path)
+    else:
+        _check_as_in_its_file(vehicle)
+    track = with_surroundings(with_methods(vehicle, hysteresis, thermal), surroundings)
+    settings = settings_for(Settings(), topics)
+    known = GateSettings(
+        track.weight,
+        track.chassis.max_speed,
+        track.chassis.ambient,
+        False,
+        settings.belt_sensor == "surface",
+        track.chassis.motor_ratio,
+    )
+    return LoadedBase(TrackBase(track), track.title, known, track.surroundings)
+
+
+def _road(road: RoadVehicle) -> LoadedBase:
+    base = RoadBase(road)
+    known = GateSettings(
+        base.facts.weight,
+        road.values["max_speed"],
+        road.values["ambient"],
+        road.friction_brakes,
+        torque_scale=road.torque_shown,
+    )
+    return LoadedBase(base, road.title, known, road.surroundings)
+
+
+def _check_as_in_its_file(vehicle: Vehicle) -> None:
+    """Refuse a vehicle that was changed in memory: what is learned of it is written into a copy of its file."""
+    in_file = load(vehicle.source)
+    changed = [path for path, q in vehicle.parameters.items() if q.value != in_file.parameters[path].value]
+    of_both = [{a.effect.name: dict(a.values) for a in v.effects} for v in (vehicle, in_file)]
+    changed += ["effects"] if of_both[0] != of_both[1] else []
+    if changed:
+        given = f"other values than {vehicle.source} has: {changed[0]}"
+        raise InputError("vehicle", given, "a vehicle as its file has it", "write them into a file of their own")

@@ -1,0 +1,198 @@
+"""The paper's model of a track vehicle as a base: belt loss at the belt's temperature, bearings, air, inertia, known slope."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.base.base import Acting, BaseParameter, Predicted, Values
+from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.diagnosis.writing.kept import Kept
+from trackres_ros.diagnosis.writing.vehicle_file import rubber_share, write_track_vehicle
+from trackres_ros.effects.effect import Active
+from trackres_ros.effects.stepping import UNUSABLE, new_memory
+from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.constants import (
+    Constants,
+    conductances,
+    kernel_arguments,
+    make_constants,
+    parting_resistance,
+    work_space,
+)
+from trackres_ros.estimator.entry_points import COMPILED
+from trackres_ros.estimator.kernel import PREDICTED, PREDICTED_BELT, PREDICTED_DRIVE, PREDICTED_OUTCOME, PREDICTED_SKIN
+from trackres_ros.estimator.settings import Settings
+from trackres_ros.model.facts import facts_of
+from trackres_ros.model.thermal import thermal_network
+from trackres_ros.units import GRAVITY
+from trackres_ros.vehicle import Vehicle
+from trackres_ros.vehicle.reading import FITTED
+from trackres_ros.vehicle.schema import BELT, CHASSIS, RUBBER
+
+Array = NDArray[np.float64]
+
+LOSS, BEARING, DRAG, FILM, CAPACITY = "loss_modulus_scale", "bearing_friction", "drag_coefficient", "film_scale", "capacity_scale"
+CONDUCTIVITY, SURFACE_SHARE = "conductivity", "surface_share"
+MOST_AT_SURFACE = 0.8
+# What a fit may come to whatever range the file gives, which after a diagnosis is that of what was learned: a fifth of the lower
+# and three times the upper end of what data sheets of the shipped vehicles say.
+PLAUSIBLE = {
+    LOSS: (0.16, 3.6),
+    BEARING: (0.0008, 0.036),
+    DRAG: (0.12, 3.0),
+    CONDUCTIVITY: (0.04, 1.05),
+    SURFACE_SHARE: (0.02, MOST_AT_SURFACE),
+}
+PLAUSIBLE_FILM, PLAUSIBLE_CAPACITY = (0.2, 5.0), (0.3, 3.0)  # factors on the file's
+CAPACITY_STD = 0.15  # relative: thickness, section of lugs and specific heat of the file's ranges together
+
+
+class TrackBase:
+    """Base model `track`; see `base.Base`."""
+
+    name = "track"
+    has_belt = True
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self.vehicle = vehicle
+        self._constants = make_constants(vehicle, Settings())
+        self._networks = {
+            name: thermal_network(vehicle.thermal, track.belt, vehicle.rubber) for name, track in vehicle.tracks.items()
+        }
+        self._arm = float(np.dot(*(self._constants.assembly[:, column] for column in (at.SHARE_OF_ALL, at.RADIUS))))
+        self._firsts, self._count = _kinds(self._constants)
+        self.includes = tuple(active.effect.name for active in vehicle.active)
+        self.facts = facts_of(vehicle)
+        self.torque_scale = 1.0
+        self.rotating_mass_factor = vehicle.chassis.rotating_mass_factor
+        first = vehicle.track_of(vehicle.assemblies[0])
+        limits = {**RUBBER, **CHASSIS, **BELT}
+
+        def known(name: str, path: str) -> BaseParameter:
+            q, limit, (low, high) = vehicle.parameters[path], limits[name], PLAUSIBLE[name]
+            assert isinstance(q.value, float)
+            low, high = max(limit.low, min(low, 0.2 * q.low)), min(limit.high, max(high, 3.0 * q.high))
+            return BaseParameter(name, q.unit, q.value, q.standard_deviation, low, high)
+
+        film, capacity = vehicle.parameters[f"tracks.{first.name}.belt.film_offset"], vehicle.parameters["rubber.heat_capacity"]
+        assert isinstance(film.value, float)
+        assert isinstance(capacity.value, float)
+        share = rubber_share(vehicle)
+        learned = capacity.flag == FITTED
+        capacity_std = share * capacity.standard_deviation / capacity.value if learned else CAPACITY_STD
+        self.parameters: tuple[BaseParameter, ...] = (
+            known(LOSS, "rubber.loss_modulus_scale"),
+            known(BEARING, "chassis.bearing_friction"),
+            known(DRAG, "chassis.drag_coefficient"),
+            BaseParameter(FILM, "1", 1.0, film.standard_deviation / film.value, *_film_factors(vehicle)),
+            BaseParameter(CAPACITY, "1", 1.0, capacity_std, *_capacity_factors(capacity.value, share)),
+        )
+        if vehicle.thermal == "core_surface":
+            # Two nodes stand for a belt in which the temperature changes throughout: where they are to be is not known well.
+            of_surface = known(SURFACE_SHARE, f"tracks.{first.name}.belt.surface_share")
+            of_surface = replace(of_surface, high=min(of_surface.high, MOST_AT_SURFACE))
+            self.parameters += (known(CONDUCTIVITY, "rubber.conductivity"), of_surface)
+
+    def predict(self, sessions: Sequence[Session], values: Values, effects: Sequence[Active]) -> list[Predicted]:
+        """See `base.Base`."""
+        acting = Acting.of([*self.vehicle.active, *effects], self.facts)
+        arguments = kernel_arguments(self._with(values, acting), COMPILED.compiled)
+        belts, motion = np.empty((len(self._firsts), 2, at.BELT_COLUMNS)), np.empty(at.MOTION_COLUMNS)
+        state = (belts, motion, new_memory(len(acting.stepped)))
+        found = []
+        for i, session in enumerate(sessions):
+            ambient = float(session.ambient[0])
+            if i == 0 or not np.isfinite(session.gap):
+                COMPILED.start_belts(*arguments, *state, ambient, 0.0)
+            else:
+                COMPILED.rest_vehicle(*arguments, *state, ambient, 0.0, session.gap)
+            rows = np.empty((len(session), PREDICTED))
+            COMPILED.predict_series(
+                *arguments,
+                *state,
+                self._count,
+                session.time,
+                acting.speed(session),
+                session.accel_decorrelated,
+                session.grade if "grade" in session.given else np.full(len(session), np.nan),
+                session.weight,
+                session.ambient,
+                session.yaw_rate,
+                session.heading,
+                rows,
+            )
+            acting.check(rows[:, PREDICTED_OUTCOME] == UNUSABLE, session, self.facts)
+            drive = np.ascontiguousarray(rows[:, PREDICTED_DRIVE])
+            inertia = self.rotating_mass_factor * session.weight / GRAVITY
+            # No effect acts on the rest of the inertia: what the speed's own noise makes of it would tell for or against it.
+            quick = self._arm * inertia * (session.accel - session.accel_decorrelated)
+            shown = acting.sensed(drive, session) + quick
+            found.append(Predicted(shown, drive, rows[:, PREDICTED_BELT].copy(), rows[:, PREDICTED_SKIN].copy()))
+        return found
+
+    def write(self, path: Path, kept: Kept, text: str) -> list[Path]:
+        """See `base.Base`."""
+        return write_track_vehicle(self.vehicle, path, kept, text)
+
+    def _with(self, values: Values, acting: Acting) -> Constants:
+        """What the step reads, with other values of the parameters and other effects."""
+        k, vehicle = self._constants, self.vehicle
+        resistance = parting_resistance(acting.stepped, self.facts)
+        number = k.number._replace(
+            with_doubt=False,
+            bearing_friction=values[BEARING],
+            drag_area=values[DRAG] * vehicle.chassis.frontal_area,
+            two_nodes=vehicle.thermal == "core_surface" or resistance > 0.0,
+        )
+        assembly = k.assembly[self._firsts]
+        assembly[:, at.FILM_OFFSET] *= values[FILM]
+        assembly[:, at.FILM_SLOPE] *= values[FILM]
+        assembly[:, at.CAPACITY] *= values[CAPACITY]
+        assembly[:, at.SURFACE_SHARE] = values.get(SURFACE_SHARE, assembly[:, at.SURFACE_SHARE])
+        conducts = values.get(CONDUCTIVITY, vehicle.rubber.conductivity) / vehicle.rubber.conductivity
+        for row, i in zip(assembly, self._firsts, strict=True):
+            network = self._networks[vehicle.assemblies[i].track]
+            network = network._replace(inner_conductance=conducts * network.inner_conductance)
+            row[at.INNER_CONDUCTANCE], row[at.SKIN_CONDUCTANCE] = conductances(network, vehicle.thermal, resistance)
+        loss = values[LOSS] / vehicle.rubber.loss_modulus_scale
+        return k._replace(
+            number=number,
+            assembly=assembly,
+            loss=loss * k.loss,
+            drive=loss * k.drive,
+            effects=acting.table.rows,
+            effect_values=acting.table.values,
+            work=work_space(self.facts, 0),
+        )
+
+
+def _kinds(k: Constants) -> tuple[list[int], Array]:
+    """Assemblies of one kind that carry one share of the weight have belts that are alike: one of each, and how many."""
+    found: dict[tuple[float, float], list[int]] = {}
+    for i, row in enumerate(k.assembly):
+        found.setdefault((row[at.KIND], round(float(row[at.SHARE_OF_ALL]), 6)), []).append(i)
+    return [rows[0] for rows in found.values()], np.array([len(rows) for rows in found.values()], dtype=float)
+
+
+def _film_factors(vehicle: Vehicle) -> tuple[float, float]:
+    """Bounds of the factor on the film coefficient, with which no belt leaves what a vehicle file may say."""
+    low, high = PLAUSIBLE_FILM
+    for name in vehicle.tracks:
+        for key in ("film_offset", "film_slope"):
+            value, limit = vehicle.parameters[f"tracks.{name}.belt.{key}"].value, BELT[key]
+            assert isinstance(value, float)
+            if value > 0.0:
+                low, high = max(low, limit.low / value), min(high, limit.high / value)
+    return low, high
+
+
+def _capacity_factors(heat_capacity: float, share: float) -> tuple[float, float]:
+    """The same for the heat that a belt holds, of which the rubber has a share."""
+    (low, high), limit = PLAUSIBLE_CAPACITY, RUBBER["heat_capacity"]
+    least, most = (1.0 + share * (end / heat_capacity - 1.0) for end in (limit.low, limit.high))
+    return max(low, least), min(high, most)

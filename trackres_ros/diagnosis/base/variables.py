@@ -1,0 +1,52 @@
+"""What a residual, and what an effect adds to the torque, is looked at over: one catalogue for every step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.base.base import Predicted
+from trackres_ros.diagnosis.prepare.session import Session
+
+Array = NDArray[np.float64]
+
+SLOWEST_TURNING_MPS = 0.3  # a curvature of what turns on the spot is bounded by that of this speed
+CONSTANT_SHARE = 1e-9  # of its size: what differs by less does not vary
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A variable with its unit, and its series of shape (n,) out of a session and what is simulated of it."""
+
+    name: str
+    unit: str
+    of: Callable[[Session, Predicted], Array]
+
+
+VARIABLES = (
+    Variable("speed", "m/s", lambda s, _: s.speed),
+    Variable("acceleration", "m/s^2", lambda s, _: s.accel_around),
+    Variable("yaw rate", "rad/s", lambda s, _: np.abs(s.yaw_rate)),
+    Variable("yaw rate to the left", "rad/s", lambda s, _: s.yaw_rate),
+    Variable("curvature", "1/m", lambda s, _: np.abs(s.yaw_rate) / np.maximum(np.abs(s.speed), SLOWEST_TURNING_MPS)),
+    Variable("heading", "rad", lambda s, _: np.angle(np.exp(1j * s.heading))),
+    Variable("belt temperature", "degC", lambda _, p: p.belt),
+    Variable("ambient temperature", "degC", lambda s, _: s.ambient),
+    Variable("time since start", "s", lambda s, _: s.time),
+    Variable("load", "N", lambda s, _: s.weight),
+    Variable("distance", "m", lambda s, _: s.distance),
+)
+BY_NAME = {variable.name: variable for variable in VARIABLES}
+
+
+def varying(sessions: Sequence[Session], predicted: Sequence[Predicted]) -> dict[str, Array]:
+    """The series along all sessions of each variable that is known throughout and varies."""
+    found = {v.name: np.concatenate([v.of(s, p) for s, p in zip(sessions, predicted, strict=True)]) for v in VARIABLES}
+    return {
+        name: series
+        for name, series in found.items()
+        if np.isfinite(series).all() and np.ptp(series) > CONSTANT_SHARE * max(1.0, np.abs(series).max())
+    }

@@ -1,0 +1,62 @@
+"""When a residual changes its level for good: another ground, a load taken up, something that broke."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.inference.fitting import Fit
+
+Array = NDArray[np.float64]
+
+PIECE_S, MOST_PIECES = 30.0, 400  # the search takes the square of their number; longer recordings have longer pieces
+SHORTEST_PIECES = 4
+COST_OF_A_CHANGE = 3.0  # times the logarithm of the number of pieces: its place, its size, and the many places it could be
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """A time in a recording [s], and the mean residual up to the change before and to the one after [Nm]."""
+
+    recording: str
+    time: float
+    before: float
+    after: float
+
+
+def changes(found: Fit) -> list[Change] | None:
+    """Change points of the torque's residual in each recording; None where `ruptures` is not installed.
+
+    Notes
+    -----
+    Pruned exact linear time (PELT) on the means of the whitened residual, in standard deviations of such a mean.
+    """
+    try:
+        from ruptures import Pelt
+    except ImportError:
+        return None
+    listed = []
+    for white, residual, segment in zip(found.white, found.residuals, found.problem.segments, strict=True):
+        if segment.kind != "torque":
+            continue
+        session = found.problem.sessions[segment.session]
+        valid = np.isfinite(white)
+        length = PIECE_S * max(1, -(-int(session.time[-1] // PIECE_S + 1) // MOST_PIECES))
+        piece = (session.time // length).astype(int)
+        count = np.bincount(piece[valid], minlength=piece[-1] + 1)
+        there = count > 0
+        if there.sum() < 2 * SHORTEST_PIECES:
+            continue
+        influence = white[valid] * found.noises["torque"].weights(white[valid])
+        level = np.bincount(piece[valid], weights=influence, minlength=len(count))[there] / np.sqrt(count[there])
+        penalty = COST_OF_A_CHANGE * math.log(len(level))
+        ends = Pelt(model="l2", min_size=SHORTEST_PIECES, jump=1).fit(level).predict(pen=penalty)
+        starts = np.flatnonzero(there)
+        edges = [0.0, *(length * starts[end] for end in ends[:-1]), np.inf]
+        means = [float(residual[segment.mask & (session.time >= a) & (session.time < b)].mean()) for a, b in pairwise(edges)]
+        listed += [Change(session.name, float(t), *levels) for t, levels in zip(edges[1:-1], pairwise(means), strict=True)]
+    return listed

@@ -1,0 +1,226 @@
+"""Step 3: where a mismatch is: when an effect acts, and whether torque or temperature is to blame."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.base.variables import BY_NAME, varying
+from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
+from trackres_ros.diagnosis.inference.fitting import Fit
+from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.text.numbers import figures
+
+Array = NDArray[np.float64]
+
+ACTING_SHARE = 0.5  # of its 95th percentile
+BOTH_WAYS_SHARE = 0.25  # of the larger side: what adds as much as this on the other changes its sign
+FOLLOWS_LEAST = 0.3  # of the mean square: less goes with no variable that is looked at
+JOINED_S, SHORTEST_S = 10.0, 5.0
+STRAY_S = 30.0
+MOST_SPANS = 60
+BINS = 12
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """A time in a recording [s]."""
+
+    recording: str
+    begin: float
+    end: float
+
+
+@dataclass(frozen=True, slots=True)
+class ThermalCheck:
+    """Measured less simulated belt temperature [K]: mean, mean size; and mean torque residual explained by that alone [Nm]."""
+
+    mean_k: float
+    mean_abs_k: float
+    text: str
+
+
+def spans(sessions: tuple[Session, ...], series: list[Array]) -> list[Span]:
+    """When a series is large: at least `ACTING_SHARE` of what it hardly ever exceeds."""
+    used = np.concatenate([np.abs(x[s.used]) for x, s in zip(series, sessions, strict=True)])
+    if not len(used) or not used.max() > 0.0:
+        return []
+    limit = ACTING_SHARE * float(np.percentile(used, 95.0))
+    found: list[Span] = []
+    for session, x in zip(sessions, series, strict=True):
+        acting = (np.abs(x) >= limit) & session.used
+        begins = session.time[np.flatnonzero(np.diff(acting.astype(int), prepend=0) == 1)]
+        ends = session.time[np.flatnonzero(np.diff(acting.astype(int), append=0) == -1)] + session.step
+        for begin, end in zip(begins, ends, strict=True):
+            last = found[-1] if found and found[-1].recording == session.name else None
+            if last and begin - last.end <= JOINED_S:
+                found[-1] = replace(last, end=float(end))
+            else:
+                found.append(Span(session.name, float(begin), float(end)))
+    lasting = [s for s in found if s.end - s.begin >= SHORTEST_S]
+    longest = sorted(lasting, key=lambda s: s.begin - s.end)[:MOST_SPANS]
+    return [s for s in lasting if s in longest]
+
+
+def evenly_filled(x: Array, bins: int) -> tuple[Array, NDArray[np.int64]]:
+    """Edges of at most so many bins with as many samples in each, and the bin of each sample."""
+    edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, bins + 1)))
+    return edges, np.clip(np.searchsorted(edges, x, side="right") - 1, 0, max(len(edges) - 2, 0))
+
+
+@dataclass(frozen=True, slots=True)
+class Acts:
+    """Where an effect acts and how much it adds there.
+
+    Attributes
+    ----------
+    variable, unit
+        What the effect follows best.
+    low, high
+        The range of it where the effect is large.
+    least, most
+        The range of it anywhere.
+    smallest, largest
+        Least and greatest mean of what the effect adds, over bins of the variable [Nm].
+    rms
+        Root mean square of what it adds where it is large [Nm].
+    follows
+        Share of the size of what it adds that goes with the variable.
+    """
+
+    variable: str
+    unit: str
+    low: float
+    high: float
+    least: float
+    most: float
+    smallest: float
+    largest: float
+    rms: float
+    follows: float
+
+    @property
+    def text(self) -> str:
+        """The range in words; empty where it is everywhere."""
+        whole = self.most - self.least
+        from_start, to_end = self.low - self.least < 0.1 * whole, self.most - self.high < 0.1 * whole
+        if from_start and to_end:
+            return ""
+        if to_end:
+            return f"above {figures(self.low)} {self.unit} of {self.variable}"
+        if from_start:
+            return f"below {figures(self.high)} {self.unit} of {self.variable}"
+        return f"from {figures(self.low)} to {figures(self.high)} {self.unit} of {self.variable}"
+
+    @property
+    def both_ways(self) -> bool:
+        """Whether it takes more in one part of the range and less in another."""
+        return min(self.largest, -self.smallest) >= BOTH_WAYS_SHARE * max(self.largest, -self.smallest)
+
+    @property
+    def size(self) -> str:
+        """How much more or less it takes there, in words."""
+        if self.follows < FOLLOWS_LEAST:
+            return f"it takes more at times and less at others, {self.rms:.0f} Nm root mean square,"
+        if self.both_ways:
+            return f"it takes from {-self.smallest:.0f} Nm less to {self.largest:.0f} Nm more, by the {self.variable},"
+        return f"it takes about {self.rms:.0f} Nm {'more' if self.largest > -self.smallest else 'less'}"
+
+
+def against_travel(sessions: Sequence[Session], adds: Sequence[Array]) -> list[Array]:
+    """A torque as a resistance: positive where it brakes, whichever way the vehicle moves."""
+    return [x * np.sign(s.speed) for s, x in zip(sessions, adds, strict=True)]
+
+
+def acts(found: Fit, adds: Sequence[Array]) -> Acts:
+    """The variable whose bins explain most of a series, and the range of its bins where the series is large."""
+    sessions = found.problem.sessions
+    used = np.concatenate([s.used for s in sessions])
+    series = np.concatenate(adds)[used]
+    square = float(np.mean(series**2))
+    best, result = -1.0, Acts("speed", "m/s", -np.inf, np.inf, -np.inf, np.inf, 0.0, 0.0, float(np.sqrt(square)), 0.0)
+    for name, everywhere in varying(sessions, found.predicted).items():
+        x = everywhere[used]
+        if np.ptp(x) == 0.0:
+            continue
+        edges, place = evenly_filled(x, BINS)
+        count = np.maximum(np.bincount(place), 1)
+        means = np.bincount(place, weights=series) / count
+        explained = float(np.var(means[place]))
+        if explained > best * 1.02 + 1e-9:
+            best = explained
+            size = np.bincount(place, weights=np.abs(series)) / count
+            large = np.flatnonzero(size >= ACTING_SHARE * size.max())
+            high = edges[min(large[-1] + 1, len(edges) - 1)]
+            there = series[np.isin(place, large)]
+            result = Acts(
+                name, BY_NAME[name].unit, float(edges[large[0]]), float(high), float(edges[0]), float(edges[-1]),
+                min(0.0, float(means.min())), max(0.0, float(means.max())), float(np.sqrt(np.mean(there**2))),
+                float(np.mean(means[place] ** 2)) / max(square, 1e-300),
+            )  # fmt: skip
+    return result
+
+
+@dataclass(frozen=True, slots=True)
+class SlowResidual:
+    """What is left of the torque residual in means over `STRAY_S`, root mean square [Nm]; its share of the torque, and the
+    slope that would do as much, nan where the slope was measured.
+    """
+
+    size: float
+    share: float
+    slope: float
+
+
+def slow_residual(found: Fit) -> SlowResidual:
+    """How far the measured torque strays from a model for longer than noise does."""
+    means, torques = [], []
+    for segment, residual in zip(found.problem.segments, found.residuals, strict=True):
+        if segment.kind != "torque":
+            continue
+        session = found.problem.sessions[segment.session]
+        number = (session.time // STRAY_S).astype(int)
+        count = np.bincount(number[segment.mask])
+        sums = np.bincount(number[segment.mask], weights=residual[segment.mask])
+        full = count * session.step > 0.5 * STRAY_S
+        means.append(sums[full] / count[full])
+        torques.append(session.torque[segment.mask])
+    size = float(np.sqrt(np.mean(np.concatenate(means) ** 2))) if sum(map(len, means)) else 0.0
+    torque = float(np.sqrt(np.mean(np.concatenate(torques) ** 2)))
+    facts, measured = found.problem.base.facts, all("grade" in s.given for s in found.problem.sessions)
+    return SlowResidual(size, size / max(torque, 1e-12), float("nan") if measured else size / (facts.weight * facts.radius))
+
+
+def regime_of(refitted: Fit, at_base: RegimeMap, where: Acts) -> tuple[Bin, ...]:
+    """The residual of the base where an effect acts, and other regimes in which it stands out."""
+    of = BY_NAME[where.variable].of
+    inside, residuals = [], []
+    for segment, residual in zip(refitted.problem.segments, refitted.residuals, strict=True):
+        if segment.kind == "torque":
+            session = refitted.problem.sessions[segment.session]
+            x = of(session, refitted.predicted[segment.session])
+            inside.append((x >= where.low) & (x <= where.high) & segment.mask)
+            residuals.append(residual)
+    within = np.concatenate(residuals)[np.concatenate(inside)]
+    p = at_base.likeliest(where.variable, where.low, where.high)
+    mean = float(within.mean()) if len(within) else 0.0
+    here = Bin(where.variable, where.low, where.high, mean, where.unit, len(within), p)
+    return (here, *(b for b in at_base.significant if b.variable != where.variable))
+
+
+def thermal_check(found: Fit) -> ThermalCheck | None:
+    """Compare measured and simulated belt temperature; None where none was measured."""
+    differences = [
+        r[g.mask] for r, g in zip(found.residuals, found.problem.segments, strict=True) if g.kind == "belt" and g.mask.any()
+    ]
+    if not differences:
+        return None
+    d = np.concatenate(differences)
+    mean, size = float(d.mean()), float(np.abs(d).mean())
+    side = "above" if mean > 0 else "below"
+    return ThermalCheck(
+        mean, size, f"the measured belt temperature is {abs(mean):.1f} K {side} the simulated one on average, {size:.1f} K off"
+    )

@@ -1,0 +1,119 @@
+"""Where a residual is not zero: signed means by bin of what drives the physics, corrected for having looked in so many places."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.base.variables import BY_NAME, varying
+from trackres_ros.diagnosis.inference.fitting import Fit
+
+Array = NDArray[np.float64]
+
+BINS = 6
+FEWEST_IN_BIN = 30
+FLIPPED_TOGETHER = 20
+REPLICATES = 4000  # a probability of a hundredth is then known to a sixth of it
+
+
+@dataclass(frozen=True, slots=True)
+class Bin:
+    """A range of a variable, the mean residual there [Nm], and the probability that noise alone reaches it anywhere."""
+
+    variable: str
+    low: float
+    high: float
+    mean_residual: float
+    unit: str
+    samples: int
+    p: float
+
+
+@dataclass(frozen=True, eq=False)
+class RegimeMap:
+    """All bins, and the probability that noise alone makes the largest of them."""
+
+    bins: tuple[Bin, ...]
+    p: float
+    samples: int
+
+    @property
+    def significant(self) -> tuple[Bin, ...]:
+        """Bins that stand out, the clearest first."""
+        return tuple(sorted((b for b in self.bins if b.p < 0.05), key=lambda b: (b.p, -abs(b.mean_residual))))
+
+    def likeliest(self, variable: str, low: float, high: float) -> float:
+        """Least probability of the bins of a variable that reach into a range; 1 where none does."""
+        return min((b.p for b in self.bins if b.variable == variable and b.low < high and b.high > low), default=1.0)
+
+
+def regime_map(fit: Fit, rng: np.random.Generator, replicates: int = REPLICATES) -> RegimeMap:
+    """Look at the residual of a fit by bins of every variable that varies.
+
+    Notes
+    -----
+    The mean residual [Nm] is that of the plain residual; whether it counts is decided on the whitened one, against the
+    largest over all bins when the signs of whole pieces are flipped at random (max-T).
+    """
+    rows = [w for w, g in zip(fit.white, fit.problem.segments, strict=True) if g.kind == "torque"]
+    residuals = [r for r, g in zip(fit.residuals, fit.problem.segments, strict=True) if g.kind == "torque"]
+    valid = np.isfinite(np.concatenate(rows))
+    e, plain = np.concatenate(rows)[valid], np.concatenate(residuals)[valid]
+    pieces = _pieces(rows)[valid]
+    members, bins = [], []
+    for name, series in varying(fit.problem.sessions, fit.predicted).items():
+        of = series[valid]
+        for low, high in _edges(of):
+            inside = (of >= low) & (of <= high)
+            if inside.sum() >= FEWEST_IN_BIN:
+                members.append(inside)
+                bins.append((name, low, high, float(plain[inside].mean()), int(inside.sum())))
+    if not bins:
+        return RegimeMap((), 1.0, len(e))
+    number = np.unique(pieces, return_inverse=True)[1]
+    sums = np.array([np.bincount(number, weights=np.where(inside, e, 0.0), minlength=number.max() + 1) for inside in members])
+    middle = sums - sums.mean(axis=1, keepdims=True) if sums.shape[1] > 1 else sums
+    spread = np.sqrt((middle**2).sum(axis=1)) + 1e-12
+    found = np.abs(sums.sum(axis=1)) / spread
+    signs = rng.choice((-1.0, 1.0), (replicates, sums.shape[1]))
+    reached = np.abs(signs @ middle.T / spread).max(axis=1)
+    p = (1.0 + (reached[:, np.newaxis] >= found).sum(axis=0)) / (replicates + 1.0)
+    found_bins = (
+        Bin(name, low, high, mean, BY_NAME[name].unit, count, float(q))
+        for (name, low, high, mean, count), q in zip(bins, p, strict=True)
+    )
+    return RegimeMap(tuple(found_bins), float(p.min()), len(e))
+
+
+def cumulative_periodogram(fit: Fit) -> float:
+    """Probability that white noise strays as far from a flat spectrum as the whitened residual (Bartlett's test)."""
+    from scipy.stats import kstest
+
+    power = []
+    for white, segment in zip(fit.white, fit.problem.segments, strict=True):
+        if segment.kind != "torque":
+            continue
+        e = np.nan_to_num(white)
+        power.append(np.abs(np.fft.rfft(e)[1:-1]) ** 2)
+    cumulative = np.cumsum(np.concatenate([p / p.sum() for p in power if p.sum() > 0])) / max(1, len(power))
+    return float(kstest(cumulative[:-1], "uniform").pvalue)
+
+
+def _edges(series: Array) -> list[tuple[float, float]]:
+    edges = np.unique(np.quantile(series, np.linspace(0.0, 1.0, BINS + 1)))
+    if len(edges) == 1:
+        return [(float(edges[0]), float(edges[0]))]
+    return [(float(a), float(b)) for a, b in pairwise(edges)]
+
+
+def _pieces(rows: Sequence[Array]) -> NDArray[np.int64]:
+    """Number of the piece whose sign is flipped as one, of each row."""
+    first, found = 0, []
+    for row in rows:
+        found.append(first + np.arange(len(row)) // FLIPPED_TOGETHER)
+        first = int(found[-1][-1]) + 1
+    return np.concatenate(found)

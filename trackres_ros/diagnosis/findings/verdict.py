@@ -1,0 +1,262 @@
+"""What it comes to: one of four verdicts, in one sentence."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.base.base import BaseParameter
+from trackres_ros.diagnosis.findings.locate import STRAY_S, Acts, SlowResidual, Span
+from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
+from trackres_ros.diagnosis.inference.fitting import Fit
+from trackres_ros.diagnosis.selection.confirm import Graded
+from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, HeldOut
+from trackres_ros.diagnosis.selection.intervals import Interval
+from trackres_ros.diagnosis.selection.naming import Candidate, Step
+from trackres_ros.effects.effect import Parameter
+from trackres_ros.text.numbers import figures
+
+Array = NDArray[np.float64]
+
+LACK_OF_FIT_P = 0.01
+MOST_STRAY = 0.015  # of the torque, in means over half a minute
+LEFT_SHARE = 0.5  # of what the effects explain: more left over, and the names explain little
+MOST_CERTAIN = 20.0  # in log-likelihood: more is no more certain
+FINE_R2 = 0.995  # above it R2 says nothing that the mean error does not
+MOVED = 1.5  # standard deviations of the file's own range
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Found:
+    """An effect that was named, alone or as one of a class.
+
+    Attributes
+    ----------
+    name, text, acts_on, parameters
+        As in the catalogue.
+    step
+        The round of the choice in which it was chosen: its rivals, and what it cannot be told from (`step.members`).
+    values, intervals
+        Of its parameters, and the 95 % interval of each.
+    adds, resists
+        What it adds to the expected torque of each session [Nm]; the same, positive against travel whichever way, as shown
+        if a sensor adds it.
+    where, acts, regime
+        Spans of time, the variable that it follows best, and the residual of the base where it acts.
+    graded
+        What laps not used for fitting say of it (`graded.grade`).
+    """
+
+    name: str
+    text: str
+    acts_on: str
+    parameters: Sequence[Parameter]
+    step: Step
+    values: Mapping[str, float]
+    intervals: Mapping[str, Interval]
+    adds: list[Array]
+    resists: list[Array]
+    where: Sequence[Span]
+    acts: Acts
+    regime: Sequence[Bin]
+    graded: Graded
+
+    def __repr__(self) -> str:
+        units = {q.name: "" if q.unit == "1" else f" {q.unit}" for q in self.parameters}
+        values = [f"{name} {_with_interval(v, self.intervals.get(name))}{units[name]}" for name, v in self.values.items()]
+        return f"<{self.name}: {', '.join(values)}; {self.graded.grade}>"
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What it comes to.
+
+    Attributes
+    ----------
+    status
+        ``none``, ``named``, ``one_of`` or ``unexplained``.
+    grade
+        Whether laps not used for fitting confirm it: ``confirmed``, ``suspected`` or ``refuted``.
+    sentence
+        In words.
+    """
+
+    status: str
+    grade: str
+    sentence: str
+
+    @property
+    def names(self) -> bool:
+        """Whether it stands by names of effects."""
+        return self.status in ("named", "one_of")
+
+
+def judge(
+    found: Sequence[Found],
+    refuted: Sequence[Graded],
+    refitted: Fit,
+    at_end: RegimeMap,
+    left_over: SlowResidual,
+    hint: str,
+    held_out: HeldOut,
+) -> Verdict:
+    """The verdict.
+
+    What is left over after the last fit counts as unexplained where nothing was named, or where it is large beside
+    what the names explain. What strays for half-minutes and follows nothing recorded counts where nothing was named.
+
+    Parameters
+    ----------
+    found, refuted
+        Effects that fit, and those that fit and that held-out laps refute.
+    """
+    left = [b for b in at_end.bins if b.p < LACK_OF_FIT_P]
+    besides = f" {_refuted(refuted)}" if refuted else ""
+    if found:
+        added = np.concatenate([sum(x) for x in zip(*(f.adds for f in found), strict=True)])
+        explained = float(np.percentile(np.abs(added), 95.0))  # where they act: some do for minutes of an hour
+        largest = max((abs(b.mean_residual) for b in left), default=0.0)
+        if largest > LEFT_SHARE * explained:
+            return Verdict("unexplained", SUSPECTED, f"{_unexplained(left)}; {_tentative(found)}{besides}")
+        status = "named" if all(len(f.step.members) <= 1 for f in found) else "one_of"
+        if left:
+            besides += f" Something small is left, {_range(left[0])}."
+        if left_over.share > MOST_STRAY:
+            besides += f" And {_strays(left_over)}."
+        doubted = [f for f in found if f.graded.grade != CONFIRMED]
+        said = ". ".join(_of_effect(f) for f in found)
+        if not doubted:
+            return Verdict(status, CONFIRMED, f"{said}. Confirmed {_gain(held_out, 'with_effects')}.{besides}")
+        why = ". ".join(_doubt(f) for f in doubted)
+        return Verdict(status, SUSPECTED, f"Suspected: {said}. {why}.{besides}")
+    if left:
+        text = f"{_unexplained(left)}, and no effect of the catalogue explains it."
+        return Verdict("unexplained", REFUTED if refuted else SUSPECTED, text + besides)
+    if left_over.share > MOST_STRAY:
+        text = f"Something is unexplained: {_strays(left_over)}."
+        return Verdict("unexplained", REFUTED if refuted else SUSPECTED, text + besides)
+    if hint:
+        besides += f" Were the model exact, {hint} would be missing; as it is, its own error may look the same."
+    moved = moved_parameters(refitted)
+    listed = ", ".join(_moved(q, value) for q, value in moved)
+    of_refit = held_out.of_refit
+    if moved and of_refit.grade == CONFIRMED:
+        return Verdict(
+            "none",
+            CONFIRMED,
+            "No physics is missing, but parameters of the vehicle file were off: "
+            f"{listed}; confirmed {_gain(held_out, 'refitted')}.{besides}",
+        )
+    if moved:
+        return Verdict(
+            "none",
+            of_refit.grade,
+            f"No physics is missing. A re-fit would move parameters of the vehicle file: {listed}; that is "
+            f"{'refuted' if of_refit.grade == REFUTED else 'not confirmed'} {_gain(held_out, 'refitted')}.{besides}",
+        )
+    return Verdict(
+        "none",
+        CONFIRMED,
+        f"No mismatch beyond noise: on laps not used for fitting the mean error is {figures(held_out.mae['nominal'])} Nm "
+        f"with the vehicle file as it is and {figures(held_out.mae['refitted'])} Nm re-fitted.{besides}",
+    )
+
+
+def moved_parameters(refitted: Fit) -> list[tuple[BaseParameter, float]]:
+    """Parameters of the base that moved further than their range says, furthest first."""
+    found = [(q, refitted.base_values[q.name]) for q in refitted.problem.base.parameters if np.isfinite(q.std)]
+    far = [(q, value) for q, value in found if abs(value - q.nominal) > MOVED * q.std]
+    return sorted(far, key=lambda pair: -abs(pair[1] - pair[0].nominal) / pair[0].std)
+
+
+def _of_effect(f: Found) -> str:
+    where = f.acts.text
+    measured = f"{where[0].upper() + where[1:] if where else 'Everywhere'} {f.acts.size} than the model has"
+    units = {q.name: "" if q.unit == "1" else f" {q.unit}" for q in f.parameters}
+    values = ", ".join(f"{name} {_with_interval(value, f.intervals.get(name))}{units[name]}" for name, value in f.values.items())
+    members = f.step.members
+    if len(members) <= 1:
+        return f"{measured}: {f.text} ({f.name}: {values}){_rival(f)}"
+    others = ", ".join(f"{name} ({f.step.weights[name]:.0%})" for name in members)
+    return f"{measured}: one of {others}, which these recordings cannot tell apart"
+
+
+def _doubt(f: Found) -> str:
+    """Why an effect is only suspected."""
+    i, bounds = f.graded.improvement, f.graded.on_bounds
+    if i.grade == CONFIRMED:
+        return f"{f.name} lies on a bound of what is plausible ({', '.join(bounds)})"
+    error = f"from {figures(i.before)} to {figures(i.after)} Nm ({figures(i.low, 2)} to {figures(i.high, 2)} Nm better, 95 %)"
+    return f"Laps not used for fitting do not confirm {f.name}: with it their mean error goes {error}"
+
+
+def _refuted(refuted: Sequence[Graded]) -> str:
+    errors = [(g.name, figures(g.improvement.before), figures(g.improvement.after)) for g in refuted]
+    of = "; ".join(f"{name}, {before} to {after} Nm of mean error" for name, before, after in errors)
+    return f"Refuted, as it fits the laps that were used and makes the others worse: {of}."
+
+
+def _moved(q: BaseParameter, value: float) -> str:
+    """A parameter of the base and where it went."""
+    unit = "" if q.unit == "1" else f" {q.unit}"
+    return f"{q.name} {figures(q.nominal, 4)} -> {figures(value, 4)}{unit}"
+
+
+def _rival(f: Found) -> str:
+    """The next best candidate, and how much less likely it is."""
+    others = [c for c in f.step.candidates if c.name not in f.step.members]
+    if not others or f.step.chosen is None:
+        return ""
+    next_best = max(others, key=lambda c: c.net_evidence)
+    return f"; {next_best.name} is {likelier(f.step.chosen, next_best)} times less likely"
+
+
+def likelier(one: Candidate, other: Candidate) -> str:
+    """How many times likelier one is than another."""
+    times = math.exp(min(one.net_evidence - other.net_evidence, MOST_CERTAIN))
+    return f"{times:.0f}" if times < 1000.0 else "over a thousand"
+
+
+def _with_interval(value: float, interval: Interval | None) -> str:
+    if interval is None:
+        return figures(value)
+    if interval.bound_only:
+        return f"{figures(value)}, only bounded by {figures(interval.low)} to {figures(interval.high)}"
+    return f"{figures(value)} [{figures(interval.low)}, {figures(interval.high)}]"
+
+
+def _gain(h: HeldOut, stage: str) -> str:
+    before = "refitted" if stage == "with_effects" else "nominal"
+    was, now = figures(h.mae[before]), figures(h.mae[stage])
+    way = f"stays at {now}" if was == now else f"{'falls' if h.mae[stage] < h.mae[before] else 'rises'} from {was} to {now}"
+    text = f"on laps not used for fitting: the mean error {way} Nm"
+    if h.r2[before] <= FINE_R2:
+        text += f", R2 from {h.r2[before]:.3f} to {h.r2[stage]:.3f}"
+    return text
+
+
+def _range(b: Bin) -> str:
+    return f"at {b.variable} {figures(b.low)} to {figures(b.high)} {b.unit}"
+
+
+def _unexplained(left: Sequence[Bin]) -> str:
+    first = max(left, key=lambda b: abs(b.mean_residual))
+    side = "above" if first.mean_residual > 0 else "below"
+    return f"Something is unexplained: the measured torque is {abs(first.mean_residual):.0f} Nm {side} the model {_range(first)}"
+
+
+def _strays(s: SlowResidual) -> str:
+    slope = "" if math.isnan(s.slope) else f"; an unrecorded slope of {s.slope:.1%} would do as much"
+    return (
+        f"averaged over {STRAY_S:.0f} s the measured torque still strays from the model by "
+        f"{s.size:.0f} Nm, {s.share:.0%} of the torque, and follows nothing that was recorded{slope}"
+    )
+
+
+def _tentative(found: Sequence[Found]) -> str:
+    names = ", ".join(f.name for f in found)
+    return f"{names} would take up a part of it, but what is left is too large for the name to be believed."

@@ -1,0 +1,316 @@
+"""Fit a base model, with effects or without: most likely under coloured noise with heavy tails, priors and bounds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from trackres_ros.diagnosis.base.base import Base, BaseParameter, Predicted
+from trackres_ros.diagnosis.inference.noise import LARGEST_ROOT, Noise, estimate_noise, whitened
+from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.effects.effect import Active, Effect
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+ROUNDS = 3  # of fit and noise
+LARGE = 3.0  # times its typical size: one standard deviation of what an effect may be
+DIFFERENCE = 1e-4  # of the span between bounds, for derivatives
+MOST_STEPS = 60
+BELT_EVERY = 10  # steps: a belt's temperature tells nothing new from one second to the next
+
+
+@dataclass(frozen=True, slots=True)
+class Free:
+    """A parameter of a fit; `key` is (effect or "", parameter)."""
+
+    key: tuple[str, str]
+    unit: str
+    low: float
+    high: float
+    nominal: float
+    std: float  # of the prior; infinite without
+    scale: float
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """What was measured of one kind in one session; arrays of shape (n,).
+
+    Attributes
+    ----------
+    kind
+        ``torque`` [Nm] or ``belt`` [degC].
+    session
+        Index of the session.
+    measured, mask, block
+        Values, which of them count, and the lap of each.
+    """
+
+    kind: str
+    session: int
+    measured: Array
+    mask: Mask
+    block: NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What is fitted: sessions, which of their samples, and by which base."""
+
+    base: Base
+    sessions: tuple[Session, ...]
+    masks: tuple[Mask, ...]
+
+    def predict(self, values: Mapping[str, float], effects: Sequence[Active]) -> list[Predicted]:
+        """Simulate all sessions."""
+        return self.base.predict(self.sessions, values, effects)
+
+    @cached_property
+    def segments(self) -> tuple[Segment, ...]:
+        """Torques of all sessions, then belt temperatures of those that have them."""
+        found = [
+            Segment("torque", i, s.torque, mask, s.block)
+            for i, (s, mask) in enumerate(zip(self.sessions, self.masks, strict=True))
+        ]
+        for i, (s, mask) in enumerate(zip(self.sessions, self.masks, strict=True)):
+            if self.base.has_belt and "belt" in s.given:
+                blocks = np.unique(s.block[mask])
+                at = slice(None, None, BELT_EVERY)
+                found.append(Segment("belt", i, s.belt[at], (np.isfinite(s.belt) & np.isin(s.block, blocks))[at], s.block[at]))
+        return tuple(found)
+
+    def expected(self, predicted: Sequence[Predicted]) -> list[Array]:
+        """What was simulated of each segment."""
+        return [
+            predicted[g.session].torque if g.kind == "torque" else self._belt(g.session, predicted[g.session])
+            for g in self.segments
+        ]
+
+    def _belt(self, session: int, predicted: Predicted) -> Array:
+        return (predicted.skin if self.sessions[session].belt_shows_surface else predicted.belt)[::BELT_EVERY]
+
+    def residuals(self, predicted: Sequence[Predicted]) -> list[Array]:
+        """Measured less simulated, of each segment."""
+        return [g.measured - e for g, e in zip(self.segments, self.expected(predicted), strict=True)]
+
+    def white(self, rows: Sequence[Array], noises: Mapping[str, Noise]) -> list[Array]:
+        """Whitened rows of each segment over their standard deviation, nan where they do not count."""
+        return [whitened(r, g.mask, noises[g.kind].phi) / noises[g.kind].std for r, g in zip(rows, self.segments, strict=True)]
+
+    def noises(self, residuals: Sequence[Array], largest_root: float = LARGEST_ROOT) -> dict[str, Noise]:
+        """Noise of each kind of segment, its autoregression's roots bounded."""
+        found = {}
+        for kind in dict.fromkeys(g.kind for g in self.segments):
+            of = [(r, g.mask) for r, g in zip(residuals, self.segments, strict=True) if g.kind == kind]
+            found[kind] = estimate_noise([r for r, _ in of], [m for _, m in of], largest_root)
+        return found
+
+
+def valid_rows(parts: Sequence[Array]) -> Array:
+    """Rows of all segments that count, one after the other."""
+    return np.concatenate([p[np.isfinite(p) if p.ndim == 1 else np.isfinite(p).all(axis=1)] for p in parts])
+
+
+def of_rows(
+    problem: Problem, white: Sequence[Array], function: Callable[[Noise, Array], Array], noises: Mapping[str, Noise]
+) -> Array:
+    """A function of the noise and of whitened residuals, of the rows that count."""
+    return valid_rows([function(noises[g.kind], w) for w, g in zip(white, problem.segments, strict=True)])
+
+
+def log_likelihood(problem: Problem, residuals: Sequence[Array], noises: Mapping[str, Noise]) -> float:
+    """Of residuals under noise."""
+    return float(of_rows(problem, problem.white(residuals, noises), Noise.log_density, noises).sum())
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A fitted model.
+
+    Attributes
+    ----------
+    base_values, effects
+        What was found.
+    free, point, covariance
+        The parameters fitted, in their order, where they came to lie, and how sure that is.
+    noises, log_likelihood
+        Of each kind of residual; the likelihood with the priors' share.
+    samples
+        How many residuals count.
+    predicted
+        Of each session.
+    """
+
+    problem: Problem
+    base_values: dict[str, float]
+    effects: tuple[Active, ...]
+    free: tuple[Free, ...]
+    point: Array
+    covariance: Array
+    noises: dict[str, Noise]
+    log_likelihood: float
+    samples: int
+    predicted: tuple[Predicted, ...]
+
+    @cached_property
+    def residuals(self) -> list[Array]:
+        """Measured less expected, of each segment."""
+        return self.problem.residuals(self.predicted)
+
+    @property
+    def noise(self) -> Noise:
+        """Of the torque."""
+        return self.noises["torque"]
+
+    @property
+    def at(self) -> dict[tuple[str, str], float]:
+        """Where the free parameters came to lie."""
+        return {f.key: float(x) for f, x in zip(self.free, self.point, strict=True)}
+
+    def model_at(self, point: Array) -> tuple[dict[str, float], tuple[Active, ...]]:
+        """Values of the base and effects with the free parameters at another point."""
+        moved = {f.key: float(x) for f, x in zip(self.free, point, strict=True)}
+        base = {name: moved.get(("", name), value) for name, value in self.base_values.items()}
+        effects = (
+            replace(a, values={q: moved.get((a.effect.name, q), value) for q, value in a.values.items()}) for a in self.effects
+        )
+        return base, tuple(effects)
+
+    def contribution(self, name: str) -> list[Array]:
+        """What one effect adds to the expected torque of each session [Nm]."""
+        without = self.problem.predict(self.base_values, [a for a in self.effects if a.effect.name != name])
+        return [p.torque - w.torque for p, w in zip(self.predicted, without, strict=True)]
+
+    @cached_property
+    def white(self) -> list[Array]:
+        """Whitened residuals of each segment, over their standard deviation."""
+        return self.problem.white(self.residuals, self.noises)
+
+    @property
+    def effect_names(self) -> tuple[str, ...]:
+        """Names of the effects in it."""
+        return tuple(active.effect.name for active in self.effects)
+
+    @cached_property
+    def log_evidence(self) -> float:
+        """Log-likelihood less what it costs that parameters had to be found within their priors (Laplace); only differences
+        between fits of the same base count.
+        """
+        prior = np.array([f.std if np.isfinite(f.std) else f.scale for f in self.free])
+        settled = np.linalg.eigvalsh(self.covariance / np.outer(prior, prior))
+        return self.log_likelihood + 0.5 * float(np.log(np.maximum(settled, 1e-12)).sum())
+
+    def std_of(self, effect: str, parameter: str) -> float:
+        """Standard deviation of a parameter by the curvature of the likelihood."""
+        index = [f.key for f in self.free].index((effect, parameter))
+        return float(np.sqrt(self.covariance[index, index]))
+
+
+def free_parameters(base: Base, effects: Sequence[Effect]) -> tuple[Free, ...]:
+    """All parameters of a base and of effects."""
+    found = [_of_base(q) for q in base.parameters]
+    for effect in effects:
+        for q in effect.parameters:
+            wide = q.high - q.low
+            # How large an effect is hangs together with what is typical; what only shapes it is as unknown as its bounds say.
+            std = 0.5 * wide if q.off is None else LARGE * abs(q.start - q.off)
+            found.append(Free((effect.name, q.name), q.unit, q.low, q.high, q.start if q.off is None else q.off, std, wide))
+    return tuple(found)
+
+
+def fit(
+    problem: Problem,
+    effects: Sequence[Effect] = (),
+    start: Mapping[tuple[str, str], float] | None = None,
+    noises: Mapping[str, Noise] | None = None,
+    rounds: int = ROUNDS,
+    fixed: Mapping[tuple[str, str], float] | None = None,
+    largest_root: float = LARGEST_ROOT,
+) -> Fit:
+    """Fit the base's parameters and those of effects together.
+
+    Parameters
+    ----------
+    start
+        Where to begin, by (effect or "", parameter); nominal and typical values elsewhere.
+    noises
+        To begin with; estimated from the first residuals without.
+    rounds
+        How often fit and noise take turns.
+    fixed
+        Parameters that are held at a value.
+    largest_root
+        Bound on the roots of the noise's autoregression.
+    """
+    held = dict(fixed or {})
+    free = tuple(f for f in free_parameters(problem.base, effects) if f.key not in held)
+    low, high = np.array([f.low for f in free]), np.array([f.high for f in free])
+    scale = np.array([f.scale for f in free])
+    nominal, std = np.array([f.nominal for f in free]), np.array([f.std for f in free])
+    given = {**{(e.name, q.name): q.start for e in effects for q in e.parameters}, **(start or {})}
+    point = np.clip([given.get(f.key, f.nominal) for f in free], low + 1e-9 * scale, high - 1e-9 * scale)
+
+    def model(at: Array) -> tuple[dict[str, float], tuple[Active, ...]]:
+        values = {**held, **{f.key: float(x) for f, x in zip(free, at, strict=True)}}
+        base = {name: value for (effect, name), value in values.items() if not effect}
+        return base, tuple(Active(e, {q.name: values[e.name, q.name] for q in e.parameters}) for e in effects)
+
+    def residuals(at: Array) -> list[Array]:
+        return problem.residuals(problem.predict(*model(at)))
+
+    current = dict(noises or problem.noises(residuals(point), largest_root))
+
+    def objective(at: Array) -> Array:
+        """Roots of what each whitened residual and each prior takes off the likelihood."""
+        robust = of_rows(problem, problem.white(residuals(at), current), Noise.deviance_root, current)
+        return np.concatenate((robust, (at - nominal) / std))
+
+    solution = None
+    for _ in range(rounds):
+        solution = least_squares(
+            objective,
+            point,
+            jac=lambda at: jacobian(objective, at, free),
+            bounds=(low, high),
+            x_scale=scale,
+            max_nfev=MOST_STEPS,
+            ftol=1e-7,
+            xtol=1e-7,
+        )
+        point = solution.x
+        current = problem.noises(residuals(point), largest_root)
+    assert solution is not None
+    likelihood = log_likelihood(problem, residuals(point), current) - 0.5 * float((((point - nominal) / std) ** 2).sum())
+    scaled = solution.jac * scale  # in units of each parameter's scale: they differ by many orders of magnitude
+    covariance = np.linalg.pinv(scaled.T @ scaled, rcond=1e-14, hermitian=True) * np.outer(scale, scale)
+    values, active = model(point)
+    return Fit(
+        problem, values, active, free, point, covariance, current, likelihood,
+        len(solution.fun) - len(free), tuple(problem.predict(values, active)),
+    )  # fmt: skip
+
+
+def _of_base(q: BaseParameter) -> Free:
+    return Free(("", q.name), q.unit, q.low, q.high, q.nominal, q.std, q.std if np.isfinite(q.std) else q.high - q.low)
+
+
+def jacobian(function: Callable[[Array], Array], at: Array, free: Sequence[Free]) -> Array:
+    """Change of a function's values with each free parameter at a point, shape (values, parameters), by differences within the
+    bounds.
+    """
+    here = function(at)
+    columns = np.empty((len(here), len(at)))
+    for i, f in enumerate(free):
+        step = DIFFERENCE * f.scale
+        if at[i] + step > f.high:
+            step = -step
+        moved = at.copy()
+        moved[i] += step
+        columns[:, i] = (function(moved) - here) / step
+    return columns

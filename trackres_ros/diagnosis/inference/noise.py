@@ -1,0 +1,168 @@
+"""Residuals are no white noise: each resembles the one before, and some are far out.
+
+An autoregression makes them white; what is left then is taken for Student's t, whose tails are as heavy as the data say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve
+from scipy.special import gammaln
+
+from trackres_ros.text.numbers import figures
+from trackres_ros.units import MAD_TO_STD
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+MOST_LAGS = 4
+LARGEST_ROOT = 0.995  # of the autoregression: more would take a constant for noise
+OUTLIER = 4.0  # standard deviations
+DEGREES = (2.5, 4.0, 7.0, 15.0, 60.0)  # of freedom that are tried; the last is as good as normal
+TURNS = 6  # of weights and coefficients
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """An autoregression with innovations e_t = x_t - sum phi_i x_(t-i) of Student's t: `scale` times t with so many degrees of
+    freedom.
+    """
+
+    phi: Array
+    scale: float
+    degrees: float
+
+    @property
+    def std(self) -> float:
+        """Standard deviation of normal innovations that would tell as much [unit of the series]."""
+        return self.scale * float(np.sqrt((self.degrees + 3.0) / (self.degrees + 1.0)))
+
+    @property
+    def dc_gain(self) -> float:
+        """What whitening leaves of a constant."""
+        return float(1.0 - self.phi.sum())
+
+    @property
+    def text(self) -> str:
+        """All of it in words."""
+        return f"AR({len(self.phi)}) {np.array2string(self.phi, precision=2)}, {figures(self.std)} Nm, t({self.degrees:g})"
+
+    def weights(self, white: Array) -> Array:
+        """How much residuals over `std` count: about 1 on average, and ever less the further out."""
+        return (self.degrees + 3.0) / (self.degrees + self._squared(white))
+
+    def deviance_root(self, white: Array) -> Array:
+        """Signed root of twice the fall of the log-density from its peak, of residuals over `std`: least squares of it is the
+        most likely.
+        """
+        return np.sign(white) * np.sqrt((self.degrees + 1.0) * np.log1p(self._squared(white) / self.degrees))
+
+    def log_density(self, white: Array) -> Array:
+        """Log-density of the innovations, of residuals over `std`."""
+        return -0.5 * self.deviance_root(white) ** 2 + self._log_peak()
+
+    def _log_peak(self) -> float:
+        half = 0.5 * self.degrees
+        return float(gammaln(half + 0.5) - gammaln(half) - 0.5 * np.log(np.pi * self.degrees) - np.log(self.scale))
+
+    def _squared(self, white: Array) -> Array:
+        return np.asarray((white * (self.std / self.scale)) ** 2)
+
+
+def whitened(series: Array, mask: Mask, phi: Array) -> Array:
+    """What whitening makes of series along axis 0; rows whose past is not known over `MOST_LAGS` are nan.
+
+    So many whatever the order: likelihoods of two fits are to be of the same rows.
+
+    Parameters
+    ----------
+    series
+        Shape (n,) or (n, k).
+    mask
+        Where the series can be used, shape (n,).
+    """
+    valid = whole_past(mask, MOST_LAGS)
+    out = np.array(series, dtype=float)
+    for lag, coefficient in enumerate(phi, start=1):
+        out[lag:] -= coefficient * series[:-lag]
+    out[~valid] = np.nan
+    return out
+
+
+def whole_past(mask: Mask, lags: int) -> Mask:
+    """Where a sample and the `lags` before it can be used."""
+    valid = mask.copy()
+    for lag in range(1, lags + 1):
+        valid[lag:] &= mask[:-lag]
+        valid[:lag] = False
+    return valid
+
+
+def estimate_noise(residuals: Sequence[Array], masks: Sequence[Mask], largest_root: float = LARGEST_ROOT) -> Noise:
+    """Fit the autoregression, its roots bounded, and the tails of residuals; the order by BIC."""
+    rows, targets = [], []
+    for series, mask in zip(residuals, masks, strict=True):
+        at = np.flatnonzero(whole_past(mask, MOST_LAGS))
+        rows.append(np.stack([series[at - lag] for lag in range(1, MOST_LAGS + 1)], axis=1))
+        targets.append(series[at])
+    x, y = np.concatenate(rows), np.concatenate(targets)
+    degrees = max(DEGREES, key=lambda d: _log_likelihood(x, y, _most_likely(x, y, d, largest_root)))
+    found = [_most_likely(x[:, :order], y, degrees, largest_root) for order in range(MOST_LAGS + 1)]
+
+    def criterion(noise: Noise) -> float:
+        order = len(noise.phi)
+        return _log_likelihood(x[:, :order], y, noise) - 0.5 * order * float(np.log(len(y)))
+
+    return max(found, key=criterion)
+
+
+def improved(x: Array, y: Array, noise: Noise, turns: int = 2, largest_root: float = LARGEST_ROOT) -> Noise:
+    """Coefficients and scale made more likely in turn, as in expectation and maximisation; order and tails stay.
+
+    Parameters
+    ----------
+    x, y
+        What came before, nearest first, shape (n, lags), and the series, shape (n,).
+    """
+    phi, scale, degrees = noise.phi, noise.scale, noise.degrees
+    left = y - x @ phi
+    for _ in range(turns):
+        weight = 1.0 / (1.0 + (left / scale) ** 2 / degrees)
+        phi = _coefficients(x, y, weight, largest_root)
+        left = y - x @ phi
+        scale = max(float(np.sqrt(np.mean((degrees + 1.0) / degrees * weight * left**2))), 1e-12 * scale)
+    return Noise(phi, scale, degrees)
+
+
+def _log_likelihood(x: Array, y: Array, noise: Noise) -> float:
+    return float(noise.log_density((y - x @ noise.phi) / noise.std).sum())
+
+
+def _most_likely(x: Array, y: Array, degrees: float, largest_root: float) -> Noise:
+    """The noise with as many lags as x has columns."""
+    scale = MAD_TO_STD * float(np.median(np.abs(y))) or float(np.abs(y).max()) or 1.0
+    tame = OUTLIER * scale  # to begin with: what is far out would pull all coefficients to itself
+    phi = _coefficients(np.clip(x, -tame, tame), np.clip(y, -tame, tame), np.ones(len(y)), largest_root)
+    scale = MAD_TO_STD * float(np.median(np.abs(y - x @ phi))) or scale
+    return improved(x, y, Noise(phi, scale, degrees), TURNS, largest_root)
+
+
+def _coefficients(x: Array, y: Array, weight: Array, largest_root: float) -> Array:
+    if not x.shape[1]:
+        return np.empty(0)
+    weighted = x.T * weight
+    normal = weighted @ x
+    return _stable(solve(normal + 1e-9 * np.trace(normal) * np.eye(len(normal)), weighted @ y, assume_a="pos"), largest_root)
+
+
+def _stable(phi: Array, largest_root: float) -> Array:
+    """Shrink an autoregression until its largest root is no larger than allowed."""
+    if np.abs(phi) @ largest_root ** -np.arange(1.0, len(phi) + 1.0) < 1.0:
+        return phi
+    largest = float(np.abs(np.roots(np.concatenate(([1.0], -phi)))).max())
+    shrink = min(1.0, largest_root / largest) if largest > 0 else 1.0
+    return phi * shrink ** np.arange(1, len(phi) + 1)

@@ -1,0 +1,259 @@
+"""The whole diagnosis, step after step; each result is frozen and can be looked at."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.base.base import Base
+from trackres_ros.diagnosis.base.loading import LoadedBase
+from trackres_ros.diagnosis.findings.change_points import Change, changes
+from trackres_ros.diagnosis.findings.locate import (
+    ThermalCheck,
+    acts,
+    against_travel,
+    regime_of,
+    slow_residual,
+    spans,
+    thermal_check,
+)
+from trackres_ros.diagnosis.findings.next_drives import Advice, advise
+from trackres_ros.diagnosis.findings.residual_bins import RegimeMap, cumulative_periodogram, regime_map
+from trackres_ros.diagnosis.findings.verdict import Found, Verdict, judge
+from trackres_ros.diagnosis.inference.fitting import Fit, Problem, fit
+from trackres_ros.diagnosis.inference.levels import for_tests, with_levels
+from trackres_ros.diagnosis.inference.noise import Noise
+from trackres_ros.diagnosis.prepare.gate import Gated, gate, split
+from trackres_ros.diagnosis.prepare.session import Session, Split
+from trackres_ros.diagnosis.prepare.torque_checks import (
+    aligned_clock,
+    check_torque,
+    inconsistent_scale_notes,
+    nothing_to_conclude,
+)
+from trackres_ros.diagnosis.selection.confirm import Graded, confirm, keep
+from trackres_ros.diagnosis.selection.held_out import CONFIRMED, HeldOut, HeldOutLaps, held_out
+from trackres_ros.diagnosis.selection.intervals import Interval, intervals
+from trackres_ros.diagnosis.selection.naming import Step, choose
+from trackres_ros.diagnosis.selection.screening import QUICK_REPLICATES, REPLICATES
+from trackres_ros.diagnosis.writing.kept import Kept
+from trackres_ros.effects import catalogue
+from trackres_ros.effects.vehicle.rotating_inertia import RotatingInertia
+from trackres_ros.recording.bindings import Topics
+from trackres_ros.recording.opening import open_source
+from trackres_ros.recording.recording import Recording
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """All that was found.
+
+    Attributes
+    ----------
+    base, gated, split
+        The base model, what passed the gate, and what was held out.
+    nominal
+        Torque of each session with the values of the vehicle file [Nm].
+    refitted, final
+        The base re-fitted, and with the effects found; values as by `levels.with_levels`.
+    at_base, at_end
+        Residual by regime of both.
+    changes
+        When the residual of the re-fitted base changes its level; None where that could not be looked for.
+    periodogram_p
+        Probability that the last whitened residual is white.
+    thermal
+        Measured against simulated belt temperature, with the base re-fitted; None where none was measured.
+    steps, found, refuted
+        Rounds of the choice, the effects found, and those that were chosen and that held-out laps refute.
+    base_intervals
+        Of the base's parameters in `final`.
+    held_out, advice, verdict
+        What it is worth, what to drive next, and what it comes to.
+    kept
+        What of it may be written.
+    """
+
+    base: Base
+    gated: Gated
+    split: Split
+    nominal: tuple[Array, ...]
+    refitted: Fit
+    final: Fit
+    at_base: RegimeMap
+    at_end: RegimeMap
+    changes: list[Change] | None
+    periodogram_p: float
+    thermal: ThermalCheck | None
+    steps: tuple[Step, ...]
+    found: tuple[Found, ...]
+    refuted: tuple[Graded, ...]
+    base_intervals: dict[str, Interval]
+    held_out: HeldOut
+    advice: tuple[Advice, ...]
+    verdict: Verdict
+    kept: Kept
+
+    @property
+    def noise(self) -> Noise:
+        """What whitens the residual of the last fit as far as it goes."""
+        return for_tests(self.final).noise
+
+    @property
+    def sessions(self) -> tuple[Session, ...]:
+        """The recordings."""
+        return self.final.problem.sessions
+
+
+def read_recordings(paths: Sequence[Path], topics: Topics | None) -> list[Recording]:
+    """Read recordings, each one session; see `in_order`."""
+    return in_order([Recording.from_source(open_source([path], topics)) for path in paths])
+
+
+def in_order(recordings: Sequence[Recording]) -> list[Recording]:
+    """Recordings in the order of their clocks where all have one, else as they were given."""
+    timed = all(r.start_ns for r in recordings)
+    return sorted(recordings, key=lambda r: r.start_ns) if timed else list(recordings)
+
+
+def diagnose(
+    recordings: Sequence[Recording],
+    vehicle: LoadedBase,
+    hide: Sequence[str] = (),
+    holdout: int | Sequence[str] | None = None,
+    seed: int = 1,
+    quick: bool = False,
+    effects_dir: Path | None = None,
+    keep_suspected: bool = False,
+    on_stage: Callable[[str], None] = lambda _: None,
+) -> Diagnosis:
+    """Find where recordings part from a base model, which effect is left out, and what a model with it is worth.
+
+    Parameters
+    ----------
+    vehicle
+        See `loading.load_base`.
+    hide
+        Roles that are not to be read.
+    holdout
+        See `gate.split`.
+    seed
+        Of all that is drawn: equal seeds give equal results.
+    quick
+        Fewer draws.
+    effects_dir
+        Folder with effects of the user's own.
+    keep_suspected
+        Whether effects that fit and that held-out laps do not confirm are kept too.
+    on_stage
+        Takes the name of each stage.
+
+    Raises
+    ------
+    InputError
+        If the recordings cannot be used; says why.
+    """
+    rng, base = np.random.default_rng(seed), vehicle.base
+    effects = {
+        name: effect.beside(base.rotating_mass_factor) if isinstance(effect, RotatingInertia) else effect
+        for name, effect in catalogue(effects_dir, base.facts.weight * base.facts.radius, on_tyres=not base.has_belt).items()
+    }
+    on_stage("gate: units, clocks, gaps")
+    gated = gate(recordings, vehicle.known, hide)
+    gated, nominal = align_and_check(gated, vehicle)
+    chosen = split(gated.sessions, holdout)
+    masks = tuple(chosen.training_mask(s) for s in gated.sessions)
+    on_stage("re-fit of the base")
+    tested = fit(Problem(base, gated.sessions, masks))
+    on_stage("where: residual by regime")
+    refitted = with_levels(tested)
+    tested_base = for_tests(refitted)
+    at_base = regime_map(tested_base, rng)
+    steps, best = choose(tested, effects, QUICK_REPLICATES if quick else REPLICATES, rng, on_stage)
+    on_stage("what it is worth: laps held out")
+    laps = HeldOutLaps(gated.sessions, [chosen.held_out_mask(s) for s in gated.sessions], rng)
+    final, graded, refuted = confirm(with_levels(best), refitted, laps) if best.effects else (refitted, {}, ())
+    predicted = {"refitted": refitted.predicted, "with_effects": final.predicted}
+    worth = held_out(laps, {"nominal": nominal, **{stage: [p.torque for p in of] for stage, of in predicted.items()}})
+    names, odd = ", ".join(s.name for s in gated.sessions), inconsistent_scale_notes(gated.sessions, nominal)
+    refused = nothing_to_conclude(names, worth.r2, worth.mae, float(np.abs(laps.measured).mean()), odd)
+    if refused:
+        raise refused
+    on_stage("what is left")
+    tested_end = for_tests(final)
+    at_end = regime_map(tested_end, rng)
+    on_stage("how sure: intervals")
+    bounds = intervals(final)
+    by_name = {s.chosen.name: s for s in steps if s.chosen}
+    found = []
+    for active in final.effects:
+        adds = final.contribution(active.effect.name)
+        resists = against_travel(final.problem.sessions, adds) if active.effect.acts_on != "sensor" else adds
+        where = acts(final, resists)
+        found.append(
+            Found(
+                active.effect.name,
+                active.effect.text,
+                active.effect.acts_on,
+                active.effect.parameters,
+                by_name[active.effect.name],
+                active.values,
+                {q: bounds[active.effect.name, q] for q in active.values},
+                adds,
+                resists,
+                spans(final.problem.sessions, adds),
+                where,
+                regime_of(refitted, at_base, where),
+                graded[active.effect.name],
+            )
+        )
+    on_stage("what to drive next")
+    told = [s for s in steps if s.chosen and s.chosen.name in graded]
+    advice = [a for s in told for a in advise(s.candidates, s.members, vehicle.known.max_speed)]
+    verdict = judge(found, refuted, refitted, at_end, slow_residual(final), steps[-1].hint, worth)
+    kinds = {name: effect.belongs_to for name, effect in effects.items()}
+    believed = believed_in(found, verdict, kinds, keep_suspected)
+    return Diagnosis(
+        base, gated, chosen, nominal, refitted, final, at_base, at_end, changes(tested_base), cumulative_periodogram(tested_end),
+        thermal_check(refitted),
+        tuple(steps), tuple(found), refuted, {name: b for (effect, name), b in bounds.items() if not effect},
+        worth, tuple(advice), verdict, keep(believed, final, refitted, worth, laps, bounds),
+    )  # fmt: skip
+
+
+def believed_in(found: Sequence[Found], verdict: Verdict, kinds: Mapping[str, str], keep_suspected: bool) -> list[str]:
+    """Names of the effects that may be written: the verdict stands by them, held-out laps confirm them, and all that may be
+    meant belong to the same; or whatever was found, if suspected ones are kept.
+
+    Parameters
+    ----------
+    kinds
+        What each effect of the catalogue belongs to.
+    """
+
+    def settled(f: Found) -> bool:
+        return {kinds[m] for m in f.step.members} <= {kinds[f.name]}
+
+    return [f.name for f in found if keep_suspected or (verdict.names and f.graded.grade == CONFIRMED and settled(f))]
+
+
+def align_and_check(gated: Gated, vehicle: LoadedBase) -> tuple[Gated, tuple[Array, ...]]:
+    """Clocks put right, sign and unit checked, by the torque that the vehicle file expects; and that torque."""
+    values = {q.name: q.nominal for q in vehicle.base.parameters}
+
+    def by_file(sessions: Sequence[Session]) -> list[Array]:
+        return [p.torque for p in vehicle.base.predict(sessions, values, ())]
+
+    expected = by_file(gated.sessions)
+    moved = [aligned_clock(s, e) for s, e in zip(gated.sessions, expected, strict=True)]
+    sessions = tuple(s for s, _ in moved)
+    notes = (*gated.notes, *(note for _, note in moved if note))
+    check_torque(sessions, expected, by_file([replace(s, accel=np.zeros(len(s))) for s in sessions]), vehicle.known)
+    notes = (*notes, *inconsistent_scale_notes(sessions, expected))
+    return replace(gated, sessions=sessions, notes=notes), tuple(expected)

@@ -1,0 +1,122 @@
+"""What the diagnosis works on: recordings as evenly spaced series in SI, and which part of them serves for what."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+AROUND = 5  # steps, odd
+NEGLIGIBLE = 0.01  # share of a variance
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """A measured quantity as it came: times [s], and its integral up to each."""
+
+    at: Array
+    integral: Array
+
+    @classmethod
+    def of(cls, at: Array, value: Array) -> Course:
+        """Along straight lines between samples."""
+        steps = 0.5 * (value[1:] + value[:-1]) * np.diff(at)
+        return cls(at, np.concatenate(([0.0], np.cumsum(steps))))
+
+    def means(self, begin: Array, step: float) -> Array:
+        """Means over steps that begin at some times [s]."""
+        edges = np.interp(np.stack([begin, begin + step]), self.at, self.integral)
+        return np.asarray((edges[1] - edges[0]) / step)
+
+
+@dataclass(frozen=True, eq=False)
+class Session:
+    """One recording. All series have the shape (n,), evenly spaced by `step` [s]; nan where nothing is known.
+
+    Attributes
+    ----------
+    name
+        Where it is from.
+    step, time
+        Spacing, and times from the start of the recording [s].
+    speed, accel, weight, ambient, grade, yaw_rate, heading, distance
+        What is known, in the units of `effects.Conditions`.
+    torque, belt
+        Measured: at the sprockets, whole vehicle [Nm], and of the belt [degC].
+    used
+        Where the torque may be compared.
+    block
+        Number of the lap, or of the piece, that a sample belongs to; counted through all sessions.
+    gap
+        Time off since the session before [s]; infinite where the belt starts soaked at the ambient temperature.
+    given
+        The channels that were measured.
+    accel_noise
+        Standard deviation of what an error of the speed makes of the acceleration [m/s^2]; 0 where that was measured.
+    belt_shows_surface
+        Whether the measured belt temperature is that of the surface, or the mean.
+    torque_course
+        The torque as it was measured, for delays of less than a step; None where it was not.
+    """
+
+    name: str
+    step: float
+    time: Array
+    speed: Array
+    accel: Array
+    weight: Array
+    ambient: Array
+    grade: Array
+    yaw_rate: Array
+    heading: Array
+    distance: Array
+    torque: Array
+    belt: Array
+    used: Mask
+    block: NDArray[np.int64]
+    gap: float = np.inf
+    given: frozenset[str] = field(default_factory=frozenset)
+    torque_course: Course | None = None
+    accel_noise: float = 0.0
+    belt_shows_surface: bool = False
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @cached_property
+    def accel_around(self) -> Array:
+        """Acceleration [m/s^2] as a mean over `AROUND` steps, in which errors of the speed at the edges of a step cancel."""
+        inside = np.convolve(np.ones(len(self)), np.ones(AROUND), mode="same")
+        return np.asarray(np.convolve(self.accel, np.ones(AROUND), mode="same") / inside)
+
+    @cached_property
+    def accel_decorrelated(self) -> Array:
+        """Acceleration [m/s^2] that shares no error of the speed with the inertia that is expected of a step.
+
+        Such an error is in both alike, and would look like an inertia or an efficiency that is off, the more the more the
+        noise is coloured. So `accel_around` is taken, unless the error is next to nothing beside what it leaves out.
+        """
+        quick = float(np.var(self.accel - self.accel_around))
+        return self.accel if self.accel_noise**2 <= NEGLIGIBLE * quick else self.accel_around
+
+
+@dataclass(frozen=True, eq=False)
+class Split:
+    """Numbers of the blocks to fit on, and of those never looked at before the end."""
+
+    training: tuple[int, ...]
+    held_out: tuple[int, ...]
+    text: str
+
+    def training_mask(self, session: Session) -> Mask:
+        """Samples of a session to fit on."""
+        return session.used & np.isin(session.block, self.training)
+
+    def held_out_mask(self, session: Session) -> Mask:
+        """Samples of a session to show at the end."""
+        return session.used & np.isin(session.block, self.held_out)

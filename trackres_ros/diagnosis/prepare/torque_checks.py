@@ -1,0 +1,206 @@
+"""Step 0, second half: units, signs and clocks of the torque, judged by what the vehicle file expects."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.prepare.gate import SLOWEST_MPS, GateSettings
+from trackres_ros.diagnosis.prepare.session import Course, Session
+from trackres_ros.diagnosis.prepare.unit_checks import Conversion
+from trackres_ros.errors import InputError
+from trackres_ros.units import KMH_PER_MPS, MAD_TO_STD
+
+Array = NDArray[np.float64]
+
+SURE = 0.5  # correlation from which a wrong sign or unit is no doubt
+HEALTHY = (0.62, 1.7)  # of the inertia: gears that lose a quarter, rotating parts and a gain of a sensor together
+FAR_OFF = (0.05, 20.0)  # of all together, where changes of speed do not show
+NEAR = 1.35  # either way of a factor
+ROBUST_TURNS, OUTLIER = 5, 2.0
+SMALL_ERROR = 0.3  # of the torque
+LARGEST_SHIFT_S = 30
+LEAST_SHIFT_S = 2
+UNLIKE = 1.8  # times the torque: more than load, ground and weather do to one vehicle between two drives
+CLEARLY_BETTER = 0.05  # in correlation
+
+
+def aligned_clock(session: Session, expected: Array) -> tuple[Session, str]:
+    """The session with its torque moved in time to where it goes with the speed best, and what was done.
+
+    Only whole steps from `LEAST_SHIFT_S` on: less is a delay, which is physics, or a sensor's.
+    """
+    shifts = range(-LARGEST_SHIFT_S, LARGEST_SHIFT_S + 1)
+    there = [_correlation(_moved(session.torque, -s), expected, _moved_mask(session.used, -s) & session.used) for s in shifts]
+    best = int(np.argmax(there))
+    shift, gain = shifts[best], there[best] - there[LARGEST_SHIFT_S]
+    if abs(shift) < LEAST_SHIFT_S or gain < CLEARLY_BETTER or there[best] < SURE:
+        return session, ""
+    course = session.torque_course and Course(session.torque_course.at - shift * session.step, session.torque_course.integral)
+    moved = replace(
+        session,
+        torque=_moved(session.torque, -shift),
+        used=_moved_mask(session.used, -shift) & session.used,
+        torque_course=course,
+    )
+    return moved, f"{session.name}: the torque's clock is {shift:+d} s off against the speed's; moved by that"
+
+
+def check_torque(sessions: Sequence[Session], expected: Sequence[Array], resisting: Sequence[Array], known: GateSettings) -> None:
+    """Refuse a torque whose sign or unit is plainly wrong, or which is that of a part.
+
+    Parameters
+    ----------
+    expected, resisting
+        Torque of each session by the vehicle file [Nm], and the same without inertia.
+
+    Raises
+    ------
+    InputError
+        With the remedy.
+
+    Notes
+    -----
+    What resists may be several times of what a data sheet says; the inertia may not, as the mass is known. So the torque is
+    compared with what changes of speed take, wherever they show.
+    """
+    used = [s.used for s in sessions]
+    m, e, r = (
+        np.concatenate([x[u] for x, u in zip(of, used, strict=True)])
+        for of in ([s.torque for s in sessions], expected, resisting)
+    )
+    where = f"{', '.join(s.name for s in sessions)}: torque"
+    if np.ptp(m) == 0.0:
+        raise InputError(where, f"always {m[0]:g} Nm", "a torque that changes; is the sensor connected?")
+    slope, alike = float(m @ e / (e @ e)), float(np.corrcoef(m, e)[0, 1])
+    if alike < -SURE or (slope < 0.0 and abs(m.mean()) > 0.3 * abs(e.mean())):
+        given = f"falls where {slope:.2g} of the expected torque rises (correlation {alike:.2f})"
+        raise InputError(where, given, "a torque that is positive where it drives forward", Conversion(-1.0).line("torque"))
+    low, high = HEALTHY[0] * known.torque_scale[0], HEALTHY[1] * known.torque_scale[1]
+    least, most = _share_of_inertia(m, e - r, r)
+    if not (least <= high and most >= low):
+        raise InputError(where, f"about {_between(least, most):.2g} of the expected, by what changes of speed take",
+                         "the torque at the sprockets or wheels, of the whole vehicle, in Nm",
+                         _remedy(_between(least, most), sessions, known))  # fmt: skip
+    if not FAR_OFF[0] * known.torque_scale[0] < slope < FAR_OFF[1] * known.torque_scale[1]:
+        allowed = "the torque at the sprockets or wheels, of the whole vehicle, in Nm"
+        raise InputError(where, f"about {slope:.2g} of the expected", allowed, _remedy(slope, sessions, known))
+
+
+def _share_of_inertia(measured: Array, inertia: Array, resisting: Array) -> tuple[float, float]:
+    """Bounds of how many times the expected inertia is in the measured torque; errors of the speed hide a part of it.
+
+    The least is that of a torque on an inertia without error, the most that of an inertia on a torque without error, both
+    beside what resists; samples far from the rest count less.
+    """
+    weight = np.ones(len(measured))
+    for _ in range(ROBUST_TURNS):
+        root = np.sqrt(weight)
+        columns = np.stack([inertia, resisting], axis=1) * root[:, np.newaxis]
+        left = measured - np.stack([inertia, resisting], axis=1) @ np.linalg.lstsq(columns, measured * root, rcond=None)[0]
+        scale = MAD_TO_STD * float(np.median(np.abs(left))) or 1.0
+        weight = np.minimum(1.0, OUTLIER * scale / np.maximum(np.abs(left), 1e-12))
+
+    def beside(x: Array) -> Array:
+        return np.asarray(x - resisting * float((weight * x) @ resisting) / max(float((weight * resisting) @ resisting), 1e-12))
+
+    x, y = beside(inertia), beside(measured)
+    both, alone = float((weight * x) @ y), float((weight * x) @ x)
+    if alone <= 0.0 or both <= 0.0:
+        return 0.0, np.inf
+    return both / alone, float((weight * y) @ y) / both
+
+
+def _between(least: float, most: float) -> float:
+    return float(np.sqrt(least * most))
+
+
+def _remedy(share: float, sessions: Sequence[Session], known: GateSettings) -> str:
+    """What may be wrong with a torque that is such a share of the expected one, and what to put into the topics file."""
+    sides = {f"one of {n}": float(n) for n in (2, 3, 4)}
+    whats = {
+        "in kNm": 1e3,
+        "in mNm": 1e-3,
+        "counted twice": 0.5,
+        **sides,
+        **({"of the motor": known.motor_ratio} if known.motor_ratio else {}),
+    }
+    fitting = [what for what, factor in whats.items() if 1.0 / NEAR < share * factor < NEAR]
+    nearest = min(fitting, key=lambda what: abs(np.log(share * whats[what])), default="")
+    said = []
+    fastest = max(float(np.percentile(np.abs(s.speed), 99.0)) for s in sessions)
+    if 1.0 / NEAR < share * KMH_PER_MPS < NEAR and fastest > KMH_PER_MPS * SLOWEST_MPS:
+        said.append(f"if the speed is in km/h, {Conversion(1.0 / KMH_PER_MPS).line('speed')}")
+    if nearest:
+        said.append(f"if it is {nearest}, {Conversion(whats[nearest]).line('torque')}")
+    else:
+        said.append("multiply a motor torque by its ratio, and that of one side by two, with scale in the topics file")
+    return "; ".join(said)
+
+
+LOOK_AT = "look at units, sign and whether it is that of the whole vehicle, for torque, speed and load, and at the vehicle file"
+
+
+def nothing_to_conclude(
+    names: str, r2: Mapping[str, float], mae: Mapping[str, float], size: float, notes: Sequence[str] = ()
+) -> InputError | None:
+    """What to say where no stage of the model explains the torque of laps held out any better than its mean does.
+
+    Parameters
+    ----------
+    names
+        Of the recordings.
+    r2, mae
+        On laps held out, by stage.
+    size
+        Mean size of the torque there [Nm]: that of a steady drive hardly varies, and R2 says nothing where the error is
+        small beside it.
+    notes
+        What was found odd about the recordings, see `unlike`.
+    """
+    best = max(r2, key=lambda stage: r2[stage])
+    if r2[best] >= 0.0 or min(mae.values()) < SMALL_ERROR * size:
+        return None
+    return InputError(
+        f"{names}: torque",
+        f"R2 {r2[best]:.2f} on laps held out, {mae[best]:.3g} Nm off where it is {size:.3g} Nm",
+        "a torque that follows speed and load at all: nothing can be concluded",
+        "; ".join((*notes, LOOK_AT)),
+    )
+
+
+def inconsistent_scale_notes(sessions: Sequence[Session], expected: Sequence[Array]) -> list[str]:
+    """What to say of recordings whose torque is in another proportion to the expected one than that of the others."""
+    used = [(s.torque[s.used], e[s.used]) for s, e in zip(sessions, expected, strict=True)]
+    shares = [float(m @ e) / max(float(e @ e), 1e-12) for m, e in used]
+    middle = float(np.median(shares)) if len(shares) > 2 else max(shares)
+    return [
+        f"{s.name}: its torque is {share:.2g} of the expected one, of other recordings {middle:.2g}: is it of the same vehicle?"
+        for s, share in zip(sessions, shares, strict=True)
+        if s.used.sum() > 60 and not 1.0 / UNLIKE < share / middle < UNLIKE
+    ]
+
+
+def _correlation(a: Array, b: Array, used: NDArray[np.bool_]) -> float:
+    if used.sum() < 30 or np.ptp(a[used]) == 0.0 or np.ptp(b[used]) == 0.0:
+        return 0.0
+    return float(np.corrcoef(a[used], b[used])[0, 1])
+
+
+def _moved(series: Array, steps: int) -> Array:
+    """The series earlier (negative) or later by steps; what is not known repeats the edge."""
+    if steps == 0:
+        return series
+    edge = np.full(abs(steps), series[0 if steps > 0 else -1])
+    return np.concatenate((edge, series[:-steps]) if steps > 0 else (series[-steps:], edge))
+
+
+def _moved_mask(used: NDArray[np.bool_], steps: int) -> NDArray[np.bool_]:
+    """The same of a mask; what is not known is not used."""
+    if steps == 0:
+        return used
+    edge = np.zeros(abs(steps), dtype=bool)
+    return np.concatenate((edge, used[:-steps]) if steps > 0 else (used[-steps:], edge))

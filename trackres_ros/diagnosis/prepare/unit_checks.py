@@ -1,0 +1,160 @@
+"""Step 0, first half: units of what is recorded beside the torque, judged by what vehicle and weather can be."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.errors import InputError
+from trackres_ros.estimator.constants import PLAUSIBLE
+from trackres_ros.recording.recording import ROLES, Series, base_role
+from trackres_ros.units import GRAVITY, KMH_PER_MPS
+
+Array = NDArray[np.float64]
+
+CELSIUS_OF_KELVIN, CELSIUS_OF_FAHRENHEIT = (1.0, -273.15), (5.0 / 9.0, -160.0 / 9.0)
+HOTTEST_AIR_DEGC = 50.0  # as a median of hours; the record of a moment in the shade is 57
+UNUSUAL_AIR_DEGC = 40.0
+WEIGHTS = (0.3, 2.5)  # over that of the vehicle file: what a vehicle with less or more on it may weigh
+USUAL_WEIGHTS = (0.6, 1.7)
+AROUND = 1.7  # either way of a unit's factor
+LOAD_UNITS = {"kN": 1e3, "t": 1e3 * GRAVITY, "kg": GRAVITY, "lbf": 4.4482, "daN": 10.0}
+FASTEST_TURN, STEEPEST = PLAUSIBLE["yaw_rate"][1], PLAUSIBLE["grade"][1]
+DEGREE = np.pi / 180.0
+RELATED = 0.8  # correlation from which the ratio of two series is their units'
+FEWEST = 30
+OF_SPEED = {"km/h": 1.0 / KMH_PER_MPS, "mph": 0.44704, "knots": 0.51444, "mm/s": 1e-3, "cm/s": 1e-2}
+
+
+class Conversion(NamedTuple):
+    """What makes the unit of a role out of another unit."""
+
+    scale: float = 1.0
+    offset: float = 0.0
+
+    def line(self, role: str) -> str:
+        """What to put into the topics file."""
+        parts = {name: f"{x:.5g}" for name, x in self._asdict().items() if x != Conversion._field_defaults[name]}
+        asked = " and ".join(f"{'an' if name == 'offset' else 'a'} {name} of {x}" for name, x in parts.items())
+        listed = ", ".join(f"{name}: {x}" for name, x in parts.items())
+        return f"give it {asked} in the topics file, {role}: {{..., {listed}}}"
+
+
+def check_units(name: str, series: Mapping[str, Series], weight: float) -> list[str]:
+    """Refuse what is plainly in another unit, and say what is only unusual.
+
+    Parameters
+    ----------
+    name, series
+        Of the recording.
+    weight
+        Of the vehicle by its file [N].
+
+    Raises
+    ------
+    InputError
+        With the line to put into the topics file.
+    """
+    said = []
+    for role, samples in series.items():
+        value = samples.value[np.isfinite(samples.value)]
+        if not len(value):
+            continue
+        where, base = f"{name}: {role}", base_role(role)
+        middle, most = float(np.median(value)), float(np.percentile(np.abs(value), 95.0))
+        if base in ("ambient", "belt"):
+            said += _temperature(where, role, middle, HOTTEST_AIR_DEGC if base == "ambient" else PLAUSIBLE["belt"][1])
+        elif base == "yaw_rate" and most > FASTEST_TURN:
+            _refuse(where, f"{most:.3g} rad/s", f"at most {FASTEST_TURN:g}", "degrees a second", Conversion(DEGREE), role)
+        elif base == "grade" and most > STEEPEST:
+            allowed = f"rise over run, at most {STEEPEST:g}"
+            _refuse(where, f"slopes of {most:.3g}", allowed, "percent", Conversion(0.01), role)
+        elif base == "heading" and _turns_by(value, 360.0) and not _turns_by(value, 2.0 * np.pi):
+            _refuse(where, "jumps of 360", "an angle in rad", "degrees", Conversion(DEGREE), role)
+    said += _weight(name, series, weight)
+    return said
+
+
+def check_speed_unit(name: str, speed: Array, accel: Array, recorded_accel: Array | None, distance: Array | None) -> None:
+    """Refuse a speed that is not in m/s beside a recorded acceleration or distance.
+
+    Parameters
+    ----------
+    speed, accel
+        Mean speed of each step [m/s] and its change [m/s^2], shape (n,).
+    recorded_accel, distance
+        As recorded, or None: accelerations [m/s^2], and the way of each step [m].
+    """
+    if recorded_accel is not None:
+        ratio = _ratio(recorded_accel, accel)
+        for unit, factor in OF_SPEED.items():
+            if ratio and 1.0 / AROUND**0.5 < ratio / factor < AROUND**0.5:
+                given = f"changes {1.0 / ratio:.2g} times as fast as the recorded acceleration says"
+                _refuse(f"{name}: speed", given, "a speed in m/s", unit, Conversion(factor), "speed")
+        if ratio and GRAVITY / AROUND**0.5 < 1.0 / ratio < GRAVITY * AROUND**0.5:
+            given = f"{ratio:.2g} of what the speed's changes say"
+            _refuse(f"{name}: accel", given, "an acceleration in m/s2", "g", Conversion(GRAVITY), "accel")
+    ratio = _ratio(distance, speed) if distance is not None else 0.0
+    if ratio:
+        for unit, factor in OF_SPEED.items():
+            if 0.9 < ratio / factor < 1.1:
+                given = f"{1.0 / ratio:.2f} times as fast as the recorded distance grows"
+                _refuse(f"{name}: speed", given, "a speed in m/s", unit, Conversion(factor), "speed")
+        if 0.9 < 1e3 * ratio < 1.1:
+            _refuse(f"{name}: distance", f"{ratio:.2g} of the way by the speed", "metres", "km", Conversion(1e3), "distance")
+
+
+def _refuse(where: str, given: str, allowed: str, unit: str, conversion: Conversion, role: str) -> None:
+    raise InputError(where, given, allowed, f"if it is in {unit}, {conversion.line(role)}")
+
+
+def _temperature(where: str, role: str, middle: float, hottest: float) -> list[str]:
+    low = PLAUSIBLE["ambient"][0]
+    for unit, (scale, offset) in (("kelvin", CELSIUS_OF_KELVIN), ("fahrenheit", CELSIUS_OF_FAHRENHEIT)):
+        conversion = Conversion(scale, offset)
+        if low <= scale * middle + offset <= hottest < middle:
+            _refuse(where, f"{middle:.4g} degC as its median", f"{low:g} to {hottest:g} degC", unit, conversion, role)
+    if not low <= middle <= hottest:
+        raise InputError(where, f"{middle:.4g} degC as its median", f"{low:g} to {hottest:g} degC", "is the sensor connected?")
+    if base_role(role) == "ambient" and middle > UNUSUAL_AIR_DEGC:
+        line = Conversion(*CELSIUS_OF_FAHRENHEIT).line(role)
+        return [f"{where}: air of {middle:.0f} degC is unusual; if it is in fahrenheit, {line}"]
+    return []
+
+
+def _weight(name: str, series: Mapping[str, Series], weight: float) -> list[str]:
+    """The sum of the loads against the vehicle file's."""
+    roles = ["load"] if "load" in series else [role for role in series if base_role(role) == "load"]
+    values = [series[role].value[np.isfinite(series[role].value)] for role in roles]
+    if not roles or not all(len(value) for value in values):
+        return []
+    share = sum(float(np.median(value)) for value in values) / weight
+    where, role, low, high = f"{name}: {', '.join(roles)}", roles[0], *WEIGHTS
+    given = f"{share * weight:.4g} {ROLES['load'].unit}, {share:.2g} of the vehicle file's {weight:.4g} N"
+    if not low <= share <= high:
+        for unit, factor in LOAD_UNITS.items():
+            if 1.0 / AROUND < share * factor < AROUND:
+                _refuse(where, given, f"{low:g} to {high:g} of it", unit, Conversion(factor), role)
+        remedy = "give the weight of the whole vehicle; to the payload alone add the empty weight, as offset in the topics file"
+        raise InputError(where, given, f"{low:g} to {high:g} of it", remedy)
+    if not USUAL_WEIGHTS[0] <= share <= USUAL_WEIGHTS[1]:
+        return [f"{where}: {given}: is all of it there, and once?"]
+    return []
+
+
+def _turns_by(value: Array, whole: float) -> bool:
+    """Whether an angle jumps by a whole turn, within a twentieth."""
+    return bool((np.abs(np.abs(np.diff(value)) / whole - 1.0) < 0.05).any())
+
+
+def _ratio(a: Array, b: Array) -> float:
+    """By how much a is b, or 0 where the two are not that much alike."""
+    both = np.isfinite(a) & np.isfinite(b)
+    a, b = a[both], b[both]
+    if len(a) < FEWEST or not a.any() or not b.any():
+        return 0.0
+    alike = float(a @ b / np.sqrt((a @ a) * (b @ b)))
+    return float(a @ b / (b @ b)) / alike if alike > RELATED else 0.0

@@ -1,0 +1,1 @@
+"""A finished diagnosis in, its page, pictures and report.json out."""

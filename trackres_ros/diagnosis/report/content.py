@@ -1,0 +1,231 @@
+"""The diagnosis as report.json; its form is fixed, additions are allowed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from trackres_ros.diagnosis.findings.residual_bins import Bin
+from trackres_ros.diagnosis.findings.verdict import Found, likelier
+from trackres_ros.diagnosis.pipeline import Diagnosis
+from trackres_ros.diagnosis.selection.held_out import Improvement
+from trackres_ros.diagnosis.selection.intervals import Interval
+from trackres_ros.diagnosis.selection.naming import STABLE_SHARE, Candidate, Step
+from trackres_ros.diagnosis.writing.sensor_lines import sensor_lines
+from trackres_ros.diagnosis.writing.vehicle_file import SURROUNDINGS_FILE
+from trackres_ros.effects.effect import BELONGS_TO
+from trackres_ros.recording.bindings import TopicBinding
+
+SCHEMA = 1
+NO_BINDINGS: Mapping[str, TopicBinding] = MappingProxyType({})
+
+
+def report(d: Diagnosis, paths: Sequence[Path], bindings: Mapping[str, TopicBinding] = NO_BINDINGS) -> dict[str, Any]:
+    """All findings as plain data; `bindings` are how the recordings were read."""
+    nominal = {q.name: q for q in d.base.parameters}
+    belongs_to = {active.effect.name: active.effect.belongs_to for active in d.final.effects}
+    scale = (d.kept.values or {}).get("torque_scale", d.base.torque_scale)
+    lines = sensor_lines(d.kept.of("sensor"), bindings, scale)
+    return {
+        "schema": SCHEMA,
+        "recordings": [str(path) for path in paths],
+        "base": {
+            "model": d.base.name,
+            "refitted": {
+                name: {
+                    "nominal": _number(nominal[name].nominal),
+                    "value": _number(value),
+                    "unit": nominal[name].unit,
+                    "ci95": _pair(d.base_intervals.get(name)),
+                }
+                for name, value in d.final.base_values.items()
+            },
+        },
+        "verdict": {
+            "status": d.verdict.status,
+            "grade": d.verdict.grade,
+            "sentence": d.verdict.sentence,
+            "hint": d.steps[-1].hint or None,
+        },
+        "effects": [_effect(f, belongs_to[f.name]) for f in d.found],
+        "refuted": [{"name": g.name, "heldout": _improvement(g.improvement)} for g in d.refuted],
+        "written": {
+            "base": d.kept.values is not None,
+            "effects": [a.effect.name for a in d.kept.effects],
+            "why": d.kept.text,
+        },
+        "heldout": {
+            "laps": list(d.held_out.laps),
+            "mae": _numbers(d.held_out.mae),
+            "r2": _numbers(d.held_out.r2),
+            "bias": _numbers(d.held_out.bias),
+            "improvement_ci95": [_number(d.held_out.of_effects.low), _number(d.held_out.of_effects.high)],
+            "of_refit": _improvement(d.held_out.of_refit),
+            "by_lap": {
+                measure: {stage: [_number(float(x)) for x in values] for stage, values in stages.items()}
+                for measure, stages in d.held_out.by_lap.items()
+            },
+        },
+        "not_visible": [{"name": n.name, "why": n.why} for n in d.steps[-1].separability.not_visible],
+        "rejected": [{"reason": x.reason, "samples": x.samples} for x in d.gated.left_out],
+        "advice": [
+            {
+                "separates": list(a.separates),
+                "groups": [list(group) for group in a.groups],
+                "manoeuvre": a.manoeuvre,
+                "expected_d_prime": _number(a.expected_d_prime),
+                "minutes": _number(a.minutes),
+            }
+            for a in d.advice
+        ],
+        "candidates": [
+            {
+                "round": i + 1,
+                "name": c.name,
+                "delta_loglik": _number(c.gain),
+                "log_evidence": _number(c.criterion),
+                "bic_gain": _number(c.bic_gain),
+                "taken_by_other_forms": _number(c.form_error_gain),
+                "kept": _number(c.kept),
+                "d_prime": _number(c.d_prime),
+                "threshold": _number(s.threshold),
+                "chosen": s.chosen is c,
+                "why": _why(c, s),
+            }
+            for i, s in enumerate(d.steps)
+            for c in s.candidates
+        ],
+        "residual_by_regime": {"base": [_bin(b) for b in d.at_base.bins], "end": [_bin(b) for b in d.at_end.bins]},
+        "changes": None
+        if d.changes is None
+        else [
+            {
+                "recording": c.recording,
+                "t_s": _number(c.time),
+                "before": _number(c.before),
+                "after": _number(c.after),
+                "unit": "Nm",
+            }
+            for c in d.changes
+        ],
+        "whiteness_p": _number(d.periodogram_p),
+        "noise": d.noise.text,
+        "split": d.split.text,
+        "notes": list(d.gated.notes),
+        "kept": {kind: [a.effect.name for a in d.kept.of(kind)] for kind in BELONGS_TO},
+        "topics_lines": lines,
+        "to_do": _to_do(d, lines),
+        "thermal": None
+        if d.thermal is None
+        else {"mean_k": _number(d.thermal.mean_k), "mean_abs_k": _number(d.thermal.mean_abs_k), "text": d.thermal.text},
+    }
+
+
+def _to_do(d: Diagnosis, lines: Mapping[str, str]) -> list[str]:
+    """What is to be done with what was kept, besides driving with the vehicle file."""
+    said = []
+    around, sensors = (", ".join(a.effect.name for a in d.kept.of(kind)) for kind in ("surroundings", "sensor"))
+    if around:
+        said.append(
+            f"Of the surroundings, not of the vehicle: {around}. It is in {SURROUNDINGS_FILE}, for --surroundings where it holds."
+        )
+    if lines:
+        said.append(f"Of a sensor: {sensors}. It is in no file: put into the topics file, instead of the line for the role:")
+    return said
+
+
+def _why(c: Candidate, step: Step) -> str:
+    """Why a candidate was chosen, or was not."""
+    if step.chosen is c:
+        return "chosen"
+    if step.chosen is not None and c.name in step.members:
+        return f"cannot be told from {step.chosen.name} here"
+    if c.gain <= step.threshold:
+        return "noise alone may gain as much" if c.gain <= step.by_noise else "the model's own error may gain as much"
+    if c.net_gain <= step.threshold:
+        return f"another form of {' or '.join(step.before.effect_names)} may gain as much"
+    if c.net_evidence <= 0.0:
+        return "explains less than its parameters cost"
+    if not c.matters:
+        return f"adds {c.share:.1%} of the torque, which hardly matters"
+    if step.chosen is None:
+        return f"not the best in {STABLE_SHARE:.0%} of resampled laps"
+    return f"{likelier(step.chosen, c)} times less likely than {step.chosen.name}"
+
+
+def _effect(f: Found, belongs_to: str) -> dict[str, Any]:
+    chosen = f.step.chosen
+    assert chosen
+    units = {q.name: q.unit for q in f.parameters}
+    return {
+        "name": f.name,
+        "class": list(f.step.members),
+        "weights": _numbers(dict(f.step.weights)),
+        "acts_on": f.acts_on,
+        "grade": f.graded.grade,
+        "heldout": _improvement(f.graded.improvement),
+        "on_bounds": list(f.graded.on_bounds),
+        "belongs_to": belongs_to,
+        "parameters": {
+            name: {
+                "value": _number(value),
+                "unit": units[name],
+                "ci95": None if f.intervals[name].bound_only else _pair(f.intervals[name]),
+                "bound_only": f.intervals[name].bound_only,
+            }
+            for name, value in f.values.items()
+        },
+        "where": {
+            "time": [[s.recording, _number(s.begin), _number(s.end)] for s in f.where],
+            "regime": [
+                {
+                    "variable": b.variable,
+                    "lo": _number(b.low),
+                    "hi": _number(b.high),
+                    "mean_residual": _number(b.mean_residual),
+                    "unit": b.unit,
+                    "p": _number(b.p),
+                }
+                for b in f.regime
+            ],
+        },
+        "evidence": {
+            "delta_loglik": _number(chosen.gain),
+            "log_evidence": _number(chosen.criterion),
+            "bic_gain": _number(chosen.bic_gain),
+            "stability": _number(f.step.stability),
+            "kept": _number(chosen.kept),
+            "d_prime": _number(chosen.d_prime),
+        },
+        "text": f.text,
+    }
+
+
+def _improvement(i: Improvement) -> dict[str, Any]:
+    return {"mae": [_number(i.before), _number(i.after)], "ci95": [_number(i.low), _number(i.high)], "grade": i.grade}
+
+
+def _bin(b: Bin) -> dict[str, Any]:
+    return {
+        "variable": b.variable, "lo": _number(b.low), "hi": _number(b.high), "mean_residual": _number(b.mean_residual),
+        "unit": b.unit, "samples": b.samples, "p": _number(b.p),
+    }  # fmt: skip
+
+
+def _number(value: float) -> float | None:
+    """A number that JSON can hold, with as many figures as matter."""
+    value = float(value)
+    return float(np.format_float_positional(value, 6, fractional=False)) if math.isfinite(value) else None
+
+
+def _numbers(values: dict[str, float]) -> dict[str, float | None]:
+    return {name: _number(value) for name, value in values.items()}
+
+
+def _pair(interval: Interval | None) -> list[float | None] | None:
+    return None if interval is None else [_number(interval.low), _number(interval.high)]

@@ -1,0 +1,61 @@
+"""report.html: one page without a network, readable on paper and on a phone."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from trackres_ros.diagnosis.report.pictures import Picture
+from trackres_ros.errors import MissingExtraError
+from trackres_ros.text.numbers import alike, decimals, figures
+
+VERDICTS = {"none": "No physics missing", "named": "Named", "one_of": "One of several", "unexplained": "Unexplained"}
+GRADES = {
+    "confirmed": "confirmed on held-out laps",
+    "suspected": "suspected: it fits, held-out laps do not confirm it",
+    "refuted": "refuted: held-out laps get worse with it",
+}
+
+
+def write_page(path: Path, report: dict[str, Any], pictures: Sequence[Picture], title: str) -> None:
+    """Write the page of a report with its pictures in it.
+
+    Raises
+    ------
+    MissingExtraError
+        Without jinja2.
+    """
+    try:
+        from jinja2 import Environment, PackageLoader, StrictUndefined
+    except ImportError:
+        raise MissingExtraError("report.html", "jinja2", "diagnosis") from None
+    loader = PackageLoader("trackres_ros.diagnosis.report", ".")
+    environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined)
+    environment.filters.update(figures=figures, interval=interval, r2=r2)
+    page = environment.get_template("page.html").render(
+        r=report,
+        title=title,
+        verdict=VERDICTS[report["verdict"]["status"]],
+        grades=GRADES,
+        pictures=[(p, base64.b64encode(p.path.read_bytes()).decode()) for p in pictures],
+    )
+    path.write_text(page, encoding="utf-8")
+
+
+def r2(value: float | None) -> str:
+    """A coefficient of determination; one that is not 1 is not said to be."""
+    text = decimals(value, 3)
+    return "> 0.999" if text == "1.000" and value != 1.0 else text
+
+
+def interval(parameter: dict[str, Any]) -> tuple[str, str, str]:
+    """A parameter's value, the interval it is in, and what the vehicle file has, all to the step that the interval allows."""
+    values = parameter["value"], parameter.get("nominal")
+    if not parameter["ci95"] or None in parameter["ci95"]:
+        value, nominal = (figures(v) for v in values)
+        return value, "only a bound" if parameter.get("bound_only") else "-", nominal
+    low, high = parameter["ci95"]
+    value, nominal, *ends = alike((*values, low, high), high - low)
+    return value, " … ".join(ends), nominal

@@ -1,0 +1,293 @@
+"""The pictures of a diagnosis. Each has a text that says what it shows, for who cannot see it."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.base.variables import BY_NAME
+from trackres_ros.diagnosis.findings.locate import against_travel, evenly_filled
+from trackres_ros.diagnosis.findings.residual_bins import Bin
+from trackres_ros.diagnosis.findings.verdict import Found
+from trackres_ros.diagnosis.pipeline import Diagnosis
+from trackres_ros.diagnosis.prepare.session import Mask, Session
+from trackres_ros.output.plots import BLUE, GREY, ORANGE, VERMILION, picture, picture_with_legend, shortened, thinned
+from trackres_ros.text.numbers import alike, decimals, figures
+
+Array = NDArray[np.float64]
+
+WIDTH = 7.2  # as wide as an A4 page prints, so that type keeps its size
+TITLE_LETTERS = 88  # that a title over the whole width holds
+SMOOTHED_S = 20.0
+BROKEN_S = 2.0  # a longer time without a sample that counts breaks the line
+LONGEST_SHOWN_S = 400.0
+SHOWN_BINS = 24
+IN_ONE_COLUMN, MOST_RECORDINGS = 8, 24
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A picture and what it shows, in words."""
+
+    path: Path
+    title: str
+    alternative: str
+
+
+def draw_all(d: Diagnosis, folder: Path) -> list[Picture]:
+    """Draw all pictures of a diagnosis into a folder."""
+    found = [
+        draw_before_after(d, folder / "before_after.png"),
+        draw_times(d, folder / "where_time.png"),
+        draw_regimes(d, folder / "where_regime.png"),
+    ]
+    found += [_partial(d, f, folder / f"effect_{f.name}.png") for f in d.found]
+    found.append(_laps(d, folder / "held_out.png"))
+    if len(d.steps[-1].separability.names) > 1:
+        found.append(_matrix(d, folder / "separability.png"))
+    return found
+
+
+def draw_before_after(d: Diagnosis, path: Path) -> Picture:
+    """Draw the held-out lap on which the model gained most, over all its samples."""
+    mae = d.held_out.by_lap["mae"]
+    gained = mae["refitted"] - mae["with_effects"] if d.found else mae["refitted"]
+    laps = [lap for lap in d.split.held_out if any((s.block[s.used] == lap).any() for s in d.sessions)]
+    samples = [sum(int((s.block[s.used] == lap).sum()) for s in d.sessions) for lap in laps]
+    lap = laps[int(np.argmax(gained * samples))]
+    index = next(i for i, s in enumerate(d.sessions) if (s.block == lap).any())
+    session = d.sessions[index]
+    rows = np.flatnonzero(session.block == lap)
+    rows = rows[: int(LONGEST_SHOWN_S / session.step)]
+    time = session.time[rows] - session.time[rows[0]]
+    measured = np.where(session.used[rows], session.torque[rows], np.nan)
+    before, after = d.refitted.predicted[index].torque[rows], d.final.predicted[index].torque[rows]
+    with picture_with_legend(path, WIDTH, 4.0) as body:
+        upper, lower = body.subplots(2, 1, sharex=True, height_ratios=(3, 1))
+        upper.plot(time, measured, color=GREY, linewidth=2.5, label="measured")
+        upper.plot(time, before, color=BLUE, label="simulated, base re-fitted")
+        if d.found:
+            upper.plot(time, after, color=VERMILION, label="simulated, with the effects")
+        mismatch = "mismatch before" if d.found else "mismatch"
+        upper.fill_between(time, measured, before, color=ORANGE, alpha=0.35, linewidth=0, label=mismatch)
+        upper.set_ylabel("torque [Nm]")
+        upper.set_title(f"{shortened(Path(session.name).name, TITLE_LETTERS - 40)}, a lap that was not used for fitting")
+        lower.plot(time, session.speed[rows], color=GREY)
+        lower.set_ylabel("speed [m/s]")
+        lower.set_xlabel("time [s]")
+    error = [float(np.nanmean(np.abs(measured - simulated))) for simulated in (before, after)]
+    return Picture(
+        path,
+        "Measured against simulated",
+        f"Torque over time on a held-out lap: the mean error is {decimals(error[0])} Nm"
+        f"{f' before and {decimals(error[1])} Nm with {_listed(d)}' if d.found else ''}.",
+    )
+
+
+def draw_times(d: Diagnosis, path: Path) -> Picture:
+    """The residual over the time of each recording, whether or not anything was named; of very many, the worst."""
+    torques = [d.nominal, [p.torque for p in d.refitted.predicted], [p.torque for p in d.final.predicted]]
+    stages = [("vehicle file as it is", GREY, 0.7), ("base re-fitted", BLUE, 1.1), ("with the effects", VERMILION, 1.1)]
+    stages = stages if d.found else stages[:2]
+    residuals = [[_smooth(s, s.torque - of[i]) for i, s in enumerate(d.sessions)] for of in torques[: len(stages)]]
+    sizes = [float(np.sqrt(np.nanmean(r**2))) if np.isfinite(r).any() else 0.0 for r in residuals[1]]
+    shown = sorted(np.argsort(sizes)[::-1][:MOST_RECORDINGS].tolist())
+    columns = 1 if len(shown) <= IN_ONE_COLUMN else 2
+    rows = -(-len(shown) // columns)
+    with picture_with_legend(path, WIDTH, max((1.15 if columns == 1 else 0.9) * rows + 0.5, 2.2)) as body:
+        grid = body.subplots(rows, columns, squeeze=False, sharey=True)
+        axes = grid.T.ravel()
+        for axis, i in zip(axes, shown, strict=False):
+            session = d.sessions[i]
+            for begin, end in _runs(session, np.isin(session.block, d.split.held_out)):
+                axis.axvspan(begin / 60.0, end / 60.0, color=GREY, alpha=0.18, linewidth=0, label="held out")
+            for (label, color, linewidth), of in zip(stages, residuals, strict=True):
+                axis.plot(*thinned(session.time / 60.0, of[i]), color=color, label=label, linewidth=linewidth)
+            for found in d.found[:1]:
+                for span in found.where:
+                    if span.recording == session.name:
+                        ends = span.begin / 60.0, span.end / 60.0
+                        axis.axvspan(*ends, ymax=0.05, color=ORANGE, linewidth=0, label=f"{found.name} acts most")
+            for change in d.changes or ():
+                if change.recording == session.name:
+                    axis.axvline(change.time / 60.0, color=GREY, linestyle="--", linewidth=1.0, label="change of level")
+            axis.axhline(0.0, color=GREY, linewidth=0.8)
+            axis.set_xlim(session.time[0] / 60.0, (session.time[-1] + session.step) / 60.0)
+            axis.set_title(shortened(Path(session.name).name, TITLE_LETTERS // columns - 6), fontsize=8.5)
+        for axis in axes[len(shown) :]:
+            axis.set_visible(False)
+        for column in grid.T:
+            [axis for axis in column if axis.get_visible()][-1].set_xlabel("time [min]")
+        body.supylabel("measured less simulated [Nm]", fontsize=9)
+    left_out = len(d.sessions) - len(shown)
+    worst = f" Of {len(d.sessions)} recordings the {len(shown)} furthest off; {left_out} are not drawn." if left_out else ""
+    size = decimals(float(np.sqrt(np.mean(np.square(sizes)))))
+    return Picture(
+        path,
+        "Where: over time",
+        f"Measured less simulated torque over the time of each recording, means over {SMOOTHED_S:.0f} s; broken where nothing "
+        f"could be compared. With the base re-fitted it strays by {size} Nm (root mean square).{worst}",
+    )
+
+
+def _runs(session: Session, inside: Mask) -> Iterator[tuple[float, float]]:
+    """Begin and end [s] of each stretch of a session that is inside."""
+    edges = np.flatnonzero(np.diff(inside.astype(np.int8), prepend=0, append=0))
+    for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        yield float(session.time[begin]), float(session.time[end - 1] + session.step)
+
+
+def draw_regimes(d: Diagnosis, path: Path) -> Picture:
+    """The mean residual by bins of each variable that varies, between the edges of the bins."""
+    by_variable: dict[str, list[Bin]] = {}
+    for b in d.at_base.bins:
+        by_variable.setdefault(b.variable, []).append(b)
+    by_variable = {name: bins for name, bins in by_variable.items() if len(bins) > 1}  # one alone tells nothing of where
+    columns = 2
+    rows = max(1, -(-len(by_variable) // columns))
+    with picture_with_legend(path, WIDTH, 1.55 * rows + 0.4) as body:
+        axes = body.subplots(rows, columns, squeeze=False, sharey=True).ravel()
+        for axis, (name, of_base) in zip(axes, by_variable.items(), strict=False):
+            edges = sorted({edge for b in of_base for edge in (b.low, b.high)})
+            places = np.arange(len(edges)) - 0.5
+            kinds = [(-0.2, BLUE, "base re-fitted", of_base)]
+            if d.found:
+                kinds.append((0.2, VERMILION, "with the effects", [b for b in d.at_end.bins if b.variable == name]))
+            for shift, color, label, bins in kinds:
+                at = np.interp([0.5 * (b.low + b.high) for b in bins], edges, places) + (shift if d.found else 0.0)
+                axis.bar(at, [b.mean_residual for b in bins], 0.38 if d.found else 0.7, color=color, label=label)
+                for x, b in zip(at, bins, strict=True):
+                    if b.p < 0.05:
+                        above = b.mean_residual > 0
+                        axis.annotate(
+                            "*", (x, b.mean_residual), (0, 1 if above else -1), textcoords="offset points", ha="center",
+                            va="bottom" if above else "top", color=color,
+                        )  # fmt: skip
+            axis.set_xticks(places, alike(edges, 0.1 * (edges[-1] - edges[0])), fontsize=7)
+            axis.margins(y=0.15)
+            axis.axhline(0.0, color=GREY, linewidth=0.8)
+            axis.set_title(f"{name} [{of_base[0].unit}]", fontsize=8.5)
+        for axis in axes[len(by_variable) :]:
+            axis.set_visible(False)
+        if not by_variable:
+            axes[0].set_visible(True)
+            axes[0].text(0.5, 0.5, "nothing varies enough to tell where", ha="center", transform=axes[0].transAxes)
+        body.supylabel("mean residual [Nm]", fontsize=9)
+    text = (
+        "; ".join(f"{decimals(b.mean_residual, signed=True)} Nm {_at(b)}" for b in d.at_base.significant[:5])
+        or "no bin stands out of noise"
+    )
+    return Picture(
+        path,
+        "Where: by regime",
+        "Mean residual by bins of each variable, each with as many samples; the numbers are the edges of the bins, and a star "
+        f"is on what stands out of noise. With the base re-fitted: {text}.",
+    )
+
+
+def _at(b: Bin) -> str:
+    low, high = alike((b.low, b.high), b.high - b.low)
+    return f"at {b.variable} {low} to {high} {b.unit}"
+
+
+def _partial(d: Diagnosis, found: Found, path: Path) -> Picture:
+    """What is left without the effect, and what the effect adds, over the variable that it follows best."""
+    fit = d.final
+    used = np.concatenate([s.used for s in d.sessions])
+    left_over = [s.torque - p.torque for s, p in zip(d.sessions, fit.predicted, strict=True)]
+    if found.acts_on != "sensor":
+        left_over = against_travel(d.sessions, left_over)
+    adds, residual = np.concatenate(found.resists)[used], np.concatenate(left_over)[used]
+    variable = BY_NAME[found.acts.variable]
+    label = f"{variable.name} [{variable.unit}]"
+    x = np.concatenate([variable.of(s, p) for s, p in zip(d.sessions, fit.predicted, strict=True)])[used]
+    _, place = evenly_filled(x, SHOWN_BINS)
+    count = np.bincount(place)
+    middle, term, left = (np.bincount(place, weights=w) / np.maximum(count, 1) for w in (x, adds, adds + residual))
+    spread = np.sqrt(np.bincount(place, weights=(residual - (left - term)[place]) ** 2) / np.maximum(count, 1))
+    with picture_with_legend(path, WIDTH, 3.0) as body:
+        axis = body.subplots()
+        shown = count > 0
+        axis.errorbar(
+            middle[shown],
+            left[shown],
+            spread[shown],
+            fmt="o",
+            color=BLUE,
+            ecolor=GREY,
+            markersize=4,
+            linewidth=1.0,
+            label="left without the effect, mean and spread",
+        )
+        axis.plot(middle[shown], term[shown], color=VERMILION, label=f"{found.name} as fitted")
+        axis.set_xlabel(label)
+        axis.set_ylabel("torque against travel [Nm]")
+        axis.set_title(textwrap.fill(f"{found.name}: {found.text}", TITLE_LETTERS))
+    return Picture(
+        path,
+        f"The term: {found.name}",
+        f"What is left without {found.name}, and the fitted term, over {label}; "
+        f"from {decimals(term[shown].min())} to {decimals(term[shown].max())} Nm.",
+    )
+
+
+def _laps(d: Diagnosis, path: Path) -> Picture:
+    h = d.held_out
+    with picture_with_legend(path, WIDTH, 2.2) as body:
+        axis = body.subplots()
+        stages = [("nominal", GREY, "vehicle file as it is"), ("refitted", BLUE, "base re-fitted")]
+        stages += [("with_effects", VERMILION, "with the effects")] if d.found else []
+        wide = 0.8 / len(stages)
+        for i, (stage, color, label) in enumerate(stages):
+            place = np.arange(len(h.laps)) + (i - 0.5 * (len(stages) - 1)) * wide
+            axis.bar(place, h.by_lap["mae"][stage], wide, color=color, label=label)
+        every = -(-len(h.laps) // 30)
+        axis.set_xticks(np.arange(0, len(h.laps), every), [str(i + 1) for i in range(0, len(h.laps), every)])
+        axis.set_xlabel("held-out lap")
+        axis.set_ylabel("mean error [Nm]")
+        axis.set_title("Laps that were not used for fitting")
+    return Picture(
+        path,
+        "What it is worth",
+        "Mean absolute error by held-out lap; over all: "
+        + ", ".join(f"{label} {figures(h.mae[stage])} Nm" for stage, _, label in stages)
+        + ".",
+    )
+
+
+def _matrix(d: Diagnosis, path: Path) -> Picture:
+    s = d.steps[-1].separability
+    n = len(s.names)
+    with picture(path, WIDTH, max(0.17 * n + 1.8, 2.6)) as figure:
+        axis = figure.subplots()
+        image = axis.imshow(s.cosines, vmin=-1.0, vmax=1.0, cmap="PuOr_r")
+        axis.set_xticks(range(n), s.names, rotation=90, fontsize=7.5)
+        axis.set_yticks(range(n), s.names, fontsize=7.5)
+        axis.grid(False)
+        figure.colorbar(image, label="cosine", shrink=0.5, aspect=12)
+        title = "How alike the effects look in these recordings, after the base was re-fitted"
+        figure.suptitle(title, x=0.01, ha="left", fontsize=10)
+    pairs = [(abs(s.cosines[i, j]), s.names[i], s.names[j]) for i in range(n) for j in range(i)]
+    alike = ", ".join(f"{a} and {b}" for c, a, b in sorted(pairs, reverse=True)[:6] if c > 0.95) or "none"
+    return Picture(path, "What looks alike", f"Cosines between the visible effects; alike to more than 0.95: {alike}.")
+
+
+def _smooth(session: Session, residual: Array) -> Array:
+    """Means of a residual over `SMOOTHED_S`; nan in gaps."""
+
+    def summed(values: Array, seconds: float) -> Array:
+        window = np.ones(min(max(1, int(seconds / session.step)), len(values)))
+        return np.convolve(values, window, mode="same")
+
+    weight = summed(session.used.astype(float), SMOOTHED_S)
+    mean = summed(np.where(session.used, residual, 0.0), SMOOTHED_S) / np.maximum(weight, 1.0)
+    return np.where(summed(session.used.astype(float), BROKEN_S) > 0.5, mean, np.nan)
+
+
+def _listed(d: Diagnosis) -> str:
+    return ", ".join(f.name for f in d.found)

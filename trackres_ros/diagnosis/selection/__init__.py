@@ -1,0 +1,1 @@
+"""Fits in, chosen effects out: what can be seen, what gains, what is told apart, and what held-out laps confirm."""

@@ -1,0 +1,122 @@
+"""What laps that were never used say of each effect, and which of all that was found may be written and fed forward."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.inference.fitting import Fit
+from trackres_ros.diagnosis.inference.levels import with_levels
+from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, HeldOut, HeldOutLaps, Improvement
+from trackres_ros.diagnosis.selection.intervals import Interval, intervals
+from trackres_ros.diagnosis.writing.kept import Kept
+from trackres_ros.effects.effect import Active
+from trackres_ros.text.numbers import figures
+
+Array = NDArray[np.float64]
+
+ON_BOUND = 1e-3  # of the span between the bounds
+
+
+@dataclass(frozen=True, slots=True)
+class Graded:
+    """An effect and what held-out laps say of it.
+
+    Attributes
+    ----------
+    improvement
+        Of the model with it over the one without, each fitted by itself.
+    on_bounds
+        Parameters that lie on a bound other than the value without effect.
+    grade
+        `confirmed`, `suspected` or `refuted`; what lies on a bound is at best suspected.
+    """
+
+    name: str
+    improvement: Improvement
+    on_bounds: tuple[str, ...]
+
+    @property
+    def grade(self) -> str:
+        """See above."""
+        return SUSPECTED if self.on_bounds and self.improvement.grade == CONFIRMED else self.improvement.grade
+
+
+def confirm(final: Fit, refitted: Fit, laps: HeldOutLaps) -> tuple[Fit, dict[str, Graded], tuple[Graded, ...]]:
+    """Grade each effect of a fit, and leave out what held-out laps refute, the worst first.
+
+    Parameters
+    ----------
+    final, refitted
+        Fits of `levels.with_levels` with the effects and with none.
+
+    Returns
+    -------
+    fit, graded, refuted
+        The fit with what is left, the grade of each of its effects, and the effects that were left out.
+    """
+    refuted: list[Graded] = []
+    while final.effects:
+        graded = {a.effect.name: _graded(a, final, refitted, laps) for a in final.effects}
+        worst = max(graded.values(), key=lambda g: g.improvement.after - g.improvement.before)
+        together = laps.improvement_of(refitted, final).grade
+        if worst.grade != REFUTED and together != REFUTED:
+            return final, graded, tuple(refuted)
+        refuted.append(worst)
+        final = with_levels(final, [worst.name]) if len(graded) > 1 else refitted
+    return final, {}, tuple(refuted)
+
+
+def keep(
+    believed: Sequence[str],
+    final: Fit,
+    refitted: Fit,
+    held_out: HeldOut,
+    laps: HeldOutLaps,
+    bounds: Mapping[tuple[str, str], Interval],
+) -> Kept:
+    """What may be written: the best model of believed effects whose error on held-out laps is not above the vehicle file's.
+
+    Parameters
+    ----------
+    believed
+        Names of the effects that may be written.
+    bounds
+        Intervals of `final`.
+    """
+    named = [a.effect.name for a in final.effects]
+    models = [refitted]
+    if believed:
+        models.insert(0, final if set(believed) == set(named) else with_levels(final, [n for n in named if n not in believed]))
+    before = held_out.mae["nominal"]
+    doubted = [name for name in named if name not in believed]
+    but = f"; not written: {', '.join(doubted)}" if doubted else ""
+    for model in models:
+        after = float(np.abs(laps.measured - laps.of(_torques(model))).mean())
+        if after <= before:
+            found = bounds if model is final else intervals(model)
+            of_effects = ", ".join(a.effect.name for a in model.effects)
+            what = f"the base's values and {of_effects}" if of_effects else "the base's values"
+            error = f"the mean error on laps not used for fitting is {figures(after)} Nm, {figures(before)} Nm with the old one"
+            return Kept(dict(model.base_values), model.effects, found, f"written: {what}; {error}{but}")
+    why = f"as no re-fit has a smaller error on laps not used for fitting than they, {figures(before)} Nm"
+    return Kept(None, (), {}, f"written: the file's own values, {why}{but}")
+
+
+def _graded(active: Active, final: Fit, refitted: Fit, laps: HeldOutLaps) -> Graded:
+    name = active.effect.name
+    without = refitted if len(final.effects) == 1 else with_levels(final, [name])
+    on_bounds = tuple(
+        q.name
+        for q in active.effect.parameters
+        for bound in (q.low, q.high)
+        if bound != q.off and abs(active.values[q.name] - bound) <= ON_BOUND * (q.high - q.low)
+    )
+    return Graded(name, laps.improvement_of(without, final), on_bounds)
+
+
+def _torques(found: Fit) -> list[Array]:
+    return [p.torque for p in found.predicted]

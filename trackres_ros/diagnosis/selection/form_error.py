@@ -1,0 +1,48 @@
+"""What an effect would add in another form: nature's functions are not the catalogue's."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.base.variables import BY_NAME
+from trackres_ros.diagnosis.inference.fitting import Fit
+
+Array = NDArray[np.float64]
+
+FORM_ERROR = 0.1  # of what an effect adds: a standard deviation by which its function may be off
+FOLLOWED = ("speed", "acceleration", "load", "belt temperature", "time since start")
+
+
+def other_forms(fit: Fit) -> Array:
+    """Columns by which the effects of a fit would change if their functions were off by `FORM_ERROR`.
+
+    Each effect is made larger where a variable is large and smaller where it is small: for the variables of `FOLLOWED`, for
+    the direction, and for its own size.
+
+    Returns
+    -------
+    Change of what is expected of all segments, one after the other, shape (n, columns).
+    """
+    masks, driven = fit.problem.masks, list(zip(fit.problem.sessions, fit.predicted, strict=True))
+    found = []
+    for active in fit.effects:
+        adds = fit.contribution(active.effect.name)
+        largest = max((float(np.abs(x[m]).max()) for x, m in zip(adds, masks, strict=True) if m.any()), default=0.0)
+        if not largest > 0.0:
+            continue
+        shapes = [[BY_NAME[name].of(s, p) for s, p in driven] for name in FOLLOWED]
+        shapes += [[turn(s.heading) for s, _ in driven] for turn in (np.cos, np.sin)]
+        shapes += [[np.abs(x) / largest for x in adds]]
+        for shape in shapes:
+            over = np.concatenate([z[m] for z, m in zip(shape, masks, strict=True)])
+            spread = float(over.std()) if np.isfinite(over).all() else 0.0
+            if spread > 0.0:
+                mean = float(over.mean())
+                found.append(_rows(fit, [FORM_ERROR * x * (z - mean) / spread for x, z in zip(adds, shape, strict=True)]))
+    return np.column_stack(found) if found else np.empty((sum(len(g.measured) for g in fit.problem.segments), 0))
+
+
+def _rows(fit: Fit, torques: list[Array]) -> Array:
+    """Of all segments: belts are left as they are."""
+    return np.concatenate([torques[g.session] if g.kind == "torque" else np.zeros(len(g.measured)) for g in fit.problem.segments])

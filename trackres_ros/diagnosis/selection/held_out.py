@@ -1,0 +1,165 @@
+"""Step 8: what the better model is worth on laps that were never used, and whether they confirm it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.inference.fitting import Fit
+from trackres_ros.diagnosis.inference.levels import for_tests
+from trackres_ros.diagnosis.inference.noise import whitened
+from trackres_ros.diagnosis.prepare.session import Mask, Session
+from trackres_ros.errors import InputError
+
+Array = NDArray[np.float64]
+
+STAGES = ("nominal", "refitted", "with_effects")
+RESAMPLES = 10_000
+FEWEST_LAPS, PIECE_S = 8, 60.0  # of fewer laps pieces are resampled: a handful of laps says nothing of how they vary
+NO_WORSE = 1.01  # times the error before: more than a hundredth worse refutes
+CONFIRMED, SUSPECTED, REFUTED = "confirmed", "suspected", "refuted"
+
+
+@dataclass(frozen=True, slots=True)
+class Improvement:
+    """By how much a model takes the mean error of another down on held-out laps [Nm].
+
+    Attributes
+    ----------
+    before, after
+        Mean absolute errors of the other model and of this one.
+    low, high
+        A 95 % interval of the difference, over laps.
+    likelier
+        Least gain in log-likelihood that is as sure, of residuals whitened as on the laps fitted: it tells an effect from noise
+        where the mean error, most of which is noise, cannot yet. Negative infinity where it was not asked for.
+    """
+
+    before: float
+    after: float
+    low: float
+    high: float
+    likelier: float = -np.inf
+
+    @property
+    def grade(self) -> str:
+        """What the laps say.
+
+        `refuted` where the error grows, surely or by more than a hundredth; `confirmed` where it falls and that, or a gain in
+        likelihood, is sure; else `suspected`.
+        """
+        if self.after > NO_WORSE * self.before or self.high < 0.0:
+            return REFUTED
+        return CONFIRMED if self.after <= self.before and max(self.low, self.likelier) > 0.0 else SUSPECTED
+
+
+class HeldOutLaps:
+    """The held-out samples, on which models are compared.
+
+    Parameters
+    ----------
+    masks
+        The held-out samples of each session.
+
+    Raises
+    ------
+    InputError
+        If there are none.
+    """
+
+    def __init__(self, sessions: Sequence[Session], masks: Sequence[Mask], rng: np.random.Generator) -> None:
+        if not any(m.any() for m in masks):
+            given = "held-out laps without a sample to compare"
+            allowed = "laps in which it drives with a measured torque"
+            raise InputError(", ".join(s.name for s in sessions), given, allowed, "choose them with --holdout")
+        self._masks = masks
+        self.measured = self.of([s.torque for s in sessions])
+        self.blocks = np.concatenate([s.block[m] for s, m in zip(sessions, masks, strict=True)])
+        self.names = {int(b): f"{s.name}: {b - s.block[0] + 1}" for s in sessions for b in np.unique(s.block)}
+        pieces = self.blocks
+        if len(np.unique(self.blocks)) < FEWEST_LAPS:
+            number = self.of([s.time // PIECE_S for s in sessions]).astype(np.int64)
+            pieces = self.blocks * (1 + int(number.max(initial=0))) + number
+        _, self._piece = np.unique(pieces, return_inverse=True)
+        self._count = np.bincount(self._piece)
+        n = len(self._count)
+        self._draws = rng.multinomial(n, np.full(n, 1.0 / n), size=RESAMPLES)
+
+    def of(self, series: Sequence[Array]) -> Array:
+        """The held-out samples of a series of each session."""
+        return np.concatenate([x[m] for x, m in zip(series, self._masks, strict=True)])
+
+    def improvement(self, before: Sequence[Array], after: Sequence[Array]) -> Improvement:
+        """Of one expected torque of each session over another [Nm]."""
+        errors = [np.abs(self.measured - self.of(x)) for x in (before, after)]
+        means = self._over_laps(errors[0] - errors[1]) / (self._draws @ self._count)
+        low, high = np.quantile(means, (0.025, 0.975))
+        return Improvement(float(errors[0].mean()), float(errors[1].mean()), float(low), float(high))
+
+    def improvement_of(self, before: Fit, after: Fit) -> Improvement:
+        """Of one fit over another."""
+        found = self.improvement(*([p.torque for p in fit.predicted] for fit in (before, after)))
+        gained = self._log_density(after) - self._log_density(before)
+        return replace(found, likelier=float(np.quantile(self._over_laps(gained), 0.025)))
+
+    def _over_laps(self, gained: Array) -> Array:
+        """Sums of what is gained at each sample, over resampled laps."""
+        return np.asarray(self._draws @ np.bincount(self._piece, weights=gained))
+
+    def _log_density(self, found: Fit) -> Array:
+        """Log-density of each held-out sample under the noise of the laps fitted; 0 where what came before is not known."""
+        noise = for_tests(found).noise
+        parts = []
+        for session, predicted, mask in zip(found.problem.sessions, found.predicted, self._masks, strict=True):
+            white = whitened(session.torque - predicted.torque, mask, noise.phi)[mask] / noise.std
+            parts.append(np.where(np.isfinite(white), noise.log_density(np.nan_to_num(white)), 0.0))
+        return np.concatenate(parts)
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """Errors on held-out laps by stage: mean absolute error [Nm], R2, mean error [Nm].
+
+    Attributes
+    ----------
+    by_lap
+        Each of them by stage and lap, shape (laps,).
+    of_refit, of_effects
+        What re-fitting the base improves over the vehicle file, and the effects over the re-fitted base.
+    """
+
+    laps: tuple[str, ...]
+    mae: dict[str, float]
+    r2: dict[str, float]
+    bias: dict[str, float]
+    by_lap: dict[str, dict[str, Array]]
+    of_refit: Improvement
+    of_effects: Improvement
+
+
+def held_out(laps: HeldOutLaps, expected: Mapping[str, Sequence[Array]]) -> HeldOut:
+    """Compare the three `STAGES`, by their expected torques of each session [Nm]."""
+    numbers = np.unique(laps.blocks)
+    error = {stage: laps.measured - laps.of(expected[stage]) for stage in STAGES}
+    of_lap = [laps.blocks == b for b in numbers]
+    by_lap = {
+        "mae": {stage: np.array([np.abs(e[lap]).mean() for lap in of_lap]) for stage, e in error.items()},
+        "r2": {stage: np.array([_r2(laps.measured[lap], e[lap]) for lap in of_lap]) for stage, e in error.items()},
+        "bias": {stage: np.array([e[lap].mean() for lap in of_lap]) for stage, e in error.items()},
+    }
+    return HeldOut(
+        tuple(laps.names[int(b)] for b in numbers),
+        {stage: float(np.abs(e).mean()) for stage, e in error.items()},
+        {stage: _r2(laps.measured, e) for stage, e in error.items()},
+        {stage: float(e.mean()) for stage, e in error.items()},
+        by_lap,
+        laps.improvement(expected["nominal"], expected["refitted"]),
+        laps.improvement(expected["refitted"], expected["with_effects"]),
+    )
+
+
+def _r2(measured: Array, error: Array) -> float:
+    return float(1.0 - (error**2).sum() / max(((measured - measured.mean()) ** 2).sum(), 1e-12))

@@ -1,0 +1,108 @@
+"""Step 7: how well the parameters of a chosen effect are known: profile likelihood, widened by what laps say, and by how far
+nature's function may be from the catalogue's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from trackres_ros.diagnosis.inference.fitting import Fit, fit, free_parameters
+from trackres_ros.diagnosis.inference.levels import LARGEST_ROOT
+from trackres_ros.diagnosis.selection.form_error import FORM_ERROR
+from trackres_ros.diagnosis.selection.visibility import base_columns, split_rows
+from trackres_ros.effects.effect import Effect
+
+Array = NDArray[np.float64]
+
+DROP = 0.5 * float(chi2.ppf(0.95, 1))
+NORMAL_95 = 1.96
+MOST_TRIES = 8
+GROWTH = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Interval:
+    """A 95 % interval; `bound_only` where the likelihood does not fall on one side before the bounds: then it is only a bound."""
+
+    low: float
+    high: float
+    bound_only: bool
+
+
+def intervals(found: Fit) -> dict[tuple[str, str], Interval]:
+    """Intervals of all parameters of a fit by `levels.with_levels`: the base's by the curvature, those of effects by their
+    profile; both by laps where wider.
+
+    How large an effect is depends on its function too, which is nature's to `FORM_ERROR` only.
+    """
+    by_laps = lap_std(found)
+    offs = {(a.effect.name, q.name): q.off for a in found.effects for q in a.effect.parameters if q.off is not None}
+    result = {}
+    for f in free_parameters(found.problem.base, [a.effect for a in found.effects]):
+        at = found.at[f.key]
+        std = max(by_laps.get(f.key, 0.0), found.std_of(*f.key))
+        if not f.key[0]:
+            result[f.key] = Interval(max(f.low, at - NORMAL_95 * std), min(f.high, at + NORMAL_95 * std), False)
+            continue
+        low, low_open = _edge(found, f.key, -1.0, f.low)
+        high, high_open = _edge(found, f.key, 1.0, f.high)
+        lap = NORMAL_95 * by_laps.get(f.key, 0.0)
+        form = NORMAL_95 * FORM_ERROR * abs(at - offs.get(f.key, at))
+        below, above = (float(np.hypot(max(reach, lap), form)) for reach in (at - low, high - at))
+        result[f.key] = Interval(max(f.low, at - below), min(f.high, at + above), low_open or high_open)
+    return result
+
+
+def lap_std(found: Fit) -> dict[tuple[str, str], float]:
+    """Standard deviations by leaving out one lap at a time, to first order."""
+    scale = np.array([f.scale for f in found.free])
+    prior = np.array([f.scale / f.std for f in found.free])
+    columns = found.problem.white(split_rows(base_columns(found) * scale, found), found.noises)
+    blocks = np.concatenate([g.block for g in found.problem.segments])
+    x, e = np.concatenate(columns), np.concatenate(found.white)
+    weight = np.concatenate([found.noises[g.kind].weights(w) for w, g in zip(found.white, found.problem.segments, strict=True)])
+    valid = np.isfinite(e) & np.isfinite(x).all(axis=1)
+    x, e, blocks = x[valid], (e * weight)[valid], blocks[valid]
+    inverse = np.linalg.pinv(x.T @ x + np.diag(prior**2), rcond=1e-13)
+    shifts = np.array([inverse @ (x[blocks == b].T @ e[blocks == b]) for b in np.unique(blocks)])
+    count = len(shifts)
+    if count < 3:
+        return {}
+    std = np.sqrt(count / (count - 1) * ((shifts - shifts.mean(axis=0)) ** 2).sum(axis=0)) * scale
+    return {f.key: float(s) for f, s in zip(found.free, std, strict=True)}
+
+
+def _edge(found: Fit, key: tuple[str, str], side: float, bound: float) -> tuple[float, bool]:
+    """Where the profile has fallen by `DROP`, or the bound with True if it has not by then."""
+    at, wanted = found.at[key], DROP
+    effects = [a.effect for a in found.effects]
+    reach = abs(bound - at)
+    if reach <= 1e-6 * max(abs(bound), abs(at), 1e-12):
+        return bound, True
+    step = min(max(NORMAL_95 * found.std_of(*key), 1e-4 * reach), reach)
+    inside, outside = (0.0, 0.0), None
+    for _ in range(MOST_TRIES):
+        fallen = found.log_likelihood - _held(found, effects, key, at + side * step)
+        if fallen >= wanted:
+            outside = (step, fallen)
+            break
+        inside = (step, max(fallen, 0.0))
+        if step >= reach * (1.0 - 1e-9):
+            return bound, True
+        step = min(reach, GROWTH * step)
+    if outside is None:
+        return bound, True
+    # Between the two the square root of the fall is nearly straight.
+    a, b = np.sqrt(inside[1]), np.sqrt(outside[1])
+    share = (np.sqrt(wanted) - a) / (b - a) if b > a else 1.0
+    return at + side * float(inside[0] + share * (outside[0] - inside[0])), False
+
+
+def _held(found: Fit, effects: Sequence[Effect], key: tuple[str, str], value: float) -> float:
+    held = fit(found.problem, effects, found.at, found.noises, rounds=1, fixed={key: value}, largest_root=LARGEST_ROOT)
+    return held.log_likelihood

@@ -1,0 +1,217 @@
+"""Step 5, first half: what each effect would gain, to first order, and what the best of them would gain from noise alone."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
+from scipy.signal import lfilter
+
+from trackres_ros.diagnosis.inference.fitting import LARGE, Fit
+from trackres_ros.diagnosis.inference.noise import MOST_LAGS, Noise, improved, whole_past
+from trackres_ros.diagnosis.selection.form_error import other_forms
+from trackres_ros.diagnosis.selection.visibility import Sensitivity, base_columns
+
+Array = NDArray[np.float64]
+
+TURNS = 3  # of coefficients and noise
+FLIPPED_TOGETHER = 20  # samples whose sign the bootstrap flips as one: what whitening left of their likeness stays
+REPLICATES, QUICK_REPLICATES = 99, 39
+NEARLY_LARGEST = 6
+GUMBEL_95 = (-np.log(-np.log(0.95)) - np.euler_gamma) * np.sqrt(6.0) / np.pi  # standard deviations from mean to 95th percentile
+MOST_DRAWN_ROWS = 7200  # two hours of driving
+STRETCH = 200  # rows that stay together where not all are drawn
+
+
+@dataclass(frozen=True, eq=False)
+class Screened:
+    """First-order gains in log-likelihood of effects over a fit, and what noise alone reaches.
+
+    Attributes
+    ----------
+    gains
+        Best first; over a fit whose effects may have another form, see `form_error.other_forms`.
+    form_error_gain
+        What other forms of the effects in the fit take of each effect's gain.
+    threshold
+        What the best gains by noise alone once in twenty.
+    reached
+        Largest gain of each replicate of the bootstrap.
+    """
+
+    gains: tuple[tuple[Sensitivity, float], ...]
+    form_error_gain: Mapping[str, float]
+    threshold: float
+    reached: Array
+
+
+def screen(fit: Fit, candidates: Sequence[Sensitivity], replicates: int, rng: np.random.Generator) -> Screened:
+    """Gain of each candidate, and the distribution of the largest under noise of the fit's own kind.
+
+    Notes
+    -----
+    The noise is fitted with each candidate anew: a slow effect that is left out looks like slow noise, and whitening with
+    that would hide it. What noise alone gains hardly depends on how much of it there is: of more than `MOST_DRAWN_ROWS` rows,
+    stretches of that many together are drawn, and priors weigh as much less.
+    """
+    own, forms = base_columns(fit), other_forms(fit)
+    linear = _Linear(fit, own, forms)
+    movers = [linear.mover(c) for c in candidates]
+    residual = linear.lagged(np.concatenate(fit.residuals))
+    found = linear.gains(residual, movers)
+    gains = sorted(zip(candidates, found, strict=True), key=lambda pair: -pair[1])
+    form_error_gain: dict[str, float] = {}
+    if forms.shape[1]:
+        strict = _Linear(fit, own, forms[:, :0])
+        plain = strict.gains(residual, [strict.mover(c) for c in candidates])
+        names = dict.fromkeys(c.effect.name for c in candidates)
+        form_error_gain = {name: max(0.0, _best(name, candidates, plain) - _best(name, candidates, found)) for name in names}
+    few = linear if linear.rows <= MOST_DRAWN_ROWS else _Linear(fit, own, forms, MOST_DRAWN_ROWS)
+    movers = movers if few is linear else [few.mover(c) for c in candidates]
+    reached = np.zeros(replicates)
+    for i in range(replicates):
+        drawn = few.lagged(few.drawn(rng))
+        before = few.likelihood(drawn, few.own, centred_on_fit=True)
+        # One turn tells which come near the largest; only those are turned to the end.
+        nearly = sorted(movers, key=lambda m: -few.likelihood(drawn, m, centred_on_fit=True, turns=1))[:NEARLY_LARGEST]
+        reached[i] = max((few.likelihood(drawn, m, centred_on_fit=True) - before for m in nearly), default=0.0)
+    return Screened(tuple(gains), form_error_gain, largest_by_noise(reached), reached)
+
+
+def largest_by_noise(reached: Array) -> float:
+    """What largest values exceed once in twenty: of the Gumbel distribution with their mean and standard deviation.
+
+    It hangs on the draws by two thirds as much as their own quantile does.
+    """
+    if len(reached) < 2:
+        return np.inf
+    return float(reached.mean() + GUMBEL_95 * reached.std(ddof=1))
+
+
+def _best(name: str, candidates: Sequence[Sensitivity], gains: Sequence[float]) -> float:
+    return max(gain for c, gain in zip(candidates, gains, strict=True) if c.effect.name == name)
+
+
+Lagged = Mapping[str, Array]
+"""Rows of each kind that count, and those before them: shapes (1 + lags, rows) or (1 + lags, rows, columns)."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Mover:
+    """What may move to explain a residual: columns, bounds, and the weight of the priors and where they pull, per parameter."""
+
+    columns: Lagged
+    low: Array
+    high: Array
+    prior: Array
+    pull: Array
+
+
+class _Linear:
+    """The fit, linearised, with further columns of which each may move by about one: likelihoods by linear algebra."""
+
+    def __init__(self, fit: Fit, own: Array, further: Array, most_rows: int = sys.maxsize) -> None:
+        self._fit = fit
+        first, rows = 0, dict[str, list[NDArray[np.int64]]]()
+        for segment in fit.problem.segments:
+            rows.setdefault(segment.kind, []).append(first + np.flatnonzero(whole_past(segment.mask, MOST_LAGS)))
+            first += len(segment.measured)
+        all_rows = {kind: np.concatenate(of) for kind, of in rows.items()}
+        self.rows = sum(map(len, all_rows.values()))
+        share = min(1.0, most_rows / max(self.rows, 1))
+        self._at = {kind: _thinned(at, share) for kind, at in all_rows.items()}
+        self._lighter = float(np.sqrt(share))
+        self._columns = np.column_stack([own * np.array([f.scale for f in fit.free]), further])
+        far = np.full(self._columns.shape[1], np.inf)
+        prior = self._lighter * np.array([*(f.scale / f.std for f in fit.free), *np.ones(further.shape[1])])
+        pulls = [(x - f.nominal) / f.std for f, x in zip(fit.free, fit.point, strict=True)]
+        pull = -np.array([*pulls, *np.zeros(further.shape[1])])
+        self.own = _Mover(self.lagged(self._columns), -far, far, prior, pull)
+
+    def lagged(self, rows: Array) -> Lagged:
+        """Rows of all segments, one after the other, as the whitening needs them."""
+        return {
+            kind: np.stack([rows[at - i] for i in range(len(self._fit.noises[kind].phi) + 1)]) for kind, at in self._at.items()
+        }
+
+    def mover(self, candidate: Sensitivity) -> _Mover:
+        """The fit's own parameters and the amplitudes of a candidate, in units of its typical ones."""
+        amplitudes = [(q, q.start - q.off, q.off) for q in candidate.effect.parameters if q.off is not None]
+        limits = [sorted(((q.low - off) / span, (q.high - off) / span)) for q, span, off in amplitudes]
+        spans = np.array([span for _, span, _ in amplitudes])
+        own = self.own
+        return _Mover(
+            self.lagged(np.column_stack([self._columns, candidate.columns * spans])),
+            np.append(own.low, [low - 1e-9 for low, _ in limits]),
+            np.append(own.high, [high + 1e-9 for _, high in limits]),
+            np.append(own.prior, np.full(len(limits), self._lighter / LARGE)),
+            np.append(own.pull, np.zeros(len(limits))),
+        )
+
+    def gains(self, residual: Lagged, movers: Sequence[_Mover]) -> list[float]:
+        """In log-likelihood of each mover over the fit's own."""
+        null = self.likelihood(residual, self.own)
+        return [self.likelihood(residual, m) - null for m in movers]
+
+    def likelihood(self, residual: Lagged, mover: _Mover, centred_on_fit: bool = False, turns: int = TURNS) -> float:
+        """Of a residual with a mover's parameters free within their bounds, and the noise fitted along.
+
+        `centred_on_fit` takes the parameters of the fit for true, as they are in what is drawn: no candidate gains by
+        bringing them back into their ranges.
+        """
+        pull = np.zeros_like(mover.pull) if centred_on_fit else mover.pull
+        noises, left = dict(self._fit.noises), residual
+        moved = np.zeros(len(mover.prior))
+        for _ in range(turns):
+            parts_x, parts_e = [np.diag(mover.prior)], [pull]
+            for kind, noise in noises.items():
+                weight = np.sqrt(noise.weights(_white(left[kind], noise)))
+                parts_e.append(weight * _white(residual[kind], noise))
+                parts_x.append(weight[:, np.newaxis] * _white(mover.columns[kind], noise))
+            moved = _bounded(np.concatenate(parts_x), np.concatenate(parts_e), mover.low, mover.high)
+            left = {kind: rows - mover.columns[kind] @ moved for kind, rows in residual.items()}
+            noises = {kind: improved(left[kind][1:].T, left[kind][0], noise) for kind, noise in noises.items()}
+        total = sum(float(noise.log_density(_white(left[kind], noise)).sum()) for kind, noise in noises.items())
+        return total - 0.5 * float(((mover.prior * moved - pull) ** 2).sum())
+
+    def drawn(self, rng: np.random.Generator) -> Array:
+        """A residual of noise alone: the whitened one with signs flipped by the piece, coloured again."""
+        parts, fit = [], self._fit
+        for white, segment in zip(fit.white, fit.problem.segments, strict=True):
+            noise = fit.noises[segment.kind]
+            e = np.nan_to_num(white) * noise.std
+            pieces = len(e) // FLIPPED_TOGETHER + 1
+            e = e * np.repeat(rng.choice((-1.0, 1.0), pieces), FLIPPED_TOGETHER)[: len(e)]
+            parts.append(coloured(e, noise, rng))
+        return np.concatenate(parts)
+
+
+def _thinned(rows: NDArray[np.int64], share: float) -> NDArray[np.int64]:
+    """A share of the rows, in stretches that are evenly spaced."""
+    stretch = np.arange(len(rows)) // STRETCH
+    return np.asarray(rows[np.ceil((stretch + 1) * share) > np.ceil(stretch * share)])
+
+
+def _white(lagged: Array, noise: Noise) -> Array:
+    """Whitened rows over the noise's standard deviation."""
+    return np.asarray(np.tensordot(np.concatenate(([1.0], -noise.phi)), lagged, 1) / noise.std)
+
+
+def coloured(white: Array, noise: Noise, rng: np.random.Generator) -> Array:
+    """Noise out of innovations, begun in its steady state."""
+    lead = rng.choice(white[white != 0.0], 500) if np.any(white) else np.zeros(500)
+    return np.asarray(lfilter([1.0], np.concatenate(([1.0], -noise.phi)), np.concatenate((lead, white)))[500:])
+
+
+def _bounded(x: Array, e: Array, low: Array, high: Array) -> Array:
+    normal, right = x.T @ x, x.T @ e
+    ridge = 1e-9 * np.trace(normal) / len(normal) * np.eye(len(normal))
+    free = np.linalg.solve(normal + ridge, right)
+    if np.all((free >= low) & (free <= high)):
+        return free
+    factor = np.linalg.cholesky(normal + ridge)
+    return np.asarray(lsq_linear(factor.T, np.linalg.solve(factor, right), (low, high), method="bvls").x)

@@ -1,0 +1,227 @@
+"""Step 4: what could be seen in these recordings at all, and what could not be told apart, before anything is named."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.base.base import Predicted
+from trackres_ros.diagnosis.inference.fitting import LARGE, Fit, jacobian, valid_rows
+from trackres_ros.effects.effect import Active, Effect
+
+Array = NDArray[np.float64]
+Projector = Callable[[Array], tuple[Array, Array]]
+
+LEAST_KEPT, LEAST_D_PRIME = 0.1, 3.0
+ALIKE_COSINE = 0.95
+ALWAYS_KNOWN = ("speed", "accel", "weight", "distance", "drive_torque", "ambient")
+REPLACED_BY = {"grade": ("grade", "grade_profile")}
+"""Effects that make no sense where a channel is measured."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivity:
+    """What an effect would do to the residual, to first order.
+
+    Attributes
+    ----------
+    effect, start
+        The effect, and the values it is linearised at.
+    amplitudes
+        Names of the parameters of `columns`.
+    columns
+        Change of what is expected per amplitude, of all segments one after the other, shape (n, amplitudes).
+    kept
+        Share of it that no re-fit of the base takes away.
+    d_prime
+        Standard deviations that a typical effect would stand out by.
+    by_priors
+        The part of them that comes from how far it would push the base's parameters out of the ranges of the vehicle file.
+    direction
+        Whitened, without what the base takes, of unit length: for the cosine between two effects.
+    """
+
+    effect: Effect
+    start: Mapping[str, float]
+    amplitudes: tuple[str, ...]
+    columns: Array
+    kept: float
+    d_prime: float
+    by_priors: float
+    direction: Array
+
+
+class Shown(NamedTuple):
+    """How a change of the expected torque shows, see `Sensitivity`."""
+
+    kept: float
+    d_prime: float
+    by_priors: float
+    direction: Array
+
+
+@dataclass(frozen=True, slots=True)
+class NotVisible:
+    """An effect that cannot be seen in these recordings."""
+
+    name: str
+    why: str
+
+
+@dataclass(frozen=True, eq=False)
+class Separability:
+    """What can be seen, and how alike it looks.
+
+    Attributes
+    ----------
+    visible
+        Sensitivities of effects that would stand out; one may stand there several times, from several starts.
+    not_visible
+        The others with the reason; and those that would stand out but for a base that can take up nearly all of it.
+    names, cosines
+        Of the visible ones, and how alike they look, shape (names, names), signed.
+    """
+
+    visible: tuple[Sensitivity, ...]
+    not_visible: tuple[NotVisible, ...]
+    names: tuple[str, ...]
+    cosines: Array  # (names, names), signed
+
+    def alike(self, name: str) -> tuple[str, ...]:
+        """Effects that look the same as one here, itself first."""
+        i = self.names.index(name)
+        return (name, *(other for j, other in enumerate(self.names) if j != i and abs(self.cosines[i, j]) > ALIKE_COSINE))
+
+
+def feasible(effects: Mapping[str, Effect], fit: Fit) -> tuple[list[Effect], list[NotVisible]]:
+    """Effects whose inputs are there, and the others with the reason."""
+    sessions = fit.problem.sessions
+    given = frozenset.intersection(*(s.given for s in sessions))
+    possible, not_visible = [], []
+    for name, effect in effects.items():
+        missing = [need for need in effect.needs if need not in ALWAYS_KNOWN and need not in given]
+        measured = [channel for channel, names in REPLACED_BY.items() if name in names and channel in given]
+        if name in fit.effect_names:
+            continue
+        if name in fit.problem.base.includes:
+            not_visible.append(NotVisible(name, "it is in the model already"))
+            continue
+        if effect.belt_only and not fit.problem.base.has_belt:
+            not_visible.append(NotVisible(name, "there is no belt"))
+        elif missing:
+            not_visible.append(NotVisible(name, f"needs {', '.join(missing)}, which is not recorded"))
+        elif measured:
+            not_visible.append(NotVisible(name, f"{measured[0]} is recorded, and in the model"))
+        else:
+            possible.append(effect)
+    return possible, not_visible
+
+
+def separability(effects: Mapping[str, Effect], fit: Fit) -> Separability:
+    """Linearise all effects about a fit and compare them with what the fit can take up itself, and with each other."""
+    possible, not_visible = feasible(effects, fit)
+    own = base_columns(fit)
+    own_white = _white(own, fit)
+    project = _projector(own_white, fit)
+    visible = []
+    for effect in possible:
+        found = [s for start in starts(effect) if (s := _sensitivity(effect, start, fit, project)) is not None]
+        best = max(found, key=lambda s: s.d_prime, default=None)
+        if best is None:
+            not_visible.append(NotVisible(effect.name, "it does nothing here"))
+        elif LARGE * best.d_prime < LEAST_D_PRIME:
+            size = f"{LARGE:g} times as large as is typical"
+            why = f"one {size} would stand out by {LARGE * best.d_prime:.1f} standard deviations only"
+            not_visible.append(NotVisible(effect.name, why))
+        else:
+            # What the base takes up is hardly seen, and may yet explain better than a base pushed out of its ranges.
+            if best.kept < LEAST_KEPT and LARGE * best.by_priors < LEAST_D_PRIME:
+                why = f"the base's parameters take up {1 - best.kept:.0%} of it"
+                not_visible.append(NotVisible(effect.name, why))
+            visible += found
+    names = tuple(dict.fromkeys(s.effect.name for s in visible))
+    strongest = {name: max((s for s in visible if s.effect.name == name), key=lambda s: s.d_prime) for name in names}
+    directions = np.array([strongest[name].direction for name in names]) if names else np.empty((0, 0))
+    return Separability(tuple(visible), tuple(not_visible), names, directions @ directions.T)
+
+
+def starts(effect: Effect) -> list[dict[str, float]]:
+    """Values to begin at: the typical ones, and each of the further ones by itself."""
+    first = effect.values()
+    return [first, *({**first, q.name: value} for q in effect.parameters for value in q.more_starts)]
+
+
+def base_columns(fit: Fit) -> Array:
+    """Change of what is expected of all segments with each free parameter of the fit, shape (n, parameters)."""
+    return jacobian(lambda point: _expected(fit, fit.problem.predict(*fit.model_at(point))), fit.point, fit.free)
+
+
+def _sensitivity(effect: Effect, start: Mapping[str, float], fit: Fit, project: Projector) -> Sensitivity | None:
+    before = _expected(fit, fit.predicted)
+    off = {**start, **{q.name: q.off for q in effect.parameters if q.off is not None}}
+    amplitudes = [q for q in effect.parameters if q.off is not None]
+    columns = np.empty((len(before), len(amplitudes)))
+    typical = np.zeros(len(before))
+    for i, q in enumerate(amplitudes):
+        assert q.off is not None
+        step = q.start - q.off  # the secant: some effects are far from linear
+        active = [*fit.effects, Active(effect, {**off, q.name: q.off + step})]
+        after = _expected(fit, fit.problem.predict(fit.base_values, active))
+        columns[:, i] = (after - before) / step
+        typical += columns[:, i] * (q.start - q.off)
+    spans = np.array([q.start - q.off for q in amplitudes if q.off is not None])
+    found = [one for series in (typical, *(columns * spans).T) if (one := _shown(series, fit, project)) is not None]
+    if not found:
+        return None
+    best = max(found, key=lambda one: one.d_prime)
+    names = tuple(q.name for q in amplitudes)
+    return Sensitivity(effect, start, names, columns, best.kept, best.d_prime, best.by_priors, best.direction)
+
+
+def _shown(change: Array, fit: Fit, project: Projector) -> Shown | None:
+    """How a change of the expected torque shows; None where it is nothing."""
+    white = _white(change[:, np.newaxis], fit)[:, 0]
+    whole = float(np.linalg.norm(white))
+    if not whole > 1e-9:
+        return None
+    left, pushed = project(white)
+    data, prior = float(np.linalg.norm(left)), float(np.linalg.norm(pushed))
+    rest = float(np.hypot(data, prior))
+    direction = np.concatenate((left, pushed)) / max(rest, 1e-300)
+    return Shown(rest / whole, rest, prior, direction)
+
+
+def _projector(own_white: Array, fit: Fit) -> Projector:
+    """A function that takes out of a whitened series what the fit's own parameters take up.
+
+    It gives what is left of the series, and how far that pushes the parameters from their priors, in standard deviations.
+    """
+    std = np.array([f.std for f in fit.free])
+    scale = np.array([f.scale for f in fit.free])
+    columns = own_white * scale
+    information = columns.T @ columns + np.diag((scale / std) ** 2) + 1e-9 * np.eye(len(scale))
+    factor: Array = np.linalg.inv(information)
+
+    def project(series: Array) -> tuple[Array, Array]:
+        taken = factor @ (columns.T @ series)
+        return np.asarray(series - columns @ taken), np.asarray(taken * scale / std)
+
+    return project
+
+
+def split_rows(rows: Array, fit: Fit) -> list[Array]:
+    """Rows of all segments, taken apart again."""
+    return list(np.split(rows, np.cumsum([len(g.measured) for g in fit.problem.segments])[:-1]))
+
+
+def _expected(fit: Fit, predicted: Sequence[Predicted]) -> Array:
+    return np.concatenate(fit.problem.expected(predicted))
+
+
+def _white(columns: Array, fit: Fit) -> Array:
+    """Whitened columns over the noise's standard deviation, the rows that count."""
+    return valid_rows(fit.problem.white(split_rows(columns, fit), fit.noises))

@@ -1,0 +1,56 @@
+"""What of a diagnosis is a sensor's: corrected where the sensor is read, by its line of the topics file, and nowhere else."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
+from typing import Any
+
+from trackres_ros.diagnosis.writing.yaml_edit import flow
+from trackres_ros.effects.effect import Active, Facts, conditions, together
+from trackres_ros.recording.bindings import TopicBinding
+
+FIGURES = 6
+NOTHING_KNOWN = conditions(Facts(1.0, 1.0, 0.0, 0.0, 1.0, 1, 0.0, 0.0))  # a sensor's error hangs on nothing
+
+
+def sensor_lines(sensors: Sequence[Active], bindings: Mapping[str, TopicBinding], torque_scale: float) -> dict[str, str]:
+    """Lines for the topics file by role, that undo what effects of sensors do.
+
+    Parameters
+    ----------
+    sensors
+        Effects that belong to a sensor.
+    bindings
+        How the recordings were read; the lines stand in place of these.
+    torque_scale
+        Shown over true torque that the vehicle file has besides.
+    """
+    if not sensors:
+        return {}
+    terms = together([active.terms(NOTHING_KNOWN) for active in sensors])
+    speed, torque = (bindings.get(role, TopicBinding()) for role in ("speed", "torque"))
+    gain, offset = terms.sensor_gain, terms.sensor_offset * torque_scale
+    corrected = {
+        "speed": (speed, replace(speed, scale=speed.scale * terms.speed_factor, offset=speed.offset * terms.speed_factor)),
+        "torque": (
+            torque,
+            replace(
+                torque,
+                scale=torque.scale / gain,
+                offset=(torque.offset - offset) / gain,
+                delay_s=torque.delay_s + terms.sensor_delay,
+            ),
+        ),
+    }
+    return {role: f"{role}: {flow(_said(after))}" for role, (before, after) in corrected.items() if after != before}
+
+
+def _said(binding: TopicBinding) -> dict[str, Any]:
+    """What a line says: all that is not as by default."""
+    found = {}
+    for item in fields(TopicBinding):
+        value = getattr(binding, item.name)
+        if value != item.default:
+            found[item.name] = float(f"{value:.{FIGURES}g}") if isinstance(value, float) else value
+    return found

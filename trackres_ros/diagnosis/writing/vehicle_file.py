@@ -1,0 +1,181 @@
+"""What a diagnosis leaves to be driven with: the vehicle file as it was but for what was learned, and the surroundings' file.
+
+The rubber's file and those of effects of the user's own are copied beside it, so that the folder can be moved as a whole.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from trackres_ros.diagnosis.writing.kept import Kept
+from trackres_ros.diagnosis.writing.yaml_edit import Document, flow
+from trackres_ros.effects.effect import Active
+from trackres_ros.errors import InputError
+from trackres_ros.model.belt import heat_capacity
+from trackres_ros.vehicle import Quantity, Vehicle
+from trackres_ros.vehicle.reading import FITTED
+from trackres_ros.vehicle.schema import BELT, CHASSIS, RUBBER, Limits
+from trackres_ros.vehicle.surroundings import SCHEMA
+
+REASON = "re-fitted by trackres diagnose"
+WRITTEN = "Written by trackres diagnose"
+SURROUNDINGS_FILE = "surroundings.yaml"
+FIGURES = 6
+
+Range = tuple[float, float] | None
+
+
+def write_track_vehicle(vehicle: Vehicle, path: Path, kept: Kept, text: str) -> list[Path]:
+    """Write a track vehicle with what was kept, and the surroundings beside it; returns the files that are for use.
+
+    `text` says in comments where they are from.
+    """
+    document = opened(vehicle.source)
+    document.set(("rubber", "file"), _copied(vehicle.rubber_source, path.parent, Path("rubber") / vehicle.rubber_source.name))
+    for key, method in (("hysteresis", vehicle.hysteresis), ("thermal", vehicle.thermal)):
+        document.set(("model", key), method)
+    if kept.values is not None:
+        _set_values(document, vehicle, kept)
+    return finish(document, vehicle.name, vehicle.effects, vehicle.surroundings, path, kept, text)
+
+
+def _set_values(document: Document, vehicle: Vehicle, kept: Kept) -> None:
+    values, q = kept.values or {}, vehicle.parameters
+    for section, name, limits in (
+        ("rubber", "loss_modulus_scale", RUBBER),
+        ("chassis", "bearing_friction", CHASSIS),
+        ("chassis", "drag_coefficient", CHASSIS),
+        ("rubber", "conductivity", RUBBER),
+    ):
+        if name in values:
+            set_quantity(document, (section, name), q[f"{section}.{name}"], values[name], kept.range_of(name), limits[name])
+    capacity = [_heat_capacity(vehicle, scale) for scale in (values["capacity_scale"], *(kept.range_of("capacity_scale") or ()))]
+    path = ("rubber", "heat_capacity")
+    set_quantity(document, path, q[".".join(path)], capacity[0], _range(capacity[1:]), RUBBER["heat_capacity"])
+    for track in vehicle.tracks:
+        belt = ("tracks", track, "belt")
+        for name in ("film_offset", "film_slope"):
+            old = q[".".join((*belt, name))]
+            assert isinstance(old.value, float)
+            film = [old.value * scale for scale in (values["film_scale"], *(kept.range_of("film_scale") or ()))]
+            set_quantity(document, (*belt, name), old, film[0], _range(film[1:]), BELT[name])
+        if "surface_share" in values:
+            old, share = q[".".join((*belt, "surface_share"))], values["surface_share"]
+            set_quantity(document, (*belt, "surface_share"), old, share, kept.range_of("surface_share"), BELT["surface_share"])
+
+
+def _range(pair: Sequence[float]) -> Range:
+    return (min(pair), max(pair)) if pair else None
+
+
+def _heat_capacity(vehicle: Vehicle, scale: float) -> float:
+    """Specific heat capacity of the rubber [J/kg/K] with which the whole belt, cords and all, holds so many times the heat."""
+    share = rubber_share(vehicle)
+    return vehicle.rubber.heat_capacity * (scale - 1.0 + share) / share
+
+
+def rubber_share(vehicle: Vehicle) -> float:
+    """Share of the rubber, without cords, in the heat that a belt holds."""
+    belt, rubber = vehicle.track_of(vehicle.assemblies[0]).belt, vehicle.rubber
+    return float(1.0 - heat_capacity(belt, replace(rubber, heat_capacity=0.0)) / heat_capacity(belt, rubber))
+
+
+def opened(source: Path) -> Document:
+    """A vehicle file to be changed, without the comment that an earlier diagnosis has put on top."""
+    lines = source.read_text(encoding="utf-8").splitlines(keepends=True)
+    comments = next((i for i, line in enumerate(lines) if not line.startswith("#")), len(lines))
+    written = next((i for i in range(comments) if lines[i].startswith(f"# {WRITTEN}")), -1)
+    return Document("".join(lines[written + 1 :]))
+
+
+def set_quantity(document: Document, path: Sequence[str], old: Quantity, value: float, learned: Range, limits: Limits) -> None:
+    """A fitted value with its interval as the range, which is read as +-2 standard deviations; without one the old range."""
+    low, high = (old.low, old.high) if learned is None else learned
+    low, high = (min(max(x, limits.low), limits.high) for x in (low, high))
+    span = [_figures(min(low, value)), _figures(max(high, value))]
+    reason = old.reason if old.reason.startswith(REASON) else f"{REASON}; before it {old.value:g} ({old.flag}): {old.reason}"
+    given = {"value": _figures(value), "range": span, "flag": "A" if learned is None else FITTED, "reason": reason}
+    for key, new in given.items():
+        document.set((*path, key), new)
+
+
+def finish(
+    document: Document, name: str, effects: Sequence[Active], surroundings: Sequence[Active], path: Path, kept: Kept, text: str
+) -> list[Path]:
+    """Write the file of a vehicle of a name, with effects and surroundings that it has already; see `write_track_vehicle`."""
+    added, around = kept.of("vehicle"), [*surroundings, *kept.of("surroundings")]
+    copied = _copied_effects([*effects, *added, *around], path.parent)
+    document.add("effects", {active.effect.name: _values(active) for active in added})
+    files = _files_of([*effects, *added], copied)
+    if files:
+        document.set(("effect_files",), files)
+    edited = document.text()
+    note = "" if edited is not None else "Its comments could not be kept: they stand in the file it was made from.\n"
+    path.write_text(_comment(note + text) + (edited or document.plain()), encoding="utf-8")
+    beside = path.with_name(SURROUNDINGS_FILE)
+    if not around:
+        if beside.is_file() and f"# {WRITTEN}" in beside.read_text(encoding="utf-8"):
+            beside.unlink()  # of an earlier diagnosis: it would be taken for this one's
+        return [path]
+    lines = [f"schema: {SCHEMA}", f"vehicle: {flow(name)}"]
+    files = _files_of(around, copied)
+    lines += [f"effect_files: {flow(files)}"] if files else []
+    lines += ["effects:", *(f"  {active.effect.name}: {flow(_values(active))}" for active in around)]
+    beside.write_text(_comment(text) + "\n".join(lines) + "\n", encoding="utf-8")
+    return [path, beside]
+
+
+def _comment(text: str) -> str:
+    return "".join(f"# {line}\n" for line in text.splitlines())
+
+
+def _values(active: Active) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for q in active.effect.parameters:
+        value = _within(active.values[q.name], q.low, q.high)
+        span = active.ranges.get(q.name)
+        limited = [_within(x, q.low, q.high) for x in span] if span else []
+        found[q.name] = {"value": value, "range": limited} if limited else value
+    return found
+
+
+def _within(value: float, low: float, high: float) -> float:
+    """With few figures, unless that leaves the bounds."""
+    value = min(max(value, low), high)
+    short = _figures(value)
+    return short if low <= short <= high else value
+
+
+def _figures(value: float) -> float:
+    return float(f"{value:.{FIGURES}g}")
+
+
+def _copied_effects(effects: Iterable[Active], folder: Path) -> dict[Path, str]:
+    """Copies the files of effects of the user's own; the name of each copy, relative to the folder."""
+    copies: dict[str, Path] = {}
+    for source in dict.fromkeys(active.effect.source for active in effects if active.effect.source is not None):
+        name, count = source.name, 1
+        while name in copies:
+            count += 1
+            name = f"{source.stem}_{count}{source.suffix}"
+        copies[name] = source
+    return {source: _copied(source, folder, Path("effects") / name) for name, source in copies.items()}
+
+
+def _files_of(effects: Iterable[Active], copied: Mapping[Path, str]) -> list[str]:
+    return list(dict.fromkeys(copied[active.effect.source] for active in effects if active.effect.source is not None))
+
+
+def _copied(source: Path, folder: Path, relative: Path) -> str:
+    target = folder / relative
+    if not (target.exists() and target.samefile(source)):
+        try:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(source, target)
+        except OSError as error:
+            raise InputError(str(target), error.strerror or str(error), f"a place for a copy of {source}") from error
+    return relative.as_posix()

@@ -1,0 +1,1 @@
+"""What a sensor makes of speed or torque; one file each."""

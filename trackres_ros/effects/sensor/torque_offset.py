@@ -1,0 +1,16 @@
+"""The torque sensor has an offset."""
+
+from __future__ import annotations
+
+from trackres_ros.effects.effect import Conditions, Effect, Parameter, Terms, Values
+
+
+class TorqueOffset(Effect):
+    name = "torque_offset"
+    acts_on = "sensor"
+    belongs_to = "sensor"
+    text = "the torque sensor shows a torque where there is none"
+    parameters = (Parameter("offset", "Nm", -2000.0, 2000.0, 150.0, "shown at no torque", off=0.0, of_size=True),)
+
+    def terms(self, at: Conditions, p: Values) -> Terms:  # noqa: ARG002
+        return Terms(sensor_offset=p.offset)

@@ -1,0 +1,1 @@
+"""Effects of site, weather and ground, which are others tomorrow; one file each."""

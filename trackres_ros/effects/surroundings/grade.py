@@ -1,0 +1,17 @@
+"""A slope of the road that is not measured."""
+
+from __future__ import annotations
+
+from trackres_ros.effects.effect import Conditions, Effect, Parameter, Terms, Values
+
+
+class Grade(Effect):
+    name = "grade"
+    acts_on = "torque"
+    belongs_to = "surroundings"
+    text = "the road rises or falls steadily"
+    parameters = (Parameter("grade", "1", -0.3, 0.3, 0.01, "rise over run the way the vehicle points", off=0.0),)
+
+    def terms(self, at: Conditions, p: Values) -> Terms:
+        rise = p.grade / (1.0 + p.grade**2) ** 0.5
+        return Terms(torque=at.weight * at.facts.radius * rise)

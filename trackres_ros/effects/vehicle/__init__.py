@@ -1,0 +1,1 @@
+"""Effects that stay with the vehicle wherever it drives, one file each."""

@@ -1,0 +1,20 @@
+"""Cooling by air off, at rest and with speed."""
+
+from __future__ import annotations
+
+from trackres_ros.effects.effect import Conditions, Effect, Parameter, Terms, Values
+
+
+class Convection(Effect):
+    name = "convection"
+    acts_on = "cooling"
+    belongs_to = "vehicle"  # of where its belts run
+    text = "the air cools the belt more or less than assumed, and otherwise with speed"
+    belt_only = True
+    parameters = (
+        Parameter("offset", "1", 0.3, 3.0, 1.5, "factor on the film coefficient at rest", off=1.0, more_starts=(0.6,)),
+        Parameter("slope", "1", 0.3, 3.0, 1.5, "factor on its growth with speed", off=1.0, more_starts=(0.6,)),
+    )
+
+    def terms(self, at: Conditions, p: Values) -> Terms:  # noqa: ARG002
+        return Terms(film_offset_factor=p.offset, film_slope_factor=p.slope)

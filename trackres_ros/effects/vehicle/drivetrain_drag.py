@@ -1,0 +1,16 @@
+"""A torque the drivetrain takes whatever it transmits."""
+
+from __future__ import annotations
+
+from trackres_ros.effects.effect import Conditions, Effect, Parameter, Terms, Values
+
+
+class DrivetrainDrag(Effect):
+    name = "drivetrain_drag"
+    acts_on = "torque"
+    belongs_to = "vehicle"
+    text = "gears and brakes drag with a constant torque while turning"
+    parameters = (Parameter("drag", "Nm", 0.0, 400.0, 150.0, "at the sprockets", off=0.0, of_size=True),)
+
+    def terms(self, at: Conditions, p: Values) -> Terms:
+        return Terms(torque=p.drag * at.direction)

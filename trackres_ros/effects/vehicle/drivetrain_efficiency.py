@@ -1,0 +1,24 @@
+"""A share of the torque that does not reach the sprockets."""
+
+from __future__ import annotations
+
+import math
+
+from trackres_ros.effects.effect import Conditions, Effect, Parameter, Terms, Values
+
+SMOOTH = 1e-3  # of weight times radius: over it driving turns into braking
+
+
+class DrivetrainEfficiency(Effect):
+    """Measured before the gears: torque/eta where the motor drives, torque x eta where it brakes."""
+
+    name = "drivetrain_efficiency"
+    acts_on = "torque"
+    belongs_to = "vehicle"
+    text = "gears between the measured torque and the sprockets lose a share of it"
+    needs = ("speed", "drive_torque")
+    parameters = (Parameter("efficiency", "1", 0.75, 1.0, 0.92, "of the gears", off=1.0),)
+
+    def terms(self, at: Conditions, p: Values) -> Terms:
+        power = at.drive_torque * at.direction / (SMOOTH * at.facts.weight * at.facts.radius)
+        return Terms(drive_gain=p.efficiency ** -math.tanh(power))

@@ -1,0 +1,23 @@
+"""New rubber softens for good over its first kilometres."""
+
+from __future__ import annotations
+
+import math
+
+from trackres_ros.effects.effect import Conditions, Effect, Parameter, Terms, Values
+
+
+class Mullins(Effect):
+    name = "mullins"
+    acts_on = "heat"
+    belongs_to = "vehicle"
+    text = "a new belt loses more until it has run in, and never again"
+    needs = ("speed", "distance")
+    belt_only = True
+    parameters = (
+        Parameter("excess", "1", 0.0, 0.25, 0.12, "loss of the new belt over that of the run-in one", off=0.0),
+        Parameter("distance", "m", 500.0, 20000.0, 3000.0, "over which it fades", more_starts=(1000.0, 10000.0)),
+    )
+
+    def terms(self, at: Conditions, p: Values) -> Terms:
+        return Terms(loss_factor=1.0 + p.excess * math.exp(-at.distance / p.distance))

@@ -1,0 +1,31 @@
+"""Rubber on the road wheels, or tyres: they lose too, less once they are warm."""
+
+from __future__ import annotations
+
+import math
+
+from trackres_ros.effects.effect import Conditions, Effect, Lag, Parameter, Terms, Values
+
+REFERENCE_DEGC = 20.0
+
+
+class RoadwheelTyres(Effect):
+    name = "roadwheel_tyres"
+    acts_on = "torque"
+    belongs_to = "vehicle"
+    text = "the rubber of wheels or tyres loses with the load, and less once it is warm"
+    needs = ("speed", "weight", "ambient")
+    parameters = (
+        Parameter("torque", "Nm", 0.0, 1000.0, 200.0, "at nominal load and 20 degC", off=0.0, of_size=True, on_tyres=0.01),
+        Parameter("softening", "1/K", 0.005, 0.03, 0.015, "fall of the loss with temperature"),
+        Parameter("rise", "K/(m/s)", 0.0, 4.0, 1.0, "warming with speed"),
+        Parameter("time_constant", "s", 200.0, 4000.0, 1200.0, "of the tyres' temperature", more_starts=(500.0,)),
+    )
+
+    def lag(self, at: Conditions, p: Values) -> Lag:
+        return Lag(at.ambient + p.rise * abs(at.speed), p.time_constant, at.ambient)
+
+    def terms(self, at: Conditions, p: Values) -> Terms:
+        softened = math.exp(-p.softening * (at.own - REFERENCE_DEGC))
+        of_load = (at.weight / at.facts.weight) ** (4.0 / 3.0)
+        return Terms(torque=p.torque * of_load * softened * at.direction)

@@ -1,0 +1,28 @@
+"""Rotating parts that the vehicle file leaves out or counts too high."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import replace
+
+from trackres_ros.effects.effect import Conditions, Effect, Parameter, Terms, Values
+from trackres_ros.units import GRAVITY
+
+
+class RotatingInertia(Effect):
+    name = "rotating_inertia"
+    acts_on = "torque"
+    belongs_to = "vehicle"
+    text = "rotating parts take torque to speed up and give it back"
+    needs = ("speed", "accel")
+    parameters: tuple[Parameter, ...] = (Parameter("factor", "1", -0.1, 0.8, 0.1, "added to the rotating-mass factor", off=0.0),)
+
+    def beside(self, factor: float) -> RotatingInertia:
+        """The same effect for a rotating-mass factor of the vehicle file: both together are no less than 1."""
+        found = copy.copy(self)
+        (q,) = self.parameters
+        found.parameters = (replace(q, low=max(q.low, min(0.0, 1.0 - factor))),)
+        return found
+
+    def terms(self, at: Conditions, p: Values) -> Terms:
+        return Terms(torque=p.factor * at.weight / GRAVITY * at.accel * at.facts.radius)

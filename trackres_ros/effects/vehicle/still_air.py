@@ -1,0 +1,22 @@
+"""A standing belt cools by natural convection and radiation only."""
+
+from __future__ import annotations
+
+import math
+
+from trackres_ros.effects.effect import Conditions, Effect, Parameter, Terms, Values
+
+WALKING_MPS = 1.0
+
+
+class StillAir(Effect):
+    name = "still_air"
+    acts_on = "cooling"
+    belongs_to = "vehicle"  # of where its belts run
+    text = "the belt cools far slower while it stands than the film coefficient says"
+    belt_only = True
+    parameters = (Parameter("share", "1", 0.0, 0.9, 0.7, "of the film coefficient that is missing at rest", off=0.0),)
+
+    def terms(self, at: Conditions, p: Values) -> Terms:
+        left = 1.0 - p.share * math.exp(-((at.speed / WALKING_MPS) ** 2))
+        return Terms(film_offset_factor=left)

@@ -1,0 +1,23 @@
+"""Seals and plain bearings: a friction that is greatest just after they start to slide."""
+
+from __future__ import annotations
+
+import math
+
+from trackres_ros.effects.effect import Conditions, Effect, Parameter, Terms, Values
+
+
+class Stribeck(Effect):
+    name = "stribeck"
+    acts_on = "torque"
+    belongs_to = "vehicle"
+    text = "seals rub with a constant torque, and more at a crawl"
+    parameters = (
+        Parameter("constant", "Nm", 0.0, 300.0, 100.0, "friction at speed", off=0.0, of_size=True),
+        Parameter("breakaway", "Nm", 0.0, 400.0, 100.0, "added at a crawl", off=0.0, of_size=True),
+        Parameter("speed", "m/s", 0.2, 5.0, 1.0, "over which that fades", more_starts=(3.0,)),
+    )
+
+    def terms(self, at: Conditions, p: Values) -> Terms:
+        crawling = math.exp(-((at.speed / p.speed) ** 2))
+        return Terms(torque=(p.constant + p.breakaway * crawling) * at.direction)

@@ -1,0 +1,21 @@
+"""The driving side of the belt is strained by the torque it carries."""
+
+from __future__ import annotations
+
+from trackres_ros.effects.effect import Conditions, Effect, Parameter, Terms, Values
+
+
+class TensionTorque(Effect):
+    """Loss grows with the tension F0 + M/(n R1) over F0, by a share of it."""
+
+    name = "tension_torque"
+    acts_on = "heat"
+    belongs_to = "vehicle"
+    text = "the torque stretches the belt, which then loses more"
+    needs = ("speed", "drive_torque")
+    belt_only = True
+    parameters = (Parameter("share", "1", 0.0, 0.3, 0.1, "growth of the loss over growth of the tension", off=0.0),)
+
+    def terms(self, at: Conditions, p: Values) -> Terms:
+        pull = abs(at.drive_torque) / (at.facts.assemblies * at.facts.radius)
+        return Terms(loss_factor=1.0 + p.share * pull / at.facts.tension)

@@ -1,0 +1,32 @@
+"""Grease and oil in bearings: stiff when cold, at a temperature of their own."""
+
+from __future__ import annotations
+
+import math
+
+from trackres_ros.effects.effect import Conditions, Effect, Lag, Parameter, Terms, Values
+
+REFERENCE_DEGC = 20.0
+
+
+class ViscousBearing(Effect):
+    """c v^(2/3) exp(-b (T_b - 20)): Palmgren's speed-dependent bearing torque with a viscosity that falls with temperature."""
+
+    name = "viscous_bearing"
+    acts_on = "torque"
+    belongs_to = "vehicle"
+    text = "grease in the bearings resists with speed, and less once it is warm"
+    needs = ("speed", "ambient")
+    parameters = (
+        Parameter("coefficient", "Nm/(m/s)^(2/3)", 0.0, 400.0, 54.0, "drag at 20 degC", off=0.0, of_size=True),
+        Parameter("thinning", "1/K", 0.03, 0.07, 0.05, "fall of viscosity with temperature"),
+        Parameter("rise", "K/(m/s)", 0.0, 5.0, 1.5, "warming of the bearing with speed", more_starts=(0.2,)),
+        Parameter("time_constant", "s", 200.0, 4000.0, 1000.0, "of the bearing's temperature"),
+    )
+
+    def lag(self, at: Conditions, p: Values) -> Lag:
+        return Lag(at.ambient + p.rise * abs(at.speed), p.time_constant, at.ambient)
+
+    def terms(self, at: Conditions, p: Values) -> Terms:
+        thinned = math.exp(-p.thinning * (at.own - REFERENCE_DEGC))
+        return Terms(torque=p.coefficient * abs(at.speed) ** (2.0 / 3.0) * thinned * at.direction)

@@ -1,0 +1,29 @@
+"""Gear oil and bearings after a stop, lumped."""
+
+from __future__ import annotations
+
+from trackres_ros.effects.effect import Conditions, Effect, Lag, Parameter, Terms, Values
+
+MOVING_MPS = 0.3
+
+
+class WarmUp(Effect):
+    """c (1 - w): w goes to 1 with one time constant while it drives, and back to 0 with another while it stands."""
+
+    name = "warmup"
+    acts_on = "torque"
+    belongs_to = "vehicle"
+    text = "oil and bearings drag more after a stop, until they are warm"
+    parameters = (
+        Parameter("torque", "Nm", 0.0, 2500.0, 200.0, "when cold", off=0.0, of_size=True, on_tyres=0.01),
+        Parameter("time_constant", "s", 30.0, 1500.0, 300.0, "of warming while driving", more_starts=(100.0, 800.0)),
+        Parameter("cooling", "s", 300.0, 40000.0, 7200.0, "time constant of cooling while standing"),
+    )
+
+    def lag(self, at: Conditions, p: Values) -> Lag:
+        if abs(at.speed) > MOVING_MPS:
+            return Lag(1.0, p.time_constant, 0.0)
+        return Lag(0.0, p.cooling, 0.0)
+
+    def terms(self, at: Conditions, p: Values) -> Terms:
+        return Terms(torque=p.torque * (1.0 - at.own) * at.direction)

@@ -1,0 +1,212 @@
+"""Where each number stands in the arrays that the kernel works on, and what the numbers are called outside."""
+
+from __future__ import annotations
+
+from enum import IntEnum, IntFlag
+
+from trackres_ros.vehicle import Vehicle
+
+# Channels: what can arrive. Loads by axle and assembly and belt temperatures by assembly follow these.
+SPEED, LOAD, TORQUE, AMBIENT, BELT, ACCEL, GRADE, YAW_RATE, HEADING, DISTANCE = range(10)
+CHANNELS = ("speed", "load", "torque", "ambient", "belt", "accel", "grade", "yaw_rate", "heading", "distance")
+
+# Constants of an assembly; those of one KIND differ in nothing but the axle and load shares. INNER_CONDUCTANCE lies between the
+# mean and the surface where these are two nodes, SKIN_CONDUCTANCE between the last node and what a sensor sees, infinite where
+# they are one. From DOUBT_FACTOR on the 4 x 4 factor of its doubt, row by row.
+(
+    AXLE,
+    TABLE,
+    NOMINAL_LOAD,
+    RADIUS,
+    CAPACITY,
+    SURFACE_SHARE,
+    INNER_CONDUCTANCE,
+    SKIN_CONDUCTANCE,
+    AREA,
+    FILM_OFFSET,
+    FILM_SLOPE,
+    FIRST_LOG_LOAD,
+    STEP_LOG_LOAD,
+    KIND,
+    SHARE_OF_AXLE,
+    SHARE_OF_ALL,
+    DOUBT_FACTOR,
+) = range(17)
+LOSS_DOUBT, COOLING_DOUBT, CAPACITY_DOUBT, RADIUS_DOUBT = (DOUBT_FACTOR + 4 * row for row in range(4))
+
+# What an assembly adds to the totals of a step: torques by part, heat and cooling, doubt by the ambient temperature and by
+# noise, the arm of a force on the whole vehicle, what resists without its sign, which assembly it is computed as; from
+# PART_DOUBT on its four causes of doubt.
+(
+    PART_HYSTERESIS,
+    PART_BEARING,
+    PART_WIND,
+    PART_GRADE,
+    PART_INERTIA,
+    PART_HEAT,
+    PART_COOLING,
+    PART_DOUBT_AMBIENT,
+    PART_NOISE,
+    PART_ARM,
+    PART_UNSIGNED,
+    PART_TWIN,
+    PART_DOUBT,
+) = range(13)
+PARTS = PART_DOUBT + 4
+
+# Columns of an assembly's belt state, [K] but the first: temperature, then what each cause of doubt makes of it.
+# Doubt in loss, cooling, capacity and radius is one 4 x 4 factor; the radius moves no temperature and has no column.
+TEMPERATURE, DOUBT_1, DOUBT_2, DOUBT_3, DOUBT_AMBIENT, NOISE_1, NOISE_2 = range(7)
+BELT_COLUMNS = 7
+
+# The motion state: filtered speed and acceleration, their covariance, the quantum seen, and of the last step
+# speed, feed-forward and drive torque; what the feed-forward is on its way to, and whether the vehicle rolls (1) or stands (0);
+# and what of the last drive torque was not the belts' or the effects'.
+(
+    FILTERED_SPEED,
+    FILTERED_ACCEL,
+    COV_SPEED,
+    COV_BOTH,
+    COV_ACCEL,
+    QUANTUM,
+    LAST_SPEED,
+    FEEDFORWARD,
+    LAST_DRIVE,
+    STARTED,
+    FEEDFORWARD_TARGET,
+    ROLLS,
+    LAST_OTHERS,
+) = range(13)
+MOTION_COLUMNS = 13
+START_ANEW = -1.0  # in STARTED: time went back, the next speed starts cold and says so
+
+# What the guards remember of a channel.
+SEEN, LAST_STAMP, LAST_ARRIVAL, SUSPECTS, SUSPECT_STAMP, SUSPECT_ARRIVAL, UNCHANGED_SINCE, FRESH, LAST_REBASE = range(9)
+MEMORY_COLUMNS = 9
+
+
+class Count(IntEnum):
+    """Counters of a channel. A message is counted in exactly one of those up to BACKWARD; the others add remarks."""
+
+    ACCEPTED = 0
+    NON_FINITE = 1
+    OUT_OF_RANGE = 2
+    DUPLICATE = 3
+    LATE = 4
+    FUTURE = 5
+    BACKWARD = 6
+    ZERO_STAMP = 7
+    GAP = 8
+    CLOCK_JUMP = 9
+    RESET = 10
+
+
+REFUSALS = tuple(Count(i) for i in range(Count.NON_FINITE, Count.BACKWARD + 1))
+
+
+class Reason(IntFlag):
+    """Why the status is not plainly good; several may hold."""
+
+    NONE = 0
+    LOAD_HELD = 1 << 0
+    LOAD_NOMINAL = 1 << 1
+    AMBIENT_NOMINAL = 1 << 2
+    SPEED_STUCK = 1 << 3
+    GAP_BRIDGED = 1 << 4
+    GAP_UNKNOWN = 1 << 5
+    CLOCK_JUMPED = 1 << 6
+    TIME_RESET = 1 << 7
+    BELT_UNSURE = 1 << 8
+    BELT_SENSOR_DISAGREES = 1 << 9
+    OUTSIDE_TABLE = 1 << 10
+    FEEDFORWARD_CLAMPED = 1 << 11
+    FEEDFORWARD_RATE_LIMITED = 1 << 12
+    SPEED_QUANTISED = 1 << 13
+    EFFECT_LEFT_OUT = 1 << 14
+    SURROUNDINGS = 1 << 15
+
+
+REASON_TEXT = {
+    Reason.LOAD_HELD: "no fresh load: the last one is used",
+    Reason.LOAD_NOMINAL: "no load: the vehicle file's nominal load is used",
+    Reason.AMBIENT_NOMINAL: "no ambient temperature: the vehicle file's is used",
+    Reason.SPEED_STUCK: "the speed has not changed for long while moving",
+    Reason.GAP_BRIDGED: "a gap in the speed was bridged by a straight line",
+    Reason.GAP_UNKNOWN: "a long gap in the speed: the belt lies between cooling at rest and driving on",
+    Reason.CLOCK_JUMPED: "the stamps jumped against arrival: time was carried on by arrival",
+    Reason.TIME_RESET: "time went back: the estimate was started anew",
+    Reason.BELT_UNSURE: "the belt temperature is uncertain",
+    Reason.BELT_SENSOR_DISAGREES: "the measured belt temperature is far from the estimate and was left out",
+    Reason.OUTSIDE_TABLE: "load or temperature lies outside the range of the model or of the rubber data",
+    Reason.FEEDFORWARD_CLAMPED: "the feed-forward torque is at its limit",
+    Reason.FEEDFORWARD_RATE_LIMITED: "the feed-forward torque follows at its largest rate",
+    Reason.SPEED_QUANTISED: "the speed comes in coarse steps: its acceleration is known only roughly",
+    Reason.EFFECT_LEFT_OUT: "an effect is left out: an input of it is missing, or what it says is no number or beyond all reason",
+    Reason.SURROUNDINGS: "site, weather and ground are taken from the file of the surroundings, not measured",
+}
+# Remarks that go with a fully usable estimate; any other reason makes it a warning.
+HARMLESS = Reason.LOAD_HELD | Reason.FEEDFORWARD_RATE_LIMITED | Reason.GAP_BRIDGED | Reason.SPEED_QUANTISED
+
+# Columns of one row of results for the whole vehicle; those of each assembly follow.
+(
+    OUT_SPEED,
+    OUT_ACCEL,
+    OUT_WEIGHT,
+    OUT_AMBIENT,
+    OUT_RESISTANCE,
+    OUT_HYSTERESIS,
+    OUT_BEARING,
+    OUT_WIND,
+    OUT_GRADE,
+    OUT_INERTIA,
+    OUT_EFFECTS,
+    OUT_DRIVE,
+    OUT_STD,
+    OUT_FEEDFORWARD,
+    OUT_MOTOR,
+    OUT_MEASURED,
+    OUT_RESIDUAL,
+    OUT_HEAT,
+    OUT_COOLING,
+    OUT_REASONS,
+) = range(20)
+VEHICLE_COLUMNS = (
+    "speed_mps",
+    "accel_mps2",
+    "weight_n",
+    "ambient_degc",
+    "resistance_torque_nm",
+    "hysteresis_nm",
+    "bearing_nm",
+    "wind_nm",
+    "grade_nm",
+    "inertia_nm",
+    "effects_nm",
+    "drive_torque_nm",
+    "resistance_std_nm",
+    "feedforward_torque_nm",
+    "motor_torque_nm",
+    "measured_torque_nm",
+    "residual_nm",
+    "heat_w",
+    "cooling_w",
+    "reasons",
+)
+PER_BELT, PER_SURFACE, PER_STD, PER_LOAD, PER_RESISTANCE, PER_HYSTERESIS = range(6)
+ASSEMBLY_COLUMNS = ("belt_degc", "surface_degc", "belt_std_k", "load_n", "resistance_torque_nm", "hysteresis_nm")
+
+
+def channels(vehicle: Vehicle) -> tuple[str, ...]:
+    """Names of all channels of a vehicle, in the order of their indices."""
+    axles, assemblies = [a.name for a in vehicle.axles], [a.name for a in vehicle.assemblies]
+    return (
+        *CHANNELS,
+        *(f"load/{name}" for name in axles),
+        *(f"load/{name}" for name in assemblies),
+        *(f"belt/{name}" for name in assemblies),
+    )
+
+
+def columns(vehicle: Vehicle) -> tuple[str, ...]:
+    """Names of the columns of one row of results; those of an assembly end in its name."""
+    return (*VEHICLE_COLUMNS, *(f"{name}/{a.name}" for a in vehicle.assemblies for name in ASSEMBLY_COLUMNS))

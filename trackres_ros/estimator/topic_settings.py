@@ -1,0 +1,52 @@
+"""What a topics file says of the estimator's settings: age limits, and the belt sensor."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from trackres_ros.errors import InputError
+from trackres_ros.estimator.settings import Settings
+from trackres_ros.recording.bindings import Topics
+from trackres_ros.recording.recording import base_role
+
+AGE_LIMITS = {
+    "speed": "speed_max_age_s",
+    "load": "load_hold_s",
+    "ambient": "ambient_hold_s",
+    "accel": "motion_hold_s",
+    "grade": "motion_hold_s",
+    "torque": "torque_hold_s",
+}
+"""The setting that `max_age_s` of a role means; the smallest counts where several share one."""
+
+
+def settings_for(settings: Settings, topics: Topics | None) -> Settings:
+    """Settings with what a topics file says.
+
+    Raises
+    ------
+    InputError
+        For an age limit out of range, one on a role that has none, or belts with different sensors.
+    """
+    if topics is None:
+        return settings
+    changes: dict[str, Any] = {}
+    for role in topics:
+        limit = topics[role].max_age_s
+        if limit is None:
+            continue
+        name = AGE_LIMITS.get(base_role(role))
+        if name is None:
+            raise InputError(f"{topics.origin}: {role}: max_age_s", limit, f"an age limit on {', '.join(AGE_LIMITS)}")
+        changes[name] = min(limit, changes.get(name, limit))
+    belts = [topics[role] for role in topics if base_role(role) == "belt"]
+    if belts:
+        kinds = {(belt.sensor, belt.std_k) for belt in belts}
+        if len(kinds) > 1:
+            raise InputError(f"{topics.origin}: belt", sorted(kinds), "one sensor and std_k for all belts")
+        changes.update(belt_sensor=belts[0].sensor, belt_measured_std_k=belts[0].std_k)
+    try:
+        return replace(settings, **changes)
+    except InputError as error:
+        raise InputError(f"{topics.origin}: max_age_s: {error.where}", error.given, error.allowed, error.remedy) from None

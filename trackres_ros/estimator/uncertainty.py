@@ -1,0 +1,105 @@
+"""How far the plausible ranges of the vehicle file let loss, cooling, heat capacity and sprocket radius be off."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.errors import InputError
+from trackres_ros.files.cached_arrays import cached_arrays
+from trackres_ros.model import belt as belt_model
+from trackres_ros.model.hysteresis import Spectral
+from trackres_ros.model.loss_table import fingerprint
+from trackres_ros.model.rubber import RubberModel
+from trackres_ros.model.thermal import film_coefficient, thermal_network
+from trackres_ros.model.track import load_range
+from trackres_ros.vehicle import Vehicle, variants
+from trackres_ros.vehicle.reading import FITTED
+
+Array = NDArray[np.float64]
+
+STEP = 0.1  # of a standard deviation, for the differences
+REFERENCE_BELT_DEGC = (10.0, 60.0)
+REFERENCE_SPEED_SHARE = 0.5  # of the greatest speed
+HARMONICS = 512
+LOSS, CAPACITY = "rubber.loss_modulus_scale", "rubber.heat_capacity"  # factors of the whole that a fit finds; and the film
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterUncertainty:
+    """Lower factor, shape (4, 4), of the covariance of ln loss, ln cooling, ln heat capacity and ln sprocket radius."""
+
+    factor: Array
+
+    @property
+    def relative(self) -> Array:
+        """Standard deviations of the four logarithms, shape (4,)."""
+        return np.asarray(np.sqrt((self.factor**2).sum(axis=1)))
+
+
+def spread(vehicle: Vehicle, track_name: str, cache: Path | None = None) -> ParameterUncertainty:
+    """Propagate every range of the file to first order; parameters are taken as independent of each other.
+
+    Notes
+    -----
+    A wider belt loses more, cools better and holds more heat: such ties are what the covariance keeps.
+
+    Where a factor of the whole was fitted to recordings, its own range says how well the whole is known, and other ranges say
+    nothing more about it: what they may be off by, the factor has made good. The torque was measured at the sprockets, so with
+    the loss their radius is known too. Film offset and slope are fitted by one factor, and are off together.
+    """
+    ranges = {path: (q.low, q.high, q.flag == FITTED) for path, q in vehicle.parameters.items()}
+    key = hashlib.sha256(
+        json.dumps(
+            [fingerprint(vehicle, track_name), ranges, vehicle.chassis.max_speed, vehicle.thermal], sort_keys=True
+        ).encode()
+    ).hexdigest()[:32]
+    arrays = cached_arrays(f"spread-{key}", {"factor": (4, 4)}, lambda: {"factor": _factor(vehicle, track_name)}, cache)
+    return ParameterUncertainty(arrays["factor"])
+
+
+def _factor(vehicle: Vehicle, track_name: str) -> Array:
+    base = _logarithms(vehicle, track_name)
+    variant = variants(vehicle)
+    rows: dict[str, Array] = {}
+    for path, quantity in vehicle.parameters.items():
+        if not path.startswith(("rubber.", f"tracks.{track_name}.")) or isinstance(quantity.value, tuple):
+            continue
+        if quantity.standard_deviation == 0.0:
+            continue
+        for sign in (1.0, -1.0):
+            step = sign * STEP * quantity.standard_deviation
+            try:
+                moved = variant({path: quantity.value + step})
+            except InputError:  # the geometry allows no such step; the other way it does
+                continue
+            rows[path] = (_logarithms(moved, track_name) - base) / (sign * STEP)
+            break
+    belt = f"tracks.{track_name}.belt"
+    for fitted, columns in ((LOSS, (0, 3)), (f"{belt}.film_offset", (1,)), (CAPACITY, (2,))):
+        if vehicle.parameters[fitted].flag == FITTED:
+            for path in rows:
+                if path != fitted and not (path == f"{belt}.film_slope" and columns == (1,)):
+                    rows[path][list(columns)] = 0.0
+    offset, slope = rows.get(f"{belt}.film_offset"), rows.get(f"{belt}.film_slope")
+    if offset is not None and slope is not None and vehicle.parameters[f"{belt}.film_offset"].flag == FITTED:
+        offset += rows.pop(f"{belt}.film_slope")
+    slopes = np.array(list(rows.values())).reshape(-1, 4)
+    covariance = slopes.T @ slopes + np.diag(np.full(4, 1e-12))
+    return np.asarray(np.linalg.cholesky(covariance))
+
+
+def _logarithms(vehicle: Vehicle, track_name: str) -> Array:
+    track, rubber = vehicle.tracks[track_name], RubberModel(vehicle.rubber)
+    speed = REFERENCE_SPEED_SHARE * vehicle.chassis.max_speed
+    nominal = load_range(vehicle, track_name).nominal
+    loss = Spectral(track, rubber, HARMONICS).loss_force(speed, np.array(REFERENCE_BELT_DEGC), nominal).total
+    network = thermal_network(vehicle.thermal, track.belt, vehicle.rubber)
+    cooling = network.area * film_coefficient(speed, network.film_offset, network.film_slope)
+    capacity = belt_model.heat_capacity(track.belt, vehicle.rubber)
+    return np.array([np.log(loss).mean(), np.log(cooling), np.log(capacity), np.log(track.sprocket_radius)])

@@ -1,0 +1,1 @@
+"""Is it right? Sealed drives, real recordings, the paper's test and figures, and a loop with a controller in; pages out."""

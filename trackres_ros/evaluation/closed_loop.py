@@ -1,0 +1,128 @@
+"""The loop closed: a vehicle file that a diagnosis left, replayed on a drive that the diagnosis never saw."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis import Diagnosis, diagnose, load_base, read_recordings
+from trackres_ros.evaluation.sealed.cases import Case
+from trackres_ros.evaluation.sealed.generate import make_case
+from trackres_ros.evaluation.sealed.truth import Hidden
+from trackres_ros.output.plots import BLACK, BLUE, GREY, VERMILION, picture
+
+Array = NDArray[np.float64]
+
+MINUTES = 15.0
+SMOOTHED_S = 10.0
+TURNS_M = 0.005  # curvature [1/m]
+HIDDEN = {"warmup": {"torque": 600.0, "seconds": 400.0}, "turning_scrub": {"friction": 0.6}}
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedLoop:
+    """A drive kept back: time [s], measured torque less inertia [Nm], and the feed-forward without and with what was found."""
+
+    sentence: str
+    time: Array
+    torque: Array
+    before: Array
+    after: Array
+    turning: NDArray[np.bool_]
+
+    def error(self, feedforward: Array, where: NDArray[np.bool_]) -> float:
+        """Mean size of what the feed-forward leaves to the controller [Nm]."""
+        return float(np.abs(_smooth(self.torque - feedforward))[where & np.isfinite(self.torque)].mean())
+
+
+@dataclass(frozen=True, eq=False)
+class DiagnosisFiles:
+    """Vehicle files before and after a diagnosis, a drive that it never saw, and what it found."""
+
+    before: Path
+    after: Path
+    kept_back: Path
+    found: Diagnosis
+
+
+def left_by_diagnosis(folder: Path, hidden: Hidden, minutes: float, kept_back: int, seed: int) -> DiagnosisFiles:
+    """Drive three times with effects hidden, diagnose two, and keep one back by its index."""
+    for sub in ("cases", "sealed"):
+        (folder / sub).mkdir(parents=True, exist_ok=True)
+    case = Case("loop", "single", {name: dict(values) for name, values in hidden.items()}, {}, False, False, False, True, seed)
+    make_case((folder, case, minutes))
+    before, after = folder / "cases" / "loop" / "vehicle.yaml", folder / "after.yaml"
+    paths = sorted(before.parent.glob("drive_*.csv"))
+    last = paths.pop(kept_back)
+    loaded = load_base(before)
+    found = diagnose(read_recordings(paths, None), loaded)
+    loaded.base.write(after, found.kept, found.verdict.sentence)
+    return DiagnosisFiles(before, after, last, found)
+
+
+def close_loop(folder: Path, seed: int = 5) -> ClosedLoop:
+    """Replay a drive that was kept back, with the vehicle file before and after the others were diagnosed."""
+    left = left_by_diagnosis(folder, HIDDEN, MINUTES, -1, seed)
+    before, after, last, found = left.before, left.after, left.kept_back, left.found
+    drive = np.genfromtxt(last, delimiter=",", names=True)
+    rows = [_replayed(last, vehicle, folder / f"{name}.csv") for name, vehicle in (("before", before), ("after", after))]
+    time = drive["time_s"] - drive["time_s"][0]
+    without, with_found = (np.interp(time, row["time_s"] - row["time_s"][0], row["feedforward_torque_nm"]) for row in rows)
+    inertia = np.interp(time, rows[0]["time_s"] - rows[0]["time_s"][0], rows[0]["inertia_nm"])
+    moving = drive["speed_mps"] > 0.5
+    torque = np.where(moving, drive["torque_nm"] - inertia, np.nan)
+    turning = np.abs(drive["yaw_rate_radps"]) > TURNS_M * np.maximum(drive["speed_mps"], 0.5)
+    return ClosedLoop(found.verdict.sentence, time, torque, without, with_found, turning)
+
+
+def _replayed(recording: Path, vehicle: Path, out: Path) -> NDArray[np.void]:
+    command = [sys.executable, "-m", "trackres_ros", "replay", recording, "--vehicle", vehicle, "-o", out]
+    subprocess.run(list(map(str, command)), check=True, capture_output=True)
+    return np.genfromtxt(out, delimiter=",", names=True)
+
+
+def _smooth(series: Array) -> Array:
+    """Mean over `SMOOTHED_S` of samples at 10 Hz: what the acceleration's own noise adds is no error of the feed-forward."""
+    n = int(SMOOTHED_S * 10.0)
+    known = np.isfinite(series)
+    count = np.convolve(known.astype(float), np.ones(n), mode="same")
+    return np.asarray(np.convolve(np.where(known, series, 0.0), np.ones(n), mode="same") / np.maximum(count, 1.0))
+
+
+def draw(closed: ClosedLoop, path: Path) -> None:
+    """Measured torque and both feed-forwards over time."""
+    with picture(path, 8.0, 3.4) as figure:
+        axes = figure.subplots()
+        minutes = closed.time / 60.0
+        axes.plot(
+            minutes,
+            np.where(np.isfinite(closed.torque), _smooth(closed.torque), np.nan),
+            color=GREY,
+            label="measured, less inertia",
+        )
+        axes.plot(minutes, closed.before, color=VERMILION, label="feed-forward with the vehicle file as it was")
+        axes.plot(minutes, closed.after, color=BLUE, label="with the one that the diagnosis left")
+        axes.set_xlabel("time [min]", color=BLACK)
+        axes.set_ylabel("torque [Nm]")
+        axes.set_ylim(0.0, 1.4 * float(np.nanpercentile(_smooth(closed.torque), 99.0)))
+        axes.legend(loc="upper right")
+
+
+def page(closed: ClosedLoop, name: str) -> str:
+    """The numbers, with the picture of a name."""
+    everywhere, cold = np.isfinite(closed.torque), closed.time < 300.0
+    rows = (
+        ("the whole drive", everywhere),
+        ("the first five minutes", cold),
+        ("bends", closed.turning),
+        ("straights", ~closed.turning),
+    )
+    lines = [f"The diagnosis of two drives: {closed.sentence}", "", f"![A third drive, which it never saw.]({name})", ""]
+    lines += ["| Of a third drive | Mean error before [Nm] | After [Nm] |", "|---|---|---|"]
+    lines += [f"| {what} | {closed.error(closed.before, at):.0f} | {closed.error(closed.after, at):.0f} |" for what, at in rows]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,193 @@
+"""Page and pictures of the diagnosis on real recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import spearmanr
+
+from trackres_ros.diagnosis.findings.locate import evenly_filled
+from trackres_ros.diagnosis.inference.fitting import Fit
+from trackres_ros.diagnosis.selection.intervals import NORMAL_95
+from trackres_ros.evaluation.field.run import COLD_AFTER_H, COLD_S, FieldTrial, RepeatedRoute, Start, acts_early, starts, twice
+from trackres_ros.output.plots import BLUE, GREY, ORANGE, VERMILION, picture
+from trackres_ros.text.numbers import decimals
+
+Array = NDArray[np.float64]
+
+EARLY_S, BIN_S = 900.0, 60.0
+YAW_BINS = 16
+LEAST_SHOWN_H = 0.03  # on an axis of logarithms, for a trip that began as the one before ended
+SIGNIFICANT = 0.05
+SETTLED_STD = 0.5  # of a start state: less sure, and it says nothing
+
+
+def write_page(data: Path, tried: Sequence[FieldTrial], folder: Path, of_pictures: str = "") -> str:
+    """Draw the pictures into a folder and give the page, whose links to them begin with `of_pictures`."""
+    winter = tried[0]
+    route = next(t for t in tried if "twice" in t.what)
+    grass = next(t for t in tried if "yaw_rate" in t.found.sessions[0].given)
+    begun, repeated = starts(data, winter), twice(route)
+    _draw_starts(folder / "starts.png", winter, begun)
+    _draw_twice(folder / "twice.png", route, repeated)
+    _draw_turning(folder / "turning.png", grass)
+    lines = [
+        "| Recordings | Concealed | Said | Mean error on held-out laps, re-fitted and with effects [Nm] | Judged |",
+        "|---|---|---|---|---|",
+    ]
+    for t in tried:
+        said = "; ".join(" or ".join(members) for members in t.named) or t.found.verdict.status
+        mae = t.found.held_out.mae
+        lines.append(f"| {t.what} | {t.hidden} | {said} | {mae['refitted']:.3g}, {mae['with_effects']:.3g} | {t.judged} |")
+    lines += ["", "What it said, word for word:", ""]
+    lines += [f"- {t.what}, without {t.hidden}: {t.found.verdict.sentence}" for t in tried]
+    lines += ["", "## The car's starts, unsealed", "", *_starts(begun), _where(tried[1], begun), ""]
+    lines += [
+        f"![Torque that the re-fitted base lacks over the time since the start, and start states.]({of_pictures}starts.png)",
+        "",
+    ]
+    lines += ["## A route driven twice", "", *_twice(route, repeated), ""]
+    lines += [f"![Residuals of both drives and the slope over the distance.]({of_pictures}twice.png)", ""]
+    lines += ["## Turning on wet grass", ""]
+    lines += [f"![Measured and expected torque over the yaw rate.]({of_pictures}turning.png)"]
+    return "\n".join(lines) + "\n"
+
+
+def _starts(begun: Sequence[Start]) -> list[str]:
+    lines = [
+        "The start state of each trip is fitted to that trip alone, with what was named: 0 as warm as after a long drive, 1 as "
+        "cold as the common fit has every trip begin, for it knows neither standing time nor air.",
+        "",
+        "| Trip | Stood [h] | Ambient [degC] | Lacks in the first three minutes [Nm] | Start state |",
+        "|---|---|---|---|---|",
+    ]
+    lines += [
+        f"| {s.trip} | {s.stood_h:.1f} | {s.ambient:g} | {decimals(s.lacks)} | {decimals(s.state, 2)} +- {decimals(s.std, 2)} |"
+        for s in sorted(begun, key=lambda s: -s.stood_h)
+    ]
+    lacks = np.array([s.lacks for s in begun])
+    state, weight = np.array([s.state for s in begun]), np.array([s.std for s in begun]) ** -2.0
+    cold = np.array([s.cold for s in begun])
+    of_mean = (
+        f"After a night or a day ({COLD_AFTER_H:g} h and more) the first three minutes lack {np.nanmean(lacks[cold]):.0f} Nm, "
+        f"after a short stop {np.nanmean(lacks[~cold]):.0f} Nm."
+    )
+    if not np.isfinite(state).all():
+        return [*lines, "", f"{of_mean} Nothing that warms up was named, so there are no start states."]
+    means = [float(np.average(state[at], weights=weight[at])) for at in (cold, ~cold)]
+    doubts = [float(weight[at].sum() ** -0.5) for at in (cold, ~cold)]
+    return [
+        *lines,
+        "",
+        f"{of_mean} The start states are {means[0]:.2f} +- {doubts[0]:.2f} and "
+        f"{means[1]:.2f} +- {doubts[1]:.2f} (one standard deviation of their weighted means). {_ranks(begun)}",
+    ]
+
+
+def _where(known: FieldTrial, begun: Sequence[Start]) -> str:
+    """Where what was named acts, once the standing time is known."""
+    early = np.array([acts_early(known, i) for i in range(len(begun))])
+    cold = np.array([s.cold for s in begun])
+    return (
+        f"Given the clock, and so the standing time, but not the ambient temperature, what is named acts for "
+        f"{early[cold].mean():.0f} of the first {COLD_S:.0f} s of trips after a night or a day, and for "
+        f"{early[~cold].mean():.0f} s of those after a short stop."
+    )
+
+
+def _ranks(begun: Sequence[Start]) -> str:
+    sure = [s for s in begun if s.std < SETTLED_STD]
+    if len(sure) < 4:
+        return "Too few of them are sure enough to be ranked."
+    stood = spearmanr([s.stood_h for s in sure], [s.state for s in sure])
+    ambient = spearmanr([s.ambient for s in sure], [s.state for s in sure])
+    follow = stood.pvalue < SIGNIFICANT and stood.statistic > 0.0
+    return (
+        f"Rank correlation of the {len(sure)} that are sure to {SETTLED_STD:g} with the time it stood {stood.statistic:.2f} "
+        f"(p = {stood.pvalue:.2g}), with the ambient temperature {ambient.statistic:.2f} (p = {ambient.pvalue:.2g}): "
+        + (
+            "the start states follow the standing time."
+            if follow
+            else "the start states do not follow the standing time, trip by trip."
+        )
+    )
+
+
+def _twice(route: FieldTrial, repeated: RepeatedRoute) -> list[str]:
+    return [
+        f"The residuals of both drives repeat over distance with a correlation of {repeated.repeats:.2f}, and follow the "
+        f"concealed slope with {repeated.follows_slope:.2f}: locked to position, which is not yet grade. "
+        + ("Grade was not named." if route.judged == "right" else "And yet something was named.")
+    ]
+
+
+def _over_time(fit: Fit, sessions: Sequence[int]) -> tuple[Array, Array]:
+    """Mean residual of sessions over the time since their start."""
+    time, left = [], []
+    for i in sessions:
+        session = fit.problem.sessions[i]
+        at = session.used & (session.time < EARLY_S)
+        time.append(session.time[at])
+        left.append(fit.residuals[i][at])
+    place = (np.concatenate(time) / BIN_S).astype(int)
+    count = np.bincount(place, minlength=int(EARLY_S / BIN_S))
+    means = np.bincount(place, np.concatenate(left), minlength=int(EARLY_S / BIN_S)) / np.maximum(count, 1)
+    return np.asarray((np.arange(len(means)) + 0.5) * BIN_S / 60.0), np.where(count > 0, means, np.nan)
+
+
+def _draw_starts(path: Path, winter: FieldTrial, begun: Sequence[Start]) -> None:
+    cold = [i for i, s in enumerate(begun) if s.cold]
+    warm = [i for i, s in enumerate(begun) if not s.cold]
+    with picture(path, 9.0, 3.4) as figure:
+        left, right = figure.subplots(1, 2)
+        for of, colour, what in ((cold, BLUE, "a night or a day"), (warm, ORANGE, "a short stop")):
+            left.plot(*_over_time(winter.found.refitted, of), color=colour, label=f"after {what}: re-fitted base")
+            left.plot(*_over_time(winter.found.final, of), color=colour, linestyle=":", label="with what was named")
+        left.axhline(0.0, color=GREY, linewidth=0.8)
+        left.set_xlabel("time since start [min]")
+        left.set_ylabel("measured less expected torque [Nm]")
+        left.legend()
+        for s in begun:
+            colour = BLUE if s.cold else ORANGE
+            right.errorbar(
+                max(s.stood_h, LEAST_SHOWN_H), s.state, yerr=NORMAL_95 * s.std, fmt="o", markersize=4, color=colour, linewidth=1.0
+            )
+        right.set_xscale("log")
+        right.set_xlabel("time it had stood [h]")
+        right.set_ylabel("start state, 0 warm, 1 cold (95 %)")
+
+
+def _draw_twice(path: Path, route: FieldTrial, repeated: RepeatedRoute) -> None:
+    with picture(path, 9.0, 3.8) as figure:
+        upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+        for session, residual, colour in zip(route.found.sessions, repeated.residuals, (BLUE, ORANGE), strict=True):
+            upper.plot(repeated.distance / 1000.0, residual, color=colour, label=Path(session.name).stem)
+        upper.set_ylabel("measured less expected\ntorque [Nm]")
+        upper.legend(ncols=2)
+        lower.plot(repeated.distance / 1000.0, 100.0 * repeated.slope, color=GREY)
+        lower.set_ylabel("slope [%]\n(concealed)")
+        lower.set_xlabel("distance [km]")
+
+
+def _draw_turning(path: Path, grass: FieldTrial) -> None:
+    rows: list[tuple[Array, Array, Array, Array]] = []
+    f = grass.found
+    for session, base, final in zip(f.sessions, f.refitted.predicted, f.final.predicted, strict=True):
+        at, way = session.used, np.sign(session.speed)
+        resists = [way * torque for torque in (session.torque, base.torque, final.torque)]
+        rows.append((np.abs(session.yaw_rate)[at], resists[0][at], resists[1][at], resists[2][at]))
+    yaw, *torques = (np.concatenate(column) for column in zip(*rows, strict=True))
+    _, place = evenly_filled(yaw, YAW_BINS)
+    count = np.bincount(place)
+    middle = np.bincount(place, yaw) / count
+    with picture(path, 6.0, 3.4) as figure:
+        axes = figure.subplots()
+        labels = ("measured", "re-fitted base", "with what was named")
+        for torque, colour, label in zip(torques, (GREY, BLUE, VERMILION), labels, strict=True):
+            axes.plot(middle, np.bincount(place, torque) / count, color=colour, marker="o", markersize=3, label=label)
+        axes.set_xlabel("yaw rate, size [rad/s]")
+        axes.set_ylabel("torque against travel, mean [Nm]")
+        axes.legend()

@@ -1,0 +1,204 @@
+"""The diagnosis on real recordings with a measured channel concealed, and again with it given."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis import Diagnosis, diagnose, load_base, read_recordings
+from trackres_ros.diagnosis.inference.noise import whitened
+from trackres_ros.errors import InputError
+from trackres_ros.evaluation.field.data import car, robot, trips
+
+Array = NDArray[np.float64]
+
+WARM = frozenset({"warmup", "roadwheel_tyres", "viscous_bearing"})
+UPHILL = frozenset({"grade", "grade_profile"})
+TURNING = frozenset({"turning_scrub", "cornering"})
+AIR = "ambient temperature"
+NOTHING: frozenset[str] = frozenset()
+HILLY = ("TripA06", "TripA07", "TripA11", "TripA12")
+TWICE = ("TripB16", "TripB17")
+COLD_S = 180.0
+COLD_AFTER_H = 5.0
+EVERY_M, SMOOTHED = 50.0, 5
+WARM_PERCENTILE = 5.0  # of what an effect adds over all trips: what it adds when warm
+
+
+@dataclass(frozen=True, eq=False)
+class FieldTrial:
+    """One trial.
+
+    Attributes
+    ----------
+    what, hidden
+        The recordings in words, and what was concealed.
+    wanted
+        Effects one of which ought to be named; empty where nothing ought to.
+    never
+        Effects that must not be named: what was given, or cannot be.
+    found
+        The diagnosis.
+    """
+
+    what: str
+    hidden: str
+    wanted: frozenset[str]
+    never: frozenset[str]
+    found: Diagnosis
+
+    @property
+    def named(self) -> tuple[tuple[str, ...], ...]:
+        """Classes it stands by."""
+        spoke = self.found.verdict.status in ("named", "one_of")
+        return tuple(f.step.members for f in self.found.found) if spoke else ()
+
+    @property
+    def judged(self) -> str:
+        """Right, wrong, or silent where it ought to have spoken."""
+        names = {name for members in self.named for name in members}
+        firsts = {members[0] for members in self.named}
+        if firsts & self.never:
+            return "wrong"
+        if self.wanted:
+            return "right" if names & self.wanted else ("wrong" if names else "silent")
+        return "wrong" if names else "right"
+
+
+def try_all(data: Path, folder: Path) -> list[FieldTrial]:
+    """Diagnose everything; the tables go to `folder`.
+
+    Raises
+    ------
+    InputError
+        If the recordings are not there.
+    """
+    if not (data / "bmw_i3" / "trips.csv").is_file():
+        raise InputError("--data", str(data), "a folder with bmw_i3/trips.csv and its trips, and husky_warthog")
+    winter, warm = [n for n in trips(data) if n.startswith("TripB")], [n for n in trips(data) if n.startswith("TripA1")]
+    known, unknown = folder / "clock", folder / "no_clock"
+
+    def of_car(names: Sequence[str], hide: Sequence[str], clock: bool = True) -> Diagnosis:
+        paths = [car(data, name, known if clock else unknown, clock) for name in names]
+        return diagnose(read_recordings(paths, None), load_base("bmw_i3"), hide=hide)
+
+    def of_robot(name: str, hide: Sequence[str] = ()) -> Diagnosis:
+        return diagnose(read_recordings([robot(data, name, folder)], None), load_base("husky"), hide=hide)
+
+    return [
+        FieldTrial(
+            "car, 11 winter trips, cold and warm", AIR + ", standing time", WARM, UPHILL, of_car(winter, ["ambient"], False)
+        ),
+        FieldTrial("the same", AIR, WARM, UPHILL, of_car(winter, ["ambient"])),
+        FieldTrial("car, 10 summer trips", "nothing", NOTHING, UPHILL, of_car(warm, [])),
+        FieldTrial("car, hilly trips A06, A07, A11, A12", "elevation", UPHILL, NOTHING, of_car(HILLY, ["grade"])),
+        FieldTrial("the same", "nothing", NOTHING, UPHILL, of_car(HILLY, [])),
+        FieldTrial("car, one route twice, B16 and B17", "elevation", NOTHING, UPHILL, of_car(TWICE, ["grade"])),
+        FieldTrial("robot on wet grass", "yaw rate", NOTHING, TURNING, of_robot("husky_wetgrass", ["yaw_rate"])),
+        FieldTrial("the same", "nothing that the base has", TURNING, NOTHING, of_robot("husky_wetgrass")),
+        FieldTrial("robot, wheels off the ground", "nothing", NOTHING, TURNING, of_robot("husky_avide2")),
+    ]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Start:
+    """How one trip began, and what was concealed of it.
+
+    Attributes
+    ----------
+    lacks
+        Torque that the base, re-fitted to all trips, lacks in the first three minutes [Nm]; nan where nothing there
+        can be compared.
+    state, std
+        Start state fitted to this trip alone, with its standard deviation: 0 as warm as after a long drive, 1 as cold as a
+        trip on average; nan where nothing that warms up was named.
+    """
+
+    trip: str
+    stood_h: float
+    ambient: float
+    lacks: float
+    state: float
+    std: float
+
+    @property
+    def cold(self) -> bool:
+        """Whether it had stood for a night or a day."""
+        return self.stood_h > COLD_AFTER_H
+
+
+def starts(data: Path, tried: FieldTrial) -> list[Start]:
+    """Standing time and ambient temperature, unsealed, beside what each trip's beginning lacked and how cold it seems."""
+    rows, found = trips(data), []
+    for i, session in enumerate(tried.found.sessions):
+        row, early = rows[Path(session.name).stem], session.used & (session.time < COLD_S)
+        stood = float(row["hours_since_previous_trip_ended"] or "nan")
+        lacks = float(tried.found.refitted.residuals[i][early].mean()) if early.any() else float("nan")
+        found.append(Start(row["trip"], stood, float(row["ambient_degc"]), lacks, *start_state(tried, i)))
+    return found
+
+
+def start_state(tried: FieldTrial, index: int) -> tuple[float, float]:
+    """Of one trip: by how much what the effect adds to it over a warm drive has to be scaled, by weighted least squares."""
+    warms = next((f for f in tried.found.found if set(f.step.members) & WARM), None)
+    if warms is None:
+        return float("nan"), float("nan")
+    final, session = tried.found.final, tried.found.sessions[index]
+    warm = float(np.percentile(np.concatenate(warms.adds), WARM_PERCENTILE))
+    cold = warms.adds[index] - warm
+    left = final.residuals[index] + cold
+    noise = tried.found.noise
+    white = whitened(np.column_stack((left, cold)), session.used, noise.phi) / noise.std
+    y, x = white[np.isfinite(white).all(axis=1)].T
+    return float(x @ y / (x @ x)), float(1.0 / np.sqrt(x @ x))
+
+
+def acts_early(tried: FieldTrial, index: int) -> float:
+    """For how long what was named first acts in the first `COLD_S` of one recording [s]."""
+    name = tried.found.sessions[index].name
+    spans = tried.found.found[0].where if tried.found.found else ()
+    return sum(max(0.0, min(s.end, COLD_S) - s.begin) for s in spans if s.recording == name)
+
+
+@dataclass(frozen=True, eq=False)
+class RepeatedRoute:
+    """Residuals of two drives of one route and the slope by the elevation, each [Nm] and [1] over distance [m], and the
+    correlation of the residuals with each other and with the slope.
+    """
+
+    distance: Array
+    residuals: Array  # (2, n)
+    slope: Array
+    repeats: float
+    follows_slope: float
+
+
+def twice(tried: FieldTrial) -> RepeatedRoute:
+    """What is locked to position on a route driven twice, beside the slope that was concealed."""
+    residuals, slopes = [], []
+    for i, session in enumerate(tried.found.sessions):
+        far = session.distance - session.distance[0]
+        grid = np.arange(500.0, far[-1] - 500.0, EVERY_M)
+        used = session.used
+        residuals.append(_smooth(np.interp(grid, far[used], tried.found.refitted.residuals[i][used])))
+        table = np.genfromtxt(session.name, delimiter=",", names=True)
+        slopes.append(
+            _smooth(np.interp(grid, far, np.interp(session.time, table["time_s"] - table["time_s"][0], table["grade"])))
+        )
+    n = min(map(len, residuals))
+    both, mean = np.array([r[:n] for r in residuals]), np.asarray(np.mean([s[:n] for s in slopes], axis=0), dtype=float)
+    return RepeatedRoute(
+        np.arange(500.0, 500.0 + n * EVERY_M, EVERY_M)[:n],
+        both,
+        mean,
+        float(np.corrcoef(both[0], both[1])[0, 1]),
+        float(np.corrcoef(both.mean(axis=0), mean)[0, 1]),
+    )
+
+
+def _smooth(series: Array) -> Array:
+    return np.asarray(np.convolve(series, np.ones(SMOOTHED) / SMOOTHED, mode="same"))

@@ -1,0 +1,196 @@
+"""What the studies of speed, weight and ambient temperature share: one drive for each value, drawn and judged alike."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.evaluation.reproduce.bench import COMBINATIONS, METHODS, THERMAL, Bench, Runs, Series, Stable, at_times
+from trackres_ros.evaluation.reproduce.output import mark_time, write_csv
+from trackres_ros.evaluation.reproduce.section import Figure, Table
+from trackres_ros.offline.simulate import Drive
+from trackres_ros.output.plots import STEPS, legend_beside, picture, thinned
+
+Array = NDArray[np.float64]
+
+CSV_STEP_S = 20.0
+
+
+@dataclass(frozen=True)
+class Family:
+    """Runs of one study: for each value of what is varied, for each combination."""
+
+    name: str  # of the files, such as fig24_speeds
+    quantity: str  # what is varied, with its unit: "speed [km/h]"
+    suffix: str  # of a column in the CSV: "kmh"
+    values: tuple[float, ...]
+    runs: Mapping[float, Runs]
+    stable: Mapping[float, Mapping[str, Stable]]
+
+    def series(self, combination: str) -> list[Series]:
+        """The runs of one combination in the order of the values."""
+        return [self.runs[value][combination] for value in self.values]
+
+    def torque(self, combination: str, start_s: float, column: str = "resistance_torque_nm") -> Array:
+        """A torque [Nm] of each value from a time [s] on, shape (values, times)."""
+        return np.stack([s[column][s["time_s"] >= start_s - 1e-9] for s in self.series(combination)])
+
+    def stable_torque(self, combination: str) -> Array:
+        """Torque [Nm] that each value tends to, shape (values,)."""
+        return np.array([self.stable[value][combination].torque_nm for value in self.values])
+
+
+def run_family(
+    bench: Bench,
+    name: str,
+    quantity: str,
+    suffix: str,
+    values: Sequence[float],
+    case: Callable[[float], tuple[Drive, float | None, float | None]],
+) -> Family:
+    """Run a drive for each value; `case` gives the drive, the weight [N] and the ambient temperature [degC] of a value."""
+    runs, stable = {}, {}
+    for value in values:
+        drive, weight, ambient = case(value)
+        runs[value] = bench.run(f"{quantity.split(' [')[0]} {value:g}", drive, weight, ambient)
+        stable[value] = {c: bench.stable(c, float(drive.speed[-1]), weight, ambient) for c in COMBINATIONS}
+    return Family(name, quantity, suffix, tuple(values), runs, stable)
+
+
+def write_family(out: Path, family: Family) -> str:
+    """The CSV of a family: torque and belt temperature of each value and combination every 20 s. Returns its name."""
+    end = family.series(COMBINATIONS[0])[0]["time_s"][-1]
+    times = np.arange(0.0, end + 1e-9, CSV_STEP_S)
+    columns: dict[str, Array] = {"time_s": times}
+    for combination in COMBINATIONS:
+        for value, series in zip(family.values, family.series(combination), strict=True):
+            tag = f"{value:g}{family.suffix}_{combination.replace('/', '_')}"
+            columns[f"resistance_torque_nm_{tag}"] = at_times(series, "resistance_torque_nm", times)
+            columns[f"belt_degc_{tag}"] = at_times(series, "belt_degc", times)
+    write_csv(out / f"{family.name}.csv", columns)
+    return f"{family.name}.csv"
+
+
+def draw_family(
+    out: Path, family: Family, combination: str, caption: str, title: str, marks: Mapping[float, str] | None = None
+) -> Figure:
+    """Torque over temperature of one combination, one line a value."""
+    figure = Figure(f"{family.name}.png", write_family(out, family), caption)
+    with picture(out / figure.png, 8.5, 5.6) as drawn:
+        torque, belt = drawn.subplots(2, 1, sharex=True, height_ratios=(1.4, 1.0))
+        for colour, value, series in zip(colours(family), family.values, family.series(combination), strict=True):
+            torque.plot(*moving(series), color=colour, label=f"{value:g}")
+            belt.plot(*thinned(series["time_s"], series["belt_degc"]), color=colour)
+        torque.set_ylim(*_limits(family, [combination]))
+        torque.set_title(title)
+        torque.set_ylabel("resistance torque [Nm]")
+        legend_beside(torque, family.quantity)
+        belt.set_ylabel("belt temperature [°C]")
+        belt.set_xlabel("time [s]")
+        for time_s, text in (marks or {}).items():
+            mark_time(torque, time_s, text)
+            mark_time(belt, time_s, "")
+        belt.margins(x=0.01)
+        drawn.align_ylabels()
+    return figure
+
+
+def draw_combinations(out: Path, family: Family, caption: str, marks: Mapping[float, str] | None = None) -> Figure:
+    """Torque of all four combinations beside each other; the dashes at the right edge are the stable values."""
+    figure = Figure(f"{family.name}_methods.png", f"{family.name}.csv", caption)
+    with picture(out / figure.png, 9.0, 6.2) as drawn:
+        panels = drawn.subplots(len(METHODS), len(THERMAL), sharex=True, sharey="row")
+        for row, method in enumerate(METHODS):
+            for column, thermal in enumerate(THERMAL):
+                axes, combination = panels[row, column], f"{method}/{thermal}"
+                for colour, value, series in zip(colours(family), family.values, family.series(combination), strict=True):
+                    axes.plot(*moving(series), color=colour, label=f"{value:g}")
+                    axes.plot(
+                        1.02,
+                        family.stable[value][combination].torque_nm,
+                        marker="_",
+                        color=colour,
+                        markersize=9,
+                        markeredgewidth=2,
+                        transform=axes.get_yaxis_transform(),
+                        clip_on=False,
+                    )
+                axes.set_title(f"{method}, {thermal}")
+                axes.set_xlim(0.0, family.series(combination)[0]["time_s"][-1])
+                for time_s, text in (marks or {}).items():
+                    mark_time(axes, time_s, text if (row, column) == (0, 0) else "")
+            panels[row, 0].set_ylim(*_limits(family, [f"{method}/{thermal}" for thermal in THERMAL]))
+            panels[row, 0].set_ylabel("resistance torque [Nm]")
+        for axes in panels[-1]:
+            axes.set_xlabel("time [s]")
+        legend_beside(panels[0, -1], family.quantity)
+        panels[0, -1].get_legend().set_bbox_to_anchor((1.08, 1.0))
+    return figure
+
+
+def _limits(family: Family, combinations: Sequence[str]) -> tuple[float, float]:
+    """Limits of a torque axis [Nm] that show the time at constant speed whole; a ramp may come in from below."""
+    shown = [family.torque(c, 0.0)[:, first_comparable(family) :] for c in combinations]
+    shown += [family.stable_torque(c) for c in combinations]
+    low, high = min(float(part.min()) for part in shown), max(float(part.max()) for part in shown)
+    return low - 0.15 * (high - low), high + 0.06 * (high - low)
+
+
+def first_comparable(family: Family) -> int:
+    """First sample at which every run has reached its final speed."""
+    return max(int(np.argmax(s["speed_mps"] >= s["speed_mps"][-1] - 1e-9)) for s in family.series(COMBINATIONS[0]))
+
+
+def moving(series: Series) -> tuple[Array, Array]:
+    """Time and resistance torque without the first instant at rest, where the torque is zero, thinned for a picture."""
+    torque = np.where(series["speed_mps"] > 0.0, series["resistance_torque_nm"], np.nan)
+    return thinned(series["time_s"], torque)
+
+
+def colours(family: Family) -> Sequence[str]:
+    """Light to dark along the values."""
+    return STEPS[-len(family.values) :] if len(family.values) < len(STEPS) else STEPS
+
+
+def time_table(family: Family, combination: str, times_s: Sequence[float], caption: str) -> Table:
+    """Torque and belt temperature of each value at some times, and the stable ones."""
+    rows = []
+    for value, series in zip(family.values, family.series(combination), strict=True):
+        torque, belt = (at_times(series, column, times_s) for column in ("resistance_torque_nm", "belt_degc"))
+        stable = family.stable[value][combination]
+        rows.append(
+            [
+                f"{value:g}",
+                *(f"{m:.0f} / {t:.1f}" for m, t in zip(torque, belt, strict=True)),
+                f"{stable.torque_nm:.0f} / {stable.belt_degc:.1f}",
+            ]
+        )
+    return Table(caption, [family.quantity, *(f"{t:g} s" for t in times_s), "stable"], rows)
+
+
+def stable_table(family: Family, caption: str) -> Table:
+    """Stable torque and belt temperature of each value by combination."""
+    rows = [
+        [f"{value:g}", *(f"{stable[c].torque_nm:.0f} / {stable[c].belt_degc:.1f}" for c in COMBINATIONS)]
+        for value, stable in ((value, family.stable[value]) for value in family.values)
+    ]
+    return Table(caption, [family.quantity, *(c.replace("/", ", ") for c in COMBINATIONS)], rows)
+
+
+def family_numbers(family: Family, times_s: Sequence[float]) -> dict[str, object]:
+    """Torques and temperatures at some times and the stable ones, by combination and value."""
+
+    def of(value: float, combination: str) -> dict[str, object]:
+        series, stable = family.runs[value][combination], family.stable[value][combination]
+        return {
+            "time_s": list(times_s),
+            "torque_nm": at_times(series, "resistance_torque_nm", times_s).tolist(),
+            "belt_degc": at_times(series, "belt_degc", times_s).tolist(),
+            "stable": stable._asdict(),
+        }
+
+    return {c: {f"{value:g}": of(value, c) for value in family.values} for c in COMBINATIONS}

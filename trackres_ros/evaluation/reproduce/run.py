@@ -1,0 +1,123 @@
+"""Run everything and write pictures, tables, summary and page."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from trackres_ros.errors import InputError
+from trackres_ros.evaluation.reproduce.ambients import AMBIENTS_DEGC, ambients
+from trackres_ros.evaluation.reproduce.bench import COMBINATIONS, Bench
+from trackres_ros.evaluation.reproduce.compound import compound
+from trackres_ros.evaluation.reproduce.indentation import indentation
+from trackres_ros.evaluation.reproduce.page import page as make_page
+from trackres_ros.evaluation.reproduce.section import Section
+from trackres_ros.evaluation.reproduce.spectrum import spectrum
+from trackres_ros.evaluation.reproduce.speeds import SPEEDS_KMH, speeds
+from trackres_ros.evaluation.reproduce.trials import TRIALS, trials
+from trackres_ros.evaluation.reproduce.weights import WEIGHTS_KN, weights
+from trackres_ros.vehicle import load
+
+VEHICLE = "xgd24d"  # the paper's
+STEP_S = 0.5  # the step follows the linearised model exactly; 0.1 s moves no number of the page
+LONGEST_STEP_S = 5.0  # about the shortest ramp
+RUNS = len(COMBINATIONS) * (len(SPEEDS_KMH) + len(WEIGHTS_KN) + len(AMBIENTS_DEGC) + len(TRIALS))
+INDEX, SUMMARY = "index.md", "summary.json"
+
+
+def reproduce(
+    out_dir: Path,
+    progress: Callable[[str, float], None] | None = None,
+    *,
+    page: Path | None = None,
+    dt: float = STEP_S,
+    cache: Path | None = None,
+) -> dict[str, Any]:
+    """Reproduce the paper's Figures 6, 10, 11, 16 to 22 and 24 to 26, and judge the claims of its text.
+
+    Parameters
+    ----------
+    out_dir
+        Folder for the pictures (PNG), their data (CSV), `summary.json` with every number the page cites, and `index.md`, the
+        page.
+    progress
+        Called with what was done last and the share done, 0 to 1.
+    page
+        Another place to write the page to, with links from there into `out_dir`.
+    dt
+        Time step of the drives [s], at most `LONGEST_STEP_S`.
+    cache
+        Folder of the loss tables; by default the user's cache folder.
+
+    Returns
+    -------
+    dict
+        The content of `summary.json`.
+
+    Raises
+    ------
+    MissingExtraError
+        If matplotlib is not installed.
+    InputError
+        On a step that is not positive or is too long for the ramps.
+    """
+    if not 0.0 < dt <= LONGEST_STEP_S:
+        raise InputError("dt", dt, f"a time step of more than 0 and at most {LONGEST_STEP_S:g} s")
+    done = 0
+
+    def advance(text: str) -> None:
+        nonlocal done
+        done += 1
+        if progress:
+            progress(text, min(done / RUNS, 1.0))
+
+    out_dir.mkdir(parents=True, exist_ok=True)
+    bench = Bench(load(VEHICLE), dt, advance, cache)
+    sections: list[Section] = [
+        indentation(bench, out_dir),
+        spectrum(bench, out_dir),
+        compound(bench, out_dir),
+        *trials(bench, out_dir),
+        speeds(bench, out_dir),
+        weights(bench, out_dir),
+        ambients(bench, out_dir),
+    ]
+    summary = {
+        "vehicle": {
+            "name": bench.vehicle.name,
+            "title": bench.vehicle.title,
+            "weight_n": bench.vehicle.weight,
+            "methods": bench.shipped,
+        },
+        "dt_s": dt,
+        "text": _introduction(bench),
+        "sections": [section.summary() for section in sections],
+    }
+    (out_dir / SUMMARY).write_text(json.dumps(summary, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    (out_dir / INDEX).write_text(make_page(summary), encoding="utf-8")
+    if page is not None:
+        folder = Path(os.path.relpath(out_dir, page.parent)).as_posix()
+        page.write_text(make_page(summary, f"{folder}/"), encoding="utf-8")
+    return summary
+
+
+def _introduction(bench: Bench) -> list[str]:
+    return [
+        "The paper is Liang et al., Modeling and Verification of Rolling Resistance Torque of High-Speed Rubber Track "
+        "Assembly Considering Hysteresis Loss, Polymers 2023. Its curves and measurements are not public in numbers, only "
+        "its text. So this page compares trends and stated numbers. It does not reproduce the paper's mean absolute errors "
+        "and R², which concern measurements that nobody outside has, and many values of the vehicle file are assumed where "
+        "the paper is silent: the size of a torque here is the program's, not the paper's.",
+        "",
+        "Four combinations are shown where it matters: loss by `spectral` (exact for linear viscoelasticity) or `rainflow` "
+        "(the paper's), belt temperature by `lumped` (the paper's) or `core_surface`. The vehicle file names "
+        f"{bench.shipped.replace('/', ' and ')}; the paper's own is rainflow and lumped. A verdict is that of a predicate on "
+        "the run; where the combinations disagree it says for which the claim holds.",
+        "",
+        "`lumped` is one mean temperature, and no resistance inside the rubber. `core_surface` has that resistance, so its "
+        "belt, whose mean is shown, runs hotter. `rainflow` counts a pulse as one cycle of one frequency and leaves its "
+        "harmonics out, so it has less loss; the table of Figures 10 and 11 has both.",
+    ]

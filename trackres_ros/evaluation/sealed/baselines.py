@@ -1,0 +1,160 @@
+"""Simpler methods, given the same residual of the same re-fitted base and the same shapes of effects, to compare with.
+
+None of them whitens the residual, knows how alike two effects look, or may say that it cannot tell.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import f as f_distribution
+
+from trackres_ros.diagnosis.inference.fitting import Fit
+from trackres_ros.diagnosis.selection.visibility import Separability, base_columns
+
+Array = NDArray[np.float64]
+
+MOST = 3  # names, as many as the diagnosis may give
+SURE_P = 0.05
+LEAST_SHARE = 0.1  # of what all terms of a sparse regression explain: less is not named
+FOLDS = 5
+FEWEST_TO_LEARN = 30
+
+
+@dataclass(frozen=True)
+class Simple:
+    """What the simpler methods say of a recording.
+
+    Attributes
+    ----------
+    naive
+        The effect that explains most of the residual by itself, if that is beyond chance for white noise.
+    aic
+        Base and effects in one linear regression, effects added while Akaike's criterion falls.
+    sparse
+        The effects of a cross-validated lasso on the residual, largest first.
+    features
+        Of each effect the signed correlation of its shape with the residual, and the F value of its regression: for a
+        classifier.
+    """
+
+    naive: list[str]
+    aic: list[str]
+    sparse: list[str]
+    features: dict[str, tuple[float, float]]
+
+
+def simple_answers(refitted: Fit, seen: Separability) -> Simple:
+    """Ask all of them; `seen` holds the effects linearised about the re-fitted base."""
+    torque = np.concatenate([np.full(len(g.measured), g.kind == "torque") & g.mask for g in refitted.problem.segments])
+    residual = np.concatenate(refitted.residuals)[torque]
+    own = base_columns(refitted)[torque]
+    shapes = {s.effect.name: s.columns[torque] for s in seen.visible if s.start == s.effect.values()}
+    tested = {name: _regression(residual, columns) for name, columns in shapes.items()}
+    best = max(tested, key=lambda name: tested[name].explained, default=None)
+    return Simple(
+        [best] if best and tested[best].p < SURE_P else [],
+        _by_aic(residual, own, shapes),
+        _by_lasso(residual, own, shapes),
+        {name: (t.correlation, t.f) for name, t in tested.items()},
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Regression:
+    explained: float  # share of the sum of squares
+    correlation: float  # signed, of the first column
+    f: float
+    p: float  # for white noise
+
+
+def _regression(residual: Array, columns: Array) -> _Regression:
+    n, k = columns.shape
+    whole, left = float(residual @ residual), _left(residual, columns)
+    f = (whole - left) / k / max(left / (n - k), 1e-300)
+    first = columns[:, 0]
+    norm = float(np.linalg.norm(first) * np.sqrt(whole))
+    return _Regression(
+        1.0 - left / whole, float(first @ residual) / norm if norm else 0.0, f, float(f_distribution.sf(f, k, n - k))
+    )
+
+
+def _left(residual: Array, columns: Array) -> float:
+    """Sum of squares after a linear regression."""
+    scaled = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    found = np.linalg.lstsq(scaled, residual, rcond=1e-10)[0]
+    return float(((residual - scaled @ found) ** 2).sum())
+
+
+def _by_aic(residual: Array, own: Array, shapes: dict[str, Array]) -> list[str]:
+    n, chosen, columns = len(residual), list[str](), own
+    criterion = n * np.log(_left(residual, own))
+    while len(chosen) < MOST:
+        scores = {
+            name: n * np.log(_left(residual, np.hstack((columns, more))))
+            + 2.0 * (columns.shape[1] - own.shape[1] + more.shape[1])
+            for name, more in shapes.items()
+            if name not in chosen
+        }
+        best = min(scores, key=scores.__getitem__, default=None)
+        if best is None or scores[best] >= criterion:
+            break
+        chosen, columns, criterion = [*chosen, best], np.hstack((columns, shapes[best])), scores[best]
+    return chosen
+
+
+def _by_lasso(residual: Array, own: Array, shapes: dict[str, Array]) -> list[str]:
+    from sklearn.exceptions import ConvergenceWarning
+    from sklearn.linear_model import LassoCV
+    from sklearn.model_selection import KFold
+
+    if not shapes:
+        return []
+    basis = np.linalg.qr(own / np.maximum(np.linalg.norm(own, axis=0), 1e-300))[0]
+    owners = [name for name, columns in shapes.items() for _ in range(columns.shape[1])]
+    columns = np.hstack(list(shapes.values()))
+    columns = columns - basis @ (basis.T @ columns)
+    spread = columns.std(axis=0)
+    columns, owners = columns[:, spread > 0.0] / spread[spread > 0.0], [o for o, s in zip(owners, spread, strict=True) if s > 0.0]
+    target = residual - basis @ (basis.T @ residual)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)  # effects that look alike: which of them it takes is its own affair
+        found = LassoCV(cv=KFold(FOLDS), alphas=30, eps=1e-3, max_iter=3000).fit(columns, target).coef_
+    parts = {name: columns @ np.where([o == name for o in owners], found, 0.0) for name in shapes}
+    sizes = {name: float(part.std()) for name, part in parts.items()}
+    least = LEAST_SHARE * float(np.sum(list(parts.values()), axis=0).std())
+    return _largest(sizes, least)
+
+
+def _largest(sizes: dict[str, float], least: float) -> list[str]:
+    named = [name for name, size in sizes.items() if size > max(least, 1e-9)]
+    return sorted(named, key=lambda name: -sizes[name])[:MOST]
+
+
+def by_trees(features: Sequence[dict[str, tuple[float, float]]], labels: Sequence[str], names: Sequence[str]) -> list[str]:
+    """What boosted trees say of each case, trained on the others: those of other parts of a ten-fold split. Nothing of so few
+    cases that there is nothing to learn from.
+
+    Parameters
+    ----------
+    features, labels
+        Of each case, see `Simple.features`; the label of a case with several effects is the first.
+    names
+        Effects, in the order of the features.
+    """
+    from sklearn.ensemble import HistGradientBoostingClassifier
+    from sklearn.model_selection import KFold
+
+    if len(labels) < FEWEST_TO_LEARN:
+        return []
+    table = np.array([[x for name in names for x in of.get(name, (0.0, 0.0))] for of in features])
+    known = np.array(labels)
+    said = np.empty(len(known), dtype=object)
+    for train, test in KFold(10, shuffle=True, random_state=1).split(table):
+        model = HistGradientBoostingClassifier(max_iter=60, min_samples_leaf=3, random_state=1).fit(table[train], known[train])
+        said[test] = model.predict(table[test])
+    return [str(x) for x in said]

@@ -1,0 +1,92 @@
+"""The truth's belt: loss per metre of travel from the Fourier series of the strain that a point of it sees in one loop."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.evaluation.sealed.data_sheet import DataSheet
+from trackres_ros.evaluation.sealed.material import Material
+
+Array = NDArray[np.float64]
+
+POINTS = 8192  # round the loop
+LOG_SPEEDS = np.linspace(-6.0, 8.0, 141)  # log10 of speed [m/s] times a_T
+LOAD_SHARES = np.array([0.4, 0.6, 0.8, 1.0, 1.25, 1.6, 2.0])  # of an assembly's nominal load
+ITERATIONS = 30
+
+
+@dataclass(frozen=True, eq=False)
+class BeltLoss:
+    """Tables of the loss per metre of travel [N] of one assembly over `LOG_SPEEDS`.
+
+    Attributes
+    ----------
+    indentation
+        Evenly through the thickness, shape (loads, speeds).
+    bending
+        Of a belt all at one temperature, shape (speeds,).
+    """
+
+    indentation: Array
+    bending: Array
+
+
+def belt_loss(sheet: DataSheet, material: Material) -> BeltLoss:
+    """Compute the tables."""
+    nominal = sheet["weight"] / sheet.assemblies
+    speeds = 10.0**LOG_SPEEDS
+    indentation = np.array([[_indentation(sheet, material, share * nominal, v) for v in speeds] for share in LOAD_SHARES])
+    return BeltLoss(indentation, _bending(sheet, material, speeds))
+
+
+def _harmonics(series: Array) -> Array:
+    return np.asarray(2.0 * np.abs(np.fft.rfft(series))[1:-1] / len(series))
+
+
+def _dissipated(amplitudes: Array, material: Material, loop: float, speed: float) -> float:
+    """Energy per volume and loop [J/m^3]."""
+    n = np.arange(1, len(amplitudes) + 1)
+    keep = amplitudes > 1e-4 * amplitudes.max()
+    return float((np.pi * n[keep] * amplitudes[keep] ** 2 * material.loss(2.0 * np.pi * n[keep] * speed / loop)).sum())
+
+
+def _indentation(sheet: DataSheet, material: Material, load: float, speed: float) -> float:
+    loop, thickness, width = (
+        sheet["track.belt.loop_length"],
+        sheet["track.belt.thickness"],
+        sheet["track.road_wheels.contact_length"],
+    )
+    radius, wheels = sheet["track.road_wheels.radius"], sheet.wheel_positions
+    on_wheel = load / len(wheels)
+    half = 0.02
+    for _ in range(ITERATIONS):  # the contact's length, its frequency and the modulus hang on each other
+        modulus = float(material.size(2.0 * np.pi * speed / (2.0 * half)))
+        half = 0.5 * half + 0.5 * (1.5 * on_wheel * radius * thickness / (modulus * width)) ** (1.0 / 3.0)
+    place = np.arange(POINTS) * loop / POINTS
+    strain = np.zeros(POINTS)
+    for at in wheels:
+        near = np.clip(1.0 - ((place - at - half) / half) ** 2, 0.0, None)
+        strain += half * half / (2.0 * radius * thickness) * near
+    return _dissipated(_harmonics(strain), material, loop, speed) * width * thickness
+
+
+def _bending(sheet: DataSheet, material: Material, speeds: Array) -> Array:
+    loop, thickness, neutral = sheet["track.belt.loop_length"], sheet["track.belt.thickness"], sheet["track.belt.cord_height"]
+    smooth = sheet["track.belt.curvature_length"]
+    arcs = [(radius + neutral) * angle for radius, angle in sheet.wraps]
+    free = (loop - sheet["track.road_wheels.ground_run"] - sum(arcs)) / (len(arcs) + 1)
+    place = np.arange(POINTS) * loop / POINTS
+    curvature = np.zeros(POINTS)
+    begin = sheet["track.road_wheels.ground_run"]
+    for (radius, _), arc in zip(sheet.wraps, arcs, strict=True):
+        begin += free
+        rise = np.clip((place - begin) / smooth + 0.5, 0.0, 1.0)
+        fall = np.clip((place - begin - arc) / smooth + 0.5, 0.0, 1.0)
+        curvature += (np.sin(0.5 * np.pi * rise) ** 2 - np.sin(0.5 * np.pi * fall) ** 2) / (radius + neutral)
+        begin += arc
+    amplitudes = _harmonics(curvature)
+    moment = ((thickness - neutral) ** 3 + neutral**3) / 3.0 * sheet["track.belt.width"]
+    return np.array([_dissipated(amplitudes, material, loop, v) for v in speeds]) * moment

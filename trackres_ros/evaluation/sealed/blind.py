@@ -1,0 +1,61 @@
+"""Second process of a run: diagnoses each case, given its recordings and vehicle file and nothing else.
+
+`python -m trackres_ros.evaluation.sealed.blind CASES RESULTS`; what is there already is not done again.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from trackres_ros.diagnosis import Diagnosis
+
+FOLLOWED = "drive_next"
+
+
+def main(arguments: Sequence[str]) -> None:
+    """See above."""
+    cases, results = (Path(a) for a in arguments)
+    results.mkdir(parents=True, exist_ok=True)
+    folders = [f for f in sorted(cases.glob("*")) if not (results / f"{f.name}.json").exists()]
+    began = time.monotonic()
+    with ProcessPoolExecutor(os.cpu_count()) as pool:
+        tasks = [pool.submit(_diagnose, folder, results) for folder in folders]
+        for done, task in enumerate(as_completed(tasks), start=1):
+            task.result()
+            left = (time.monotonic() - began) / done * (len(folders) - done)
+            print(f"\rdiagnosed {done} of {len(folders)}, {left / 60.0:.0f} min to go   ", end="", flush=True)
+    print(flush=True)
+
+
+def diagnosed(folder: Path) -> tuple[Diagnosis, list[Path]]:
+    """What the diagnosis finds in the folder of a case, and the recordings there."""
+    from trackres_ros.diagnosis import diagnose, load_base, read_recordings
+
+    paths = sorted(folder.glob("drive_*.csv"))
+    # A drive made to tell effects apart is there to be fitted; the one before it is held out.
+    held_out = [paths[-2].stem] if paths[-1].stem == FOLLOWED else None
+    return diagnose(read_recordings(paths, None), load_base(folder / "vehicle.yaml"), holdout=held_out, quick=True), paths
+
+
+def _diagnose(folder: Path, results: Path) -> None:
+    from trackres_ros.diagnosis.report.content import report
+    from trackres_ros.evaluation.sealed.baselines import simple_answers
+
+    found, paths = diagnosed(folder)
+    simple = simple_answers(found.refitted, found.steps[0].separability)
+    partial = results / f"{folder.name}.part"
+    partial.write_text(json.dumps({"report": report(found, paths), "simple": asdict(simple)}), encoding="utf-8")
+    partial.rename(results / f"{folder.name}.json")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,160 @@
+"""What is hidden in which case: levels, sizes, builds of the vehicle, all drawn from one seed."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from trackres_ros.evaluation.sealed.truth import Build
+
+Values = dict[str, float]
+Draw = Callable[[np.random.Generator, float], Values]
+
+LEVELS = {"none": 60, "single": 60, "masked": 40, "compensated": 40, "two": 40, "confounded": 30, "outside": 30}
+QUICK = {"none": 14, "single": 14, "masked": 9, "compensated": 9, "two": 9, "confounded": 8, "outside": 7}
+MASKED_SIZE = (0.2, 0.4)  # of a clear one
+
+
+@dataclass(frozen=True)
+class Case:
+    """One case. `name` says nothing of what is in it.
+
+    Attributes
+    ----------
+    hidden
+        Phenomena and the values of their parameters, see `truth`.
+    build
+        How the vehicle differs from its data sheet.
+    lumped
+        Whether the vehicle file knows no inside of the belt.
+    compensated
+        Whether the vehicle file was fitted to other drives of the same vehicle beforehand.
+    dull
+        Whether the drives excite little: one load, no bends, hardly a change of speed, no belt temperature.
+    seed
+        Of drives and sensors.
+    """
+
+    name: str
+    level: str
+    hidden: dict[str, Values]
+    build: dict[str, float]
+    lumped: bool
+    compensated: bool
+    dull: bool
+    belt_measured: bool
+    seed: int
+    extra: dict[str, Any] = field(default_factory=dict)
+
+
+def _pm(rng: np.random.Generator, low: float, high: float) -> float:
+    return float(rng.choice((-1.0, 1.0)) * rng.uniform(low, high))
+
+
+def _turn(rng: np.random.Generator) -> float:
+    return float(rng.uniform(0.0, 2.0 * np.pi))
+
+
+CATALOGUE: dict[str, Draw] = {
+    "grade": lambda g, s: {"grade": s * _pm(g, 0.004, 0.015)},
+    "grade_profile": lambda g, s: {"rise": s * g.uniform(0.005, 0.015), "towards": _turn(g)},
+    "turning_scrub": lambda g, s: {"friction": s * g.uniform(0.35, 0.9)},
+    "cornering": lambda g, s: {"compliance": s * g.uniform(1.0e-6, 2.2e-6)},
+    "rotating_inertia": lambda g, s: {"more": s * g.uniform(0.05, 0.15)},
+    "drivetrain_efficiency": lambda g, s: {"efficiency": 1.0 - s * g.uniform(0.06, 0.15)},
+    "drivetrain_drag": lambda g, s: {"drag": s * g.uniform(150.0, 350.0)},
+    "viscous_bearing": lambda g, s: {
+        "coefficient": s * g.uniform(50.0, 130.0), "rise": g.uniform(1.0, 3.0), "seconds": g.uniform(600.0, 1500.0),
+        "activation": g.uniform(3000.0, 5000.0),
+    },
+    "stribeck": lambda g, s: {
+        "constant": s * g.uniform(60.0, 150.0), "breakaway": s * g.uniform(200.0, 380.0), "speed": g.uniform(0.6, 2.5),
+    },
+    "headwind": lambda g, s: {"wind": s * g.uniform(5.0, 11.0), "towards": _turn(g)},
+    "payne": lambda g, s: {"height": s * g.uniform(0.2, 0.5), "power": g.uniform(0.3, 0.7)},
+    "mullins": lambda g, s: {"excess": s * g.uniform(0.12, 0.25), "distance": g.uniform(1500.0, 6000.0)},
+    "frequency": lambda g, s: {"per_e": s * g.uniform(0.06, 0.15)},
+    "compound_temperature": lambda g, s: {"activation": s * _pm(g, 700.0, 1600.0)},
+    "core_surface": lambda _g, _s: {},
+    "convection": lambda g, s: {"offset": 1.0 + s * g.uniform(0.6, 1.4), "slope": 1.0 + s * g.uniform(0.6, 1.4)},
+    "ground_conduction": lambda g, s: {"conductance": s * g.uniform(70.0, 200.0)},
+    "still_air": lambda g, s: {"share": s * g.uniform(0.6, 0.85)},
+    "solar": lambda g, s: {"flux": s * g.uniform(400.0, 900.0)},
+    "rain": lambda g, s: {"factor": 1.0 + s * g.uniform(1.0, 4.0)},
+    "tension_torque": lambda g, s: {"share": s * g.uniform(0.12, 0.3)},
+    "lug_friction": lambda g, s: {"of_tension": s * g.uniform(0.006, 0.016), "of_torque": s * g.uniform(0.015, 0.04)},
+    "roadwheel_tyres": lambda g, s: {
+        "torque": s * g.uniform(250.0, 700.0), "rise": g.uniform(0.8, 2.5), "seconds": g.uniform(500.0, 2000.0),
+        "activation": g.uniform(1000.0, 2200.0),
+    },
+    "soft_ground": lambda g, s: {"torque": s * g.uniform(1000.0, 4000.0), "power": g.uniform(1.8, 2.6)},
+    "vibration": lambda g, s: {
+        "torque": s * g.uniform(200.0, 450.0), "speed": g.uniform(3.0, 11.0), "width": g.uniform(0.6, 1.5),
+    },
+    "warmup": lambda g, s: {"torque": s * g.uniform(250.0, 700.0), "seconds": g.uniform(150.0, 700.0)},
+    "torque_offset": lambda g, s: {"offset": s * _pm(g, 120.0, 300.0)},
+    "torque_gain": lambda g, s: {"error": s * _pm(g, 0.03, 0.06)},
+    "delay": lambda g, s: {"time": s * g.uniform(0.15, 0.5)},
+}  # fmt: skip
+"""Draws of the truth's parameters by effect, at a size of 1: clear. What the base re-fits itself is not among them."""
+
+OUTSIDE: dict[str, Draw] = {
+    "sticking_brake": lambda g, s: {"torque": s * g.uniform(300.0, 800.0), "seed": float(g.integers(1_000_000))},
+    "mud": lambda g, s: {"torque": s * g.uniform(300.0, 800.0), "distance": g.uniform(300.0, 1200.0)},
+    "left_turns": lambda g, s: {"torque": s * g.uniform(250.0, 600.0)},
+}
+"""What no catalogue has."""
+
+
+def draw_cases(counts: Mapping[str, int], seed: int) -> list[Case]:
+    """All cases of a run, in an order that says nothing."""
+    rng = np.random.default_rng(seed)
+    cases = [_case(level, i, rng) for level, count in counts.items() for i in range(count)]
+    rng.shuffle(cases)
+    return cases
+
+
+def sealed(seed: int, cases: list[Case]) -> str:
+    """Hash of the seed and all labels."""
+    content = json.dumps({"seed": seed, "cases": [asdict(case) for case in cases]}, sort_keys=True)
+    return hashlib.sha256(content.encode()).hexdigest()
+
+
+def _case(level: str, i: int, rng: np.random.Generator) -> Case:
+    names, size = list(CATALOGUE), 1.0
+    if level == "masked":
+        size = float(rng.uniform(*MASKED_SIZE))
+        names.remove("core_surface")  # it has no size
+    library = OUTSIDE if level == "outside" else CATALOGUE
+    if level == "none":
+        chosen: list[str] = []
+    elif level == "outside":
+        chosen = [list(OUTSIDE)[i % len(OUTSIDE)]]
+    else:
+        chosen = [str(name) for name in rng.choice(names, 2 if level == "two" else 1, replace=False)]
+    hidden = {name: {key: float(x) for key, x in library[name](rng, size).items()} for name in chosen}
+    off = rng.normal(1.0, 0.05, 5)
+    if level == "none" and i % 2:  # re-fittable parameters that are plainly off
+        off = rng.normal(1.0, (0.10, 0.20, 0.12, 0.18, 0.12))
+    build = dict(zip(("loss", "bearing", "drag", "film", "capacity"), (float(x) for x in np.clip(off, 0.5, 1.6)), strict=True))
+    return Case(
+        f"{rng.integers(16**8):08x}",
+        level,
+        hidden,
+        build,
+        "core_surface" in hidden,
+        level == "compensated",
+        level == "confounded",
+        bool(rng.random() < 0.6) and level != "confounded",
+        int(rng.integers(2**31)),
+    )
+
+
+def build_of(case: Case) -> Build:
+    """The vehicle of a case."""
+    return Build(**case.build)

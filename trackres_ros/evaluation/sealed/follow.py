@@ -1,0 +1,92 @@
+"""Fourth process of a run: lets the vehicles drive what was advised where effects could not be told apart.
+
+`python -m trackres_ros.evaluation.sealed.follow FOLDER MINUTES MOST`. It knows the vehicles, so it opens the seal; `blind` then
+diagnoses the recordings with the further one among them.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trackres_ros.evaluation.sealed.answers import of_report
+from trackres_ros.evaluation.sealed.blind import FOLLOWED
+from trackres_ros.evaluation.sealed.cases import Case
+from trackres_ros.evaluation.sealed.drives import STEP_S, Drive
+from trackres_ros.evaluation.sealed.generate import drive_next
+
+
+def main(arguments: Sequence[str]) -> None:
+    """See above."""
+    folder, minutes, most = Path(arguments[0]), float(arguments[1]), int(arguments[2])
+    labels = json.loads((folder / "sealed" / "labels.json").read_text(encoding="utf-8"))
+    tasks = []
+    for case in sorted((Case(**c) for c in labels["cases"]), key=lambda c: c.name):
+        report = json.loads((folder / "results" / f"{case.name}.json").read_text(encoding="utf-8"))["report"]
+        advice = advised(report, set(case.hidden))
+        if advice is not None:
+            tasks.append((folder, case, minutes, str(advice["manoeuvre"])))
+    with ProcessPoolExecutor(os.cpu_count()) as pool:
+        for done, _ in enumerate(pool.map(_follow, tasks[:most]), start=1):
+            print(f"\rdriven as advised {done} of {len(tasks[:most])}", end="", flush=True)
+    print(flush=True)
+
+
+def advised(report: dict[str, Any], true: set[str]) -> dict[str, Any] | None:
+    """The first advice that is to tell a true effect from others of its class; None where there is none."""
+    tied = [set(members) & true for members in of_report(report).classes if len(members) > 1]
+    if not any(tied):
+        return None
+    for advice in report["advice"]:
+        if any(members <= set(advice["separates"]) for members in tied if members):
+            return dict(advice)
+    return None
+
+
+def _follow(task: tuple[Path, Case, float, str]) -> None:
+    folder, case, minutes, manoeuvre = task
+    into = folder / "next" / case.name
+    if (into / f"{FOLLOWED}.csv").exists():
+        return
+    before = folder / "cases" / case.name
+    recorded = drive_next(folder, case, minutes, FOLLOWED, lambda last: planned(manoeuvre, before, last))
+    into.mkdir(parents=True, exist_ok=True)
+    for path in [*sorted(before.glob("drive_[0-9]*.csv")), before / "vehicle.yaml"]:
+        shutil.copy(path, into / path.name)
+    recorded.rename(into / recorded.name)
+
+
+def planned(manoeuvre: str, before: Path, last: Drive) -> Drive:
+    """A manoeuvre of the menu as a drive, on a day like that of the last drive."""
+    from trackres_ros.diagnosis import load_base, read_recordings
+    from trackres_ros.diagnosis.findings.next_drives import menu
+    from trackres_ros.diagnosis.prepare.gate import gate
+
+    loaded = load_base(before / "vehicle.yaml")
+    (like,) = gate(read_recordings([before / "drive_1.csv"], None), loaded.known).sessions
+    session = menu(loaded.base.facts.weight, loaded.known.max_speed)[manoeuvre](like)
+    time = np.arange(0.0, session.time[-1], STEP_S)
+    speed = np.interp(time, session.time, session.speed)
+    yaw_rate = np.interp(time, session.time, session.yaw_rate)
+    return Drive(
+        STEP_S,
+        speed,
+        np.gradient(speed, STEP_S),
+        yaw_rate,
+        np.cumsum(yaw_rate) * STEP_S,
+        np.interp(time, session.time, session.weight),
+        np.full(len(time), last.ambient[0]),
+        np.interp(time, session.time, session.grade) if session.grade.any() else None,
+    )
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

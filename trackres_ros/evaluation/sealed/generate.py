@@ -1,0 +1,180 @@
+"""First process of a run: draws the cases, seals them, and writes recordings and vehicle files that say nothing of them.
+
+`python -m trackres_ros.evaluation.sealed.generate FOLDER SEED MINUTES LEVEL=COUNT...`
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from trackres_ros.evaluation.sealed.cases import Case, build_of, draw_cases, sealed
+from trackres_ros.evaluation.sealed.drives import Drive, drive
+from trackres_ros.evaluation.sealed.sensors import Sensors, record
+from trackres_ros.evaluation.sealed.truth import TruthRun, live
+from trackres_ros.files.resources import find_vehicle
+from trackres_ros.files.yamls import read_yaml
+
+Array = NDArray[np.float64]
+
+VEHICLE = "xgd24d"
+LOADS, DULL_LOADS = (1.0, 0.8, 1.25), (1.0, 1.0, 1.0)
+AIRS_DEGC = (5.0, 15.0, 25.0)
+FASTEST_MPS = 16.7
+DULL_MPS = (6.0, 8.0)
+START_S, APART_S = 1_750_000_000.0, 1_300_000.0  # two weeks: each begins soaked
+EVERY = 10  # samples: what is kept of the truth for the score
+
+
+def main(arguments: Sequence[str]) -> None:
+    """See above."""
+    folder, seed, minutes = Path(arguments[0]), int(arguments[1]), float(arguments[2])
+    counts = {level: int(count) for level, _, count in (a.partition("=") for a in arguments[3:])}
+    cases = draw_cases(counts, seed)
+    for sub in ("cases", "sealed"):
+        (folder / sub).mkdir(parents=True, exist_ok=True)
+    seal = sealed(seed, cases)
+    print(f"sealed: {len(cases)} cases, SHA-256 {seal}", flush=True)
+    (folder / "seal.txt").write_text(seal + "\n", encoding="utf-8")
+    (folder / "sealed" / "labels.json").write_text(
+        json.dumps({"seed": seed, "cases": [asdict(case) for case in cases]}, indent=1), encoding="utf-8"
+    )
+    missing = [case for case in cases if not (folder / "sealed" / f"{case.name}.npz").exists()]
+    with ProcessPoolExecutor(os.cpu_count()) as pool:
+        for done, _ in enumerate(pool.map(make_case, [(folder, case, minutes) for case in missing]), start=1):
+            print(f"\rrecorded {done} of {len(missing)}", end="", flush=True)
+    print(flush=True)
+
+
+def make_case(task: tuple[Path, Case, float]) -> None:
+    """Write one case: where to, which, and how long each drive is [min]."""
+    folder, case, minutes = task
+    into = folder / "cases" / case.name
+    into.mkdir(exist_ok=True)
+    vehicle = write_vehicle(into / "vehicle.yaml", "lumped" if case.lumped else "core_surface")
+    if case.compensated:
+        _, paths = _record(case, into, "before", _drives(case, minutes, "before"))
+        _prefit(paths, vehicle)
+        for path in paths:
+            path.unlink()
+    driven = _drives(case, minutes, "drive")
+    lived, _ = _record(case, into, "drive", driven)
+    np.savez_compressed(folder / "sealed" / f"{case.name}.npz", **_kept(case, driven, lived))
+
+
+def _kept(case: Case, driven: Sequence[Drive], lived: Sequence[TruthRun]) -> dict[str, Any]:
+    """Of the truth what the score needs: what each effect added, over what it may be looked at."""
+
+    def joined(series: Sequence[Array]) -> Array:
+        return np.concatenate([one[::EVERY] for one in series])
+
+    found = {f"added/{name}": joined([one.added[name] for one in lived]) for name in case.hidden}
+    over = {
+        "speed": [d.speed for d in driven],
+        "acceleration": [d.accel for d in driven],
+        "load": [d.weight for d in driven],
+        "belt temperature": [one.belt for one in lived],
+        "ambient temperature": [d.ambient for d in driven],
+        "yaw rate": [np.abs(d.yaw_rate) for d in driven],
+        "heading": [np.angle(np.exp(1j * d.heading)) for d in driven],
+        "time since start": [np.arange(len(d)) * d.step for d in driven],
+        "distance": [np.cumsum(np.abs(d.speed)) * d.step for d in driven],
+        "curvature": [np.abs(d.yaw_rate) / np.maximum(np.abs(d.speed), 0.3) for d in driven],
+    }
+    lengths = np.array([len(one.torque[::EVERY]) for one in lived])
+    return {"lengths": lengths, **found, **{f"over/{name}": joined(series) for name, series in over.items()}}
+
+
+def drive_next(folder: Path, case: Case, minutes: float, name: str, planned: Callable[[Drive], Drive]) -> Path:
+    """Let the vehicle of a case drive once more, after all it has driven, and record it; `planned` gets its last drive."""
+    driven = _drives(case, minutes, "drive")
+    more = planned(driven[-1])
+    lived = live(find_vehicle(VEHICLE), build_of(case), case.hidden, [*driven, more])[-1]
+    path = folder / "cases" / case.name / f"{name}.csv"
+    _, radius = _weight_and_radius(find_vehicle(VEHICLE))
+    record(path, more, lived, _sensors(case), radius, START_S + len(driven) * APART_S, _draws(case, name))
+    return path
+
+
+def _draws(case: Case, what: str) -> np.random.Generator:
+    """A generator of its own for each thing that is drawn, so that each can be drawn again by itself."""
+    return np.random.default_rng([case.seed, *what.encode()])
+
+
+def _sensors(case: Case) -> Sensors:
+    return Sensors(belt_measured=case.belt_measured)
+
+
+def write_vehicle(path: Path, thermal: str) -> Path:
+    """Write the data sheet as a vehicle file with a thermal model."""
+    sheet = find_vehicle(VEHICLE)
+    content = read_yaml(sheet)
+    content["rubber"]["file"] = str((sheet.parent / content["rubber"]["file"]).resolve())
+    content["model"]["thermal"] = thermal
+    path.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+    return path
+
+
+def _drives(case: Case, minutes: float, name: str) -> list[Drive]:
+    rng = _draws(case, f"route of {name}")
+    weight, _ = _weight_and_radius(find_vehicle(VEHICLE))
+    return [
+        _dull(minutes, weight, rng) if case.dull else drive(minutes, share * weight, air, FASTEST_MPS, rng)
+        for share, air in zip(DULL_LOADS if case.dull else LOADS, rng.permutation(AIRS_DEGC), strict=True)
+    ]
+
+
+def _record(case: Case, into: Path, name: str, drives: Sequence[Drive]) -> tuple[list[TruthRun], list[Path]]:
+    sheet = find_vehicle(VEHICLE)
+    _, radius = _weight_and_radius(sheet)
+    lived = live(sheet, build_of(case), case.hidden, drives)
+    paths = [into / f"{name}_{i + 1}.csv" for i in range(len(drives))]
+    rng = _draws(case, name)
+    for i, (path, one, true) in enumerate(zip(paths, drives, lived, strict=True)):
+        record(path, one, true, _sensors(case), radius, START_S + i * APART_S, rng)
+    return lived, paths
+
+
+def _dull(minutes: float, weight: float, rng: np.random.Generator) -> Drive:
+    """A drive that shows little: straight on, at nearly one speed."""
+    made = drive(minutes, weight, 15.0, FASTEST_MPS, rng)
+    n = len(made)
+    time = np.arange(n) * made.step
+    speed = rng.uniform(*DULL_MPS) * np.minimum(1.0, time / 30.0) * (1.0 + 0.02 * np.sin(time / 40.0))
+    still = np.zeros(n)
+    return Drive(made.step, speed, np.gradient(speed, made.step), still, still, made.weight, made.ambient)
+
+
+def _weight_and_radius(sheet: Path) -> tuple[float, float]:
+    from trackres_ros.evaluation.sealed.data_sheet import read_data_sheet
+
+    numbers = read_data_sheet(sheet)
+    return numbers["weight"], numbers["track.sprocket_radius"]
+
+
+def _prefit(paths: Sequence[Path], vehicle: Path) -> None:
+    """Leave a vehicle file that was fitted to drives beforehand, as users do, whatever is hidden in them."""
+    from trackres_ros.diagnosis import load_base, read_recordings
+    from trackres_ros.diagnosis.inference.fitting import Problem, fit
+    from trackres_ros.diagnosis.inference.levels import with_levels
+    from trackres_ros.diagnosis.prepare.gate import gate
+    from trackres_ros.diagnosis.writing.kept import Kept
+
+    loaded = load_base(vehicle)
+    sessions = gate(read_recordings(paths, None), loaded.known).sessions
+    found = with_levels(fit(Problem(loaded.base, sessions, tuple(s.used for s in sessions))))
+    loaded.base.write(vehicle, Kept(found.base_values, (), {}), "fitted to earlier drives")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

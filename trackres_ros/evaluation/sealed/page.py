@@ -1,0 +1,197 @@
+"""What a run comes to: tables, the confusion matrix as a picture, and one page of each kind of mistake."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from trackres_ros.diagnosis.report.content import report
+from trackres_ros.diagnosis.report.page import write_page
+from trackres_ros.diagnosis.report.pictures import draw_all
+from trackres_ros.evaluation.sealed.answers import BASELINES
+from trackres_ros.evaluation.sealed.blind import diagnosed
+from trackres_ros.evaluation.sealed.scored import OURS, Scored, own_shares, shares, sizes, wilson
+from trackres_ros.output.plots import picture
+
+TARGETS = {
+    "none: false alarm": ("at most", 0.05), "single, identifiable: right name": ("at least", 0.90),
+    "single: truth in the reported class": ("at least", 0.95), "single: size of the class (mean)": ("at most", 1.5),
+    "compensated, identifiable: right name": ("at least", 0.85), "masked, identifiable: right name": ("at least", 0.70),
+    "two: both": ("at least", 0.70), "two: at least one": ("at least", 0.95), "two: no false third": ("at least", 0.90),
+    "not identifiable: class or abstain": ("at least", 0.90), "outside: unexplained": ("at least", 0.80),
+    "outside: confident wrong name": ("at most", 0.10),
+    "held-out error removed, of what the oracle removes (median)": ("at least", 0.9),
+    "held-out laps: never worse than the base": ("at least", 0.97), "95 % intervals cover": ("at least", 0.90),
+    "relative error of parameters (median)": ("at most", 0.15), "where, in time: overlap (median)": ("at least", 0.7),
+    "where, in its regime: Jaccard (median)": ("at least", 0.6), "recommended manoeuvre resolves the tie": ("at least", 0.80),
+}  # fmt: skip
+ALONE = ("single", "masked", "compensated", "confounded")  # levels with one effect, or none
+CONFUSION = "confusion.png"
+
+
+def write_all(folder: Path, scored: Sequence[Scored], seal: str, seed: int) -> str:
+    """Write scores.json, cases.csv, confusion.png, a page of one mistake of each kind, and proof.md; gives the last's text."""
+    kinds = mistakes(scored)
+    for kind, of in kinds.items():
+        write_case(folder, of[0], folder / f"{file_name(kind)}.html")
+    _write_cases(folder / "cases.csv", scored)
+    _draw_confusion(folder / CONFUSION, scored)
+    found = {method: shares(scored, method) for method in (OURS, *BASELINES) if method in scored[0].answers}
+    kept = {
+        "seed": seed,
+        "seal": seal,
+        "scores": {
+            method: {name: {"hits": hits, "of": of, "interval": wilson(hits, of)} for name, (hits, of) in rows.items()}
+            for method, rows in found.items()
+        },
+        "own": {name: {"hits": hits, "of": of, "interval": wilson(hits, of)} for name, (hits, of) in own_shares(scored).items()},
+        "sizes": sizes(scored),
+        "cases": [
+            {
+                "case": asdict(s.case), "known": asdict(s.known), "overlap": s.overlap, "jaccard": s.jaccard, "wrong": s.wrong,
+                "answers": {method: asdict(answer) for method, answer in s.answers.items()},
+            }
+            for s in scored
+        ],
+    }  # fmt: skip
+    (folder / "scores.json").write_text(json.dumps(kept, indent=1), encoding="utf-8")
+    counts = Counter(s.case.level for s in scored)
+    text = "\n\n".join(
+        (
+            f"{len(scored)} cases ({', '.join(f'{n} {level}' for level, n in counts.items())}), seed {seed}; SHA-256 of seed and "
+            f"labels, printed before the first recording was written: `{seal}`.",
+            table(found, own_shares(scored), sizes(scored)),
+            f"![What was said over what was true, of cases with one effect.]({CONFUSION})",
+            mistake_table(kinds),
+        )
+    )
+    (folder / "proof.md").write_text(text + "\n", encoding="utf-8")
+    return text
+
+
+def mistakes(scored: Sequence[Scored]) -> dict[str, list[Scored]]:
+    """Cases by kind of mistake, the most frequent kind first."""
+    kinds: dict[str, list[Scored]] = {}
+    for s in sorted(scored, key=lambda s: s.case.name):
+        if s.wrong:
+            kinds.setdefault(s.wrong, []).append(s)
+    return dict(sorted(kinds.items(), key=lambda pair: -len(pair[1])))
+
+
+def file_name(kind: str) -> str:
+    """Of a page."""
+    return "wrong_" + "_".join(word.strip(",") for word in kind.split())
+
+
+def write_case(folder: Path, s: Scored, path: Path) -> None:
+    """The page that the diagnosis makes of a case."""
+    found, paths = diagnosed(folder / "cases" / s.case.name)
+    into = folder / "pictures" / s.case.name
+    into.mkdir(parents=True, exist_ok=True)
+    hidden = ", ".join(s.case.hidden) or "nothing"
+    write_page(path, report(found, [Path(p.name) for p in paths]), draw_all(found, into), f"Case {s.case.name}; hidden: {hidden}")
+
+
+def table(
+    found: Mapping[str, Mapping[str, tuple[int, int]]], own: Mapping[str, tuple[int, int]], other: Mapping[str, Sequence[float]]
+) -> str:
+    """All scores beside their targets and the baselines."""
+    methods = [method for method in BASELINES if method in found]
+    heads = ["Score", "Measured", "95 %", "Target", "Met", *(BASELINES[method] for method in methods)]
+    lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
+    for name, (hits, of) in {**found[OURS], **own}.items():
+        low, high = wilson(hits, of)
+        shown = f"{hits / of:.0%} ({hits} of {of})" if of else "no case"
+        beside = [_share(*found[method][name]) if name in found[method] else "" for method in methods]
+        target, met = _target(name, hits / of if of else float("nan"), lambda x: f"{x:.0%}")
+        lines.append(
+            f"| {name} | {shown} | {f'{low:.0%} to {high:.0%}' if of else ''} | {target} | {met} | {' | '.join(beside)} |"
+        )
+    for name, values in other.items():
+        if not values:
+            continue
+        value = float(np.mean(values) if name.endswith("(mean)") else np.median(values))
+        target, met = _target(name, value, lambda x: f"{x:g}")
+        lines.append(f"| {name} | {value:.2f} (of {len(values)}) | | {target} | {met} |{' |' * len(methods)}")
+    return "\n".join(lines)
+
+
+def mistake_table(kinds: Mapping[str, Sequence[Scored]]) -> str:
+    """Mistakes by kind, with the page of the first of each and what the others were."""
+    lines = ["| Mistake | Cases | Hidden, and said instead |", "|---|---|---|"]
+    for kind, of in kinds.items():
+        shown = "; ".join(f"{', '.join(s.case.hidden) or 'nothing'}: {_said(s)}" for s in of)
+        lines.append(f"| {kind} ([the first]({file_name(kind)}.html)) | {len(of)} | {shown} |")
+    return "\n".join(lines)
+
+
+def _said(s: Scored) -> str:
+    return " + ".join("/".join(members) for members in s.answer.classes) or s.answer.status
+
+
+def _share(hits: int, of: int) -> str:
+    return f"{hits / of:.0%}" if of else ""
+
+
+def _target(name: str, value: float, shown: Callable[[float], str]) -> tuple[str, str]:
+    """The target in words, and whether it is met."""
+    if name not in TARGETS:
+        return "", ""
+    side, target = TARGETS[name]
+    if not np.isfinite(value):
+        return f"{side} {shown(target)}", ""
+    met = value <= target if side == "at most" else value >= target
+    return f"{side} {shown(target)}", "yes" if met else "**no**"
+
+
+def _write_cases(path: Path, scored: Sequence[Scored]) -> None:
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)
+        methods = [method for method in BASELINES if method in scored[0].answers]
+        writer.writerow(["case", "level", "hidden", "said", "status", "identifiable", "oracle_gain", "mistake", *methods])
+        for s in sorted(scored, key=lambda s: (s.case.level, sorted(s.true))):
+            beside = ["+".join(m for (m,) in s.answers[method].classes) or s.answers[method].status for method in methods]
+            plain = "yes" if s.known.identifiable else "no"
+            writer.writerow(
+                [s.case.name, s.case.level, "+".join(s.case.hidden), _said(s), s.answer.status, plain, f"{s.known.gain:.1f}",
+                 s.wrong, *beside]
+            )  # fmt: skip
+
+
+def _draw_confusion(path: Path, scored: Sequence[Scored]) -> None:
+    """What was said first over what was true, of cases with one effect or none."""
+    pairs = Counter(
+        (next(iter(s.case.hidden), "nothing") if s.case.level != "outside" else "not in the catalogue", _first(s))
+        for s in scored
+        if s.case.level in (*ALONE, "none", "outside")
+    )
+    true = sorted({t for t, _ in pairs}, key=_last_of_all)
+    said = sorted({a for _, a in pairs}, key=_last_of_all)
+    counts = np.array([[pairs[t, a] for a in said] for t in true])
+    with picture(path, 2.5 + 0.27 * len(said), 1.8 + 0.24 * len(true)) as figure:
+        axes = figure.subplots()
+        axes.grid(visible=False)
+        share = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
+        axes.imshow(share, cmap="Blues", vmin=0.0, vmax=1.2, aspect="auto")
+        for i, j in zip(*np.nonzero(counts), strict=True):
+            axes.text(
+                j, i, str(counts[i, j]), ha="center", va="center", fontsize=8, color="white" if share[i, j] > 0.7 else "black"
+            )
+        axes.set_xticks(range(len(said)), said, rotation=60, ha="right", rotation_mode="anchor")
+        axes.set_yticks(range(len(true)), true)
+        axes.set_xlabel("said first")
+        axes.set_ylabel("hidden")
+
+
+def _first(s: Scored) -> str:
+    return {"none": "nothing"}.get(s.answer.first, s.answer.first)
+
+
+def _last_of_all(name: str) -> tuple[bool, str]:
+    return name in ("nothing", "unexplained", "not in the catalogue"), name

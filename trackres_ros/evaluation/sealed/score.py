@@ -1,0 +1,118 @@
+"""Last process of a run: opens the seal and counts.
+
+`python -m trackres_ros.evaluation.sealed.score FOLDER`
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.findings.locate import evenly_filled
+from trackres_ros.errors import InputError
+from trackres_ros.evaluation.sealed.answers import BASELINES, Answer, of_names, of_report
+from trackres_ros.evaluation.sealed.baselines import by_trees
+from trackres_ros.evaluation.sealed.cases import CATALOGUE, Case, sealed
+from trackres_ros.evaluation.sealed.follow import advised
+from trackres_ros.evaluation.sealed.oracle import OracleAnswer, ask
+from trackres_ros.evaluation.sealed.page import write_all
+from trackres_ros.evaluation.sealed.scored import OURS, Scored
+
+Array = NDArray[np.float64]
+
+ACTING_SHARE = 0.5  # of the 95th percentile: where the truth counts an effect as acting
+BINS = 12
+
+
+def main(arguments: Sequence[str]) -> None:
+    """See above."""
+    folder = Path(arguments[0])
+    labels = json.loads((folder / "sealed" / "labels.json").read_text(encoding="utf-8"))
+    cases = [Case(**c) for c in labels["cases"]]
+    seal = sealed(labels["seed"], cases)
+    if seal != (folder / "seal.txt").read_text(encoding="utf-8").strip():
+        given = "labels that are not those that were sealed"
+        raise InputError(str(folder / "sealed"), given, "the labels of the cases as drawn", "begin anew with --fresh")
+    simple = [json.loads((folder / "results" / f"{case.name}.json").read_text(encoding="utf-8"))["simple"] for case in cases]
+    said = [next(iter(case.hidden), "none") if case.level != "outside" else "unexplained" for case in cases]
+    trees: Sequence[str | None] = by_trees([s["features"] for s in simple], said, list(CATALOGUE)) or [None] * len(cases)
+    scored = []
+    with ProcessPoolExecutor(os.cpu_count()) as pool:
+        for done, one in enumerate(pool.map(_score, [(folder, c, t) for c, t in zip(cases, trees, strict=True)]), start=1):
+            scored.append(one)
+            print(f"\roracle asked {done} of {len(cases)}", end="", flush=True)
+    print(flush=True)
+    print(write_all(folder, scored, seal, labels["seed"]))
+
+
+def _score(task: tuple[Path, Case, str | None]) -> Scored:
+    folder, case, tree = task
+    result = json.loads((folder / "results" / f"{case.name}.json").read_text(encoding="utf-8"))
+    report, simple = result["report"], result["simple"]
+    kept = folder / "sealed" / f"{case.name}.oracle.json"
+    if not kept.exists():
+        known = ask(folder / "cases" / case.name, [name for name in case.hidden if name in CATALOGUE])
+        kept.write_text(json.dumps(asdict(known)), encoding="utf-8")
+    known = OracleAnswer(**json.loads(kept.read_text(encoding="utf-8")))
+    answers = {name: of_names(simple[name]) for name in BASELINES if name in simple}
+    if tree:
+        answers["trees"] = Answer(tree, ()) if tree in ("none", "unexplained") else of_names([tree])
+    overlap, jaccard = _where(folder, case, report)
+    return Scored(case, report, known, {OURS: of_report(report), **answers}, overlap, jaccard, _resolved(folder, case, report))
+
+
+def _where(folder: Path, case: Case, report: dict[str, Any]) -> tuple[float, float]:
+    """Common part over both together, of where a true effect acts and where it is said to: in time, and over its regime."""
+    of = [e for e in report["effects"] if e["name"] in case.hidden]
+    if not of:
+        return float("nan"), float("nan")
+    truth = np.load(folder / "sealed" / f"{case.name}.npz")
+    added, lengths = np.abs(truth[f"added/{of[0]['name']}"]), truth["lengths"]
+    if not added.max() > 0.0:
+        return float("nan"), float("nan")
+    said, first = np.zeros(len(added), dtype=bool), np.concatenate(([0], np.cumsum(lengths)[:-1]))
+    for recording, begin, end in of[0]["where"]["time"]:
+        at = int(first[int(Path(recording).stem.removeprefix("drive_")) - 1])
+        said[at + int(begin) : at + int(end)] = True
+    overlap = _common(added >= ACTING_SHARE * np.percentile(added, 95.0), said)
+    regime = of[0]["where"]["regime"]
+    if not regime:
+        return overlap, float("nan")
+    variable = regime[0]["variable"]
+    over = truth[f"over/{variable}"]
+    inside = (over >= regime[0]["lo"]) & (over <= regime[0]["hi"])
+    _, place = evenly_filled(over, BINS)
+    means = np.bincount(place, weights=added) / np.maximum(np.bincount(place), 1)
+    return overlap, _common((means >= ACTING_SHARE * means.max())[place], inside)
+
+
+def _common(one: NDArray[np.bool_], other: NDArray[np.bool_]) -> float:
+    return float((one & other).sum() / max((one | other).sum(), 1))
+
+
+def _resolved(folder: Path, case: Case, report: dict[str, Any]) -> bool | None:
+    path = folder / "results_next" / f"{case.name}.json"
+    if not path.exists():
+        return None
+    advice, true = advised(report, set(case.hidden)), set(case.hidden)
+    assert advice is not None
+    after = of_report(json.loads(path.read_text(encoding="utf-8"))["report"])
+    stays = {name for group in advice["groups"] if set(group) & true for name in group}
+    gone = set(advice["separates"]) - stays
+    return any(set(members) & true & stays and not set(members) & gone for members in after.classes)
+
+
+if __name__ == "__main__":
+    try:
+        main(sys.argv[1:])
+    except InputError as refused:
+        sys.exit(f"trackres: error: {refused}")

@@ -1,0 +1,179 @@
+"""A case beside what was said of it, and the scores of many."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import norm
+
+from trackres_ros.evaluation.sealed.answers import Answer
+from trackres_ros.evaluation.sealed.cases import Case
+from trackres_ros.evaluation.sealed.oracle import OracleAnswer
+
+OURS = "diagnosis"
+WORTH_REMOVING = 0.01  # of the error
+NO_WORSE = 1.01  # than the re-fitted base: a percent is chance
+COMPARABLE = {
+    "grade": ("grade", "grade"), "torque_offset": ("offset", "offset"), "torque_gain": ("error", "error"),
+    "delay": ("time", "time"),
+    "drivetrain_drag": ("drag", "drag"), "drivetrain_efficiency": ("efficiency", "efficiency"), "solar": ("flux", "flux"),
+    "rain": ("factor", "factor"), "still_air": ("share", "share"), "cornering": ("compliance", "compliance"),
+    "soft_ground": ("torque", "torque"), "warmup": ("torque", "torque"), "vibration": ("speed", "speed"),
+    "rotating_inertia": ("more", "factor"),
+}  # fmt: skip
+"""Effects of which one parameter means nearly the same in both forms: its name here, and in the catalogue."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scored:
+    """One case, what was said of it, and what an oracle knows.
+
+    Attributes
+    ----------
+    answers
+        By method.
+    overlap, jaccard
+        Of the first true effect that was named: in time, and over the range of what it follows; nan where none was.
+    resolved
+        Whether the advised manoeuvre left the true effect and took from its class all that was to be told from it; None where
+        none was advised, or driven.
+    """
+
+    case: Case
+    report: dict[str, Any]
+    known: OracleAnswer
+    answers: Mapping[str, Answer]
+    overlap: float
+    jaccard: float
+    resolved: bool | None
+
+    @property
+    def true(self) -> set[str]:
+        """Names of what is hidden."""
+        return set(self.case.hidden)
+
+    @property
+    def answer(self) -> Answer:
+        """Of the diagnosis."""
+        return self.answers[OURS]
+
+    @property
+    def wrong(self) -> str:
+        """What kind of mistake the diagnosis made; empty where none."""
+        a = self.answer
+        if self.case.level == "none":
+            return "false alarm" if a.classes else ""
+        if self.case.level == "outside":
+            return (
+                "a name for what is not in the catalogue"
+                if a.classes
+                else ""
+                if a.status == "unexplained"
+                else "unknown not noticed"
+            )
+        if not a.classes:
+            return "not named though identifiable" if self.known.identifiable else ""
+        if not a.holds(self.true):
+            return "wrong name"
+        if a.holds(self.true) < len(a.classes):
+            return "right, and a wrong one beside"
+        return "one of two missed" if self.case.level == "two" and a.holds(self.true) < 2 else ""
+
+
+def wilson(hits: int, of: int) -> tuple[float, float]:
+    """95 % interval of a share."""
+    if not of:
+        return 0.0, 1.0
+    z, share = float(norm.ppf(0.975)), hits / of
+    middle = (share + z * z / (2 * of)) / (1 + z * z / of)
+    half = z * np.sqrt(share * (1 - share) / of + z * z / (4 * of * of)) / (1 + z * z / of)
+    return float(middle - half), float(middle + half)
+
+
+def shares(scored: Sequence[Scored], method: str = OURS) -> dict[str, tuple[int, int]]:
+    """Hits and tries of each score, of what a method answered."""
+    by = {level: [s for s in scored if s.case.level == level] for level in {s.case.level for s in scored}}
+
+    def share(of: Sequence[Scored], hit: Callable[[Scored, Answer], bool]) -> tuple[int, int]:
+        return sum(hit(s, s.answers[method]) for s in of), len(of)
+
+    def right(s: Scored, a: Answer) -> bool:
+        return bool(a.classes) and a.first in s.true
+
+    def in_class(s: Scored, a: Answer) -> bool:
+        return a.holds(s.true) > 0
+
+    def plain(of: Sequence[Scored]) -> list[Scored]:
+        return [s for s in of if s.known.identifiable]
+
+    single, masked, compensated = (by.get(level, []) for level in ("single", "masked", "compensated"))
+    two, outside, none = (by.get(level, []) for level in ("two", "outside", "none"))
+    unclear = [s for s in [*single, *masked, *compensated, *by.get("confounded", [])] if not s.known.identifiable]
+    return {
+        "none: false alarm": share(none, lambda _, a: bool(a.classes)),
+        "none: unexplained": share(none, lambda _, a: a.status == "unexplained"),
+        "single, identifiable: right name": share(plain(single), right),
+        "single, all: right name": share(single, right),
+        "single: truth in the reported class": share([s for s in single if s.answers[method].classes], in_class),
+        "compensated, identifiable: right name": share(plain(compensated), right),
+        "compensated, all: right name": share(compensated, right),
+        "masked, identifiable: right name": share(plain(masked), right),
+        "masked, all: right name": share(masked, right),
+        "two, each identifiable: both": share([s for s in two if s.known.plain_both], lambda s, a: a.holds(s.true) >= 2),
+        "two: both": share(two, lambda s, a: a.holds(s.true) >= 2),
+        "two: at least one": share(two, in_class),
+        "two: no false third": share(two, lambda s, a: a.holds(s.true) == len(a.classes)),
+        "not identifiable: class or abstain": share(unclear, lambda s, a: not a.classes or in_class(s, a)),
+        "outside: unexplained": share(outside, lambda _, a: a.status == "unexplained"),
+        "outside: confident wrong name": share(outside, lambda _, a: a.status == "named"),
+    }
+
+
+def own_shares(scored: Sequence[Scored]) -> dict[str, tuple[int, int]]:
+    """Hits and tries of what only the diagnosis answers."""
+    covers, _ = comparable(scored)
+    errors = [s.report["heldout"]["mae"] for s in scored]
+    driven = [s.resolved for s in scored if s.resolved is not None]
+    return {
+        "held-out laps: never worse than the base": (
+            sum(e["with_effects"] <= NO_WORSE * e["refitted"] for e in errors),
+            len(errors),
+        ),
+        "95 % intervals cover": (sum(covers), len(covers)),
+        "recommended manoeuvre resolves the tie": (sum(driven), len(driven)),
+    }
+
+
+def sizes(scored: Sequence[Scored]) -> dict[str, list[float]]:
+    """Scores that are no shares, case by case; of the first the median is told, of the last the mean."""
+
+    def removed(s: Scored) -> float:
+        mae = s.report["heldout"]["mae"]
+        return float((mae["refitted"] - mae["with_effects"]) / (s.known.mae_base - s.known.mae))
+
+    return {
+        "held-out error removed, of what the oracle removes (median)": [
+            removed(s) for s in scored if s.known.mae_base - s.known.mae > WORTH_REMOVING * s.known.mae_base
+        ],
+        "relative error of parameters (median)": comparable(scored)[1],
+        "where, in time: overlap (median)": [s.overlap for s in scored if np.isfinite(s.overlap)],
+        "where, in its regime: Jaccard (median)": [s.jaccard for s in scored if np.isfinite(s.jaccard)],
+        "single: size of the class (mean)": [float(len(m)) for s in scored if s.case.level == "single" for m in s.answer.classes],
+    }
+
+
+def comparable(scored: Sequence[Scored]) -> tuple[list[bool], list[float]]:
+    """Of effects rightly named: whether the interval covers the truth, and the relative error."""
+    covers, errors = [], []
+    for s in scored:
+        for e in s.report["effects"] if s.answer.classes else []:
+            if e["name"] in s.true & set(COMPARABLE):
+                here, there = COMPARABLE[e["name"]]
+                true, q = s.case.hidden[e["name"]][here], e["parameters"][there]
+                errors.append(abs(q["value"] / true - 1.0))
+                if q["ci95"]:
+                    covers.append(q["ci95"][0] <= true <= q["ci95"][1])
+    return covers, errors

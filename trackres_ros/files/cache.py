@@ -1,0 +1,121 @@
+"""The cache folder, and what is kept in it: only where no other user can write, only what its seal vouches for.
+
+A cache of compiled code is code. Whoever can write there can run what he likes as whoever starts the program, so a folder that
+others can write to, or could exchange for one of theirs, is not used at all. Everything in it can be computed again.
+"""
+
+from __future__ import annotations
+
+import grp
+import logging
+import os
+import pwd
+import stat
+from functools import cache
+from pathlib import Path
+
+from trackres_ros.files import own_files
+
+ONLY_OURS = 0o700
+REMEDY = "set XDG_CACHE_HOME to a folder of your own to keep them"
+
+_log = logging.getLogger("trackres")
+
+
+def usable(folder: Path | None) -> Path | None:
+    """The folder, made if need be, if it may serve as a cache; None if not, which is said once."""
+    if folder is None:
+        _say("there is no home folder")
+        return None
+    folder = folder.absolute()
+    reason = _made(folder) or why_not(folder)
+    if reason:
+        _say(reason)
+        return None
+    return folder
+
+
+def fetched(folder: Path | None, name: str, most: int) -> bytes | None:
+    """What is kept under a name, if it is whole and our own; a damaged file is removed."""
+    if folder is None:
+        return None
+    path = folder / name
+    try:
+        payload = own_files.unsealed(name, own_files.read(path, most)) if path.stat().st_uid in _ours() else None
+    except FileNotFoundError:
+        return None
+    except OSError:
+        payload = None
+    if payload is None:
+        drop(folder, name)
+    return payload
+
+
+def keep(folder: Path | None, name: str, payload: bytes) -> None:
+    """Keep something under a name. Where that fails the next start computes it again."""
+    if folder is None:
+        return
+    try:
+        own_files.write(folder / name, own_files.sealed(name, payload))
+    except OSError as error:
+        _say(f"{folder}: {error.strerror or error}")
+
+
+def drop(folder: Path, name: str) -> None:
+    """Remove what is kept under a name, if it can be removed."""
+    try:
+        (folder / name).unlink(missing_ok=True)
+    except OSError:
+        return
+
+
+def why_not(folder: Path) -> str:
+    """Why another user could write what is read from a folder; empty if none could."""
+    real = folder.resolve()
+    for place in (real, *real.parents):
+        try:
+            found = place.stat()
+        except OSError as error:
+            return f"{place}: {error.strerror}"
+        if found.st_uid not in _ours():
+            return f"{place} belongs to another user"
+        by_group = found.st_mode & stat.S_IWGRP and not _group_of_one(found.st_gid)
+        by_all = found.st_mode & stat.S_IWOTH
+        # In a sticky folder such as /tmp others can add files, and not exchange ours: good above the cache, not as the cache.
+        if (by_group or by_all) and not (found.st_mode & stat.S_ISVTX and place != real):
+            return f"other users can write to {place}"
+    return ""
+
+
+def _made(folder: Path) -> str:
+    """Make the folder, for its owner alone; the reason if that fails."""
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(mode=ONLY_OURS, exist_ok=True)
+        mode = stat.S_IMODE(folder.stat().st_mode)
+        if mode & 0o077 and not why_not(folder):
+            folder.chmod(ONLY_OURS)  # made by an older version, which left it readable
+    except OSError as error:
+        return f"{folder}: {error.strerror or error}"
+    if not os.access(folder, os.W_OK | os.X_OK):
+        return f"{folder} cannot be written to"
+    return ""
+
+
+def _ours() -> tuple[int, int]:
+    return os.geteuid(), 0
+
+
+@cache
+def _group_of_one(group: int) -> bool:
+    """Whether a group is the user's private one, as many systems give everybody."""
+    try:
+        user, found = pwd.getpwuid(os.geteuid()).pw_name, grp.getgrgid(group)
+    except KeyError:
+        return False
+    return found.gr_name == user and set(found.gr_mem) <= {user}
+
+
+@cache
+def _say(reason: str) -> None:
+    _log.warning("trackres: compiled code and tables are not kept for the next start: %s; %s", reason, REMEDY)

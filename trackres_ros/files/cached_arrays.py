@@ -1,0 +1,44 @@
+"""Arrays that take a second to compute, kept in the cache folder under a key that says all they depend on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.files.cache import fetched, keep, usable
+from trackres_ros.files.own_files import SEAL
+from trackres_ros.files.resources import cache_dir
+
+Array = NDArray[np.float64]
+
+STORED = np.dtype("<f8")
+
+
+def cached_arrays(
+    key: str, shapes: Mapping[str, tuple[int, ...]], compute: Callable[[], Mapping[str, Array]], cache: Path | None = None
+) -> dict[str, Array]:
+    """Arrays by name, from the cache if it holds them whole, else computed and stored.
+
+    Parameters
+    ----------
+    key
+        File name without suffix; must change with everything the arrays depend on.
+    shapes
+        Names and shapes: they are stored one after the other, so the shapes say the size of the file.
+    cache
+        Folder; by default `trackres_ros.files.resources.cache_dir`. Where it cannot be used the next start computes again.
+    """
+    folder, name = usable(cache or cache_dir()), f"{key}.arrays"
+    sizes = [math.prod(shape) for shape in shapes.values()]
+    stored = fetched(folder, name, sum(sizes) * STORED.itemsize + SEAL().digest_size)
+    if stored is not None and len(stored) == sum(sizes) * STORED.itemsize:
+        numbers = np.frombuffer(stored, dtype=STORED).astype(float)
+        parts = np.split(numbers, np.cumsum(sizes)[:-1])
+        return {name: part.reshape(shape) for (name, shape), part in zip(shapes.items(), parts, strict=True)}
+    arrays = {name: np.asarray(value, dtype=float) for name, value in compute().items()}
+    keep(folder, name, b"".join(np.ascontiguousarray(arrays[each], dtype=STORED).tobytes() for each in shapes))
+    return arrays

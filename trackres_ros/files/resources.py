@@ -1,0 +1,73 @@
+"""Where the shipped files are, alike in a checkout, a pip install and a colcon install."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from trackres_ros.errors import InputError
+
+PACKAGE = "trackres_ros"
+
+
+def config_dir() -> Path:
+    """Folder of the shipped configuration: config/ of a checkout, else share/trackres_ros/config of the install prefix."""
+    package = Path(__file__).resolve().parents[1]
+    checkout = package.parent / "config"
+    if (checkout / "rubber").is_dir():
+        return checkout
+    for prefix in package.parents:
+        shared = prefix / "share" / PACKAGE / "config"
+        if shared.is_dir():
+            return shared
+    raise InputError(
+        "installation",
+        str(package),
+        f"a folder share/{PACKAGE}/config above it",
+        "reinstall the package, or give paths instead of names",
+    )
+
+
+def shipped_vehicles() -> dict[str, Path]:
+    """Names of the shipped vehicles and their files."""
+    return _with_section("tracks:")
+
+
+def shipped_road_vehicles() -> dict[str, Path]:
+    """Names of the shipped vehicles of the base model `road_load`, which serve the diagnosis, and their files."""
+    return _with_section("road_load:")
+
+
+def find_vehicle(path_or_name: str | os.PathLike[str]) -> Path:
+    """Path of a vehicle file given as a path or as the name of a shipped vehicle.
+
+    Raises
+    ------
+    InputError
+        If it is neither.
+    """
+    path = Path(path_or_name)
+    if path.is_file():
+        return path
+    shipped = shipped_vehicles() | shipped_road_vehicles()
+    if str(path_or_name) in shipped:
+        return shipped[str(path_or_name)]
+    raise InputError("vehicle", str(path_or_name), f"the path of a vehicle file, or one of {', '.join(shipped)}")
+
+
+def cache_dir() -> Path | None:
+    """Folder for what can be computed again: $XDG_CACHE_HOME/trackres or ~/.cache/trackres; None without a home."""
+    base = os.environ.get("XDG_CACHE_HOME")
+    try:
+        return (Path(base) if base else Path.home() / ".cache") / "trackres"
+    except RuntimeError:  # no HOME, and a user the system does not know
+        return None
+
+
+def _with_section(section: str) -> dict[str, Path]:
+    found = {}
+    for path in sorted(config_dir().glob("*.yaml")):
+        with path.open(encoding="utf-8") as lines:
+            if any(line.startswith(section) for line in lines):
+                found[path.stem] = path
+    return found

@@ -1,0 +1,143 @@
+"""The one reader of YAML: whatever a file holds, it is plain data of bounded size, or one line says why not."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Hashable
+from pathlib import Path
+from typing import Any
+
+import yaml
+from yaml.nodes import CollectionNode, MappingNode, Node, ScalarNode
+
+from trackres_ros.errors import InputError
+from trackres_ros.files.small_files import read_text
+
+MOST_BYTES = 1 << 18  # the longest file that is shipped has 15 kB, the parameters of a whole robot a few times that
+MOST_NODES = 20_000  # with every alias written out; the largest vehicle has under a thousand
+MOST_DEPTH = 50  # the deepest vehicle file has 12
+
+MERGE = "tag:yaml.org,2002:merge"
+
+
+class _Refused(yaml.MarkedYAMLError):
+    """What is YAML, and refused all the same."""
+
+    def __init__(self, problem: str, node: Node) -> None:
+        super().__init__(problem=problem, problem_mark=node.start_mark)
+
+
+class _Loader(yaml.SafeLoader):
+    """Safe YAML in which a key given twice is an error instead of a silent loss, and which a few bytes cannot make large."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text)
+        self._depth = 0
+        self._sizes: dict[int, int] = {}  # of what is composed, aliases written out, by identity of the node
+
+    def compose_node(self, parent: Node | None, index: Any) -> Node | None:
+        """One node; the composer of the library calls this for each."""
+        self._depth += 1
+        node = super().compose_node(parent, index)
+        self._depth -= 1
+        if node is not None and id(node) not in self._sizes:
+            if node.__class__ is not ScalarNode:  # an alias to what is not composed yet stands in itself
+                raise _Refused("an alias to what it stands in", node)
+            self._sizes[id(node)] = 1
+        return node
+
+    def compose_sequence_node(self, anchor: Any) -> Any:
+        """A list."""
+        self._check_depth()
+        node = super().compose_sequence_node(anchor)
+        self._measure(node, node.value)
+        return node
+
+    def compose_mapping_node(self, anchor: Any) -> Any:
+        """A mapping."""
+        self._check_depth()
+        node = super().compose_mapping_node(anchor)
+        self._measure(node, [part for pair in node.value for part in pair])
+        self._refuse_repeated_keys(node)
+        return node
+
+    def _check_depth(self) -> None:
+        if self._depth > MOST_DEPTH:
+            raise _Refused(f"more than {MOST_DEPTH} lists and mappings in each other", _Here(self.peek_event()))  # type: ignore[no-untyped-call]
+
+    def _measure(self, node: CollectionNode, parts: list[Node]) -> None:
+        size = 1 + sum(self._sizes[id(part)] for part in parts)
+        if size > MOST_NODES:
+            raise _Refused(f"more than {MOST_NODES} values, aliases written out", node)
+        self._sizes[id(node)] = size
+
+    def _refuse_repeated_keys(self, node: MappingNode) -> None:
+        seen: set[Hashable] = set()
+        for key_node, _ in node.value:
+            if not isinstance(key_node, ScalarNode) or key_node.tag == MERGE:
+                continue  # lists and mappings cannot be keys: the library says so
+            key = self.construct_object(key_node, deep=True)
+            if key in seen:
+                raise _Refused(f"given twice: {key_node.value} (of a key that stands twice one would be lost)", key_node)
+            seen.add(key)
+
+
+class _Here(Node):
+    """A place without a node."""
+
+    def __init__(self, event: Any) -> None:
+        super().__init__("", None, event.start_mark, event.end_mark)
+
+
+_Loader.add_implicit_resolver(  # YAML 1.1 reads 1.2e11, without the sign in the exponent, as text
+    "tag:yaml.org,2002:float", re.compile(r"[-+]?[0-9]+(?:\.[0-9]*)?[eE][-+]?[0-9]+"), list("-+0123456789")
+)
+
+
+def parse_yaml(text: str, where: str) -> object:
+    """The one document of a YAML text as plain data.
+
+    Parameters
+    ----------
+    where
+        The file or option, for messages.
+
+    Raises
+    ------
+    InputError
+        It is no YAML, gives a key twice, refers to itself, or is larger than anything that is read here.
+    """
+    if len(text) > MOST_BYTES:
+        raise InputError(where, f"{len(text)} characters", f"YAML of at most {MOST_BYTES}")
+    try:
+        loader = _Loader(text)
+        return loader.get_single_data()
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        line = f", line {mark.line + 1}" if mark else ""
+        raise InputError(
+            f"{where}{line}", " ".join((error.problem or error.context or "no YAML").split()), "a YAML file or value"
+        ) from None
+    except Exception as error:  # a date 2001-99-99, !!int abc, 5,000 digits: constructors raise whatever they meet
+        raise InputError(
+            where, " ".join(f"{error}".split()) or type(error).__name__, "a YAML file or value of plain data"
+        ) from None
+
+
+def read_yaml(path: Path, allowed: str = "a YAML mapping at the top", remedy: str = "") -> dict[str, Any]:
+    """Read the mapping that a YAML file holds.
+
+    Parameters
+    ----------
+    allowed, remedy
+        What the file is to hold, for messages.
+
+    Raises
+    ------
+    InputError
+        There is no such file, it is none that can be read at once, or what `parse_yaml` says.
+    """
+    found = parse_yaml(read_text(path, "YAML file", MOST_BYTES), str(path))
+    if not isinstance(found, dict):
+        raise InputError(str(path), "nothing" if found is None else found, allowed, remedy)
+    return found

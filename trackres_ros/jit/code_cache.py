@@ -1,0 +1,82 @@
+"""Machine code of one compiled function, kept over starts in the place of numba's own cache.
+
+numba's trusts its files: an index that is empty or cut ends the program, and both index and code are pickles, which run what
+they hold. Here every specialisation is a file of its own under a seal, written in one step, so two processes at once leave
+each other's files whole; one that is not what was written is removed and compiled again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import pickle
+from collections.abc import Callable
+from pathlib import Path
+from types import FunctionType
+from typing import Any
+
+from trackres_ros.files.cache import drop, fetched, keep
+
+LARGEST = 64 << 20  # bytes; the largest of ours has less than one million
+
+
+class CodeCache:
+    """What a numba dispatcher asks of its cache (numba 0.57 to 0.68 ask the same)."""
+
+    def __init__(self, function: FunctionType, folder: Callable[[], Path | None]) -> None:
+        self._function, self._folder = function, folder
+
+    @property
+    def cache_path(self) -> str:
+        """Folder, for numba's statistics."""
+        return str(self._folder() or "")
+
+    def enable(self) -> None:
+        """Always is."""
+
+    def disable(self) -> None:
+        """Never is."""
+
+    def flush(self) -> None:
+        """Remove what is kept of this function."""
+        folder = self._folder()
+        for path in folder.glob(f"{self._stem}-*") if folder else ():
+            drop(path.parent, path.name)
+
+    def any(self) -> bool:
+        """Whether whole code of this function lies in the cache."""
+        folder = self._folder()
+        found = folder.glob(f"{self._stem}-*.code") if folder else ()
+        return any(fetched(folder, path.name, LARGEST) is not None for path in found)
+
+    def load_overload(self, signature: Any, target: Any) -> Any:
+        """The compiled function for a signature, or None."""
+        from numba.core import compiler
+
+        target.refresh()
+        folder, name = self._folder(), self._name(signature, target.codegen())
+        payload = fetched(folder, name, LARGEST)
+        if payload is None or folder is None:
+            return None
+        try:
+            rebuild: Callable[..., Any] = compiler.CompileResult._rebuild
+            return rebuild(target, *pickle.loads(payload))  # sealed, in a folder where only we can write
+        except Exception:  # whatever it is, compiling anew mends it
+            drop(folder, name)
+            return None
+
+    def save_overload(self, signature: Any, compiled: Any) -> None:
+        """Keep the compiled function for a signature."""
+        from numba.core import serialize
+
+        dumps: Callable[[Any], bytes] = serialize.dumps
+        if self._folder() is None or compiled.lifted or compiled.library.has_dynamic_globals:
+            return
+        keep(self._folder(), self._name(signature, compiled.codegen), dumps(compiled._reduce()))
+
+    @property
+    def _stem(self) -> str:
+        return f"{self._function.__module__}.{self._function.__qualname__}"
+
+    def _name(self, signature: Any, codegen: Any) -> str:
+        parts = repr((signature, codegen.magic_tuple(), self._function.__code__.co_code))
+        return f"{self._stem}-{hashlib.sha256(parts.encode()).hexdigest()[:32]}.code"

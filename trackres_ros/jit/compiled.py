@@ -1,0 +1,127 @@
+"""The decorators of the kernels: numba where it is installed, plain Python where it is not.
+
+The numerical kernels are written once, in the subset both run; the environment variable TRACKRES_INTERPRETED=1 leaves
+numba out, which the tests use to show that both give the same numbers.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from types import FunctionType
+from typing import Any, TypeVar, cast
+
+from trackres_ros.files.cache import usable
+from trackres_ros.files.resources import cache_dir
+from trackres_ros.jit.code_cache import CodeCache
+
+COMPILED_ROOMS = ("model", "estimator", "effects")
+"""Where the sources of compiled code lie."""
+CONSTANTS = "units.py"
+"""What they take constants from besides: those become part of the code."""
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+try:
+    if os.environ.get("TRACKRES_INTERPRETED"):
+        raise ImportError("left out on request")
+    import numba
+    from llvmlite.binding import get_host_cpu_name
+except ImportError:
+    HAVE_NUMBA = False
+    _library: Any = None
+else:
+    HAVE_NUMBA = True
+    _library = numba
+
+
+def _sources_digest() -> str:
+    """Digest of every source file that compiled code can come from."""
+    package = Path(__file__).parents[1]
+    digest = hashlib.sha256()
+    for path in (*sorted(path for room in COMPILED_ROOMS for path in (package / room).rglob("*.py")), package / CONSTANTS):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _cache_name() -> str:
+    """Name of the folder of compiled code: it says which sources, which numba and which processor it is for.
+
+    numba itself looks only at the file of the function, not at those it calls: after a change in one of them it would run the
+    old machine code.
+    """
+    parts = [_sources_digest(), sys.implementation.cache_tag]
+    if HAVE_NUMBA:
+        parts += [_library.__version__, get_host_cpu_name()]
+    return f"compiled-{'-'.join(parts)}"
+
+
+_CACHE_NAME = _cache_name()
+
+
+def _base() -> Path | None:
+    return Path(_library.config.CACHE_DIR) if HAVE_NUMBA and _library.config.CACHE_DIR else cache_dir()
+
+
+@cache
+def _folder(base: Path | None) -> Path | None:
+    checked = usable(base)
+    return None if checked is None else usable(checked / _CACHE_NAME)
+
+
+def code_folder() -> Path | None:
+    """Where compiled code is kept; None where it cannot be."""
+    return _folder(_base())
+
+
+def keep_code_in(base: Path) -> None:
+    """From now on keep compiled code below another folder."""
+    _library.config.CACHE_DIR = str(base)
+
+
+def compiled(function: Function) -> Function:
+    """Compile `function` with numba (cached on disk) where numba is there."""
+    return _compile(function, False)
+
+
+def inlined(function: Function) -> Function:
+    """The same as a part of each of its callers: a call that hands over all constants costs as much as a step's arithmetic."""
+    return _compile(function, True)
+
+
+def compiled_anew(function: Function) -> Function:
+    """Compile `function` in each process: for what becomes part of other code that is cached, or makes arrays."""
+    return cast(Function, _library.njit(nogil=True, error_model="numpy")(function)) if HAVE_NUMBA else function
+
+
+def _compile(function: Function, into_callers: bool) -> Function:
+    if not HAVE_NUMBA:
+        return function
+    # No kernel makes an array, so nothing has to count who holds one: that cost a third of a step.
+    dispatcher = _library.njit(nogil=True, error_model="numpy", forceinline=into_callers, _nrt=False)(function)
+    dispatcher._cache = CodeCache(cast(FunctionType, function), code_folder)
+    return cast(Function, dispatcher)
+
+
+def is_cached(function: Callable[..., Any]) -> bool:
+    """Whether whole machine code of a compiled function lies in the cache; true without numba, as then nothing is compiled."""
+    return not hasattr(function, "py_func") or CodeCache(function.py_func, code_folder).any()
+
+
+def interpreted(function: Function, _known: dict[Any, Any] | None = None) -> Function:
+    """A copy in plain Python of a compiled function and of all compiled ones it calls: the same numbers, without compiling."""
+    known = {} if _known is None else _known
+    python = getattr(function, "py_func", None)
+    if python is None:
+        return function
+    if function not in known:
+        names = dict(python.__globals__)
+        known[function] = FunctionType(python.__code__, names, python.__name__, python.__defaults__, python.__closure__)
+        for name, value in python.__globals__.items():
+            if hasattr(value, "py_func"):
+                names[name] = interpreted(value, known)
+    return cast(Function, known[function])

@@ -1,0 +1,153 @@
+"""One operating point taken apart by the exact methods: loads, contacts, losses, heat, torque, rainflow matrix."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from trackres_ros.effects.effect import SOFTENING_FROM_DEGC, Active, Conditions, Terms, conditions, together
+from trackres_ros.model import resistance
+from trackres_ros.model.belt import axial_stiffness
+from trackres_ros.model.facts import facts_of
+from trackres_ros.model.hysteresis import RainflowCount
+from trackres_ros.model.loads import wheel_loads
+from trackres_ros.model.resistance import RESISTANCE_PARTS
+from trackres_ros.model.thermal import film_coefficient, surface_temperature
+from trackres_ros.model.track import TrackModel, steady_tension, track_model
+from trackres_ros.vehicle import Vehicle
+
+UNKNOWN = {"yaw_rate", "heading", "distance"}  # needs of an effect of which an operating point says nothing
+DRIVE_PASSES = 4  # the torque strains the belt by 1e-4 of what the wheels do; a second pass already settles it
+
+
+def explain(
+    vehicle: Vehicle, speed: float, belt_degc: float, ambient_degc: float | None = None, weight_n: float | None = None
+) -> dict[str, Any]:
+    """Everything the model says of one steady state.
+
+    Parameters
+    ----------
+    speed
+        [m/s], either sign.
+    belt_degc, ambient_degc
+        Belt temperature, the mean one, and ambient temperature [degC].
+    weight_n
+        Whole weight [N], shared as nominal; by default the vehicle file's.
+
+    Returns
+    -------
+    dict
+        Ready for JSON. Torques, heat and cooling are for the whole vehicle; contacts, tension, loss forces and the rainflow
+        matrix for the first assembly, with the loss forces of the others beside it. The effects of the vehicle file are part
+        of it all but for those that need more than this state (`effects_left_out`): turning, a heading, a distance.
+    """
+    ambient = vehicle.chassis.ambient if ambient_degc is None else ambient_degc
+    weight = vehicle.weight if weight_n is None else weight_n
+    nominal = vehicle.nominal_loads()
+    loads = weight * nominal / nominal.sum()
+    models = {name: track_model(vehicle, name) for name in vehicle.tracks}
+    chassis, direction = vehicle.chassis, float(resistance.direction(speed))
+    wind = float(resistance.wind_force(speed, chassis.drag_coefficient * chassis.frontal_area, chassis.air_density))
+    usable, left_out = _effects(vehicle)
+    at = conditions(facts_of(vehicle), speed, weight=weight, ambient=ambient)
+    warms = _together(usable, at)
+    loss_factor = float(warms.loss_factor) * math.exp(-warms.softening * (belt_degc - SOFTENING_FROM_DEGC))
+    assemblies: list[dict[str, Any]] = []
+    heat = cooling = 0.0
+    torque = dict.fromkeys((*RESISTANCE_PARTS, "inertia"), 0.0)
+    for assembly, load in zip(vehicle.assemblies, loads, strict=True):
+        model = models[assembly.track]
+        radius = model.track.sprocket_radius
+        bearing = float(resistance.bearing_force(speed, load, chassis.bearing_friction))
+        drive = 0.0
+        for _ in range(DRIVE_PASSES):
+            loss = model.loss.loss_force(speed, belt_degc, load, drive)
+            total = float(loss.total) * loss_factor
+            drive = radius * (total * direction + bearing + wind * load / weight)
+        torque["hysteresis"] += radius * total * direction
+        torque["bearing"] += radius * bearing
+        torque["wind"] += radius * wind * load / weight
+        network = model.network
+        slope = network.film_slope * float(warms.film_slope_factor)
+        film = float(film_coefficient(speed, network.film_offset * float(warms.film_offset_factor), slope))
+        heat += total * abs(speed) + float(warms.heat)
+        cooling += film * network.area * (belt_degc - ambient) + float(warms.conductance) * (belt_degc - float(warms.sink))
+        assemblies.append(
+            {
+                "name": assembly.name,
+                "load_n": float(load),
+                "film_w_m2k": film,
+                "drive_torque_nm": drive,
+                "loss_force_n": {**{part: float(f) * loss_factor for part, f in loss._asdict().items()}, "total": total},
+                "surface_degc": float(surface_temperature(belt_degc, ambient, film, network.area, network.inner_conductance)),
+            }
+        )
+    torque["effects"] = _effects_torque(usable, at, torque["hysteresis"] + torque["bearing"] + torque["wind"])
+    first, model = assemblies[0], models[vehicle.assemblies[0].track]
+    contacts = model.loss.contacts(speed, belt_degc, first["load_n"])
+    return {
+        "vehicle": vehicle.name,
+        "method": vehicle.hysteresis,
+        "speed_mps": float(speed),
+        "belt_degc": float(belt_degc),
+        "ambient_degc": float(ambient),
+        "weight_n": float(weight),
+        "assemblies": [a["name"] for a in assemblies],
+        "wheel_loads_n": [
+            wheel_loads(models[a.track].track, load).tolist() for a, load in zip(vehicle.assemblies, loads, strict=True)
+        ],
+        "contact": [
+            {"half_length_m": float(a), "max_strain": float(e), "frequency_hz": float(f), "modulus_mpa": float(m) / 1e6}
+            for a, e, f, m in zip(*contacts, strict=True)
+        ],
+        "tension_n": steady_tension(model, belt_degc, speed),
+        "loss_force_n": first["loss_force_n"],
+        "loss_force_by_assembly_n": [a["loss_force_n"] for a in assemblies],
+        "torque_nm": {**torque, "resistance": sum(torque[part] for part in RESISTANCE_PARTS)},
+        "effects_left_out": left_out,
+        "heat_w": heat,
+        "cooling_w": cooling,
+        "film_coefficient_w_m2k": first["film_w_m2k"],
+        "surface_degc": [a["surface_degc"] for a in assemblies],
+        "rainflow": rainflow_matrix(model, speed, belt_degc, first["load_n"], first["drive_torque_nm"]),
+    }
+
+
+def _effects(vehicle: Vehicle) -> tuple[list[Active], list[str]]:
+    """Effects of the vehicle file that a steady straight drive says enough for, and the names of the others."""
+    usable = [active for active in vehicle.active if not set(active.effect.needs) & UNKNOWN]
+    return usable, [active.effect.name for active in vehicle.active if active not in usable]
+
+
+def _together(effects: Sequence[Active], at: Conditions) -> Terms:
+    """What effects do in a steady state, with states of their own where those tend to."""
+    lags = [active.lag(at) for active in effects]
+    return together([a.terms(at, 0.0 if lag is None else lag.target) for a, lag in zip(effects, lags, strict=True)])
+
+
+def _effects_torque(effects: Sequence[Active], at: Conditions, others: float) -> float:
+    """What effects add to the other parts [Nm]; some of them go by what driving takes in all."""
+    added = 0.0
+    for _ in range(DRIVE_PASSES):
+        terms = _together(effects, at._replace(drive_torque=others + added))
+        added = float(terms.torque) + (others + float(terms.torque)) * (float(terms.drive_gain) - 1.0)
+    return added
+
+
+def rainflow_matrix(model: TrackModel, speed: float, belt_degc: float, load: float, drive_torque: float = 0.0) -> list[list[Any]]:
+    """Rows [range, mean, count, component] of one loop, equation (25): through the thickness, and along the outer face."""
+    counter = RainflowCount(model.track, model.rubber)
+    belt = model.track.belt
+    half_lengths = counter.contacts(speed, belt_degc, load).half_length
+    stiffness = axial_stiffness(belt, model.rubber.dynamic_modulus(abs(speed) / belt.loop_length, belt_degc))
+    steady = steady_tension(model, belt_degc, speed) / float(stiffness)
+    strain = float(counter.drive_strain(speed, belt_degc, drive_torque))
+    along = counter.along_cycles(belt.thickness, strain, steady)
+    return [
+        [float(c.cycle.range), float(c.cycle.mean), float(c.cycle.number), component]
+        for component, cycles in (("through", counter.indentation_cycles(np.asarray(half_lengths))), ("along", along))
+        for c in cycles
+    ]

@@ -1,0 +1,478 @@
+"""The running application: takes messages, keeps the estimate, publishes at its rate, and says when not to trust it.
+
+It knows neither ROS nor DDS. An edge hands it messages and calls `tick` every `period_s`; it answers through the edge. All
+calls come from one thread.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from operator import itemgetter
+from pathlib import Path
+
+from trackres_ros.errors import InputError
+from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.estimator import Estimate, Estimator
+from trackres_ros.estimator.topic_settings import settings_for
+from trackres_ros.files.resources import config_dir, find_vehicle
+from trackres_ros.node.edge import Edge, Level, Peer, Status
+from trackres_ros.node.endpoints import input_topics, live_topics
+from trackres_ros.node.inbox import Arrival
+from trackres_ros.node.intake import Intake, Sample
+from trackres_ros.node.mismatch import MismatchDetector
+from trackres_ros.node.outlet import Outlet
+from trackres_ros.node.parameters import Parameters
+from trackres_ros.node.remarks import Remark, level_of
+from trackres_ros.node.report import Overview, overview, statuses
+from trackres_ros.node.stamps import nearest_usable
+from trackres_ros.node.state_keeper import StateKeeper, state_path
+from trackres_ros.node.warm_up import WarmUp, exercise
+from trackres_ros.node.watch import Watch
+from trackres_ros.recording.bindings import Topics
+from trackres_ros.units import SECOND_NS
+from trackres_ros.vehicle import load, with_surroundings
+
+TIME_RESET, ACCEPTED = int(at.Reason.TIME_RESET), int(at.Count.ACCEPTED)
+LONGEST_PERIOD_S = 0.1  # between two looks at the age of the speed, and between two outputs
+LONGEST_WAIT_NS = 50_000_000  # of a message for a speed that was sent later
+MOST_BEFORE_CLOCK = 10000
+MUST_BE_FINITE = (at.OUT_RESISTANCE, at.OUT_STD, at.OUT_FEEDFORWARD)
+
+Arrived = tuple[int, int, int, Sequence[Sample]]
+"""When a message was sent, when it arrived by the steady clock and by the node's time [ns], and its samples."""
+
+
+class Application:
+    """The live estimate of one vehicle.
+
+    Parameters
+    ----------
+    parameters
+        Checked parameters; `vehicle` must be given.
+    edge
+        The middleware; nothing is asked of it before the first call of `tick` or `receive`.
+    node, namespace
+        Name of the node, for the state file and the statuses.
+    steady_ns
+        A clock that never jumps [ns].
+
+    Raises
+    ------
+    InputError
+        If vehicle, topics file or parameters cannot be used.
+    """
+
+    def __init__(
+        self,
+        parameters: Parameters,
+        edge: Edge,
+        node: str = "trackres",
+        namespace: str = "/",
+        steady_ns: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        if not parameters.text("vehicle"):
+            raise InputError("parameter vehicle", "", "a vehicle file, or the name of a shipped one", "for example xgd24d")
+        self.parameters = parameters
+        self.node, self.namespace = node, namespace
+        topics_file = parameters.text("topics")
+        self.topics = Topics.load(Path(topics_file) if topics_file else config_dir() / "topics" / "default.yaml")
+        _check_live(self.topics)
+        vehicle_file = find_vehicle(parameters.text("vehicle"))
+        self.vehicle = with_surroundings(load(vehicle_file), parameters.text("surroundings"))
+        settings = settings_for(parameters.settings(), self.topics)
+        self._warm_up = WarmUp(str(vehicle_file), parameters.text("surroundings"))
+        self.estimator = Estimator(self.vehicle, settings, entries=self._warm_up.first)
+        exercise(self.estimator)  # loading what is compiled takes a third of a second, which the first message need not wait
+        self.inputs = input_topics(self.topics)
+        self.outputs = live_topics(self.vehicle, self.topics)
+        self.mismatch = MismatchDetector(parameters.mismatch())
+        self.keeper = StateKeeper(
+            *state_path(parameters.text("state_file"), parameters.sim_time, node, namespace, self.vehicle.name)
+        )
+        self.active = False
+        self.on_estimate: Callable[[list[float], int, int], None] | None = None  # row, stamp, arrival
+        self._edge, self._steady_ns = edge, steady_ns
+        self._is_speed = ["speed" in given.roles for given in self.inputs]
+        self._waiting: list[Arrived] = []
+        self._before_clock: list[tuple[int, int | None, Sequence[float | None], int, Arrival]] = []
+        self._intake = Intake(self.inputs, self.estimator.channels)
+        self._outlet = Outlet(self.outputs, self.estimator, edge)
+        self._arrival_offset_ns = time.time_ns() - steady_ns()
+        self.session, self.began_with, unused = self.keeper.load(self.estimator)
+        self._state_at = self._rested_at = time.time()
+        self._watch = Watch(self.estimator, self.inputs, unused)
+        now = steady_ns()
+        self._next_second_ns, self._next_output_ns, self._next_save_ns = now, now, now + self._save_period_ns()
+
+    @property
+    def _on_speed(self) -> bool:
+        return self.parameters.values["output_rate_hz"] == 0.0
+
+    @property
+    def period_s(self) -> float:
+        """How often `tick` is to be called [s]."""
+        between_s = self._between_outputs_s
+        return between_s / math.ceil(between_s / LONGEST_PERIOD_S - 1e-9)
+
+    @property
+    def _between_outputs_s(self) -> float:
+        """Longest time between two outputs."""
+        return LONGEST_PERIOD_S if self._on_speed else 1.0 / self.parameters.number("output_rate_hz")
+
+    # What arrives
+
+    def arrival(self) -> Arrival:
+        """The arrival of a message that comes now."""
+        return self._steady_ns(), self._edge.now_ns()
+
+    def dropped(self, index: int) -> None:
+        """Take note of a message of an input topic that had to make way for later ones."""
+        self._intake.dropped[index] += 1
+
+    def receive(self, index: int, message: object, sent_ns: int = 0, arrived: Arrival | None = None) -> None:
+        """Take a decoded message of an input topic, sent at a time [ns] of its publisher's machine, 0 where that is not known."""
+        try:
+            read = self._intake.read(index, message)
+        except Exception as error:  # a fault of ours must not end the node
+            self._fault(error)
+            return
+        self.receive_values(index, *read, sent_ns, arrived)
+
+    def undecodable(self, index: int, sent_ns: int = 0, arrived: Arrival | None = None) -> None:
+        """Take note of a message of an input topic that cannot be decoded: no number, at the node's time."""
+        self.receive_values(index, None, [math.nan] * len(self.inputs[index].roles), sent_ns, arrived)
+
+    def receive_values(
+        self,
+        index: int,
+        stamp_ns: int | None,
+        values: Sequence[float | None],
+        sent_ns: int = 0,
+        arrived: Arrival | None = None,
+    ) -> None:
+        """Take what an edge has read from a message of an input topic; see `Intake.samples`. By default it arrives now.
+
+        Messages are worked off in the order they were sent, as a bag holds them. Where many wait, as after a pause of this
+        process, a middleware hands over one of each topic in turn. So what is no speed waits for the first speed that was sent
+        later. And what comes before the simulated clock waits for it: without a time nothing can be said of its age.
+        """
+        try:
+            self._receive(index, stamp_ns, values, sent_ns, arrived or self.arrival())
+        except Exception as error:  # as above
+            self._fault(error)
+
+    def _receive(self, index: int, stamp_ns: int | None, values: Sequence[float | None], sent_ns: int, arrived: Arrival) -> None:
+        steady, now = arrived
+        if now == 0 and self.parameters.sim_time:
+            now = self._edge.now_ns()
+        if now == 0 and self.parameters.sim_time:
+            if len(self._before_clock) < MOST_BEFORE_CLOCK:
+                self._before_clock.append((index, stamp_ns, values, sent_ns, arrived))
+            return
+        if self._before_clock:
+            earlier, self._before_clock = self._before_clock, []
+            for waiting in earlier:
+                self.receive_values(*waiting)
+        message = (sent_ns, steady, now, self._intake.samples(index, stamp_ns, values, now))
+        if sent_ns and not self._is_speed[index]:
+            self._waiting.append(message)
+            return
+        if self._waiting:
+            self._work_off([waiting[0] <= sent_ns or not sent_ns for waiting in self._waiting])
+        self._handle(message)
+
+    def _work_off(self, due: Sequence[bool]) -> None:
+        waiting = self._waiting
+        self._waiting = [one for one, now_due in zip(waiting, due, strict=True) if not now_due]
+        for one in sorted((one for one, now_due in zip(waiting, due, strict=True) if now_due), key=itemgetter(0)):
+            self._handle(one)
+
+    def _handle(self, arrived: Arrived) -> None:
+        _, steady, now, samples = arrived
+        arrival = now if self.parameters.sim_time else steady + self._arrival_offset_ns
+        try:
+            counters = self.session.memory.counters
+            for channel, stamp, value in samples:
+                before = counters[channel, ACCEPTED]
+                estimate = self.session.handle(channel, stamp, arrival, value)
+                if counters[channel, ACCEPTED] != before:
+                    self._watch.accepted_ns[channel] = steady
+                if estimate is not None:
+                    self._take(estimate, steady, now, arrival)
+        except Exception as error:  # a fault of ours must not silence the outputs
+            self._fault(error)
+
+    def _take(self, estimate: Estimate, steady: int, now: int, arrival: int) -> None:
+        values = estimate.row.tolist()
+        if not all(math.isfinite(values[column]) for column in MUST_BE_FINITE):
+            raise ArithmeticError(f"the estimate is not finite: {values}")
+        stamp = int(self.session.memory.times[at.SPEED, at.LAST_STAMP])
+        self._outlet.take(values, float(self.session.motion[at.FEEDFORWARD_TARGET]), stamp, steady, self._pace(steady))
+        if self.active and self._on_speed:
+            self._next_output_ns = steady + int(LONGEST_PERIOD_S * SECOND_NS)
+            self._publish(self._steady_ns())
+        self._state_at = time.time()
+        reasons = int(values[at.OUT_REASONS])
+        if reasons & TIME_RESET:
+            self.mismatch.restart()
+        self.mismatch.take(
+            stamp,
+            values[at.OUT_RESIDUAL],
+            values[at.OUT_DRIVE],
+            values[at.OUT_STD],
+            values[at.OUT_SPEED],
+            values[at.OUT_ACCEL],
+        )
+        if self._watch.accepted(reasons, now - stamp) and self.active:
+            self._publish_status(self._steady_ns())
+        if self.on_estimate:
+            self.on_estimate(values, stamp, arrival)
+
+    def _fault(self, error: Exception) -> None:
+        if self._watch.fault(error, self._steady_ns()):
+            self._log(Level.ERROR, f"a fault of this program: {''.join(traceback.format_exception(error))}")
+
+    def _log(self, level: Level, text: str) -> None:
+        with suppress(Exception):  # nobody to tell that nobody can be told
+            self._edge.log(level, text)
+
+    def _pace(self, steady: int) -> int:
+        """Time by which the feed-forward moves: that of the controller, the simulated one where there is one [ns]."""
+        return nearest_usable(self._edge.now_ns()) if self.parameters.sim_time else steady
+
+    def _publish(self, steady: int) -> None:
+        self._outlet.publish(steady, self._pace(steady))
+
+    # What leaves
+
+    def activate(self) -> None:
+        """Begin to publish. The estimate runs whether it is published or not."""
+        self._outlet.begin()
+        self.active = True
+
+    def deactivate(self) -> None:
+        """Stop publishing."""
+        self.active = False
+
+    def tick(self) -> None:
+        """Publish what is due, look at ages and peers, save the state; to be called every `period_s`.
+
+        It never raises: a part that fails is said on the status, and the others are done.
+        """
+        steady = self._steady_ns()
+        turned_old = self._watch.look_at_age(self._outlet.age_s(steady), self.estimator.settings.speed_max_age_s)
+        self._safely(self._hand_over_late, steady)
+        self._safely(self._publish_due, steady)
+        if steady >= self._next_second_ns:
+            self._next_second_ns += SECOND_NS * (1 + (steady - self._next_second_ns) // SECOND_NS)
+            self._every_second(steady)
+        elif turned_old and self.active:
+            self._publish_status(steady)
+        self._safely(self._save_due, steady)
+
+    def _safely(self, do: Callable[[int], None], steady: int) -> None:
+        try:
+            do(steady)
+        except Exception as error:  # as above
+            self._fault(error)
+
+    def _hand_over_late(self, steady: int) -> None:
+        if self._waiting:
+            self._work_off([steady - waiting[1] > LONGEST_WAIT_NS for waiting in self._waiting])
+
+    def _publish_due(self, steady: int) -> None:
+        if self.active and steady >= self._next_output_ns - int(0.5 * self.period_s * SECOND_NS):
+            between_ns = int(self._between_outputs_s * SECOND_NS)
+            self._next_output_ns = max(self._next_output_ns + between_ns, steady)
+            self._publish(steady)
+
+    def _save_due(self, steady: int) -> None:
+        if steady >= self._next_save_ns:
+            self._next_save_ns = steady + self._save_period_ns()
+            self._rest_unused_belts()
+            self.keeper.save_soon(self.session, self._state_at)
+
+    def _every_second(self, steady: int) -> None:
+        for part in (self._change_over, self._look, self._log_remarks):
+            self._safely(part, steady)
+        if self.active:
+            self._publish_status(steady, diagnostics=True)
+
+    def _change_over(self, _steady: int) -> None:
+        compiled = self._warm_up.finished()
+        if compiled:
+            self._go_on_with(Estimator(self.vehicle, self.estimator.settings, entries=compiled))
+
+    def _look(self, steady: int) -> None:
+        peers: list[Sequence[Peer]] = [()] * len(self.inputs)
+        try:
+            peers = [self._edge.peers(i) for i in range(len(self.inputs))]
+        finally:  # rates and refusals are of interest without peers too
+            self._watch.every_second(self.session, self._intake, peers, steady)
+
+    def _log_remarks(self, steady: int) -> None:
+        said = self._watch.to_log(self.remarks(steady))
+        if said:
+            self._log(*said)
+
+    def _publish_status(self, steady: int, diagnostics: bool = False) -> None:
+        name = f"{self.namespace.rstrip('/')}/{self.node}".lstrip("/")
+        try:
+            found = statuses(self.overview(steady), name, self.vehicle.name)
+        except Exception as error:  # then that much is to be said
+            self._fault(error)
+            values = (("level", "error"), ("remarks", "INTERNAL_ERROR"))
+            text = f"{type(error).__name__}: {error}"
+            found = [Status(Level.ERROR, f"{name}: estimate", f"a fault of this program: {text}", self.vehicle.name, values)]
+        try:
+            now_ns = self._edge.now_ns()
+        except Exception as error:  # as above
+            self._fault(error)
+            now_ns = steady + self._arrival_offset_ns
+        self._outlet.publish_statuses(found, now_ns, diagnostics)
+
+    def remarks(self, steady: int | None = None) -> list[Remark]:
+        """All that is to be remarked now, heaviest first."""
+        steady = self._steady_ns() if steady is None else steady
+        found = self._watch.remarks(
+            age_s=self._outlet.age_s(steady),
+            max_age_s=self.estimator.settings.speed_max_age_s,
+            clock_runs=not self.parameters.sim_time or self._edge.now_ns() > 0,
+            steady=steady,
+        )
+        verdict = self.mismatch.verdict
+        if verdict.parted:
+            found.append(Remark("MISMATCH", f"{verdict.text}; look into it with: {self.look_into_it()}"))
+        for topic, error in self._outlet.failed.items():
+            found.append(Remark("OUTPUT_FAILED", f"{topic} cannot be published: {error}"))
+        if self.keeper.error:
+            where = f" in {self.keeper.path}" if self.keeper.path else ""
+            found.append(Remark("STATE_NOT_SAVED", f"the state cannot be saved{where}: {self.keeper.error}"))
+        if self._watch.state_unused:
+            found.append(Remark("STATE_NOT_USED", self.began_with))
+        if self.estimator.entries is self._warm_up.first and not self.estimator.entries.compiled and self._warm_up.running:
+            found.append(Remark("COMPILING", "steps run in plain Python until they are compiled"))
+        return sorted(found, key=lambda remark: -remark.level)
+
+    def look_into_it(self) -> str:
+        """The command that finds out where measured and expected torque differ, and why."""
+        given = [f" --{name} {self.parameters.text(name)}" for name in ("surroundings", "topics") if self.parameters.text(name)]
+        return f"trackres diagnose RECORDING --vehicle {self.parameters.text('vehicle')}{''.join(given)} -o report"
+
+    def overview(self, steady: int | None = None) -> Overview:
+        """All there is to see now, for statuses and the terminal."""
+        steady = self._steady_ns() if steady is None else steady
+        remarks = self.remarks(steady)
+        return overview(level_of(remarks), remarks, self._outlet, self._watch, self.mismatch.verdict, self.keeper, steady)
+
+    # What is asked of it
+
+    def change(self, given: Mapping[str, object]) -> None:
+        """Change parameters while running; the temperatures stay.
+
+        Raises
+        ------
+        InputError
+            See `checked_change`; then nothing is changed.
+        """
+        parameters = self.checked_change(given)
+        settings = settings_for(parameters.settings(), self.topics)
+        if parameters.mismatch() != self.parameters.mismatch():
+            self.mismatch = MismatchDetector(parameters.mismatch())
+        if parameters.number("save_period_s") != self.parameters.number("save_period_s"):
+            self._next_save_ns = self._steady_ns()
+        self.parameters = parameters
+        if settings != self.estimator.settings:
+            self._go_on_with(Estimator(self.vehicle, settings, entries=self.estimator.entries))
+
+    def checked_change(self, given: Mapping[str, object]) -> Parameters:
+        """The parameters after a change.
+
+        Raises
+        ------
+        InputError
+            For an unknown or bad value, one that cannot be changed while running, or one that the topics file decides.
+        """
+        parameters = self.parameters.changed(given)
+        settings = settings_for(parameters.settings(), self.topics)
+        for name in given:
+            if hasattr(settings, name) and getattr(settings, name) != parameters.values[name]:
+                raise InputError(
+                    f"parameter {name}",
+                    given[name],
+                    f"{getattr(settings, name)}, which the topics file says",
+                    f"change max_age_s, sensor or std_k in {self.topics.origin} and configure the node anew",
+                )
+        return parameters
+
+    def reset(self) -> str:
+        """Start cold, as if switched on with belts at the ambient temperature; what was done, in words."""
+        self.session.start_anew(time_went_back=False)
+        self.mismatch.restart()
+        text = "the estimate starts anew, with cold belts, at the next speed"
+        self._log(Level.WARN, f"reset: {text}")
+        return text
+
+    def save_state(self) -> str:
+        """Save the state now; what was done, in words.
+
+        Raises
+        ------
+        InputError
+            If no state is kept or it cannot be written.
+        """
+        self._rest_unused_belts()
+        return self.keeper.save(self.session, self._state_at)
+
+    def time_went_back(self) -> None:
+        """The simulated clock jumped back: start anew, and say so with the next estimate."""
+        self.session.start_anew(time_went_back=True)
+        self.mismatch.restart()
+        self._log(Level.WARN, "time went back: the estimate starts anew")
+
+    def close(self) -> str:
+        """Save the state and end what runs beside; what was done, in words."""
+        self.deactivate()
+        self._work_off([True] * len(self._waiting))
+        self._warm_up.close()
+        counted = [f"{name} {count.name.lower()} {number}" for name, count, number in self.session.counts()]
+        counted += [f"{name} bad_stamp {n}" for name, n in zip(self.estimator.channels, self._intake.bad_stamp, strict=True) if n]
+        counted += [f"{i.name} dropped {n}" for i, n in zip(self.inputs, self._intake.dropped, strict=True) if n]
+        self._log(Level.OK, f"messages: {', '.join(counted) or 'none'}")
+        try:
+            return "no state is kept" if self.keeper.path is None else self.save_state()
+        except InputError as error:
+            return str(error)
+        finally:
+            self.keeper.close()
+
+    def _go_on_with(self, estimator: Estimator) -> None:
+        session = estimator.session()
+        session.adopt(self.session)
+        self.estimator, self.session = estimator, session
+        self._outlet.estimator = estimator
+
+    def _rest_unused_belts(self) -> None:
+        """Belts taken from a state file go on cooling until the first speed comes."""
+        now = time.time()
+        if self._outlet.stamp_ns is None and self.session.started:
+            cooled = self.estimator.rest(self.session.state, self.vehicle.chassis.ambient, max(0.0, now - self._rested_at))
+            self.session.begin(cooled)
+            self._state_at = now
+        self._rested_at = now
+
+    def _save_period_ns(self) -> int:
+        return int(self.parameters.number("save_period_s") * SECOND_NS)
+
+
+def _check_live(topics: Topics) -> None:
+    """A live node needs topics, and a speed among them."""
+    for role in topics:
+        if not topics[role].topic:
+            raise InputError(f"{topics.origin}: {role}", "a column of a table", "a topic with type and field")
+    if "speed" not in topics:
+        raise InputError(topics.origin, f"roles {', '.join(topics)}", "a speed among them")

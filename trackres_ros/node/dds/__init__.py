@@ -1,0 +1,11 @@
+"""The transport on Cyclone DDS, where ROS 2 is not installed: the same topics and presence, as a ROS 2 node shows them."""
+
+from trackres_ros.errors import MissingExtraError
+
+try:
+    import cyclonedds._clayer  # noqa: F401
+    import rosbags.typesys  # noqa: F401
+except ImportError as error:
+    missing = (error.name or "cyclonedds").partition(".")[0]
+    wheels = "there are wheels for Python 3.10 to 3.13 on x86-64 Linux" if missing == "cyclonedds" else ""
+    raise MissingExtraError("running without ROS 2", missing, "dds", wheels) from error

@@ -1,0 +1,141 @@
+"""Messages in bytes: outputs prepared once and filled in place, inputs decoded."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from typing import Any
+
+from trackres_ros.node.dds.participant import serialized
+from trackres_ros.node.dds.wire import known_type, typestore
+from trackres_ros.node.edge import Status
+from trackres_ros.node.endpoints import InputTopic
+from trackres_ros.node.stamps import UNUSABLE, stamp_ns
+from trackres_ros.output.bag import FIELDS, template_message
+from trackres_ros.output.topics import OutputTopic
+from trackres_ros.recording.bindings import FieldStep, field_steps
+from trackres_ros.recording.cdr import MalformedError, layout_of
+from trackres_ros.recording.message_types import TIME, check_field, definitions, message_fields, stamp_path
+from trackres_ros.units import SECOND_NS
+
+CLOCK_BYTES = 12
+CODES = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "i8": "q", "u8": "Q", "f4": "f", "f8": "d"}
+STRUCTS = {order + kind: struct.Struct(order + code) for order in "<>" for kind, code in CODES.items()}
+
+
+class Prepared:
+    """The message of one output topic: only stamp and numbers are written into its bytes each time."""
+
+    def __init__(self, topic: OutputTopic, frame_id: str) -> None:
+        store = typestore()
+        types = definitions(message_fields(store), topic.type)
+        paths = [field_steps(path) for path in FIELDS.get(topic.kind, [f"effort[{i}]" for i in range(len(topic.names))])]
+        stamp = stamp_path(types, topic.type)
+        if stamp:
+            paths += [(*stamp, FieldStep(field.name)) for field in types[TIME]]
+        self._bytes = bytearray(serialized(template_message(topic, store, frame_id), topic.type))
+        spots = layout_of(bytes(self._bytes), types, topic.type, paths).spots
+        places = [place for place in spots if place is not None]
+        self._stamp = [offset for offset, _ in places[-2:]] if stamp else []
+        self._numbers = [offset for offset, _ in (places[:-2] if stamp else places)]
+
+    def filled(self, stamp: int, values: Sequence[float]) -> bytes:
+        """The message with a stamp [ns] and its numbers."""
+        if self._stamp:
+            seconds, nanoseconds = divmod(stamp, SECOND_NS)
+            struct.pack_into("<i", self._bytes, self._stamp[0], seconds)
+            struct.pack_into("<I", self._bytes, self._stamp[1], nanoseconds)
+        for offset, value in zip(self._numbers, values, strict=True):
+            struct.pack_into("<d", self._bytes, offset, value)
+        return bytes(self._bytes)
+
+
+def diagnostic_array(stamp: int, statuses: Sequence[Status], frame_id: str) -> bytes:
+    """A DiagnosticArray."""
+    types = typestore().types
+    seconds, nanoseconds = divmod(stamp, SECOND_NS)
+    header = types["std_msgs/msg/Header"](
+        stamp=types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds), frame_id=frame_id
+    )
+    key_value, status = types["diagnostic_msgs/msg/KeyValue"], types["diagnostic_msgs/msg/DiagnosticStatus"]
+    listed = [
+        status(
+            level=int(given.level),
+            name=given.name,
+            message=given.message,
+            hardware_id=given.hardware_id,
+            values=[key_value(key=key, value=value) for key, value in given.values],
+        )
+        for given in statuses
+    ]
+    kind = "diagnostic_msgs/msg/DiagnosticArray"
+    return serialized(types[kind](header=header, status=listed), kind)
+
+
+class InputReader:
+    """Reads stamp and numbers of the messages of one input topic.
+
+    Messages of a topic are mostly laid out alike, so the places found in one serve the next.
+
+    Raises
+    ------
+    InputError
+        For a type that is not known here, or a field path that does not lead to a number.
+    """
+
+    def __init__(self, given: InputTopic, origin: str) -> None:
+        where = f"{origin}: {', '.join(given.roles)}"
+        self._type = known_type(given.type, where)
+        self._types = definitions(message_fields(typestore()), given.type)
+        self._scales = [(binding.scale, binding.offset) for binding in given.bindings]
+        self._paths = [check_field(self._types, given.type, binding.field, f"{where}: field") for binding in given.bindings]
+        stamp = stamp_path(self._types, given.type)
+        if stamp:
+            self._paths += [(*stamp, FieldStep(field.name)) for field in self._types[TIME]]
+        self._has_stamp = bool(stamp)
+        self._fixed: tuple[tuple[slice, bytes], ...] = ()
+        self._length = -1
+        self._places: list[tuple[int, struct.Struct] | None] = []
+
+    def read(self, raw: bytes) -> tuple[int | None, list[float | None]]:
+        """Stamp [ns], None where the type has none; and the scaled number of each binding, None where it is not in the message.
+
+        Raises
+        ------
+        MalformedError
+            If the bytes are no message of the type.
+        """
+        if len(raw) != self._length or any(raw[where] != content for where, content in self._fixed):
+            self._learn(raw)
+        numbers: list[Any] = [None if place is None else place[1].unpack_from(raw, place[0])[0] for place in self._places]
+        stamp = None
+        if self._has_stamp:
+            nanoseconds, seconds = numbers.pop(), numbers.pop()
+            stamp = stamp_ns(int(seconds), int(nanoseconds))
+        return stamp, [
+            None if number is None else scale * number + offset
+            for number, (scale, offset) in zip(numbers, self._scales, strict=True)
+        ]
+
+    def _learn(self, raw: bytes) -> None:
+        layout = layout_of(raw, self._types, self._type, self._paths)
+        self._length = layout.length
+        self._fixed = tuple((slice(start, start + len(content)), content) for start, content in layout.fixed)
+        self._places = [None if spot is None else (spot[0], STRUCTS[spot[1]]) for spot in layout.spots]
+
+
+def clock_ns(raw: bytes) -> int:
+    """Time [ns] in a rosgraph_msgs/msg/Clock.
+
+    Raises
+    ------
+    MalformedError
+        If the bytes are too few, or hold no time.
+    """
+    if len(raw) < CLOCK_BYTES:
+        raise MalformedError("too short")
+    seconds, nanoseconds = struct.unpack_from("<iI" if raw[1] else ">iI", raw, 4)
+    stamp = stamp_ns(int(seconds), int(nanoseconds))
+    if stamp == UNUSABLE:
+        raise MalformedError("no time")
+    return stamp

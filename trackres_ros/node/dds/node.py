@@ -1,0 +1,182 @@
+"""The live node on Cyclone DDS: one thread that waits for messages and for the next tick."""
+
+from __future__ import annotations
+
+import gc
+import importlib.util
+import os
+import sys
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+
+from trackres_ros.node.application import Application
+from trackres_ros.node.asked import Asked
+from trackres_ros.node.dds.messages import InputReader, Prepared, clock_ns, diagnostic_array
+from trackres_ros.node.dds.participant import Participant, Reader
+from trackres_ros.node.edge import Level, Peer, Status
+from trackres_ros.node.endpoints import Quality, full_name, input_name, input_quality, output_quality
+from trackres_ros.node.inbox import Arrival, Inbox
+from trackres_ros.node.parameters import Parameters
+from trackres_ros.recording.cdr import MalformedError
+from trackres_ros.units import SECOND_NS
+
+CLOCK_TYPE = "rosgraph_msgs/msg/Clock"
+CLOCK_QUALITY = Quality(reliable=False, depth=1, deadline_s=0.0)
+# Naps this short cost two percent of a core, and keep the way of a message in the caches: the torque leaves a tenth sooner.
+LONGEST_WAIT_NS = 2_000_000
+
+
+class DdsNode:
+    """The node; `spin` runs it.
+
+    Raises
+    ------
+    InputError
+        If parameters, vehicle or topics cannot be used.
+    """
+
+    def __init__(self, parameters: Parameters, node: str, namespace: str) -> None:
+        self._name = full_name(node, "", namespace).replace("//", "/").strip("/").replace("/", ".")
+        self._frame_id = parameters.text("frame_id")
+        self.application = application = Application(parameters, self, node, namespace)
+        self._input_readers = [InputReader(given, application.topics.origin) for given in application.inputs]
+        self._participant = Participant(node, namespace)
+        self._prepared: list[Prepared | None] = []
+        self._writers = []
+        for topic in application.outputs:
+            name = full_name(topic.name, node, namespace)
+            self._writers.append(self._participant.writer(name, topic.type, output_quality(parameters, topic)))
+            self._prepared.append(None if topic.kind == "status" else Prepared(topic, self._frame_id))
+        self._input_names = [input_name(given.name, namespace) for given in application.inputs]
+        self._quality = input_quality(parameters)
+        self._readers = [
+            self._participant.reader(name, given.type, self._quality)
+            for name, given in zip(self._input_names, application.inputs, strict=True)
+        ]
+        self._clock: Reader | None = None
+        self._sim_ns = 0
+        if parameters.sim_time:
+            self._clock = self._participant.reader("/clock", CLOCK_TYPE, CLOCK_QUALITY)
+        self._participant.announce()
+        self._inbox = Inbox(
+            [reader.take for reader in self._readers],
+            self._hand,
+            application.arrival,
+            application.dropped,
+            int(parameters.number("input_depth")),
+        )
+        self._next_tick = 0
+
+    # What the application asks of its edge
+
+    def now_ns(self) -> int:
+        """The machine's time, or the last of /clock."""
+        return self._sim_ns if self._clock else time.time_ns()
+
+    def publish(self, output: int, stamp_ns: int, values: Sequence[float]) -> None:
+        """Publish a message of numbers."""
+        prepared = self._prepared[output]
+        assert prepared is not None
+        self._writers[output].write(prepared.filled(stamp_ns, values))
+
+    def publish_status(self, output: int, stamp_ns: int, statuses: Sequence[Status]) -> None:
+        """Publish a DiagnosticArray."""
+        self._writers[output].write(diagnostic_array(stamp_ns, statuses, self._frame_id))
+
+    def peers(self, index: int) -> Sequence[Peer]:
+        """The publishers on the topic of an input."""
+        if index == 0:  # the first of a round
+            self._publications = list(self._participant.publications())
+        wanted = self._quality
+        return [
+            Peer(
+                found.type,
+                (found.reliable or not wanted.reliable) and (not wanted.deadline_s or found.deadline_s <= wanted.deadline_s),
+            )
+            for found in self._publications
+            if found.topic == self._input_names[index]
+        ]
+
+    def log(self, level: Level, text: str) -> None:
+        """One line on standard error, as ROS 2 writes it."""
+        severity = {Level.OK: "INFO", Level.ERROR: "ERROR"}.get(level, "WARN")
+        try:
+            print(f"[{severity}] [{time.time():.9f}] [{self._name}]: {text}", file=sys.stderr, flush=True)
+        except OSError:  # nobody reads the log any more, which must end neither the node nor its exit code
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())
+
+    # Running
+
+    def spin(self, asked: Asked) -> None:
+        """Run until a signal asks to stop, and do what others ask for."""
+        application = self.application
+        why = "without rclpy" if importlib.util.find_spec("rclpy") else "rclpy is not there"
+        reach = self._participant.reach
+        self.log(Level.OK, f"{why}: on Cyclone DDS {reach}: topics and presence, no parameter or lifecycle services")
+        self.log(Level.OK, f"{application.vehicle.title}; {application.began_with}")
+        application.activate()
+        wait = self._participant.waiter()
+        self._next_tick = time.monotonic_ns()
+        asked.started()
+        while not asked.to_stop:
+            left = self._next_tick - time.monotonic_ns()
+            if left > 0:
+                wait(min(left, LONGEST_WAIT_NS))
+            if self._clock:
+                for raw, _ in self._clock.take():
+                    with suppress(MalformedError):
+                        self._set_clock(clock_ns(raw))
+            self._inbox.collect()
+            # A simulated clock stands while messages are worked off, and none comes between it and them.
+            self._inbox.work_off(self._tick_if_due, collecting=self._clock is None)
+            self._tick_if_due()
+            for level, text in asked.answers(application):
+                self.log(level, text)
+
+    def _hand(self, index: int, message: tuple[bytes, int], arrived: Arrival) -> None:
+        raw, sent_ns = message
+        try:
+            stamp, values = self._input_readers[index].read(raw)
+        except Exception:  # whatever the bytes are, they end nothing
+            self.application.undecodable(index, sent_ns, arrived)
+        else:
+            self.application.receive_values(index, stamp, values, sent_ns, arrived)
+
+    def _tick_if_due(self) -> None:
+        now = time.monotonic_ns()
+        if now >= self._next_tick:
+            self._next_tick = max(self._next_tick + int(self.application.period_s * SECOND_NS), now)
+            self.application.tick()
+
+    def close(self) -> None:
+        """Save the state and leave."""
+        self.log(Level.OK, self.application.close())
+        self._participant.close()
+
+    def _set_clock(self, now_ns: int) -> None:
+        back_ns = self._sim_ns - now_ns
+        self._sim_ns = now_ns
+        if back_ns > self.application.estimator.settings.clock_jump_s * SECOND_NS:
+            self.application.time_went_back()
+
+
+def run(
+    parameters: Parameters, node: str, namespace: str, asked: Asked, started: Callable[[Application], None] | None = None
+) -> int:
+    """Run the node until a signal asks to stop.
+
+    Returns
+    -------
+    int
+        Exit code, 0.
+    """
+    running = DdsNode(parameters, node, namespace)
+    gc.freeze()  # what was loaded stays: looking through it would hold up a message now and then
+    try:
+        if started:
+            started(running.application)
+        running.spin(asked)
+    finally:
+        running.close()
+    return 0

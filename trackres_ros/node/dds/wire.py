@@ -1,0 +1,188 @@
+"""ROS 2 topics on the DDS wire: names, types, type hashes and quality of service as the middlewares of ROS 2 have them.
+
+Names and types after the ROS 2 design "Topic and Service name mapping to DDS"; the type hash after REP-2016. Only numbers and
+bytes pass through here: messages are serialised and deserialised elsewhere.
+"""
+
+from __future__ import annotations
+
+import os
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+from cyclonedds.core import Policy, Qos
+from cyclonedds.domain import Domain
+from cyclonedds.idl import make_idl_struct
+from cyclonedds.idl import types as idl
+from cyclonedds.util import duration
+from rosbags.typesys import Stores, get_typestore
+
+from trackres_ros.errors import InputError
+from trackres_ros.node.endpoints import Quality
+from trackres_ros.recording.message_types import message_fields
+
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
+
+TOPIC_PREFIX = "rt/"
+MOST_DOMAIN = 232
+NUMBERS = {
+    "bool": bool,
+    "byte": idl.uint8,
+    "char": idl.uint8,
+    "octet": idl.uint8,
+    "uint8": idl.uint8,
+    "int8": idl.int8,
+    "int16": idl.int16,
+    "uint16": idl.uint16,
+    "int32": idl.int32,
+    "uint32": idl.uint32,
+    "int64": idl.int64,
+    "uint64": idl.uint64,
+    "float32": idl.float32,
+    "float64": idl.float64,
+}
+LOOPBACK = """<CycloneDDS><Domain>
+<General><AllowMulticast>false</AllowMulticast><Interfaces><NetworkInterface name="lo" multicast="false"/></Interfaces></General>
+<Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>{most}</MaxAutoParticipantIndex>
+<Peers><Peer address="127.0.0.1"/></Peers></Discovery>
+</Domain></CycloneDDS>"""
+MOST_INDEX = 119
+MOST_PORT = 65535
+
+
+@cache
+def typestore() -> Typestore:
+    """All common message types of ROS 2 Jazzy.
+
+    rosidl hashes a `char` of a .msg file as uint8, rosbags as char: so it is made uint8 here, which is the same on the wire.
+    """
+    store = get_typestore(Stores.ROS2_JAZZY)
+    fields: Any = message_fields(store)
+    for name, (constants, described) in list(fields.items()):
+        fields[name] = (constants, [(field, _without_char(kind)) for field, kind in described])
+    return store
+
+
+def _without_char(kind: Any) -> Any:
+    if kind[1] == ("char", 0):
+        return (kind[0], ("uint8", 0))
+    return (kind[0], (_without_char(kind[1][0]), kind[1][1])) if int(kind[0]) > 2 else kind
+
+
+def known_type(name: str, where: str) -> str:
+    """The message type, if it is known.
+
+    Raises
+    ------
+    InputError
+        If it is not.
+    """
+    if name not in typestore().types:
+        raise InputError(
+            f"{where}: type",
+            name,
+            "a type of common_interfaces, as no other is known without ROS",
+            "run the node on ROS 2, where every installed type will do",
+        )
+    return name
+
+
+def dds_type_name(name: str) -> str:
+    """Name of a message type on the wire: std_msgs/msg/Float64 is std_msgs::msg::dds_::Float64_."""
+    package, kind, short = name.split("/")
+    return f"{package}::{kind}::dds_::{short}_"
+
+
+def ros_type_name(name: str) -> str:
+    """The reverse of `dds_type_name`; a name that no ROS type has is left as it is."""
+    package, _, rest = name.partition("::msg::dds_::")
+    return f"{package}/msg/{rest.removesuffix('_')}" if rest else name
+
+
+def type_hash(name: str) -> bytes:
+    """USER_DATA of an endpoint: the hash of its type."""
+    return f"typehash={typestore().hash_rihs01(name)};".encode()
+
+
+@cache
+def idl_struct(name: str) -> Any:
+    """The message type as Cyclone's Python binding has it."""
+    fields: Any = message_fields(typestore())[name][1]
+    return make_idl_struct(
+        name.replace("/", "__"), dds_type_name(name), {f"{field}_": _idl_field(kind) for field, kind in fields}
+    )
+
+
+def _idl_field(kind: Any) -> Any:
+    of: Any = idl  # generic at run time only
+    node, inner = int(kind[0]), kind[1]
+    if node == 1:  # a number or a string
+        name, bound = inner
+        if name == "string":
+            return of.bounded_str[bound] if bound else str
+        return NUMBERS[name]
+    if node == 2:  # another message
+        return idl_struct(inner)
+    element, bound = inner
+    if node == 3:
+        return of.array[_idl_field(element), bound]
+    return of.sequence[_idl_field(element), bound] if bound else of.sequence[_idl_field(element)]
+
+
+def qos(quality: Quality, user_data: bytes, transient: bool = False) -> Any:
+    """Quality of service of an endpoint."""
+    policies = [
+        Policy.Reliability.Reliable(duration(seconds=0.1)) if quality.reliable else Policy.Reliability.BestEffort,
+        Policy.History.KeepLast(quality.depth),
+        Policy.Durability.TransientLocal if transient else Policy.Durability.Volatile,
+        Policy.DataRepresentation(use_cdrv0_representation=True),
+        Policy.WriterDataLifecycle(autodispose=False),
+        Policy.Userdata(user_data),
+    ]
+    if quality.deadline_s > 0.0:
+        policies.append(Policy.Deadline(duration(seconds=quality.deadline_s)))
+    if transient:
+        policies.append(Policy.DurabilityService(duration(seconds=0), Policy.History.KeepLast(quality.depth), -1, -1, -1))
+    return Qos(*policies)
+
+
+def domain_id() -> int:
+    """Domain from ROS_DOMAIN_ID, 0 by default.
+
+    Raises
+    ------
+    InputError
+        If it is no domain.
+    """
+    given = os.environ.get("ROS_DOMAIN_ID") or "0"
+    if not given.isdecimal() or int(given) > MOST_DOMAIN:
+        raise InputError("environment ROS_DOMAIN_ID", given, f"a whole number from 0 to {MOST_DOMAIN}")
+    return int(given)
+
+
+def most_index(domain: int) -> int:
+    """The highest index that a participant of a domain may have: the ports of the last domains end before `MOST_INDEX`.
+
+    Participant i listens on ports 7410 + 250 domain + 2 i and the next (DDSI-RTPS 2.5, 9.6.2.3).
+    """
+    return min(MOST_INDEX, (MOST_PORT - 7411 - 250 * domain) // 2)
+
+
+_domains: dict[int, Domain] = {}
+
+
+def open_domain(number: int) -> str:
+    """Open a domain once for this process; how it reaches others, in words.
+
+    CYCLONEDDS_URI counts where it is set, then ROS_LOCALHOST_ONLY and ROS_AUTOMATIC_DISCOVERY_RANGE as in ROS 2.
+    """
+    if os.environ.get("CYCLONEDDS_URI"):
+        said, configuration = "as CYCLONEDDS_URI says", None
+    elif os.environ.get("ROS_LOCALHOST_ONLY") == "1" or os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE") == "LOCALHOST":
+        said, configuration = "on this machine only", LOOPBACK.format(most=most_index(number))
+    else:
+        said, configuration = "on all networks", None
+    if number not in _domains and configuration:
+        _domains[number] = Domain(number, configuration)
+    return said

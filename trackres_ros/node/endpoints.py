@@ -1,0 +1,102 @@
+"""Topics that the live node takes and gives, with quality of service: the one table that both edges are made from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from trackres_ros.node.parameters import Parameters
+from trackres_ros.output.topics import OutputTopic, output_topics
+from trackres_ros.recording.bindings import TopicBinding, Topics
+from trackres_ros.vehicle import Vehicle
+
+DIAGNOSTICS = OutputTopic(
+    "/diagnostics",
+    "diagnostic_msgs/msg/DiagnosticArray",
+    "status",
+    "once a second: the estimate, each input, the comparison with a measured torque, the state file",
+)
+WIRE_DEPTH = 5000  # that a middleware drops nothing while this process is held up for a few seconds at 1 kHz: it would not say so
+
+
+@dataclass(frozen=True, slots=True)
+class Quality:
+    """Quality of service of an endpoint; history is keep-last, durability volatile. A deadline of 0 s is none."""
+
+    reliable: bool
+    depth: int
+    deadline_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class InputTopic:
+    """One topic to subscribe to, and the roles it feeds.
+
+    Attributes
+    ----------
+    name
+        As the topics file has it: absolute, or relative to the node's namespace.
+    type
+        ``package/msg/Name``.
+    roles, bindings
+        Which roles, and which field gives each.
+    """
+
+    name: str
+    type: str
+    roles: tuple[str, ...]
+    bindings: tuple[TopicBinding, ...]
+
+
+def input_topics(topics: Topics) -> tuple[InputTopic, ...]:
+    """All topics to subscribe to; those that feed a speed last.
+
+    Where messages wait on several topics, an edge hands them over in this order: what a speed is to be computed with comes
+    first.
+    """
+    by_name: dict[tuple[str, str], list[str]] = {}
+    for role in topics:
+        by_name.setdefault((topics[role].topic, topics[role].type), []).append(role)
+    inputs = [
+        InputTopic(name, kind, tuple(sorted(roles, key=_last_speed)), tuple(topics[r] for r in sorted(roles, key=_last_speed)))
+        for (name, kind), roles in by_name.items()
+    ]
+    return tuple(sorted(inputs, key=lambda given: "speed" in given.roles))
+
+
+def _last_speed(role: str) -> bool:
+    return role == "speed"
+
+
+def live_topics(vehicle: Vehicle, topics: Topics) -> tuple[OutputTopic, ...]:
+    """All topics to publish, most urgent first; the residual only where a torque is measured."""
+    given = (topic for topic in output_topics(vehicle) if topic.name != "torque_residual" or "torque" in topics)
+    return (*given, DIAGNOSTICS)
+
+
+def input_quality(parameters: Parameters) -> Quality:
+    """Quality of service of every input; `input_depth` bounds what waits in this process, where it is counted."""
+    return Quality(
+        parameters.text("input_reliability") == "reliable",
+        max(int(parameters.number("input_depth")), WIRE_DEPTH),
+        parameters.number("input_deadline_s"),
+    )
+
+
+def output_quality(parameters: Parameters, topic: OutputTopic) -> Quality:
+    """Quality of service of an output; a deadline only on those that come at a steady rate."""
+    steady = topic.kind != "status" and topic.name != "torque_residual"
+    return Quality(
+        parameters.text("output_reliability") == "reliable",
+        int(parameters.number("output_depth")),
+        parameters.number("output_deadline_s") if steady else 0.0,
+    )
+
+
+def full_name(name: str, node: str, namespace: str) -> str:
+    """Name of an output topic or a service of a node: absolute names stay, others stand below the node's own."""
+    return name if name.startswith("/") else f"{namespace.rstrip('/')}/{node}/{name}"
+
+
+def input_name(name: str, namespace: str) -> str:
+    """Name of an input topic: absolute names stay, others stand in the node's namespace."""
+    return name if name.startswith("/") else f"{namespace.rstrip('/')}/{name}"

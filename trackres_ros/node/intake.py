@@ -1,0 +1,121 @@
+"""From a decoded message to samples: which channel, which stamp, which value. The rules are those of reading a bag."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from operator import attrgetter
+from typing import Any
+
+from trackres_ros.errors import InputError
+from trackres_ros.node.endpoints import InputTopic
+from trackres_ros.node.stamps import is_usable, stamp_ns
+from trackres_ros.recording.bindings import TopicBinding
+
+Sample = tuple[int, int, float]
+"""Channel, stamp [ns] and value."""
+
+
+class Intake:
+    """Reads the messages of all input topics.
+
+    Parameters
+    ----------
+    inputs
+        The topics.
+    channels
+        Names of the estimator's channels, in their order.
+
+    Raises
+    ------
+    InputError
+        For a role of an axle or assembly that the vehicle does not have.
+    """
+
+    def __init__(self, inputs: Sequence[InputTopic], channels: Sequence[str]) -> None:
+        self.received = [0] * len(inputs)
+        self.dropped = [0] * len(inputs)
+        self.absent = [0] * len(channels)
+        self.bad_stamp = [0] * len(channels)
+        self._readers = [
+            [
+                (_channel(role, channels), _getter(b), b.stamp != "log", b.delay_ns)
+                for role, b in zip(i.roles, i.bindings, strict=True)
+            ]
+            for i in inputs
+        ]
+        self._last_clock = [0] * len(channels)
+        self._same_clock = [0] * len(channels)
+
+    def read(self, index: int, message: object) -> tuple[int | None, list[float | None]]:
+        """Stamp and values in a message whose attributes are its fields, as `samples` takes them."""
+        return _stamp(message), [_value(read, message) for _, read, _, _ in self._readers[index]]
+
+    def samples(self, index: int, stamp_ns: int | None, values: Sequence[float | None], now_ns: int) -> list[Sample]:
+        """Samples out of what was read from a message.
+
+        Parameters
+        ----------
+        index
+            Which input topic.
+        stamp_ns
+            Stamp of the message [ns], None where its type has none; one that was never set is 0 and stays so. What has no stamp
+            gets the node's time. One that no message can carry gives no sample: it could not be published again.
+        values
+            One for each binding of the topic, scaled: nan where it is no number, None where the message has no such element,
+            which gives no sample.
+        now_ns
+            The node's time [ns].
+        """
+        self.received[index] += 1
+        found = []
+        for (channel, _, by_header, delay_ns), value in zip(self._readers[index], values, strict=True):
+            if value is None:
+                self.absent[channel] += 1
+            else:
+                stamp = stamp_ns if by_header and stamp_ns is not None else self._own_stamp(channel, now_ns)
+                stamp = stamp - delay_ns if stamp else 0
+                if is_usable(stamp):
+                    found.append((channel, stamp, value))
+                else:
+                    self.bad_stamp[channel] += 1
+        return found
+
+    def _own_stamp(self, channel: int, now_ns: int) -> int:
+        """The node's time; a simulated clock stands between its ticks, so what comes meanwhile is a nanosecond apart."""
+        if now_ns == self._last_clock[channel]:
+            self._same_clock[channel] += 1
+        else:
+            self._last_clock[channel], self._same_clock[channel] = now_ns, 0
+        return now_ns + self._same_clock[channel]
+
+
+def _channel(role: str, channels: Sequence[str]) -> int:
+    if role not in channels:
+        raise InputError(f"role {role}", role, f"what this vehicle has: {', '.join(channels)}")
+    return channels.index(role)
+
+
+def _getter(binding: TopicBinding) -> Callable[[Any], float]:
+    """Reads the value of a role; a plain path without taking the path apart each time."""
+    if any(step.index is not None or step.element is not None for step in binding.steps):
+        return binding.read
+    get, scale, offset = attrgetter(binding.field), binding.scale, binding.offset
+    return lambda message: scale * float(get(message)) + offset
+
+
+def _value(read: Callable[[Any], float], message: object) -> float | None:
+    try:
+        return read(message)
+    except LookupError:
+        return None
+    except (TypeError, ValueError, AttributeError):
+        return math.nan
+
+
+def _stamp(message: object) -> int | None:
+    stamp = getattr(getattr(message, "header", message), "stamp", None)
+    try:
+        return None if stamp is None else stamp_ns(int(stamp.sec), int(stamp.nanosec))
+    except (AttributeError, TypeError, ValueError):  # a field of that name which is no time
+        return None

@@ -1,0 +1,319 @@
+"""Have measured and expected torque parted? A change detector on the whitened residual, a few operations a message.
+
+The residual r is averaged over bins while the vehicle rolls steadily. Its noise is taken for a first-order autoregression; its
+coefficient phi and scale sigma are those of the deviations from a running mean, which soon follows a lasting offset, so that this
+is not taken for noise. The whitened residual (r - phi r_before) / sigma, less what a tolerated offset would make of it, is summed
+as in Page's test (Biometrika 41, 1954, 100), once for each sign. The sum of the n bins since it last was zero has the standard
+deviation sqrt(n): the two have parted when it is `mismatch_evidence` (h) times as large and the offset has lasted for
+`mismatch_hold_s` (N bins), so that a grade that comes round each lap is none.
+
+False alarms: standardised sums over at least N independent terms pass h, with either sign, less often than h^3 exp(-h^2/2) /
+(2 N sqrt(2 pi)) times a bin (Siegmund and Venkatraman, Annals of Statistics 23, 1995, 255, with windows no shorter than N).
+By default that is once in 100 000 h of driving where nothing is tolerated, and rarer where something is. Noise that is no such
+autoregression, or stays on one side for longer than `mismatch_hold_s`, as on long hills, alarms more often.
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections import deque
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+from trackres_ros.units import NANOSECOND
+
+SETTLING_BINS = 30  # before the noise is believed
+KNOWN_AFTER = 2.0  # times the holding time: sooner slow noise, as of hills, cannot be told from an offset
+MEAN_BINS = 150  # memory of the running mean
+TYPICAL_OF = 5  # bins: their median is free of a spike that lasts for two
+RELATED_S = 30.0  # bins further apart say nothing of each other's noise
+MOST_PHI = 0.98  # nearer to 1 an offset and a random walk are one
+OUTLIER = 5.0  # standard deviations: beyond, a bin counts as this far
+MAD_TO_STD = 1.4826  # of a normal distribution
+LEAST_NOISE = 0.001  # of the expected torque: finer than torque transducers are (class 0.1), for a residual without noise
+LARGEST_NM = 1e100  # a larger number is left out like one that is not finite: its square would not be
+
+
+def _setting(default: float, unit: str, low: float, high: float, meaning: str) -> Any:
+    return field(default=default, metadata={"unit": unit, "low": low, "high": high, "meaning": meaning})
+
+
+@dataclass(frozen=True)
+class MismatchSettings:
+    """Settings of the detector; the field metadata holds unit, limits and meaning of each."""
+
+    mismatch_share: float = _setting(
+        0.1, "1", 0.0, 10.0, "a lasting difference up to this share of the expected torque is tolerated"
+    )
+    mismatch_std: float = _setting(
+        1.0, "1", 0.0, 10.0, "a lasting difference up to so many standard deviations of the estimate is tolerated"
+    )
+    mismatch_evidence: float = _setting(
+        6.0, "1", 3.0, 100.0, "standard errors by which it must exceed both; more means fewer false alarms, and later"
+    )
+    mismatch_hold_s: float = _setting(
+        300.0, "s", 10.0, 86400.0, "driving time it must last; longer than what comes round with each lap"
+    )
+    mismatch_bin_s: float = _setting(2.0, "s", 0.1, 60.0, "time over which the residual is averaged")
+    mismatch_memory_s: float = _setting(600.0, "s", 30.0, 86400.0, "memory of the noise of the residual")
+    mismatch_min_speed_mps: float = _setting(1.0, "m/s", 0.0, 30.0, "slower is not compared")
+    mismatch_max_accel: float = _setting(0.3, "m/s^2", 0.01, 15.0, "a larger acceleration is not compared")
+
+
+@dataclass(frozen=True, slots=True)
+class Mismatch:
+    """What the detector found.
+
+    Attributes
+    ----------
+    parted
+        Whether measured and expected torque have parted.
+    since_ns
+        Stamp at which they did, as far as can be told afterwards [ns].
+    after_s
+        Driving time compared until then [s].
+    mean_nm, share
+        Mean difference since then, measured less expected [Nm], and over the mean size of the expected torque.
+    settled
+        Whether there has been enough to judge.
+    text
+        The same in a sentence.
+    """
+
+    parted: bool
+    since_ns: int | None
+    after_s: float
+    mean_nm: float
+    share: float
+    settled: bool
+    text: str
+
+
+class _Bin(NamedTuple):
+    """Means over one bin [Nm]."""
+
+    start_ns: int
+    residual: float
+    drive: float
+    std: float
+
+
+class _Noise:
+    """The residual's own noise, a first-order autoregression about its running mean; outliers count in part."""
+
+    def __init__(self) -> None:
+        self.settled = False
+        self._first: list[float] = []
+        self._recent: deque[float] = deque(maxlen=TYPICAL_OF)
+        self._bins = 0
+        self._mean, self._variance, self._covariance, self._deviation = 0.0, 0.0, 0.0, 0.0
+
+    @property
+    def typical(self) -> float:
+        """Residual of late, free of spikes [Nm]."""
+        return statistics.median(self._recent)
+
+    @property
+    def phi(self) -> float:
+        """Correlation of a bin with the next."""
+        correlation = self._covariance / self._variance if self._variance > 0.0 else 0.0
+        correlation += (1.0 + 3.0 * correlation) / MEAN_BINS  # what taking off the mean of so many has cost it
+        return min(max(correlation, 0.0), MOST_PHI)
+
+    def shock(self, least: float) -> float:
+        """Standard deviation of what a bin does not inherit from the one before, at least so large [Nm]."""
+        phi = self.phi
+        return max(math.sqrt(self._variance * (1.0 - phi * phi)), least)
+
+    def learn(self, residual: float, related: bool, share: float, least: float) -> None:
+        """Take in a bin with a weight of `share`; `related` to the one before or not."""
+        self._recent.append(residual)
+        self._bins += 1
+        if not self.settled:
+            self._first.append(residual)
+            if self._bins == SETTLING_BINS:
+                self._settle()
+            return
+        bound = OUTLIER * max(math.sqrt(self._variance), least)
+        deviation = _within(residual - self._mean, bound)
+        self._mean += max(1.0 / self._bins, 1.0 / MEAN_BINS) * (self.typical - self._mean)
+        share = max(1.0 / self._bins, min(share, 1.0 / SETTLING_BINS))
+        self._variance += share * (deviation * deviation - self._variance)
+        if related:
+            self._covariance += share * (deviation * self._deviation - self._covariance)
+        self._deviation = deviation
+
+    def _settle(self) -> None:
+        """Begin with median and median deviation, lest a spike at the start blinds for hours."""
+        middle = statistics.median(self._first)
+        spread = MAD_TO_STD * statistics.median(abs(value - middle) for value in self._first)
+        deviations = [_within(value - middle, OUTLIER * spread) for value in self._first]
+        self._mean = middle
+        self._variance = sum(d * d for d in deviations) / len(deviations)
+        self._covariance = sum(a * b for a, b in pairwise(deviations)) / len(deviations)
+        self._deviation = deviations[-1]
+        self.settled, self._first = True, []
+
+
+class _Page:
+    """One-sided sum of whitened residuals less their allowance, and what has passed since it was zero."""
+
+    def __init__(self) -> None:
+        self.clear()
+
+    def clear(self) -> None:
+        self.sum, self.bins, self.seconds, self.residual, self.drive = 0.0, 0, 0.0, 0.0, 0.0
+        self.since_ns, self.seconds_before = 0, 0.0
+
+    def add(self, excess: float, since_ns: int, seconds_before: float) -> None:
+        """Take in a bin; where the sum was zero, it began at the time given."""
+        if self.sum + excess <= 0.0:
+            self.clear()
+            return
+        if self.bins == 0:
+            self.since_ns, self.seconds_before = since_ns, seconds_before
+        self.sum += excess
+        self.bins += 1
+
+    def gather(self, residual: float, drive: float, seconds: float) -> None:
+        """Add up what the difference is, while there is one."""
+        if self.bins:
+            self.residual += residual * seconds
+            self.drive += drive * seconds
+            self.seconds += seconds
+
+    def exceeds(self, evidence: float, seconds: float) -> bool:
+        return self.seconds >= seconds and self.sum > evidence * math.sqrt(self.bins)
+
+
+class MismatchDetector:
+    """Takes estimates with a measured torque one by one; `verdict` is what it makes of them."""
+
+    def __init__(self, settings: MismatchSettings) -> None:
+        self.settings = settings
+        self._bin_ns = int(settings.mismatch_bin_s / NANOSECOND)
+        self._related_ns = max(2 * self._bin_ns, int(RELATED_S / NANOSECOND))
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget everything: the estimate was started anew."""
+        self._begin_bin(0)
+        self._before: _Bin | None = None
+        self._first_ns, self._seconds = 0, 0.0
+        self._noise = _Noise()
+        self._judging = False
+        self._sides = {1.0: _Page(), -1.0: _Page()}
+        self._back = _Page()
+        self._side: float | None = None
+
+    def take(
+        self, stamp_ns: int, residual_nm: float, drive_torque_nm: float, std_nm: float, speed_mps: float, accel_mps2: float
+    ) -> None:
+        """Take one estimate.
+
+        Parameters
+        ----------
+        stamp_ns
+            Its time [ns].
+        residual_nm
+            Measured less expected torque [Nm]; nan where none is measured.
+        drive_torque_nm, std_nm
+            Expected torque and its standard deviation [Nm].
+        speed_mps, accel_mps2
+            Speed [m/s] and acceleration [m/s^2].
+        """
+        s = self.settings
+        if not (abs(speed_mps) >= s.mismatch_min_speed_mps and abs(accel_mps2) <= s.mismatch_max_accel):
+            return
+        if not (abs(residual_nm) < LARGEST_NM and abs(drive_torque_nm) < LARGEST_NM and abs(std_nm) < LARGEST_NM):
+            return
+        age_ns = stamp_ns - self._bin_start
+        if not 0 <= age_ns < self._bin_ns:
+            if -self._related_ns <= age_ns < 0:
+                return  # late; from further back the clock was set back
+            if self._samples:
+                self._close_bin()
+            self._begin_bin(stamp_ns)
+        self._samples += 1
+        self._residual += residual_nm
+        self._drive += abs(drive_torque_nm)
+        self._std += std_nm
+
+    @property
+    def verdict(self) -> Mismatch:
+        """What has been found so far."""
+        settled = self._settled
+        if self._side is None:
+            text = "no lasting difference" if settled else "too little driving with a measured torque to judge yet"
+            return Mismatch(False, None, math.nan, math.nan, math.nan, settled, text)
+        page = self._sides[self._side]
+        mean, share = page.residual / page.seconds, page.residual / max(page.drive, 1e-9)
+        after_s = page.seconds_before
+        when = "from the start on" if after_s == 0.0 else f"after {after_s / 60.0:.1f} min of driving"
+        text = (
+            f"the measured torque is {abs(mean):.0f} Nm ({100.0 * abs(share):.0f} %) "
+            f"{'above' if mean > 0.0 else 'below'} the expected one for {page.seconds / 60.0:.1f} min of driving, {when}"
+        )
+        return Mismatch(True, page.since_ns, after_s, mean, share, settled, text)
+
+    @property
+    def _settled(self) -> bool:
+        return self._noise.settled and self._seconds >= KNOWN_AFTER * self.settings.mismatch_hold_s
+
+    def _begin_bin(self, stamp_ns: int) -> None:
+        self._bin_start, self._samples = stamp_ns, 0
+        self._residual, self._drive, self._std = 0.0, 0.0, 0.0
+
+    def _close_bin(self) -> None:
+        s = self.settings
+        now = _Bin(self._bin_start, *(total / self._samples for total in (self._residual, self._drive, self._std)))
+        before, seconds = self._before, s.mismatch_bin_s
+        if before is None:
+            self._first_ns = now.start_ns
+        elif 0 < now.start_ns - before.start_ns <= self._related_ns:
+            seconds = (now.start_ns - before.start_ns) * NANOSECOND
+        else:  # after a long pause, or the clock was set back
+            before = None
+        judging = self._noise.settled
+        least = max(LEAST_NOISE * now.drive, 1e-9)
+        self._noise.learn(now.residual, before is not None, seconds / s.mismatch_memory_s, least)
+        if judging:
+            self._judge(now, before, seconds, least)
+        self._before = now
+        self._seconds += seconds
+
+    def _judge(self, now: _Bin, before: _Bin | None, seconds: float, least: float) -> None:
+        s = self.settings
+        phi, sigma = self._noise.phi, self._noise.shock(least)
+        if before is None:
+            gain = math.sqrt(1.0 - phi * phi) / sigma
+            white = now.residual * gain
+        else:
+            gain = (1.0 - phi) / sigma
+            white = (now.residual - phi * before.residual) / sigma
+        allowance = max(s.mismatch_share * now.drive, s.mismatch_std * now.std) * gain
+        # An outlier counts as one as far as it is unexpected, after the offset that the allowance lets pass.
+        white = _within(white, OUTLIER + allowance)
+        began = (now.start_ns, self._seconds) if self._judging else (self._first_ns, 0.0)
+        self._judging = True
+        typical = self._noise.typical
+        for side, page in self._sides.items():
+            if side != self._side:
+                page.add(side * white - allowance, *began)
+            page.gather(typical, now.drive, seconds)
+        if self._side is None:
+            enough = (side for side, page in self._sides.items() if page.exceeds(s.mismatch_evidence, s.mismatch_hold_s))
+            self._side = next(enough, None) if self._settled else None
+            return
+        self._back.add(allowance - self._side * white, *began)
+        self._back.gather(typical, now.drive, seconds)
+        if self._back.exceeds(s.mismatch_evidence, s.mismatch_hold_s):
+            self._sides[self._side].clear()
+            self._back.clear()
+            self._side = None
+
+
+def _within(value: float, bound: float) -> float:
+    return min(max(value, -bound), bound)

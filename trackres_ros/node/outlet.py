@@ -1,0 +1,112 @@
+"""From a row of results to messages: values as they stand on the wire, the way of the feed-forward, and the pace of both."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.estimator.kernel import fade, followed, towards
+from trackres_ros.jit.compiled import interpreted
+from trackres_ros.node.edge import Edge, Status
+from trackres_ros.node.stamps import nearest_usable
+from trackres_ros.output.topics import OutputTopic
+from trackres_ros.units import NANOSECOND
+
+FADE, FOLLOWED, TOWARDS = interpreted(fade), interpreted(followed), interpreted(towards)  # not worth compiling at a first start
+Row = list[float]
+Values = Callable[[Row], list[float]]
+
+
+class Outlet:
+    """Publishes the last estimate through an edge.
+
+    While the speed is old the last state goes on being published with its stamp, and the feed-forward fades to zero: who takes it
+    without its stamp is safe too. From output to output the feed-forward moves by `feedforward_rate` at most, whatever the speeds
+    and their pauses were: it follows its last target where a step left it on the way, and begins where it had faded to when a
+    speed comes back. Time for that is the controller's, `pace`: a steady clock, or the simulated one where that goes faster.
+
+    A topic that cannot be published holds up no other one; `failed` says which and why.
+    """
+
+    def __init__(self, outputs: Sequence[OutputTopic], estimator: Estimator, edge: Edge) -> None:
+        self.estimator = estimator
+        self.outputs = outputs
+        self.row: Row = []
+        self.stamp_ns: int | None = None
+        self.published = 0
+        self.feedforward = 0.0  # as last published
+        self.failed: dict[str, str] = {}
+        self._edge = edge
+        self._taken_ns = self._taken_pace = 0
+        self._target = self._unfaded = 0.0
+        self._published_at: tuple[int, int] | None = None
+        index = estimator.column_index
+        self._values = [(i, _values(topic, index)) for i, topic in enumerate(outputs) if topic.kind != "status"]
+
+    def begin(self) -> None:
+        """Begin to publish: the feed-forward rises from zero."""
+        self.feedforward = self._unfaded = 0.0
+        self._published_at = None
+
+    def take(self, row: Row, target: float, stamp_ns: int, steady: int, pace: int) -> None:
+        """Keep a row of results, what its feed-forward is on its way to, and the time of its state."""
+        self.row, self.stamp_ns, self._target = row, nearest_usable(stamp_ns), target
+        self._taken_ns, self._taken_pace = steady, pace
+        self._unfaded = self.feedforward
+
+    def age_s(self, steady: int) -> float:
+        """Time since the last estimate was made [s]; infinite before the first."""
+        return math.inf if self.stamp_ns is None else (steady - self._taken_ns) * NANOSECOND
+
+    def left(self, steady: int) -> float:
+        """Share of the feed-forward that is left at the age of the speed."""
+        settings = self.estimator.settings
+        age_s = self.age_s(steady)
+        return 0.0 if math.isinf(age_s) else FADE(age_s, settings.speed_max_age_s, settings.feedforward_fade_s)
+
+    def publish(self, steady: int, pace: int) -> None:
+        """Publish the last estimate on all topics of numbers; nothing before the first one."""
+        if self.stamp_ns is None:
+            return
+        rate = self.estimator.settings.feedforward_rate
+        before_pace, before_ns = self._published_at or (pace, steady)
+        elapsed_s = max(0, pace - before_pace, steady - before_ns) * NANOSECOND  # a simulated clock stands between its ticks
+        goal = FOLLOWED(self.row[at.OUT_FEEDFORWARD], self._target, rate, (pace - self._taken_pace) * NANOSECOND)
+        self._unfaded = TOWARDS(self._unfaded, goal, rate * elapsed_s)
+        self.feedforward, self._published_at = self._unfaded * self.left(steady), (pace, steady)
+        row = self.row.copy()
+        row[at.OUT_FEEDFORWARD] = self.feedforward
+        for output, values in self._values:
+            numbers = values(row)
+            if all(map(math.isfinite, numbers)):
+                self._send(output, self._edge.publish, self.stamp_ns, numbers)
+        self.published += 1
+
+    def publish_statuses(self, statuses: Sequence[Status], now_ns: int, diagnostics: bool) -> None:
+        """Publish the first status on the node's own topic, and all as diagnostics when asked."""
+        for output, topic in enumerate(self.outputs):
+            if topic.kind == "status" and (diagnostics or not topic.name.startswith("/")):
+                said = statuses if topic.name.startswith("/") else statuses[:1]
+                self._send(output, self._edge.publish_status, nearest_usable(now_ns), said)
+
+    def _send(self, output: int, publish: Callable[..., None], stamp_ns: int, content: object) -> None:
+        name = self.outputs[output].name
+        try:
+            publish(output, stamp_ns, content)
+        except Exception as error:  # whatever a middleware may raise
+            self.failed[name] = f"{type(error).__name__}: {error}"
+        else:
+            if self.failed:
+                self.failed.pop(name, None)
+
+
+def _values(topic: OutputTopic, index: dict[str, int]) -> Values:
+    """A function that picks a topic's numbers out of a row; see `topics.values_of`."""
+    columns, signs = [index[name] for name in topic.columns], topic.signs
+    if topic.kind == "temperature":
+        mean, std = columns
+        return lambda row: [row[mean], row[std] ** 2]
+    picked = list(zip(columns, signs, strict=True))
+    return lambda row: [row[column] * sign + 0.0 for column, sign in picked]

@@ -1,0 +1,293 @@
+"""Every parameter of the live node: one table of default, unit, limits and meaning, which also makes the YAML file and the docs.
+
+The settings of the estimator are part of it, so the same file serves `trackres replay --params`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, cast
+
+from trackres_ros.errors import InputError
+from trackres_ros.estimator.settings import BELT_SENSORS, PARTS, Settings
+from trackres_ros.files.yamls import read_yaml
+from trackres_ros.node.mismatch import MismatchSettings
+
+Value = float | bool | str | tuple[str, ...]
+
+AT_START = "it is read once, when the node is configured"
+CONNECTED = "connections are made with it when the node is configured"
+RELIABILITIES = ("best_effort", "reliable")
+ROS_KEY = "ros__parameters"
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter.
+
+    Attributes
+    ----------
+    name, default, meaning, unit
+        What it is called, its value where none is given, what it does and its unit.
+    low, high
+        Limits of a number, nan for other kinds.
+    choices
+        Allowed texts; of a list, allowed elements. Empty: any text.
+    fixed_because
+        Why it cannot be changed while the node runs; empty if it can.
+    """
+
+    name: str
+    default: Value
+    meaning: str
+    unit: str = ""
+    low: float = math.nan
+    high: float = math.nan
+    choices: tuple[str, ...] = ()
+    fixed_because: str = ""
+
+    def checked(self, given: object) -> Value:
+        """The value as this parameter's kind.
+
+        Raises
+        ------
+        InputError
+            If it is of another kind or out of range: what was given, what is allowed.
+        """
+        where = f"parameter {self.name}"
+        if isinstance(self.default, bool):
+            if not isinstance(given, bool):
+                raise InputError(where, given, "true or false")
+            return given
+        if isinstance(self.default, str):
+            if not isinstance(given, str) or (self.choices and given not in self.choices):
+                raise InputError(where, given, f"one of {', '.join(self.choices)}" if self.choices else "a text")
+            return given
+        if isinstance(self.default, tuple):
+            if not isinstance(given, list | tuple) or any(part not in self.choices for part in given):
+                raise InputError(where, given, f"a list of {', '.join(self.choices)}")
+            return tuple(given)
+        if isinstance(given, bool) or not isinstance(given, int | float) or not self.low <= given <= self.high:
+            raise InputError(where, given, f"a number from {self.low:g} to {self.high:g} {self.unit}".rstrip())
+        return float(given)
+
+
+def _of(settings: type[Settings | MismatchSettings]) -> tuple[Parameter, ...]:
+    """Parameters out of a dataclass of settings, by its metadata."""
+    choices = {"feedforward_parts": PARTS, "belt_sensor": BELT_SENSORS}
+    return tuple(
+        Parameter(
+            item.name,
+            item.default if isinstance(item.default, str | tuple) else float(cast(float, item.default)),
+            item.metadata["meaning"],
+            item.metadata.get("unit", ""),
+            item.metadata.get("low", math.nan),
+            item.metadata.get("high", math.nan),
+            choices.get(item.name, ()),
+        )
+        for item in dataclasses.fields(settings)
+    )
+
+
+NODE_PARAMETERS = (
+    Parameter("vehicle", "", "vehicle file, or the name of a shipped vehicle; must be given", fixed_because=AT_START),
+    Parameter(
+        "surroundings",
+        "",
+        "file of effects of site, weather and ground that hold here and now, as trackres diagnose writes it; empty: none",
+        fixed_because=AT_START,
+    ),
+    Parameter("topics", "", "topics file; empty: config/topics/default.yaml", fixed_because=AT_START),
+    Parameter(
+        "state_file",
+        "auto",
+        "file that keeps the belt temperatures over a restart; auto: one for each node and vehicle under "
+        "~/.local/state/trackres, none where time is simulated; none: start cold",
+        fixed_because=AT_START,
+    ),
+    Parameter("save_period_s", 30.0, "time between two savings of the state", "s", 1.0, 3600.0),
+    Parameter("output_rate_hz", 50.0, "rate of the outputs; 0: once on each accepted speed", "Hz", 0.0, 1000.0),
+    Parameter("use_sim_time", False, "take the time from /clock, as in a simulation or a replay", fixed_because=AT_START),
+    Parameter("frame_id", "base_link", "frame of the stamped outputs", fixed_because=AT_START),
+    Parameter(
+        "input_reliability",
+        "best_effort",
+        "reliability asked of publishers; best effort connects to both kinds",
+        choices=RELIABILITIES,
+        fixed_because=CONNECTED,
+    ),
+    Parameter(
+        "input_depth",
+        100.0,
+        "messages of one topic that may wait to be worked off; the oldest of more are dropped, and counted",
+        "1",
+        1.0,
+        10000.0,
+        fixed_because=CONNECTED,
+    ),
+    Parameter(
+        "input_deadline_s",
+        0.0,
+        "deadline asked of publishers; 0: none, as a publisher that offers none would never connect",
+        "s",
+        0.0,
+        3600.0,
+        fixed_because=CONNECTED,
+    ),
+    Parameter(
+        "output_reliability", "reliable", "reliability offered to subscribers", choices=RELIABILITIES, fixed_because=CONNECTED
+    ),
+    Parameter(
+        "output_depth", 10.0, "messages kept for a reliable subscriber that lags", "1", 1.0, 10000.0, fixed_because=CONNECTED
+    ),
+    Parameter(
+        "output_deadline_s",
+        0.2,
+        "deadline offered to subscribers on the torque and temperature topics; 0: none",
+        "s",
+        0.0,
+        3600.0,
+        fixed_because=CONNECTED,
+    ),
+)
+PARAMETERS: Mapping[str, Parameter] = MappingProxyType(
+    {p.name: p for p in (*NODE_PARAMETERS, *_of(Settings), *_of(MismatchSettings))}
+)
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """Checked values of all parameters."""
+
+    values: Mapping[str, Value]
+
+    @property
+    def sim_time(self) -> bool:
+        """Whether time comes from /clock."""
+        return bool(self.values["use_sim_time"])
+
+    def number(self, name: str) -> float:
+        """Value of a numeric parameter."""
+        value = self.values[name]
+        assert isinstance(value, float)
+        return value
+
+    def text(self, name: str) -> str:
+        """Value of a text parameter."""
+        value = self.values[name]
+        assert isinstance(value, str)
+        return value
+
+    def settings(self) -> Settings:
+        """The estimator's share."""
+        return Settings(**{item.name: self.values[item.name] for item in dataclasses.fields(Settings)})  # type: ignore[arg-type]
+
+    def mismatch(self) -> MismatchSettings:
+        """The share of the comparison with a measured torque."""
+        return MismatchSettings(**{item.name: self.number(item.name) for item in dataclasses.fields(MismatchSettings)})
+
+    def changed(self, given: Mapping[str, object]) -> Parameters:
+        """These with some changed while the node runs.
+
+        Raises
+        ------
+        InputError
+            For an unknown one, a bad value, or one that cannot be changed while the node runs; then none is changed.
+        """
+        for name in given:
+            parameter = known(name)
+            if parameter.fixed_because and parameter.checked(given[name]) != self.values[name]:
+                raise InputError(
+                    f"parameter {name}",
+                    given[name],
+                    f"its value at the start, {self.values[name]}: {parameter.fixed_because}",
+                    "set it in the parameter file and configure the node anew",
+                )
+        return make_parameters({**self.values, **given})
+
+
+def known(name: str) -> Parameter:
+    """The parameter of a name.
+
+    Raises
+    ------
+    InputError
+        If there is none; with the nearest name.
+    """
+    if name not in PARAMETERS:
+        near = difflib.get_close_matches(str(name), PARAMETERS, n=1)
+        raise InputError("parameter", name, f"one of {', '.join(PARAMETERS)}", f"did you mean {near[0]}?" if near else "")
+    return PARAMETERS[name]
+
+
+def make_parameters(given: Mapping[str, object]) -> Parameters:
+    """Parameters from names and values, the rest by default.
+
+    Raises
+    ------
+    InputError
+        For an unknown name or a bad value.
+    """
+    checked = {name: known(name).checked(value) for name, value in given.items()}
+    parameters = Parameters(MappingProxyType({name: checked.get(name, p.default) for name, p in PARAMETERS.items()}))
+    rate, deadline = parameters.number("output_rate_hz"), parameters.number("output_deadline_s")
+    if rate > 0.0 and 0.0 < deadline < 2.0 / rate:
+        allowed = f"0, or at least {2.0 / rate:g} s, two outputs at an output_rate_hz of {rate:g} Hz"
+        raise InputError("parameter output_deadline_s", deadline, allowed, "what is offered must be kept")
+    return parameters
+
+
+def read_parameters(path: Path | None, node: str = "trackres", namespace: str = "/") -> dict[str, object]:
+    """Names and values out of a parameter file: flat, or in the form that ROS reads, of which what fits the node counts.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, an entry is unknown or bad, or no section fits the node.
+    """
+    if path is None:
+        return {}
+    content = read_yaml(path)
+    full = f"{namespace.rstrip('/')}/{node}"
+    given: dict[str, object] = {}
+    if any(isinstance(value, Mapping) for value in content.values()):
+        sections = _sections(content, "", str(path))
+        fitting = [values for pattern, values in sections if fnmatchcase(full, pattern) or pattern == "/**"]
+        if not fitting:
+            names = ", ".join(pattern for pattern, _ in sections)
+            raise InputError(str(path), f"parameters of {names}", f"a section for {full}", "name it so, or /** for any node")
+        for values in fitting:
+            given.update(values)
+    else:
+        given = dict(content)
+    try:
+        make_parameters(given)
+    except InputError as error:
+        raise InputError(f"{path}: {error.where}", error.given, error.allowed, error.remedy) from None
+    return given
+
+
+def _sections(content: Mapping[Any, Any], prefix: str, origin: str) -> list[tuple[str, Mapping[str, object]]]:
+    """Node patterns and their parameters in a ROS parameter file, namespaces nested or not; what is neither is refused."""
+    found: list[tuple[str, Mapping[str, object]]] = []
+    for key, value in content.items():
+        name = f"{prefix}/{str(key).strip('/')}"
+        if not isinstance(value, Mapping) or not value:
+            near = f"did you mean {ROS_KEY}?" if difflib.get_close_matches(ROS_KEY, name.split("/")) else ""
+            allowed = f"the name of a node or namespace with a mapping that ends in {ROS_KEY}"
+            raise InputError(f"{origin}: {name.strip('/')}", value, allowed, near)
+        rest = {inner: below for inner, below in value.items() if inner != ROS_KEY}
+        if ROS_KEY in value:
+            parameters = value[ROS_KEY]
+            if not isinstance(parameters, Mapping | None):
+                raise InputError(f"{origin}: {name.strip('/')}.{ROS_KEY}", parameters, "names and values of parameters")
+            found.append((name, parameters or {}))
+        found += _sections(rest, name, origin)
+    return found

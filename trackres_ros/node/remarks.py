@@ -1,0 +1,76 @@
+"""Everything the live node can remark, with its level: one table for status, diagnostics and docs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+from trackres_ros.estimator import columns as at
+from trackres_ros.node.edge import Level
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """A kind of remark: its level, and what it means."""
+
+    level: Level
+    meaning: str
+
+
+@dataclass(frozen=True, slots=True)
+class Remark:
+    """A remark that holds now: its name in `KINDS`, and a sentence with the particulars."""
+
+    name: str
+    text: str
+
+    @property
+    def level(self) -> Level:
+        """Level of its kind."""
+        return KINDS[self.name].level
+
+
+LIVE_KINDS = {
+    "NO_SPEED": Kind(Level.STALE, "no speed was accepted since the start: nothing but the status is published"),
+    "SPEED_OLD": Kind(
+        Level.STALE,
+        "no speed was accepted for longer than `speed_max_age_s`: the outputs keep the stamp and values of the last state, "
+        "and the feed-forward fades to zero",
+    ),
+    "NO_CLOCK": Kind(Level.STALE, "`use_sim_time` is set and no /clock has come"),
+    "INTERNAL_ERROR": Kind(Level.ERROR, "something could not be done by a fault of this program; the log has it"),
+    "OUTPUT_FAILED": Kind(Level.ERROR, "the middleware did not take a message of an output topic; the others go on"),
+    "REFUSED": Kind(Level.WARN, "more than a tenth of the messages of an input were refused in the last second"),
+    "OVERRUN": Kind(
+        Level.WARN, "messages came faster than they could be worked off: the oldest were dropped, and are counted as `dropped`"
+    ),
+    "NO_PUBLISHER": Kind(Level.WARN, "nobody publishes on the topic of an input"),
+    "WRONG_TYPE": Kind(Level.WARN, "somebody publishes another message type on the topic of an input; it never arrives"),
+    "INCOMPATIBLE_QOS": Kind(Level.WARN, "a publisher's quality of service is less than the input asks for; it never connects"),
+    "SEVERAL_PUBLISHERS": Kind(Level.WARN, "more than one publisher on the topic of an input: their values are mixed"),
+    "CLOCK_OFFSET": Kind(Level.WARN, "the stamps of the speed are more than a second away from this machine's time"),
+    "MISMATCH": Kind(Level.WARN, "measured and expected torque have parted by more than the estimate's own uncertainty"),
+    "STATE_NOT_SAVED": Kind(Level.WARN, "the state file could not be written: a restart would begin with an older state or cold"),
+    "STATE_NOT_USED": Kind(Level.OK, "there was a state file and it could not be used: cold start"),
+    "COMPILING": Kind(Level.OK, "first start on a machine: steps run in plain Python until they are compiled; same numbers"),
+}
+KINDS: Mapping[str, Kind] = MappingProxyType(
+    {
+        **LIVE_KINDS,
+        **{
+            str(reason.name): Kind(Level.OK if reason & at.HARMLESS else Level.WARN, text)
+            for reason, text in at.REASON_TEXT.items()
+        },
+    }
+)
+
+
+def of_reasons(reasons: at.Reason) -> list[Remark]:
+    """The remarks of an estimate."""
+    return [Remark(str(reason.name), text) for reason, text in at.REASON_TEXT.items() if reason & reasons]
+
+
+def level_of(remarks: list[Remark]) -> Level:
+    """The heaviest level."""
+    return max((remark.level for remark in remarks), default=Level.OK)

@@ -1,0 +1,158 @@
+"""What the node tells of itself: one overview, from which statuses, diagnostics and the table in the terminal are made."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from trackres_ros.node.edge import Level, Status
+from trackres_ros.node.mismatch import Mismatch
+from trackres_ros.node.outlet import Outlet
+from trackres_ros.node.remarks import Remark
+from trackres_ros.node.state_keeper import StateKeeper
+from trackres_ros.node.watch import InputState, Watch
+from trackres_ros.output.topics import TOTALS, sign_of
+
+ESTIMATE_KEYS = {
+    "level": "ok, warn, error or stale",
+    "remarks": "names of all that is remarked, see docs/robustness.md",
+    "stamp": "time of the state [s since 1970], nan before the first",
+    "age_s": "time since the last accepted speed [s], by a clock that never jumps",
+    "rate_hz": "estimates made [1/s], over the last second",
+    "published": "how often the outputs were published",
+    "feedforward_left": "share of the feed-forward that is published: 1, falling to 0 while the speed is old",
+    "resistance_torque/<name>": f"as on that topic, of {', '.join(TOTALS)} [Nm]: negative what resists forward travel",
+    "resistance_std_nm": "standard deviation of its total [Nm]",
+    "feedforward_torque_nm": "feed-forward as published [Nm]",
+    "speed_mps": "speed of the last step [m/s]",
+    "weight_n": "weight of the last step [N]",
+    "ambient_degc": "ambient temperature of the last step [degC]",
+    "belt_degc/<assembly>": "belt temperature [degC]",
+    "belt_std_k/<assembly>": "its standard deviation [K]",
+}
+INPUT_KEYS = {
+    "topic": "the topic",
+    "rate_hz": "messages [1/s] over the last second, refused ones too",
+    "age_s": "time since the last accepted one came, by a clock that never jumps [s]",
+    "value": "last accepted value in the unit of the role",
+    "accepted, non_finite, out_of_range, duplicate, late, future, backward, bad_stamp": "messages so far; each is in exactly one",
+    "zero_stamp, gap, clock_jump, reset": "remarks on accepted messages so far",
+    "absent": "messages without the element, so far",
+    "dropped": "messages of the topic so far that came faster than they could be worked off, and are in no other counter",
+}
+COMPARISON_KEYS = {
+    "parted": "true while measured and expected torque have parted",
+    "after_s": "driving time with a measured torque until they parted [s]",
+    "mean_nm": "measured less expected, mean since then [Nm]",
+    "share": "the same as a share of the expected torque",
+    "settled": "true once there is enough data to judge",
+}
+STATE_KEYS = {"file": "the state file, empty if none is kept", "saved_s_ago": "time since it was written [s]", "error": "why not"}
+
+
+@dataclass(frozen=True)
+class Overview:
+    """All there is to see at one moment; torques in Nm, positive where they resist forward travel."""
+
+    level: Level
+    remarks: tuple[Remark, ...]
+    stamp_ns: int | None
+    age_s: float
+    steps_hz: float
+    published: int
+    left: float
+    feedforward_nm: float  # as last published
+    values: dict[str, float]  # the last row of results by name, empty before the first
+    assemblies: tuple[str, ...]
+    inputs: tuple[InputState, ...]
+    mismatch: Mismatch
+    state_file: str
+    saved_s_ago: float
+    state_error: str
+
+    @property
+    def message(self) -> str:
+        """All remarks in one line."""
+        return "; ".join(remark.text for remark in self.remarks) or "ok"
+
+
+def overview(
+    level: Level, remarks: Sequence[Remark], outlet: Outlet, watch: Watch, mismatch: Mismatch, keeper: StateKeeper, steady: int
+) -> Overview:
+    """Gather what is to be seen now."""
+    estimator = outlet.estimator
+    return Overview(
+        level,
+        tuple(remarks),
+        outlet.stamp_ns,
+        outlet.age_s(steady),
+        watch.steps_hz,
+        outlet.published,
+        outlet.left(steady),
+        outlet.feedforward,
+        dict(zip(estimator.columns, outlet.row, strict=True)) if outlet.row else {},
+        estimator.assemblies,
+        watch.inputs(steady),
+        mismatch,
+        str(keeper.path or ""),
+        math.nan if keeper.saved_at is None else time.time() - keeper.saved_at,
+        keeper.error,
+    )
+
+
+def statuses(seen: Overview, node: str, vehicle: str) -> list[Status]:
+    """The statuses of /diagnostics; the first is the node's own."""
+    estimate = [
+        ("level", seen.level.name.lower()),
+        ("remarks", " ".join(remark.name for remark in seen.remarks)),
+        ("stamp", _text(math.nan if seen.stamp_ns is None else seen.stamp_ns * 1e-9, 3)),
+        ("age_s", _text(seen.age_s, 3)),
+        ("rate_hz", _text(seen.steps_hz)),
+        ("published", str(seen.published)),
+        ("feedforward_left", _text(seen.left, 3)),
+    ]
+    if seen.values:
+        values = seen.values
+        estimate += [(f"resistance_torque/{part}", _text(values[name] * sign_of(name) + 0.0, 3)) for part, name in TOTALS.items()]
+        estimate += [(name, _text(values[name], 3)) for name in ("resistance_std_nm", "speed_mps", "weight_n", "ambient_degc")]
+        estimate.append(("feedforward_torque_nm", _text(seen.feedforward_nm, 3)))
+        for assembly in seen.assemblies:
+            estimate += [
+                (f"{name}/{assembly}", _text(seen.values[f"{name}/{assembly}"], 3)) for name in ("belt_degc", "belt_std_k")
+            ]
+    found = [Status(seen.level, f"{node}: estimate", seen.message, vehicle, tuple(estimate))]
+    for given in seen.inputs:
+        known = (("topic", given.topic), ("rate_hz", _text(given.rate_hz)), ("age_s", _text(given.age_s, 3)))
+        counts = tuple((name, str(number)) for name, number in given.counts)
+        level, text = _input_level(given)
+        found.append(
+            Status(level, f"{node}: input {given.role}", text, vehicle, (*known, ("value", _text(given.value, 4)), *counts))
+        )
+    mismatch = seen.mismatch
+    if any(given.role == "torque" for given in seen.inputs):
+        compared = (
+            ("parted", str(mismatch.parted).lower()),
+            ("after_s", _text(mismatch.after_s)),
+            ("mean_nm", _text(mismatch.mean_nm)),
+            ("share", _text(mismatch.share, 4)),
+            ("settled", str(mismatch.settled).lower()),
+        )
+        found.append(Status(Level.WARN if mismatch.parted else Level.OK, f"{node}: comparison", mismatch.text, vehicle, compared))
+    kept = (("file", seen.state_file), ("saved_s_ago", _text(seen.saved_s_ago)), ("error", seen.state_error))
+    text = seen.state_error or ("kept" if seen.state_file else "not kept")
+    found.append(Status(Level.WARN if seen.state_error else Level.OK, f"{node}: state", text, vehicle, kept))
+    return found
+
+
+def _input_level(given: InputState) -> tuple[Level, str]:
+    if math.isnan(given.age_s):
+        return Level.STALE, "nothing was accepted yet"
+    if given.rate_hz == 0.0:
+        return Level.STALE, "nothing in the last second"
+    return Level.OK, f"{given.rate_hz:.1f} Hz"
+
+
+def _text(value: float, digits: int = 1) -> str:
+    return f"{value:.{digits}f}" if math.isfinite(value) else str(value)

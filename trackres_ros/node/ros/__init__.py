@@ -1,0 +1,1 @@
+"""The transport on ROS 2: messages in, messages out; the only place that imports rclpy."""

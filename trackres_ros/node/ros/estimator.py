@@ -1,0 +1,26 @@
+"""The executable `estimator`. It listens to signals before anything else is loaded, which takes a second."""
+
+from __future__ import annotations
+
+import sys
+
+from trackres_ros.node.asked import ASKED
+
+BAD_INPUT = 2
+
+
+def main() -> None:
+    """Run the node; ROS arguments give name, namespace, remappings and parameters."""
+    ASKED.listen()
+    from trackres_ros.errors import InputError
+
+    try:
+        from trackres_ros.node.ros.main import run_executable
+    except InputError as error:  # no ROS
+        print(f"estimator: error: {error}", file=sys.stderr)
+        sys.exit(BAD_INPUT)
+    sys.exit(run_executable(ASKED))
+
+
+if __name__ == "__main__":
+    main()

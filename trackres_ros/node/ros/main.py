@@ -1,0 +1,94 @@
+"""The node on ROS 2 run to its end, for the executable `estimator` and for `trackres live`."""
+
+from __future__ import annotations
+
+import gc
+import sys
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from trackres_ros.errors import InputError
+from trackres_ros.node.asked import Asked
+from trackres_ros.node.parameters import Parameters
+
+if TYPE_CHECKING:
+    from trackres_ros.node.application import Application
+
+BAD_INPUT = 2
+LONGEST_WAIT_S = 0.1  # so that a signal is seen soon
+
+try:
+    import rclpy
+    from rclpy.exceptions import InvalidParameterException, InvalidParameterTypeException, InvalidParameterValueException
+    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.lifecycle import TransitionCallbackReturn
+    from rclpy.signals import SignalHandlerOptions
+except ImportError as error:
+    raise InputError(
+        "running on ROS 2",
+        f"no Python module {error.name}",
+        "a sourced ROS 2 Jazzy: source /opt/ros/jazzy/setup.bash",
+        "without ROS run: trackres live --edge dds",
+    ) from error
+
+
+def run_executable(asked: Asked) -> int:
+    """Run the executable; ROS arguments give name, namespace, remappings and parameters. The exit code."""
+    from trackres_ros.node.ros.node import EstimatorNode
+
+    return _run(lambda: EstimatorNode(), asked, None, None, of_command=False)
+
+
+def run(
+    parameters: Parameters, node: str, namespace: str, asked: Asked, started: Callable[[Application], None] | None = None
+) -> int:
+    """Run the node with checked parameters until a signal asks to stop; the exit code."""
+    from trackres_ros.node.ros.node import EstimatorNode
+
+    sim_time = rclpy.Parameter("use_sim_time", value=parameters.sim_time)
+
+    def make() -> Any:
+        return EstimatorNode(parameters, node, namespace=namespace, parameter_overrides=[sim_time])
+
+    return _run(make, asked, [], started, of_command=True)
+
+
+def _run(
+    make: Callable[[], Any],
+    asked: Asked,
+    args: list[str] | None,
+    started: Callable[[Application], None] | None,
+    of_command: bool,
+) -> int:
+    # rclpy's own handlers would take the context away before the node has saved its state and said so.
+    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    node = None
+    try:
+        try:
+            node = make()
+        except (InvalidParameterException, InvalidParameterTypeException, InvalidParameterValueException) as error:
+            print(f"estimator: error: {error}", file=sys.stderr)
+            return BAD_INPUT
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        if node.get_parameter("autostart").value:
+            if node.trigger_configure() != TransitionCallbackReturn.SUCCESS:
+                if of_command and node.refused:
+                    raise node.refused
+                return BAD_INPUT
+            node.trigger_activate()
+        if started and node.application:
+            started(node.application)
+        gc.freeze()  # what was loaded stays: looking through it would hold up a message now and then
+        asked.started()
+        while not asked.to_stop:
+            executor.spin_once(timeout_sec=LONGEST_WAIT_S)
+            if node.application:
+                for level, text in asked.answers(node.application):
+                    node.log(level, text)
+    finally:
+        if node is not None:
+            node.release()
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return 0

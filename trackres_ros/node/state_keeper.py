@@ -1,0 +1,109 @@
+"""Keeps the belt temperatures over a restart: loads at the start, saves in the background and at the end."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import time
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+
+from trackres_ros.errors import InputError
+from trackres_ros.estimator.estimator import Estimator, Session
+from trackres_ros.estimator.snapshot import after_time_off, content, leftovers
+from trackres_ros.files import own_files
+
+AUTO, NONE = "auto", "none"
+LONGEST_NAME = 100
+NO_HOME = "there is no home folder to keep it in: set state_file or XDG_STATE_HOME"
+
+
+def state_path(parameter: str, sim_time: bool, node: str, namespace: str, vehicle: str) -> tuple[Path | None, str]:
+    """Where the state of a node is kept, None where it is not; and why not, where that is not what was asked for."""
+    if parameter == NONE or (parameter == AUTO and sim_time):
+        return None, ""
+    base = os.environ.get("XDG_STATE_HOME")
+    try:
+        if parameter != AUTO:
+            return Path(parameter).expanduser(), ""
+        folder = (Path(base) if base else Path.home() / ".local" / "state") / "trackres"
+    except RuntimeError:  # no HOME, and a user that the system does not know
+        return None, NO_HOME
+    return folder / state_name(node, namespace, vehicle), ""
+
+
+def state_name(node: str, namespace: str, vehicle: str) -> str:
+    """Name of the state file of a node with a vehicle: a plain one, whatever they are called, and another for each.
+
+    The readable part may be alike for two of them; the digest of the whole is not.
+    """
+    identity = [*filter(None, namespace.split("/"))], node, vehicle
+    readable = re.sub(r"[^A-Za-z0-9]+", "_", "_".join((*identity[0], node, vehicle))).strip("_")[:LONGEST_NAME]
+    return f"{readable}-{hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:12]}.json"
+
+
+class StateKeeper:
+    """One state file. Times are the machine's: the belt cools while the machine is off, whatever time is simulated."""
+
+    def __init__(self, path: Path | None, why_none: str = "") -> None:
+        self.path = path
+        self.saved_at: float | None = None
+        self.error = why_none
+        self._writer = ThreadPoolExecutor(max_workers=1, thread_name_prefix="state")
+        self._writing: Future[None] | None = None
+
+    def load(self, estimator: Estimator) -> tuple[Session, str, bool]:
+        """A session that begins with the kept belts, cooled since, or cold; what was found; and whether a file was of no use."""
+        if self.path is None:
+            return estimator.session(), f"no state is kept{self.error and f', as {self.error}'}: cold start", False
+        try:
+            for part in leftovers(self.path):
+                part.unlink(missing_ok=True)
+            if not self.path.exists():
+                return estimator.session(), f"no state file {self.path} yet: cold start", False
+        except (OSError, ValueError) as error:
+            return estimator.session(), f"cold start, as the state file {self.path} is out of reach: {error}", True
+        try:
+            session, off_s = after_time_off(estimator, self.path, time.time())
+        except InputError as error:
+            return estimator.session(), f"cold start, as the state file is of no use: {error}", True
+        return session, f"belts taken from {self.path}, cooled over {off_s / 60.0:.1f} min off", False
+
+    def save_soon(self, session: Session, state_at: float) -> None:
+        """Save in the background, without holding up the outputs; not while the last one is still being written.
+
+        `state_at` is the time [s since 1970] of the state: the belts cool from then on.
+        """
+        if self.path is None or (self._writing and not self._writing.done()):
+            return
+        self._writing = self._writer.submit(self._write, content(session, state_at), self.path)
+
+    def save(self, session: Session, state_at: float) -> str:
+        """Save now; what was done, in words. See `save_soon`.
+
+        Raises
+        ------
+        InputError
+            If no state is kept, or the file cannot be written.
+        """
+        if self.path is None:
+            raise InputError("state file", "none", "a node with the parameter state_file set to a path, or auto")
+        self._writer.submit(self._write, content(session, state_at), self.path).result()
+        if self.error:
+            raise InputError(f"state file {self.path}", self.error, "a file that can be written")
+        return f"state saved in {self.path}"
+
+    def close(self) -> None:
+        """Wait for what is being written."""
+        self._writer.shutdown()
+
+    def _write(self, data: bytes, path: Path) -> None:
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            own_files.write(path, data)
+        except (OSError, ValueError) as error:
+            self.error = getattr(error, "strerror", None) or str(error)
+        else:
+            self.error, self.saved_at = "", time.time()

@@ -1,0 +1,185 @@
+"""What is to be remarked about the running node: ages, rates, refusals, who publishes, and reasons of the last second."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.estimator import Estimator, Session
+from trackres_ros.node.edge import Level, Peer
+from trackres_ros.node.endpoints import InputTopic
+from trackres_ros.node.intake import Intake
+from trackres_ros.node.remarks import Remark, level_of, of_reasons
+
+FAULT_SHOWN_NS = 5_000_000_000
+REFUSED_SHARE = 0.1  # of the messages of a second: more is not the odd late one
+CLOCK_OFFSET_NS = 1_000_000_000
+REFUSALS = [int(count) for count in at.REFUSALS]
+
+
+@dataclass(frozen=True, slots=True)
+class InputState:
+    """One role of one input topic as it was in the last second.
+
+    Attributes
+    ----------
+    role, topic
+        What it is and where it comes from.
+    rate_hz
+        Messages taken in, refused ones too [1/s].
+    age_s
+        Since the last accepted one came, by a clock that never jumps [s]; nan if there was none.
+    value
+        The last accepted value, in the unit of the role; nan if there was none.
+    counts
+        Counters that are not zero, by name.
+    """
+
+    role: str
+    topic: str
+    rate_hz: float
+    age_s: float
+    value: float
+    counts: tuple[tuple[str, int], ...]
+
+
+class Watch:
+    """Bookkeeping of the application; it remarks, and changes nothing."""
+
+    def __init__(self, estimator: Estimator, inputs: Sequence[InputTopic], state_unused: bool) -> None:
+        self.state_unused = state_unused
+        self.accepted_ns: list[int | None] = [None] * len(estimator.channels)  # by a steady clock
+        self._inputs: tuple[InputState, ...] = ()
+        self.steps_hz = 0.0
+        self._roles = [(role, i) for i, given in enumerate(inputs) for role in given.roles]
+        self._channel = {role: estimator.channels.index(role) for role, _ in self._roles}
+        self._topics = inputs
+        self._peers: Sequence[Sequence[Peer]] = [()] * len(inputs)
+        self._last_counts = np.zeros((len(estimator.channels), len(at.Count)), dtype=np.int64)
+        self._last_bad_stamp = np.zeros(len(estimator.channels), dtype=np.int64)
+        self._last_dropped = [0] * len(inputs)
+        self._overrun: list[tuple[str, int]] = []
+        self._refused: dict[str, list[tuple[str, int]]] = {}
+        self._looked_ns: int | None = None
+        self._shown_reasons, self._second_reasons = 0, 0
+        self._steps = 0
+        self._old: bool | None = None
+        self._offset_ns = 0
+        self._fault_text, self._fault_ns = "", -FAULT_SHOWN_NS
+        self._logged: frozenset[str] | None = None
+
+    def accepted(self, reasons: int, offset_ns: int) -> bool:
+        """Take note of an estimate; true if it has reasons that are not shown yet."""
+        self._steps += 1
+        self._offset_ns = offset_ns
+        self._second_reasons |= reasons
+        news = bool(reasons & ~self._shown_reasons)
+        self._shown_reasons |= reasons
+        return news
+
+    def look_at_age(self, age_s: float, max_age_s: float) -> bool:
+        """True when the speed has just become too old, or fresh again."""
+        old = age_s > max_age_s
+        turned, self._old = old is not self._old, old
+        return turned
+
+    def inputs(self, steady: int) -> tuple[InputState, ...]:
+        """Every role as it was in the last second, with its age now."""
+        ages = {role: self.accepted_ns[self._channel[role]] for role, _ in self._roles}
+        return tuple(
+            replace(state, age_s=math.nan if (at_ns := ages[state.role]) is None else (steady - at_ns) * 1e-9)
+            for state in self._inputs
+        )
+
+    def fault(self, error: Exception, steady: int) -> bool:
+        """Take note of a fault of this program; true if it is a new one, to be logged."""
+        text = f"{type(error).__name__}: {error}"
+        new = text != self._fault_text or steady - self._fault_ns > FAULT_SHOWN_NS
+        self._fault_text, self._fault_ns = text, steady
+        return new
+
+    def every_second(self, session: Session, intake: Intake, peers: Sequence[Sequence[Peer]], steady: int) -> None:
+        """Work out rates and refusals since the last call, and begin a new second."""
+        elapsed_s = math.nan if self._looked_ns is None else max((steady - self._looked_ns) * 1e-9, 1e-9)
+        counts = session.memory.counters.copy()
+        new, self._last_counts = counts - self._last_counts, counts
+        bad_stamp = np.array(intake.bad_stamp) - self._last_bad_stamp
+        self._last_bad_stamp += bad_stamp
+        dropped = list(intake.dropped)
+        self._overrun = [
+            (given.name, now - before)
+            for given, now, before in zip(self._topics, dropped, self._last_dropped, strict=True)
+            if now > before
+        ]
+        self._last_dropped = dropped
+        self._refused.clear()
+        states = []
+        for role, i in self._roles:
+            channel = self._channel[role]
+            messages = int(new[channel, : at.Count.BACKWARD + 1].sum()) + int(bad_stamp[channel])
+            refused = [(at.Count(c).name.lower(), int(new[channel, c])) for c in REFUSALS]
+            refused.append(("bad_stamp", int(bad_stamp[channel])))
+            if sum(number for _, number in refused) > REFUSED_SHARE * messages:
+                self._refused[role] = [(name, number) for name, number in refused if number]
+            seen = [(count.name.lower(), int(counts[channel, count])) for count in at.Count]
+            seen += [("bad_stamp", intake.bad_stamp[channel]), ("absent", intake.absent[channel]), ("dropped", dropped[i])]
+            value = float(session.memory.values[channel])
+            shown = tuple((name, number) for name, number in seen if number)
+            states.append(InputState(role, self._topics[i].name, messages / elapsed_s, math.nan, value, shown))
+        self._inputs = tuple(states)
+        self.steps_hz, self._steps = self._steps / elapsed_s, 0
+        self._peers, self._looked_ns = peers, steady
+        self._shown_reasons, self._second_reasons = self._second_reasons, 0
+
+    def remarks(self, age_s: float, max_age_s: float, clock_runs: bool, steady: int) -> list[Remark]:
+        """All that is to be remarked of inputs and estimate now."""
+        found: list[Remark] = []
+        if not clock_runs:
+            found.append(Remark("NO_CLOCK", "use_sim_time is set and nothing comes on /clock"))
+        if math.isinf(age_s):
+            found.append(Remark("NO_SPEED", "no speed yet"))
+        elif age_s > max_age_s:
+            fading = "the feed-forward fades to zero"
+            found.append(Remark("SPEED_OLD", f"no speed for {age_s:.1f} s, allowed are {max_age_s:g} s: {fading}"))
+        if steady - self._fault_ns < FAULT_SHOWN_NS:
+            found.append(Remark("INTERNAL_ERROR", f"a fault of this program: {self._fault_text}"))
+        for name, number in self._overrun:
+            text = f"{name}: {number} messages of the last second came faster than they could be worked off"
+            found.append(Remark("OVERRUN", text))
+        for role, refused in self._refused.items():
+            why = ", ".join(f"{number} {name}" for name, number in refused)
+            found.append(Remark("REFUSED", f"{role}: refused in the last second: {why}"))
+        found += [remark for given, peers in zip(self._topics, self._peers, strict=True) for remark in _of_peers(given, peers)]
+        if abs(self._offset_ns) > CLOCK_OFFSET_NS and clock_runs and not math.isinf(age_s):
+            side = "behind" if self._offset_ns > 0 else "ahead of"
+            text = f"the stamps of the speed are {abs(self._offset_ns) * 1e-9:.1f} s {side} this node's time"
+            found.append(Remark("CLOCK_OFFSET", text))
+        return found + of_reasons(at.Reason(self._shown_reasons))
+
+    def to_log(self, remarks: Sequence[Remark]) -> tuple[Level, str] | None:
+        """What to log, when there is other than harmless to remark than at the last call."""
+        names = frozenset(remark.name for remark in remarks if remark.level > Level.OK)
+        if names == self._logged or self._looked_ns is None:
+            return None
+        self._logged = names
+        return level_of(list(remarks)), "; ".join(remark.text for remark in remarks) or "all is well"
+
+
+def _of_peers(given: InputTopic, peers: Sequence[Peer]) -> list[Remark]:
+    roles = ", ".join(given.roles)
+    right = [peer for peer in peers if peer.type == given.type]
+    found = []
+    for kind in sorted({peer.type for peer in peers} - {given.type}):
+        found.append(Remark("WRONG_TYPE", f"{roles}: a publisher on {given.name} sends {kind}, expected is {given.type}"))
+    if not right:
+        found.append(Remark("NO_PUBLISHER", f"{roles}: nobody publishes {given.type} on {given.name}"))
+    elif len(right) > 1:
+        found.append(Remark("SEVERAL_PUBLISHERS", f"{roles}: {len(right)} publishers on {given.name}"))
+    if any(not peer.compatible for peer in right):
+        text = f"{roles}: a publisher on {given.name} does not offer the reliability or deadline that is asked for"
+        found.append(Remark("INCOMPATIBLE_QOS", text))
+    return found

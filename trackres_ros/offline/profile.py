@@ -1,0 +1,68 @@
+"""A speed profile and what it says of its conditions, for a simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.errors import InputError
+from trackres_ros.estimator.constants import LARGEST_LOAD_SHARE, LEAST_LOAD_SHARE, PLAUSIBLE
+from trackres_ros.recording.opening import open_source
+from trackres_ros.recording.recording import ROLES, Recording
+from trackres_ros.recording.table import TableSource
+
+Array = NDArray[np.float64]
+
+ARGUMENT_OF = {"load": "weight_kn", "ambient": "ambient_degc", "grade": ""}
+"""What a profile may say beside the speed, and the argument that says the same."""
+
+
+def read_profile(profile: str | PathLike[str] | Recording) -> Recording:
+    """The profile, out of a table; a column that would do nothing is refused.
+
+    Raises
+    ------
+    InputError
+        What is no table, or has a column that a simulation does not take.
+    """
+    if isinstance(profile, Recording):
+        recording = profile
+    else:
+        source = open_source([Path(profile)])
+        if not isinstance(source, TableSource):
+            raise InputError("profile", str(profile), "a CSV or Parquet table; trackres replay reads bags")
+        recording = Recording.from_source(source)
+    unused = [role for role in recording.roles if role not in ("speed", *ARGUMENT_OF)]
+    if unused:
+        allowed = f"speed, {', '.join(ARGUMENT_OF)}"
+        remedy = "leave out what a simulation does not take"
+        raise InputError(f"{recording.name}: columns of", ", ".join(unused), allowed, remedy)
+    return recording
+
+
+def conditions(recording: Recording, time_s: Array, given: Collection[str], weight: float) -> dict[str, Array]:
+    """What a profile says of its conditions at some times [s], along straight lines, by role.
+
+    Raises
+    ------
+    InputError
+        For a role that is among those `given` otherwise, and for values that are not plausible for a vehicle of a weight [N].
+    """
+    limits = {**PLAUSIBLE, "load": (LEAST_LOAD_SHARE * weight, LARGEST_LOAD_SHARE * weight)}
+    found = {}
+    for role, argument in ARGUMENT_OF.items():
+        samples = recording.series.get(role)
+        if samples is None or not len(samples):
+            continue
+        if role in given:
+            raise InputError(argument, f"{role} in {recording.name} too", "one of the two")
+        low, high = limits[role]
+        bad = samples.value[~((samples.value >= low) & (samples.value <= high))]
+        if bad.size:
+            raise InputError(f"{recording.name}: {role}", float(bad[0]), f"{low:g} to {high:g} {ROLES[role].unit}")
+        found[role] = np.interp(time_s, recording.time_s(role), samples.value)
+    return found

@@ -1,0 +1,125 @@
+"""Recording -> estimator -> table or bag, and a picture. The same messages give the same bits, here and live."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.errors import InputError
+from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.estimator import Estimator, Session, Steps
+from trackres_ros.files.output_files import BAG_SUFFIX
+from trackres_ros.output.bag import OutputBag
+from trackres_ros.output.preview import ResultPreview
+from trackres_ros.recording.recording import Source
+from trackres_ros.recording.table import TableWriter
+from trackres_ros.units import NANOSECOND
+
+Array = NDArray[np.float64]
+
+BLOCK_ROWS = 8192  # results of so many messages stay in the cache and in memory already had
+
+
+@dataclass(frozen=True, eq=False)
+class Replayed:
+    """What a replay gave: the session with its counters, and what the picture and the report need."""
+
+    session: Session
+    messages: int
+    steps: int
+    duration_s: float
+    picture: Array  # (samples, 1 + columns): time [s] and results, thinned
+    last: Array  # last row of results
+
+
+def channel_indices(session: Session, roles: Sequence[str]) -> NDArray[np.int16]:
+    """Channel of each role of a source, shape (roles,).
+
+    Raises
+    ------
+    InputError
+        For a role of an axle or assembly that the vehicle does not have.
+    """
+    channels = session.estimator.channels
+    unknown = [role for role in roles if role not in channels]
+    if unknown:
+        vehicle = session.estimator.vehicle
+        places = [name for name in channels if "/" in name]
+        raise InputError(f"role {unknown[0]}", f"vehicle {vehicle.name}", f"{', '.join(at.CHANNELS)}, {', '.join(places)}")
+    return np.array([session.channel(role) for role in roles], dtype=np.int16)
+
+
+def replay(
+    source: Source,
+    estimator: Estimator,
+    write: Callable[[Steps], None] | None = None,
+    session: Session | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Replayed:
+    """Feed a source through a session, block by block: memory does not grow with the recording.
+
+    Parameters
+    ----------
+    write
+        Takes the results of each block.
+    session
+        A session to go on with; by default a new one.
+    progress
+        Takes the number of messages of each block.
+
+    Raises
+    ------
+    InputError
+        If the source holds no usable speed, or cannot be read.
+    """
+    session = session or estimator.session()
+    channel_of = channel_indices(session, source.roles)
+    seen = ResultPreview(len(estimator.columns))
+    messages = 0
+    with ThreadPoolExecutor(max_workers=1) as worker:  # the kernel lets go of the interpreter: reading goes on meanwhile
+        running: Future[Steps] | None = None
+        for block in source.blocks(BLOCK_ROWS):
+            messages += len(block)
+            before, running = (
+                running,
+                worker.submit(session.handle_block, channel_of[block.role], block.stamp_ns, block.arrival_ns, block.value),
+            )
+            if before:
+                seen.take(before.result(), write)
+            if progress:
+                progress(len(block))
+        if running:
+            seen.take(running.result(), write)
+    if not seen.steps:
+        refused = ", ".join(f"{name} {count.name.lower()} {number}" for name, count, number in session.counts())
+        raise InputError(
+            source.name,
+            f"{messages} messages, none of them a usable speed ({refused or 'no message'})",
+            "at least one finite, plausible speed",
+            "check topic, field, scale and unit of the speed",
+        )
+    return Replayed(session, messages, seen.steps, (seen.last_ns - seen.first_ns) * NANOSECOND, seen.kept, seen.last)
+
+
+@contextmanager
+def result_writer(path: Path, estimator: Estimator) -> Iterator[Callable[[Steps], None]]:
+    """A writer for the kind of file a path names: `.mcap` as topics, `.csv`, `.csv.gz` or `.parquet` as a table."""
+    if path.suffix.lower() == BAG_SUFFIX:
+        with OutputBag(path, estimator) as bag:
+            yield bag.write
+        return
+    with TableWriter(path, ["time_s", "stamp_ns", *estimator.columns]) as table:
+        first: list[int] = []
+
+        def write(steps: Steps) -> None:
+            first[:] = first or [int(steps.stamp_ns[0])]
+            columns = [(steps.stamp_ns - first[0]) * NANOSECOND, steps.stamp_ns]
+            table.write_columns([*columns, *(steps.rows[:, i] for i in range(steps.rows.shape[1]))])
+
+        yield write

@@ -1,0 +1,130 @@
+"""Speed profile -> torques and belt temperature over time: the estimator run on a drive that was never driven."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from trackres_ros.errors import InputError
+from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.model.resistance import RESISTANCE_PARTS
+
+Array = NDArray[np.float64]
+
+COLUMNS = (
+    "time_s",
+    "speed_mps",
+    "weight_n",
+    "ambient_degc",
+    "belt_degc",
+    "resistance_torque_nm",
+    *RESISTANCE_PARTS.values(),
+    "inertia_nm",
+    "drive_torque_nm",
+)
+MOST_SAMPLES = 50_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """A drive: times [s], speeds [m/s] and accelerations [m/s^2], each of shape (times,)."""
+
+    time_s: Array
+    speed: Array
+    acceleration: Array
+
+
+def ramp_and_hold(speed: float, ramp_s: float, duration_s: float, dt: float) -> Drive:
+    """From rest to a speed [m/s] in a straight ramp [s], then held; the paper's section 4.2. A ramp of 0 s starts at speed."""
+    if not 0.0 < dt <= duration_s or duration_s / dt > MOST_SAMPLES:
+        raise InputError("dt, duration", (dt, duration_s), f"0 < dt <= duration [s] and at most {MOST_SAMPLES} steps")
+    time: Array = np.arange(int(round(duration_s / dt)) + 1, dtype=np.float64) * dt
+    if ramp_s <= 0.0:
+        return Drive(time, np.full_like(time, speed), np.zeros_like(time))
+    return Drive(time, speed * np.minimum(time / ramp_s, 1.0), np.where(time < ramp_s, speed / ramp_s, 0.0))
+
+
+def through_points(time_s: Array, speed: Array, dt: float) -> Drive:
+    """A drive along straight lines between given points, sampled every dt [s]."""
+    time_s, speed = np.asarray(time_s, float), np.asarray(speed, float)
+    if len(time_s) < 2 or (np.diff(time_s) <= 0).any() or not (np.isfinite(time_s).all() and np.isfinite(speed).all()):
+        raise InputError("profile", f"{len(time_s)} points", "at least two finite points with rising times")
+    span = time_s[-1] - time_s[0]
+    if not 0.0 < dt <= span or span / dt > MOST_SAMPLES:
+        raise InputError("dt", dt, f"more than 0 and at most the profile's {span:g} s, with at most {MOST_SAMPLES} steps")
+    time = time_s[0] + np.arange(int(np.floor(span / dt + 1e-9)) + 1) * dt
+    leg = np.clip(np.searchsorted(time_s, time, side="right") - 1, 0, len(time_s) - 2)
+    return Drive(time, np.interp(time, time_s, speed), (np.diff(speed) / np.diff(time_s))[leg])
+
+
+def laps(speed: float, lap_m: float, count: int, ramp_s: float, stop_s: float, dt: float) -> Drive:
+    """Laps with a stop after each, section 3.2.2: ramp up [s], hold, ramp down, stand [s]; `lap_m` [m] a lap."""
+    held_s = lap_m / speed - ramp_s
+    if held_s < 0.0:
+        raise InputError("lap", f"{lap_m:g} m at {speed:g} m/s with ramps of {ramp_s:g} s", "a lap longer than its two ramps")
+    corners, speeds, now = [0.0], [0.0], 0.0
+    for _ in range(count):
+        for duration, reached in ((ramp_s, speed), (held_s, speed), (ramp_s, 0.0), (stop_s, 0.0)):
+            now += duration
+            corners.append(now)
+            speeds.append(reached)
+    return through_points(np.array(corners), np.array(speeds), dt)
+
+
+def simulate(
+    estimator: Estimator,
+    drive: Drive,
+    weight_n: ArrayLike | None = None,
+    ambient_degc: ArrayLike | None = None,
+    initial_degc: float | None = None,
+    grade: ArrayLike = math.nan,
+) -> dict[str, Array]:
+    """Torques and mean belt temperature along a drive, whole vehicle.
+
+    Parameters
+    ----------
+    weight_n, ambient_degc
+        Whole weight [N] and ambient temperature [degC], numbers or shape (times,); by default those of the vehicle file.
+    initial_degc
+        Belt temperature at the start [degC], by default the ambient one.
+    grade
+        Rise over run, a number or shape (times,); nan where it is not known.
+
+    Returns
+    -------
+    dict
+        The series of `COLUMNS`, each of shape (times,). The belt temperature is the mean over the assemblies.
+    """
+    return series_of(estimator, drive, run_drive(estimator, drive, weight_n, ambient_degc, initial_degc, grade))
+
+
+def run_drive(
+    estimator: Estimator,
+    drive: Drive,
+    weight_n: ArrayLike | None = None,
+    ambient_degc: ArrayLike | None = None,
+    initial_degc: float | None = None,
+    grade: ArrayLike = math.nan,
+) -> Array:
+    """Rows of results along a drive, shape (times, columns); see `simulate`."""
+    weight = estimator.vehicle.weight if weight_n is None else weight_n
+    ambient = estimator.vehicle.chassis.ambient if ambient_degc is None else ambient_degc
+    speed, first_weight, first_ambient = (float(np.ravel(x)[0]) for x in (drive.speed, weight, ambient))
+    first = estimator.inputs(speed, weight=first_weight, ambient=first_ambient)
+    state = estimator.cold_start(first, belt_degc=initial_degc)
+    return estimator.run(state, drive.time_s, drive.speed, weight, ambient, drive.acceleration, grade)[1]
+
+
+def series_of(estimator: Estimator, drive: Drive, rows: Array) -> dict[str, Array]:
+    """The series of `COLUMNS` out of rows of results."""
+    series = {"time_s": drive.time_s, "belt_degc": assembly_values(rows, at.PER_BELT).mean(axis=1)}
+    return {name: series[name] if name in series else rows[:, estimator.column_index[name]] for name in COLUMNS}
+
+
+def assembly_values(rows: Array, column: int) -> Array:
+    """One of `columns.ASSEMBLY_COLUMNS` out of rows of results, shape (rows, assemblies)."""
+    return rows[:, len(at.VEHICLE_COLUMNS) + column :: len(at.ASSEMBLY_COLUMNS)]

@@ -1,0 +1,121 @@
+"""What a replay has to say: what was read, what was wrong with it, what came out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.errors import one_line
+from trackres_ros.estimator import columns as at
+from trackres_ros.model.resistance import RESISTANCE_PARTS
+from trackres_ros.offline.replay import Replayed
+from trackres_ros.recording.recording import Block, Finding, Recording, Source
+from trackres_ros.text.numbers import decimals
+
+Array = NDArray[np.float64]
+
+HEAD = 1  # columns of a picture row before the results: the time
+MOST_KEPT = 10_000_000
+"""Samples kept to be looked at, a quarter of a gigabyte; ten hours of three channels at 50 Hz are half as many."""
+
+
+class KeptSource:
+    """A source that passes another on, and keeps its blocks where asked, to look at them as a Recording afterwards."""
+
+    def __init__(self, source: Source, keep: bool) -> None:
+        self._source, self._keep = source, keep
+        self._kept: list[Block] = []
+        self._dropped = False
+        self.name, self.roles, self.notes = source.name, source.roles, source.notes
+        self.zero_is_unset = source.zero_is_unset
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What reading itself met."""
+        if not self._dropped:
+            return self._source.findings
+        text = f"more than {MOST_KEPT} samples: gaps, stuck and quantised values are not looked for"
+        return (*self._source.findings, Finding("", "too_long", 1, float("nan"), text))
+
+    def blocks(self, max_rows: int = 65536) -> Iterator[Block]:
+        """Blocks of the source; read a second time they come from memory."""
+        if self._kept:
+            yield from self._kept
+            return
+        samples = 0
+        for block in self._source.blocks(max_rows):
+            samples += len(block)
+            if self._keep and samples > MOST_KEPT:
+                self._kept.clear()
+                self._keep, self._dropped = False, True
+            if self._keep:
+                self._kept.append(block)
+            yield block
+
+    def all_findings(self) -> tuple[Finding, ...]:
+        """What was wrong with the samples; only what reading met where the blocks were not kept."""
+        return Recording.from_source(self).findings if self._keep else self.findings
+
+
+def picture_columns(columns: Sequence[str], picture: Array) -> dict[str, Array]:
+    """The series of a picture by column name; its first column is the time."""
+    return {name: picture[:, HEAD + i] for i, name in enumerate(columns)}
+
+
+def summary(result: Replayed, name: str, notes: Sequence[str], findings: Sequence[Finding]) -> dict[str, Any]:
+    """The report as a dict ready for JSON: of a recording of a name, what was said of its reading, and found wrong."""
+    estimator = result.session.estimator
+    last = {name: _finite(float(result.last[i])) for i, name in enumerate(estimator.columns) if name != "reasons"}
+    torque = result.picture[:, HEAD + at.OUT_RESISTANCE]
+    counters: dict[str, dict[str, int]] = {}
+    for channel, count, number in result.session.counts():
+        counters.setdefault(channel, {})[count.name.lower()] = number
+    return {
+        "vehicle": estimator.vehicle.name,
+        "recording": name,
+        "notes": list(notes),
+        "findings": [
+            {"role": f.role, "kind": f.kind, "count": f.count, "first_time_s": _finite(f.first_time_s), "text": f.text}
+            for f in findings
+        ],
+        "messages": result.messages,
+        "steps": result.steps,
+        "duration_s": result.duration_s,
+        "counters": counters,
+        "reasons": [
+            {"reason": (reason.name or "").lower(), "text": at.REASON_TEXT[reason], "steps": number}
+            for reason, number in sorted(result.session.reason_counts().items())
+        ],
+        "resistance_torque_nm": {"first": float(torque[0]), "largest": float(np.max(torque)), "last": float(torque[-1])},
+        "last": last,
+    }
+
+
+def text(report: dict[str, Any]) -> str:
+    """The report for people."""
+    last = report["last"]
+    belts = {name.partition("/")[2]: value for name, value in last.items() if name.startswith("belt_degc/")}
+    lines = [f"{report['messages']} messages, {report['steps']} steps over {report['duration_s']:.1f} s"]
+    lines += [f"  taken: {note}" for note in report["notes"]]
+    lines += [f"  found: {item['role'] and item['role'] + ': '}{item['text']}" for item in report["findings"]]
+    for channel, counts in report["counters"].items():
+        refused = {name: number for name, number in counts.items() if name != "accepted"}
+        if refused:
+            lines.append(f"  counted: {channel}: " + ", ".join(f"{name} {number}" for name, number in refused.items()))
+    lines += [f"  status: {item['text']} ({item['steps']} steps)" for item in report["reasons"]]
+    lines.append(
+        f"At the end, at {decimals(last['speed_mps'] * 3.6, 1)} km/h: resistance "
+        f"{decimals(last['resistance_torque_nm'])} +- {decimals(last['resistance_std_nm'])} Nm ("
+        + ", ".join(f"{part} {decimals(last[column])}" for part, column in RESISTANCE_PARTS.items())
+        + f"), largest {decimals(report['resistance_torque_nm']['largest'])} Nm"
+    )
+    lines.append("Belts: " + ", ".join(f"{name} {decimals(value, 1)} degC" for name, value in belts.items()))
+    return "\n".join(map(one_line, lines))
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

@@ -1,0 +1,131 @@
+"""What follows from a vehicle file: masses, loads and temperatures to look at, and how exact its tables are."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+
+from trackres_ros.errors import InputError
+from trackres_ros.estimator.uncertainty import spread
+from trackres_ros.model import belt as belt_model
+from trackres_ros.model.coverage import check_heat, coverage
+from trackres_ros.model.loads import hinge_position, wheel_loads
+from trackres_ros.model.loss_table import LossTable, drive_share, interpolation_error, loss_table, reverse_share
+from trackres_ros.model.track import TrackModel, load_range, steady_tension, track_model
+from trackres_ros.vehicle import Vehicle
+from trackres_ros.vehicle.reading import FLAGS
+
+SHOWN_SPEED_SHARES = (0.05, 0.25, 1.0)  # of the greatest speed
+SLOWEST = 0.05  # m/s: the softest belt is a hot one that creeps
+DEEP_STRAIN = 0.5  # of the thickness below a wheel: beyond it a layer is no longer an elastic foundation
+
+
+def check_vehicle(vehicle: Vehicle, points: int) -> dict[str, Any]:
+    """What follows from a vehicle, ready for JSON; its tables are held against the exact method at random points.
+
+    Raises
+    ------
+    InputError
+        Where the physics shows that a value cannot be.
+    """
+    rubber = vehicle.rubber
+    tracks, remarks = {}, []
+    for name, track in vehicle.tracks.items():
+        model, loads = track_model(vehicle, name), load_range(vehicle, name)
+        began = time.perf_counter()
+        table = loss_table(vehicle, name)
+        took = time.perf_counter() - began
+        errors = np.abs(interpolation_error(model, table, loads, vehicle.chassis.max_speed, points))
+        physics, found = _physics(vehicle, name, model, table)
+        remarks += found
+        modulus = float(model.rubber.dynamic_modulus(10.0, vehicle.chassis.ambient))
+        tracks[name] = {
+            "wheel_loads_n": wheel_loads(track, loads.nominal).tolist(),
+            "hinge_position_m": hinge_position(track),
+            "belt_mass_kg": belt_model.mass_per_length(track.belt, rubber) * track.belt.loop_length,
+            "mass_per_length_kg_m": belt_model.mass_per_length(track.belt, rubber),
+            "heat_capacity_j_k": belt_model.heat_capacity(track.belt, rubber),
+            "cooled_area_m2": belt_model.cooled_area(track.belt),
+            "axial_stiffness_n": float(belt_model.axial_stiffness(track.belt, modulus)),
+            "tension_n": steady_tension(model, vehicle.chassis.ambient),
+            "sag_m": float(
+                belt_model.catenary_sag(
+                    steady_tension(model, vehicle.chassis.ambient),
+                    belt_model.mass_per_length(track.belt, rubber),
+                    track.belt.sag_half_span,
+                    float(belt_model.axial_stiffness(track.belt, modulus)),
+                )
+            ),
+            "uncertainty": dict(
+                zip(
+                    ("loss", "cooling", "heat_capacity", "sprocket_radius"),
+                    (float(v) for v in spread(vehicle, name).relative),
+                    strict=True,
+                )
+            ),
+            "table": {
+                "seconds": took,
+                "load_range_n": [loads.low, loads.high],
+                "largest_error": float(errors.max()),
+                "rms_error": float(np.sqrt((errors**2).mean())),
+                "points": points,
+                "drive_torque_share": drive_share(table, loads, track.sprocket_radius),
+                "reverse_share": reverse_share(table, loads, track.sprocket_radius),
+            },
+            **physics,
+        }
+    flags = [quantity.flag for quantity in vehicle.parameters.values()]
+    return {
+        "vehicle": vehicle.name,
+        "title": vehicle.title,
+        "file": str(vehicle.source),
+        "hysteresis": vehicle.hysteresis,
+        "thermal": vehicle.thermal,
+        "weight_n": vehicle.weight,
+        "assemblies": {a.name: float(n) for a, n in zip(vehicle.assemblies, vehicle.nominal_loads(), strict=True)},
+        "quantities": {flag: flags.count(flag) for flag in FLAGS},
+        "effects": {a.effect.name: dict(a.values) for a in vehicle.effects},
+        "rubber_file": str(vehicle.rubber_source),
+        "tracks": tracks,
+        "remarks": remarks,
+    }
+
+
+def _physics(vehicle: Vehicle, name: str, model: TrackModel, table: LossTable) -> tuple[dict[str, Any], list[str]]:
+    """What the rubber data cover of one kind of track, where its belt settles, and remarks on both."""
+    chassis, covered = vehicle.chassis, coverage(vehicle, name)
+    settles = check_heat(vehicle, name, table)
+    strain = float(model.loss.contacts(SLOWEST, covered.hottest, load_range(vehicle, name).nominal).largest_strain.max())
+    if strain >= 1.0:
+        raise InputError(
+            f"{vehicle.source}: tracks.{name}",
+            f"a road wheel that presses {strain:.0%} of the belt's thickness in",
+            "less than all of it",
+            "check the unit of the moduli, the thickness, and radius, number and contact length of the road wheels",
+        )
+    speeds = [share * chassis.max_speed for share in SHOWN_SPEED_SHARES]
+    coldest = [covered.coldest(model.rubber, speed) for speed in speeds]
+    remarks = []
+    ambient = vehicle.parameters["chassis.ambient"].low
+    if coldest[-1] > ambient:
+        remarks.append(
+            f"track {name}: the rubber data end at {coldest[-1]:.0f} degC at {chassis.max_speed * 3.6:.0f} km/h, and the file's "
+            f"ambient temperature begins at {ambient:g} degC: colder the moduli are held, and the status says OUTSIDE_TABLE"
+        )
+    if settles > covered.hottest:
+        remarks.append(
+            f"track {name}: at {chassis.max_speed * 3.6:.0f} km/h the belt settles at {settles:.0f} degC, and the data or the "
+            f"life of its rubber end at {covered.hottest:.0f} degC: hotter the status says OUTSIDE_TABLE"
+        )
+    if strain > DEEP_STRAIN:
+        remarks.append(
+            f"track {name}: a road wheel presses {strain:.0%} of the thickness of a hot belt in: too deep for the contact model"
+        )
+    physics = {
+        "balance_degc": settles,
+        "largest_strain": strain,
+        "rubber_data": {"speed_mps": speeds, "coldest_degc": coldest, "hottest_degc": covered.hottest},
+    }
+    return physics, remarks

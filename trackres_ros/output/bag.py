@@ -1,0 +1,103 @@
+"""Results as topics of an MCAP file, the very topics the live node publishes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.estimator import Estimator, Steps
+from trackres_ros.output.mcap import BagTopic, BagWriter
+from trackres_ros.output.topics import BASE_FRAME, DEFAULT_NODE, OutputTopic, output_topics, status_of, values_of
+
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
+
+STATUS_PERIOD_NS = 1_000_000_000
+FIELDS = {"wrench": ("wrench.torque.y",), "number": ("data",), "temperature": ("temperature", "variance")}
+
+
+class OutputBag:
+    """Writes blocks of results; the file takes its place when the `with` block ends well."""
+
+    def __init__(self, path: Path, estimator: Estimator) -> None:
+        self._writer = BagWriter(path)
+        self._estimator = estimator
+        self._topics: list[tuple[OutputTopic, BagTopic]] = []
+        self._last_reasons: int | None = None
+        self._last_status_ns = 0
+
+    def __enter__(self) -> Self:
+        """Begin the file and announce the topics."""
+        self._writer.__enter__()
+        for topic in output_topics(self._estimator.vehicle):
+            fields = FIELDS.get(topic.kind, tuple(f"effort[{i}]" for i in range(len(topic.names))))
+            template = None if topic.kind == "status" else template_message(topic, self._writer.typestore, BASE_FRAME)
+            name = f"/{DEFAULT_NODE}/{topic.name}"
+            self._topics.append((topic, self._writer.topic(name, topic.type, template, fields if template is not None else ())))
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        """Finish the file."""
+        self._writer.__exit__(kind, error, trace)
+
+    def write(self, steps: Steps) -> None:
+        """Write the results of a block of messages on all topics."""
+        for topic, bag_topic in self._topics:
+            if topic.kind == "status":
+                self._write_status(bag_topic, steps)
+                continue
+            values = values_of(topic, steps.rows, self._estimator.column_index)
+            known = np.isfinite(values).all(axis=1)
+            self._writer.write_block(bag_topic, steps.stamp_ns[known], steps.arrival_ns[known], values[known])
+
+    def _write_status(self, topic: BagTopic, steps: Steps) -> None:
+        reasons = steps.rows[:, at.OUT_REASONS].astype(np.int64)
+        before = np.concatenate([[-1 if self._last_reasons is None else self._last_reasons], reasons[:-1]])
+        for i in self._due(steps.arrival_ns, reasons != before):
+            message = self._status(int(reasons[i]))
+            self._writer.write(topic, message, int(steps.stamp_ns[i]), int(steps.arrival_ns[i]))
+        if len(reasons):
+            self._last_reasons = int(reasons[-1])
+
+    def _due(self, arrival_ns: NDArray[np.int64], changed: NDArray[np.bool_]) -> list[int]:
+        """Rows at which a status is due: at each change, and once a second."""
+        period = arrival_ns // STATUS_PERIOD_NS
+        new_second = np.concatenate([[period[0] != self._last_status_ns], np.diff(period) != 0]) if len(period) else changed
+        if len(period):
+            self._last_status_ns = int(period[-1])
+        return [int(i) for i in np.flatnonzero(changed | new_second)]
+
+    def _status(self, reasons: int) -> Any:
+        types = self._writer.typestore.types
+        level, text = status_of(at.Reason(reasons))
+        status = types["diagnostic_msgs/msg/DiagnosticStatus"](
+            level=level, name=f"{DEFAULT_NODE}: estimate", message=text, hardware_id=self._estimator.vehicle.name, values=[]
+        )
+        return types["diagnostic_msgs/msg/DiagnosticArray"](header=self._header(), status=[status])
+
+    def _header(self) -> Any:
+        types = self._writer.typestore.types
+        return types["std_msgs/msg/Header"](stamp=types["builtin_interfaces/msg/Time"](sec=0, nanosec=0), frame_id=BASE_FRAME)
+
+
+def template_message(topic: OutputTopic, typestore: Typestore, frame_id: str) -> Any:
+    """A message of a topic with all its strings, and zeros for its numbers and its stamp."""
+    types = typestore.types
+    stamp = types["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
+    header = types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame_id)
+    if topic.kind == "joints":
+        none = np.zeros(0)
+        efforts = np.zeros(len(topic.names))
+        return types[topic.type](header=header, name=list(topic.names), position=none, velocity=none, effort=efforts)
+    if topic.kind == "wrench":
+        vector = types["geometry_msgs/msg/Vector3"]
+        wrench = types["geometry_msgs/msg/Wrench"](force=vector(x=0.0, y=0.0, z=0.0), torque=vector(x=0.0, y=0.0, z=0.0))
+        return types[topic.type](header=header, wrench=wrench)
+    if topic.kind == "temperature":
+        return types[topic.type](header=header, temperature=0.0, variance=0.0)
+    return types[topic.type](data=0.0)

@@ -1,0 +1,14 @@
+"""A figure that a notebook shows by itself. Needs matplotlib: import it where something is drawn."""
+
+from __future__ import annotations
+
+from matplotlib.figure import Figure
+
+
+class ShownFigure(Figure):
+    """A matplotlib figure outside of pyplot, so that nothing has to be closed, which a notebook shows as PNG."""
+
+    def _repr_png_(self) -> bytes:
+        from trackres_ros.output.plots import png_of
+
+        return png_of(self)

@@ -1,0 +1,42 @@
+"""Results that pass by in blocks: the first and last of them, and a thinned series for a picture."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from trackres_ros.estimator.estimator import Steps
+from trackres_ros.units import NANOSECOND
+
+PICTURE_SAMPLES = 8000  # kept for the picture; twice as many are thinned to half
+
+
+class ResultPreview:
+    """What is remembered of results that pass by: the last row, and every n-th row for the picture.
+
+    n doubles as they come, so that a picture of any length costs the same memory.
+    """
+
+    def __init__(self, columns: int) -> None:
+        self.steps, self.first_ns, self.last_ns = 0, 0, 0
+        self.last = np.empty(0)
+        self.kept = np.empty((0, 1 + columns))
+        self._stride = 1
+
+    def take(self, steps: Steps, write: Callable[[Steps], None] | None) -> None:
+        """Take the results of a block, and hand them on."""
+        number = len(steps.rows)
+        if not number:
+            return
+        if not self.steps:
+            self.first_ns = int(steps.stamp_ns[0])
+        chosen = np.arange(-self.steps % self._stride, number, self._stride)
+        time_s = (steps.stamp_ns[chosen] - self.first_ns) * NANOSECOND
+        self.kept = np.concatenate([self.kept, np.column_stack([time_s, steps.rows[chosen]])])
+        while len(self.kept) > 2 * PICTURE_SAMPLES:
+            self.kept, self._stride = self.kept[::2], 2 * self._stride
+        self.steps += number
+        self.last_ns, self.last = int(steps.stamp_ns[-1]), steps.rows[-1].copy()
+        if write:
+            write(steps)

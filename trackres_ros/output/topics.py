@@ -1,0 +1,142 @@
+"""What leaves the estimator on topics: one table of names, types and columns, for the bag of a replay and for live.
+
+Signs after REP-103: rolling forward is positive rotation about y. So what resists it is a negative torque, and what drives a
+positive one: the feed-forward, what driving takes in all, a measured torque. A quantity has one sign on all topics, `sign_of`.
+In tables, reports and the terminal a resistance is a positive number.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.estimator import columns as at
+from trackres_ros.model.resistance import RESISTANCE_PARTS
+from trackres_ros.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+
+"""What the resistance torque is the sum of, and the column of each; the last is what the effects of the vehicle file add."""
+TOTALS = {
+    "total": "resistance_torque_nm",
+    "hysteresis": "hysteresis_nm",
+    "bearing": "bearing_nm",
+    "wind": "wind_nm",
+    "grade": "grade_nm",
+    "inertia": "inertia_nm",
+    "effects": "effects_nm",
+    "drive": "drive_torque_nm",
+}
+"""Torques of the whole vehicle; total, grade and inertia add up to the drive torque."""
+RESISTING = frozenset(("resistance_torque_nm", "grade_nm", "inertia_nm", *RESISTANCE_PARTS.values()))
+DEFAULT_NODE = "trackres"
+BASE_FRAME = "base_link"
+
+
+@dataclass(frozen=True)
+class OutputTopic:
+    """One topic: its name below the node's, message type, meaning, and which numbers it carries.
+
+    Attributes
+    ----------
+    kind
+        How the numbers stand in the message: `joints` (JointState: names and efforts), `wrench` (WrenchStamped: torque
+        about y), `number` (Float64), `temperature` (Temperature: value and standard deviation), `status` (DiagnosticArray).
+    columns
+        Columns of a row of results, see `estimator.layout.columns`.
+    names
+        Names of the joints.
+    """
+
+    name: str
+    type: str
+    kind: Literal["joints", "wrench", "number", "temperature", "status"]
+    meaning: str
+    columns: tuple[str, ...] = ()
+    names: tuple[str, ...] = ()
+
+    @property
+    def signs(self) -> tuple[float, ...]:
+        """Factor from each column to the message."""
+        return tuple(sign_of(column) for column in self.columns)
+
+
+def sign_of(column: str) -> float:
+    """Factor from a column of results, of the vehicle or of an assembly, to what stands on topics."""
+    return -1.0 if column.partition("/")[0] in RESISTING else 1.0
+
+
+def output_topics(vehicle: Vehicle) -> tuple[OutputTopic, ...]:
+    """All topics of a vehicle, most urgent first."""
+    assemblies = [a.name for a in vehicle.assemblies]
+    return (
+        OutputTopic(
+            "feedforward_torque",
+            "geometry_msgs/msg/WrenchStamped",
+            "wrench",
+            "torque about y that cancels the chosen parts, limited in rate and size [Nm]",
+            ("feedforward_torque_nm",),
+        ),
+        OutputTopic(
+            "feedforward_torque_nm",
+            "std_msgs/msg/Float64",
+            "number",
+            "the same number for controllers that take only that; it has no stamp",
+            ("feedforward_torque_nm",),
+        ),
+        OutputTopic(
+            "resistance_torque",
+            "sensor_msgs/msg/JointState",
+            "joints",
+            "torque about y at the sprockets [Nm]: what resists, negative forward: total and its parts (hysteresis, bearing, "
+            "wind, effects), grade and inertia; drive, the positive torque that overcomes all that; of each assembly total and "
+            "hysteresis",
+            (
+                *TOTALS.values(),
+                *(f"{column}/{name}" for name in assemblies for column in ("resistance_torque_nm", "hysteresis_nm")),
+            ),
+            (*TOTALS, *(f"{joint}/{name}" for name in assemblies for joint in ("total", "hysteresis"))),
+        ),
+        *(
+            OutputTopic(
+                f"track_temperature/{name}",
+                "sensor_msgs/msg/Temperature",
+                "temperature",
+                f"mean belt temperature of {name} [degC] and its variance [K^2]",
+                (f"belt_degc/{name}", f"belt_std_k/{name}"),
+            )
+            for name in assemblies
+        ),
+        OutputTopic(
+            "torque_residual",
+            "sensor_msgs/msg/JointState",
+            "joints",
+            "measured torque less what driving takes after the model [Nm], while a torque is measured",
+            ("measured_torque_nm", "drive_torque_nm", "residual_nm"),
+            ("measured", "expected", "residual"),
+        ),
+        OutputTopic(
+            "status",
+            "diagnostic_msgs/msg/DiagnosticArray",
+            "status",
+            "level and every reason for it, whenever that changes and once a second",
+        ),
+    )
+
+
+def values_of(topic: OutputTopic, rows: Array, index: dict[str, int]) -> Array:
+    """Numbers of a topic's messages out of rows of results, shape (rows, numbers)."""
+    values = rows[:, [index[name] for name in topic.columns]] * np.array(topic.signs)
+    if topic.kind == "temperature":
+        values[:, 1] **= 2
+    return np.asarray(values + 0.0)  # no negative zeros
+
+
+def status_of(reasons: at.Reason) -> tuple[int, str]:
+    """Level of a DiagnosticStatus (0 ok, 1 warn) and its text, for the reasons of a row."""
+    level = 1 if reasons & ~at.HARMLESS else 0
+    texts = [text for reason, text in at.REASON_TEXT.items() if reason & reasons]
+    return level, "; ".join(texts) or "ok"

@@ -1,0 +1,393 @@
+"""Which topic and field, or which column, feeds which role: the topics file of bags, tables and the live node."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Literal, cast
+
+from trackres_ros.errors import InputError, nearest
+from trackres_ros.files.yamls import read_yaml
+from trackres_ros.recording.recording import ROLES, base_role
+
+KEYS = ("topic", "type", "field", "column", "scale", "offset", "stamp", "max_age_s", "sensor", "std_k", "delay_s")
+STEP = re.compile(r"([A-Za-z_]\w*)(?:\[([^\[\]]+)\])?")
+MESSAGE_TYPE = re.compile(r"([A-Za-z]\w*)/(?:msg/)?([A-Za-z]\w*)")
+PART = re.compile(r"[A-Za-z0-9_\-]+")
+MOST_DELAY_S = 10.0
+LARGEST = 1e300  # a whole number may be larger than any float
+EXAMPLE = "speed: {topic: /vehicle/speed, type: geometry_msgs/msg/TwistStamped, field: twist.linear.x}"
+
+
+@dataclass(frozen=True, slots=True)
+class FieldStep:
+    """One step of a field path: a field, and for an array the index or the name of the element.
+
+    A name is looked up in the string array ``name`` beside the field, as in ``sensor_msgs/msg/JointState``.
+    """
+
+    name: str
+    index: int | None = None
+    element: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class TopicBinding:
+    """Where one role comes from: a field of a topic, or a column of a table.
+
+    Attributes
+    ----------
+    topic, type, field : str
+        Topic, message type as ``package/msg/Name``, and dotted field path; empty for a column.
+    column : str
+        Column of a table; empty for a topic.
+    scale, offset : float
+        The value in the unit of the role is ``scale * raw + offset``.
+    stamp : str
+        ``header``, ``log``, or empty: the header's where the type has one, else log time.
+    max_age_s : float or None
+        Live: an older sample is not used [s].
+    sensor : str
+        Of a belt temperature: what is measured, ``surface`` or ``mean``.
+    std_k : float
+        Standard deviation of a belt temperature [K].
+    delay_s : float
+        By how much a torque comes late [s]: what is shown was so that long before its stamp.
+    """
+
+    topic: str = ""
+    type: str = ""
+    field: str = ""
+    column: str = ""
+    scale: float = 1.0
+    offset: float = 0.0
+    stamp: Literal["header", "log", ""] = ""
+    max_age_s: float | None = None
+    sensor: Literal["surface", "mean"] = "surface"
+    std_k: float = 3.0
+    delay_s: float = 0.0
+
+    @property
+    def delay_ns(self) -> int:
+        """The delay [ns]."""
+        return round(self.delay_s * 1e9)
+
+    @property
+    def steps(self) -> tuple[FieldStep, ...]:
+        """The field path taken apart."""
+        return field_steps(self.field)
+
+    def read(self, message: object) -> float:
+        """Return the value of this role in a decoded message, in the unit of the role.
+
+        Raises
+        ------
+        LookupError
+            The message has no such element (of a joint that is not in it, for one).
+        AttributeError
+            The type of the message has no such field.
+        """
+        value = message
+        for step in self.steps:
+            parent, value = value, getattr(value, step.name)
+            if step.element is not None:
+                names = list(getattr(parent, "name"))  # noqa: B009 - of any message type
+                if step.element not in names:
+                    raise LookupError(step.element)
+                value = cast("list[object]", value)[names.index(step.element)]
+            elif step.index is not None:
+                value = cast("list[object]", value)[step.index]
+        return self.scale * float(cast("float", value)) + self.offset
+
+
+@dataclass(frozen=True, slots=True)
+class Topics:
+    """A mapping of role to binding, and where it is from.
+
+    Attributes
+    ----------
+    bindings : mapping of str to TopicBinding
+        By role, qualified where the file says so (``load/front``).
+    origin : str
+        The file, for messages to the user.
+    """
+
+    bindings: Mapping[str, TopicBinding]
+    origin: str = "topics"
+
+    def __getitem__(self, role: str) -> TopicBinding:
+        return self.bindings[role]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.bindings)
+
+    def __len__(self) -> int:
+        return len(self.bindings)
+
+    def __contains__(self, role: object) -> bool:
+        return role in self.bindings
+
+    @classmethod
+    def load(cls, path: Path) -> Topics:
+        """Read a topics file.
+
+        Raises
+        ------
+        InputError
+            The file is not there, no YAML, or says something that is not allowed: which role and key.
+        """
+        return cls.parse(read_yaml(path, "a mapping with one line a role", f"write for example: {EXAMPLE}"), str(path))
+
+    @classmethod
+    def parse(cls, content: object, origin: str = "topics") -> Topics:
+        """Check the content of a topics file.
+
+        Parameters
+        ----------
+        content : mapping of str to mapping
+            What the YAML holds.
+        origin : str
+            Its file, for messages.
+
+        Raises
+        ------
+        InputError
+            Unknown role or key, missing or impossible value.
+        """
+        if not isinstance(content, Mapping) or not content:
+            raise InputError(origin, content, "a mapping with one line a role", f"write for example: {EXAMPLE}")
+        bindings = {}
+        for role, line in content.items():
+            _check_role(role, origin)
+            bindings[role] = _binding(role, line, f"{origin}: {role}")
+        return cls(MappingProxyType(bindings), origin)
+
+
+def field_steps(path: str) -> tuple[FieldStep, ...]:
+    """Take a field path apart: ``twist.linear.x``, ``effort[NAME]``, ``data[3]``.
+
+    Raises
+    ------
+    ValueError
+        It is no field path.
+    """
+    steps, rest = [], path
+    while True:
+        match = STEP.match(rest)
+        if not match:
+            raise ValueError(f"no field path: {path!r}")
+        name, element = match.group(1), match.group(2)
+        if element is None:
+            steps.append(FieldStep(name))
+        elif element.isdecimal():
+            steps.append(FieldStep(name, index=int(element)))
+        else:
+            steps.append(FieldStep(name, element=element))
+        rest = rest[match.end() :]
+        if not rest:
+            return tuple(steps)
+        if rest[0] != ".":
+            raise ValueError(f"no field path: {path!r}")
+        rest = rest[1:]
+
+
+def message_type(name: str) -> str:
+    """Return a message type as ``package/msg/Name``, also from the ``package/Name`` of ROS 1.
+
+    Raises
+    ------
+    ValueError
+        It is no message type.
+    """
+    match = MESSAGE_TYPE.fullmatch(name)
+    if not match:
+        raise ValueError(f"no message type: {name!r}")
+    return f"{match.group(1)}/msg/{match.group(2)}"
+
+
+def _check_role(role: object, origin: str) -> None:
+    allowed = ", ".join(ROLES)
+    if not isinstance(role, str) or base_role(role) not in ROLES:
+        raise InputError(f"{origin}: role", role, allowed, nearest(str(role).partition("/")[0], ROLES))
+    base, slash, part = role.partition("/")
+    if slash and not ROLES[base].parts:
+        parts = ", ".join(name for name, about in ROLES.items() if about.parts)
+        raise InputError(f"{origin}: role", role, f"an axle or assembly only for {parts}", f"write {base}")
+    if slash and not PART.fullmatch(part):
+        raise InputError(f"{origin}: role", role, f"{base}/NAME with the name of an axle or assembly")
+
+
+def _binding(role: str, line: object, where: str) -> TopicBinding:
+    if not isinstance(line, Mapping):
+        raise InputError(where, line, "a mapping with topic, type and field, or with column", f"for example: {EXAMPLE}")
+    for key in line:
+        if key not in KEYS:
+            raise InputError(f"{where}: key", key, ", ".join(KEYS), nearest(str(key), KEYS))
+        if key in ("sensor", "std_k") and base_role(role) != "belt":
+            raise InputError(f"{where}: key", key, "sensor and std_k only for belt")
+        if key == "delay_s" and role != "torque":
+            raise InputError(f"{where}: key", key, "delay_s only for torque")
+        if "column" in line and key in ("topic", "type", "field", "stamp", "max_age_s"):
+            raise InputError(f"{where}: key", key, "either column, or topic with type and field")
+    texts = {key: _text(line, key, where) for key in ("topic", "type", "field", "column")}
+    if not texts["column"]:
+        missing = [key for key in ("topic", "type", "field") if not texts[key]]
+        if missing:
+            raise InputError(where, f"no {missing[0]}", "topic, type and field, or column", f"for example: {EXAMPLE}")
+        try:
+            texts["type"] = message_type(texts["type"])
+        except ValueError:
+            raise InputError(f"{where}: type", texts["type"], "package/msg/Name") from None
+        try:
+            field_steps(texts["field"])
+        except ValueError:
+            allowed = "a path such as twist.linear.x, effort[NAME] or data[3]"
+            raise InputError(f"{where}: field", texts["field"], allowed) from None
+    max_age_s = _number(line, "max_age_s", 0.0, where) if "max_age_s" in line else None
+    binding = TopicBinding(
+        **texts,
+        scale=_number(line, "scale", 1.0, where),
+        offset=_number(line, "offset", 0.0, where),
+        stamp=cast("Literal['header', 'log', '']", _choice(line, "stamp", ("header", "log"), "", where)),
+        max_age_s=max_age_s,
+        sensor=cast("Literal['surface', 'mean']", _choice(line, "sensor", ("surface", "mean"), "surface", where)),
+        std_k=_number(line, "std_k", 3.0, where),
+        delay_s=_number(line, "delay_s", 0.0, where),
+    )
+    if not 0.0 <= binding.delay_s <= MOST_DELAY_S:
+        raise InputError(f"{where}: delay_s", binding.delay_s, f"a number from 0 to {MOST_DELAY_S:g} s")
+    if binding.scale == 0.0:
+        raise InputError(f"{where}: scale", 0.0, "a finite number that is not 0")
+    for key, number in (("max_age_s", max_age_s), ("std_k", binding.std_k)):
+        if number is not None and number <= 0.0:
+            raise InputError(f"{where}: {key}", number, "a positive number")
+    return binding
+
+
+def _text(line: Mapping[object, object], key: str, where: str) -> str:
+    text = line.get(key, "")
+    if not isinstance(text, str) or (key in line and not text.strip()):
+        raise InputError(f"{where}: {key}", text, "a text that is not empty")
+    return text
+
+
+def _number(line: Mapping[object, object], key: str, default: float, where: str) -> float:
+    number = line.get(key, default)
+    if isinstance(number, bool) or not isinstance(number, int | float) or not abs(number) < LARGEST:
+        raise InputError(f"{where}: {key}", number, "a finite number")
+    return float(number)
+
+
+def _choice(line: Mapping[object, object], key: str, allowed: tuple[str, ...], default: str, where: str) -> str:
+    choice = line.get(key, default)
+    if key in line and choice not in allowed:
+        raise InputError(f"{where}: {key}", choice, " or ".join(allowed), nearest(str(choice), allowed))
+    return str(choice)
+
+
+NOT_MEASURED = re.compile(
+    r"\b(cmd|commands?|commanded|target|desired|set ?point|reference|ref|goal|limit|max|min|"
+    r"estimated?|feed ?forward|resistance|trackres|error|variance)\b"
+)
+"""Words in a topic name that say its content was not measured on the vehicle; nothing is guessed from it."""
+NOT_VEHICLE = r"rpm|\b(engine|motor|wind|fan|angular|yaw|cpu)\b"
+"""Words that say a speed, load or torque is not that of the vehicle at its tracks."""
+SCALARS = ("std_msgs/msg/Float64", "std_msgs/msg/Float32")
+AMBIENT = r"\b(ambient|outside|outdoor|air)\b"
+UNITS = {
+    "speed": (("km/h", r"km ?p?h\b|kph\b", 1.0 / 3.6),),
+    "load": (("kN", r"\bkn\b", 1e3), ("kg", r"\bkg\b", 9.80665)),
+    "torque": (("kNm", r"\bkn ?m\b", 1e3),),
+}
+"""Units the topic name of a bare number may carry: unit, pattern, scale to the unit of the role."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Rule:
+    """Message types that may feed a role, the field, and patterns the words of the topic must and must not have."""
+
+    role: str
+    types: tuple[str, ...]
+    field: str
+    words: str = ""
+    not_words: str = r"(?!)"
+
+
+RULES = (
+    _Rule("speed", ("nav_msgs/msg/Odometry",), "twist.twist.linear.x"),
+    _Rule("speed", ("geometry_msgs/msg/TwistStamped",), "twist.linear.x"),
+    _Rule("speed", ("geometry_msgs/msg/TwistWithCovarianceStamped",), "twist.twist.linear.x"),
+    _Rule("speed", SCALARS, "data", r"speed|velocity", NOT_VEHICLE),
+    _Rule("load", ("geometry_msgs/msg/WrenchStamped",), "wrench.force.z", r"\bload\b|weight", NOT_VEHICLE),
+    _Rule("load", SCALARS, "data", r"\bload\b|weight", NOT_VEHICLE),
+    _Rule("torque", ("geometry_msgs/msg/WrenchStamped",), "wrench.torque.y", "torque", NOT_VEHICLE),
+    _Rule("torque", SCALARS, "data", "torque", NOT_VEHICLE),
+    _Rule("ambient", ("sensor_msgs/msg/Temperature",), "temperature", AMBIENT),
+    _Rule("belt", ("sensor_msgs/msg/Temperature",), "temperature", r"\b(belt|track|rubber)\b", AMBIENT),
+    _Rule("yaw_rate", ("sensor_msgs/msg/Imu",), "angular_velocity.z"),
+)
+"""In the order of preference."""
+
+
+def guess(available: Mapping[str, str]) -> tuple[Topics, list[str]]:
+    """Guess the bindings from message types, and from topic names where types do not decide.
+
+    Acceleration is never guessed: that of an IMU contains the share of gravity on a slope.
+
+    Parameters
+    ----------
+    available : mapping of str to str
+        Message type by topic.
+
+    Returns
+    -------
+    topics : Topics
+        What was guessed.
+    said : list of str
+        One sentence a role, with what else it could have been.
+
+    Raises
+    ------
+    InputError
+        Nothing tells the speed; the text lists every topic and type.
+    """
+    found: dict[str, list[tuple[TopicBinding, str]]] = {}
+    for rule in RULES:
+        for topic in sorted(available, key=lambda topic: (len(topic), topic)):
+            words = _words(topic)
+            if available[topic] not in rule.types or not re.search(rule.words, words):
+                continue
+            if not re.search(rule.not_words, words) and not NOT_MEASURED.search(words):
+                unit, scale = _unit_of(rule, words)
+                binding = TopicBinding(topic, available[topic], rule.field, scale=scale)
+                found.setdefault(rule.role, []).append((binding, unit))
+    if "speed" not in found:
+        listed = "; ".join(f"{topic} ({kind})" for topic, kind in sorted(available.items())) or "no topic at all"
+        raise InputError(
+            "speed", listed, "a topic of a type that tells the speed of the vehicle", f"name it in a topics file: {EXAMPLE}"
+        )
+    said = []
+    for role, options in found.items():
+        binding, unit = options[0]
+        others = ", ".join(other.topic for other, _ in options[1:])
+        said.append(
+            f"{role}: guessed from {binding.topic} ({binding.type}, {binding.field}) in {unit}"
+            + (f"; also possible: {others}" if others else "")
+        )
+    return Topics(MappingProxyType({role: options[0][0] for role, options in found.items()}), "guessed"), said
+
+
+def _words(topic: str) -> str:
+    """Return the words of a topic name, lower case with spaces: of ``/vehicleSpeed_kmh`` "vehicle speed kmh"."""
+    apart = re.sub(r"([a-z0-9])([A-Z])", r"\1 \2", topic).lower()
+    return " ".join(re.split(r"[^a-z0-9]+", apart))
+
+
+def _unit_of(rule: _Rule, words: str) -> tuple[str, float]:
+    for unit, pattern, scale in UNITS.get(rule.role, ()) if rule.field == "data" else ():
+        if re.search(pattern, words):
+            return unit, scale
+    return ROLES[rule.role].unit, 1.0

@@ -1,0 +1,372 @@
+"""Decode one field of many serialised messages at once, and encode many messages from one template.
+
+Messages of a type that are equally long mostly have their numbers at the same places: what moves them are the lengths
+of strings and sequences. The first message is walked field by field; every other whose lengths are the same is then
+read by strided views on the joined bytes. Rows that differ are walked on their own, so the result is that of a full
+decoding, message by message.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Literal, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.errors import InputError
+from trackres_ros.recording.bindings import FieldStep
+from trackres_ros.recording.message_types import HEADER, NUMBERS, TIME, Definitions, check_field, stamp_path
+from trackres_ros.recording.recording import FloatArray, IntArray
+from trackres_ros.units import SECOND_NS
+
+NAMES_SHOWN = 20
+MAX_LAYOUTS = 16
+"""So many layouts of one length are tried on all rows; rows that fit none are then walked one by one."""
+
+
+class Encoding(IntEnum):
+    """Bytes before the first field: what distinguishes a ROS 2 message (CDR) from one of ROS 1."""
+
+    ROS1 = 0
+    CDR = 4
+
+
+class MalformedError(ValueError):
+    """A message is too short, too long, or broken inside."""
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Where the numbers are in all messages that have certain bytes at certain places.
+
+    Attributes
+    ----------
+    length : int
+        Length of the messages [bytes].
+    fixed : tuple of (int, bytes)
+        Offset and content of what must be equal: lengths, ends of strings, names that were looked up.
+    spots : tuple of (int, str) or None
+        Offset and numpy type of each wanted number; None where the message has no such element.
+    lacks : mapping of int to str
+        By place among the wanted numbers: why the message has no such element.
+    """
+
+    length: int
+    fixed: tuple[tuple[int, bytes], ...]
+    spots: tuple[tuple[int, str] | None, ...]
+    lacks: Mapping[int, str]
+
+    def column(self, data: bytes, spot: tuple[int, str]) -> NDArray[np.generic]:
+        """Return a number of every message of `data`, which are joined; a view, shape (n,)."""
+        offset, kind = spot
+        return np.ndarray((len(data) // self.length,), kind, data, offset, (self.length,))
+
+    def fits(self, data: bytes, rows: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Return which of the messages `rows` of `data` have this layout, shape of `rows`."""
+        same = np.ones(len(rows), np.bool_)
+        for offset, content in self.fixed:
+            start = 0
+            while start < len(content):
+                size = max(size for size in (1, 2, 4, 8) if size <= len(content) - start)
+                kind = f"<u{size}"
+                same &= self.column(data, (offset + start, kind))[rows] == np.frombuffer(content, kind, 1, start)[0]
+                start += size
+        return same
+
+
+class _Walk:
+    """A walk through one message by the definition of its type."""
+
+    def __init__(self, raw: bytes, types: Definitions, encoding: Encoding) -> None:
+        self.raw, self.types, self.cdr = raw, types, encoding is Encoding.CDR
+        self.pos = 0
+        self.fixed: list[tuple[int, int]] = []
+        self.spots: dict[int, tuple[int, str] | None] = {}
+        self.lacks: dict[int, str] = {}
+        self.order: Literal["<", ">"] = "<"
+        if self.cdr:
+            start = self.take(4)
+            if raw[start : start + 2] not in (b"\0\0", b"\0\1"):
+                raise MalformedError("encapsulation")
+            self.fixed.append((0, 2))
+            self.order = "<" if raw[1] else ">"
+
+    def take(self, size: int, alignment: int = 1) -> int:
+        """Step over some bytes and return where they begin."""
+        if self.cdr:
+            self.pos += (4 - self.pos) % alignment
+        start = self.pos
+        self.pos += size
+        if self.pos > len(self.raw):
+            raise MalformedError("too short")
+        return start
+
+    def length(self) -> int:
+        start = self.take(4, 4)
+        self.fixed.append((start, start + 4))
+        length = int.from_bytes(self.raw[start : start + 4], "little" if self.order == "<" else "big")
+        if length > len(self.raw):
+            raise MalformedError("length")
+        return length
+
+    def string(self, keep: bool) -> bytes:
+        length = self.length()
+        start = self.take(length)
+        end = start + length
+        if self.cdr:
+            end -= 1
+            if end < start or self.raw[end] != 0:
+                raise MalformedError("string")
+            self.fixed.append((end, end + 1))
+        if keep:
+            self.fixed.append((start, end))
+        return self.raw[start:end]
+
+    def message(self, msgtype: str, targets: Sequence[tuple[int, Sequence[FieldStep]]]) -> None:
+        by_name = [(slot, steps[0]) for slot, steps in targets if steps[0].element is not None]
+        names: list[bytes] = []
+        arrays: dict[str, tuple[int, int, str]] = {}
+        if not self.cdr and msgtype == HEADER and self.types[msgtype][0].name != "seq":
+            self.take(4)
+        for field in self.types[msgtype]:
+            if field.name == "structure_needs_at_least_one_member":
+                self.take(int(self.cdr))
+                continue
+            count = self.length() if field.many == "sequence" else field.count
+            mine = [(slot, steps) for slot, steps in targets if steps[0].name == field.name]
+            if field.type in NUMBERS:
+                kind = NUMBERS[field.type]
+                start = self.take(count * int(kind[1]), int(kind[1])) if count else self.pos
+                arrays[field.name] = (start, count, kind)
+                for slot, steps in mine:
+                    if steps[0].element is None:
+                        self._spot(slot, arrays[field.name], steps[0].index or 0)
+                        if self.spots[slot] is None:
+                            self.lacks[slot] = _few(field.name, count)
+            elif field.type == "string":
+                keep = bool(by_name) and field.name == "name"
+                found = [self.string(keep) for _ in range(count)]
+                names = found if keep else names
+            elif field.type in self.types:
+                for slot, steps in mine:
+                    if (steps[0].index or 0) >= count:
+                        self.lacks[slot] = _few(steps[0].name, count)
+                for index in range(count):
+                    before = self.pos
+                    self.message(field.type, [(slot, steps[1:]) for slot, steps in mine if (steps[0].index or 0) == index])
+                    if self.pos == before:  # elements of no bytes at all, and as many as anybody likes
+                        break
+            else:
+                raise MalformedError(f"no rule for {field.type}")
+        for slot, step in by_name:
+            element = cast("str", step.element).encode()
+            self._spot(slot, arrays[step.name], names.index(element) if element in names else -1)
+            if self.spots[slot] is None:
+                there = ", ".join(name.decode(errors="replace") for name in names[:NAMES_SHOWN]) or "none"
+                of = _few(step.name, arrays[step.name][1])
+                self.lacks[slot] = of if element in names else f"its names are {there}"
+
+    def _spot(self, slot: int, array: tuple[int, int, str], index: int) -> None:
+        start, count, kind = array
+        self.spots[slot] = (start + index * int(kind[1]), self.order + kind) if 0 <= index < count else None
+
+
+def _few(name: str, count: int) -> str:
+    return f"the array {name} has {f'only {count}' if count else 'no'} element{'s' * (count != 1)}"
+
+
+def layout_of(
+    raw: bytes, types: Definitions, msgtype: str, paths: Sequence[Sequence[FieldStep]], encoding: Encoding = Encoding.CDR
+) -> Layout:
+    """Walk one message to its end and return where the wanted numbers are.
+
+    Raises
+    ------
+    MalformedError
+        The bytes are no message of this type.
+    """
+    walk = _Walk(raw, types, encoding)
+    walk.message(msgtype, list(enumerate(paths)))
+    padding = 3 if walk.cdr else 0
+    if len(raw) > walk.pos + padding:
+        raise MalformedError("too long")
+    fixed: list[tuple[int, int]] = []
+    for start, end in sorted(walk.fixed):
+        if fixed and start <= fixed[-1][1]:
+            fixed[-1] = (fixed[-1][0], max(end, fixed[-1][1]))
+        elif end > start:
+            fixed.append((start, end))
+    return Layout(
+        len(raw),
+        tuple((start, raw[start:end]) for start, end in fixed),
+        tuple(walk.spots.get(slot) for slot in range(len(paths))),
+        walk.lacks,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Decoded:
+    """What was in n messages.
+
+    Attributes
+    ----------
+    stamp_ns : ndarray of int64, shape (n,)
+        Stamps [ns]; 0 where the type has none or the message is malformed.
+    value : ndarray of float64, shape (n, k)
+        The wanted numbers; NaN where absent or malformed.
+    absent : ndarray of bool, shape (n, k)
+        The message has no such element.
+    malformed : ndarray of bool, shape (n,)
+        The bytes are no message of the type.
+    """
+
+    stamp_ns: IntArray
+    value: FloatArray
+    absent: NDArray[np.bool_]
+    malformed: NDArray[np.bool_]
+
+
+class FieldReader:
+    """Reads some numbers, and the stamp, of messages of one type.
+
+    Parameters
+    ----------
+    types : Definitions
+        The type and all it contains.
+    msgtype : str
+        ``package/msg/Name``.
+    fields : sequence of str
+        Field paths; checked, see `check_field`.
+    encoding : Encoding
+        CDR or ROS 1.
+    where : str
+        For messages to the user.
+
+    Raises
+    ------
+    InputError
+        A field path that does not lead to a number.
+    """
+
+    def __init__(
+        self, types: Definitions, msgtype: str, fields: Sequence[str], encoding: Encoding = Encoding.CDR, where: str = "field"
+    ) -> None:
+        self.types, self.msgtype, self.encoding = types, msgtype, encoding
+        self.paths = [check_field(types, msgtype, field, where) for field in fields]
+        self.count = len(fields)
+        stamp = stamp_path(types, msgtype)
+        if stamp:
+            seconds, fraction = (field.name for field in types[TIME])
+            self.paths += [(*stamp, FieldStep(seconds)), (*stamp, FieldStep(fraction))]
+        self.lacks: dict[int, str] = {}
+        self._layouts: dict[int, list[Layout]] = {}
+
+    def decode(self, raws: Sequence[bytes]) -> Decoded:
+        """Decode n messages."""
+        n = len(raws)
+        out = Decoded(
+            np.zeros(n, np.int64), np.full((n, self.count), np.nan), np.zeros((n, self.count), np.bool_), np.zeros(n, np.bool_)
+        )
+        lengths = np.fromiter(map(len, raws), np.int64, n)
+        if n and (lengths == lengths[0]).all():
+            self._decode_equal(b"".join(raws), int(lengths[0]), np.arange(n), out)
+            return out
+        order = np.argsort(lengths, kind="stable")
+        for rows in np.split(order, np.flatnonzero(np.diff(lengths[order])) + 1) if n else ():
+            self._decode_equal(b"".join([raws[row] for row in rows]), int(lengths[rows[0]]), rows, out)
+        return out
+
+    def _decode_equal(self, data: bytes, length: int, rows: NDArray[np.intp], out: Decoded) -> None:
+        """Decode messages of one length, joined; `rows` are their places in `out`."""
+        known = self._layouts.setdefault(length, [])
+        tried = 0
+        left = np.arange(len(rows))
+        while left.size:
+            if tried < len(known):
+                layout = known[tried]
+                tried += 1
+            else:
+                first = int(left[0])
+                raw = data[first * length : (first + 1) * length]
+                try:
+                    layout = layout_of(raw, self.types, self.msgtype, self.paths, self.encoding)
+                except MalformedError:
+                    out.malformed[rows[first]] = True
+                    left = left[1:]
+                    continue
+                if len(known) == MAX_LAYOUTS:
+                    self._fill(layout, raw, left[:1] - first, rows[left[:1]], out)
+                    left = left[1:]
+                    continue
+                known.append(layout)
+                tried += 1
+            same = layout.fits(data, left)
+            self._fill(layout, data, left[same], rows[left[same]], out)
+            left = left[~same]
+
+    def _fill(self, layout: Layout, data: bytes, take: NDArray[np.intp], rows: NDArray[np.intp], out: Decoded) -> None:
+        """Copy the numbers of messages `take` of `data` to the rows of `out`."""
+        columns = [layout.column(data, spot)[take] if spot else None for spot in layout.spots]
+        for slot, column in enumerate(columns[: self.count]):
+            if column is None:
+                out.absent[rows, slot] = True
+                self.lacks.setdefault(slot, layout.lacks.get(slot, ""))
+            else:
+                out.value[rows, slot] = column
+        if len(columns) > self.count:
+            seconds, fraction = columns[self.count :]
+            if seconds is not None and fraction is not None:
+                out.stamp_ns[rows] = seconds.astype(np.int64) * SECOND_NS + fraction.astype(np.int64)
+
+
+class Template:
+    """One serialised message, of which many copies with other stamps and numbers are made.
+
+    Parameters
+    ----------
+    raw : bytes
+        The message in CDR; its strings and sequences stay as they are.
+    types : Definitions
+        Its type and all it contains.
+    msgtype : str
+        ``package/msg/Name``.
+    fields : sequence of str
+        Paths of the k numbers that change.
+
+    Raises
+    ------
+    InputError
+        A field path that does not lead to a number that the message has.
+    """
+
+    def __init__(self, raw: bytes, types: Definitions, msgtype: str, fields: Sequence[str]) -> None:
+        self.raw = raw
+        self.reader = FieldReader(types, msgtype, fields, where=f"{msgtype}: field")
+        self.layout = layout_of(raw, types, msgtype, self.reader.paths)
+        for field, spot in zip(fields, self.layout.spots, strict=False):
+            if spot is None:
+                raise InputError(f"{msgtype}: field", field, "an element that the template message has")
+
+    def fill(self, out: NDArray[np.uint8], at: int, stamp_ns: IntArray, values: FloatArray) -> None:
+        """Write n messages into the rows of a matrix of bytes.
+
+        Parameters
+        ----------
+        out : ndarray of uint8, shape (n, at + length of the message)
+            Written from column `at`; C order.
+        at : int
+            Where the messages begin in a row.
+        stamp_ns : ndarray of int64, shape (n,)
+            Stamps [ns]; unused where the type has none.
+        values : ndarray of float64, shape (n, k)
+            The numbers.
+        """
+        out[:, at:] = np.frombuffer(self.raw, np.uint8)
+        seconds, fraction = np.divmod(stamp_ns, SECOND_NS)
+        for spot, column in zip(self.layout.spots, (*values.T, seconds, fraction), strict=False):
+            if spot:
+                offset, kind = spot
+                np.ndarray((len(out),), kind, out, at + offset, out.strides[:1])[:] = column

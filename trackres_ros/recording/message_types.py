@@ -1,0 +1,189 @@
+"""Message types as this package uses them: fields by name, checked field paths."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, cast
+
+from trackres_ros.errors import InputError, nearest
+from trackres_ros.recording.bindings import FieldStep, field_steps
+
+if TYPE_CHECKING:
+    from rosbags.interfaces.typing import Typesdict
+    from rosbags.typesys.store import Typestore
+
+NUMBERS = {
+    "bool": "u1",
+    "byte": "i1",
+    "char": "u1",
+    "int8": "i1",
+    "uint8": "u1",
+    "int16": "i2",
+    "uint16": "u2",
+    "int32": "i4",
+    "uint32": "u4",
+    "int64": "i8",
+    "uint64": "u8",
+    "float32": "f4",
+    "float64": "f8",
+}
+"""Numbers of the interface definition language, as numpy kind and size."""
+LENGTH_BYTES = 4
+"""Of a string or sequence, before what is in it."""
+MAX_DEPTH = 50
+"""Of messages within messages; the deepest common one has 6."""
+HEADER, TIME = "std_msgs/msg/Header", "builtin_interfaces/msg/Time"
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """One field of a message: a number or string or message, alone, as fixed array, or as sequence.
+
+    Attributes
+    ----------
+    name, type : str
+        Its name, and the type of an element: a key of `NUMBERS`, ``string``, or a message type.
+    many : str
+        ``one``, ``array`` or ``sequence``.
+    count : int
+        Length of a fixed array.
+    """
+
+    name: str
+    type: str
+    many: Literal["one", "array", "sequence"]
+    count: int
+
+
+Definitions = Mapping[str, tuple[Field, ...]]
+
+
+def message_fields(store: Typestore) -> Typesdict:
+    """Return the definitions of a typestore, under the name of this version of rosbags."""
+    found: Typesdict = getattr(store, "fielddefs", None) or getattr(store, "FIELDDEFS")  # noqa: B009
+    return found
+
+
+def definitions(fielddefs: Mapping[str, tuple[object, object]], msgtype: str) -> Definitions:
+    """Return the fields of a message type and of all it contains.
+
+    Parameters
+    ----------
+    fielddefs : mapping
+        `fielddefs` of a rosbags typestore.
+    msgtype : str
+        ``package/msg/Name``.
+
+    Raises
+    ------
+    KeyError
+        A type is not in the typestore.
+    """
+    found: dict[str, tuple[Field, ...]] = {}
+    wanted = [msgtype]
+    while wanted:
+        name = wanted.pop()
+        if name in found:
+            continue
+        fields = []
+        for field, desc in cast("list[tuple[str, tuple[int, tuple[tuple[int, object], int]]]]", fielddefs[name][1]):
+            many: Literal["one", "array", "sequence"] = "one"
+            inner: tuple[int, object] = (desc[0], desc[1])
+            count = 1
+            if desc[0] > 2:
+                many = "array" if desc[0] == 3 else "sequence"
+                inner, count = desc[1]
+            kind = cast("str", inner[1]) if inner[0] == 2 else cast("tuple[str, int]", inner[1])[0]
+            if inner[0] == 2:
+                wanted.append(kind)
+            fields.append(Field(field, kind, many, count))
+        found[name] = tuple(fields)
+    return found
+
+
+def check_size(types: Definitions, msgtype: str, where: str, most: int) -> None:
+    """Refuse a type no message of which could be read: a few letters define an array of any length.
+
+    Parameters
+    ----------
+    types : Definitions
+        The type and all it contains.
+    msgtype : str
+        ``package/msg/Name``.
+    where : str
+        For messages to the user.
+    most : int
+        Largest message that is read [bytes].
+
+    Raises
+    ------
+    InputError
+        A fixed array, or a message within messages, that is too long, or a type within itself.
+    """
+    sizes: dict[str, int] = {}
+
+    def size_of(name: str, within: tuple[str, ...]) -> int:
+        if name in within or len(within) > MAX_DEPTH:
+            given = f"{name} within itself" if name in within else f"more than {MAX_DEPTH} messages within one another"
+            raise InputError(where, given, f"a definition of {msgtype} that can be read")
+        if name not in sizes:
+            total = 0
+            for field in types[name]:
+                one = int(NUMBERS[field.type][1]) if field.type in NUMBERS else LENGTH_BYTES
+                if field.type in types:
+                    one = max(1, size_of(field.type, (*within, name)))
+                total += LENGTH_BYTES if field.many == "sequence" else one * field.count
+                if total > most:
+                    text = f"{name} with {field.type}[{field.count}] {field.name}"
+                    raise InputError(where, text, f"arrays that together take at most {most} bytes")
+            sizes[name] = total
+        return sizes[name]
+
+    size_of(msgtype, ())
+
+
+def stamp_path(types: Definitions, msgtype: str) -> tuple[FieldStep, ...]:
+    """Return the path of the stamp of a message type, or nothing: that of its header, or its own field ``stamp``."""
+    for field in types[msgtype]:
+        if field.many == "one" and (field.name, field.type) == ("header", HEADER):
+            return field_steps("header.stamp")
+        if field.many == "one" and (field.name, field.type) == ("stamp", TIME):
+            return field_steps("stamp")
+    return ()
+
+
+def check_field(types: Definitions, msgtype: str, path: str, where: str) -> tuple[FieldStep, ...]:
+    """Return a field path taken apart, after checking that it leads to one number.
+
+    Raises
+    ------
+    InputError
+        No such field, no number, an array without index, an index beyond a fixed array.
+    """
+    steps = field_steps(path)
+    within = msgtype
+    for depth, step in enumerate(steps):
+        fields = {field.name: field for field in types[within]}
+        listed = f"fields of {within}: {', '.join(fields)}"
+        if step.name not in fields:
+            raise InputError(where, path, listed, nearest(step.name, fields))
+        field = fields[step.name]
+        picked = step.index is not None or step.element is not None
+        if picked != (field.many != "one"):
+            allowed = f"an index, as {step.name}[0]" if field.many != "one" else f"no index: {step.name} is no array"
+            raise InputError(where, path, allowed)
+        if field.many == "array" and step.index is not None and step.index >= field.count:
+            raise InputError(where, path, f"an index below {field.count}")
+        if step.element is not None:
+            names = fields.get("name")
+            if not names or (names.type, names.many) != ("string", "sequence") or field.type not in NUMBERS:
+                raise InputError(where, path, f"an element by name only beside a field string[] name; {listed}")
+        last = depth == len(steps) - 1
+        if last and field.type not in NUMBERS:
+            remedy = f"it holds {', '.join(inner.name for inner in types[field.type])}" if field.type in types else ""
+            raise InputError(where, path, f"a number, not {field.type}", remedy)
+        if not last and field.type not in types:
+            raise InputError(where, path, f"nothing after {step.name}, which is {field.type}")
+        within = field.type
+    return steps

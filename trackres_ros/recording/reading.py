@@ -1,0 +1,126 @@
+"""The gate before every recording: a regular file, the content its name says, and one line for whatever goes wrong."""
+
+from __future__ import annotations
+
+import errno
+import stat
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from trackres_ros.errors import InputError, one_line
+
+OWN_FAULT = "a fault of this program: please report it, with the file"
+HEAD_BYTES = 512
+SPECIAL = (
+    (stat.S_ISFIFO, "a named pipe"),
+    (stat.S_ISSOCK, "a socket"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+)
+"""What opens without an end, or not at all until somebody writes."""
+CONTENTS: tuple[tuple[bytes, str, tuple[str, ...], str], ...] = (
+    (b"\x89MCAP", "an MCAP bag", (".mcap",), "name it .mcap"),
+    (b"SQLite format 3\0", "an SQLite bag", (".db3",), "name it .db3"),
+    (b"#ROSBAG V", "a ROS 1 bag", (".bag",), "name it .bag"),
+    (b"PAR1", "a Parquet table", (".parquet",), "name it .parquet"),
+    (b"\x1f\x8b", "a gzip archive", (".gz",), "name it .csv.gz if a CSV is in it"),
+    (b"\x28\xb5\x2f\xfd", "a zstd archive", (), "unpack it first: zstd -d"),
+    (b"BZh", "a bzip2 archive", (), "unpack it first: bunzip2"),
+    (b"\xfd7zXZ", "an xz archive", (), "unpack it first: unxz"),
+    (b"PK\x03\x04", "a zip archive or an Excel workbook", (), "unpack it, or export the sheet as CSV"),
+    (b"\xd0\xcf\x11\xe0", "an old Excel workbook", (), "export the sheet as CSV"),
+    (b"ARROW1", "an Arrow file", (), "write it as Parquet"),
+    (b"\xff\xfe", "UTF-16 text", (), "save it as UTF-8"),
+    (b"\xfe\xff", "UTF-16 text", (), "save it as UTF-8"),
+)
+"""First bytes, what that is, suffixes it goes by, and what to do where the suffix says something else."""
+DATA_FAULTS = (OSError, EOFError, MemoryError, RecursionError, UnicodeError)
+"""What Python itself raises for bad data, besides the exceptions that libraries define."""
+
+
+def check_there(path: Path) -> None:
+    """Refuse a path where nothing is, and what is neither a regular file nor a folder.
+
+    Raises
+    ------
+    InputError
+        With what is there instead; nothing is opened.
+    """
+    try:
+        mode = path.stat().st_mode
+    except OSError as error:
+        if error.errno == errno.ELOOP:
+            given = "a link that leads back to itself"
+        elif path.is_symlink():
+            given = f"a link to {path.readlink()}, where nothing is"
+        else:
+            given = "nothing at this path" if error.errno == errno.ENOENT else str(error.strerror)
+        raise InputError(str(path), given, "a file or folder that can be read") from error
+    for is_it, what in SPECIAL:
+        if is_it(mode):
+            raise InputError(str(path), what, "a regular file", "save the recording to a file first")
+
+
+def check_file(path: Path) -> None:
+    """Refuse what is no regular file, and content that is not what the suffix says.
+
+    Raises
+    ------
+    InputError
+        With what it is.
+    """
+    check_there(path)
+    with reading(path, "a file that can be read"), path.open("rb") as file:
+        head = file.read(HEAD_BYTES)
+    name = path.name.lower()
+    expected = next((what for _, what, suffixes, _ in CONTENTS if name.endswith(suffixes)), "text")
+    if not head:
+        raise InputError(str(path), "an empty file", f"{expected}, as its suffix says")
+    found = next(((what, suffixes, remedy) for magic, what, suffixes, remedy in CONTENTS if head.startswith(magic)), None)
+    if found and not name.endswith(found[1]):
+        raise InputError(str(path), found[0], f"{expected}, as its suffix says", found[2])
+    if not found and (expected != "text" or b"\0" in head):
+        given = "binary data" if b"\0" in head else f"a file that begins with {head[:16]!r}"
+        raise InputError(str(path), given, f"{expected}, as its suffix says")
+
+
+@contextmanager
+def reading(path: Path, allowed: str, remedy: str = "") -> Iterator[None]:
+    """Turn whatever is raised while a file is read into one line with its name; the cause is chained.
+
+    Libraries raise what their formats, archives and the system make them stumble over, and document none of it. A fault of
+    our own code is said to be one.
+
+    Raises
+    ------
+    InputError
+        Instead of every other exception.
+    """
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        frame = traceback.extract_tb(error.__traceback__)[-1]
+        if _is_own(error, frame):
+            where = f"{Path(frame.filename).name}:{frame.lineno}"
+            raise InputError(str(path), f"{_said(error)} at {where}", allowed, OWN_FAULT) from error
+        raise InputError(str(path), _said(error), allowed, remedy) from error
+
+
+def _is_own(error: Exception, frame: traceback.FrameSummary) -> bool:
+    """Whether our code stumbled: the innermost frame is ours, and the exception is one of Python's for faults of a program."""
+    ours = Path(frame.filename).is_relative_to(Path(__file__).parents[1])
+    return ours and type(error).__module__ == "builtins" and not isinstance(error, DATA_FAULTS)
+
+
+def _said(error: Exception) -> str:
+    if isinstance(error, MemoryError):
+        return "more than fits into memory"
+    if isinstance(error, RecursionError):
+        return "nested too deeply"
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror
+    return one_line(f"{type(error).__name__}: {error}".removesuffix(": "))

@@ -1,0 +1,178 @@
+"""Archives inside bags, unpacked up to a ceiling: a few bytes may ask for all the memory there is."""
+
+from __future__ import annotations
+
+import bz2
+import shutil
+import struct
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import BinaryIO, Protocol
+
+from trackres_ros.errors import InputError
+from trackres_ros.text.numbers import figures
+
+MAX_CHUNK_BYTES = 2**28
+"""Of what a chunk holds; recorders write chunks of 1 to 4 MB, or of one message. Reading it takes twice that in memory."""
+MAX_MESSAGE_BYTES = 2**26
+"""Of one message; assumed: no message with a number of a vehicle is as large, an image of 20 megapixels is."""
+ZSTD_MAGIC, ZSTD_SKIPPABLE, ZSTD_BLOCK_BYTES = 0xFD2FB528, 0x184D2A50, 2**17
+"""RFC 8878: a frame, a frame to skip (the last four bits vary), and the most that one block unpacks to."""
+
+
+class TooLargeError(ValueError):
+    """It would unpack to more than the ceiling."""
+
+
+class _Decompressor(Protocol):
+    """As bz2, lz4.frame and compression.zstd have it."""
+
+    def decompress(self, data: bytes, max_length: int = -1) -> bytes: ...
+
+    @property
+    def eof(self) -> bool: ...
+
+    @property
+    def unused_data(self) -> bytes | None: ...
+
+
+class _Zstandard:
+    """The older library for zstd behind the interface of the newer one."""
+
+    eof, unused_data = True, b""
+
+    def decompress(self, data: bytes, max_length: int = -1) -> bytes:
+        """Unpack all frames, at most `max_length` bytes."""
+        import zstandard
+
+        with zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True) as reader:
+            unpacked: bytes = reader.read(max_length)
+        return unpacked
+
+
+def _zstd() -> Callable[[], _Decompressor]:
+    try:
+        from compression.zstd import ZstdDecompressor  # type: ignore[import-not-found, unused-ignore]  # Python 3.14
+    except ImportError:
+        try:
+            from backports.zstd import ZstdDecompressor
+        except ImportError:
+            return _Zstandard
+    return ZstdDecompressor  # type: ignore[no-any-return, unused-ignore]
+
+
+def unpacked(make: Callable[[], _Decompressor], data: bytes, most: int) -> bytes:
+    """Unpack all that is packed one after another in some bytes.
+
+    Parameters
+    ----------
+    make : callable
+        Makes a decompressor.
+    data : bytes
+        One or several whole archives.
+    most : int
+        The ceiling [bytes].
+
+    Raises
+    ------
+    TooLargeError
+        There is more.
+    EOFError
+        It ends within an archive.
+    """
+    parts = []
+    left = most
+    while data:
+        one = make()
+        parts.append(one.decompress(data, left + 1))
+        left -= len(parts[-1])
+        if left < 0:
+            raise TooLargeError(f"it unpacks to more than {most} bytes")
+        if not one.eof:
+            raise EOFError("packed data that breaks off")
+        data = one.unused_data or b""
+    return parts[0] if len(parts) == 1 else b"".join(parts)
+
+
+def unpack_message(data: bytes) -> bytes:
+    """Unpack a message of a rosbag2 that is compressed message by message."""
+    return unpacked(_zstd(), data, MAX_MESSAGE_BYTES)
+
+
+def set_ceilings() -> None:
+    """Put decompressors that stop into the tables from which rosbags takes its own, which do not."""
+    from rosbags.rosbag1 import reader as ros1
+    from rosbags.rosbag2 import storage_mcap as mcap
+
+    makers: dict[str, Callable[[], _Decompressor]] = {"zstd": _zstd(), "bz2": bz2.BZ2Decompressor}
+    try:
+        from lz4.frame import LZ4FrameDecompressor
+
+        makers["lz4"] = LZ4FrameDecompressor
+    except ImportError:  # rosbags then has another one
+        pass
+    for name, make in makers.items():
+        if name in mcap.DECOMPRESSORS:
+            mcap.DECOMPRESSORS[name] = _of_size(make)
+        if name in ros1.decompressors:
+            ros1.decompressors[name] = _of_any_size(make)
+
+
+def _of_size(make: Callable[[], _Decompressor]) -> Callable[[bytes, int], bytes]:
+    """Unpack a chunk of MCAP, which says its size."""
+
+    def unpack(data: bytes, size: int) -> bytes:
+        if size > MAX_CHUNK_BYTES:
+            raise TooLargeError(f"a chunk of {size} bytes; at most {MAX_CHUNK_BYTES} are read")
+        return unpacked(make, data, size)
+
+    return unpack
+
+
+def _of_any_size(make: Callable[[], _Decompressor]) -> Callable[[bytes], bytes]:
+    return lambda data: unpacked(make, data, MAX_CHUNK_BYTES)
+
+
+def check_space(path: Path) -> None:
+    """Refuse a file that unpacks to more than fits into the temporary folder, where rosbags unpacks it.
+
+    Raises
+    ------
+    InputError
+        With how much that is.
+    """
+    with path.open("rb") as file:
+        size = _zstd_bound(file)
+    folder = tempfile.gettempdir()
+    free = shutil.disk_usage(folder).free
+    if size > free:
+        given = f"zstd that unpacks to up to {figures(size / 1e9)} GB"
+        raise InputError(
+            str(path), given, f"{figures(free / 1e9)} GB, which are free in {folder}", "name another folder: export TMPDIR=FOLDER"
+        )
+
+
+def _zstd_bound(file: BinaryIO) -> int:
+    """Most that the frames of a file unpack to [bytes], from the heads of their blocks; what is damaged ends them."""
+    blocks = 0
+    while len(head := file.read(8)) == 8:
+        magic, length = struct.unpack("<II", head)
+        if magic & 0xFFFFFFF0 == ZSTD_SKIPPABLE:
+            file.seek(length, 1)
+            continue
+        if magic != ZSTD_MAGIC:
+            break
+        descriptor = head[4]
+        single = descriptor >> 5 & 1
+        of_size = (single, 2, 4, 8)[descriptor >> 6]
+        file.seek(5 + (1 - single) + (0, 1, 2, 4)[descriptor & 3] + of_size - 8, 1)
+        last = False
+        while not last and len(block := file.read(3)) == 3:
+            field = int.from_bytes(block, "little")
+            last = bool(field & 1)
+            kind, length = field >> 1 & 3, field >> 3
+            file.seek(1 if kind == 1 else length, 1)
+            blocks += 1
+        file.seek(4 * (descriptor >> 2 & 1), 1)
+    return blocks * ZSTD_BLOCK_BYTES

@@ -1,5 +1,0 @@
-"""The paper's figures and tests run again, with what holds of its text and what does not, and why."""
-
-from trackres_ros.reproduce.run import reproduce
-
-__all__ = ["reproduce"]

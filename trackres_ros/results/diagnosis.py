@@ -1,0 +1,186 @@
+"""What a diagnosis gives back."""
+
+from __future__ import annotations
+
+import atexit
+import base64
+import json
+import shutil
+import tempfile
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+from html import escape
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from trackres_ros.diagnosis.base.loading import LoadedBase
+from trackres_ros.diagnosis.base.road_load import RoadVehicle, load_road_vehicle
+from trackres_ros.diagnosis.findings.verdict import Found
+from trackres_ros.diagnosis.pipeline import Diagnosis
+from trackres_ros.diagnosis.report.content import report
+from trackres_ros.errors import MissingExtraError
+from trackres_ros.files.output_files import output_folder
+from trackres_ros.files.yamls import read_yaml
+from trackres_ros.recording.bindings import TopicBinding
+from trackres_ros.text.html import listed, panel, paragraph, table
+from trackres_ros.text.numbers import alike, figures
+from trackres_ros.vehicle import Vehicle, load
+
+STAGES = {"nominal": "vehicle file as it is", "refitted": "base re-fitted", "with_effects": "with the effects"}
+VEHICLE_FILE = "vehicle.yaml"
+
+
+class DiagnosisResult:
+    """Where recordings and simulation part, and which physics is missing; see `trackres_ros.diagnose`.
+
+    Attributes
+    ----------
+    recordings
+        Paths of the recordings, in the order in which they were given.
+    diagnosis
+        All that was found, step by step, for who wants to look further.
+    written
+        The files of the last `report`.
+    """
+
+    def __init__(
+        self,
+        found: Diagnosis,
+        loaded: LoadedBase,
+        recordings: Sequence[Path],
+        bindings: Mapping[str, TopicBinding],
+    ) -> None:
+        self.diagnosis = found
+        self.recordings = tuple(recordings)
+        self.written: tuple[Path, ...] = ()
+        self._loaded = loaded
+        self._content = report(found, self.recordings, bindings)
+
+    @property
+    def sentence(self) -> str:
+        """What it comes to, in a sentence or a few."""
+        return self.diagnosis.verdict.sentence
+
+    @property
+    def status(self) -> str:
+        """``none`` missing, ``named``, ``one_of`` several that look alike, or ``unexplained``."""
+        return self.diagnosis.verdict.status
+
+    @property
+    def grade(self) -> str:
+        """What laps not used for fitting say of it: ``confirmed``, ``suspected`` or ``refuted``."""
+        return self.diagnosis.verdict.grade
+
+    @property
+    def effects(self) -> tuple[Found, ...]:
+        """The effects that were found, each with `name`, `values`, `intervals` and `graded`."""
+        return self.diagnosis.found
+
+    @property
+    def to_do(self) -> tuple[str, ...]:
+        """What is to be done with it: where surroundings go, and lines for the topics file where a sensor is off."""
+        return (*self._content["to_do"], *self._content["topics_lines"].values())
+
+    @cached_property
+    def vehicle(self) -> Vehicle | RoadVehicle:
+        """The vehicle with what held-out laps bear out, and nothing else: never worse there than the one given.
+
+        It is the vehicle of the file that `report` writes, in the surroundings that were given. What was found of the site, the
+        weather and the ground is not in it: `report` writes a file of its own. Its `source` is a file that is kept while the
+        program runs.
+        """
+        folder = Path(tempfile.mkdtemp(prefix="trackres-"))
+        atexit.register(shutil.rmtree, folder, ignore_errors=True)
+        self._write_vehicle(folder)
+        path = folder / VEHICLE_FILE
+        track = self.diagnosis.base.has_belt
+        written = load(path) if track else load_road_vehicle(path, read_yaml(path))
+        return replace(written, surroundings=self._loaded.surroundings)
+
+    def _write_vehicle(self, folder: Path) -> list[Path]:
+        names = ", ".join(path.name for path in self.recordings)
+        text = f"{self.sentence}\nWritten by trackres diagnose from {names}."
+        return self._loaded.base.write(folder / VEHICLE_FILE, self.diagnosis.kept, text)
+
+    def report(self, folder: str | PathLike[str]) -> Path:
+        """Write what `trackres diagnose -o` writes: report.json, report.html with its pictures, vehicle.yaml, and where
+        something is of the surroundings, surroundings.yaml.
+
+        Without jinja2 or matplotlib there is no page, and a warning says so.
+
+        Parameters
+        ----------
+        folder
+            Made if need be.
+
+        Returns
+        -------
+        Path
+            The folder.
+        """
+        place = output_folder(folder, where="folder")
+        place.mkdir(parents=True, exist_ok=True)
+        file = place / "report.json"
+        file.write_text(json.dumps(self._content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        written = [file, *self._write_vehicle(place)]
+        try:
+            from trackres_ros.diagnosis.report.page import write_page
+            from trackres_ros.diagnosis.report.pictures import draw_all
+
+            pictures = draw_all(self.diagnosis, place)
+            write_page(place / "report.html", self._content, pictures, f"Diagnosis of {self._loaded.title}")
+            written += [place / "report.html", *(p.path for p in pictures)]
+        except MissingExtraError as error:
+            warnings.warn(f"no page: {error}", stacklevel=2)
+        self.written = tuple(written)
+        return place
+
+    def as_dict(self) -> dict[str, Any]:
+        """All findings, ready for JSON: the content of report.json."""
+        return dict(self._content)
+
+    def __repr__(self) -> str:
+        why = self.diagnosis.kept.text
+        return "\n".join([self.sentence, f"{why[0].upper()}{why[1:]}.", *self.to_do])
+
+    def _repr_html_(self) -> str:
+        rows = []
+        for found in self.effects:
+            units = {q.name: q.unit for q in found.parameters}
+            for name, value in found.values.items():
+                interval = found.intervals[name]
+                low, high = interval.low, interval.high
+                shown, *ends = alike((value, low, high), high - low)
+                of = found.name if len(found.step.members) <= 1 else " or ".join(found.step.members)
+                unit = "" if units[name] == "1" else units[name]
+                between = "only a bound" if interval.bound_only else " to ".join(ends)
+                rows.append((of, name, shown, between, unit, found.graded.grade))
+        worth = self.diagnosis.held_out
+        errors = [
+            (text, figures(worth.mae[stage]), figures(worth.bias[stage]))
+            for stage, text in STAGES.items()
+            if self.effects or stage != "with_effects"
+        ]
+        return panel(
+            f"Diagnosis of {self._loaded.title}",
+            paragraph(self.sentence),
+            table(("effect", "parameter", "value", "95 % interval", "unit", "laps held out"), rows),
+            table(("on laps not used for fitting", "mean error", "bias"), errors, ("", "Nm", "Nm")),
+            listed("What to do with it", self.to_do),
+            self._picture(),
+        )
+
+    def _picture(self) -> str:
+        """Measured against simulated, where it can be drawn."""
+        try:
+            from trackres_ros.diagnosis.report.pictures import draw_before_after
+
+            with tempfile.TemporaryDirectory() as folder:
+                picture = draw_before_after(self.diagnosis, Path(folder) / "before_after.png")
+                data = base64.b64encode(picture.path.read_bytes()).decode()
+        except MissingExtraError:
+            return ""
+        return f'<img src="data:image/png;base64,{data}" alt="{escape(picture.alternative)}" style="max-width: 100%">'

@@ -1,0 +1,71 @@
+"""What the model says of one steady state, taken apart."""
+
+from __future__ import annotations
+
+from trackres_ros.results.content import Content
+from trackres_ros.text.html import panel, paragraph, table
+from trackres_ros.text.numbers import decimals
+
+
+class OperatingPoint(Content):
+    """One operating point; see `trackres_ros.explain`. A mapping of what `as_dict` holds.
+
+    Torques (``torque_nm``), heat and cooling are of the whole vehicle; ``contact``, ``tension_n``, ``loss_force_n`` and
+    ``rainflow`` of the first assembly.
+    """
+
+    def _head(self) -> str:
+        return (
+            f"{self['vehicle']}: {decimals(self['speed_mps'] * 3.6, 1)} km/h, belt {decimals(self['belt_degc'], 1)} degC, "
+            f"ambient {decimals(self['ambient_degc'], 1)} degC, {self['weight_n'] / 1e3:.1f} kN, {self['method']}"
+        )
+
+    def _sentences(self) -> list[str]:
+        lines = [
+            f"Belt tension {self['tension_n']:.0f} N; film coefficient {self['film_coefficient_w_m2k']:.1f} W/m2K",
+            f"Loss per metre of travel of {self['assemblies'][0]} [N]: "
+            + ", ".join(f"{k} {decimals(v, 1)}" for k, v in self["loss_force_n"].items()),
+            f"Heat of all belts {self['heat_w'] / 1e3:.2f} kW, cooling {decimals(self['cooling_w'] / 1e3, 2)} kW",
+            "",
+            "Torque at the sprockets, whole vehicle [Nm]: "
+            + ", ".join(f"{k} {decimals(v)}" for k, v in self["torque_nm"].items()),
+        ]
+        left_out = self["effects_left_out"]
+        return [*lines, *([f"Left out, as they need more than an operating point: {', '.join(left_out)}"] if left_out else [])]
+
+    def __repr__(self) -> str:
+        lines = [
+            self._head(),
+            "",
+            f"Road wheels of {self['assemblies'][0]}",
+            f"{'':4}{'load':>9} {'half length':>12} {'strain':>8} {'frequency':>10} {'modulus':>9}",
+            f"{'':4}{'N':>9} {'mm':>12} {'1':>8} {'Hz':>10} {'MPa':>9}",
+        ]
+        lines += [
+            f"{i + 1:4d}{load:9.0f} {c['half_length_m'] * 1e3:12.2f} {c['max_strain']:8.4f} {c['frequency_hz']:10.1f} "
+            f"{c['modulus_mpa']:9.2f}"
+            for i, (load, c) in enumerate(zip(self["wheel_loads_n"][0], self["contact"], strict=True))
+        ]
+        return "\n".join([*lines, "", *self._sentences()])
+
+    def _repr_html_(self) -> str:
+        torques = [(part, decimals(value)) for part, value in self["torque_nm"].items()]
+        losses = [(part, decimals(value, 1)) for part, value in self["loss_force_n"].items()]
+        wheels = [
+            (str(i + 1), f"{load:.0f}", f"{c['half_length_m'] * 1e3:.2f}", f"{c['max_strain']:.4f}", f"{c['frequency_hz']:.1f}",
+             f"{c['modulus_mpa']:.2f}")
+            for i, (load, c) in enumerate(zip(self["wheel_loads_n"][0], self["contact"], strict=True))
+        ]  # fmt: skip
+        said = [line for line in self._sentences() if line and not line.startswith(("Torque", "Loss"))]
+        first = self["assemblies"][0]
+        return panel(
+            self._head(),
+            table(("torque at the sprockets", "Nm"), torques),
+            table((f"loss per metre of {first}", "N"), losses),
+            table(
+                (f"road wheel of {first}", "load", "half length", "strain", "frequency", "modulus"),
+                wheels,
+                ("", "N", "mm", "1", "Hz", "MPa"),
+            ),
+            *map(paragraph, said),
+        )

@@ -1,0 +1,139 @@
+"""What a replay gives back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trackres_ros.errors import InputError
+from trackres_ros.estimator.estimator import Estimator, Session, Steps
+from trackres_ros.files.output_files import output_file
+from trackres_ros.offline.replay import Replayed, result_writer
+from trackres_ros.offline.summary import picture_columns, summary, text
+from trackres_ros.recording.recording import Finding
+from trackres_ros.results.series import Array, SeriesResult
+from trackres_ros.text.html import listed, panel, paragraph
+from trackres_ros.units import NANOSECOND
+from trackres_ros.vehicle import Vehicle
+
+MOST_UNFOLDED = 4
+TIMES = ("time_s", "stamp_ns")
+
+
+class ReplayResult(SeriesResult):
+    """The estimate over the time of a recording: one row for each accepted speed; see `trackres_ros.replay`.
+
+    Attributes
+    ----------
+    name
+        Of the recording.
+    notes, findings
+        What was assumed when it was read, and what was found wrong with it.
+    messages, steps, duration_s
+        How many messages were read, rows came out, and seconds lie between the first and the last of them.
+    session
+        The estimator's session at the end, with its counters.
+    output
+        The file that was written on the way; the rows were not kept then.
+    """
+
+    def __init__(
+        self,
+        replayed: Replayed,
+        kept: Sequence[Steps] | None,
+        title: str,
+        name: str,
+        notes: Sequence[str],
+        findings: Sequence[Finding],
+        output: Path | None = None,
+    ) -> None:
+        self.title, self.name, self.notes, self.findings, self.output = title, name, tuple(notes), tuple(findings), output
+        self.session: Session = replayed.session
+        self.messages, self.steps, self.duration_s = replayed.messages, replayed.steps, replayed.duration_s
+        self._replayed, self._kept = replayed, kept
+
+    @property
+    def estimator(self) -> Estimator:
+        """The estimator that made it."""
+        return self.session.estimator
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """The vehicle it was made for."""
+        return self.estimator.vehicle
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of all columns, as in the table that `save` writes."""
+        return (*TIMES, *self.estimator.columns)
+
+    @cached_property
+    def _stamps(self) -> Array:
+        return np.concatenate([steps.stamp_ns for steps in self._blocks()])
+
+    def __getitem__(self, name: str) -> Array:
+        if name == "stamp_ns":
+            return self._stamps
+        if name == "time_s":
+            return np.asarray((self._stamps - self._stamps[0]) * NANOSECOND)
+        column = self.estimator.column_index[name]
+        values = np.concatenate([steps.rows[:, column] for steps in self._blocks()])
+        return values.astype(np.int64) if name == "reasons" else values
+
+    def _blocks(self) -> Sequence[Steps]:
+        if self._kept is None:
+            raise InputError(
+                "replay", f"output={str(self.output)!r}", "a replay without output, which keeps its rows", "or read that file"
+            )
+        return self._kept
+
+    def _drawn(self) -> Mapping[str, Array]:
+        picture = self._replayed.picture
+        return {"time_s": picture[:, 0], **picture_columns(self.estimator.columns, picture)}
+
+    def _attributes(self) -> dict[str, str]:
+        return {"vehicle": self.vehicle.name, "recording": self.name}
+
+    def save(self, path: str | PathLike[str]) -> Path:
+        """Write the rows to a file: the very bytes that `trackres replay -o` writes.
+
+        Parameters
+        ----------
+        path
+            `.csv`, `.csv.gz` or `.parquet` for a table, `.mcap` for the topics that the live node publishes.
+
+        Returns
+        -------
+        Path
+            Of the file.
+
+        Raises
+        ------
+        InputError
+            Another suffix, no such folder, or rows that were not kept, as they went into an `output`.
+        """
+        file = output_file(path, where="path")
+        blocks = self._blocks()
+        with result_writer(file, self.estimator) as write:
+            for steps in blocks:
+                write(steps)
+        return file
+
+    def as_dict(self) -> dict[str, Any]:
+        """The summary, ready for JSON: what was read, what was found wrong, and how the estimate ended."""
+        return summary(self._replayed, self.name, self.notes, self.findings)
+
+    def __repr__(self) -> str:
+        return text(self.as_dict())
+
+    def _repr_html_(self) -> str:
+        first, *others = repr(self).splitlines()
+        about = [line.strip() for line in others if line.startswith("  ")]
+        end = [line for line in others if not line.startswith("  ")]
+        found = listed("Read and found", about, folded=len(about) > MOST_UNFOLDED)
+        return panel(self.title, paragraph(first), self._table(), *map(paragraph, end), found)

@@ -1,0 +1,173 @@
+"""Series of results over time, as a mapping of column name to array: the ways out to pandas, xarray and a picture."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Iterator, Mapping
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.errors import MissingExtraError
+from trackres_ros.model.resistance import RESISTANCE_PARTS
+from trackres_ros.text.html import table
+from trackres_ros.text.numbers import decimals
+from trackres_ros.units import KMH_PER_MPS
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+    from matplotlib.figure import Figure
+
+Array = NDArray[Any]
+
+UNITS = {
+    "s": "s", "ns": "ns", "mps": "m/s", "mps2": "m/s^2", "n": "N", "nm": "N m", "degc": "degC", "k": "K", "w": "W",
+}  # fmt: skip
+"""The unit that the last word of a column name says."""
+SHOWN_ROWS = 8
+
+
+def unit_of(column: str) -> str:
+    """Unit of a column by its name: ``N m`` of ``resistance_torque_nm/front_left``; empty where it has none."""
+    return UNITS.get(column.partition("/")[0].rpartition("_")[2], "")
+
+
+class SeriesResult(Mapping[str, Array]):
+    """Results over time: a mapping of column name to an array of shape (times,), the unit in the name.
+
+    Torques are of the whole vehicle at the sprockets, positive where they resist forward travel; a column of one assembly
+    ends in its name, ``belt_degc/front_left``.
+    """
+
+    title: str
+
+    @property
+    @abstractmethod
+    def columns(self) -> tuple[str, ...]:
+        """Names of all columns, the time first."""
+
+    @abstractmethod
+    def _attributes(self) -> dict[str, str]:
+        """What it is of, for the attributes of a table."""
+
+    @abstractmethod
+    def save(self, path: str | PathLike[str]) -> Path:
+        """Write to a file: `.csv`, `.csv.gz` or `.parquet` as a table, `.mcap` as the topics that the live node publishes."""
+
+    @abstractmethod
+    def _drawn(self) -> Mapping[str, Array]:
+        """The columns of the picture, which may be thinned."""
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.columns)
+
+    def __len__(self) -> int:
+        return len(self.columns)
+
+    @property
+    def time_s(self) -> Array:
+        """Times from the start [s], shape (times,)."""
+        return self["time_s"]
+
+    def to_pandas(self) -> pd.DataFrame:
+        """A pandas DataFrame over `time_s`, the other columns as they are named here.
+
+        Its `attrs` hold the vehicle, and under ``units`` the unit of each column.
+
+        Raises
+        ------
+        MissingExtraError
+            Without pandas.
+        """
+        try:
+            import pandas as pd
+        except ImportError:
+            raise MissingExtraError("to_pandas", "pandas", "notebook") from None
+        index = pd.Index(self.time_s, name="time_s")
+        frame = pd.DataFrame({name: self[name] for name in self.columns if name != "time_s"}, index=index)
+        frame.attrs.update(self._attributes(), units={name: unit_of(name) for name in self.columns})
+        return frame
+
+    def to_xarray(self) -> xr.Dataset:
+        """An xarray Dataset over `time_s`, and what is of an assembly over `assembly` too; the unit is in `attrs` of each.
+
+        ``belt_degc`` is then one variable of shape (times, assemblies). Where the whole vehicle has a column of the same name,
+        that of the assemblies is called ``assembly_resistance_torque_nm``.
+
+        Raises
+        ------
+        MissingExtraError
+            Without xarray.
+        """
+        try:
+            import xarray as xr
+        except ImportError:
+            raise MissingExtraError("to_xarray", "xarray", "notebook") from None
+        names = [name for name in self.columns if name != "time_s"]
+        assemblies = list(dict.fromkeys(name.partition("/")[2] for name in names if "/" in name))
+        variables: dict[str, Any] = {}
+        for name in names:
+            base, apart, _ = name.partition("/")
+            attributes = {"units": unit_of(name)} if unit_of(name) else {}
+            if not apart:
+                variables[name] = ("time_s", self[name], attributes)
+            elif (key := f"assembly_{base}" if base in names else base) not in variables:
+                stacked = np.stack([self[f"{base}/{of}"] for of in assemblies], axis=1)
+                variables[key] = (("time_s", "assembly"), stacked, attributes)
+        coordinates: dict[str, Any] = {"time_s": ("time_s", self.time_s, {"units": "s"})}
+        if assemblies:
+            coordinates["assembly"] = assemblies
+        return xr.Dataset(variables, coordinates, self._attributes())
+
+    def plot(self, path: str | PathLike[str] | None = None) -> Figure:
+        """Draw speed, torque by part and belt temperature over time.
+
+        Parameters
+        ----------
+        path
+            PNG file to write too.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            Which a notebook shows by itself.
+
+        Raises
+        ------
+        MissingExtraError
+            Without matplotlib.
+        """
+        from trackres_ros.output.plots import estimate_figure, write_figure
+
+        drawn = self._drawn()
+        columns = {name: drawn[name] for name in drawn if name not in ("time_s", "stamp_ns")}
+        figure = estimate_figure(drawn["time_s"], columns, self.title)
+        if path is not None:
+            write_figure(figure, Path(path))
+        return figure
+
+    def _table(self) -> str:
+        """A few rows as HTML, evenly apart."""
+        drawn = self._drawn()
+        count = len(drawn["time_s"])
+        rows = sorted(set(np.linspace(0, count - 1, min(SHOWN_ROWS, count)).astype(int).tolist()))
+        torques = {"resistance": "resistance_torque_nm", "std": "resistance_std_nm", **RESISTANCE_PARTS}
+        torques = {name: column for name, column in torques.items() if column in drawn}
+        belts = [name for name in drawn if name.partition("/")[0] == "belt_degc"]
+
+        def line(i: int) -> list[str]:
+            degc = [float(drawn[name][i]) for name in belts]
+            ends = [decimals(v, 1) for v in (min(degc), max(degc))]
+            return [
+                decimals(float(drawn["time_s"][i]), 1),
+                decimals(float(drawn["speed_mps"][i]) * KMH_PER_MPS, 1),
+                *(decimals(float(drawn[column][i])) for column in torques.values()),
+                ends[0] if ends[0] == ends[1] else " to ".join(ends),
+            ]
+
+        units = ("s", "km/h", *("Nm" for _ in torques), "degC")
+        return table(("time", "speed", *torques, "belts"), [line(i) for i in rows], units)

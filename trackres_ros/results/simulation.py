@@ -1,0 +1,127 @@
+"""What a simulation gives back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trackres_ros.estimator.estimator import Estimator, Steps
+from trackres_ros.files.output_files import BAG_SUFFIX, output_file
+from trackres_ros.model.resistance import RESISTANCE_PARTS
+from trackres_ros.offline.simulate import Drive, series_of
+from trackres_ros.output.bag import OutputBag
+from trackres_ros.recording.table import write_table
+from trackres_ros.results.series import Array, SeriesResult
+from trackres_ros.text.html import panel
+from trackres_ros.text.numbers import decimals
+from trackres_ros.units import KMH_PER_MPS
+from trackres_ros.vehicle import Vehicle
+
+SUMMARY_TIMES_S = (50.0, 250.0, 600.0, 1000.0, 2500.0)
+
+
+class SimulationResult(SeriesResult):
+    """Torques and belt temperature along a drive, one row a time step; see `trackres_ros.simulate`.
+
+    Columns are ``time_s``, ``speed_mps``, ``weight_n``, ``ambient_degc``, ``belt_degc`` (mean over the assemblies),
+    ``resistance_torque_nm``, which is the sum of ``hysteresis_nm``, ``bearing_nm``, ``wind_nm`` and ``effects_nm``, then
+    ``inertia_nm``, ``drive_torque_nm`` (resistance and inertia), and ``grade_nm`` where the profile has a grade, which the
+    drive torque holds then.
+
+    Attributes
+    ----------
+    notes
+        Columns of the profile that were not read.
+    """
+
+    def __init__(self, estimator: Estimator, drive: Drive, rows: Array, with_grade: bool, notes: tuple[str, ...]) -> None:
+        self.estimator, self.notes = estimator, notes
+        self.title = f"Simulated: {estimator.vehicle.title}"
+        self._rows, self._drive = rows, drive
+        self._series: dict[str, Array] = dict(series_of(estimator, drive, rows))
+        if with_grade:
+            self._series["grade_nm"] = rows[:, estimator.column_index["grade_nm"]]
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """The vehicle it was made for."""
+        return self.estimator.vehicle
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of all columns, as in the table that `save` writes."""
+        return tuple(self._series)
+
+    def __getitem__(self, name: str) -> Array:
+        return self._series[name]
+
+    def _drawn(self) -> Mapping[str, Array]:
+        return self._series
+
+    def _attributes(self) -> dict[str, str]:
+        return {"vehicle": self.vehicle.name, "hysteresis": self.vehicle.hysteresis, "thermal": self.vehicle.thermal}
+
+    def save(self, path: str | PathLike[str]) -> Path:
+        """Write to a file: the very bytes that `trackres simulate -o` writes.
+
+        Parameters
+        ----------
+        path
+            `.csv`, `.csv.gz` or `.parquet` for a table of `columns`, `.mcap` for the topics that the live node publishes.
+
+        Returns
+        -------
+        Path
+            Of the file.
+
+        Raises
+        ------
+        InputError
+            Another suffix, or no such folder.
+        """
+        file = output_file(path, where="path")
+        if file.suffix.lower() == BAG_SUFFIX:
+            stamps = np.round((self._drive.time_s - self._drive.time_s[0]) * 1e9).astype(np.int64)
+            with OutputBag(file, self.estimator) as bag:
+                bag.write(Steps(stamps, stamps, self._rows))
+        else:
+            write_table(file, self._series)
+        return file
+
+    def points(self) -> list[dict[str, float]]:
+        """All columns at a few times, for a summary."""
+        time = self.time_s
+        at_times = [t for t in SUMMARY_TIMES_S if t <= time[-1]] or [float(time[-1])]
+        rows = [min(int(np.searchsorted(time, t - 1e-9)), len(time) - 1) for t in at_times]
+        return [{name: float(values[row]) for name, values in self.items()} for row in rows]
+
+    def as_dict(self) -> dict[str, Any]:
+        """The summary, ready for JSON."""
+        return {
+            "vehicle": self.vehicle.name,
+            "method": self.vehicle.hysteresis,
+            "thermal": self.vehicle.thermal,
+            "rows": len(self.time_s),
+            "points": self.points(),
+        }
+
+    def __repr__(self) -> str:
+        parts = {"resistance": "resistance_torque_nm", **RESISTANCE_PARTS}
+        lines = [
+            f"{'time':>8} {'speed':>7} " + " ".join(f"{part:>10}" for part in parts) + f" {'belt':>6}",
+            f"{'s':>8} {'km/h':>7} " + " ".join(f"{'Nm':>10}" for _ in parts) + f" {'degC':>6}",
+        ]
+        lines += [
+            f"{decimals(p['time_s']):>8} {decimals(p['speed_mps'] * KMH_PER_MPS, 1):>7} "
+            + " ".join(f"{decimals(p[column]):>10}" for column in parts.values())
+            + f" {decimals(p['belt_degc'], 1):>6}"
+            for p in self.points()
+        ]
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        return panel(f"{self.title}, {len(self.time_s)} rows", self._table())

@@ -1,1 +1,0 @@
-"""The edge on ROS 2: the only place that imports rclpy."""

@@ -1,0 +1,1 @@
+"""Numbers and tables as people read them: in come values, out goes text or HTML."""

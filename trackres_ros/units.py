@@ -1,0 +1,10 @@
+"""Constants of nature and of units, and the one speed below which a vehicle counts as standing; imports nothing."""
+
+from __future__ import annotations
+
+GRAVITY = 9.80665  # m/s^2, ISO 80000-3
+KMH_PER_MPS = 3.6
+NANOSECOND = 1e-9  # s
+SECOND_NS = 1_000_000_000
+STANDSTILL_MPS = 0.05  # m/s, assumed: over it friction changes its sign smoothly; a fifth of 1 km/h
+MAD_TO_STD = 1.4826
