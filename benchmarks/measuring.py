@@ -63,6 +63,17 @@ def median_ratio(over: Sequence[float], under: Sequence[float]) -> float:
     return statistics.median(a / b for a, b in zip(over, under, strict=True))
 
 
+RELAY = """
+import os, sys, time
+begin = time.perf_counter()
+_, status, usage = os.wait4(os.posix_spawn(sys.argv[2], sys.argv[2:], os.environ), 0)
+os.write(int(sys.argv[1]), f"{time.perf_counter() - begin} {usage.ru_maxrss}".encode())
+sys.exit(os.waitstatus_to_exitcode(status))
+"""
+"""Starts a program and waits for it. A program takes over the peak of memory of the process it was started from, so that one has
+to be a small one."""
+
+
 @dataclass(frozen=True)
 class Ended:
     """What a child process left: its output, its wall time and its peak resident memory."""
@@ -86,15 +97,14 @@ def child(arguments: Sequence[str], environment: Mapping[str, str] | None = None
     """
     paths = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
     variables = {**os.environ, "PYTHONPATH": paths, **(environment or {})}
-    begin = time.perf_counter()
-    process = subprocess.Popen(
-        [sys.executable, *arguments], env=variables, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-    )
-    assert process.stdout is not None
-    with process.stdout:
-        output = process.stdout.read()
-    _, status, usage = os.wait4(process.pid, 0)
-    process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode:
-        raise RuntimeError(f"{' '.join(arguments)}: exit code {process.returncode}\n{output}")
-    return Ended(output, time.perf_counter() - begin, usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024))
+    received, sent = os.pipe()
+    with os.fdopen(received) as usage:
+        command = [sys.executable, "-S", "-c", RELAY, str(sent), sys.executable, *arguments]
+        done = subprocess.run(
+            command, env=variables, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, pass_fds=[sent], check=False
+        )
+        os.close(sent)
+        wall_s, peak = map(float, usage.read().split())
+    if done.returncode:
+        raise RuntimeError(f"{' '.join(arguments)}: exit code {done.returncode}\n{done.stdout}")
+    return Ended(done.stdout, wall_s, int(peak) * (1 if sys.platform == "darwin" else 1024))

@@ -38,6 +38,18 @@ def test_damaged_files(name):
     assert f"| {name} | {MUTATIONS} |" in run.table({name: result})
 
 
+LARGE = """
+import subprocess, sys
+filled = b"x" * 300_000_000
+print(subprocess.run([sys.executable, "-c", "import run; print(run.peak_bytes())"], stdout=subprocess.PIPE, check=True).stdout.decode())
+"""
+
+
+def test_memory_of_whoever_starts_a_worker_is_not_counted():
+    done = subprocess.run([sys.executable, "-c", LARGE], cwd=Path(__file__).parent, capture_output=True, check=True)
+    assert 0 < int(done.stdout) < 200_000_000
+
+
 def test_the_command_prints_counts():
     script = Path(__file__).with_name("run.py")
     command = [sys.executable, str(script), "--count", "3", "--format", "csv", "--json"]
