@@ -54,7 +54,7 @@ class Result:
 
 
 def peak_bytes() -> int:
-    """The most memory this process had. `ru_maxrss` is not that: a program takes over the peak of the process it was started from."""
+    """The most memory this process had; in `ru_maxrss` a program takes over the peak of the process it was started from."""
     status = Path("/proc/self/status").read_text()
     return 1024 * int(status.split("VmHWM:")[1].split()[0])
 
