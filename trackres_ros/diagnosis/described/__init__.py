@@ -1,0 +1,1 @@
+"""A fit and what it leaves go in; terms without a name that describe it come out, chosen as effects of the catalogue are."""
