@@ -33,6 +33,7 @@ TEST = ["pytest>=7.4", "pytest-xdist>=3.4", "hypothesis>=6.98", "rainflow>=3.1",
 TEST += ["jsonschema>=4.10", "ruff>=0.4", "mypy>=1.8", "types-PyYAML"]
 TEST += ["colcon-common-extensions>=0.3"]  # where ROS 2 is, the package is built into a workspace and launched from there
 DOCS = ["mkdocs>=1.6,<2", "mkdocs-material>=9.5,<10", "latex2mathml>=3.77"]  # for make site
+COVERAGE = ["pytest-cov>=5.0"]  # for make coverage
 MUTATION = ["cosmic-ray>=8.3"]  # for tools/mutants, by hand
 
 setup(
@@ -65,6 +66,7 @@ setup(
         "test": BAGS + PARQUET + NOTEBOOK + PROOF + DDS_TESTED + TEST,
         "mutation": MUTATION,
         "docs": DOCS,
+        "coverage": COVERAGE,
     },
     zip_safe=False,
     entry_points={
