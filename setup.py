@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Build description of the ament_python package; also installs with pip where there is no ROS."""
 
 from pathlib import Path

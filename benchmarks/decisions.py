@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What was weighed in docs/decisions: ours and a library's, each at the same task. `python benchmarks/decisions.py [NAME ...]`.
 
 statsmodels serves this comparison alone and is in none of the extras: `pip install statsmodels`.

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """ament's linters, where ROS is: what colcon test expects of a package. Elsewhere ruff holds the same rules alone."""
 
 import pytest

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The house: rooms need only those before them, each says what it is for, and the page of it is true."""
 
 import ast

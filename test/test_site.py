@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The documentation builds as a site, strictly: no link leads nowhere, nothing is fetched from elsewhere."""
 
 import os

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Tables of plain text: the same whoever reads them, each row a whole line."""
 
 import pytest

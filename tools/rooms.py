@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The rooms of the package and which needs which, read from the imports; the picture of docs/architecture.md."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What the site has besides docs/: pages of the root as they are, files that pages link to, and equations without a script.
 
 mkdocs calls these functions; mkdocs.yml names this file.

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The checks that everything read from outside shares. Each gives the value back, or raises `InputError` with where it was given,
 what, and what is allowed.
 """

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Drives and operating points that were never driven."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Finds effects: one file each in this package, and those of the user's own folder."""
 
 from __future__ import annotations

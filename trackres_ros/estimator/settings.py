@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """How the estimator behaves: one table of settings with unit, limits and meaning, which also makes docs and parameters."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Every parameter of the live node: one table of default, unit, limits and meaning, which also makes the YAML file and the docs.
 
 The settings of the estimator are part of it, so the same file serves `trackres replay --params`.

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What the model says of one steady state, taken apart."""
 
 from __future__ import annotations

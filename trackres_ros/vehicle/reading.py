@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Vehicle file -> checked, frozen description. Nothing passes that the file does not say plainly."""
 
 from __future__ import annotations

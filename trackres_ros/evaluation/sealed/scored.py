@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A case beside what was said of it, and the scores of many."""
 
 from __future__ import annotations
