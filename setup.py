@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Build description of the ament_python package; also installs with pip where there is no ROS."""
 
 from pathlib import Path
@@ -32,6 +35,8 @@ DDS_TESTED = [f"{CYCLONE}; platform_machine == 'x86_64' and python_version < '3.
 TEST = ["pytest>=7.4", "pytest-xdist>=3.4", "hypothesis>=6.98", "rainflow>=3.1", "mcap>=1.1", "setuptools>=70.1"]
 TEST += ["jsonschema>=4.10", "ruff>=0.4", "mypy>=1.8", "types-PyYAML"]
 TEST += ["colcon-common-extensions>=0.3"]  # where ROS 2 is, the package is built into a workspace and launched from there
+DOCS = ["mkdocs>=1.6,<2", "mkdocs-material>=9.5,<10", "latex2mathml>=3.77"]  # for make site
+COVERAGE = ["pytest-cov>=5.0"]  # for make coverage
 MUTATION = ["cosmic-ray>=8.3"]  # for tools/mutants, by hand
 
 setup(
@@ -63,6 +68,8 @@ setup(
         "all": BAGS + PARQUET + NOTEBOOK + PROOF,
         "test": BAGS + PARQUET + NOTEBOOK + PROOF + DDS_TESTED + TEST,
         "mutation": MUTATION,
+        "docs": DOCS,
+        "coverage": COVERAGE,
     },
     zip_safe=False,
     entry_points={

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Commands with an optional library missing, interrupted commands, and checks that hold under `python -O`."""
 
 import ast

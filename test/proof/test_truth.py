@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The second simulator: its own laws, and that it shares nothing with what is to be proved."""
 
 import subprocess

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """`trackres prove`: the diagnosis on cases whose cause is concealed from it."""
 
 from __future__ import annotations

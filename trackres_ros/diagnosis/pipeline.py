@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The whole diagnosis, step after step; each result is frozen and can be looked at."""
 
 from __future__ import annotations

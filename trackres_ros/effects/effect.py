@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a left-out effect is: one interface for the fit, the live estimator and the report."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Effects without a name: a torque that follows what is known of a drive, in a form that a diagnosis found in recordings.
 
 A curve of one variable, alone or only where a gate is open, and a build-up that a stop or time takes away. They are effects as

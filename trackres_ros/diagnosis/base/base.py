@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A base model: what is simulated without any left-out effect, and which of its parameters may be re-fitted."""
 
 from __future__ import annotations

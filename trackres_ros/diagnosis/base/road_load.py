@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Road load as a base: a rolling coefficient, air, inertia, a known slope; for a chassis on tyres and other vehicles."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The paper's model of a track vehicle as a base: belt loss at the belt's temperature, bearings, air, inertia, known slope."""
 
 from __future__ import annotations

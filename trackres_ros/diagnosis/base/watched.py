@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A torque that follows nothing known ahead, only the clock: a series found in what a fit leaves, fitted along in size."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Forms that a mismatch without a name may have here: curves, gated curves and build-ups, with knots where it was driven."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Terms without a name for what a fit leaves, one after the other, each only if it gains more than noise and the model's own
 error would; and names that they make needless are taken away.
 """

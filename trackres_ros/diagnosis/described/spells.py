@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Spells: a torque that is there for a while, gone for a while, and follows nothing; and a torque that wanders.
 
 Means of the residual over a few seconds are taken for one of two levels that change by chance (a hidden Markov chain), or for a

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Terms without a name, as they are said: what a torque follows or how it comes and goes, and what to look at for it."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A torque that comes again with every so many metres: something on a belt or a wheel goes round.
 
 Source: Lomb (1976) and Scargle (1982), over distance instead of time, on residuals whitened as in the fit; means over a step

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What it comes to: one of five verdicts, in one sentence."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Fit a base model, with effects or without: most likely under coloured noise with heavy tails, priors and bounds."""
 
 from __future__ import annotations

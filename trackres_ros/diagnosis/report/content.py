@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The diagnosis as report.json; its form is fixed, additions are allowed."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What laps that were never used say of each effect, and which of all that was found may be written and fed forward."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Step 5, second half: candidates that survive are re-fitted together with the base, compared, and chosen forward and back."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Step 4: what could be seen in these recordings at all, and what could not be told apart, before anything is named."""
 
 from __future__ import annotations

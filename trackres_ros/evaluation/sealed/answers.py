@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What was said of a case, by the diagnosis or by a simpler method, in one form."""
 
 from __future__ import annotations

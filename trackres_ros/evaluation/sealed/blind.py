@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Second process of a run: diagnoses each case, given its recordings and vehicle file and nothing else.
 
 `python -m trackres_ros.evaluation.sealed.blind CASES RESULTS`; what is there already is not done again.

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What is hidden in which case: levels, sizes, builds of the vehicle, all drawn from one seed."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """First process of a run: draws the cases, seals them, and writes recordings and vehicle files that say nothing of them.
 
 `python -m trackres_ros.evaluation.sealed.generate FOLDER SEED MINUTES LEVEL=COUNT...`

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What could be known: the true structure fitted to the same laps by the same optimiser, and what tells of itself."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a run comes to: tables, the confusion matrix as a picture, and one page of each kind of mistake."""
 
 from __future__ import annotations

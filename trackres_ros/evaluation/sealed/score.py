@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Last process of a run: opens the seal and counts.
 
 `python -m trackres_ros.evaluation.sealed.score FOLDER`

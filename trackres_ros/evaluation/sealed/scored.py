@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A case beside what was said of it, and the scores of many."""
 
 from __future__ import annotations
@@ -7,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import norm
+from scipy.stats import binomtest
 
 from trackres_ros.evaluation.sealed.answers import Answer
 from trackres_ros.evaluation.sealed.cases import Case
@@ -84,13 +87,11 @@ class Scored:
 
 
 def wilson(hits: int, of: int) -> tuple[float, float]:
-    """95 % interval of a share."""
+    """95 % interval of a share, by Wilson's score; of no try, of all shares there are."""
     if not of:
         return 0.0, 1.0
-    z, share = float(norm.ppf(0.975)), hits / of
-    middle = (share + z * z / (2 * of)) / (1 + z * z / of)
-    half = z * np.sqrt(share * (1 - share) / of + z * z / (4 * of * of)) / (1 + z * z / of)
-    return float(middle - half), float(middle + half)
+    interval = binomtest(hits, of).proportion_ci(0.95, method="wilson")
+    return float(interval.low), float(interval.high)
 
 
 def shares(scored: Sequence[Scored], method: str = OURS) -> dict[str, tuple[int, int]]:

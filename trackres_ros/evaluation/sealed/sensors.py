@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What sensors make of the truth, written as a table."""
 
 from __future__ import annotations

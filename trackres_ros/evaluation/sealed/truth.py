@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The second simulator: a vehicle that drives, with whatever the diagnosis is to find switched on.
 
 Each phenomenon has another form here than in the catalogue of the diagnosis, as nature would.
