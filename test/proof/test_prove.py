@@ -10,6 +10,7 @@ from click.testing import CliRunner
 from trackres_ros.cli import prove
 from trackres_ros.cli.main import cli
 from trackres_ros.errors import InputError
+from trackres_ros.evaluation.sealed.oracle import LEAST_GAIN
 from trackres_ros.evaluation.sealed.scored import wilson
 
 
@@ -34,6 +35,9 @@ def test_the_labels_are_opened_only_by_the_score(tmp_path):
     assert seal in page
     scores = json.loads((tmp_path / "scores.json").read_text())
     assert sorted(c["case"]["level"] for c in scores["cases"]) == ["outside", "single"]
+    (outside,) = [c for c in scores["cases"] if c["case"]["level"] == "outside"]
+    assert outside["known"]["gain"] > LEAST_GAIN
+    assert outside["known"]["mae"] < outside["known"]["mae_base"]
     assert all(len(c["learned"]) > 1 and min(c["learned"].values()) > 0.0 for c in scores["cases"])
     labels = tmp_path / "sealed" / "labels.json"
     labels.write_text(labels.read_text().replace('"level": "single"', '"level": "none"'))

@@ -5,7 +5,7 @@ import pytest
 from trackres_ros.evaluation.sealed.answers import error_left, of_report
 from trackres_ros.evaluation.sealed.cases import RIGHT_FORMS, Case, sensors_of
 from trackres_ros.evaluation.sealed.oracle import OracleAnswer
-from trackres_ros.evaluation.sealed.page import learned_table
+from trackres_ros.evaluation.sealed.page import learned_table, outside_table
 from trackres_ros.evaluation.sealed.scored import OURS, Scored, comparable, own_shares, shares, sizes
 
 PARAMETERS = {"time": {"value": 0.3, "ci95": [0.25, 0.35]}}
@@ -90,6 +90,9 @@ def test_scores_of_what_is_outside():
     table = learned_table(of)
     assert "| 2 | 0.05 | 0.50 |" in table
     assert "| outside: worse than the base | 4 | 1 | 0 |" in table
+    by_kind = outside_table(of)
+    assert "| mud | 2 | 2 | 1 | build_up; delay |" in by_kind
+    assert "| zero_drift | 1 | 0 | 0 | unexplained |" in by_kind
 
 
 def test_a_delay_is_compared_with_all_that_the_torque_is_late_by():

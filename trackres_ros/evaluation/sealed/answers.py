@@ -58,7 +58,8 @@ def of_report(report: dict[str, Any]) -> Answer:
     """What a report stands by: the name it gives first stands first in each class."""
     status = str(report["verdict"]["status"])
     described = tuple(
-        Description(str(term["form"]), " ".join(_words(term.get(key)) for key in ABOUT)) for term in report.get("described", ())
+        Description(str(term["form"]), " ".join(filter(None, (_words(term.get(key)) for key in ABOUT))))
+        for term in report.get("described", ())
     )
     if status not in SURE:
         return Answer(status, (), described)

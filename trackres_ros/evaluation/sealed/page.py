@@ -73,6 +73,7 @@ def write_all(folder: Path, scored: Sequence[Scored], seal: str, seed: int) -> s
             f"labels, printed before the first recording was written: `{seal}`.",
             table(found, own_shares(scored), sizes(scored)),
             learned_table(scored),
+            *([outside_table(scored)] if counts["outside"] else []),
             f"![What was said over what was true, of cases with one effect.]({CONFUSION})",
             mistake_table(kinds),
         )
@@ -149,6 +150,22 @@ def learned_table(scored: Sequence[Scored]) -> str:
         at = [i for i, s in enumerate(scored) if s.case.level == level]
         worse = [sum(pairs[i][1] > NO_WORSE * pairs[i][0] for i in at) for pairs in errors.values()]
         lines.append(f"| {level}: worse than the base | {len(at)} | {' | '.join(map(str, worse))} |")
+    return "\n".join(lines)
+
+
+def outside_table(scored: Sequence[Scored]) -> str:
+    """What was said of each phenomenon that is not in the catalogue."""
+    of: dict[str, list[Scored]] = {}
+    for s in sorted(scored, key=lambda s: s.case.name):
+        if s.case.level == "outside":
+            of.setdefault(" and ".join(s.case.hidden), []).append(s)
+    lines = [
+        "| Not in the catalogue | Cases | Seen by the oracle | Described in the right form | Said |",
+        "|---|---|---|---|---|",
+    ]
+    for name, cases in sorted(of.items()):
+        seen, right = (sum(hits) for hits in zip(*((s.known.identifiable, s.rightly_described) for s in cases), strict=True))
+        lines.append(f"| {name} | {len(cases)} | {seen} | {right} | {'; '.join(map(_said, cases))} |")
     return "\n".join(lines)
 
 
