@@ -80,6 +80,7 @@ def test_scores_of_what_is_outside():
     found, own, values = shares(of), own_shares(of), sizes(of)
     assert found["outside: confident wrong name"] == (1, 4)
     assert found["outside: described or unexplained"] == (3, 4)
+    assert found["outside: a name or a class of names"] == (1, 4)
     assert own["outside, seen by the oracle: described in the right form"] == (2, 3)
     assert own["outside, all: described in the right form"] == (2, 4)
     assert own["none: false description"] == (1, 2)

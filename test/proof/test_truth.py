@@ -43,7 +43,7 @@ def tables(sheet, material):
 
 @pytest.fixture(scope="module")
 def drives(sheet):
-    return [drive(4.0, 1.2 * sheet["weight"], 15.0, 14.0, np.random.default_rng(2))]
+    return [drive(4.0, 0.8 * sheet["weight"], 15.0, 14.0, np.random.default_rng(2))]
 
 
 def test_the_truth_is_made_without_any_code_that_is_to_be_proved():

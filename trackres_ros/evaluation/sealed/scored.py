@@ -160,6 +160,7 @@ def shares(scored: Sequence[Scored], method: str = OURS) -> dict[str, tuple[int,
         "outside: described or unexplained": share(outside, lambda _, a: a.status in (DESCRIBED, "unexplained")),
         "outside: unexplained": share(outside, lambda _, a: a.status == "unexplained"),
         "outside: confident wrong name": share(outside, lambda _, a: a.status == "named"),
+        "outside: a name or a class of names": share(outside, lambda _, a: bool(a.classes)),
     }
 
 
