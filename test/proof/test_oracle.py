@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The oracle sees a torque that is there, and none that is not."""
 
 import numpy as np

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What no catalogue has, by its own laws, and the instruments of each case."""
 
 from collections import Counter

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Physics that no catalogue has: what a vehicle does that nobody thought of.
 
 None of it has a tidy form: edges are soft, sizes vary from one time to the next, and what decides when is drawn.

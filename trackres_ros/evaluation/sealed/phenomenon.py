@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a phenomenon gets to see of a drive, and what it gives."""
 
 from __future__ import annotations
