@@ -14,7 +14,7 @@ from trackres_ros.effects.effect import conditions as known_conditions
 from trackres_ros.effects.stepping import FIRST_OWN, effect_table, is_compiled, look, new_memory, new_work, step_effects
 from trackres_ros.effects.vehicle.payne import EXPONENT
 from trackres_ros.errors import InputError
-from trackres_ros.model.facts import facts_of
+from trackres_ros.model.vehicle_constants import vehicle_constants
 from trackres_ros.vehicle import load
 
 NAMES = [
@@ -31,7 +31,7 @@ CATALOGUE = catalogue()
 
 def conditions(**changed):
     known = {"speed": 5.0, "accel": 0.2, "weight": 250e3, "ambient": 10.0, "yaw_rate": 0.1, "heading": 0.5, "distance": 900.0}
-    return known_conditions(facts_of(load("xgd24d")), **{**known, "drive_torque": 3000.0, "own": 12.0, **changed})
+    return known_conditions(vehicle_constants(load("xgd24d")), **{**known, "drive_torque": 3000.0, "own": 12.0, **changed})
 
 
 def terms_of(effect, at, values=None):
@@ -83,7 +83,7 @@ def test_a_typical_effect_does_what_it_says_it_acts_on(name):
 def test_the_step_runs_what_the_file_says_as_machine_code(name):
     active = Active(CATALOGUE[name], CATALOGUE[name].values())
     assert is_compiled(active.effect)
-    facts, table, memory = facts_of(load("xgd24d")), effect_table([active]), new_memory(1)
+    facts, table, memory = vehicle_constants(load("xgd24d")), effect_table([active]), new_memory(1)
     work = new_work(facts)
     for speed in (-3.0, 0.0, 0.2, 6.0, 13.0):
         at = conditions(speed=speed)
@@ -121,7 +121,7 @@ def table_of(folder, constant, more=""):
 
 def torque_by(table):
     gc.collect()
-    memory, work = new_memory(1), new_work(facts_of(load("xgd24d")))
+    memory, work = new_memory(1), new_work(vehicle_constants(load("xgd24d")))
     look(work, *conditions()[1:9])
     assert step_effects(table.rows, table.values, memory, work, 0.0) == 0
     return work[0]
@@ -140,7 +140,7 @@ def test_what_cannot_be_compiled_runs_as_long_as_a_table_has_its_address(tmp_pat
 def test_an_effects_own_state_follows_its_target_exactly_and_from_anywhere():
     tyres = CATALOGUE["roadwheel_tyres"]
     active = Active(tyres, {**tyres.values(), "rise": 2.0, "time_constant": 300.0})
-    facts, table, memory = facts_of(load("xgd24d")), effect_table([active]), new_memory(1)
+    facts, table, memory = vehicle_constants(load("xgd24d")), effect_table([active]), new_memory(1)
     work = new_work(facts)
     for i in range(100):
         look(work, *conditions(speed=5.0, ambient=10.0)[1:9])

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.estimator.kernel import LEAST_DOUBT
+from trackres_ros.estimator.kernel import LEAST_STD_SHARE
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.estimator.uncertainty import REFERENCE_SPEED_SHARE, spread
 from trackres_ros.model import belt as belt_model
@@ -74,7 +74,7 @@ def by_differences(vehicle: Vehicle, cache: Path, paths: Collection[str], speed:
 
 def at_least(expected: np.ndarray, carried: dict[str, np.ndarray], column: str) -> np.ndarray:
     """A standard deviation of the torque is never less than what a torque transducer is off by."""
-    return np.maximum(expected, LEAST_DOUBT * carried["resistance_torque_nm"]) if column == "resistance_std_nm" else expected
+    return np.maximum(expected, LEAST_STD_SHARE * carried["resistance_torque_nm"]) if column == "resistance_std_nm" else expected
 
 
 def reference_speed(vehicle: Vehicle) -> float:
@@ -112,7 +112,7 @@ def test_the_doubt_of_many_quantities_adds_in_squares(xgd24d: Vehicle, cache: Pa
 def test_a_certain_vehicle_is_certain(xgd24d: Vehicle, cache: Path) -> None:
     certain = drive(with_open_ranges(xgd24d, []), cache, 10.0)
     assert certain["belt_std_k/front_left"].max() < 1e-3
-    assert certain["resistance_std_nm"] == pytest.approx(LEAST_DOUBT * certain["resistance_torque_nm"], rel=1e-6)
+    assert certain["resistance_std_nm"] == pytest.approx(LEAST_STD_SHARE * certain["resistance_torque_nm"], rel=1e-6)
 
 
 def test_the_doubt_of_the_ambient_temperature(xgd24d: Vehicle, cache: Path) -> None:

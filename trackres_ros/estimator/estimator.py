@@ -239,7 +239,7 @@ class Estimator:
         self.entries.start_belts(*self.kernel_arguments, *_arrays(state), inputs.ambient, inputs.ambient_std)
         if belt_degc is not None:
             state.belts[:, :, at.TEMPERATURE] = belt_degc
-            state.belts[:, :, at.DOUBT_AMBIENT] = 0.0
+            state.belts[:, :, at.CONSIDER_AMBIENT] = 0.0
         if belt_std_k is not None:
             state.belts[:, :, at.NOISE_1] = belt_std_k
         return state

@@ -27,8 +27,8 @@ from trackres_ros.estimator.constants import (
 from trackres_ros.estimator.entry_points import COMPILED
 from trackres_ros.estimator.kernel import PREDICTED, PREDICTED_BELT, PREDICTED_DRIVE, PREDICTED_OUTCOME, PREDICTED_SKIN
 from trackres_ros.estimator.settings import Settings
-from trackres_ros.model.facts import facts_of
 from trackres_ros.model.thermal import thermal_network
+from trackres_ros.model.vehicle_constants import vehicle_constants
 from trackres_ros.units import GRAVITY
 from trackres_ros.vehicle import Vehicle
 from trackres_ros.vehicle.reading import FITTED
@@ -67,7 +67,7 @@ class TrackBase:
         self._arm = float(np.dot(*(self._constants.assembly[:, column] for column in (at.SHARE_OF_ALL, at.RADIUS))))
         self._firsts, self._count = _kinds(self._constants)
         self.includes = tuple(active.effect.name for active in vehicle.active)
-        self.facts = facts_of(vehicle)
+        self.facts = vehicle_constants(vehicle)
         self.torque_scale = 1.0
         self.rotating_mass_factor = vehicle.chassis.rotating_mass_factor
         first = vehicle.track_of(vehicle.assemblies[0])
