@@ -211,7 +211,7 @@ def test_a_recording_gives_its_samples_in_the_order_they_were_read(sample, drive
 
 
 def test_a_recording_made_by_hand_is_replayed_with_speed_last(vehicle):
-    from trackres_ros.recording.recording import Series
+    from trackres_ros.recording.samples import Series
 
     when = np.arange(3) * 1_000_000_000
     series = {"speed": Series(when, when, np.array([1.0, 2.0, 3.0])), "ambient": Series(when, when, np.array([5.0, 6.0, 7.0]))}

@@ -13,7 +13,8 @@ from trackres_ros.errors import one_line
 from trackres_ros.estimator import columns as at
 from trackres_ros.model.resistance import RESISTANCE_PARTS
 from trackres_ros.offline.replay import Replayed
-from trackres_ros.recording.recording import Block, Finding, Recording, Source
+from trackres_ros.recording.recording import Recording
+from trackres_ros.recording.samples import Block, Finding, Source
 from trackres_ros.text.numbers import decimals
 
 Array = NDArray[np.float64]

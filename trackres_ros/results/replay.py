@@ -15,7 +15,7 @@ from trackres_ros.estimator.estimator import Estimator, Session, Steps
 from trackres_ros.files.output_files import output_file
 from trackres_ros.offline.replay import Replayed, result_writer
 from trackres_ros.offline.summary import picture_columns, summary, text
-from trackres_ros.recording.recording import Finding
+from trackres_ros.recording.samples import Finding
 from trackres_ros.results.series import Array, SeriesResult
 from trackres_ros.text.html import listed, panel, paragraph
 from trackres_ros.units import NANOSECOND

@@ -14,7 +14,7 @@ from trackres_ros.files.output_files import BAG_SUFFIX, output_file
 from trackres_ros.model.resistance import RESISTANCE_PARTS
 from trackres_ros.offline.simulate import Drive, series_of
 from trackres_ros.output.bag import OutputBag
-from trackres_ros.recording.table import write_table
+from trackres_ros.output.table import write_table
 from trackres_ros.results.series import Array, SeriesResult
 from trackres_ros.text.html import panel
 from trackres_ros.text.numbers import decimals

@@ -11,7 +11,8 @@ import numpy as np
 from trackres_ros.diagnosis import load_base, read_recordings
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.inference.levels import with_levels
-from trackres_ros.diagnosis.prepare.gate import gate, split
+from trackres_ros.diagnosis.prepare.gate import gate
+from trackres_ros.diagnosis.prepare.split import split
 from trackres_ros.diagnosis.selection.visibility import LEAST_KEPT, separability
 from trackres_ros.effects import catalogue
 
