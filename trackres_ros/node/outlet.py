@@ -10,6 +10,7 @@ from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.kernel import fade, followed, towards
 from trackres_ros.jit.compiled import interpreted
 from trackres_ros.node.edge import Edge, Status
+from trackres_ros.node.remarks import Remark
 from trackres_ros.node.stamps import nearest_usable
 from trackres_ros.output.topics import OutputTopic
 from trackres_ros.units import NANOSECOND
@@ -90,6 +91,10 @@ class Outlet:
             if topic.kind == "status" and (diagnostics or not topic.name.startswith("/")):
                 said = statuses if topic.name.startswith("/") else statuses[:1]
                 self._send(output, self._edge.publish_status, nearest_usable(now_ns), said)
+
+    def remarks(self) -> list[Remark]:
+        """The topics that cannot be published."""
+        return [Remark("OUTPUT_FAILED", f"{topic} cannot be published: {error}") for topic, error in self.failed.items()]
 
     def _send(self, output: int, publish: Callable[..., None], stamp_ns: int, content: object) -> None:
         name = self.outputs[output].name

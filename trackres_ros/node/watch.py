@@ -50,8 +50,7 @@ class InputState:
 class Watch:
     """Bookkeeping of the application; it remarks, and changes nothing."""
 
-    def __init__(self, estimator: Estimator, inputs: Sequence[InputTopic], state_unused: bool) -> None:
-        self.state_unused = state_unused
+    def __init__(self, estimator: Estimator, inputs: Sequence[InputTopic]) -> None:
         self.accepted_ns: list[int | None] = [None] * len(estimator.channels)  # by a steady clock
         self._inputs: tuple[InputState, ...] = ()
         self.steps_hz = 0.0
