@@ -14,7 +14,8 @@ from contextlib import suppress
 
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.estimator import Estimate, Estimator
+from trackres_ros.estimator.estimate import Estimate
+from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.topic_settings import settings_for
 from trackres_ros.node.edge import Edge, Level, Peer, Status
 from trackres_ros.node.endpoints import input_topics, live_topics

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from trackres_ros.errors import MissingExtraError
-from trackres_ros.estimator.estimator import Estimator, Steps
+from trackres_ros.estimator.estimate import Steps
+from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.offline.summary import picture_columns
 from trackres_ros.output.bag import OutputBag
 from trackres_ros.output.plots import plot_estimate

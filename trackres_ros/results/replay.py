@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from trackres_ros.errors import InputError
-from trackres_ros.estimator.estimator import Estimator, Session, Steps
+from trackres_ros.estimator.estimate import Steps
+from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.files.output_files import output_file
 from trackres_ros.offline.replay import Replayed, result_writer
 from trackres_ros.offline.summary import picture_columns, summary, text

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from trackres_ros.estimator.estimator import Estimator, Steps
+from trackres_ros.estimator.estimate import Steps
+from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.files.output_files import BAG_SUFFIX, output_file
 from trackres_ros.model.resistance import RESISTANCE_PARTS
 from trackres_ros.offline.simulate import Drive, series_of
