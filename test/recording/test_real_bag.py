@@ -20,7 +20,7 @@ pytest.importorskip("rosbags")
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
-DEFAULT = Path(__file__).resolve().parents[1] / ".." / "shared" / "data" / "real"
+DEFAULT = Path(__file__).resolve().parents[3] / "shared" / "data" / "real"
 BAG = Path(os.environ.get("TRACKRES_REAL_DATA", DEFAULT)) / "rosbag_gps_vehicle" / "bag"
 
 pytestmark = pytest.mark.skipif(not BAG.is_dir(), reason=f"no recording at {BAG}; set TRACKRES_REAL_DATA to its folder")
