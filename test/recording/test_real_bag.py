@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -61,11 +59,9 @@ def test_there_is_no_torque(recording: Recording) -> None:
     assert "torque" not in recording.aligned()
 
 
-def test_it_replays_as_it_is(tmp_path: Path) -> None:
+def test_it_replays_as_it_is(tmp_path: Path, good: Any) -> None:
     """Header stamps two months off, quantised speed and drops to 0: the estimate goes through, and what was met is said."""
-    command = [sys.executable, "-m", "trackres_ros", "replay", str(BAG), "--vehicle", "agri3t", "-o", str(tmp_path / "out.csv")]
-    done = subprocess.run([*command, "--json"], capture_output=True, text=True, check=True)
-    report = json.loads(done.stdout)
+    report = json.loads(good("replay", BAG, "--vehicle", "agri3t", "-o", tmp_path / "out.csv", "--json"))
     assert report["steps"] == report["counters"]["speed"]["accepted"] == 2143
     assert {"stamp_offset", "dropout"} <= {finding["kind"] for finding in report["findings"]}
     assert any("guessed" in note for note in report["notes"])
