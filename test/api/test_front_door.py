@@ -33,7 +33,7 @@ PRINTING = {
     "trackres_ros.model.resistance": "the parts of a torque, by name",
 }
 STARTED_BY = {  # commands that start an application of their own, and import it
-    "entry.py": {"trackres_ros.node.asked"},
+    "entry.py": {"trackres_ros.node.signals"},
     "live.py": {
         "trackres_ros.node", "trackres_ros.node.ros.main", "trackres_ros.node.dds.node", "trackres_ros.node.parameters",
         "trackres_ros.files.yamls", "trackres_ros.files.output_files",

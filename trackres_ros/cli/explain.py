@@ -1,4 +1,4 @@
-"""`trackres explain`: one operating point taken apart."""
+"""`trackres explain`: one operating point by its parts."""
 
 from __future__ import annotations
 

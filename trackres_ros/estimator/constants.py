@@ -1,4 +1,4 @@
-"""What the kernel needs to know and never changes: vehicle, tables, doubt and settings as plain arrays and numbers."""
+"""What the kernel needs to know and never changes: vehicle, tables, uncertainties and settings as plain arrays and numbers."""
 
 from __future__ import annotations
 
@@ -156,7 +156,7 @@ def make_constants(vehicle: Vehicle, settings: Settings, cache: Path | None = No
         row[at.FIRST_LOG_LOAD], row[at.STEP_LOG_LOAD] = losses.first_log_load, losses.step_log_load
         row[at.SHARE_OF_AXLE] = load / loads[list(vehicle.assemblies_of(assembly.axle))].sum()
         row[at.SHARE_OF_ALL] = load / loads.sum()
-    doubt = np.array([spreads[a.track].factor.ravel() for a in vehicle.assemblies])
+    factors = np.array([spreads[a.track].factor.ravel() for a in vehicle.assemblies])
     gain = (
         np.nan
         if chassis.motor_ratio is None or chassis.motor_efficiency is None
@@ -220,7 +220,7 @@ def make_constants(vehicle: Vehicle, settings: Settings, cache: Path | None = No
     )
     return Constants(
         number,
-        np.concatenate([constants, doubt], axis=1),
+        np.concatenate([constants, factors], axis=1),
         np.stack([t.loss for t in tables]),
         np.stack([t.drive for t in tables]),
         _channel_limits(vehicle),

@@ -1,4 +1,4 @@
-"""One operating point taken apart by the exact methods: loads, contacts, losses, heat, torque, rainflow matrix."""
+"""One operating point by the exact methods: loads, contacts, losses, heat, torque, rainflow matrix."""
 
 from __future__ import annotations
 

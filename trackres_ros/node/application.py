@@ -145,7 +145,7 @@ class Application:
         """Take what an edge has read from a message of an input topic; see `Intake.samples`. By default it arrives now.
 
         Messages are handled in the order they were sent, see `SendingOrder`. What comes before the simulated clock waits for it:
-        without a time nothing can be said of its age.
+        without a time its age is not known.
         """
         try:
             self._receive(index, stamp_ns, values, sent_ns, arrived or self.arrival())
@@ -238,7 +238,7 @@ class Application:
     def tick(self) -> None:
         """Publish what is due, look at ages and peers, save the state; to be called every `period_s`.
 
-        It never raises: a part that fails is said on the status, and the others are done.
+        It never raises: a part that fails is a fault on the status, and the others are carried out.
         """
         steady = self._steady_ns()
         turned_old = self._watch.look_at_age(self._outlet.age_s(steady), self.estimator.settings.speed_max_age_s)
@@ -292,15 +292,15 @@ class Application:
             self._watch.every_second(self.session, self._intake, peers, steady)
 
     def _log_remarks(self, steady: int) -> None:
-        said = self._watch.to_log(self.remarks(steady))
-        if said:
-            self._log(*said)
+        entry = self._watch.to_log(self.remarks(steady))
+        if entry:
+            self._log(*entry)
 
     def _publish_status(self, steady: int, diagnostics: bool = False) -> None:
         name = f"{self.namespace.rstrip('/')}/{self.node}".lstrip("/")
         try:
             found = statuses(self.overview(steady), name, self.vehicle.name)
-        except Exception as error:  # then that much is to be said
+        except Exception as error:  # then the status is that fault alone
             self._fault(error)
             values = (("level", "error"), ("remarks", "INTERNAL_ERROR"))
             text = f"{type(error).__name__}: {error}"
@@ -342,7 +342,7 @@ class Application:
         remarks = self.remarks(steady)
         return overview(level_of(remarks), remarks, self._outlet, self._watch, self.mismatch.verdict, self.keeper, steady)
 
-    # What is asked of it
+    # What an edge or a signal requests
 
     def change(self, given: Mapping[str, object]) -> None:
         """Change parameters while running; the temperatures stay.

@@ -89,8 +89,8 @@ class Outlet:
         """Publish the first status on the node's own topic, and all as diagnostics when asked."""
         for output, topic in enumerate(self.outputs):
             if topic.kind == "status" and (diagnostics or not topic.name.startswith("/")):
-                said = statuses if topic.name.startswith("/") else statuses[:1]
-                self._send(output, self._edge.publish_status, nearest_usable(now_ns), said)
+                shown = statuses if topic.name.startswith("/") else statuses[:1]
+                self._send(output, self._edge.publish_status, nearest_usable(now_ns), shown)
 
     def remarks(self) -> list[Remark]:
         """The topics that cannot be published."""

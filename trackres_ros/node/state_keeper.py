@@ -22,7 +22,7 @@ NO_HOME = "there is no home folder to keep it in: set state_file or XDG_STATE_HO
 
 
 def state_path(parameter: str, sim_time: bool, node: str, namespace: str, vehicle: str) -> tuple[Path | None, str]:
-    """Where the state of a node is kept, None where it is not; and why not, where that is not what was asked for."""
+    """Where the state of a node is kept, None where it is not; and why not, where a state file was requested."""
     if parameter == NONE or (parameter == AUTO and sim_time):
         return None, ""
     base = os.environ.get("XDG_STATE_HOME")

@@ -25,7 +25,7 @@ MOST_KEPT = 10_000_000
 
 
 class KeptSource:
-    """A source that passes another on, and keeps its blocks where asked, to look at them as a Recording afterwards."""
+    """A source that passes another on, and keeps its blocks on request, to look at them as a Recording afterwards."""
 
     def __init__(self, source: Source, keep: bool) -> None:
         self._source, self._keep = source, keep

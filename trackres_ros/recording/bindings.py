@@ -77,7 +77,7 @@ class TopicBinding:
 
     @property
     def steps(self) -> tuple[FieldStep, ...]:
-        """The field path taken apart."""
+        """The steps of the field path."""
         return field_steps(self.field)
 
     def read(self, message: object) -> float:
@@ -167,7 +167,7 @@ class Topics:
 
 
 def field_steps(path: str) -> tuple[FieldStep, ...]:
-    """Take a field path apart: ``twist.linear.x``, ``effort[NAME]``, ``data[3]``.
+    """Split a field path into its steps: ``twist.linear.x``, ``effort[NAME]``, ``data[3]``.
 
     Raises
     ------

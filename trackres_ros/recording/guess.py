@@ -69,7 +69,7 @@ def guess(available: Mapping[str, str]) -> tuple[Topics, list[str]]:
     -------
     topics : Topics
         What was guessed.
-    said : list of str
+    notes : list of str
         One sentence a role, with what else it could have been.
 
     Raises
@@ -92,21 +92,21 @@ def guess(available: Mapping[str, str]) -> tuple[Topics, list[str]]:
         raise InputError(
             "speed", listed, "a topic of a type that tells the speed of the vehicle", f"name it in a topics file: {EXAMPLE}"
         )
-    said = []
+    notes = []
     for role, options in found.items():
         binding, unit = options[0]
         others = ", ".join(other.topic for other, _ in options[1:])
-        said.append(
+        notes.append(
             f"{role}: guessed from {binding.topic} ({binding.type}, {binding.field}) in {unit}"
             + (f"; also possible: {others}" if others else "")
         )
-    return Topics(MappingProxyType({role: options[0][0] for role, options in found.items()}), "guessed"), said
+    return Topics(MappingProxyType({role: options[0][0] for role, options in found.items()}), "guessed"), notes
 
 
 def _words(topic: str) -> str:
     """Return the words of a topic name, lower case with spaces: of ``/vehicleSpeed_kmh`` "vehicle speed kmh"."""
-    apart = re.sub(r"([a-z0-9])([A-Z])", r"\1 \2", topic).lower()
-    return " ".join(re.split(r"[^a-z0-9]+", apart))
+    spaced = re.sub(r"([a-z0-9])([A-Z])", r"\1 \2", topic).lower()
+    return " ".join(re.split(r"[^a-z0-9]+", spaced))
 
 
 def _unit_of(rule: _Rule, words: str) -> tuple[str, float]:

@@ -38,7 +38,7 @@ class Block:
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """Something wrong, or worth knowing, about the samples of one role.
+    """A fault or an oddity of the samples of one role.
 
     Attributes
     ----------

@@ -278,9 +278,9 @@ class TableSource:
 def _look_at_counts(metadata: Any, names: Sequence[str], rows: int, empty: NDArray[np.int64]) -> Iterator[Finding]:
     """Hold what was read of a Parquet file against what the file says it holds."""
     groups = [metadata.row_group(number) for number in range(metadata.num_row_groups)]
-    said = max(metadata.num_rows, sum(group.num_rows for group in groups))
-    if said > rows:
-        yield Finding("", "missing", said - rows, float("nan"), f"{said - rows} rows fewer than the file says it holds")
+    stated = max(metadata.num_rows, sum(group.num_rows for group in groups))
+    if stated > rows:
+        yield Finding("", "missing", stated - rows, float("nan"), f"{stated - rows} rows fewer than the file says it holds")
     for name, found in zip(names, empty.tolist(), strict=True):
         chunks = [group.column(place) for group in groups for place in range(group.num_columns)]
         counts = [chunk.statistics for chunk in chunks if chunk.path_in_schema == name]

@@ -158,9 +158,9 @@ class DiagnosisResult:
                 unit = "" if units[name] == "1" else units[name]
                 between = "only a bound" if interval.bound_only else " to ".join(ends)
                 rows.append((of, name, shown, between, unit, found.graded.grade))
-        worth = self.diagnosis.held_out
+        held_out = self.diagnosis.held_out
         errors = [
-            (text, figures(worth.mae[stage]), figures(worth.bias[stage]))
+            (text, figures(held_out.mae[stage]), figures(held_out.bias[stage]))
             for stage, text in STAGES.items()
             if self.effects or stage != "with_effects"
         ]

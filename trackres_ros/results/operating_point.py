@@ -1,4 +1,4 @@
-"""What the model says of one steady state, taken apart."""
+"""What the model says of one steady state: loads, contacts, losses, heat and torque."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class OperatingPoint(Content):
              f"{c['modulus_mpa']:.2f}")
             for i, (load, c) in enumerate(zip(self["wheel_loads_n"][0], self["contact"], strict=True))
         ]  # fmt: skip
-        said = [line for line in self._sentences() if line and not line.startswith(("Torque", "Loss"))]
+        sentences = [line for line in self._sentences() if line and not line.startswith(("Torque", "Loss"))]
         first = self["assemblies"][0]
         return panel(
             self._head(),
@@ -67,5 +67,5 @@ class OperatingPoint(Content):
                 wheels,
                 ("", "N", "mm", "1", "Hz", "MPa"),
             ),
-            *map(paragraph, said),
+            *map(paragraph, sentences),
         )

@@ -111,9 +111,9 @@ class SeriesResult(Mapping[str, Array]):
         assemblies = list(dict.fromkeys(name.partition("/")[2] for name in names if "/" in name))
         variables: dict[str, Any] = {}
         for name in names:
-            base, apart, _ = name.partition("/")
+            base, slash, _ = name.partition("/")
             attributes = {"units": unit_of(name)} if unit_of(name) else {}
-            if not apart:
+            if not slash:
                 variables[name] = ("time_s", self[name], attributes)
             elif (key := f"assembly_{base}" if base in names else base) not in variables:
                 stacked = np.stack([self[f"{base}/{of}"] for of in assemblies], axis=1)

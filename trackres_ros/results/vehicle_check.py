@@ -26,7 +26,7 @@ class VehicleCheck(Content):
         if self["effects"]:
             lines.append(f"  with {', '.join(self['effects'])}")
         for name, t in self["tracks"].items():
-            table, doubt, data = t["table"], t["uncertainty"], t["rubber_data"]
+            table, uncertainty, data = t["table"], t["uncertainty"], t["rubber_data"]
             ends = zip(data["speed_mps"], data["coldest_degc"], strict=True)
             lines += [
                 f"Track {name}",
@@ -37,7 +37,9 @@ class VehicleCheck(Content):
                 f"  cooled area        {t['cooled_area_m2']:.2f} m2",
                 f"  axial stiffness    {t['axial_stiffness_n'] / 1e6:.1f} MN",
                 f"  tension            {t['tension_n']:.0f} N, sag {t['sag_m'] * 1e3:.1f} mm",
-                "  one sigma of       " + ", ".join(f"{k} {v:.0%}" for k, v in doubt.items()) + " (from the ranges in the file)",
+                "  one sigma of       "
+                + ", ".join(f"{k} {v:.0%}" for k, v in uncertainty.items())
+                + " (from the ranges in the file)",
                 f"  loss table         error at most {table['largest_error']:.3%}, rms {table['rms_error']:.3%} at "
                 f"{table['points']} points, "
                 f"loads {table['load_range_n'][0] / 1e3:.1f} to {table['load_range_n'][1] / 1e3:.1f} kN, "
