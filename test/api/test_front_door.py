@@ -39,7 +39,7 @@ STARTED_BY = {  # commands that start an application of their own, and import it
         "trackres_ros.files.yamls", "trackres_ros.files.output_files",
     },
     "live_json.py": {"trackres_ros.node.report"},
-    "live_table.py": {"trackres_ros.node.edge", "trackres_ros.node.report", "trackres_ros.recording.recording"},
+    "live_table.py": {"trackres_ros.node.edge", "trackres_ros.node.report", "trackres_ros.recording.roles"},
     "play.py": {"trackres_ros.node.dds.player"},
     "prove.py": {"trackres_ros.evaluation"},
     "reproduce.py": {"trackres_ros.evaluation.reproduce"},

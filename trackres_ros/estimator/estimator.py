@@ -112,6 +112,11 @@ class Estimator:
         acceleration, grade, yaw_rate, heading, distance, measured_torque
             [m/s^2], rise over run, [rad/s], [rad], [m] and [Nm]; nan where not known. A distance that is not known is counted
             from the speed. The last four serve effects and the residual.
+
+        Returns
+        -------
+        Inputs
+            With nominal values for what is None.
         """
         k = self.constants
         loads = k.assembly[:, at.NOMINAL_LOAD].copy() if load is None else np.asarray(load, dtype=float)
@@ -132,7 +137,22 @@ class Estimator:
         )
 
     def cold_start(self, inputs: Inputs, belt_degc: float | None = None, belt_std_k: float | None = None) -> State:
-        """State of belts that are at the ambient temperature, or at a known one [degC] with a standard deviation [K]."""
+        """State of belts that are at the ambient temperature, or at a known one [degC] with a standard deviation [K].
+
+        Parameters
+        ----------
+        inputs
+            As `inputs` gives them; the ambient temperature counts.
+        belt_degc
+            Temperature of all belts [degC]; by default the ambient temperature.
+        belt_std_k
+            Its standard deviation [K]; by default `initial_belt_std_k` of the settings.
+
+        Returns
+        -------
+        State
+            To begin with.
+        """
         belts = np.empty((len(self.assemblies), 2, at.BELT_COLUMNS))
         state = State(belts, np.empty(at.MOTION_COLUMNS), new_effects_memory(len(self.vehicle.active)))
         self.entries.start_belts(*self.kernel_arguments, *_arrays(state), inputs.ambient, inputs.ambient_std)
@@ -144,7 +164,22 @@ class Estimator:
         return state
 
     def step(self, state: State, inputs: Inputs, dt: float) -> tuple[State, Estimate]:
-        """Advance by dt [s] to the time of `inputs`. Pure: the state given is left as it was."""
+        """Advance by dt [s] to the time of `inputs`. Pure: the state given is left as it was.
+
+        Parameters
+        ----------
+        state
+            State before the step.
+        inputs
+            As `inputs` gives them, at the end of the step.
+        dt
+            Length of the step [s].
+
+        Returns
+        -------
+        state, estimate
+            State after the step; torques [Nm] and temperatures [degC] by name.
+        """
         row, after = np.empty(len(self.columns)), _copy(state)
         self.entries.step_once(
             *self.own_arguments(),
@@ -167,7 +202,13 @@ class Estimator:
         return after, Estimate(row, self.column_index)
 
     def own_arguments(self) -> tuple[Any, ...]:
-        """The kernel's arguments with a work space of the caller's own, so that threads do not meet in it."""
+        """The kernel's arguments with a work space of the caller's own, so that threads do not share one.
+
+        Returns
+        -------
+        tuple
+            What the entry points are called with first.
+        """
         return (*self.kernel_arguments[:-1], self.kernel_arguments[-1].copy())
 
     def run(
@@ -220,7 +261,22 @@ class Estimator:
         return after, rows
 
     def rest(self, state: State, ambient: float, seconds: float) -> State:
-        """The state after standing, or being switched off, for a while at an ambient temperature [degC]."""
+        """The state after standing, or being switched off, for a while at an ambient temperature [degC].
+
+        Parameters
+        ----------
+        state
+            State before; it is left as it was.
+        ambient
+            Ambient temperature [degC].
+        seconds
+            Time at rest [s].
+
+        Returns
+        -------
+        State
+            Belts that have cooled.
+        """
         after = _copy(state)
         self.entries.rest_vehicle(
             *self.own_arguments(),
@@ -232,7 +288,13 @@ class Estimator:
         return after
 
     def session(self) -> Session:
-        """A new session: a stream of messages through the guards."""
+        """A new session: a stream of messages through the guards.
+
+        Returns
+        -------
+        Session
+            Without a message yet.
+        """
         return Session(self)
 
 

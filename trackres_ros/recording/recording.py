@@ -59,12 +59,17 @@ class Recording:
 
     @classmethod
     def from_source(cls, source: Source) -> Recording:
-        """Read a source to its end and look at what came.
+        """Read a source to its end, and look for what is odd in its samples.
 
         Parameters
         ----------
         source : Source
             A bag or a table.
+
+        Returns
+        -------
+        Recording
+            All samples, with what was found wrong.
 
         Raises
         ------
@@ -95,7 +100,18 @@ class Recording:
         return tuple(self.series)
 
     def blocks(self, max_rows: int = 65536) -> Iterator[Block]:
-        """All samples once more, in the order of the log; see `Source`."""
+        """All samples once more, in the order of the log.
+
+        Parameters
+        ----------
+        max_rows : int
+            Samples in a block, at most.
+
+        Yields
+        ------
+        Block
+            The next samples.
+        """
         order = self._by_arrival() if self.order is None else self.order
         place = np.empty(len(order), np.intp)  # of each sample among those of its role
         for index in range(len(self.series)):
@@ -124,7 +140,18 @@ class Recording:
         return _start_ns(self.series, self.zero_is_unset)
 
     def time_s(self, role: str) -> FloatArray:
-        """Return the stamps of a role from the start of the recording [s], shape (n,)."""
+        """Return the stamps of a role from the start of the recording [s], shape (n,).
+
+        Parameters
+        ----------
+        role : str
+            One of `roles`.
+
+        Returns
+        -------
+        ndarray of float64, shape (n,)
+            Times [s]; 0 is `start_ns`.
+        """
         return _seconds(self.series[role].stamp_ns - self.start_ns)
 
     def aligned(self) -> dict[str, FloatArray]:
@@ -167,7 +194,13 @@ class Recording:
             yield finding.role, finding.text + first
 
     def report(self) -> list[str]:
-        """Return lines of text: what is there, what was assumed, and what was found wrong."""
+        """Report what is there, what was assumed, and what was found wrong.
+
+        Returns
+        -------
+        list of str
+            Lines of text.
+        """
         lines = [f"Recording {self.name}"]
         for role, samples in self.series.items():
             lines.append(f"  {role} [{ROLES[base_role(role)].unit}]: {_summary(samples)}")

@@ -139,7 +139,13 @@ class DiagnosisResult:
         return place
 
     def as_dict(self) -> dict[str, Any]:
-        """All findings, ready for JSON: the content of report.json."""
+        """All findings, ready for JSON: the content of report.json.
+
+        Returns
+        -------
+        dict
+            As its schema, `report.schema.json`, says.
+        """
         return dict(self._content)
 
     def __repr__(self) -> str:

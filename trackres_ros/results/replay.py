@@ -126,7 +126,13 @@ class ReplayResult(SeriesResult):
         return file
 
     def as_dict(self) -> dict[str, Any]:
-        """The summary, ready for JSON: what was read, what was found wrong, and how the estimate ended."""
+        """The summary of reading and estimate, ready for JSON.
+
+        Returns
+        -------
+        dict
+            What was read, what was found wrong, and how the estimate ended.
+        """
         return summary(self._replayed, self.name, self.notes, self.findings)
 
     def __repr__(self) -> str:

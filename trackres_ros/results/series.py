@@ -76,7 +76,10 @@ class SeriesResult(Mapping[str, Array]):
     def to_pandas(self) -> pd.DataFrame:
         """A pandas DataFrame over `time_s`, the other columns as they are named here.
 
-        Its `attrs` hold the vehicle, and under ``units`` the unit of each column.
+        Returns
+        -------
+        pandas.DataFrame
+            Its `attrs` hold the vehicle, and under ``units`` the unit of each column.
 
         Raises
         ------
@@ -97,6 +100,11 @@ class SeriesResult(Mapping[str, Array]):
 
         ``belt_degc`` is then one variable of shape (times, assemblies). Where the whole vehicle has a column of the same name,
         that of the assemblies is called ``assembly_resistance_torque_nm``.
+
+        Returns
+        -------
+        xarray.Dataset
+            Its `attrs` hold the vehicle.
 
         Raises
         ------

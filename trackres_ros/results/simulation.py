@@ -94,14 +94,26 @@ class SimulationResult(SeriesResult):
         return file
 
     def points(self) -> list[dict[str, float]]:
-        """All columns at a few times, for a summary."""
+        """All columns at a few times, for a summary.
+
+        Returns
+        -------
+        list of dict of str to float
+            One row for each time, by column.
+        """
         time = self.time_s
         at_times = [t for t in SUMMARY_TIMES_S if t <= time[-1]] or [float(time[-1])]
         rows = [min(int(np.searchsorted(time, t - 1e-9)), len(time) - 1) for t in at_times]
         return [{name: float(values[row]) for name, values in self.items()} for row in rows]
 
     def as_dict(self) -> dict[str, Any]:
-        """The summary, ready for JSON."""
+        """The summary, ready for JSON.
+
+        Returns
+        -------
+        dict
+            Names of vehicle and methods, the number of rows, and `points`.
+        """
         return {
             "vehicle": self.vehicle.name,
             "method": self.vehicle.hysteresis,
