@@ -1,4 +1,4 @@
-"""From a row of results to messages: values as they stand on the wire, the way of the feed-forward, and the pace of both."""
+"""Turns rows of results into messages: the values as they stand on the wire, and the feed-forward at its largest rate."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is to be remarked about the running node: ages, rates, refusals, who publishes, and reasons of the last second."""
+"""Watches the running node: ages, rates, refusals, publishers, and the reasons of the last second become remarks."""
 
 from __future__ import annotations
 
