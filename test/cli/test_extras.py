@@ -130,7 +130,7 @@ del some
 try:
     threading.Event().wait(60.0)
 except KeyboardInterrupt:
-    entry.taken()
+    entry.interrupt_handled()
     os.kill(os.getpid(), signal.SIGINT)
     print("taken")
 """
@@ -149,7 +149,7 @@ entry.insist()
 try:
     exec("import os, signal, threading; os.kill(os.getpid(), signal.SIGINT); threading.Event().wait(60.0)")
 except KeyboardInterrupt:
-    entry.taken()
+    entry.interrupt_handled()
     sys.exit(entry.INTERRUPTED)
 """
 

@@ -16,8 +16,11 @@ from trackres_ros.diagnosis.findings.change_points import changes
 from trackres_ros.diagnosis.findings.next_drives import menu
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.inference.noise import MOST_LAGS, Noise, estimate_noise, whitened
-from trackres_ros.diagnosis.prepare.gate import SHORTEST_MOVING_S, SHORTEST_S, SLOWEST_MPS, STEP_S, gate, split
+from trackres_ros.diagnosis.prepare.gate import SHORTEST_MOVING_S, gate
+from trackres_ros.diagnosis.prepare.refuse import SHORTEST_S
 from trackres_ros.diagnosis.prepare.session import Course
+from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS, STEP_S
+from trackres_ros.diagnosis.prepare.split import split
 from trackres_ros.diagnosis.selection import screening
 from trackres_ros.diagnosis.selection.form_error import FORM_ERROR, other_forms
 from trackres_ros.diagnosis.selection.intervals import NORMAL_95, intervals

@@ -153,7 +153,7 @@ def _ros1(compression: str) -> Callable[[Path], None]:
 
 def _table(suffix: str) -> Callable[[Path], None]:
     def write(folder: Path) -> None:
-        from trackres_ros.recording.table import write_table
+        from trackres_ros.output.table import write_table
 
         row = np.arange(ROWS)
         load = np.where(row % LOAD_EVERY == 0, 2e5 + row, np.nan)

@@ -18,7 +18,8 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 
 from trackres_ros.estimator.columns import TEMPERATURE
-from trackres_ros.estimator.estimator import Estimator, State
+from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.estimator.state import State
 from trackres_ros.model.loss_table import loss_table
 from trackres_ros.model.thermal import (
     ThermalNetwork,

@@ -88,7 +88,8 @@ def diagnose(
     from trackres_ros.checks import one_of
     from trackres_ros.diagnosis.base.loading import load_base
     from trackres_ros.diagnosis.pipeline import diagnose, in_order
-    from trackres_ros.recording.recording import ROLES, Recording, base_role
+    from trackres_ros.recording.recording import Recording
+    from trackres_ros.recording.roles import ROLES, base_role
     from trackres_ros.results.diagnosis import DiagnosisResult
 
     for channel in hide:

@@ -32,8 +32,9 @@ from trackres_ros.diagnosis.findings.verdict import MOST_STRAY, Found, Told, Ver
 from trackres_ros.diagnosis.inference.fitting import Fit, Problem, fit
 from trackres_ros.diagnosis.inference.levels import for_tests, with_levels
 from trackres_ros.diagnosis.inference.noise import Noise
-from trackres_ros.diagnosis.prepare.gate import Gated, gate, split
+from trackres_ros.diagnosis.prepare.gate import Gated, gate
 from trackres_ros.diagnosis.prepare.session import Session, Split
+from trackres_ros.diagnosis.prepare.split import split
 from trackres_ros.diagnosis.prepare.torque_checks import (
     aligned_clock,
     check_torque,

@@ -90,7 +90,7 @@ def values_type(names: tuple[str, ...]) -> Any:
     return namedtuple("values", names)
 
 
-class Facts(NamedTuple):
+class VehicleConstants(NamedTuple):
     """What an effect may know of the vehicle, SI; of an assembly where it says so."""
 
     radius: float  # sprocket pitch radius, or of the wheel
@@ -106,7 +106,7 @@ class Facts(NamedTuple):
 class Conditions(NamedTuple):
     """What an effect may look at, at one instant; nan where not known. `conditions` makes it from what is measured."""
 
-    facts: Facts
+    facts: VehicleConstants
     speed: float  # m/s
     accel: float  # m/s^2
     weight: float  # N, whole vehicle
@@ -121,7 +121,7 @@ class Conditions(NamedTuple):
 
 
 def conditions(
-    facts: Facts,
+    facts: VehicleConstants,
     speed: float = 0.0,
     accel: float = 0.0,
     weight: float | None = None,

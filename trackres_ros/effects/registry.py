@@ -17,10 +17,10 @@ from types import ModuleType
 from typing import Any
 
 from trackres_ros import checks
-from trackres_ros.effects.effect import ACTS_ON, BELONGS_TO, Active, Effect, Facts, Parameter, conditions
+from trackres_ros.effects.effect import ACTS_ON, BELONGS_TO, Active, Effect, Parameter, VehicleConstants, conditions
 from trackres_ros.errors import InputError
 
-NOWHERE = Facts(1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
+NOWHERE = VehicleConstants(1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
 ELSEWHERE = {
     "vehicle": "list it under effects of the vehicle file",
     "surroundings": "move it to a file of the surroundings and give that with --surroundings where it holds",

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""One step of one assembly's belt: temperature, and what each cause of doubt makes of it, through the same dynamics.
+"""One step of one assembly's belt: temperature, and what each cause of uncertainty makes of it, through the same dynamics.
 
 The belt state is an array (2, BELT_COLUMNS): its mean, and its surface where that has a temperature of its own. Column 0 is
 the temperature.
@@ -27,7 +27,7 @@ from trackres_ros.effects.stepping import (
     TERM_SOFTENING,
 )
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.columns import BELT_COLUMNS, DOUBT_1, DOUBT_AMBIENT, NOISE_1, NOISE_2, TEMPERATURE
+from trackres_ros.estimator.columns import BELT_COLUMNS, CONSIDER_1, CONSIDER_AMBIENT, NOISE_1, NOISE_2, TEMPERATURE
 from trackres_ros.estimator.constants import Constants
 from trackres_ros.jit.compiled import compiled, inlined
 from trackres_ros.model.loss_table import look_up, look_up_drive
@@ -98,7 +98,7 @@ def surface(k: Constants, i: int, belt: Array, ambient: float, speed: float) -> 
 def belt_variance(belt: Array, of_mean: float, of_surface: float) -> float:
     """Variance [K^2] of of_mean x mean + of_surface x surface."""
     total = 0.0
-    for column in range(DOUBT_1, BELT_COLUMNS):
+    for column in range(CONSIDER_1, BELT_COLUMNS):
         departure = of_mean * belt[0, column] + of_surface * belt[1, column]
         total += departure * departure
     return total
@@ -143,12 +143,12 @@ def advance_belt(
             return math.nan, math.nan
         for cause in range(3):
             forced = (
-                gained * k.assembly[i, at.LOSS_DOUBT + cause]
-                - lost * k.assembly[i, at.COOLING_DOUBT + cause]
-                - rate * k.assembly[i, at.CAPACITY_DOUBT + cause]
+                gained * k.assembly[i, at.CONSIDER_LOSS + cause]
+                - lost * k.assembly[i, at.CONSIDER_COOLING + cause]
+                - rate * k.assembly[i, at.CONSIDER_CAPACITY + cause]
             )
-            belt[0, DOUBT_1 + cause] += mean * (growth * belt[0, DOUBT_1 + cause] + forced)
-        belt[0, DOUBT_AMBIENT] += mean * (growth * belt[0, DOUBT_AMBIENT] + cooling * per_capacity * ambient_std)
+            belt[0, CONSIDER_1 + cause] += mean * (growth * belt[0, CONSIDER_1 + cause] + forced)
+        belt[0, CONSIDER_AMBIENT] += mean * (growth * belt[0, CONSIDER_AMBIENT] + cooling * per_capacity * ambient_std)
         kept = belt[0, NOISE_1] * (1.0 + mean * growth)
         belt[0, NOISE_1] = math.sqrt(kept * kept + k.number.process_noise * k.number.process_noise * dt)
         departure = dt * dt * phi_2(growth * dt) * rate
@@ -167,16 +167,16 @@ def advance_belt(
     belt[1, TEMPERATURE] = outer + dt * (m21 * rate_1 + m22 * rate_2)
     if not k.number.with_doubt:
         return math.nan, math.nan
-    for column in range(DOUBT_1, BELT_COLUMNS):
+    for column in range(CONSIDER_1, BELT_COLUMNS):
         first, second = belt[0, column], belt[1, column]
         slope_1, slope_2 = j11 * first + j12 * second, j21 * first + j22 * second
-        if column < DOUBT_AMBIENT:
-            cause = column - DOUBT_1
-            heating = gained * k.assembly[i, at.LOSS_DOUBT + cause]
-            chilling, holding = lost * k.assembly[i, at.COOLING_DOUBT + cause], k.assembly[i, at.CAPACITY_DOUBT + cause]
+        if column < CONSIDER_AMBIENT:
+            cause = column - CONSIDER_1
+            heating = gained * k.assembly[i, at.CONSIDER_LOSS + cause]
+            chilling, holding = lost * k.assembly[i, at.CONSIDER_COOLING + cause], k.assembly[i, at.CONSIDER_CAPACITY + cause]
             slope_1 += heating - chilling * per_capacity - rate_1 * holding
             slope_2 += heating - chilling * per_skin - rate_2 * holding
-        elif column == DOUBT_AMBIENT:
+        elif column == CONSIDER_AMBIENT:
             slope_1 += cooling * per_capacity * ambient_std
             slope_2 += cooling * per_skin * ambient_std
         belt[0, column] = first + dt * (m11 * slope_1 + m12 * slope_2)
@@ -212,13 +212,13 @@ def correct_belt(belt: Array, measured: float, variance: float, expected: float,
     innovation = measured - expected
     total = belt_variance(belt, of_mean, of_surface) + variance
     gain_1 = gain_2 = 0.0
-    for column in range(DOUBT_1, BELT_COLUMNS):
+    for column in range(CONSIDER_1, BELT_COLUMNS):
         departure = of_mean * belt[0, column] + of_surface * belt[1, column]
         gain_1 += belt[0, column] * departure / total
         gain_2 += belt[1, column] * departure / total
     belt[0, TEMPERATURE] += gain_1 * innovation
     belt[1, TEMPERATURE] += gain_2 * innovation
-    for column in range(DOUBT_1, BELT_COLUMNS):
+    for column in range(CONSIDER_1, BELT_COLUMNS):
         departure = of_mean * belt[0, column] + of_surface * belt[1, column]
         belt[0, column] -= gain_1 * departure
         belt[1, column] -= gain_2 * departure

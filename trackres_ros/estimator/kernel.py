@@ -50,7 +50,7 @@ LONGEST_SUBSTEP = 0.5  # s while rolling
 MOST_SUBSTEPS = 20000
 DISAGREES = 5.0  # standard deviations between measured and expected belt temperature
 FEEDFORWARD_STEP_S = 0.02  # between two outputs at the default rate: so far the feed-forward moves at once, the rest follows
-LEAST_DOUBT = 0.001  # of the resistance: torque transducers are no better (class 0.1), so no estimate is
+LEAST_STD_SHARE = 0.001  # of the resistance: torque transducers are no better (class 0.1), so no estimate is
 
 BELT_UNSURE, DISAGREEING = int(at.Reason.BELT_UNSURE), int(at.Reason.BELT_SENSOR_DISAGREES)
 BRIDGED, UNKNOWN = int(at.Reason.GAP_BRIDGED), int(at.Reason.GAP_UNKNOWN)
@@ -94,7 +94,7 @@ def start(k: Constants, belts: Array, motion: Array, effects: Array, ambient: fl
             for column in range(at.BELT_COLUMNS):
                 belts[i, node, column] = 0.0
             belts[i, node, at.TEMPERATURE] = ambient
-            belts[i, node, at.DOUBT_AMBIENT] = ambient_std
+            belts[i, node, at.CONSIDER_AMBIENT] = ambient_std
             belts[i, node, at.NOISE_1] = k.number.initial_belt_std
     for column in range(at.MOTION_COLUMNS):
         motion[column] = 0.0
@@ -243,13 +243,13 @@ def advance_assembly(k: Constants, i: int, belt: Array, load: float, measured: f
     part[at.PART_HYSTERESIS], part[at.PART_BEARING], part[at.PART_WIND] = own, arm * road.bearing, arm * road.wind
     part[at.PART_GRADE], part[at.PART_INERTIA] = arm * road.uphill, arm * road.inertia
     for cause in range(3):
-        part[at.PART_DOUBT + cause] = (
-            by_temperature * belt[0, at.DOUBT_1 + cause]
-            + unsigned * k.assembly[i, at.LOSS_DOUBT + cause]
-            + doubted * k.assembly[i, at.RADIUS_DOUBT + cause]
+        part[at.PART_CONSIDER + cause] = (
+            by_temperature * belt[0, at.CONSIDER_1 + cause]
+            + unsigned * k.assembly[i, at.CONSIDER_LOSS + cause]
+            + doubted * k.assembly[i, at.CONSIDER_RADIUS + cause]
         )
-    part[at.PART_DOUBT + 3] = doubted * k.assembly[i, at.RADIUS_DOUBT + 3]
-    part[at.PART_DOUBT_AMBIENT] = by_temperature * belt[0, at.DOUBT_AMBIENT]
+    part[at.PART_CONSIDER + 3] = doubted * k.assembly[i, at.CONSIDER_RADIUS + 3]
+    part[at.PART_CONSIDER_AMBIENT] = by_temperature * belt[0, at.CONSIDER_AMBIENT]
     part[at.PART_NOISE] = by_temperature * by_temperature * (belt[0, at.NOISE_1] ** 2 + belt[0, at.NOISE_2] ** 2)
     first = FIRST_OF_ASSEMBLIES + i * COLUMNS_EACH
     out[first + at.PER_BELT] = temperature
@@ -485,7 +485,7 @@ def advance(k: Constants, belts: Array, motion: Array, effects: Array, inputs: I
     wanted, of_feedforward = feedforward(k, motion, total, fed_effects, given_accel, dt)
     variance = (
         total[at.PART_NOISE]
-        + total[at.PART_DOUBT_AMBIENT] ** 2
+        + total[at.PART_CONSIDER_AMBIENT] ** 2
         + (total[at.PART_ARM] * road.rolling_bearing * number.bearing_doubt) ** 2
         + (total[at.PART_WIND] * number.drag_doubt) ** 2
         + work[TERM_VARIANCE]
@@ -493,7 +493,7 @@ def advance(k: Constants, belts: Array, motion: Array, effects: Array, inputs: I
         + work[TERM_GAIN_VARIANCE] * driving**2
     )
     for cause in range(4):
-        variance += total[at.PART_DOUBT + cause] ** 2
+        variance += total[at.PART_CONSIDER + cause] ** 2
     motion[at.FEEDFORWARD] = wanted
     motion[at.LAST_SPEED] = speed
     motion[at.LAST_DRIVE] = driving
@@ -511,7 +511,7 @@ def advance(k: Constants, belts: Array, motion: Array, effects: Array, inputs: I
     out[at.OUT_INERTIA] = total[at.PART_INERTIA]
     out[at.OUT_EFFECTS] = of_effects
     out[at.OUT_DRIVE] = driving
-    out[at.OUT_STD] = max(math.sqrt(variance), LEAST_DOUBT * total[at.PART_UNSIGNED])
+    out[at.OUT_STD] = max(math.sqrt(variance), LEAST_STD_SHARE * total[at.PART_UNSIGNED])
     out[at.OUT_FEEDFORWARD] = wanted
     out[at.OUT_MOTOR] = driving * number.motor_gain
     out[at.OUT_MEASURED] = inputs.measured_torque

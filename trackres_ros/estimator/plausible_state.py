@@ -37,7 +37,7 @@ LARGEST_EFFECT = 1e12  # distance [m], time constant [s], or the state of an eff
 def check_state(estimator: Estimator, belts: Array, motion: Array) -> None:
     """Raise ValueError for belts or a motion that no drive leaves."""
     _within("belt temperatures", belts[:, :, at.TEMPERATURE], *BELT_DEGC)
-    _within("departures of belt temperatures", belts[:, :, at.DOUBT_1 :], -LARGEST_DEPARTURE, LARGEST_DEPARTURE)
+    _within("departures of belt temperatures", belts[:, :, at.CONSIDER_1 :], -LARGEST_DEPARTURE, LARGEST_DEPARTURE)
     speed = SPEED_REACH * estimator.vehicle.chassis.max_speed
     k = estimator.constants.assembly
     torque = TORQUE_REACH * float(k[:, at.NOMINAL_LOAD] @ k[:, at.RADIUS])

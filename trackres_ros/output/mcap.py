@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from trackres_ros.errors import InputError, MissingExtraError
 from trackres_ros.recording.cdr import Template
 from trackres_ros.recording.message_types import Definitions, definitions, message_fields
-from trackres_ros.recording.recording import FloatArray, IntArray
+from trackres_ros.recording.samples import FloatArray, IntArray
 
 CHUNK_BYTES = 2**20
 """Size of a chunk of the MCAP file [bytes]: what a player reads at once."""

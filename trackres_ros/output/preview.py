@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from trackres_ros.estimator.estimator import Steps
+from trackres_ros.estimator.estimate import Steps
 from trackres_ros.units import NANOSECOND
 
 PICTURE_SAMPLES = 8000  # kept for the picture; twice as many are thinned to half

@@ -157,7 +157,7 @@ def stamp_path(types: Definitions, msgtype: str) -> tuple[FieldStep, ...]:
 
 
 def check_field(types: Definitions, msgtype: str, path: str, where: str) -> tuple[FieldStep, ...]:
-    """Return a field path taken apart, after checking that it leads to one number.
+    """Return the steps of a field path, after checking that it leads to one number.
 
     Raises
     ------

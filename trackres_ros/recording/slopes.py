@@ -65,8 +65,8 @@ def slopes(time_s: Array, speed: Array, altitude: Array) -> Array:
 
 def _step(altitude: Array) -> float:
     """The step in which an altitude comes [m]."""
-    apart = np.diff(np.unique(altitude))
-    return float(apart.min()) if len(apart) else 0.0
+    steps = np.diff(np.unique(altitude))
+    return float(steps.min()) if len(steps) else 0.0
 
 
 def _lines(profile: Array, length: float) -> tuple[Array, Array]:

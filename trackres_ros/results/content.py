@@ -25,5 +25,11 @@ class Content(Mapping[str, Any]):
         return len(self._content)
 
     def as_dict(self) -> dict[str, Any]:
-        """All of it, ready for JSON."""
+        """The whole content, ready for JSON.
+
+        Returns
+        -------
+        dict
+            Plain data, with the units in the names.
+        """
         return dict(self._content)

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the model says of one steady state, taken apart."""
+"""What the model says of one steady state: loads, contacts, losses, heat and torque."""
 
 from __future__ import annotations
 
@@ -62,12 +62,12 @@ class OperatingPoint(Content):
     def _repr_html_(self) -> str:
         torques = [(part, decimals(value)) for part, value in self["torque_nm"].items()]
         losses = [(part, decimals(value, 1)) for part, value in self["loss_force_n"].items()]
-        said = [line for line in self._sentences() if line and not line.startswith(("Torque", "Loss"))]
+        sentences = [line for line in self._sentences() if line and not line.startswith(("Torque", "Loss"))]
         first = self["assemblies"][0]
         return panel(
             self._head(),
             table(("torque at the sprockets", "Nm"), torques),
             table((f"loss per metre of {first}", "N"), losses),
             table((f"road wheel of {first}", *WHEEL_HEAD), self._wheels(), ("", *WHEEL_HEAD.values())),
-            *map(paragraph, said),
+            *map(paragraph, sentences),
         )

@@ -12,12 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from trackres_ros.estimator.estimator import Estimator, Steps
+from trackres_ros.estimator.estimate import Steps
+from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.files.output_files import BAG_SUFFIX, output_file
 from trackres_ros.model.resistance import RESISTANCE_PARTS
 from trackres_ros.offline.simulate import Drive, series_of
 from trackres_ros.output.bag import OutputBag
-from trackres_ros.recording.table import write_table
+from trackres_ros.output.table import write_table
 from trackres_ros.results.series import Array, SeriesResult
 from trackres_ros.text.html import panel
 from trackres_ros.text.numbers import decimals
@@ -97,14 +98,26 @@ class SimulationResult(SeriesResult):
         return file
 
     def points(self) -> list[dict[str, float]]:
-        """All columns at a few times, for a summary."""
+        """All columns at a few times, for a summary.
+
+        Returns
+        -------
+        list of dict of str to float
+            One row for each time, by column.
+        """
         time = self.time_s
         at_times = [t for t in SUMMARY_TIMES_S if t <= time[-1]] or [float(time[-1])]
         rows = [min(int(np.searchsorted(time, t - 1e-9)), len(time) - 1) for t in at_times]
         return [{name: float(values[row]) for name, values in self.items()} for row in rows]
 
     def as_dict(self) -> dict[str, Any]:
-        """The summary, ready for JSON."""
+        """The summary, ready for JSON.
+
+        Returns
+        -------
+        dict
+            Names of vehicle and methods, the number of rows, and `points`.
+        """
         return {
             "vehicle": self.vehicle.name,
             "method": self.vehicle.hysteresis,

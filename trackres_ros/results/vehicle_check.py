@@ -30,7 +30,7 @@ class VehicleCheck(Content):
         if self["effects"]:
             lines.append(f"  with {', '.join(self['effects'])}")
         for name, t in self["tracks"].items():
-            table, doubt, data = t["table"], t["uncertainty"], t["rubber_data"]
+            table, uncertainty, data = t["table"], t["uncertainty"], t["rubber_data"]
             ends = zip(data["speed_mps"], data["coldest_degc"], strict=True)
             facts = {
                 "wheel loads": ", ".join(f"{load:.0f}" for load in t["wheel_loads_n"]) + " N",
@@ -40,7 +40,7 @@ class VehicleCheck(Content):
                 "cooled area": f"{t['cooled_area_m2']:.2f} m2",
                 "axial stiffness": f"{t['axial_stiffness_n'] / 1e6:.1f} MN",
                 "tension": f"{t['tension_n']:.0f} N, sag {t['sag_m'] * 1e3:.1f} mm",
-                "one sigma of": ", ".join(f"{k} {v:.0%}" for k, v in doubt.items()) + " (from the ranges in the file)",
+                "one sigma of": ", ".join(f"{k} {v:.0%}" for k, v in uncertainty.items()) + " (from the ranges in the file)",
                 "loss table": f"error at most {table['largest_error']:.3%}, rms {table['rms_error']:.3%} at {table['points']} "
                 f"points, loads {table['load_range_n'][0] / 1e3:.1f} to {table['load_range_n'][1] / 1e3:.1f} kN, "
                 f"ready in {table['seconds']:.2f} s",

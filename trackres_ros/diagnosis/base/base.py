@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from trackres_ros.diagnosis.base.watched import WATCHED, Watched
 from trackres_ros.diagnosis.prepare.session import Session
 from trackres_ros.diagnosis.writing.kept import Kept
-from trackres_ros.effects.effect import Active, Conditions, Facts, Terms, conditions, together
+from trackres_ros.effects.effect import Active, Conditions, Terms, VehicleConstants, conditions, together
 from trackres_ros.effects.stepping import LIMITS, MOST_TORQUE, EffectTable, effect_table
 from trackres_ros.errors import InputError
 
@@ -74,7 +74,7 @@ class Base(Protocol):
         """Whether belts with a temperature are in it."""
 
     @property
-    def facts(self) -> Facts:
+    def facts(self) -> VehicleConstants:
         """What effects may know of the vehicle."""
 
     @property
@@ -143,7 +143,7 @@ class Acting:
     sensors: Terms
 
     @classmethod
-    def of(cls, effects: Sequence[Active], facts: Facts) -> Acting:
+    def of(cls, effects: Sequence[Active], facts: VehicleConstants) -> Acting:
         """Sort effects; what a sensor makes of it hangs on nothing but its parameters."""
         stepped = tuple(active for active in effects if active.effect.acts_on not in ("sensor", WATCHED))
         sensors = [active.terms(conditions(facts)) for active in effects if active.effect.acts_on == "sensor"]
@@ -173,7 +173,7 @@ class Acting:
         later = session.torque_course.means(session.time + terms.sensor_delay, session.step)
         return np.asarray(shown - (later - session.torque))
 
-    def check(self, left_out: Array, session: Session, facts: Facts) -> None:
+    def check(self, left_out: Array, session: Session, facts: VehicleConstants) -> None:
         """Refuse what a user's effect says where it was left out of a step though all that it needs is known.
 
         Raises

@@ -18,7 +18,7 @@ from trackres_ros.diagnosis.base.base import Acting, BaseParameter, Predicted, R
 from trackres_ros.diagnosis.prepare.session import Session
 from trackres_ros.diagnosis.writing.kept import Kept
 from trackres_ros.diagnosis.writing.vehicle_file import finish, opened, set_quantity
-from trackres_ros.effects.effect import Active, Facts
+from trackres_ros.effects.effect import Active, VehicleConstants
 from trackres_ros.effects.sensor.delay import Delay
 from trackres_ros.effects.sensor.torque_gain import TorqueGain
 from trackres_ros.effects.stepping import UNUSABLE, cooled, new_memory, new_work, rest_effects
@@ -113,7 +113,7 @@ class RoadBase:
         self._simulated = Remembered()
         v = vehicle.values
         self.torque_scale, self.rotating_mass_factor = v["torque_scale"], v["rotating_mass_factor"]
-        self.facts = Facts(
+        self.facts = VehicleConstants(
             radius=v["wheel_radius"], weight=v["mass"] * GRAVITY, drag_area=v["drag_area"], air_density=v["air_density"],
             contact_length=v["contact_length"], assemblies=1, cooled_area=0.0, tension=1.0,
         )  # fmt: skip

@@ -31,8 +31,8 @@ from trackres_ros.estimator.constants import (
 from trackres_ros.estimator.entry_points import COMPILED
 from trackres_ros.estimator.kernel import PREDICTED, PREDICTED_BELT, PREDICTED_DRIVE, PREDICTED_OUTCOME, PREDICTED_SKIN
 from trackres_ros.estimator.settings import Settings
-from trackres_ros.model.facts import facts_of
 from trackres_ros.model.thermal import thermal_network
+from trackres_ros.model.vehicle_constants import vehicle_constants
 from trackres_ros.units import GRAVITY
 from trackres_ros.vehicle import Vehicle
 from trackres_ros.vehicle.reading import FITTED
@@ -72,7 +72,7 @@ class TrackBase:
         self._firsts, self._count = _kinds(self._constants)
         self._simulated = Remembered()
         self.includes = tuple(active.effect.name for active in vehicle.active)
-        self.facts = facts_of(vehicle)
+        self.facts = vehicle_constants(vehicle)
         first = vehicle.track_of(vehicle.assemblies[0])
         self.parts = {
             "belt": first.belt.loop_length,

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.inference.fitting import Fit, jacobian
 from trackres_ros.diagnosis.inference.noise import whitened
-from trackres_ros.diagnosis.prepare.gate import SLOWEST_MPS
 from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS
 from trackres_ros.diagnosis.selection.naming import Candidate
 
 Array = NDArray[np.float64]

@@ -11,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.prepare.gate import SLOWEST_MPS, GateSettings
 from trackres_ros.diagnosis.prepare.session import Course, Session
+from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS, GateSettings
 from trackres_ros.diagnosis.prepare.unit_checks import Conversion
 from trackres_ros.errors import InputError
 from trackres_ros.units import KMH_PER_MPS, MAD_TO_STD

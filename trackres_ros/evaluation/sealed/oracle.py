@@ -17,8 +17,9 @@ from trackres_ros.diagnosis.base.base import BaseParameter, Predicted, Values
 from trackres_ros.diagnosis.base.track import TrackBase
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.inference.levels import with_levels
-from trackres_ros.diagnosis.prepare.gate import gate, split
+from trackres_ros.diagnosis.prepare.gate import gate
 from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.diagnosis.prepare.split import split
 from trackres_ros.diagnosis.selection.visibility import LEAST_KEPT, separability
 from trackres_ros.effects import catalogue
 from trackres_ros.effects.effect import Active

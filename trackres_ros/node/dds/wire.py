@@ -181,11 +181,11 @@ def open_domain(number: int) -> str:
     CYCLONEDDS_URI counts where it is set, then ROS_LOCALHOST_ONLY and ROS_AUTOMATIC_DISCOVERY_RANGE as in ROS 2.
     """
     if os.environ.get("CYCLONEDDS_URI"):
-        said, configuration = "as CYCLONEDDS_URI says", None
+        reach, configuration = "as CYCLONEDDS_URI says", None
     elif os.environ.get("ROS_LOCALHOST_ONLY") == "1" or os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE") == "LOCALHOST":
-        said, configuration = "on this machine only", LOOPBACK.format(most=most_index(number))
+        reach, configuration = "on this machine only", LOOPBACK.format(most=most_index(number))
     else:
-        said, configuration = "on all networks", None
+        reach, configuration = "on all networks", None
     if number not in _domains and configuration:
         _domains[number] = Domain(number, configuration)
-    return said
+    return reach

@@ -14,7 +14,7 @@ import pytest
 import waiting
 from waiting import Pace, kept_waiting_s, wait_for, work_s
 
-HERE = Path(__file__).parent
+TESTS = Path(__file__).parents[1]
 BUSY = "import time\nend = time.process_time() + 1.0\nwhile time.process_time() < end: pass\nopen({!r}, 'w').close()\ninput()"
 
 
@@ -86,9 +86,9 @@ def test_a_pace_is_kept_over_what_takes_longer():
 
 def test_nothing_else_sleeps_in_tests_of_processes():
     found = [
-        f"{path.relative_to(HERE)}: {line.strip()}"
+        f"{path.relative_to(TESTS)}: {line.strip()}"
         for folder in ("processes", "dds", "cli")
-        for path in sorted((HERE / folder).glob("*.py"))
+        for path in sorted((TESTS / folder).glob("*.py"))
         for line in path.read_text().splitlines()
         if path.name != "waiting.py" and re.search(r"\bsleep\(", line)
     ]

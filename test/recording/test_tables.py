@@ -16,9 +16,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from trackres_ros.errors import InputError, MissingExtraError
+from trackres_ros.output.table import TableWriter, write_table
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.recording import Recording
-from trackres_ros.recording.table import TableSource, TableWriter, write_table
+from trackres_ros.recording.table import TableSource
 
 try:  # a pyarrow that does not fit the installed numpy raises ImportError too
     import pyarrow as pa

@@ -23,12 +23,13 @@ from trackres_ros.cli.main import main
 from trackres_ros.errors import InputError
 from trackres_ros.offline import summary as replay_report
 from trackres_ros.offline.summary import KeptSource
+from trackres_ros.output.table import write_table
 from trackres_ros.recording import unpacking
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.reading import OWN_FAULT, reading
 from trackres_ros.recording.recording import Recording
-from trackres_ros.recording.table import MAX_ROW_BYTES, TableSource, write_table
+from trackres_ros.recording.table import MAX_ROW_BYTES, TableSource
 
 TWIST = "geometry_msgs/msg/TwistStamped"
 FLOATS = "std_msgs/msg/Float64MultiArray"
@@ -180,7 +181,7 @@ def test_what_any_library_raises_is_one_line_with_its_cause(error, says):
 def test_a_fault_of_our_own_is_said_to_be_one(tmp_path, monkeypatch):
     path = tmp_path / "run.csv"
     path.write_bytes(CSV)
-    monkeypatch.setattr("trackres_ros.recording.table._chosen", lambda *_: 1 // 0)
+    monkeypatch.setattr("trackres_ros.recording.table.choose_columns", lambda *_: 1 // 0)
     with pytest.raises(ZeroDivisionError):  # outside of reading a fault stays what it is
         TableSource(path)
     monkeypatch.setattr("trackres_ros.recording.table.re.split", lambda *_, **__: [])

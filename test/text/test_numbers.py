@@ -15,7 +15,7 @@ from trackres_ros.text.numbers import alike, decimals, figures
 
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False)
 BELOW_A_MILLION = st.floats(-999_499.0, 999_499.0)
-PACKAGE = Path(__file__).resolve().parents[1] / "trackres_ros"
+PACKAGE = Path(__file__).resolve().parents[2] / "trackres_ros"
 FEW_FIGURES = re.compile(r":[-+ #0-9,]*\.[1-5]g\}")
 
 

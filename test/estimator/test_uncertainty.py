@@ -16,12 +16,12 @@ import numpy as np
 import pytest
 
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.estimator.kernel import LEAST_DOUBT
+from trackres_ros.estimator.kernel import LEAST_STD_SHARE
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.estimator.uncertainty import REFERENCE_SPEED_SHARE, spread
 from trackres_ros.model import belt as belt_model
 from trackres_ros.model.track import with_methods
-from trackres_ros.vehicle import Vehicle, variants
+from trackres_ros.vehicle import Vehicle, load, variants
 
 CERTAIN = Settings(initial_belt_std_k=0.0, process_noise_k=0.0, ambient_std_k=0.0, ambient_unknown_std_k=0.0)
 BELT = "tracks.triangular.belt"
@@ -37,6 +37,17 @@ ALL = (
 )
 TIME_S = np.arange(0.0, 3000.0, 0.5)
 STEP = 0.2  # of a standard deviation
+
+
+@pytest.fixture(scope="module")
+def xgd24d() -> Vehicle:
+    return load("xgd24d")
+
+
+@pytest.fixture(scope="module", params=["xgd24d", "agri3t"])
+def vehicle(request: pytest.FixtureRequest) -> Vehicle:
+    """Each shipped vehicle in turn."""
+    return load(request.param)
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +88,7 @@ def by_differences(vehicle: Vehicle, cache: Path, paths: Collection[str], speed:
 
 def at_least(expected: np.ndarray, carried: dict[str, np.ndarray], column: str) -> np.ndarray:
     """A standard deviation of the torque is never less than what a torque transducer is off by."""
-    return np.maximum(expected, LEAST_DOUBT * carried["resistance_torque_nm"]) if column == "resistance_std_nm" else expected
+    return np.maximum(expected, LEAST_STD_SHARE * carried["resistance_torque_nm"]) if column == "resistance_std_nm" else expected
 
 
 def reference_speed(vehicle: Vehicle) -> float:
@@ -93,7 +104,7 @@ def reference_speed(vehicle: Vehicle) -> float:
         ("rubber.loss_modulus_scale", 0.03),
     ],
 )
-def test_the_doubt_of_one_quantity_is_the_change_it_makes(xgd24d: Vehicle, cache: Path, path: str, tolerance: float) -> None:
+def test_uncertainty_of_one_quantity_is_the_change_it_makes(xgd24d: Vehicle, cache: Path, path: str, tolerance: float) -> None:
     speed = reference_speed(xgd24d)
     carried = drive(with_open_ranges(xgd24d, [path]), cache, speed)
     for ours, column in (("belt_std_k/front_left", "belt_degc/front_left"), ("resistance_std_nm", "resistance_torque_nm")):
@@ -103,7 +114,7 @@ def test_the_doubt_of_one_quantity_is_the_change_it_makes(xgd24d: Vehicle, cache
 
 
 @pytest.mark.parametrize("thermal", ["lumped", "core_surface"])
-def test_the_doubt_of_many_quantities_adds_in_squares(xgd24d: Vehicle, cache: Path, thermal: str) -> None:
+def test_the_uncertainty_of_many_quantities_adds_in_squares(xgd24d: Vehicle, cache: Path, thermal: str) -> None:
     vehicle = with_methods(xgd24d, thermal=thermal)
     paths = [path for path in ALL if thermal == "lumped" or not path.endswith("exposed_share")]  # which moves K as well
     carried = drive(with_open_ranges(vehicle, paths), cache, reference_speed(vehicle))
@@ -115,21 +126,21 @@ def test_the_doubt_of_many_quantities_adds_in_squares(xgd24d: Vehicle, cache: Pa
 def test_a_certain_vehicle_is_certain(xgd24d: Vehicle, cache: Path) -> None:
     certain = drive(with_open_ranges(xgd24d, []), cache, 10.0)
     assert certain["belt_std_k/front_left"].max() < 1e-3
-    assert certain["resistance_std_nm"] == pytest.approx(LEAST_DOUBT * certain["resistance_torque_nm"], rel=1e-6)
+    assert certain["resistance_std_nm"] == pytest.approx(LEAST_STD_SHARE * certain["resistance_torque_nm"], rel=1e-6)
 
 
-def test_the_doubt_of_the_ambient_temperature(xgd24d: Vehicle, cache: Path) -> None:
+def test_the_uncertainty_of_the_ambient_temperature(xgd24d: Vehicle, cache: Path) -> None:
     """An offset of the ambient temperature that was there from the start."""
     offset = 0.5
-    doubtful = drive(with_open_ranges(xgd24d, []), cache, 10.0, replace(CERTAIN, ambient_std_k=offset))
+    uncertain = drive(with_open_ranges(xgd24d, []), cache, 10.0, replace(CERTAIN, ambient_std_k=offset))
     ends = [drive(xgd24d, cache, 10.0, ambient=15.0 + sign * offset) for sign in (1, -1)]
     for ours, column in (("belt_std_k/front_left", "belt_degc/front_left"), ("resistance_std_nm", "resistance_torque_nm")):
-        assert doubtful[ours] == pytest.approx(
-            at_least(np.abs(ends[0][column] - ends[1][column]) / 2, doubtful, ours), rel=0.01, abs=1e-3
+        assert uncertain[ours] == pytest.approx(
+            at_least(np.abs(ends[0][column] - ends[1][column]) / 2, uncertain, ours), rel=0.01, abs=1e-3
         )
 
 
-def test_doubt_of_the_start_fades(xgd24d: Vehicle, cache: Path) -> None:
+def test_uncertainty_of_the_start_fades(xgd24d: Vehicle, cache: Path) -> None:
     """A belt that was 5 K warmer or colder is forgotten as the drive goes on; random departures stay bounded."""
     started = drive(with_open_ranges(xgd24d, []), cache, 10.0, replace(CERTAIN, initial_belt_std_k=5.0))["belt_std_k/front_left"]
     assert started[0] == pytest.approx(5.0, rel=1e-3)

@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +21,7 @@ pytest.importorskip("rosbags")
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
-DEFAULT = Path(__file__).resolve().parents[1] / ".." / "shared" / "data" / "real"
+DEFAULT = Path(__file__).resolve().parents[3] / "shared" / "data" / "real"
 BAG = Path(os.environ.get("TRACKRES_REAL_DATA", DEFAULT)) / "rosbag_gps_vehicle" / "bag"
 
 pytestmark = pytest.mark.skipif(not BAG.is_dir(), reason=f"no recording at {BAG}; set TRACKRES_REAL_DATA to its folder")
@@ -64,11 +62,9 @@ def test_there_is_no_torque(recording: Recording) -> None:
     assert "torque" not in recording.aligned()
 
 
-def test_it_replays_as_it_is(tmp_path: Path) -> None:
+def test_it_replays_as_it_is(tmp_path: Path, good: Any) -> None:
     """Header stamps two months off, quantised speed and drops to 0: the estimate goes through, and what was met is said."""
-    command = [sys.executable, "-m", "trackres_ros", "replay", str(BAG), "--vehicle", "agri3t", "-o", str(tmp_path / "out.csv")]
-    done = subprocess.run([*command, "--json"], capture_output=True, text=True, check=True)
-    report = json.loads(done.stdout)
+    report = json.loads(good("replay", BAG, "--vehicle", "agri3t", "-o", tmp_path / "out.csv", "--json"))
     assert report["steps"] == report["counters"]["speed"]["accepted"] == 2143
     assert {"stamp_offset", "dropout"} <= {finding["kind"] for finding in report["findings"]}
     assert any("guessed" in note for note in report["notes"])

@@ -40,7 +40,7 @@ print(json.dumps([first, said, compiled, max(abs(a - b) for a, b in pairs)]))
 def run(cache, repository, how):
     """Run it; `wait` until it has changed over, as long as the compiling process computes, or not."""
     environment = {**os.environ, "XDG_CACHE_HOME": str(cache)}
-    command = [sys.executable, "-c", PROGRAM, *(str(repository / "test" / of) for of in ("live", "processes")), how]
+    command = [sys.executable, "-c", PROGRAM, *(str(repository / "test" / of) for of in ("node", "processes")), how]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
     return json.loads(done.stdout.splitlines()[-1])
 

@@ -1,10 +1,11 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What signals ask of the running node: to stop, to save its state, to start cold.
+"""Requests that come to the running node as signals: to stop, to save its state, to start cold.
 
-They are listened to from the very start, while libraries are still being loaded, and done once the node can: nothing is broken
-off in the middle, and none ends the process without a word. So this imports nothing of the package.
+Signals are listened to from the very start, while libraries are still being loaded, and each request is carried out once the node
+can: no work is broken off in the middle, and no signal ends the process without a line of text. So this imports nothing of the
+package.
 """
 
 from __future__ import annotations
@@ -26,8 +27,8 @@ SAVE, RESET = signal.SIGUSR1, signal.SIGUSR2
 WHAT: dict[int, str] = {SAVE: "the state is saved", RESET: "the estimate starts cold", **dict.fromkeys(STOP, "it ends")}
 
 
-class Asked:
-    """Listens to signals."""
+class SignalRequests:
+    """Listens to signals, and carries out what they request."""
 
     def __init__(self) -> None:
         self.to_stop = False
@@ -40,11 +41,11 @@ class Asked:
             signal.signal(number, self._take)
 
     def started(self) -> None:
-        """The node runs: what is asked from now on is done at once."""
+        """The node runs: what is requested from now on is carried out at once."""
         self._starting = False
 
-    def answers(self, application: Application) -> Iterator[tuple[Level, str]]:
-        """Do what was asked for, and say what was done."""
+    def carry_out(self, application: Application) -> Iterator[tuple[Level, str]]:
+        """Carry out what was requested; the level and text of each result, for the log."""
         if not self._waiting:
             return
         from trackres_ros.errors import InputError
@@ -64,9 +65,9 @@ class Asked:
         else:
             self._waiting.append(number)
         if self._starting:  # written past any buffer, as the main program may be writing right now
-            said = f"trackres: {signal.Signals(number).name} while starting: {WHAT[number]} as soon as it has started\n"
-            os.write(sys.__stderr__.fileno() if sys.__stderr__ else 2, said.encode())
+            text = f"trackres: {signal.Signals(number).name} while starting: {WHAT[number]} as soon as it has started\n"
+            os.write(sys.__stderr__.fileno() if sys.__stderr__ else 2, text.encode())
 
 
-ASKED = Asked()
-"""Of this process: signals are."""
+REQUESTS = SignalRequests()
+"""Those of this process, as signals are."""

@@ -12,7 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trackres_ros.recording.recording import ROLES, Block, Finding, FloatArray, IntArray, Recording, base_role
+from trackres_ros.recording.recording import Recording
+from trackres_ros.recording.roles import ROLES, base_role
+from trackres_ros.recording.samples import Block, Finding, FloatArray, IntArray
 
 S = 10**9
 

@@ -36,13 +36,13 @@ PRINTING = {
     "trackres_ros.model.resistance": "the parts of a torque, by name",
 }
 STARTED_BY = {  # commands that start an application of their own, and import it
-    "entry.py": {"trackres_ros.node.asked"},
+    "entry.py": {"trackres_ros.node.signals"},
     "live.py": {
         "trackres_ros.node", "trackres_ros.node.ros.main", "trackres_ros.node.dds.node", "trackres_ros.node.parameters",
         "trackres_ros.files.yamls", "trackres_ros.files.output_files",
     },
     "live_json.py": {"trackres_ros.node.report"},
-    "live_table.py": {"trackres_ros.node.edge", "trackres_ros.node.report", "trackres_ros.recording.recording"},
+    "live_table.py": {"trackres_ros.node.edge", "trackres_ros.node.report", "trackres_ros.recording.roles"},
     "play.py": {"trackres_ros.node.dds.player"},
     "prove.py": {"trackres_ros.evaluation"},
     "reproduce.py": {"trackres_ros.evaluation.reproduce"},
@@ -214,7 +214,7 @@ def test_a_recording_gives_its_samples_in_the_order_they_were_read(sample, drive
 
 
 def test_a_recording_made_by_hand_is_replayed_with_speed_last(vehicle):
-    from trackres_ros.recording.recording import Series
+    from trackres_ros.recording.samples import Series
 
     when = np.arange(3) * 1_000_000_000
     series = {"speed": Series(when, when, np.array([1.0, 2.0, 3.0])), "ambient": Series(when, when, np.array([5.0, 6.0, 7.0]))}

@@ -1,19 +1,19 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What effects may know of a track vehicle."""
+"""The constants of a track vehicle that effects may use."""
 
 from __future__ import annotations
 
-from trackres_ros.effects.effect import Facts
+from trackres_ros.effects.effect import VehicleConstants
 from trackres_ros.model.belt import cooled_area
 from trackres_ros.vehicle import Vehicle
 
 
-def facts_of(vehicle: Vehicle) -> Facts:
-    """Facts of a track vehicle; of its first kind of track where there are several."""
+def vehicle_constants(vehicle: Vehicle) -> VehicleConstants:
+    """The constants of a track vehicle; of its first kind of track where there are several."""
     chassis, first = vehicle.chassis, vehicle.track_of(vehicle.assemblies[0])
-    return Facts(
+    return VehicleConstants(
         radius=first.sprocket_radius,
         weight=vehicle.weight,
         drag_area=chassis.drag_coefficient * chassis.frontal_area,

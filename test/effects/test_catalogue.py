@@ -17,7 +17,7 @@ from trackres_ros.effects.effect import conditions as known_conditions
 from trackres_ros.effects.stepping import FIRST_OWN, effect_table, is_compiled, look, new_memory, new_work, step_effects
 from trackres_ros.effects.vehicle.payne import EXPONENT
 from trackres_ros.errors import InputError
-from trackres_ros.model.facts import facts_of
+from trackres_ros.model.vehicle_constants import vehicle_constants
 from trackres_ros.vehicle import load
 
 NAMES = [
@@ -31,10 +31,24 @@ OF_SURROUNDINGS = {"grade", "grade_profile", "headwind", "rain", "soft_ground", 
 OF_SENSORS = {"delay", "speed_scale", "torque_gain", "torque_offset"}
 CATALOGUE = catalogue()
 
+SQUEAK = """
+from trackres_ros.effects import Effect, Parameter, Terms
+
+class Squeak(Effect):
+    name = "squeak"
+    acts_on = "torque"
+    belongs_to = "vehicle"
+    text = "something squeaks"
+    parameters = (Parameter("torque", "Nm", 0.0, 100.0, 10.0, "of it", off=0.0),)
+
+    def terms(self, at, p):
+        return Terms(torque=p.torque * at.direction)
+"""
+
 
 def conditions(**changed):
     known = {"speed": 5.0, "accel": 0.2, "weight": 250e3, "ambient": 10.0, "yaw_rate": 0.1, "heading": 0.5, "distance": 900.0}
-    return known_conditions(facts_of(load("xgd24d")), **{**known, "drive_torque": 3000.0, "own": 12.0, **changed})
+    return known_conditions(vehicle_constants(load("xgd24d")), **{**known, "drive_torque": 3000.0, "own": 12.0, **changed})
 
 
 def terms_of(effect, at, values=None):
@@ -86,7 +100,7 @@ def test_a_typical_effect_does_what_it_says_it_acts_on(name):
 def test_the_step_runs_what_the_file_says_as_machine_code(name):
     active = Active(CATALOGUE[name], CATALOGUE[name].values())
     assert is_compiled(active.effect)
-    facts, table, memory = facts_of(load("xgd24d")), effect_table([active]), new_memory(1)
+    facts, table, memory = vehicle_constants(load("xgd24d")), effect_table([active]), new_memory(1)
     work = new_work(facts)
     for speed in (-3.0, 0.0, 0.2, 6.0, 13.0):
         at = conditions(speed=speed)
@@ -124,7 +138,7 @@ def table_of(folder, constant, more=""):
 
 def torque_by(table):
     gc.collect()
-    memory, work = new_memory(1), new_work(facts_of(load("xgd24d")))
+    memory, work = new_memory(1), new_work(vehicle_constants(load("xgd24d")))
     look(work, *conditions()[1:9])
     assert step_effects(table.rows, table.values, memory, work, 0.0) == 0
     return work[0]
@@ -143,7 +157,7 @@ def test_what_cannot_be_compiled_runs_as_long_as_a_table_has_its_address(tmp_pat
 def test_an_effects_own_state_follows_its_target_exactly_and_from_anywhere():
     tyres = CATALOGUE["roadwheel_tyres"]
     active = Active(tyres, {**tyres.values(), "rise": 2.0, "time_constant": 300.0})
-    facts, table, memory = facts_of(load("xgd24d")), effect_table([active]), new_memory(1)
+    facts, table, memory = vehicle_constants(load("xgd24d")), effect_table([active]), new_memory(1)
     work = new_work(facts)
     for i in range(100):
         look(work, *conditions(speed=5.0, ambient=10.0)[1:9])
@@ -246,10 +260,10 @@ def test_what_is_typical_grows_with_the_vehicle():
     assert catalogue(size=0.5 * REFERENCE_NM)["headwind"].parameters == CATALOGUE["headwind"].parameters
 
 
-def test_an_effect_of_the_users_own_joins_the_catalogue(tmp_path, squeak):
-    (tmp_path / "squeak.py").write_text(squeak)
+def test_an_effect_of_the_users_own_joins_the_catalogue(tmp_path):
+    (tmp_path / "squeak.py").write_text(SQUEAK)
     assert set(catalogue(tmp_path)) == {*NAMES, "squeak"}
-    (tmp_path / "again.py").write_text(squeak.replace('"squeak"', '"grade"'))
+    (tmp_path / "again.py").write_text(SQUEAK.replace('"squeak"', '"grade"'))
     with pytest.raises(InputError, match="no other effect"):
         catalogue(tmp_path)
     with pytest.raises(InputError, match="Python files"):
@@ -271,9 +285,9 @@ def test_an_effect_of_the_users_own_joins_the_catalogue(tmp_path, squeak):
         ("class Squeak", "raise SystemExit(0)\n\nclass Squeak", "SystemExit"),
     ],
 )
-def test_an_effect_of_the_users_own_that_is_not_right_is_refused(tmp_path, squeak, was, becomes, said):
-    assert was in squeak
-    (tmp_path / "squeak.py").write_text(squeak.replace(was, becomes))
+def test_an_effect_of_the_users_own_that_is_not_right_is_refused(tmp_path, was, becomes, said):
+    assert was in SQUEAK
+    (tmp_path / "squeak.py").write_text(SQUEAK.replace(was, becomes))
     with pytest.raises(InputError, match=said):
         catalogue(tmp_path)
 
