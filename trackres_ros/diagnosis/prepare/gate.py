@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.prepare.session import Course, Session, Split
+from trackres_ros.diagnosis.prepare.speed_smoothing import smooth_speed
 from trackres_ros.diagnosis.prepare.unit_checks import Conversion, check_speed_unit, check_units
 from trackres_ros.errors import InputError
 from trackres_ros.recording.recording import Recording, Series
@@ -18,9 +19,7 @@ from trackres_ros.units import KMH_PER_MPS
 Array = NDArray[np.float64]
 
 STEP_S = 1.0  # mean torque over a step against the change of speed over it: exact, whatever happens within
-EDGE_S = 0.1  # the speed at the edge of a step is the mean within so much of it
-SLOWEST_FOR_NOISE_S, FEWEST_FOR_NOISE = 0.25, 100
-SECOND_DIFFERENCE = 6.0  # variance of a second difference over that of the noise
+FEWEST_FOR_SPACING = 100
 SLOWEST_MPS, SLOWEST_SHARE = 0.3, 0.1  # of the greatest speed; below both friction may be static
 LONGEST_HOLD_S = 2.0  # of speed and torque over a gap
 SHORTEST_S, SHORTEST_MOVING_S = 120.0, 60.0
@@ -232,7 +231,7 @@ def _filled(at: Array, value: Array) -> list[tuple[float, float]]:
 def _without_value(series: Series, start: int, edges: Array) -> NDArray[np.bool_]:
     """Steps in a gap of a series that is long beside its usual spacing, or before or after all of it by as much."""
     at, _ = _ordered(series, start)
-    if len(at) < FEWEST_FOR_NOISE:
+    if len(at) < FEWEST_FOR_SPACING:
         return np.zeros(len(edges) - 1, dtype=bool)
     longest = max(LONGEST_UNKNOWN_S, UNUSUAL_SPACING * float(np.median(np.diff(at))))
     around = np.concatenate(([edges[0] - 0.5 * longest], at, [edges[-1] + 0.5 * longest]))
@@ -268,7 +267,8 @@ def _session(
     edges = np.arange(0.0, speed_at[-1] + 1e-9, STEP_S)
     count = len(edges) - 1
     notes += check_units(recording.name, series, vehicle.weight)
-    at_edges = _mean_around(speed_at, raw_speed, edges)
+    smoothed = smooth_speed(speed_at, raw_speed, edges, LONGEST_HOLD_S)
+    at_edges = smoothed.speed if smoothed else np.interp(edges, speed_at, raw_speed)
     speed, known = _means(speed_at, raw_speed, edges)
     if "torque" in torques:
         torques = ["torque"]
@@ -284,7 +284,7 @@ def _session(
         return _held(series[role], start, edges, default) if role in series else np.full(count, default)
 
     given = frozenset(role for role in CHANNEL_OF if role in series and np.isfinite(series[role].value).any())
-    accel, accel_noise = np.diff(at_edges) / STEP_S, _accel_noise(speed_at, raw_speed)
+    accel, accel_noise = np.diff(at_edges) / STEP_S, smoothed.typical_change_std / STEP_S if smoothed else 0.0
     way = series.get("distance")
     by_way = np.diff(np.interp(edges, *_ordered(way, start))) / STEP_S if way and np.isfinite(way.value).any() else None
     check_speed_unit(recording.name, speed, accel, held("accel", np.nan) if "accel" in given else None, by_way)
@@ -426,30 +426,6 @@ def _means(at: Array, value: Array, edges: Array) -> tuple[Array, NDArray[np.boo
     after = np.clip(np.searchsorted(at, middle), 1, len(at) - 1)
     known = (at[after] - at[after - 1] <= LONGEST_HOLD_S) & (middle <= at[-1]) & (middle >= at[0])
     return Course.of(at, value).means(edges[:-1], STEP_S), known
-
-
-def _mean_around(at: Array, value: Array, edges: Array) -> Array:
-    """Mean within `EDGE_S` of each edge, or the value there by interpolation."""
-    total = np.concatenate(([0.0], np.cumsum(value)))
-    first, last = np.searchsorted(at, edges - EDGE_S), np.searchsorted(at, edges + EDGE_S, side="right")
-    balanced = np.minimum(edges - at[0], at[-1] - edges) >= EDGE_S
-    many = (last - first >= 4) & balanced
-    return np.where(many, (total[last] - total[first]) / np.maximum(last - first, 1), np.interp(edges, at, value))
-
-
-def _accel_noise(at: Array, value: Array) -> float:
-    """Standard deviation of what noise of the speed makes of the acceleration over a step [m/s^2].
-
-    Second differences from one sample to the next show noise, where samples come faster than a vehicle changes its mind;
-    slower ones tell nothing, and 0 is given.
-    """
-    spacing = float(np.median(np.diff(at)))
-    if spacing > SLOWEST_FOR_NOISE_S or len(value) < FEWEST_FOR_NOISE:
-        return 0.0
-    second = np.abs(value[2:] - 2.0 * value[1:-1] + value[:-2])
-    noise = float(np.sqrt(np.mean(np.minimum(second, np.percentile(second, 95.0)) ** 2) / SECOND_DIFFERENCE))
-    averaged = 2.0 * EDGE_S / spacing
-    return float(np.sqrt(2.0) * noise / np.sqrt(averaged if averaged >= 4.0 else 1.0) / STEP_S)
 
 
 def _held(series: Series, start: int, edges: Array, default: float) -> Array:
