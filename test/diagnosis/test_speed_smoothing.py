@@ -1,15 +1,22 @@
 """The smoothed speed: what it is off is what it says, whatever the sensor rounds, repeats, loses or shows at rest."""
 
+import json
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from trackres_ros.diagnosis import diagnose, read_recordings
+from trackres_ros.diagnosis.findings.residual_sources import residual_sources
+from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.prepare import gate as gate_module
 from trackres_ros.diagnosis.prepare.gate import gate
+from trackres_ros.diagnosis.prepare.sample_noise import noise_of_means
 from trackres_ros.diagnosis.prepare.speed_smoothing import SmoothedSpeed, at_rest, rounding_step, smooth_speed, without_repeats
+from trackres_ros.diagnosis.report.content import report
+from trackres_ros.evaluation.synthetic import STEP_S, TORQUE_NOISE_NM
 
 GAP_S = 2.0
 
@@ -238,16 +245,69 @@ def test_a_recorded_acceleration_stays_what_it_is(recorded, loaded):
     )
 
 
-def test_the_residual_of_a_coarse_speed_falls(recorded, loaded, monkeypatch):
+@pytest.mark.parametrize(
+    ("name", "parameter"), [("rotating_inertia", "factor"), ("torque_gain", "error"), ("drivetrain_efficiency", "efficiency")]
+)
+def test_what_looks_like_an_inertia_is_found_at_its_true_size(name, parameter, recorded, loaded, effects):
+    """What a smoothed speed is off does not vary with what it is said to be, so it takes nothing off a slope."""
+    recordings = [coarse(r) for r in read_recordings(recorded(name), None)]
+    sessions = gate(recordings, loaded.known).sessions
+    found = fit(Problem(loaded.base, sessions, tuple(s.used for s in sessions)), [effects[name]])
+    true = effects[name].values()[parameter]
+    assert found.effects[0].values[parameter] == pytest.approx(true, abs=max(0.006, 3.5 * found.std_of(name, parameter)))
+
+
+def test_the_residual_of_a_coarse_speed_falls(recorded, loaded, check_form, monkeypatch):
     recordings = [coarse(r) for r in read_recordings(recorded(), None)]
 
-    def left():
-        found = diagnose(recordings, loaded, quick=True)
-        used = [(s.torque - p.torque)[s.used] for s, p in zip(found.gated.sessions, found.refitted.predicted, strict=True)]
-        return np.concatenate(used).std(), found
+    def left(sessions, predicted):
+        return np.concatenate([(s.torque - p.torque)[s.used] for s, p in zip(sessions, predicted, strict=True)]).std()
 
-    smooth, found = left()
+    found = diagnose(recordings, loaded, quick=True)
+    smooth = left(found.gated.sessions, found.refitted.predicted)
     monkeypatch.setattr(gate_module, "smooth_speed", unsmoothed)
-    rough, _ = left()
+    sessions = gate(recordings, loaded.known).sessions
+    rough = left(sessions, fit(Problem(loaded.base, sessions, tuple(s.used for s in sessions))).predicted)
     assert smooth < 0.6 * rough
     assert not found.found
+    said = report(found, [Path("drive.csv")])
+    check_form(json.loads(json.dumps(said)))
+    assert said["residual_sources"]["total"] == pytest.approx(smooth, rel=0.2)
+    assert said["residual_sources"]["speed_sensor"] > 0.3 * smooth
+
+
+@pytest.mark.parametrize("rate", [5.0, 50.0])
+@pytest.mark.parametrize("repeats", [1, 4])
+def test_noise_of_a_mean_is_that_of_its_samples(rate, repeats):
+    rng = np.random.default_rng(15)
+    own = np.arange(0.0, 600.0, 1.0 / rate)
+    value = np.repeat(2000.0 + 500.0 * np.sin(own / 20.0) + rng.normal(0.0, 40.0, len(own)), repeats)
+    at = np.arange(len(value)) / (rate * repeats)
+    assert noise_of_means(at, value, 1.0) == pytest.approx(40.0 / np.sqrt(rate), rel=0.05)
+
+
+def test_noise_of_slow_samples_cannot_be_told():
+    at = np.arange(0.0, 600.0, 0.5)
+    assert noise_of_means(at, np.random.default_rng(16).normal(0.0, 40.0, len(at)), 1.0) == 0.0
+
+
+def test_what_is_left_is_split_by_where_it_comes_from(recorded, loaded):
+    recordings = [coarse(r) for r in read_recordings(recorded(), None)]
+    sessions = gate(recordings, loaded.known).sessions
+    found = fit(Problem(loaded.base, sessions, tuple(s.used for s in sessions)))
+    sources = residual_sources(found)
+    assert sources.torque_sensor == pytest.approx(TORQUE_NOISE_NM / np.sqrt(1.0 / STEP_S), rel=0.15)
+    known = sources.torque_sensor**2 + sources.speed_sensor**2
+    assert sources.model == pytest.approx(np.sqrt(max(sources.total**2 - known, 0.0)))
+    assert sources.model < 0.6 * sources.total  # the recordings are made by the model that is fitted
+
+
+def test_what_cannot_be_told_is_not_said(recorded, loaded):
+    sessions = gate(read_recordings(recorded(), None), loaded.known).sessions
+    found = fit(Problem(loaded.base, sessions, tuple(s.used for s in sessions)))
+    sources = residual_sources(found)
+    assert sources.speed_sensor is None  # the acceleration was recorded
+    assert sources.torque_sensor > 0.0
+    assert "cannot be told" in sources.text
+    loud = replace(found.problem, sessions=tuple(replace(s, torque_noise=1e5) for s in sessions))
+    assert residual_sources(replace(found, problem=loud)).model == 0.0

@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.diagnosis.prepare.sample_noise import noise_of_means
 from trackres_ros.diagnosis.prepare.session import Course, Session, Split
 from trackres_ros.diagnosis.prepare.speed_smoothing import smooth_speed
 from trackres_ros.diagnosis.prepare.unit_checks import Conversion, check_speed_unit, check_units
@@ -273,10 +274,11 @@ def _session(
     if "torque" in torques:
         torques = ["torque"]
     torque, measured = np.zeros(count), np.ones(count, dtype=bool)
-    filled = np.zeros(count, dtype=bool)
+    filled, torque_noise = np.zeros(count, dtype=bool), 0.0
     for role in torques:
         part, there = _means(*_ordered(series[role], start), edges)
         torque, measured = torque + part, measured & there
+        torque_noise = float(np.hypot(torque_noise, noise_of_means(*_ordered(series[role], start), STEP_S)))
         filled |= _within(_filled(*_ordered(series[role], start)), edges)
     filled &= _within(_filled(speed_at, raw_speed), edges)
 
@@ -329,6 +331,7 @@ def _session(
         given=given,
         torque_course=_course([_ordered(series[role], start) for role in torques]),
         accel_noise=accel_noise,
+        torque_noise=torque_noise,
         belt_shows_surface=vehicle.belt_shows_surface,
     )
     return replace(session, used=_usable(session, known, measured, filled, no_slope, left_out, vehicle))

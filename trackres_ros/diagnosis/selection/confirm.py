@@ -116,4 +116,3 @@ def _graded(active: Active, final: Fit, refitted: Fit, laps: HeldOutLaps) -> Gra
         if bound != q.off and abs(active.values[q.name] - bound) <= ON_BOUND * (q.high - q.low)
     )
     return Graded(name, laps.improvement_of(without, final), on_bounds)
-
