@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.prepare.speed_smoothing import FEWEST, SLOWEST_S, without_repeats
+from trackres_ros.units import MAD_TO_STD
 
 Array = NDArray[np.float64]
 
 SECOND_DIFFERENCE = 6.0  # variance of a second difference over that of the noise
-LARGEST = 99.0  # percentile of second differences beyond which they are jumps
 
 
 def noise_of_means(at: Array, value: Array, step: float) -> float:
@@ -30,6 +30,5 @@ def noise_of_means(at: Array, value: Array, step: float) -> float:
     at, value = at[new], value[new]
     if len(at) < FEWEST or float(np.median(np.diff(at))) > SLOWEST_S:
         return 0.0
-    second = np.abs(np.diff(value, 2))
-    noise = np.sqrt(np.mean(np.minimum(second, np.percentile(second, LARGEST)) ** 2) / SECOND_DIFFERENCE)
+    noise = MAD_TO_STD * np.median(np.abs(np.diff(value, 2))) / np.sqrt(SECOND_DIFFERENCE)  # a median, as a torque may jump
     return float(noise * np.sqrt(np.median(np.diff(at)) / step))
