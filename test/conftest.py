@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 from itertools import combinations
 from pathlib import Path
 from types import SimpleNamespace

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The smoothed speed: what it is off is what it says, whatever the sensor rounds, repeats, loses or shows at rest."""
 
 import json

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The fuzzer's own files are importable, as from `run.py`."""
 
 import sys

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The estimator: frozen inputs, state and results; a pure step; and a session that takes messages as they come."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What effects may know of a track vehicle."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What signals ask of the running node: to stop, to save its state, to start cold.
 
 They are listened to from the very start, while libraries are still being loaded, and done once the node can: nothing is broken

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Between middleware and application: messages with the time they came at, whatever the estimate is busy with.
 
 A middleware keeps so many messages of a topic and then drops the oldest, without a word; and what waits there has no time of

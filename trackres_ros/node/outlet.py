@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """From a row of results to messages: values as they stand on the wire, the way of the feed-forward, and the pace of both."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What the node tells of itself: one overview, from which statuses, diagnostics and the table in the terminal are made."""
 
 from __future__ import annotations

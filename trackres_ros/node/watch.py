@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What is to be remarked about the running node: ages, rates, refusals, who publishes, and reasons of the last second."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What was recorded: samples by role in SI, in log order, and what was found wrong with them."""
 
 from __future__ import annotations

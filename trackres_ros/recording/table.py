@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Tables: CSV and Parquet read in blocks, and written so that equal numbers give equal bytes."""
 
 from __future__ import annotations

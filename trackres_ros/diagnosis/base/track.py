@@ -1,7 +1,11 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The paper's model of a track vehicle as a base: belt loss at the belt's temperature, bearings, air, inertia, known slope."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -67,9 +71,14 @@ class TrackBase:
         self._simulated = Remembered()
         self.includes = tuple(active.effect.name for active in vehicle.active)
         self.facts = facts_of(vehicle)
+        first = vehicle.track_of(vehicle.assemblies[0])
+        self.parts = {
+            "belt": first.belt.loop_length,
+            "sprocket": 2.0 * math.pi * first.sprocket_radius,
+            "road wheels": 2.0 * math.pi * first.road_wheels.radius,
+        }
         self.torque_scale = 1.0
         self.rotating_mass_factor = vehicle.chassis.rotating_mass_factor
-        first = vehicle.track_of(vehicle.assemblies[0])
         limits = {**RUBBER, **CHASSIS, **BELT}
 
         def known(name: str, path: str) -> BaseParameter:
@@ -102,16 +111,10 @@ class TrackBase:
         acting = Acting.of([*self.vehicle.active, *effects], self.facts)
         rows = self._simulated.rows(sessions, values, acting, lambda: self._simulate(sessions, values, acting))
         found = []
-        for session, of_session in zip(sessions, rows, strict=True):
-            drive = np.ascontiguousarray(of_session[:, PREDICTED_DRIVE])
-            found.append(
-                Predicted(
-                    acting.sensed(drive, session),
-                    drive,
-                    of_session[:, PREDICTED_BELT].copy(),
-                    of_session[:, PREDICTED_SKIN].copy(),
-                )
-            )
+        for i, (session, of_session) in enumerate(zip(sessions, rows, strict=True)):
+            drive = acting.with_watched(np.ascontiguousarray(of_session[:, PREDICTED_DRIVE]), i)
+            belt, skin = of_session[:, PREDICTED_BELT].copy(), of_session[:, PREDICTED_SKIN].copy()
+            found.append(Predicted(acting.sensed(drive, session), drive, belt, skin))
         return found
 
     def _simulate(self, sessions: Sequence[Session], values: Values, acting: Acting) -> list[Array]:

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Steps 0 and 1: recordings -> sessions. What cannot be used is refused or left out, with reason and count; laps are split."""
 
 from __future__ import annotations

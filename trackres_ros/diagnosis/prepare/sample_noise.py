@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Samples in, what their noise leaves in a mean over a step out."""
 
 from __future__ import annotations

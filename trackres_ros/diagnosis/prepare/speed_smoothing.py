@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Speed samples in, the speed at chosen times out and how sure its changes are: a Kalman smoother over what the sensor showed.
 
 The state is speed and acceleration, driven by a white jerk; a sample is the speed with white noise, which is at least that of
