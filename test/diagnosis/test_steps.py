@@ -234,18 +234,6 @@ def test_an_interval_knows_that_the_function_is_not_nature(problem, effects):
     assert bounds.high - friction >= NORMAL_95 * FORM_ERROR * abs(friction)
 
 
-def test_what_effects_see_of_the_torque_has_no_error_of_the_speed_in_it(problem):
-    rng, values = np.random.default_rng(2), {q.name: q.nominal for q in problem.base.parameters}
-    noisy = tuple(
-        replace(s, accel=s.accel + np.diff(rng.normal(0.0, 0.05, len(s) + 1)), accel_noise=0.07) for s in problem.sessions
-    )
-    with_error = replace(problem, sessions=noisy).predict(values, [])
-    for before, after in zip(problem.predict(values, []), with_error, strict=True):
-        shown = np.std(after.torque - before.torque)
-        seen = np.std(after.at_sprockets - np.convolve(before.at_sprockets, np.ones(5) / 5.0, mode="same"))
-        assert seen < 0.5 * shown
-
-
 @pytest.mark.parametrize(("step_nm", "most"), [(0.0, 400), (150.0, 400), (150.0, 12)])
 def test_a_change_of_level_is_found_where_it_is(recorded, loaded, step_nm, most, monkeypatch):
     pytest.importorskip("ruptures")

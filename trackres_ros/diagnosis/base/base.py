@@ -51,9 +51,8 @@ class BaseParameter:
 
 @dataclass(frozen=True, eq=False)
 class Predicted:
-    """What a model expects of a session, series of shape (n,): the torque as the sensor shows it [Nm], the torque itself
-    without what `Session.accel_decorrelated` leaves out of the inertia, and the belt's temperature [degC], which sets its
-    loss, and that of its surface; nan where the model has none.
+    """What a model expects of a session, series of shape (n,): the torque as the sensor shows it [Nm], the torque itself,
+    and the belt's temperature [degC], which sets its loss, and that of its surface; nan where the model has none.
     """
 
     torque: Array
@@ -186,7 +185,7 @@ class Acting:
             return
         for i in np.flatnonzero(left_out)[:MOST_CHECKED]:
             at = conditions(
-                facts, session.speed[i] * self.sensors.speed_factor, session.accel_decorrelated[i], session.weight[i],
+                facts, session.speed[i] * self.sensors.speed_factor, session.accel[i], session.weight[i],
                 session.ambient[i], session.yaw_rate[i], session.heading[i], session.distance[i],
             )  # fmt: skip
             for active in own:

@@ -174,7 +174,7 @@ class RoadBase:
                 values["rotating_mass_factor"],
                 session.step,
                 acting.speed(session),
-                session.accel_decorrelated,
+                session.accel,
                 session.weight if "load" in session.given else np.full(len(session), values["mass"] * GRAVITY),
                 session.ambient,
                 session.grade if "grade" in session.given else np.zeros(len(session)),

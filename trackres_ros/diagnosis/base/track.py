@@ -33,7 +33,6 @@ from trackres_ros.estimator.kernel import PREDICTED, PREDICTED_BELT, PREDICTED_D
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.model.thermal import thermal_network
 from trackres_ros.model.vehicle_constants import vehicle_constants
-from trackres_ros.units import GRAVITY
 from trackres_ros.vehicle import Vehicle
 from trackres_ros.vehicle.reading import FITTED
 from trackres_ros.vehicle.schema import BELT, CHASSIS, RUBBER
@@ -68,7 +67,6 @@ class TrackBase:
         self._networks = {
             name: thermal_network(vehicle.thermal, track.belt, vehicle.rubber) for name, track in vehicle.tracks.items()
         }
-        self._arm = float(np.dot(*(self._constants.assembly[:, column] for column in (at.SHARE_OF_ALL, at.RADIUS))))
         self._firsts, self._count = _kinds(self._constants)
         self._simulated = Remembered()
         self.includes = tuple(active.effect.name for active in vehicle.active)
@@ -115,11 +113,8 @@ class TrackBase:
         found = []
         for i, (session, of_session) in enumerate(zip(sessions, rows, strict=True)):
             drive = acting.with_watched(np.ascontiguousarray(of_session[:, PREDICTED_DRIVE]), i)
-            inertia = self.rotating_mass_factor * session.weight / GRAVITY
-            # No effect acts on the rest of the inertia: what the speed's own noise makes of it would tell for or against it.
-            quick = self._arm * inertia * (session.accel - session.accel_decorrelated)
-            shown = acting.sensed(drive, session) + quick
-            found.append(Predicted(shown, drive, of_session[:, PREDICTED_BELT].copy(), of_session[:, PREDICTED_SKIN].copy()))
+            belt, skin = of_session[:, PREDICTED_BELT].copy(), of_session[:, PREDICTED_SKIN].copy()
+            found.append(Predicted(acting.sensed(drive, session), drive, belt, skin))
         return found
 
     def _simulate(self, sessions: Sequence[Session], values: Values, acting: Acting) -> list[Array]:
@@ -141,7 +136,7 @@ class TrackBase:
                 self._count,
                 session.time,
                 acting.speed(session),
-                session.accel_decorrelated,
+                session.accel,
                 session.grade if "grade" in session.given else np.full(len(session), np.nan),
                 session.weight,
                 session.ambient,

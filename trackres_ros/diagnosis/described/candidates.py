@@ -73,7 +73,7 @@ def series(code: int, fit: Fit) -> list[Array]:
 def _of(code: int, session: Session, driving: Array) -> Array:
     facing = np.sign(session.speed)
     by_code = {
-        ALWAYS: np.zeros(len(session)), SPEED: np.abs(session.speed), ACCELERATION: session.accel_decorrelated * facing,
+        ALWAYS: np.zeros(len(session)), SPEED: np.abs(session.speed), ACCELERATION: session.accel * facing,
         LOAD: session.weight, AMBIENT: session.ambient, TURN: session.yaw_rate, TURNING: np.abs(session.yaw_rate),
         CURVATURE: np.abs(session.yaw_rate) / np.maximum(np.abs(session.speed), 0.3), DRIVING_TORQUE: driving * facing,
     }  # fmt: skip

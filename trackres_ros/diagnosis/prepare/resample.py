@@ -11,15 +11,14 @@ import numpy as np
 
 from trackres_ros.diagnosis.prepare.gaps import steps_within, steps_without_value, straight_spans
 from trackres_ros.diagnosis.prepare.refuse import check_compared
+from trackres_ros.diagnosis.prepare.sample_noise import noise_of_means
 from trackres_ros.diagnosis.prepare.session import Array, Course, Mask, Session
 from trackres_ros.diagnosis.prepare.settings import STEP_S, GateSettings
+from trackres_ros.diagnosis.prepare.speed_smoothing import smooth_speed
 from trackres_ros.diagnosis.prepare.unit_checks import check_speed_unit, check_units
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.samples import Series
 
-EDGE_S = 0.1  # the speed at the edge of a step is the mean within so much of it
-SLOWEST_FOR_NOISE_S, FEWEST_FOR_NOISE = 0.25, 100
-SECOND_DIFFERENCE = 6.0  # variance of a second difference over that of the noise
 LONGEST_HOLD_S = 2.0  # of speed and torque over a gap
 MOST_UNKNOWN = 0.5  # of a recording
 CHANNELS = ("ambient", "grade", "yaw_rate", "heading", "accel")
@@ -61,15 +60,17 @@ def resample(
     edges = np.arange(0.0, speed_at[-1] + 1e-9, STEP_S)
     count = len(edges) - 1
     notes += check_units(recording.name, series, settings.weight)
-    at_edges = _mean_around(speed_at, raw_speed, edges)
+    smoothed = smooth_speed(speed_at, raw_speed, edges, LONGEST_HOLD_S)
+    at_edges = smoothed.speed if smoothed else np.interp(edges, speed_at, raw_speed)
     speed, known = _means(speed_at, raw_speed, edges)
     if "torque" in torques:
         torques = ["torque"]
     torque, measured = np.zeros(count), ~_nowhere(count)
-    filled = _nowhere(count)
+    filled, torque_noise = _nowhere(count), 0.0
     for role in torques:
         part, there = _means(*_ordered(series[role], start), edges)
         torque, measured = torque + part, measured & there
+        torque_noise = float(np.hypot(torque_noise, noise_of_means(*_ordered(series[role], start), STEP_S)))
         filled |= steps_within(straight_spans(*_ordered(series[role], start)), edges)
     filled &= steps_within(straight_spans(speed_at, raw_speed), edges)
 
@@ -77,7 +78,7 @@ def resample(
         return _held(series[role], start, edges, default) if role in series else np.full(count, default)
 
     given = frozenset(role for role in CHANNELS if role in series and np.isfinite(series[role].value).any())
-    accel, accel_noise = np.diff(at_edges) / STEP_S, _accel_noise(speed_at, raw_speed)
+    accel, accel_noise = np.diff(at_edges) / STEP_S, smoothed.typical_change_std / STEP_S if smoothed else 0.0
     way = series.get("distance")
     by_way = np.diff(np.interp(edges, *_ordered(way, start))) / STEP_S if way and np.isfinite(way.value).any() else None
     check_speed_unit(recording.name, speed, accel, held("accel", np.nan) if "accel" in given else None, by_way)
@@ -122,6 +123,7 @@ def resample(
         given=given,
         torque_course=_course([_ordered(series[role], start) for role in torques]),
         accel_noise=accel_noise,
+        torque_noise=torque_noise,
         belt_shows_surface=settings.belt_shows_surface,
     )
     return session, {
@@ -165,30 +167,6 @@ def _means(at: Array, value: Array, edges: Array) -> tuple[Array, Mask]:
     after = np.clip(np.searchsorted(at, middle), 1, len(at) - 1)
     known = (at[after] - at[after - 1] <= LONGEST_HOLD_S) & (middle <= at[-1]) & (middle >= at[0])
     return Course.of(at, value).means(edges[:-1], STEP_S), known
-
-
-def _mean_around(at: Array, value: Array, edges: Array) -> Array:
-    """Mean within `EDGE_S` of each edge, or the value there by interpolation."""
-    total = np.concatenate(([0.0], np.cumsum(value)))
-    first, last = np.searchsorted(at, edges - EDGE_S), np.searchsorted(at, edges + EDGE_S, side="right")
-    balanced = np.minimum(edges - at[0], at[-1] - edges) >= EDGE_S
-    many = (last - first >= 4) & balanced
-    return np.where(many, (total[last] - total[first]) / np.maximum(last - first, 1), np.interp(edges, at, value))
-
-
-def _accel_noise(at: Array, value: Array) -> float:
-    """Standard deviation of what noise of the speed makes of the acceleration over a step [m/s^2].
-
-    Second differences from one sample to the next show noise, where samples come faster than a vehicle changes its mind;
-    slower ones tell nothing, and 0 is given.
-    """
-    spacing = float(np.median(np.diff(at)))
-    if spacing > SLOWEST_FOR_NOISE_S or len(value) < FEWEST_FOR_NOISE:
-        return 0.0
-    second = np.abs(value[2:] - 2.0 * value[1:-1] + value[:-2])
-    noise = float(np.sqrt(np.mean(np.minimum(second, np.percentile(second, 95.0)) ** 2) / SECOND_DIFFERENCE))
-    averaged = 2.0 * EDGE_S / spacing
-    return float(np.sqrt(2.0) * noise / np.sqrt(averaged if averaged >= 4.0 else 1.0) / STEP_S)
 
 
 def _held(series: Series, start: int, edges: Array, default: float) -> Array:

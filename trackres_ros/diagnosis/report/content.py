@@ -15,6 +15,7 @@ import numpy as np
 
 from trackres_ros.diagnosis.described.terms import Described
 from trackres_ros.diagnosis.findings.residual_bins import Bin
+from trackres_ros.diagnosis.findings.residual_sources import ResidualSources, residual_sources
 from trackres_ros.diagnosis.findings.verdict import Found, Told, likelier
 from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.selection.held_out import SUSPECTED, Improvement
@@ -125,6 +126,7 @@ def report(d: Diagnosis, paths: Sequence[Path], bindings: Mapping[str, TopicBind
         ],
         "whiteness_p": _number(d.periodogram_p),
         "noise": d.noise.text,
+        "residual_sources": _sources(residual_sources(d.final)),
         "split": d.split.text,
         "notes": list(d.gated.notes),
         "kept": {kind: [a.effect.name for a in d.kept.of(kind)] for kind in BELONGS_TO},
@@ -213,6 +215,17 @@ def _effect(f: Found, belongs_to: str) -> dict[str, Any]:
             "d_prime": _number(chosen.d_prime),
         },
         "text": f.text,
+    }
+
+
+def _sources(s: ResidualSources) -> dict[str, Any]:
+    return {
+        "total": _number(s.total),
+        "torque_sensor": None if s.torque_sensor is None else _number(s.torque_sensor),
+        "speed_sensor": None if s.speed_sensor is None else _number(s.speed_sensor),
+        "model_at_most": _number(s.model),
+        "unit": "Nm",
+        "text": s.text,
     }
 
 
