@@ -135,7 +135,7 @@ def of_learned(effect: Learned, values: Mapping[str, float]) -> Described:
         low, high = min(range(len(y)), key=y.__getitem__), max(range(len(y)), key=y.__getitem__)
         unit = "" if follows.unit == "1" else f" {follows.unit}"
         text = (
-            f"It takes {figures(y[high] - y[low])} Nm more at a {follows.text} of {figures(x[high])}{unit} than at "
+            f"It takes {figures(y[high] - y[low])} Nm more with the {follows.text} at {figures(x[high])}{unit} than at "
             f"{figures(x[low])}{unit}{where} (from {figures(y[low])} to {figures(y[high])} Nm)"
         )
     looked = OF_GATES.get(effect.gate, ()) + (() if effect.variable == ALWAYS else MECHANISMS[effect.variable][:1])
