@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 import io
 import signal
 from contextlib import redirect_stderr, redirect_stdout

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What is generated in docs/ is what the program says now, and the links in the pages lead somewhere."""
 
 import doctest

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The one exception that means: what was given cannot be used, and this is what to do."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """`import trackres_ros as tr`: what is there, that it is there at once, and that the command line has nothing else."""
 
 import ast

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The commands as a user types them: what they print, what they write, and how they refuse."""
 
 import csv

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The gate: what an engineer gets wrong is said with the line that mends it, and what is healthy passes."""
 
 from dataclasses import replace

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """One dynamics: message by message, block by block and in a fit the same functions run, so the numbers are the same."""
 
 from dataclasses import replace

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The steps of the diagnosis by themselves: laws first."""
 
 import pickle

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The catalogue: what each effect declares, and laws that all obey."""
 
 import gc

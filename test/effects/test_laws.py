@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Whatever effects a vehicle file or the surroundings switch on: nothing pushes a standing vehicle, every number stays one."""
 
 import math

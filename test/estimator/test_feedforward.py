@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The feed-forward from step to step: its rate over any pauses, nothing at rest, and a doubt that is never zero."""
 
 import itertools

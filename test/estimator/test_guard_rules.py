@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The rules of the guards one by one, in plain Python: a message is what it is by its stamp, its arrival and what came before."""
 
 import math

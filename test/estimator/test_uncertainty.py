@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Standard deviations of the estimate: what the plausible ranges of the vehicle file make of temperature and torque.
 
 Each range is moved by a little, the vehicle driven anew, and the change compared with what the estimator carries along.

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What is told of real recordings beside the diagnosis: start states, and what is locked to position."""
 
 from pathlib import Path

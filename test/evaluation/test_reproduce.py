@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The paper reproduced: what is written, what is judged, and that the page in the repository is what the command writes."""
 
 import csv

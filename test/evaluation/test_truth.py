@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The second simulator: its own laws, and that it shares nothing with what is to be proved."""
 
 import subprocess
@@ -43,11 +46,11 @@ def tables(sheet, material):
 
 @pytest.fixture(scope="module")
 def drives(sheet):
-    return [drive(4.0, 1.2 * sheet["weight"], 15.0, 14.0, np.random.default_rng(2))]
+    return [drive(4.0, 0.8 * sheet["weight"], 15.0, 14.0, np.random.default_rng(2))]
 
 
 def test_the_truth_is_made_without_any_code_that_is_to_be_proved():
-    modules = [f"trackres_ros.evaluation.sealed.{name}" for name in ("truth", "sensors", "drives")]
+    modules = [f"trackres_ros.evaluation.sealed.{name}" for name in ("truth", "outside", "sensors", "drives")]
     code = f"import sys, {', '.join(modules)}; print(*[m for m in sys.modules if m.startswith('trackres_ros.')])"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     assert not [m for m in loaded if m.split(".")[1] in FORBIDDEN]

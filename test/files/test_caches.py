@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Caches: whatever lies in their place, the numbers are the same, and nothing in it is run that we did not write."""
 
 import os

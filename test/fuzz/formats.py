@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Small files of every kind a reader takes, what is in them, and how a damaged copy is read and judged."""
 
 from __future__ import annotations

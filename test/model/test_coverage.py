@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Where the rubber data end, where a belt settles, and that forward and reverse are one."""
 
 from __future__ import annotations

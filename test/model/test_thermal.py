@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Equations (26), (30) and (31): the belt's temperature as the estimator carries it, by both networks."""
 
 from __future__ import annotations

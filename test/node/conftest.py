@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """An edge that keeps what it is given, and a clock that stands until it is moved: the application alone, without a middleware."""
 
 import math

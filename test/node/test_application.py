@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The application without a middleware: what leaves when what arrives, and what it says of it."""
 
 import itertools

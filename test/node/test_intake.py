@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """From messages to samples: which topic feeds which role, in which order, with which stamp."""
 
 import math

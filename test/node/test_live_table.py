@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The live table: every number as people write it, whatever the row of results holds."""
 
 import re

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Have measured and expected torque parted: found where it is so, not where it is not, whatever the noise."""
 
 import dataclasses

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Laws of the running application under anything: no exception ends a tick, status goes out, outputs move at their rate."""
 
 import itertools

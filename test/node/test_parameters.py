@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The parameter table: every value is checked, files of both forms are read, and nothing unknown passes."""
 
 import dataclasses

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Belt temperatures over a restart: kept, cooled, and refused with the reason where the file is of no use."""
 
 import json

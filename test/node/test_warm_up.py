@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The first start on a machine: a torque at once, the same numbers after it has compiled, and an orderly end meanwhile."""
 
 import json

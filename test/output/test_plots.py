@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Pictures: valid, the same bytes twice, honest about peaks, and clear where matplotlib is not installed."""
 
 import struct

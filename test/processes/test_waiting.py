@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Waiting: ends with the condition, goes on while there is work, and gives up on who idles."""
 
 import os

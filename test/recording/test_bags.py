@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Bags of every kind give what the library's own decoding gives; what is written is read back by others."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Decoding many messages at once gives what decoding each of them gives."""
 
 from __future__ import annotations

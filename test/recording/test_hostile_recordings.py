@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Recordings that are not what they seem: each ends in one line and exit code 2, or is read with what was lost counted."""
 
 from __future__ import annotations

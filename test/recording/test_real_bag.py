@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A bag of a real vehicle, as it is: what the reader makes of it and what it says."""
 
 from __future__ import annotations

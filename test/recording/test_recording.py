@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a Recording finds wrong, how it holds series on one another, and what it says."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Tables: what is read, refused and said; the bytes written; with pyarrow and without."""
 
 from __future__ import annotations

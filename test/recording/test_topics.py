@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The topics file: what it takes, what it refuses and says, and what is guessed without."""
 
 from __future__ import annotations

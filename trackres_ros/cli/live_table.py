@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The live table in the terminal: rates, ages, torque by part, temperatures, status."""
 
 from __future__ import annotations

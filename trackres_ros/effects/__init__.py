@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The catalogue of left-out effects, one file each. The same object is fitted, runs live and is named in the report."""
 
 from trackres_ros.effects.effect import Active, Conditions, Effect, Lag, Parameter, Terms, VehicleConstants, together

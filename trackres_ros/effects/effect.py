@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a left-out effect is: one interface for the fit, the live estimator and the report."""
 
 from __future__ import annotations
@@ -39,6 +42,8 @@ class Parameter:
         Whether bounds and typical values are those of a vehicle of `REFERENCE_NM`, and grow with the vehicle.
     on_tyres
         Typical value over weight times wheel radius where the whole vehicle runs on tyres, if that makes a difference.
+    fitted
+        Whether a fit may move it; what is not fitted stays at `start`.
     """
 
     name: str
@@ -51,6 +56,7 @@ class Parameter:
     more_starts: tuple[float, ...] = ()
     of_size: bool = False
     on_tyres: float | None = None
+    fitted: bool = True
 
     def for_size(self, size: float, on_tyres: bool) -> Parameter:
         """The same for a vehicle with another weight times wheel radius [Nm]."""
@@ -66,10 +72,16 @@ class Parameter:
 
 
 class Values(Protocol):
-    """Values of an effect's parameters, each an attribute."""
+    """Values of an effect's parameters, each an attribute, or by its place in their order."""
 
     def __getattr__(self, name: str, /) -> float:
         """The value of a parameter."""
+
+    def __getitem__(self, place: int, /) -> float:
+        """The value of the parameter at a place."""
+
+    def __len__(self) -> int:
+        """How many there are."""
 
 
 @cache
@@ -222,11 +234,11 @@ class Effect(ABC):
         The file of an effect of the user's own; None for those of the catalogue.
     """
 
-    name: ClassVar[str]
+    name: str
     acts_on: ClassVar[str]
     belongs_to: ClassVar[str]
-    text: ClassVar[str]
-    needs: ClassVar[tuple[str, ...]] = ("speed",)
+    text: str
+    needs: tuple[str, ...] = ("speed",)
     parameters: tuple[Parameter, ...]
     belt_only: ClassVar[bool] = False
     source: Path | None = None

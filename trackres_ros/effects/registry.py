@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Finds effects: one file each in this package, and those of the user's own folder."""
 
 from __future__ import annotations
@@ -13,8 +16,9 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from trackres_ros import checks
 from trackres_ros.effects.effect import ACTS_ON, BELONGS_TO, Active, Effect, Parameter, VehicleConstants, conditions
-from trackres_ros.errors import InputError, nearest
+from trackres_ros.errors import InputError
 
 NOWHERE = VehicleConstants(1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
 ELSEWHERE = {
@@ -69,9 +73,7 @@ def check_effects(given: Any, where: str, known: Mapping[str, Effect], belongs_t
         raise InputError(where, given, "a mapping of effects: name: {parameter: value}")
     active = []
     for name, values in given.items():
-        if name not in known:
-            raise InputError(f"{where}: effect", name, ", ".join(known), nearest(str(name), known))
-        effect = known[name]
+        effect = known[checks.one_of(name, f"{where}: effect", known)]
         if effect.belongs_to != belongs_to:
             raise InputError(f"{where}: effect", name, f"effects of the {belongs_to}", ELSEWHERE[effect.belongs_to])
         wanted = {q.name: q for q in effect.parameters}
@@ -86,22 +88,11 @@ def check_effects(given: Any, where: str, known: Mapping[str, Effect], belongs_t
 def _with_range(given: Any, where: str, q: Parameter) -> tuple[float, tuple[float, float] | None]:
     """Value and range of a parameter: a plain number has none."""
     if not isinstance(given, Mapping):
-        return _within(given, where, q, q.low, q.high), None
+        return checks.number(given, where, q.low, q.high, q.unit), None
     if set(given) != {"value", "range"}:
         raise InputError(where, dict(given), "a number, or {value: number, range: [low, high]}")
-    bounds = given["range"]
-    if not isinstance(bounds, list) or len(bounds) != 2:
-        raise InputError(f"{where}.range", bounds, "two numbers, [low, high]")
-    low, high = (_within(bound, f"{where}.range", q, q.low, q.high) for bound in bounds)
-    if low > high:
-        raise InputError(f"{where}.range", bounds, "[low, high] with low <= high")
-    return _within(given["value"], f"{where}.value", q, low, high), (low, high)
-
-
-def _within(given: Any, where: str, q: Parameter, low: float, high: float) -> float:
-    if isinstance(given, bool) or not isinstance(given, int | float) or not low <= given <= high:
-        raise InputError(where, given, f"a number from {low:g} to {high:g} {q.unit}")
-    return float(given)
+    low, high = checks.span(given["range"], f"{where}.range", q.low, q.high, q.unit)
+    return checks.number(given["value"], f"{where}.value", low, high, q.unit), (low, high)
 
 
 def _effects_in(module: ModuleType) -> list[Effect]:
@@ -142,8 +133,7 @@ def _check(effect: Effect, path: Path) -> None:
     if not isinstance(effect.name, str) or not isinstance(effect.text, str):
         raise InputError(f"{path}: name, text", (effect.name, effect.text), "two texts")
     for attribute, allowed in (("acts_on", ACTS_ON), ("belongs_to", BELONGS_TO)):
-        if getattr(effect, attribute) not in allowed:
-            raise InputError(f"{path}: {attribute}", getattr(effect, attribute), ", ".join(allowed))
+        checks.one_of(getattr(effect, attribute), f"{path}: {attribute}", allowed)
     if (effect.acts_on == "sensor") != (effect.belongs_to == "sensor"):
         given = f"acts_on {effect.acts_on}, belongs_to {effect.belongs_to}"
         raise InputError(f"{path}: {effect.name}", given, "both sensor, or neither")

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Effects as the compiled step takes them: each one a machine function behind one signature, called by its address.
 
 An effect is a Python file; the step is compiled once. Between them stands a table: a row for each effect with the addresses of

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Where each number stands in the arrays that the kernel works on, and what the numbers are called outside."""
 
 from __future__ import annotations

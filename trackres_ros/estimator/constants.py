@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What the kernel needs to know and never changes: vehicle, tables, uncertainties and settings as plain arrays and numbers."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """One step of the estimate: belts, motion, torque by part, doubt and feed-forward. Compiled; no I/O, no clock."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Whether the numbers of a stored state can be those of a vehicle: each is held against what the estimate can reach.
 
 A seal shows that a file is as it was written; these checks show that what was written is a state. Both are needed: nothing that

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Saving a session and taking it up again: versioned, keyed to the vehicle, written atomically.
 
 Resumed in the same stream of messages a session gives the same bits as one that never stopped. Taken up after time off,

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a topics file says of the estimator's settings: age limits, and the belt sensor."""
 
 from __future__ import annotations

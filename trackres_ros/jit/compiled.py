@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The decorators of the kernels: numba where it is installed, plain Python where it is not.
 
 The numerical kernels are written once, in the subset both run; the environment variable TRACKRES_INTERPRETED=1 leaves

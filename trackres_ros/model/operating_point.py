@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """One operating point by the exact methods: loads, contacts, losses, heat, torque, rainflow matrix."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The running application: takes messages, keeps the estimate, publishes at its rate, and says when not to trust it.
 
 It knows neither ROS nor DDS. An edge hands it messages and calls `tick` every `period_s`; it answers through the edge. All

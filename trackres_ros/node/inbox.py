@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Holds messages between middleware and application, with the time at which each came, whatever the estimate is busy with.
 
 A middleware keeps so many messages of a topic and then drops the oldest, without a word; and what waits there has no time of

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Turns decoded messages into samples: which channel, which stamp, which value. The rules are those of reading a bag."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Turns rows of results into messages: the values as they stand on the wire, and the feed-forward at its largest rate."""
 
 from __future__ import annotations

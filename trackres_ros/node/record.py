@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Writes every estimate of the running node into a bag, and a picture of them at the end."""
 
 from __future__ import annotations

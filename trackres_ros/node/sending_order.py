@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Brings messages of several topics into the order in which they were sent, as a bag holds them."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a node runs with: the vehicle, topics and settings that its parameters name, read and checked once at the start."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Requests that come to the running node as signals: to stop, to save its state, to start cold.
 
 Signals are listened to from the very start, while libraries are still being loaded, and each request is carried out once the node

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Keeps the belt temperatures over a restart: loads at the start, saves in the background and at the end."""
 
 from __future__ import annotations

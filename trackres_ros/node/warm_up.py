@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The first start on a machine: steps run in plain Python while another process compiles them, and then change over."""
 
 from __future__ import annotations

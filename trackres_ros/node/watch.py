@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Watches the running node: ages, rates, refusals, publishers, and the reasons of the last second become remarks."""
 
 from __future__ import annotations

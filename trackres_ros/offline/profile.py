@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A speed profile and what it says of its conditions, for a simulation."""
 
 from __future__ import annotations

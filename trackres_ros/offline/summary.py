@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a replay has to say: what was read, what was wrong with it, what came out."""
 
 from __future__ import annotations

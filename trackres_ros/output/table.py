@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Writes tables: CSV and Parquet, in which equal numbers give equal bytes."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """How many messages a bag says it holds, by all the counts that are in it: what is read less was lost."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Which topic and field, or which column, feeds which role: the topics file of bags, tables and the live node."""
 
 from __future__ import annotations
@@ -9,6 +12,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Literal, cast
 
+from trackres_ros import checks
 from trackres_ros.errors import InputError, nearest
 from trackres_ros.files.yamls import read_yaml
 from trackres_ros.recording.roles import ROLES, base_role
@@ -224,8 +228,7 @@ def _binding(role: str, line: object, where: str) -> TopicBinding:
     if not isinstance(line, Mapping):
         raise InputError(where, line, "a mapping with topic, type and field, or with column", f"for example: {EXAMPLE}")
     for key in line:
-        if key not in KEYS:
-            raise InputError(f"{where}: key", key, ", ".join(KEYS), nearest(str(key), KEYS))
+        checks.one_of(key, f"{where}: key", KEYS)
         if key in ("sensor", "std_k") and base_role(role) != "belt":
             raise InputError(f"{where}: key", key, "sensor and std_k only for belt")
         if key == "delay_s" and role != "torque":
@@ -255,10 +258,8 @@ def _binding(role: str, line: object, where: str) -> TopicBinding:
         max_age_s=max_age_s,
         sensor=cast("Literal['surface', 'mean']", _choice(line, "sensor", ("surface", "mean"), "surface", where)),
         std_k=_number(line, "std_k", 3.0, where),
-        delay_s=_number(line, "delay_s", 0.0, where),
+        delay_s=checks.number(line.get("delay_s", 0.0), f"{where}: delay_s", 0.0, MOST_DELAY_S, "s"),
     )
-    if not 0.0 <= binding.delay_s <= MOST_DELAY_S:
-        raise InputError(f"{where}: delay_s", binding.delay_s, f"a number from 0 to {MOST_DELAY_S:g} s")
     if binding.scale == 0.0:
         raise InputError(f"{where}: scale", 0.0, "a finite number that is not 0")
     for key, number in (("max_age_s", max_age_s), ("std_k", binding.std_k)):
@@ -282,7 +283,4 @@ def _number(line: Mapping[object, object], key: str, default: float, where: str)
 
 
 def _choice(line: Mapping[object, object], key: str, allowed: tuple[str, ...], default: str, where: str) -> str:
-    choice = line.get(key, default)
-    if key in line and choice not in allowed:
-        raise InputError(f"{where}: {key}", choice, " or ".join(allowed), nearest(str(choice), allowed))
-    return str(choice)
+    return checks.one_of(line[key], f"{where}: {key}", allowed) if key in line else default

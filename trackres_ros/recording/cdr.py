@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Decode one field of many serialised messages at once, and encode many messages from one template.
 
 Messages of a type that are equally long mostly have their numbers at the same places: what moves them are the lengths

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Guesses which topic feeds which role, where no topics file says so."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Message types as this package uses them: fields by name, checked field paths."""
 
 from __future__ import annotations

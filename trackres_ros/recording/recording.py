@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A recording in memory: every role's samples in SI, in log order, with what was found wrong with them."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Bags: rosbag2 and ROS 1 recordings read in blocks."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Reads tables: CSV and Parquet, in blocks."""
 
 from __future__ import annotations

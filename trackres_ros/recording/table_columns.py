@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Chooses the columns of a table to read: those that the topics file names, else those known by name."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a simulation gives back."""
 
 from __future__ import annotations
@@ -19,6 +22,7 @@ from trackres_ros.output.table import write_table
 from trackres_ros.results.series import Array, SeriesResult
 from trackres_ros.text.html import panel
 from trackres_ros.text.numbers import decimals
+from trackres_ros.text.table import table
 from trackres_ros.units import KMH_PER_MPS
 from trackres_ros.vehicle import Vehicle
 
@@ -124,17 +128,17 @@ class SimulationResult(SeriesResult):
 
     def __repr__(self) -> str:
         parts = {"resistance": "resistance_torque_nm", **RESISTANCE_PARTS}
-        lines = [
-            f"{'time':>8} {'speed':>7} " + " ".join(f"{part:>10}" for part in parts) + f" {'belt':>6}",
-            f"{'s':>8} {'km/h':>7} " + " ".join(f"{'Nm':>10}" for _ in parts) + f" {'degC':>6}",
-        ]
-        lines += [
-            f"{decimals(p['time_s']):>8} {decimals(p['speed_mps'] * KMH_PER_MPS, 1):>7} "
-            + " ".join(f"{decimals(p[column]):>10}" for column in parts.values())
-            + f" {decimals(p['belt_degc'], 1):>6}"
+        head = ["time\ns", "speed\nkm/h", *(f"{part}\nNm" for part in parts), "belt\ndegC"]
+        rows = [
+            [
+                decimals(p["time_s"]),
+                decimals(p["speed_mps"] * KMH_PER_MPS, 1),
+                *(decimals(p[column]) for column in parts.values()),
+                decimals(p["belt_degc"], 1),
+            ]
             for p in self.points()
         ]
-        return "\n".join(lines)
+        return table(rows, head)
 
     def _repr_html_(self) -> str:
         return panel(f"{self.title}, {len(self.time_s)} rows", self._table())

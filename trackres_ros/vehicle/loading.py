@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Assembles a `Vehicle` from a checked file, and checks what only the whole can show."""
 
 from __future__ import annotations

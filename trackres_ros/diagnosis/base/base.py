@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A base model: what is simulated without any left-out effect, and which of its parameters may be re-fitted."""
 
 from __future__ import annotations
@@ -10,6 +13,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.diagnosis.base.watched import WATCHED, Watched
 from trackres_ros.diagnosis.prepare.session import Session
 from trackres_ros.diagnosis.writing.kept import Kept
 from trackres_ros.effects.effect import Active, Conditions, Terms, VehicleConstants, conditions, together
@@ -78,6 +82,10 @@ class Base(Protocol):
         """Names of effects that are in it already."""
 
     @property
+    def parts(self) -> Mapping[str, float]:
+        """What goes round, and in how many metres."""
+
+    @property
     def torque_scale(self) -> float:
         """Shown over true torque where the torque's topic says nothing of it."""
 
@@ -125,22 +133,33 @@ class Remembered:
 
 @dataclass(frozen=True)
 class Acting:
-    """Effects sorted: those that act in every step, ready for it, and what those of sensors make of speed and torque."""
+    """Effects sorted: those that act in every step, ready for it, those that follow the clock alone, and what those of sensors
+    make of speed and torque.
+    """
 
     stepped: tuple[Active, ...]
     table: EffectTable
+    watched: tuple[Active, ...]
     sensors: Terms
 
     @classmethod
     def of(cls, effects: Sequence[Active], facts: VehicleConstants) -> Acting:
         """Sort effects; what a sensor makes of it hangs on nothing but its parameters."""
-        stepped = tuple(active for active in effects if active.effect.acts_on != "sensor")
+        stepped = tuple(active for active in effects if active.effect.acts_on not in ("sensor", WATCHED))
         sensors = [active.terms(conditions(facts)) for active in effects if active.effect.acts_on == "sensor"]
-        return cls(stepped, effect_table(stepped, doubt=False), together(sensors))
+        watched = tuple(active for active in effects if active.effect.acts_on == WATCHED)
+        return cls(stepped, effect_table(stepped, doubt=False), watched, together(sensors))
 
     def speed(self, session: Session) -> Array:
         """True speed [m/s]."""
         return np.ascontiguousarray(session.speed * self.sensors.speed_factor)
+
+    def with_watched(self, torque: Array, session: int) -> Array:
+        """A torque of the session of a number with what follows the clock alone [Nm]."""
+        for active in self.watched:
+            assert isinstance(active.effect, Watched)
+            torque = torque + active.values["level"] * active.effect.shape[session]
+        return torque
 
     def sensed(self, torque: Array, session: Session) -> Array:
         """What the torque sensor shows of a torque [Nm]."""

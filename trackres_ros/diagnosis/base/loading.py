@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Which base model a vehicle file asks for."""
 
 from __future__ import annotations

@@ -1,7 +1,11 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Road load as a base: a rolling coefficient, air, inertia, a known slope; for a chassis on tyres and other vehicles."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -113,6 +117,7 @@ class RoadBase:
             radius=v["wheel_radius"], weight=v["mass"] * GRAVITY, drag_area=v["drag_area"], air_density=v["air_density"],
             contact_length=v["contact_length"], assemblies=1, cooled_area=0.0, tension=1.0,
         )  # fmt: skip
+        self.parts = {"wheels": 2.0 * math.pi * v["wheel_radius"]}
         free = [name for name in FITTED if vehicle.parameters[name].standard_deviation > 0.0]
         if set(ONLY_ONE_OF) <= set(free):
             free = [name for name in free if name not in ONLY_ONE_OF]
@@ -141,8 +146,8 @@ class RoadBase:
         acting = Acting.of([*chain, *self._active, *effects], self.facts)
         torques = self._simulated.rows(sessions, values, acting, lambda: self._simulate(sessions, values, acting))
         found = []
-        for session, torque in zip(sessions, torques, strict=True):
-            nothing = np.full(len(session), np.nan)
+        for i, (session, rolling) in enumerate(zip(sessions, torques, strict=True)):
+            torque, nothing = acting.with_watched(rolling, i), np.full(len(session), np.nan)
             found.append(Predicted(values["torque_scale"] * acting.sensed(torque, session), torque, nothing, nothing))
         return found
 

@@ -1,7 +1,11 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The paper's model of a track vehicle as a base: belt loss at the belt's temperature, bearings, air, inertia, known slope."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -69,9 +73,14 @@ class TrackBase:
         self._simulated = Remembered()
         self.includes = tuple(active.effect.name for active in vehicle.active)
         self.facts = vehicle_constants(vehicle)
+        first = vehicle.track_of(vehicle.assemblies[0])
+        self.parts = {
+            "belt": first.belt.loop_length,
+            "sprocket": 2.0 * math.pi * first.sprocket_radius,
+            "road wheels": 2.0 * math.pi * first.road_wheels.radius,
+        }
         self.torque_scale = 1.0
         self.rotating_mass_factor = vehicle.chassis.rotating_mass_factor
-        first = vehicle.track_of(vehicle.assemblies[0])
         limits = {**RUBBER, **CHASSIS, **BELT}
 
         def known(name: str, path: str) -> BaseParameter:
@@ -104,8 +113,8 @@ class TrackBase:
         acting = Acting.of([*self.vehicle.active, *effects], self.facts)
         rows = self._simulated.rows(sessions, values, acting, lambda: self._simulate(sessions, values, acting))
         found = []
-        for session, of_session in zip(sessions, rows, strict=True):
-            drive = np.ascontiguousarray(of_session[:, PREDICTED_DRIVE])
+        for i, (session, of_session) in enumerate(zip(sessions, rows, strict=True)):
+            drive = acting.with_watched(np.ascontiguousarray(of_session[:, PREDICTED_DRIVE]), i)
             inertia = self.rotating_mass_factor * session.weight / GRAVITY
             # No effect acts on the rest of the inertia: what the speed's own noise makes of it would tell for or against it.
             quick = self._arm * inertia * (session.accel - session.accel_decorrelated)

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Step 9: what to drive next, so that candidates that look alike here come apart."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Finds where a series holds nothing that was measured: long gaps, and gaps that were filled with straight lines."""
 
 from __future__ import annotations

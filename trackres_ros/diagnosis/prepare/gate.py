@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Step 0 of the diagnosis: recordings in, evenly spaced sessions with numbered laps out, and what was left out of them."""
 
 from __future__ import annotations

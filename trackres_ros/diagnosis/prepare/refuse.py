@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Refuses recordings in which nothing can be compared: too short, of one time, without torque or speed, or too fast."""
 
 from __future__ import annotations

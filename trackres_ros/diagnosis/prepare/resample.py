@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Puts a recording on an even grid: samples of any rate become means over steps, and what is held between samples."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What the diagnosis works on: recordings as evenly spaced series in SI, and which part of them serves for what."""
 
 from __future__ import annotations

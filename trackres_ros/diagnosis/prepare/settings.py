@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What the preparation of recordings must know of a vehicle, and the step that all of it works with."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Splits sessions: which laps are fitted on, and which are held out until the end."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Step 0, second half: units, signs and clocks of the torque, judged by what the vehicle file expects."""
 
 from __future__ import annotations

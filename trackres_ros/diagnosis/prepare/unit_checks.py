@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Step 0, first half: units of what is recorded beside the torque, judged by what vehicle and weather can be."""
 
 from __future__ import annotations

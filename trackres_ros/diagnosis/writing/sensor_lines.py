@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What of a diagnosis is a sensor's: corrected where the sensor is read, by its line of the topics file, and nowhere else."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a diagnosis leaves to be driven with: the vehicle file as it was but for what was learned, and the surroundings' file.
 
 The rubber's file and those of effects of the user's own are copied beside it, so that the folder can be moved as a whole.

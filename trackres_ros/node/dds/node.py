@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The live node on Cyclone DDS: one thread that waits for messages and for the next tick."""
 
 from __future__ import annotations

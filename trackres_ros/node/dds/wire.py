@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """ROS 2 topics on the DDS wire: names, types, type hashes and quality of service as the middlewares of ROS 2 have them.
 
 Names and types after the ROS 2 design "Topic and Service name mapping to DDS"; the type hash after REP-2016. Only numbers and

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The node on ROS 2 run to its end, for the executable `estimator` and for `trackres live`."""
 
 from __future__ import annotations
