@@ -58,6 +58,11 @@ class Parameter:
     on_tyres: float | None = None
     fitted: bool = True
 
+    @property
+    def is_fixed(self) -> bool:
+        """Whether there is but one value: it says which of a family the effect is, and stands in no file."""
+        return not self.fitted and self.low == self.high
+
     def for_size(self, size: float, on_tyres: bool) -> Parameter:
         """The same for a vehicle with another weight times wheel radius [Nm]."""
         if not self.of_size:

@@ -216,11 +216,12 @@ CURVES = {curve_name(v, g): (v, g) for v in VARIABLES for g in GATES if v != ALW
 NAMES = (*CURVES, *(of.name for of in BUILD_UPS.values()))
 
 
-def learned(name: str, parameters: Mapping[str, object], size: float) -> Learned:
+def learned(name: str, parameters: object, size: float) -> Learned:
     """The effect of a name with as many knots as parameters ask for, for a vehicle with a weight times wheel radius [Nm]."""
     if name in CURVES:
         variable, gate = CURVES[name]
-        count = min(max(1, sum(key.startswith("y") for key in parameters)), MOST_KNOTS)
+        heights = [key for key in parameters if str(key).startswith("y")] if isinstance(parameters, Mapping) else []
+        count = min(max(1, len(heights)), MOST_KNOTS)
         found: Learned = Curve(variable, gate, [0.0] * count)
     else:
         by = next(code for code, of in BUILD_UPS.items() if of.name == name)

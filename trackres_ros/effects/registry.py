@@ -12,12 +12,15 @@ import keyword
 import math
 import pkgutil
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from trackres_ros import checks
-from trackres_ros.effects.effect import ACTS_ON, BELONGS_TO, Active, Effect, Parameter, VehicleConstants, conditions
+from trackres_ros.effects.effect import ACTS_ON, BELONGS_TO, REFERENCE_NM, Active, Effect, Parameter, VehicleConstants, conditions
+from trackres_ros.effects.learned import NAMES as LEARNED
+from trackres_ros.effects.learned import Learned, learned
 from trackres_ros.errors import InputError
 
 NOWHERE = VehicleConstants(1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
@@ -60,8 +63,17 @@ def catalogue(
     return {name: effect.for_size(size, on_tyres) for name, effect in effects.items()} if size else effects
 
 
-def check_effects(given: Any, where: str, known: Mapping[str, Effect], belongs_to: str) -> tuple[Active, ...]:
+def check_effects(
+    given: Any, where: str, known: Mapping[str, Effect], belongs_to: str, size: float = REFERENCE_NM
+) -> tuple[Active, ...]:
     """Effects with their values, as a file lists them: ``name: {parameter: value or {value: v, range: [low, high]}, ...}``.
+
+    Parameters
+    ----------
+    known
+        Effects that have a name; besides them what a diagnosis has learned without one, see `learned`, may be listed.
+    size
+        Weight times wheel radius of the vehicle [Nm].
 
     Raises
     ------
@@ -73,16 +85,25 @@ def check_effects(given: Any, where: str, known: Mapping[str, Effect], belongs_t
         raise InputError(where, given, "a mapping of effects: name: {parameter: value}")
     active = []
     for name, values in given.items():
-        effect = known[checks.one_of(name, f"{where}: effect", known)]
+        effect = learned(name, values, size) if name in LEARNED else known[checks.one_of(name, f"{where}: effect", known)]
         if effect.belongs_to != belongs_to:
             raise InputError(f"{where}: effect", name, f"effects of the {belongs_to}", ELSEWHERE[effect.belongs_to])
-        wanted = {q.name: q for q in effect.parameters}
+        wanted = {q.name: q for q in effect.parameters if not q.is_fixed}
         if not isinstance(values, Mapping) or set(values) != set(wanted):
             raise InputError(f"{where}.{name}", values, f"a value for each of {', '.join(wanted)}")
         checked = {key: _with_range(value, f"{where}.{name}.{key}", wanted[key]) for key, value in values.items()}
         ranges = {key: span for key, (_, span) in checked.items() if span is not None}
-        active.append(Active(effect, {key: value for key, (value, _) in checked.items()}, ranges))
+        fixed = {q.name: q.start for q in effect.parameters if q.is_fixed}
+        active.append(Active(effect, {**fixed, **{key: value for key, (value, _) in checked.items()}}, ranges))
+        _check_knots(active[-1], f"{where}.{name}")
     return tuple(active)
+
+
+def _check_knots(active: Active, where: str) -> None:
+    """Refuse a curve whose knots do not rise."""
+    x = [active.values[q.name] for q in active.effect.parameters if q.name.startswith("x")]
+    if isinstance(active.effect, Learned) and any(b <= a for a, b in pairwise(x)):
+        raise InputError(f"{where}: x1 to x{len(x)}", x, "knots that rise from one to the next")
 
 
 def _with_range(given: Any, where: str, q: Parameter) -> tuple[float, tuple[float, float] | None]:

@@ -138,7 +138,7 @@ def _comment(text: str) -> str:
 
 def _values(active: Active) -> dict[str, Any]:
     found: dict[str, Any] = {}
-    for q in active.effect.parameters:
+    for q in (q for q in active.effect.parameters if not q.is_fixed):
         value = _within(active.values[q.name], q.low, q.high)
         span = active.ranges.get(q.name)
         limited = [_within(x, q.low, q.high) for x in span] if span else []
