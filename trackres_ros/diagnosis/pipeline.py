@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.base import Base
 from trackres_ros.diagnosis.base.loading import LoadedBase
-from trackres_ros.diagnosis.described.describe import describe, drift, said
+from trackres_ros.diagnosis.described.describe import Term, course, describe, drift, said
 from trackres_ros.diagnosis.described.terms import Described
 from trackres_ros.diagnosis.findings.change_points import Change, changes
 from trackres_ros.diagnosis.findings.locate import (
@@ -115,6 +115,11 @@ class Diagnosis:
     def noise(self) -> Noise:
         """What whitens the residual of the last fit as far as it goes."""
         return for_tests(self.final).noise
+
+    @property
+    def modelled(self) -> tuple[str, ...]:
+        """Names of all that the last fit has and the re-fitted base has not."""
+        return self.final.effect_names
 
     @property
     def sessions(self) -> tuple[Session, ...]:
@@ -235,9 +240,7 @@ def diagnose(
     told = [s for s in steps if s.chosen and s.chosen.name in graded]
     advice = [a for s in told for a in advise(s.candidates, s.members, vehicle.known.max_speed)]
     terms = [
-        Told(said(description.terms[name], final), final.contribution(name), bounds_of(name, bounds), graded[name])
-        for name in final.effect_names
-        if name in description.terms
+        _told(description.terms[name], final, bounds, graded[name]) for name in final.effect_names if name in description.terms
     ]
     left_over = slow_residual(final)
     wanders = drift(final) if left_over.share > MOST_STRAY and not terms else None
@@ -250,6 +253,11 @@ def diagnose(
         tuple(steps), tuple(found), tuple(terms), wanders, refuted, bounds_of("", bounds),
         worth, tuple(advice), verdict, keep(believed, final, refitted, worth, laps, bounds),
     )  # fmt: skip
+
+
+def _told(term: Term, final: Fit, bounds: Mapping[tuple[str, str], Interval], graded: Graded) -> Told:
+    name = term.candidate.name
+    return Told(said(term, final), final.contribution(name), course(term, final), bounds_of(name, bounds), graded)
 
 
 def bounds_of(name: str, bounds: Mapping[tuple[str, str], Interval]) -> dict[str, Interval]:

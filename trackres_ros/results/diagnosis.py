@@ -21,7 +21,7 @@ from typing import Any
 
 from trackres_ros.diagnosis.base.loading import LoadedBase
 from trackres_ros.diagnosis.base.road_load import RoadVehicle, load_road_vehicle
-from trackres_ros.diagnosis.findings.verdict import Found
+from trackres_ros.diagnosis.findings.verdict import Found, Told
 from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.report.content import report
 from trackres_ros.errors import MissingExtraError
@@ -69,7 +69,7 @@ class DiagnosisResult:
 
     @property
     def status(self) -> str:
-        """``none`` missing, ``named``, ``one_of`` several that look alike, or ``unexplained``."""
+        """``none`` missing, ``named``, ``one_of`` several that look alike, ``described`` without a name, or ``unexplained``."""
         return self.diagnosis.verdict.status
 
     @property
@@ -81,6 +81,11 @@ class DiagnosisResult:
     def effects(self) -> tuple[Found, ...]:
         """The effects that were found, each with `name`, `values`, `intervals` and `graded`."""
         return self.diagnosis.found
+
+    @property
+    def described(self) -> tuple[Told, ...]:
+        """Terms without a name that were found, each with `described`, `intervals` and `graded`."""
+        return self.diagnosis.described
 
     @property
     def to_do(self) -> tuple[str, ...]:
@@ -171,7 +176,7 @@ class DiagnosisResult:
         errors = [
             (text, figures(held_out.mae[stage]), figures(held_out.bias[stage]))
             for stage, text in STAGES.items()
-            if self.effects or stage != "with_effects"
+            if self.diagnosis.modelled or stage != "with_effects"
         ]
         return panel(
             f"Diagnosis of {self._loaded.title}",

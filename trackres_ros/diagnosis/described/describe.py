@@ -15,14 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.watched import WATCHED, Watched
-from trackres_ros.diagnosis.described.candidates import candidates, finer
+from trackres_ros.diagnosis.described.candidates import candidates, finer, series
 from trackres_ros.diagnosis.described.spells import Blocks, Chain, blocks, find_chain, find_wander, is_spells, there_given
 from trackres_ros.diagnosis.described.terms import Described, of_drift, of_learned, of_spells, of_wave
 from trackres_ros.diagnosis.described.waves import Wave, find_wave, part_of
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
 from trackres_ros.diagnosis.selection.naming import ALIKE_WITHIN, Candidate, Step, compared, one_round, rms, spurious_gain
 from trackres_ros.effects.effect import Effect
-from trackres_ros.effects.learned import Curve, Learned
+from trackres_ros.effects.learned import ALWAYS, Curve, Learned
 
 Array = NDArray[np.float64]
 
@@ -245,6 +245,18 @@ def said(term: Term, final: Fit) -> Described:
     lengths = np.diff(np.flatnonzero(np.diff(np.concatenate(([0], (there > 0.5).astype(int), [0])))))[::2]
     seconds = 5.0 * lengths.astype(float)
     return of_spells(name, term.chain, level, len(begins), seconds, _begins_with(b, begins, final))
+
+
+def course(term: Term, final: Fit) -> list[Array]:
+    """What a term follows in each session: its variable, or how far it is built up; empty where that is the clock alone."""
+    effect = term.candidate.effect
+    if isinstance(effect, Curve) and effect.variable != ALWAYS:
+        return series(effect.variable, final)
+    if not isinstance(effect, Learned):
+        return []
+    adds, sessions = final.contribution(effect.name), final.problem.sessions
+    level = max(float(np.abs(x).max(initial=0.0)) for x in adds)
+    return [x * np.sign(s.speed) / max(level, 1e-9) for x, s in zip(adds, sessions, strict=True)]
 
 
 def _begins_with(b: Blocks, begins: NDArray[np.int64], final: Fit) -> str:

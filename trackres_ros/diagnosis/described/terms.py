@@ -103,6 +103,8 @@ class Described:
         Whether it can be fed forward: it follows what is known at the time.
     chain
         Of spells: what a live node watches for.
+    unit
+        Of the variable.
     """
 
     form: str
@@ -116,6 +118,7 @@ class Described:
     size_nm: float
     predictable: bool
     chain: Chain | None = None
+    unit: str = ""
 
 
 def of_learned(effect: Learned, values: Mapping[str, float]) -> Described:
@@ -141,7 +144,7 @@ def of_learned(effect: Learned, values: Mapping[str, float]) -> Described:
     looked = OF_GATES.get(effect.gate, ()) + (() if effect.variable == ALWAYS else MECHANISMS[effect.variable][:1])
     return Described(
         "curve" if effect.gate == OPEN else "gated_curve", effect.name, follows.text, opens.text, None, None, text,
-        looked or MECHANISMS[effect.variable], max(map(abs, y)), True,
+        looked or MECHANISMS[effect.variable], max(map(abs, y)), True, None, "" if follows.unit == "1" else follows.unit,
     )  # fmt: skip
 
 

@@ -85,6 +85,8 @@ class Told:
         How it is said.
     adds
         What it adds to the expected torque of each session [Nm].
+    course
+        What it follows in each session; empty where that is the clock alone.
     intervals
         Of its parameters.
     graded
@@ -93,6 +95,7 @@ class Told:
 
     described: Described
     adds: list[Array]
+    course: list[Array]
     intervals: Mapping[str, Interval]
     graded: Graded
 

@@ -14,7 +14,19 @@ from trackres_ros.diagnosis.report.pictures import Picture
 from trackres_ros.errors import MissingExtraError
 from trackres_ros.text.numbers import alike, decimals, figures
 
-VERDICTS = {"none": "No physics missing", "named": "Named", "one_of": "One of several", "unexplained": "Unexplained"}
+VERDICTS = {
+    "none": "No physics missing",
+    "named": "Named",
+    "one_of": "One of several",
+    "described": "Described",
+    "unexplained": "Unexplained",
+}
+    "none": "No physics missing",
+    "named": "Named",
+    "one_of": "One of several",
+    "described": "Described",
+    "unexplained": "Unexplained",
+}
 GRADES = {
     "confirmed": "confirmed on held-out laps",
     "suspected": "suspected: it fits, held-out laps do not confirm it",

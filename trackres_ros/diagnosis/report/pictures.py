@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from trackres_ros.diagnosis.base.variables import BY_NAME
 from trackres_ros.diagnosis.findings.locate import against_travel, evenly_filled
 from trackres_ros.diagnosis.findings.residual_bins import Bin
-from trackres_ros.diagnosis.findings.verdict import Found
+from trackres_ros.diagnosis.findings.verdict import Found, Told
 from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.prepare.session import Mask, Session
 from trackres_ros.output.plots import BLUE, GREY, ORANGE, VERMILION, picture, picture_with_legend, shortened, thinned
@@ -50,6 +50,7 @@ def draw_all(d: Diagnosis, folder: Path) -> list[Picture]:
         draw_regimes(d, folder / "where_regime.png"),
     ]
     found += [_partial(d, f, folder / f"effect_{f.name}.png") for f in d.found]
+    found += [_term(d, t, folder / f"term_{t.described.name}.png") for t in d.described]
     found.append(_laps(d, folder / "held_out.png"))
     if len(d.steps[-1].separability.names) > 1:
         found.append(_matrix(d, folder / "separability.png"))
@@ -59,7 +60,7 @@ def draw_all(d: Diagnosis, folder: Path) -> list[Picture]:
 def draw_before_after(d: Diagnosis, path: Path) -> Picture:
     """Draw the held-out lap on which the model gained most, over all its samples."""
     mae = d.held_out.by_lap["mae"]
-    gained = mae["refitted"] - mae["with_effects"] if d.found else mae["refitted"]
+    gained = mae["refitted"] - mae["with_effects"] if d.modelled else mae["refitted"]
     laps = [lap for lap in d.split.held_out if any((s.block[s.used] == lap).any() for s in d.sessions)]
     samples = [sum(int((s.block[s.used] == lap).sum()) for s in d.sessions) for lap in laps]
     lap = laps[int(np.argmax(gained * samples))]
@@ -74,9 +75,9 @@ def draw_before_after(d: Diagnosis, path: Path) -> Picture:
         upper, lower = body.subplots(2, 1, sharex=True, height_ratios=(3, 1))
         upper.plot(time, measured, color=GREY, linewidth=2.5, label="measured")
         upper.plot(time, before, color=BLUE, label="simulated, base re-fitted")
-        if d.found:
+        if d.modelled:
             upper.plot(time, after, color=VERMILION, label="simulated, with the effects")
-        mismatch = "mismatch before" if d.found else "mismatch"
+        mismatch = "mismatch before" if d.modelled else "mismatch"
         upper.fill_between(time, measured, before, color=ORANGE, alpha=0.35, linewidth=0, label=mismatch)
         upper.set_ylabel("torque [Nm]")
         upper.set_title(f"{shortened(Path(session.name).name, TITLE_LETTERS - 40)}, a lap that was not used for fitting")
@@ -88,7 +89,7 @@ def draw_before_after(d: Diagnosis, path: Path) -> Picture:
         path,
         "Measured against simulated",
         f"Torque over time on a held-out lap: the mean error is {decimals(error[0])} Nm"
-        f"{f' before and {decimals(error[1])} Nm with {_listed(d)}' if d.found else ''}.",
+        f"{f' before and {decimals(error[1])} Nm with {_listed(d)}' if d.modelled else ''}.",
     )
 
 
@@ -96,7 +97,7 @@ def draw_times(d: Diagnosis, path: Path) -> Picture:
     """The residual over the time of each recording, whether or not anything was named; of very many, the worst."""
     torques = [d.nominal, [p.torque for p in d.refitted.predicted], [p.torque for p in d.final.predicted]]
     stages = [("vehicle file as it is", GREY, 0.7), ("base re-fitted", BLUE, 1.1), ("with the effects", VERMILION, 1.1)]
-    stages = stages if d.found else stages[:2]
+    stages = stages if d.modelled else stages[:2]
     residuals = [[_smooth(s, s.torque - of[i]) for i, s in enumerate(d.sessions)] for of in torques[: len(stages)]]
     sizes = [float(np.sqrt(np.nanmean(r**2))) if np.isfinite(r).any() else 0.0 for r in residuals[1]]
     shown = sorted(np.argsort(sizes)[::-1][:MOST_RECORDINGS].tolist())
@@ -159,11 +160,11 @@ def draw_regimes(d: Diagnosis, path: Path) -> Picture:
             edges = sorted({edge for b in of_base for edge in (b.low, b.high)})
             places = np.arange(len(edges)) - 0.5
             kinds = [(-0.2, BLUE, "base re-fitted", of_base)]
-            if d.found:
+            if d.modelled:
                 kinds.append((0.2, VERMILION, "with the effects", [b for b in d.at_end.bins if b.variable == name]))
             for shift, color, label, bins in kinds:
-                at = np.interp([0.5 * (b.low + b.high) for b in bins], edges, places) + (shift if d.found else 0.0)
-                axis.bar(at, [b.mean_residual for b in bins], 0.38 if d.found else 0.7, color=color, label=label)
+                at = np.interp([0.5 * (b.low + b.high) for b in bins], edges, places) + (shift if d.modelled else 0.0)
+                axis.bar(at, [b.mean_residual for b in bins], 0.38 if d.modelled else 0.7, color=color, label=label)
                 for x, b in zip(at, bins, strict=True):
                     if b.p < 0.05:
                         above = b.mean_residual > 0
@@ -201,14 +202,62 @@ def _at(b: Bin) -> str:
 def _partial(d: Diagnosis, found: Found, path: Path) -> Picture:
     """What is left without the effect, and what the effect adds, over the variable that it follows best."""
     fit = d.final
-    used = np.concatenate([s.used for s in d.sessions])
     left_over = [s.torque - p.torque for s, p in zip(d.sessions, fit.predicted, strict=True)]
     if found.acts_on != "sensor":
         left_over = against_travel(d.sessions, left_over)
-    adds, residual = np.concatenate(found.resists)[used], np.concatenate(left_over)[used]
     variable = BY_NAME[found.acts.variable]
-    label = f"{variable.name} [{variable.unit}]"
-    x = np.concatenate([variable.of(s, p) for s, p in zip(d.sessions, fit.predicted, strict=True)])[used]
+    course = [variable.of(s, p) for s, p in zip(d.sessions, fit.predicted, strict=True)]
+    return _over(
+        d, course, found.resists, left_over, f"{variable.name} [{variable.unit}]", found.name, f"{found.name}: {found.text}", path
+    )
+
+
+def _term(d: Diagnosis, told: Told, path: Path) -> Picture:
+    """The same for a term without a name: over what it follows, or over time where it follows nothing."""
+    of = told.described
+    left_over = against_travel(d.sessions, [s.torque - p.torque for s, p in zip(d.sessions, d.final.predicted, strict=True)])
+    adds = against_travel(d.sessions, told.adds)
+    if told.course:
+        label = f"{of.variable} [{of.unit}]" if of.unit else of.variable or of.gate
+        return _over(d, told.course, adds, left_over, label, of.name, of.sentence, path)
+    return _over_time(d, adds, left_over, of.name, of.sentence, path)
+
+
+def _over_time(d: Diagnosis, adds: list[Array], left_over: list[Array], name: str, title: str, path: Path) -> Picture:
+    """The recording in which a term acts most."""
+    acts = [float(np.abs(x[s.used]).sum()) for x, s in zip(adds, d.sessions, strict=True)]
+    i = int(np.argmax(acts))
+    session = d.sessions[i]
+    left = _smooth(session, left_over[i] + adds[i])
+    with picture_with_legend(path, WIDTH, 3.0) as body:
+        axis = body.subplots()
+        axis.plot(session.time, left, color=BLUE, label=f"left without the term, means over {SMOOTHED_S:.0f} s")
+        axis.plot(session.time, np.where(session.used, adds[i], np.nan), color=VERMILION, label=f"{name} as found")
+        axis.axhline(0.0, color=GREY, linewidth=0.8)
+        axis.set_xlabel(f"time in {shortened(Path(session.name).name, TITLE_LETTERS - 40)} [s]")
+        axis.set_ylabel("torque against travel [Nm]")
+        axis.set_title(textwrap.fill(title, TITLE_LETTERS))
+    return Picture(
+        path,
+        f"The term: {name}",
+        "What is left without the term, and the term, over the recording in which it acts most; on laps that were not used for "
+        "fitting the term is what one expects who has seen the torque up to a few seconds before.",
+    )
+
+
+def _over(
+    d: Diagnosis,
+    course: list[Array],
+    adds_: list[Array],
+    left_over: list[Array],
+    label: str,
+    name: str,
+    title: str,
+    path: Path,
+) -> Picture:
+    """What is left without a term, and what it adds, over what it follows."""
+    used = np.concatenate([s.used for s in d.sessions])
+    adds, residual, x = (np.concatenate(series)[used] for series in (adds_, left_over, course))
     _, place = evenly_filled(x, SHOWN_BINS)
     count = np.bincount(place)
     middle, term, left = (np.bincount(place, weights=w) / np.maximum(count, 1) for w in (x, adds, adds + residual))
@@ -225,16 +274,16 @@ def _partial(d: Diagnosis, found: Found, path: Path) -> Picture:
             ecolor=GREY,
             markersize=4,
             linewidth=1.0,
-            label="left without the effect, mean and spread",
+            label="left without it, mean and spread",
         )
-        axis.plot(middle[shown], term[shown], color=VERMILION, label=f"{found.name} as fitted")
+        axis.plot(middle[shown], term[shown], color=VERMILION, label=f"{name} as fitted")
         axis.set_xlabel(label)
         axis.set_ylabel("torque against travel [Nm]")
-        axis.set_title(textwrap.fill(f"{found.name}: {found.text}", TITLE_LETTERS))
+        axis.set_title(textwrap.fill(title, TITLE_LETTERS))
     return Picture(
         path,
-        f"The term: {found.name}",
-        f"What is left without {found.name}, and the fitted term, over {label}; "
+        f"The term: {name}",
+        f"What is left without {name}, and the fitted term, over {label}; "
         f"from {decimals(term[shown].min())} to {decimals(term[shown].max())} Nm.",
     )
 
@@ -244,7 +293,7 @@ def _laps(d: Diagnosis, path: Path) -> Picture:
     with picture_with_legend(path, WIDTH, 2.2) as body:
         axis = body.subplots()
         stages = [("nominal", GREY, "vehicle file as it is"), ("refitted", BLUE, "base re-fitted")]
-        stages += [("with_effects", VERMILION, "with the effects")] if d.found else []
+        stages += [("with_effects", VERMILION, "with the effects")] if d.modelled else []
         wide = 0.8 / len(stages)
         for i, (stage, color, label) in enumerate(stages):
             place = np.arange(len(h.laps)) + (i - 0.5 * (len(stages) - 1)) * wide
@@ -293,4 +342,4 @@ def _smooth(session: Session, residual: Array) -> Array:
 
 
 def _listed(d: Diagnosis) -> str:
-    return ", ".join(f.name for f in d.found)
+    return ", ".join(d.modelled)
