@@ -21,12 +21,6 @@ VERDICTS = {
     "described": "Described",
     "unexplained": "Unexplained",
 }
-    "none": "No physics missing",
-    "named": "Named",
-    "one_of": "One of several",
-    "described": "Described",
-    "unexplained": "Unexplained",
-}
 GRADES = {
     "confirmed": "confirmed on held-out laps",
     "suspected": "suspected: it fits, held-out laps do not confirm it",
