@@ -101,7 +101,7 @@ def belt_variance(belt: Array, of_mean: float, of_surface: float) -> float:
     return total
 
 
-@compiled
+@inlined
 def advance_belt(
     k: Constants,
     i: int,

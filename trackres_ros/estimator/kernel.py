@@ -100,7 +100,7 @@ def start(k: Constants, belts: Array, motion: Array, effects: Array, ambient: fl
         effects[place] = math.nan
 
 
-@compiled
+@inlined
 def roll(
     k: Constants,
     assembly: int,
@@ -118,16 +118,14 @@ def roll(
 
     `log10_middle` is log10 of the speed in the middle, which serves a short step of every belt.
     """
-    if dt <= LONGEST_SUBSTEP or (speed_from == 0.0 and speed_to == 0.0):
-        middle = 0.5 * (speed_from + speed_to)
-        return advance_belt(k, assembly, belt, middle, log10_middle, log_load, drive_torque, ambient, ambient_std, dt)
+    steps = 1
+    if dt > LONGEST_SUBSTEP and not speed_from == speed_to == 0.0:
+        steps = min(int(math.ceil(dt / LONGEST_SUBSTEP)), MOST_SUBSTEPS)
     heat_in, heat_out = 0.0, 0.0
-    steps = min(int(math.ceil(dt / LONGEST_SUBSTEP)), MOST_SUBSTEPS)
     for step in range(steps):
         speed = speed_from + (speed_to - speed_from) * (step + 0.5) / steps
-        gained, lost = advance_belt(
-            k, assembly, belt, speed, log_speed(speed), log_load, drive_torque, ambient, ambient_std, dt / steps
-        )
+        log10 = log10_middle if steps == 1 else log_speed(speed)
+        gained, lost = advance_belt(k, assembly, belt, speed, log10, log_load, drive_torque, ambient, ambient_std, dt / steps)
         heat_in += gained
         heat_out += lost
     return heat_in, heat_out
