@@ -16,7 +16,7 @@ from trackres_ros.estimator.belt_step import SLOWEST_LOG_SPEED
 from trackres_ros.estimator.constants import Constants, Numbers
 from trackres_ros.estimator.guards import GAP, TOOK_RESET, Memory, admit, forget_others, gather
 from trackres_ros.estimator.kernel import Inputs, advance, predict, roll, start
-from trackres_ros.jit.compiled import HAVE_NUMBA, compiled, interpreted
+from trackres_ros.jit.compiled import HAVE_NUMBA, compiled, inlined, interpreted
 from trackres_ros.units import NANOSECOND
 
 Array = NDArray[np.float64]
@@ -29,7 +29,7 @@ STANDING_STILL = (
 """What is zero of the motion while nothing moves."""
 
 
-@compiled
+@inlined
 def feed(
     k: Constants,
     memory: Memory,

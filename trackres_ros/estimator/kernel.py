@@ -423,7 +423,7 @@ def driving_torque(work: Array, resisting: float, uphill: float, inertia: float)
     return driving, work[TERM_TORQUE] + driving - without_gain
 
 
-@compiled
+@inlined
 def advance(k: Constants, belts: Array, motion: Array, effects: Array, inputs: Inputs, dt: float, out: Array) -> None:
     """Advance the whole estimate by dt [s] to the time of `inputs`; changes what it is carried in, fills one row of results.
 
