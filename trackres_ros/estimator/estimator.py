@@ -247,24 +247,7 @@ class Estimator:
     def step(self, state: State, inputs: Inputs, dt: float) -> tuple[State, Estimate]:
         """Advance by dt [s] to the time of `inputs`. Pure: the state given is left as it was."""
         row, after = np.empty(len(self.columns)), _copy(state)
-        self.entries.step_once(
-            *self.own_arguments(),
-            *_arrays(after),
-            inputs.speed,
-            inputs.load,
-            inputs.ambient,
-            inputs.ambient_std,
-            inputs.belt_measured,
-            inputs.acceleration,
-            inputs.grade,
-            inputs.yaw_rate,
-            inputs.heading,
-            inputs.distance,
-            inputs.measured_torque,
-            inputs.reasons,
-            float(dt),
-            row,
-        )
+        self.entries.step_once(*self.own_arguments(), *_arrays(after), *inputs, float(dt), row)
         return after, Estimate(row, self.column_index)
 
     def own_arguments(self) -> tuple[Any, ...]:
@@ -303,7 +286,7 @@ class Estimator:
         """
         times = np.ascontiguousarray(time_s, dtype=float)
         series = [
-            np.ascontiguousarray(np.broadcast_to(np.asarray(a, dtype=float), times.shape)).copy()
+            np.array(np.broadcast_to(np.asarray(a, dtype=float), times.shape), order="C")
             for a in (speed, weight, ambient, acceleration, grade, yaw_rate, heading, distance)
         ]
         after, rows = _copy(state), np.empty((len(times), len(self.columns)))
@@ -311,9 +294,8 @@ class Estimator:
             *self.own_arguments(),
             *_arrays(after),
             times,
-            *series[:3],
+            *series,
             self.constants.number.ambient_std,
-            *series[3:],
             np.empty(len(self.assemblies)),
             self._no_belts,
             rows,

@@ -83,9 +83,18 @@ class Inputs(NamedTuple):
     reasons: int = 0  # columns.Reason found before the step
 
 
-@compiled
-def start(k: Constants, belts: Array, motion: Array, effects: Array, ambient: float, ambient_std: float) -> None:
+class Carried(NamedTuple):
+    """What is carried from step to step; all arrays are changed in place."""
+
+    belts: Array  # (assemblies, 2, BELT_COLUMNS); in a fit one of each kind
+    motion: Array  # (MOTION_COLUMNS,)
+    effects: Array  # see `stepping.new_memory`
+
+
+@inlined
+def start(k: Constants, carried: Carried, ambient: float, ambient_std: float) -> None:
     """A cold start: every belt at the ambient temperature, and uncertain."""
+    belts, motion, effects = carried
     for i in range(belts.shape[0]):
         for node in range(2):
             for column in range(at.BELT_COLUMNS):
@@ -424,19 +433,18 @@ def driving_torque(work: Array, resisting: float, uphill: float, inertia: float)
 
 
 @inlined
-def advance(k: Constants, belts: Array, motion: Array, effects: Array, inputs: Inputs, dt: float, out: Array) -> None:
+def advance(k: Constants, carried: Carried, inputs: Inputs, dt: float, out: Array) -> None:
     """Advance the whole estimate by dt [s] to the time of `inputs`; changes what it is carried in, fills one row of results.
 
     Parameters
     ----------
-    k, belts, motion, effects, inputs
-        `constants.Constants`; arrays (assemblies, 2, BELT_COLUMNS), (MOTION_COLUMNS,) and of `stepping.new_memory`; `Inputs`.
     dt
         Time since the last step [s], 0 at the first.
     out
         Row of results, shape (columns,), see `columns`.
     """
     number, work = k.number, k.work
+    belts, motion, effects = carried
     reasons = inputs.reasons
     speed = inputs.speed
     started = motion[at.STARTED] > 0.0
@@ -518,20 +526,21 @@ def advance(k: Constants, belts: Array, motion: Array, effects: Array, inputs: I
 
 @inlined
 def predict(
-    k: Constants, belts: Array, motion: Array, effects: Array, count: Array, speed: float, accel: float, grade: float,
-    weight: float, ambient: float, turning: tuple[float, float, float], dt: float, out: Array,
+    k: Constants, carried: Carried, count: Array, speed: float, accel: float, grade: float, weight: float, ambient: float,
+    turning: tuple[float, float, float], dt: float, out: Array,
 ) -> None:  # fmt: skip
     """The step of `advance` without doubt, feed-forward and shares: what a fit asks for, thousands of times.
 
     Parameters
     ----------
-    belts
-        One belt of each kind, shape (kinds, 2, BELT_COLUMNS), as the rows of `k.assembly`.
+    carried
+        With one belt of each kind, as the rows of `k.assembly`.
     count
         How many assemblies there are of each kind, shape (kinds,).
     out
         `PREDICTED`: driving torque [Nm], mean of the belts' temperatures and of their skins [degC], how the effects went.
     """  # fmt: skip
+    belts, motion, effects = carried
     arm = 0.0
     for i in range(belts.shape[0]):
         arm += count[i] * k.assembly[i, at.SHARE_OF_ALL] * k.assembly[i, at.RADIUS]

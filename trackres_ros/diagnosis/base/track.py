@@ -111,19 +111,20 @@ class TrackBase:
                 COMPILED.start_belts(*arguments, *state, ambient, 0.0)
             else:
                 COMPILED.rest_vehicle(*arguments, *state, ambient, 0.0, session.gap)
-            rows = np.empty((len(session), PREDICTED))
+            rows, unknown = np.empty((len(session), PREDICTED)), np.full(len(session), np.nan)
             COMPILED.predict_series(
                 *arguments,
                 *state,
                 self._count,
                 session.time,
                 acting.speed(session),
-                session.accel_decorrelated,
-                session.grade if "grade" in session.given else np.full(len(session), np.nan),
                 session.weight,
                 session.ambient,
+                session.accel_decorrelated,
+                session.grade if "grade" in session.given else unknown,
                 session.yaw_rate,
                 session.heading,
+                unknown,
                 rows,
             )
             acting.check(rows[:, PREDICTED_OUTCOME] == UNUSABLE, session, self.facts)
