@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 
 from trackres_ros.effects.stepping import neutral, rest_effects
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.belt_step import SLOWEST_LOG_SPEED
+from trackres_ros.estimator.belt_heat import SLOWEST_LOG_SPEED
+from trackres_ros.estimator.belt_step import roll
 from trackres_ros.estimator.constants import Constants
 from trackres_ros.estimator.guards import GAP, TOOK_RESET, Memory, admit, forget_others, gather
-from trackres_ros.estimator.kernel import Carried, Inputs, advance, predict, roll, start
+from trackres_ros.estimator.kernel import advance, predict, start
+from trackres_ros.estimator.records import Carried, Inputs, Series
 from trackres_ros.jit.compiled import HAVE_NUMBA, inlined, interpreted
 from trackres_ros.jit.entries import entry
 from trackres_ros.units import NANOSECOND
@@ -37,20 +39,6 @@ class Messages(NamedTuple):
     stamps: IntArray  # ns
     arrivals: IntArray  # ns
     values: Array
-
-
-class Series(NamedTuple):
-    """A drive, shape (times,); not a number (nan) where something is not known."""
-
-    times: Array  # s
-    speeds: Array  # m/s
-    weights: Array  # N, shared as nominal loads are
-    ambients: Array  # degC
-    accelerations: Array  # m/s^2
-    grades: Array  # rise over run
-    yaw_rates: Array  # rad/s
-    headings: Array  # rad
-    distances: Array  # m
 
 
 @inlined

@@ -17,7 +17,7 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.constants import Constants, kernel_arguments, make_constants
 from trackres_ros.estimator.entry_points import COMPILED, Entries
 from trackres_ros.estimator.guards import Memory, new_memory
-from trackres_ros.estimator.kernel import Inputs
+from trackres_ros.estimator.records import Carried, Inputs, Series
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.text.numbers import decimals
 from trackres_ros.vehicle import Vehicle
@@ -285,15 +285,12 @@ class Estimator:
             State at the last time; results, shape (times, columns).
         """
         times = np.ascontiguousarray(time_s, dtype=float)
-        series = [
-            np.array(np.broadcast_to(np.asarray(a, dtype=float), times.shape), order="C")
-            for a in (speed, weight, ambient, acceleration, grade, yaw_rate, heading, distance)
-        ]
+        given = (speed, weight, ambient, acceleration, grade, yaw_rate, heading, distance)
+        series = Series(times, *(np.array(np.broadcast_to(np.asarray(a, dtype=float), times.shape), order="C") for a in given))
         after, rows = _copy(state), np.empty((len(times), len(self.columns)))
         self.entries.run_series(
             *self.own_arguments(),
             *_arrays(after),
-            times,
             *series,
             self.constants.number.ambient_std,
             np.empty(len(self.assemblies)),
@@ -323,9 +320,9 @@ def _copy(state: State) -> State:
     return State(*(array.copy() for array in _arrays(state)))
 
 
-def _arrays(state: State) -> tuple[Array, Array, Array]:
-    """As the kernel's entries take them."""
-    return state.belts, state.motion, state.effects
+def _arrays(state: State) -> Carried:
+    """As the kernel takes them."""
+    return Carried(state.belts, state.motion, state.effects)
 
 
 class Session:

@@ -26,6 +26,7 @@ from trackres_ros.estimator.constants import (
 )
 from trackres_ros.estimator.entry_points import COMPILED
 from trackres_ros.estimator.kernel import PREDICTED, PREDICTED_BELT, PREDICTED_DRIVE, PREDICTED_OUTCOME, PREDICTED_SKIN
+from trackres_ros.estimator.records import Carried, Series
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.model.facts import facts_of
 from trackres_ros.model.thermal import thermal_network
@@ -103,7 +104,7 @@ class TrackBase:
         acting = Acting.of([*self.vehicle.active, *effects], self.facts)
         arguments = kernel_arguments(self._with(values, acting), COMPILED.compiled)
         belts, motion = np.empty((len(self._firsts), 2, at.BELT_COLUMNS)), np.empty(at.MOTION_COLUMNS)
-        state = (belts, motion, new_memory(len(acting.stepped)))
+        state = Carried(belts, motion, new_memory(len(acting.stepped)))
         found = []
         for i, session in enumerate(sessions):
             ambient = float(session.ambient[0])
@@ -112,10 +113,7 @@ class TrackBase:
             else:
                 COMPILED.rest_vehicle(*arguments, *state, ambient, 0.0, session.gap)
             rows, unknown = np.empty((len(session), PREDICTED)), np.full(len(session), np.nan)
-            COMPILED.predict_series(
-                *arguments,
-                *state,
-                self._count,
+            series = Series(
                 session.time,
                 acting.speed(session),
                 session.weight,
@@ -125,8 +123,8 @@ class TrackBase:
                 session.yaw_rate,
                 session.heading,
                 unknown,
-                rows,
             )
+            COMPILED.predict_series(*arguments, *state, self._count, *series, rows)
             acting.check(rows[:, PREDICTED_OUTCOME] == UNUSABLE, session, self.facts)
             drive = np.ascontiguousarray(rows[:, PREDICTED_DRIVE])
             inertia = self.rotating_mass_factor * session.weight / GRAVITY
