@@ -227,14 +227,14 @@ class BagSource:
             if not wanted:
                 return
             topics = list({one.topic: self._topics[path, one.topic] for one in wanted}.values())
-            index = {one.id: topics.index(self._topics[path, one.topic]) for one in wanted}
+            index = {topic.name: number for number, topic in enumerate(topics)}
             lost = np.array([counts.by_topic[topic.name] for topic in topics], np.int64)
             batches = messages(reader, wanted)
             most = min(BATCH_ROWS, max(1, max_rows // max(len(topic.roles) for topic in topics)))
             size = min(64, most)
             while batch := list(itertools.islice(batches, size)):
                 # A damaged index leads to messages that say they are of a connection not asked for: those stay missing.
-                which = np.array([index.get(one[0].id, -1) for one in batch], np.intp)
+                which = np.array([index.get(one[0].topic, -1) for one in batch], np.intp)
                 if which.min() < 0:
                     batch = list(itertools.compress(batch, (which >= 0).tolist()))
                     which = which[which >= 0]
@@ -392,17 +392,16 @@ def _check_storage(storage: Any) -> None:
 
 
 def messages(reader: Any, wanted: Sequence[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
-    """Return the messages of a bag; those that are packed one by one are unpacked here, up to a ceiling."""
-    if getattr(reader, "compression_mode", None) == "message":
-        return _unpacked(reader, wanted)
-    found: Iterator[tuple[Connection, int, bytes]] = reader.messages(wanted)
-    return found
+    """Return the messages of a bag, file after file; those that are packed one by one are unpacked here, up to a ceiling."""
+    kinds = {(one.topic, one.msgtype) for one in wanted}
+    files = [(file, [one for one in file.connections if (one.topic, one.msgtype) in kinds]) for file in storages_of(reader)]
+    parts: list[tuple[Any, Sequence[Connection]]] = [*files] if files else [(reader, wanted)]
+    found = itertools.chain.from_iterable(part.messages(ones) for part, ones in parts if ones)
+    return _unpacked(found) if getattr(reader, "compression_mode", None) == "message" else found
 
 
-def _unpacked(reader: Any, wanted: Sequence[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
-    storage = reader.storage
-    storage.metadata = storage.metadata._replace(compression_mode=None)
-    for connection, stamp, raw in reader.messages(wanted):
+def _unpacked(packed: Iterator[tuple[Connection, int, bytes]]) -> Iterator[tuple[Connection, int, bytes]]:
+    for connection, stamp, raw in packed:
         try:
             yield connection, stamp, unpack_message(raw)
         except TooLargeError as error:
