@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -104,6 +104,25 @@ class Base(Protocol):
         """Write a vehicle file with what was kept, surroundings beside it; returns the files that are for use."""
 
 
+class Remembered:
+    """The last simulation: what differs only in what sensors make of it is not simulated anew."""
+
+    def __init__(self) -> None:
+        self._hangs_on: tuple[object, ...] = ()
+        self._rows: list[Array] = []
+
+    def rows(
+        self, sessions: Sequence[Session], values: Values, acting: Acting, simulate: Callable[[], list[Array]]
+    ) -> list[Array]:
+        """What `simulate` gives, or gave when it was last asked with the same."""
+        stepped = tuple((active.effect, *active.numbers) for active in acting.stepped)
+        hangs_on = (*map(id, sessions), *values.values(), acting.sensors.speed_factor, *stepped)
+        if hangs_on != self._hangs_on:
+            self._hangs_on, self._rows = hangs_on, simulate()
+            self._sessions = tuple(sessions)  # as long as they are here, no other has their identity
+        return self._rows
+
+
 @dataclass(frozen=True)
 class Acting:
     """Effects sorted: those that act in every step, ready for it, and what those of sensors make of speed and torque."""
@@ -127,7 +146,7 @@ class Acting:
         """What the torque sensor shows of a torque [Nm]."""
         terms = self.sensors
         shown = terms.sensor_gain * torque + terms.sensor_offset
-        if terms.sensor_delay <= 0.0:
+        if terms.sensor_delay == 0.0:
             return np.asarray(shown)
         if session.torque_course is None:  # nothing was measured: the middle of a step is where its mean is
             return np.interp(session.time - terms.sensor_delay, session.time, shown)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.base.base import Acting, BaseParameter, Predicted, Values
+from trackres_ros.diagnosis.base.base import Acting, BaseParameter, Predicted, Remembered, Values
 from trackres_ros.diagnosis.prepare.session import Session
 from trackres_ros.diagnosis.writing.kept import Kept
 from trackres_ros.diagnosis.writing.vehicle_file import finish, opened, set_quantity
@@ -107,6 +107,7 @@ class RoadBase:
     def __init__(self, vehicle: RoadVehicle) -> None:
         self.vehicle = vehicle
         self._active = (*vehicle.effects, *vehicle.surroundings)
+        self._simulated = Remembered()
         v = vehicle.values
         self.torque_scale, self.rotating_mass_factor = v["torque_scale"], v["rotating_mass_factor"]
         self.facts = Facts(
@@ -133,27 +134,35 @@ class RoadBase:
 
     def predict(self, sessions: Sequence[Session], values: Values, effects: Sequence[Active]) -> list[Predicted]:
         """See `base.Base`."""
-        fixed, found = self.vehicle.values, []
-        values = {**fixed, **values}
+        values = {**self.vehicle.values, **values}
         chain = (
             Active(DrivetrainEfficiency(), {"efficiency": values["efficiency"]}),
             Active(Delay(), {"time": values["torque_delay"]}),
         )
         acting = Acting.of([*chain, *self._active, *effects], self.facts)
+        torques = self._simulated.rows(sessions, values, acting, lambda: self._simulate(sessions, values, acting))
+        found = []
+        for session, torque in zip(sessions, torques, strict=True):
+            nothing = np.full(len(session), np.nan)
+            found.append(Predicted(values["torque_scale"] * acting.sensed(torque, session), torque, nothing, nothing))
+        return found
+
+    def _simulate(self, sessions: Sequence[Session], values: Values, acting: Acting) -> list[Array]:
+        """Step through sessions; the torque of each [Nm]."""
         work, memory = new_work(self.facts), new_memory(len(acting.stepped))
+        found = []
         for i, session in enumerate(sessions):
             if i > 0 and np.isfinite(session.gap):
                 rest_effects(*acting.table, memory, work, float(session.ambient[0]), session.gap)
             else:
                 memory = cooled(memory)
             torque, outcome = np.empty(len(session)), np.empty(len(session), dtype=np.int64)
-            nothing = np.full(len(session), np.nan)
             vehicle = RoadLoad(
-                fixed["wheel_radius"],
+                values["wheel_radius"],
                 values["rolling_coefficient"],
                 values["rolling_rise"],
                 values["drag_area"],
-                fixed["air_density"],
+                values["air_density"],
                 values["rotating_mass_factor"],
             )
             series = Series(
@@ -165,11 +174,11 @@ class RoadBase:
                 session.grade if "grade" in session.given else np.zeros(len(session)),
                 session.yaw_rate,
                 session.heading,
-                nothing,
+                np.full(len(session), np.nan),
             )
             run_road_load(*acting.table, work, memory, *vehicle, *series, torque, outcome)
             acting.check(outcome == UNUSABLE, session, self.facts)
-            found.append(Predicted(values["torque_scale"] * acting.sensed(torque, session), torque, nothing, nothing))
+            found.append(torque)
         return found
 
     def write(self, path: Path, kept: Kept, text: str) -> list[Path]:

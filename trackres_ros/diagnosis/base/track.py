@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.base.base import Acting, BaseParameter, Predicted, Values
+from trackres_ros.diagnosis.base.base import Acting, BaseParameter, Predicted, Remembered, Values
 from trackres_ros.diagnosis.prepare.session import Session
 from trackres_ros.diagnosis.writing.kept import Kept
 from trackres_ros.diagnosis.writing.vehicle_file import rubber_share, write_track_vehicle
@@ -67,6 +67,7 @@ class TrackBase:
         }
         self._arm = float(np.dot(*(self._constants.assembly[:, column] for column in (at.SHARE_OF_ALL, at.RADIUS))))
         self._firsts, self._count = _kinds(self._constants)
+        self._simulated = Remembered()
         self.includes = tuple(active.effect.name for active in vehicle.active)
         self.facts = facts_of(vehicle)
         self.torque_scale = 1.0
@@ -102,6 +103,19 @@ class TrackBase:
     def predict(self, sessions: Sequence[Session], values: Values, effects: Sequence[Active]) -> list[Predicted]:
         """See `base.Base`."""
         acting = Acting.of([*self.vehicle.active, *effects], self.facts)
+        rows = self._simulated.rows(sessions, values, acting, lambda: self._simulate(sessions, values, acting))
+        found = []
+        for session, of_session in zip(sessions, rows, strict=True):
+            drive = np.ascontiguousarray(of_session[:, PREDICTED_DRIVE])
+            inertia = self.rotating_mass_factor * session.weight / GRAVITY
+            # No effect acts on the rest of the inertia: what the speed's own noise makes of it would tell for or against it.
+            quick = self._arm * inertia * (session.accel - session.accel_decorrelated)
+            shown = acting.sensed(drive, session) + quick
+            found.append(Predicted(shown, drive, of_session[:, PREDICTED_BELT].copy(), of_session[:, PREDICTED_SKIN].copy()))
+        return found
+
+    def _simulate(self, sessions: Sequence[Session], values: Values, acting: Acting) -> list[Array]:
+        """Step through sessions; rows as of `kernel.predict`, shape (n, `PREDICTED`), of each."""
         arguments = kernel_arguments(self._with(values, acting), COMPILED.compiled)
         belts, motion = np.empty((len(self._firsts), 2, at.BELT_COLUMNS)), np.empty(at.MOTION_COLUMNS)
         state = Carried(belts, motion, new_memory(len(acting.stepped)))
@@ -126,12 +140,7 @@ class TrackBase:
             )
             COMPILED.predict_series(*arguments, *state, self._count, *series, rows)
             acting.check(rows[:, PREDICTED_OUTCOME] == UNUSABLE, session, self.facts)
-            drive = np.ascontiguousarray(rows[:, PREDICTED_DRIVE])
-            inertia = self.rotating_mass_factor * session.weight / GRAVITY
-            # No effect acts on the rest of the inertia: what the speed's own noise makes of it would tell for or against it.
-            quick = self._arm * inertia * (session.accel - session.accel_decorrelated)
-            shown = acting.sensed(drive, session) + quick
-            found.append(Predicted(shown, drive, rows[:, PREDICTED_BELT].copy(), rows[:, PREDICTED_SKIN].copy()))
+            found.append(rows)
         return found
 
     def write(self, path: Path, kept: Kept, text: str) -> list[Path]:

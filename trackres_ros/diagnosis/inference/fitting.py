@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from trackres_ros.diagnosis.base.base import Base, BaseParameter, Predicted
+from trackres_ros.diagnosis.base.instrument import instrument
 from trackres_ros.diagnosis.inference.noise import LARGEST_ROOT, Noise, estimate_noise, whitened
 from trackres_ros.diagnosis.prepare.session import Session
 from trackres_ros.effects.effect import Active, Effect
@@ -137,6 +138,8 @@ class Fit:
     ----------
     base_values, effects
         What was found.
+    instrument
+        What the torque sensor does within an instrument's bounds, see `base.instrument`.
     free, point, covariance
         The parameters fitted, in their order, where they came to lie, and how sure that is.
     noises, log_likelihood
@@ -150,6 +153,7 @@ class Fit:
     problem: Problem
     base_values: dict[str, float]
     effects: tuple[Active, ...]
+    instrument: tuple[Active, ...]
     free: tuple[Free, ...]
     point: Array
     covariance: Array
@@ -173,19 +177,28 @@ class Fit:
         """Where the free parameters came to lie."""
         return {f.key: float(x) for f, x in zip(self.free, self.point, strict=True)}
 
+    @property
+    def acting(self) -> tuple[Active, ...]:
+        """All that is added to the base: what the instrument does, and the effects."""
+        return (*self.instrument, *self.effects)
+
     def model_at(self, point: Array) -> tuple[dict[str, float], tuple[Active, ...]]:
-        """Values of the base and effects with the free parameters at another point."""
+        """Values of the base and all that acts, with the free parameters at another point."""
         moved = {f.key: float(x) for f, x in zip(self.free, point, strict=True)}
         base = {name: moved.get(("", name), value) for name, value in self.base_values.items()}
-        effects = (
-            replace(a, values={q: moved.get((a.effect.name, q), value) for q, value in a.values.items()}) for a in self.effects
+        acting = (
+            replace(a, values={q: moved.get((a.effect.name, q), value) for q, value in a.values.items()}) for a in self.acting
         )
-        return base, tuple(effects)
+        return base, tuple(acting)
 
     def contribution(self, name: str) -> list[Array]:
         """What one effect adds to the expected torque of each session [Nm]."""
-        without = self.problem.predict(self.base_values, [a for a in self.effects if a.effect.name != name])
+        without = self.problem.predict(self.base_values, [a for a in self.acting if a.effect.name != name])
         return [p.torque - w.torque for p, w in zip(self.predicted, without, strict=True)]
+
+    def without_instrument(self) -> list[Array]:
+        """The torque of each session that a vehicle file with these values expects [Nm]."""
+        return [p.torque for p in self.problem.predict(self.base_values, self.effects)]
 
     @cached_property
     def white(self) -> list[Array]:
@@ -213,15 +226,16 @@ class Fit:
 
 
 def free_parameters(base: Base, effects: Sequence[Effect]) -> tuple[Free, ...]:
-    """All parameters of a base and of effects."""
-    found = [_of_base(q) for q in base.parameters]
-    for effect in effects:
+    """All parameters of effects and of a base. Those of sensors come first: nothing has to be simulated anew for them."""
+    found = []
+    for effect in sorted(effects, key=lambda e: e.acts_on != "sensor"):
         for q in effect.parameters:
             wide = q.high - q.low
             # How large an effect is hangs together with what is typical; what only shapes it is as unknown as its bounds say.
             std = 0.5 * wide if q.off is None else LARGE * abs(q.start - q.off)
             found.append(Free((effect.name, q.name), q.unit, q.low, q.high, q.start if q.off is None else q.off, std, wide))
-    return tuple(found)
+    of_sensors = sum(len(e.parameters) for e in effects if e.acts_on == "sensor")
+    return (*found[:of_sensors], *map(_of_base, base.parameters), *found[of_sensors:])
 
 
 def fit(
@@ -249,17 +263,20 @@ def fit(
         Bound on the roots of the noise's autoregression.
     """
     held = dict(fixed or {})
-    free = tuple(f for f in free_parameters(problem.base, effects) if f.key not in held)
+    named = [e.name for e in effects]
+    sensed = [e for e in instrument(problem.base) if e.name not in named]
+    everything = [*sensed, *effects]
+    free = tuple(f for f in free_parameters(problem.base, everything) if f.key not in held)
     low, high = np.array([f.low for f in free]), np.array([f.high for f in free])
     scale = np.array([f.scale for f in free])
     nominal, std = np.array([f.nominal for f in free]), np.array([f.std for f in free])
-    given = {**{(e.name, q.name): q.start for e in effects for q in e.parameters}, **(start or {})}
+    given = {**{(e.name, q.name): q.start for e in everything for q in e.parameters}, **(start or {})}
     point = np.clip([given.get(f.key, f.nominal) for f in free], low + 1e-9 * scale, high - 1e-9 * scale)
 
     def model(at: Array) -> tuple[dict[str, float], tuple[Active, ...]]:
         values = {**held, **{f.key: float(x) for f, x in zip(free, at, strict=True)}}
         base = {name: value for (effect, name), value in values.items() if not effect}
-        return base, tuple(Active(e, {q.name: values[e.name, q.name] for q in e.parameters}) for e in effects)
+        return base, tuple(Active(e, {q.name: values[e.name, q.name] for q in e.parameters}) for e in everything)
 
     def residuals(at: Array) -> list[Array]:
         return problem.residuals(problem.predict(*model(at)))
@@ -291,7 +308,7 @@ def fit(
     covariance = np.linalg.pinv(scaled.T @ scaled, rcond=1e-14, hermitian=True) * np.outer(scale, scale)
     values, active = model(point)
     return Fit(
-        problem, values, active, free, point, covariance, current, likelihood,
+        problem, values, active[len(sensed) :], active[: len(sensed)], free, point, covariance, current, likelihood,
         len(solution.fun) - len(free), tuple(problem.predict(values, active)),
     )  # fmt: skip
 

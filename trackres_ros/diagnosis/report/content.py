@@ -45,6 +45,11 @@ def report(d: Diagnosis, paths: Sequence[Path], bindings: Mapping[str, TopicBind
                 }
                 for name, value in d.final.base_values.items()
             },
+            "instrument": {
+                active.effect.name: {q.name: {"value": _number(active.values[q.name]), "unit": q.unit}}
+                for active in d.final.instrument
+                for q in active.effect.parameters
+            },
         },
         "verdict": {
             "status": d.verdict.status,

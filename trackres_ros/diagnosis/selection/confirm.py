@@ -95,7 +95,7 @@ def keep(
     doubted = [name for name in named if name not in believed]
     but = f"; not written: {', '.join(doubted)}" if doubted else ""
     for model in models:
-        after = float(np.abs(laps.measured - laps.of(_torques(model))).mean())
+        after = float(np.abs(laps.measured - laps.of(model.without_instrument())).mean())
         if after <= before:
             found = bounds if model is final else intervals(model)
             of_effects = ", ".join(a.effect.name for a in model.effects)
@@ -116,7 +116,3 @@ def _graded(active: Active, final: Fit, refitted: Fit, laps: HeldOutLaps) -> Gra
         if bound != q.off and abs(active.values[q.name] - bound) <= ON_BOUND * (q.high - q.low)
     )
     return Graded(name, laps.improvement_of(without, final), on_bounds)
-
-
-def _torques(found: Fit) -> list[Array]:
-    return [p.torque for p in found.predicted]

@@ -169,7 +169,7 @@ def _sensitivity(effect: Effect, start: Mapping[str, float], fit: Fit, project: 
     for i, q in enumerate(amplitudes):
         assert q.off is not None
         step = q.start - q.off  # the secant: some effects are far from linear
-        active = [*fit.effects, Active(effect, {**off, q.name: q.off + step})]
+        active = [*fit.acting, Active(effect, {**off, q.name: q.off + step})]
         after = _expected(fit, fit.problem.predict(fit.base_values, active))
         columns[:, i] = (after - before) / step
         typical += columns[:, i] * (q.start - q.off)

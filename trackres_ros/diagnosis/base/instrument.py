@@ -1,0 +1,39 @@
+"""What every torque sensor does a little: parameters of the fit with tight priors, and no finding.
+
+A torque that is a few hundredths of a second late, an offset of some Nm and a gain within a percent are what instruments are
+like. They are fitted along with the base, within the bounds here. Beyond those, an effect of the catalogue says so, and then
+takes the instrument's place.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import replace
+
+from trackres_ros.diagnosis.base.base import Base
+from trackres_ros.effects.effect import REFERENCE_NM, Effect
+from trackres_ros.effects.sensor.delay import Delay
+from trackres_ros.effects.sensor.torque_gain import TorqueGain
+from trackres_ros.effects.sensor.torque_offset import TorqueOffset
+
+PRIOR_STDS = 3.0  # from the value without effect to the start of a parameter, see `fitting.free_parameters`
+DELAY_S, MOST_DELAY_S = 0.06, 0.12  # standard deviation and bound; the speed may be the later one
+GAIN, MOST_GAIN = 0.005, 0.015
+OFFSET_NM, MOST_OFFSET_NM = 15.0, 45.0  # of a vehicle of `REFERENCE_NM`
+
+
+def instrument(base: Base) -> tuple[Effect, ...]:
+    """The effects of an instrument's size that the base does not have among its own parameters."""
+    size = base.facts.weight * base.facts.radius / REFERENCE_NM
+    within = (
+        (Delay(), DELAY_S, MOST_DELAY_S),
+        (TorqueGain(), GAIN, MOST_GAIN),
+        (TorqueOffset(), OFFSET_NM * size, MOST_OFFSET_NM * size),
+    )
+    return tuple(_narrowed(effect, std, most) for effect, std, most in within if effect.name not in base.includes)
+
+
+def _narrowed(effect: Effect, std: float, most: float) -> Effect:
+    found = copy.copy(effect)
+    found.parameters = tuple(replace(q, low=-most, high=most, start=std / PRIOR_STDS) for q in effect.parameters)
+    return found
