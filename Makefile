@@ -6,7 +6,7 @@ OUT := out
 # These start nodes and mostly wait for them. Two files at a time: more would keep the nodes from their clock.
 LIVE_TESTS := test/dds test/processes
 
-.PHONY: demo test test-live test-rest compiled mutants lint clean
+.PHONY: demo test test-live test-rest compiled mutants coverage site lint clean
 
 demo: $(VENV)/.ready
 	$(RUN)/python tools/demo $(OUT)
@@ -33,6 +33,16 @@ compiled: $(VENV)/.ready
 mutants: $(VENV)/.ready
 	$(RUN)/python -m pip install --quiet --disable-pip-version-check --use-pep517 --editable ".[mutation]"
 	$(RUN)/python tools/mutants
+
+# How much of the rooms that read what comes from outside their tests run, into CONTRIBUTING.md. Apart from the tests, which it would slow down.
+coverage: $(VENV)/.ready
+	$(RUN)/python -m pip install --quiet --disable-pip-version-check --use-pep517 --editable ".[coverage]"
+	nice -n 19 $(RUN)/python tools/coverage --write
+
+# The documentation as a site in out/site; a link that leads nowhere is an error.
+site: $(VENV)/.ready
+	$(RUN)/python -m pip install --quiet --disable-pip-version-check --use-pep517 --editable ".[docs]"
+	NO_MKDOCS_2_WARNING=1 $(RUN)/mkdocs build --strict --quiet
 
 lint: $(VENV)/.ready
 	$(RUN)/ruff check .

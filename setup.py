@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Build description of the ament_python package; also installs with pip where there is no ROS."""
 
 from pathlib import Path
@@ -25,13 +28,15 @@ FAST = ["numba>=0.57"]
 NOTEBOOK = ["pandas>=2.0", "xarray>=2023.1", *PLOTS]
 CYCLONE = "cyclonedds>=11.0.1"
 DIAGNOSIS = ["jinja2>=3.1", "ruptures>=1.1.8", *PLOTS, *FAST]
-PROOF = [*DIAGNOSIS, "scikit-learn>=1.3"]
+PROOF = [*DIAGNOSIS, "scikit-learn>=1.3", "pysindy>=1.7.5"]
 DDS = [*BAGS, CYCLONE]
 # No wheels elsewhere, and its source needs the C library: there the tests of that edge are skipped.
 DDS_TESTED = [f"{CYCLONE}; platform_machine == 'x86_64' and python_version < '3.14'"]
 TEST = ["pytest>=7.4", "pytest-xdist>=3.4", "hypothesis>=6.98", "rainflow>=3.1", "mcap>=1.1", "setuptools>=70.1"]
 TEST += ["jsonschema>=4.10", "ruff>=0.4", "mypy>=1.8", "types-PyYAML"]
 TEST += ["colcon-common-extensions>=0.3"]  # where ROS 2 is, the package is built into a workspace and launched from there
+DOCS = ["mkdocs>=1.6,<2", "mkdocs-material>=9.5,<10", "latex2mathml>=3.77"]  # for make site
+COVERAGE = ["pytest-cov>=5.0"]  # for make coverage
 MUTATION = ["cosmic-ray>=8.3"]  # for tools/mutants, by hand
 
 setup(
@@ -63,6 +68,8 @@ setup(
         "all": BAGS + PARQUET + NOTEBOOK + PROOF,
         "test": BAGS + PARQUET + NOTEBOOK + PROOF + DDS_TESTED + TEST,
         "mutation": MUTATION,
+        "docs": DOCS,
+        "coverage": COVERAGE,
     },
     zip_safe=False,
     entry_points={

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A diagnosis of an hour at 100 Hz, with the share of each step; and a fit against the same fit on scipy's solve_ivp."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What reading a bag costs over its raw messages, the estimate on top of reading, and whether memory grows."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A whole recording, temperatures and all torques: the estimator against LSODA, the paper's algorithm and a plain loop."""
 
 from __future__ import annotations

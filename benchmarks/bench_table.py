@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Building the loss table, taking it from the cache, how near it is to the exact method, and the first estimate of a process."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What each way that was tried gives: ratios as the program is, without a way that was kept, and with one that was not."""
 
 from __future__ import annotations
@@ -87,8 +90,8 @@ WAYS = (
         (
             (
                 "estimator/columns.py",
-                "    PART_DOUBT,\n) = range(13)",
-                "    PART_LOAD,\n    PART_LOG_LOAD,\n    PART_DOUBT,\n) = range(15)",
+                "    PART_CONSIDER,\n) = range(13)",
+                "    PART_LOAD,\n    PART_LOG_LOAD,\n    PART_CONSIDER,\n) = range(15)",
             ),
             ("estimator/constants.py", "np.empty(parts_and_belts)", "np.full(parts_and_belts, np.nan)"),
             (

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The middleware to compare with: a message to another process and back, by Cyclone DDS on the loopback interface.
 
 The message is a std_msgs/Float64 by its DDS type. Both sides wait in a listener, and the echo writes back in it: no queue,

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What the benchmarks share: targets, alternated timing, and child processes with their peak memory."""
 
 from __future__ import annotations

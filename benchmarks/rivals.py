@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Other ways to the temperatures and torques of a whole recording, to compare the estimator with.
 
 All use the same loss table and the same recording, and give the same: temperature of each belt and the torques by part at

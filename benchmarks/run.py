@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Run all benchmarks, or those whose titles are given; print what they show and write it to docs/performance.md."""
 
 from __future__ import annotations

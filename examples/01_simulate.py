@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What if: the same drive with another load, a warmer day, a lossier compound and a larger road wheel."""
 
 import trackres_ros as tr

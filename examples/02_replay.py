@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A recording made on the spot, read with what is wrong with it, and through the estimator to a table."""
 
 import trackres_ros as tr

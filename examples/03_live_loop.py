@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The live loop without any middleware: one message at a time, some of them wrong, and what the estimate says of it."""
 
 import math

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Your own vehicle: copy a shipped file, change a value, look at what it makes of it, and see a bad value refused."""
 
 import shutil

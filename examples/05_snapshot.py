@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Stop and go on: bit-equal to never having stopped; and begin again after an hour off, with belts that have cooled."""
 
 from pathlib import Path

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Diagnose recordings whose torque has something in it that the model lacks: here simulated ones, with turning scrub."""
 
 import tempfile

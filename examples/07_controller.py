@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A drive controller that takes the feed-forward: fresh stamps only, only while the status allows it, and never by a jump.
 
 `Drive` knows no middleware: `take` and `judge` are called with what comes, `torque` in each control step. How it is connected

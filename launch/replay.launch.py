@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Replay: ros2 launch trackres_ros replay.launch.py recording:=lap.mcap vehicle:=xgd24d output:=out.mcap [topics:=t.yaml]."""
 
 from launch import LaunchContext, LaunchDescription

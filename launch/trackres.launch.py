@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The live node: ros2 launch trackres_ros trackres.launch.py vehicle:=xgd24d [topics:=t.yaml] [params_file:=p.yaml] [...]."""
 
 from launch import LaunchContext, LaunchDescription

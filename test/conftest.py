@@ -1,3 +1,9 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+import io
+import signal
+from contextlib import redirect_stderr, redirect_stdout
 from itertools import combinations
 from pathlib import Path
 from types import SimpleNamespace
@@ -34,6 +40,39 @@ def repository():
 def compiled(reference):
     """The kernels are compiled: nodes that are started then need not do so beside, each anew, while they are tested."""
     exercise(reference)
+
+
+@pytest.fixture(scope="session")
+def trackres():
+    """The command line in this process: `trackres(*words, cwd=None)` gives its exit code and what stands on both streams."""
+    return _trackres
+
+
+@pytest.fixture(scope="session")
+def good():
+    """What a command prints that ends well: `good(*words, cwd=None)`."""
+
+    def good(*words, cwd=None):
+        done = _trackres(*words, cwd=cwd)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    return good
+
+
+def _trackres(*words, cwd=None):
+    from trackres_ros.cli.main import main
+
+    streams, handlers = (io.StringIO(), io.StringIO()), {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)}
+    with pytest.MonkeyPatch.context() as changed, redirect_stdout(streams[0]), redirect_stderr(streams[1]):
+        changed.setenv("COLUMNS", "200")
+        if cwd:
+            changed.chdir(cwd)
+        with pytest.raises(SystemExit) as ended:
+            main([str(word) for word in words])
+    for number, handler in handlers.items():
+        signal.signal(number, handler)
+    return SimpleNamespace(returncode=ended.value.code, stdout=streams[0].getvalue(), stderr=streams[1].getvalue())
 
 
 @pytest.fixture

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Every benchmark runs, on tiny sizes; no time is judged here."""
 
 import importlib

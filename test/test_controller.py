@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The controller of docs/controller.md is the example that runs, and takes the feed-forward only when it may."""
 
 import importlib.util

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """docs/errata.md: every equation of the paper has its row, and what the rows name is there."""
 
 from __future__ import annotations

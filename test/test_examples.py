@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Every example runs as it stands, in an empty folder, and prints what it is there for."""
 
 import os

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The notebook runs from top to bottom, what its cells end in can be shown, and it finds what it hides."""
 
 import ast

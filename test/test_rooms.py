@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The house: rooms need only those before them, each says what it is for, and the page of it is true."""
 
 import ast
@@ -27,7 +30,7 @@ def test_a_circle_is_found_and_named(rooms):
 
 def test_nothing_but_the_front_door_and_what_all_use_lies_at_the_root(repository):
     files = {path.name for path in (repository / "trackres_ros").glob("*.py")}
-    assert files == {"__init__.py", "__main__.py", "errors.py", "units.py"}
+    assert files == {"__init__.py", "__main__.py", "errors.py", "units.py", "checks.py"}
 
 
 def test_each_room_says_what_it_is_for(rooms):
@@ -37,7 +40,7 @@ def test_each_room_says_what_it_is_for(rooms):
 
 def test_the_truth_of_sealed_drives_shares_nothing_with_what_it_tests(rooms):
     known = rooms.modules()
-    for name in ("truth", "belt_heat", "belt_loss", "drives", "sensors", "material", "data_sheet"):
+    for name in ("truth", "outside", "phenomenon", "belt_heat", "belt_loss", "drives", "sensors", "material", "data_sheet"):
         used = {other.split(".")[0] for other in rooms.imported(known[f"evaluation.sealed.{name}"], known)}
         assert not used & {"model", "effects", "diagnosis", "estimator"}, name
 

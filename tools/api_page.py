@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """docs/api.md out of the docstrings of the front door."""
 
 import inspect

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Layouts of PlotJuggler and Foxglove for the node's topics, made from the table of topics."""
 
 import json

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The rooms of the package and which needs which, read from the imports; the picture of docs/architecture.md."""
 
 from __future__ import annotations
@@ -10,7 +13,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "trackres_ros"
 DIVIDED = ("diagnosis", "node")  # rooms with rooms of their own
 HEAD = (Path(__file__).parent / "architecture.in.md").read_text(encoding="utf-8")
-COMMON = ("errors", "units", "files", "text", "jit")  # used from everywhere: left out of the picture
+COMMON = ("errors", "units", "checks", "files", "text", "jit")  # used from everywhere: left out of the picture
 
 
 def modules() -> dict[str, Path]:

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Rolling-resistance torque and temperature of rubber tracks, live and from recordings.
 
 >>> import trackres_ros as tr

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The one exception that means: what was given cannot be used, and this is what to do."""
 
 from __future__ import annotations
@@ -11,8 +14,20 @@ SHORT_NUMBER_BITS = 200
 
 
 class InputError(ValueError):
-    """Bad input from outside: a file, an option, a topic. Its text is one line that a user can act on, however long or tangled
-    what was given is.
+    """Bad input from outside: a file, an option, a topic.
+
+    Its text is one line that a user can act on, however long or tangled the given value is.
+
+    Parameters
+    ----------
+    where
+        What was wrong: the file and the key in it, the option, the argument.
+    given
+        The value that was given.
+    allowed
+        What would have been allowed.
+    remedy
+        What to do, where that does not follow from what is allowed.
     """
 
     def __init__(self, where: str, given: object, allowed: str, remedy: str = "") -> None:
@@ -21,7 +36,13 @@ class InputError(ValueError):
         super().__init__(f"{text}; {one_line(remedy)}" if remedy else text)
 
     def as_dict(self) -> dict[str, str]:
-        """Its parts for programs."""
+        """The parts of the text by name, for programs.
+
+        Returns
+        -------
+        dict of str to str
+            ``where``, ``given``, ``allowed`` and ``remedy``.
+        """
         return {"where": self.where, "given": str(self.given), "allowed": self.allowed, "remedy": self.remedy}
 
     def __reduce__(self) -> tuple[object, ...]:
@@ -30,7 +51,19 @@ class InputError(ValueError):
 
 
 class MissingExtraError(InputError):
-    """An optional library is needed and not installed."""
+    """An optional library is needed and not installed.
+
+    Parameters
+    ----------
+    feature
+        What needs it.
+    module
+        The Python module that is missing.
+    extra
+        The extra of this package that installs it.
+    remark
+        More to say of the installation.
+    """
 
     def __init__(self, feature: str, module: str, extra: str, remark: str = "") -> None:
         super().__init__(

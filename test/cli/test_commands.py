@@ -1,18 +1,16 @@
-"""The commands as a user types them, each in a process of its own."""
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The commands as a user types them: what they print, what they write, and how they refuse."""
 
 import csv
 import json
-import os
 import re
 import subprocess
 import sys
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
-
-from trackres_ros.cli.main import cli
-from trackres_ros.errors import InputError
 
 
 @pytest.fixture(scope="module")
@@ -20,21 +18,9 @@ def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("commands")
 
 
-def trackres(*arguments, cwd=None):
-    return subprocess.run(
-        [sys.executable, "-m", "trackres_ros", *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        check=False,
-        cwd=cwd,
-        env={**os.environ, "COLUMNS": "200"},
-    )
-
-
-def good(*arguments, cwd=None):
-    done = trackres(*arguments, cwd=cwd)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+def in_a_process(*arguments, cwd=None):
+    command = [sys.executable, "-m", "trackres_ros", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, check=False, cwd=cwd)
 
 
 def table(path):
@@ -48,12 +34,12 @@ def no_signed_zero(text):
 
 
 @pytest.fixture(scope="module")
-def sample(folder):
+def sample(folder, good):
     good("record-sample", "--laps", 1, "--speed-kmh", 30, "-o", folder / "lap.mcap")
     return folder / "lap.mcap"
 
 
-def test_help_teaches_every_command():
+def test_help_teaches_every_command(good):
     top = good("--help")
     for command in ("simulate", "replay", "explain", "reproduce", "record-sample"):
         assert command in top
@@ -62,7 +48,7 @@ def test_help_teaches_every_command():
     assert "trackres vehicle check" in good("vehicle", "check", "--help")
 
 
-def test_simulate_writes_the_columns_of_the_issue(folder):
+def test_simulate_writes_the_columns_of_the_issue(folder, good):
     done = json.loads(
         good(
             "simulate",
@@ -109,7 +95,7 @@ def test_simulate_writes_the_columns_of_the_issue(folder):
 
 
 @pytest.mark.parametrize("suffix", ["csv", "csv.gz", "parquet", "mcap"])
-def test_simulate_takes_a_profile_and_writes_every_format(folder, suffix):
+def test_simulate_takes_a_profile_and_writes_every_format(folder, suffix, good):
     profile = folder / "profile.csv"
     profile.write_text("time_s,speed_kmh\n0,0\n20,36\n60,36\n")
     out = folder / f"p.{suffix}"
@@ -119,7 +105,7 @@ def test_simulate_takes_a_profile_and_writes_every_format(folder, suffix):
     assert 39 < done["points"][0]["belt_degc"] < 43
 
 
-def test_a_profile_sets_weight_weather_and_slope(folder):
+def test_a_profile_sets_weight_weather_and_slope(folder, good):
     def run(text, *options):
         profile, out = folder / "profile.csv", folder / "conditions.csv"
         profile.write_text(text)
@@ -140,7 +126,7 @@ def test_a_profile_sets_weight_weather_and_slope(folder):
     assert "grade_nm" not in flat
 
 
-def test_a_profile_that_begins_at_zero_is_driven_as_it_stands(folder):
+def test_a_profile_that_begins_at_zero_is_driven_as_it_stands(folder, good):
     profile, out = folder / "ramp.csv", folder / "ramp_out.csv"
     profile.write_text("time_s,speed_mps\n0,0\n10,5\n20,5\n")
     good("simulate", "--vehicle", "xgd24d", "--profile", profile, "-o", out)
@@ -160,17 +146,15 @@ def test_a_profile_that_begins_at_zero_is_driven_as_it_stands(folder):
         ("time_s,speed_mps,ambient_degc\n0,0,10\n10,5,10\n", ("--ambient-degc", "5"), "--ambient-degc"),
     ],
 )
-def test_a_profile_with_what_cannot_count_is_refused(folder, text, options, said):
+def test_a_profile_with_what_cannot_count_is_refused(folder, trackres, text, options, said):
     profile = folder / "refused.csv"
     profile.write_text(text)
-    done = CliRunner().invoke(
-        cli, ["simulate", "--vehicle", "xgd24d", "--profile", str(profile), "-o", str(folder / "x.csv"), *options]
-    )
-    assert isinstance(done.exception, InputError)
-    assert said in str(done.exception)
+    done = trackres("simulate", "--vehicle", "xgd24d", "--profile", profile, "-o", folder / "x.csv", *options)
+    assert done.returncode == 2
+    assert said in done.stderr
 
 
-def test_methods_differ_as_the_model_says(folder):
+def test_methods_differ_as_the_model_says(folder, good):
     torque = {}
     for method in ("spectral", "rainflow"):
         done = json.loads(
@@ -196,7 +180,7 @@ def test_methods_differ_as_the_model_says(folder):
     assert 1.4 < torque["spectral"] / torque["rainflow"] < 2.2
 
 
-def test_explain_says_what_the_issue_asks():
+def test_explain_says_what_the_issue_asks(good):
     result = json.loads(good("explain", "--vehicle", "xgd24d", "--speed-kmh", 50, "--belt-degc", 15, "--json"))
     assert {
         "wheel_loads_n",
@@ -216,7 +200,7 @@ def test_explain_says_what_the_issue_asks():
     assert "Torque at the sprockets" in good("explain", "--vehicle", "agri3t", "--speed-kmh", -5, "--belt-degc", 15)
 
 
-def test_vehicle_check_prints_what_follows_with_units():
+def test_vehicle_check_prints_what_follows_with_units(good):
     text = good("vehicle", "check", "xgd24d", "--points", 50)
     for word in ("wheel loads", "17000", "belt mass", "kg", "heat capacity", "kJ/K", "tension", "loss table", "%"):
         assert word in text
@@ -224,7 +208,7 @@ def test_vehicle_check_prints_what_follows_with_units():
     assert checked["tracks"]["low"]["table"]["largest_error"] < 0.003
 
 
-def test_replay_of_a_bag_with_a_topics_file(folder, sample, repository):
+def test_replay_of_a_bag_with_a_topics_file(folder, sample, repository, good):
     out = folder / "estimate.csv"
     topics = repository / "config" / "topics" / "sample.yaml"
     done = json.loads(good("replay", sample, "--vehicle", "xgd24d", "--topics", topics, "-o", out, "--json"))
@@ -237,15 +221,16 @@ def test_replay_of_a_bag_with_a_topics_file(folder, sample, repository):
     assert (folder / "estimate.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
 
 
-def test_replay_twice_gives_the_same_bytes(folder, sample):
-    for name in ("one", "two"):
-        good("replay", sample, "--vehicle", "xgd24d", "-o", folder / f"{name}.csv")
-        good("replay", sample, "--vehicle", "xgd24d", "-o", folder / f"{name}.mcap")
+def test_replay_twice_gives_the_same_bytes_in_another_process_too(folder, sample, good):
+    for suffix in ("csv", "mcap"):
+        good("replay", sample, "--vehicle", "xgd24d", "-o", folder / f"one.{suffix}")
+        done = in_a_process("replay", sample, "--vehicle", "xgd24d", "-o", folder / f"two.{suffix}")
+        assert done.returncode == 0, done.stderr
     for suffix in ("csv", "mcap", "png"):
         assert (folder / f"one.{suffix}").read_bytes() == (folder / f"two.{suffix}").read_bytes()
 
 
-def test_replay_stopped_and_resumed_gives_the_same_rows(folder):
+def test_replay_stopped_and_resumed_gives_the_same_rows(folder, good):
     time = np.arange(0, 60, 0.1)
     lines = [f"{t:.1f},{8 + np.sin(t):.4f},{15 + t / 60:.3f}" for t in time]
     head = "time_s,speed_mps,ambient_degc"
@@ -264,7 +249,7 @@ def test_replay_stopped_and_resumed_gives_the_same_rows(folder):
             assert np.array_equal(whole[name], np.concatenate([first[name], second[name]]), equal_nan=True), name
 
 
-def test_a_recording_with_torque_gives_a_residual(folder):
+def test_a_recording_with_torque_gives_a_residual(folder, good):
     rows = [f"{t},10,300000,{3000 + t},20" for t in range(100)]
     (folder / "torque.csv").write_text("\n".join(["time_s,speed_mps,weight_n,torque_nm,ambient_degc", *rows]))
     good("replay", folder / "torque.csv", "--vehicle", "xgd24d", "-o", folder / "torque-out.csv")
@@ -299,7 +284,7 @@ BAD = [
 
 
 @pytest.mark.parametrize(("arguments", "named"), BAD, ids=[" ".join(a)[:60] for a, _ in BAD])
-def test_bad_input_is_one_line_and_exit_code_2(tmp_path, repository, arguments, named):
+def test_bad_input_is_one_line_and_exit_code_2(tmp_path, repository, trackres, arguments, named):
     (tmp_path / "notes.txt").write_text("nothing")
     (tmp_path / "empty.csv").write_text("")
     (tmp_path / "good.csv").write_text("time_s,speed_mps\n0,1\n1,2\n")
@@ -308,6 +293,7 @@ def test_bad_input_is_one_line_and_exit_code_2(tmp_path, repository, arguments, 
     config = repository / "config"
     broken = (config / "xgd24d.yaml").read_text().replace("thickness: {value: 0.035", "thickness: {value: 0.35")
     (tmp_path / "broken.yaml").write_text(broken.replace("rubber/nr", f"{config}/rubber/nr"))
+    before = sorted(tmp_path.iterdir())
     done = trackres(*arguments, cwd=tmp_path)
     assert done.returncode == 2
     assert done.stdout == ""
@@ -315,10 +301,17 @@ def test_bad_input_is_one_line_and_exit_code_2(tmp_path, repository, arguments, 
     assert done.stderr.startswith("trackres: error: ")
     assert done.stderr.count("\n") == 1
     assert named in done.stderr
-    assert not (tmp_path / "x.csv").exists()
+    assert sorted(tmp_path.iterdir()) == before
 
 
-def test_no_zero_that_is_shown_has_a_sign(folder):
+def test_bad_input_ends_a_process_with_exit_code_2_and_one_line_on_its_error_output(tmp_path):
+    done = in_a_process("simulate", "--vehicle", "nope", "--speed-kmh", "50", "-o", "x.csv", cwd=tmp_path)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+    assert done.stderr.startswith("trackres: error: ")
+    assert not list(tmp_path.iterdir())
+
+
+def test_no_zero_that_is_shown_has_a_sign(folder, good):
     assert no_signed_zero("wind 0, inertia -1, -0.4")
     assert not no_signed_zero("wind -0, inertia 1")
     assert not no_signed_zero("speed,-0.0,1")

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Commands with an optional library missing, interrupted commands, and checks that hold under `python -O`."""
 
 import ast
@@ -23,7 +26,19 @@ for name in {modules!r}:
 from trackres_ros.cli.main import main
 main({arguments!r})
 """
-OPTIONAL = ("numba", "rosbags", "pyarrow", "pandas", "xarray", "matplotlib", "jinja2", "ruptures", "sklearn", "cyclonedds")
+OPTIONAL = (
+    "numba",
+    "rosbags",
+    "pyarrow",
+    "pandas",
+    "xarray",
+    "matplotlib",
+    "jinja2",
+    "ruptures",
+    "sklearn",
+    "pysindy",
+    "cyclonedds",
+)
 
 
 def without(modules, *arguments, cwd):
@@ -33,7 +48,7 @@ def without(modules, *arguments, cwd):
 
 
 NEEDED = [
-    (("prove", "--quick", "-o", "out"), ("sklearn", "matplotlib", "jinja2", "ruptures", "numba")),
+    (("prove", "--quick", "-o", "out"), ("sklearn", "pysindy", "matplotlib", "jinja2", "ruptures", "numba")),
     (("prove", "--quick", "--json", "-o", "out"), ("sklearn",)),
     (("prove", "paper", "-o", "out"), ("matplotlib", "ruptures")),
     (("prove", "loop", "-o", "out"), ("matplotlib",)),
@@ -115,7 +130,7 @@ del some
 try:
     threading.Event().wait(60.0)
 except KeyboardInterrupt:
-    entry.taken()
+    entry.interrupt_handled()
     os.kill(os.getpid(), signal.SIGINT)
     print("taken")
 """
@@ -134,7 +149,7 @@ entry.insist()
 try:
     exec("import os, signal, threading; os.kill(os.getpid(), signal.SIGINT); threading.Event().wait(60.0)")
 except KeyboardInterrupt:
-    entry.taken()
+    entry.interrupt_handled()
     sys.exit(entry.INTERRUPTED)
 """
 

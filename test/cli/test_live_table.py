@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The live table in a terminal of 80 columns: everything is there, nothing is cut."""
 
 import json

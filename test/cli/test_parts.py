@@ -1,10 +1,10 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Whatever a command shows of the torque adds up, with effects in the vehicle file and without."""
 
 import json
-import os
 import re
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -18,14 +18,6 @@ effects:
   lug_friction: {of_tension: 0.005, of_torque: 0.015}
   turning_scrub: {friction: 0.3}
 """
-
-
-def trackres(*words):
-    environment = {**os.environ, "COLUMNS": "200"}
-    command = [sys.executable, "-m", "trackres_ros", *map(str, words)]
-    done = subprocess.run(command, capture_output=True, text=True, env=environment)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
 
 
 @pytest.fixture(scope="module")
@@ -68,8 +60,8 @@ def printed(text, total, parts):
     assert abs(sum(numbers[part] for part in parts) - numbers[total]) <= 0.5 * (len(parts) + 1)
 
 
-def test_replay(vehicle, drive, tmp_path):
-    said = trackres("replay", drive, "--vehicle", vehicle, "-o", tmp_path / "out.csv")
+def test_replay(vehicle, drive, tmp_path, good):
+    said = good("replay", drive, "--vehicle", vehicle, "-o", tmp_path / "out.csv")
     table = columns(tmp_path / "out.csv")
     adds_up(table)
     for column in ("resistance_torque_nm", "hysteresis_nm"):
@@ -77,12 +69,12 @@ def test_replay(vehicle, drive, tmp_path):
         np.testing.assert_allclose(each, table[column], atol=1e-9, rtol=0)
     assert np.any(table["effects_nm"]) == (vehicle != "xgd24d")
     printed(next(line for line in said.splitlines() if "resistance" in line), "resistance", RESISTANCE_PARTS)
-    told = json.loads(trackres("replay", drive, "--vehicle", vehicle, "-o", tmp_path / "out.csv", "--json"))["last"]
+    told = json.loads(good("replay", drive, "--vehicle", vehicle, "-o", tmp_path / "out.csv", "--json"))["last"]
     assert sum(told[column] for column in RESISTANCE_PARTS.values()) == pytest.approx(told["resistance_torque_nm"], abs=1e-9)
 
 
-def test_simulate(vehicle, tmp_path):
-    said = trackres("simulate", "--vehicle", vehicle, "--speed-kmh", 30, "--duration-s", 60, "-o", tmp_path / "out.csv")
+def test_simulate(vehicle, tmp_path, good):
+    said = good("simulate", "--vehicle", vehicle, "--speed-kmh", 30, "--duration-s", 60, "-o", tmp_path / "out.csv")
     adds_up(columns(tmp_path / "out.csv"))
     head, _, *rows = said.splitlines()
     shown = [dict(zip(head.split(), map(float, row.split()), strict=True)) for row in rows[:-1]]
@@ -92,15 +84,15 @@ def test_simulate(vehicle, tmp_path):
 
 
 @pytest.mark.parametrize("speed_kmh", [-30, 20])
-def test_explain(vehicle, speed_kmh):
+def test_explain(vehicle, speed_kmh, good):
     given = ("explain", "--vehicle", vehicle, "--speed-kmh", speed_kmh, "--belt-degc", 20)
-    torque = json.loads(trackres(*given, "--json"))["torque_nm"]
+    torque = json.loads(good(*given, "--json"))["torque_nm"]
     assert sum(torque[part] for part in RESISTANCE_PARTS) == pytest.approx(torque["resistance"], abs=1e-9)
     assert (torque["effects"] != 0.0) == (vehicle != "xgd24d")
-    printed(next(line for line in trackres(*given).splitlines() if line.startswith("Torque")), "resistance", RESISTANCE_PARTS)
+    printed(next(line for line in good(*given).splitlines() if line.startswith("Torque")), "resistance", RESISTANCE_PARTS)
 
 
-def test_errors_are_json_where_json_is_asked_for(tmp_path):
+def test_errors_are_json_where_json_is_asked_for(tmp_path, trackres):
     for words in (
         ("replay", "nowhere.mcap", "--vehicle", "xgd24d", "-o", tmp_path / "out.csv"),
         ("explain", "--vehicle", "nonsense", "--speed-kmh", 10, "--belt-degc", 20),
@@ -110,11 +102,10 @@ def test_errors_are_json_where_json_is_asked_for(tmp_path):
         ("vehicle", "check", "nonsense"),
         ("diagnose", "nowhere.csv", "--vehicle", "xgd24d", "-o", tmp_path / "report"),
     ):
-        command = [sys.executable, "-m", "trackres_ros", *map(str, words), "--json"]
-        done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
+        done = trackres(*words, "--json", cwd=tmp_path)
         assert done.returncode == 2, done.stderr
         error = json.loads(done.stdout)["error"]
         assert set(error) == {"where", "given", "allowed", "remedy"}
         assert error["where"]
         assert error["allowed"]
-        assert "Traceback" not in done.stderr
+        assert done.stderr == ""

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Outputs filled in place and inputs read at known places are what a full encoding and decoding give."""
 
 import math

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What others see of the node, and it of them; how it starts and ends where something about it is not as it should be."""
 
 import json

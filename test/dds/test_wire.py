@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Types, hashes, quality of service and domains on the wire."""
 
 import json

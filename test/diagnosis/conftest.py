@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 import json
 from pathlib import Path
 
@@ -11,26 +14,6 @@ from trackres_ros.cli.main import cli
 from trackres_ros.diagnosis import diagnose, load_base, read_recordings
 from trackres_ros.effects import Active, catalogue
 from trackres_ros.evaluation.synthetic import drives, write_recordings
-
-SQUEAK = """
-from trackres_ros.effects import Effect, Parameter, Terms
-
-class Squeak(Effect):
-    name = "squeak"
-    acts_on = "torque"
-    belongs_to = "vehicle"
-    text = "something squeaks"
-    parameters = (Parameter("torque", "Nm", 0.0, 100.0, 10.0, "of it", off=0.0),)
-
-    def terms(self, at, p):
-        return Terms(torque=p.torque * at.direction)
-"""
-
-
-@pytest.fixture(scope="session")
-def squeak():
-    """The file of an effect of a user's own."""
-    return SQUEAK
 
 
 @pytest.fixture(scope="session")

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The rules by which effects are chosen, on constructed candidates: no vehicle is simulated and nothing is fitted."""
 
 import math

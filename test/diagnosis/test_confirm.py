@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What is named was confirmed on laps that were not fitted, and what is written is never worse than what was there."""
 
 import copy

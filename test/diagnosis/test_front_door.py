@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """`tr.diagnose` is `trackres diagnose`, as objects."""
 
 import json

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The gate: what an engineer gets wrong is said with the line that mends it, and what is healthy passes."""
 
 from dataclasses import replace
@@ -188,7 +191,7 @@ def test_start_of_a_recording_that_counts_from_zero():
         name, roles, notes, findings, zero_is_unset = "t", ("speed",), (), (), False
 
         def blocks(self, max_rows=0):
-            from trackres_ros.recording.recording import Block
+            from trackres_ros.recording.samples import Block
 
             stamps = np.array([0, 10, 20]) * 10**9
             yield Block(np.zeros(3, np.int16), stamps, stamps, np.zeros(3))

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a diagnosis leaves: a vehicle file, the surroundings beside it, and lines for the topics file."""
 
 import json

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Values that predict: on residuals that wander and lean, as those of real roads do."""
 
 from dataclasses import replace

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """One dynamics: message by message, block by block and in a fit the same functions run, so the numbers are the same."""
 
 from dataclasses import replace
@@ -11,7 +14,7 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.evaluation.synthetic import drives
 from trackres_ros.offline.replay import replay
-from trackres_ros.recording.recording import Block
+from trackres_ros.recording.samples import Block
 from trackres_ros.vehicle import load
 
 START_NS = 1_700_000_000_000_000_000

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The page in a real browser, where one is installed: on a screen, on a phone, on paper."""
 
 import copy

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The pictures of a diagnosis as a person sees them, and what they show whatever was found."""
 
 from dataclasses import replace

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What it says of real recordings, where they are present: nothing that is plainly wrong."""
 
 import json

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The map of residuals by regime, on constructed residuals."""
 
 from types import SimpleNamespace

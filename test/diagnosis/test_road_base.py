@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The road load: what is re-fitted, and what stays where the file has it."""
 
 from dataclasses import replace

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The steps of the diagnosis by themselves: laws first."""
 
 import pickle
@@ -13,8 +16,11 @@ from trackres_ros.diagnosis.findings.change_points import changes
 from trackres_ros.diagnosis.findings.next_drives import menu
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.inference.noise import MOST_LAGS, Noise, estimate_noise, whitened
-from trackres_ros.diagnosis.prepare.gate import SHORTEST_MOVING_S, SHORTEST_S, SLOWEST_MPS, STEP_S, gate, split
+from trackres_ros.diagnosis.prepare.gate import SHORTEST_MOVING_S, gate
+from trackres_ros.diagnosis.prepare.refuse import SHORTEST_S
 from trackres_ros.diagnosis.prepare.session import Course
+from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS, STEP_S
+from trackres_ros.diagnosis.prepare.split import split
 from trackres_ros.diagnosis.selection import screening
 from trackres_ros.diagnosis.selection.form_error import FORM_ERROR, other_forms
 from trackres_ros.diagnosis.selection.intervals import NORMAL_95, intervals
@@ -226,18 +232,6 @@ def test_an_interval_knows_that_the_function_is_not_nature(problem, effects):
     friction = found.at["turning_scrub", "friction"]
     bounds = intervals(found)["turning_scrub", "friction"]
     assert bounds.high - friction >= NORMAL_95 * FORM_ERROR * abs(friction)
-
-
-def test_what_effects_see_of_the_torque_has_no_error_of_the_speed_in_it(problem):
-    rng, values = np.random.default_rng(2), {q.name: q.nominal for q in problem.base.parameters}
-    noisy = tuple(
-        replace(s, accel=s.accel + np.diff(rng.normal(0.0, 0.05, len(s) + 1)), accel_noise=0.07) for s in problem.sessions
-    )
-    with_error = replace(problem, sessions=noisy).predict(values, [])
-    for before, after in zip(problem.predict(values, []), with_error, strict=True):
-        shown = np.std(after.torque - before.torque)
-        seen = np.std(after.at_sprockets - np.convolve(before.at_sprockets, np.ones(5) / 5.0, mode="same"))
-        assert seen < 0.5 * shown
 
 
 @pytest.mark.parametrize(("step_nm", "most"), [(0.0, 400), (150.0, 400), (150.0, 12)])

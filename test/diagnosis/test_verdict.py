@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """From what was found to one of four verdicts, its grade, and what may be written: on constructed findings."""
 
 import math

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Changes in the text of a YAML file: what is changed is, and nothing else."""
 
 import pytest

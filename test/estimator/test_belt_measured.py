@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A measured belt temperature corrects the state, as far as the two variances say."""
 
 from dataclasses import replace

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """One step of a belt with one and with two nodes against the matrix exponential of the equations in `model.thermal`."""
 
 import math
@@ -15,16 +18,20 @@ from trackres_ros.jit.compiled import interpreted
 
 CAPACITY, SHARE, CONDUCTANCE, NOISE, AMBIENT_STD = 7e4, 0.3, 650.0, 0.05, 2.5  # J/K, of the capacity, W/K, K/s^0.5, K
 HEAT = Heat(power=9e3, power_slope=-90.0, cooling=210.0, surroundings=12.0)
-DOUBTS = {at.LOSS_DOUBT: (0.08, 0.03, -0.02), at.COOLING_DOUBT: (0.01, 0.11, 0.04), at.CAPACITY_DOUBT: (-0.03, 0.02, 0.07)}
+CONSIDERED = {
+    at.CONSIDER_LOSS: (0.08, 0.03, -0.02),
+    at.CONSIDER_COOLING: (0.01, 0.11, 0.04),
+    at.CONSIDER_CAPACITY: (-0.03, 0.02, 0.07),
+}
 STEPS = (1e-3, 0.5, 90.0)  # s
 
 
 @pytest.fixture
 def constants():
-    assembly = np.full((2, at.DOUBT_FACTOR + 16), np.nan)
+    assembly = np.full((2, at.CONSIDER_FACTOR + 16), np.nan)
     row = assembly[1]
     row[at.CAPACITY], row[at.SURFACE_SHARE], row[at.INNER_CONDUCTANCE] = CAPACITY, SHARE, CONDUCTANCE
-    for first, values in DOUBTS.items():
+    for first, values in CONSIDERED.items():
         row[first : first + 3] = values
     return SimpleNamespace(assembly=assembly, number=SimpleNamespace(with_doubt=True, process_noise=NOISE))
 
@@ -85,13 +92,13 @@ def test_departures_are_forced_by_their_causes_through_the_same_model(name, dt, 
     before = belt.copy()
     interpreted(advance)(constants, 1, belt, HEAT, AMBIENT_STD, dt)
     for cause in range(3):
-        of_loss, of_cooling, of_capacity = (DOUBTS[row][cause] for row in DOUBTS)
+        of_loss, of_cooling, of_capacity = (CONSIDERED[row][cause] for row in CONSIDERED)
         forced = gained * of_loss - lost * of_cooling - (gained - lost + flow) * of_capacity
-        column = at.DOUBT_1 + cause
+        column = at.CONSIDER_1 + cause
         assert belt[:nodes, column] == pytest.approx(solved(matrix, forced, before[:nodes, column], dt)[0], rel=1e-8), cause
     by_air = HEAT.cooling / CAPACITY * AMBIENT_STD / np.array([1.0, SHARE][:nodes])
-    expected = solved(matrix, by_air, before[:nodes, at.DOUBT_AMBIENT], dt)[0]
-    assert belt[:nodes, at.DOUBT_AMBIENT] == pytest.approx(expected, rel=1e-8)
+    expected = solved(matrix, by_air, before[:nodes, at.CONSIDER_AMBIENT], dt)[0]
+    assert belt[:nodes, at.CONSIDER_AMBIENT] == pytest.approx(expected, rel=1e-8)
 
 
 @pytest.mark.parametrize("dt", STEPS)

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The feed-forward from step to step: its rate over any pauses, nothing at rest, and a doubt that is never zero."""
 
 import itertools
@@ -111,7 +114,7 @@ def test_a_file_and_settings_without_any_doubt_leave_what_no_sensor_is_better_th
     sure = Settings(initial_belt_std_k=0.0, process_noise_k=0.0, ambient_std_k=0.0, ambient_unknown_std_k=0.0)
     estimator = Estimator(load("xgd24d"), sure)
     k = estimator.constants
-    k.assembly[:, at.DOUBT_FACTOR :] = 0.0
+    k.assembly[:, at.CONSIDER_FACTOR :] = 0.0
     estimator.kernel_arguments[0]["bearing_doubt"] = estimator.kernel_arguments[0]["drag_doubt"] = 0.0
     for speed in (0.0, 8.0):
         estimate = rows_of(estimator, [(0.02, speed)])[-1][1]

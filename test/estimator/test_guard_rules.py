@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The rules of the guards one by one, in plain Python: a message is what it is by its stamp, its arrival and what came before."""
 
 import math
@@ -28,7 +31,7 @@ forget_others = interpreted(guards.forget_others)
 @pytest.fixture
 def k():
     """Constants of a vehicle with two axles and four assemblies."""
-    assembly = np.zeros((ASSEMBLIES, at.DOUBT_FACTOR + 16))
+    assembly = np.zeros((ASSEMBLIES, at.CONSIDER_FACTOR + 16))
     assembly[:, at.AXLE] = (0, 0, 1, 1)
     assembly[:, at.NOMINAL_LOAD] = (60e3, 61e3, 62e3, 63e3)
     assembly[:, at.SHARE_OF_AXLE], assembly[:, at.SHARE_OF_ALL] = SHARES_OF_AXLE, SHARES_OF_ALL

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The guards: every message is counted once, nothing that is not finite comes out, and each policy does what it says."""
 
 import numpy as np

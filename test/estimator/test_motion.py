@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Acceleration from speed: quiet on a quantised bus, quick enough on a clean one."""
 
 import itertools

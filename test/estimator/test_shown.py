@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What the estimator's objects say of themselves."""
 
 import doctest
@@ -5,7 +8,7 @@ import doctest
 import numpy as np
 
 from trackres_ros.estimator import estimator as module
-from trackres_ros.estimator.estimator import Steps
+from trackres_ros.estimator.estimate import Steps
 
 
 def test_each_says_what_it_is_in_one_line(reference):

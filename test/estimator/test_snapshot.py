@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Saved and taken up again."""
 
 import json
@@ -221,16 +224,19 @@ def test_a_huge_file_is_not_read(reference, tmp_path):
         snapshot.resume(reference, path)
 
 
-def test_the_command_line_refuses_each_with_one_line_and_without_waiting(tmp_path, repository):
+def test_the_command_line_refuses_each_with_one_line_and_without_waiting(tmp_path, trackres):
     drive = tmp_path / "drive.csv"
     drive.write_text("time_s,speed_mps\n" + "".join(f"{i * 0.1:.1f},5.0\n" for i in range(50)))
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "deep").write_text("[" * 100_000)
     (tmp_path / "bytes").write_bytes(b"\xff\xfe{}")
-    base = [sys.executable, "-m", "trackres_ros.cli.main", "replay", str(drive), "--vehicle", "xgd24d"]
-    base += ["-o", str(tmp_path / "o.csv")]
+    base = ["replay", str(drive), "--vehicle", "xgd24d", "-o", str(tmp_path / "o.csv"), "--resume"]
     for name in ("pipe", "deep", "bytes", "missing"):
-        done = subprocess.run([*base, "--resume", str(tmp_path / name)], capture_output=True, text=True, timeout=120, check=False)
+        if name == "pipe":  # a process of its own, as it might wait for a writer
+            command = [sys.executable, "-m", "trackres_ros", *base, str(tmp_path / name)]
+            done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+        else:
+            done = trackres(*base, tmp_path / name)
         assert done.returncode == 2, done.stderr
         assert done.stderr.count("\n") == 1
         assert name in done.stderr

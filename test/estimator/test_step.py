@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The pure step: the same everywhere, and lawful outputs."""
 
 from dataclasses import replace

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Small files of every kind a reader takes, what is in them, and how a damaged copy is read and judged."""
 
 from __future__ import annotations
@@ -150,7 +153,7 @@ def _ros1(compression: str) -> Callable[[Path], None]:
 
 def _table(suffix: str) -> Callable[[Path], None]:
     def write(folder: Path) -> None:
-        from trackres_ros.recording.table import write_table
+        from trackres_ros.output.table import write_table
 
         row = np.arange(ROWS)
         load = np.where(row % LOAD_EVERY == 0, 2e5 + row, np.nan)

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Bytes changed at random, as a bad disk, a cut transfer or a hostile hand changes them."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Fuzz the readers: `python test/fuzz/run.py --count 5000` prints the table of docs/robustness.md, `--json` the counts.
 
 The mutations are read in a process of their own, which is watched: one that hangs is ended and counted, one that takes too

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Laws of the mutator: the same again, mostly something else, never far beyond what was given."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Every reader on damaged files of its format: nothing but one line, no hang, no flood, no row lost without a word."""
 
 from __future__ import annotations

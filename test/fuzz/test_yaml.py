@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Every kind of YAML that is read: whatever stands in it, it is taken, or one line says why not."""
 
 from __future__ import annotations

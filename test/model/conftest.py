@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What the law tests share: the shipped vehicles, a rubber without dispersion, and how hypothesis searches."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Equations (5), (6), (12) to (21): the belt as a rope, and how a wheel bends it."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Equations (7) to (11): a rigid wheel on a Winkler layer."""
 
 from __future__ import annotations

@@ -1,12 +1,14 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Where the rubber data end, where a belt settles, and that forward and reverse are one."""
 
 from __future__ import annotations
 
 import math
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -130,31 +132,25 @@ BURNS = {
 }
 
 
-def command(*arguments: object) -> subprocess.CompletedProcess[str]:
-    run = [sys.executable, "-m", "trackres_ros.cli.main", *map(str, arguments)]
-    return subprocess.run(run, capture_output=True, text=True, check=False)
-
-
-def test_a_vehicle_that_would_burn_is_refused_with_its_temperature(tmp_path: Path) -> None:
+def test_a_vehicle_that_would_burn_is_refused_with_its_temperature(tmp_path: Path, trackres: Any) -> None:
     path = changed(tmp_path, BURNS)
     vehicle = load(path)
     with pytest.raises(InputError, match=r"settles at \d+ degC"):
         check_heat(vehicle, "triangular", loss_table(vehicle, "triangular"))
     assert balance_degc(vehicle, "triangular", loss_table(vehicle, "triangular"), 16.7, 15.0) > DESTROYED_DEGC
     for arguments in (("vehicle", "check", path), ("simulate", "--vehicle", path, "--speed-kmh", 50, "-o", tmp_path / "out.csv")):
-        done = command(*arguments)
+        done = trackres(*arguments)
         assert done.returncode == 2
         assert "settles at" in done.stderr
         assert done.stderr.strip().splitlines()[-1].startswith("trackres: error: ")
 
 
-def test_vehicle_check_says_what_the_data_cover(short: Path) -> None:
-    done = command("vehicle", "check", short)
-    assert done.returncode == 0
-    assert "  ! track triangular: the rubber data end at" in done.stdout
-    assert "settles at" in done.stdout
-    assert "warmer, to 60 degC" in done.stdout
-    assert "  ! " not in command("vehicle", "check", "xgd24d").stdout
+def test_vehicle_check_says_what_the_data_cover(short: Path, good: Any) -> None:
+    text = good("vehicle", "check", short)
+    assert "  ! track triangular: the rubber data end at" in text
+    assert "settles at" in text
+    assert "warmer, to 60 degC" in text
+    assert "  ! " not in good("vehicle", "check", "xgd24d")
 
 
 # Forward and reverse

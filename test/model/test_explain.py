@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """One operating point taken apart: what is there, and that its parts add up to its wholes."""
 
 from __future__ import annotations

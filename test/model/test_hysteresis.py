@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Equations (27) to (29): heat per metre of travel, by closed forms, by the work of the stress, and against each other."""
 
 from __future__ import annotations

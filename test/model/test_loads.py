@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Equation (1): road-wheel loads sum to the weight and balance moments, for any tree of beams."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The loss on a grid: how near it is to the exact method, and when its cached form may be used."""
 
 from __future__ import annotations

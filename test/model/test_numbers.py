@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Whole drives against an independent prototype of the same model: torque within 3 %, belt temperature within 2 K.
 
 Whole-vehicle torque without inertia [Nm] and mean belt temperature [degC]; the reference vehicle, film coefficient in m/s.

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Equations (32) to (36): each part of the torque with its unit and sign."""
 
 from __future__ import annotations

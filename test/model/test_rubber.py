@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Equations (2) to (4): moduli by time-temperature superposition."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The strain a piece of belt sees round the loop: periodic, continuous, closed, and its harmonics exact."""
 
 from __future__ import annotations

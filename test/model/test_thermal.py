@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Equations (26), (30) and (31): the belt's temperature as the estimator carries it, by both networks."""
 
 from __future__ import annotations
@@ -15,7 +18,8 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 
 from trackres_ros.estimator.columns import TEMPERATURE
-from trackres_ros.estimator.estimator import Estimator, State
+from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.estimator.state import State
 from trackres_ros.model.loss_table import loss_table
 from trackres_ros.model.thermal import (
     ThermalNetwork,

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A node in a process of its own on either edge, and an independent participant that talks with it."""
 
 import importlib.util

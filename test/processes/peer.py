@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """An independent participant on the wire: plain Cyclone DDS and rosbags, nothing of the package under test.
 
 As a program it prints what it receives on topics as lines of JSON, or publishes what it reads as lines of JSON:

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Vehicle time by simulated clock with random faults of every kind; what must hold is counted and checked.
 
 By hand, for as long as wanted: `python test/processes/soak.py --edge dds --minutes 30`.

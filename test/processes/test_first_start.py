@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The first start on a machine, with nothing compiled yet, and signals while a node is still starting."""
 
 import itertools

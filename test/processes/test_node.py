@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A node process and independent peers: what it gives is what an offline session gives, and is kept over restarts."""
 
 import itertools

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The node as a person on ROS 2 meets it: by `ros2 run`'s executable, the command line, launch, lifecycle, bags."""
 
 import importlib.util

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What the controller sees when something is wrong: on both edges, a node process and an independent participant.
 
 Each scenario has its entry in docs/robustness.md. In all of them no output is ever out of bounds or not a number (the fixture

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Ten minutes of vehicle time with random faults on each edge."""
 
 import pytest

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Waiting in tests: for a condition, as long as whoever is to bring it about still works on it; and the pace of what is sent.
 
 In tests of processes nothing else sleeps, see `test_waiting.py`. A fixed time is too long on one machine and too short on

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The shipped configuration, to be changed at will."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Every kind of refusal of a vehicle file names the file, the key, what was given and what is allowed."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Vehicle files: both shipped ones, overrides, and the file of the rubber."""
 
 from __future__ import annotations

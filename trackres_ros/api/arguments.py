@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What the functions of the front door take, and what they make of it."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What recordings show that the model lacks."""
 
 from __future__ import annotations
@@ -82,15 +85,15 @@ def diagnose(
     ...     print(error.allowed)
     a measured torque: without it there is nothing to compare
     """
+    from trackres_ros.checks import one_of
     from trackres_ros.diagnosis.base.loading import load_base
     from trackres_ros.diagnosis.pipeline import diagnose, in_order
-    from trackres_ros.errors import nearest
-    from trackres_ros.recording.recording import ROLES, Recording, base_role
+    from trackres_ros.recording.recording import Recording
+    from trackres_ros.recording.roles import ROLES, base_role
     from trackres_ros.results.diagnosis import DiagnosisResult
 
     for channel in hide:
-        if base_role(channel) not in ROLES:
-            raise InputError("hide", channel, ", ".join(ROLES), nearest(channel, ROLES))
+        one_of(base_role(channel), "hide", ROLES)
     listed: Sequence[Any] = [recordings] if isinstance(recordings, str | PathLike | Recording) else recordings
     if not listed:
         raise InputError("recordings", "none", "at least one")

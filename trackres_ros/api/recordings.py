@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Recordings: made to try things on, and read."""
 
 from __future__ import annotations

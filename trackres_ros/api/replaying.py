@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A recording through the estimator."""
 
 from __future__ import annotations
@@ -71,7 +74,8 @@ def replay(
     'out.csv'
     """
     from trackres_ros.estimator import columns as at
-    from trackres_ros.estimator.estimator import Estimator, Steps
+    from trackres_ros.estimator.estimate import Steps
+    from trackres_ros.estimator.estimator import Estimator
     from trackres_ros.estimator.snapshot import resume as resumed
     from trackres_ros.estimator.snapshot import save
     from trackres_ros.estimator.topic_settings import settings_for

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Drives and operating points that were never driven."""
 
 from __future__ import annotations
@@ -62,11 +65,11 @@ def simulate(
     >>> import trackres_ros as tr
     >>> drive = tr.simulate("xgd24d", speed_kmh=50, duration_s=600, dt=0.5)
     >>> drive
-        time   speed resistance hysteresis    bearing       wind    effects   belt
-           s    km/h         Nm         Nm         Nm         Nm         Nm   degC
-          50    50.0       3502       2512        734        255          0   18.0
-         250    50.0       3117       2128        734        255          0   36.5
-         600    50.0       2893       1904        734        255          0   54.1
+    time  speed  resistance  hysteresis  bearing  wind  effects  belt
+       s   km/h          Nm          Nm       Nm    Nm       Nm  degC
+      50   50.0        3502        2512      734   255        0  18.0
+     250   50.0        3117        2128      734   255        0  36.5
+     600   50.0        2893        1904      734   255        0  54.1
     >>> print(f"{drive['resistance_torque_nm'].max():.0f} Nm")
     3502 Nm
     """

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Vehicle files: loaded, and checked."""
 
 from __future__ import annotations
@@ -5,7 +8,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from trackres_ros.api.arguments import StrPath, VehicleGiven, as_vehicle
-from trackres_ros.errors import InputError
 
 if TYPE_CHECKING:
     from trackres_ros.results.vehicle_check import VehicleCheck
@@ -46,16 +48,16 @@ def load_vehicle(
     29400
     >>> tr.load_vehicle("agri3t", thermal="lumpy")
     Traceback (most recent call last):
-    trackres_ros.errors.InputError: thermal: given 'lumpy'; allowed: lumped, core_surface; did you mean lumped?
+    trackres_ros.errors.InputError: thermal: given 'lumpy'; allowed: one of lumped, core_surface; did you mean lumped?
     """
-    from trackres_ros.errors import nearest
+    from trackres_ros.checks import one_of
     from trackres_ros.model.track import with_methods
     from trackres_ros.vehicle import load, with_surroundings
     from trackres_ros.vehicle.schema import MODEL_CHOICES
 
     for where, given, key in (("method", method, "hysteresis"), ("thermal", thermal, "thermal")):
-        if given is not None and given not in MODEL_CHOICES[key]:
-            raise InputError(where, given, ", ".join(MODEL_CHOICES[key]), nearest(given, MODEL_CHOICES[key]))
+        if given is not None:
+            one_of(given, where, MODEL_CHOICES[key])
     return with_surroundings(with_methods(load(vehicle), method, thermal), surroundings)
 
 

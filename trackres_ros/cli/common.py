@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What the commands share: options, output and progress."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What the command `trackres` calls: it listens to signals, or is ready for Ctrl-C, before all else is loaded."""
 
 from __future__ import annotations
@@ -10,7 +13,7 @@ AGAIN_S = 3.0  # longer than any command needs to put things in order
 
 
 def insist() -> None:
-    """Raise an interrupt again until it is taken: where it meets a callback or a destructor, Python swallows it."""
+    """Raise an interrupt again until it is handled: where it meets a callback or a destructor, Python swallows it."""
     signal.signal(signal.SIGINT, _interrupt)
     signal.signal(signal.SIGALRM, _interrupt)
 
@@ -20,8 +23,8 @@ def _interrupt(_number: int, _frame: object) -> None:
     raise KeyboardInterrupt
 
 
-def taken() -> None:
-    """An interrupt was taken: nothing more is raised, whatever comes, while the command says so and ends."""
+def interrupt_handled() -> None:
+    """An interrupt is being handled: nothing more is raised, whatever comes, while the command says so and ends."""
     # `python -m` ends by the signal if the interrupt met the evaluation of a string, as making a named tuple is one, whoever
     # caught it there (CPython's unhandled_keyboard_interrupt). Evaluating another string makes it forget that.
     exec("")
@@ -33,21 +36,21 @@ def taken() -> None:
 def main() -> None:
     """Run the command line."""
     if next((word for word in sys.argv[1:] if not word.startswith("-")), "") == "live":
-        from trackres_ros.node.asked import ASKED
+        from trackres_ros.node.signals import REQUESTS
 
-        ASKED.listen()
+        REQUESTS.listen()
     else:
         insist()
     try:
         from trackres_ros.cli.main import main as run
     except KeyboardInterrupt:
-        taken()
+        interrupt_handled()
         print("trackres: interrupted; nothing was begun", file=sys.stderr)
         sys.exit(INTERRUPTED)
     try:
         run()
     except KeyboardInterrupt:  # in the moment in which the command line has just ended
-        taken()
+        interrupt_handled()
         from trackres_ros.cli import written
 
         print(f"trackres: interrupted; {written.so_far()}", file=sys.stderr)

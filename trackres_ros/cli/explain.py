@@ -1,4 +1,7 @@
-"""`trackres explain`: one operating point taken apart."""
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""`trackres explain`: one operating point by its parts."""
 
 from __future__ import annotations
 

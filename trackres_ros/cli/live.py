@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """`trackres live`: the running node, on ROS 2 where rclpy is there, else on Cyclone DDS."""
 
 from __future__ import annotations
@@ -64,9 +67,9 @@ def live_command(
     from trackres_ros.cli.live_json import LiveJson
     from trackres_ros.cli.live_table import LiveTable
     from trackres_ros.files.output_files import BAG_SUFFIX, output_file
-    from trackres_ros.node.asked import ASKED
     from trackres_ros.node.parameters import make_parameters, read_parameters
     from trackres_ros.node.record import Recorder
+    from trackres_ros.node.signals import REQUESTS
 
     _check_names(name, namespace)
     recorder = Recorder(output_file(record, (BAG_SUFFIX,), "--record")) if record else None
@@ -76,7 +79,7 @@ def live_command(
     named = {"vehicle": vehicle, "surroundings": surroundings, "topics": topics}
     given.update({key: value for key, value in named.items() if value is not None})
     parameters = make_parameters(given)
-    ASKED.listen()
+    REQUESTS.listen()
     shown: list[LiveTable | LiveJson] = []
 
     def started(application: Application) -> None:
@@ -93,10 +96,10 @@ def live_command(
         if edge == "ros" or (edge == "auto" and _rclpy_imports()):
             from trackres_ros.node.ros.main import run as run_on_ros
 
-            return run_on_ros(parameters, name, namespace, ASKED, started)
+            return run_on_ros(parameters, name, namespace, REQUESTS, started)
         from trackres_ros.node.dds.node import run as run_on_dds
 
-        return run_on_dds(parameters, name, namespace, ASKED, started)
+        return run_on_dds(parameters, name, namespace, REQUESTS, started)
     finally:
         for display in shown:
             display.stop()

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The live table in the terminal: rates, ages, torque by part, temperatures, status."""
 
 from __future__ import annotations
@@ -16,7 +19,7 @@ from rich.text import Text
 from trackres_ros.model.resistance import RESISTANCE_PARTS
 from trackres_ros.node.edge import Level
 from trackres_ros.node.report import Overview
-from trackres_ros.recording.recording import ROLES, base_role
+from trackres_ros.recording.roles import ROLES, base_role
 from trackres_ros.text.numbers import decimals, figures
 from trackres_ros.units import KMH_PER_MPS
 

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Entry of the `trackres` command."""
 
 from __future__ import annotations
@@ -12,7 +15,7 @@ import click
 from trackres_ros import InputError, __version__
 from trackres_ros.cli import written
 from trackres_ros.cli.diagnose import diagnose_command, effects_command
-from trackres_ros.cli.entry import INTERRUPTED, taken
+from trackres_ros.cli.entry import INTERRUPTED, interrupt_handled
 from trackres_ros.cli.explain import explain_command
 from trackres_ros.cli.live import live_command
 from trackres_ros.cli.play import play_command
@@ -82,7 +85,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         where, why = str(error.filename or "system"), str(error.strerror or error)
         _fail(InputError(where, why, "a file or device that can be used"), one_line(f"{where}: {why}"), as_json)
     except (click.Abort, KeyboardInterrupt):
-        taken()
+        interrupt_handled()
         click.echo(f"trackres: interrupted; {written.so_far()}", err=True)
         sys.exit(INTERRUPTED)
     sys.exit(result if isinstance(result, int) else 0)

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """`trackres play`: a bag onto the DDS wire, without ROS."""
 
 from __future__ import annotations

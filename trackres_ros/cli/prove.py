@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """`trackres prove`: the diagnosis on cases whose cause is concealed from it."""
 
 from __future__ import annotations
@@ -6,6 +9,7 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import IO
 
@@ -34,8 +38,8 @@ folder_option = click.option(
 
 @click.group("prove", invoke_without_command=True)
 @click.pass_context
-@click.option("--level", "levels", multiple=True, metavar="L", help="Only this level; may be repeated.")
-@click.option("--cases", "count", type=click.IntRange(1), metavar="N", help="So many cases of each level.")
+@click.option("--level", "levels", multiple=True, metavar="L[=N]", help="Only this level, so many cases; may be repeated.")
+@click.option("--cases", "count", type=click.IntRange(1), metavar="N", help="So many cases of each level without a number.")
 @click.option("--seed", type=click.IntRange(0), default=REPORTED_SEED, show_default=True, help="Of all that is drawn.")
 @click.option("--quick", is_flag=True, help="70 cases of shorter drives.")
 @click.option("--fresh", is_flag=True, help="Begin anew instead of going on with what is in the folder.")
@@ -55,23 +59,21 @@ def prove_command(
 
     \b
     trackres prove --quick -o proof
+    trackres prove --level outside=18 --level none=6 --seed 31 -o development
 
     Three processes: one draws the cases, prints a hash of their labels and writes recordings; one diagnoses, given
     recordings and vehicle files and nothing else; one opens the labels and counts. An interrupted run goes on where it was.
     """
     if context.invoked_subcommand:
         return
-    needs("trackres prove", *EXTRA, "sklearn")
+    needs("trackres prove", *EXTRA, "sklearn", "pysindy")
     from trackres_ros.evaluation.sealed.cases import LEVELS, QUICK
 
     if output is None:
         raise InputError("-o", "no folder", "a folder for cases, results and scores")
-    unknown = [level for level in levels if level not in LEVELS]
-    if unknown:
-        raise InputError("--level", unknown[0], ", ".join(LEVELS))
-    output_folder(output)
     of = QUICK if quick else LEVELS
-    counts = {level: count or of[level] for level in (levels or of)}
+    counts = dict(_level_and_count(level, of, count) for level in (levels or of))
+    output_folder(output)
     minutes = QUICK_MINUTES if quick else MINUTES
     asked = f"{seed} {minutes:g} {' '.join(f'{level}={n}' for level, n in counts.items())}"
     kept = output / "asked.txt"
@@ -89,6 +91,14 @@ def prove_command(
     _process(said_to, "score", str(output))
     if as_json:
         click.echo((output / "scores.json").read_text(encoding="utf-8"))
+
+
+def _level_and_count(given: str, of: Mapping[str, int], count: int | None) -> tuple[str, int]:
+    """A level, and how many cases of it: as given with it, else by `--cases`, else as many as there are in a run."""
+    level, equals, number = given.partition("=")
+    if level not in of or (equals and not (number.isdecimal() and int(number))):
+        raise InputError("--level", given, f"{', '.join(of)}, or one of them with a number of cases, as outside=18")
+    return level, int(number) if equals else count or of[level]
 
 
 def _tell(path: Path, text: str, as_json: bool) -> None:

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """`trackres replay`: a recording through the estimator."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """`trackres simulate`: a drive that was never driven."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The whole diagnosis, step after step; each result is frozen and can be looked at."""
 
 from __future__ import annotations
@@ -11,6 +14,8 @@ from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.base import Base
 from trackres_ros.diagnosis.base.loading import LoadedBase
+from trackres_ros.diagnosis.described.describe import describe, drift, said
+from trackres_ros.diagnosis.described.terms import Described
 from trackres_ros.diagnosis.findings.change_points import Change, changes
 from trackres_ros.diagnosis.findings.locate import (
     ThermalCheck,
@@ -23,12 +28,13 @@ from trackres_ros.diagnosis.findings.locate import (
 )
 from trackres_ros.diagnosis.findings.next_drives import Advice, advise
 from trackres_ros.diagnosis.findings.residual_bins import RegimeMap, cumulative_periodogram, regime_map
-from trackres_ros.diagnosis.findings.verdict import Found, Verdict, judge
+from trackres_ros.diagnosis.findings.verdict import MOST_STRAY, Found, Told, Verdict, judge
 from trackres_ros.diagnosis.inference.fitting import Fit, Problem, fit
 from trackres_ros.diagnosis.inference.levels import for_tests, with_levels
 from trackres_ros.diagnosis.inference.noise import Noise
-from trackres_ros.diagnosis.prepare.gate import Gated, gate, split
+from trackres_ros.diagnosis.prepare.gate import Gated, gate
 from trackres_ros.diagnosis.prepare.session import Session, Split
+from trackres_ros.diagnosis.prepare.split import split
 from trackres_ros.diagnosis.prepare.torque_checks import (
     aligned_clock,
     check_torque,
@@ -72,6 +78,8 @@ class Diagnosis:
         Measured against simulated belt temperature, with the base re-fitted; None where none was measured.
     steps, found, refuted
         Rounds of the choice, the effects found, and those that were chosen and that held-out laps refute.
+    described, wanders
+        Terms without a name that were found; and how what is left wanders, where it does so by more than it should.
     base_intervals
         Of the base's parameters in `final`.
     held_out, advice, verdict
@@ -93,6 +101,8 @@ class Diagnosis:
     thermal: ThermalCheck | None
     steps: tuple[Step, ...]
     found: tuple[Found, ...]
+    described: tuple[Told, ...]
+    wanders: Described | None
     refuted: tuple[Graded, ...]
     base_intervals: dict[str, Interval]
     held_out: HeldOut
@@ -175,7 +185,10 @@ def diagnose(
     refitted = with_levels(tested)
     tested_base = for_tests(refitted)
     at_base = regime_map(tested_base, rng)
-    steps, best = choose(tested, effects, QUICK_REPLICATES if quick else REPLICATES, rng, on_stage)
+    replicates = QUICK_REPLICATES if quick else REPLICATES
+    rounds, named = choose(tested, effects, replicates, rng, on_stage)
+    description = describe(named, rounds, effects, replicates, rng, on_stage)
+    steps, best = description.steps, description.fit
     on_stage("what it is worth: laps held out")
     laps = HeldOutLaps(gated.sessions, [chosen.held_out_mask(s) for s in gated.sessions], rng)
     final, graded, refuted = confirm(with_levels(best), refitted, laps) if best.effects else (refitted, {}, ())
@@ -193,6 +206,8 @@ def diagnose(
     by_name = {s.chosen.name: s for s in steps if s.chosen}
     found = []
     for active in final.effects:
+        if active.effect.name in description.terms:
+            continue
         adds = final.contribution(active.effect.name)
         resists = against_travel(final.problem.sessions, adds) if active.effect.acts_on != "sensor" else adds
         where = acts(final, resists)
@@ -204,7 +219,7 @@ def diagnose(
                 active.effect.parameters,
                 by_name[active.effect.name],
                 active.values,
-                {q: bounds[active.effect.name, q] for q in active.values},
+                bounds_of(active.effect.name, bounds),
                 adds,
                 resists,
                 spans(final.problem.sessions, adds),
@@ -216,20 +231,35 @@ def diagnose(
     on_stage("what to drive next")
     told = [s for s in steps if s.chosen and s.chosen.name in graded]
     advice = [a for s in told for a in advise(s.candidates, s.members, vehicle.known.max_speed)]
-    verdict = judge(found, refuted, refitted, at_end, slow_residual(final), steps[-1].hint, worth)
+    terms = [
+        Told(said(description.terms[name], final), final.contribution(name), bounds_of(name, bounds), graded[name])
+        for name in final.effect_names
+        if name in description.terms
+    ]
+    left_over = slow_residual(final)
+    wanders = drift(final) if left_over.share > MOST_STRAY and not terms else None
+    verdict = judge(found, terms, refuted, refitted, at_end, left_over, steps[-1].hint, worth)
     kinds = {name: effect.belongs_to for name, effect in effects.items()}
-    believed = believed_in(found, verdict, kinds, keep_suspected)
+    believed = believed_in(found, terms, verdict, kinds, keep_suspected)
     return Diagnosis(
         base, gated, chosen, nominal, refitted, final, at_base, at_end, changes(tested_base), cumulative_periodogram(tested_end),
         thermal_check(refitted),
-        tuple(steps), tuple(found), refuted, {name: b for (effect, name), b in bounds.items() if not effect},
+        tuple(steps), tuple(found), tuple(terms), wanders, refuted, bounds_of("", bounds),
         worth, tuple(advice), verdict, keep(believed, final, refitted, worth, laps, bounds),
     )  # fmt: skip
 
 
-def believed_in(found: Sequence[Found], verdict: Verdict, kinds: Mapping[str, str], keep_suspected: bool) -> list[str]:
+def bounds_of(name: str, bounds: Mapping[tuple[str, str], Interval]) -> dict[str, Interval]:
+    """Intervals of the parameters of one effect."""
+    return {parameter: interval for (effect, parameter), interval in bounds.items() if effect == name}
+
+
+def believed_in(
+    found: Sequence[Found], terms: Sequence[Told], verdict: Verdict, kinds: Mapping[str, str], keep_suspected: bool
+) -> list[str]:
     """Names of the effects that may be written: the verdict stands by them, held-out laps confirm them, and all that may be
-    meant belong to the same; or whatever was found, if suspected ones are kept.
+    meant belong to the same; of terms without a name, those that follow what is known at the time. Or whatever was found, if
+    suspected ones are kept.
 
     Parameters
     ----------
@@ -240,7 +270,10 @@ def believed_in(found: Sequence[Found], verdict: Verdict, kinds: Mapping[str, st
     def settled(f: Found) -> bool:
         return {kinds[m] for m in f.step.members} <= {kinds[f.name]}
 
-    return [f.name for f in found if keep_suspected or (verdict.names and f.graded.grade == CONFIRMED and settled(f))]
+    ahead = [t for t in terms if t.described.predictable]
+    return [f.name for f in found if keep_suspected or (verdict.names and f.graded.grade == CONFIRMED and settled(f))] + [
+        t.described.name for t in ahead if keep_suspected or (verdict.names and t.graded.grade == CONFIRMED)
+    ]
 
 
 def align_and_check(gated: Gated, vehicle: LoadedBase) -> tuple[Gated, tuple[Array, ...]]:

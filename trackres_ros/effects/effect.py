@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a left-out effect is: one interface for the fit, the live estimator and the report."""
 
 from __future__ import annotations
@@ -39,6 +42,8 @@ class Parameter:
         Whether bounds and typical values are those of a vehicle of `REFERENCE_NM`, and grow with the vehicle.
     on_tyres
         Typical value over weight times wheel radius where the whole vehicle runs on tyres, if that makes a difference.
+    fitted
+        Whether a fit may move it; what is not fitted stays at `start`.
     """
 
     name: str
@@ -51,6 +56,12 @@ class Parameter:
     more_starts: tuple[float, ...] = ()
     of_size: bool = False
     on_tyres: float | None = None
+    fitted: bool = True
+
+    @property
+    def is_fixed(self) -> bool:
+        """Whether there is but one value: it says which of a family the effect is, and stands in no file."""
+        return not self.fitted and self.low == self.high
 
     def for_size(self, size: float, on_tyres: bool) -> Parameter:
         """The same for a vehicle with another weight times wheel radius [Nm]."""
@@ -66,10 +77,16 @@ class Parameter:
 
 
 class Values(Protocol):
-    """Values of an effect's parameters, each an attribute."""
+    """Values of an effect's parameters, each an attribute, or by its place in their order."""
 
     def __getattr__(self, name: str, /) -> float:
         """The value of a parameter."""
+
+    def __getitem__(self, place: int, /) -> float:
+        """The value of the parameter at a place."""
+
+    def __len__(self) -> int:
+        """How many there are."""
 
 
 @cache
@@ -78,7 +95,7 @@ def values_type(names: tuple[str, ...]) -> Any:
     return namedtuple("values", names)
 
 
-class Facts(NamedTuple):
+class VehicleConstants(NamedTuple):
     """What an effect may know of the vehicle, SI; of an assembly where it says so."""
 
     radius: float  # sprocket pitch radius, or of the wheel
@@ -94,7 +111,7 @@ class Facts(NamedTuple):
 class Conditions(NamedTuple):
     """What an effect may look at, at one instant; nan where not known. `conditions` makes it from what is measured."""
 
-    facts: Facts
+    facts: VehicleConstants
     speed: float  # m/s
     accel: float  # m/s^2
     weight: float  # N, whole vehicle
@@ -109,7 +126,7 @@ class Conditions(NamedTuple):
 
 
 def conditions(
-    facts: Facts,
+    facts: VehicleConstants,
     speed: float = 0.0,
     accel: float = 0.0,
     weight: float | None = None,
@@ -222,11 +239,11 @@ class Effect(ABC):
         The file of an effect of the user's own; None for those of the catalogue.
     """
 
-    name: ClassVar[str]
+    name: str
     acts_on: ClassVar[str]
     belongs_to: ClassVar[str]
-    text: ClassVar[str]
-    needs: ClassVar[tuple[str, ...]] = ("speed",)
+    text: str
+    needs: tuple[str, ...] = ("speed",)
     parameters: tuple[Parameter, ...]
     belt_only: ClassVar[bool] = False
     source: Path | None = None

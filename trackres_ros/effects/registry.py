@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Finds effects: one file each in this package, and those of the user's own folder."""
 
 from __future__ import annotations
@@ -9,14 +12,18 @@ import keyword
 import math
 import pkgutil
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from trackres_ros.effects.effect import ACTS_ON, BELONGS_TO, Active, Effect, Facts, Parameter, conditions
-from trackres_ros.errors import InputError, nearest
+from trackres_ros import checks
+from trackres_ros.effects.effect import ACTS_ON, BELONGS_TO, REFERENCE_NM, Active, Effect, Parameter, VehicleConstants, conditions
+from trackres_ros.effects.learned import NAMES as LEARNED
+from trackres_ros.effects.learned import Learned, learned
+from trackres_ros.errors import InputError
 
-NOWHERE = Facts(1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
+NOWHERE = VehicleConstants(1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
 ELSEWHERE = {
     "vehicle": "list it under effects of the vehicle file",
     "surroundings": "move it to a file of the surroundings and give that with --surroundings where it holds",
@@ -56,8 +63,17 @@ def catalogue(
     return {name: effect.for_size(size, on_tyres) for name, effect in effects.items()} if size else effects
 
 
-def check_effects(given: Any, where: str, known: Mapping[str, Effect], belongs_to: str) -> tuple[Active, ...]:
+def check_effects(
+    given: Any, where: str, known: Mapping[str, Effect], belongs_to: str, size: float = REFERENCE_NM
+) -> tuple[Active, ...]:
     """Effects with their values, as a file lists them: ``name: {parameter: value or {value: v, range: [low, high]}, ...}``.
+
+    Parameters
+    ----------
+    known
+        Effects that have a name; besides them what a diagnosis has learned without one, see `learned`, may be listed.
+    size
+        Weight times wheel radius of the vehicle [Nm].
 
     Raises
     ------
@@ -69,39 +85,35 @@ def check_effects(given: Any, where: str, known: Mapping[str, Effect], belongs_t
         raise InputError(where, given, "a mapping of effects: name: {parameter: value}")
     active = []
     for name, values in given.items():
-        if name not in known:
-            raise InputError(f"{where}: effect", name, ", ".join(known), nearest(str(name), known))
-        effect = known[name]
+        effect = learned(name, values, size) if name in LEARNED else known[checks.one_of(name, f"{where}: effect", known)]
         if effect.belongs_to != belongs_to:
             raise InputError(f"{where}: effect", name, f"effects of the {belongs_to}", ELSEWHERE[effect.belongs_to])
-        wanted = {q.name: q for q in effect.parameters}
+        wanted = {q.name: q for q in effect.parameters if not q.is_fixed}
         if not isinstance(values, Mapping) or set(values) != set(wanted):
             raise InputError(f"{where}.{name}", values, f"a value for each of {', '.join(wanted)}")
         checked = {key: _with_range(value, f"{where}.{name}.{key}", wanted[key]) for key, value in values.items()}
         ranges = {key: span for key, (_, span) in checked.items() if span is not None}
-        active.append(Active(effect, {key: value for key, (value, _) in checked.items()}, ranges))
+        fixed = {q.name: q.start for q in effect.parameters if q.is_fixed}
+        active.append(Active(effect, {**fixed, **{key: value for key, (value, _) in checked.items()}}, ranges))
+        _check_knots(active[-1], f"{where}.{name}")
     return tuple(active)
+
+
+def _check_knots(active: Active, where: str) -> None:
+    """Refuse a curve whose knots do not rise."""
+    x = [active.values[q.name] for q in active.effect.parameters if q.name.startswith("x")]
+    if isinstance(active.effect, Learned) and any(b <= a for a, b in pairwise(x)):
+        raise InputError(f"{where}: x1 to x{len(x)}", x, "knots that rise from one to the next")
 
 
 def _with_range(given: Any, where: str, q: Parameter) -> tuple[float, tuple[float, float] | None]:
     """Value and range of a parameter: a plain number has none."""
     if not isinstance(given, Mapping):
-        return _within(given, where, q, q.low, q.high), None
+        return checks.number(given, where, q.low, q.high, q.unit), None
     if set(given) != {"value", "range"}:
         raise InputError(where, dict(given), "a number, or {value: number, range: [low, high]}")
-    bounds = given["range"]
-    if not isinstance(bounds, list) or len(bounds) != 2:
-        raise InputError(f"{where}.range", bounds, "two numbers, [low, high]")
-    low, high = (_within(bound, f"{where}.range", q, q.low, q.high) for bound in bounds)
-    if low > high:
-        raise InputError(f"{where}.range", bounds, "[low, high] with low <= high")
-    return _within(given["value"], f"{where}.value", q, low, high), (low, high)
-
-
-def _within(given: Any, where: str, q: Parameter, low: float, high: float) -> float:
-    if isinstance(given, bool) or not isinstance(given, int | float) or not low <= given <= high:
-        raise InputError(where, given, f"a number from {low:g} to {high:g} {q.unit}")
-    return float(given)
+    low, high = checks.span(given["range"], f"{where}.range", q.low, q.high, q.unit)
+    return checks.number(given["value"], f"{where}.value", low, high, q.unit), (low, high)
 
 
 def _effects_in(module: ModuleType) -> list[Effect]:
@@ -142,8 +154,7 @@ def _check(effect: Effect, path: Path) -> None:
     if not isinstance(effect.name, str) or not isinstance(effect.text, str):
         raise InputError(f"{path}: name, text", (effect.name, effect.text), "two texts")
     for attribute, allowed in (("acts_on", ACTS_ON), ("belongs_to", BELONGS_TO)):
-        if getattr(effect, attribute) not in allowed:
-            raise InputError(f"{path}: {attribute}", getattr(effect, attribute), ", ".join(allowed))
+        checks.one_of(getattr(effect, attribute), f"{path}: {attribute}", allowed)
     if (effect.acts_on == "sensor") != (effect.belongs_to == "sensor"):
         given = f"acts_on {effect.acts_on}, belongs_to {effect.belongs_to}"
         raise InputError(f"{path}: {effect.name}", given, "both sensor, or neither")

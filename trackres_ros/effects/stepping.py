@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Effects as the compiled step takes them: each one a machine function behind one signature, called by its address.
 
 An effect is a Python file; the step is compiled once. Between them stands a table: a row for each effect with the addresses of
@@ -19,7 +22,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.effects.effect import Active, Conditions, Effect, Facts, Lag, Terms, values_type
+from trackres_ros.effects.effect import Active, Conditions, Effect, Lag, Terms, VehicleConstants, values_type
 from trackres_ros.jit.code_cache import CodeCache
 from trackres_ros.jit.compiled import HAVE_NUMBA, code_folder, compiled, compiled_anew, inlined
 from trackres_ros.units import STANDSTILL_MPS
@@ -35,7 +38,8 @@ ROW = 5
 UNFED, FED, FED_WITH_ACCEL, SHIFTED = range(4)
 
 # Work space of a step: what effects look at, the facts first; then what one of them answers.
-FACTS, LOOKED_AT, ANSWERED = len(Facts._fields), len(Facts._fields) + len(Conditions._fields) - 1, len(Terms._fields)
+FACTS, ANSWERED = len(VehicleConstants._fields), len(Terms._fields)
+LOOKED_AT = FACTS + len(Conditions._fields) - 1
 (
     AT_SPEED,
     AT_ACCEL,
@@ -49,7 +53,7 @@ FACTS, LOOKED_AT, ANSWERED = len(Facts._fields), len(Facts._fields) + len(Condit
     AT_CURVATURE,
     AT_OWN,
 ) = range(FACTS, LOOKED_AT)
-RADIUS, WEIGHT, CONTACT_LENGTH = (Facts._fields.index(name) for name in ("radius", "weight", "contact_length"))
+RADIUS, WEIGHT, CONTACT_LENGTH = (VehicleConstants._fields.index(name) for name in ("radius", "weight", "contact_length"))
 if Conditions._fields[1:] != (
     "speed", "accel", "weight", "ambient", "yaw_rate", "heading", "distance", "drive_torque", "direction", "curvature", "own",
 ):  # fmt: skip
@@ -158,7 +162,7 @@ def cooled(memory: Array) -> Array:
     return fresh
 
 
-def new_work(facts: Facts) -> Array:
+def new_work(facts: VehicleConstants) -> Array:
     """Work space of a step for a vehicle, with terms that do nothing."""
     work = np.full(WORK, math.nan)
     work[:TERMS] = NO_TERMS
@@ -361,7 +365,7 @@ def _python_function(effect: Effect, method: str, answered: int) -> Callable[[in
     def call(looked_at_: int, values_: int, answer_: int) -> None:
         try:
             known = given.from_address(looked_at_)[:]
-            answer = run(Conditions(Facts(*known[:FACTS]), *known[FACTS:]), pack(*wanted.from_address(values_)))
+            answer = run(Conditions(VehicleConstants(*known[:FACTS]), *known[FACTS:]), pack(*wanted.from_address(values_)))
             if answer is None:  # no state of its own after all
                 answer = Lag(0.0, 1.0, 0.0)
             out.from_address(answer_)[:] = [float(x) for x in answer]
@@ -440,11 +444,12 @@ if HAVE_NUMBA:
         lines = [
             "def call(x_, p_, out_):",
             f"    x, p, out = carray(x_, {LOOKED_AT}), carray(p_, {len(names)}), carray(out_, {answered})",
-            f"    at = Conditions(Facts({', '.join(f'x[{i}]' for i in range(FACTS))}), {known})",
+            f"    at = Conditions(VehicleConstants({', '.join(f'x[{i}]' for i in range(FACTS))}), {known})",
             f"    found = run(None, at, pack({', '.join(f'p[{i}]' for i in range(len(names)))}))",
             *(f"    out[{i}] = found[{i}]" for i in range(answered)),
         ]
-        namespace: dict[str, Any] = {"carray": numba.carray, "Conditions": Conditions, "Facts": Facts, "run": inner}
+        namespace: dict[str, Any] = {"carray": numba.carray, "Conditions": Conditions, "run": inner}
+        namespace["VehicleConstants"] = VehicleConstants
         namespace["pack"] = values_type(names)
         exec("\n".join(lines), namespace)
         function = cast(FunctionType, namespace["call"])

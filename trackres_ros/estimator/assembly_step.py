@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """One step of the assemblies: belt, measured temperature, and what each adds to torque and doubt of the vehicle."""
 
 from __future__ import annotations
@@ -82,13 +85,13 @@ def advance_assembly(k: Constants, i: int, belt: Array, load: float, measured: f
     part[at.PART_HYSTERESIS], part[at.PART_BEARING], part[at.PART_WIND] = own, arm * road.bearing, arm * road.wind
     part[at.PART_GRADE], part[at.PART_INERTIA] = arm * road.uphill, arm * road.inertia
     for cause in range(3):
-        part[at.PART_DOUBT + cause] = (
-            by_temperature * belt[0, at.DOUBT_1 + cause]
-            + unsigned * k.assembly[i, at.LOSS_DOUBT + cause]
-            + doubted * k.assembly[i, at.RADIUS_DOUBT + cause]
+        part[at.PART_CONSIDER + cause] = (
+            by_temperature * belt[0, at.CONSIDER_1 + cause]
+            + unsigned * k.assembly[i, at.CONSIDER_LOSS + cause]
+            + doubted * k.assembly[i, at.CONSIDER_RADIUS + cause]
         )
-    part[at.PART_DOUBT + 3] = doubted * k.assembly[i, at.RADIUS_DOUBT + 3]
-    part[at.PART_DOUBT_AMBIENT] = by_temperature * belt[0, at.DOUBT_AMBIENT]
+    part[at.PART_CONSIDER + 3] = doubted * k.assembly[i, at.CONSIDER_RADIUS + 3]
+    part[at.PART_CONSIDER_AMBIENT] = by_temperature * belt[0, at.CONSIDER_AMBIENT]
     part[at.PART_NOISE] = by_temperature * by_temperature * (belt[0, at.NOISE_1] ** 2 + belt[0, at.NOISE_2] ** 2)
     first = FIRST_OF_ASSEMBLIES + i * COLUMNS_EACH
     out[first + at.PER_BELT] = temperature

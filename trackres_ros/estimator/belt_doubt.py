@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """How unsure a belt's temperature is: its variance, noise that is added, and what a measurement takes away.
 
 Of a belt state (2, BELT_COLUMNS), the mean and its surface, all columns but the temperature are departures [K] that one standard
@@ -11,7 +14,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.estimator.columns import BELT_COLUMNS, DOUBT_1, NOISE_1, NOISE_2, TEMPERATURE
+from trackres_ros.estimator.columns import BELT_COLUMNS, CONSIDER_1, NOISE_1, NOISE_2, TEMPERATURE
 from trackres_ros.jit.compiled import compiled, inlined
 
 Array = NDArray[np.float64]
@@ -21,7 +24,7 @@ Array = NDArray[np.float64]
 def belt_variance(belt: Array, of_mean: float, of_surface: float) -> float:
     """Variance [K^2] of of_mean x mean + of_surface x surface."""
     total = 0.0
-    for column in range(DOUBT_1, BELT_COLUMNS):
+    for column in range(CONSIDER_1, BELT_COLUMNS):
         departure = of_mean * belt[0, column] + of_surface * belt[1, column]
         total += departure * departure
     return total
@@ -51,13 +54,13 @@ def correct_belt(belt: Array, measured: float, variance: float, expected: float,
     innovation = measured - expected
     total = belt_variance(belt, of_mean, of_surface) + variance
     gain_1 = gain_2 = 0.0
-    for column in range(DOUBT_1, BELT_COLUMNS):
+    for column in range(CONSIDER_1, BELT_COLUMNS):
         departure = of_mean * belt[0, column] + of_surface * belt[1, column]
         gain_1 += belt[0, column] * departure / total
         gain_2 += belt[1, column] * departure / total
     belt[0, TEMPERATURE] += gain_1 * innovation
     belt[1, TEMPERATURE] += gain_2 * innovation
-    for column in range(DOUBT_1, BELT_COLUMNS):
+    for column in range(CONSIDER_1, BELT_COLUMNS):
         departure = of_mean * belt[0, column] + of_surface * belt[1, column]
         belt[0, column] -= gain_1 * departure
         belt[1, column] -= gain_2 * departure

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A belt with one temperature, the paper's: C dT/dt = P - h A (T - Ta), see `model.thermal`."""
 
 from __future__ import annotations
@@ -9,7 +12,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.belt_heat import Heat
-from trackres_ros.estimator.columns import DOUBT_1, DOUBT_AMBIENT, NOISE_1, TEMPERATURE
+from trackres_ros.estimator.columns import CONSIDER_1, CONSIDER_AMBIENT, NOISE_1, TEMPERATURE
 from trackres_ros.estimator.constants import Constants
 from trackres_ros.jit.compiled import inlined
 from trackres_ros.model.thermal import phi_1, phi_2
@@ -30,12 +33,12 @@ def advance_lumped(k: Constants, i: int, belt: Array, heat: Heat, ambient_std: f
         return math.nan, math.nan
     for cause in range(3):
         forced = (
-            gained * k.assembly[i, at.LOSS_DOUBT + cause]
-            - lost * k.assembly[i, at.COOLING_DOUBT + cause]
-            - rate * k.assembly[i, at.CAPACITY_DOUBT + cause]
+            gained * k.assembly[i, at.CONSIDER_LOSS + cause]
+            - lost * k.assembly[i, at.CONSIDER_COOLING + cause]
+            - rate * k.assembly[i, at.CONSIDER_CAPACITY + cause]
         )
-        belt[0, DOUBT_1 + cause] += mean * (growth * belt[0, DOUBT_1 + cause] + forced)
-    belt[0, DOUBT_AMBIENT] += mean * (growth * belt[0, DOUBT_AMBIENT] + cooling * per_capacity * ambient_std)
+        belt[0, CONSIDER_1 + cause] += mean * (growth * belt[0, CONSIDER_1 + cause] + forced)
+    belt[0, CONSIDER_AMBIENT] += mean * (growth * belt[0, CONSIDER_AMBIENT] + cooling * per_capacity * ambient_std)
     kept = belt[0, NOISE_1] * (1.0 + mean * growth)
     belt[0, NOISE_1] = math.sqrt(kept * kept + k.number.process_noise * k.number.process_noise * dt)
     departure = dt * dt * phi_2(growth * dt) * rate

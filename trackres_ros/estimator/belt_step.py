@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """One step of one assembly's belt: temperature, and what each cause of doubt makes of it, through the same dynamics.
 
 The belt state is an array (2, BELT_COLUMNS): its mean, and its surface where that has a temperature of its own. Column 0 is

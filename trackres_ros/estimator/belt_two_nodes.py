@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A belt with a mean temperature and that of its surface, see `model.thermal`."""
 
 from __future__ import annotations
@@ -10,7 +13,7 @@ from numpy.typing import NDArray
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.belt_doubt import add_noise
 from trackres_ros.estimator.belt_heat import Heat
-from trackres_ros.estimator.columns import BELT_COLUMNS, DOUBT_1, DOUBT_AMBIENT, TEMPERATURE
+from trackres_ros.estimator.columns import BELT_COLUMNS, CONSIDER_1, CONSIDER_AMBIENT, TEMPERATURE
 from trackres_ros.estimator.constants import Constants
 from trackres_ros.jit.compiled import inlined
 from trackres_ros.model.thermal import phi_matrix
@@ -36,16 +39,16 @@ def advance_two_nodes(k: Constants, i: int, belt: Array, heat: Heat, ambient_std
     belt[1, TEMPERATURE] = outer + dt * (m21 * rate_1 + m22 * rate_2)
     if not k.number.with_doubt:
         return math.nan, math.nan
-    for column in range(DOUBT_1, BELT_COLUMNS):
+    for column in range(CONSIDER_1, BELT_COLUMNS):
         first, second = belt[0, column], belt[1, column]
         slope_1, slope_2 = j11 * first + j12 * second, j21 * first + j22 * second
-        if column < DOUBT_AMBIENT:
-            cause = column - DOUBT_1
-            heating = gained * k.assembly[i, at.LOSS_DOUBT + cause]
-            chilling, holding = lost * k.assembly[i, at.COOLING_DOUBT + cause], k.assembly[i, at.CAPACITY_DOUBT + cause]
+        if column < CONSIDER_AMBIENT:
+            cause = column - CONSIDER_1
+            heating = gained * k.assembly[i, at.CONSIDER_LOSS + cause]
+            chilling, holding = lost * k.assembly[i, at.CONSIDER_COOLING + cause], k.assembly[i, at.CONSIDER_CAPACITY + cause]
             slope_1 += heating - chilling * per_capacity - rate_1 * holding
             slope_2 += heating - chilling * per_skin - rate_2 * holding
-        elif column == DOUBT_AMBIENT:
+        elif column == CONSIDER_AMBIENT:
             slope_1 += cooling * per_capacity * ambient_std
             slope_2 += cooling * per_skin * ambient_std
         belt[0, column] = first + dt * (m11 * slope_1 + m12 * slope_2)

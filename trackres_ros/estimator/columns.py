@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Where each number stands in the arrays that the kernel works on, and what the numbers are called outside."""
 
 from __future__ import annotations
@@ -12,7 +15,7 @@ CHANNELS = ("speed", "load", "torque", "ambient", "belt", "accel", "grade", "yaw
 
 # Constants of an assembly; those of one KIND differ in nothing but the axle and load shares. INNER_CONDUCTANCE lies between the
 # mean and the surface where these are two nodes, SKIN_CONDUCTANCE between the last node and what a sensor sees, infinite where
-# they are one. From DOUBT_FACTOR on the 4 x 4 factor of its doubt, row by row.
+# they are one. From CONSIDER_FACTOR on the 4 x 4 factor of its uncertainty, row by row.
 (
     AXLE,
     TABLE,
@@ -30,13 +33,13 @@ CHANNELS = ("speed", "load", "torque", "ambient", "belt", "accel", "grade", "yaw
     KIND,
     SHARE_OF_AXLE,
     SHARE_OF_ALL,
-    DOUBT_FACTOR,
+    CONSIDER_FACTOR,
 ) = range(17)
-LOSS_DOUBT, COOLING_DOUBT, CAPACITY_DOUBT, RADIUS_DOUBT = (DOUBT_FACTOR + 4 * row for row in range(4))
+CONSIDER_LOSS, CONSIDER_COOLING, CONSIDER_CAPACITY, CONSIDER_RADIUS = (CONSIDER_FACTOR + 4 * row for row in range(4))
 
-# What an assembly adds to the totals of a step: torques by part, heat and cooling, doubt by the ambient temperature and by
-# noise, the arm of a force on the whole vehicle, what resists without its sign, which assembly it is computed as; from
-# PART_DOUBT on its four causes of doubt.
+# What an assembly adds to the totals of a step: torques by part, heat and cooling, uncertainty by the ambient temperature and
+# by noise, the arm of a force on the whole vehicle, what resists without its sign, which assembly it is computed as; from
+# PART_CONSIDER on its four causes of uncertainty.
 (
     PART_HYSTERESIS,
     PART_BEARING,
@@ -45,18 +48,19 @@ LOSS_DOUBT, COOLING_DOUBT, CAPACITY_DOUBT, RADIUS_DOUBT = (DOUBT_FACTOR + 4 * ro
     PART_INERTIA,
     PART_HEAT,
     PART_COOLING,
-    PART_DOUBT_AMBIENT,
+    PART_CONSIDER_AMBIENT,
     PART_NOISE,
     PART_ARM,
     PART_UNSIGNED,
     PART_TWIN,
-    PART_DOUBT,
+    PART_CONSIDER,
 ) = range(13)
-PARTS = PART_DOUBT + 4
+PARTS = PART_CONSIDER + 4
 
-# Columns of an assembly's belt state, [K] but the first: temperature, then what each cause of doubt makes of it.
-# Doubt in loss, cooling, capacity and radius is one 4 x 4 factor; the radius moves no temperature and has no column.
-TEMPERATURE, DOUBT_1, DOUBT_2, DOUBT_3, DOUBT_AMBIENT, NOISE_1, NOISE_2 = range(7)
+# Columns of an assembly's belt state, [K] but the first: temperature, then what each cause of uncertainty makes of it, as a
+# consider parameter of a Schmidt-Kalman filter. Uncertainty in loss, cooling, capacity and radius is one 4 x 4 factor; the
+# radius moves no temperature and has no column.
+TEMPERATURE, CONSIDER_1, CONSIDER_2, CONSIDER_3, CONSIDER_AMBIENT, NOISE_1, NOISE_2 = range(7)
 BELT_COLUMNS = 7
 
 # The motion state: filtered speed and acceleration, their covariance, the quantum seen, and of the last step

@@ -1,4 +1,7 @@
-"""What the kernel needs to know and never changes: vehicle, tables, doubt and settings as plain arrays and numbers."""
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""What the kernel needs to know and never changes: vehicle, tables, uncertainties and settings as plain arrays and numbers."""
 
 from __future__ import annotations
 
@@ -10,15 +13,15 @@ from typing import Any, NamedTuple, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.effects.effect import Active, Facts, conditions
+from trackres_ros.effects.effect import Active, VehicleConstants, conditions
 from trackres_ros.effects.stepping import LIMITS, effect_table, new_work
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.settings import PARTS, Settings
 from trackres_ros.estimator.uncertainty import spread
 from trackres_ros.model.coverage import check_heat, coverage
-from trackres_ros.model.facts import facts_of
 from trackres_ros.model.loss_table import loss_table
 from trackres_ros.model.thermal import ThermalNetwork, thermal_network
+from trackres_ros.model.vehicle_constants import vehicle_constants
 from trackres_ros.vehicle import Vehicle
 from trackres_ros.vehicle.reading import FITTED
 
@@ -107,7 +110,7 @@ class Constants(NamedTuple):
     work: Array  # what effects look at and do in a step, see effects.stepping; the only part that changes
 
 
-def work_space(facts: Facts, assemblies: int) -> Array:
+def work_space(facts: VehicleConstants, assemblies: int) -> Array:
     """Where a step puts what it needs meanwhile: no step asks for memory."""
     parts_and_belts = at.PARTS * (1 + assemblies) + 2 * 2 * at.BELT_COLUMNS
     return np.concatenate([new_work(facts), np.empty(parts_and_belts)])
@@ -140,9 +143,9 @@ def make_constants(vehicle: Vehicle, settings: Settings, cache: Path | None = No
     axle_names = [axle.name for axle in vehicle.axles]
     chassis, loads = vehicle.chassis, vehicle.nominal_loads()
     acting = effect_table(vehicle.effects, vehicle.surroundings, machine=machine)
-    resistance = parting_resistance(vehicle.active, facts_of(vehicle))
+    resistance = parting_resistance(vehicle.active, vehicle_constants(vehicle))
     two_nodes = vehicle.thermal == "core_surface" or resistance > 0.0
-    constants = np.empty((len(vehicle.assemblies), at.DOUBT_FACTOR))
+    constants = np.empty((len(vehicle.assemblies), at.CONSIDER_FACTOR))
     for row, load, assembly in zip(constants, loads, vehicle.assemblies, strict=True):
         track, losses = vehicle.track_of(assembly), tables[names.index(assembly.track)]
         network = thermal_network("core_surface" if two_nodes else "lumped", track.belt, vehicle.rubber)
@@ -156,7 +159,7 @@ def make_constants(vehicle: Vehicle, settings: Settings, cache: Path | None = No
         row[at.FIRST_LOG_LOAD], row[at.STEP_LOG_LOAD] = losses.first_log_load, losses.step_log_load
         row[at.SHARE_OF_AXLE] = load / loads[list(vehicle.assemblies_of(assembly.axle))].sum()
         row[at.SHARE_OF_ALL] = load / loads.sum()
-    doubt = np.array([spreads[a.track].factor.ravel() for a in vehicle.assemblies])
+    factors = np.array([spreads[a.track].factor.ravel() for a in vehicle.assemblies])
     gain = (
         np.nan
         if chassis.motor_ratio is None or chassis.motor_efficiency is None
@@ -220,17 +223,17 @@ def make_constants(vehicle: Vehicle, settings: Settings, cache: Path | None = No
     )
     return Constants(
         number,
-        np.concatenate([constants, doubt], axis=1),
+        np.concatenate([constants, factors], axis=1),
         np.stack([t.loss for t in tables]),
         np.stack([t.drive for t in tables]),
         _channel_limits(vehicle),
         acting.rows,
         acting.values,
-        work_space(facts_of(vehicle), len(vehicle.assemblies)),
+        work_space(vehicle_constants(vehicle), len(vehicle.assemblies)),
     )
 
 
-def parting_resistance(effects: Sequence[Active], facts: Facts) -> float:
+def parting_resistance(effects: Sequence[Active], facts: VehicleConstants) -> float:
     """What effects put between the mean of a belt and its surface [K/W]: with it the belt has two nodes, whatever the file says.
 
     It hangs on nothing but the parameters. What fails, as an effect of the user's own may, puts nothing there.

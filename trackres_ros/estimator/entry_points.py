@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A stream of messages through guards and steps, one at a time or in blocks: the same compiled code either way."""
 
 from __future__ import annotations

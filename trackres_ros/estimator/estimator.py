@@ -1,10 +1,12 @@
-"""The estimator: frozen inputs, state and results; a pure step; and a session that takes messages as they come."""
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The estimator: a pure step from state to state, and a session that takes messages as they come."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,115 +18,15 @@ from trackres_ros.effects.stepping import new_memory as new_effects_memory
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.constants import Constants, kernel_arguments, make_constants
 from trackres_ros.estimator.entry_points import COMPILED, Entries
+from trackres_ros.estimator.estimate import Estimate, Steps
 from trackres_ros.estimator.guards import Memory, new_memory
 from trackres_ros.estimator.records import Carried, Inputs, Series
 from trackres_ros.estimator.settings import Settings
-from trackres_ros.text.numbers import decimals
+from trackres_ros.estimator.state import State
 from trackres_ros.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-
-
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class State:
-    """What is carried from step to step; see `columns` and `belt_step` for what stands where. Not to be changed."""
-
-    belts: Array  # (assemblies, 2, BELT_COLUMNS)
-    motion: Array  # (MOTION_COLUMNS,)
-    effects: Array = field(default_factory=lambda: new_effects_memory(0))  # see `effects.stepping`
-
-    def __repr__(self) -> str:
-        belts = ", ".join(decimals(float(degc), 1) for degc in self.belts[:, 0, at.TEMPERATURE])
-        return f"<State: belts {belts} degC, speed {decimals(float(self.motion[at.LAST_SPEED]), 2)} m/s>"
-
-
-class Estimate:
-    """One row of results by name: torques [Nm] positive where they resist forward travel, temperatures [degC].
-
-    Every name of `columns.columns` works as a key, `estimate["belt_degc/front_left"]`; the most used are attributes.
-    """
-
-    __slots__ = ("index", "row")
-
-    def __init__(self, row: Array, index: Mapping[str, int]) -> None:
-        self.row = row
-        self.index = index
-
-    def __getitem__(self, name: str) -> float:
-        return float(self.row[self.index[name]])
-
-    def __repr__(self) -> str:
-        belts = ", ".join(decimals(float(degc), 1) for degc in self.belt_degc())
-        texts = f": {'; '.join(self.reason_texts())}" if self.reasons else ""
-        return (
-            f"<Estimate: resistance {decimals(self.resistance_torque_nm)} +- {decimals(self.resistance_std_nm)} Nm "
-            f"at {decimals(self['speed_mps'], 2)} m/s, belts {belts} degC, {self.status}{texts}>"
-        )
-
-    @property
-    def resistance_torque_nm(self) -> float:
-        """Hysteresis, bearings and wind, whole vehicle, at the sprockets [Nm]."""
-        return float(self.row[at.OUT_RESISTANCE])
-
-    @property
-    def resistance_std_nm(self) -> float:
-        """Standard deviation of the resistance torque [Nm]."""
-        return float(self.row[at.OUT_STD])
-
-    @property
-    def feedforward_torque_nm(self) -> float:
-        """Chosen parts, limited in rate and size [Nm]."""
-        return float(self.row[at.OUT_FEEDFORWARD])
-
-    @property
-    def reasons(self) -> at.Reason:
-        """Why the status is not plainly good."""
-        return at.Reason(int(self.row[at.OUT_REASONS]))
-
-    @property
-    def status(self) -> str:
-        """`ok`, or `warn` where a reason matters to who uses the torque."""
-        return "warn" if self.reasons & ~at.HARMLESS else "ok"
-
-    def reason_texts(self) -> list[str]:
-        """One sentence for each reason."""
-        return [text for reason, text in at.REASON_TEXT.items() if reason & self.reasons]
-
-    def belt_degc(self) -> Array:
-        """Mean belt temperature of each assembly [degC]."""
-        return self._of_assemblies(at.PER_BELT)
-
-    def belt_std_k(self) -> Array:
-        """Standard deviation of each of them [K]."""
-        return self._of_assemblies(at.PER_STD)
-
-    def _of_assemblies(self, column: int) -> Array:
-        return self.row[len(at.VEHICLE_COLUMNS) + column :: len(at.ASSEMBLY_COLUMNS)]
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Steps:
-    """Results of a block of messages: one row a step.
-
-    Attributes
-    ----------
-    stamp_ns, arrival_ns
-        Time of measurement and of logging of the speed that made the step [ns], shape (steps,).
-    rows
-        Results, shape (steps, columns), as `Estimator.columns` names them.
-    """
-
-    stamp_ns: IntArray
-    arrival_ns: IntArray
-    rows: Array
-
-    def __len__(self) -> int:
-        return len(self.rows)
-
-    def __repr__(self) -> str:
-        seconds = (int(self.stamp_ns[-1]) - int(self.stamp_ns[0])) * 1e-9 if len(self) else 0.0
-        return f"<Steps: {len(self)} over {decimals(seconds, 1)} s>"
 
 
 class Estimator:
@@ -213,6 +115,11 @@ class Estimator:
         acceleration, grade, yaw_rate, heading, distance, measured_torque
             [m/s^2], rise over run, [rad/s], [rad], [m] and [Nm]; nan where not known. A distance that is not known is counted
             from the speed. The last four serve effects and the residual.
+
+        Returns
+        -------
+        Inputs
+            With nominal values for what is None.
         """
         k = self.constants
         loads = k.assembly[:, at.NOMINAL_LOAD].copy() if load is None else np.asarray(load, dtype=float)
@@ -233,25 +140,61 @@ class Estimator:
         )
 
     def cold_start(self, inputs: Inputs, belt_degc: float | None = None, belt_std_k: float | None = None) -> State:
-        """State of belts that are at the ambient temperature, or at a known one [degC] with a standard deviation [K]."""
+        """State of belts that are at the ambient temperature, or at a known one [degC] with a standard deviation [K].
+
+        Parameters
+        ----------
+        inputs
+            As `inputs` gives them; the ambient temperature counts.
+        belt_degc
+            Temperature of all belts [degC]; by default the ambient temperature.
+        belt_std_k
+            Its standard deviation [K]; by default `initial_belt_std_k` of the settings.
+
+        Returns
+        -------
+        State
+            To begin with.
+        """
         belts = np.empty((len(self.assemblies), 2, at.BELT_COLUMNS))
         state = State(belts, np.empty(at.MOTION_COLUMNS), new_effects_memory(len(self.vehicle.active)))
         self.entries.start_belts(*self.kernel_arguments, *_arrays(state), inputs.ambient, inputs.ambient_std)
         if belt_degc is not None:
             state.belts[:, :, at.TEMPERATURE] = belt_degc
-            state.belts[:, :, at.DOUBT_AMBIENT] = 0.0
+            state.belts[:, :, at.CONSIDER_AMBIENT] = 0.0
         if belt_std_k is not None:
             state.belts[:, :, at.NOISE_1] = belt_std_k
         return state
 
     def step(self, state: State, inputs: Inputs, dt: float) -> tuple[State, Estimate]:
-        """Advance by dt [s] to the time of `inputs`. Pure: the state given is left as it was."""
+        """Advance by dt [s] to the time of `inputs`. Pure: the state given is left as it was.
+
+        Parameters
+        ----------
+        state
+            State before the step.
+        inputs
+            As `inputs` gives them, at the end of the step.
+        dt
+            Length of the step [s].
+
+        Returns
+        -------
+        state, estimate
+            State after the step; torques [Nm] and temperatures [degC] by name.
+        """
         row, after = np.empty(len(self.columns)), _copy(state)
         self.entries.step_once(*self.own_arguments(), *_arrays(after), *inputs, float(dt), row)
         return after, Estimate(row, self.column_index)
 
     def own_arguments(self) -> tuple[Any, ...]:
-        """The kernel's arguments with a work space of the caller's own, so that threads do not meet in it."""
+        """The kernel's arguments with a work space of the caller's own, so that threads do not share one.
+
+        Returns
+        -------
+        tuple
+            What the entry points are called with first.
+        """
         return (*self.kernel_arguments[:-1], self.kernel_arguments[-1].copy())
 
     def run(
@@ -300,7 +243,22 @@ class Estimator:
         return after, rows
 
     def rest(self, state: State, ambient: float, seconds: float) -> State:
-        """The state after standing, or being switched off, for a while at an ambient temperature [degC]."""
+        """The state after standing, or being switched off, for a while at an ambient temperature [degC].
+
+        Parameters
+        ----------
+        state
+            State before; it is left as it was.
+        ambient
+            Ambient temperature [degC].
+        seconds
+            Time at rest [s].
+
+        Returns
+        -------
+        State
+            Belts that have cooled.
+        """
         after = _copy(state)
         self.entries.rest_vehicle(
             *self.own_arguments(),
@@ -312,7 +270,13 @@ class Estimator:
         return after
 
     def session(self) -> Session:
-        """A new session: a stream of messages through the guards."""
+        """A new session: a stream of messages through the guards.
+
+        Returns
+        -------
+        Session
+            Without a message yet.
+        """
         return Session(self)
 
 

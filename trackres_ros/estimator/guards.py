@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What is done with each message before it counts: order, age and plausibility. The policy is docs/robustness.md.
 
 A message is one number with its channel, its own stamp and its arrival. It is accepted or refused, and counted in exactly

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """One step of the estimate: belts, motion, torque by part, doubt and feed-forward. Compiled; no I/O, no clock."""
 
 from __future__ import annotations
@@ -31,7 +34,7 @@ from trackres_ros.model.resistance import direction
 
 Array = NDArray[np.float64]
 
-LEAST_DOUBT = 0.001  # of the resistance: torque transducers are no better (class 0.1), so no estimate is
+LEAST_STD_SHARE = 0.001  # of the resistance: torque transducers are no better (class 0.1), so no estimate is
 
 BRIDGED, UNKNOWN = int(at.Reason.GAP_BRIDGED), int(at.Reason.GAP_UNKNOWN)
 SURROUNDINGS, EFFECT_LEFT_OUT = int(at.Reason.SURROUNDINGS), int(at.Reason.EFFECT_LEFT_OUT)
@@ -48,7 +51,7 @@ def start(k: Constants, carried: Carried, ambient: float, ambient_std: float) ->
             for column in range(at.BELT_COLUMNS):
                 belts[i, node, column] = 0.0
             belts[i, node, at.TEMPERATURE] = ambient
-            belts[i, node, at.DOUBT_AMBIENT] = ambient_std
+            belts[i, node, at.CONSIDER_AMBIENT] = ambient_std
             belts[i, node, at.NOISE_1] = k.number.initial_belt_std
     for column in range(at.MOTION_COLUMNS):
         motion[column] = 0.0
@@ -138,7 +141,7 @@ def advance(k: Constants, carried: Carried, inputs: Inputs, dt: float, out: Arra
     wanted, of_feedforward = feedforward(k, motion, total, fed_effects, given_accel, dt)
     variance = (
         total[at.PART_NOISE]
-        + total[at.PART_DOUBT_AMBIENT] ** 2
+        + total[at.PART_CONSIDER_AMBIENT] ** 2
         + (total[at.PART_ARM] * road.rolling_bearing * number.bearing_doubt) ** 2
         + (total[at.PART_WIND] * number.drag_doubt) ** 2
         + work[TERM_VARIANCE]
@@ -146,7 +149,7 @@ def advance(k: Constants, carried: Carried, inputs: Inputs, dt: float, out: Arra
         + work[TERM_GAIN_VARIANCE] * driving**2
     )
     for cause in range(4):
-        variance += total[at.PART_DOUBT + cause] ** 2
+        variance += total[at.PART_CONSIDER + cause] ** 2
     motion[at.FEEDFORWARD] = wanted
     motion[at.LAST_SPEED] = speed
     motion[at.LAST_DRIVE] = driving
@@ -164,7 +167,7 @@ def advance(k: Constants, carried: Carried, inputs: Inputs, dt: float, out: Arra
     out[at.OUT_INERTIA] = total[at.PART_INERTIA]
     out[at.OUT_EFFECTS] = of_effects
     out[at.OUT_DRIVE] = driving
-    out[at.OUT_STD] = max(math.sqrt(variance), LEAST_DOUBT * total[at.PART_UNSIGNED])
+    out[at.OUT_STD] = max(math.sqrt(variance), LEAST_STD_SHARE * total[at.PART_UNSIGNED])
     out[at.OUT_FEEDFORWARD] = wanted
     out[at.OUT_MOTOR] = driving * number.motor_gain
     out[at.OUT_MEASURED] = inputs.measured_torque

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Acceleration from a speed that may be quantised, as many buses send it, to 1 km/h.
 
 A Kalman filter on speed and acceleration, the acceleration returning to zero over a while (Singer's model). A quantised

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Whether the numbers of a stored state can be those of a vehicle: each is held against what the estimate can reach.
 
 A seal shows that a file is as it was written; these checks show that what was written is a state. Both are needed: nothing that
@@ -34,7 +37,7 @@ LARGEST_EFFECT = 1e12  # distance [m], time constant [s], or the state of an eff
 def check_state(estimator: Estimator, belts: Array, motion: Array) -> None:
     """Raise ValueError for belts or a motion that no drive leaves."""
     _within("belt temperatures", belts[:, :, at.TEMPERATURE], *BELT_DEGC)
-    _within("departures of belt temperatures", belts[:, :, at.DOUBT_1 :], -LARGEST_DEPARTURE, LARGEST_DEPARTURE)
+    _within("departures of belt temperatures", belts[:, :, at.CONSIDER_1 :], -LARGEST_DEPARTURE, LARGEST_DEPARTURE)
     speed = SPEED_REACH * estimator.vehicle.chassis.max_speed
     k = estimator.constants.assembly
     torque = TORQUE_REACH * float(k[:, at.NOMINAL_LOAD] @ k[:, at.RADIUS])

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a step takes in and what it carries on, by name."""
 
 from __future__ import annotations

@@ -1,13 +1,15 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """How the estimator behaves: one table of settings with unit, limits and meaning, which also makes docs and parameters."""
 
 from __future__ import annotations
 
 import dataclasses
-import math
 from dataclasses import dataclass, field
 from typing import Any
 
-from trackres_ros.errors import InputError
+from trackres_ros import checks
 
 PARTS = ("hysteresis", "bearing", "wind", "grade", "inertia")
 BELT_SENSORS = ("mean", "surface")
@@ -68,13 +70,7 @@ class Settings:
         for item in dataclasses.fields(self):
             value = getattr(self, item.name)
             if "unit" in item.metadata:
-                _check_number(item.name, value, item.metadata["low"], item.metadata["high"], item.metadata["unit"])
-        if isinstance(self.feedforward_parts, str) or any(part not in PARTS for part in self.feedforward_parts):
-            raise InputError("feedforward_parts", self.feedforward_parts, f"a list of {', '.join(PARTS)}")
-        if self.belt_sensor not in BELT_SENSORS:
-            raise InputError("belt_sensor", self.belt_sensor, f"one of {', '.join(BELT_SENSORS)}")
-
-
-def _check_number(name: str, value: Any, low: float, high: float, unit: str) -> None:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value) or not low <= value <= high:
-        raise InputError(f"setting {name}", value, f"a number from {low:g} to {high:g} {unit}")
+                of = item.metadata
+                checks.number(value, f"setting {item.name}", of["low"], of["high"], of["unit"])
+        checks.each_of(self.feedforward_parts, "feedforward_parts", PARTS)
+        checks.one_of(self.belt_sensor, "belt_sensor", BELT_SENSORS)

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Saving a session and taking it up again: versioned, keyed to the vehicle, written atomically.
 
 Resumed in the same stream of messages a session gives the same bits as one that never stopped. Taken up after time off,
@@ -19,8 +22,9 @@ from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.estimator import Estimator, Session, State
+from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.estimator.plausible_state import check_effects, check_memory, check_state
+from trackres_ros.estimator.state import State
 from trackres_ros.files import own_files
 
 FORMAT = "trackres-state"

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a topics file says of the estimator's settings: age limits, and the belt sensor."""
 
 from __future__ import annotations
@@ -8,7 +11,7 @@ from typing import Any
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.recording.bindings import Topics
-from trackres_ros.recording.recording import base_role
+from trackres_ros.recording.roles import base_role
 
 AGE_LIMITS = {
     "speed": "speed_max_age_s",

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """How far the plausible ranges of the vehicle file let loss, cooling, heat capacity and sprocket radius be off."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The loop closed: a vehicle file that a diagnosis left, replayed on a drive that the diagnosis never saw."""
 
 from __future__ import annotations

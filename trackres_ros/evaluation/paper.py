@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The paper's own test: laps of a circle on a site that is not level, torque from the engine's without the losses between.
 
 The paper compares it with a model of a straight, level, lossless drive. Here the truth has all three, and the diagnosis is asked.

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The cache folder, and what is kept in it: only where no other user can write, only what its seal vouches for.
 
 A cache of compiled code is code. Whoever can write there can run what he likes as whoever starts the program, so a folder that

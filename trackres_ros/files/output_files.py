@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Where results may be written: refused before any work is done for them."""
 
 from __future__ import annotations

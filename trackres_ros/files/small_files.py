@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Small text files out of a user's hands: read whole, or refused in one line; never waited for, never without end."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Machine code of one compiled function, kept over starts in the place of numba's own cache.
 
 numba's trusts its files: an index that is empty or cut ends the program, and both index and code are pickles, which run what

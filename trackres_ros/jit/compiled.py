@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The decorators of the kernels: numba where it is installed, plain Python where it is not.
 
 The numerical kernels are written once, in the subset both run; the environment variable TRACKRES_INTERPRETED=1 leaves
@@ -19,7 +22,7 @@ from trackres_ros.files.cache import usable
 from trackres_ros.files.resources import cache_dir
 from trackres_ros.jit.code_cache import CodeCache
 
-COMPILED_ROOMS = ("model", "estimator", "effects", "jit")
+COMPILED_ROOMS = ("model", "estimator", "effects", "jit", "diagnosis/prepare")
 """Where the sources of compiled code lie."""
 CONSTANTS = "units.py"
 """What they take constants from besides: those become part of the code."""

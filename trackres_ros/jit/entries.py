@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Entries into compiled code: from Python come arrays and numbers one by one, inside they are named records.
 
 A call from Python pays more for a named tuple than for its arrays one by one: with those of a message as much as for all the rest

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Contact under a rigid road wheel on a Winkler layer, equations (7) to (11)."""
 
 from __future__ import annotations

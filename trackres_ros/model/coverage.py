@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What the rubber data cover of a vehicle's temperatures and speeds, and where its belts settle.
 
 By time-temperature superposition a sweep at one frequency covers a range of the reduced frequency a_T f. The passage of a road

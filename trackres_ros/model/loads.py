@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Road-wheel loads through the tree of balance beams, equation (1)."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Loss per metre of travel on a grid, fast enough for every step of a live estimate.
 
 By time-temperature superposition temperature and speed enter only as the reduced speed a_T v: frequencies scale with v, and

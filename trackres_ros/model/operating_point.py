@@ -1,4 +1,7 @@
-"""One operating point taken apart by the exact methods: loads, contacts, losses, heat, torque, rainflow matrix."""
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""One operating point by the exact methods: loads, contacts, losses, heat, torque, rainflow matrix."""
 
 from __future__ import annotations
 
@@ -11,12 +14,12 @@ import numpy as np
 from trackres_ros.effects.effect import SOFTENING_FROM_DEGC, Active, Conditions, Terms, conditions, together
 from trackres_ros.model import resistance
 from trackres_ros.model.belt import axial_stiffness
-from trackres_ros.model.facts import facts_of
 from trackres_ros.model.hysteresis import RainflowCount
 from trackres_ros.model.loads import wheel_loads
 from trackres_ros.model.resistance import RESISTANCE_PARTS
 from trackres_ros.model.thermal import film_coefficient, surface_temperature
 from trackres_ros.model.track import TrackModel, steady_tension, track_model
+from trackres_ros.model.vehicle_constants import vehicle_constants
 from trackres_ros.vehicle import Vehicle
 
 UNKNOWN = {"yaw_rate", "heading", "distance"}  # needs of an effect of which an operating point says nothing
@@ -52,7 +55,7 @@ def explain(
     chassis, direction = vehicle.chassis, float(resistance.direction(speed))
     wind = float(resistance.wind_force(speed, chassis.drag_coefficient * chassis.frontal_area, chassis.air_density))
     usable, left_out = _effects(vehicle)
-    at = conditions(facts_of(vehicle), speed, weight=weight, ambient=ambient)
+    at = conditions(vehicle_constants(vehicle), speed, weight=weight, ambient=ambient)
     warms = _together(usable, at)
     loss_factor = float(warms.loss_factor) * math.exp(-warms.softening * (belt_degc - SOFTENING_FROM_DEGC))
     assemblies: list[dict[str, Any]] = []

@@ -1,4 +1,7 @@
-"""Torque at the sprockets from loss and from everything else that resists, equations (32) to (36), each apart.
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Torque at the sprockets from loss and from everything else that resists, equations (32) to (36), each by itself.
 
 Forces [N] along the travel; a torque is a force times the sprocket pitch radius R1. Positive resists forward travel.
 """

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Strain that a piece of belt sees on one way round the loop, by component, over position and height (Figure 10).
 
 Two components: through the thickness (indentation under the road wheels) and along the belt (bending, tension, drive).

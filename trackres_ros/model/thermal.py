@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Belt temperature, equations (26), (30) and (31): two networks behind one interface.
 
 `lumped` is the paper's: one mean temperature T, C dT/dt = P - U A (T - Ta). `core_surface` has a core and a surface layer

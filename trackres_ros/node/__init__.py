@@ -1,1 +1,4 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The running application: messages in, torques and statuses out, in time. Knows no transport; `ros` and `dds` are its two."""

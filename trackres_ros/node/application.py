@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The running application: takes messages, keeps the estimate, publishes at its rate, and says when not to trust it.
 
 It knows neither ROS nor DDS. An edge hands it messages and calls `tick` every `period_s`; it answers through the edge. All
@@ -11,39 +14,33 @@ import time
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from operator import itemgetter
-from pathlib import Path
 
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.estimator import Estimate, Estimator
+from trackres_ros.estimator.estimate import Estimate
+from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.topic_settings import settings_for
-from trackres_ros.files.resources import config_dir, find_vehicle
 from trackres_ros.node.edge import Edge, Level, Peer, Status
 from trackres_ros.node.endpoints import input_topics, live_topics
 from trackres_ros.node.inbox import Arrival
-from trackres_ros.node.intake import Intake, Sample
+from trackres_ros.node.intake import Intake
 from trackres_ros.node.mismatch import MismatchDetector
 from trackres_ros.node.outlet import Outlet
 from trackres_ros.node.parameters import Parameters
 from trackres_ros.node.remarks import Remark, level_of
 from trackres_ros.node.report import Overview, overview, statuses
+from trackres_ros.node.sending_order import Arrived, SendingOrder
+from trackres_ros.node.setup import changed_parameters, read_setup
 from trackres_ros.node.stamps import nearest_usable
 from trackres_ros.node.state_keeper import StateKeeper, state_path
 from trackres_ros.node.warm_up import WarmUp, exercise
 from trackres_ros.node.watch import Watch
-from trackres_ros.recording.bindings import Topics
 from trackres_ros.units import SECOND_NS
-from trackres_ros.vehicle import load, with_surroundings
 
 TIME_RESET, ACCEPTED = int(at.Reason.TIME_RESET), int(at.Count.ACCEPTED)
 LONGEST_PERIOD_S = 0.1  # between two looks at the age of the speed, and between two outputs
-LONGEST_WAIT_NS = 50_000_000  # of a message for a speed that was sent later
 MOST_BEFORE_CLOCK = 10000
 MUST_BE_FINITE = (at.OUT_RESISTANCE, at.OUT_STD, at.OUT_FEEDFORWARD)
-
-Arrived = tuple[int, int, int, Sequence[Sample]]
-"""When a message was sent, when it arrived by the steady clock and by the node's time [ns], and its samples."""
 
 
 class Application:
@@ -74,18 +71,12 @@ class Application:
         namespace: str = "/",
         steady_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        if not parameters.text("vehicle"):
-            raise InputError("parameter vehicle", "", "a vehicle file, or the name of a shipped one", "for example xgd24d")
         self.parameters = parameters
         self.node, self.namespace = node, namespace
-        topics_file = parameters.text("topics")
-        self.topics = Topics.load(Path(topics_file) if topics_file else config_dir() / "topics" / "default.yaml")
-        _check_live(self.topics)
-        vehicle_file = find_vehicle(parameters.text("vehicle"))
-        self.vehicle = with_surroundings(load(vehicle_file), parameters.text("surroundings"))
-        settings = settings_for(parameters.settings(), self.topics)
-        self._warm_up = WarmUp(str(vehicle_file), parameters.text("surroundings"))
-        self.estimator = Estimator(self.vehicle, settings, entries=self._warm_up.first)
+        setup = read_setup(parameters)
+        self.topics, self.vehicle = setup.topics, setup.vehicle
+        self._warm_up = WarmUp(str(setup.vehicle_file), setup.surroundings_file)
+        self.estimator = Estimator(self.vehicle, setup.settings, entries=self._warm_up.first)
         exercise(self.estimator)  # loading what is compiled takes a third of a second, which the first message need not wait
         self.inputs = input_topics(self.topics)
         self.outputs = live_topics(self.vehicle, self.topics)
@@ -97,14 +88,14 @@ class Application:
         self.on_estimate: Callable[[list[float], int, int], None] | None = None  # row, stamp, arrival
         self._edge, self._steady_ns = edge, steady_ns
         self._is_speed = ["speed" in given.roles for given in self.inputs]
-        self._waiting: list[Arrived] = []
+        self._order = SendingOrder()
         self._before_clock: list[tuple[int, int | None, Sequence[float | None], int, Arrival]] = []
         self._intake = Intake(self.inputs, self.estimator.channels)
         self._outlet = Outlet(self.outputs, self.estimator, edge)
         self._arrival_offset_ns = time.time_ns() - steady_ns()
-        self.session, self.began_with, unused = self.keeper.load(self.estimator)
+        self.session, self.began_with = self.keeper.load(self.estimator)
         self._state_at = self._rested_at = time.time()
-        self._watch = Watch(self.estimator, self.inputs, unused)
+        self._watch = Watch(self.estimator, self.inputs)
         now = steady_ns()
         self._next_second_ns, self._next_output_ns, self._next_save_ns = now, now, now + self._save_period_ns()
 
@@ -156,9 +147,8 @@ class Application:
     ) -> None:
         """Take what an edge has read from a message of an input topic; see `Intake.samples`. By default it arrives now.
 
-        Messages are worked off in the order they were sent, as a bag holds them. Where many wait, as after a pause of this
-        process, a middleware hands over one of each topic in turn. So what is no speed waits for the first speed that was sent
-        later. And what comes before the simulated clock waits for it: without a time nothing can be said of its age.
+        Messages are handled in the order they were sent, see `SendingOrder`. What comes before the simulated clock waits for it:
+        without a time its age is not known.
         """
         try:
             self._receive(index, stamp_ns, values, sent_ns, arrived or self.arrival())
@@ -177,22 +167,12 @@ class Application:
             earlier, self._before_clock = self._before_clock, []
             for waiting in earlier:
                 self.receive_values(*waiting)
-        message = (sent_ns, steady, now, self._intake.samples(index, stamp_ns, values, now))
-        if sent_ns and not self._is_speed[index]:
-            self._waiting.append(message)
-            return
-        if self._waiting:
-            self._work_off([waiting[0] <= sent_ns or not sent_ns for waiting in self._waiting])
-        self._handle(message)
+        message = Arrived(sent_ns, steady, now, self._intake.samples(index, stamp_ns, values, now))
+        for ready in self._order.put(message, self._is_speed[index]):
+            self._handle(ready)
 
-    def _work_off(self, due: Sequence[bool]) -> None:
-        waiting = self._waiting
-        self._waiting = [one for one, now_due in zip(waiting, due, strict=True) if not now_due]
-        for one in sorted((one for one, now_due in zip(waiting, due, strict=True) if now_due), key=itemgetter(0)):
-            self._handle(one)
-
-    def _handle(self, arrived: Arrived) -> None:
-        _, steady, now, samples = arrived
+    def _handle(self, message: Arrived) -> None:
+        _, steady, now, samples = message
         arrival = now if self.parameters.sim_time else steady + self._arrival_offset_ns
         try:
             counters = self.session.memory.counters
@@ -261,7 +241,7 @@ class Application:
     def tick(self) -> None:
         """Publish what is due, look at ages and peers, save the state; to be called every `period_s`.
 
-        It never raises: a part that fails is said on the status, and the others are done.
+        It never raises: a part that fails is a fault on the status, and the others are carried out.
         """
         steady = self._steady_ns()
         turned_old = self._watch.look_at_age(self._outlet.age_s(steady), self.estimator.settings.speed_max_age_s)
@@ -281,8 +261,8 @@ class Application:
             self._fault(error)
 
     def _hand_over_late(self, steady: int) -> None:
-        if self._waiting:
-            self._work_off([steady - waiting[1] > LONGEST_WAIT_NS for waiting in self._waiting])
+        for message in self._order.late(steady):
+            self._handle(message)
 
     def _publish_due(self, steady: int) -> None:
         if self.active and steady >= self._next_output_ns - int(0.5 * self.period_s * SECOND_NS):
@@ -315,15 +295,15 @@ class Application:
             self._watch.every_second(self.session, self._intake, peers, steady)
 
     def _log_remarks(self, steady: int) -> None:
-        said = self._watch.to_log(self.remarks(steady))
-        if said:
-            self._log(*said)
+        entry = self._watch.to_log(self.remarks(steady))
+        if entry:
+            self._log(*entry)
 
     def _publish_status(self, steady: int, diagnostics: bool = False) -> None:
         name = f"{self.namespace.rstrip('/')}/{self.node}".lstrip("/")
         try:
             found = statuses(self.overview(steady), name, self.vehicle.name)
-        except Exception as error:  # then that much is to be said
+        except Exception as error:  # then the status is that fault alone
             self._fault(error)
             values = (("level", "error"), ("remarks", "INTERNAL_ERROR"))
             text = f"{type(error).__name__}: {error}"
@@ -338,27 +318,23 @@ class Application:
     def remarks(self, steady: int | None = None) -> list[Remark]:
         """All that is to be remarked now, heaviest first."""
         steady = self._steady_ns() if steady is None else steady
-        found = self._watch.remarks(
-            age_s=self._outlet.age_s(steady),
-            max_age_s=self.estimator.settings.speed_max_age_s,
-            clock_runs=not self.parameters.sim_time or self._edge.now_ns() > 0,
-            steady=steady,
-        )
         verdict = self.mismatch.verdict
-        if verdict.parted:
-            found.append(Remark("MISMATCH", f"{verdict.text}; look into it with: {self.look_into_it()}"))
-        for topic, error in self._outlet.failed.items():
-            found.append(Remark("OUTPUT_FAILED", f"{topic} cannot be published: {error}"))
-        if self.keeper.error:
-            where = f" in {self.keeper.path}" if self.keeper.path else ""
-            found.append(Remark("STATE_NOT_SAVED", f"the state cannot be saved{where}: {self.keeper.error}"))
-        if self._watch.state_unused:
-            found.append(Remark("STATE_NOT_USED", self.began_with))
-        if self.estimator.entries is self._warm_up.first and not self.estimator.entries.compiled and self._warm_up.running:
-            found.append(Remark("COMPILING", "steps run in plain Python until they are compiled"))
+        parted = f"{verdict.text}; look into it with: {self.diagnose_command()}"
+        found = [
+            *self._watch.remarks(
+                age_s=self._outlet.age_s(steady),
+                max_age_s=self.estimator.settings.speed_max_age_s,
+                clock_runs=not self.parameters.sim_time or self._edge.now_ns() > 0,
+                steady=steady,
+            ),
+            *([Remark("MISMATCH", parted)] if verdict.parted else []),
+            *self._outlet.remarks(),
+            *self.keeper.remarks(),
+            *self._warm_up.remarks(self.estimator.entries),
+        ]
         return sorted(found, key=lambda remark: -remark.level)
 
-    def look_into_it(self) -> str:
+    def diagnose_command(self) -> str:
         """The command that finds out where measured and expected torque differ, and why."""
         given = [f" --{name} {self.parameters.text(name)}" for name in ("surroundings", "topics") if self.parameters.text(name)]
         return f"trackres diagnose RECORDING --vehicle {self.parameters.text('vehicle')}{''.join(given)} -o report"
@@ -369,7 +345,7 @@ class Application:
         remarks = self.remarks(steady)
         return overview(level_of(remarks), remarks, self._outlet, self._watch, self.mismatch.verdict, self.keeper, steady)
 
-    # What is asked of it
+    # What an edge or a signal requests
 
     def change(self, given: Mapping[str, object]) -> None:
         """Change parameters while running; the temperatures stay.
@@ -390,24 +366,8 @@ class Application:
             self._go_on_with(Estimator(self.vehicle, settings, entries=self.estimator.entries))
 
     def checked_change(self, given: Mapping[str, object]) -> Parameters:
-        """The parameters after a change.
-
-        Raises
-        ------
-        InputError
-            For an unknown or bad value, one that cannot be changed while running, or one that the topics file decides.
-        """
-        parameters = self.parameters.changed(given)
-        settings = settings_for(parameters.settings(), self.topics)
-        for name in given:
-            if hasattr(settings, name) and getattr(settings, name) != parameters.values[name]:
-                raise InputError(
-                    f"parameter {name}",
-                    given[name],
-                    f"{getattr(settings, name)}, which the topics file says",
-                    f"change max_age_s, sensor or std_k in {self.topics.origin} and configure the node anew",
-                )
-        return parameters
+        """The parameters after a change, which is not made; see `changed_parameters`."""
+        return changed_parameters(self.parameters, given, self.topics)
 
     def reset(self) -> str:
         """Start cold, as if switched on with belts at the ambient temperature; what was done, in words."""
@@ -437,7 +397,8 @@ class Application:
     def close(self) -> str:
         """Save the state and end what runs beside; what was done, in words."""
         self.deactivate()
-        self._work_off([True] * len(self._waiting))
+        for message in self._order.rest():
+            self._handle(message)
         self._warm_up.close()
         counted = [f"{name} {count.name.lower()} {number}" for name, count, number in self.session.counts()]
         counted += [f"{name} bad_stamp {n}" for name, n in zip(self.estimator.channels, self._intake.bad_stamp, strict=True) if n]
@@ -467,12 +428,3 @@ class Application:
 
     def _save_period_ns(self) -> int:
         return int(self.parameters.number("save_period_s") * SECOND_NS)
-
-
-def _check_live(topics: Topics) -> None:
-    """A live node needs topics, and a speed among them."""
-    for role in topics:
-        if not topics[role].topic:
-            raise InputError(f"{topics.origin}: {role}", "a column of a table", "a topic with type and field")
-    if "speed" not in topics:
-        raise InputError(topics.origin, f"roles {', '.join(topics)}", "a speed among them")

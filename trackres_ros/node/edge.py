@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What the application and a middleware say to each other: the two edges, `ros` and `dds`, offer the same."""
 
 from __future__ import annotations

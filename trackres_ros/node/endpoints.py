@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Topics that the live node takes and gives, with quality of service: the one table that both edges are made from."""
 
 from __future__ import annotations

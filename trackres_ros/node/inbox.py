@@ -1,4 +1,7 @@
-"""Between middleware and application: messages with the time they came at, whatever the estimate is busy with.
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Holds messages between middleware and application, with the time at which each came, whatever the estimate is busy with.
 
 A middleware keeps so many messages of a topic and then drops the oldest, without a word; and what waits there has no time of
 arrival. So messages are taken off it between the steps too, and wait here: bounded, and counted where one is dropped.
@@ -68,7 +71,7 @@ class Inbox:
         waiting.append((message, self._now()))
 
     def work_off(self, meanwhile: Callable[[], None], collecting: bool) -> None:
-        """Hand over what waits; `meanwhile` is called after each message, and if `collecting` what comes then is taken in."""
+        """Hand over what waits; `meanwhile` is called after each message, and if `collecting`, new messages are collected too."""
         handed, self._waiting = self._waiting, self._empty()
         for index, messages in enumerate(handed):
             for message, arrived in messages:

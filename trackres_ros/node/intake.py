@@ -1,4 +1,7 @@
-"""From a decoded message to samples: which channel, which stamp, which value. The rules are those of reading a bag."""
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Turns decoded messages into samples: which channel, which stamp, which value. The rules are those of reading a bag."""
 
 from __future__ import annotations
 
@@ -82,7 +85,7 @@ class Intake:
         return found
 
     def _own_stamp(self, channel: int, now_ns: int) -> int:
-        """The node's time; a simulated clock stands between its ticks, so what comes meanwhile is a nanosecond apart."""
+        """The node's time; a simulated clock stands between its ticks, so each message meanwhile is a nanosecond later."""
         if now_ns == self._last_clock[channel]:
             self._same_clock[channel] += 1
         else:
@@ -97,7 +100,7 @@ def _channel(role: str, channels: Sequence[str]) -> int:
 
 
 def _getter(binding: TopicBinding) -> Callable[[Any], float]:
-    """Reads the value of a role; a plain path without taking the path apart each time."""
+    """A function that reads the value of a role; a plain path is split once, here."""
     if any(step.index is not None or step.element is not None for step in binding.steps):
         return binding.read
     get, scale, offset = attrgetter(binding.field), binding.scale, binding.offset

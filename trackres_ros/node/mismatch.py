@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Have measured and expected torque parted? A change detector on the whitened residual, a few operations a message.
 
 The residual r is averaged over bins while the vehicle rolls steadily. Its noise is taken for a first-order autoregression; its

@@ -1,4 +1,7 @@
-"""From a row of results to messages: values as they stand on the wire, the way of the feed-forward, and the pace of both."""
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Turns rows of results into messages: the values as they stand on the wire, and the feed-forward at its largest rate."""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.feedforward import fade, followed, towards
 from trackres_ros.jit.compiled import interpreted
 from trackres_ros.node.edge import Edge, Status
+from trackres_ros.node.remarks import Remark
 from trackres_ros.node.stamps import nearest_usable
 from trackres_ros.output.topics import OutputTopic
 from trackres_ros.units import NANOSECOND
@@ -88,8 +92,12 @@ class Outlet:
         """Publish the first status on the node's own topic, and all as diagnostics when asked."""
         for output, topic in enumerate(self.outputs):
             if topic.kind == "status" and (diagnostics or not topic.name.startswith("/")):
-                said = statuses if topic.name.startswith("/") else statuses[:1]
-                self._send(output, self._edge.publish_status, nearest_usable(now_ns), said)
+                shown = statuses if topic.name.startswith("/") else statuses[:1]
+                self._send(output, self._edge.publish_status, nearest_usable(now_ns), shown)
+
+    def remarks(self) -> list[Remark]:
+        """The topics that cannot be published."""
+        return [Remark("OUTPUT_FAILED", f"{topic} cannot be published: {error}") for topic, error in self.failed.items()]
 
     def _send(self, output: int, publish: Callable[..., None], stamp_ns: int, content: object) -> None:
         name = self.outputs[output].name

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Every parameter of the live node: one table of default, unit, limits and meaning, which also makes the YAML file and the docs.
 
 The settings of the estimator are part of it, so the same file serves `trackres replay --params`.
@@ -15,6 +18,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, cast
 
+from trackres_ros import checks
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.settings import BELT_SENSORS, PARTS, Settings
 from trackres_ros.files.yamls import read_yaml
@@ -67,16 +71,14 @@ class Parameter:
                 raise InputError(where, given, "true or false")
             return given
         if isinstance(self.default, str):
-            if not isinstance(given, str) or (self.choices and given not in self.choices):
-                raise InputError(where, given, f"one of {', '.join(self.choices)}" if self.choices else "a text")
+            if self.choices:
+                return checks.one_of(given, where, self.choices)
+            if not isinstance(given, str):
+                raise InputError(where, given, "a text")
             return given
         if isinstance(self.default, tuple):
-            if not isinstance(given, list | tuple) or any(part not in self.choices for part in given):
-                raise InputError(where, given, f"a list of {', '.join(self.choices)}")
-            return tuple(given)
-        if isinstance(given, bool) or not isinstance(given, int | float) or not self.low <= given <= self.high:
-            raise InputError(where, given, f"a number from {self.low:g} to {self.high:g} {self.unit}".rstrip())
-        return float(given)
+            return checks.each_of(given, where, self.choices)
+        return checks.number(given, where, self.low, self.high, self.unit)
 
 
 def _of(settings: type[Settings | MismatchSettings]) -> tuple[Parameter, ...]:
@@ -221,10 +223,7 @@ def known(name: str) -> Parameter:
     InputError
         If there is none; with the nearest name.
     """
-    if name not in PARAMETERS:
-        near = difflib.get_close_matches(str(name), PARAMETERS, n=1)
-        raise InputError("parameter", name, f"one of {', '.join(PARAMETERS)}", f"did you mean {near[0]}?" if near else "")
-    return PARAMETERS[name]
+    return PARAMETERS[checks.one_of(name, "parameter", PARAMETERS)]
 
 
 def make_parameters(given: Mapping[str, object]) -> Parameters:

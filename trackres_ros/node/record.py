@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Writes every estimate of the running node into a bag, and a picture of them at the end."""
 
 from __future__ import annotations
@@ -8,7 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from trackres_ros.errors import MissingExtraError
-from trackres_ros.estimator.estimator import Estimator, Steps
+from trackres_ros.estimator.estimate import Steps
+from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.offline.summary import picture_columns
 from trackres_ros.output.bag import OutputBag
 from trackres_ros.output.plots import plot_estimate
@@ -45,13 +49,13 @@ class Recorder:
         if not self._seen.steps:
             return [f"{self.path}: no estimate was made, so it is empty"]
         picture = self.path.with_suffix(".png")
-        said = [f"{self.path}: {self._seen.steps} estimates as topics"]
+        lines = [f"{self.path}: {self._seen.steps} estimates as topics"]
         try:
             columns = picture_columns(self._estimator.columns, self._seen.kept)
             plot_estimate(picture, self._seen.kept[:, 0], columns, f"Live: {self._estimator.vehicle.title}")
         except MissingExtraError as error:
-            return [*said, f"no picture: {error}"]
-        return [*said, f"{picture}: torque and temperature over time"]
+            return [*lines, f"no picture: {error}"]
+        return [*lines, f"{picture}: torque and temperature over time"]
 
     def _take(self, row: list[float], stamp_ns: int, arrival_ns: int) -> None:
         self._rows.append((row, stamp_ns, arrival_ns))

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Everything the live node can remark, with its level: one table for status, diagnostics and docs."""
 
 from __future__ import annotations

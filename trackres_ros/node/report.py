@@ -1,4 +1,7 @@
-"""What the node tells of itself: one overview, from which statuses, diagnostics and the table in the terminal are made."""
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Reports the state of the node: one overview, from which statuses, diagnostics and the table in the terminal are made."""
 
 from __future__ import annotations
 

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Stamps that a message can carry: builtin_interfaces/msg/Time has int32 seconds and less than 1e9 nanoseconds."""
 
 from __future__ import annotations

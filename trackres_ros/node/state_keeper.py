@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Keeps the belt temperatures over a restart: loads at the start, saves in the background and at the end."""
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ from trackres_ros.errors import InputError
 from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.estimator.snapshot import after_time_off, content, leftovers
 from trackres_ros.files import own_files
+from trackres_ros.node.remarks import Remark
 
 AUTO, NONE = "auto", "none"
 LONGEST_NAME = 100
@@ -21,7 +25,7 @@ NO_HOME = "there is no home folder to keep it in: set state_file or XDG_STATE_HO
 
 
 def state_path(parameter: str, sim_time: bool, node: str, namespace: str, vehicle: str) -> tuple[Path | None, str]:
-    """Where the state of a node is kept, None where it is not; and why not, where that is not what was asked for."""
+    """Where the state of a node is kept, None where it is not; and why not, where a state file was requested."""
     if parameter == NONE or (parameter == AUTO and sim_time):
         return None, ""
     base = os.environ.get("XDG_STATE_HOME")
@@ -51,25 +55,38 @@ class StateKeeper:
         self.path = path
         self.saved_at: float | None = None
         self.error = why_none
+        self._unused = ""  # why the state file that was there could not be used
         self._writer = ThreadPoolExecutor(max_workers=1, thread_name_prefix="state")
         self._writing: Future[None] | None = None
 
-    def load(self, estimator: Estimator) -> tuple[Session, str, bool]:
-        """A session that begins with the kept belts, cooled since, or cold; what was found; and whether a file was of no use."""
+    def load(self, estimator: Estimator) -> tuple[Session, str]:
+        """A session that begins with the kept belts, cooled since, or cold; and what was found, in words."""
         if self.path is None:
-            return estimator.session(), f"no state is kept{self.error and f', as {self.error}'}: cold start", False
+            return estimator.session(), f"no state is kept{self.error and f', as {self.error}'}: cold start"
         try:
             for part in leftovers(self.path):
                 part.unlink(missing_ok=True)
             if not self.path.exists():
-                return estimator.session(), f"no state file {self.path} yet: cold start", False
+                return estimator.session(), f"no state file {self.path} yet: cold start"
         except (OSError, ValueError) as error:
-            return estimator.session(), f"cold start, as the state file {self.path} is out of reach: {error}", True
+            self._unused = f"cold start, as the state file {self.path} is out of reach: {error}"
+            return estimator.session(), self._unused
         try:
             session, off_s = after_time_off(estimator, self.path, time.time())
         except InputError as error:
-            return estimator.session(), f"cold start, as the state file is of no use: {error}", True
-        return session, f"belts taken from {self.path}, cooled over {off_s / 60.0:.1f} min off", False
+            self._unused = f"cold start, as the state file is of no use: {error}"
+            return estimator.session(), self._unused
+        return session, f"belts taken from {self.path}, cooled over {off_s / 60.0:.1f} min off"
+
+    def remarks(self) -> list[Remark]:
+        """That the state file cannot be written, or that the one that was there could not be used."""
+        found = []
+        if self.error:
+            where = f" in {self.path}" if self.path else ""
+            found.append(Remark("STATE_NOT_SAVED", f"the state cannot be saved{where}: {self.error}"))
+        if self._unused:
+            found.append(Remark("STATE_NOT_USED", self._unused))
+        return found
 
     def save_soon(self, session: Session, state_at: float) -> None:
         """Save in the background, without holding up the outputs; not while the last one is still being written.

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The first start on a machine: steps run in plain Python while another process compiles them, and then change over."""
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ from pathlib import Path
 from trackres_ros.estimator.entry_points import COMPILED, Entries, interpreted_entries
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.jit.compiled import code_folder, is_cached, keep_code_in
+from trackres_ros.node.remarks import Remark
 from trackres_ros.vehicle import load, with_surroundings
 
 NICENESS = 10
@@ -82,6 +86,12 @@ class WarmUp:
             return None
         self._ready.clear()
         return COMPILED
+
+    def remarks(self, entries: Entries) -> list[Remark]:
+        """That steps run in plain Python, if these entry points do and others are being compiled."""
+        if entries is self.first and not entries.compiled and self.running:
+            return [Remark("COMPILING", "steps run in plain Python until they are compiled")]
+        return []
 
     def close(self) -> None:
         """End the compiling process if it still runs; what it has left is loaded to the end, as that cannot be broken off."""

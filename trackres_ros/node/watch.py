@@ -1,4 +1,7 @@
-"""What is to be remarked about the running node: ages, rates, refusals, who publishes, and reasons of the last second."""
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Watches the running node: ages, rates, refusals, publishers, and the reasons of the last second become remarks."""
 
 from __future__ import annotations
 
@@ -50,8 +53,7 @@ class InputState:
 class Watch:
     """Bookkeeping of the application; it remarks, and changes nothing."""
 
-    def __init__(self, estimator: Estimator, inputs: Sequence[InputTopic], state_unused: bool) -> None:
-        self.state_unused = state_unused
+    def __init__(self, estimator: Estimator, inputs: Sequence[InputTopic]) -> None:
         self.accepted_ns: list[int | None] = [None] * len(estimator.channels)  # by a steady clock
         self._inputs: tuple[InputState, ...] = ()
         self.steps_hz = 0.0

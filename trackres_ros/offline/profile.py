@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A speed profile and what it says of its conditions, for a simulation."""
 
 from __future__ import annotations
@@ -12,7 +15,8 @@ from numpy.typing import NDArray
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.constants import LARGEST_LOAD_SHARE, LEAST_LOAD_SHARE, PLAUSIBLE
 from trackres_ros.recording.opening import open_source
-from trackres_ros.recording.recording import ROLES, Recording
+from trackres_ros.recording.recording import Recording
+from trackres_ros.recording.roles import ROLES
 from trackres_ros.recording.table import TableSource
 
 Array = NDArray[np.float64]

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Recording -> estimator -> table or bag, and a picture. The same messages give the same bits, here and live."""
 
 from __future__ import annotations
@@ -13,12 +16,13 @@ from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.estimator import Estimator, Session, Steps
+from trackres_ros.estimator.estimate import Steps
+from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.files.output_files import BAG_SUFFIX
 from trackres_ros.output.bag import OutputBag
 from trackres_ros.output.preview import ResultPreview
-from trackres_ros.recording.recording import Source
-from trackres_ros.recording.table import TableWriter
+from trackres_ros.output.table import TableWriter
+from trackres_ros.recording.samples import Source
 from trackres_ros.units import NANOSECOND
 
 Array = NDArray[np.float64]

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A recording made on the spot: the paper's lap test as a vehicle's bus would log it, for trying things out."""
 
 from __future__ import annotations
@@ -26,7 +29,15 @@ SEED = 20230514
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """A recording that was made: its file, the topics file that fits it, and how long and far it goes."""
+    """A recording that was made.
+
+    Attributes
+    ----------
+    path, topics
+        Its file, and the topics file that fits it.
+    duration_s, distance_m
+        How long [s] and how far [m] it goes.
+    """
 
     path: Path
     topics: Path

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a replay has to say: what was read, what was wrong with it, what came out."""
 
 from __future__ import annotations
@@ -13,7 +16,8 @@ from trackres_ros.errors import one_line
 from trackres_ros.estimator import columns as at
 from trackres_ros.model.resistance import RESISTANCE_PARTS
 from trackres_ros.offline.replay import Replayed
-from trackres_ros.recording.recording import Block, Finding, Recording, Source
+from trackres_ros.recording.recording import Recording
+from trackres_ros.recording.samples import Block, Finding, Source
 from trackres_ros.text.numbers import decimals
 
 Array = NDArray[np.float64]
@@ -24,7 +28,7 @@ MOST_KEPT = 10_000_000
 
 
 class KeptSource:
-    """A source that passes another on, and keeps its blocks where asked, to look at them as a Recording afterwards."""
+    """A source that passes another on, and keeps its blocks on request, to look at them as a Recording afterwards."""
 
     def __init__(self, source: Source, keep: bool) -> None:
         self._source, self._keep = source, keep

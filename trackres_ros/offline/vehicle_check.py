@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What follows from a vehicle file: masses, loads and temperatures to look at, and how exact its tables are."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Results as topics of an MCAP file, the very topics the live node publishes."""
 
 from __future__ import annotations
@@ -10,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.estimator import Estimator, Steps
+from trackres_ros.estimator.estimate import Steps
+from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.output.mcap import BagTopic, BagWriter
 from trackres_ros.output.topics import BASE_FRAME, DEFAULT_NODE, OutputTopic, output_topics, status_of, values_of
 

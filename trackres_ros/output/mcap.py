@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Writing an MCAP file in blocks, as Foxglove, PlotJuggler and `ros2 bag play` open it."""
 
 from __future__ import annotations
@@ -17,7 +20,7 @@ from numpy.typing import NDArray
 from trackres_ros.errors import InputError, MissingExtraError
 from trackres_ros.recording.cdr import Template
 from trackres_ros.recording.message_types import Definitions, definitions, message_fields
-from trackres_ros.recording.recording import FloatArray, IntArray
+from trackres_ros.recording.samples import FloatArray, IntArray
 
 CHUNK_BYTES = 2**20
 """Size of a chunk of the MCAP file [bytes]: what a player reads at once."""

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Pictures of an estimate over time, and the look that every picture of the package shares.
 
 Needs matplotlib, an optional extra: it is imported only when a picture is drawn. No window and no pyplot state; the same

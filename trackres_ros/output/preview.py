@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Results that pass by in blocks: the first and last of them, and a thinned series for a picture."""
 
 from __future__ import annotations
@@ -6,7 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from trackres_ros.estimator.estimator import Steps
+from trackres_ros.estimator.estimate import Steps
 from trackres_ros.units import NANOSECOND
 
 PICTURE_SAMPLES = 8000  # kept for the picture; twice as many are thinned to half

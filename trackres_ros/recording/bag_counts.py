@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """How many messages a bag says it holds, by all the counts that are in it: what is read less was lost."""
 
 from __future__ import annotations
@@ -81,10 +84,10 @@ def counts_of(reader: Any, path: Path) -> Counts:
             else:
                 _count_mcap(storage, names, counts)
                 counts.remarks += _look_at_mcap(storage)
-    said: Counter[str] = Counter()
+    stated: Counter[str] = Counter()
     for one in reader.connections:
-        said[one.topic] += counts.checked(one.msgcount)
-    counts.by_topic |= said
+        stated[one.topic] += counts.checked(one.msgcount)
+    counts.by_topic |= stated
     counts.unknown = max(counts.unknown, counts.checked(reader.message_count) - counts.by_topic.total())
     return counts
 
@@ -101,8 +104,8 @@ def _count_mcap(storage: Any, names: dict[Any, str], counts: Counts) -> None:
     indexed: Counter[int] = Counter()
     for chunk in storage.chunks:
         indexed.update(chunk.channel_count)
-    said = Counter(storage.statistics.channel_message_counts) if storage.statistics else Counter[int]()
-    counts.add(names, said | indexed)
+    stated = Counter(storage.statistics.channel_message_counts) if storage.statistics else Counter[int]()
+    counts.add(names, stated | indexed)
 
 
 def _look_at_mcap(storage: Any) -> Iterator[str]:

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Which topic and field, or which column, feeds which role: the topics file of bags, tables and the live node."""
 
 from __future__ import annotations
@@ -9,9 +12,10 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Literal, cast
 
+from trackres_ros import checks
 from trackres_ros.errors import InputError, nearest
 from trackres_ros.files.yamls import read_yaml
-from trackres_ros.recording.recording import ROLES, base_role
+from trackres_ros.recording.roles import ROLES, base_role
 
 KEYS = ("topic", "type", "field", "column", "scale", "offset", "stamp", "max_age_s", "sensor", "std_k", "delay_s")
 STEP = re.compile(r"([A-Za-z_]\w*)(?:\[([^\[\]]+)\])?")
@@ -77,7 +81,7 @@ class TopicBinding:
 
     @property
     def steps(self) -> tuple[FieldStep, ...]:
-        """The field path taken apart."""
+        """The steps of the field path."""
         return field_steps(self.field)
 
     def read(self, message: object) -> float:
@@ -167,7 +171,7 @@ class Topics:
 
 
 def field_steps(path: str) -> tuple[FieldStep, ...]:
-    """Take a field path apart: ``twist.linear.x``, ``effort[NAME]``, ``data[3]``.
+    """Split a field path into its steps: ``twist.linear.x``, ``effort[NAME]``, ``data[3]``.
 
     Raises
     ------
@@ -224,8 +228,7 @@ def _binding(role: str, line: object, where: str) -> TopicBinding:
     if not isinstance(line, Mapping):
         raise InputError(where, line, "a mapping with topic, type and field, or with column", f"for example: {EXAMPLE}")
     for key in line:
-        if key not in KEYS:
-            raise InputError(f"{where}: key", key, ", ".join(KEYS), nearest(str(key), KEYS))
+        checks.one_of(key, f"{where}: key", KEYS)
         if key in ("sensor", "std_k") and base_role(role) != "belt":
             raise InputError(f"{where}: key", key, "sensor and std_k only for belt")
         if key == "delay_s" and role != "torque":
@@ -255,10 +258,8 @@ def _binding(role: str, line: object, where: str) -> TopicBinding:
         max_age_s=max_age_s,
         sensor=cast("Literal['surface', 'mean']", _choice(line, "sensor", ("surface", "mean"), "surface", where)),
         std_k=_number(line, "std_k", 3.0, where),
-        delay_s=_number(line, "delay_s", 0.0, where),
+        delay_s=checks.number(line.get("delay_s", 0.0), f"{where}: delay_s", 0.0, MOST_DELAY_S, "s"),
     )
-    if not 0.0 <= binding.delay_s <= MOST_DELAY_S:
-        raise InputError(f"{where}: delay_s", binding.delay_s, f"a number from 0 to {MOST_DELAY_S:g} s")
     if binding.scale == 0.0:
         raise InputError(f"{where}: scale", 0.0, "a finite number that is not 0")
     for key, number in (("max_age_s", max_age_s), ("std_k", binding.std_k)):
@@ -282,112 +283,4 @@ def _number(line: Mapping[object, object], key: str, default: float, where: str)
 
 
 def _choice(line: Mapping[object, object], key: str, allowed: tuple[str, ...], default: str, where: str) -> str:
-    choice = line.get(key, default)
-    if key in line and choice not in allowed:
-        raise InputError(f"{where}: {key}", choice, " or ".join(allowed), nearest(str(choice), allowed))
-    return str(choice)
-
-
-NOT_MEASURED = re.compile(
-    r"\b(cmd|commands?|commanded|target|desired|set ?point|reference|ref|goal|limit|max|min|"
-    r"estimated?|feed ?forward|resistance|trackres|error|variance)\b"
-)
-"""Words in a topic name that say its content was not measured on the vehicle; nothing is guessed from it."""
-NOT_VEHICLE = r"rpm|\b(engine|motor|wind|fan|angular|yaw|cpu)\b"
-"""Words that say a speed, load or torque is not that of the vehicle at its tracks."""
-SCALARS = ("std_msgs/msg/Float64", "std_msgs/msg/Float32")
-AMBIENT = r"\b(ambient|outside|outdoor|air)\b"
-UNITS = {
-    "speed": (("km/h", r"km ?p?h\b|kph\b", 1.0 / 3.6),),
-    "load": (("kN", r"\bkn\b", 1e3), ("kg", r"\bkg\b", 9.80665)),
-    "torque": (("kNm", r"\bkn ?m\b", 1e3),),
-}
-"""Units the topic name of a bare number may carry: unit, pattern, scale to the unit of the role."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Rule:
-    """Message types that may feed a role, the field, and patterns the words of the topic must and must not have."""
-
-    role: str
-    types: tuple[str, ...]
-    field: str
-    words: str = ""
-    not_words: str = r"(?!)"
-
-
-RULES = (
-    _Rule("speed", ("nav_msgs/msg/Odometry",), "twist.twist.linear.x"),
-    _Rule("speed", ("geometry_msgs/msg/TwistStamped",), "twist.linear.x"),
-    _Rule("speed", ("geometry_msgs/msg/TwistWithCovarianceStamped",), "twist.twist.linear.x"),
-    _Rule("speed", SCALARS, "data", r"speed|velocity", NOT_VEHICLE),
-    _Rule("load", ("geometry_msgs/msg/WrenchStamped",), "wrench.force.z", r"\bload\b|weight", NOT_VEHICLE),
-    _Rule("load", SCALARS, "data", r"\bload\b|weight", NOT_VEHICLE),
-    _Rule("torque", ("geometry_msgs/msg/WrenchStamped",), "wrench.torque.y", "torque", NOT_VEHICLE),
-    _Rule("torque", SCALARS, "data", "torque", NOT_VEHICLE),
-    _Rule("ambient", ("sensor_msgs/msg/Temperature",), "temperature", AMBIENT),
-    _Rule("belt", ("sensor_msgs/msg/Temperature",), "temperature", r"\b(belt|track|rubber)\b", AMBIENT),
-    _Rule("yaw_rate", ("sensor_msgs/msg/Imu",), "angular_velocity.z"),
-)
-"""In the order of preference."""
-
-
-def guess(available: Mapping[str, str]) -> tuple[Topics, list[str]]:
-    """Guess the bindings from message types, and from topic names where types do not decide.
-
-    Acceleration is never guessed: that of an IMU contains the share of gravity on a slope.
-
-    Parameters
-    ----------
-    available : mapping of str to str
-        Message type by topic.
-
-    Returns
-    -------
-    topics : Topics
-        What was guessed.
-    said : list of str
-        One sentence a role, with what else it could have been.
-
-    Raises
-    ------
-    InputError
-        Nothing tells the speed; the text lists every topic and type.
-    """
-    found: dict[str, list[tuple[TopicBinding, str]]] = {}
-    for rule in RULES:
-        for topic in sorted(available, key=lambda topic: (len(topic), topic)):
-            words = _words(topic)
-            if available[topic] not in rule.types or not re.search(rule.words, words):
-                continue
-            if not re.search(rule.not_words, words) and not NOT_MEASURED.search(words):
-                unit, scale = _unit_of(rule, words)
-                binding = TopicBinding(topic, available[topic], rule.field, scale=scale)
-                found.setdefault(rule.role, []).append((binding, unit))
-    if "speed" not in found:
-        listed = "; ".join(f"{topic} ({kind})" for topic, kind in sorted(available.items())) or "no topic at all"
-        raise InputError(
-            "speed", listed, "a topic of a type that tells the speed of the vehicle", f"name it in a topics file: {EXAMPLE}"
-        )
-    said = []
-    for role, options in found.items():
-        binding, unit = options[0]
-        others = ", ".join(other.topic for other, _ in options[1:])
-        said.append(
-            f"{role}: guessed from {binding.topic} ({binding.type}, {binding.field}) in {unit}"
-            + (f"; also possible: {others}" if others else "")
-        )
-    return Topics(MappingProxyType({role: options[0][0] for role, options in found.items()}), "guessed"), said
-
-
-def _words(topic: str) -> str:
-    """Return the words of a topic name, lower case with spaces: of ``/vehicleSpeed_kmh`` "vehicle speed kmh"."""
-    apart = re.sub(r"([a-z0-9])([A-Z])", r"\1 \2", topic).lower()
-    return " ".join(re.split(r"[^a-z0-9]+", apart))
-
-
-def _unit_of(rule: _Rule, words: str) -> tuple[str, float]:
-    for unit, pattern, scale in UNITS.get(rule.role, ()) if rule.field == "data" else ():
-        if re.search(pattern, words):
-            return unit, scale
-    return ROLES[rule.role].unit, 1.0
+    return checks.one_of(line[key], f"{where}: {key}", allowed) if key in line else default

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Decode one field of many serialised messages at once, and encode many messages from one template.
 
 Messages of a type that are equally long mostly have their numbers at the same places: what moves them are the lengths
@@ -19,7 +22,7 @@ from numpy.typing import NDArray
 from trackres_ros.errors import InputError
 from trackres_ros.recording.bindings import FieldStep
 from trackres_ros.recording.message_types import HEADER, NUMBERS, TIME, Definitions, check_field, stamp_path
-from trackres_ros.recording.recording import FloatArray, IntArray
+from trackres_ros.recording.samples import FloatArray, IntArray
 from trackres_ros.units import SECOND_NS
 
 NAMES_SHOWN = 20

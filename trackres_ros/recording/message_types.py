@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Message types as this package uses them: fields by name, checked field paths."""
 
 from __future__ import annotations
@@ -154,7 +157,7 @@ def stamp_path(types: Definitions, msgtype: str) -> tuple[FieldStep, ...]:
 
 
 def check_field(types: Definitions, msgtype: str, path: str, where: str) -> tuple[FieldStep, ...]:
-    """Return a field path taken apart, after checking that it leads to one number.
+    """Return the steps of a field path, after checking that it leads to one number.
 
     Raises
     ------

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Open whatever the user named: bags or a table."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The gate before every recording: a regular file, the content its name says, and one line for whatever goes wrong."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Bags: rosbag2 and ROS 1 recordings read in blocks."""
 
 from __future__ import annotations
@@ -17,11 +20,12 @@ from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError, MissingExtraError, nearest, one_line
 from trackres_ros.recording.bag_counts import counts_of, storages_of
-from trackres_ros.recording.bindings import TopicBinding, Topics, guess
+from trackres_ros.recording.bindings import TopicBinding, Topics
 from trackres_ros.recording.cdr import Encoding, FieldReader
+from trackres_ros.recording.guess import guess
 from trackres_ros.recording.message_types import Definitions, check_field, check_size, definitions, message_fields, stamp_path
 from trackres_ros.recording.reading import check_file, check_there, reading
-from trackres_ros.recording.recording import Block, Finding, IntArray
+from trackres_ros.recording.samples import Block, Finding, IntArray
 from trackres_ros.recording.unpacking import (
     MAX_CHUNK_BYTES,
     MAX_MESSAGE_BYTES,
@@ -183,7 +187,7 @@ class BagSource:
                     yield f"{self.roles[role]}: {topic.name} ({topic.msgtype}, {binding.field}), {stamps}"
 
     def blocks(self, max_rows: int = 65536) -> Iterator[Block]:
-        """Read all bags; see `trackres_ros.recording.recording.Source.blocks`.
+        """Read all bags; see `trackres_ros.recording.samples.Source.blocks`.
 
         Raises
         ------

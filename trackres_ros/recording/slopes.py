@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Altitude -> slope of the road: only where the vehicle moves, as sure as the altitude is, and no steeper than roads are."""
 
 from __future__ import annotations
@@ -62,8 +65,8 @@ def slopes(time_s: Array, speed: Array, altitude: Array) -> Array:
 
 def _step(altitude: Array) -> float:
     """The step in which an altitude comes [m]."""
-    apart = np.diff(np.unique(altitude))
-    return float(apart.min()) if len(apart) else 0.0
+    steps = np.diff(np.unique(altitude))
+    return float(steps.min()) if len(steps) else 0.0
 
 
 def _lines(profile: Array, length: float) -> tuple[Array, Array]:

@@ -1,4 +1,7 @@
-"""Tables: CSV and Parquet read in blocks, and written so that equal numbers give equal bytes."""
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Reads tables: CSV and Parquet, in blocks."""
 
 from __future__ import annotations
 
@@ -7,43 +10,23 @@ import csv
 import gzip
 import io
 import itertools
-import os
 import re
 import zlib
-from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, suppress
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType, TracebackType
-from typing import IO, Any, Self, cast
+from typing import IO, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.errors import InputError, MissingExtraError, nearest, one_line
+from trackres_ros.errors import InputError, MissingExtraError, one_line
 from trackres_ros.recording.bindings import TopicBinding, Topics
 from trackres_ros.recording.reading import check_file, reading
-from trackres_ros.recording.recording import ROLES, Block, Finding, FloatArray, base_role
+from trackres_ros.recording.samples import Block, Finding, FloatArray
+from trackres_ros.recording.table_columns import TIME, choose_columns, listed_names
 
-TIME = "time_s"
-COLUMNS: Mapping[str, tuple[str, float]] = MappingProxyType(
-    {
-        "speed_mps": ("speed", 1.0),
-        "speed_kmh": ("speed", 1.0 / 3.6),
-        "weight_n": ("load", 1.0),
-        "weight_kn": ("load", 1e3),
-        "torque_nm": ("torque", 1.0),
-        "belt_degc": ("belt", 1.0),
-        "ambient_degc": ("ambient", 1.0),
-        "grade": ("grade", 1.0),
-        "yaw_rate_radps": ("yaw_rate", 1.0),
-        "heading_rad": ("heading", 1.0),
-        "accel_mps2": ("accel", 1.0),
-        "distance_m": ("distance", 1.0),
-    }
-)
-"""Columns known by name: role, and scale to its unit. ``weight_n/front`` is the load of the axle or assembly front."""
 CHUNK_ROWS = 8192
 MAX_TIME_S = 4.6e9
 """Beyond it, differences of two times in nanoseconds do not fit in 64 bits [s]; a time in milliseconds or nanoseconds mostly
@@ -51,10 +34,8 @@ lies beyond."""
 MAX_ROW_BYTES = 2**24
 """Longest line, and longest row of quoted lines, that is read: one of 200,000 columns is a fifth of it."""
 HEAD_BYTES = 2**16
-NAMES_SHOWN = 20
 PARQUET_BUFFER_BYTES = 2**20
 """Read at once of a column; without it, and with buffering ahead, pyarrow holds a whole row group: that may be the whole file."""
-SUFFIXES = (".csv", ".csv.gz", ".parquet")
 
 
 _Cells = tuple[FloatArray, NDArray[np.bool_]]
@@ -69,18 +50,6 @@ class _Met:
     complete: bool = False
     quoted: bool = False
     last: bytes = b""
-
-
-@dataclass(frozen=True, slots=True)
-class _Column:
-    """A column to read: its place among all columns, its name, the role it feeds, and the conversion."""
-
-    place: int
-    name: str
-    role: str
-    scale: float = 1.0
-    offset: float = 0.0
-    delay_s: float = 0.0
 
 
 class TableSource:
@@ -116,7 +85,7 @@ class TableSource:
         check_file(path)
         with self._reading():
             names = self._parquet_names() if self._parquet else self._header()
-        self._time, columns = _chosen(names, topics, self.name)
+        self._time, columns = choose_columns(names, topics, self.name)
         self._columns = tuple(sorted(columns, key=lambda column: column.role == "speed"))
         self.roles = tuple(column.role for column in self._columns)
         self.bindings = {
@@ -126,13 +95,13 @@ class TableSource:
         used = {self._time, *(column.place for column in columns)}
         ignored = [name for place, name in enumerate(names) if place not in used]
         if ignored:
-            notes.append(f"ignored columns: {_listed(ignored)}")
+            notes.append(f"ignored columns: {listed_names(ignored)}")
         if self._encoding == "latin-1":
             notes.append("the file is not UTF-8; read as Latin-1")
         self.notes = tuple(map(one_line, notes))
 
     def blocks(self, max_rows: int = 65536) -> Iterator[Block]:
-        """Read the table; see `trackres_ros.recording.recording.Source.blocks`.
+        """Read the table; see `trackres_ros.recording.samples.Source.blocks`.
 
         Raises
         ------
@@ -312,9 +281,9 @@ class TableSource:
 def _look_at_counts(metadata: Any, names: Sequence[str], rows: int, empty: NDArray[np.int64]) -> Iterator[Finding]:
     """Hold what was read of a Parquet file against what the file says it holds."""
     groups = [metadata.row_group(number) for number in range(metadata.num_row_groups)]
-    said = max(metadata.num_rows, sum(group.num_rows for group in groups))
-    if said > rows:
-        yield Finding("", "missing", said - rows, float("nan"), f"{said - rows} rows fewer than the file says it holds")
+    stated = max(metadata.num_rows, sum(group.num_rows for group in groups))
+    if stated > rows:
+        yield Finding("", "missing", stated - rows, float("nan"), f"{stated - rows} rows fewer than the file says it holds")
     for name, found in zip(names, empty.tolist(), strict=True):
         chunks = [group.column(place) for group in groups for place in range(group.num_columns)]
         counts = [chunk.statistics for chunk in chunks if chunk.path_in_schema == name]
@@ -333,55 +302,6 @@ def _cells(batch: Any, names: Sequence[str]) -> _Cells:
     cells = np.stack([column.to_numpy(zero_copy_only=False) for column in columns], axis=1)
     given = np.stack([column.is_valid().to_numpy(zero_copy_only=False) for column in columns], axis=1)
     return cells, given
-
-
-def _chosen(names: Sequence[str], topics: Topics | None, origin: str) -> tuple[int, list[_Column]]:
-    """Return the place of the time, and the columns to read: as the topics file says, else those known by name."""
-    places: dict[str, int] = {}
-    for place, name in enumerate(names):
-        places.setdefault(name, place)
-    columns: dict[str, _Column] = {}
-    for role, binding in topics.bindings.items() if topics else ():
-        if binding.column:
-            if binding.column not in places:
-                where = f"{topics.origin if topics else origin}: {role}: column"
-                raise InputError(where, binding.column, _listed(names), nearest(binding.column, names))
-            columns[role] = _Column(places[binding.column], binding.column, role, binding.scale, binding.offset, binding.delay_s)
-    by_file = frozenset(columns)
-    for name, place in places.items():
-        base, slash, part = name.partition("/")
-        if base in COLUMNS:
-            role, scale = COLUMNS[base][0] + slash + part, COLUMNS[base][1]
-            if role in by_file or (slash and not (part and ROLES[base_role(role)].parts)):
-                continue
-            if role in columns:
-                raise InputError(
-                    origin,
-                    f"columns {columns[role].name} and {name}",
-                    f"one column for {role}",
-                    "name the right one in a topics file",
-                )
-            columns[role] = _Column(place, name, role, scale)
-    if TIME not in places:
-        raise InputError(origin, f"columns {_listed(names)}", f"a column {TIME}, in seconds", nearest(TIME, names))
-    if "speed" not in columns:
-        raise InputError(
-            origin,
-            f"columns {_listed(names)}",
-            "a column speed_mps or speed_kmh",
-            "or name it in a topics file: speed: {column: NAME, scale: 1.0}",
-        )
-    count = Counter(names)
-    for name in (TIME, *(column.name for column in columns.values())):
-        if count[name] > 1:
-            raise InputError(origin, f"{count[name]} columns {name}", "each column once")
-    return places[TIME], list(columns.values())
-
-
-def _listed(names: Sequence[str]) -> str:
-    """Names as far as anybody reads them."""
-    more = f" and {len(names) - NAMES_SHOWN} more" if len(names) > NAMES_SHOWN else ""
-    return ", ".join(names[:NAMES_SHOWN]) + more
 
 
 def _binary(path: Path) -> IO[bytes]:
@@ -433,120 +353,3 @@ class _Lines:
         for row in reader:
             self._of_row = 0
             yield row
-
-
-class TableWriter:
-    """Writes a table block by block; it takes its place only when the `with` block ends without an exception.
-
-    A NaN becomes an empty cell, every other number the shortest text that reads back as the same number. Equal
-    numbers give equal bytes.
-
-    Parameters
-    ----------
-    path : Path
-        ``.csv``, ``.csv.gz`` or ``.parquet``; replaced if it is there.
-    names : sequence of str
-        Names of the k columns.
-
-    Raises
-    ------
-    InputError
-        Another suffix, or no such folder.
-    MissingExtraError
-        Parquet, and pyarrow is not installed.
-    """
-
-    def __init__(self, path: Path, names: Sequence[str]) -> None:
-        if not path.name.lower().endswith(SUFFIXES):
-            raise InputError(str(path), path.suffix or "no suffix", ", ".join(SUFFIXES))
-        if not path.parent.is_dir():
-            raise InputError(str(path), f"no folder {path.parent}", "a file in a folder that is there")
-        self.path, self.names = path, tuple(names)
-        self._part = path.with_name(f".{path.name}.{os.getpid()}.part")
-        self._parquet = path.name.lower().endswith(".parquet")
-        if self._parquet:
-            try:
-                import pyarrow as _  # noqa: F401
-            except ImportError:
-                raise MissingExtraError("writing Parquet", "pyarrow", "parquet") from None
-        self._files = ExitStack()
-        self._out: Any = None
-
-    def __enter__(self) -> Self:
-        """Begin the file beside its place."""
-        if not self._parquet:
-            raw: Any = self._files.enter_context(self._part.open("wb"))
-            if self.path.name.lower().endswith(".gz"):
-                raw = self._files.enter_context(gzip.GzipFile("", "wb", 6, raw, mtime=0))
-            self._out = self._files.enter_context(io.TextIOWrapper(raw, encoding="utf-8", newline=""))
-            csv.writer(self._out, lineterminator="\n").writerow(self.names)
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        """Finish the file and put it in its place, or remove what was begun."""
-        try:
-            if kind is None and self._out is None:
-                self.write(np.empty((0, len(self.names))))
-            self._files.close()
-            if kind is None:
-                self._part.replace(self.path)
-        finally:
-            self._part.unlink(missing_ok=True)
-
-    def write(self, rows: FloatArray) -> None:
-        """Write n rows, shape (n, k)."""
-        self.write_columns([rows[:, place] for place in range(len(self.names))])
-
-    def write_columns(self, columns: Sequence[NDArray[Any]]) -> None:
-        """Write n rows given as k columns, each of shape (n,): numbers or texts."""
-        if self._parquet:
-            self._write_parquet(columns)
-            return
-        for start in range(0, len(columns[0]), CHUNK_ROWS):
-            texts = [_texts(column[start : start + CHUNK_ROWS]) for column in columns]
-            self._out.write("\n".join(map(",".join, zip(*texts, strict=True))) + "\n")
-
-    def _write_parquet(self, columns: Sequence[NDArray[Any]]) -> None:
-        import pyarrow as pa
-        from pyarrow import parquet
-
-        table = pa.table([pa.array(column, from_pandas=True) for column in columns], names=list(self.names))
-        if self._out is None:
-            self._out = self._files.enter_context(parquet.ParquetWriter(str(self._part), table.schema, write_page_checksum=True))
-        self._out.write_table(table)
-
-
-def write_table(path: Path, columns: Mapping[str, NDArray[Any]]) -> None:
-    """Write a whole table; see `TableWriter`.
-
-    Parameters
-    ----------
-    path : Path
-        ``.csv``, ``.csv.gz`` or ``.parquet``.
-    columns : mapping of str to ndarray, each of shape (n,)
-        Numbers or texts by name.
-
-    Raises
-    ------
-    InputError
-        Another suffix, no such folder, or columns that are not equally long.
-    """
-    lengths = {name: len(column) for name, column in columns.items()}
-    if len(set(lengths.values())) != 1:
-        raise InputError(str(path), lengths, "columns of one length")
-    with TableWriter(path, list(columns)) as writer:
-        writer.write_columns([np.asarray(column) for column in columns.values()])
-
-
-def _texts(column: NDArray[Any]) -> list[str]:
-    """Return the cells of a column as they stand in a CSV."""
-    if column.dtype.kind == "f":
-        texts = list(map(repr, (column.astype(np.float64) + 0.0).tolist()))  # which takes the sign off a zero
-        return ["" if text == "nan" else text for text in texts] if np.isnan(column).any() else texts
-    if column.dtype.kind in "iub":
-        return list(map(str, column.astype(np.int64).tolist()))
-    quoted = []
-    for text in map(str, column.tolist()):
-        special = any(mark in text for mark in ',"\r\n')
-        quoted.append('"' + text.replace('"', '""') + '"' if special else text)
-    return quoted

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A result that is a mapping of plain data, ready for JSON."""
 
 from __future__ import annotations
@@ -22,5 +25,11 @@ class Content(Mapping[str, Any]):
         return len(self._content)
 
     def as_dict(self) -> dict[str, Any]:
-        """All of it, ready for JSON."""
+        """The whole content, ready for JSON.
+
+        Returns
+        -------
+        dict
+            Plain data, with the units in the names.
+        """
         return dict(self._content)

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a diagnosis gives back."""
 
 from __future__ import annotations
@@ -139,7 +142,13 @@ class DiagnosisResult:
         return place
 
     def as_dict(self) -> dict[str, Any]:
-        """All findings, ready for JSON: the content of report.json."""
+        """All findings, ready for JSON: the content of report.json.
+
+        Returns
+        -------
+        dict
+            As its schema, `report.schema.json`, says.
+        """
         return dict(self._content)
 
     def __repr__(self) -> str:
@@ -158,9 +167,9 @@ class DiagnosisResult:
                 unit = "" if units[name] == "1" else units[name]
                 between = "only a bound" if interval.bound_only else " to ".join(ends)
                 rows.append((of, name, shown, between, unit, found.graded.grade))
-        worth = self.diagnosis.held_out
+        held_out = self.diagnosis.held_out
         errors = [
-            (text, figures(worth.mae[stage]), figures(worth.bias[stage]))
+            (text, figures(held_out.mae[stage]), figures(held_out.bias[stage]))
             for stage, text in STAGES.items()
             if self.effects or stage != "with_effects"
         ]

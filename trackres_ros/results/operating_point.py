@@ -1,10 +1,17 @@
-"""What the model says of one steady state, taken apart."""
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""What the model says of one steady state: loads, contacts, losses, heat and torque."""
 
 from __future__ import annotations
 
 from trackres_ros.results.content import Content
 from trackres_ros.text.html import panel, paragraph, table
 from trackres_ros.text.numbers import decimals
+from trackres_ros.text.table import table as text_table
+
+WHEEL_HEAD = {"load": "N", "half length": "mm", "strain": "1", "frequency": "Hz", "modulus": "MPa"}
+"""What is shown of a road wheel's contact, and its unit."""
 
 
 class OperatingPoint(Content):
@@ -33,39 +40,34 @@ class OperatingPoint(Content):
         left_out = self["effects_left_out"]
         return [*lines, *([f"Left out, as they need more than an operating point: {', '.join(left_out)}"] if left_out else [])]
 
-    def __repr__(self) -> str:
-        lines = [
-            self._head(),
-            "",
-            f"Road wheels of {self['assemblies'][0]}",
-            f"{'':4}{'load':>9} {'half length':>12} {'strain':>8} {'frequency':>10} {'modulus':>9}",
-            f"{'':4}{'N':>9} {'mm':>12} {'1':>8} {'Hz':>10} {'MPa':>9}",
-        ]
-        lines += [
-            f"{i + 1:4d}{load:9.0f} {c['half_length_m'] * 1e3:12.2f} {c['max_strain']:8.4f} {c['frequency_hz']:10.1f} "
-            f"{c['modulus_mpa']:9.2f}"
+    def _wheels(self) -> list[tuple[str, ...]]:
+        """Of each road wheel of the first assembly its number, and a text for each of `WHEEL_HEAD`."""
+        return [
+            (
+                str(i + 1),
+                f"{load:.0f}",
+                f"{c['half_length_m'] * 1e3:.2f}",
+                f"{c['max_strain']:.4f}",
+                f"{c['frequency_hz']:.1f}",
+                f"{c['modulus_mpa']:.2f}",
+            )
             for i, (load, c) in enumerate(zip(self["wheel_loads_n"][0], self["contact"], strict=True))
         ]
-        return "\n".join([*lines, "", *self._sentences()])
+
+    def __repr__(self) -> str:
+        head = ["", *(f"{name}\n{unit}" for name, unit in WHEEL_HEAD.items())]
+        wheels = text_table(self._wheels(), head, indent=2)
+        return "\n".join([self._head(), "", f"Road wheels of {self['assemblies'][0]}", wheels, "", *self._sentences()])
 
     def _repr_html_(self) -> str:
         torques = [(part, decimals(value)) for part, value in self["torque_nm"].items()]
         losses = [(part, decimals(value, 1)) for part, value in self["loss_force_n"].items()]
-        wheels = [
-            (str(i + 1), f"{load:.0f}", f"{c['half_length_m'] * 1e3:.2f}", f"{c['max_strain']:.4f}", f"{c['frequency_hz']:.1f}",
-             f"{c['modulus_mpa']:.2f}")
-            for i, (load, c) in enumerate(zip(self["wheel_loads_n"][0], self["contact"], strict=True))
-        ]  # fmt: skip
-        said = [line for line in self._sentences() if line and not line.startswith(("Torque", "Loss"))]
+        sentences = [line for line in self._sentences() if line and not line.startswith(("Torque", "Loss"))]
         first = self["assemblies"][0]
         return panel(
             self._head(),
             table(("torque at the sprockets", "Nm"), torques),
             table((f"loss per metre of {first}", "N"), losses),
-            table(
-                (f"road wheel of {first}", "load", "half length", "strain", "frequency", "modulus"),
-                wheels,
-                ("", "N", "mm", "1", "Hz", "MPa"),
-            ),
-            *map(paragraph, said),
+            table((f"road wheel of {first}", *WHEEL_HEAD), self._wheels(), ("", *WHEEL_HEAD.values())),
+            *map(paragraph, sentences),
         )

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a replay gives back."""
 
 from __future__ import annotations
@@ -11,11 +14,12 @@ from typing import Any
 import numpy as np
 
 from trackres_ros.errors import InputError
-from trackres_ros.estimator.estimator import Estimator, Session, Steps
+from trackres_ros.estimator.estimate import Steps
+from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.files.output_files import output_file
 from trackres_ros.offline.replay import Replayed, result_writer
 from trackres_ros.offline.summary import picture_columns, summary, text
-from trackres_ros.recording.recording import Finding
+from trackres_ros.recording.samples import Finding
 from trackres_ros.results.series import Array, SeriesResult
 from trackres_ros.text.html import listed, panel, paragraph
 from trackres_ros.units import NANOSECOND
@@ -125,7 +129,13 @@ class ReplayResult(SeriesResult):
         return file
 
     def as_dict(self) -> dict[str, Any]:
-        """The summary, ready for JSON: what was read, what was found wrong, and how the estimate ended."""
+        """The summary of reading and estimate, ready for JSON.
+
+        Returns
+        -------
+        dict
+            What was read, what was found wrong, and how the estimate ended.
+        """
         return summary(self._replayed, self.name, self.notes, self.findings)
 
     def __repr__(self) -> str:

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Series of results over time, as a mapping of column name to array: the ways out to pandas, xarray and a picture."""
 
 from __future__ import annotations
@@ -76,7 +79,10 @@ class SeriesResult(Mapping[str, Array]):
     def to_pandas(self) -> pd.DataFrame:
         """A pandas DataFrame over `time_s`, the other columns as they are named here.
 
-        Its `attrs` hold the vehicle, and under ``units`` the unit of each column.
+        Returns
+        -------
+        pandas.DataFrame
+            Its `attrs` hold the vehicle, and under ``units`` the unit of each column.
 
         Raises
         ------
@@ -98,6 +104,11 @@ class SeriesResult(Mapping[str, Array]):
         ``belt_degc`` is then one variable of shape (times, assemblies). Where the whole vehicle has a column of the same name,
         that of the assemblies is called ``assembly_resistance_torque_nm``.
 
+        Returns
+        -------
+        xarray.Dataset
+            Its `attrs` hold the vehicle.
+
         Raises
         ------
         MissingExtraError
@@ -111,9 +122,9 @@ class SeriesResult(Mapping[str, Array]):
         assemblies = list(dict.fromkeys(name.partition("/")[2] for name in names if "/" in name))
         variables: dict[str, Any] = {}
         for name in names:
-            base, apart, _ = name.partition("/")
+            base, slash, _ = name.partition("/")
             attributes = {"units": unit_of(name)} if unit_of(name) else {}
-            if not apart:
+            if not slash:
                 variables[name] = ("time_s", self[name], attributes)
             elif (key := f"assembly_{base}" if base in names else base) not in variables:
                 stacked = np.stack([self[f"{base}/{of}"] for of in assemblies], axis=1)

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a simulation gives back."""
 
 from __future__ import annotations
@@ -9,15 +12,17 @@ from typing import Any
 
 import numpy as np
 
-from trackres_ros.estimator.estimator import Estimator, Steps
+from trackres_ros.estimator.estimate import Steps
+from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.files.output_files import BAG_SUFFIX, output_file
 from trackres_ros.model.resistance import RESISTANCE_PARTS
 from trackres_ros.offline.simulate import Drive, series_of
 from trackres_ros.output.bag import OutputBag
-from trackres_ros.recording.table import write_table
+from trackres_ros.output.table import write_table
 from trackres_ros.results.series import Array, SeriesResult
 from trackres_ros.text.html import panel
 from trackres_ros.text.numbers import decimals
+from trackres_ros.text.table import table
 from trackres_ros.units import KMH_PER_MPS
 from trackres_ros.vehicle import Vehicle
 
@@ -93,14 +98,26 @@ class SimulationResult(SeriesResult):
         return file
 
     def points(self) -> list[dict[str, float]]:
-        """All columns at a few times, for a summary."""
+        """All columns at a few times, for a summary.
+
+        Returns
+        -------
+        list of dict of str to float
+            One row for each time, by column.
+        """
         time = self.time_s
         at_times = [t for t in SUMMARY_TIMES_S if t <= time[-1]] or [float(time[-1])]
         rows = [min(int(np.searchsorted(time, t - 1e-9)), len(time) - 1) for t in at_times]
         return [{name: float(values[row]) for name, values in self.items()} for row in rows]
 
     def as_dict(self) -> dict[str, Any]:
-        """The summary, ready for JSON."""
+        """The summary, ready for JSON.
+
+        Returns
+        -------
+        dict
+            Names of vehicle and methods, the number of rows, and `points`.
+        """
         return {
             "vehicle": self.vehicle.name,
             "method": self.vehicle.hysteresis,
@@ -111,17 +128,17 @@ class SimulationResult(SeriesResult):
 
     def __repr__(self) -> str:
         parts = {"resistance": "resistance_torque_nm", **RESISTANCE_PARTS}
-        lines = [
-            f"{'time':>8} {'speed':>7} " + " ".join(f"{part:>10}" for part in parts) + f" {'belt':>6}",
-            f"{'s':>8} {'km/h':>7} " + " ".join(f"{'Nm':>10}" for _ in parts) + f" {'degC':>6}",
-        ]
-        lines += [
-            f"{decimals(p['time_s']):>8} {decimals(p['speed_mps'] * KMH_PER_MPS, 1):>7} "
-            + " ".join(f"{decimals(p[column]):>10}" for column in parts.values())
-            + f" {decimals(p['belt_degc'], 1):>6}"
+        head = ["time\ns", "speed\nkm/h", *(f"{part}\nNm" for part in parts), "belt\ndegC"]
+        rows = [
+            [
+                decimals(p["time_s"]),
+                decimals(p["speed_mps"] * KMH_PER_MPS, 1),
+                *(decimals(p[column]) for column in parts.values()),
+                decimals(p["belt_degc"], 1),
+            ]
             for p in self.points()
         ]
-        return "\n".join(lines)
+        return table(rows, head)
 
     def _repr_html_(self) -> str:
         return panel(f"{self.title}, {len(self.time_s)} rows", self._table())

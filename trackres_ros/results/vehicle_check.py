@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What follows from a vehicle file, for people and for programs."""
 
 from __future__ import annotations
@@ -6,6 +9,7 @@ from html import escape
 
 from trackres_ros.results.content import Content
 from trackres_ros.text.html import listed, panel
+from trackres_ros.text.table import table as text_table
 
 
 class VehicleCheck(Content):
@@ -26,29 +30,28 @@ class VehicleCheck(Content):
         if self["effects"]:
             lines.append(f"  with {', '.join(self['effects'])}")
         for name, t in self["tracks"].items():
-            table, doubt, data = t["table"], t["uncertainty"], t["rubber_data"]
+            table, uncertainty, data = t["table"], t["uncertainty"], t["rubber_data"]
             ends = zip(data["speed_mps"], data["coldest_degc"], strict=True)
-            lines += [
-                f"Track {name}",
-                "  wheel loads        " + ", ".join(f"{load:.0f}" for load in t["wheel_loads_n"]) + " N",
-                f"  hinge              {t['hinge_position_m']:.3f} m behind the front end of the ground run",
-                f"  belt mass          {t['belt_mass_kg']:.1f} kg ({t['mass_per_length_kg_m']:.2f} kg/m)",
-                f"  heat capacity      {t['heat_capacity_j_k'] / 1e3:.1f} kJ/K",
-                f"  cooled area        {t['cooled_area_m2']:.2f} m2",
-                f"  axial stiffness    {t['axial_stiffness_n'] / 1e6:.1f} MN",
-                f"  tension            {t['tension_n']:.0f} N, sag {t['sag_m'] * 1e3:.1f} mm",
-                "  one sigma of       " + ", ".join(f"{k} {v:.0%}" for k, v in doubt.items()) + " (from the ranges in the file)",
-                f"  loss table         error at most {table['largest_error']:.3%}, rms {table['rms_error']:.3%} at "
-                f"{table['points']} points, "
-                f"loads {table['load_range_n'][0] / 1e3:.1f} to {table['load_range_n'][1] / 1e3:.1f} kN, "
+            facts = {
+                "wheel loads": ", ".join(f"{load:.0f}" for load in t["wheel_loads_n"]) + " N",
+                "hinge": f"{t['hinge_position_m']:.3f} m behind the front end of the ground run",
+                "belt mass": f"{t['belt_mass_kg']:.1f} kg ({t['mass_per_length_kg_m']:.2f} kg/m)",
+                "heat capacity": f"{t['heat_capacity_j_k'] / 1e3:.1f} kJ/K",
+                "cooled area": f"{t['cooled_area_m2']:.2f} m2",
+                "axial stiffness": f"{t['axial_stiffness_n'] / 1e6:.1f} MN",
+                "tension": f"{t['tension_n']:.0f} N, sag {t['sag_m'] * 1e3:.1f} mm",
+                "one sigma of": ", ".join(f"{k} {v:.0%}" for k, v in uncertainty.items()) + " (from the ranges in the file)",
+                "loss table": f"error at most {table['largest_error']:.3%}, rms {table['rms_error']:.3%} at {table['points']} "
+                f"points, loads {table['load_range_n'][0] / 1e3:.1f} to {table['load_range_n'][1] / 1e3:.1f} kN, "
                 f"ready in {table['seconds']:.2f} s",
-                f"  drive torque       moves the loss by at most {table['drive_torque_share']:.4%}; "
+                "drive torque": f"moves the loss by at most {table['drive_torque_share']:.4%}; "
                 f"forward and reverse differ by at most {table['reverse_share']:.4%}",
-                "  rubber data        cover belts of "
+                "rubber data": "cover belts of "
                 + ", ".join(f"{low:.0f} degC at {v * 3.6:.0f} km/h" for v, low in ends)
                 + f" and warmer, to {data['hottest_degc']:.0f} degC",
-                f"  heat               in balance at {t['balance_degc']:.0f} degC at the greatest speed and nominal load",
-            ]
+                "heat": f"in balance at {t['balance_degc']:.0f} degC at the greatest speed and nominal load",
+            }
+            lines += [f"Track {name}", text_table(facts.items(), indent=2, numbers=False)]
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:

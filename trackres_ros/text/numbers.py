@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Numbers as people are shown them: no more figures than matter, plain below a million, and no zero with a sign."""
 
 from __future__ import annotations
@@ -30,15 +33,15 @@ def decimals(value: float | None, places: int = 0, signed: bool = False) -> str:
     return f"{0.0:.{places}f}" if float(text) == 0.0 else text
 
 
-def alike(values: Sequence[float | None], apart: float, count: int = 2) -> list[str]:
-    """Numbers to one and the same step, so that what they are `apart` shows with `count` figures.
+def alike(values: Sequence[float | None], difference: float, count: int = 2) -> list[str]:
+    """Numbers to one and the same step, so that a `difference` of them shows with `count` figures.
 
     A value and the ends of its interval, or the edges of bins, are then written alike: ``0.30``, ``0.24``, ``0.36``.
     """
     size = max((abs(v) for v in values if v is not None and math.isfinite(v)), default=0.0)
-    if not (math.isfinite(apart) and apart > 0.0 and size > 0.0):
+    if not (math.isfinite(difference) and difference > 0.0 and size > 0.0):
         return [figures(v) for v in values]
-    places = min(count - 1 - _exponent(apart), MOST_FIGURES - 1 - _exponent(size))
+    places = min(count - 1 - _exponent(difference), MOST_FIGURES - 1 - _exponent(size))
     if not PLAIN_FROM <= size < PLAIN_BELOW:
         return [figures(v, max(1, places + 1 + _exponent(size))) for v in values]
     return [

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Vehicle file in, checked and frozen description with units and provenance out."""
 
 from trackres_ros.vehicle.description import (

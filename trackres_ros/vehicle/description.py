@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a vehicle is: a frozen description, SI inside, temperatures in degC.
 
 Made by `trackres_ros.vehicle.load`; every number in it passed the checks of `trackres_ros.vehicle.schema`.
@@ -163,12 +166,30 @@ class Chassis:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Vehicle:
-    """The whole vehicle. `parameters` keeps every quantity by its path in the file, with range and provenance."""
+    """The whole vehicle, in SI.
+
+    Attributes
+    ----------
+    name, title
+        Name for files and topics, and for people.
+    source, rubber_source
+        The vehicle file, and the file of the rubber's temperature sweep.
+    hysteresis, thermal
+        Names of the loss method and of the thermal model.
+    rubber, chassis, axles, assemblies
+        The parts of the vehicle.
+    tracks
+        Kinds of track by name.
+    parameters
+        Every quantity by its path in the file, with range and provenance.
+    effects, surroundings
+        Effects that the vehicle file switches on, and those of site, weather and ground from a file of their own.
+    """
 
     name: str
     title: str
     source: Path
-    rubber_source: Path  # of the temperature sweep
+    rubber_source: Path
     hysteresis: str
     thermal: str
     rubber: Rubber
@@ -177,8 +198,8 @@ class Vehicle:
     assemblies: tuple[Assembly, ...]
     tracks: Mapping[str, Track]
     parameters: Mapping[str, Quantity]
-    effects: tuple[Active, ...] = ()  # left-out physics that the file switches on
-    surroundings: tuple[Active, ...] = ()  # the same of site, weather and ground, from a file of their own
+    effects: tuple[Active, ...] = ()
+    surroundings: tuple[Active, ...] = ()
 
     def __repr__(self) -> str:
         with_effects = f", with {', '.join(active.effect.name for active in self.active)}" if self.active else ""
@@ -198,14 +219,42 @@ class Vehicle:
         return sum(axle.load for axle in self.axles) + sum(self.track_of(a).own_weight for a in self.assemblies)
 
     def track_of(self, assembly: Assembly) -> Track:
-        """Kind of track of an assembly."""
+        """Kind of track of an assembly.
+
+        Parameters
+        ----------
+        assembly
+            One of `assemblies`.
+
+        Returns
+        -------
+        Track
+            The kind that it names.
+        """
         return self.tracks[assembly.track]
 
     def assemblies_of(self, axle: str) -> tuple[int, ...]:
-        """Indices of the assemblies that an axle rests on."""
+        """Indices of the assemblies that an axle rests on.
+
+        Parameters
+        ----------
+        axle
+            Its name.
+
+        Returns
+        -------
+        tuple of int
+            Indices into `assemblies`.
+        """
         return tuple(i for i, a in enumerate(self.assemblies) if a.axle == axle)
 
     def nominal_loads(self) -> Array:
-        """Load on each assembly with its own weight [N], shape (assemblies,)."""
+        """Load on each assembly with its own weight [N], shape (assemblies,).
+
+        Returns
+        -------
+        ndarray, shape (assemblies,)
+            Loads [N].
+        """
         loads = {axle.name: axle.load / len(self.assemblies_of(axle.name)) for axle in self.axles}
         return np.array([loads[a.axle] + self.track_of(a).own_weight for a in self.assemblies])

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Assembles a `Vehicle` from a checked file, and checks what only the whole can show."""
 
 from __future__ import annotations
@@ -128,7 +131,7 @@ def listed_effects(
         if not file.is_file():
             raise InputError(reader.where("effect_files"), str(file), "Python files that are there, relative to this file")
     known = catalogue(size=size, on_tyres=on_tyres, files=files)
-    return check_effects(content.get("effects", {}), reader.where("effects"), known, belongs_to)
+    return check_effects(content.get("effects", {}), reader.where("effects"), known, belongs_to, size)
 
 
 def _rubber(reader: Reader, given: Any) -> tuple[Rubber, Path]:

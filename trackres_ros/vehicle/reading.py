@@ -1,13 +1,16 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Vehicle file -> checked, frozen description. Nothing passes that the file does not say plainly."""
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from trackres_ros.errors import InputError
+from trackres_ros import checks
+from trackres_ros.errors import InputError, nearest
 from trackres_ros.vehicle import schema
 from trackres_ros.vehicle.description import Quantity
 
@@ -37,22 +40,15 @@ class Reader:
             if name not in mapping:
                 raise InputError(self.where(f"{key}.{name}" if key else name), "nothing", "this key is required")
         for name in mapping:
-            if name not in allowed:
-                near = difflib.get_close_matches(str(name), allowed, n=1)
-                raise InputError(
-                    self.where(f"{key}.{name}" if key else str(name)),
-                    name,
-                    f"one of {', '.join(allowed)}",
-                    f"did you mean {near[0]}?" if near else "",
-                )
+            checks.one_of(name, self.where(f"{key}.{name}" if key else str(name)), allowed)
         return mapping
 
     def text(self, value: Any, key: str, allowed: tuple[str, ...] = ()) -> str:
         """A non-empty string, one of `allowed` where that is given."""
+        if allowed:
+            return checks.one_of(value, self.where(key), allowed)
         if not isinstance(value, str) or not value.strip():
-            raise InputError(self.where(key), value, f"one of {', '.join(allowed)}" if allowed else "a text")
-        if allowed and value not in allowed:
-            raise InputError(self.where(key), value, f"one of {', '.join(allowed)}")
+            raise InputError(self.where(key), value, "a text")
         return value
 
     def items(self, value: Any, key: str) -> list[Any]:
@@ -88,12 +84,7 @@ class Reader:
             raise InputError(self.where(f"{key}.unit"), entry["unit"], f"{limits.unit}", "convert the value to this unit")
         flag = self.text(entry["flag"], f"{key}.flag", FLAGS)
         reason = self.text(entry["reason"], f"{key}.reason")
-        bounds = entry["range"]
-        if not isinstance(bounds, list) or len(bounds) != 2:
-            raise InputError(self.where(f"{key}.range"), bounds, "two numbers, [low, high]")
-        low, high = (self._number(bound, f"{key}.range", limits.low, limits.high, limits.unit) for bound in bounds)
-        if low > high:
-            raise InputError(self.where(f"{key}.range"), bounds, "[low, high] with low <= high")
+        low, high = checks.span(entry["range"], self.where(f"{key}.range"), limits.low, limits.high, limits.unit)
         raw = entry["value"]
         value: float | tuple[float, ...]
         if isinstance(raw, list) and not raw:
@@ -112,20 +103,12 @@ class Reader:
         return quantity
 
     def _number(self, given: Any, key: str, low: float, high: float, unit: str) -> float:
-        allowed = f"a number from {low:g} to {high:g} {unit}"
-        if isinstance(given, bool) or not isinstance(given, int | float):
-            raise InputError(self.where(key), given, allowed)
-        if not low <= given <= high:  # nan is not either
-            raise InputError(
-                self.where(key), given, allowed, "correct the value, or widen the range beside it if you trust the value"
-            )
-        return float(given)
+        remedy = "correct the value, or widen the range beside it if you trust the value"
+        return checks.number(given, self.where(key), low, high, unit, if_outside=remedy)
 
     def check_overrides_used(self) -> None:
         """Refuse overrides whose path is not in the file."""
         for key in self._overrides:
             if key not in self.parameters or isinstance(self.parameters[key].value, tuple):
-                near = difflib.get_close_matches(key, self.parameters, n=1)
-                raise InputError(
-                    self.where(key), key, "the path of a scalar quantity in this file", f"did you mean {near[0]}?" if near else ""
-                )
+                allowed = "the path of a scalar quantity in this file"
+                raise InputError(self.where(key), key, allowed, nearest(key, self.parameters))

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a vehicle file may say: for each quantity its unit and the limits beyond which a value is a mistake.
 
 The limits here bound any track vehicle; the `range` a file gives with each value is narrower and is that vehicle's.

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A base model: what is simulated without any left-out effect, and which of its parameters may be re-fitted."""
 
 from __future__ import annotations
@@ -10,9 +13,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.diagnosis.base.watched import WATCHED, Watched
 from trackres_ros.diagnosis.prepare.session import Session
 from trackres_ros.diagnosis.writing.kept import Kept
-from trackres_ros.effects.effect import Active, Conditions, Facts, Terms, conditions, together
+from trackres_ros.effects.effect import Active, Conditions, Terms, VehicleConstants, conditions, together
 from trackres_ros.effects.stepping import LIMITS, MOST_TORQUE, EffectTable, effect_table
 from trackres_ros.errors import InputError
 
@@ -47,9 +51,8 @@ class BaseParameter:
 
 @dataclass(frozen=True, eq=False)
 class Predicted:
-    """What a model expects of a session, series of shape (n,): the torque as the sensor shows it [Nm], the torque itself
-    without what `Session.accel_decorrelated` leaves out of the inertia, and the belt's temperature [degC], which sets its
-    loss, and that of its surface; nan where the model has none.
+    """What a model expects of a session, series of shape (n,): the torque as the sensor shows it [Nm], the torque itself,
+    and the belt's temperature [degC], which sets its loss, and that of its surface; nan where the model has none.
     """
 
     torque: Array
@@ -70,12 +73,16 @@ class Base(Protocol):
         """Whether belts with a temperature are in it."""
 
     @property
-    def facts(self) -> Facts:
+    def facts(self) -> VehicleConstants:
         """What effects may know of the vehicle."""
 
     @property
     def includes(self) -> tuple[str, ...]:
         """Names of effects that are in it already."""
+
+    @property
+    def parts(self) -> Mapping[str, float]:
+        """What goes round, and in how many metres."""
 
     @property
     def torque_scale(self) -> float:
@@ -125,22 +132,33 @@ class Remembered:
 
 @dataclass(frozen=True)
 class Acting:
-    """Effects sorted: those that act in every step, ready for it, and what those of sensors make of speed and torque."""
+    """Effects sorted: those that act in every step, ready for it, those that follow the clock alone, and what those of sensors
+    make of speed and torque.
+    """
 
     stepped: tuple[Active, ...]
     table: EffectTable
+    watched: tuple[Active, ...]
     sensors: Terms
 
     @classmethod
-    def of(cls, effects: Sequence[Active], facts: Facts) -> Acting:
+    def of(cls, effects: Sequence[Active], facts: VehicleConstants) -> Acting:
         """Sort effects; what a sensor makes of it hangs on nothing but its parameters."""
-        stepped = tuple(active for active in effects if active.effect.acts_on != "sensor")
+        stepped = tuple(active for active in effects if active.effect.acts_on not in ("sensor", WATCHED))
         sensors = [active.terms(conditions(facts)) for active in effects if active.effect.acts_on == "sensor"]
-        return cls(stepped, effect_table(stepped, doubt=False), together(sensors))
+        watched = tuple(active for active in effects if active.effect.acts_on == WATCHED)
+        return cls(stepped, effect_table(stepped, doubt=False), watched, together(sensors))
 
     def speed(self, session: Session) -> Array:
         """True speed [m/s]."""
         return np.ascontiguousarray(session.speed * self.sensors.speed_factor)
+
+    def with_watched(self, torque: Array, session: int) -> Array:
+        """A torque of the session of a number with what follows the clock alone [Nm]."""
+        for active in self.watched:
+            assert isinstance(active.effect, Watched)
+            torque = torque + active.values["level"] * active.effect.shape[session]
+        return torque
 
     def sensed(self, torque: Array, session: Session) -> Array:
         """What the torque sensor shows of a torque [Nm]."""
@@ -154,7 +172,7 @@ class Acting:
         later = session.torque_course.means(session.time + terms.sensor_delay, session.step)
         return np.asarray(shown - (later - session.torque))
 
-    def check(self, left_out: Array, session: Session, facts: Facts) -> None:
+    def check(self, left_out: Array, session: Session, facts: VehicleConstants) -> None:
         """Refuse what a user's effect says where it was left out of a step though all that it needs is known.
 
         Raises
@@ -167,7 +185,7 @@ class Acting:
             return
         for i in np.flatnonzero(left_out)[:MOST_CHECKED]:
             at = conditions(
-                facts, session.speed[i] * self.sensors.speed_factor, session.accel_decorrelated[i], session.weight[i],
+                facts, session.speed[i] * self.sensors.speed_factor, session.accel[i], session.weight[i],
                 session.ambient[i], session.yaw_rate[i], session.heading[i], session.distance[i],
             )  # fmt: skip
             for active in own:

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What every torque sensor does a little: parameters of the fit with tight priors, and no finding.
 
 A torque that is a few hundredths of a second late, an offset of some Nm and a gain within a percent are what instruments are

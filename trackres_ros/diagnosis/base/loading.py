@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Which base model a vehicle file asks for."""
 
 from __future__ import annotations
@@ -9,7 +12,7 @@ from pathlib import Path
 from trackres_ros.diagnosis.base.base import Base
 from trackres_ros.diagnosis.base.road_load import RoadBase, RoadVehicle, load_road_vehicle
 from trackres_ros.diagnosis.base.track import TrackBase
-from trackres_ros.diagnosis.prepare.gate import GateSettings
+from trackres_ros.diagnosis.prepare.settings import GateSettings
 from trackres_ros.effects.effect import Active
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.settings import Settings

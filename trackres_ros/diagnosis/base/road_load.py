@@ -1,7 +1,11 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Road load as a base: a rolling coefficient, air, inertia, a known slope; for a chassis on tyres and other vehicles."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +18,7 @@ from trackres_ros.diagnosis.base.base import Acting, BaseParameter, Predicted, R
 from trackres_ros.diagnosis.prepare.session import Session
 from trackres_ros.diagnosis.writing.kept import Kept
 from trackres_ros.diagnosis.writing.vehicle_file import finish, opened, set_quantity
-from trackres_ros.effects.effect import Active, Facts
+from trackres_ros.effects.effect import Active, VehicleConstants
 from trackres_ros.effects.sensor.delay import Delay
 from trackres_ros.effects.sensor.torque_gain import TorqueGain
 from trackres_ros.effects.stepping import UNUSABLE, cooled, new_memory, new_work, rest_effects
@@ -110,10 +114,11 @@ class RoadBase:
         self._simulated = Remembered()
         v = vehicle.values
         self.torque_scale, self.rotating_mass_factor = v["torque_scale"], v["rotating_mass_factor"]
-        self.facts = Facts(
+        self.facts = VehicleConstants(
             radius=v["wheel_radius"], weight=v["mass"] * GRAVITY, drag_area=v["drag_area"], air_density=v["air_density"],
             contact_length=v["contact_length"], assemblies=1, cooled_area=0.0, tension=1.0,
         )  # fmt: skip
+        self.parts = {"wheels": 2.0 * math.pi * v["wheel_radius"]}
         free = [name for name in FITTED if vehicle.parameters[name].standard_deviation > 0.0]
         if set(ONLY_ONE_OF) <= set(free):
             free = [name for name in free if name not in ONLY_ONE_OF]
@@ -142,8 +147,8 @@ class RoadBase:
         acting = Acting.of([*chain, *self._active, *effects], self.facts)
         torques = self._simulated.rows(sessions, values, acting, lambda: self._simulate(sessions, values, acting))
         found = []
-        for session, torque in zip(sessions, torques, strict=True):
-            nothing = np.full(len(session), np.nan)
+        for i, (session, rolling) in enumerate(zip(sessions, torques, strict=True)):
+            torque, nothing = acting.with_watched(rolling, i), np.full(len(session), np.nan)
             found.append(Predicted(values["torque_scale"] * acting.sensed(torque, session), torque, nothing, nothing))
         return found
 
@@ -170,7 +175,7 @@ class RoadBase:
                 acting.speed(session),
                 session.weight if "load" in session.given else np.full(len(session), values["mass"] * GRAVITY),
                 session.ambient,
-                session.accel_decorrelated,
+                session.accel,
                 session.grade if "grade" in session.given else np.zeros(len(session)),
                 session.yaw_rate,
                 session.heading,

@@ -1,7 +1,11 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The paper's model of a track vehicle as a base: belt loss at the belt's temperature, bearings, air, inertia, known slope."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -28,9 +32,8 @@ from trackres_ros.estimator.entry_points import COMPILED
 from trackres_ros.estimator.kernel import PREDICTED, PREDICTED_BELT, PREDICTED_DRIVE, PREDICTED_OUTCOME, PREDICTED_SKIN
 from trackres_ros.estimator.records import Carried, Series
 from trackres_ros.estimator.settings import Settings
-from trackres_ros.model.facts import facts_of
 from trackres_ros.model.thermal import thermal_network
-from trackres_ros.units import GRAVITY
+from trackres_ros.model.vehicle_constants import vehicle_constants
 from trackres_ros.vehicle import Vehicle
 from trackres_ros.vehicle.reading import FITTED
 from trackres_ros.vehicle.schema import BELT, CHASSIS, RUBBER
@@ -65,14 +68,18 @@ class TrackBase:
         self._networks = {
             name: thermal_network(vehicle.thermal, track.belt, vehicle.rubber) for name, track in vehicle.tracks.items()
         }
-        self._arm = float(np.dot(*(self._constants.assembly[:, column] for column in (at.SHARE_OF_ALL, at.RADIUS))))
         self._firsts, self._count = _kinds(self._constants)
         self._simulated = Remembered()
         self.includes = tuple(active.effect.name for active in vehicle.active)
-        self.facts = facts_of(vehicle)
+        self.facts = vehicle_constants(vehicle)
+        first = vehicle.track_of(vehicle.assemblies[0])
+        self.parts = {
+            "belt": first.belt.loop_length,
+            "sprocket": 2.0 * math.pi * first.sprocket_radius,
+            "road wheels": 2.0 * math.pi * first.road_wheels.radius,
+        }
         self.torque_scale = 1.0
         self.rotating_mass_factor = vehicle.chassis.rotating_mass_factor
-        first = vehicle.track_of(vehicle.assemblies[0])
         limits = {**RUBBER, **CHASSIS, **BELT}
 
         def known(name: str, path: str) -> BaseParameter:
@@ -105,13 +112,10 @@ class TrackBase:
         acting = Acting.of([*self.vehicle.active, *effects], self.facts)
         rows = self._simulated.rows(sessions, values, acting, lambda: self._simulate(sessions, values, acting))
         found = []
-        for session, of_session in zip(sessions, rows, strict=True):
-            drive = np.ascontiguousarray(of_session[:, PREDICTED_DRIVE])
-            inertia = self.rotating_mass_factor * session.weight / GRAVITY
-            # No effect acts on the rest of the inertia: what the speed's own noise makes of it would tell for or against it.
-            quick = self._arm * inertia * (session.accel - session.accel_decorrelated)
-            shown = acting.sensed(drive, session) + quick
-            found.append(Predicted(shown, drive, of_session[:, PREDICTED_BELT].copy(), of_session[:, PREDICTED_SKIN].copy()))
+        for i, (session, of_session) in enumerate(zip(sessions, rows, strict=True)):
+            drive = acting.with_watched(np.ascontiguousarray(of_session[:, PREDICTED_DRIVE]), i)
+            belt, skin = of_session[:, PREDICTED_BELT].copy(), of_session[:, PREDICTED_SKIN].copy()
+            found.append(Predicted(acting.sensed(drive, session), drive, belt, skin))
         return found
 
     def _simulate(self, sessions: Sequence[Session], values: Values, acting: Acting) -> list[Array]:
@@ -132,7 +136,7 @@ class TrackBase:
                 acting.speed(session),
                 session.weight,
                 session.ambient,
-                session.accel_decorrelated,
+                session.accel,
                 session.grade if "grade" in session.given else unknown,
                 session.yaw_rate,
                 session.heading,

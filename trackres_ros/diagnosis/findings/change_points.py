@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """When a residual changes its level for good: another ground, a load taken up, something that broke."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Step 3: where a mismatch is: when an effect acts, and whether torque or temperature is to blame."""
 
 from __future__ import annotations

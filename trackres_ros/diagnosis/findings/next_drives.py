@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Step 9: what to drive next, so that candidates that look alike here come apart."""
 
 from __future__ import annotations
@@ -12,8 +15,8 @@ from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.inference.fitting import Fit, jacobian
 from trackres_ros.diagnosis.inference.noise import whitened
-from trackres_ros.diagnosis.prepare.gate import SLOWEST_MPS
 from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS
 from trackres_ros.diagnosis.selection.naming import Candidate
 
 Array = NDArray[np.float64]

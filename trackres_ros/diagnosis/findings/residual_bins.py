@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Where a residual is not zero: signed means by bin of what drives the physics, corrected for having looked in so many places."""
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""What it comes to: one of four verdicts, in one sentence."""
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""What it comes to: one of five verdicts, in one sentence."""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.base import BaseParameter
+from trackres_ros.diagnosis.described.terms import Described
 from trackres_ros.diagnosis.findings.locate import STRAY_S, Acts, SlowResidual, Span
 from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
 from trackres_ros.diagnosis.inference.fitting import Fit
@@ -71,6 +75,28 @@ class Found:
         return f"<{self.name}: {', '.join(values)}; {self.graded.grade}>"
 
 
+@dataclass(frozen=True, eq=False)
+class Told:
+    """A term without a name that was found.
+
+    Attributes
+    ----------
+    described
+        How it is said.
+    adds
+        What it adds to the expected torque of each session [Nm].
+    intervals
+        Of its parameters.
+    graded
+        What laps not used for fitting say of it.
+    """
+
+    described: Described
+    adds: list[Array]
+    intervals: Mapping[str, Interval]
+    graded: Graded
+
+
 @dataclass(frozen=True, slots=True)
 class Verdict:
     """What it comes to.
@@ -78,7 +104,7 @@ class Verdict:
     Attributes
     ----------
     status
-        ``none``, ``named``, ``one_of`` or ``unexplained``.
+        ``none``, ``named``, ``one_of``, ``described`` or ``unexplained``.
     grade
         Whether laps not used for fitting confirm it: ``confirmed``, ``suspected`` or ``refuted``.
     sentence
@@ -91,12 +117,13 @@ class Verdict:
 
     @property
     def names(self) -> bool:
-        """Whether it stands by names of effects."""
-        return self.status in ("named", "one_of")
+        """Whether it stands by what was named or described."""
+        return self.status in ("named", "one_of", "described")
 
 
 def judge(
     found: Sequence[Found],
+    terms: Sequence[Told],
     refuted: Sequence[Graded],
     refitted: Fit,
     at_end: RegimeMap,
@@ -111,27 +138,29 @@ def judge(
 
     Parameters
     ----------
-    found, refuted
-        Effects that fit, and those that fit and that held-out laps refute.
+    found, terms, refuted
+        Effects and terms without a name that fit, and those that fit and that held-out laps refute.
     """
     left = [b for b in at_end.bins if b.p < LACK_OF_FIT_P]
     besides = f" {_refuted(refuted)}" if refuted else ""
-    if found:
-        added = np.concatenate([sum(x) for x in zip(*(f.adds for f in found), strict=True)])
+    if found or terms:
+        adds = [*(f.adds for f in found), *(t.adds for t in terms)]
+        added = np.concatenate([sum(x) for x in zip(*adds, strict=True)])
         explained = float(np.percentile(np.abs(added), 95.0))  # where they act: some do for minutes of an hour
         largest = max((abs(b.mean_residual) for b in left), default=0.0)
         if largest > LEFT_SHARE * explained:
-            return Verdict("unexplained", SUSPECTED, f"{_unexplained(left)}; {_tentative(found)}{besides}")
-        status = "named" if all(len(f.step.members) <= 1 for f in found) else "one_of"
+            return Verdict("unexplained", SUSPECTED, f"{_unexplained(left)}; {_tentative(found, terms)}{besides}")
+        status = "described" if not found else "named" if all(len(f.step.members) <= 1 for f in found) else "one_of"
         if left:
             besides += f" Something small is left, {_range(left[0])}."
         if left_over.share > MOST_STRAY:
             besides += f" And {_strays(left_over)}."
-        doubted = [f for f in found if f.graded.grade != CONFIRMED]
-        said = ". ".join(_of_effect(f) for f in found)
+        grades = [*(f.graded for f in found), *(t.graded for t in terms)]
+        doubted = [g for g in grades if g.grade != CONFIRMED]
+        said = ". ".join([*(_of_effect(f) for f in found), *(_of_term(t) for t in terms)])
         if not doubted:
             return Verdict(status, CONFIRMED, f"{said}. Confirmed {_gain(held_out, 'with_effects')}.{besides}")
-        why = ". ".join(_doubt(f) for f in doubted)
+        why = ". ".join(map(_doubt, doubted))
         return Verdict(status, SUSPECTED, f"Suspected: {said}. {why}.{besides}")
     if left:
         text = f"{_unexplained(left)}, and no effect of the catalogue explains it."
@@ -185,13 +214,18 @@ def _of_effect(f: Found) -> str:
     return f"{measured}: one of {others}, which these recordings cannot tell apart"
 
 
-def _doubt(f: Found) -> str:
+def _of_term(t: Told) -> str:
+    """A term without a name, and what to look at."""
+    return f"{t.described.sentence}; no effect of the catalogue does this. Look for {', or '.join(t.described.mechanisms)}"
+
+
+def _doubt(graded: Graded) -> str:
     """Why an effect is only suspected."""
-    i, bounds = f.graded.improvement, f.graded.on_bounds
+    i, bounds = graded.improvement, graded.on_bounds
     if i.grade == CONFIRMED:
-        return f"{f.name} lies on a bound of what is plausible ({', '.join(bounds)})"
+        return f"{graded.name} lies on a bound of what is plausible ({', '.join(bounds)})"
     error = f"from {figures(i.before)} to {figures(i.after)} Nm ({figures(i.low, 2)} to {figures(i.high, 2)} Nm better, 95 %)"
-    return f"Laps not used for fitting do not confirm {f.name}: with it their mean error goes {error}"
+    return f"Laps not used for fitting do not confirm {graded.name}: with it their mean error goes {error}"
 
 
 def _refuted(refuted: Sequence[Graded]) -> str:
@@ -257,6 +291,6 @@ def _strays(s: SlowResidual) -> str:
     )
 
 
-def _tentative(found: Sequence[Found]) -> str:
-    names = ", ".join(f.name for f in found)
+def _tentative(found: Sequence[Found], terms: Sequence[Told]) -> str:
+    names = ", ".join([*(f.name for f in found), *(t.described.name for t in terms)])
     return f"{names} would take up a part of it, but what is left is too large for the name to be believed."

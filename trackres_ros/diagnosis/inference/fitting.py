@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Fit a base model, with effects or without: most likely under coloured noise with heavy tails, priors and bounds."""
 
 from __future__ import annotations
@@ -12,6 +15,7 @@ from scipy.optimize import least_squares
 
 from trackres_ros.diagnosis.base.base import Base, BaseParameter, Predicted
 from trackres_ros.diagnosis.base.instrument import instrument
+from trackres_ros.diagnosis.base.watched import WATCHED
 from trackres_ros.diagnosis.inference.noise import LARGEST_ROOT, Noise, estimate_noise, whitened
 from trackres_ros.diagnosis.prepare.session import Session
 from trackres_ros.effects.effect import Active, Effect
@@ -196,9 +200,12 @@ class Fit:
         without = self.problem.predict(self.base_values, [a for a in self.acting if a.effect.name != name])
         return [p.torque - w.torque for p, w in zip(self.predicted, without, strict=True)]
 
-    def without_instrument(self) -> list[Array]:
-        """The torque of each session that a vehicle file with these values expects [Nm]."""
-        return [p.torque for p in self.problem.predict(self.base_values, self.effects)]
+    def of_file(self) -> list[Array]:
+        """The torque of each session that a vehicle file with these values expects [Nm]: no file has what the instrument does,
+        nor what follows the clock alone.
+        """
+        ahead = [a for a in self.effects if a.effect.acts_on != WATCHED]
+        return [p.torque for p in self.problem.predict(self.base_values, ahead)]
 
     @cached_property
     def white(self) -> list[Array]:
@@ -229,12 +236,12 @@ def free_parameters(base: Base, effects: Sequence[Effect]) -> tuple[Free, ...]:
     """All parameters of effects and of a base. Those of sensors come first: nothing has to be simulated anew for them."""
     found = []
     for effect in sorted(effects, key=lambda e: e.acts_on != "sensor"):
-        for q in effect.parameters:
+        for q in (q for q in effect.parameters if q.fitted):
             wide = q.high - q.low
             # How large an effect is hangs together with what is typical; what only shapes it is as unknown as its bounds say.
             std = 0.5 * wide if q.off is None else LARGE * abs(q.start - q.off)
             found.append(Free((effect.name, q.name), q.unit, q.low, q.high, q.start if q.off is None else q.off, std, wide))
-    of_sensors = sum(len(e.parameters) for e in effects if e.acts_on == "sensor")
+    of_sensors = sum(q.fitted for e in effects if e.acts_on == "sensor" for q in e.parameters)
     return (*found[:of_sensors], *map(_of_base, base.parameters), *found[of_sensors:])
 
 
@@ -266,6 +273,7 @@ def fit(
     named = [e.name for e in effects]
     sensed = [e for e in instrument(problem.base) if e.name not in named]
     everything = [*sensed, *effects]
+    shape = {(e.name, q.name): q.start for e in everything for q in e.parameters if not q.fitted}
     free = tuple(f for f in free_parameters(problem.base, everything) if f.key not in held)
     low, high = np.array([f.low for f in free]), np.array([f.high for f in free])
     scale = np.array([f.scale for f in free])
@@ -274,7 +282,7 @@ def fit(
     point = np.clip([given.get(f.key, f.nominal) for f in free], low + 1e-9 * scale, high - 1e-9 * scale)
 
     def model(at: Array) -> tuple[dict[str, float], tuple[Active, ...]]:
-        values = {**held, **{f.key: float(x) for f, x in zip(free, at, strict=True)}}
+        values = {**shape, **held, **{f.key: float(x) for f, x in zip(free, at, strict=True)}}
         base = {name: value for (effect, name), value in values.items() if not effect}
         return base, tuple(Active(e, {q.name: values[e.name, q.name] for q in e.parameters}) for e in everything)
 

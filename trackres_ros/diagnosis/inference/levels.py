@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Values by which levels count: a fit under noise that is not taken for a random walk.
 
 Tests whiten the residual as far as it goes. On a road its autoregression then comes near a unit root, and what is left is

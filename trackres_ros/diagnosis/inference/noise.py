@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Residuals are no white noise: each resembles the one before, and some are far out.
 
 An autoregression makes them white; what is left then is taken for Student's t, whose tails are as heavy as the data say.

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What the diagnosis works on: recordings as evenly spaced series in SI, and which part of them serves for what."""
 
 from __future__ import annotations
@@ -12,7 +15,6 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 AROUND = 5  # steps, odd
-NEGLIGIBLE = 0.01  # share of a variance
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +59,11 @@ class Session:
     given
         The channels that were measured.
     accel_noise
-        Standard deviation of what an error of the speed makes of the acceleration [m/s^2]; 0 where that was measured.
+        Standard deviation of what an error of the speed makes of the acceleration [m/s^2]; 0 where it cannot be told. It is
+        that of a smoothed speed, which does not vary with what the speed is said to be: it hides no share of the inertia.
+    torque_noise
+        Standard deviation of what the torque's noise from sample to sample leaves in the mean over a step [Nm]; 0 where it
+        cannot be told.
     belt_shows_surface
         Whether the measured belt temperature is that of the surface, or the mean.
     torque_course
@@ -83,6 +89,7 @@ class Session:
     given: frozenset[str] = field(default_factory=frozenset)
     torque_course: Course | None = None
     accel_noise: float = 0.0
+    torque_noise: float = 0.0
     belt_shows_surface: bool = False
 
     def __len__(self) -> int:
@@ -93,16 +100,6 @@ class Session:
         """Acceleration [m/s^2] as a mean over `AROUND` steps, in which errors of the speed at the edges of a step cancel."""
         inside = np.convolve(np.ones(len(self)), np.ones(AROUND), mode="same")
         return np.asarray(np.convolve(self.accel, np.ones(AROUND), mode="same") / inside)
-
-    @cached_property
-    def accel_decorrelated(self) -> Array:
-        """Acceleration [m/s^2] that shares no error of the speed with the inertia that is expected of a step.
-
-        Such an error is in both alike, and would look like an inertia or an efficiency that is off, the more the more the
-        noise is coloured. So `accel_around` is taken, unless the error is next to nothing beside what it leaves out.
-        """
-        quick = float(np.var(self.accel - self.accel_around))
-        return self.accel if self.accel_noise**2 <= NEGLIGIBLE * quick else self.accel_around
 
 
 @dataclass(frozen=True, eq=False)

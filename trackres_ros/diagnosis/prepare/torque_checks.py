@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Step 0, second half: units, signs and clocks of the torque, judged by what the vehicle file expects."""
 
 from __future__ import annotations
@@ -8,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.prepare.gate import SLOWEST_MPS, GateSettings
 from trackres_ros.diagnosis.prepare.session import Course, Session
+from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS, GateSettings
 from trackres_ros.diagnosis.prepare.unit_checks import Conversion
 from trackres_ros.errors import InputError
 from trackres_ros.units import KMH_PER_MPS, MAD_TO_STD

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Step 0, first half: units of what is recorded beside the torque, judged by what vehicle and weather can be."""
 
 from __future__ import annotations
@@ -10,7 +13,8 @@ from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.constants import PLAUSIBLE
-from trackres_ros.recording.recording import ROLES, Series, base_role
+from trackres_ros.recording.roles import ROLES, base_role
+from trackres_ros.recording.samples import Series
 from trackres_ros.units import GRAVITY, KMH_PER_MPS
 
 Array = NDArray[np.float64]

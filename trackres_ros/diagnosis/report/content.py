@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The diagnosis as report.json; its form is fixed, additions are allowed."""
 
 from __future__ import annotations
@@ -10,10 +13,12 @@ from typing import Any
 
 import numpy as np
 
+from trackres_ros.diagnosis.described.terms import Described
 from trackres_ros.diagnosis.findings.residual_bins import Bin
-from trackres_ros.diagnosis.findings.verdict import Found, likelier
+from trackres_ros.diagnosis.findings.residual_sources import ResidualSources, residual_sources
+from trackres_ros.diagnosis.findings.verdict import Found, Told, likelier
 from trackres_ros.diagnosis.pipeline import Diagnosis
-from trackres_ros.diagnosis.selection.held_out import Improvement
+from trackres_ros.diagnosis.selection.held_out import SUSPECTED, Improvement
 from trackres_ros.diagnosis.selection.intervals import Interval
 from trackres_ros.diagnosis.selection.naming import STABLE_SHARE, Candidate, Step
 from trackres_ros.diagnosis.writing.sensor_lines import sensor_lines
@@ -58,6 +63,7 @@ def report(d: Diagnosis, paths: Sequence[Path], bindings: Mapping[str, TopicBind
             "hint": d.steps[-1].hint or None,
         },
         "effects": [_effect(f, belongs_to[f.name]) for f in d.found],
+        "described": [_described(t) for t in d.described] + ([_drift(d.wanders)] if d.wanders else []),
         "refuted": [{"name": g.name, "heldout": _improvement(g.improvement)} for g in d.refuted],
         "written": {
             "base": d.kept.values is not None,
@@ -120,6 +126,7 @@ def report(d: Diagnosis, paths: Sequence[Path], bindings: Mapping[str, TopicBind
         ],
         "whiteness_p": _number(d.periodogram_p),
         "noise": d.noise.text,
+        "residual_sources": _sources(residual_sources(d.final)),
         "split": d.split.text,
         "notes": list(d.gated.notes),
         "kept": {kind: [a.effect.name for a in d.kept.of(kind)] for kind in BELONGS_TO},
@@ -208,6 +215,47 @@ def _effect(f: Found, belongs_to: str) -> dict[str, Any]:
             "d_prime": _number(chosen.d_prime),
         },
         "text": f.text,
+    }
+
+
+def _sources(s: ResidualSources) -> dict[str, Any]:
+    return {
+        "total": _number(s.total),
+        "torque_sensor": None if s.torque_sensor is None else _number(s.torque_sensor),
+        "speed_sensor": None if s.speed_sensor is None else _number(s.speed_sensor),
+        "model_at_most": _number(s.model),
+        "unit": "Nm",
+        "text": s.text,
+    }
+
+
+def _described(t: Told) -> dict[str, Any]:
+    of = t.described
+    return {
+        **_term(of),
+        "gain_nm": _number(t.graded.improvement.before - t.graded.improvement.after),
+        "grade": t.graded.grade,
+        "heldout": _improvement(t.graded.improvement),
+        "parameters": {name: _pair(interval) for name, interval in t.intervals.items()},
+    }
+
+
+def _drift(of: Described) -> dict[str, Any]:
+    return {**_term(of), "gain_nm": None, "grade": SUSPECTED, "heldout": None, "parameters": {}}
+
+
+def _term(of: Described) -> dict[str, Any]:
+    return {
+        "form": of.form,
+        "name": of.name or None,
+        "variable": of.variable or None,
+        "gate": of.gate or None,
+        "period_m": None if of.period_m is None else _number(of.period_m),
+        "memory": None if of.memory is None else _number(of.memory),
+        "size_nm": _number(of.size_nm),
+        "sentence": of.sentence,
+        "mechanisms": list(of.mechanisms),
+        "predictable": of.predictable,
     }
 
 

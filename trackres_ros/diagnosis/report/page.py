@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """report.html: one page without a network, readable on paper and on a phone."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The pictures of a diagnosis. Each has a text that says what it shows, for who cannot see it."""
 
 from __future__ import annotations

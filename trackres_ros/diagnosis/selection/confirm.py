@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What laps that were never used say of each effect, and which of all that was found may be written and fed forward."""
 
 from __future__ import annotations
@@ -8,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.diagnosis.base.watched import WATCHED
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.inference.levels import with_levels
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, HeldOut, HeldOutLaps, Improvement
@@ -87,21 +91,21 @@ def keep(
     bounds
         Intervals of `final`.
     """
-    named = [a.effect.name for a in final.effects]
+    doubted = [a.effect.name for a in final.effects if a.effect.name not in believed and a.effect.acts_on != WATCHED]
     models = [refitted]
     if believed:
-        models.insert(0, final if set(believed) == set(named) else with_levels(final, [n for n in named if n not in believed]))
+        models.insert(0, with_levels(final, doubted) if doubted else final)
     before = held_out.mae["nominal"]
-    doubted = [name for name in named if name not in believed]
     but = f"; not written: {', '.join(doubted)}" if doubted else ""
     for model in models:
-        after = float(np.abs(laps.measured - laps.of(model.without_instrument())).mean())
+        after = float(np.abs(laps.measured - laps.of(model.of_file())).mean())
         if after <= before:
             found = bounds if model is final else intervals(model)
-            of_effects = ", ".join(a.effect.name for a in model.effects)
+            effects = tuple(a for a in model.effects if a.effect.acts_on != WATCHED)
+            of_effects = ", ".join(a.effect.name for a in effects)
             what = f"the base's values and {of_effects}" if of_effects else "the base's values"
             error = f"the mean error on laps not used for fitting is {figures(after)} Nm, {figures(before)} Nm with the old one"
-            return Kept(dict(model.base_values), model.effects, found, f"written: {what}; {error}{but}")
+            return Kept(dict(model.base_values), effects, found, f"written: {what}; {error}{but}")
     why = f"as no re-fit has a smaller error on laps not used for fitting than they, {figures(before)} Nm"
     return Kept(None, (), {}, f"written: the file's own values, {why}{but}")
 
@@ -113,6 +117,6 @@ def _graded(active: Active, final: Fit, refitted: Fit, laps: HeldOutLaps) -> Gra
         q.name
         for q in active.effect.parameters
         for bound in (q.low, q.high)
-        if bound != q.off and abs(active.values[q.name] - bound) <= ON_BOUND * (q.high - q.low)
+        if q.fitted and bound != q.off and abs(active.values[q.name] - bound) <= ON_BOUND * (q.high - q.low)
     )
     return Graded(name, laps.improvement_of(without, final), on_bounds)

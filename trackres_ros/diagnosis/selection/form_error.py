@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What an effect would add in another form: nature's functions are not the catalogue's."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Step 8: what the better model is worth on laps that were never used, and whether they confirm it."""
 
 from __future__ import annotations

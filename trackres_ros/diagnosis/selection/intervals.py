@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Step 7: how well the parameters of a chosen effect are known: profile likelihood, widened by what laps say, and by how far
 nature's function may be from the catalogue's.
 """

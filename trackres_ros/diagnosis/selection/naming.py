@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Step 5, second half: candidates that survive are re-fitted together with the base, compared, and chosen forward and back."""
 
 from __future__ import annotations
@@ -58,6 +61,11 @@ class Candidate:
     d_prime: float
     share: float
     form_error_gain: float
+
+    @property
+    def effect(self) -> Effect:
+        """The effect itself."""
+        return next(a.effect for a in self.fit.effects if a.effect.name == self.name)
 
     @property
     def net_gain(self) -> float:
@@ -141,14 +149,14 @@ def choose(
     current = base_fit
     for round_ in range(MOST_EFFECTS + 1):
         on_stage(f"naming, round {round_ + 1}: {', '.join(current.effect_names) or 'base alone'}")
-        step = _round(current, effects, replicates, rng)
+        step = one_round(current, effects, replicates, rng)
         steps.append(step)
         if step.chosen is None or round_ == MOST_EFFECTS:
             break
         current = step.chosen.fit
     if len(current.effects) > 1:
         current, steps = _drop(current, steps)
-        current, steps = _compared_again(current, steps, effects, rng)
+        current, steps = _compared_again(current, steps, rng)
     return [_apart(s, current.effect_names) for s in steps], current
 
 
@@ -161,7 +169,8 @@ def _apart(step: Step, chosen: Sequence[str]) -> Step:
     return replace(step, members=tuple(kept), weights={m: w / total for m, w in kept.items()})
 
 
-def _round(current: Fit, effects: Mapping[str, Effect], replicates: int, rng: np.random.Generator) -> Step:
+def one_round(current: Fit, effects: Mapping[str, Effect], replicates: int, rng: np.random.Generator) -> Step:
+    """Which effect, if any, explains most of what a fit leaves; of one name there may be several, of which the best counts."""
     seen = separability(effects, current)
     screened = screen(current, seen.visible, replicates, rng)
     gains = tuple((s.effect.name, gain) for s, gain in screened.gains)
@@ -178,8 +187,7 @@ def _round(current: Fit, effects: Mapping[str, Effect], replicates: int, rng: np
     ]
     names = list(dict.fromkeys(s.effect.name for s in worth))[:MOST_REFITTED]
     candidates = [
-        _refit(current, effects[name], [s for s in worth if s.effect.name == name], screened.form_error_gain.get(name, 0.0))
-        for name in names
+        _refit(current, [s for s in worth if s.effect.name == name], screened.form_error_gain.get(name, 0.0)) for name in names
     ]
     candidates.sort(key=lambda c: (not c.matters, -c.net_evidence))
     first = candidates[0]
@@ -195,35 +203,36 @@ def spurious_gain(current: Fit) -> float:
 
     That error does not average out: the longer a recording and the smaller its noise, the more it looks like physics.
     """
-    torque = _rms([s.torque for s in current.problem.sessions], current)
+    torque = rms([s.torque for s in current.problem.sessions], current)
     samples = sum(int(mask.sum()) for mask in current.problem.masks)
     return 0.5 * samples * (MODEL_ERROR * torque * current.noise.dc_gain / current.noise.std) ** 2
 
 
-def _refit(current: Fit, effect: Effect, found: Sequence[Sensitivity], form_error_gain: float) -> Candidate:
+def _refit(current: Fit, found: Sequence[Sensitivity], form_error_gain: float) -> Candidate:
     """The best of the fits from each start."""
+    name = found[0].effect.name
     active = [a.effect for a in current.effects]
     best: Fit | None = None
     for sensitivity in found:
-        start = {**current.at, **{(effect.name, name): value for name, value in _begin(sensitivity).items()}}
-        tried = fit(current.problem, [*active, effect], start, current.noises)
+        start = {**current.at, **{(name, parameter): value for parameter, value in _begin(sensitivity).items()}}
+        tried = fit(current.problem, [*active, sensitivity.effect], start, current.noises)
         if best is None or tried.log_likelihood > best.log_likelihood:
             best = tried
     assert best
     strongest = max(found, key=lambda s: s.d_prime)
-    return _candidate(current, best, effect.name, strongest.kept, strongest.d_prime, form_error_gain)
+    return compared(current, best, name, strongest.kept, strongest.d_prime, form_error_gain)
 
 
-def _candidate(current: Fit, found: Fit, name: str, kept: float, d_prime: float, form_error_gain: float) -> Candidate:
-    """What a fit with one more effect is worth over the one without."""
+def compared(current: Fit, found: Fit, name: str, kept: float, d_prime: float, form_error_gain: float) -> Candidate:
+    """What a fit with one more effect gains over the one without."""
     gain = found.log_likelihood - current.log_likelihood
     bic = 2.0 * gain - np.log(effective_samples(found)) * effective_parameters(found, name)
     criterion = found.log_evidence - current.log_evidence
-    share = _rms(found.contribution(name), found) / max(_rms([s.torque for s in found.problem.sessions], found), 1e-12)
+    share = rms(found.contribution(name), found) / max(rms([s.torque for s in found.problem.sessions], found), 1e-12)
     return Candidate(name, found, gain, criterion, bic, kept, d_prime, share, form_error_gain)
 
 
-def _rms(series: Sequence[Array], found: Fit) -> float:
+def rms(series: Sequence[Array], found: Fit) -> float:
     """Root mean square over the samples that count."""
     used = np.concatenate([x[m] for x, m in zip(series, found.problem.masks, strict=True)])
     return float(np.sqrt(np.mean(used[np.isfinite(used)] ** 2)))
@@ -322,9 +331,7 @@ def _drop(current: Fit, steps: list[Step]) -> tuple[Fit, list[Step]]:
     return current, [s for s in steps if s.chosen is None or s.chosen.name in remaining]
 
 
-def _compared_again(
-    current: Fit, steps: list[Step], effects: Mapping[str, Effect], rng: np.random.Generator
-) -> tuple[Fit, list[Step]]:
+def _compared_again(current: Fit, steps: list[Step], rng: np.random.Generator) -> tuple[Fit, list[Step]]:
     """Each effect against its rivals beside the others: the first was chosen when what the others explain was still left."""
     for i, step in enumerate(steps):
         chosen = step.chosen
@@ -342,7 +349,7 @@ def _compared_again(
         if len(rivals) < 2:
             continue
         without = fit(current.problem, others, current.at, current.noises)
-        again = sorted((_beside(without, others, effects[c.name], c) for c in rivals), key=lambda c: -c.net_evidence)
+        again = sorted((_beside(without, others, c) for c in rivals), key=lambda c: -c.net_evidence)
         first = again[0]
         weights = _class_of(first, again, step.separability)
         members, widened, stability = _widened(weights, _wins(without, again, rng))
@@ -354,8 +361,9 @@ def _compared_again(
     return current, steps
 
 
-def _beside(without: Fit, others: Sequence[Effect], effect: Effect, before: Candidate) -> Candidate:
+def _beside(without: Fit, others: Sequence[Effect], before: Candidate) -> Candidate:
     """A candidate fitted again, with other effects beside it than at first."""
-    own = {key: value for key, value in before.fit.at.items() if key[0] == effect.name}
+    own = {key: value for key, value in before.fit.at.items() if key[0] == before.name}
+    effect = before.effect
     found = fit(without.problem, [*others, effect], {**without.at, **own}, without.noises)
-    return _candidate(without, found, effect.name, before.kept, before.d_prime, before.form_error_gain)
+    return compared(without, found, before.name, before.kept, before.d_prime, before.form_error_gain)

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Step 5, first half: what each effect would gain, to first order, and what the best of them would gain from noise alone."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Step 4: what could be seen in these recordings at all, and what could not be told apart, before anything is named."""
 
 from __future__ import annotations
@@ -102,7 +105,8 @@ def feasible(effects: Mapping[str, Effect], fit: Fit) -> tuple[list[Effect], lis
     sessions = fit.problem.sessions
     given = frozenset.intersection(*(s.given for s in sessions))
     possible, not_visible = [], []
-    for name, effect in effects.items():
+    for effect in effects.values():
+        name = effect.name
         missing = [need for need in effect.needs if need not in ALWAYS_KNOWN and need not in given]
         measured = [channel for channel, names in REPLACED_BY.items() if name in names and channel in given]
         if name in fit.effect_names:

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What of a diagnosis may be written out."""
 
 from __future__ import annotations

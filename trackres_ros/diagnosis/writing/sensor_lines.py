@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What of a diagnosis is a sensor's: corrected where the sensor is read, by its line of the topics file, and nowhere else."""
 
 from __future__ import annotations
@@ -7,11 +10,11 @@ from dataclasses import fields, replace
 from typing import Any
 
 from trackres_ros.diagnosis.writing.yaml_edit import flow
-from trackres_ros.effects.effect import Active, Facts, conditions, together
+from trackres_ros.effects.effect import Active, VehicleConstants, conditions, together
 from trackres_ros.recording.bindings import TopicBinding
 
 FIGURES = 6
-NOTHING_KNOWN = conditions(Facts(1.0, 1.0, 0.0, 0.0, 1.0, 1, 0.0, 0.0))  # a sensor's error hangs on nothing
+NOTHING_KNOWN = conditions(VehicleConstants(1.0, 1.0, 0.0, 0.0, 1.0, 1, 0.0, 0.0))  # a sensor's error hangs on nothing
 
 
 def sensor_lines(sensors: Sequence[Active], bindings: Mapping[str, TopicBinding], torque_scale: float) -> dict[str, str]:

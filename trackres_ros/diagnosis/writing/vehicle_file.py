@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a diagnosis leaves to be driven with: the vehicle file as it was but for what was learned, and the surroundings' file.
 
 The rubber's file and those of effects of the user's own are copied beside it, so that the folder can be moved as a whole.
@@ -135,7 +138,7 @@ def _comment(text: str) -> str:
 
 def _values(active: Active) -> dict[str, Any]:
     found: dict[str, Any] = {}
-    for q in active.effect.parameters:
+    for q in (q for q in active.effect.parameters if not q.is_fixed):
         value = _within(active.values[q.name], q.low, q.high)
         span = active.ranges.get(q.name)
         limited = [_within(x, q.low, q.high) for x in span] if span else []

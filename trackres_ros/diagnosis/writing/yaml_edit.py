@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Change single values in the text of a YAML file: all the rest stays as it was written, comments, order, layout and figures."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The speed is scaled wrong, by a wrong radius for one."""
 
 from __future__ import annotations

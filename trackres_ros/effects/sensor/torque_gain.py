@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The torque sensor shows a share too much or too little."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A slope of the road that is not measured."""
 
 from __future__ import annotations

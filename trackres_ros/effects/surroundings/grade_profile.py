@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A plane that is not level, driven in changing directions."""
 
 from __future__ import annotations

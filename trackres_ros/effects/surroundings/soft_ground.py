@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The ground gives way, and making the rut takes work."""
 
 from __future__ import annotations

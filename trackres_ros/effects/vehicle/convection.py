@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Cooling by air off, at rest and with speed."""
 
 from __future__ import annotations

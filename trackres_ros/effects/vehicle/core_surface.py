@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The inside of the belt is hotter than its skin."""
 
 from __future__ import annotations

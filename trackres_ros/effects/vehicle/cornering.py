@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Side force in bends turns the contact out of the direction of travel."""
 
 from __future__ import annotations

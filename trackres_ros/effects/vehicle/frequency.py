@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The loss modulus grows with frequency more, or less, than the shift factor says."""
 
 from __future__ import annotations

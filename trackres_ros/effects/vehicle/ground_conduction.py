@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The belt gives heat to the ground it lies on and to its wheels."""
 
 from __future__ import annotations

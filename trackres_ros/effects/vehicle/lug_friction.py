@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Guide lugs rub on wheels, teeth on the sprocket."""
 
 from __future__ import annotations

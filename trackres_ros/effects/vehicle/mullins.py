@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """New rubber softens for good over its first kilometres."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Filled rubber loses relatively most at a middle strain."""
 
 from __future__ import annotations

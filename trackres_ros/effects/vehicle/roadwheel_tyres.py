@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Rubber on the road wheels, or tyres: they lose too, less once they are warm."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Rotating parts that the vehicle file leaves out or counts too high."""
 
 from __future__ import annotations

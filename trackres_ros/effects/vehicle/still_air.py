@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A standing belt cools by natural convection and radiation only."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Seals and plain bearings: a friction that is greatest just after they start to slide."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The driving side of the belt is strained by the torque it carries."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The ground contact slides sideways where the path is curved."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The belt swings at some speed and takes work for it."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Gear oil and bearings after a stop, lumped."""
 
 from __future__ import annotations

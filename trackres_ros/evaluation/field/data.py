@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Public recordings of real vehicles as tables that `trackres diagnose` reads. The project holds none of them.
 
 The car: Steinstraeter, Buberger, Trifonov, "Battery and Heating Data in Real Driving Cycles", IEEE DataPort,

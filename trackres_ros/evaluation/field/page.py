@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Page and pictures of the diagnosis on real recordings."""
 
 from __future__ import annotations

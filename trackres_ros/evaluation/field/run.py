@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The diagnosis on real recordings with a measured channel concealed, and again with it given."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Figure 26: torque at four ambient temperatures; the claims of section 4.2.3 and conclusion 4."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The claims that the paper makes of speed, weight and ambient temperature alike: torque falls, and what it tends to."""
 
 from __future__ import annotations

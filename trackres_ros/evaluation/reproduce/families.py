@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What the studies of speed, weight and ambient temperature share: one drive for each value, drawn and judged alike."""
 
 from __future__ import annotations

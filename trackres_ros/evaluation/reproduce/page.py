@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The page of a reproduction, from its summary alone."""
 
 from __future__ import annotations

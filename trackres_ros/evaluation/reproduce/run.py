@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Run everything and write pictures, tables, summary and page."""
 
 from __future__ import annotations

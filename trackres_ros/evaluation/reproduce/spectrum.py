@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Figures 10 and 11: strain of the belt round the loop by component, and the cycles that rainflow counts in it."""
 
 from __future__ import annotations

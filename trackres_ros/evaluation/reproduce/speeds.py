@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Figure 24: torque at five speeds, each reached in a ramp and held; the claims of section 4.2.1 and conclusion 2."""
 
 from __future__ import annotations

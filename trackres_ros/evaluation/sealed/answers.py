@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What was said of a case, by the diagnosis or by a simpler method, in one form."""
 
 from __future__ import annotations
@@ -6,7 +9,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from trackres_ros.evaluation.sealed.cases import Form
+
 SURE = ("named", "one_of")
+DESCRIBED = "described"
+ABOUT = ("variable", "gate", "memory")
 BASELINES = {
     "naive": "regression of the residual on one effect",
     "aic": "AIC, not whitened",
@@ -16,16 +23,34 @@ BASELINES = {
 
 
 @dataclass(frozen=True)
+class Description:
+    """A term that has a form and no name: the form, and the words for what it is a function of, its gate and its memory."""
+
+    form: str
+    about: str
+
+
+@dataclass(frozen=True)
 class Answer:
-    """A status as in the verdict, and the classes of effects that it stands by, one for each that it says is missing."""
+    """A status as in the verdict; the classes of effects that it stands by, one for each that it says is missing; and what it
+    describes without a name.
+    """
 
     status: str
     classes: tuple[tuple[str, ...], ...]
+    described: tuple[Description, ...] = ()
 
     @property
     def first(self) -> str:
         """The name given first; without any the status."""
         return self.classes[0][0] if self.classes else self.status
+
+    def describes(self, forms: Sequence[Form]) -> bool:
+        """Whether the verdict is a description, and the form given first is one of these."""
+        if self.status != DESCRIBED or not self.described:
+            return False
+        said = self.described[0]
+        return any(said.form == form.name and all(word in said.about for word in form.about) for form in forms)
 
     def holds(self, true: set[str]) -> int:
         """How many classes have a true effect in them."""
@@ -35,9 +60,29 @@ class Answer:
 def of_report(report: dict[str, Any]) -> Answer:
     """What a report stands by: the name it gives first stands first in each class."""
     status = str(report["verdict"]["status"])
+    described = tuple(
+        Description(str(term["form"]), " ".join(filter(None, (_words(term.get(key)) for key in ABOUT))))
+        for term in report.get("described", ())
+    )
     if status not in SURE:
-        return Answer(status, ())
-    return Answer(status, tuple((e["name"], *(m for m in e["class"] if m != e["name"])) for e in report["effects"]))
+        return Answer(status, (), described)
+    classes = ((e["name"], *(m for m in e["class"] if m != e["name"])) for e in report["effects"])
+    return Answer(status, tuple(classes), described)
+
+
+def _words(value: Any) -> str:
+    """The words in a part of a report; of a mapping the keys that hold something, and what they hold."""
+    if isinstance(value, dict):
+        return " ".join(f"{key} {_words(held)}" for key, held in value.items() if held not in (None, False))
+    if isinstance(value, list):
+        return " ".join(_words(one) for one in value)
+    return value.lower() if isinstance(value, str) else ""
+
+
+def error_left(report: dict[str, Any]) -> float:
+    """Mean absolute error on held-out laps with all that was named or described [Nm]."""
+    terms = [term["heldout"]["mae"][1] for term in report.get("described", ()) if term.get("heldout")]
+    return float(terms[-1] if terms else report["heldout"]["mae"]["with_effects"])
 
 
 def of_names(names: Sequence[str]) -> Answer:

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Simpler methods, given the same residual of the same re-fitted base and the same shapes of effects, to compare with.
 
 None of them whitens the residual, knows how alike two effects look, or may say that it cannot tell.

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Second process of a run: diagnoses each case, given its recordings and vehicle file and nothing else.
 
 `python -m trackres_ros.evaluation.sealed.blind CASES RESULTS`; what is there already is not done again.
@@ -49,11 +52,14 @@ def diagnosed(folder: Path) -> tuple[Diagnosis, list[Path]]:
 def _diagnose(folder: Path, results: Path) -> None:
     from trackres_ros.diagnosis.report.content import report
     from trackres_ros.evaluation.sealed.baselines import simple_answers
+    from trackres_ros.evaluation.sealed.discrepancy import learned_errors
 
     found, paths = diagnosed(folder)
     simple = simple_answers(found.refitted, found.steps[0].separability)
+    learned = learned_errors(found.refitted, found.split)
     partial = results / f"{folder.name}.part"
-    partial.write_text(json.dumps({"report": report(found, paths), "simple": asdict(simple)}), encoding="utf-8")
+    result = {"report": report(found, paths), "simple": asdict(simple), "learned": learned}
+    partial.write_text(json.dumps(result), encoding="utf-8")
     partial.rename(results / f"{folder.name}.json")
 
 

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What is hidden in which case: levels, sizes, builds of the vehicle, all drawn from one seed."""
 
 from __future__ import annotations
@@ -10,14 +13,18 @@ from typing import Any
 
 import numpy as np
 
+from trackres_ros.evaluation.sealed.sensors import Sensors
 from trackres_ros.evaluation.sealed.truth import Build
 
 Values = dict[str, float]
 Draw = Callable[[np.random.Generator, float], Values]
 
-LEVELS = {"none": 60, "single": 60, "masked": 40, "compensated": 40, "two": 40, "confounded": 30, "outside": 30}
-QUICK = {"none": 14, "single": 14, "masked": 9, "compensated": 9, "two": 9, "confounded": 8, "outside": 7}
+LEVELS = {"none": 60, "single": 60, "masked": 40, "compensated": 40, "two": 40, "confounded": 24, "outside": 36}
+QUICK = {"none": 14, "single": 14, "masked": 9, "compensated": 9, "two": 9, "confounded": 6, "outside": 9}
 MASKED_SIZE = (0.2, 0.4)  # of a clear one
+# What any instrument has, which is no finding: less than a hidden `delay`, `torque_offset` or `torque_gain` adds.
+SPEED_STEPS_MPS = (0.02, 0.05)
+MOST_LAG_S, MOST_OFFSET_NM, MOST_GAIN = 0.1, 15.0, 0.005
 
 
 @dataclass(frozen=True)
@@ -58,6 +65,10 @@ def _pm(rng: np.random.Generator, low: float, high: float) -> float:
 
 def _turn(rng: np.random.Generator) -> float:
     return float(rng.uniform(0.0, 2.0 * np.pi))
+
+
+def _seed(rng: np.random.Generator) -> float:
+    return float(rng.integers(1_000_000))
 
 
 CATALOGUE: dict[str, Draw] = {
@@ -104,11 +115,60 @@ CATALOGUE: dict[str, Draw] = {
 """Draws of the truth's parameters by effect, at a size of 1: clear. What the base re-fits itself is not among them."""
 
 OUTSIDE: dict[str, Draw] = {
-    "sticking_brake": lambda g, s: {"torque": s * g.uniform(300.0, 800.0), "seed": float(g.integers(1_000_000))},
-    "mud": lambda g, s: {"torque": s * g.uniform(300.0, 800.0), "distance": g.uniform(300.0, 1200.0)},
-    "left_turns": lambda g, s: {"torque": s * g.uniform(250.0, 600.0)},
+    "sticking_brake": lambda g, s: {"torque": s * g.uniform(300.0, 800.0), "seed": _seed(g)},
+    "mud": lambda g, s: {"torque": s * g.uniform(300.0, 800.0), "distance": g.uniform(300.0, 1200.0), "seed": _seed(g)},
+    "left_turns": lambda g, s: {"torque": s * g.uniform(250.0, 600.0), "seed": _seed(g)},
+    "pump": lambda g, s: {"torque": s * g.uniform(200.0, 500.0), "seed": _seed(g)},
+    "brake_after_stops": lambda g, s: {"torque": s * g.uniform(350.0, 800.0), "seed": _seed(g)},
+    "backlash": lambda g, s: {"torque": s * g.uniform(300.0, 900.0), "band": g.uniform(80.0, 300.0), "seed": _seed(g)},
+    "light_resonance": lambda g, s: {
+        "torque": s * g.uniform(300.0, 700.0), "speed": g.uniform(4.0, 10.0), "width": g.uniform(0.7, 1.6),
+        "load": g.uniform(0.87, 0.93), "seed": _seed(g),
+    },
+    "stiff_joint": lambda g, s: {
+        "torque": s * g.uniform(300.0, 800.0), "length": g.uniform(0.97, 1.03), "phase": _turn(g), "seed": _seed(g),
+    },
+    "zero_drift": lambda g, s: {"torque": s * g.uniform(100.0, 200.0), "seed": _seed(g)},
+}  # fmt: skip
+"""What no catalogue has, drawn equally often; the functions are in `outside`."""
+
+
+@dataclass(frozen=True)
+class Form:
+    """A description by form that is right of a phenomenon.
+
+    Attributes
+    ----------
+    name
+        Of the form, as in a report.
+    about
+        Words that what it is a function of, its gate and its memory must hold between them.
+    """
+
+    name: str
+    about: tuple[str, ...] = ()
+
+
+SPELLS, WAVE, DRIFT, BUILD_UP = (Form(name) for name in ("spells", "wave", "drift", "build_up"))
+RIGHT_FORMS: dict[str, tuple[Form, ...]] = {
+    "sticking_brake": (SPELLS,),
+    "mud": (BUILD_UP,),
+    "left_turns": (Form("gated_curve", ("left",)), Form("gated_curve", ("yaw",)), Form("curve", ("yaw",))),
+    "pump": (SPELLS,),
+    "brake_after_stops": (SPELLS, Form("build_up", ("stop",)), Form("build_up", ("stand",))),
+    "backlash": (Form("curve", ("driving torque",)), Form("gated_curve", ("driving torque",))),
+    "light_resonance": (Form("gated_curve", ("speed", "load")),),
+    "stiff_joint": (WAVE,),
+    "zero_drift": (DRIFT,),
 }
-"""What no catalogue has."""
+"""Of each phenomenon outside the catalogue the forms that describe it."""
+PREDICTABLE_FORMS = ("curve", "gated_curve", "build_up", "wave", "place", "level_change")
+"""What can be said ahead: of the others nothing but when it has begun."""
+
+
+def predictable(name: str) -> bool:
+    """Whether what a phenomenon outside the catalogue adds can be known ahead."""
+    return all(form.name in PREDICTABLE_FORMS for form in RIGHT_FORMS[name])
 
 
 def draw_cases(counts: Mapping[str, int], seed: int) -> list[Case]:
@@ -158,3 +218,20 @@ def _case(level: str, i: int, rng: np.random.Generator) -> Case:
 def build_of(case: Case) -> Build:
     """The vehicle of a case."""
     return Build(**case.build)
+
+
+def draws(case: Case, what: str) -> np.random.Generator:
+    """A generator of its own for each thing that is drawn, so that each can be drawn again by itself."""
+    return np.random.default_rng([case.seed, *what.encode()])
+
+
+def sensors_of(case: Case) -> Sensors:
+    """The instruments of a case: good ones, and none without a lag, an offset and a gain of its own."""
+    rng = draws(case, "sensors")
+    return Sensors(
+        belt_measured=case.belt_measured,
+        speed_step_mps=float(rng.uniform(*SPEED_STEPS_MPS)),
+        torque_lag_s=float(rng.uniform(0.0, MOST_LAG_S)),
+        torque_offset_nm=float(rng.uniform(-MOST_OFFSET_NM, MOST_OFFSET_NM)),
+        torque_gain=float(1.0 + rng.uniform(-MOST_GAIN, MOST_GAIN)),
+    )

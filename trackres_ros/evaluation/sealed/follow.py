@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Fourth process of a run: lets the vehicles drive what was advised where effects could not be told apart.
 
 `python -m trackres_ros.evaluation.sealed.follow FOLDER MINUTES MOST`. It knows the vehicles, so it opens the seal; `blind` then

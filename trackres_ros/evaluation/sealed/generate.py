@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """First process of a run: draws the cases, seals them, and writes recordings and vehicle files that say nothing of them.
 
 `python -m trackres_ros.evaluation.sealed.generate FOLDER SEED MINUTES LEVEL=COUNT...`
@@ -18,9 +21,9 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from trackres_ros.evaluation.sealed.cases import Case, build_of, draw_cases, sealed
+from trackres_ros.evaluation.sealed.cases import Case, build_of, draw_cases, draws, sealed, sensors_of
 from trackres_ros.evaluation.sealed.drives import Drive, drive
-from trackres_ros.evaluation.sealed.sensors import Sensors, record
+from trackres_ros.evaluation.sealed.sensors import record
 from trackres_ros.evaluation.sealed.truth import TruthRun, live
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.files.yamls import read_yaml
@@ -69,7 +72,9 @@ def make_case(task: tuple[Path, Case, float]) -> None:
             path.unlink()
     driven = _drives(case, minutes, "drive")
     lived, _ = _record(case, into, "drive", driven)
-    np.savez_compressed(folder / "sealed" / f"{case.name}.npz", **_kept(case, driven, lived))
+    kept, partial = folder / "sealed" / f"{case.name}.npz", folder / "sealed" / f"{case.name}.part.npz"
+    np.savez_compressed(partial, **_kept(case, driven, lived))
+    partial.rename(kept)
 
 
 def _kept(case: Case, driven: Sequence[Drive], lived: Sequence[TruthRun]) -> dict[str, Any]:
@@ -78,7 +83,7 @@ def _kept(case: Case, driven: Sequence[Drive], lived: Sequence[TruthRun]) -> dic
     def joined(series: Sequence[Array]) -> Array:
         return np.concatenate([one[::EVERY] for one in series])
 
-    found = {f"added/{name}": joined([one.added[name] for one in lived]) for name in case.hidden}
+    found = {f"added/{name}": np.concatenate([means(one.added[name]) for one in lived]) for name in case.hidden}
     over = {
         "speed": [d.speed for d in driven],
         "acceleration": [d.accel for d in driven],
@@ -86,6 +91,8 @@ def _kept(case: Case, driven: Sequence[Drive], lived: Sequence[TruthRun]) -> dic
         "belt temperature": [one.belt for one in lived],
         "ambient temperature": [d.ambient for d in driven],
         "yaw rate": [np.abs(d.yaw_rate) for d in driven],
+        "yaw rate to the left": [d.yaw_rate for d in driven],
+        "driving torque": [one.torque for one in lived],
         "heading": [np.angle(np.exp(1j * d.heading)) for d in driven],
         "time since start": [np.arange(len(d)) * d.step for d in driven],
         "distance": [np.cumsum(np.abs(d.speed)) * d.step for d in driven],
@@ -95,6 +102,12 @@ def _kept(case: Case, driven: Sequence[Drive], lived: Sequence[TruthRun]) -> dic
     return {"lengths": lengths, **found, **{f"over/{name}": joined(series) for name, series in over.items()}}
 
 
+def means(series: Array) -> Array:
+    """Means over each `EVERY` samples, the last of as many as there are."""
+    begins = np.arange(0, len(series), EVERY)
+    return np.add.reduceat(series, begins) / np.diff(np.append(begins, len(series)))
+
+
 def drive_next(folder: Path, case: Case, minutes: float, name: str, planned: Callable[[Drive], Drive]) -> Path:
     """Let the vehicle of a case drive once more, after all it has driven, and record it; `planned` gets its last drive."""
     driven = _drives(case, minutes, "drive")
@@ -102,17 +115,8 @@ def drive_next(folder: Path, case: Case, minutes: float, name: str, planned: Cal
     lived = live(find_vehicle(VEHICLE), build_of(case), case.hidden, [*driven, more])[-1]
     path = folder / "cases" / case.name / f"{name}.csv"
     _, radius = _weight_and_radius(find_vehicle(VEHICLE))
-    record(path, more, lived, _sensors(case), radius, START_S + len(driven) * APART_S, _draws(case, name))
+    record(path, more, lived, sensors_of(case), radius, START_S + len(driven) * APART_S, draws(case, name))
     return path
-
-
-def _draws(case: Case, what: str) -> np.random.Generator:
-    """A generator of its own for each thing that is drawn, so that each can be drawn again by itself."""
-    return np.random.default_rng([case.seed, *what.encode()])
-
-
-def _sensors(case: Case) -> Sensors:
-    return Sensors(belt_measured=case.belt_measured)
 
 
 def write_vehicle(path: Path, thermal: str) -> Path:
@@ -126,7 +130,7 @@ def write_vehicle(path: Path, thermal: str) -> Path:
 
 
 def _drives(case: Case, minutes: float, name: str) -> list[Drive]:
-    rng = _draws(case, f"route of {name}")
+    rng = draws(case, f"route of {name}")
     weight, _ = _weight_and_radius(find_vehicle(VEHICLE))
     return [
         _dull(minutes, weight, rng) if case.dull else drive(minutes, share * weight, air, FASTEST_MPS, rng)
@@ -139,9 +143,9 @@ def _record(case: Case, into: Path, name: str, drives: Sequence[Drive]) -> tuple
     _, radius = _weight_and_radius(sheet)
     lived = live(sheet, build_of(case), case.hidden, drives)
     paths = [into / f"{name}_{i + 1}.csv" for i in range(len(drives))]
-    rng = _draws(case, name)
+    rng = draws(case, name)
     for i, (path, one, true) in enumerate(zip(paths, drives, lived, strict=True)):
-        record(path, one, true, _sensors(case), radius, START_S + i * APART_S, rng)
+        record(path, one, true, sensors_of(case), radius, START_S + i * APART_S, rng)
     return lived, paths
 
 

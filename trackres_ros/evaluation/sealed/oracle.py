@@ -1,21 +1,34 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What could be known: the true structure fitted to the same laps by the same optimiser, and what tells of itself."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trackres_ros.diagnosis import load_base, read_recordings
+from trackres_ros.diagnosis.base.base import BaseParameter, Predicted, Values
+from trackres_ros.diagnosis.base.track import TrackBase
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.inference.levels import with_levels
-from trackres_ros.diagnosis.prepare.gate import gate, split
+from trackres_ros.diagnosis.prepare.gate import gate
+from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.diagnosis.prepare.split import split
 from trackres_ros.diagnosis.selection.visibility import LEAST_KEPT, separability
 from trackres_ros.effects import catalogue
+from trackres_ros.effects.effect import Active
+from trackres_ros.vehicle import Vehicle
+
+Array = NDArray[np.float64]
 
 LEAST_GAIN = 10.0  # in log-likelihood: 4.5 standard deviations
+ADDITION, LARGEST_ADDITION = "addition", 5.0  # times what it truly is
 
 
 @dataclass(frozen=True)
@@ -29,7 +42,8 @@ class OracleAnswer:
     alike
         Effects that look the same as the first true one here (cosine beyond 0.95), itself among them.
     identifiable
-        Whether the gain is plain, no other effect looks alike, and the base does not take it up.
+        Whether the gain is plain, no other effect looks alike, and the base does not take it up; of what is outside the
+        catalogue, whether the gain is plain.
     plain_both
         Of two effects: whether each gains as much beside the other.
     mae_base, mae
@@ -44,8 +58,35 @@ class OracleAnswer:
     mae: float
 
 
-def ask(folder: Path, true: Sequence[str]) -> OracleAnswer:
-    """Ask the oracle about a case; `true` are the effects of the catalogue that are in it."""
+class WithAddition(TrackBase):
+    """The base with a torque added of which all is known but its size: `added` [Nm], of each session a series that is as long or
+    longer.
+    """
+
+    def __init__(self, vehicle: Vehicle, added: Sequence[Array]) -> None:
+        super().__init__(vehicle)
+        self._added = added
+        self.parameters += (BaseParameter(ADDITION, "1", 0.0, np.inf, -LARGEST_ADDITION, LARGEST_ADDITION),)
+
+    def predict(self, sessions: Sequence[Session], values: Values, effects: Sequence[Active]) -> list[Predicted]:
+        """See `base.Base`."""
+        plain = super().predict(sessions, values, effects)
+        return [
+            replace(p, torque=p.torque + values[ADDITION] * added[: len(p.torque)])
+            for p, added in zip(plain, self._added, strict=True)
+        ]
+
+
+def ask(folder: Path, true: Sequence[str], added: Sequence[Array] = ()) -> OracleAnswer:
+    """Ask the oracle about a case.
+
+    Parameters
+    ----------
+    true
+        The effects of the catalogue that are in it.
+    added
+        Of one with something that is not in the catalogue: what that adds to the torque in each step of each drive [Nm].
+    """
     loaded = load_base(folder / "vehicle.yaml")
     base = loaded.base
     effects = catalogue(size=base.facts.weight * base.facts.radius)
@@ -59,6 +100,12 @@ def ask(folder: Path, true: Sequence[str]) -> OracleAnswer:
         return float(np.abs(measured - np.concatenate([p[m] for p, m in zip(predicted, held, strict=True)])).mean())
 
     mae_base = error([p.torque for p in with_levels(before).predicted])
+    if added:
+        assert isinstance(base, TrackBase)
+        found = fit(replace(before.problem, base=WithAddition(base.vehicle, added)), start=before.at, noises=before.noises)
+        gain = found.log_likelihood - before.log_likelihood
+        mae = error([p.torque for p in with_levels(found).predicted])
+        return OracleAnswer(gain, (), gain > LEAST_GAIN, False, mae_base, mae)
     if not true:
         return OracleAnswer(0.0, (), False, False, mae_base, mae_base)
     wanted = [effects[name] for name in true]

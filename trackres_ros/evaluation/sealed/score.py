@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Last process of a run: opens the seal and counts.
 
 `python -m trackres_ros.evaluation.sealed.score FOLDER`
@@ -21,7 +24,7 @@ from trackres_ros.diagnosis.findings.locate import evenly_filled
 from trackres_ros.errors import InputError
 from trackres_ros.evaluation.sealed.answers import BASELINES, Answer, of_names, of_report
 from trackres_ros.evaluation.sealed.baselines import by_trees
-from trackres_ros.evaluation.sealed.cases import CATALOGUE, Case, sealed
+from trackres_ros.evaluation.sealed.cases import CATALOGUE, OUTSIDE, Case, sealed
 from trackres_ros.evaluation.sealed.follow import advised
 from trackres_ros.evaluation.sealed.oracle import OracleAnswer, ask
 from trackres_ros.evaluation.sealed.page import write_all
@@ -60,14 +63,22 @@ def _score(task: tuple[Path, Case, str | None]) -> Scored:
     report, simple = result["report"], result["simple"]
     kept = folder / "sealed" / f"{case.name}.oracle.json"
     if not kept.exists():
-        known = ask(folder / "cases" / case.name, [name for name in case.hidden if name in CATALOGUE])
+        known = ask(folder / "cases" / case.name, [name for name in case.hidden if name in CATALOGUE], _outside(folder, case))
         kept.write_text(json.dumps(asdict(known)), encoding="utf-8")
     known = OracleAnswer(**json.loads(kept.read_text(encoding="utf-8")))
     answers = {name: of_names(simple[name]) for name in BASELINES if name in simple}
     if tree:
         answers["trees"] = Answer(tree, ()) if tree in ("none", "unexplained") else of_names([tree])
     overlap, jaccard = _where(folder, case, report)
-    return Scored(case, report, known, {OURS: of_report(report), **answers}, overlap, jaccard, _resolved(folder, case, report))
+    resolved = _resolved(folder, case, report)
+    return Scored(case, report, known, {OURS: of_report(report), **answers}, overlap, jaccard, resolved, result["learned"])
+
+
+def _outside(folder: Path, case: Case) -> list[Array]:
+    """What is not in the catalogue adds to the torque of each drive, in means over the steps of a fit [Nm]; empty without."""
+    truth = np.load(folder / "sealed" / f"{case.name}.npz")
+    added = [truth[f"added/{name}"] for name in case.hidden if name in OUTSIDE]
+    return np.split(added[0], np.cumsum(truth["lengths"])[:-1]) if added else []
 
 
 def _where(folder: Path, case: Case, report: dict[str, Any]) -> tuple[float, float]:
@@ -87,8 +98,10 @@ def _where(folder: Path, case: Case, report: dict[str, Any]) -> tuple[float, flo
     regime = of[0]["where"]["regime"]
     if not regime:
         return overlap, float("nan")
-    variable = regime[0]["variable"]
-    over = truth[f"over/{variable}"]
+    kept = f"over/{regime[0]['variable']}"
+    if kept not in truth:
+        return overlap, float("nan")
+    over = truth[kept]
     inside = (over >= regime[0]["lo"]) & (over <= regime[0]["hi"])
     _, place = evenly_filled(over, BINS)
     means = np.bincount(place, weights=added) / np.maximum(np.bincount(place), 1)

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A case beside what was said of it, and the scores of many."""
 
 from __future__ import annotations
@@ -7,10 +10,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import norm
+from scipy.stats import binomtest
 
-from trackres_ros.evaluation.sealed.answers import Answer
-from trackres_ros.evaluation.sealed.cases import Case
+from trackres_ros.evaluation.sealed.answers import DESCRIBED, Answer, error_left
+from trackres_ros.evaluation.sealed.cases import RIGHT_FORMS, Case, predictable, sensors_of
 from trackres_ros.evaluation.sealed.oracle import OracleAnswer
 
 OURS = "diagnosis"
@@ -40,6 +43,8 @@ class Scored:
     resolved
         Whether the advised manoeuvre left the true effect and took from its class all that was to be told from it; None where
         none was advised, or driven.
+    learned
+        Errors on held-out laps, see `discrepancy.learned_errors`.
     """
 
     case: Case
@@ -49,6 +54,7 @@ class Scored:
     overlap: float
     jaccard: float
     resolved: bool | None
+    learned: Mapping[str, float]
 
     @property
     def true(self) -> set[str]:
@@ -61,36 +67,61 @@ class Scored:
         return self.answers[OURS]
 
     @property
+    def rightly_described(self) -> bool:
+        """Whether what is outside the catalogue is described, first, in a form that is right of it."""
+        return all(self.answer.describes(RIGHT_FORMS[name]) for name in self.true)
+
+    @property
+    def predictable(self) -> bool:
+        """Whether it is outside the catalogue and what it adds can be known ahead."""
+        return self.case.level == "outside" and all(map(predictable, self.true))
+
+    @property
+    def worth_removing(self) -> bool:
+        """Whether an oracle takes off the error on held-out laps what matters."""
+        return self.known.mae_base - self.known.mae > WORTH_REMOVING * self.known.mae_base
+
+    @property
+    def removed(self) -> float:
+        """Error on held-out laps that the diagnosis takes off the re-fitted base's, over what an oracle does."""
+        return self.share_removed(self.report["heldout"]["mae"]["refitted"], error_left(self.report))
+
+    def share_removed(self, before: float, after: float) -> float:
+        """What is taken off an error on held-out laps, over what an oracle takes off."""
+        return float((before - after) / (self.known.mae_base - self.known.mae))
+
+    @property
     def wrong(self) -> str:
         """What kind of mistake the diagnosis made; empty where none."""
         a = self.answer
         if self.case.level == "none":
-            return "false alarm" if a.classes else ""
+            return "false alarm" if a.classes else "false description" if a.status == DESCRIBED else ""
         if self.case.level == "outside":
-            return (
-                "a name for what is not in the catalogue"
-                if a.classes
-                else ""
-                if a.status == "unexplained"
-                else "unknown not noticed"
-            )
+            return self._wrong_outside()
+        if not a.classes and self.known.identifiable:
+            return "described though in the catalogue" if a.status == DESCRIBED else "not named though identifiable"
         if not a.classes:
-            return "not named though identifiable" if self.known.identifiable else ""
+            return ""
         if not a.holds(self.true):
             return "wrong name"
         if a.holds(self.true) < len(a.classes):
             return "right, and a wrong one beside"
         return "one of two missed" if self.case.level == "two" and a.holds(self.true) < 2 else ""
 
+    def _wrong_outside(self) -> str:
+        if self.answer.classes:
+            return "a name for what is not in the catalogue"
+        if self.answer.status == DESCRIBED:
+            return "" if self.rightly_described else "described in another form"
+        return "" if self.answer.status == "unexplained" else "unknown not noticed"
+
 
 def wilson(hits: int, of: int) -> tuple[float, float]:
-    """95 % interval of a share."""
+    """95 % interval of a share, by Wilson's score; of no try, of all shares there are."""
     if not of:
         return 0.0, 1.0
-    z, share = float(norm.ppf(0.975)), hits / of
-    middle = (share + z * z / (2 * of)) / (1 + z * z / of)
-    half = z * np.sqrt(share * (1 - share) / of + z * z / (4 * of * of)) / (1 + z * z / of)
-    return float(middle - half), float(middle + half)
+    interval = binomtest(hits, of).proportion_ci(0.95, method="wilson")
+    return float(interval.low), float(interval.high)
 
 
 def shares(scored: Sequence[Scored], method: str = OURS) -> dict[str, tuple[int, int]]:
@@ -127,19 +158,33 @@ def shares(scored: Sequence[Scored], method: str = OURS) -> dict[str, tuple[int,
         "two: at least one": share(two, in_class),
         "two: no false third": share(two, lambda s, a: a.holds(s.true) == len(a.classes)),
         "not identifiable: class or abstain": share(unclear, lambda s, a: not a.classes or in_class(s, a)),
+        "outside: described or unexplained": share(outside, lambda _, a: a.status in (DESCRIBED, "unexplained")),
         "outside: unexplained": share(outside, lambda _, a: a.status == "unexplained"),
         "outside: confident wrong name": share(outside, lambda _, a: a.status == "named"),
+        "outside: a name or a class of names": share(outside, lambda _, a: bool(a.classes)),
     }
 
 
 def own_shares(scored: Sequence[Scored]) -> dict[str, tuple[int, int]]:
     """Hits and tries of what only the diagnosis answers."""
     covers, _ = comparable(scored)
-    errors = [s.report["heldout"]["mae"] for s in scored]
+    errors = [(s.report["heldout"]["mae"]["refitted"], error_left(s.report)) for s in scored]
     driven = [s.resolved for s in scored if s.resolved is not None]
+    none, outside = ([s for s in scored if s.case.level == level] for level in ("none", "outside"))
+    within = [s for s in scored if s.case.level not in ("none", "outside") and s.known.identifiable]
+
+    def share(of: Sequence[Scored], hit: Callable[[Scored], bool]) -> tuple[int, int]:
+        return sum(map(hit, of)), len(of)
+
     return {
+        "none: false description": share(none, lambda s: s.answer.status == DESCRIBED),
+        "outside, seen by the oracle: described in the right form": share(
+            [s for s in outside if s.known.identifiable], lambda s: s.rightly_described
+        ),
+        "outside, all: described in the right form": share(outside, lambda s: s.rightly_described),
+        "in the catalogue and identifiable: described instead of named": share(within, lambda s: s.answer.status == DESCRIBED),
         "held-out laps: never worse than the base": (
-            sum(e["with_effects"] <= NO_WORSE * e["refitted"] for e in errors),
+            sum(after <= NO_WORSE * before for before, after in errors),
             len(errors),
         ),
         "95 % intervals cover": (sum(covers), len(covers)),
@@ -149,14 +194,12 @@ def own_shares(scored: Sequence[Scored]) -> dict[str, tuple[int, int]]:
 
 def sizes(scored: Sequence[Scored]) -> dict[str, list[float]]:
     """Scores that are no shares, case by case; of the first the median is told, of the last the mean."""
-
-    def removed(s: Scored) -> float:
-        mae = s.report["heldout"]["mae"]
-        return float((mae["refitted"] - mae["with_effects"]) / (s.known.mae_base - s.known.mae))
-
     return {
         "held-out error removed, of what the oracle removes (median)": [
-            removed(s) for s in scored if s.known.mae_base - s.known.mae > WORTH_REMOVING * s.known.mae_base
+            s.removed for s in scored if s.case.level != "outside" and s.worth_removing
+        ],
+        "outside, predictable: held-out error removed, of what the oracle removes (median)": [
+            s.removed for s in scored if s.predictable and s.worth_removing
         ],
         "relative error of parameters (median)": comparable(scored)[1],
         "where, in time: overlap (median)": [s.overlap for s in scored if np.isfinite(s.overlap)],
@@ -171,9 +214,16 @@ def comparable(scored: Sequence[Scored]) -> tuple[list[bool], list[float]]:
     for s in scored:
         for e in s.report["effects"] if s.answer.classes else []:
             if e["name"] in s.true & set(COMPARABLE):
-                here, there = COMPARABLE[e["name"]]
-                true, q = s.case.hidden[e["name"]][here], e["parameters"][there]
+                true, q = _true_value(s.case, e["name"]), e["parameters"][COMPARABLE[e["name"]][1]]
                 errors.append(abs(q["value"] / true - 1.0))
                 if q["ci95"]:
                     covers.append(q["ci95"][0] <= true <= q["ci95"][1])
     return covers, errors
+
+
+def _true_value(case: Case, name: str) -> float:
+    """Of a comparable parameter; of one of the torque's sensor together with what any instrument has."""
+    hidden, sensors = case.hidden[name][COMPARABLE[name][0]], sensors_of(case)
+    if name == "torque_gain":
+        return (1.0 + hidden) * sensors.torque_gain - 1.0
+    return hidden + {"delay": sensors.torque_lag_s, "torque_offset": sensors.torque_offset_nm}.get(name, 0.0)

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What sensors make of the truth, written as a table."""
 
 from __future__ import annotations
@@ -7,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from trackres_ros.evaluation.sealed.drives import Drive
 from trackres_ros.evaluation.sealed.truth import TruthRun
@@ -27,6 +31,9 @@ class Sensors:
     torque_step_nm: float = 5.0
     road: float = 0.0005  # slope that no one measured, standard deviation
     road_m: float = 30.0  # over which it changes
+    torque_lag_s: float = 0.0  # of first order, as of a filter
+    torque_offset_nm: float = 0.0
+    torque_gain: float = 1.0
     speed_mps: float = 0.01
     speed_step_mps: float = 0.02
     dropouts: float = 0.002  # share of samples, in bursts
@@ -40,6 +47,7 @@ def record(
     n = len(drive)
     white = rng.standard_t(HEAVY_TAILS, n) * np.sqrt((HEAVY_TAILS - 2.0) / HEAVY_TAILS)
     torque = lived.shown + _road(drive, sensors, rng) * drive.weight * radius
+    torque = sensors.torque_gain * lagging(torque, sensors.torque_lag_s, drive.step) + sensors.torque_offset_nm
     torque = torque + white * (sensors.torque_nm + sensors.torque_share * np.abs(lived.shown) + 20.0 * np.abs(drive.accel))
     torque = np.round(torque / sensors.torque_step_nm) * sensors.torque_step_nm
     speed = drive.speed + rng.normal(0.0, sensors.speed_mps, n)
@@ -65,6 +73,16 @@ def record(
     with path.open("w", encoding="utf-8") as file:
         file.write(",".join(names) + "\n")
         np.savetxt(file, rows, delimiter=",", fmt="%.5f")
+
+
+def lagging(series: Array, seconds: float, step: float) -> Array:
+    """What a filter of first order makes of a series that runs straight between its samples; it starts settled."""
+    if seconds < 1e-3 * step:
+        return series
+    keep = np.exp(-step / seconds)
+    new = 1.0 - seconds / step * (1.0 - keep)  # of the newest sample; the rest is of the one before
+    out, _ = lfilter([new, 1.0 - keep - new], [1.0, -keep], series, zi=[(1.0 - new) * series[0]])
+    return np.asarray(out)
 
 
 def _road(drive: Drive, sensors: Sensors, rng: np.random.Generator) -> Array:

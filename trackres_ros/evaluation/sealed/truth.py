@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The second simulator: a vehicle that drives, with whatever the diagnosis is to find switched on.
 
 Each phenomenon has another form here than in the catalogue of the diagnosis, as nature would.
@@ -5,7 +8,7 @@ Each phenomenon has another form here than in the catalogue of the diagnosis, as
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -13,18 +16,19 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.evaluation.sealed import outside
 from trackres_ros.evaluation.sealed.belt_heat import KELVIN, LAYERS, roll
 from trackres_ros.evaluation.sealed.belt_loss import LOAD_SHARES, LOG_SPEEDS, BeltLoss, belt_loss
 from trackres_ros.evaluation.sealed.data_sheet import DataSheet, read_data_sheet
 from trackres_ros.evaluation.sealed.drives import Drive
 from trackres_ros.evaluation.sealed.material import BELOW_TG_K, SHIFT_ABOVE_TG_K, Material, fit_material
+from trackres_ros.evaluation.sealed.phenomenon import Adds, Journey
 
 Array = NDArray[np.float64]
 Hidden = Mapping[str, Mapping[str, float]]
 """Phenomena that are switched on, by the catalogue's names, with the values of their parameters here."""
 
 G = 9.81
-CREEP_MPS = 0.04  # over it friction changes its sign
 
 
 @dataclass(frozen=True)
@@ -42,7 +46,7 @@ class Build:
 @dataclass(frozen=True, eq=False)
 class TruthRun:
     """What truly happened over a drive: torque at the sprockets and where the sensor is [Nm], belt temperatures [degC], and
-    what the phenomena added to the torque [Nm].
+    what the phenomena added to the torque, or to what is shown of it where that is all they do (`outside.SHOWN`) [Nm].
     """
 
     torque: Array
@@ -65,9 +69,11 @@ def live(path: Path, build: Build, hidden: Hidden, drives: Sequence[Drive]) -> l
     found, driven = [], 0.0
     for drive in drives:
         with_all = _one(sheet, material, tables, build, hidden, drive, driven)
-        added = {
-            name: with_all[0] - _one(sheet, material, tables, build, _without(hidden, name), drive, driven)[0] for name in hidden
-        }
+        added = {}
+        for name in hidden:
+            without = _one(sheet, material, tables, build, _without(hidden, name), drive, driven)
+            where = 1 if name in outside.SHOWN else 0
+            added[name] = with_all[where] - without[where]
         found.append(TruthRun(*with_all, added))
         driven += float(np.abs(drive.speed).sum() * drive.step)
     return found
@@ -80,7 +86,7 @@ def _without(hidden: Hidden, name: str) -> Hidden:
 def _one(
     sheet: DataSheet, material: Material, tables: BeltLoss, build: Build, hidden: Hidden, drive: Drive, driven: float
 ) -> tuple[Array, Array, Array, Array]:
-    at = _Now(sheet, drive, driven)
+    at = Journey(sheet, drive, driven)
     rub = _run(sheet, material, tables, build, hidden, at, np.ones(len(drive)))
     if "tension_torque" in hidden:  # the torque stretches the belt, which changes the torque: once round is near enough
         pull = np.abs(_resistance(sheet, build, hidden, at, rub[0])) / (sheet.assemblies * sheet["track.sprocket_radius"])
@@ -94,48 +100,11 @@ def _one(
         torque = torque + losses * at.direction
     if "drivetrain_drag" in hidden:
         torque = torque + hidden["drivetrain_drag"]["drag"] * (1.0 + 0.01 * at.travel) * at.direction
-    return torque, _sensor(torque, hidden, drive), belt, surface
-
-
-@dataclass(frozen=True, eq=False)
-class _Now:
-    """A drive as the phenomena see it."""
-
-    sheet: DataSheet
-    drive: Drive
-    driven: float  # before [m]
-
-    @property
-    def speed(self) -> Array:
-        return self.drive.speed
-
-    @property
-    def travel(self) -> Array:
-        return np.abs(self.drive.speed)
-
-    @property
-    def direction(self) -> Array:
-        return self.drive.speed / np.sqrt(self.drive.speed**2 + CREEP_MPS**2)
-
-    @property
-    def curvature(self) -> Array:
-        return np.abs(self.drive.yaw_rate) / np.maximum(self.travel, 0.3)
-
-    @property
-    def load(self) -> Array:
-        """Over the nominal weight."""
-        return self.drive.weight / self.sheet["weight"]
-
-    def lagged(self, target: Array, seconds: float, start: float) -> Array:
-        out, now, rate = np.empty(len(target)), start, 1.0 - np.exp(-self.drive.step / seconds)
-        for i, aim in enumerate(target):
-            out[i] = now
-            now += (aim - now) * rate
-        return out
+    return torque, _sensor(torque, hidden, at), belt, surface
 
 
 def _run(
-    sheet: DataSheet, material: Material, tables: BeltLoss, build: Build, hidden: Hidden, at: _Now, more: Array
+    sheet: DataSheet, material: Material, tables: BeltLoss, build: Build, hidden: Hidden, at: Journey, more: Array
 ) -> tuple[Array, Array, Array]:
     """Loss per metre of one belt [N], mean and outer temperature [degC]."""
     drive, n = at.drive, len(at.drive)
@@ -162,8 +131,7 @@ def _run(
         factor = factor * (1.0 + p["height"] * (1.0 - at.load ** p["power"]))
     if "mullins" in hidden:
         p = hidden["mullins"]
-        far = at.driven + np.cumsum(at.travel) * drive.step
-        factor = factor * (1.0 + p["excess"] / (1.0 + far / p["distance"]) ** 1.5)
+        factor = factor * (1.0 + p["excess"] / (1.0 + at.distance / p["distance"]) ** 1.5)
     heights = (np.arange(LAYERS) + 0.5) / LAYERS * belt["thickness"] - belt["cord_height"]
     force, mean, surface = np.empty(n), np.empty(n), np.empty(n)
     row = np.interp(at.load, LOAD_SHARES, np.arange(len(LOAD_SHARES)))
@@ -196,7 +164,7 @@ def _run(
     return force, mean, surface
 
 
-def _resistance(sheet: DataSheet, build: Build, hidden: Hidden, at: _Now, force: Array) -> Array:
+def _resistance(sheet: DataSheet, build: Build, hidden: Hidden, at: Journey, force: Array) -> Array:
     """Torque at the sprockets that rolls and accelerates the vehicle [Nm]."""
     drive, radius = at.drive, sheet["track.sprocket_radius"]
     weight = drive.weight
@@ -215,106 +183,79 @@ def _resistance(sheet: DataSheet, build: Build, hidden: Hidden, at: _Now, force:
     return np.asarray(total)
 
 
-def _sensor(torque: Array, hidden: Hidden, drive: Drive) -> Array:
+def _sensor(torque: Array, hidden: Hidden, at: Journey) -> Array:
     shown = torque
     if "delay" in hidden:
-        time = np.arange(len(torque)) * drive.step
+        time = np.arange(len(torque)) * at.step
         shown = np.interp(time - hidden["delay"]["time"], time, shown)
     if "torque_gain" in hidden:
         shown = (1.0 + hidden["torque_gain"]["error"]) * shown
     if "torque_offset" in hidden:  # and it creeps a little
-        creep = 1.0 + 0.1 * np.sin(np.arange(len(torque)) * drive.step / 900.0)
+        creep = 1.0 + 0.1 * np.sin(np.arange(len(torque)) * at.step / 900.0)
         shown = shown + hidden["torque_offset"]["offset"] * creep
+    for name, adds in outside.SHOWN.items():
+        if name in hidden:
+            shown = shown + adds(at, hidden[name], torque)
     return shown
 
 
-Adds = Callable[["_Now", Mapping[str, float], Array], Array]
-
-
-def _grade(at: _Now, p: Mapping[str, float], _: Array) -> Array:
+def _grade(at: Journey, p: Mapping[str, float], _: Array) -> Array:
     return np.asarray(at.drive.weight * at.sheet["track.sprocket_radius"] * np.sin(np.arctan(p["grade"])))
 
 
-def _grade_profile(at: _Now, p: Mapping[str, float], _: Array) -> Array:
+def _grade_profile(at: Journey, p: Mapping[str, float], _: Array) -> Array:
     rise = p["rise"] * np.cos(at.drive.heading - p["towards"]) + 0.1 * p["rise"] * np.cos(2.0 * at.drive.heading)
     return np.asarray(at.drive.weight * at.sheet["track.sprocket_radius"] * np.sin(np.arctan(rise)))
 
 
-def _turning_scrub(at: _Now, p: Mapping[str, float], _: Array) -> Array:
+def _turning_scrub(at: Journey, p: Mapping[str, float], _: Array) -> Array:
     arm = 0.25 * at.sheet["track.road_wheels.ground_run"] * at.sheet["track.sprocket_radius"]
     return p["friction"] * arm * at.drive.weight * at.curvature / (1.0 + 3.0 * at.curvature) * at.direction
 
 
-def _cornering(at: _Now, p: Mapping[str, float], _: Array) -> Array:
+def _cornering(at: Journey, p: Mapping[str, float], _: Array) -> Array:
     side = at.drive.weight / G * np.abs(at.speed * at.drive.yaw_rate)
     return at.sheet["track.sprocket_radius"] * side * np.tan(p["compliance"] * side) * at.direction
 
 
-def _viscous_bearing(at: _Now, p: Mapping[str, float], _: Array) -> Array:
+def _viscous_bearing(at: Journey, p: Mapping[str, float], _: Array) -> Array:
     warm = at.lagged(at.drive.ambient + p["rise"] * at.travel**0.9, p["seconds"], float(at.drive.ambient[0]))
     thin = np.exp(p["activation"] * (1.0 / (warm + KELVIN) - 1.0 / (20.0 + KELVIN)))
     return p["coefficient"] * at.travel**0.6 * thin * at.direction
 
 
-def _stribeck(at: _Now, p: Mapping[str, float], _: Array) -> Array:
+def _stribeck(at: Journey, p: Mapping[str, float], _: Array) -> Array:
     return (p["constant"] + p["breakaway"] / (1.0 + (at.travel / p["speed"]) ** 2)) * at.direction
 
 
-def _headwind(at: _Now, p: Mapping[str, float], _: Array) -> Array:
+def _headwind(at: Journey, p: Mapping[str, float], _: Array) -> Array:
     drag = 0.5 * at.sheet["chassis.air_density"] * at.sheet["chassis.drag_coefficient"] * at.sheet["chassis.frontal_area"]
-    gusts = 1.0 + 0.25 * np.sin(np.arange(len(at.speed)) * at.drive.step / 37.0) * np.cos(
-        np.arange(len(at.speed)) * at.drive.step / 11.0
-    )
+    gusts = 1.0 + 0.25 * np.sin(np.arange(len(at.speed)) * at.step / 37.0) * np.cos(np.arange(len(at.speed)) * at.step / 11.0)
     through = at.speed + p["wind"] * gusts * np.cos(at.drive.heading - p["towards"])
     return np.asarray(at.sheet["track.sprocket_radius"] * drag * (through * np.abs(through) - at.speed * at.travel))
 
 
-def _lug_friction(at: _Now, p: Mapping[str, float], torque: Array) -> Array:
+def _lug_friction(at: Journey, p: Mapping[str, float], torque: Array) -> Array:
     tension = at.sheet["track.belt.pretension"] * at.sheet.assemblies * at.sheet["track.sprocket_radius"]
     return (p["of_tension"] * tension + p["of_torque"] * np.sqrt(torque**2 + 200.0**2)) * at.direction
 
 
-def _roadwheel_tyres(at: _Now, p: Mapping[str, float], _: Array) -> Array:
+def _roadwheel_tyres(at: Journey, p: Mapping[str, float], _: Array) -> Array:
     warm = at.lagged(at.drive.ambient + p["rise"] * at.travel**0.9, p["seconds"], float(at.drive.ambient[0]))
     return p["torque"] * at.load**1.3 * np.exp(p["activation"] * (1.0 / (warm + KELVIN) - 1.0 / 293.15)) * at.direction
 
 
-def _soft_ground(at: _Now, p: Mapping[str, float], _: Array) -> Array:
+def _soft_ground(at: Journey, p: Mapping[str, float], _: Array) -> Array:
     return p["torque"] * (0.9 * at.load ** p["power"] + 0.1) * at.direction
 
 
-def _vibration(at: _Now, p: Mapping[str, float], _: Array) -> Array:
+def _vibration(at: Journey, p: Mapping[str, float], _: Array) -> Array:
     return p["torque"] * np.exp(-0.5 * ((at.travel - p["speed"]) / p["width"]) ** 2) * at.direction
 
 
-def _warmup(at: _Now, p: Mapping[str, float], _: Array) -> Array:
+def _warmup(at: Journey, p: Mapping[str, float], _: Array) -> Array:
     cold = 1.0 - at.lagged((at.travel > 0.3).astype(float), p["seconds"], 0.0)
     return p["torque"] * (0.7 * cold + 0.3 * cold**2) * at.direction
-
-
-def _sticking_brake(at: _Now, p: Mapping[str, float], _: Array) -> Array:
-    """Outside the catalogue: a brake that stays on for spells, as it likes."""
-    rng, on, i = np.random.default_rng([int(p["seed"]), int(at.driven)]), np.zeros(len(at.speed)), 0
-    while i < len(on):
-        i += int(rng.uniform(60.0, 300.0) / at.drive.step)
-        held = int(rng.uniform(40.0, 150.0) / at.drive.step)
-        on[i : i + held] = 1.0
-        i += held
-    return p["torque"] * on * at.direction
-
-
-def _mud(at: _Now, p: Mapping[str, float], _: Array) -> Array:
-    """Outside the catalogue: mud that builds up with every metre until a stop shakes it off."""
-    carried, out = 0.0, np.empty(len(at.speed))
-    for i, travel in enumerate(at.travel):
-        carried = 0.0 if travel < 0.1 else min(carried + travel * at.drive.step / p["distance"], 1.0)
-        out[i] = carried
-    return p["torque"] * out * at.direction
-
-
-def _left_turns(at: _Now, p: Mapping[str, float], _: Array) -> Array:
-    """Outside the catalogue: something touches when it turns left, and only then."""
-    return p["torque"] * (at.drive.yaw_rate > 0.02) * at.direction
 
 
 PHENOMENA: dict[str, Adds] = {
@@ -330,8 +271,6 @@ PHENOMENA: dict[str, Adds] = {
     "vibration": _vibration,
     "warmup": _warmup,
     "lug_friction": _lug_friction,
-    "sticking_brake": _sticking_brake,
-    "mud": _mud,
-    "left_turns": _left_turns,
+    **outside.PHENOMENA,
 }
 """What adds to the torque; the rest acts in the belt, on the drive train or in a sensor."""

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The transport on Cyclone DDS, where ROS 2 is not installed: the same topics and presence, as a ROS 2 node shows them."""
 
 from trackres_ros.errors import MissingExtraError

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Messages in bytes: outputs prepared once and filled in place, inputs decoded."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The live node on Cyclone DDS: one thread that waits for messages and for the next tick."""
 
 from __future__ import annotations
@@ -11,13 +14,13 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 
 from trackres_ros.node.application import Application
-from trackres_ros.node.asked import Asked
 from trackres_ros.node.dds.messages import InputReader, Prepared, clock_ns, diagnostic_array
 from trackres_ros.node.dds.participant import Participant, Reader
 from trackres_ros.node.edge import Level, Peer, Status
 from trackres_ros.node.endpoints import Quality, full_name, input_name, input_quality, output_quality
 from trackres_ros.node.inbox import Arrival, Inbox
 from trackres_ros.node.parameters import Parameters
+from trackres_ros.node.signals import SignalRequests
 from trackres_ros.recording.cdr import MalformedError
 from trackres_ros.units import SECOND_NS
 
@@ -108,7 +111,7 @@ class DdsNode:
 
     # Running
 
-    def spin(self, asked: Asked) -> None:
+    def spin(self, requests: SignalRequests) -> None:
         """Run until a signal asks to stop, and do what others ask for."""
         application = self.application
         why = "without rclpy" if importlib.util.find_spec("rclpy") else "rclpy is not there"
@@ -118,8 +121,8 @@ class DdsNode:
         application.activate()
         wait = self._participant.waiter()
         self._next_tick = time.monotonic_ns()
-        asked.started()
-        while not asked.to_stop:
+        requests.started()
+        while not requests.to_stop:
             left = self._next_tick - time.monotonic_ns()
             if left > 0:
                 wait(min(left, LONGEST_WAIT_NS))
@@ -131,7 +134,7 @@ class DdsNode:
             # A simulated clock stands while messages are worked off, and none comes between it and them.
             self._inbox.work_off(self._tick_if_due, collecting=self._clock is None)
             self._tick_if_due()
-            for level, text in asked.answers(application):
+            for level, text in requests.carry_out(application):
                 self.log(level, text)
 
     def _hand(self, index: int, message: tuple[bytes, int], arrived: Arrival) -> None:
@@ -162,7 +165,11 @@ class DdsNode:
 
 
 def run(
-    parameters: Parameters, node: str, namespace: str, asked: Asked, started: Callable[[Application], None] | None = None
+    parameters: Parameters,
+    node: str,
+    namespace: str,
+    requests: SignalRequests,
+    started: Callable[[Application], None] | None = None,
 ) -> int:
     """Run the node until a signal asks to stop.
 
@@ -176,7 +183,7 @@ def run(
     try:
         if started:
             started(running.application)
-        running.spin(asked)
+        running.spin(requests)
     finally:
         running.close()
     return 0

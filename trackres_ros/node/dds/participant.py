@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """One participant on the DDS wire that other machines see as a ROS 2 node, with its endpoints and what it knows of others."""
 
 from __future__ import annotations

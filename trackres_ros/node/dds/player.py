@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Plays a bag onto the wire without ROS: its messages as they were logged, with a clock."""
 
 from __future__ import annotations

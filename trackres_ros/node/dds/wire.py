@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """ROS 2 topics on the DDS wire: names, types, type hashes and quality of service as the middlewares of ROS 2 have them.
 
 Names and types after the ROS 2 design "Topic and Service name mapping to DDS"; the type hash after REP-2016. Only numbers and
@@ -178,11 +181,11 @@ def open_domain(number: int) -> str:
     CYCLONEDDS_URI counts where it is set, then ROS_LOCALHOST_ONLY and ROS_AUTOMATIC_DISCOVERY_RANGE as in ROS 2.
     """
     if os.environ.get("CYCLONEDDS_URI"):
-        said, configuration = "as CYCLONEDDS_URI says", None
+        reach, configuration = "as CYCLONEDDS_URI says", None
     elif os.environ.get("ROS_LOCALHOST_ONLY") == "1" or os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE") == "LOCALHOST":
-        said, configuration = "on this machine only", LOOPBACK.format(most=most_index(number))
+        reach, configuration = "on this machine only", LOOPBACK.format(most=most_index(number))
     else:
-        said, configuration = "on all networks", None
+        reach, configuration = "on all networks", None
     if number not in _domains and configuration:
         _domains[number] = Domain(number, configuration)
-    return said
+    return reach

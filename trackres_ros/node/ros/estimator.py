@@ -1,17 +1,20 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The executable `estimator`. It listens to signals before anything else is loaded, which takes a second."""
 
 from __future__ import annotations
 
 import sys
 
-from trackres_ros.node.asked import ASKED
+from trackres_ros.node.signals import REQUESTS
 
 BAD_INPUT = 2
 
 
 def main() -> None:
     """Run the node; ROS arguments give name, namespace, remappings and parameters."""
-    ASKED.listen()
+    REQUESTS.listen()
     from trackres_ros.errors import InputError
 
     try:
@@ -19,7 +22,7 @@ def main() -> None:
     except InputError as error:  # no ROS
         print(f"estimator: error: {error}", file=sys.stderr)
         sys.exit(BAD_INPUT)
-    sys.exit(run_executable(ASKED))
+    sys.exit(run_executable(REQUESTS))
 
 
 if __name__ == "__main__":

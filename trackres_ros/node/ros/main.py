@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The node on ROS 2 run to its end, for the executable `estimator` and for `trackres live`."""
 
 from __future__ import annotations
@@ -8,8 +11,8 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from trackres_ros.errors import InputError
-from trackres_ros.node.asked import Asked
 from trackres_ros.node.parameters import Parameters
+from trackres_ros.node.signals import SignalRequests
 
 if TYPE_CHECKING:
     from trackres_ros.node.application import Application
@@ -32,15 +35,19 @@ except ImportError as error:
     ) from error
 
 
-def run_executable(asked: Asked) -> int:
+def run_executable(requests: SignalRequests) -> int:
     """Run the executable; ROS arguments give name, namespace, remappings and parameters. The exit code."""
     from trackres_ros.node.ros.node import EstimatorNode
 
-    return _run(lambda: EstimatorNode(), asked, None, None, of_command=False)
+    return _run(lambda: EstimatorNode(), requests, None, None, of_command=False)
 
 
 def run(
-    parameters: Parameters, node: str, namespace: str, asked: Asked, started: Callable[[Application], None] | None = None
+    parameters: Parameters,
+    node: str,
+    namespace: str,
+    requests: SignalRequests,
+    started: Callable[[Application], None] | None = None,
 ) -> int:
     """Run the node with checked parameters until a signal asks to stop; the exit code."""
     from trackres_ros.node.ros.node import EstimatorNode
@@ -50,12 +57,12 @@ def run(
     def make() -> Any:
         return EstimatorNode(parameters, node, namespace=namespace, parameter_overrides=[sim_time])
 
-    return _run(make, asked, [], started, of_command=True)
+    return _run(make, requests, [], started, of_command=True)
 
 
 def _run(
     make: Callable[[], Any],
-    asked: Asked,
+    requests: SignalRequests,
     args: list[str] | None,
     started: Callable[[Application], None] | None,
     of_command: bool,
@@ -80,11 +87,11 @@ def _run(
         if started and node.application:
             started(node.application)
         gc.freeze()  # what was loaded stays: looking through it would hold up a message now and then
-        asked.started()
-        while not asked.to_stop:
+        requests.started()
+        while not requests.to_stop:
             executor.spin_once(timeout_sec=LONGEST_WAIT_S)
             if node.application:
-                for level, text in asked.answers(node.application):
+                for level, text in requests.carry_out(node.application):
                     node.log(level, text)
     finally:
         if node is not None:

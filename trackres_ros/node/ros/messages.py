@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Messages of ROS 2: outputs prepared once and filled in place, inputs checked against their installed types."""
 
 from __future__ import annotations

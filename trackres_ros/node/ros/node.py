@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The live node on ROS 2: a lifecycle node that lends its middleware to the application."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The parameters of the node as ROS 2 declares them, made from the one table."""
 
 from __future__ import annotations

@@ -1,0 +1,209 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""What was weighed in docs/decisions: ours and a library's, each at the same task. `python benchmarks/decisions.py [NAME ...]`.
+
+statsmodels serves this comparison alone and is in none of the extras: `pip install statsmodels`.
+"""
+
+from __future__ import annotations
+
+import statistics
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import attrs
+import numpy as np
+from mcap.writer import CompressionType, Writer
+from measuring import alternated, median_ratio
+from rosbags.typesys import Stores, get_typestore
+
+from trackres_ros.diagnosis.inference.noise import Noise, estimate_noise
+from trackres_ros.errors import InputError
+from trackres_ros.output.mcap import BagWriter
+from trackres_ros.recording.bindings import Topics
+from trackres_ros.recording.cdr import FieldReader, Template
+from trackres_ros.recording.message_types import definitions
+
+STORE = get_typestore(Stores.LATEST)
+TWIST = "geometry_msgs/msg/TwistStamped"
+FIELD = "twist.linear.x"
+START_NS = 1_700_000_000_000_000_000
+LIKE_THE_LAST = 0.9  # correlation of a residual with the one before: that of torques at 10 Hz
+TAILS = 2.5  # degrees of freedom of the innovations: spikes, as a measured torque has them
+
+
+def twist(speed: float = 0.0, stamp_ns: int = 0) -> object:
+    """A message with one number in it."""
+    types = STORE.types
+    zero = types["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
+    linear = types["geometry_msgs/msg/Vector3"](speed, 0.0, 0.0)
+    time = types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 1_000_000_000))
+    return types[TWIST](types["std_msgs/msg/Header"](time, "base_link"), types["geometry_msgs/msg/Twist"](linear, zero))
+
+
+def cdr(messages: int = 50_000, repeats: int = 5) -> dict[str, float]:
+    """One number and the stamp out of serialised messages: a column of many at once, and each message whole by rosbags."""
+    template = Template(bytes(STORE.serialize_cdr(twist(), TWIST)), definitions(STORE.fielddefs, TWIST), TWIST, [FIELD])
+    rows = np.empty((messages, len(STORE.serialize_cdr(twist(), TWIST))), np.uint8)
+    template.fill(rows, 0, START_NS + np.arange(messages), np.arange(messages, dtype=float)[:, None])
+    raws = [row.tobytes() for row in rows]
+
+    def ours() -> list[float]:
+        reader = FieldReader(definitions(STORE.fielddefs, TWIST), TWIST, [FIELD])
+        return list(reader.decode(raws).value[:, 0])
+
+    def library() -> list[float]:
+        return [message.twist.linear.x for message in (STORE.deserialize_cdr(raw, TWIST) for raw in raws)]
+
+    assert ours() == library()
+    times = alternated({"ours": ours, "rosbags": library}, repeats)
+    return {
+        "ours [us a message]": statistics.median(times["ours"]) / messages * 1e6,
+        "rosbags [us a message]": statistics.median(times["rosbags"]) / messages * 1e6,
+        "rosbags over ours": median_ratio(times["rosbags"], times["ours"]),
+    }
+
+
+def mcap(messages: int = 50_000, repeats: int = 5) -> dict[str, float]:
+    """Messages that differ in stamp and number into a file: block by block, and one by one by the library of the format.
+
+    Neither compresses, and what the library writes is serialised beforehand: that is not in its time.
+    """
+    stamps, values = START_NS + 10_000_000 * np.arange(messages), np.arange(messages, dtype=float)[:, None]
+    with tempfile.TemporaryDirectory() as folder:
+        own, other = Path(folder) / "own.mcap", Path(folder) / "other.mcap"
+
+        def ours() -> None:
+            with BagWriter(own) as bag:
+                topic = bag.topic("/speed", TWIST, twist(), [FIELD])
+                for rows in np.array_split(np.arange(messages), max(1, messages // 8192)):
+                    bag.write_block(topic, stamps[rows], stamps[rows], values[rows])
+
+        raws = [bytes(STORE.serialize_cdr(twist(float(v), int(t)), TWIST)) for v, t in zip(values[:, 0], stamps, strict=True)]
+
+        def library() -> None:
+            with other.open("wb") as file:
+                writer = Writer(file, compression=CompressionType.NONE)
+                writer.start("ros2", "trackres_ros")
+                schema = writer.register_schema(TWIST, "ros2msg", STORE.generate_msgdef(TWIST)[0].encode())
+                channel = writer.register_channel("/speed", "cdr", schema)
+                for stamp, raw in zip(stamps.tolist(), raws, strict=True):
+                    writer.add_message(channel, stamp, raw, stamp)
+                writer.finish()
+
+        times = alternated({"ours": ours, "library": library}, repeats)
+        sizes = own.stat().st_size, other.stat().st_size
+    return {
+        "ours [us a message]": statistics.median(times["ours"]) / messages * 1e6,
+        "mcap [us a message]": statistics.median(times["library"]) / messages * 1e6,
+        "mcap over ours": median_ratio(times["library"], times["ours"]),
+        "ours, size of the file [bytes a message]": sizes[0] / messages,
+        "mcap, size of the file [bytes a message]": sizes[1] / messages,
+    }
+
+
+def noise(samples: int = 3000, draws: int = 40) -> dict[str, float]:
+    """The noise of residuals with spikes: how well it is found, and how likely a fresh draw is by what was found."""
+    from statsmodels.tsa.ar_model import AutoReg
+
+    random = np.random.default_rng(1)
+
+    def draw() -> np.ndarray:
+        series, shocks = np.zeros(samples), random.standard_t(TAILS, samples)
+        for i in range(1, samples):
+            series[i] = LIKE_THE_LAST * series[i - 1] + shocks[i]
+        return series
+
+    def density(found: Noise, series: np.ndarray) -> float:
+        white = np.convolve(series, [1.0, *-found.phi], "valid") / found.std
+        return float(np.mean(found.log_density(white)))
+
+    def normal(series: np.ndarray) -> Noise:
+        fitted = AutoReg(series, 1, trend="n").fit()
+        return Noise(fitted.params, float(np.sqrt(fitted.sigma2)), 1e6)  # so many degrees of freedom are the normal law
+
+    whole = np.ones(samples, bool)
+    by: dict[str, Callable[[np.ndarray], Noise]] = {"ours": lambda x: estimate_noise([x], [whole]), "statsmodels": normal}
+    errors: dict[str, list[float]] = {name: [] for name in by}
+    likely: dict[str, list[float]] = {name: [] for name in by}
+    for _ in range(draws):
+        series, fresh = draw(), draw()
+        for name, fit in by.items():
+            found = fit(series)
+            errors[name].append(float(found.phi.sum()) - LIKE_THE_LAST)
+            likely[name].append(density(found, fresh))
+    series = draw()
+    times = alternated({name: lambda fit=fit: fit(series) for name, fit in by.items()}, 5)  # type: ignore[misc]
+    return {
+        **{f"{name}: error of the correlation, rms": float(np.sqrt(np.mean(np.square(errors[name])))) for name in by},
+        "log-density of a fresh draw, ours less statsmodels [a sample]": float(
+            np.mean(np.subtract(likely["ours"], likely["statsmodels"]))
+        ),
+        **{f"{name}: time of a fit [ms]": statistics.median(times[name]) * 1e3 for name in by},
+    }
+
+
+@attrs.frozen
+class Line:
+    """A line of a topics file, as attrs checks it."""
+
+    topic: str = attrs.field(default="/a", validator=attrs.validators.instance_of(str))
+    field: str = attrs.field(default="data", validator=attrs.validators.instance_of(str))
+    scale: float = attrs.field(
+        default=1.0,
+        validator=[attrs.validators.instance_of((int, float)), attrs.validators.ge(-1e300), attrs.validators.le(1e300)],
+    )
+    stamp: str = attrs.field(default="log", validator=attrs.validators.in_(("header", "log")))
+    delay_s: float = attrs.field(
+        default=0.0, validator=[attrs.validators.instance_of((int, float)), attrs.validators.ge(0.0), attrs.validators.le(10.0)]
+    )
+
+
+WRONG = (
+    ({"scal": 1.0}, ("scal", "scale")),
+    ({"stamp": "heade"}, ("stamp", "heade", "header", "log", "did you mean header")),
+    ({"delay_s": 11.0}, ("delay_s", "11", "0", "10")),
+    ({"delay_s": float("nan")}, ("delay_s", "nan", "0", "10")),
+    ({"scale": True}, ("scale", "True", "number|float")),
+    ({"scale": "2"}, ("scale", "'2'", "number|float")),
+    ({"scale": float("nan")}, ("scale", "nan", "number|float")),
+    ({"topic": 5}, ("topic", "5", "text|str")),
+    ({"topic": ""}, ("topic", "''", "text|str")),
+    ({"field": "a..b"}, ("field", "a..b", "twist.linear.x")),
+)
+"""What is wrong in a line, and what a message must name: the key, what was given, what is allowed, what was probably meant."""
+
+
+def checks() -> dict[str, float]:
+    """Lines of a topics file that are wrong: how many are refused, and with a message that names all that a user must know."""
+    good = {"topic": "/a", "type": "std_msgs/msg/Float64", "field": "data"}
+
+    def ours(line: dict[str, object]) -> None:
+        Topics.parse({"torque": {**good, **line}}, "topics.yaml")
+
+    def library(line: dict[str, object]) -> None:
+        Line(**line)  # type: ignore[arg-type]
+
+    counts = {}
+    for name, check in (("ours", ours), ("attrs", library)):
+        refused = named = 0
+        for line, wanted in WRONG:
+            try:
+                check(line)
+            except (InputError, TypeError, ValueError) as error:
+                refused += 1
+                named += all(any(word in str(error) for word in part.split("|")) for part in wanted)
+        counts[f"{name}: refused, of {len(WRONG)}"] = float(refused)
+        counts[f"{name}: refused with all of it named"] = float(named)
+    return counts
+
+
+DECISIONS = {"cdr": cdr, "mcap": mcap, "noise": noise, "checks": checks}
+
+if __name__ == "__main__":
+    for chosen in sys.argv[1:] or DECISIONS:
+        for what, value in DECISIONS[chosen]().items():
+            print(f"{chosen}: {what:65} {value:10.3g}", flush=True)

@@ -1,0 +1,412 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""`import trackres_ros as tr`: what is there, that it is there at once, and that the command line has nothing else."""
+
+import ast
+import importlib
+import json
+import math
+import pkgutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import trackres_ros as tr
+from trackres_ros.cli.main import cli
+
+PACKAGE = Path(tr.__file__).parent
+DRIVE = "time_s,speed_kmh,ambient_degc\n" + "".join(f"{i * 0.1:.1f},{min(i, 100) * 0.2:.2f},10\n" for i in range(400))
+
+EXPORTED = {
+    "load_vehicle", "check_vehicle", "record_sample", "read", "replay", "simulate", "explain", "diagnose", "effects",
+    "Estimator", "Vehicle", "Recording", "InputError", "MissingExtraError",
+    "Sample", "ReplayResult", "SimulationResult", "OperatingPoint", "VehicleCheck", "DiagnosisResult", "__version__",
+}  # fmt: skip
+
+PRINTING = {
+    "trackres_ros.errors": "one_line, for what is printed",
+    "trackres_ros.text.numbers": "numbers as people are shown them",
+    "trackres_ros.files.resources": "names of the shipped vehicles, for help",
+    "trackres_ros.units": "units as people read them",
+    "trackres_ros.model.resistance": "the parts of a torque, by name",
+}
+STARTED_BY = {  # commands that start an application of their own, and import it
+    "entry.py": {"trackres_ros.node.signals"},
+    "live.py": {
+        "trackres_ros.node", "trackres_ros.node.ros.main", "trackres_ros.node.dds.node", "trackres_ros.node.parameters",
+        "trackres_ros.files.yamls", "trackres_ros.files.output_files",
+    },
+    "live_json.py": {"trackres_ros.node.report"},
+    "live_table.py": {"trackres_ros.node.edge", "trackres_ros.node.report", "trackres_ros.recording.roles"},
+    "play.py": {"trackres_ros.node.dds.player"},
+    "prove.py": {"trackres_ros.evaluation"},
+    "reproduce.py": {"trackres_ros.evaluation.reproduce"},
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def vehicle():
+    return tr.load_vehicle("xgd24d")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("front")
+
+
+@pytest.fixture(scope="module")
+def sample(folder):
+    return tr.record_sample(folder / "lap.mcap", laps=1, speed_kmh=30)
+
+
+@pytest.fixture(scope="module")
+def drive(folder):
+    path = folder / "drive.csv"
+    path.write_text(DRIVE)
+    return path
+
+
+@pytest.fixture(scope="module")
+def replayed(drive, vehicle):
+    return tr.replay(drive, vehicle)
+
+
+def printed(*words):
+    done = CliRunner().invoke(cli, [*map(str, words), "--json"])
+    assert done.exit_code == 0, done.exception
+    return json.loads(done.stdout)
+
+
+def test_what_is_exported():
+    assert set(tr.__all__) == EXPORTED
+    assert len(tr.__all__) == len(EXPORTED)
+    assert dir(tr) == sorted(tr.__all__)
+    for name in tr.__all__:
+        assert getattr(tr, name) is not None
+        assert name == "__version__" or getattr(tr, name).__doc__
+    assert (PACKAGE / "py.typed").exists()
+
+
+def test_what_is_declared_for_editors_is_what_is_there():
+    tree = ast.parse((PACKAGE / "__init__.py").read_text())
+    (declared,) = [node for node in tree.body if isinstance(node, ast.If)]
+    names = {alias.name for node in declared.body for alias in node.names}
+    assert names | {"__version__"} == EXPORTED
+    for node in declared.body:
+        for alias in node.names:
+            home = importlib.import_module(node.module)
+            assert getattr(home, alias.name) is getattr(tr, alias.name)
+
+
+def test_no_module_hides_what_is_exported():
+    modules = {found.name for found in pkgutil.iter_modules(tr.__path__)}
+    assert modules & set(tr.__all__) == {"effects"}
+    assert tr.effects is sys.modules["trackres_ros.effects"]
+
+
+def test_a_name_that_is_not_there_is_no_attribute():
+    with pytest.raises(AttributeError, match="replai"):
+        tr.replai  # noqa: B018
+
+
+def test_it_is_imported_at_once_and_loads_nothing():
+    program = (
+        "import sys, time; before = set(sys.modules); began = time.perf_counter(); import trackres_ros as tr; "
+        "took = time.perf_counter() - began; new = set(sys.modules) - before; tr.InputError; "
+        "late = {'numpy', 'numba', 'scipy', 'yaml'} & set(sys.modules); "
+        "print(took, *(name for name in new if name.startswith('trackres_ros.')), *late)"
+    )
+    said = [subprocess.run([sys.executable, "-c", program], capture_output=True, text=True).stdout.split() for _ in range(5)]
+    assert all(words[1:] == [] for words in said)
+    assert min(float(words[0]) for words in said) < 0.030
+
+
+def imported_by(path):
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0
+            names = {alias.name for alias in node.names}
+            if node.module == "trackres_ros":  # a submodule may be named that way too
+                yield from ("trackres_ros" if name in EXPORTED else f"trackres_ros.{name}" for name in names)
+            else:
+                yield node.module
+
+
+def within(name, package):
+    return name == package or name.startswith(f"{package}.")
+
+
+@pytest.mark.parametrize("path", sorted((PACKAGE / "cli").glob("*.py")), ids=lambda path: path.name)
+def test_the_command_line_calls_nothing_else(path):
+    own = {name for name in imported_by(path) if name.startswith("trackres_ros.")}
+    allowed = {"trackres_ros.cli", *PRINTING, *STARTED_BY.get(path.name, ())}
+    assert not {name for name in own if not any(within(name, a) for a in allowed)}
+
+
+def test_no_exception_of_the_command_line_is_out_of_date():
+    for name, allowed in STARTED_BY.items():
+        imported = set(imported_by(PACKAGE / "cli" / name))
+        assert all(any(within(i, a) for i in imported) for a in allowed), name
+
+
+@pytest.mark.parametrize("given", [str, Path, lambda path: [path]], ids=["text", "path", "list"])
+def test_read_takes_a_path_as_it_comes(drive, given):
+    recording = tr.read(given(drive))
+    assert recording.roles == ("ambient", "speed")
+    assert recording.series["speed"].value[-1] == pytest.approx(20 / 3.6)
+    assert recording.paths == (drive,)
+
+
+def test_read_takes_every_kind_of_recording(folder, drive, sample, vehicle):
+    rosbag2, typesys = pytest.importorskip("rosbags.rosbag2"), pytest.importorskip("rosbags.typesys")
+    types = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
+    of_bag = tr.read(sample.path, topics=sample.topics)
+    assert len(of_bag.series["speed"]) == 5520
+    rosbag2_folder = folder / "as_folder"
+    with rosbag2.Reader(sample.path) as reader, rosbag2.Writer(rosbag2_folder, version=9) as writer:
+        of = {c.id: writer.add_connection(c.topic, c.msgtype, typestore=types) for c in reader.connections}
+        for connection, stamp, raw in reader.messages():
+            writer.write(of[connection.id], stamp, raw)
+    assert np.array_equal(tr.read(rosbag2_folder, topics=sample.topics).series["speed"].value, of_bag.series["speed"].value)
+    later = tr.replay(drive, vehicle).save(folder / "drive.parquet")
+    assert len(tr.read(later).series["speed"]) == 400
+    twice = tr.read([sample.path, sample.path], topics=sample.topics)
+    assert len(twice.series["speed"]) == 2 * 5520
+
+
+def test_a_recording_says_what_was_found_wrong(folder):
+    path = folder / "holed.csv"
+    lines = DRIVE.splitlines()
+    path.write_text("\n".join([*lines[:100], *lines[300:]]) + "\n")
+    recording = tr.read(path)
+    assert any(finding.kind == "gap" for finding in recording.findings)
+    assert "1 gaps longer than" in repr(recording)
+    assert "1 gaps longer than" in recording._repr_html_()
+
+
+def test_topics_are_a_file_or_what_stands_in_one(folder, drive):
+    path = folder / "topics.yaml"
+    path.write_text("speed: {column: speed_kmh, scale: 0.5}\n")
+    by_file, by_mapping = tr.read(drive, topics=path), tr.read(drive, topics={"speed": {"column": "speed_kmh", "scale": 0.5}})
+    assert by_file.series["speed"].value[-1] == by_mapping.series["speed"].value[-1] == pytest.approx(10.0)
+    with pytest.raises(tr.InputError, match="did you mean speed"):
+        tr.read(drive, topics={"sped": {"column": "speed_kmh"}})
+
+
+def test_a_recording_gives_its_samples_in_the_order_they_were_read(sample, drive):
+    from trackres_ros.recording.bindings import Topics
+    from trackres_ros.recording.opening import open_source
+
+    for path, topics in ((sample.path, sample.topics), (drive, None)):
+        source = open_source([path], Topics.load(topics) if topics else None)
+        before = list(source.blocks(1000))
+        again = list(tr.read(path, topics=topics).blocks(777))
+        for field in ("role", "stamp_ns", "arrival_ns", "value"):
+            one, other = (np.concatenate([getattr(block, field) for block in blocks]) for blocks in (before, again))
+            assert np.array_equal(one, other), field
+
+
+def test_a_recording_made_by_hand_is_replayed_with_speed_last(vehicle):
+    from trackres_ros.recording.samples import Series
+
+    when = np.arange(3) * 1_000_000_000
+    series = {"speed": Series(when, when, np.array([1.0, 2.0, 3.0])), "ambient": Series(when, when, np.array([5.0, 6.0, 7.0]))}
+    (block,) = tr.Recording("by hand", series, zero_is_unset=False).blocks()
+    assert block.role.tolist() == [1, 0] * 3
+    assert block.value.tolist() == [5.0, 1.0, 6.0, 2.0, 7.0, 3.0]
+
+
+def test_a_replay_of_what_was_read_is_that_of_the_file(sample, vehicle):
+    read = tr.replay(tr.read(sample.path, topics=sample.topics), vehicle)
+    from_file = tr.replay(str(sample.path), "xgd24d", topics=sample.topics)
+    assert repr(read) == repr(from_file)
+    assert read.columns == from_file.columns
+    for column in read:
+        assert np.array_equal(read[column], from_file[column], equal_nan=True), column
+
+
+@pytest.mark.parametrize("suffix", ["csv", "csv.gz", "mcap"])
+def test_what_is_saved_is_what_the_command_writes(drive, replayed, folder, suffix):
+    saved = replayed.save(folder / f"saved.{suffix}")
+    written = folder / f"written.{suffix}"
+    printed("replay", drive, "--vehicle", "xgd24d", "-o", written)
+    assert saved.read_bytes() == written.read_bytes()
+
+
+def test_a_replay_says_what_the_command_says(drive, replayed, folder):
+    told = printed("replay", drive, "--vehicle", "xgd24d", "-o", folder / "told.csv")
+    assert told.pop("written") == [str(folder / "told.csv"), str(folder / "told.png")]
+    assert told == json.loads(json.dumps(replayed.as_dict()))
+    assert (folder / "told.png").read_bytes() == replayed.plot()._repr_png_()
+
+
+def test_a_replay_into_a_file_does_not_keep_its_rows(drive, replayed, vehicle, folder):
+    seen = []
+    result = tr.replay(drive, vehicle, output=folder / "streamed.csv", progress=seen.append)
+    assert sum(seen) == result.messages == 800
+    assert (folder / "streamed.csv").read_bytes() == replayed.save(folder / "kept.csv").read_bytes()
+    assert repr(result) == repr(replayed)
+    for ask in (lambda: result["speed_mps"], lambda: result.save(folder / "more.csv"), result.to_pandas):
+        with pytest.raises(tr.InputError, match=r"streamed\.csv"):
+            ask()
+    assert "resistance" in result._repr_html_()
+
+
+def test_a_replay_takes_parameters_and_goes_on_from_a_state(folder, vehicle, replayed):
+    lines = DRIVE.splitlines()
+    (folder / "one.csv").write_text("\n".join(lines[:200]) + "\n")
+    (folder / "two.csv").write_text("\n".join([lines[0], *lines[200:]]) + "\n")
+    tr.replay(folder / "one.csv", vehicle, save_state=folder / "state.json")
+    rest = tr.replay(folder / "two.csv", vehicle, resume=folder / "state.json")
+    torque = replayed["resistance_torque_nm"]
+    assert np.array_equal(rest["resistance_torque_nm"], torque[-len(rest["time_s"]) :])
+    none = tr.replay(folder / "two.csv", vehicle, params={"feedforward_parts": []})
+    assert not none["feedforward_torque_nm"].any()
+    assert rest["feedforward_torque_nm"].any()
+    with pytest.raises(tr.InputError, match="gap_s"):
+        tr.replay(folder / "two.csv", vehicle, params={"gap_s": -1})
+
+
+def test_pandas_has_every_column_with_its_unit(replayed, folder):
+    pd = pytest.importorskip("pandas")
+    frame = replayed.to_pandas()
+    saved = pd.read_csv(replayed.save(folder / "frame.csv"), index_col="time_s")
+    assert list(frame) == list(saved)
+    pd.testing.assert_frame_equal(frame, saved, check_dtype=False, rtol=1e-12)
+    assert frame.index.name == "time_s"
+    units = frame.attrs["units"]
+    assert units["resistance_torque_nm"] == "N m"
+    assert units["belt_degc/front_left"] == "degC"
+    assert [name for name, unit in units.items() if not unit] == ["reasons"]
+
+
+def test_xarray_has_an_axis_of_assemblies(replayed):
+    pytest.importorskip("xarray")
+    data = replayed.to_xarray()
+    assert data["belt_degc"].dims == ("time_s", "assembly")
+    assert list(data["assembly"].values) == list(replayed.estimator.assemblies)
+    assert data["belt_degc"].attrs["units"] == "degC"
+    assert data.attrs["vehicle"] == "xgd24d"
+    for place in replayed.estimator.assemblies:
+        assert np.array_equal(data["belt_degc"].sel(assembly=place), replayed[f"belt_degc/{place}"])
+    of_all = data["assembly_resistance_torque_nm"].sum("assembly")
+    np.testing.assert_allclose(of_all, data["resistance_torque_nm"], atol=1e-9)
+
+
+def test_results_are_shown(replayed, vehicle, drive):
+    point = tr.explain(vehicle, speed_kmh=30, belt_degc=20)
+    driven = tr.simulate(vehicle, speed_kmh=30, duration_s=60)
+    for shown in (replayed, point, driven, tr.read(drive), tr.check_vehicle("agri3t", points=10)):
+        page = shown._repr_html_()
+        assert page.startswith("<div")
+        assert page.endswith("</div>")
+        assert "nan" not in page
+        assert len(repr(shown).splitlines()) >= 3
+    assert "xgd24d" in repr(vehicle)
+    assert len(repr(vehicle)) < 200
+    assert f"{driven.points()[-1]['resistance_torque_nm']:.0f}" in repr(driven)
+
+
+def test_a_file_name_is_no_markup(folder, drive):
+    odd = folder / "a<b>&c.csv"
+    odd.write_text(DRIVE)
+    page = tr.read(odd)._repr_html_()
+    assert "<b>&c" not in page
+    assert "a&lt;b&gt;&amp;c.csv" in page
+
+
+def test_simulate_is_the_command(folder):
+    driven = tr.simulate("agri3t", speed_kmh=12, duration_s=60, ambient_degc=5, dt=0.5, output=folder / "s1.csv")
+    options = ("--speed-kmh", 12, "--duration-s", 60, "--ambient-degc", 5, "--dt", 0.5)
+    told = printed("simulate", "--vehicle", "agri3t", *options, "-o", folder / "s2.csv")
+    assert told.pop("output") == str(folder / "s2.csv")
+    assert told == driven.as_dict()
+    assert (folder / "s1.csv").read_bytes() == (folder / "s2.csv").read_bytes()
+
+
+def test_a_profile_is_a_table_or_what_was_read_of_it(drive, vehicle):
+    by_path, read = tr.simulate(vehicle, profile=str(drive)), tr.simulate(vehicle, profile=tr.read(drive))
+    for column in by_path:
+        assert np.array_equal(by_path[column], read[column]), column
+    assert by_path["speed_mps"][-1] == pytest.approx(20 / 3.6)
+    assert set(by_path["ambient_degc"]) == {10.0}
+
+
+def test_explain_and_check_are_the_commands():
+    point = tr.explain(tr.load_vehicle("agri3t", method="rainflow"), speed_kmh=10, belt_degc=30, weight_kn=25)
+    options = ("--speed-kmh", 10, "--belt-degc", 30, "--weight-kn", 25, "--method", "rainflow")
+    assert printed("explain", "--vehicle", "agri3t", *options) == json.loads(json.dumps(point.as_dict()))
+    checked = json.loads(json.dumps(tr.check_vehicle("agri3t", points=20).as_dict()))
+    told = printed("vehicle", "check", "agri3t", "--points", 20)
+    for result in (checked, told):
+        for track in result["tracks"].values():
+            assert track["table"].pop("seconds") < 60
+    assert checked == told
+
+
+@pytest.mark.parametrize(
+    ("call", "where"),
+    [
+        (lambda d, f: tr.simulate("agri3t"), "speed_kmh, profile"),
+        (lambda d, f: tr.simulate("agri3t", speed_kmh=math.nan), "speed"),
+        (lambda d, f: tr.simulate("agri3t", profile=d, duration_s=5), "duration_s"),
+        (lambda d, f: tr.simulate("xgd24d", profile=d, ambient_degc=5), "ambient_degc"),
+        (lambda d, f: tr.simulate("agri3t", speed_kmh=5, output=f / "x.txt"), "output"),
+        (lambda d, f: tr.explain("agri3t", speed_kmh=5, belt_degc=5, weight_kn=1), "weight_kn"),
+        (lambda d, f: tr.load_vehicle("agri3t", method="exact"), "method"),
+        (lambda d, f: tr.load_vehicle("nobody"), "vehicle"),
+        (lambda d, f: tr.replay(d, "agri3t", output=d), "output"),
+        (lambda d, f: tr.replay(d, "agri3t", save_state=f / "no" / "state"), "save_state"),
+        (lambda d, f: tr.replay(tr.read(d), "agri3t", topics={"speed": {"column": "speed_kmh"}}), "topics"),
+        (lambda d, f: tr.replay(5, "agri3t"), "recording"),
+        (lambda d, f: tr.replay(d, 5), "vehicle"),
+        (lambda d, f: tr.diagnose([], "agri3t"), "recordings"),
+        (lambda d, f: tr.diagnose(d, "agri3t", hide=["gradient"]), "hide"),
+        (lambda d, f: tr.record_sample(f / "lap.csv"), "path"),
+    ],
+)
+def test_bad_input_names_the_argument(drive, folder, call, where):
+    with pytest.raises(tr.InputError) as refused:
+        call(drive, folder)
+    assert refused.value.where == where
+    assert refused.value.allowed
+
+
+def test_the_command_names_the_option_instead(drive, folder):
+    for words, option in (
+        (("simulate", "--vehicle", "agri3t", "-o", folder / "x.csv"), "--speed-kmh, --profile"),
+        (("replay", drive, "--vehicle", "agri3t", "-o", folder / "x.txt"), "-o"),
+        (("replay", drive, "--vehicle", "nobody", "-o", folder / "x.csv"), "--vehicle"),
+        (("diagnose", drive, "--vehicle", "agri3t", "--hide", "gradient", "-o", folder / "x"), "--hide"),
+    ):
+        done = CliRunner().invoke(cli, [str(word) for word in words])
+        assert done.exception.where == option
+
+
+def test_a_road_vehicle_is_only_diagnosed():
+    from trackres_ros.diagnosis.base.road_load import load_road_vehicle
+    from trackres_ros.files.resources import shipped_road_vehicles
+    from trackres_ros.files.yamls import read_yaml
+
+    path = next(iter(shipped_road_vehicles().values()))
+    road = load_road_vehicle(path, read_yaml(path))
+    with pytest.raises(tr.InputError, match="road_load"):
+        tr.simulate(road, speed_kmh=5)
+
+
+@pytest.mark.parametrize(
+    ("module", "ask"), [("pandas", "to_pandas"), ("xarray", "to_xarray"), ("matplotlib", "plot")], ids=lambda v: v
+)
+def test_a_library_that_is_missing_says_how_to_install_itself(replayed, monkeypatch, module, ask):
+    monkeypatch.setitem(sys.modules, module, None)
+    for name in [name for name in sys.modules if name.startswith(f"{module}.") or name == "trackres_ros.output.figures"]:
+        monkeypatch.setitem(sys.modules, name, None)
+    with pytest.raises(tr.MissingExtraError, match=f"pip install {module}"):
+        getattr(replayed, ask)()

@@ -1,0 +1,174 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Standard deviations of the estimate: what the plausible ranges of the vehicle file make of temperature and torque.
+
+Each range is moved by a little, the vehicle driven anew, and the change compared with what the estimator carries along.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.estimator.kernel import LEAST_STD_SHARE
+from trackres_ros.estimator.settings import Settings
+from trackres_ros.estimator.uncertainty import REFERENCE_SPEED_SHARE, spread
+from trackres_ros.model import belt as belt_model
+from trackres_ros.model.track import with_methods
+from trackres_ros.vehicle import Vehicle, load, variants
+
+CERTAIN = Settings(initial_belt_std_k=0.0, process_noise_k=0.0, ambient_std_k=0.0, ambient_unknown_std_k=0.0)
+BELT = "tracks.triangular.belt"
+ALL = (
+    f"{BELT}.exposed_share",
+    f"{BELT}.film_slope",
+    "rubber.loss_modulus_scale",
+    "rubber.heat_capacity",
+    "rubber.density",
+    "tracks.triangular.sprocket_radius",
+    "chassis.bearing_friction",
+    "chassis.drag_coefficient",
+)
+TIME_S = np.arange(0.0, 3000.0, 0.5)
+STEP = 0.2  # of a standard deviation
+
+
+@pytest.fixture(scope="module")
+def xgd24d() -> Vehicle:
+    return load("xgd24d")
+
+
+@pytest.fixture(scope="module", params=["xgd24d", "agri3t"])
+def vehicle(request: pytest.FixtureRequest) -> Vehicle:
+    """Each shipped vehicle in turn."""
+    return load(request.param)
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A cache of its own: the varied vehicles are of no use to anybody else."""
+    return tmp_path_factory.mktemp("cache")
+
+
+def with_open_ranges(vehicle: Vehicle, paths: Collection[str]) -> Vehicle:
+    """The vehicle with every quantity certain but those named."""
+    certain = {
+        path: q if path in paths or isinstance(q.value, tuple) else replace(q, low=q.value, high=q.value)
+        for path, q in vehicle.parameters.items()
+    }
+    return replace(vehicle, parameters=certain)
+
+
+def drive(
+    vehicle: Vehicle, cache: Path, speed: float, config: Settings = CERTAIN, ambient: float = 15.0
+) -> Mapping[str, np.ndarray]:
+    """Columns of a drive at constant speed from belts at the ambient temperature."""
+    one = Estimator(vehicle, config, cache)
+    begun = one.cold_start(one.inputs(speed, ambient=ambient))
+    _, rows = one.run(begun, TIME_S, np.full_like(TIME_S, speed), vehicle.weight, ambient, 0.0)
+    return {name: rows[:, i] for name, i in one.column_index.items()}
+
+
+def by_differences(vehicle: Vehicle, cache: Path, paths: Collection[str], speed: float, column: str) -> np.ndarray:
+    """Standard deviation of a column: root of the sum of squares over the quantities, each by a central difference."""
+    make, squares = variants(vehicle), np.zeros_like(TIME_S)
+    for path in paths:
+        quantity = vehicle.parameters[path]
+        moved = [make({path: quantity.value + sign * STEP * quantity.standard_deviation}) for sign in (1, -1)]
+        ends = [drive(with_open_ranges(one, []), cache, speed)[column] for one in moved]
+        squares += ((ends[0] - ends[1]) / (2 * STEP)) ** 2
+    return np.sqrt(squares)
+
+
+def at_least(expected: np.ndarray, carried: dict[str, np.ndarray], column: str) -> np.ndarray:
+    """A standard deviation of the torque is never less than what a torque transducer is off by."""
+    return np.maximum(expected, LEAST_STD_SHARE * carried["resistance_torque_nm"]) if column == "resistance_std_nm" else expected
+
+
+def reference_speed(vehicle: Vehicle) -> float:
+    return REFERENCE_SPEED_SHARE * vehicle.chassis.max_speed
+
+
+@pytest.mark.parametrize(
+    ("path", "tolerance"),
+    [
+        (f"{BELT}.exposed_share", 0.01),
+        (f"{BELT}.film_slope", 0.01),
+        ("rubber.heat_capacity", 0.01),
+        ("rubber.loss_modulus_scale", 0.03),
+    ],
+)
+def test_uncertainty_of_one_quantity_is_the_change_it_makes(xgd24d: Vehicle, cache: Path, path: str, tolerance: float) -> None:
+    speed = reference_speed(xgd24d)
+    carried = drive(with_open_ranges(xgd24d, [path]), cache, speed)
+    for ours, column in (("belt_std_k/front_left", "belt_degc/front_left"), ("resistance_std_nm", "resistance_torque_nm")):
+        expected = at_least(by_differences(xgd24d, cache, [path], speed, column), carried, ours)
+        assert carried[ours] == pytest.approx(expected, rel=tolerance, abs=0.003 * expected.max() + 0.01)
+        assert expected.max() > 0.1
+
+
+@pytest.mark.parametrize("thermal", ["lumped", "core_surface"])
+def test_the_uncertainty_of_many_quantities_adds_in_squares(xgd24d: Vehicle, cache: Path, thermal: str) -> None:
+    vehicle = with_methods(xgd24d, thermal=thermal)
+    paths = [path for path in ALL if thermal == "lumped" or not path.endswith("exposed_share")]  # which moves K as well
+    carried = drive(with_open_ranges(vehicle, paths), cache, reference_speed(vehicle))
+    for ours, column in (("belt_std_k/front_left", "belt_degc/front_left"), ("resistance_std_nm", "resistance_torque_nm")):
+        expected = at_least(by_differences(vehicle, cache, paths, reference_speed(vehicle), column), carried, ours)
+        assert carried[ours] == pytest.approx(expected, rel=0.04, abs=0.02 * expected.max())
+
+
+def test_a_certain_vehicle_is_certain(xgd24d: Vehicle, cache: Path) -> None:
+    certain = drive(with_open_ranges(xgd24d, []), cache, 10.0)
+    assert certain["belt_std_k/front_left"].max() < 1e-3
+    assert certain["resistance_std_nm"] == pytest.approx(LEAST_STD_SHARE * certain["resistance_torque_nm"], rel=1e-6)
+
+
+def test_the_uncertainty_of_the_ambient_temperature(xgd24d: Vehicle, cache: Path) -> None:
+    """An offset of the ambient temperature that was there from the start."""
+    offset = 0.5
+    uncertain = drive(with_open_ranges(xgd24d, []), cache, 10.0, replace(CERTAIN, ambient_std_k=offset))
+    ends = [drive(xgd24d, cache, 10.0, ambient=15.0 + sign * offset) for sign in (1, -1)]
+    for ours, column in (("belt_std_k/front_left", "belt_degc/front_left"), ("resistance_std_nm", "resistance_torque_nm")):
+        assert uncertain[ours] == pytest.approx(
+            at_least(np.abs(ends[0][column] - ends[1][column]) / 2, uncertain, ours), rel=0.01, abs=1e-3
+        )
+
+
+def test_uncertainty_of_the_start_fades(xgd24d: Vehicle, cache: Path) -> None:
+    """A belt that was 5 K warmer or colder is forgotten as the drive goes on; random departures stay bounded."""
+    started = drive(with_open_ranges(xgd24d, []), cache, 10.0, replace(CERTAIN, initial_belt_std_k=5.0))["belt_std_k/front_left"]
+    assert started[0] == pytest.approx(5.0, rel=1e-3)
+    assert (np.diff(started) < 0.0).all()
+    assert started[-1] < 0.1
+    walk = drive(with_open_ranges(xgd24d, []), cache, 10.0, replace(CERTAIN, process_noise_k=0.02))["belt_std_k/front_left"]
+    assert (np.diff(walk) > -1e-9).all()
+    assert walk[-1] == pytest.approx(walk[-1200], rel=0.02)
+
+
+def test_one_quantity_moves_loss_cooling_and_capacity_together(xgd24d: Vehicle, cache: Path) -> None:
+    """A wider belt cools better and holds more heat at once: the covariance keeps that, it has rank one."""
+    belt, rubber, path = xgd24d.tracks["triangular"].belt, xgd24d.rubber, f"{BELT}.width"
+    std = xgd24d.parameters[path].standard_deviation
+    covariance = (factor := spread(with_open_ranges(xgd24d, [path]), "triangular", cache).factor) @ factor.T
+    heat = belt_model.heat_capacity(belt, rubber) / belt.loop_length
+    cooling, capacity = std / (belt.width + belt.thickness), std * belt.thickness * rubber.density * rubber.heat_capacity / heat
+    assert covariance[1, 1] == pytest.approx(cooling**2, rel=1e-3)
+    assert covariance[2, 2] == pytest.approx(capacity**2, rel=1e-3)
+    assert covariance[1, 2] == pytest.approx(cooling * capacity, rel=1e-3)
+    assert np.linalg.matrix_rank(covariance, tol=1e-3 * covariance[2, 2]) == 1
+
+
+def test_every_range_of_the_shipped_file_counts(vehicle: Vehicle, cache: Path) -> None:
+    """The variance from all ranges is the sum of the variances from each half of them."""
+    name = next(iter(vehicle.tracks))
+    paths = [path for path in vehicle.parameters if path.startswith(("rubber.", "tracks."))]
+    parts = [spread(with_open_ranges(vehicle, half), name, cache).factor for half in (paths[::2], paths[1::2])]
+    whole = spread(vehicle, name, cache).factor
+    assert whole @ whole.T == pytest.approx(sum(part @ part.T for part in parts), rel=1e-6, abs=1e-9)
+    assert (np.diag(whole) > 0.03).all()

@@ -1,0 +1,41 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""What is told of real recordings beside the diagnosis: start states, and what is locked to position."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from trackres_ros.diagnosis import diagnose, load_base, read_recordings
+from trackres_ros.evaluation.closed_loop import left_by_diagnosis
+from trackres_ros.evaluation.field.data import car
+from trackres_ros.evaluation.field.run import NOTHING, TWICE, UPHILL, WARM, FieldTrial, start_state, twice
+
+DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "real"
+
+
+@pytest.mark.long
+def test_drives_that_all_begin_cold_have_a_start_state_of_one(tmp_path):
+    left = left_by_diagnosis(tmp_path, {"warmup": {"torque": 600.0, "seconds": 400.0}}, 12.0, -1, 3)
+    tried = FieldTrial("drives", "a cold drive train", WARM, NOTHING, left.found)
+    assert tried.judged == "right"
+    states = [start_state(tried, i) for i in range(len(left.found.sessions))]
+    assert len(states) == 2
+    for state, std in states:
+        assert 0.0 < std < 0.3
+        assert abs(state - 1.0) < 0.4
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not DATA.is_dir(), reason="no real recordings on this machine")
+def test_a_route_driven_twice_repeats_its_residuals_but_not_as_the_slope(tmp_path):
+    paths = [car(DATA, name, tmp_path) for name in TWICE]
+    found = diagnose(read_recordings(paths, None), load_base("bmw_i3"), hide=["grade"], quick=True)
+    tried = FieldTrial("one route twice", "elevation", NOTHING, UPHILL, found)
+    assert tried.judged == "right"
+    repeated = twice(tried)
+    assert np.all(np.diff(repeated.distance) > 0.0)
+    assert repeated.repeats > 0.8
+    assert repeated.follows_slope < 0.5

@@ -1,0 +1,106 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Answers and scores of constructed reports."""
+
+import pytest
+
+from trackres_ros.evaluation.sealed.answers import error_left, of_report
+from trackres_ros.evaluation.sealed.cases import RIGHT_FORMS, Case, sensors_of
+from trackres_ros.evaluation.sealed.oracle import OracleAnswer
+from trackres_ros.evaluation.sealed.page import learned_table, outside_table
+from trackres_ros.evaluation.sealed.scored import OURS, Scored, comparable, own_shares, shares, sizes
+
+PARAMETERS = {"time": {"value": 0.3, "ci95": [0.25, 0.35]}}
+
+
+def report(status, effects=(), described=None, after=100.0):
+    made = {
+        "verdict": {"status": status},
+        "effects": [{"name": name, "class": [name], "parameters": PARAMETERS} for name in effects],
+        "heldout": {"mae": {"nominal": 300.0, "refitted": 200.0, "with_effects": after}},
+    }
+    return made if described is None else {**made, "described": described}
+
+
+def term(form, variable="", gate=None, memory=None, after=120.0):
+    return {"form": form, "variable": variable, "gate": gate, "memory": memory, "heldout": {"mae": [200.0, after]}}
+
+
+def scored(level, hidden, made, seen=True, oracle_error=100.0, learned=None):
+    values = {name: {"time": 0.25} for name in hidden}
+    case = Case("0000cafe", level, values, {}, False, False, False, True, 11)
+    known = OracleAnswer(50.0 if seen else 1.0, (), seen, False, 200.0, oracle_error)
+    return Scored(case, made, known, {OURS: of_report(made)}, 0.5, 0.5, None, learned or {"base": 200.0, "trees": 150.0})
+
+
+def test_a_report_without_descriptions_is_read_as_before():
+    assert of_report(report("none")).described == ()
+    assert of_report(report("named", ["delay"])).first == "delay"
+    assert error_left(report("named", ["delay"], after=90.0)) == 90.0
+
+
+@pytest.mark.parametrize(
+    ("hidden", "said", "right"),
+    [
+        ("pump", term("spells"), True),
+        ("pump", term("level_change"), False),
+        ("left_turns", term("curve", "yaw rate to the left"), True),
+        ("left_turns", term("gated_curve", "speed", "left turns only"), True),
+        ("left_turns", term("curve", "speed"), False),
+        ("light_resonance", term("gated_curve", "speed", {"variable": "load", "side": "low"}), True),
+        ("light_resonance", term("curve", "speed"), False),
+        ("brake_after_stops", term("build_up", "distance", None, {"constant_s": 60.0, "reset": "stop"}), True),
+        ("brake_after_stops", term("build_up", "distance", None, {"constant_s": 60.0, "reset_by_stop": False}), False),
+        ("backlash", term("curve", "driving torque"), True),
+        ("zero_drift", term("drift"), True),
+    ],
+)
+def test_right_forms(hidden, said, right):
+    assert of_report(report("described", described=[said])).describes(RIGHT_FORMS[hidden]) is right
+    assert not of_report(report("unexplained", described=[said])).describes(RIGHT_FORMS[hidden])
+
+
+def test_mistakes_of_descriptions():
+    spells, drift = [term("spells")], [term("drift")]
+    assert scored("outside", ["pump"], report("described", described=spells)).wrong == ""
+    assert scored("outside", ["pump"], report("described", described=drift)).wrong == "described in another form"
+    assert scored("outside", ["pump"], report("named", ["delay"])).wrong == "a name for what is not in the catalogue"
+    assert scored("outside", ["pump"], report("none")).wrong == "unknown not noticed"
+    assert scored("none", [], report("described", described=drift)).wrong == "false description"
+    assert scored("single", ["delay"], report("described", described=drift)).wrong == "described though in the catalogue"
+
+
+def test_scores_of_what_is_outside():
+    of = [
+        scored("outside", ["pump"], report("described", described=[term("spells")])),
+        scored("outside", ["mud"], report("described", described=[term("build_up", after=140.0)])),
+        scored("outside", ["mud"], report("named", ["delay"], after=250.0)),
+        scored("outside", ["zero_drift"], report("unexplained"), seen=False),
+        scored("none", [], report("described", described=[term("drift", after=190.0)]), oracle_error=200.0),
+        scored("none", [], report("none", after=200.0), oracle_error=200.0),
+    ]
+    found, own, values = shares(of), own_shares(of), sizes(of)
+    assert found["outside: confident wrong name"] == (1, 4)
+    assert found["outside: described or unexplained"] == (3, 4)
+    assert found["outside: a name or a class of names"] == (1, 4)
+    assert own["outside, seen by the oracle: described in the right form"] == (2, 3)
+    assert own["outside, all: described in the right form"] == (2, 4)
+    assert own["none: false description"] == (1, 2)
+    assert own["held-out laps: never worse than the base"] == (5, 6)
+    name = "outside, predictable: held-out error removed, of what the oracle removes (median)"
+    assert values[name] == pytest.approx([0.6, -0.5])
+    assert values["held-out error removed, of what the oracle removes (median)"] == []
+    table = learned_table(of)
+    assert "| 2 | 0.05 | 0.50 |" in table
+    assert "| outside: worse than the base | 4 | 1 | 0 |" in table
+    by_kind = outside_table(of)
+    assert "| mud | 2 | 2 | 1 | build_up; delay |" in by_kind
+    assert "| zero_drift | 1 | 0 | 0 | unexplained |" in by_kind
+
+
+def test_a_delay_is_compared_with_all_that_the_torque_is_late_by():
+    s = scored("single", ["delay"], report("named", ["delay"]))
+    covers, (error,) = comparable([s])
+    assert error == pytest.approx(abs(0.3 / (0.25 + sensors_of(s.case).torque_lag_s) - 1.0))
+    assert covers == [True]

@@ -1,0 +1,157 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""An edge that keeps what it is given, and a clock that stands until it is moved: the application alone, without a middleware."""
+
+import math
+from types import SimpleNamespace
+
+import pytest
+
+from trackres_ros.node.application import Application
+from trackres_ros.node.parameters import make_parameters
+
+START_NS = 1_700_000_000_000_000_000
+SECOND_NS = 1_000_000_000
+
+
+class Desk:
+    """One application, with its time in our hands [s since the start]."""
+
+    def __init__(self, **given):
+        self.time_s, self.steady_s = 0.0, 0.0
+        self.clock_offset_s = 0.0  # of the machine's clock against steady time
+        self.published, self.statuses, self.logged = [], [], []
+        self.found_peers = {}
+        self.sim_time = given.get("use_sim_time", False)
+        parameters = {"vehicle": "xgd24d", "state_file": "none", "output_rate_hz": 0.0, **given}
+        self.app = Application(make_parameters(parameters), self, steady_ns=lambda: int(self.steady_s * SECOND_NS))
+        self.app._arrival_offset_ns = START_NS
+        self.app.activate()
+
+    def now_ns(self):
+        return START_NS + round((self.time_s + self.clock_offset_s) * SECOND_NS)
+
+    def publish(self, output, stamp_ns, values):
+        self.published.append((self.app.outputs[output].name, stamp_ns, list(values)))
+
+    def publish_status(self, output, stamp_ns, statuses):
+        self.statuses.append((self.app.outputs[output].name, list(statuses)))
+
+    def peers(self, index):
+        return self.found_peers.get(self.app.inputs[index].name, ())
+
+    def log(self, level, text):
+        self.logged.append((level, text))
+
+    def forward(self, seconds, tick=True):
+        """Let time pass in steps of the tick's period."""
+        left = seconds
+        while left > 1e-9:
+            step = min(left, self.app.period_s)
+            self.time_s, self.steady_s, left = self.time_s + step, self.steady_s + step, left - step
+            if tick:
+                self.app.tick()
+
+    def send(self, role, value, stamp_s=None):
+        """A message of a role, stamped now or at a time [s since the start]."""
+        index = next(i for i, given in enumerate(self.app.inputs) if role in given.roles)
+        stamp = self.now_ns() if stamp_s is None else START_NS + round(stamp_s * SECOND_NS)
+        header = SimpleNamespace(stamp=SimpleNamespace(sec=stamp // SECOND_NS, nanosec=stamp % SECOND_NS))
+        message = {
+            "speed": SimpleNamespace(header=header, twist=SimpleNamespace(linear=SimpleNamespace(x=value))),
+            "load": SimpleNamespace(data=value),
+            "ambient": SimpleNamespace(header=header, temperature=value),
+            "torque": SimpleNamespace(header=header, wrench=SimpleNamespace(torque=SimpleNamespace(y=value))),
+        }[role]
+        self.app.receive(index, message)
+
+    def drive(self, seconds, speed=8.0, dt=0.02, **others):
+        """Speeds every dt, and whatever else is given with each."""
+        for _ in range(round(seconds / dt)):
+            self.forward(dt)
+            for role, value in others.items():
+                self.send(role, value)
+            self.send("speed", speed)
+
+    def last(self, name):
+        """Stamp and numbers of the last message of an output."""
+        return next((stamp, values) for topic, stamp, values in reversed(self.published) if topic == name)
+
+    def names(self):
+        """Names of the remarks now."""
+        return {remark.name for remark in self.app.remarks()}
+
+    def all_finite(self):
+        return all(math.isfinite(value) for _, _, values in self.published for value in values)
+
+
+class Wild(Desk):
+    """An edge that packs what it is given as a middleware does, and refuses whatever it is told to."""
+
+    def __init__(self, **given):
+        self.broken, self.own_clock = set(), None
+        super().__init__(**given)
+
+    def _may(self, what):
+        if what in self.broken:
+            raise OSError(f"{what} does not work")
+
+    def now_ns(self):
+        self._may("now_ns")
+        return super().now_ns() if self.own_clock is None else self.own_clock
+
+    def publish(self, output, stamp_ns, values):
+        self._may("publish")
+        assert stamp_ns_fits(stamp_ns)
+        super().publish(output, stamp_ns, values)
+
+    def publish_status(self, output, stamp_ns, statuses):
+        self._may("publish_status")
+        assert stamp_ns_fits(stamp_ns)
+        super().publish_status(output, stamp_ns, statuses)
+
+    def peers(self, index):
+        self._may("peers")
+        return super().peers(index)
+
+    def log(self, level, text):
+        self._may("log")
+        super().log(level, text)
+
+
+def stamp_ns_fits(stamp):
+    seconds, nanoseconds = divmod(stamp, SECOND_NS)
+    return -(2**31) <= seconds < 2**31 and 0 <= nanoseconds < SECOND_NS
+
+
+@pytest.fixture(scope="module")
+def wild_by_clock():
+    """One application on each kind of clock, simulated or not: to make one takes longer than a whole example."""
+    made = {sim: Wild(output_rate_hz=rate, use_sim_time=sim) for sim, rate in ((False, 50.0), (True, 0.0))}
+    yield made
+    for one in made.values():
+        one.broken.clear()
+        one.app.close()
+
+
+@pytest.fixture
+def wild_desk():
+    yield from _desks(Wild)
+
+
+@pytest.fixture
+def desk():
+    yield from _desks(Desk)
+
+
+def _desks(kind):
+    desks = []
+
+    def make(**given):
+        desks.append(kind(**given))
+        return desks[-1]
+
+    yield make
+    for made in desks:
+        made.app.close()

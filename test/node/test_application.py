@@ -1,0 +1,326 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The application without a middleware: what leaves when what arrives, and what it says of it."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from trackres_ros.errors import InputError
+from trackres_ros.estimator.columns import Count
+from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.node.edge import Level, Peer
+from trackres_ros.node.remarks import KINDS
+from trackres_ros.output.topics import output_topics, values_of
+from trackres_ros.vehicle import load
+
+START_NS = 1_700_000_000_000_000_000
+TWIST = "geometry_msgs/msg/TwistStamped"
+
+
+def test_what_leaves_is_what_an_offline_session_gives(desk):
+    d = desk()
+    d.drive(3.0, ambient=20.0, load=250e3)
+    estimator = Estimator(load("xgd24d"))
+    session = estimator.session()
+    for step in range(1, 151):
+        now = START_NS + round(step * 0.02 * 1e9)
+        session.handle(session.channel("ambient"), now, now, 20.0)
+        session.handle(session.channel("load"), now, now, 250e3)
+        estimate = session.handle(session.channel("speed"), now, now, 8.0)
+    for topic in output_topics(estimator.vehicle):
+        expected = values_of(topic, estimate.row[np.newaxis], estimator.column_index)[0]
+        if topic.kind != "status" and np.isfinite(expected).all():
+            stamp, values = d.last(topic.name)
+            assert stamp == now
+            np.testing.assert_allclose(values, expected, rtol=1e-12)
+
+
+def test_nothing_but_a_status_leaves_before_the_first_speed(desk):
+    d = desk()
+    d.forward(3.0)
+    assert not d.published
+    _, statuses = d.statuses[-1]
+    assert statuses[0].level is Level.STALE
+    assert "no speed yet" in statuses[0].message
+    assert {name for name, _ in d.statuses} == {"status", "/diagnostics"}
+
+
+def test_at_a_rate_every_tick_publishes_the_last_state_with_its_stamp(desk):
+    d = desk(output_rate_hz=50.0)
+    d.drive(1.0, dt=0.1)
+    stamps = [stamp for name, stamp, _ in d.published if name == "feedforward_torque"]
+    assert len(stamps) == pytest.approx(50, abs=6)
+    assert len(set(stamps)) == pytest.approx(10, abs=1)
+
+
+@pytest.mark.parametrize("rate", [1.0, 7.0, 33.0, 100.0])
+def test_any_rate_is_kept(desk, rate):
+    d = desk(output_rate_hz=rate, output_deadline_s=0.0)
+    d.drive(10.0, dt=0.01)
+    assert len([1 for name, _, _ in d.published if name == "feedforward_torque"]) == pytest.approx(10.0 * rate, rel=0.05, abs=1.5)
+
+
+@pytest.mark.parametrize("rate", [0.0, 50.0])
+def test_when_the_speed_stops_the_feedforward_fades_and_the_rest_keeps_its_stamp(desk, rate):
+    d = desk(output_rate_hz=rate)
+    d.drive(2.0)
+    d.forward(0.1)
+    stamp, (full,) = d.last("feedforward_torque")
+    before = d.last("resistance_torque")
+    d.forward(0.35)
+    assert d.last("feedforward_torque") == (stamp, [full])
+    assert "SPEED_OLD" not in d.names()
+    d.forward(0.55)
+    faded = d.last("feedforward_torque_nm")[1][0]
+    assert 0.3 * full < faded < 0.7 * full
+    assert "SPEED_OLD" in d.names()
+    assert d.app.overview().level is Level.STALE
+    d.forward(1.0)
+    assert d.last("feedforward_torque") == (stamp, [0.0])
+    assert d.last("resistance_torque") == before
+    assert d.all_finite()
+
+
+def test_after_a_fade_the_feedforward_rises_from_zero_at_its_rate(desk):
+    d = desk(feedforward_rate=1000.0)
+    d.drive(10.0)
+    d.forward(5.0)
+    published = [values[0] for name, _, values in d.published if name == "feedforward_torque"]
+    assert published[-1] == 0.0
+    d.drive(0.5)
+    risen = [values[0] for name, _, values in d.published if name == "feedforward_torque"][len(published) :]
+    assert all(b - a <= 1000.0 * 0.02 + 1e-6 for a, b in itertools.pairwise([0.0, *risen]))
+
+
+def test_the_status_says_at_once_that_the_speed_is_old_and_that_it_is_back(desk):
+    d = desk()
+    d.drive(2.0)
+    assert d.statuses[-1][1][0].level is Level.WARN  # nominal load and ambient
+    d.forward(0.65)
+    assert d.statuses[-1][1][0].level is Level.STALE
+    d.drive(0.15)
+    assert d.statuses[-1][1][0].level is Level.WARN
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e9])
+def test_values_that_cannot_be_are_refused_and_said(desk, value):
+    d = desk()
+    d.drive(2.0)
+    torque = d.last("resistance_torque")[1][0]
+    d.drive(0.4, speed=value)
+    d.forward(1.0)
+    assert d.last("resistance_torque")[1][0] == pytest.approx(torque, rel=0.01)
+    assert {"REFUSED", "SPEED_OLD"} <= d.names()
+    assert d.all_finite()
+
+
+def test_peers_are_remarked(desk):
+    d = desk()
+    d.drive(1.5)
+    assert "NO_PUBLISHER" in d.names()
+    d.found_peers = {
+        "speed": (Peer(TWIST, True), Peer(TWIST, True)),
+        "load": (Peer("std_msgs/msg/Float32", True),),
+        "ambient": (Peer("sensor_msgs/msg/Temperature", False),),
+    }
+    d.drive(1.5)
+    assert {"SEVERAL_PUBLISHERS", "WRONG_TYPE", "INCOMPATIBLE_QOS"} <= d.names()
+    d.found_peers = {given.name: (Peer(given.type, True),) for given in d.app.inputs}
+    d.drive(3.0, load=270e3, ambient=10.0)
+    assert d.names() <= {"COMPILING"}
+
+
+def test_parameters_change_without_losing_the_temperature(desk):
+    d = desk()
+    d.drive(60.0, dt=0.1)
+    belt = d.last("track_temperature/front_left")[1][0]
+    assert belt > 15.2
+    d.app.change({"feedforward_parts": ["bearing"], "output_rate_hz": 20})
+    assert d.app.period_s == pytest.approx(0.05)
+    d.drive(2.0)
+    assert d.last("track_temperature/front_left")[1][0] == pytest.approx(belt, abs=0.2)
+    row = d.app.overview().values
+    assert row["feedforward_torque_nm"] == pytest.approx(row["bearing_nm"])
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"vehicle": "agri3t"}, "read once"),
+        ({"gap_s": math.nan}, "a number from 0.05 to 60 s"),
+        ({"gap_s": 1e9}, "a number from 0.05 to 60 s"),
+        ({"feedforward_parts": ["wheels"]}, "hysteresis"),
+        ({"gap": 2.0}, "did you mean gap_s?"),
+    ],
+)
+def test_what_cannot_be_changed_is_refused_with_the_reason(desk, given, said):
+    d = desk()
+    before = d.app.parameters
+    with pytest.raises(InputError) as error:
+        d.app.change(given)
+    assert said in str(error.value)
+    assert d.app.parameters is before
+
+
+def test_an_age_limit_of_the_topics_file_counts_and_is_not_overruled(desk, tmp_path):
+    topics = tmp_path / "topics.yaml"
+    topics.write_text(f"speed: {{topic: speed, type: {TWIST}, field: twist.linear.x, max_age_s: 3.0}}\n")
+    d = desk(topics=str(topics))
+    d.drive(1.0)
+    d.forward(2.5)
+    assert "SPEED_OLD" not in d.names()
+    with pytest.raises(InputError, match="topics file"):
+        d.app.change({"speed_max_age_s": 1.0})
+
+
+def test_reset_starts_cold(desk):
+    d = desk()
+    d.drive(120.0, dt=0.1)
+    assert d.last("track_temperature/front_left")[1][0] > 15.5
+    assert "anew" in d.app.reset()
+    d.drive(0.1)
+    assert d.last("track_temperature/front_left")[1][0] == pytest.approx(15.0, abs=0.01)
+
+
+def test_a_clock_that_is_set_keeps_the_temperature_and_is_said(desk):
+    d = desk()
+    d.drive(120.0, dt=0.1)
+    belt = d.last("track_temperature/front_left")[1][0]
+    d.clock_offset_s = 3600.0
+    d.drive(1.0)
+    assert d.last("track_temperature/front_left")[1][0] == pytest.approx(belt, abs=0.2)
+    assert "CLOCK_JUMPED" in d.names() | {name for _, s in d.statuses for name in dict(s[0].values)["remarks"].split()}
+    assert d.last("feedforward_torque")[0] == d.now_ns()
+
+
+def test_stamps_of_another_clock_are_remarked(desk):
+    d = desk()
+    for _ in range(100):
+        d.forward(0.02)
+        d.send("speed", 8.0, stamp_s=d.time_s - 100.0)
+    assert "CLOCK_OFFSET" in d.names()
+    assert any("100.0 s behind" in remark.text for remark in d.app.remarks())
+
+
+def test_simulated_time_that_goes_back_starts_anew(desk):
+    d = desk(use_sim_time=True)
+    d.drive(120.0, dt=0.1)
+    d.time_s = 0.0
+    d.app.time_went_back()
+    d.drive(0.1)
+    assert d.last("track_temperature/front_left")[1][0] == pytest.approx(15.0, abs=0.01)
+    assert "TIME_RESET" in d.names()
+
+
+def test_messages_without_stamps_between_two_ticks_of_a_simulated_clock_all_count(desk, tmp_path):
+    topics = tmp_path / "topics.yaml"
+    topics.write_text("speed: {topic: speed, type: std_msgs/msg/Float64, field: data}\n")
+    d = desk(use_sim_time=True, topics=str(topics))
+    for step in range(40):
+        d.time_s += 0.1 if step % 4 == 0 else 0.0
+        d.app.receive(0, type("Float64", (), {"data": 8.0}))
+    assert {name: number for _, name, number in d.app.session.counts()} == {Count.ACCEPTED: 40}
+
+
+def test_what_cannot_be_decoded_is_counted_as_no_number(desk):
+    d = desk()
+    index = {role: i for i, given in enumerate(d.app.inputs) for role in given.roles}
+    d.app.undecodable(index["load"])
+    assert [(name, count) for name, count, _ in d.app.session.counts()] == [("load", Count.NON_FINITE)]
+
+
+def test_what_comes_before_the_simulated_clock_waits_for_it(desk):
+    d = desk(use_sim_time=True)
+    now_ns = d.now_ns
+    d.now_ns = lambda: 0
+    d.send("load", 250e3)
+    d.send("speed", 8.0, stamp_s=0.0)
+    assert not d.published
+    d.now_ns = now_ns
+    d.send("speed", 8.0, stamp_s=0.02)
+    row = d.app.overview().values
+    assert row["weight_n"] == pytest.approx(250e3)
+    assert sum(number for name, _, number in d.app.session.counts() if name == "speed") == 2
+
+
+def test_what_was_sent_before_a_speed_counts_for_it_whatever_comes_first(desk):
+    d = desk()
+    index = {role: i for i, given in enumerate(d.app.inputs) for role in given.roles}
+    d.drive(1.0, load=250e3)
+    d.app.receive_values(index["load"], None, [300e3], sent_ns=2000)
+    d.app.receive_values(index["speed"], d.now_ns() + 1, [8.0], sent_ns=1000)
+    assert d.app.overview().values["weight_n"] == pytest.approx(250e3)
+    d.app.receive_values(index["speed"], d.now_ns() + 2, [8.0], sent_ns=3000)
+    assert d.app.overview().values["weight_n"] == pytest.approx(300e3)
+
+
+def test_what_waits_for_a_speed_is_counted_when_the_node_ends(desk):
+    d = desk()
+    load = next(i for i, given in enumerate(d.app.inputs) if "load" in given.roles)
+    d.drive(1.0)
+    before = sum(number for name, _, number in d.app.session.counts() if name == "load")
+    d.app.receive_values(load, None, [300e3], sent_ns=d.now_ns())
+    d.app.close()
+    assert sum(number for name, _, number in d.app.session.counts() if name == "load") == before + 1
+
+
+def test_a_fault_inside_is_said_and_does_not_silence_the_outputs(desk, monkeypatch):
+    d = desk()
+    d.drive(1.0)
+    monkeypatch.setattr(d.app.session, "handle", lambda *_: 1 / 0)
+    d.drive(0.3)
+    assert "INTERNAL_ERROR" in d.names()
+    assert d.app.overview().level is Level.ERROR
+    assert [level for level, text in d.logged if "ZeroDivisionError" in text] == [Level.ERROR]
+    count = len(d.published)
+    d.forward(0.5)
+    assert len(d.published) > count
+    assert d.all_finite()
+
+
+def test_every_remark_that_can_be_made_is_in_the_table(desk):
+    d = desk()
+    d.drive(1.5)
+    assert d.names() <= set(KINDS)
+
+
+def test_a_deactivated_node_keeps_the_temperature_and_is_silent(desk):
+    d = desk()
+    d.drive(60.0, dt=0.1)
+    d.app.deactivate()
+    count, belt = len(d.published), d.app.overview().values["belt_degc/front_left"]
+    d.drive(60.0, dt=0.1)
+    assert len(d.published) == count
+    assert d.app.overview().values["belt_degc/front_left"] > belt
+
+
+def test_counters_add_up_to_the_messages(desk):
+    d = desk()
+    random = np.random.default_rng(3)
+    values = random.choice([8.0, math.nan, 1e9, 7.9], 500)
+    for value in values:
+        d.forward(float(random.choice([0.0, 0.02])))
+        d.send("speed", float(value), stamp_s=d.time_s + float(random.choice([0.0, 0.0, -0.5, 3600.0, -100.0])))
+    d.forward(1.0)
+    counts = d.app.session.memory.counters[d.app.session.channel("speed")]
+    assert counts[:7].sum() == 500
+
+
+def test_surroundings_that_are_assumed_are_said_and_warned_of(desk, tmp_path):
+    file = tmp_path / "surroundings.yaml"
+    file.write_text("schema: 1\nvehicle: xgd24d\neffects:\n  grade: {grade: 0.02}\n")
+    plain, d = desk(), desk(surroundings=str(file))
+    for one in (plain, d):
+        one.drive(2.0, load=272e3, ambient=15.0)
+    assert d.names() - plain.names() == {"SURROUNDINGS"}
+    assert next(remark.level for remark in d.app.remarks() if remark.name == "SURROUNDINGS") is Level.WARN
+    assert f"--surroundings {file}" in d.app.diagnose_command()
+    fed, expected = ([one.last(name)[1][0] for one in (plain, d)] for name in ("feedforward_torque", "resistance_torque"))
+    assert fed[0] == pytest.approx(fed[1], rel=1e-3)
+    assert expected[0] != pytest.approx(expected[1], rel=0.1)
+    with pytest.raises(InputError, match="configured"):
+        d.app.change({"surroundings": ""})

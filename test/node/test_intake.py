@@ -1,0 +1,96 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""From messages to samples: which topic feeds which role, in which order, with which stamp."""
+
+import math
+from types import SimpleNamespace
+
+import pytest
+
+from trackres_ros.errors import InputError
+from trackres_ros.node.endpoints import full_name, input_name, input_topics
+from trackres_ros.node.intake import Intake
+from trackres_ros.recording.bindings import Topics
+
+CHANNELS = ("speed", "load", "torque", "ambient", "load/front")
+JOINTS = {"topic": "/drive", "type": "sensor_msgs/msg/JointState"}
+
+
+def intake(**roles):
+    inputs = input_topics(Topics.parse(roles))
+    return Intake(inputs, CHANNELS), inputs
+
+
+def stamp(ns):
+    return SimpleNamespace(stamp=SimpleNamespace(sec=ns // 10**9, nanosec=ns % 10**9))
+
+
+def samples(taken, message, now_ns):
+    return taken.samples(0, *taken.read(0, message), now_ns)
+
+
+def joint_state(ns, **joints):
+    return SimpleNamespace(header=stamp(ns), name=list(joints), effort=list(joints.values()), velocity=list(joints.values()))
+
+
+def test_the_topic_of_the_speed_comes_last_and_the_speed_last_of_it():
+    line = {"topic": "/a", "type": "std_msgs/Float64", "field": "data"}
+    inputs = input_topics(Topics.parse({"speed": line, "load": {**line, "topic": "/b"}, "torque": line}))
+    assert [given.roles for given in inputs] == [("load",), ("torque", "speed")]
+
+
+def test_elements_scale_offset_and_header_stamp():
+    taken, _ = intake(
+        speed={**JOINTS, "field": "velocity[left]", "scale": 0.5, "offset": 1.0}, torque={**JOINTS, "field": "effort[right]"}
+    )
+    assert samples(taken, joint_state(7, left=4.0, right=9.0), 99) == [(2, 7, 9.0), (0, 7, 3.0)]
+
+
+def test_a_missing_element_gives_no_sample_and_is_counted():
+    taken, _ = intake(speed={**JOINTS, "field": "velocity[left]"}, torque={**JOINTS, "field": "effort[right]"})
+    assert samples(taken, joint_state(7, left=4.0), 99) == [(0, 7, 4.0)]
+    assert taken.absent[2] == 1
+    assert taken.received == [1]
+
+
+def test_stamps_log_none_and_never_set():
+    line = {"topic": "/t", "type": "sensor_msgs/msg/Temperature", "field": "temperature"}
+    by_log, _ = intake(speed=line, ambient={**line, "stamp": "log"})
+    message = SimpleNamespace(header=stamp(0), temperature=20.0)
+    assert {(channel, at) for channel, at, _ in samples(by_log, message, 99)} == {(0, 0), (3, 99)}
+    bare, _ = intake(speed={"topic": "/s", "type": "std_msgs/msg/Float64", "field": "data"})
+    assert samples(bare, SimpleNamespace(data=1.0), 99) == [(0, 99, 1.0)]
+
+
+def test_what_is_no_number_counts_as_not_a_number():
+    taken, _ = intake(speed={"topic": "/s", "type": "std_msgs/msg/Float64", "field": "data"})
+    for now_ns, message in ((100, SimpleNamespace(data=None)), (101, object())):
+        ((channel, at, value),) = samples(taken, message, now_ns)
+        assert (channel, at) == (0, now_ns)
+        assert math.isnan(value)
+
+
+def test_a_role_that_the_vehicle_does_not_have_is_refused():
+    line = {"topic": "/s", "type": "std_msgs/msg/Float64", "field": "data"}
+    with pytest.raises(InputError, match=r"load/middle.*load/front"):
+        intake(speed=line, **{"load/middle": line})
+
+
+@pytest.mark.parametrize(
+    ("name", "node", "namespace", "full"),
+    [("status", "n", "/", "/n/status"), ("status", "n", "/a/b", "/a/b/n/status"), ("/diagnostics", "n", "/a", "/diagnostics")],
+)
+def test_names_of_outputs(name, node, namespace, full):
+    assert full_name(name, node, namespace) == full
+
+
+def test_names_of_inputs():
+    assert [input_name("speed", "/"), input_name("speed", "/a"), input_name("/speed", "/a")] == ["/speed", "/a/speed", "/speed"]
+
+
+def test_a_torque_that_comes_late_is_of_an_earlier_time_and_a_stamp_never_set_stays_so():
+    taken, _ = intake(torque={**JOINTS, "field": "effort[a]", "delay_s": 0.25}, speed={**JOINTS, "field": "velocity[a]"})
+    for header, shifted in ((5 * 10**9, 5 * 10**9 - 250_000_000), (0, 0)):
+        (_, torque_stamp, _), (_, speed_stamp, _) = samples(taken, joint_state(header, a=3.0), 9 * 10**9)
+        assert (torque_stamp, speed_stamp) == (shifted, header)

@@ -1,0 +1,28 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The live table: every number as people write it, whatever the row of results holds."""
+
+import re
+from dataclasses import replace
+
+import pytest
+from rich.console import Console
+
+from trackres_ros.cli.live_table import line, table
+
+
+@pytest.mark.parametrize("value", [-0.0, -0.04, -1e-9, 0.04])
+def test_no_zero_has_a_sign(desk, value):
+    d = desk()
+    d.drive(1.5)
+    seen = d.app.overview()
+    seen = replace(
+        seen, values=dict.fromkeys(seen.values, value), inputs=tuple(replace(given, value=value) for given in seen.inputs)
+    )
+    console = Console(width=200)
+    with console.capture() as printed:
+        console.print(table("live", seen))
+    for text in (printed.get(), line(seen)):
+        assert not re.search(r"(?<![\w.])-0(\.0*)?(?![\d.])", text), text
+        assert "e+" not in text

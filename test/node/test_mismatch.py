@@ -1,0 +1,288 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Have measured and expected torque parted: found where it is so, not where it is not, whatever the noise."""
+
+import dataclasses
+import math
+import re
+
+import numpy as np
+import pytest
+
+from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.node.mismatch import KNOWN_AFTER, MismatchDetector, MismatchSettings
+from trackres_ros.vehicle import load
+
+START_NS = 10**18
+DRIVE_NM, STD_NM, NOISE_NM = 3000.0, 300.0, 300.0  # tolerated are 300 Nm
+NOTHING_TOLERATED = MismatchSettings(mismatch_share=0.0, mismatch_std=0.0)
+
+
+def noise(hours, phi=0.0, size=NOISE_NM, seed=0, dt=1.0):
+    """Stationary residual [Nm] whose neighbours a second apart correlate by phi."""
+    random = np.random.default_rng(seed)
+    count, step = int(hours * 3600 / dt), phi**dt
+    shocks = random.normal(0.0, size * math.sqrt(1.0 - step * step), count)
+    series, now = np.empty(count), random.normal(0.0, size)
+    for i, shock in enumerate(shocks):
+        series[i] = now
+        now = step * now + shock
+    return series
+
+
+def watch(residual, dt=1.0, settings=None, speed=8.0, accel=0.0, detector=None, start_s=0.0):
+    """Feed a series; the detector and the times [s] at which it changed its mind."""
+    detector = detector or MismatchDetector(settings or MismatchSettings())
+    turned, parted = [], detector.verdict.parted
+    for i, value in enumerate(residual.tolist()):
+        time_s = start_s + i * dt
+        detector.take(START_NS + round(time_s * 1e9), value, DRIVE_NM, STD_NM, speed, accel)
+        if detector.verdict.parted is not parted:
+            parted = not parted
+            turned.append(time_s)
+    return detector, turned
+
+
+@pytest.mark.parametrize("phi", [0.0, 0.5, 0.9, 0.97])
+@pytest.mark.parametrize("size", [30.0, 300.0, 1500.0])
+def test_noise_alone_is_no_mismatch(phi, size):
+    for seed in range(3):
+        detector, turned = watch(noise(8.0, phi, size, seed))
+        assert not turned
+        assert detector.verdict.settled
+        assert detector.verdict.text == "no lasting difference"
+
+
+def test_hills_that_nobody_measured_seldom_raise_it():
+    alarms = [watch(noise(8.0, 0.99, 1500.0, seed))[1] for seed in range(8)]  # half the torque, over minutes
+    assert sum(map(bool, alarms)) <= 1
+
+
+def test_with_nothing_tolerated_noise_alone_is_still_none():
+    assert not any(watch(noise(8.0, 0.5, seed=seed), settings=NOTHING_TOLERATED)[1] for seed in range(6))
+
+
+@pytest.mark.parametrize("phi", [0.0, 0.8])
+def test_false_alarms_are_rarer_than_the_bound_of_the_evidence(phi):
+    evidence, hold_s, hours = 3.0, 60.0, 10.0  # so little that there are some to count
+    settings = dataclasses.replace(NOTHING_TOLERATED, mismatch_evidence=evidence, mismatch_hold_s=hold_s)
+    bins, bin_s = hold_s / settings.mismatch_bin_s, settings.mismatch_bin_s
+    a_bin = evidence**3 * math.exp(-(evidence**2) / 2.0) / (2.0 * bins * math.sqrt(2.0 * math.pi))
+    alarms = sum(len(watch(noise(hours, phi, seed=seed), settings=settings)[1][::2]) for seed in range(3))
+    assert 0 < alarms < a_bin * 3 * hours * 3600.0 / bin_s
+
+
+def test_slow_noise_in_a_torque_that_comes_every_10_s_is_none():
+    for seed in range(4):
+        detector, turned = watch(noise(8.0, 0.99, seed=seed)[::10], dt=10.0, settings=NOTHING_TOLERATED)
+        assert not turned
+        assert detector.verdict.settled
+
+
+def test_it_says_so_while_it_cannot_know():
+    settings = MismatchSettings()
+    known_s = KNOWN_AFTER * settings.mismatch_hold_s
+    early, turned = watch(noise(known_s / 3600.0 - 0.01) + 5000.0)
+    assert not turned
+    assert not early.verdict.settled
+    assert "too little" in early.verdict.text
+    assert watch(noise(known_s / 3600.0 + 0.01) + 5000.0)[0].verdict.parted
+
+
+@pytest.mark.parametrize("bias", [100.0, 200.0, 270.0, -270.0])
+def test_an_offset_within_the_tolerance_is_none(bias):
+    assert not any(watch(noise(4.0, 0.5, seed=seed) + bias)[1] for seed in range(3))
+
+
+@pytest.mark.parametrize("phi", [0.0, 0.5, 0.9])
+@pytest.mark.parametrize("bias", [600.0, -600.0, 1500.0])
+def test_a_lasting_offset_is_found_with_its_time_size_and_sign(phi, bias):
+    residual = noise(3.0, phi, seed=5)
+    residual[1800:] += bias
+    detector, turned = watch(residual)
+    verdict = detector.verdict
+    assert verdict.parted
+    assert turned[0] >= 1800 + 300 - 4
+    assert (verdict.since_ns - START_NS) * 1e-9 == pytest.approx(1800.0, abs=90.0)
+    assert verdict.after_s == pytest.approx(1800.0, abs=90.0)
+    assert verdict.mean_nm == pytest.approx(bias, rel=0.15)
+    assert verdict.share == pytest.approx(bias / DRIVE_NM, rel=0.15)
+    assert ("above" if bias > 0 else "below") in verdict.text
+
+
+def test_a_larger_offset_is_found_sooner():
+    found = []
+    for bias in (500.0, 700.0, 1500.0, 5000.0, 1e6):
+        residual = noise(3.0, 0.9, seed=2)
+        residual[1800:] += bias
+        found.append(watch(residual)[1][0])
+    assert found == sorted(found, reverse=True)
+    assert found[-1] < found[0]
+
+
+def test_an_offset_from_the_start_is_said_to_be_from_the_start():
+    verdict = watch(noise(1.0) + 800.0)[0].verdict
+    assert verdict.after_s == 0.0
+    assert "from the start on" in verdict.text
+
+
+def test_what_comes_round_each_lap_is_none():
+    time_s = np.arange(4 * 3600.0)
+    lap = 700.0 * np.sin(2 * np.pi * time_s / 226.0)  # 1 % up and down the paper's circle at 10 km/h
+    assert not any(watch(noise(4.0, 0.5, 100.0, seed) + lap)[1] for seed in range(3))
+
+
+def test_when_the_offset_goes_the_mismatch_ends_and_does_not_take_as_long_as_it_lasted():
+    residual = noise(8.0, 0.5, seed=7)
+    residual[1800 : 1800 + 4 * 3600] += 900.0
+    _, turned = watch(residual)
+    assert len(turned) == 2
+    assert turned[1] - (1800 + 4 * 3600) < 1800.0
+
+
+def test_signs_are_alike():
+    residual = noise(2.0, 0.5, seed=9)
+    residual[1800:] += 700.0
+    up, down = watch(residual), watch(-residual)
+    assert up[1] == down[1]
+    assert up[0].verdict.mean_nm == -down[0].verdict.mean_nm
+
+
+def test_the_rate_of_messages_does_not_matter():
+    residual = noise(1.5, 0.5, seed=4)
+    residual[900:] += 700.0
+    slow = watch(residual)[1]
+    fast = watch(np.repeat(residual, 20), dt=0.05)[1]
+    assert fast[0] == pytest.approx(slow[0], abs=5.0)
+
+
+@pytest.mark.parametrize(("speed", "accel"), [(0.0, 0.0), (0.5, 0.0), (8.0, 2.0), (8.0, -2.0)])
+def test_standing_and_hard_acceleration_are_not_compared(speed, accel):
+    detector, turned = watch(noise(1.0) + 5000.0, speed=speed, accel=accel)
+    assert not turned
+    assert not detector.verdict.settled
+    assert "too little" in detector.verdict.text
+
+
+def test_spikes_do_not_raise_it():
+    residual = noise(6.0, 0.5, seed=3)
+    residual[np.random.default_rng(1).random(len(residual)) < 0.01] += 50000.0
+    assert not watch(residual)[1]
+
+
+@pytest.mark.parametrize("spike", [5e4, 1e6, 1e150])
+def test_spikes_neither_hide_an_offset_nor_change_its_size(spike):
+    residual = noise(3.0, 0.5, seed=3)
+    residual[3600:] += 700.0
+    plain, found = watch(residual)
+    residual[np.random.default_rng(1).random(len(residual)) < 0.005] += spike
+    residual[0] = spike
+    spiked, found_spiked = watch(residual)
+    assert found_spiked[0] == pytest.approx(found[0], abs=120.0)
+    assert spiked.verdict.mean_nm == pytest.approx(plain.verdict.mean_nm, rel=0.03)
+
+
+@pytest.mark.parametrize("dt", [0.01, 1.5, 7.0])
+def test_minutes_are_those_that_passed_at_any_rate(dt):
+    residual = noise(1.5, size=100.0, dt=dt)
+    residual[int(2700 / dt) :] += 2000.0
+    verdict = watch(residual, dt=dt)[0].verdict
+    assert verdict.after_s == pytest.approx(2700.0, abs=20.0)
+    lasted_min = float(re.search(r"for ([\d.]+) min", verdict.text)[1])
+    assert lasted_min == pytest.approx(45.0, abs=0.4)
+
+
+def test_a_late_message_adds_no_time():
+    residual, plain, late = noise(1.0) + 900.0, MismatchDetector(MismatchSettings()), MismatchDetector(MismatchSettings())
+    for i, value in enumerate(residual.tolist()):
+        for detector, delays in ((plain, (0,)), (late, (0, 5))):
+            for delay in delays:
+                detector.take(START_NS + (i - delay) * 10**9, value, DRIVE_NM, STD_NM, 8.0, 0.0)
+    assert late.verdict == plain.verdict
+
+
+def test_a_memory_shorter_than_a_bin_is_none_to_fall_over():
+    settings = MismatchSettings(mismatch_bin_s=60.0, mismatch_memory_s=30.0)
+    residual = noise(20.0, dt=60.0)
+    residual[600:] += 900.0
+    assert watch(residual, dt=60.0, settings=settings)[0].verdict.mean_nm == pytest.approx(900.0, rel=0.1)
+
+
+LIMITS = [[item.metadata["low"], item.default, item.metadata["high"]] for item in dataclasses.fields(MismatchSettings)]
+SIZES = [0.0, 300.0, 1e9, 1e300, math.inf]
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_any_allowed_settings_and_any_numbers_do_no_harm(seed):
+    random = np.random.default_rng(seed)
+    detector = MismatchDetector(MismatchSettings(*(float(random.choice(limits)) for limits in LIMITS)))
+    stamp = 0
+    for _ in range(4000):
+        stamp += int(random.choice([0, 10**6, 10**9, 10**11, -(10**11)], p=[0.1, 0.2, 0.6, 0.06, 0.04]))
+        residual, drive, std = random.normal(0.0, 1.0, 3) * random.choice(SIZES, 3, p=[0.1, 0.7, 0.1, 0.05, 0.05])
+        speed, accel = random.choice([0.0, 5.0, 40.0, math.nan]), random.normal(0.0, 0.2)
+        detector.take(stamp, residual, drive, abs(std), speed, accel)
+    verdict = detector.verdict
+    assert verdict.parted == math.isfinite(verdict.mean_nm) == math.isfinite(verdict.share) == (verdict.since_ns is not None)
+
+
+@pytest.mark.parametrize("value", [0.0, 1e9, -1e12, 1e-12])
+def test_any_constant_residual_stays_finite(value):
+    detector, _ = watch(np.full(2000, value))
+    verdict = detector.verdict
+    assert verdict.parted == (abs(value) > 300.0)
+    assert all(math.isfinite(x) for x in (verdict.mean_nm, verdict.share) if verdict.parted)
+
+
+def test_what_is_not_finite_or_goes_back_in_time_is_left_out():
+    detector, _ = watch(noise(0.5))
+    before = detector.verdict
+    for value in (math.nan, math.inf, -math.inf):
+        detector.take(START_NS + 10**13, value, DRIVE_NM, STD_NM, 8.0, 0.0)
+        detector.take(START_NS + 10**13, 0.0, value, STD_NM, 8.0, 0.0)
+    assert detector.verdict == before
+    watch(noise(0.5), detector=detector, start_s=-10000.0)
+    assert not detector.verdict.parted
+
+
+def test_restart_forgets():
+    detector, _ = watch(noise(1.0) + 900.0)
+    assert detector.verdict.parted
+    detector.restart()
+    assert not detector.verdict.parted
+    assert not detector.verdict.settled
+
+
+WELL_KNOWN = MismatchSettings(mismatch_share=0.02, mismatch_std=0.0)
+
+
+@pytest.mark.parametrize(
+    ("loss", "bearing", "settings", "parted"),
+    [
+        (1.0, 1.0, MismatchSettings(), False),
+        (1.0, 1.0, WELL_KNOWN, False),
+        (1.25, 1.0, MismatchSettings(), False),  # the vehicle file itself leaves as much open
+        (1.5, 1.0, MismatchSettings(), True),
+        (0.5, 1.0, MismatchSettings(), True),
+        (1.25, 1.0, WELL_KNOWN, True),
+        (1.0, 1.15, WELL_KNOWN, True),
+        (1.0, 0.85, WELL_KNOWN, True),
+    ],
+)
+def test_a_vehicle_that_resists_otherwise_than_its_file_says_is_found(loss, bearing, settings, parted):
+    estimator = Estimator(load("xgd24d"))
+    time_s = np.arange(0.0, 3600.0, 0.5)
+    speed = 8.0 + 2.0 * np.sin(2 * np.pi * time_s / 400.0)
+    state = estimator.cold_start(estimator.inputs(8.0, ambient=15.0))
+    rows = estimator.run(state, time_s, speed, estimator.vehicle.weight, 15.0)[1]
+    at = estimator.column_index
+    more = (loss - 1.0) * rows[:, at["hysteresis_nm"]] + (bearing - 1.0) * rows[:, at["bearing_nm"]]
+    residual = more + np.random.default_rng(8).normal(0.0, 150.0, len(time_s))
+    columns = [at[name] for name in ("drive_torque_nm", "resistance_std_nm", "speed_mps", "accel_mps2")]
+    detector = MismatchDetector(settings)
+    for stamp_s, value, row in zip(time_s, residual, rows[:, columns], strict=True):
+        detector.take(START_NS + round(stamp_s * 1e9), value, *row)
+    assert detector.verdict.parted is parted
+    if parted:
+        assert detector.verdict.mean_nm == pytest.approx(more.mean(), rel=0.1)

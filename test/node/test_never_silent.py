@@ -1,0 +1,211 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Laws of the running application under anything: no exception ends a tick, status goes out, outputs move at their rate."""
+
+import itertools
+import math
+import random
+from types import SimpleNamespace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from trackres_ros.node.edge import Level
+from trackres_ros.node.stamps import FIRST_NS, LAST_NS, UNUSABLE, is_usable, nearest_usable, stamp_ns
+from trackres_ros.output.topics import TOTALS, output_topics
+
+START_NS = 1_700_000_000_000_000_000
+SECOND_NS = 1_000_000_000
+NUMBERS = st.floats(allow_nan=True, allow_infinity=True) | st.floats(-25.0, 25.0) | st.sampled_from([8.0, 2e5, 15.0])
+SECONDS = st.integers(-(2**31), 2**31 - 1) | st.sampled_from([0, 2**31 - 1, -(2**31), START_NS // SECOND_NS])
+NANOSECONDS = st.integers(0, 2**32 - 1) | st.sampled_from([0, 999_999_999, 10**9, 2**32 - 1])
+ROLES = st.sampled_from(["speed", "load", "ambient"])
+SENT = st.sampled_from([0, 1, 2**63 - 1]) | st.integers(0, 2**62)
+EVENTS = st.lists(
+    st.one_of(
+        st.tuples(st.just("message"), ROLES, SECONDS, NANOSECONDS, NUMBERS, SENT),
+        st.tuples(st.just("now"), ROLES, st.just(None), st.just(None), NUMBERS, SENT),
+        st.tuples(st.just("strange"), ROLES, st.none(), st.none(), st.sampled_from([None, object(), b"", "x"]), SENT),
+        st.tuples(st.just("pass"), st.floats(0.0, 3.0)),
+        st.tuples(st.just("clock"), st.integers(-(2**70), 2**70)),
+        st.tuples(st.just("broken"), st.sets(st.sampled_from(["publish", "publish_status", "peers", "log", "now_ns"]))),
+    ),
+    max_size=30,
+)
+
+
+def message_of(role, seconds, nanoseconds, value):
+    header = SimpleNamespace(stamp=SimpleNamespace(sec=seconds, nanosec=nanoseconds))
+    return {
+        "speed": SimpleNamespace(header=header, twist=SimpleNamespace(linear=SimpleNamespace(x=value))),
+        "load": SimpleNamespace(data=value),
+        "ambient": SimpleNamespace(header=header, temperature=value),
+    }[role]
+
+
+@settings(max_examples=150)
+@given(st.booleans(), EVENTS)
+def test_whatever_comes_no_tick_raises_and_status_goes_out(wild_by_clock, simulated, events):
+    d = wild_by_clock[simulated]
+    index = {role: i for i, given in enumerate(d.app.inputs) for role in given.roles}
+    d.broken.clear()
+    for what, *given_ in events:
+        if what == "pass":
+            d.forward(given_[0])
+        elif what == "clock":
+            d.own_clock = given_[0]
+        elif what == "broken":
+            d.broken = set(given_[0])
+        else:
+            role, seconds, nanoseconds, value, sent = given_
+            if what == "strange":
+                d.app.receive(index[role], value, sent)
+            else:
+                now = divmod(START_NS + round(d.time_s * SECOND_NS), SECOND_NS)
+                stamp = (seconds, nanoseconds) if what == "message" else now
+                d.app.receive(index[role], message_of(role, *stamp, value), sent)
+        d.app.tick()
+    d.broken.clear()
+    count = len(d.statuses)
+    d.forward(1.2)
+    assert {name for name, _ in d.statuses[count:]} >= {"status", "/diagnostics"}
+    assert d.all_finite()
+    d.own_clock = None
+    d.published.clear()
+    d.statuses.clear()
+
+
+@pytest.mark.parametrize("what", ["publish", "peers", "log", "now_ns"])
+def test_what_fails_each_time_is_said_and_the_status_goes_on(wild_desk, what):
+    d = wild_desk(output_rate_hz=50.0)
+    d.drive(1.0)
+    d.broken = {what}
+    count = len(d.statuses)
+    d.forward(6.0)
+    assert len(d.statuses) - count >= 5
+    if what in ("publish", "peers"):
+        assert any(f"{what} does not work" in found[0].message for _, found in d.statuses[count:])
+    d.broken.clear()
+    d.drive(7.0)
+    assert not {"INTERNAL_ERROR", "OUTPUT_FAILED"} & d.names()
+
+
+def test_one_topic_that_cannot_be_published_holds_up_no_other(desk, monkeypatch):
+    d = desk(output_rate_hz=50.0)
+    publish = d.publish
+
+    def refuse(output, stamp, values):
+        if d.app.outputs[output].name == "feedforward_torque":
+            raise RuntimeError("no room")
+        publish(output, stamp, values)
+
+    monkeypatch.setattr(d, "publish", refuse)
+    d.drive(1.0)
+    d.forward(0.2)
+    names = {name for name, _, _ in d.published}
+    assert "feedforward_torque" not in names
+    assert {"feedforward_torque_nm", "resistance_torque"} <= names
+    status = d.statuses[-1][1][0]
+    assert status.level >= Level.ERROR
+    assert "feedforward_torque cannot be published: RuntimeError: no room" in status.message
+
+
+def test_a_first_stamp_that_no_message_can_carry_is_refused_and_counted(desk):
+    d = desk(output_rate_hz=50.0)
+    index = {role: i for i, given in enumerate(d.app.inputs) for role in given.roles}
+    d.app.receive(index["speed"], message_of("speed", 2**31 - 1, 10**9, 8.0))
+    d.forward(0.5)
+    assert "REFUSED" in d.names()
+    speed = next(given for given in d.app.overview().inputs if given.role == "speed")
+    assert dict(speed.counts) == {"bad_stamp": 1}
+    d.drive(2.5)
+    assert d.last("resistance_torque")[0] == pytest.approx(d.now_ns(), abs=SECOND_NS)
+
+
+@given(SECONDS | st.integers(), NANOSECONDS | st.integers())
+def test_stamps_are_those_of_builtin_interfaces(seconds, nanoseconds):
+    stamp = stamp_ns(seconds, nanoseconds)
+    fits = -(2**31) <= seconds < 2**31 and 0 <= nanoseconds < 10**9
+    assert (stamp == UNUSABLE) is not fits
+    assert not is_usable(UNUSABLE)
+    if fits:
+        assert divmod(stamp, SECOND_NS) == (seconds, nanoseconds)
+    assert FIRST_NS <= nearest_usable(seconds) <= LAST_NS
+
+
+@pytest.mark.parametrize(("rate_hz", "hz"), [(50.0, 50.0), (50.0, 1.0), (20.0, 7.0), (0.0, 50.0), (0.0, 2.0), (7.0, 100.0)])
+@pytest.mark.parametrize("nm_per_s", [500.0, 20000.0])
+def test_the_outputs_move_at_feedforward_rate_over_any_speeds_and_pauses(desk, rate_hz, hz, nm_per_s):
+    d = desk(output_rate_hz=rate_hz, output_deadline_s=0.0, feedforward_rate=nm_per_s)
+    outputs, chance = [], random.Random(7)
+    publish = d.publish
+
+    def keep(output, stamp, values):
+        if d.app.outputs[output].name == "feedforward_torque_nm":
+            outputs.append((d.steady_s, values[0]))
+        publish(output, stamp, values)
+
+    d.publish = keep
+    for _ in range(25):
+        d.drive(chance.uniform(0.1, 1.0), speed=chance.choice([8.0, -8.0, 0.0, 0.07, 15.0]), dt=1.0 / hz)
+        d.forward(chance.choice([0.0, 0.3, 0.6, 1.0, 1.4, 3.0, 40.0]))
+    limit = d.app.estimator.constants.number.feedforward_limit
+    fading = limit / d.app.estimator.settings.feedforward_fade_s
+    risen = 0
+    for (before_s, before), (now_s, now) in itertools.pairwise(outputs):
+        if abs(now) > abs(before) and now * before >= 0.0:
+            assert abs(now - before) <= nm_per_s * (now_s - before_s) + 1e-3  # of a clock that counts nanoseconds
+            risen += 1
+        else:
+            assert abs(now - before) <= (nm_per_s + fading) * (now_s - before_s) + 1e-3
+    assert risen > 20
+
+
+def test_live_and_replay_agree_over_pauses(desk):
+    d = desk(output_rate_hz=0.0, feedforward_rate=2000.0)
+    d.drive(4.0)
+    for pause in (0.3, 0.9, 2.5):
+        d.forward(pause)
+        d.drive(0.5)
+    first = {}
+    for name, stamp, values in d.published:
+        if name == "feedforward_torque":
+            first.setdefault(stamp, values[0])
+    session = d.app.estimator.session()
+    for stamp, fed in sorted(first.items()):
+        estimate = session.handle(session.channel("speed"), stamp, stamp, 8.0)
+        assert fed == pytest.approx(estimate.feedforward_torque_nm, abs=2000.0 * 0.1)  # the way between two of its outputs
+    assert len(first) == 275
+
+
+def test_a_quantity_has_one_sign_on_all_topics(desk):
+    d = desk(output_rate_hz=50.0)
+    d.drive(3.0, ambient=20.0, load=250e3)
+    d.forward(1.0)
+    _, entries = next((name, found) for name, found in reversed(d.statuses) if name == "/diagnostics")
+    said = dict(entries[0].values)
+    topic = next(t for t in output_topics(d.app.vehicle) if t.name == "resistance_torque")
+    efforts = dict(zip(topic.names, d.last("resistance_torque")[1], strict=True))
+    for part in TOTALS:
+        assert float(said[f"resistance_torque/{part}"]) == pytest.approx(efforts[part], abs=1e-3)
+    assert efforts["total"] < 0.0 < efforts["drive"]
+    signs = {}
+    for topic in output_topics(d.app.vehicle):
+        for column, sign in zip(topic.columns, topic.signs, strict=True):
+            assert signs.setdefault(column, sign) == sign
+    assert math.isclose(efforts["drive"], -(efforts["total"] + efforts["grade"] + efforts["inertia"]), abs_tol=1e-9)
+
+
+def test_the_age_of_an_input_goes_on_while_nothing_comes(desk):
+    d = desk(output_rate_hz=50.0)
+    d.drive(2.0, load=250e3)
+    for _ in range(100):  # loads go on
+        d.forward(0.05)
+        d.send("load", 250e3)
+    ages = {given.role: given.age_s for given in d.app.overview().inputs}
+    assert ages["speed"] == pytest.approx(5.0, abs=0.1)
+    assert ages["load"] == pytest.approx(0.0, abs=0.1)
+    d.forward(1.0)
+    assert {given.role: given.age_s for given in d.app.overview().inputs}["load"] == pytest.approx(1.0, abs=0.1)

@@ -1,0 +1,126 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The parameter table: every value is checked, files of both forms are read, and nothing unknown passes."""
+
+import dataclasses
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trackres_ros.errors import InputError
+from trackres_ros.estimator.settings import Settings
+from trackres_ros.estimator.topic_settings import AGE_LIMITS, settings_for
+from trackres_ros.node.parameters import PARAMETERS, Parameters, make_parameters, read_parameters
+from trackres_ros.recording.bindings import Topics
+
+NUMBERS = [p for p in PARAMETERS.values() if isinstance(p.default, float)]
+
+
+def test_defaults_are_within_their_own_limits():
+    for parameter in PARAMETERS.values():
+        assert parameter.checked(parameter.default) == parameter.default
+        assert parameter.meaning
+
+
+def test_every_setting_of_the_estimator_is_a_parameter():
+    assert {item.name for item in dataclasses.fields(Settings)} <= set(PARAMETERS)
+    assert make_parameters({}).settings() == Settings()
+
+
+@given(st.sampled_from(NUMBERS), st.floats() | st.integers(-(10**6), 10**6))
+def test_a_number_passes_just_when_it_is_in_range(parameter, value):
+    if math.isfinite(value) and parameter.low <= value <= parameter.high:
+        assert parameter.checked(value) == value
+    else:
+        with pytest.raises(InputError, match=f"{parameter.name}.*given.*allowed"):
+            parameter.checked(value)
+
+
+@pytest.mark.parametrize("value", [True, "3", None, [1.0]])
+def test_other_kinds_are_no_numbers(value):
+    with pytest.raises(InputError, match="gap_s"):
+        make_parameters({"gap_s": value})
+
+
+def test_a_change_is_all_or_nothing():
+    parameters = make_parameters({"vehicle": "xgd24d"})
+    with pytest.raises(InputError, match="gap_s"):
+        parameters.changed({"output_rate_hz": 10, "gap_s": -1})
+    assert parameters.number("output_rate_hz") == 50.0
+
+
+def test_a_deadline_that_the_rate_cannot_keep_is_refused():
+    assert make_parameters({"output_rate_hz": 2.0, "output_deadline_s": 1.0})
+    for values in ({"output_rate_hz": 2.0}, {"output_deadline_s": 0.01}):
+        with pytest.raises(InputError, match="output_deadline_s"):
+            make_parameters(values)
+
+
+def test_what_is_fixed_may_be_set_to_what_it_is():
+    parameters = make_parameters({"vehicle": "xgd24d"})
+    assert isinstance(parameters.changed({"vehicle": "xgd24d"}), Parameters)
+    with pytest.raises(InputError, match="configure the node anew"):
+        parameters.changed({"vehicle": "agri3t"})
+
+
+@pytest.mark.parametrize(
+    ("text", "node", "namespace", "expected"),
+    [
+        ("gap_s: 2.0\n", "trackres", "/", {"gap_s": 2.0}),
+        ("/**:\n  ros__parameters:\n    gap_s: 2\n", "other", "/a/b", {"gap_s": 2}),
+        ("trackres:\n  ros__parameters:\n    gap_s: 2.0\n", "trackres", "/", {"gap_s": 2.0}),
+        ("/a/trackres:\n  ros__parameters:\n    gap_s: 2.0\n", "trackres", "/a", {"gap_s": 2.0}),
+        ("/a:\n  trackres:\n    ros__parameters:\n      gap_s: 2.0\n", "trackres", "/a", {"gap_s": 2.0}),
+        ("other:\n  ros__parameters: {x: 1}\n/**:\n  ros__parameters:\n", "trackres", "/b", {}),
+        ("/**:\n  ros__parameters: {gap_s: 2.0}\ntrackres:\n  ros__parameters: {gap_s: 3.0}\n", "trackres", "/", {"gap_s": 3.0}),
+    ],
+)
+def test_files_of_both_forms_are_read(tmp_path, text, node, namespace, expected):
+    path = tmp_path / "p.yaml"
+    path.write_text(text)
+    assert read_parameters(path, node, namespace) == expected
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("/a/trackres:\n  ros__parameters: {gap_s: 2.0}\n", ["/a/trackres", "/b/trackres", "/**"]),
+        ("left: {x: {ros__parameters: {gap_s: 2.0}}, y: {ros__parameters: {}}}\n", ["/left/x, /left/y", "/b/trackres"]),
+        ("/b/trackres: {ros_parameters: {gap_s: 2.0}}\n", ["b/trackres/ros_parameters", "did you mean ros__parameters?"]),
+        ("gap_s: 1.0\n/**: {ros__parameters: {gap_s: 2.0}}\n", ["gap_s", "1.0", "name of a node"]),
+        ("/**: {ros__parameters: 3}\n", ["ros__parameters", "3"]),
+    ],
+)
+def test_no_section_is_ignored_for_its_name(tmp_path, text, said):
+    path = tmp_path / "p.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        read_parameters(path, "trackres", "/b")
+    for part in (str(path), *said):
+        assert part in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["gap: 2.0\n", "gap_s: -1\n", "/**:\n  ros__parameters:\n    gap_s: .nan\n", "- 1\n", "a: {"])
+def test_a_bad_file_is_named(tmp_path, text):
+    path = tmp_path / "p.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=r"p\.yaml"):
+        read_parameters(path)
+
+
+def test_the_shipped_file_holds_the_defaults(repository):
+    assert make_parameters(read_parameters(repository / "config" / "trackres.yaml")) == make_parameters({})
+
+
+def test_age_limits_of_a_topics_file_become_settings():
+    line = {"topic": "t", "type": "std_msgs/Float64", "field": "data"}
+    for role, name in AGE_LIMITS.items():
+        topics = Topics.parse({"speed": line, role: {**line, "max_age_s": 3.0}})
+        assert getattr(settings_for(Settings(), topics), name) == 3.0
+    with pytest.raises(InputError, match="yaw_rate"):
+        settings_for(Settings(), Topics.parse({"yaw_rate": {**line, "max_age_s": 3.0}}))
+    with pytest.raises(InputError, match="max_age_s"):
+        settings_for(Settings(), Topics.parse({"speed": {**line, "max_age_s": 3000.0}}))

@@ -1,0 +1,191 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Belt temperatures over a restart: kept, cooled, and refused with the reason where the file is of no use."""
+
+import json
+import os
+import re
+import resource
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trackres_ros.errors import InputError
+from trackres_ros.estimator.snapshot import seal
+from trackres_ros.files.resources import cache_dir
+from trackres_ros.node.state_keeper import state_name, state_path
+
+
+@pytest.fixture
+def warm(desk, tmp_path):
+    """A state file of belts after ten minutes, and their temperature."""
+    path = tmp_path / "state.json"
+    d = desk(state_file=str(path))
+    d.drive(600.0, speed=15.0, dt=0.2)
+    assert "saved" in d.app.save_state()
+    return path, d.app.overview().values["belt_degc/front_left"]
+
+
+def first_belt(d):
+    d.drive(0.04)
+    return d.app.overview().values["belt_degc/front_left"]
+
+
+def shifted(path, seconds):
+    content = json.loads(path.read_text())
+    content["saved_at"] -= seconds
+    path.write_bytes(seal(content))
+
+
+def test_belts_come_back_and_have_cooled_over_the_time_off(desk, warm):
+    path, belt = warm
+    at_once = first_belt(desk(state_file=str(path)))
+    shifted(path, 1800.0)
+    later = first_belt(desk(state_file=str(path)))
+    shifted(path, 1e6)
+    at_last = first_belt(desk(state_file=str(path)))
+    assert at_once == pytest.approx(belt, abs=0.5)
+    assert belt - 1.0 > later > 15.5
+    assert at_last == pytest.approx(15.0, abs=0.1)
+
+
+def test_belts_that_wait_for_a_speed_cool_meanwhile(desk, warm, monkeypatch):
+    path, belt = warm
+    now = [1e9]
+    content = json.loads(path.read_text())
+    path.write_bytes(seal({**content, "saved_at": now[0]}))
+    monkeypatch.setattr("time.time", lambda: now[0])
+    d = desk(state_file=str(path))
+    now[0] += 3600.0
+    d.forward(31.0)
+    d.app.save_state()
+    assert json.loads(path.read_text())["saved_at"] == now[0]
+    assert first_belt(d) < belt - 3.0
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (lambda path: path.write_text(""), "damaged"),
+        (lambda path: path.write_text(path.read_text()[:200]), "damaged"),
+        (lambda path: path.write_bytes(seal({**json.loads(path.read_text()), "version": 99})), "version 99"),
+        (lambda path: path.write_bytes(seal({**json.loads(path.read_text()), "key": "x"})), "vehicle"),
+        (lambda path: path.write_bytes(seal({**json.loads(path.read_text()), "saved_at": "abc"})), "saved_at"),
+        (lambda path: path.write_text("[" * 100_000), "damaged"),
+        (lambda path: (path.unlink(), path.mkdir()), "a folder"),
+        (lambda path: (path.unlink(), os.mkfifo(path)), "a named pipe"),
+        (lambda path: (path.unlink(), path.symlink_to("/dev/zero")), "a device"),
+        (lambda path: path.write_text("[1, 2]"), "another kind"),
+        (lambda path: path.write_bytes(os.urandom(300)), "damaged"),
+    ],
+)
+def test_a_file_of_no_use_is_a_cold_start_that_says_why(desk, warm, spoil, said):
+    path, _ = warm
+    spoil(path)
+    d = desk(state_file=str(path))
+    assert first_belt(d) == pytest.approx(15.0, abs=0.05)
+    remark = next(remark for remark in d.app.remarks() if remark.name == "STATE_NOT_USED")
+    assert said in remark.text
+    assert str(path) in remark.text
+
+
+def test_a_state_of_another_vehicle_is_refused(desk, warm):
+    path, _ = warm
+    d = desk(state_file=str(path), vehicle="agri3t")
+    assert "xgd24d" in d.app.began_with
+
+
+def test_a_folder_that_cannot_be_written_is_said_and_stops_nothing(desk, tmp_path):
+    blocked = tmp_path / "file"
+    blocked.write_text("in the way")
+    d = desk(state_file=str(blocked / "state.json"), save_period_s=1.0)
+    d.drive(2.5)
+    with pytest.raises(InputError, match=r"state\.json"):
+        d.app.save_state()
+    assert "STATE_NOT_SAVED" in d.names()
+    count = len(d.published)
+    d.drive(0.5)
+    assert len(d.published) > count
+
+
+def test_a_disk_that_takes_no_more_leaves_the_old_file_whole(desk, warm):
+    path, _ = warm
+    before = path.read_text()
+    d = desk(state_file=str(path))
+    d.drive(1.0)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))  # less than a state file
+    try:
+        with pytest.raises(InputError, match="too large"):
+            d.app.save_state()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert path.read_text() == before
+    assert list(path.parent.iterdir()) == [path]
+    assert "STATE_NOT_SAVED" in d.names()
+    d.app.save_state()
+    assert "STATE_NOT_SAVED" not in d.names()
+
+
+def test_parts_of_a_saving_that_was_killed_are_cleared_away(desk, warm):
+    path, _ = warm
+    part = path.with_name(f"{path.name}abc.part")
+    part.write_text("{")
+    d = desk(state_file=str(path))
+    assert not part.exists()
+    assert "belts taken from" in d.app.began_with
+
+
+def test_each_node_and_vehicle_has_a_file_of_its_own(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    paths = {
+        state_path("auto", False, node, namespace, vehicle)[0]
+        for node in ("trackres", "other")
+        for namespace in ("/", "/a", "/a/b")
+        for vehicle in ("xgd24d", "agri3t")
+    }
+    assert len(paths) == 12
+    assert all(tmp_path in path.parents for path in paths)
+    assert state_path("auto", True, "trackres", "/", "xgd24d") == (None, "")
+    assert state_path("none", False, "trackres", "/", "xgd24d") == (None, "")
+
+
+ODD_NAMES = ["../../etc/x", "/etc/passwd", "a/b", "a_b", "a b", ".", "..", "", "a\nb", "a\0b", "x" * 500]
+NAMES = st.text(max_size=60) | st.sampled_from(ODD_NAMES)
+
+
+@given(st.tuples(NAMES, NAMES, NAMES), st.tuples(NAMES, NAMES, NAMES))
+def test_whatever_they_are_called_the_file_is_a_plain_name_and_no_other_ones(one, other):
+    for node, namespace, vehicle in (one, other):
+        name = state_name(node, namespace, vehicle)
+        assert re.fullmatch(r"[A-Za-z0-9_]*-[0-9a-f]{12}\.json", name)
+        assert len(name) < 200
+    levels = [tuple(filter(None, namespace.split("/"))) for _, namespace, _ in (one, other)]
+    alike = (levels[0], one[0], one[2]) == (levels[1], other[0], other[2])
+    assert (state_name(*one) == state_name(*other)) is alike
+
+
+def test_a_vehicle_whose_name_is_a_path_keeps_its_state_where_all_do(desk, monkeypatch, tmp_path, repository):
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    text = (repository / "config" / "xgd24d.yaml").read_text()
+    vehicle = tmp_path / "mine.yaml"
+    vehicle.write_text(re.sub(r"(?m)^name:.*$", "name: ../../../x", text).replace("rubber/", f"{repository}/config/rubber/"))
+    d = desk(vehicle=str(vehicle), state_file="auto")
+    d.drive(0.1)
+    d.app.save_state()
+    assert [path.parent for path in tmp_path.rglob("*.json")] == [tmp_path / "state" / "trackres"]
+
+
+def test_without_a_home_it_runs_and_says_that_no_state_is_kept(desk, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(cache_dir().parent))
+    monkeypatch.delenv("HOME", raising=False)
+    monkeypatch.delenv("XDG_STATE_HOME", raising=False)
+    monkeypatch.setattr("pathlib.Path.home", lambda: (_ for _ in ()).throw(RuntimeError("no home")))
+    d = desk(state_file="auto")
+    d.drive(0.5)
+    assert d.published
+    assert "home" in d.app.began_with
+    assert "STATE_NOT_SAVED" in d.names()
+    assert d.app.close() == "no state is kept"

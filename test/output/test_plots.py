@@ -1,0 +1,146 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Pictures: valid, the same bytes twice, honest about peaks, and clear where matplotlib is not installed."""
+
+import struct
+import sys
+import zlib
+
+import numpy as np
+import pytest
+
+from trackres_ros.errors import InputError, MissingExtraError
+from trackres_ros.offline.simulate import ramp_and_hold, run_drive, simulate
+from trackres_ros.output.plots import plot_estimate, thinned
+
+pytest.importorskip("matplotlib")
+
+
+def png_size(path):
+    """Width and height of a PNG whose every chunk has its right checksum."""
+    content = path.read_bytes()
+    assert content[:8] == b"\x89PNG\r\n\x1a\n"
+    at, kinds = 8, []
+    while at < len(content):
+        length, kind = struct.unpack(">I4s", content[at : at + 8])
+        body = content[at + 4 : at + 8 + length]
+        assert struct.unpack(">I", content[at + 8 + length : at + 12 + length])[0] == zlib.crc32(body)
+        kinds.append(kind)
+        at += 12 + length
+    assert kinds[0] == b"IHDR"
+    assert kinds[-1] == b"IEND"
+    return struct.unpack(">II", content[16:24])
+
+
+@pytest.fixture(scope="module")
+def estimate(reference):
+    drive = ramp_and_hold(10.0, 20.0, 300.0, 0.05)
+    rows = run_drive(reference, drive)
+    return drive.time_s, {name: rows[:, i] for name, i in reference.column_index.items()}
+
+
+def test_a_replay_draws_alike_twice_and_other_data_draw_otherwise(estimate, tmp_path):
+    time_s, columns = estimate
+    for name in ("first", "second"):
+        plot_estimate(tmp_path / f"{name}.png", time_s, columns, "drive")
+    assert png_size(tmp_path / "first.png") == (990, 792)
+    assert (tmp_path / "first.png").read_bytes() == (tmp_path / "second.png").read_bytes()
+    plot_estimate(tmp_path / "other.png", time_s, {**columns, "wind_nm": 2 * columns["wind_nm"]}, "drive")
+    assert (tmp_path / "first.png").read_bytes() != (tmp_path / "other.png").read_bytes()
+
+
+@pytest.mark.parametrize("title", ["drive", ", ".join(f"2026-02-03_vehicle_17_part_{i}.mcap" for i in range(40))])
+def test_a_replay_can_be_read(estimate, drawn, tmp_path, title):
+    time_s, columns = estimate
+    plot_estimate(tmp_path / "p.png", time_s, columns, title)
+    assert not drawn.faults(drawn.figures[0])
+
+
+def test_it_draws_alike_whatever_the_user_set_up(estimate, tmp_path):
+    import matplotlib
+
+    time_s, columns = estimate
+    plot_estimate(tmp_path / "plain.png", time_s, columns, "drive")
+    with matplotlib.rc_context({"font.size": 20.0, "lines.linewidth": 5.0, "axes.facecolor": "black", "savefig.dpi": 30}):
+        plot_estimate(tmp_path / "dark.png", time_s, columns, "drive")
+        assert matplotlib.rcParams["font.size"] == 20.0
+    assert (tmp_path / "plain.png").read_bytes() == (tmp_path / "dark.png").read_bytes()
+
+
+def test_a_simulation_draws_from_its_few_columns(reference, tmp_path):
+    series = simulate(reference, ramp_and_hold(10.0, 20.0, 60.0, 0.5))
+    plot_estimate(tmp_path / "s.png", series["time_s"], series, "simulated")
+    assert png_size(tmp_path / "s.png") == (990, 792)
+
+
+@pytest.mark.parametrize("name", ["torque_nm", "belt_degc"])
+def test_measurements_show(estimate, tmp_path, name):
+    time_s, columns = estimate
+    values = np.full(len(time_s), np.nan)
+    plot_estimate(tmp_path / "none.png", time_s, columns, "drive")
+    plot_estimate(tmp_path / "empty.png", time_s, columns, "drive", {name: values})
+    assert (tmp_path / "none.png").read_bytes() == (tmp_path / "empty.png").read_bytes()
+    values[::100] = 20.0
+    plot_estimate(tmp_path / "some.png", time_s, columns, "drive", {name: values})
+    assert (tmp_path / "none.png").read_bytes() != (tmp_path / "some.png").read_bytes()
+
+
+def test_assemblies_that_differ_are_drawn_apart(estimate, tmp_path):
+    time_s, columns = estimate
+    plot_estimate(tmp_path / "alike.png", time_s, columns, "drive")
+    name = next(name for name in columns if name.startswith("belt_degc/"))
+    plot_estimate(tmp_path / "apart.png", time_s, {**columns, name: columns[name] + 5.0}, "drive")
+    assert (tmp_path / "alike.png").read_bytes() != (tmp_path / "apart.png").read_bytes()
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda time_s, columns: (time_s[:0], {}, None),
+        lambda time_s, columns: (time_s, {**columns, "wind_nm": columns["wind_nm"][:-1]}, None),
+        lambda time_s, columns: (time_s, columns, {"torque": columns["wind_nm"]}),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused(estimate, tmp_path, damage):
+    time_s, columns, measured = damage(*estimate)
+    with pytest.raises(InputError, match="allowed"):
+        plot_estimate(tmp_path / "bad.png", time_s, columns, "drive", measured)
+    assert not (tmp_path / "bad.png").exists()
+
+
+def test_without_matplotlib_it_says_what_to_install(estimate, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(MissingExtraError, match="pip install matplotlib"):
+        plot_estimate(tmp_path / "p.png", *estimate, "drive")
+
+
+def test_importing_plots_does_not_import_matplotlib(tmp_path):
+    import subprocess
+
+    code = "import sys, trackres_ros.output.plots, trackres_ros.evaluation.reproduce; assert 'matplotlib' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_a_thinned_line_keeps_peaks_ends_and_gaps():
+    x = np.arange(100_003.0)
+    y = np.sin(x / 5000.0)
+    y[40_000], y[70_001] = 9.0, -9.0
+    y[50_000:60_000] = np.nan
+    kept_x, kept_y = thinned(x, y, most=1000)
+    assert len(kept_x) <= 1000
+    assert (np.diff(kept_x) > 0).all()
+    assert np.nanmax(kept_y) == 9.0
+    assert kept_x[np.nanargmax(kept_y)] == 40_000
+    assert np.nanmin(kept_y) == -9.0
+    assert np.isnan(kept_y[(kept_x > 50_200) & (kept_x < 59_800)]).all()
+    assert kept_x[0] < 201
+    assert kept_x[-1] > 99_800
+    assert np.array_equal(kept_y, y[kept_x.astype(int)], equal_nan=True)
+
+
+def test_a_short_line_is_left_as_it_is():
+    x, y = np.arange(5.0), np.array([1.0, np.nan, 3.0, 2.0, 2.0])
+    kept_x, kept_y = thinned(x, y)
+    assert np.array_equal(kept_x, x)
+    assert np.array_equal(kept_y, y, equal_nan=True)

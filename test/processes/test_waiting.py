@@ -1,0 +1,95 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Waiting: ends with the condition, goes on while there is work, and gives up on who idles."""
+
+import os
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import waiting
+from waiting import Pace, kept_waiting_s, wait_for, work_s
+
+TESTS = Path(__file__).parents[1]
+BUSY = "import time\nend = time.process_time() + 1.0\nwhile time.process_time() < end: pass\nopen({!r}, 'w').close()\ninput()"
+
+
+@pytest.fixture
+def start():
+    started = []
+
+    def run(program):
+        started.append(subprocess.Popen([sys.executable, "-c", program], stdin=subprocess.PIPE))
+        return started[-1]
+
+    yield run
+    for process in started:
+        process.kill()
+        process.wait()
+        process.stdin.close()
+
+
+def test_it_ends_as_soon_as_it_holds_and_looks_at_least_once():
+    looks = iter([False, False, True])
+    assert wait_for(lambda: next(looks))
+    assert wait_for(lambda: True, patience_s=0.0)
+    assert not wait_for(lambda: False, patience_s=0.0)
+
+
+def test_something_may_be_done_meanwhile():
+    done = []
+    assert wait_for(lambda: len(done) == 3, meanwhile=lambda: done.append(1))
+
+
+def test_who_works_is_waited_for_and_who_idles_is_not(start, tmp_path, monkeypatch):
+    monkeypatch.setattr(waiting, "LEAST_PROGRESS", 1e-9)  # however little of the processor is left for it here
+    there = tmp_path / "there"
+    busy = start(BUSY.format(str(there)))
+    assert wait_for(there.exists, patience_s=0.2, working=busy.pid)
+    assert not wait_for(lambda: False, patience_s=0.2, working=busy.pid)
+
+
+def test_who_works_without_end_is_given_up(start, monkeypatch):
+    monkeypatch.setattr(waiting, "LEAST_PROGRESS", 1e-9)
+    monkeypatch.setattr(waiting, "MOST_WORK_S", 0.3)
+    assert not wait_for(lambda: False, patience_s=0.2, working=start("while True: pass").pid)
+
+
+def test_work_is_that_of_children_too(start, tmp_path):
+    there = tmp_path / "there"
+    parent = start(f"import subprocess, sys; subprocess.run([sys.executable, '-c', {BUSY.format(str(there))!r}])")
+    assert wait_for(there.exists, working=parent.pid)
+    assert work_s(parent.pid) >= 1.0
+    assert work_s(None) == 0.0
+
+
+def test_who_is_kept_from_computing_is_waited_for(start):
+    """Two that compute without end on one processor: each waits for the other half of the time."""
+    one = min(os.sched_getaffinity(0))
+    pair = [start(f"import os; os.sched_setaffinity(0, {{{one}}})\nwhile True: pass") for _ in range(2)]
+    if not Path("/proc/self/schedstat").exists():
+        pytest.skip("this system does not count who waits for a processor")
+    assert wait_for(lambda: all(kept_waiting_s(process.pid) > 0.2 for process in pair), working=pair[0].pid)
+    assert kept_waiting_s(None) == 0.0
+
+
+def test_a_pace_is_kept_over_what_takes_longer():
+    begin, pace = time.monotonic(), Pace(100.0)
+    for _ in range(5):
+        pace.next()
+    assert time.monotonic() - begin >= 0.05
+
+
+def test_nothing_else_sleeps_in_tests_of_processes():
+    found = [
+        f"{path.relative_to(TESTS)}: {line.strip()}"
+        for folder in ("processes", "dds", "cli")
+        for path in sorted((TESTS / folder).glob("*.py"))
+        for line in path.read_text().splitlines()
+        if path.name != "waiting.py" and re.search(r"\bsleep\(", line)
+    ]
+    assert not found

@@ -1,0 +1,525 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Recordings that are not what they seem: each ends in one line and exit code 2, or is read with what was lost counted."""
+
+from __future__ import annotations
+
+import bz2
+import gzip
+import os
+import socket
+import sqlite3
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from trackres_ros.cli.main import main
+from trackres_ros.errors import InputError
+from trackres_ros.offline import summary as replay_report
+from trackres_ros.offline.summary import KeptSource
+from trackres_ros.output.table import write_table
+from trackres_ros.recording import unpacking
+from trackres_ros.recording.bindings import Topics
+from trackres_ros.recording.opening import open_source
+from trackres_ros.recording.reading import OWN_FAULT, reading
+from trackres_ros.recording.recording import Recording
+from trackres_ros.recording.table import MAX_ROW_BYTES, TableSource
+
+TWIST = "geometry_msgs/msg/TwistStamped"
+FLOATS = "std_msgs/msg/Float64MultiArray"
+START = 1_700_000_000 * 10**9
+CSV = b"time_s,speed_mps\n0,1\n1,2\n"
+TOPICS = Topics.parse({"speed": {"topic": "/speed", "type": TWIST, "field": "twist.linear.x"}})
+
+
+@pytest.fixture
+def refused(tmp_path, capsys):
+    """What `trackres replay` says about a recording that it refuses: one printable line, exit code 2."""
+
+    def says(*recording: Path) -> str:
+        arguments = ["replay", *map(str, recording), "--vehicle", "xgd24d", "-o", str(tmp_path / "out.csv")]
+        with pytest.raises(SystemExit) as ended:
+            main(arguments)
+        text = capsys.readouterr().err
+        assert ended.value.code == 2
+        assert text.endswith("\n")
+        assert text[:-1].isprintable()
+        assert not (tmp_path / "out.csv").exists()
+        return text
+
+    return says
+
+
+def speeds(path: Path, topics: Topics | None = TOPICS) -> Recording:
+    return Recording.from_source(open_source([path], topics))
+
+
+def found(recording: Recording) -> dict[str, int]:
+    return {finding.kind: finding.count for finding in recording.findings}
+
+
+# --- files
+
+CONTENTS = {
+    "an MCAP bag": b"\x89MCAP0\r\n", "an SQLite bag": b"SQLite format 3\0", "a ROS 1 bag": b"#ROSBAG V2.0\n",
+    "a Parquet table": b"PAR1....PAR1", "a gzip archive": gzip.compress(CSV), "a zstd archive": b"\x28\xb5\x2f\xfd",
+    "a bzip2 archive": bz2.compress(CSV), "a zip archive or an Excel workbook": b"PK\x03\x04", "an empty file": b"",
+    "UTF-16 text": CSV.decode().encode("utf-16"), "binary data": b"ab\0cd",
+}  # fmt: skip
+OWN = {".mcap": "an MCAP bag", ".db3": "an SQLite bag", ".bag": "a ROS 1 bag", ".parquet": "a Parquet table"}
+OWN[".csv.gz"] = "a gzip archive"
+
+
+@pytest.mark.parametrize("suffix", [".csv", *OWN])
+@pytest.mark.parametrize("content", CONTENTS)
+def test_the_content_is_what_the_suffix_says(tmp_path, refused, suffix, content):
+    path = tmp_path / f"run{suffix}"
+    path.write_bytes(CONTENTS[content])
+    if OWN.get(suffix) != content:
+        text = refused(path)
+        assert f"{path}: given '{content}'" in text
+        assert f"{OWN.get(suffix, 'text')}, as its suffix says" in text
+    elif suffix != ".csv.gz":  # the others hold their first bytes only
+        assert str(path) in refused(path)
+
+
+@pytest.mark.parametrize("suffix", [".csv", *OWN])
+def test_only_regular_files_are_opened(tmp_path, refused, suffix):
+    made = {
+        "a named pipe": lambda path: os.mkfifo(path),
+        "a device": lambda path: path.symlink_to("/dev/zero"),
+        "a link that leads back to itself": lambda path: path.symlink_to(path),
+        "where nothing is": lambda path: path.symlink_to(tmp_path / "gone"),
+        "nothing at this path": lambda path: None,
+    }
+    for number, (says, make) in enumerate(made.items()):
+        path = tmp_path / f"{number}{suffix}"
+        make(path)
+        assert says in refused(path)
+        folder = tmp_path / f"folder{number}{suffix}"
+        folder.mkdir()
+        (folder / "metadata.yaml").write_text("rosbag2_bagfile_information: {}")
+        make(folder / "run.db3")
+        if says != "nothing at this path":
+            assert says in refused(folder)
+
+
+def test_a_socket_is_refused(tmp_path, refused, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with socket.socket(socket.AF_UNIX) as one:
+        one.bind("s.csv")
+        assert "a socket" in refused(Path("s.csv"))
+
+
+def test_names_that_no_terminal_takes(tmp_path, refused, capsys):
+    """A name that is not UTF-8 and holds a line end: in what is refused, in what is read, and in what is written."""
+    path = Path(os.fsdecode(os.fsencode(tmp_path) + b"/a\n\xff.csv"))
+    path.write_bytes(b"time_s\n0\n")
+    assert "a\\n\\udcff.csv" in refused(path)
+    columns = "time_s,speed_mps,odd\x07\u2028name"
+    path.write_text(f"{columns}\n" + "".join(f"{row / 10},{row % 5 + 1},0\n" for row in range(100)))
+    output = Path(os.fsdecode(os.fsencode(tmp_path) + b"/out\n\xfe.csv"))
+    main_ended(["replay", str(path), "--vehicle", "xgd24d", "-o", str(output)])
+    said = capsys.readouterr().out
+    assert all(line.isprintable() for line in said.split("\n"))
+    assert "odd\\x07\\u2028name" in said
+    assert "out\\n\\udcfe.csv" in said
+    assert output.exists()
+
+
+def main_ended(arguments: list[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    assert ended.value.code == 0
+
+
+@pytest.mark.parametrize("suffix", [".csv", *OWN])
+@settings(max_examples=25, deadline=None)
+@given(head=st.sampled_from([b"", *CONTENTS.values(), CSV]), rest=st.binary(max_size=300))
+def test_any_bytes_are_read_or_refused_in_one_line(tmp_path_factory, suffix, head, rest):
+    path = tmp_path_factory.mktemp("any") / f"run{suffix}"
+    path.write_bytes(head + rest)
+    said = refusal(path)
+    assert said.isprintable()
+    assert OWN_FAULT not in said
+
+
+def refusal(path: Path) -> str:
+    """What is said about a table or bag; nothing if it is read."""
+    try:
+        speeds(path, None).report()
+    except InputError as error:
+        return str(error)
+    return ""
+
+
+@pytest.mark.parametrize(
+    ("error", "says"),
+    [
+        (MemoryError(), "more than fits into memory"),
+        (RecursionError("maximum depth"), "nested too deeply"),
+        (OSError(5, "Input/output error"), "given 'Input/output error'"),
+        (EOFError("cut"), "EOFError: cut"),
+        (UnicodeDecodeError("utf-8", b"\xff", 0, 1, "bad\nbyte"), "UnicodeDecodeError"),
+    ],
+)
+def test_what_any_library_raises_is_one_line_with_its_cause(error, says):
+    with pytest.raises(InputError) as caught, reading(Path("run.csv"), "a table"):
+        raise error
+    assert says in str(caught.value)
+    assert str(caught.value).startswith("run.csv: given")
+    assert str(caught.value).isprintable()
+    assert caught.value.__cause__ is error
+
+
+def test_a_fault_of_our_own_is_said_to_be_one(tmp_path, monkeypatch):
+    path = tmp_path / "run.csv"
+    path.write_bytes(CSV)
+    monkeypatch.setattr("trackres_ros.recording.table.choose_columns", lambda *_: 1 // 0)
+    with pytest.raises(ZeroDivisionError):  # outside of reading a fault stays what it is
+        TableSource(path)
+    monkeypatch.setattr("trackres_ros.recording.table.re.split", lambda *_, **__: [])
+    with pytest.raises(InputError, match=r"IndexError: .* at table\.py:\d+") as caught:
+        TableSource(path)
+    assert OWN_FAULT in str(caught.value)
+
+
+# --- tables
+
+
+def test_lines_that_end_in_a_carriage_return_only(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_bytes(CSV.replace(b"\n", b"\r"))
+    assert speeds(path, None).series["speed"].value.tolist() == [1.0, 2.0]
+    assert not found(speeds(path, None))
+
+
+def test_fields_and_lines_beyond_any_measure(tmp_path, refused):
+    path = tmp_path / "run.csv"
+    for text, says in (
+        (b"time_s,speed_mps," + b"x" * 131_073 + b"\n0,1,2\n", "field larger than field limit"),
+        (b"x" * (MAX_ROW_BYTES + 10), "a first line of more than"),
+        (b"time_s,speed_mps,note\n0,1," + b"x," * (MAX_ROW_BYTES // 2) + b"\n", "a row of more than"),
+        (b"time_s,speed_mps,note\n0,1," + b'"x\n",' * (MAX_ROW_BYTES // 5) + b"\n", "a row of more than"),
+    ):
+        path.write_bytes(text)
+        assert says in refused(path)
+
+
+def test_200_000_columns(tmp_path, refused):
+    path = tmp_path / "run.csv"
+    names = ",".join(f"c{number}" for number in range(200_000))
+    path.write_text(f"{names},time_s,speed_mps\n" + "0," * 200_000 + "0,3\n")
+    recording = speeds(path, None)
+    assert recording.series["speed"].value.tolist() == [3.0]
+    assert "and 199980 more" in recording.notes[-1]
+    path.write_text(f"{names}\n")
+    assert "and 199980 more" in refused(path)
+
+
+def test_every_damage_of_an_archive_is_said(tmp_path):
+    path = tmp_path / "run.csv.gz"
+    whole = gzip.compress(b"time_s,speed_mps\n" + b"".join(b"%d,%d\n" % (row, row * row % 97) for row in range(2000)))
+    for place in range(0, len(whole), 37):
+        path.write_bytes(whole[:place] + bytes([whole[place] ^ 0x55]) + whole[place + 1 :])
+        said = refusal(path)
+        assert OWN_FAULT not in said
+        assert str(path) in said or len(speeds(path, None).series["speed"]) == 2000
+
+
+@pytest.mark.parametrize(
+    ("text", "rows", "kind", "count"),
+    [
+        ('time_s,speed_mps,note\n0,1,"a\n1,2,b\n2,3,c\n', 1, "quoted", 2),
+        ('time_s,speed_mps,note\n0,1,"a\n1,2,b"\n2,3,c\n', 2, "quoted", 1),
+        ('time_s,speed_mps,note\n0,1,"a"\n\n1,2,b\n', 2, "", 0),
+        ("time_s,speed_mps\n0,1\n1,2", 2, "cut", 1),
+    ],
+)
+@pytest.mark.parametrize("fast", [True, False])
+def test_lines_that_are_no_rows_are_counted(tmp_path, monkeypatch, text, rows, kind, count, fast):
+    if not fast:
+        monkeypatch.setattr(TableSource, "_fast_chunks", lambda *_: iter(()))
+    path = tmp_path / "run.csv"
+    path.write_text(text)
+    recording = speeds(path, None)
+    assert len(recording.series["speed"]) == rows
+    assert found(recording) == ({kind: count} if kind else {})
+
+
+def test_parquet_in_bounded_memory_and_damage_in_it(tmp_path):
+    pa = pytest.importorskip("pyarrow")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    peaks = []
+    for rows in (200_000, 2_000_000):
+        path = tmp_path / f"{rows}.parquet"
+        time_s = np.arange(rows) / 100
+        table = pa.table({"time_s": time_s, "speed_mps": np.sin(time_s), "note": np.zeros(rows)})
+        parquet.write_table(table, path, row_group_size=rows, compression="none")
+        del table
+        pool, before = pa.proxy_memory_pool(pa.default_memory_pool()), pa.default_memory_pool()
+        pa.set_memory_pool(pool)
+        try:
+            assert sum(map(len, TableSource(path).blocks())) == rows
+        finally:
+            pa.set_memory_pool(before)
+        peaks.append(pool.max_memory())
+    assert peaks[1] < 1.5 * peaks[0]
+    path = tmp_path / "run.parquet"
+    write_table(path, {"time_s": np.arange(1000.0), "speed_mps": np.sin(np.arange(1000.0))})
+    data = bytearray(path.read_bytes())
+    data[5000] ^= 1
+    path.write_bytes(data)
+    with pytest.raises(InputError, match=r"could not verify page integrity|checksum|CRC"):
+        speeds(path, None)
+
+
+# --- bags
+
+rosbags = pytest.importorskip("rosbags")
+
+
+def twist(store: Any, number: float) -> bytes:
+    types = store.types
+    vector = types["geometry_msgs/msg/Vector3"]
+    header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](*divmod(START, 10**9)), "")
+    message = types[TWIST](header, types["geometry_msgs/msg/Twist"](vector(number, 0.0, 0.0), vector(0.0, 0.0, 0.0)))
+    return bytes(store.serialize_cdr(message, TWIST))
+
+
+def folder_bag(path: Path, storage: str = "SQLITE3", compression: str = "", count: int = 20) -> Path:
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.LATEST)
+    writer = Writer(path, version=9, storage_plugin=StoragePlugin[storage])
+    if compression:
+        writer.set_compression(CompressionMode[compression], CompressionFormat.ZSTD)
+    with writer:
+        topic = writer.add_connection("/speed", TWIST, typestore=store)
+        for row in range(count):
+            writer.write(topic, START + row, twist(store, float(row)))
+    return path
+
+
+def mcap_bag(
+    path: Path, messages: list[tuple[int, bytes]], schema: str = "", msgtype: str = TWIST, compression: str = "NONE"
+) -> Path:
+    writing = pytest.importorskip("mcap.writer")
+    from rosbags.typesys import Stores, get_typestore
+
+    text = schema or get_typestore(Stores.LATEST).generate_msgdef(msgtype, ros_version=2)[0]
+    with path.open("wb") as file:
+        writer = writing.Writer(file, compression=writing.CompressionType[compression])
+        writer.start("ros2", "test")
+        number = writer.register_schema(msgtype, "ros2msg", text.encode())
+        channel = writer.register_channel("/speed", "cdr", number)
+        for log_ns, raw in messages:
+            writer.add_message(channel, log_ns, raw, log_ns)
+        writer.finish()
+    return path
+
+
+def messages(count: int) -> list[bytes]:
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.LATEST)
+    return [twist(store, float(row)) for row in range(count)]
+
+
+def test_log_times_beyond_the_clock_are_counted(tmp_path):
+    times = [START, 2**63, START + 1, 2**64 - 1, START + 2, 2**62]
+    recording = speeds(mcap_bag(tmp_path / "run.mcap", list(zip(times, messages(6), strict=True))))
+    assert recording.series["speed"].value.tolist() == [0.0, 2.0, 4.0]
+    assert found(recording)["unusable"] == 3
+
+
+def test_rows_of_a_database_of_any_type_are_counted(tmp_path):
+    path = folder_bag(tmp_path / "bag") / "bag.db3"
+    with sqlite3.connect(path) as database:
+        database.execute("CREATE TABLE loose AS SELECT * FROM messages")
+        database.execute("DROP TABLE messages")
+        database.execute("ALTER TABLE loose RENAME TO messages")
+        for row, (column, value) in enumerate([
+            ("timestamp", None), ("timestamp", "soon"), ("timestamp", 1.5), ("timestamp", -1), ("timestamp", 2**63 - 1),
+            ("timestamp", b"12345678"), ("data", None), ("data", "text"), ("data", 5), ("topic_id", 77), ("topic_id", None),
+            ("topic_id", "one"),
+        ]):  # fmt: skip
+            database.execute(f"UPDATE messages SET {column} = ? WHERE id = ?", (value, row + 1))
+    database.close()
+    for bag in (path, path.parent):
+        recording = speeds(bag)
+        assert recording.series["speed"].value.tolist() == [float(row) for row in range(12, 20)]
+        assert {"unusable": 9, "unknown_topic": 3}.items() <= found(recording).items()
+        assert any("3 messages of topics that the bag does not describe" in line for line in recording.report())
+
+
+ARRAY = f"{{}}\nfloat64 speed\n{'=' * 80}\nMSG: my_msgs/E\n{{}}\n"
+
+
+@pytest.mark.parametrize(
+    ("first", "element", "says"),
+    [
+        ("my_msgs/E[999999999] many", "uint8 a", "my_msgs/msg/E[999999999] many"),
+        ("my_msgs/E[999999999] many", "string a", "my_msgs/msg/E[999999999] many"),
+        ("my_msgs/E[9999] many", "uint8[99999] a", "my_msgs/msg/E[9999] many"),
+        ("float64[999999999] many", "uint8 a", "float64[999999999] many"),
+        ("my_msgs/E one", "my_msgs/E again", "my_msgs/msg/E within itself"),
+    ],
+)
+def test_definitions_of_arrays_without_end(tmp_path, first, element, says):
+    path = mcap_bag(tmp_path / "run.mcap", [(START, b"\0\1\0\0" + bytes(64))], ARRAY.format(first, element), "my_msgs/msg/Mine")
+    topics = Topics.parse({"speed": {"topic": "/speed", "type": "my_msgs/msg/Mine", "field": "speed"}})
+    with pytest.raises(InputError) as caught:
+        speeds(path, topics)
+    assert says in str(caught.value)
+    assert f"{path}: /speed" in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["zstd", "zstandard", "bz2", "lz4"])
+@settings(max_examples=20, deadline=None)
+@given(parts=st.lists(st.binary(max_size=200).map(lambda part: part * 50), min_size=1, max_size=3), less=st.integers(0, 50))
+def test_nothing_unpacks_beyond_its_ceiling(name, parts, less):
+    lz4 = pytest.importorskip("lz4.frame")
+    zstandard = pytest.importorskip("zstandard")
+    pack, make = {
+        "zstd": (zstandard.ZstdCompressor().compress, unpacking._zstd()),
+        "zstandard": (zstandard.ZstdCompressor().compress, unpacking._Zstandard),
+        "bz2": (bz2.compress, bz2.BZ2Decompressor),
+        "lz4": (lz4.compress, lz4.LZ4FrameDecompressor),
+    }[name]
+    packed, plain = b"".join(map(pack, parts)), b"".join(parts)
+    assert unpacking.unpacked(make, packed, len(plain) + less) == plain
+    if plain:
+        with pytest.raises(unpacking.TooLargeError):
+            unpacking.unpacked(make, packed, max(0, len(plain) - 1 - less))
+
+
+def test_a_message_that_unpacks_to_more_than_any_message_has(tmp_path, refused):
+    zstandard = pytest.importorskip("zstandard")
+    path = folder_bag(tmp_path / "bag", compression="MESSAGE")
+    bomb = zstandard.ZstdCompressor().compress(bytes(unpacking.MAX_MESSAGE_BYTES + 1))
+    with sqlite3.connect(path / "bag.db3") as database:
+        database.execute("UPDATE messages SET data = ? WHERE id = 7", (bomb,))
+    database.close()
+    assert f"a message of /speed: it unpacks to more than {unpacking.MAX_MESSAGE_BYTES} bytes" in refused(path)
+    with sqlite3.connect(path / "bag.db3") as database:
+        database.execute("UPDATE messages SET data = ? WHERE id = 7", (bomb[:-8],))
+    database.close()
+    recording = speeds(path)
+    assert np.flatnonzero(np.isnan(recording.series["speed"].value)).tolist() == [6]
+    assert found(recording)["malformed"] == 1
+
+
+@pytest.mark.parametrize("kind", ["mcap", "bag"])
+def test_a_chunk_that_unpacks_to_more_than_any_chunk_has(tmp_path, refused, monkeypatch, kind):
+    if kind == "mcap":
+        path = mcap_bag(tmp_path / "run.mcap", [(START + row, raw) for row, raw in enumerate(messages(50))], compression="ZSTD")
+    else:
+        from rosbags.rosbag1 import Writer
+        from rosbags.typesys import Stores, get_typestore
+
+        store, path = get_typestore(Stores.ROS1_NOETIC), tmp_path / "run.bag"
+        writer = Writer(path)
+        writer.set_compression(Writer.CompressionFormat.BZ2)
+        with writer:
+            number = "std_msgs/msg/Float64"
+            topic = writer.add_connection("/speed", number, typestore=store)
+            for row in range(500):
+                writer.write(topic, START + row, store.serialize_ros1(store.types[number](1.0), number))
+    speeds(path, None)
+    monkeypatch.setattr(unpacking, "MAX_CHUNK_BYTES", 1000)
+    assert "1000" in refused(path)
+
+
+def test_a_file_that_unpacks_to_more_than_there_is_room_for(tmp_path, refused, monkeypatch):
+    path = folder_bag(tmp_path / "bag", compression="FILE")
+    assert len(speeds(path).series["speed"]) == 20
+    usage = unpacking.shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(unpacking.shutil, "disk_usage", lambda _: usage._replace(free=1000))
+    assert "export TMPDIR=" in refused(path)
+
+
+@settings(max_examples=30, deadline=None)
+@given(data=st.lists(st.binary(max_size=2000).map(lambda part: part * 100), min_size=1, max_size=3), checksum=st.booleans())
+def test_the_bound_of_a_packed_file_holds(tmp_path_factory, data, checksum):
+    zstandard = pytest.importorskip("zstandard")
+    path = tmp_path_factory.mktemp("z") / "a.zstd"
+    pack = zstandard.ZstdCompressor(write_checksum=checksum).compress
+    path.write_bytes(b"".join(map(pack, data)))
+    with path.open("rb") as file:
+        bound = unpacking._zstd_bound(file)
+    size = sum(map(len, data))
+    assert size <= bound <= size + unpacking.ZSTD_BLOCK_BYTES * len(data)
+
+
+def test_a_folder_called_like_a_bag_of_ros_1(tmp_path):
+    assert len(speeds(folder_bag(tmp_path / "run.bag")).series["speed"]) == 20
+
+
+@pytest.mark.parametrize("counts", [(3,), (0,), (3, 200)])
+def test_an_element_beyond_the_end_of_an_array(tmp_path, refused, counts):
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.LATEST)
+    types = store.types
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        topic = writer.add_connection("/speed", FLOATS, typestore=store)
+        for row in range(10):
+            layout = types["std_msgs/msg/MultiArrayLayout"]([], 0)
+            message = types[FLOATS](layout, np.ones(counts[row % len(counts)]))
+            writer.write(topic, START + row, store.serialize_cdr(message, FLOATS))
+    topics = Topics.parse({"speed": {"topic": "/speed", "type": FLOATS, "field": "data[99]"}}, "topics.yaml")
+    only = f"the array data has {'only 3 elements' if counts[0] else 'no elements'}"
+    if len(counts) == 1:
+        with pytest.raises(InputError, match=rf"topics\.yaml: speed: field: given 'data\[99\], {only}'"):
+            speeds(tmp_path / "bag", topics)
+    else:
+        recording = speeds(tmp_path / "bag", topics)
+        assert len(recording.series["speed"]) == 5
+        assert any(f"5 messages do not have data[99]: {only}" in line for line in recording.report())
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("a: &a [1, 2]\nb: [*a, *a]\n", "an alias"),
+        ("a: " + "[" * 1000 + "]" * 1000, "values in one another"),
+        ("rosbag2_bagfile_information: 5", "bag"),
+        ("a: [", "ParserError"),
+        ("\xff: \x00", "ReaderError"),
+    ],
+)
+def test_metadata_that_no_recorder_writes(tmp_path, refused, text, says):
+    path = folder_bag(tmp_path / "bag")
+    (path / "metadata.yaml").write_text(text)
+    assert says in refused(path)
+
+
+@pytest.mark.parametrize("count", [-1, 2**63, 10**400, "many", None, 1.5, [1], True])
+def test_counts_of_any_kind(tmp_path, count):
+    path = folder_bag(tmp_path / "bag") / "metadata.yaml"
+    content = yaml.safe_load(path.read_text())
+    content["rosbag2_bagfile_information"]["topics_with_message_count"][0]["message_count"] = count
+    path.write_text(yaml.safe_dump(content))
+    recording = speeds(path.parent)
+    assert len(recording.series["speed"]) == 20
+    assert ("structure" in found(recording)) is (count is not True)
+
+
+def test_what_is_too_long_to_be_looked_at_is_said_and_not_kept(tmp_path, monkeypatch):
+    path = tmp_path / "run.csv"
+    path.write_text("time_s,speed_mps\n" + "".join(f"{row},1\n" for row in range(30_000)))
+    for most, dropped in ((30_000, False), (29_999, True)):
+        monkeypatch.setattr(replay_report, "MOST_KEPT", most)
+        source = KeptSource(TableSource(path), keep=True)
+        assert sum(map(len, source.blocks())) == 30_000
+        assert any(finding.kind == "too_long" for finding in source.all_findings()) is dropped
+        assert any(finding.kind == "stuck" for finding in source.all_findings()) is not dropped

@@ -1,0 +1,73 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""A bag of a real vehicle, as it is: what the reader makes of it and what it says."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from trackres_ros.recording.opening import open_source
+from trackres_ros.recording.recording import Recording
+
+pytest.importorskip("rosbags")
+
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_typestore
+
+DEFAULT = Path(__file__).resolve().parents[3] / "shared" / "data" / "real"
+BAG = Path(os.environ.get("TRACKRES_REAL_DATA", DEFAULT)) / "rosbag_gps_vehicle" / "bag"
+
+pytestmark = pytest.mark.skipif(not BAG.is_dir(), reason=f"no recording at {BAG}; set TRACKRES_REAL_DATA to its folder")
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    return Recording.from_source(open_source([BAG]))
+
+
+def test_speed_equals_decoding_each_message(recording: Recording) -> None:
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    rows = []
+    with Reader(BAG) as reader:
+        wanted = [one for one in reader.connections if one.topic == "/odometry"]
+        for one, log_ns, raw in reader.messages(wanted):
+            message: Any = store.deserialize_cdr(raw, one.msgtype)
+            stamp = message.header.stamp
+            rows.append((stamp.sec * 10**9 + stamp.nanosec, log_ns, message.twist.twist.linear.x))
+    speed = recording.series["speed"]
+    assert len(rows) == 2143
+    np.testing.assert_array_equal(np.stack((speed.stamp_ns, speed.arrival_ns), axis=1), [row[:2] for row in rows])
+    np.testing.assert_array_equal(speed.value, [row[2] for row in rows])
+
+
+def test_it_says_what_it_guessed_and_met(recording: Recording) -> None:
+    assert list(recording.series) == ["speed"]
+    report = "\n".join(recording.report())
+    assert "guessed from /odometry (nav_msgs/msg/Odometry, twist.twist.linear.x)" in report
+    assert "header stamps lie" in report
+    assert "days before log time" in report
+    kinds = {finding.kind for finding in recording.findings}
+    assert {"stamp_offset", "quantised"} <= kinds
+
+
+def test_there_is_no_torque(recording: Recording) -> None:
+    assert "torque" not in recording.series
+    assert "torque" not in recording.aligned()
+
+
+def test_it_replays_as_it_is(tmp_path: Path, good: Any) -> None:
+    """Header stamps two months off, quantised speed and drops to 0: the estimate goes through, and what was met is said."""
+    report = json.loads(good("replay", BAG, "--vehicle", "agri3t", "-o", tmp_path / "out.csv", "--json"))
+    assert report["steps"] == report["counters"]["speed"]["accepted"] == 2143
+    assert {"stamp_offset", "dropout"} <= {finding["kind"] for finding in report["findings"]}
+    assert any("guessed" in note for note in report["notes"])
+    assert {reason["reason"] for reason in report["reasons"]} >= {"load_nominal", "ambient_nominal"}
+    assert report["last"]["residual_nm"] is None
+    assert (tmp_path / "out.png").exists()

@@ -1,0 +1,173 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""What a Recording finds wrong, how it holds series on one another, and what it says."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trackres_ros.recording.recording import Recording
+from trackres_ros.recording.roles import ROLES, base_role
+from trackres_ros.recording.samples import Block, Finding, FloatArray, IntArray
+
+S = 10**9
+
+
+class Given:
+    """A source of what a test gives: by role, stamps [s], values, and log times [s] where they differ."""
+
+    name = "given"
+    notes = ("a note",)
+    findings: tuple[Finding, ...] = ()
+
+    def __init__(self, series: Mapping[str, tuple[object, ...]], zero_is_unset: bool = True) -> None:
+        self.roles = tuple(series)
+        self.zero_is_unset = zero_is_unset
+        self.rows: list[tuple[int, int, int, float]] = []
+        for index, (stamps, values, *logged) in enumerate(series.values()):
+            stamp_ns = np.rint(np.multiply(stamps, S)).astype(np.int64)
+            log_ns = np.rint(np.multiply(logged[0], S)).astype(np.int64) if logged else stamp_ns
+            values = np.broadcast_to(values, stamp_ns.shape)
+            self.rows += [
+                (int(log), index, int(stamp), float(value)) for log, stamp, value in zip(log_ns, stamp_ns, values, strict=True)
+            ]
+        self.rows.sort(key=lambda row: row[0])
+
+    def blocks(self, max_rows: int = 7) -> Iterator[Block]:
+        for start in range(0, len(self.rows), 7):
+            log, role, stamp, value = zip(*self.rows[start : start + 7], strict=True)
+            yield Block(np.array(role, np.int16), np.array(stamp, np.int64), np.array(log, np.int64), np.array(value))
+
+
+def recorded(zero_is_unset: bool = True, **series: tuple[object, ...]) -> Recording:
+    return Recording.from_source(Given({role.replace("__", "/"): one for role, one in series.items()}, zero_is_unset))
+
+
+def found(recording: Recording, role: str = "speed") -> dict[str, Finding]:
+    return {finding.kind: finding for finding in recording.findings if finding.role == role}
+
+
+def smooth(count: int, rate: float = 10.0) -> tuple[FloatArray, FloatArray]:
+    time = 100.0 + np.arange(count) / rate
+    return time, 5.0 + np.sin(time) + 0.1 * np.sin(37.0 * time)
+
+
+def test_nothing_is_found_in_a_clean_series() -> None:
+    recording = recorded(speed=smooth(2000), load=(100.0 + np.arange(200), 2e5))
+    assert recording.findings == ()
+    assert len(recording.series["speed"]) == 2000
+    np.testing.assert_allclose(recording.time_s("speed"), np.arange(2000) / 10, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("change", "kind", "count", "first", "says"),
+    [
+        (lambda t, v: (t, np.where(np.isin(np.arange(len(t)), [5, 9]), np.nan, v)), "non_finite", 2, 0.5, "2 values"),
+        (lambda t, v: (np.where(np.arange(len(t)) == 50, 0.0, t), v, t), "zero_stamp", 1, 5.0, "zero"),
+        (lambda t, v: (np.where(np.arange(len(t)) == 50, t - 0.1, t), v, t), "duplicate_stamp", 1, 4.9, "equal"),
+        (lambda t, v: (np.where(np.arange(len(t)) >= 50, t - 3.0, t), v, t), "backward_stamp", 1, 2.0, "up to 2.9 s"),
+        (lambda t, v: (np.where(np.arange(len(t)) >= 50, t + 4.0, t), v), "gap", 1, 4.9, "the longest 4.1 s"),
+        (lambda t, v: (t, np.rint(v * 3.6) / 3.6), "quantised", 1, 0.0, "0.2778 m/s (1 km/h)"),
+        (lambda t, v: (t, np.where(np.arange(len(t)) > 300, 4.0, v)), "stuck", 1699, 30.1, "one non-zero value"),
+        (lambda t, v: (t, np.where(np.isin(np.arange(len(t)), [20, 40]), 0.0, v)), "dropout", 2, 2.0, "exactly 0"),
+        (lambda t, v: (t, v * np.nan), "empty", 2000, np.nan, "none of 2000"),
+        (lambda t, v: (t[:0], v[:0]), "empty", 0, np.nan, "no sample at all"),
+        (lambda t, v: (t, v, t + 61.2 * 86400), "stamp_offset", 2000, 0.0, "61.2 days before log time"),
+    ],
+)
+def test_each_kind_is_found_where_it_is(change: object, kind: str, count: int, first: float, says: str) -> None:
+    assert callable(change)
+    finding = found(recorded(speed=change(*smooth(2000))))[kind]
+    assert finding.count == count
+    assert finding.first_time_s == pytest.approx(first, abs=1e-6, nan_ok=True)
+    assert says in finding.text
+
+
+def test_what_is_normal_is_not_found() -> None:
+    time = np.arange(2000) / 10.0
+    ramp_and_hold = np.minimum(time, 50.0) / 3.6
+    recording = recorded(
+        zero_is_unset=False,
+        speed=(time, ramp_and_hold),
+        ambient=(time, 15.0),
+        load=(time, 2e5),
+        heading=(time, 1.0),
+        distance=(time, 3.0),
+        torque=(time, 0.0),
+    )
+    assert {(finding.role, finding.kind) for finding in recording.findings} == {("speed", "stuck")}
+
+
+def test_zero_is_a_time_in_a_table_and_unset_in_a_bag() -> None:
+    time = np.arange(100) / 10.0
+    series = {"speed": (time, np.sin(time))}
+    assert "zero_stamp" not in found(Recording.from_source(Given(series, zero_is_unset=False)))
+    assert found(Recording.from_source(Given(series, zero_is_unset=True)))["zero_stamp"].count == 1
+
+
+def test_aligned_holds_what_had_arrived() -> None:
+    recording = recorded(
+        speed=([1.0, 2.0, 3.0, 4.0], [1.0, np.nan, 3.0, 4.0]),
+        load=([0.5, 1.5, 3.0], [10.0, 20.0, 30.0], [1.5, 2.0, 3.5]),
+        belt__rear=([1.0, 2.5], [7.0, np.nan]),
+        ambient=([], []),
+    )
+    held = recording.aligned()
+    np.testing.assert_array_equal(held["time_s"], [0.0, 1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(held["speed"], [1.0, np.nan, 3.0, 4.0])
+    np.testing.assert_array_equal(held["load"], [np.nan, 20.0, 20.0, 30.0])
+    np.testing.assert_array_equal(held["belt/rear"], [7.0, 7.0, 7.0, 7.0])
+    assert np.isnan(held["ambient"]).all()
+
+
+ROWS = st.lists(st.tuples(st.integers(0, 40), st.floats(-9, 9)), max_size=30)
+
+
+@given(speed=ROWS, load=ROWS)
+def test_aligned_never_sees_the_future(speed: list[tuple[int, float]], load: list[tuple[int, float]]) -> None:
+    def columns(rows: list[tuple[int, float]]) -> tuple[list[int], list[float]]:
+        rows = sorted(rows, key=lambda row: row[0])
+        return [at for at, _ in rows], [value for _, value in rows]
+
+    (at, values), (load_at, loads) = columns(speed), columns(load)
+    held = recorded(speed=(at, values), load=(load_at, loads)).aligned()["load"]
+    for time, value in zip(at, held, strict=True):
+        past = [one for when, one in zip(load_at, loads, strict=True) if when <= time]
+        assert np.isnan(value) if not past else value == past[-1]
+
+
+def test_blocks_of_any_size_give_the_same_recording() -> None:
+    source = Given({"speed": smooth(100), "load": (100.0 + np.arange(9), np.arange(9.0))})
+    recording = Recording.from_source(source)
+    stamps: list[IntArray] = [np.array([row[2] for row in source.rows if row[1] == role]) for role in (0, 1)]
+    np.testing.assert_array_equal(recording.series["speed"].stamp_ns, stamps[0])
+    np.testing.assert_array_equal(recording.series["load"].stamp_ns, stamps[1])
+
+
+def test_the_report_says_it_all() -> None:
+    time, speed = smooth(200)
+    speed[7] = np.inf
+    report = recorded(speed=(time, speed), load__front=(time[:3], 1e5), torque=([], [])).report()
+    assert report[0] == "Recording given"
+    assert "  speed [m/s]: 200 samples at 10 Hz, " in "\n".join(report)
+    assert "  load/front [N]: 3 samples at 10 Hz, 100000 to 100000" in report
+    assert "  a note" in report
+    assert "  speed: 1 values are not finite (first at 0.70 s)" in report
+    assert "  torque: no sample at all" in report
+
+
+def test_every_role_has_a_unit() -> None:
+    assert all(about.unit and about.text for about in ROLES.values())
+    assert base_role("load/front") == "load"
+    assert base_role("speed") == "speed"
+
+
+def test_no_speed_starts_with_the_first_role() -> None:
+    recording = recorded(load=([5.0, 6.0], [1.0, 2.0]))
+    np.testing.assert_array_equal(recording.time_s("load"), [0.0, 1.0])

@@ -1,0 +1,257 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Tables: what is read, refused and said; the bytes written; with pyarrow and without."""
+
+from __future__ import annotations
+
+import gzip
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from trackres_ros.errors import InputError, MissingExtraError
+from trackres_ros.output.table import TableWriter, write_table
+from trackres_ros.recording.bindings import Topics
+from trackres_ros.recording.recording import Recording
+from trackres_ros.recording.table import TableSource
+
+try:  # a pyarrow that does not fit the installed numpy raises ImportError too
+    import pyarrow as pa
+    from pyarrow import parquet
+except ImportError:
+    pa = None
+with_pyarrow = pytest.mark.skipif(pa is None, reason="no pyarrow that can be imported")
+
+
+@pytest.fixture(params=[pytest.param("pyarrow", marks=with_pyarrow), "plain"])
+def reader(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    if request.param == "plain":
+        for name in [name for name in sys.modules if name.partition(".")[0] == "pyarrow"]:
+            monkeypatch.setitem(sys.modules, name, None)
+        monkeypatch.setitem(sys.modules, "pyarrow", None)
+    return str(request.param)
+
+
+def table(folder: Path, text: str, name: str = "run.csv") -> Path:
+    path = folder / name
+    path.write_bytes(gzip.compress(text.encode()) if name.endswith(".gz") else text.encode())
+    return path
+
+
+def read(path: Path, topics: Topics | None = None, max_rows: int = 65536) -> list[tuple[Any, ...]]:
+    """Return all samples: role, stamp [s], value."""
+    source = TableSource(path, topics)
+    rows = []
+    for block in source.blocks(max_rows):
+        assert 0 < len(block) <= max(max_rows, len(source.roles))
+        np.testing.assert_array_equal(block.stamp_ns, block.arrival_ns)
+        rows += [
+            (source.roles[role], stamp / 1e9, value)
+            for role, stamp, value in zip(block.role, block.stamp_ns, block.value, strict=True)
+        ]
+    return rows
+
+
+@pytest.mark.parametrize("name", ["run.csv", "run.csv.gz"])
+def test_columns_units_parts_and_empty_cells(tmp_path: Path, reader: str, name: str) -> None:
+    text = "time_s,speed_kmh,weight_kn/front,note,belt_degc\n0,36,1.5,x,\n0.1,,2,y,20\n\n0.2,72,,z,21\n"
+    path = table(tmp_path, text, name)
+    assert read(path) == [
+        ("load/front", 0.0, 1500.0),
+        ("speed", 0.0, 10.0),
+        ("load/front", 0.1, 2000.0),
+        ("belt", 0.1, 20.0),
+        ("belt", 0.2, 21.0),
+        ("speed", 0.2, 20.0),
+    ]
+    assert read(path, max_rows=2) == read(path)
+    source = TableSource(path)
+    assert source.roles == ("load/front", "belt", "speed")
+    assert "ignored columns: note" in source.notes
+    assert "speed: column speed_kmh" in source.notes
+
+
+def test_every_column_by_name(tmp_path: Path, reader: str) -> None:
+    names = "time_s,speed_mps,weight_n,torque_nm,belt_degc,ambient_degc,grade,yaw_rate_radps,heading_rad,accel_mps2,distance_m"
+    path = table(tmp_path, names + "\n" + ",".join(map(str, range(11))) + "\n")
+    assert {role: value for role, _, value in read(path)} == dict(
+        zip(
+            ["speed", "load", "torque", "belt", "ambient", "grade", "yaw_rate", "heading", "accel", "distance"],
+            map(float, range(1, 11)),
+            strict=True,
+        )
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("time_s,speed_mps\n0,1\n1,fast\n2,3\n", ["line 3", "'fast'", "a number, or an empty cell"]),
+        ("time_s,speed_mps\n0,1\n1,1_0\n", ["line 3", "'1_0'"]),
+        ("time_s,speed_mps\n0,1\n,2\n", ["time_s, row 2", "''", "a time in seconds"]),
+        ("time_s,speed_mps\n0,1\nnan,2\n", ["time_s, row 2", "nan"]),
+        ("time_s,speed_mps\n1700000000000,1\n", ["time_s, row 1", "1700000000000.0", "seconds"]),
+        ("time_s,speed_mps\n0,1\n1,2,3\n", ["line 3", "3 cells", "2 cells"]),
+        ("time_s,speed_mps\n0,1\n1\n", ["line 3", "1 cells"]),
+        ("time_s,speed_mps\n", ["no row"]),
+        ("", ["empty file"]),
+        ("\n1,2\n", ["empty file or first line"]),
+        ("speed_mps,grade\n1,2\n", ["speed_mps, grade", "a column time_s"]),
+        ("tine_s,speed_mps\n1,2\n", ["did you mean time_s?"]),
+        ("time_s,grade\n1,2\n", ["time_s, grade", "speed_mps or speed_kmh", "topics file"]),
+        ("time_s,speed_mps,speed_kmh\n1,2,3\n", ["speed_mps and speed_kmh", "one column for speed"]),
+        ("time_s,speed_mps,speed_mps\n1,2,3\n", ["2 columns speed_mps"]),
+    ],
+)
+def test_refused_with_the_place(tmp_path: Path, reader: str, text: str, says: list[str]) -> None:
+    path = table(tmp_path, text)
+    if "tine" in text:
+        says = ["a column time_s"]
+    with pytest.raises(InputError) as caught:
+        read(path)
+    for part in [str(path), *says]:
+        assert part in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_bad_cell_far_down(tmp_path: Path, reader: str) -> None:
+    rows = [f"{row / 100!r},{row % 50}" for row in range(200_000)]
+    rows[150_000] = "1500.0,broken"
+    path = table(tmp_path, "time_s,speed_mps\n" + "\n".join(rows) + "\n")
+    with pytest.raises(InputError, match="line 150002: given 'broken'"):
+        read(path)
+    rows[150_000] = " 1500.0 , 7 "
+    path = table(tmp_path, "time_s,speed_mps\n" + "\n".join(rows) + "\n")
+    got = read(path)
+    assert len(got) == 200_000
+    assert got[150_000] == ("speed", 1500.0, 7.0)
+    assert [value for _, _, value in got[:50]] == list(range(50))
+
+
+def test_a_topics_file_names_other_columns(tmp_path: Path, reader: str) -> None:
+    path = tmp_path / "run.csv"
+    path.write_bytes("time_s;Geschwindigkeit [km/h];Öl;ambient_degc\n0;36;1;15\n".encode("latin-1"))
+    topics = Topics.parse(
+        {
+            "speed": {"column": "Geschwindigkeit [km/h]", "scale": 1 / 3.6, "offset": 1.0},
+            "load": {"topic": "/load", "type": "std_msgs/msg/Float64", "field": "data"},
+        },
+        "t.yaml",
+    )
+    assert read(path, topics) == [("ambient", 0.0, 15.0), ("speed", 0.0, 11.0)]
+    assert any("Latin-1" in note for note in TableSource(path, topics).notes)
+    with pytest.raises(InputError, match=r"t\.yaml: speed: column: given 'Geschwindigkeit'.*did you mean"):
+        TableSource(path, Topics.parse({"speed": {"column": "Geschwindigkeit"}}, "t.yaml"))
+
+
+def test_byte_order_mark_quotes_and_line_ends(tmp_path: Path, reader: str) -> None:
+    path = tmp_path / "run.csv"
+    path.write_bytes(b'\xef\xbb\xbf"time_s","speed_mps","say"\r\n"0.5","2","a, b"\r\n1e0,3,\r\n')
+    assert read(path) == [("speed", 0.5, 2.0), ("speed", 1.0, 3.0)]
+
+
+def test_time_that_runs_back_is_kept_and_found(tmp_path: Path, reader: str) -> None:
+    path = table(tmp_path, "time_s,speed_mps\n0,1\n2,2\n1,3\n1,nan\n")
+    recording = Recording.from_source(TableSource(path))
+    np.testing.assert_array_equal(recording.series["speed"].value, [1.0, 2.0, 3.0, np.nan])
+    assert {finding.kind for finding in recording.findings} == {"backward_stamp", "duplicate_stamp", "non_finite"}
+
+
+@pytest.mark.parametrize("cut", [8, 20])
+def test_a_cut_off_archive(tmp_path: Path, reader: str, cut: int) -> None:
+    path = table(tmp_path, "time_s,speed_mps\n" + "".join(f"{row},{row % 7}\n" for row in range(5000)), "run.csv.gz")
+    path.write_bytes(path.read_bytes()[:-cut])
+    with pytest.raises(InputError, match=r"run\.csv\.gz"):
+        read(path)
+    path.write_bytes(b"no archive")
+    with pytest.raises(InputError, match=r"run\.csv\.gz"):
+        read(path)
+
+
+NUMBERS = st.one_of(st.floats(allow_nan=False), st.just(float("nan")), st.floats(-1e3, 1e3).map(lambda x: round(x, 3)))
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".csv.gz", pytest.param(".parquet", marks=with_pyarrow)])
+@settings(max_examples=30, deadline=None)
+@given(values=st.lists(st.tuples(NUMBERS, NUMBERS), min_size=1, max_size=20))
+def test_what_is_written_reads_back(
+    tmp_path_factory: pytest.TempPathFactory, suffix: str, values: list[tuple[float, float]]
+) -> None:
+    path = tmp_path_factory.mktemp("t") / f"run{suffix}"
+    speed, load = np.array(values).T
+    columns = {"time_s": np.arange(len(speed)) / 3.0, "speed_mps": speed, "weight_n": load}
+    write_table(path, columns)
+    first = path.read_bytes()
+    with TableWriter(path, list(columns)) as writer:
+        writer.write(np.stack(list(columns.values()), axis=1))
+    assert path.read_bytes() == first
+    got = read(path)
+    for role, column in (("speed", speed), ("load", load)):
+        here = [(time, value) for name, time, value in got if name == role]
+        given_rows = ~np.isnan(column)
+        np.testing.assert_array_equal([value for _, value in here], column[given_rows])
+        np.testing.assert_allclose([time for time, _ in here], columns["time_s"][given_rows], atol=6e-10)
+
+
+def test_the_text_of_a_table(tmp_path: Path) -> None:
+    path = tmp_path / "out.csv"
+    write_table(
+        path,
+        {
+            "time_s": np.array([0.0, 0.1]),
+            "n": np.array([1, 2]),
+            "ok": np.array([True, False]),
+            'why, "so"': np.array(["a,b", 'say "x"']),
+            "x": np.array([np.nan, 1e22]),
+        },
+    )
+    assert path.read_text() == 'time_s,n,ok,"why, ""so""",x\n0.0,1,1,"a,b",\n0.1,2,0,"say ""x""",1e+22\n'
+
+
+def test_nothing_is_left_or_lost_when_writing_fails(tmp_path: Path) -> None:
+    path = tmp_path / "out.csv"
+    path.write_text("old")
+    with pytest.raises(IndexError), TableWriter(path, ["time_s"]) as writer:
+        writer.write(np.zeros(3))
+    assert [file.name for file in tmp_path.iterdir()] == ["out.csv"]
+    assert path.read_text() == "old"
+    with TableWriter(path, ["time_s"]):
+        pass
+    assert path.read_text() == "time_s\n"
+
+
+def test_where_a_table_cannot_go(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no folder"):
+        TableWriter(tmp_path / "none" / "out.csv", ["a"])
+    with pytest.raises(InputError, match=r"\.xls.*\.parquet"):
+        write_table(tmp_path / "out.xls", {"a": np.zeros(1)})
+    with pytest.raises(InputError, match="one length"):
+        write_table(tmp_path / "out.csv", {"a": np.zeros(1), "b": np.zeros(2)})
+
+
+@with_pyarrow
+def test_parquet_of_other_types(tmp_path: Path) -> None:
+    path = tmp_path / "run.parquet"
+    parquet.write_table(pa.table({"time_s": [0, 1], "speed_mps": pa.array([1.5, None], pa.float32())}), path)
+    assert read(path) == [("speed", 0.0, 1.5)]
+    parquet.write_table(pa.table({"time_s": [0.0], "speed_mps": ["fast"]}), path)
+    with pytest.raises(InputError, match=r"speed_mps: given 'string'.*a column of numbers"):
+        read(path)
+    path.write_bytes(b"PAR1 no")
+    with pytest.raises(InputError, match="Parquet that can be read to its end"):
+        read(path)
+
+
+def test_parquet_needs_pyarrow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    (tmp_path / "run.parquet").write_bytes(b"PAR1")
+    with pytest.raises(MissingExtraError, match="pip install pyarrow"):
+        TableSource(tmp_path / "run.parquet")
+    with pytest.raises(MissingExtraError, match="pip install pyarrow"):
+        TableWriter(tmp_path / "run.parquet", ["a"])

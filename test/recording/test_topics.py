@@ -1,0 +1,183 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The topics file: what it takes, what it refuses and says, and what is guessed without."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from trackres_ros.errors import InputError
+from trackres_ros.recording.bindings import FieldStep, TopicBinding, Topics, field_steps
+from trackres_ros.recording.guess import guess
+
+SPEED = {"topic": "/vehicle/speed", "type": "geometry_msgs/msg/TwistStamped", "field": "twist.linear.x"}
+
+
+def load(folder: Path, text: str) -> Topics:
+    path = folder / "topics.yaml"
+    path.write_text(text, encoding="utf-8")
+    return Topics.load(path)
+
+
+def test_one_line_a_role(tmp_path: Path) -> None:
+    topics = load(
+        tmp_path,
+        """
+speed: {topic: /vehicle/speed, type: geometry_msgs/TwistStamped, field: twist.linear.x, scale: 1e-3, offset: 2}
+load/front: {topic: /axle, type: std_msgs/msg/Float64, field: data, stamp: log, max_age_s: 0.5}
+belt/rear_left: {topic: /belt, type: sensor_msgs/msg/Temperature, field: temperature, sensor: mean, std_k: 1.5}
+torque: {column: "Torque [kNm]", scale: 1000}
+""",
+    )
+    assert list(topics) == ["speed", "load/front", "belt/rear_left", "torque"]
+    assert topics["speed"] == TopicBinding(
+        "/vehicle/speed", "geometry_msgs/msg/TwistStamped", "twist.linear.x", scale=1e-3, offset=2.0
+    )
+    assert topics["load/front"].stamp == "log"
+    assert topics["load/front"].max_age_s == 0.5
+    assert (topics["belt/rear_left"].sensor, topics["belt/rear_left"].std_k) == ("mean", 1.5)
+    assert topics["torque"].column == "Torque [kNm]"
+    assert "speed" in topics
+    assert len(topics) == 4
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("sped: {column: a}", ["sped", "did you mean speed?"]),
+        ("speed/left: {column: a}", ["speed/left", "load, torque, belt"]),
+        ("load/fr ont: {column: a}", ["load/fr ont", "load/NAME"]),
+        ("speed: {colum: a}", ["speed: key", "colum", "did you mean column?"]),
+        ("speed: {column: a, scale: 0}", ["speed: scale", "not 0"]),
+        ("speed: {column: a, scale: .nan}", ["speed: scale", "nan", "finite"]),
+        ("speed: {column: a, offset: .inf}", ["speed: offset", "inf"]),
+        ("speed: {column: a, scale: yes}", ["speed: scale", "True"]),
+        ("speed: {column: a, scale: '2'}", ["speed: scale", "'2'"]),
+        ("speed: {column: a, topic: /b}", ["speed: key", "either column"]),
+        ("speed: {column: a, sensor: mean}", ["sensor", "only for belt"]),
+        ("speed: {column: ''}", ["speed: column", "not empty"]),
+        ("speed: {topic: /a, field: data}", ["speed", "no type"]),
+        ("speed: {topic: /a, type: Float64, field: data}", ["speed: type", "Float64", "package/msg/Name"]),
+        ("speed: {topic: /a, type: std_msgs/msg/Float64, field: data.}", ["speed: field", "data.", "twist.linear.x"]),
+        ("speed: {topic: /a, type: std_msgs/msg/Float64, field: data, stamp: heade}", ["stamp", "did you mean header?"]),
+        ("speed: {topic: /a, type: std_msgs/msg/Float64, field: data, max_age_s: 0}", ["max_age_s", "positive"]),
+        ("speed: {column: v, delay_s: 0.1}", ["delay_s", "only for torque"]),
+        ("torque: {column: m, delay_s: -0.1}", ["delay_s", "0 to 10"]),
+        ("belt: {column: a, std_k: -1}", ["belt: std_k", "positive"]),
+        ("speed: 3", ["speed", "a mapping"]),
+        ("[speed]", ["a mapping with one line a role"]),
+        ("", ["a mapping with one line a role"]),
+        ("speed: {column: a", ["YAML"]),
+        ("speed: {column: a}\nspeed: {column: b}", ["given twice: speed"]),
+        ("speed: {column: a, column: b}", ["given twice: column"]),
+    ],
+)
+def test_refused_with_file_role_key_and_what_is_allowed(tmp_path: Path, text: str, says: list[str]) -> None:
+    with pytest.raises(InputError) as caught:
+        load(tmp_path, text)
+    for part in [str(tmp_path / "topics.yaml"), *says]:
+        assert part in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_no_file(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"none\.yaml"):
+        Topics.load(tmp_path / "none.yaml")
+
+
+def test_field_paths() -> None:
+    assert field_steps("twist.linear.x") == (FieldStep("twist"), FieldStep("linear"), FieldStep("x"))
+    assert field_steps("effort[left.motor 1]") == (FieldStep("effort", element="left.motor 1"),)
+    assert field_steps("a.data[3].b") == (FieldStep("a"), FieldStep("data", index=3), FieldStep("b"))
+    for path in ("", ".a", "a.", "a..b", "a[", "a[]", "a[1]b", "1a", "a b"):
+        with pytest.raises(ValueError, match="no field path"):
+            field_steps(path)
+
+
+def test_a_binding_reads_a_message() -> None:
+    joints = SimpleNamespace(name=["a", "b"], effort=[1.0, 2.0])
+    binding = TopicBinding("/t", "sensor_msgs/msg/JointState", "effort[b]", scale=3.0, offset=1.0)
+    assert binding.read(joints) == 7.0
+    with pytest.raises(LookupError):
+        TopicBinding("/t", "sensor_msgs/msg/JointState", "effort[c]").read(joints)
+    assert TopicBinding("/t", "x/msg/Y", "effort[0]").read(joints) == 1.0
+    nested = SimpleNamespace(twist=SimpleNamespace(linear=SimpleNamespace(x=4)))
+    assert TopicBinding(**SPEED).read(nested) == 4.0
+
+
+def test_guess_prefers_types_and_names_the_rest() -> None:
+    topics, said = guess(
+        {
+            "/odom": "nav_msgs/msg/Odometry",
+            "/robot/odom_filtered": "nav_msgs/msg/Odometry",
+            "/cmd_vel": "geometry_msgs/msg/TwistStamped",
+            "/twist": "geometry_msgs/msg/TwistStamped",
+            "/axle/load_kn": "std_msgs/msg/Float64",
+            "/payload": "std_msgs/msg/Float64",
+            "/drive/torque": "std_msgs/msg/Float64",
+            "/feedforward_torque": "std_msgs/msg/Float64",
+            "/track/ambient_temperature": "sensor_msgs/msg/Temperature",
+            "/track/temperature": "sensor_msgs/msg/Temperature",
+            "/imu": "sensor_msgs/msg/Imu",
+            "/image": "sensor_msgs/msg/Image",
+        }
+    )
+    assert {role: (topics[role].topic, topics[role].field, topics[role].scale) for role in topics} == {
+        "speed": ("/odom", "twist.twist.linear.x", 1.0),
+        "load": ("/axle/load_kn", "data", 1000.0),
+        "torque": ("/drive/torque", "data", 1.0),
+        "ambient": ("/track/ambient_temperature", "temperature", 1.0),
+        "belt": ("/track/temperature", "temperature", 1.0),
+        "yaw_rate": ("/imu", "angular_velocity.z", 1.0),
+    }
+    assert said[0] == (
+        "speed: guessed from /odom (nav_msgs/msg/Odometry, twist.twist.linear.x) in m/s; "
+        "also possible: /robot/odom_filtered, /twist"
+    )
+    assert not any("accel" in sentence or "cmd_vel" in sentence for sentence in said)
+
+
+@pytest.mark.parametrize(
+    ("topic", "scale"),
+    [
+        ("/vehicle/speed", 1.0),
+        ("/vehicleSpeed", 1.0),
+        ("/speed_kmh", 1 / 3.6),
+        ("/velocity_km_h", 1 / 3.6),
+        ("/wheelVelocityKph", 1 / 3.6),
+    ],
+)
+def test_guess_takes_the_unit_of_a_bare_number_from_its_name(topic: str, scale: float) -> None:
+    topics, said = guess({topic: "std_msgs/msg/Float64"})
+    assert topics["speed"].scale == scale
+    assert ("km/h" in said[0]) == (scale != 1.0)
+
+
+def test_nothing_tells_the_speed() -> None:
+    with pytest.raises(InputError) as caught:
+        guess(
+            {
+                "/cmd_vel": "geometry_msgs/msg/TwistStamped",
+                "/engine_speed_rpm": "std_msgs/msg/Float64",
+                "/imu": "sensor_msgs/msg/Imu",
+            }
+        )
+    for part in ("/cmd_vel (geometry_msgs/msg/TwistStamped)", "/engine_speed_rpm", "/imu (sensor_msgs/msg/Imu)", "topics file"):
+        assert part in str(caught.value)
+
+
+def test_a_torque_that_comes_late_is_of_an_earlier_time(tmp_path: Path) -> None:
+    from trackres_ros.recording.opening import open_source
+    from trackres_ros.recording.recording import Recording
+
+    table = tmp_path / "drive.csv"
+    table.write_text("time_s,speed_mps,torque_nm\n" + "".join(f"{t},5.0,{100 * t}\n" for t in range(5)), encoding="utf-8")
+    late = load(tmp_path, "torque: {column: torque_nm, delay_s: 0.4}")
+    recording = Recording.from_source(open_source([table], late))
+    apart = recording.series["torque"].stamp_ns - recording.series["speed"].stamp_ns
+    assert set(apart.tolist()) == {-400_000_000}
+    assert open_source([table], late).bindings["torque"].delay_s == 0.4

@@ -1,0 +1,47 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""What docs/decisions rests on can be measured anew, and each page is listed; no time is judged here."""
+
+import importlib
+import math
+import re
+import sys
+
+import pytest
+
+for needed in ("rosbags", "mcap", "attrs"):
+    pytest.importorskip(needed)
+
+
+@pytest.fixture
+def decisions(repository, monkeypatch):
+    monkeypatch.syspath_prepend(str(repository / "benchmarks"))
+    yield importlib.import_module("decisions")
+    for name in ("decisions", "measuring"):
+        sys.modules.pop(name, None)
+
+
+@pytest.mark.parametrize(("name", "sizes"), [("cdr", {"messages": 500, "repeats": 1}), ("mcap", {"messages": 500, "repeats": 1})])
+def test_ours_and_the_library_are_measured(decisions, name, sizes):
+    assert all(math.isfinite(value) and value > 0.0 for value in decisions.DECISIONS[name](**sizes).values())
+
+
+def test_the_noise_with_spikes_is_found_better_than_as_normal(decisions):
+    pytest.importorskip("statsmodels", reason="statsmodels, which only this comparison needs, is not installed")
+    found = decisions.noise(samples=2000, draws=5)
+    assert found["log-density of a fresh draw, ours less statsmodels [a sample]"] > 0.1
+
+
+def test_whatever_is_wrong_in_a_line_is_refused_with_all_that_a_user_must_know(decisions):
+    found = decisions.checks()
+    assert found["ours: refused with all of it named"] == len(decisions.WRONG)
+    assert found["ours: refused with all of it named"] > found["attrs: refused with all of it named"]
+
+
+def test_each_decision_is_listed_and_names_its_measurement(repository, decisions):
+    folder = repository / "docs" / "decisions"
+    pages = {path.name for path in folder.glob("*.md")} - {"README.md"}
+    assert set(re.findall(r"\]\((.+?\.md)\)", (folder / "README.md").read_text())) == pages
+    measured = [re.search(r"`python benchmarks/decisions.py (\w+)`", (folder / page).read_text()) for page in pages]
+    assert {match.group(1) for match in measured} == set(decisions.DECISIONS)

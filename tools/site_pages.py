@@ -1,0 +1,76 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""What the site has besides docs/: pages of the root as they are, files that pages link to, and equations without a script.
+
+mkdocs calls these functions; mkdocs.yml names this file.
+"""
+
+from __future__ import annotations
+
+import ast
+import html
+import re
+from pathlib import Path
+from typing import Any
+
+from latex2mathml.converter import convert
+from mkdocs.exceptions import PluginError
+from mkdocs.structure.files import File, Files
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = {"index.md": "README.md", "CONTRIBUTING.md": "CONTRIBUTING.md", "QUALITY_DECLARATION.md": "QUALITY_DECLARATION.md"}
+LINKED = ("CHANGELOG.rst", "LICENSE", "config/*.yaml", "config/rubber/*.csv", "examples/*.py", "examples/*.ipynb")
+EXAMPLES = "examples/index.md"
+STYLE = ".md-grid { max-width: 76rem; }"  # the tables are wide
+FETCHED = re.compile(r'(?:\ssrc="|<link(?![^>]*rel="canonical")[^>]*\shref=")(?:https?:)?//[^"]*')
+
+
+def on_files(files: Files, config: Any) -> Files:
+    """Add what lies outside docs/."""
+    for page, source in PAGES.items():
+        files.append(File.generated(config, page, abs_src_path=str(ROOT / source)))
+    for pattern in LINKED:
+        for path in sorted(ROOT.glob(pattern)):
+            files.append(File.generated(config, path.relative_to(ROOT).as_posix(), abs_src_path=str(path)))
+    files.append(File.generated(config, EXAMPLES, content=examples()))
+    files.append(File.generated(config, "site.css", content=STYLE))
+    return files
+
+
+def examples() -> str:
+    """One line on each script of examples/."""
+    scripts = {
+        path: ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) for path in sorted(ROOT.glob("examples/*.py"))
+    }
+    lines = [f"- [{path.name}]({path.name}): {' '.join((text or '').split())}" for path, text in scripts.items()]
+    return "\n".join(["# Examples", "", *lines, "- [front_door.ipynb](front_door.ipynb): a notebook of the Python interface", ""])
+
+
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+    """Links as they lead on the site, where the root and docs/ are one folder."""
+    if "/" in page.file.src_uri:
+        return markdown
+    markdown = markdown.replace("](docs/", "](").replace("](../", "](")
+    return markdown.replace("](examples)", f"]({EXAMPLES})").replace("](decisions/)", "](decisions/README.md)")
+
+
+def on_page_content(content: str, **_: Any) -> str:
+    """Equations as MathML, which browsers draw by themselves."""
+
+    def drawn(match: re.Match[str]) -> str:
+        latex = html.unescape(match.group("latex"))
+        latex = latex.replace("''", "\N{DOUBLE PRIME}").replace("'", "\N{PRIME}")  # which any font draws in its place
+        return str(convert(latex, display="block" if match.group("tag") == "div" else "inline"))
+
+    return re.sub(
+        r'<(?P<tag>span|div) class="arithmatex">\\[(\[](?P<latex>.*?)\\[)\]]</(?P=tag)>', drawn, content, flags=re.DOTALL
+    )
+
+
+def on_post_build(config: Any) -> None:
+    """Refuse a site that would fetch anything from elsewhere: it is to be read without a network."""
+    for page in sorted(Path(config.site_dir).rglob("*.html")):
+        found = FETCHED.search(page.read_text(encoding="utf-8"))
+        if found:
+            raise PluginError(f"{page.name} would fetch {found.group().strip()}")

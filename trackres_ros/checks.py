@@ -1,0 +1,48 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The checks that everything read from outside shares. Each gives the value back, or raises `InputError` with where it was given,
+what, and what is allowed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from trackres_ros.errors import InputError, nearest
+
+
+def number(given: object, where: str, low: float, high: float, unit: str = "", if_outside: str = "") -> float:
+    """A number from `low` to `high`; nan is none, nor are true and false. `if_outside`: what to do about one out of the range."""
+    allowed = f"a number from {low:g} to {high:g} {unit}".rstrip()
+    if isinstance(given, bool) or not isinstance(given, int | float):
+        raise InputError(where, given, allowed)
+    if not low <= given <= high:
+        raise InputError(where, given, allowed, if_outside)
+    return float(given)
+
+
+def span(given: object, where: str, low: float, high: float, unit: str = "") -> tuple[float, float]:
+    """Two numbers in their order, ``[low, high]``, each as `number` takes it."""
+    if not isinstance(given, list) or len(given) != 2:
+        raise InputError(where, given, "two numbers, [low, high]")
+    first, last = (number(bound, where, low, high, unit) for bound in given)
+    if first > last:
+        raise InputError(where, given, "[low, high] with low <= high")
+    return first, last
+
+
+def one_of(given: object, where: str, names: Iterable[str]) -> str:
+    """One of some names; of another the nearest of them is told."""
+    allowed = list(names)
+    if not isinstance(given, str) or given not in allowed:
+        raise InputError(where, given, f"one of {', '.join(allowed)}", nearest(str(given), allowed))
+    return given
+
+
+def each_of(given: object, where: str, names: Iterable[str]) -> tuple[str, ...]:
+    """A list of some names."""
+    allowed = list(names)
+    if not isinstance(given, list | tuple) or any(name not in allowed for name in given):
+        raise InputError(where, given, f"a list of {', '.join(allowed)}")
+    return tuple(given)

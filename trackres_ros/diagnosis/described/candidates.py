@@ -1,0 +1,178 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Forms that a mismatch without a name may have here: curves, gated curves and build-ups, with knots where it was driven."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.inference.fitting import Fit
+from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.effects.learned import (
+    ACCELERATING,
+    ACCELERATION,
+    ALWAYS,
+    AMBIENT,
+    BRAKING,
+    BUILD_UPS,
+    BY_DISTANCE,
+    CURVATURE,
+    DRIVING_TORQUE,
+    GATES,
+    HEAVY,
+    LEFT,
+    LIGHT,
+    LOAD,
+    OPEN,
+    RIGHT,
+    SPEED,
+    TURN,
+    TURNING,
+    VARIABLES,
+    BuildUp,
+    Curve,
+    Learned,
+    sized,
+)
+
+Array = NDArray[np.float64]
+
+DRIVEN = (0.02, 0.98)  # quantiles between which knots lie
+KNOTS = {SPEED: 5, LOAD: 3, AMBIENT: 2, TURNING: 3, CURVATURE: 3, ACCELERATION: 4, TURN: 4, DRIVING_TORQUE: 4}
+SIGNED = (ACCELERATION, TURN, DRIVING_TORQUE)
+BOTH_SIDES = 0.05  # share of a signed variable on its rarer side: with less there is but one side
+NEAR_ZERO = 0.1  # of the range on a side: between these knots a signed curve may step
+GATED_KNOTS = 3
+GATED = {
+    LEFT: (ALWAYS, SPEED, CURVATURE, LOAD),
+    RIGHT: (ALWAYS, SPEED, CURVATURE, LOAD),
+    HEAVY: (ALWAYS, SPEED, DRIVING_TORQUE),
+    LIGHT: (ALWAYS, SPEED, DRIVING_TORQUE),
+    BRAKING: (ALWAYS, SPEED, LOAD),
+    ACCELERATING: (ALWAYS, SPEED, LOAD),
+}
+GATE_AT = {LEFT: TURN, RIGHT: TURN, BRAKING: ACCELERATION, ACCELERATING: ACCELERATION}
+OPENS_AT = 0.1  # of the 95th percentile of a gate's variable
+LEAST_RANGE = 0.02  # of its size: what varies less is taken for constant
+APART = 0.04  # of the range of the load: levels further apart than this are different ones
+FEWEST_OPEN = 60  # samples on either side of a gate
+BUILD_UP_SCALE = {BY_DISTANCE: 600.0}
+BUILD_UP_SCALE_S = 120.0
+
+
+def series(code: int, fit: Fit) -> list[Array]:
+    """A variable of learned effects in each session of a fit."""
+    return [_of(code, s, p.at_sprockets) for s, p in zip(fit.problem.sessions, fit.predicted, strict=True)]
+
+
+def _of(code: int, session: Session, driving: Array) -> Array:
+    facing = np.sign(session.speed)
+    by_code = {
+        ALWAYS: np.zeros(len(session)), SPEED: np.abs(session.speed), ACCELERATION: session.accel * facing,
+        LOAD: session.weight, AMBIENT: session.ambient, TURN: session.yaw_rate, TURNING: np.abs(session.yaw_rate),
+        CURVATURE: np.abs(session.yaw_rate) / np.maximum(np.abs(session.speed), 0.3), DRIVING_TORQUE: driving * facing,
+    }  # fmt: skip
+    return np.asarray(by_code[code], dtype=float)
+
+
+def driven(code: int, fit: Fit) -> Array:
+    """The variable where the fit compares torques; empty where it is not known throughout."""
+    found = np.concatenate([x[m] for x, m in zip(series(code, fit), fit.problem.masks, strict=True)])
+    return found if np.isfinite(found).all() else np.empty(0)
+
+
+def varies(x: Array) -> bool:
+    """Whether a variable varies enough to be followed."""
+    if len(x) == 0:
+        return False
+    low, high = np.quantile(x, DRIVEN)
+    return bool(high - low > LEAST_RANGE * max(abs(low), abs(high)))
+
+
+def knots(code: int, x: Array, count: int) -> list[float]:
+    """Where the knots of a curve lie: evenly filled between, or close on either side of zero where it changes its sign."""
+    low, high = (float(q) for q in np.quantile(x, DRIVEN))
+    if code in SIGNED and min(np.mean(x < 0.0), np.mean(x > 0.0)) > BOTH_SIDES:
+        inner = NEAR_ZERO * min(-low, high)
+        extra = max(0, (count - 4) // 2)
+        below = np.linspace(low, -inner, extra + 2)
+        above = np.linspace(inner, high, extra + 2)
+        return [*below.tolist(), *above.tolist()]
+    even = np.quantile(x, np.linspace(*DRIVEN, count))
+    if code == SPEED:  # as good where little was driven: half by how often, half by how far apart
+        even = 0.5 * (even + np.linspace(low, high, count))
+    return _rising(even, low, high)
+
+
+def _rising(at: Array, low: float, high: float) -> list[float]:
+    """Knots that are at least a little apart."""
+    found = [float(at[0])]
+    for x in at[1:]:
+        if x - found[-1] > LEAST_RANGE * (high - low):
+            found.append(float(x))
+    return found
+
+
+def thresholds(gate: int, fit: Fit) -> list[float]:
+    """Where a gate may open here; none where it would be always or never open."""
+    if gate in (HEAVY, LIGHT):
+        x = driven(LOAD, fit)
+        if not varies(x):
+            return []
+        levels = np.unique(x)
+        cuts = levels[:-1][np.diff(levels) > APART * np.ptp(x)] + 0.5 * np.diff(levels)[np.diff(levels) > APART * np.ptp(x)]
+        if not 0 < len(cuts) <= 4:
+            cuts = np.quantile(x, (1.0 / 3.0, 2.0 / 3.0))
+        return [float(c) for c in cuts if min((x < c).sum(), (x > c).sum()) >= FEWEST_OPEN]
+    x = driven(GATE_AT[gate], fit)
+    if len(x) == 0:
+        return []
+    at = OPENS_AT * float(np.quantile(np.abs(x), 0.95))
+    is_open = x > at if gate in (LEFT, ACCELERATING) else x < -at
+    return [at] if FEWEST_OPEN <= is_open.sum() <= len(x) - FEWEST_OPEN else []
+
+
+def candidates(fit: Fit) -> dict[str, Learned]:
+    """All forms that can be looked for here, by a key of their own; of one name there may be several."""
+    facts = fit.problem.base.facts
+    found: list[Learned] = []
+    x = {code: driven(code, fit) for code in VARIABLES}
+    for code, count in KNOTS.items():
+        if varies(x[code]):
+            found.append(Curve(code, OPEN, knots(code, x[code], count)))
+    for gate, codes in GATED.items():
+        for threshold in thresholds(gate, fit):
+            for code in codes:
+                if code == ALWAYS:
+                    found.append(Curve(ALWAYS, gate, [0.0], threshold))
+                elif varies(x[code]):
+                    count = KNOTS[SPEED] if code == SPEED else GATED_KNOTS
+                    found.append(Curve(code, gate, knots(code, x[code], count), threshold))
+    found += [BuildUp(by, BUILD_UP_SCALE.get(by, BUILD_UP_SCALE_S)) for by in BUILD_UPS]
+    size = facts.weight * facts.radius
+    return {f"{effect.name} {i}": sized(effect, size) for i, effect in enumerate(found)}
+
+
+def finer(effect: Curve, fit: Fit) -> list[Learned]:
+    """The same curve with more knots."""
+    facts = fit.problem.base.facts
+    x = driven(effect.variable, fit)
+    threshold = next(q.start for q in effect.parameters if q.name == "threshold")
+    counts = (7, 9) if effect.variable != ALWAYS else ()
+    at = [knots(effect.variable, x, count) for count in counts]
+    of = facts.weight * facts.radius
+    return [sized(Curve(effect.variable, effect.gate, xs, threshold), of) for xs in _longer_than(effect.knots, at)]
+
+
+def _longer_than(count: int, at: Sequence[list[float]]) -> list[list[float]]:
+    return [b for a, b in pairwise([[0.0] * count, *at]) if len(b) > len(a)]
+
+
+def gate_text(effect: Curve) -> str:
+    """Where a gated curve acts, in words."""
+    return GATES[effect.gate].text

@@ -1,0 +1,270 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Terms without a name for what a fit leaves, one after the other, each only if it gains more than noise and the model's own
+error would; and names that they make needless are taken away.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.base.watched import WATCHED, Watched
+from trackres_ros.diagnosis.described.candidates import candidates, finer
+from trackres_ros.diagnosis.described.spells import Blocks, Chain, blocks, find_chain, find_wander, is_spells, there_given
+from trackres_ros.diagnosis.described.terms import Described, of_drift, of_learned, of_spells, of_wave
+from trackres_ros.diagnosis.described.waves import Wave, find_wave, part_of
+from trackres_ros.diagnosis.inference.fitting import Fit, fit
+from trackres_ros.diagnosis.selection.naming import ALIKE_WITHIN, Candidate, Step, compared, one_round, rms, spurious_gain
+from trackres_ros.effects.effect import Effect
+from trackres_ros.effects.learned import Curve, Learned
+
+Array = NDArray[np.float64]
+
+MOST_DESCRIBED = 2
+SURE = 6.0  # in log-likelihood: two levels over one that wanders, or one that wanders over none
+FEWEST_SPELLS = 3
+FEWEST_REPLICATES = 19
+SLOWEST_WANDER_S = 60.0  # what wanders faster is noise that the autoregression knows
+LEAST_WANDER = 0.01  # of the torque
+SPELLS, WAVE = "spells", "wave"
+BEGINNINGS_S = 15.0  # within so much of a stop or a turn a spell begins with it
+MOST_BEGIN = 0.7  # of the spells
+
+
+@dataclass(frozen=True, eq=False)
+class Term:
+    """A term that was found: how it is said, and the fit with it beside the one without."""
+
+    candidate: Candidate
+    chain: Chain | None = None
+    wave: Wave | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Description:
+    """A fit with all terms, the rounds of names that are left, and the terms by name."""
+
+    fit: Fit
+    steps: list[Step]
+    terms: Mapping[str, Term]
+
+
+def describe(
+    best: Fit,
+    steps: Sequence[Step],
+    effects: Mapping[str, Effect],
+    replicates: int,
+    rng: np.random.Generator,
+    on_stage: Callable[[str], None],
+) -> Description:
+    """Look for terms without a name in what a fit leaves.
+
+    Parameters
+    ----------
+    best, steps
+        The fit with the effects that were named, and the rounds in which they were.
+    effects
+        The catalogue: what was hidden behind a term is looked for once more beside it.
+    replicates
+        Draws for the threshold of each round.
+    """
+    current, kept, terms = best, list(steps), dict[str, Term]()
+    for round_ in range(MOST_DESCRIBED):
+        on_stage(f"what has no name, round {round_ + 1}")
+        found = [t for t in (_followed(current, replicates, rng), _spells(current), _wave(current)) if t is not None]
+        if not found:
+            break
+        term = max(found, key=lambda t: t.candidate.net_evidence)
+        terms[term.candidate.name] = term
+        current = term.candidate.fit
+        current, kept = _needed(current, kept)
+        if term.candidate.effect.acts_on != WATCHED:
+            continue
+        step = one_round(current, effects, replicates, rng)
+        if step.chosen is not None and len(current.effects) - len(terms) < MOST_DESCRIBED:
+            current, kept = step.chosen.fit, [*kept, step]
+    return Description(current, kept, terms)
+
+
+def _followed(current: Fit, replicates: int, rng: np.random.Generator) -> Term | None:
+    """The best curve, gated curve or build-up; of those as good the simplest."""
+    forms = {key: e for key, e in candidates(current).items() if e.name not in current.effect_names}
+    step = one_round(current, forms, max(FEWEST_REPLICATES, replicates // 2), rng)
+    if step.chosen is None or step.chosen.net_evidence < math.log(len(forms)):
+        return None
+    as_good = [
+        c for c in step.candidates if c.net_evidence > step.chosen.net_evidence - ALIKE_WITHIN and c.counts(step.threshold)
+    ]
+    chosen = min(as_good, key=_count)
+    for more in finer(chosen.effect, current) if isinstance(chosen.effect, Curve) else ():
+        tried = _with(current, more, chosen)
+        if tried.net_evidence > chosen.net_evidence + ALIKE_WITHIN:
+            chosen = tried
+    return Term(chosen)
+
+
+def _count(candidate: Candidate) -> tuple[int, float]:
+    assert isinstance(candidate.effect, Learned)
+    return candidate.effect.knots, -candidate.net_evidence
+
+
+def _with(current: Fit, effect: Effect, like: Candidate | None = None) -> Candidate:
+    """A candidate fitted beside what is there."""
+    start = {**current.at, **{(effect.name, q.name): q.start for q in effect.parameters if q.fitted}}
+    found = fit(current.problem, [*(a.effect for a in current.effects), effect], start, current.noises)
+    kept, d_prime = (like.kept, like.d_prime) if like else (1.0, math.nan)
+    return compared(current, found, effect.name, kept, d_prime, like.form_error_gain if like else 0.0)
+
+
+def _counts(candidate: Candidate, current: Fit) -> bool:
+    return candidate.counts(spurious_gain(current)) and candidate.net_evidence > SURE
+
+
+def torque_blocks(current: Fit, residuals: Sequence[Array], held_out: bool = False) -> Blocks:
+    """Blocks of the torque's residual against travel: of the laps that are fitted, or of the others that can be compared."""
+    problem = current.problem
+    against = [r * np.sign(s.speed) for r, s in zip(residuals, problem.sessions, strict=True)]
+    masks = [s.used & ~m if held_out else m for s, m in zip(problem.sessions, problem.masks, strict=True)]
+    return blocks(against, masks, problem.sessions[0].step)
+
+
+def _residuals(current: Fit) -> list[Array]:
+    return [r for r, g in zip(current.residuals, current.problem.segments, strict=True) if g.kind == "torque"]
+
+
+def _spells(current: Fit) -> Term | None:
+    """Spells, if two levels are likelier than one that wanders."""
+    if SPELLS in current.effect_names:
+        return None
+    residuals, found = _residuals(current), None
+    for _ in range(2):  # the second time beside a base that is no longer bent by them
+        b = torque_blocks(current, residuals)
+        chain, there, likelihood = find_chain(b)
+        if not is_spells(chain) or likelihood < find_wander(b)[1] + SURE:
+            return found
+        if chain.level < chain.rest:
+            there, chain = 1.0 - there, replace(chain, level=chain.rest, rest=chain.level, comes=chain.goes, goes=chain.comes)
+        shape = _shape(current, b, there, chain, residuals)
+        effect = Watched(SPELLS, "a torque that is there for a while and gone for a while", shape, _size(current))
+        candidate = _with(current, effect)
+        if not _counts(candidate, current) or sum(_beginnings(b, there)) < FEWEST_SPELLS:
+            return found
+        found = Term(candidate, chain=chain)
+        adds = candidate.fit.contribution(SPELLS)
+        residuals = [r + x for r, x in zip(_residuals(candidate.fit), adds, strict=True)]
+    return found
+
+
+def _shape(current: Fit, b: Blocks, there: Array, chain: Chain, residuals: Sequence[Array]) -> list[Array]:
+    """How likely it is there: on the laps fitted by all of them; elsewhere by what was measured up to the block before, as one
+    who watches live knows it.
+    """
+    problem = current.problem
+    shape = [np.zeros(len(s)) for s in problem.sessions]
+    _fill(shape, b, there)
+    if any((s.used & ~m).any() for s, m in zip(problem.sessions, problem.masks, strict=True)):
+        other = torque_blocks(current, residuals, held_out=True)
+        _fill(shape, other, expected_there(other, chain))
+    return [np.asarray(x * np.sign(s.speed)) for x, s in zip(shape, problem.sessions, strict=True)]
+
+
+def expected_there(b: Blocks, chain: Chain) -> Array:
+    """How likely it is there in each block by the blocks before it."""
+    variance = chain.noise**2 / b.count
+    ratio = np.exp(np.clip(0.5 * ((b.mean - chain.rest) ** 2 - (b.mean - chain.level) ** 2) / variance, -500.0, 500.0))
+    found, now = np.empty(len(ratio)), chain.share
+    for i, times in enumerate(ratio.tolist()):
+        now = chain.share if b.first[i] else now * (1.0 - chain.goes) + (1.0 - now) * chain.comes
+        found[i] = now
+        now = now * times / (now * times + 1.0 - now)
+    return found
+
+
+def _fill(shape: Sequence[Array], b: Blocks, value: Array) -> None:
+    for session, begin, end, x in zip(b.session, b.begin, b.end, value, strict=True):
+        shape[session][begin:end] = x
+
+
+def _beginnings(b: Blocks, there: Array) -> NDArray[np.bool_]:
+    """Blocks in which a spell begins."""
+    on = there > 0.5
+    return np.asarray(on & ~np.concatenate(([False], on[:-1] & ~b.first[1:])))
+
+
+def _wave(current: Fit) -> Term | None:
+    """A wave in driven distance."""
+    if WAVE in current.effect_names:
+        return None
+    wave = find_wave(current)
+    if wave is None:
+        return None
+    used = [np.where(m, x, 0.0) for x, m in zip(wave.shape, current.problem.masks, strict=True)]
+    candidate = _with(current, Watched(WAVE, "a torque that comes again with distance", used, _size(current)))
+    pieces = 2.0 * sum(float(np.abs(x).max(initial=0.0) > 0.0) for x in used)  # a phase each, which were chosen too
+    return Term(candidate, wave=wave) if candidate.net_evidence > SURE + pieces and candidate.matters else None
+
+
+def _size(current: Fit) -> float:
+    facts = current.problem.base.facts
+    return facts.weight * facts.radius
+
+
+def _needed(current: Fit, steps: list[Step]) -> tuple[Fit, list[Step]]:
+    """Leave out names that gain less than their thresholds now that the terms are there."""
+    for step in list(steps):
+        if step.chosen is None or step.chosen.name not in current.effect_names:
+            continue
+        without = [a.effect for a in current.effects if a.effect.name != step.chosen.name]
+        reduced = fit(current.problem, without, current.at, current.noises)
+        gain = current.log_likelihood - reduced.log_likelihood
+        if gain < step.threshold + step.chosen.form_error_gain or current.log_evidence < reduced.log_evidence:
+            current, steps = reduced, [s for s in steps if s is not step]
+    return current, steps
+
+
+def said(term: Term, final: Fit) -> Described:
+    """A term in words, with the values of the final fit."""
+    name = term.candidate.name
+    active = next(a for a in final.effects if a.effect.name == name)
+    if isinstance(active.effect, Learned):
+        return of_learned(active.effect, active.values)
+    level = active.values["level"]
+    if term.wave is not None:
+        return of_wave(name, term.wave, level, part_of(term.wave.length_m, final.problem.base.parts))
+    assert term.chain is not None
+    adds = final.contribution(name)
+    b = torque_blocks(final, [r + x for r, x in zip(_residuals(final), adds, strict=True)])
+    there, _ = there_given(b, term.chain)
+    begins = np.flatnonzero(_beginnings(b, there))
+    lengths = np.diff(np.flatnonzero(np.diff(np.concatenate(([0], (there > 0.5).astype(int), [0])))))[::2]
+    seconds = 5.0 * lengths.astype(float)
+    return of_spells(name, term.chain, level, len(begins), seconds, _begins_with(b, begins, final))
+
+
+def _begins_with(b: Blocks, begins: NDArray[np.int64], final: Fit) -> str:
+    """What most spells begin with, in words; empty where nothing stands out."""
+    if not len(begins):
+        return ""
+    after_stop = []
+    for i in begins:
+        session = final.problem.sessions[b.session[i]]
+        near = slice(max(0, b.begin[i] - round(BEGINNINGS_S / session.step)), b.end[i])
+        after_stop.append(bool((np.abs(session.speed[near]) < 0.3).any()))
+    return ", mostly after a stop" if np.mean(after_stop) > MOST_BEGIN else ""
+
+
+def drift(final: Fit) -> Described | None:
+    """What wanders in what is left, if it does so slowly and more than by chance."""
+    b = torque_blocks(final, _residuals(final))
+    wander, likelihood = find_wander(b)
+    mean, variance = float(np.average(b.mean, weights=b.count)), float(np.mean(b.count * b.mean**2))
+    white = -0.5 * float(np.sum((b.mean - mean) ** 2 * b.count / variance + np.log(2.0 * math.pi * variance / b.count)))
+    slow = wander.seconds >= SLOWEST_WANDER_S and likelihood > white + SURE
+    large = wander.size > LEAST_WANDER * rms([s.torque for s in final.problem.sessions], final)
+    return of_drift(wander) if slow and large else None

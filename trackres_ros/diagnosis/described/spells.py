@@ -1,0 +1,217 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Spells: a torque that is there for a while, gone for a while, and follows nothing; and a torque that wanders.
+
+Means of the residual over a few seconds are taken for one of two levels that change by chance (a hidden Markov chain), or for a
+level that wanders (Ornstein and Uhlenbeck), each with white noise; the likelihoods say which it is.
+
+Source: Rabiner (1989) for the chain, by expectation and maximisation; Kalman for the level that wanders.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from trackres_ros.units import MAD_TO_STD
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+BLOCK_S = 5.0
+FEWEST_SAMPLES = 2  # of a block
+TAME = 5.0  # robust standard deviations: a mean beyond says no more
+TURNS, ENOUGH = 60, 1e-3  # of expectation and maximisation, and a gain that is none
+STARTS = (-2.5, -1.2, 1.2, 2.5)  # standard deviations: where the second level may begin to be looked for
+SHORTEST_S, LONGEST_S = 10.0, 1200.0  # of a spell, on average
+LEAST_SHARE, MOST_SHARE = 0.03, 0.97  # of the time
+BREAK = -1.0  # instead of a block's place: a new piece begins
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """Means of a residual over blocks, all sessions one after the other; shape (n,).
+
+    Attributes
+    ----------
+    mean, count
+        Of the samples of each, and how many they are.
+    first
+        Whether a block has none before it: a chain begins anew there.
+    session, begin, end
+        Where it is from: index of the session and of its samples.
+    """
+
+    mean: Array
+    count: Array
+    first: Mask
+    session: NDArray[np.int64]
+    begin: NDArray[np.int64]
+    end: NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class Chain:
+    """Two levels: none and `level` [Nm], with chances to come and to go at the next block, and the noise of one sample [Nm]."""
+
+    level: float
+    rest: float  # the level of the rest: the fit's own mean is that of both
+    comes: float
+    goes: float
+    noise: float
+
+    @property
+    def mean_s(self) -> float:
+        """How long it is there on average [s]."""
+        return BLOCK_S / self.goes
+
+    @property
+    def share(self) -> float:
+        """Of the time that it is there."""
+        return self.comes / (self.comes + self.goes)
+
+
+def blocks(residuals: Sequence[Array], masks: Sequence[Mask], step: float) -> Blocks:
+    """Cut residuals into blocks; what is beyond all others counts as far as they go."""
+    length = max(1, round(BLOCK_S / step))
+    rows: list[tuple[float, float, bool, int, int, int]] = []
+    for i, (residual, mask) in enumerate(zip(residuals, masks, strict=True)):
+        first = True
+        for begin in range(0, len(residual), length):
+            end = min(begin + length, len(residual))
+            used = mask[begin:end] & np.isfinite(residual[begin:end])
+            if used.sum() < FEWEST_SAMPLES:
+                continue
+            rows.append((float(residual[begin:end][used].mean()), float(used.sum()), first, i, begin, end))
+            first = False
+    mean, count, first_, session, begin_, end_ = (np.array(x) for x in zip(*rows, strict=True))
+    most = TAME * MAD_TO_STD * float(np.median(np.abs(mean - np.median(mean))))
+    return Blocks(np.clip(mean, np.median(mean) - most, np.median(mean) + most), count, first_, session, begin_, end_)
+
+
+def find_chain(b: Blocks) -> tuple[Chain, Array, float]:
+    """The most likely chain, how likely it is there in each block, and the log-likelihood."""
+    spread = float(np.std(b.mean * np.sqrt(b.count)))
+    scale = float(np.std(b.mean))
+    best: tuple[Chain, Array, float] | None = None
+    for start in STARTS:
+        chain = Chain(start * scale, 0.0, 0.05, 0.1, 0.7 * spread)
+        before = -math.inf
+        for _ in range(TURNS):
+            there, pairs, likelihood = _look(b, chain)
+            if likelihood - before < ENOUGH:
+                break
+            before = likelihood
+            chain = _improved(b, there, pairs)
+        if best is None or likelihood > best[2]:
+            best = (chain, there, likelihood)
+    assert best
+    return best
+
+
+def is_spells(chain: Chain) -> bool:
+    """Whether a chain is one of spells: neither moments nor hours, neither hardly ever nor nearly always."""
+    return SHORTEST_S <= chain.mean_s <= LONGEST_S and LEAST_SHARE <= chain.share <= MOST_SHARE
+
+
+def there_given(b: Blocks, chain: Chain) -> tuple[Array, float]:
+    """How likely it is there in each block by a given chain, and the log-likelihood."""
+    there, _, likelihood = _look(b, chain)
+    return there, likelihood
+
+
+def _look(b: Blocks, chain: Chain) -> tuple[Array, Array, float]:
+    """Forward and backward: chance of being there, expected numbers of the four steps, log-likelihood."""
+    variance = chain.noise**2 / b.count
+    logs = [-0.5 * ((b.mean - level) ** 2 / variance + np.log(2.0 * math.pi * variance)) for level in (chain.rest, chain.level)]
+    top = np.maximum(*logs)
+    here = [np.exp(x - top) for x in logs]
+    absent, present, starts = here[0].tolist(), here[1].tolist(), b.first.tolist()
+    stay0, come, go, stay1 = 1.0 - chain.comes, chain.comes, chain.goes, 1.0 - chain.goes
+    n, share = len(absent), chain.share
+    forward, scales = np.empty((n, 2)), np.empty(n)
+    f0 = f1 = 0.0
+    for i in range(n):
+        if starts[i]:
+            p0, p1 = 1.0 - share, share
+        else:
+            p0, p1 = f0 * stay0 + f1 * go, f0 * come + f1 * stay1
+        p0, p1 = p0 * absent[i], p1 * present[i]
+        total = p0 + p1
+        f0, f1 = p0 / total, p1 / total
+        forward[i, 0], forward[i, 1], scales[i] = f0, f1, total
+    backward = np.ones((n, 2))
+    b0 = b1 = 1.0
+    for i in range(n - 2, -1, -1):
+        if starts[i + 1]:
+            b0 = b1 = 1.0
+        else:
+            a, p, scale = absent[i + 1] * b0, present[i + 1] * b1, scales[i + 1]
+            b0, b1 = (stay0 * a + come * p) / scale, (go * a + stay1 * p) / scale
+        backward[i, 0], backward[i, 1] = b0, b1
+    there = forward * backward
+    there /= there.sum(axis=1, keepdims=True)
+    inner = np.flatnonzero(~b.first)
+    step = np.array([[stay0, come], [go, stay1]])
+    after = np.stack([here[0][inner], here[1][inner]], axis=1) * backward[inner] / scales[inner, np.newaxis]
+    pairs = step * (forward[inner - 1].T @ after)
+    return there[:, 1], pairs, float(np.log(scales).sum() + top.sum())
+
+
+def _improved(b: Blocks, there: Array, pairs: Array) -> Chain:
+    level, rest = (float(np.average(b.mean, weights=b.count * w + 1e-12)) for w in (there, 1.0 - there))
+    left = there * (b.mean - level) ** 2 + (1.0 - there) * (b.mean - rest) ** 2
+    comes, goes = ((pairs[i, 1 - i] + 0.5) / (pairs[i].sum() + 1.0) for i in (0, 1))
+    return Chain(level, rest, float(comes), float(goes), float(np.sqrt(np.mean(b.count * left))))
+
+
+@dataclass(frozen=True, slots=True)
+class Wander:
+    """A level that wanders: its standard deviation [Nm] and time constant [s], and the noise of one sample [Nm]."""
+
+    size: float
+    seconds: float
+    noise: float
+
+
+def find_wander(b: Blocks) -> tuple[Wander, float]:
+    """The most likely level that wanders, and the log-likelihood."""
+    scale = float(np.std(b.mean))
+    typical = float(np.sqrt(np.median(b.count)))
+
+    def of(logs: Array) -> Wander:
+        size, seconds, noise = np.exp(np.clip(logs, -12.0, 15.0))
+        return Wander(float(size), float(seconds), float(noise))
+
+    found = [
+        minimize(lambda x: -_wandering(b, of(x)), np.log([0.7 * scale, seconds, 0.7 * scale * typical]), method="Nelder-Mead",
+                 options={"maxiter": 150, "xatol": 0.02, "fatol": 0.05})
+        for seconds in (10.0, 120.0)
+    ]  # fmt: skip
+    best = min(found, key=lambda one: float(one.fun))
+    return of(best.x), -float(best.fun)
+
+
+def _wandering(b: Blocks, w: Wander) -> float:
+    """Log-likelihood of a level that wanders."""
+    keep = math.exp(-BLOCK_S / w.seconds)
+    stationary = w.size**2
+    fresh = stationary * (1.0 - keep**2)
+    level, variance, total = 0.0, stationary, 0.0
+    for mean, noise, first in zip(b.mean.tolist(), (w.noise**2 / b.count).tolist(), b.first.tolist(), strict=True):
+        if first:
+            level, variance = 0.0, stationary
+        else:
+            level, variance = keep * level, keep**2 * variance + fresh
+        spread = variance + noise
+        off = mean - level
+        total -= 0.5 * (off * off / spread + math.log(2.0 * math.pi * spread))
+        gain = variance / spread
+        level, variance = level + gain * off, variance * (1.0 - gain)
+    return total

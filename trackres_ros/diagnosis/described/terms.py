@@ -1,0 +1,195 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Terms without a name, as they are said: what a torque follows or how it comes and goes, and what to look at for it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.described.spells import BLOCK_S, Chain, Wander
+from trackres_ros.diagnosis.described.waves import Wave
+from trackres_ros.effects.learned import (
+    ACCELERATING,
+    ACCELERATION,
+    ALWAYS,
+    AMBIENT,
+    BRAKING,
+    BY_BRAKING,
+    BY_DISTANCE,
+    BY_TIME,
+    CURVATURE,
+    DRIVING_TORQUE,
+    GATES,
+    HEAVY,
+    LEFT,
+    LIGHT,
+    LOAD,
+    OPEN,
+    RIGHT,
+    SPEED,
+    TURN,
+    TURNING,
+    VARIABLES,
+    BuildUp,
+    Curve,
+    Learned,
+)
+from trackres_ros.text.numbers import figures
+
+Array = NDArray[np.float64]
+
+MECHANISMS: Mapping[int, tuple[str, ...]] = {
+    SPEED: ("a resonance of belt, wheels or drive train", "a fan or pump that turns along"),
+    ACCELERATION: ("play in the drive train", "an inertia that is not in the vehicle file"),
+    LOAD: ("something that touches when springs are compressed", "ground that yields"),
+    AMBIENT: ("grease or oil that stiffens in the cold",),
+    TURN: ("something that touches on one side when it turns", "a brake that steers"),
+    TURNING: ("something that touches when it turns", "ground that is sheared"),
+    CURVATURE: ("something that touches when it turns", "ground that is sheared"),
+    DRIVING_TORQUE: (
+        "play in the drive train, taken up as the torque changes its sign",
+        "a gear or coupling that binds under load",
+    ),
+}
+OF_GATES: Mapping[int, tuple[str, ...]] = {
+    LEFT: ("something that touches in left turns only: a guide, a mudguard, a hose", "the guides of the right belt"),
+    RIGHT: ("something that touches in right turns only: a guide, a mudguard, a hose", "the guides of the left belt"),
+    HEAVY: ("something that touches when springs are compressed", "a bearing that binds under load"),
+    LIGHT: ("a part that swings when it is not held down by the load", "belt tension without load"),
+    BRAKING: ("a brake that works along", "a machine that is driven by the wheels"),
+    ACCELERATING: ("a coupling that slips", "a machine that draws on the same drive"),
+}
+OF_BUILD_UPS: Mapping[int, tuple[str, ...]] = {
+    BY_DISTANCE: ("mud or snow that is carried along until it drops off", "a belt that walks out of line until it is let go"),
+    BY_TIME: ("a pressure or temperature that rises as long as it drives", "a brake that is released too little and heats up"),
+    BY_BRAKING: ("a brake that drags after it was used",),
+}
+OF_SPELLS = (
+    "a pump, fan or compressor that cuts in and out",
+    "a brake that stays on for a while",
+    "another consumer on the same drive",
+)
+OF_WAVES = ("a stiff or damaged place in a belt", "a wheel that is out of round or a bearing that is worn")
+OF_DRIFT = ("a zero of the torque sensor that drifts", "a slope, a wind or a ground that is not recorded")
+OF_CHANGES = ("something that broke, was mended or was taken up", "another ground", "a sensor that was set anew")
+
+
+@dataclass(frozen=True, eq=False)
+class Described:
+    """A term without a name.
+
+    Attributes
+    ----------
+    form
+        `curve`, `gated_curve`, `build_up`, `spells`, `wave`, `drift` or `level_change`.
+    name
+        Of the effect in the fit; empty for what is only watched for.
+    variable, gate
+        What it follows and where it acts, in words; empty without.
+    period_m
+        Of a wave [m]; None for what is none.
+    memory
+        Scale of a build-up in its own unit, or the average length of a spell [s]; None without.
+    sentence, mechanisms
+        In plain words, and what to look at.
+    size_nm
+        How large it is where it acts [Nm].
+    predictable
+        Whether it can be fed forward: it follows what is known at the time.
+    chain
+        Of spells: what a live node watches for.
+    """
+
+    form: str
+    name: str
+    variable: str
+    gate: str
+    period_m: float | None
+    memory: float | None
+    sentence: str
+    mechanisms: tuple[str, ...]
+    size_nm: float
+    predictable: bool
+    chain: Chain | None = None
+
+
+def of_learned(effect: Learned, values: Mapping[str, float]) -> Described:
+    """A curve or a build-up with the values of a fit."""
+    if isinstance(effect, BuildUp):
+        return _of_build_up(effect, values)
+    assert isinstance(effect, Curve)
+    x, y = ([values[q.name] for q in effect.parameters if q.name.startswith(of)] for of in ("x", "y"))
+    follows, opens = VARIABLES[effect.variable], GATES[effect.gate]
+    largest = max(y, key=abs)
+    where = f" {opens.text}" if effect.gate != OPEN else ""
+    if effect.variable == ALWAYS:
+        text = f"It takes {_more(largest)}{where}"
+    elif len(y) == 1:
+        text = f"It takes {_more(largest)}{where}, whatever the {follows.text}"
+    else:
+        low, high = min(range(len(y)), key=y.__getitem__), max(range(len(y)), key=y.__getitem__)
+        unit = "" if follows.unit == "1" else f" {follows.unit}"
+        text = (
+            f"It takes {figures(y[high] - y[low])} Nm more with the {follows.text} at {figures(x[high])}{unit} than at "
+            f"{figures(x[low])}{unit}{where} (from {figures(y[low])} to {figures(y[high])} Nm)"
+        )
+    looked = OF_GATES.get(effect.gate, ()) + (() if effect.variable == ALWAYS else MECHANISMS[effect.variable][:1])
+    return Described(
+        "curve" if effect.gate == OPEN else "gated_curve", effect.name, follows.text, opens.text, None, None, text,
+        looked or MECHANISMS[effect.variable], max(map(abs, y)), True,
+    )  # fmt: skip
+
+
+def _of_build_up(effect: BuildUp, values: Mapping[str, float]) -> Described:
+    level, scale = values["y1"], values["scale"]
+    if effect.by == BY_BRAKING:
+        text = f"It takes {_more(level)} after it has slowed down, which goes within about {figures(scale)} s"
+    else:
+        unit, since = ("m", "distance") if effect.by == BY_DISTANCE else ("s", "time")
+        text = (
+            f"{_more(level)[0].upper()}{_more(level)[1:]} builds up over about {figures(scale)} {unit} and is gone after a stop"
+        )
+        return Described(
+            "build_up", effect.name, f"{since} since a stop", "", None, scale, text, OF_BUILD_UPS[effect.by], abs(level), True
+        )
+    return Described("build_up", effect.name, "braking", "", None, scale, text, OF_BUILD_UPS[effect.by], abs(level), True)
+
+
+def of_spells(name: str, chain: Chain, level: float, count: int, lengths_s: Array, begins: str) -> Described:
+    """Spells of a size [Nm]: how many there were, how long each was [s], and what their beginnings have in common."""
+    low, high = (figures(float(q), 2) for q in np.quantile(lengths_s, (0.1, 0.9)))
+    text = f"For {low} to {high} s at a time it takes {_more(level)}, {count} times in these recordings{begins}"
+    return Described(
+        "spells", name, "", "", None, BLOCK_S / chain.goes, f"{text}; it follows nothing that is recorded", OF_SPELLS,
+        abs(level), False, chain,
+    )  # fmt: skip
+
+
+def of_wave(name: str, wave: Wave, level: float, part: str) -> Described:
+    """A wave of a size [Nm], named after the part that goes round in its length, if one does."""
+    of = f", {part}" if part else ""
+    text = f"A torque of {figures(abs(level))} Nm to either side comes again every {figures(wave.length_m, 4)} m{of}"
+    return Described("wave", name, "driven distance", "", wave.length_m, None, text, OF_WAVES, abs(level), False)
+
+
+def of_drift(wander: Wander) -> Described:
+    """A torque that wanders."""
+    text = (
+        f"It wanders by {figures(wander.size)} Nm over about {figures(wander.seconds, 2)} s, and follows nothing that is recorded"
+    )
+    return Described("drift", "", "", "", None, wander.seconds, text, OF_DRIFT, wander.size, False)
+
+
+def of_change(name: str, recording: str, time_s: float, level: float) -> Described:
+    """A level that changed and stayed [Nm]."""
+    text = f"Since {figures(time_s, 4)} s of {recording} it takes {_more(level)}, for good"
+    return Described("level_change", name, "", "", None, None, text, OF_CHANGES, abs(level), False)
+
+
+def _more(torque: float) -> str:
+    return f"{figures(abs(torque))} Nm {'more' if torque > 0.0 else 'less'}"

@@ -1,0 +1,161 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""A torque that comes again with every so many metres: something on a belt or a wheel goes round.
+
+Source: Lomb (1976) and Scargle (1982), over distance instead of time, on residuals whitened as in the fit; means over a step
+of a wave that is short beside it are smaller by the sinc of their ratio, which is taken into account exactly.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import gamma
+
+from trackres_ros.diagnosis.inference.fitting import Fit
+from trackres_ros.diagnosis.inference.noise import whitened
+
+Array = NDArray[np.float64]
+
+SHORTEST_M, LONGEST_M = 3.0, 400.0
+PIECE_M = 4000.0  # over which a phase holds: the distance is integrated, and slips
+FEWEST_SAMPLES = 60  # of a piece
+FINER = 3.0  # steps of the grid within the resolution of a piece
+CHANCE = 0.002  # that noise alone reaches as far anywhere in the grid
+SAME_LENGTH = 0.03  # relative: slip and wear of what goes round
+NEARLY_LARGEST = 12  # of the grid, which are fitted exactly
+AT_ONCE = 64
+MOST_PARTS = 4  # times round of a short part in a wave
+
+
+@dataclass(frozen=True, eq=False)
+class Wave:
+    """A wave in driven distance: its length [m], size [Nm], gain in log-likelihood, and its course, about 1 at its crests."""
+
+    length_m: float
+    size: float
+    gain: float
+    shape: tuple[Array, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Piece:
+    """A stretch of a session: its rows, the distance at the edges of each step [m], and the whitened residual."""
+
+    session: int
+    rows: slice
+    edges: Array
+    white: Array
+    valid: NDArray[np.bool_]
+
+
+def find_wave(found: Fit) -> Wave | None:
+    """The wave that explains most of what a fit leaves; None where none does beyond chance."""
+    pieces = _pieces(found)
+    if not pieces:
+        return None
+    longest = max(float(p.edges[-1] - p.edges[0]) for p in pieces)
+    waves = np.arange(1.0 / LONGEST_M, 1.0 / SHORTEST_M, 1.0 / (FINER * longest))  # a metre
+    gains = np.sum([_gains(found, p, waves) for p in pieces], axis=0)
+    expected = gamma(len(pieces))
+    scale = max(1.0, float(np.median(gains)) / float(expected.median()))
+    per_metre, gain = max(
+        (
+            (float(waves[i]), sum(_fitted(found, p, float(waves[i]))[1] for p in pieces))
+            for i in np.argsort(gains)[-NEARLY_LARGEST:]
+        ),
+        key=lambda one: one[1],
+    )
+    return None if gain / scale < float(expected.isf(CHANCE / len(waves))) else _wave(found, pieces, per_metre, gain)
+
+
+def part_of(length_m: float, parts: Mapping[str, float]) -> str:
+    """Which part goes round once, or some times, in so many metres; empty where none does."""
+    for name, once in parts.items():
+        for times in range(1, MOST_PARTS + 1):
+            if abs(times * once / length_m - 1.0) < SAME_LENGTH:
+                return f"one turn of the {name}" if times == 1 else f"{times} turns of the {name}"
+            if times > 1 and abs(once / times / length_m - 1.0) < SAME_LENGTH:
+                return f"one part in {times} of a turn of the {name}"
+    return ""
+
+
+def _pieces(found: Fit) -> list[_Piece]:
+    pieces = []
+    for segment, white in zip(found.problem.segments, found.white, strict=True):
+        if segment.kind != "torque":
+            continue
+        session = found.problem.sessions[segment.session]
+        edges = np.concatenate(([0.0], np.cumsum(np.abs(np.nan_to_num(session.speed))) * session.step))
+        number = (edges[:-1] // PIECE_M).astype(int)
+        for n in np.unique(number):
+            at = np.flatnonzero(number == n)
+            rows = slice(int(at[0]), int(at[-1]) + 1)
+            valid = np.isfinite(white[rows])
+            if valid.sum() >= FEWEST_SAMPLES:
+                pieces.append(_Piece(segment.session, rows, edges[rows.start : rows.stop + 1], white[rows], valid))
+    return pieces
+
+
+def _mean_wave(edges: Array, per_metre: float) -> NDArray[np.complex128]:
+    """Mean over each step of a wave of size 1."""
+    turns = 2.0 * math.pi * per_metre * edges
+    far, near = np.diff(turns), np.exp(0.5j * (turns[1:] + turns[:-1]))
+    return np.asarray(near * np.sinc(far / (2.0 * math.pi)))
+
+
+def _column(found: Fit, piece: _Piece, per_metre: float) -> NDArray[np.complex128]:
+    """The wave as the whitened residual would show it."""
+    noise = found.noise
+    wave = _mean_wave(piece.edges, per_metre)
+    everywhere = np.ones(len(wave), dtype=bool)
+    real, imaginary = (whitened(part, everywhere, noise.phi) / noise.std for part in (wave.real, wave.imag))
+    return np.nan_to_num(real) + 1j * np.nan_to_num(imaginary)
+
+
+def _fitted(found: Fit, piece: _Piece, per_metre: float) -> tuple[complex, float]:
+    """Complex size of the wave in a piece [Nm], and the gain in log-likelihood."""
+    column = _column(found, piece, per_metre)[piece.valid]
+    e = piece.white[piece.valid]
+    weight = found.noise.weights(e)
+    design = np.stack([column.real, -column.imag], axis=1)
+    normal = (design * weight[:, np.newaxis]).T @ design + 1e-9 * np.eye(2)
+    right = design.T @ (weight * e)
+    solved = np.linalg.solve(normal, right)
+    return complex(solved[0], solved[1]), 0.5 * float(right @ solved)
+
+
+def _gains(found: Fit, piece: _Piece, waves: Array) -> Array:
+    """Gains of many waves, as if the speed were steady over the lags of the whitening; `_fitted` is exact."""
+    noise = found.noise
+    weighted = np.where(piece.valid, noise.weights(np.nan_to_num(piece.white)) * np.nan_to_num(piece.white), 0.0) / noise.std
+    adjoint = weighted.copy()  # of the whitening
+    for lag, coefficient in enumerate(noise.phi, start=1):
+        adjoint[:-lag] -= coefficient * weighted[lag:]
+    middle, far = 0.5 * (piece.edges[1:] + piece.edges[:-1]), np.diff(piece.edges)
+    rows = np.flatnonzero((far > 0.0) | (adjoint != 0.0))
+    found_gains = []
+    for some in np.array_split(waves, max(1, len(waves) // AT_ONCE)):
+        turns = np.multiply.outer(some, far[rows])
+        size = np.sinc(turns)
+        like = np.exp(2j * math.pi * np.multiply.outer(some, middle[rows])) * size @ adjoint[rows]
+        passes = np.abs(1.0 - sum(c * np.exp(-2j * math.pi * lag * turns) for lag, c in enumerate(noise.phi, start=1))) ** 2
+        norm = 0.5 * (passes * size**2 * piece.valid[rows]).sum(axis=1) / noise.std**2
+        found_gains.append(0.5 * np.abs(like) ** 2 / np.maximum(norm, 1e-9))
+    return np.concatenate(found_gains)
+
+
+def _wave(found: Fit, pieces: list[_Piece], per_metre: float, gain: float) -> Wave:
+    sizes = [_fitted(found, piece, per_metre)[0] for piece in pieces]
+    shape = [np.zeros(len(s)) for s in found.problem.sessions]
+    for piece, size in zip(pieces, sizes, strict=True):
+        wave = _mean_wave(piece.edges, per_metre)
+        turned = np.exp(1j * np.angle(size)) * wave
+        shape[piece.session][piece.rows] = turned.real
+    weights = [piece.valid.sum() for piece in pieces]
+    return Wave(1.0 / per_metre, float(np.average(np.abs(sizes), weights=weights)), gain, tuple(shape))

@@ -1,0 +1,67 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""What is left after a fit, by where it comes from: the torque's sensor, the speed's, and the model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from trackres_ros.diagnosis.inference.fitting import Fit
+from trackres_ros.text.numbers import figures
+from trackres_ros.units import GRAVITY
+
+
+@dataclass(frozen=True, slots=True)
+class ResidualSources:
+    """Root mean squares over steps of a session's length [Nm].
+
+    Attributes
+    ----------
+    total
+        What is left.
+    torque_sensor
+        The noise of the torque from sample to sample; None where it cannot be told.
+    speed_sensor
+        The inertia times what the smoothed speed is off; None where it cannot be told.
+    model
+        At most the model's: the rest, in which are all errors of sensors that last longer, too.
+    """
+
+    total: float
+    torque_sensor: float | None
+    speed_sensor: float | None
+    model: float
+
+    @property
+    def text(self) -> str:
+        """In words."""
+
+        def size(value: float | None) -> str:
+            return "what cannot be told here" if value is None else f"{figures(value)} Nm"
+
+        return (
+            f"Of the {figures(self.total)} Nm that are left of a step of 1 s, noise of the torque sensor makes "
+            f"{size(self.torque_sensor)}, the speed sensor {size(self.speed_sensor)} (inertia times what the smoothed speed is "
+            f"off), and the model at most {size(self.model)}: the rest, with what lasts longer of the sensors' errors"
+        )
+
+
+def residual_sources(fit: Fit) -> ResidualSources:
+    """Split the residual of the torque; shares add up as squares."""
+    base, squares, torque, speed, told = fit.problem.base, 0.0, 0.0, 0.0, [True, True]
+    count = sum(int(mask.sum()) for mask in fit.problem.masks)
+    for session, mask, predicted in zip(fit.problem.sessions, fit.problem.masks, fit.predicted, strict=True):
+        if not mask.any():
+            continue
+        squares += float(((session.torque - predicted.torque)[mask] ** 2).sum()) / count
+        inertia = base.torque_scale * base.facts.radius * base.rotating_mass_factor * session.weight[mask] / GRAVITY
+        torque += session.torque_noise**2 * int(mask.sum()) / count
+        speed += float(((inertia * session.accel_noise) ** 2).sum()) / count
+        told = [told[0] and session.torque_noise > 0.0, told[1] and session.accel_noise > 0.0]
+    model = float(np.sqrt(max(squares - torque - speed, 0.0)))
+    return ResidualSources(
+        float(np.sqrt(squares)), float(np.sqrt(torque)) if told[0] else None, float(np.sqrt(speed)) if told[1] else None, model
+    )

@@ -1,0 +1,102 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Refuses recordings in which nothing can be compared: too short, of one time, without torque or speed, or too fast."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS, STEP_S
+from trackres_ros.diagnosis.prepare.unit_checks import Conversion
+from trackres_ros.errors import InputError
+from trackres_ros.recording.recording import Recording
+from trackres_ros.recording.samples import Series
+from trackres_ros.units import KMH_PER_MPS
+
+SHORTEST_S = 120.0
+EARLIEST_CLOCK_S = 6e8  # 1989: a recording that begins before it counts from its own start
+MOST_OVERLAP = 0.1  # of the shorter: more is no clock that is a little off
+
+
+def _duration_s(series: Mapping[str, Series]) -> float:
+    """From the first speed to the last [s]."""
+    speed = series.get("speed")
+    at = speed.stamp_ns[np.isfinite(speed.value)] if speed else np.empty(0)
+    return float(at.max() - at.min()) * 1e-9 if len(at) else 0.0
+
+
+def long_enough(recordings: Sequence[Recording], left_out: Counter[str], notes: list[str]) -> list[Recording]:
+    """Leave out recordings that are too short, unless all are: then `check_compared` says what each lacks."""
+    short = [r for r in recordings if "speed" in r.series and _duration_s(r.series) < SHORTEST_S]
+    if len(short) == len(recordings):
+        return list(recordings)
+    for recording in short:
+        seconds = _duration_s(recording.series)
+        notes.append(f"{recording.name}: left out, it has {seconds:.0f} s of {SHORTEST_S:.0f} s at least")
+        reason = f"in recordings of less than {SHORTEST_S:.0f} s"
+        left_out[reason] += int(seconds / STEP_S)
+    return [r for r in recordings if r not in short]
+
+
+def refuse_overlaps(recordings: Sequence[Recording], notes: list[str]) -> None:
+    """Refuse two recordings of one time: they show the same drive twice. Without a clock of the day none is refused."""
+    clocked = [(r.start_ns * 1e-9, r) for r in recordings if r.start_ns * 1e-9 > EARLIEST_CLOCK_S]
+    spans = sorted((begin, begin + _duration_s(r.series), r.name) for begin, r in clocked)
+    for i, (begin, end, name) in enumerate(spans):
+        for other_begin, other_end, other in spans[i + 1 :]:
+            both = min(end, other_end) - other_begin
+            if both > MOST_OVERLAP * min(end - begin, other_end - other_begin) and both > STEP_S:
+                raise InputError(
+                    f"{name}, {other}",
+                    f"{both:.0f} s of one time in both",
+                    "recordings of different times",
+                    "give one of them, or join what each has in one recording",
+                )
+            if both > STEP_S:
+                notes.append(f"{name}, {other}: their clocks overlap by {both:.0f} s; taken for one after the other")
+
+
+def check_compared(name: str, series: Mapping[str, Series]) -> None:
+    """Refuse a recording without a torque, without a speed, or shorter than `SHORTEST_S`.
+
+    Raises
+    ------
+    InputError
+        Says what it has instead.
+    """
+    if not any(role.partition("/")[0] == "torque" and np.isfinite(s.value).any() for role, s in series.items()):
+        raise InputError(
+            name,
+            f"no torque; roles: {', '.join(series) or 'none'}",
+            "a measured torque: without it there is nothing to compare",
+        )
+    if "speed" not in series or not np.isfinite(series["speed"].value).any():
+        raise InputError(name, "no finite speed", "a speed")
+    seconds = _duration_s(series)
+    if seconds < SHORTEST_S:
+        raise InputError(name, f"{seconds:.0f} s", f"at least {SHORTEST_S:.0f} s of recording")
+
+
+def check_speed(session: Session, max_speed: float) -> None:
+    """Refuse a session that never moves, or faster than its vehicle can [m/s].
+
+    Raises
+    ------
+    InputError
+        With the line of the topics file, in case the unit is another.
+    """
+    fastest = float(np.percentile(np.abs(session.speed), 99.0))
+    if fastest < SLOWEST_MPS:
+        raise InputError(session.name, f"speeds up to {fastest:.2f} m/s", "a vehicle that moves")
+    if fastest > 1.5 * max_speed:
+        raise InputError(
+            f"{session.name}: speed",
+            f"{fastest:.0f} m/s",
+            f"at most the vehicle's {max_speed:g} m/s",
+            f"if it is in km/h, {Conversion(1.0 / KMH_PER_MPS).line('speed')}",
+        )

@@ -1,0 +1,178 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Puts a recording on an even grid: samples of any rate become means over steps, and what is held between samples."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from trackres_ros.diagnosis.prepare.gaps import steps_within, steps_without_value, straight_spans
+from trackres_ros.diagnosis.prepare.refuse import check_compared
+from trackres_ros.diagnosis.prepare.sample_noise import noise_of_means
+from trackres_ros.diagnosis.prepare.session import Array, Course, Mask, Session
+from trackres_ros.diagnosis.prepare.settings import STEP_S, GateSettings
+from trackres_ros.diagnosis.prepare.speed_smoothing import smooth_speed
+from trackres_ros.diagnosis.prepare.unit_checks import check_speed_unit, check_units
+from trackres_ros.recording.recording import Recording
+from trackres_ros.recording.samples import Series
+
+LONGEST_HOLD_S = 2.0  # of speed and torque over a gap
+MOST_UNKNOWN = 0.5  # of a recording
+CHANNELS = ("ambient", "grade", "yaw_rate", "heading", "accel")
+
+
+def resample(
+    recording: Recording, settings: GateSettings, hide: frozenset[str], notes: list[str]
+) -> tuple[Session, dict[str, Mask]]:
+    """Put a recording on an even grid of `STEP_S`.
+
+    Parameters
+    ----------
+    recording
+        With a speed and a torque.
+    settings
+        Of the vehicle; its weight and ambient temperature stand in where none is recorded.
+    hide
+        Roles that are not read.
+    notes
+        What was assumed is added to them.
+
+    Returns
+    -------
+    session
+        One lap, in which every step is used.
+    unknown
+        Steps in which something needed was not measured, each of shape (n,), by reason.
+
+    Raises
+    ------
+    InputError
+        No torque, no speed, too short, or another unit.
+    """
+    series = {role: s for role, s in recording.series.items() if role not in hide and role.partition("/")[0] not in hide}
+    check_compared(recording.name, series)
+    torques = [role for role in series if role.partition("/")[0] == "torque" and np.isfinite(series[role].value).any()]
+    start = recording.start_ns
+    speed_at, raw_speed = _ordered(series["speed"], start)
+    edges = np.arange(0.0, speed_at[-1] + 1e-9, STEP_S)
+    count = len(edges) - 1
+    notes += check_units(recording.name, series, settings.weight)
+    smoothed = smooth_speed(speed_at, raw_speed, edges, LONGEST_HOLD_S)
+    at_edges = smoothed.speed if smoothed else np.interp(edges, speed_at, raw_speed)
+    speed, known = _means(speed_at, raw_speed, edges)
+    if "torque" in torques:
+        torques = ["torque"]
+    torque, measured = np.zeros(count), ~_nowhere(count)
+    filled, torque_noise = _nowhere(count), 0.0
+    for role in torques:
+        part, there = _means(*_ordered(series[role], start), edges)
+        torque, measured = torque + part, measured & there
+        torque_noise = float(np.hypot(torque_noise, noise_of_means(*_ordered(series[role], start), STEP_S)))
+        filled |= steps_within(straight_spans(*_ordered(series[role], start)), edges)
+    filled &= steps_within(straight_spans(speed_at, raw_speed), edges)
+
+    def held(role: str, default: float) -> Array:
+        return _held(series[role], start, edges, default) if role in series else np.full(count, default)
+
+    given = frozenset(role for role in CHANNELS if role in series and np.isfinite(series[role].value).any())
+    accel, accel_noise = np.diff(at_edges) / STEP_S, smoothed.typical_change_std / STEP_S if smoothed else 0.0
+    way = series.get("distance")
+    by_way = np.diff(np.interp(edges, *_ordered(way, start))) / STEP_S if way and np.isfinite(way.value).any() else None
+    check_speed_unit(recording.name, speed, accel, held("accel", np.nan) if "accel" in given else None, by_way)
+    if "accel" in given:
+        mean, there = _means(*_ordered(series["accel"], start), edges)
+        accel, accel_noise = np.where(there, mean, accel), 0.0
+    weight, of_load = _weight(series, start, edges, settings.weight)
+    given |= {"load"} if of_load else frozenset()
+    belts = [_held(series[role], start, edges, np.nan) for role in series if role.partition("/")[0] == "belt"]
+    belt = np.mean(belts, axis=0) if belts else np.full(count, np.nan)
+    given |= {"belt"} if belts and np.isfinite(belt).any() else frozenset()
+    heading, yaw_rate = held("heading", np.nan), np.full(count, np.nan)
+    if "yaw_rate" in given and not np.ptp(series["yaw_rate"].value[np.isfinite(series["yaw_rate"].value)]):
+        given -= {"yaw_rate"}  # a gyroscope that is there is never still
+        notes.append(f"{recording.name}: yaw_rate never changes; taken for not recorded")
+    if "yaw_rate" in given:
+        yaw_rate = _means(*_ordered(series["yaw_rate"], start), edges)[0]
+    if "yaw_rate" in given and "heading" not in given:
+        heading = np.cumsum(np.nan_to_num(yaw_rate)) * STEP_S
+        given |= {"heading"}
+        notes.append(f"{recording.name}: heading is integrated from the yaw rate")
+    no_slope = steps_without_value(_ordered(series["grade"], start)[0], edges) if "grade" in given else _nowhere(count)
+    if no_slope.mean() > MOST_UNKNOWN:
+        notes.append(f"{recording.name}: the slope is not known for {no_slope.mean():.0%} of it; taken for not recorded")
+        given, no_slope = given - {"grade"}, _nowhere(count)
+    session = Session(
+        name=recording.name,
+        step=STEP_S,
+        time=edges[:-1],
+        speed=speed,
+        accel=accel,
+        weight=weight,
+        ambient=held("ambient", settings.ambient),
+        grade=held("grade", 0.0) if "grade" in given else np.zeros(count),
+        yaw_rate=yaw_rate,
+        heading=heading,
+        distance=np.cumsum(np.abs(speed)) * STEP_S,
+        torque=torque,
+        belt=belt,
+        used=~_nowhere(count),
+        block=np.zeros(count, dtype=np.int64),
+        given=given,
+        torque_course=_course([_ordered(series[role], start) for role in torques]),
+        accel_noise=accel_noise,
+        torque_noise=torque_noise,
+        belt_shows_surface=settings.belt_shows_surface,
+    )
+    return session, {
+        "no speed": ~known,
+        "no torque": ~measured,
+        "gap filled by straight lines": filled,
+        "slope not known": no_slope,
+    }
+
+
+def _nowhere(count: int) -> Mask:
+    return np.zeros(count, dtype=bool)
+
+
+def _course(torques: Sequence[tuple[Array, Array]]) -> Course:
+    """Sum of torques as they were measured."""
+    at = np.unique(np.concatenate([t for t, _ in torques]))
+    return Course.of(at, np.sum([np.interp(at, t, v) for t, v in torques], axis=0))
+
+
+def _weight(series: dict[str, Series], start: int, edges: Array, nominal: float) -> tuple[Array, bool]:
+    """Weight of the whole vehicle [N], and whether it was measured."""
+    for roles in (["load"], [r for r in series if r.startswith("load/")]):
+        there = [r for r in roles if r in series and np.isfinite(series[r].value).any()]
+        if there:
+            total = np.sum([_held(series[r], start, edges, np.nan) for r in there], axis=0)
+            return np.where(np.isfinite(total) & (total > 0.1 * nominal), total, nominal), True
+    return np.full(len(edges) - 1, nominal), False
+
+
+def _ordered(series: Series, start: int) -> tuple[Array, Array]:
+    """Times [s] and values that are finite, by stamp; of equal stamps the first."""
+    finite = np.isfinite(series.value)
+    at, index = np.unique(series.stamp_ns[finite], return_index=True)
+    return np.asarray((at - start) * 1e-9, dtype=float), series.value[finite][index]
+
+
+def _means(at: Array, value: Array, edges: Array) -> tuple[Array, Mask]:
+    """Mean over each step, along straight lines between samples; and where no gap there is too long for that."""
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    after = np.clip(np.searchsorted(at, middle), 1, len(at) - 1)
+    known = (at[after] - at[after - 1] <= LONGEST_HOLD_S) & (middle <= at[-1]) & (middle >= at[0])
+    return Course.of(at, value).means(edges[:-1], STEP_S), known
+
+
+def _held(series: Series, start: int, edges: Array, default: float) -> Array:
+    """The last finite value before the middle of each step; before the first that one."""
+    at, value = _ordered(series, start)
+    if not len(at):
+        return np.full(len(edges) - 1, default)
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    return value[np.maximum(np.searchsorted(at, middle, side="right") - 1, 0)]

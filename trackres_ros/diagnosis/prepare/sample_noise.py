@@ -1,0 +1,37 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Samples in, what their noise leaves in a mean over a step out."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.prepare.speed_smoothing import FEWEST, SLOWEST_S, without_repeats
+from trackres_ros.units import MAD_TO_STD
+
+Array = NDArray[np.float64]
+
+SECOND_DIFFERENCE = 6.0  # variance of a second difference over that of the noise
+
+
+def noise_of_means(at: Array, value: Array, step: float) -> float:
+    """Standard deviation that the noise from one sample to the next leaves in means over a step; 0 where it cannot be told.
+
+    Second differences show that noise where samples come faster than what is measured changes its course. What the noise has
+    that lasts longer is not in it.
+
+    Parameters
+    ----------
+    at, value
+        Times [s], rising, and samples.
+    step
+        Length of a step [s].
+    """
+    new = without_repeats(value)
+    at, value = at[new], value[new]
+    if len(at) < FEWEST or float(np.median(np.diff(at))) > SLOWEST_S:
+        return 0.0
+    noise = MAD_TO_STD * np.median(np.abs(np.diff(value, 2))) / np.sqrt(SECOND_DIFFERENCE)  # a median, as a torque may jump
+    return float(noise * np.sqrt(np.median(np.diff(at)) / step))

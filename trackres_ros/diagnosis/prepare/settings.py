@@ -1,0 +1,43 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""What the preparation of recordings must know of a vehicle, and the step that all of it works with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+STEP_S = 1.0  # mean torque over a step against the change of speed over it: exact, whatever happens within
+SLOWEST_MPS, SLOWEST_SHARE = 0.3, 0.1  # of the greatest speed; below both friction may be static
+
+
+@dataclass(frozen=True, slots=True)
+class GateSettings:
+    """What the gate must know of a vehicle.
+
+    Attributes
+    ----------
+    weight, max_speed, ambient
+        [N], [m/s], [degC]; the first and last stand in where nothing is recorded.
+    friction_brakes
+        Whether brakes of which nothing is recorded help a torque that brakes.
+    belt_shows_surface
+        Whether a measured belt temperature is that of the surface, as infrared sees it, or the mean.
+    motor_ratio
+        Turns of the motor to one of the sprocket; None where the file does not say.
+    torque_scale
+        Least and most times the expected torque that the file allows to be shown.
+    """
+
+    weight: float
+    max_speed: float
+    ambient: float
+    friction_brakes: bool
+    belt_shows_surface: bool = False
+    motor_ratio: float | None = None
+    torque_scale: tuple[float, float] = (1.0, 1.0)
+
+    @property
+    def slowest(self) -> float:
+        """Speed below which friction may be static [m/s]."""
+        return min(SLOWEST_MPS, SLOWEST_SHARE * self.max_speed)

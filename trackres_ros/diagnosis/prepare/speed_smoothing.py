@@ -1,0 +1,316 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Speed samples in, the speed at chosen times out and how sure its changes are: a Kalman smoother over what the sensor showed.
+
+The state is speed and acceleration, driven by a white jerk; a sample is the speed with white noise, which is at least that of
+rounding to the sensor's steps. Jerk and noise are the most likely ones given all innovations. Forward pass: Bar-Shalom, Li and
+Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, section 6.2.3; backward pass: Rauch, Tung and
+Striebel, AIAA Journal 3 (1965) 1445.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from trackres_ros.jit.compiled import compiled
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+SLOWEST_S, FEWEST = 0.25, 100  # slower samples, or fewer, do not tell noise from what the vehicle does
+JERK = 0.05, 1.0  # m/s^2/sqrt(s): from a heavy vehicle that is eased to a robot that is pushed; assumed
+NOISE_MPS = 3e-4, 0.5  # beside the rounding: from a hundredth of what wheel encoders show to a poor satellite receiver; assumed
+REST_S = 1.0  # so long at exactly zero is no crawling
+SAME = 1e-6  # of the greatest speed: as exact as six digits are written
+WHOLE, MULTIPLES = 0.1, 0.95  # off a whole number of steps, and the share of differences that must not be
+LONGEST_REPEAT, REGULAR = 50, 0.95  # samples of one value, and the share of changes that come in their rhythm
+OUTLIER = 5.0  # standard deviations from which an innovation counts less the larger it is
+UNKNOWN = 1e4  # variance of speed and acceleration where a stretch begins
+PIECE, MOST_PIECES = 2000, 30  # samples by which jerk and noise are found
+TURNS = 3
+MOST_LAGS, STILL_ALIKE = 60, 0.02  # samples, and the correlation below which the noise has forgotten
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothedSpeed:
+    """What a speed sensor says at chosen times.
+
+    Attributes
+    ----------
+    speed
+        At those times [m/s], shape (n,).
+    change_std
+        Standard deviation of the error of the change to the next of them [m/s], shape (n - 1,); 0 at rest, nan over gaps.
+    jerk, noise, step
+        Density of the jerk [m/s^2/sqrt(s)], standard deviation of what a sample is off, and what the sensor rounds to [m/s].
+    """
+
+    speed: Array
+    change_std: Array
+    jerk: float
+    noise: float
+    step: float
+
+    @property
+    def typical_change_std(self) -> float:
+        """Root mean square of `change_std` while driving [m/s]; 0 where there is none."""
+        driven = self.change_std[self.change_std > 0.0]
+        return float(np.sqrt(np.mean(driven**2))) if len(driven) else 0.0
+
+
+def smooth_speed(at: Array, shown: Array, times: Array, longest_gap_s: float) -> SmoothedSpeed | None:
+    """Speed at some times by all samples before and after; None where samples are too slow or too few.
+
+    Parameters
+    ----------
+    at, shown
+        Times [s], rising, and samples [m/s].
+    times
+        Where the speed is asked for [s], rising.
+    longest_gap_s
+        Over longer ones the speed is a straight line.
+    """
+    if len(at) < FEWEST or float(np.median(np.diff(at))) > SLOWEST_S:
+        return None
+    new = without_repeats(shown)
+    at, shown = at[new], shown[new]
+    step = rounding_step(shown)
+    grid = _Grid.of(at, shown, times, longest_gap_s)
+    jerk, noise = _most_likely(grid, step)
+    states, variances = grid.run(jerk, noise)
+    white = noise
+    for _ in range(TURNS):  # noise that is not white pulls the speed after it, and shows whole only once it no longer does
+        alike = _times_alike(grid.shown[grid.sample] - states[grid.sample, 0])
+        if alike == 1.0:
+            break
+        noise = white * np.sqrt(alike)
+        states, variances = grid.run(jerk, noise)
+    rest = at_rest(at, shown)
+    values = shown.copy()
+    values[grid.kept] = states[grid.sample, 0]
+    values[rest] = 0.0
+    speed = np.interp(times, at, values)
+    speed[grid.within] = states[~grid.sample, 0]
+    after = np.clip(np.searchsorted(at, times, side="right"), 1, len(at) - 1)
+    own = np.where(rest[after] & rest[after - 1], 0.0, np.nan)
+    own[grid.within] = states[~grid.sample, 2]
+    change = own[1:] + own[:-1]
+    joint = np.full(len(times), np.nan)
+    joint[grid.within] = variances[~grid.sample]
+    change = np.where(np.isfinite(joint[:-1]), joint[:-1], change)
+    return SmoothedSpeed(speed, np.sqrt(change), jerk, noise, step)
+
+
+def without_repeats(shown: Array) -> Mask:
+    """Samples without the repeats of a sensor that is slower than its topic: all changes come in one rhythm then."""
+    changes = np.flatnonzero(np.diff(shown, prepend=np.nan) != 0.0)
+    lengths = np.diff(changes)
+    rhythm = 1
+    for length in range(2, LONGEST_REPEAT + 1):
+        if len(lengths) >= FEWEST and np.mean(lengths % length == 0) >= REGULAR:
+            rhythm = length
+    since = np.arange(len(shown)) - np.repeat(changes, np.diff(np.append(changes, len(shown))))
+    return np.asarray(since % rhythm == 0)
+
+
+def rounding_step(shown: Array) -> float:
+    """What a sensor rounds to: the smallest difference of values that all others are multiples of; 0 where there is none."""
+    values = np.unique(shown)
+    apart = np.diff(values)
+    apart = apart[apart > SAME * float(np.abs(values).max(initial=0.0))]
+    if len(apart) < 2 or len(values) > 0.5 * len(shown):
+        return 0.0
+    least = float(np.percentile(apart, 1.0))
+    step = float(np.median(apart[apart < 1.5 * least]))
+    times = apart / step
+    return step if np.mean(np.abs(times - np.round(times)) < WHOLE) >= MULTIPLES else 0.0
+
+
+def at_rest(at: Array, shown: Array) -> Mask:
+    """Samples of runs of zeros that last."""
+    zero = np.concatenate(([False], shown == 0.0, [False]))
+    begins, ends = np.flatnonzero(zero[1:] & ~zero[:-1]), np.flatnonzero(zero[:-1] & ~zero[1:]) - 1
+    lasts = at[ends] - at[begins] >= REST_S
+    marks = np.zeros(len(shown) + 1)
+    np.add.at(marks, begins[lasts], 1.0)
+    np.add.at(marks, ends[lasts] + 1, -1.0)
+    return np.asarray(np.cumsum(marks)[:-1] > 0.5)
+
+
+@dataclass(frozen=True, eq=False)
+class _Grid:
+    """Samples of stretches of driving and the asked times within them, in order.
+
+    A stretch begins and ends with a gap or a rest, of which it has the nearest zero.
+    """
+
+    at: Array
+    shown: Array
+    sample: Mask  # a sample, else an asked time
+    begins: Mask
+    kept: Mask  # of all samples those that are here
+    within: Mask  # of all asked times those that are here
+
+    @classmethod
+    def of(cls, at: Array, shown: Array, times: Array, longest_gap_s: float) -> _Grid:
+        rest = at_rest(at, shown)
+        still = rest[1:] & rest[:-1]  # from one sample to the next
+        kept = ~(np.append(still, rest[-1]) & np.concatenate(([rest[0]], still)))
+        cut = still | (np.diff(at) > longest_gap_s)
+        begins = np.concatenate(([True], cut))
+        after = np.searchsorted(at, times, side="right")
+        inside = (after > 0) & (after < len(at))
+        within = inside & ~cut[np.clip(after, 1, len(at) - 1) - 1]
+        every = np.concatenate((at[kept], times[within]))
+        order = np.argsort(every, kind="stable")
+        count, more = int(kept.sum()), int(within.sum())
+        sample = np.repeat((True, False), (count, more))[order]
+        values = np.concatenate((shown[kept], np.zeros(more)))[order]
+        first = np.concatenate((begins[kept], np.zeros(more, dtype=bool)))[order]
+        return cls(every[order], values, sample, first, kept, within)
+
+    def run(self, jerk: float, noise: float) -> tuple[Array, Array]:
+        """Smoothed states and the variances of changes to the next asked time."""
+        states, variances = np.empty((len(self.at), 5)), np.full(len(self.at), np.nan)
+        filter_forward(self.at, self.shown, self.sample, self.begins, (jerk, noise, OUTLIER), states)
+        smooth_backward(self.at, ~self.sample, self.begins, jerk, states, variances)
+        return states, variances
+
+
+def _most_likely(grid: _Grid, step: float) -> tuple[float, float]:
+    """Density of the jerk, and standard deviation of the noise with the rounding."""
+    piece = np.arange(len(grid.at)) // PIECE
+    some = piece % (1 + piece[-1] // MOST_PIECES) == 0
+    begins = (grid.begins | np.append(True, np.diff(piece) > 0))[some]
+    at, shown, sample = grid.at[some], grid.shown[some], _apart(grid)[some]
+    states = np.empty((len(at), 5))
+
+    def values(point: Array) -> tuple[float, float]:
+        jerk, white = np.exp(point)
+        return float(jerk), float(np.hypot(white, step / np.sqrt(12.0)))
+
+    def cost(point: Array) -> float:
+        return filter_forward(at, shown, sample, begins, (*values(point), OUTLIER), states)
+
+    bounds = np.log([JERK, NOISE_MPS])
+    start = bounds.mean(axis=1)
+    corners = start + np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]])
+    options = {"initial_simplex": corners, "xatol": 0.02, "fatol": 0.5}
+    return values(minimize(cost, start, method="Nelder-Mead", bounds=bounds, options=options).x)
+
+
+def _apart(grid: _Grid) -> Mask:
+    """Samples so far from each other that a sensor that rounds has mostly left a step: its error is white then."""
+    shown, spacing = grid.shown[grid.sample], float(np.median(np.diff(grid.at[grid.sample])))
+    stays = len(shown) / (1 + int(np.count_nonzero(np.diff(shown))))
+    every = max(1, int(min(stays, SLOWEST_S / spacing)))
+    return np.asarray(grid.sample & (np.cumsum(grid.sample) % every == 0))
+
+
+def _times_alike(left: Array) -> float:
+    """How many samples tell as much as one with noise of its own would: 1 if it is white.
+
+    Rounding is not white where the speed stays between two steps, and stays alike until it has left them.
+    """
+    left = left - left.mean()
+    total = float(left @ left)
+    alike = 1.0
+    for lag in range(1, min(MOST_LAGS, len(left)) if total > 0.0 else 1):
+        correlation = float(left[lag:] @ left[:-lag]) / total
+        if correlation < STILL_ALIKE:
+            break
+        alike += 2.0 * correlation
+    return alike
+
+
+@compiled
+def filter_forward(at: Array, shown: Array, sample: Mask, begins: Mask, of: tuple[float, float, float], states: Array) -> float:
+    """Kalman filter: half the deviance of the innovations.
+
+    Parameters
+    ----------
+    at, shown
+        Times [s] and samples [m/s].
+    sample
+        Where there is one; elsewhere only the state is asked for.
+    begins
+        Where a stretch begins that shares nothing with what was before.
+    of
+        Density of the jerk [m/s^2/sqrt(s)], standard deviation of a sample [m/s], and the standard deviations from which
+        an innovation counts less the larger it is.
+    states
+        Takes speed, acceleration, and variance of the speed, covariance and variance of the acceleration, shape (n, 5).
+    """
+    deviance, known = 0.0, 0
+    v, a, vv, va, aa = 0.0, 0.0, 0.0, 0.0, 0.0
+    jerk, noise, outlier = of
+    q, r = jerk * jerk, noise * noise
+    for i in range(len(at)):
+        if begins[i]:
+            v, a, vv, va, aa, known = shown[i], 0.0, UNKNOWN, 0.0, UNKNOWN, 0
+        else:
+            dt = at[i] - at[i - 1]
+            v += dt * a
+            vv += dt * (2.0 * va + dt * aa) + q * dt * dt * dt / 3.0
+            va += dt * aa + 0.5 * q * dt * dt
+            aa += q * dt
+        if sample[i]:
+            known += 1
+            off = shown[i] - v
+            s = max(vv + r, off * off / (outlier * outlier))
+            if known > 2:  # the first two only tell where the stretch begins
+                deviance += 0.5 * (np.log(s) + off * off / s)
+            of_speed, of_accel = vv / s, va / s
+            v += of_speed * off
+            a += of_accel * off
+            aa -= of_accel * va
+            va -= of_speed * va
+            vv -= of_speed * vv
+        states[i, 0], states[i, 1], states[i, 2], states[i, 3], states[i, 4] = v, a, vv, va, aa
+    return deviance
+
+
+@compiled
+def smooth_backward(at: Array, asked: Mask, begins: Mask, jerk: float, states: Array, variances: Array) -> None:
+    """Rauch, Tung and Striebel's pass over the states of `filter_forward`, in place.
+
+    Parameters
+    ----------
+    asked
+        The times between which the change of speed is of interest.
+    variances
+        Takes the variance of the change of speed from each of them to the next of the stretch, shape (n,).
+    """
+    q = jerk * jerk
+    later, with_v, with_a = -1, 0.0, 0.0  # the next asked time, and covariances of its speed with the state here
+    for i in range(len(at) - 1, -1, -1):
+        if i == len(at) - 1 or begins[i + 1]:
+            later = -1
+        else:
+            dt = at[i + 1] - at[i]
+            v, a, vv, va, aa = states[i, 0], states[i, 1], states[i, 2], states[i, 3], states[i, 4]
+            v_v, a_v = vv + dt * va, va + dt * aa  # covariances of the state here with the speed predicted of the next
+            next_vv = v_v + dt * a_v + q * dt * dt * dt / 3.0
+            next_va, next_aa = a_v + 0.5 * q * dt * dt, aa + q * dt
+            det = next_vv * next_aa - next_va * next_va
+            g_vv, g_va = (v_v * next_aa - va * next_va) / det, (va * next_vv - v_v * next_va) / det
+            g_av, g_aa = (a_v * next_aa - aa * next_va) / det, (aa * next_vv - a_v * next_va) / det
+            off_v, off_a = states[i + 1, 0] - v - dt * a, states[i + 1, 1] - a
+            d_vv, d_va, d_aa = states[i + 1, 2] - next_vv, states[i + 1, 3] - next_va, states[i + 1, 4] - next_aa
+            h_vv, h_va = g_vv * d_vv + g_va * d_va, g_vv * d_va + g_va * d_aa
+            h_av, h_aa = g_av * d_vv + g_aa * d_va, g_av * d_va + g_aa * d_aa
+            states[i, 0] = v + g_vv * off_v + g_va * off_a
+            states[i, 1] = a + g_av * off_v + g_aa * off_a
+            states[i, 2] = vv + h_vv * g_vv + h_va * g_va
+            states[i, 3] = va + h_vv * g_av + h_va * g_aa
+            states[i, 4] = aa + h_av * g_av + h_aa * g_aa
+            with_v, with_a = g_vv * with_v + g_va * with_a, g_av * with_v + g_aa * with_a
+        if asked[i]:
+            if later >= 0:
+                variances[i] = max(states[i, 2] + states[later, 2] - 2.0 * with_v, 0.0)
+            later, with_v, with_a = i, states[i, 2], states[i, 3]

@@ -1,0 +1,58 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Splits sessions: which laps are fitted on, and which are held out until the end."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from trackres_ros.diagnosis.prepare.session import Session, Split
+from trackres_ros.errors import InputError
+
+FEWEST_SESSIONS = 4
+HELD_OUT_SHARE = 0.25
+
+
+def split(sessions: Sequence[Session], held_out: int | Sequence[str] | None = None) -> Split:
+    """Choose the blocks that are held out until the end: the last ones.
+
+    Parameters
+    ----------
+    sessions
+        In the order of their recordings.
+    held_out
+        How many of the last sessions (where there are several) or blocks, or the names of recordings.
+
+    Returns
+    -------
+    Split
+        Numbers of the blocks to fit on and of those held out, and a sentence that says which.
+
+    Raises
+    ------
+    InputError
+        If nothing would be left to fit on, or a name is not among the recordings.
+    """
+    blocks = [sorted(set(s.block.tolist())) for s in sessions]
+    by_session = len(sessions) >= FEWEST_SESSIONS or (isinstance(held_out, int) and held_out < len(sessions) > 1)
+    if held_out is not None and not isinstance(held_out, int):
+        unknown = [name for name in held_out if not any(name in s.name for s in sessions)]
+        if unknown:
+            raise InputError("--holdout", unknown[0], f"part of a name among {', '.join(s.name for s in sessions)}")
+        chosen = {i for i, s in enumerate(sessions) if any(name in s.name for name in held_out)}
+    elif by_session:
+        count = held_out if isinstance(held_out, int) else max(1, round(HELD_OUT_SHARE * len(sessions)))
+        chosen = set(range(len(sessions) - count, len(sessions)))
+    else:
+        every = [b for of in blocks for b in of]
+        count = held_out if isinstance(held_out, int) else max(1, round(HELD_OUT_SHARE * len(every)))
+        if not 0 < count < len(every):
+            raise InputError("--holdout", count, f"1 to {len(every) - 1} of the {len(every)} laps or pieces")
+        text = f"the last {count} of {len(every)} laps or pieces are held out"
+        return Split(tuple(every[:-count]), tuple(every[-count:]), text)
+    training = tuple(b for i, of in enumerate(blocks) if i not in chosen for b in of)
+    if not training or not chosen:
+        raise InputError("--holdout", held_out, f"some, but not all, of the {len(sessions)} recordings")
+    text = f"held out: {', '.join(sessions[i].name for i in sorted(chosen))}"
+    return Split(training, tuple(b for i in sorted(chosen) for b in blocks[i]), text)

@@ -1,0 +1,40 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The state of the estimate: all that is carried from one step to the next."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.effects.stepping import new_memory
+from trackres_ros.estimator import columns as at
+from trackres_ros.text.numbers import decimals
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class State:
+    """What is carried from step to step; not to be changed.
+
+    Attributes
+    ----------
+    belts : ndarray, shape (assemblies, 2, BELT_COLUMNS)
+        Temperature [degC] and its departures [K], of the mean and of the surface; see `columns` and `belt_step`.
+    motion : ndarray, shape (MOTION_COLUMNS,)
+        Filtered speed and what the last step left; see `columns`.
+    effects : ndarray, shape (effects, columns)
+        Memory of the effects; see `effects.stepping`.
+    """
+
+    belts: Array
+    motion: Array
+    effects: Array = field(default_factory=lambda: new_memory(0))
+
+    def __repr__(self) -> str:
+        belts = ", ".join(decimals(float(degc), 1) for degc in self.belts[:, 0, at.TEMPERATURE])
+        return f"<State: belts {belts} degC, speed {decimals(float(self.motion[at.LAST_SPEED]), 2)} m/s>"

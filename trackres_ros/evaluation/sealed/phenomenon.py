@@ -1,0 +1,75 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""What a phenomenon gets to see of a drive, and what it gives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.evaluation.sealed.data_sheet import DataSheet
+from trackres_ros.evaluation.sealed.drives import Drive
+
+Array = NDArray[np.float64]
+
+CREEP_MPS = 0.04  # over it friction changes its sign
+
+
+@dataclass(frozen=True, eq=False)
+class Journey:
+    """A drive as phenomena see it; `driven` is how far the vehicle went before it [m]."""
+
+    sheet: DataSheet
+    drive: Drive
+    driven: float
+
+    @property
+    def step(self) -> float:
+        """Between samples [s]."""
+        return self.drive.step
+
+    @property
+    def speed(self) -> Array:
+        """Backwards below 0 [m/s]."""
+        return self.drive.speed
+
+    @property
+    def travel(self) -> Array:
+        """Size of the speed [m/s]."""
+        return np.abs(self.drive.speed)
+
+    @property
+    def direction(self) -> Array:
+        """Sign of the speed, which changes smoothly."""
+        return self.drive.speed / np.sqrt(self.drive.speed**2 + CREEP_MPS**2)
+
+    @property
+    def curvature(self) -> Array:
+        """Of the way, without its sign [1/m]."""
+        return np.abs(self.drive.yaw_rate) / np.maximum(self.travel, 0.3)
+
+    @property
+    def load(self) -> Array:
+        """Over the nominal weight."""
+        return self.drive.weight / self.sheet["weight"]
+
+    @property
+    def distance(self) -> Array:
+        """All that was driven [m]."""
+        return self.driven + np.cumsum(self.travel) * self.step
+
+    def lagged(self, target: Array, seconds: float, start: float) -> Array:
+        """A series as something follows it that takes its time."""
+        out, now, rate = np.empty(len(target)), start, 1.0 - np.exp(-self.step / seconds)
+        for i, aim in enumerate(target):
+            out[i] = now
+            now += (aim - now) * rate
+        return out
+
+
+Adds = Callable[[Journey, Mapping[str, float], Array], Array]
+"""Torque that a phenomenon adds [Nm], by the drive, the values of its parameters, and the torque without it."""

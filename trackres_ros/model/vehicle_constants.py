@@ -1,0 +1,25 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The constants of a track vehicle that effects may use."""
+
+from __future__ import annotations
+
+from trackres_ros.effects.effect import VehicleConstants
+from trackres_ros.model.belt import cooled_area
+from trackres_ros.vehicle import Vehicle
+
+
+def vehicle_constants(vehicle: Vehicle) -> VehicleConstants:
+    """The constants of a track vehicle; of its first kind of track where there are several."""
+    chassis, first = vehicle.chassis, vehicle.track_of(vehicle.assemblies[0])
+    return VehicleConstants(
+        radius=first.sprocket_radius,
+        weight=vehicle.weight,
+        drag_area=chassis.drag_coefficient * chassis.frontal_area,
+        air_density=chassis.air_density,
+        contact_length=first.road_wheels.ground_run,
+        assemblies=len(vehicle.assemblies),
+        cooled_area=cooled_area(first.belt),
+        tension=first.belt.pretension,
+    )

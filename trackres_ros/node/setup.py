@@ -1,0 +1,91 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""What a node runs with: the vehicle, topics and settings that its parameters name, read and checked once at the start."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from trackres_ros.errors import InputError
+from trackres_ros.estimator.settings import Settings
+from trackres_ros.estimator.topic_settings import settings_for
+from trackres_ros.files.resources import config_dir, find_vehicle
+from trackres_ros.node.parameters import Parameters
+from trackres_ros.recording.bindings import Topics
+from trackres_ros.vehicle import Vehicle, load, with_surroundings
+
+
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """Vehicle, topics and settings of a node.
+
+    Attributes
+    ----------
+    vehicle_file
+        Where the vehicle was read from.
+    surroundings_file
+        Where its surroundings were read from, empty if there is none.
+    vehicle
+        With its surroundings.
+    topics
+        Every role has a topic, and speed is among them.
+    settings
+        Of the estimator, with what the topics file decides.
+    """
+
+    vehicle_file: Path
+    surroundings_file: str
+    vehicle: Vehicle
+    topics: Topics
+    settings: Settings
+
+
+def read_setup(parameters: Parameters) -> Setup:
+    """Read what the parameters of a node name.
+
+    Raises
+    ------
+    InputError
+        If no vehicle is named, or vehicle, surroundings or topics file cannot be used.
+    """
+    if not parameters.text("vehicle"):
+        raise InputError("parameter vehicle", "", "a vehicle file, or the name of a shipped one", "for example xgd24d")
+    topics_file = parameters.text("topics")
+    topics = Topics.load(Path(topics_file) if topics_file else config_dir() / "topics" / "default.yaml")
+    _check_live(topics)
+    vehicle_file, surroundings_file = find_vehicle(parameters.text("vehicle")), parameters.text("surroundings")
+    vehicle = with_surroundings(load(vehicle_file), surroundings_file)
+    return Setup(vehicle_file, surroundings_file, vehicle, topics, settings_for(parameters.settings(), topics))
+
+
+def changed_parameters(before: Parameters, given: Mapping[str, object], topics: Topics) -> Parameters:
+    """The parameters after a change while running.
+
+    Raises
+    ------
+    InputError
+        For an unknown or bad value, one that cannot be changed while running, or one that the topics file decides.
+    """
+    parameters = before.changed(given)
+    settings = settings_for(parameters.settings(), topics)
+    for name in given:
+        if hasattr(settings, name) and getattr(settings, name) != parameters.values[name]:
+            raise InputError(
+                f"parameter {name}",
+                given[name],
+                f"{getattr(settings, name)}, which the topics file says",
+                f"change max_age_s, sensor or std_k in {topics.origin} and configure the node anew",
+            )
+    return parameters
+
+
+def _check_live(topics: Topics) -> None:
+    """Refuse topics of which a live node can make nothing: a column of a table, or no speed among them."""
+    for role in topics:
+        if not topics[role].topic:
+            raise InputError(f"{topics.origin}: {role}", "a column of a table", "a topic with type and field")
+    if "speed" not in topics:
+        raise InputError(topics.origin, f"roles {', '.join(topics)}", "a speed among them")

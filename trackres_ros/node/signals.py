@@ -1,0 +1,73 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Requests that come to the running node as signals: to stop, to save its state, to start cold.
+
+Signals are listened to from the very start, while libraries are still being loaded, and each request is carried out once the node
+can: no work is broken off in the middle, and no signal ends the process without a line of text. So this imports nothing of the
+package.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from types import FrameType
+
+    from trackres_ros.node.application import Application
+    from trackres_ros.node.edge import Level
+
+STOP = (signal.SIGINT, signal.SIGTERM)
+SAVE, RESET = signal.SIGUSR1, signal.SIGUSR2
+WHAT: dict[int, str] = {SAVE: "the state is saved", RESET: "the estimate starts cold", **dict.fromkeys(STOP, "it ends")}
+
+
+class SignalRequests:
+    """Listens to signals, and carries out what they request."""
+
+    def __init__(self) -> None:
+        self.to_stop = False
+        self._starting = True
+        self._waiting: list[int] = []
+
+    def listen(self) -> None:
+        """Begin to listen; from then on no signal ends the process by itself."""
+        for number in WHAT:
+            signal.signal(number, self._take)
+
+    def started(self) -> None:
+        """The node runs: what is requested from now on is carried out at once."""
+        self._starting = False
+
+    def carry_out(self, application: Application) -> Iterator[tuple[Level, str]]:
+        """Carry out what was requested; the level and text of each result, for the log."""
+        if not self._waiting:
+            return
+        from trackres_ros.errors import InputError
+        from trackres_ros.node.edge import Level
+
+        while self._waiting:
+            try:
+                done = application.save_state() if self._waiting.pop(0) == SAVE else application.reset()
+            except InputError as error:
+                yield Level.WARN, str(error)
+            else:
+                yield Level.OK, done
+
+    def _take(self, number: int, _frame: FrameType | None) -> None:
+        if number in STOP:
+            self.to_stop = True
+        else:
+            self._waiting.append(number)
+        if self._starting:  # written past any buffer, as the main program may be writing right now
+            text = f"trackres: {signal.Signals(number).name} while starting: {WHAT[number]} as soon as it has started\n"
+            os.write(sys.__stderr__.fileno() if sys.__stderr__ else 2, text.encode())
+
+
+REQUESTS = SignalRequests()
+"""Those of this process, as signals are."""

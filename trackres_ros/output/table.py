@@ -1,0 +1,143 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Writes tables: CSV and Parquet, in which equal numbers give equal bytes."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import io
+import os
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.errors import InputError, MissingExtraError
+from trackres_ros.recording.opening import TABLE_SUFFIXES
+from trackres_ros.recording.samples import FloatArray
+
+CHUNK_ROWS = 8192
+"""Rows of a CSV that are put together at once."""
+
+
+class TableWriter:
+    """Writes a table block by block; it takes its place only when the `with` block ends without an exception.
+
+    A NaN becomes an empty cell, every other number the shortest text that reads back as the same number. Equal
+    numbers give equal bytes.
+
+    Parameters
+    ----------
+    path : Path
+        ``.csv``, ``.csv.gz`` or ``.parquet``; replaced if it is there.
+    names : sequence of str
+        Names of the k columns.
+
+    Raises
+    ------
+    InputError
+        Another suffix, or no such folder.
+    MissingExtraError
+        Parquet, and pyarrow is not installed.
+    """
+
+    def __init__(self, path: Path, names: Sequence[str]) -> None:
+        if not path.name.lower().endswith(TABLE_SUFFIXES):
+            raise InputError(str(path), path.suffix or "no suffix", ", ".join(TABLE_SUFFIXES))
+        if not path.parent.is_dir():
+            raise InputError(str(path), f"no folder {path.parent}", "a file in a folder that is there")
+        self.path, self.names = path, tuple(names)
+        self._part = path.with_name(f".{path.name}.{os.getpid()}.part")
+        self._parquet = path.name.lower().endswith(".parquet")
+        if self._parquet:
+            try:
+                import pyarrow as _  # noqa: F401
+            except ImportError:
+                raise MissingExtraError("writing Parquet", "pyarrow", "parquet") from None
+        self._files = ExitStack()
+        self._out: Any = None
+
+    def __enter__(self) -> Self:
+        """Begin the file beside its place."""
+        if not self._parquet:
+            raw: Any = self._files.enter_context(self._part.open("wb"))
+            if self.path.name.lower().endswith(".gz"):
+                raw = self._files.enter_context(gzip.GzipFile("", "wb", 6, raw, mtime=0))
+            self._out = self._files.enter_context(io.TextIOWrapper(raw, encoding="utf-8", newline=""))
+            csv.writer(self._out, lineterminator="\n").writerow(self.names)
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        """Finish the file and put it in its place, or remove what was begun."""
+        try:
+            if kind is None and self._out is None:
+                self.write(np.empty((0, len(self.names))))
+            self._files.close()
+            if kind is None:
+                self._part.replace(self.path)
+        finally:
+            self._part.unlink(missing_ok=True)
+
+    def write(self, rows: FloatArray) -> None:
+        """Write n rows, shape (n, k)."""
+        self.write_columns([rows[:, place] for place in range(len(self.names))])
+
+    def write_columns(self, columns: Sequence[NDArray[Any]]) -> None:
+        """Write n rows given as k columns, each of shape (n,): numbers or texts."""
+        if self._parquet:
+            self._write_parquet(columns)
+            return
+        for start in range(0, len(columns[0]), CHUNK_ROWS):
+            texts = [_texts(column[start : start + CHUNK_ROWS]) for column in columns]
+            self._out.write("\n".join(map(",".join, zip(*texts, strict=True))) + "\n")
+
+    def _write_parquet(self, columns: Sequence[NDArray[Any]]) -> None:
+        import pyarrow as pa
+        from pyarrow import parquet
+
+        table = pa.table([pa.array(column, from_pandas=True) for column in columns], names=list(self.names))
+        if self._out is None:
+            self._out = self._files.enter_context(parquet.ParquetWriter(str(self._part), table.schema, write_page_checksum=True))
+        self._out.write_table(table)
+
+
+def write_table(path: Path, columns: Mapping[str, NDArray[Any]]) -> None:
+    """Write a whole table; see `TableWriter`.
+
+    Parameters
+    ----------
+    path : Path
+        ``.csv``, ``.csv.gz`` or ``.parquet``.
+    columns : mapping of str to ndarray, each of shape (n,)
+        Numbers or texts by name.
+
+    Raises
+    ------
+    InputError
+        Another suffix, no such folder, or columns that are not equally long.
+    """
+    lengths = {name: len(column) for name, column in columns.items()}
+    if len(set(lengths.values())) != 1:
+        raise InputError(str(path), lengths, "columns of one length")
+    with TableWriter(path, list(columns)) as writer:
+        writer.write_columns([np.asarray(column) for column in columns.values()])
+
+
+def _texts(column: NDArray[Any]) -> list[str]:
+    """Return the cells of a column as they stand in a CSV."""
+    if column.dtype.kind == "f":
+        texts = list(map(repr, (column.astype(np.float64) + 0.0).tolist()))  # which takes the sign off a zero
+        return ["" if text == "nan" else text for text in texts] if np.isnan(column).any() else texts
+    if column.dtype.kind in "iub":
+        return list(map(str, column.astype(np.int64).tolist()))
+    quoted = []
+    for text in map(str, column.tolist()):
+        special = any(mark in text for mark in ',"\r\n')
+        quoted.append('"' + text.replace('"', '""') + '"' if special else text)
+    return quoted

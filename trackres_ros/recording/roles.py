@@ -1,0 +1,53 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The roles that samples may have: what each kind of input means, and its unit inside the program."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+
+@dataclass(frozen=True, slots=True)
+class Role:
+    """What a kind of input means.
+
+    Attributes
+    ----------
+    unit : str
+        Unit of its values inside the program.
+    text : str
+        What it is.
+    parts : bool
+        Whether it may be given for each axle or assembly (``load/front``).
+    lively : bool
+        Whether a moving vehicle changes it all the time, so that a constant value means a stuck sensor.
+    """
+
+    unit: str
+    text: str
+    parts: bool = False
+    lively: bool = False
+
+
+ROLES: Mapping[str, Role] = MappingProxyType(
+    {
+        "speed": Role("m/s", "forward speed of the vehicle", lively=True),
+        "load": Role("N", "weight carried by the tracks, total or of an axle or assembly", parts=True),
+        "torque": Role("Nm", "measured torque at the sprockets, whole vehicle or of an assembly", parts=True, lively=True),
+        "ambient": Role("degC", "temperature of the air"),
+        "belt": Role("degC", "measured temperature of the rubber belt", parts=True),
+        "accel": Role("m/s2", "acceleration along the track, without the share of gravity", lively=True),
+        "grade": Role("1", "slope as rise over run, positive uphill"),
+        "yaw_rate": Role("rad/s", "turning rate about the upward axis", lively=True),
+        "heading": Role("rad", "direction of travel about the upward axis"),
+        "distance": Role("m", "distance travelled"),
+    }
+)
+
+
+def base_role(role: str) -> str:
+    """Return the role without its axle or assembly: ``load`` of ``load/front``."""
+    return role.partition("/")[0]

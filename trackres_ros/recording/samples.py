@@ -1,0 +1,101 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Samples in SI and in log order: the blocks that a source is read in, the series of one role, and what was found wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """A run of samples in log order; all arrays have the same length n.
+
+    Attributes
+    ----------
+    role : ndarray of int16, shape (n,)
+        Index into the `roles` of the source.
+    stamp_ns, arrival_ns : ndarray of int64, shape (n,)
+        Time of measurement, and time of logging [ns]. In a table both are the time column.
+    value : ndarray of float64, shape (n,)
+        Value in the unit of the role; NaN for a message that could not be decoded.
+    """
+
+    role: NDArray[np.int16]
+    stamp_ns: IntArray
+    arrival_ns: IntArray
+    value: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.role)
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """A fault or an oddity of the samples of one role.
+
+    Attributes
+    ----------
+    role, kind : str
+        Which role ("" for the whole recording), and what: see `trackres_ros.recording.quality.findings_of`.
+    count : int
+        How many samples.
+    first_time_s : float
+        Where it was first seen, from the start of the recording [s]; NaN where it has no place.
+    text : str
+        One sentence for the user.
+    """
+
+    role: str
+    kind: str
+    count: int
+    first_time_s: float
+    text: str
+
+
+class Source(Protocol):
+    """Where samples come from: a bag or a table, read in blocks so that memory does not grow."""
+
+    @property
+    def name(self) -> str:
+        """Name for reports: the path."""
+
+    @property
+    def roles(self) -> tuple[str, ...]:
+        """Roles in the order that `Block.role` counts."""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was guessed, which stamps are used, what is ignored."""
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What reading itself met, of the last `blocks` run: malformed messages, for one."""
+
+    @property
+    def zero_is_unset(self) -> bool:
+        """Whether stamp 0 means "never set" (bags); in a table it is the time 0 s."""
+
+    def blocks(self, max_rows: int = 65536) -> Iterator[Block]:
+        """Read from the beginning, in log order, at most `max_rows` samples at a time."""
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """All samples of one role, in log order; arrays as in `Block`."""
+
+    stamp_ns: IntArray
+    arrival_ns: IntArray
+    value: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.value)
