@@ -41,7 +41,7 @@ from trackres_ros.diagnosis.prepare.torque_checks import (
     inconsistent_scale_notes,
     nothing_to_conclude,
 )
-from trackres_ros.diagnosis.selection.confirm import Graded, confirm, keep
+from trackres_ros.diagnosis.selection.confirm import Graded, confirm, keep, leave_unconfirmed
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, HeldOut, HeldOutLaps, held_out
 from trackres_ros.diagnosis.selection.intervals import Interval, intervals
 from trackres_ros.diagnosis.selection.naming import Step, choose
@@ -77,7 +77,8 @@ class Diagnosis:
     thermal
         Measured against simulated belt temperature, with the base re-fitted; None where none was measured.
     steps, found, refuted
-        Rounds of the choice, the effects found, and those that were chosen and that held-out laps refute.
+        Rounds of the choice, the effects found, and those that were chosen and that held-out laps refute, or do not confirm
+        beside a term without a name that they do.
     described, wanders
         Terms without a name that were found; and how what is left wanders, where it does so by more than it should.
     base_intervals
@@ -192,6 +193,8 @@ def diagnose(
     on_stage("what it is worth: laps held out")
     laps = HeldOutLaps(gated.sessions, [chosen.held_out_mask(s) for s in gated.sessions], rng)
     final, graded, refuted = confirm(with_levels(best), refitted, laps) if best.effects else (refitted, {}, ())
+    final, graded, unconfirmed = leave_unconfirmed(final, graded, description.terms, refitted, laps)
+    refuted = (*refuted, *unconfirmed)
     predicted = {"refitted": refitted.predicted, "with_effects": final.predicted}
     worth = held_out(laps, {"nominal": nominal, **{stage: [p.torque for p in of] for stage, of in predicted.items()}})
     names, odd = ", ".join(s.name for s in gated.sessions), inconsistent_scale_notes(gated.sessions, nominal)

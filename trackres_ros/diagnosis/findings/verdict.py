@@ -229,9 +229,16 @@ def _doubt(graded: Graded) -> str:
 
 
 def _refuted(refuted: Sequence[Graded]) -> str:
-    errors = [(g.name, figures(g.improvement.before), figures(g.improvement.after)) for g in refuted]
-    of = "; ".join(f"{name}, {before} to {after} Nm of mean error" for name, before, after in errors)
-    return f"Refuted, as it fits the laps that were used and makes the others worse: {of}."
+    worse = "; ".join(
+        f"{g.name}, {figures(g.improvement.before)} to {figures(g.improvement.after)} Nm of mean error"
+        for g in refuted
+        if g.grade == REFUTED
+    )
+    unsure = ", ".join(g.name for g in refuted if g.grade != REFUTED)
+    return " ".join(
+        ([f"Refuted, as it fits the laps that were used and makes the others worse: {worse}."] if worse else [])
+        + ([f"Not confirmed beside it, and left out: {unsure}."] if unsure else [])
+    )
 
 
 def _moved(q: BaseParameter, value: float) -> str:

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,6 +72,24 @@ def confirm(final: Fit, refitted: Fit, laps: HeldOutLaps) -> tuple[Fit, dict[str
         refuted.append(worst)
         final = with_levels(final, [worst.name]) if len(graded) > 1 else refitted
     return final, {}, tuple(refuted)
+
+
+def leave_unconfirmed(
+    final: Fit, graded: dict[str, Graded], terms: Collection[str], refitted: Fit, laps: HeldOutLaps
+) -> tuple[Fit, dict[str, Graded], tuple[Graded, ...]]:
+    """Leave out names that are only suspected beside a term without a name that is confirmed: what that explains in part was
+    theirs before it was found.
+
+    Returns
+    -------
+    fit, graded, left
+        As of `confirm`, and the names that were left out.
+    """
+    left = tuple(g for name, g in graded.items() if name not in terms and g.grade != CONFIRMED)
+    if not left or not any(graded[name].grade == CONFIRMED for name in terms if name in graded):
+        return final, graded, ()
+    final = with_levels(final, [g.name for g in left])
+    return final, {a.effect.name: _graded(a, final, refitted, laps) for a in final.effects}, left
 
 
 def keep(
