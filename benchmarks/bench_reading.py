@@ -37,7 +37,7 @@ load: {topic: /vehicle/load, type: geometry_msgs/msg/WrenchStamped, field: wrenc
 """
 STORAGES = ("mcap", "sqlite3")
 TARGETS = {
-    **{f"{name}: Recording over raw": at_most(2.0) for name in STORAGES},
+    **{f"{name}: Recording over raw": at_most(1.2) for name in STORAGES},
     **{f"{name}: estimate on top of reading, wall time [%]": at_most(10.0) for name in STORAGES},
     **{f"{name}: peak memory, 10 times the length": at_most(1.2) for name in STORAGES},
     "mcap: replay to a bag, peak resident memory, 10 times the length": at_most(1.2),

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.integrate import odeint, solve_ivp
 
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.belt_step import SLOWEST_LOG_SPEED
+from trackres_ros.estimator.belt_heat import SLOWEST_LOG_SPEED
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.jit.compiled import compiled, compiled_anew
 from trackres_ros.model.hysteresis import METHODS, LossMethod

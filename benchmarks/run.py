@@ -19,6 +19,7 @@ import bench_reading
 import bench_recording
 import bench_step
 import bench_table
+import bench_ways
 from measuring import ROOT, Target
 
 PAGE = ROOT / "docs" / "performance.md"
@@ -30,6 +31,7 @@ BENCHMARKS = {
     "Loss table and start": bench_table,
     "The diagnosis": bench_diagnosis,
     "The live node": bench_live,
+    "Ways that were tried": bench_ways,
 }
 
 

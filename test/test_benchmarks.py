@@ -17,9 +17,10 @@ SIZES = {
     "bench_recording": {"duration_s": 40.0, "repeats": 1, "exact_samples": 2, "restarted": 20},
     "bench_reading": {"messages": 2000, "repeats": 1},
     "bench_table": {"repeats": 1, "points": 5},
+    "bench_ways": {"duration_s": 20.0, "repeats": 1, "messages": 500, "calls": 10, "ways": 0},
     "bench_diagnosis": {"minutes": 4.0, "step_s": 0.2, "quick": True},
 }
-SIGNED = ("growth", "on top of reading")  # these may be zero or negative
+SIGNED = ("growth", "on top of reading", "saved")  # these may be zero or negative
 
 
 @pytest.fixture
@@ -37,13 +38,19 @@ def benchmark_module(repository, monkeypatch):
 @pytest.mark.long
 @pytest.mark.parametrize("name", SIZES)
 def test_gives_finite_positive_numbers(name, benchmark_module, monkeypatch):
-    if name == "bench_table":  # the process that it starts with an empty cache need not compile all: no time is judged
+    if name in ("bench_table", "bench_ways"):  # what they start with an empty cache need not compile all: no time is judged
         monkeypatch.setenv("TRACKRES_INTERPRETED", "1")
     results = benchmark_module(name).run(**SIZES[name])
     assert results
     for what, value in results.items():
         assert math.isfinite(value), what
         assert value > 0.0 or any(word in what for word in SIGNED), what
+
+
+def test_every_way_that_was_tried_can_be_tried_again(benchmark_module, tmp_path):
+    ways = benchmark_module("bench_ways")
+    for number, way in enumerate(ways.WAYS):
+        ways.changed(tmp_path / str(number), way)  # raises where the sources have moved on
 
 
 def test_every_target_is_measured(benchmark_module):

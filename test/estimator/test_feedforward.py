@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.estimator.kernel import FEEDFORWARD_STEP_S
+from trackres_ros.estimator.feedforward import FEEDFORWARD_STEP_S
 from trackres_ros.estimator.motion_step import ROLLS_FROM
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.output.topics import RESISTANCE_PARTS

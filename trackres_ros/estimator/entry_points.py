@@ -6,20 +6,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.effects.stepping import neutral, rest_effects
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.belt_step import SLOWEST_LOG_SPEED
-from trackres_ros.estimator.constants import Constants, Numbers
+from trackres_ros.estimator.belt_heat import SLOWEST_LOG_SPEED
+from trackres_ros.estimator.belt_step import roll
+from trackres_ros.estimator.constants import Constants
 from trackres_ros.estimator.guards import GAP, TOOK_RESET, Memory, admit, forget_others, gather
-from trackres_ros.estimator.kernel import Inputs, advance, predict, roll, start
-from trackres_ros.jit.compiled import HAVE_NUMBA, compiled, interpreted
+from trackres_ros.estimator.kernel import advance, predict, start
+from trackres_ros.estimator.records import Carried, Inputs, Series
+from trackres_ros.jit.compiled import HAVE_NUMBA, inlined, interpreted
+from trackres_ros.jit.entries import entry
 from trackres_ros.units import NANOSECOND
 
 Array = NDArray[np.float64]
@@ -32,13 +35,20 @@ STANDING_STILL = (
 """What is zero of the motion while nothing moves."""
 
 
-@compiled
+class Messages(NamedTuple):
+    """Messages in the order they arrived, shape (messages,)."""
+
+    channels: NDArray[np.integer[Any]]
+    stamps: IntArray  # ns
+    arrivals: IntArray  # ns
+    values: Array
+
+
+@inlined
 def feed(
     k: Constants,
     memory: Memory,
-    belts: Array,
-    motion: Array,
-    effects: Array,
+    carried: Carried,
     loads: Array,
     belt_measured: Array,
     channel: int,
@@ -49,6 +59,7 @@ def feed(
 ) -> bool:
     """Take one message in. An accepted speed makes a step and fills `out`; returns whether it did."""
     outcome, elapsed = admit(k, memory, channel, stamp, arrival, value)
+    motion = carried.motion
     if outcome == TOOK_RESET:
         forget_others(memory, channel)
         motion[at.STARTED] = at.START_ANEW
@@ -56,263 +67,84 @@ def feed(
         return False
     inputs = gather(k, memory, outcome, motion, loads, belt_measured)
     if motion[at.STARTED] <= 0.0:
-        start(k, belts, motion, effects, inputs.ambient, inputs.ambient_std)
+        start(k, carried, inputs.ambient, inputs.ambient_std)
     dt = elapsed * NANOSECOND
     if dt > k.number.gap:
         memory.counters[channel, GAP] += 1
-    advance(k, belts, motion, effects, inputs, dt, out)
+    advance(k, carried, inputs, dt, out)
     found = int(out[at.OUT_REASONS])
     for bit in range(memory.reasons.shape[0]):
         memory.reasons[bit] += (found >> bit) & 1
     return True
 
 
-# The entries take arrays one by one: a tuple of them would cost each call more than the step itself.
-
-
-@compiled
-def feed_one(
-    numbers: Sequence[Numbers],
-    assembly: Array,
-    loss: Array,
-    drive: Array,
-    limits: Array,
-    effect_rows: IntArray,
-    effect_values: Array,
-    work: Array,
-    times: IntArray,
-    values: Array,
-    counters: IntArray,
-    reasons: IntArray,
-    belts: Array,
-    motion: Array,
-    effects: Array,
+@inlined
+def feed_all(
+    k: Constants,
+    memory: Memory,
+    carried: Carried,
     loads: Array,
     belt_measured: Array,
-    channel: int,
-    stamp: int,
-    arrival: int,
-    value: float,
-    out: Array,
-) -> bool:
-    """`feed` for one message."""
-    return feed(
-        Constants(numbers[0], assembly, loss, drive, limits, effect_rows, effect_values, work),
-        Memory(times, values, counters, reasons),
-        belts,
-        motion,
-        effects,
-        loads,
-        belt_measured,
-        channel,
-        stamp,
-        arrival,
-        value,
-        out,
-    )
-
-
-@compiled
-def feed_many(
-    numbers: Sequence[Numbers],
-    assembly: Array,
-    loss: Array,
-    drive: Array,
-    limits: Array,
-    effect_rows: IntArray,
-    effect_values: Array,
-    work: Array,
-    times: IntArray,
-    values: Array,
-    counters: IntArray,
-    reasons: IntArray,
-    belts: Array,
-    motion: Array,
-    effects: Array,
-    loads: Array,
-    belt_measured: Array,
-    channels: NDArray[np.integer[Any]],
-    stamps: IntArray,
-    arrivals: IntArray,
-    message_values: Array,
+    messages: Messages,
     out: Array,
     out_stamps: IntArray,
     out_arrivals: IntArray,
 ) -> int:
     """`feed` for many messages; fills one row of `out` with its stamp and arrival [ns] for each step, returns their number."""
-    k = Constants(numbers[0], assembly, loss, drive, limits, effect_rows, effect_values, work)
-    memory = Memory(times, values, counters, reasons)
     steps = 0
-    for i in range(channels.shape[0]):
-        message = channels[i], stamps[i], arrivals[i], message_values[i]
-        if feed(k, memory, belts, motion, effects, loads, belt_measured, *message, out[steps]):
+    for i in range(messages.channels.shape[0]):
+        message = messages.channels[i], messages.stamps[i], messages.arrivals[i], messages.values[i]
+        if feed(k, memory, carried, loads, belt_measured, *message, out[steps]):
             out_stamps[steps] = memory.times[at.SPEED, at.LAST_STAMP]
-            out_arrivals[steps] = arrivals[i]
+            out_arrivals[steps] = messages.arrivals[i]
             steps += 1
     return steps
 
 
-@compiled
-def step_once(
-    numbers: Sequence[Numbers],
-    assembly: Array,
-    loss: Array,
-    drive: Array,
-    limits: Array,
-    effect_rows: IntArray,
-    effect_values: Array,
-    work: Array,
-    belts: Array,
-    motion: Array,
-    effects: Array,
-    speed: float,
-    load: Array,
-    ambient: float,
-    ambient_std: float,
-    belt_measured: Array,
-    acceleration: float,
-    grade: float,
-    yaw_rate: float,
-    heading: float,
-    distance: float,
-    measured_torque: float,
-    reasons: int,
-    dt: float,
-    out: Array,
+@inlined
+def advance_along(
+    k: Constants, carried: Carried, series: Series, ambient_std: float, loads: Array, no_belts: Array, out: Array
 ) -> None:
-    """`kernel.advance` for inputs given one by one."""
-    inputs = Inputs(
-        speed, load, ambient, ambient_std, belt_measured, acceleration, grade, yaw_rate, heading, distance, measured_torque,
-        reasons,
-    )  # fmt: skip
-    k = Constants(numbers[0], assembly, loss, drive, limits, effect_rows, effect_values, work)
-    advance(k, belts, motion, effects, inputs, dt, out)
-
-
-@compiled
-def run_series(
-    numbers: Sequence[Numbers],
-    assembly: Array,
-    loss: Array,
-    drive: Array,
-    limits: Array,
-    effect_rows: IntArray,
-    effect_values: Array,
-    work: Array,
-    belts: Array,
-    motion: Array,
-    effects: Array,
-    times: Array,
-    speeds: Array,
-    weights: Array,
-    ambients: Array,
-    ambient_std: float,
-    accelerations: Array,
-    grades: Array,
-    yaw_rates: Array,
-    headings: Array,
-    distances: Array,
-    loads: Array,
-    no_belts: Array,
-    out: Array,
-) -> None:
-    """`kernel.advance` along arrays of equal length; weights [N] are shared as nominal loads are. One row of `out` a time."""
-    k = Constants(numbers[0], assembly, loss, drive, limits, effect_rows, effect_values, work)
-    for i in range(times.shape[0]):
+    """`kernel.advance` along a drive. One row of `out` a time."""
+    for i in range(series.times.shape[0]):
         for j in range(loads.shape[0]):
-            loads[j] = weights[i] * assembly[j, at.SHARE_OF_ALL]
+            loads[j] = series.weights[i] * k.assembly[j, at.SHARE_OF_ALL]
         inputs = Inputs(
-            speeds[i], loads, ambients[i], ambient_std, no_belts, accelerations[i], grades[i], yaw_rates[i], headings[i],
-            distances[i], math.nan, 0,
+            series.speeds[i], loads, series.ambients[i], ambient_std, no_belts, series.accelerations[i], series.grades[i],
+            series.yaw_rates[i], series.headings[i], series.distances[i], math.nan, 0,
         )  # fmt: skip
-        advance(k, belts, motion, effects, inputs, times[i] - times[i - 1] if i > 0 else 0.0, out[i])
+        advance(k, carried, inputs, series.times[i] - series.times[i - 1] if i > 0 else 0.0, out[i])
 
 
-@compiled
-def predict_series(
-    numbers: Sequence[Numbers],
-    assembly: Array,
-    loss: Array,
-    drive: Array,
-    limits: Array,
-    effect_rows: IntArray,
-    effect_values: Array,
-    work: Array,
-    belts: Array,
-    motion: Array,
-    effects: Array,
-    count: Array,
-    times: Array,
-    speeds: Array,
-    accelerations: Array,
-    grades: Array,
-    weights: Array,
-    ambients: Array,
-    yaw_rates: Array,
-    headings: Array,
-    out: Array,
-) -> None:
-    """`kernel.predict` along arrays of equal length, from a state that was started or rested. One row of `out` a time."""
-    k = Constants(numbers[0], assembly, loss, drive, limits, effect_rows, effect_values, work)
-    for i in range(times.shape[0]):
-        turning = yaw_rates[i], headings[i], math.nan
-        dt = times[i] - times[i - 1] if i > 0 else 0.0
+@inlined
+def predict_along(k: Constants, carried: Carried, count: Array, series: Series, out: Array) -> None:
+    """`kernel.predict` along a drive, from a state that was started or rested. One row of `out` a time."""
+    for i in range(series.times.shape[0]):
+        turning = series.yaw_rates[i], series.headings[i], series.distances[i]
+        dt = series.times[i] - series.times[i - 1] if i > 0 else 0.0
         predict(
-            k, belts, motion, effects, count, speeds[i], accelerations[i], grades[i], weights[i], ambients[i], turning, dt, out[i]
-        )
+            k, carried, count, series.speeds[i], series.accelerations[i], series.grades[i], series.weights[i], series.ambients[i],
+            turning, dt, out[i],
+        )  # fmt: skip
 
 
-@compiled
-def rest_vehicle(
-    numbers: Sequence[Numbers],
-    assembly: Array,
-    loss: Array,
-    drive: Array,
-    limits: Array,
-    effect_rows: IntArray,
-    effect_values: Array,
-    work: Array,
-    belts: Array,
-    motion: Array,
-    effects: Array,
-    ambient: float,
-    ambient_std: float,
-    seconds: float,
-) -> None:
+@inlined
+def rest(k: Constants, carried: Carried, ambient: float, ambient_std: float, seconds: float) -> None:
     """Let the vehicle stand for a while [s] at an ambient temperature [degC]: belts and effects cool."""
-    k = Constants(numbers[0], assembly, loss, drive, limits, effect_rows, effect_values, work)
     for column in STANDING_STILL:
-        motion[column] = 0.0
-    rest_effects(effect_rows, effect_values, effects, work, ambient, seconds)
-    for i in range(belts.shape[0]):
-        roll(k, i, belts[i], 0.0, 0.0, SLOWEST_LOG_SPEED, 0.0, 0.0, ambient, ambient_std, seconds)
+        carried.motion[column] = 0.0
+    rest_effects(k.effects, k.effect_values, carried.effects, k.work, ambient, seconds)
+    for i in range(carried.belts.shape[0]):
+        roll(k, i, carried.belts[i], 0.0, 0.0, SLOWEST_LOG_SPEED, 0.0, 0.0, ambient, ambient_std, seconds)
     neutral(k.work)
-
-
-@compiled
-def start_belts(
-    numbers: Sequence[Numbers],
-    assembly: Array,
-    loss: Array,
-    drive: Array,
-    limits: Array,
-    effect_rows: IntArray,
-    effect_values: Array,
-    work: Array,
-    belts: Array,
-    motion: Array,
-    effects: Array,
-    ambient: float,
-    ambient_std: float,
-) -> None:
-    """`kernel.start`."""
-    k = Constants(numbers[0], assembly, loss, drive, limits, effect_rows, effect_values, work)
-    start(k, belts, motion, effects, ambient, ambient_std)
 
 
 @dataclass(frozen=True)
 class Entries:
-    """The functions an estimator runs, compiled where numba is there or in plain Python; equal numbers either way."""
+    """The functions an estimator runs, compiled where numba is there or in plain Python; equal numbers either way.
+
+    Each takes the fields of `Constants`, `Memory`, `Carried`, `Inputs`, `Messages` and `Series` one by one, see `jit.entries`.
+    """
 
     compiled: bool
     feed_one: Callable[..., Any]
@@ -324,11 +156,12 @@ class Entries:
     start_belts: Callable[..., Any]
 
 
-COMPILED = Entries(HAVE_NUMBA, feed_one, feed_many, run_series, predict_series, step_once, rest_vehicle, start_belts)
+_KERNELS: tuple[Callable[..., Any], ...] = (feed, feed_all, advance_along, predict_along, advance, rest, start)
+_ENTRIES = tuple(map(entry, _KERNELS))
+COMPILED = Entries(HAVE_NUMBA, *_ENTRIES)
 
 
 def interpreted_entries() -> Entries:
     """The same in plain Python."""
     known: dict[Any, Any] = {}
-    functions = (feed_one, feed_many, run_series, predict_series, step_once, rest_vehicle, start_belts)
-    return Entries(False, *(interpreted(function, known) for function in functions))
+    return Entries(False, *(interpreted(one, known) for one in _ENTRIES))

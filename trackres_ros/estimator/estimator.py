@@ -20,7 +20,7 @@ from trackres_ros.estimator.constants import Constants, kernel_arguments, make_c
 from trackres_ros.estimator.entry_points import COMPILED, Entries
 from trackres_ros.estimator.estimate import Estimate, Steps
 from trackres_ros.estimator.guards import Memory, new_memory
-from trackres_ros.estimator.kernel import Inputs
+from trackres_ros.estimator.records import Carried, Inputs, Series
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.estimator.state import State
 from trackres_ros.vehicle import Vehicle
@@ -184,24 +184,7 @@ class Estimator:
             State after the step; torques [Nm] and temperatures [degC] by name.
         """
         row, after = np.empty(len(self.columns)), _copy(state)
-        self.entries.step_once(
-            *self.own_arguments(),
-            *_arrays(after),
-            inputs.speed,
-            inputs.load,
-            inputs.ambient,
-            inputs.ambient_std,
-            inputs.belt_measured,
-            inputs.acceleration,
-            inputs.grade,
-            inputs.yaw_rate,
-            inputs.heading,
-            inputs.distance,
-            inputs.measured_torque,
-            inputs.reasons,
-            float(dt),
-            row,
-        )
+        self.entries.step_once(*self.own_arguments(), *_arrays(after), *inputs, float(dt), row)
         return after, Estimate(row, self.column_index)
 
     def own_arguments(self) -> tuple[Any, ...]:
@@ -245,18 +228,14 @@ class Estimator:
             State at the last time; results, shape (times, columns).
         """
         times = np.ascontiguousarray(time_s, dtype=float)
-        series = [
-            np.ascontiguousarray(np.broadcast_to(np.asarray(a, dtype=float), times.shape)).copy()
-            for a in (speed, weight, ambient, acceleration, grade, yaw_rate, heading, distance)
-        ]
+        given = (speed, weight, ambient, acceleration, grade, yaw_rate, heading, distance)
+        series = Series(times, *(np.array(np.broadcast_to(np.asarray(a, dtype=float), times.shape), order="C") for a in given))
         after, rows = _copy(state), np.empty((len(times), len(self.columns)))
         self.entries.run_series(
             *self.own_arguments(),
             *_arrays(after),
-            times,
-            *series[:3],
+            *series,
             self.constants.number.ambient_std,
-            *series[3:],
             np.empty(len(self.assemblies)),
             self._no_belts,
             rows,
@@ -305,9 +284,9 @@ def _copy(state: State) -> State:
     return State(*(array.copy() for array in _arrays(state)))
 
 
-def _arrays(state: State) -> tuple[Array, Array, Array]:
-    """As the kernel's entries take them."""
-    return state.belts, state.motion, state.effects
+def _arrays(state: State) -> Carried:
+    """As the kernel takes them."""
+    return Carried(state.belts, state.motion, state.effects)
 
 
 class Session:

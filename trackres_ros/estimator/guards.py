@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.constants import Constants
-from trackres_ros.estimator.kernel import Inputs
+from trackres_ros.estimator.records import Inputs
 from trackres_ros.jit.compiled import compiled, inlined
 
 Array = NDArray[np.float64]

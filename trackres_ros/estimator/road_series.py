@@ -5,64 +5,60 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.effects.stepping import TERM_DRIVE_GAIN, TERM_TORQUE, look, step_effects
-from trackres_ros.jit.compiled import compiled
+from trackres_ros.effects.stepping import TERM_DRIVE_GAIN, TERM_TORQUE, EffectTable, look, step_effects
+from trackres_ros.estimator.records import Series
+from trackres_ros.jit.compiled import inlined
+from trackres_ros.jit.entries import entry
 from trackres_ros.model.resistance import direction, grade_force, inertia_force, wind_force
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
-@compiled
-def run_road_load(
-    effect_rows: IntArray,
-    effect_values: Array,
-    work: Array,
-    memory: Array,
-    radius: float,
-    rolling_coefficient: float,
-    rolling_rise: float,
-    drag_area: float,
-    air_density: float,
-    rotating_mass_factor: float,
-    step: float,
-    speed: Array,
-    accel: Array,
-    weight: Array,
-    ambient: Array,
-    grade: Array,
-    yaw_rate: Array,
-    heading: Array,
-    torque: Array,
-    outcome: IntArray,
+class RoadLoad(NamedTuple):
+    """Constants of a vehicle on wheels."""
+
+    radius: float  # m
+    rolling_coefficient: float  # of the weight
+    rolling_rise: float  # s/m, its growth with speed
+    drag_area: float  # m^2
+    air_density: float  # kg/m^3
+    rotating_mass_factor: float  # effective over true mass
+
+
+@inlined
+def road_load_along(
+    effects: EffectTable, work: Array, memory: Array, vehicle: RoadLoad, series: Series, torque: Array, outcome: IntArray
 ) -> None:
-    """Fill `torque`, at the driven wheels [Nm], and the `outcome` of the effects for each sample.
+    """Fill `torque`, at the driven wheels [Nm], and the `outcome` of the effects for each time of a drive.
 
     Parameters
     ----------
-    effect_rows, effect_values, work, memory
+    effects, work, memory
         See `effects.stepping`.
-    radius, rolling_coefficient, rolling_rise, drag_area, air_density, rotating_mass_factor
-        [m], of the weight, [s/m] its growth with speed, [m^2], [kg/m^3], effective over true mass.
-    step
-        Time between samples [s].
-    speed, accel, weight, ambient, grade, yaw_rate, heading
-        Series of shape (n,) in SI, degC.
     """
     last_torque = last_others = 0.0
-    for i in range(speed.shape[0]):
-        rolling = (rolling_coefficient + rolling_rise * abs(speed[i])) * weight[i] * direction(speed[i])
-        others = radius * (
+    for i in range(series.times.shape[0]):
+        speed, weight = series.speeds[i], series.weights[i]
+        rolling = (vehicle.rolling_coefficient + vehicle.rolling_rise * abs(speed)) * weight * direction(speed)
+        others = vehicle.radius * (
             rolling
-            + wind_force(speed[i], drag_area, air_density)
-            + inertia_force(accel[i], weight[i], rotating_mass_factor)
-            + grade_force(grade[i], weight[i])
+            + wind_force(speed, vehicle.drag_area, vehicle.air_density)
+            + inertia_force(series.accelerations[i], weight, vehicle.rotating_mass_factor)
+            + grade_force(series.grades[i], weight)
         )
         drive = last_torque + others - last_others  # as in `kernel.act`
-        look(work, speed[i], accel[i], weight[i], ambient[i], yaw_rate[i], heading[i], np.nan, drive)
-        outcome[i] = step_effects(effect_rows, effect_values, memory, work, step if i > 0 else 0.0)
+        turning = series.yaw_rates[i], series.headings[i], series.distances[i]
+        look(work, speed, series.accelerations[i], weight, series.ambients[i], *turning, drive)
+        dt = series.times[i] - series.times[i - 1] if i > 0 else 0.0
+        outcome[i] = step_effects(effects.rows, effects.values, memory, work, dt)
         torque[i] = (others + work[TERM_TORQUE]) * work[TERM_DRIVE_GAIN]
         last_torque, last_others = torque[i], others
+
+
+run_road_load = entry(road_load_along)

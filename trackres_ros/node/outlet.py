@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.estimator.kernel import fade, followed, towards
+from trackres_ros.estimator.feedforward import fade, followed, towards
 from trackres_ros.jit.compiled import interpreted
 from trackres_ros.node.edge import Edge, Status
 from trackres_ros.node.remarks import Remark

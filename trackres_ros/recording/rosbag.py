@@ -11,9 +11,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from functools import lru_cache
-from operator import itemgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import yaml
@@ -232,28 +231,31 @@ class BagSource:
             if not wanted:
                 return
             topics = list({one.topic: self._topics[path, one.topic] for one in wanted}.values())
-            index = {one.id: topics.index(self._topics[path, one.topic]) for one in wanted}
+            index = {topic.name: number for number, topic in enumerate(topics)}
             lost = np.array([counts.by_topic[topic.name] for topic in topics], np.int64)
             batches = messages(reader, wanted)
             most = min(BATCH_ROWS, max(1, max_rows // max(len(topic.roles) for topic in topics)))
             size = min(64, most)
             while batch := list(itertools.islice(batches, size)):
                 # A damaged index leads to messages that say they are of a connection not asked for: those stay missing.
-                batch = [one for one in batch if one[0].id in index]
-                if not batch:
-                    continue
-                connections, stamps, raws = zip(*batch, strict=True)
-                which = np.fromiter(map(index.__getitem__, map(itemgetter(0), connections)), np.intp, len(batch))
+                which = np.array([index.get(one[0].topic, -1) for one in batch], np.intp)
+                if which.min() < 0:
+                    batch = list(itertools.compress(batch, (which >= 0).tolist()))
+                    which = which[which >= 0]
+                    if not batch:
+                        continue
+                stamps, raws = [one[1] for one in batch], [one[2] for one in batch]
                 lost -= np.bincount(which, minlength=len(topics))
-                if not _usable(stamps, raws):
-                    good = [_usable(stamps[row : row + 1], raws[row : row + 1]) for row in range(len(batch))]
-                    for number in which[~np.array(good)].tolist():
+                times = _times(stamps)
+                if times is None or set(map(type, raws)) != {bytes}:
+                    good = np.array([_times([stamp]) is not None and type(raw) is bytes for _, stamp, raw in batch])
+                    for number in which[~good].tolist():
                         role = topics[number].roles[0]
                         tally.unusable[role] = tally.unusable.get(role, 0) + 1
-                    which, stamps = which[good], tuple(itertools.compress(stamps, good))
-                    raws = tuple(itertools.compress(raws, good))
+                    which, raws = which[good], list(itertools.compress(raws, good.tolist()))
+                    times = np.array(list(itertools.compress(stamps, good.tolist())), np.int64)
                 if len(raws):
-                    yield self._block(topics, which, np.array(stamps, np.int64), raws, tally)
+                    yield self._block(topics, which, times, raws, tally)
                 size = min(most, 1 + BATCH_BYTES * len(raws) // max(1, sum(map(len, raws))))
             for topic, count in zip(topics, lost.tolist(), strict=True):
                 if count > 0:
@@ -394,13 +396,16 @@ def _check_storage(storage: Any) -> None:
 
 
 def messages(reader: Any, wanted: Sequence[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
-    """Yield the messages of a bag; those that are packed one by one are unpacked here, up to a ceiling."""
-    if getattr(reader, "compression_mode", None) != "message":
-        yield from reader.messages(wanted)
-        return
-    storage = reader.storage
-    storage.metadata = storage.metadata._replace(compression_mode=None)
-    for connection, stamp, raw in reader.messages(wanted):
+    """Return the messages of a bag, file after file; those that are packed one by one are unpacked here, up to a ceiling."""
+    kinds = {(one.topic, one.msgtype) for one in wanted}
+    files = [(file, [one for one in file.connections if (one.topic, one.msgtype) in kinds]) for file in storages_of(reader)]
+    parts: list[tuple[Any, Sequence[Connection]]] = [*files] if files else [(reader, wanted)]
+    found = itertools.chain.from_iterable(part.messages(ones) for part, ones in parts if ones)
+    return _unpacked(found) if getattr(reader, "compression_mode", None) == "message" else found
+
+
+def _unpacked(packed: Iterator[tuple[Connection, int, bytes]]) -> Iterator[tuple[Connection, int, bytes]]:
+    for connection, stamp, raw in packed:
         try:
             yield connection, stamp, unpack_message(raw)
         except TooLargeError as error:
@@ -409,11 +414,10 @@ def messages(reader: Any, wanted: Sequence[Connection]) -> Iterator[tuple[Connec
             yield connection, stamp, b""  # what cannot be unpacked is malformed, and counted so
 
 
-def _usable(stamps: Sequence[object], raws: Sequence[object]) -> bool:
-    """Whether log times and messages are such, as columns of a database need not be."""
-    typed = set(map(type, stamps)) == {int} and set(map(type, raws)) == {bytes}
-    times = cast("Sequence[int]", stamps)
-    return typed and min(times) >= 0 and max(times) < MAX_LOG_NS
+def _times(stamps: Sequence[object]) -> IntArray | None:
+    """Log times that are such, as columns of a database need not be; else None."""
+    times = np.array(stamps)
+    return times if times.dtype == np.int64 and times.min() >= 0 and times.max() < MAX_LOG_NS else None
 
 
 def _close(readers: Mapping[Path, Reader1 | Reader2]) -> None:

@@ -25,7 +25,8 @@ from trackres_ros.effects.stepping import UNUSABLE, cooled, new_memory, new_work
 from trackres_ros.effects.vehicle.drivetrain_efficiency import DrivetrainEfficiency
 from trackres_ros.effects.vehicle.rotating_inertia import RotatingInertia
 from trackres_ros.errors import InputError
-from trackres_ros.estimator.road_series import run_road_load
+from trackres_ros.estimator.records import Series
+from trackres_ros.estimator.road_series import RoadLoad, run_road_load
 from trackres_ros.units import GRAVITY
 from trackres_ros.vehicle import Quantity
 from trackres_ros.vehicle.loading import EFFECT_KEYS, listed_effects
@@ -154,35 +155,33 @@ class RoadBase:
     def _simulate(self, sessions: Sequence[Session], values: Values, acting: Acting) -> list[Array]:
         """Step through sessions; the torque of each [Nm]."""
         work, memory = new_work(self.facts), new_memory(len(acting.stepped))
-        stepped = (acting.table.rows, acting.table.values)
         found = []
         for i, session in enumerate(sessions):
             if i > 0 and np.isfinite(session.gap):
-                rest_effects(*stepped, memory, work, float(session.ambient[0]), session.gap)
+                rest_effects(*acting.table, memory, work, float(session.ambient[0]), session.gap)
             else:
                 memory = cooled(memory)
             torque, outcome = np.empty(len(session)), np.empty(len(session), dtype=np.int64)
-            run_road_load(
-                *stepped,
-                work,
-                memory,
+            vehicle = RoadLoad(
                 values["wheel_radius"],
                 values["rolling_coefficient"],
                 values["rolling_rise"],
                 values["drag_area"],
                 values["air_density"],
                 values["rotating_mass_factor"],
-                session.step,
+            )
+            series = Series(
+                session.time,
                 acting.speed(session),
-                session.accel,
                 session.weight if "load" in session.given else np.full(len(session), values["mass"] * GRAVITY),
                 session.ambient,
+                session.accel,
                 session.grade if "grade" in session.given else np.zeros(len(session)),
                 session.yaw_rate,
                 session.heading,
-                torque,
-                outcome,
+                np.full(len(session), np.nan),
             )
+            run_road_load(*acting.table, work, memory, *vehicle, *series, torque, outcome)
             acting.check(outcome == UNUSABLE, session, self.facts)
             found.append(torque)
         return found

@@ -30,6 +30,7 @@ from trackres_ros.estimator.constants import (
 )
 from trackres_ros.estimator.entry_points import COMPILED
 from trackres_ros.estimator.kernel import PREDICTED, PREDICTED_BELT, PREDICTED_DRIVE, PREDICTED_OUTCOME, PREDICTED_SKIN
+from trackres_ros.estimator.records import Carried, Series
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.model.thermal import thermal_network
 from trackres_ros.model.vehicle_constants import vehicle_constants
@@ -121,7 +122,7 @@ class TrackBase:
         """Step through sessions; rows as of `kernel.predict`, shape (n, `PREDICTED`), of each."""
         arguments = kernel_arguments(self._with(values, acting), COMPILED.compiled)
         belts, motion = np.empty((len(self._firsts), 2, at.BELT_COLUMNS)), np.empty(at.MOTION_COLUMNS)
-        state = (belts, motion, new_memory(len(acting.stepped)))
+        state = Carried(belts, motion, new_memory(len(acting.stepped)))
         found = []
         for i, session in enumerate(sessions):
             ambient = float(session.ambient[0])
@@ -129,21 +130,19 @@ class TrackBase:
                 COMPILED.start_belts(*arguments, *state, ambient, 0.0)
             else:
                 COMPILED.rest_vehicle(*arguments, *state, ambient, 0.0, session.gap)
-            rows = np.empty((len(session), PREDICTED))
-            COMPILED.predict_series(
-                *arguments,
-                *state,
-                self._count,
+            rows, unknown = np.empty((len(session), PREDICTED)), np.full(len(session), np.nan)
+            series = Series(
                 session.time,
                 acting.speed(session),
-                session.accel,
-                session.grade if "grade" in session.given else np.full(len(session), np.nan),
                 session.weight,
                 session.ambient,
+                session.accel,
+                session.grade if "grade" in session.given else unknown,
                 session.yaw_rate,
                 session.heading,
-                rows,
+                unknown,
             )
+            COMPILED.predict_series(*arguments, *state, self._count, *series, rows)
             acting.check(rows[:, PREDICTED_OUTCOME] == UNUSABLE, session, self.facts)
             found.append(rows)
         return found

@@ -1,0 +1,126 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""One step of a belt with one and with two nodes against the matrix exponential of the equations in `model.thermal`."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.belt_heat import Heat
+from trackres_ros.estimator.belt_lumped import advance_lumped
+from trackres_ros.estimator.belt_two_nodes import advance_two_nodes
+from trackres_ros.jit.compiled import interpreted
+
+CAPACITY, SHARE, CONDUCTANCE, NOISE, AMBIENT_STD = 7e4, 0.3, 650.0, 0.05, 2.5  # J/K, of the capacity, W/K, K/s^0.5, K
+HEAT = Heat(power=9e3, power_slope=-90.0, cooling=210.0, surroundings=12.0)
+CONSIDERED = {
+    at.CONSIDER_LOSS: (0.08, 0.03, -0.02),
+    at.CONSIDER_COOLING: (0.01, 0.11, 0.04),
+    at.CONSIDER_CAPACITY: (-0.03, 0.02, 0.07),
+}
+STEPS = (1e-3, 0.5, 90.0)  # s
+
+
+@pytest.fixture
+def constants():
+    assembly = np.full((2, at.CONSIDER_FACTOR + 16), np.nan)
+    row = assembly[1]
+    row[at.CAPACITY], row[at.SURFACE_SHARE], row[at.INNER_CONDUCTANCE] = CAPACITY, SHARE, CONDUCTANCE
+    for first, values in CONSIDERED.items():
+        row[first : first + 3] = values
+    return SimpleNamespace(assembly=assembly, number=SimpleNamespace(with_doubt=True, process_noise=NOISE))
+
+
+@pytest.fixture
+def belt():
+    return np.array([[41.0, 0.9, -0.4, 0.3, 1.1, 0.6, 0.2], [33.0, 0.5, -0.2, 0.1, 0.8, 0.4, 0.3]])
+
+
+def solved(matrix, rate, start, dt):
+    """z and its integral after dt of z' = matrix z + rate."""
+    n = len(rate)
+    whole = np.zeros((2 * n + 1, 2 * n + 1))
+    whole[:n, :n], whole[:n, -1], whole[n : 2 * n, :n] = matrix, rate, np.eye(n)
+    found = expm(whole * dt) @ np.concatenate([start, np.zeros(n), [1.0]])
+    return found[:n], found[n : 2 * n]
+
+
+def lumped(belt):
+    """Jacobian, what the heat and the air do to each node per second, per unit of it, of a belt with one node."""
+    gained, lost = HEAT.power / CAPACITY, HEAT.cooling * (belt[0, 0] - HEAT.surroundings) / CAPACITY
+    return np.array([[(HEAT.power_slope - HEAT.cooling) / CAPACITY]]), np.array([gained]), np.array([lost]), np.zeros(1)
+
+
+def two_nodes(belt):
+    """The same with two, and what flows between them."""
+    core, skin = belt[:, 0]
+    between = (1.0 - SHARE) * CONDUCTANCE / (SHARE * CAPACITY)
+    slope, air = HEAT.power_slope / CAPACITY, HEAT.cooling / CAPACITY * np.array([1.0, 1.0 / SHARE])
+    matrix = np.array([[slope, -air[0]], [slope + between, -between - air[1]]])
+    flow = np.array([0.0, between * (core - skin)])
+    return matrix, np.full(2, HEAT.power / CAPACITY), air * (skin - HEAT.surroundings), flow
+
+
+MODELS = {"lumped": (advance_lumped, lumped, 1), "two nodes": (advance_two_nodes, two_nodes, 2)}
+
+
+@pytest.mark.parametrize("dt", STEPS)
+@pytest.mark.parametrize("name", MODELS)
+def test_temperatures_and_heat_are_those_of_the_linear_model(name, dt, constants, belt):
+    advance, model, nodes = MODELS[name]
+    matrix, gained, lost, flow = model(belt)
+    moved, integral = solved(matrix, gained - lost + flow, np.zeros(nodes), dt)
+    before = belt.copy()
+    heat_in, heat_out = interpreted(advance)(constants, 1, belt, HEAT, AMBIENT_STD, dt)
+    assert belt[:nodes, 0] - before[:nodes, 0] == pytest.approx(moved, rel=1e-8)
+    assert heat_in == pytest.approx(HEAT.power * dt + HEAT.power_slope * integral[0], rel=1e-10)
+    outer = before[nodes - 1, 0]
+    assert heat_out == pytest.approx(HEAT.cooling * ((outer - HEAT.surroundings) * dt + integral[-1]), rel=1e-10)
+    assert heat_in - heat_out == pytest.approx(CAPACITY * moved[0], rel=1e-8)
+
+
+@pytest.mark.parametrize("dt", STEPS)
+@pytest.mark.parametrize("name", MODELS)
+def test_departures_are_forced_by_their_causes_through_the_same_model(name, dt, constants, belt):
+    advance, model, nodes = MODELS[name]
+    matrix, gained, lost, flow = model(belt)
+    before = belt.copy()
+    interpreted(advance)(constants, 1, belt, HEAT, AMBIENT_STD, dt)
+    for cause in range(3):
+        of_loss, of_cooling, of_capacity = (CONSIDERED[row][cause] for row in CONSIDERED)
+        forced = gained * of_loss - lost * of_cooling - (gained - lost + flow) * of_capacity
+        column = at.CONSIDER_1 + cause
+        assert belt[:nodes, column] == pytest.approx(solved(matrix, forced, before[:nodes, column], dt)[0], rel=1e-8), cause
+    by_air = HEAT.cooling / CAPACITY * AMBIENT_STD / np.array([1.0, SHARE][:nodes])
+    expected = solved(matrix, by_air, before[:nodes, at.CONSIDER_AMBIENT], dt)[0]
+    assert belt[:nodes, at.CONSIDER_AMBIENT] == pytest.approx(expected, rel=1e-8)
+
+
+@pytest.mark.parametrize("dt", STEPS)
+@pytest.mark.parametrize("name", MODELS)
+def test_noise_goes_through_the_model_and_grows_with_time(name, dt, constants, belt):
+    advance, model, nodes = MODELS[name]
+    columns = (at.NOISE_1, at.NOISE_2)[:nodes]  # one node has one source of noise
+    carried = np.array([solved(model(belt)[0], np.zeros(nodes), belt[:nodes, column], dt)[0] for column in columns]).T
+    interpreted(advance)(constants, 1, belt, HEAT, AMBIENT_STD, dt)
+    after = belt[:nodes][:, list(columns)]
+    added = NOISE**2 * dt * np.ones((nodes, nodes))
+    assert after @ after.T == pytest.approx(carried @ carried.T + added, rel=1e-8)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_without_doubt_only_temperatures_move_and_they_move_alike(name, constants, belt):
+    advance, _, nodes = MODELS[name]
+    wanted, before = belt.copy(), belt.copy()
+    interpreted(advance)(constants, 1, wanted, HEAT, AMBIENT_STD, 0.5)
+    constants.number.with_doubt = False
+    heat = interpreted(advance)(constants, 1, belt, HEAT, AMBIENT_STD, 0.5)
+    assert all(map(math.isnan, heat))
+    assert (belt[:, 0] == wanted[:, 0]).all()
+    assert (belt[:, 1:] == before[:, 1:]).all()
+    assert (belt[nodes:] == before[nodes:]).all()

@@ -1,0 +1,71 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Torque that goes to the controller ahead of time: chosen parts, limited in size and rate, faded where the speed pauses."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.effects.stepping import TERM_FED_GAIN, TERM_FED_INERTIA
+from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.constants import Constants
+from trackres_ros.jit.compiled import inlined
+
+Array = NDArray[np.float64]
+
+FEEDFORWARD_STEP_S = 0.02  # between two outputs at the default rate: so far the feed-forward moves at once, the rest follows
+
+CLAMPED, LIMITED = int(at.Reason.FEEDFORWARD_CLAMPED), int(at.Reason.FEEDFORWARD_RATE_LIMITED)
+
+
+@inlined
+def fade(age: float, max_age: float, fade_s: float) -> float:
+    """Share of the feed-forward that is left when the speed is so old [s]: all until `max_age`, none `fade_s` later."""
+    return min(1.0, max(0.0, 1.0 - (age - max_age) / fade_s))
+
+
+@inlined
+def towards(here: float, there: float, room: float) -> float:
+    """From one value to another, by no more than `room`."""
+    return there if abs(there - here) <= room else here + math.copysign(room, there - here)
+
+
+@inlined
+def followed(value: float, target: float, rate: float, age: float) -> float:
+    """Where the feed-forward [Nm] of a step is so long after it [s], on its way to the target; the first output is the step's."""
+    return towards(value, target, rate * max(0.0, age - FEEDFORWARD_STEP_S))
+
+
+@inlined
+def feedforward(k: Constants, motion: Array, total: Array, of_effects: float, given_accel: bool, dt: float) -> tuple[float, int]:
+    """Chosen parts [Nm], limited in size and rate, and the reasons that gives; keeps what it is on its way to in `motion`.
+
+    It begins where the outputs are by now, which have followed their last target, and faded if the speed has paused. From there
+    it moves by as much as one output may. A vehicle that stands is fed nothing of what rolling takes.
+    """
+    number, reasons = k.number, 0
+    wanted = number.feed_grade * total[at.PART_GRADE]
+    if motion[at.ROLLS] > 0.0:
+        wanted += (
+            number.feed_hysteresis * total[at.PART_HYSTERESIS]
+            + number.feed_bearing * total[at.PART_BEARING]
+            + number.feed_wind * total[at.PART_WIND]
+            + of_effects
+        )
+    if given_accel:  # an acceleration filtered from the speed would feed the controller's own noise back to it
+        wanted += number.feed_inertia * (total[at.PART_INERTIA] + k.work[TERM_FED_INERTIA])
+    wanted *= k.work[TERM_FED_GAIN]
+    if abs(wanted) > number.feedforward_limit:
+        wanted = math.copysign(number.feedforward_limit, wanted)
+        reasons |= CLAMPED
+    last = followed(motion[at.FEEDFORWARD], motion[at.FEEDFORWARD_TARGET], number.feedforward_rate, dt)
+    last *= fade(dt, number.speed_max_age, number.feedforward_fade)
+    moved = towards(last, wanted, number.feedforward_rate * min(dt, FEEDFORWARD_STEP_S))
+    if moved != wanted:
+        reasons |= LIMITED
+    motion[at.FEEDFORWARD_TARGET] = wanted
+    return moved, reasons

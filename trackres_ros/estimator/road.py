@@ -1,0 +1,82 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Speeds and forces of a step that all assemblies share, and the torque that they come to."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.effects.stepping import TERM_DRIVE_GAIN, TERM_TORQUE
+from trackres_ros.estimator.belt_heat import log_speed
+from trackres_ros.estimator.constants import Constants
+from trackres_ros.jit.compiled import inlined
+from trackres_ros.model.resistance import bearing_force, direction, grade_force, inertia_force, wind_force
+
+Array = NDArray[np.float64]
+
+
+class Road(NamedTuple):
+    """What all assemblies share in a step: speeds [m/s], forces on the whole vehicle [N], surroundings, time [s]."""
+
+    last_speed: float
+    speed: float
+    log10_middle: float
+    log10_speed: float
+    sign: float
+    weight: float
+    bearing: float
+    rolling_bearing: float  # what `bearing` is at a crawl forward, where it is not yet small by its sign
+    wind: float
+    uphill: float
+    inertia: float
+    last_drive: float
+    ambient: float
+    ambient_std: float
+    dt: float
+
+
+@inlined
+def road_now(
+    k: Constants,
+    last_speed: float,
+    speed: float,
+    accel: float,
+    grade: float,
+    weight: float,
+    last_drive: float,
+    ambient: float,
+    ambient_std: float,
+    dt: float,
+) -> Road:
+    """Forces on the whole vehicle at the end of a step; without a grade the ground is level."""
+    number = k.number
+    return Road(
+        last_speed,
+        speed,
+        log_speed(0.5 * (last_speed + speed)),
+        log_speed(speed),
+        direction(speed),
+        weight,
+        bearing_force(speed, weight, number.bearing_friction),
+        number.bearing_friction * weight,
+        wind_force(speed, number.drag_area, number.air_density),
+        grade_force(0.0 if math.isnan(grade) else grade, weight),
+        inertia_force(accel, weight, number.rotating_mass_factor),
+        last_drive,
+        ambient,
+        ambient_std,
+        dt,
+    )
+
+
+@inlined
+def driving_torque(work: Array, resisting: float, uphill: float, inertia: float) -> tuple[float, float]:
+    """Torque at the sprockets [Nm] out of its parts, and what of it is the effects'."""
+    without_gain = resisting + work[TERM_TORQUE] + uphill + inertia
+    driving = without_gain * work[TERM_DRIVE_GAIN]
+    return driving, work[TERM_TORQUE] + driving - without_gain
