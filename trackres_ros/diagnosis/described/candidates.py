@@ -44,6 +44,7 @@ Array = NDArray[np.float64]
 
 DRIVEN = (0.02, 0.98)  # quantiles between which knots lie
 KNOTS = {SPEED: 5, LOAD: 3, AMBIENT: 2, TURNING: 3, CURVATURE: 3, ACCELERATION: 4, TURN: 4, DRIVING_TORQUE: 4}
+SURE_OF_ACCELERATION = 6.0  # standard deviations of its error beyond which a gate opens
 SIGNED = (ACCELERATION, TURN, DRIVING_TORQUE)
 BOTH_SIDES = 0.05  # share of a signed variable on its rarer side: with less there is but one side
 NEAR_ZERO = 0.1  # of the range on a side: between these knots a signed curve may step
@@ -132,18 +133,25 @@ def thresholds(gate: int, fit: Fit) -> list[float]:
     x = driven(GATE_AT[gate], fit)
     if len(x) == 0:
         return []
-    at = OPENS_AT * float(np.quantile(np.abs(x), 0.95))
+    unsure = 0.0 if GATE_AT[gate] == TURN else max(s.accel_noise for s in fit.problem.sessions)
+    at = max(OPENS_AT * float(np.quantile(np.abs(x), 0.95)), SURE_OF_ACCELERATION * unsure)
     is_open = x > at if gate in (LEFT, ACCELERATING) else x < -at
     return [at] if FEWEST_OPEN <= is_open.sum() <= len(x) - FEWEST_OPEN else []
 
 
 def candidates(fit: Fit) -> dict[str, Learned]:
-    """All forms that can be looked for here, by a key of their own; of one name there may be several."""
+    """All forms that can be looked for here, by a key of their own; of one name there may be several.
+
+    Notes
+    -----
+    A curve of an acceleration that was made of speeds shows the error of these: at a steady speed what looks like acceleration
+    is error, and the inertia expected of it is not in the torque. So it is looked for only where the acceleration was measured.
+    """
     facts = fit.problem.base.facts
     found: list[Learned] = []
     x = {code: driven(code, fit) for code in VARIABLES}
     for code, count in KNOTS.items():
-        if varies(x[code]):
+        if varies(x[code]) and (code != ACCELERATION or all("accel" in s.given for s in fit.problem.sessions)):
             found.append(Curve(code, OPEN, knots(code, x[code], count)))
     for gate, codes in GATED.items():
         for threshold in thresholds(gate, fit):
