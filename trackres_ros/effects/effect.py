@@ -170,6 +170,8 @@ class Terms(NamedTuple):
         True over measured speed; as those below it hangs on nothing but the parameters.
     sensor_gain, sensor_offset, sensor_delay
         What the torque sensor makes of it: factor, [Nm], by how much it is late [s].
+    beyond
+        1 where it is asked beyond what it was learned in, and holds the value at its end.
     """
 
     torque: float = 0.0
@@ -186,6 +188,7 @@ class Terms(NamedTuple):
     sensor_gain: float = 1.0
     sensor_offset: float = 0.0
     sensor_delay: float = 0.0
+    beyond: float = 0.0
 
     def with_(self, other: Terms) -> Terms:
         """Both together."""
@@ -197,7 +200,7 @@ class Terms(NamedTuple):
 
 
 FACTORS = ("drive_gain", "loss_factor", "film_offset_factor", "film_slope_factor", "speed_factor", "sensor_gain")
-SUMS = ("torque", "softening", "heat", "inner_resistance", "sensor_offset", "sensor_delay")
+SUMS = ("torque", "softening", "heat", "inner_resistance", "sensor_offset", "sensor_delay", "beyond")
 if {*FACTORS, *SUMS, "conductance", "sink"} != set(Terms._fields):
     raise TypeError("Terms has a field that is neither a factor nor a sum: say how two effects act together in it")
 SOFTENING_FROM_DEGC = 40.0

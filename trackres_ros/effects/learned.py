@@ -21,6 +21,7 @@ TYPICAL_NM, MOST_NM = 150.0, 20_000.0  # of a vehicle of `REFERENCE_NM`
 MOST_KNOTS = 9
 FURTHEST = 1e7  # of a knot, in any unit
 CODES = 3  # parameters of a curve before its knots: variable, gate, threshold
+MARGIN = 0.1  # of the range between the knots: so far beyond them it was driven now and then
 MOVING_MPS = 0.3
 BRAKING_MPS2 = -0.3
 HELD_S = 1e8  # a state that stays
@@ -156,12 +157,13 @@ class Curve(Learned):
         if not is_open(at, p[1], p[2]):
             return Terms(torque=0.0)
         count = (len(p) - CODES) // 2
-        x, last = variable(at, p[0]), CODES + count - 1
+        x, knot, last = variable(at, p[0]), CODES, CODES + count - 1
+        little = MARGIN * (p[last] - p[knot])
+        beyond = 1.0 if count > 1 and (x < p[knot] - little or x > p[last] + little) else 0.0
         if x >= p[last]:
-            return Terms(torque=p[last + count] * at.direction)
-        knot = CODES
+            return Terms(torque=p[last + count] * at.direction, beyond=beyond)
         if x <= p[knot]:
-            return Terms(torque=p[knot + count] * at.direction)
+            return Terms(torque=p[knot + count] * at.direction, beyond=beyond)
         while p[knot + 1] < x:
             knot += 1
         share = (x - p[knot]) / (p[knot + 1] - p[knot])

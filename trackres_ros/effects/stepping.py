@@ -110,8 +110,10 @@ MOST_STATE = 1e9
 LEAST_TIME_S = 1e-3
 SOFTENED_OVER_K = 20.0  # assumed distance of a belt from the temperature about which a softening turns
 
-# What comes of the effects of a step: all well; an input of one is not known; one says what is no number or beyond all reason.
-ALL_WELL, INPUT_UNKNOWN, UNUSABLE = range(3)
+# What comes of the effects of a step: all well; one is asked beyond what it was learned in; an input of one is not known; one
+# says what is no number or beyond all reason.
+ALL_WELL, BEYOND_LEARNED, INPUT_UNKNOWN, UNUSABLE = range(4)
+ANSWER_BEYOND = Terms._fields.index("beyond")
 
 ANSWERS = {"terms": ANSWERED, "lag": len(Lag._fields)}
 CALL = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
@@ -294,6 +296,8 @@ def step_effects(rows: IntArray, values: Array, memory: Array, work: Array, dt: 
                 outcome = UNUSABLE
         if left_out:
             continue
+        if answer[ANSWER_BEYOND] > 0.0:
+            outcome = max(outcome, BEYOND_LEARNED)
         torque, drive_gain = answer[TERM_TORQUE], answer[TERM_DRIVE_GAIN]
         loss_factor, softening = answer[TERM_LOSS_FACTOR], answer[TERM_SOFTENING]
         add_terms(work, answer)
@@ -419,12 +423,13 @@ if HAVE_NUMBA:
         sensor_gain: float = 1.0,
         sensor_offset: float = 0.0,
         sensor_delay: float = 0.0,
+        beyond: float = 0.0,
     ) -> Terms:
         """`Terms`, of which compiled code knows no defaults."""
         return Terms(
             float(torque), float(drive_gain), float(loss_factor), float(softening), float(film_offset_factor),
             float(film_slope_factor), float(conductance), float(sink), float(heat), float(inner_resistance),
-            float(speed_factor), float(sensor_gain), float(sensor_offset), float(sensor_delay),
+            float(speed_factor), float(sensor_gain), float(sensor_offset), float(sensor_delay), float(beyond),
         )  # fmt: skip
 
     @cache

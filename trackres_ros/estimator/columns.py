@@ -128,6 +128,7 @@ class Reason(IntFlag):
     SPEED_QUANTISED = 1 << 13
     EFFECT_LEFT_OUT = 1 << 14
     SURROUNDINGS = 1 << 15
+    OUTSIDE_LEARNED = 1 << 16
 
 
 REASON_TEXT = {
@@ -147,6 +148,7 @@ REASON_TEXT = {
     Reason.SPEED_QUANTISED: "the speed comes in coarse steps: its acceleration is known only roughly",
     Reason.EFFECT_LEFT_OUT: "an effect is left out: an input of it is missing, or what it says is no number or beyond all reason",
     Reason.SURROUNDINGS: "site, weather and ground are taken from the file of the surroundings, not measured",
+    Reason.OUTSIDE_LEARNED: "beyond what was driven when it was learned, a term without a name keeps the value at its end",
 }
 # Remarks that go with a fully usable estimate; any other reason makes it a warning.
 HARMLESS = Reason.LOAD_HELD | Reason.FEEDFORWARD_RATE_LIMITED | Reason.GAP_BRIDGED | Reason.SPEED_QUANTISED

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.effects.stepping import (
     ALL_WELL,
+    BEYOND_LEARNED,
     FIRST_OWN,
     TERM_FED,
     TERM_GAIN_VARIANCE,
@@ -38,6 +39,7 @@ LEAST_STD_SHARE = 0.001  # of the resistance: torque transducers are no better (
 
 BRIDGED, UNKNOWN = int(at.Reason.GAP_BRIDGED), int(at.Reason.GAP_UNKNOWN)
 SURROUNDINGS, EFFECT_LEFT_OUT = int(at.Reason.SURROUNDINGS), int(at.Reason.EFFECT_LEFT_OUT)
+OUTSIDE_LEARNED = int(at.Reason.OUTSIDE_LEARNED)
 PREDICTED_DRIVE, PREDICTED_BELT, PREDICTED_SKIN, PREDICTED_OUTCOME = range(4)
 PREDICTED = 4
 
@@ -125,7 +127,9 @@ def advance(k: Constants, carried: Carried, inputs: Inputs, dt: float, out: Arra
     others = arm * (road.bearing + road.wind + road.uphill + road.inertia)
     turning = inputs.yaw_rate, inputs.heading, inputs.distance
     outcome = act(k, motion, effects, speed, accel, weight, inputs.ambient, turning, others, dt)
-    if outcome != ALL_WELL:
+    if outcome == BEYOND_LEARNED:
+        reasons |= OUTSIDE_LEARNED
+    elif outcome != ALL_WELL:
         reasons |= EFFECT_LEFT_OUT
     if number.surroundings:
         reasons |= SURROUNDINGS
