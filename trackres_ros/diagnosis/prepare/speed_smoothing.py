@@ -33,6 +33,9 @@ OUTLIER = 5.0  # standard deviations from which an innovation counts less the la
 UNKNOWN = 1e4  # variance of speed and acceleration where a stretch begins
 PIECE, MOST_PIECES = 2000, 30  # samples by which jerk and noise are found
 TURNS = 3
+LOCAL_TURNS = 5  # of the jerk of each moment and the speed smoothed with it
+LOCAL_S = 1.0  # to either side of a moment: over which it is driven alike
+LEAST_LOCAL, MOST_LOCAL = 0.02, 4.0  # times the jerk of the whole recording
 MOST_LAGS, STILL_ALIKE = 60, 0.02  # samples, and the correlation below which the noise has forgotten
 
 
@@ -82,14 +85,19 @@ def smooth_speed(at: Array, shown: Array, times: Array, longest_gap_s: float) ->
     step = rounding_step(shown)
     grid = _Grid.of(at, shown, times, longest_gap_s)
     jerk, noise = _most_likely(grid, step)
-    states, variances = grid.run(jerk, noise)
+    everywhere = np.full(len(grid.at), jerk)
+    states, variances = grid.run(everywhere, noise)
+    local = everywhere
+    for _ in range(LOCAL_TURNS):  # at a steady speed there is hardly any jerk, and what the sensor shows of one is its error
+        local = grid.local_jerk(states, jerk)
+        states, variances = grid.run(local, noise)
     white = noise
     for _ in range(TURNS):  # noise that is not white pulls the speed after it, and shows whole only once it no longer does
         alike = _times_alike(grid.shown[grid.sample] - states[grid.sample, 0])
         if alike == 1.0:
             break
         noise = white * np.sqrt(alike)
-        states, variances = grid.run(jerk, noise)
+        states, variances = grid.run(local, noise)
     rest = at_rest(at, shown)
     values = shown.copy()
     values[grid.kept] = states[grid.sample, 0]
@@ -174,12 +182,22 @@ class _Grid:
         first = np.concatenate((begins[kept], np.zeros(more, dtype=bool)))[order]
         return cls(every[order], values, sample, first, kept, within)
 
-    def run(self, jerk: float, noise: float) -> tuple[Array, Array]:
+    def run(self, jerk: Array, noise: float) -> tuple[Array, Array]:
         """Smoothed states and the variances of changes to the next asked time."""
         states, variances = np.empty((len(self.at), 5)), np.full(len(self.at), np.nan)
-        filter_forward(self.at, self.shown, self.sample, self.begins, (jerk, noise, OUTLIER), states)
+        filter_forward(self.at, self.shown, self.sample, self.begins, jerk, (noise, OUTLIER), states)
         smooth_backward(self.at, ~self.sample, self.begins, jerk, states, variances)
         return states, variances
+
+    def local_jerk(self, states: Array, jerk: float) -> Array:
+        """Density of the jerk about each moment, by the changes of the smoothed acceleration there."""
+        ends = np.clip(np.stack([self.at - LOCAL_S, self.at + LOCAL_S]), self.at[0], self.at[-1])
+        before, after = np.interp(ends, self.at, states[:, 1])
+        square = ((after - before) / (2.0 * LOCAL_S)) ** 2
+        area = np.concatenate(([0.0], np.cumsum(0.5 * (square[1:] + square[:-1]) * np.diff(self.at))))
+        low, high = np.interp(ends, self.at, area)
+        mean = (high - low) / np.maximum(ends[1] - ends[0], 1e-9)
+        return np.asarray(np.clip(np.sqrt(mean * LOCAL_S), LEAST_LOCAL * jerk, MOST_LOCAL * jerk))
 
 
 def _most_likely(grid: _Grid, step: float) -> tuple[float, float]:
@@ -195,7 +213,8 @@ def _most_likely(grid: _Grid, step: float) -> tuple[float, float]:
         return float(jerk), float(np.hypot(white, step / np.sqrt(12.0)))
 
     def cost(point: Array) -> float:
-        return filter_forward(at, shown, sample, begins, (*values(point), OUTLIER), states)
+        jerk, noise = values(point)
+        return filter_forward(at, shown, sample, begins, np.full(len(at), jerk), (noise, OUTLIER), states)
 
     bounds = np.log([JERK, NOISE_MPS])
     start = bounds.mean(axis=1)
@@ -229,7 +248,9 @@ def _times_alike(left: Array) -> float:
 
 
 @compiled
-def filter_forward(at: Array, shown: Array, sample: Mask, begins: Mask, of: tuple[float, float, float], states: Array) -> float:
+def filter_forward(
+    at: Array, shown: Array, sample: Mask, begins: Mask, jerk: Array, of: tuple[float, float], states: Array
+) -> float:
     """Kalman filter: half the deviance of the innovations.
 
     Parameters
@@ -240,21 +261,22 @@ def filter_forward(at: Array, shown: Array, sample: Mask, begins: Mask, of: tupl
         Where there is one; elsewhere only the state is asked for.
     begins
         Where a stretch begins that shares nothing with what was before.
+    jerk
+        Its density up to each moment [m/s^2/sqrt(s)].
     of
-        Density of the jerk [m/s^2/sqrt(s)], standard deviation of a sample [m/s], and the standard deviations from which
-        an innovation counts less the larger it is.
+        Standard deviation of a sample [m/s], and the standard deviations from which an innovation counts less the larger it is.
     states
         Takes speed, acceleration, and variance of the speed, covariance and variance of the acceleration, shape (n, 5).
     """
     deviance, known = 0.0, 0
     v, a, vv, va, aa = 0.0, 0.0, 0.0, 0.0, 0.0
-    jerk, noise, outlier = of
-    q, r = jerk * jerk, noise * noise
+    noise, outlier = of
+    r = noise * noise
     for i in range(len(at)):
         if begins[i]:
             v, a, vv, va, aa, known = shown[i], 0.0, UNKNOWN, 0.0, UNKNOWN, 0
         else:
-            dt = at[i] - at[i - 1]
+            dt, q = at[i] - at[i - 1], jerk[i] * jerk[i]
             v += dt * a
             vv += dt * (2.0 * va + dt * aa) + q * dt * dt * dt / 3.0
             va += dt * aa + 0.5 * q * dt * dt
@@ -276,7 +298,7 @@ def filter_forward(at: Array, shown: Array, sample: Mask, begins: Mask, of: tupl
 
 
 @compiled
-def smooth_backward(at: Array, asked: Mask, begins: Mask, jerk: float, states: Array, variances: Array) -> None:
+def smooth_backward(at: Array, asked: Mask, begins: Mask, jerk: Array, states: Array, variances: Array) -> None:
     """Rauch, Tung and Striebel's pass over the states of `filter_forward`, in place.
 
     Parameters
@@ -286,13 +308,12 @@ def smooth_backward(at: Array, asked: Mask, begins: Mask, jerk: float, states: A
     variances
         Takes the variance of the change of speed from each of them to the next of the stretch, shape (n,).
     """
-    q = jerk * jerk
     later, with_v, with_a = -1, 0.0, 0.0  # the next asked time, and covariances of its speed with the state here
     for i in range(len(at) - 1, -1, -1):
         if i == len(at) - 1 or begins[i + 1]:
             later = -1
         else:
-            dt = at[i + 1] - at[i]
+            dt, q = at[i + 1] - at[i], jerk[i + 1] * jerk[i + 1]
             v, a, vv, va, aa = states[i, 0], states[i, 1], states[i, 2], states[i, 3], states[i, 4]
             v_v, a_v = vv + dt * va, va + dt * aa  # covariances of the state here with the speed predicted of the next
             next_vv = v_v + dt * a_v + q * dt * dt * dt / 3.0
