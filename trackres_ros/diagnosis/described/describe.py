@@ -16,7 +16,16 @@ from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.watched import WATCHED, Watched
 from trackres_ros.diagnosis.described.candidates import candidates, finer, series
-from trackres_ros.diagnosis.described.spells import Blocks, Chain, blocks, find_chain, find_wander, is_spells, there_given
+from trackres_ros.diagnosis.described.spells import (
+    Blocks,
+    Chain,
+    beyond_wander,
+    blocks,
+    find_chain,
+    find_wander,
+    is_spells,
+    there_given,
+)
 from trackres_ros.diagnosis.described.terms import Described, of_drift, of_learned, of_spells, of_wave
 from trackres_ros.diagnosis.described.waves import Wave, find_wave, part_of
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
@@ -27,7 +36,7 @@ from trackres_ros.effects.learned import ALWAYS, Curve, Learned
 Array = NDArray[np.float64]
 
 MOST_DESCRIBED = 2
-SURE = 6.0  # in log-likelihood: two levels over one that wanders, or one that wanders over none
+SURE = 10.0  # in log-likelihood: spells over what only wanders, what wanders over what does not, a term over none
 FEWEST_SPELLS = 3
 FEWEST_REPLICATES = 19
 SLOWEST_WANDER_S = 60.0  # what wanders faster is noise that the autoregression knows
@@ -145,8 +154,8 @@ def _spells(current: Fit) -> Term | None:
     residuals, found = _residuals(current), None
     for _ in range(2):  # the second time beside a base that is no longer bent by them
         b = torque_blocks(current, residuals)
-        chain, there, likelihood = find_chain(b)
-        if not is_spells(chain) or likelihood < find_wander(b)[1] + SURE:
+        chain, there, _ = find_chain(b)
+        if not is_spells(chain) or beyond_wander(b, chain, there) < SURE:
             return found
         if chain.level < chain.rest:
             there, chain = 1.0 - there, replace(chain, level=chain.rest, rest=chain.level, comes=chain.goes, goes=chain.comes)

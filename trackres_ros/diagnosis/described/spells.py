@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,6 +118,27 @@ def find_chain(b: Blocks) -> tuple[Chain, Array, float]:
 def is_spells(chain: Chain) -> bool:
     """Whether a chain is one of spells: neither moments nor hours, neither hardly ever nor nearly always."""
     return SHORTEST_S <= chain.mean_s <= LONGEST_S and LEAST_SHARE <= chain.share <= MOST_SHARE
+
+
+def beyond_wander(b: Blocks, chain: Chain, there: Array) -> float:
+    """How much likelier spells are beside what wanders than something that only wanders, in log-likelihood.
+
+    Each of its comings and goings costs what it is unlikely by the chain; what is left without the spells may wander too.
+    """
+    on = there > 0.5
+    without = replace(b, mean=b.mean - np.where(on, chain.level, chain.rest))
+    stays = {
+        (False, False): 1.0 - chain.comes,
+        (False, True): chain.comes,
+        (True, False): chain.goes,
+        (True, True): 1.0 - chain.goes,
+    }
+    start = {True: chain.share, False: 1.0 - chain.share}
+    steps = [
+        start[now] if first else stays[before, now]
+        for before, now, first in zip([False, *on[:-1].tolist()], on.tolist(), b.first.tolist(), strict=True)
+    ]
+    return float(np.log(steps).sum()) + find_wander(without)[1] - find_wander(b)[1]
 
 
 def there_given(b: Blocks, chain: Chain) -> tuple[Array, float]:
