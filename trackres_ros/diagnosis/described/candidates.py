@@ -61,6 +61,7 @@ GATE_AT = {LEFT: TURN, RIGHT: TURN, BRAKING: ACCELERATION, ACCELERATING: ACCELER
 OPENS_AT = 0.1  # of the 95th percentile of a gate's variable
 LEAST_RANGE = 0.02  # of its size: what varies less is taken for constant
 APART = 0.04  # of the range of the load: levels further apart than this are different ones
+FEWEST_SESSIONS = 6  # with fewer, what differs only from one recording to the next may be anything else that does
 FEWEST_OPEN = 60  # samples on either side of a gate
 BUILD_UP_SCALE = {BY_DISTANCE: 600.0}
 BUILD_UP_SCALE_S = 120.0
@@ -85,6 +86,12 @@ def driven(code: int, fit: Fit) -> Array:
     """The variable where the fit compares torques; empty where it is not known throughout."""
     found = np.concatenate([x[m] for x, m in zip(series(code, fit), fit.problem.masks, strict=True)])
     return found if np.isfinite(found).all() else np.empty(0)
+
+
+def shows(code: int, fit: Fit) -> bool:
+    """Whether a variable varies within a recording, or over enough of them to be told from all else that differs there."""
+    within = [x[m] for x, m in zip(series(code, fit), fit.problem.masks, strict=True) if m.any()]
+    return varies(driven(code, fit)) and (len(within) >= FEWEST_SESSIONS or any(map(varies, within)))
 
 
 def varies(x: Array) -> bool:
@@ -151,11 +158,14 @@ def candidates(fit: Fit) -> dict[str, Learned]:
     found: list[Learned] = []
     x = {code: driven(code, fit) for code in VARIABLES}
     for code, count in KNOTS.items():
-        if varies(x[code]) and (code != ACCELERATION or all("accel" in s.given for s in fit.problem.sessions)):
+        if shows(code, fit) and (code != ACCELERATION or all("accel" in s.given for s in fit.problem.sessions)):
             found.append(Curve(code, OPEN, knots(code, x[code], count)))
     for gate, codes in GATED.items():
         for threshold in thresholds(gate, fit):
+            by_level = gate in (HEAVY, LIGHT) and not shows(LOAD, fit)
             for code in codes:
+                if code == ALWAYS and by_level:
+                    continue
                 if code == ALWAYS:
                     found.append(Curve(ALWAYS, gate, [0.0], threshold))
                 elif varies(x[code]):
