@@ -36,6 +36,7 @@ TURNS = 3
 LOCAL_TURNS = 5  # of the jerk of each moment and the speed smoothed with it
 LOCAL_S = 1.0  # to either side of a moment: over which it is driven alike
 LEAST_LOCAL, MOST_LOCAL = 0.02, 4.0  # times the jerk of the whole recording
+EVEN = 0.3  # median over mean of squared jerks: 0.65 where it is white throughout, below 0.1 where steady speeds are held
 MOST_LAGS, STILL_ALIKE = 60, 0.02  # samples, and the correlation below which the noise has forgotten
 
 
@@ -89,7 +90,10 @@ def smooth_speed(at: Array, shown: Array, times: Array, longest_gap_s: float) ->
     states, variances = grid.run(everywhere, noise)
     local = everywhere
     for _ in range(LOCAL_TURNS):  # at a steady speed there is hardly any jerk, and what the sensor shows of one is its error
-        local = grid.local_jerk(states, jerk)
+        squares = grid.squared_jerks(states)
+        if np.median(squares) > EVEN * squares.mean():
+            break
+        local = np.clip(np.sqrt(squares * LOCAL_S), LEAST_LOCAL * jerk, MOST_LOCAL * jerk)
         states, variances = grid.run(local, noise)
     white = noise
     for _ in range(TURNS):  # noise that is not white pulls the speed after it, and shows whole only once it no longer does
@@ -189,15 +193,14 @@ class _Grid:
         smooth_backward(self.at, ~self.sample, self.begins, jerk, states, variances)
         return states, variances
 
-    def local_jerk(self, states: Array, jerk: float) -> Array:
-        """Density of the jerk about each moment, by the changes of the smoothed acceleration there."""
+    def squared_jerks(self, states: Array) -> Array:
+        """Mean squares about each moment of the change of the smoothed acceleration [m^2/s^6]."""
         ends = np.clip(np.stack([self.at - LOCAL_S, self.at + LOCAL_S]), self.at[0], self.at[-1])
         before, after = np.interp(ends, self.at, states[:, 1])
         square = ((after - before) / (2.0 * LOCAL_S)) ** 2
         area = np.concatenate(([0.0], np.cumsum(0.5 * (square[1:] + square[:-1]) * np.diff(self.at))))
         low, high = np.interp(ends, self.at, area)
-        mean = (high - low) / np.maximum(ends[1] - ends[0], 1e-9)
-        return np.asarray(np.clip(np.sqrt(mean * LOCAL_S), LEAST_LOCAL * jerk, MOST_LOCAL * jerk))
+        return np.asarray((high - low) / np.maximum(ends[1] - ends[0], 1e-9))
 
 
 def _most_likely(grid: _Grid, step: float) -> tuple[float, float]:
