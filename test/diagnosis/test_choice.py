@@ -375,7 +375,7 @@ def test_samples_are_worth_less_where_residuals_resemble_each_other(gain, std, e
 
 def test_the_root_mean_square_is_of_what_counts():
     found = SimpleNamespace(problem=SimpleNamespace(masks=[np.array([True, True, False]), np.array([True, True])]))
-    assert naming._rms([np.array([3.0, np.nan, 99.0]), np.array([4.0, 5.0])], found) == pytest.approx(math.sqrt(50.0 / 3.0))
+    assert naming.rms([np.array([3.0, np.nan, 99.0]), np.array([4.0, 5.0])], found) == pytest.approx(math.sqrt(50.0 / 3.0))
 
 
 # Classes
@@ -650,7 +650,7 @@ def test_only_rivals_that_come_near_are_compared_again(monkeypatch, changed, com
     seen = world.separability(world.effects, Model(world, ()))
     step = Step(None, seen, 5.0, 5.0, (), (chosen, rival), chosen, ("a",), {"a": 1.0}, 1.0)
     last = Step(None, None, 5.0, 5.0, (), (rival,), None, (), {}, 0.0)
-    found, steps = naming._compared_again(current, [step, last], world.effects, np.random.default_rng(1))
+    found, steps = naming._compared_again(current, [step, last], np.random.default_rng(1))
     assert steps[1] is last
     if compared:
         assert steps[0].chosen.name == "b"
@@ -666,7 +666,7 @@ def test_a_rival_begins_where_it_lay_before(monkeypatch):
     monkeypatch.setattr(naming, "fit", world.fit)
     before = candidate("a", taken=1.5, fit=Model(world, [world.effects["a"]], {("a", "size"): 4.0, ("", "bearing"): 9.0}))
     without = Model(world, [world.effects["second"]], {("second", "size"): 7.0, ("", "bearing"): 2.0})
-    found = naming._beside(without, [world.effects["second"]], world.effects["a"], before)
+    found = naming._beside(without, [world.effects["second"]], before)
     names, start, _ = world.fitted[-1]
     assert names == ("second", "a")
     assert start == {("a", "size"): 4.0, ("second", "size"): 7.0, ("", "bearing"): 2.0}

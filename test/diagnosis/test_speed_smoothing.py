@@ -127,6 +127,10 @@ def test_a_vehicle_at_rest_is_at_rest():
     assert np.abs(standardised(smooth, true, times, at)).max() < 6.0
 
 
+def test_a_vehicle_that_never_moves_has_nothing_to_smooth():
+    assert smooth_speed(np.arange(0.0, 600.0, 0.1), np.zeros(6000), np.arange(0.0, 599.0), GAP_S) is None
+
+
 def test_a_short_zero_is_a_sample_and_no_rest():
     at = np.arange(0.0, 20.0, 0.1)
     shown = np.where((at > 5.0) & (at < 5.5), 0.0, 3.0)

@@ -194,7 +194,7 @@ def test_what_noise_alone_gains_hardly_depends_on_how_much_of_it_is_drawn(proble
 def test_sensitivities_are_those_of_the_model(problem, effects):
     found = fit(problem)
     (inertia,) = [s for s in separability(effects, found).visible if s.effect.name == "rotating_inertia"]
-    with_it = found.problem.predict(found.base_values, [Active(effects["rotating_inertia"], {"factor": 0.1})])
+    with_it = found.problem.predict(found.base_values, [*found.instrument, Active(effects["rotating_inertia"], {"factor": 0.1})])
     change = np.concatenate([p.torque for p in with_it]) - np.concatenate([p.torque for p in found.predicted])
     rows = len(change)
     assert inertia.columns[:rows, 0] * 0.1 == pytest.approx(change, abs=1e-6 * np.abs(change).max())
@@ -204,7 +204,7 @@ def test_other_forms_are_a_share_of_what_the_effects_add(problem, effects):
     assert other_forms(fit(problem)).shape == (len(np.concatenate(fit(problem).residuals)), 0)
     found = fit(problem, [effects["turning_scrub"]])
     adds = np.concatenate([p.torque for p in found.predicted])
-    adds -= np.concatenate([p.torque for p in problem.predict(found.base_values, [])])
+    adds -= np.concatenate([p.torque for p in problem.predict(found.base_values, found.instrument)])
     forms = other_forms(found)[: len(adds)]
     assert forms.shape[1] >= 5
     used = np.concatenate(problem.masks)

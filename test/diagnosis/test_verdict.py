@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""From what was found to one of four verdicts, its grade, and what may be written: on constructed findings."""
+"""From what was found to one of five verdicts, its grade, and what may be written: on constructed findings."""
 
 import math
 from dataclasses import replace
@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from trackres_ros.diagnosis.base.base import BaseParameter
+from trackres_ros.diagnosis.base.watched import WATCHED
 from trackres_ros.diagnosis.findings.locate import Acts, SlowResidual
 from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
 from trackres_ros.diagnosis.findings.verdict import (
@@ -71,8 +72,8 @@ def refitted(*moved, std=0.1):
     return SimpleNamespace(base_values=values, problem=SimpleNamespace(base=SimpleNamespace(parameters=parameters)))
 
 
-def said(found=(), refuted=(), base=None, at_end=None, stray=QUIET, hint="", held=None):
-    return judge(found, refuted, base or refitted(), at_end or regimes(), stray, hint, held or worth())
+def said(found=(), terms=(), refuted=(), base=None, at_end=None, stray=QUIET, hint="", held=None):
+    return judge(found, terms, refuted, base or refitted(), at_end or regimes(), stray, hint, held or worth())
 
 
 # Nothing found
@@ -229,29 +230,32 @@ NAMED = Verdict("named", CONFIRMED, "")
 
 
 def test_what_is_believed_is_confirmed_and_of_one_kind():
-    assert believed_in([found()], NAMED, KINDS, False) == ["scrub"]
-    assert believed_in([found(members=("scrub", "payne"))], Verdict("one_of", CONFIRMED, ""), KINDS, False) == ["scrub"]
+    assert believed_in([found()], [], NAMED, KINDS, False) == ["scrub"]
+    assert believed_in([found(members=("scrub", "payne"))], [], Verdict("one_of", CONFIRMED, ""), KINDS, False) == ["scrub"]
     mixed = found(members=("scrub", "grade"))
-    assert believed_in([mixed, found("payne")], Verdict("one_of", CONFIRMED, ""), KINDS, False) == ["payne"]
-    assert believed_in([found(improvement=UNSURE)], NAMED, KINDS, False) == []
-    assert believed_in([found(on_bounds=("size",))], NAMED, KINDS, False) == []
-    assert believed_in([found()], Verdict("unexplained", SUSPECTED, ""), KINDS, False) == []
+    assert believed_in([mixed, found("payne")], [], Verdict("one_of", CONFIRMED, ""), KINDS, False) == ["payne"]
+    assert believed_in([found(improvement=UNSURE)], [], NAMED, KINDS, False) == []
+    assert believed_in([found(on_bounds=("size",))], [], NAMED, KINDS, False) == []
+    assert believed_in([found()], [], Verdict("unexplained", SUSPECTED, ""), KINDS, False) == []
 
 
 def test_who_asks_for_it_keeps_what_is_suspected_too():
     several = [found(improvement=UNSURE), found("grade", members=("grade", "torque_gain"))]
-    assert believed_in(several, Verdict("unexplained", SUSPECTED, ""), KINDS, True) == ["scrub", "grade"]
+    assert believed_in(several, [], Verdict("unexplained", SUSPECTED, ""), KINDS, True) == ["scrub", "grade"]
 
 
 class Fitted:
     """A fit as `confirm` and `keep` see it: effects, a torque, and what it leaves out again."""
 
-    def __init__(self, *names, torque=0.0, value=50.0):
-        effects = [SimpleNamespace(name=n, parameters=(SIZE,)) for n in names]
+    def __init__(self, *names, torque=0.0, value=50.0, watched=()):
+        effects = [SimpleNamespace(name=n, parameters=(SIZE,), acts_on=WATCHED if n in watched else "torque") for n in names]
         self.effects = tuple(SimpleNamespace(effect=e, values={"size": value}) for e in effects)
         self.names = frozenset(names)
-        self.predicted = (SimpleNamespace(torque=np.full(10, torque)),)
+        self.torque = torque
         self.base_values = {"bearing": 0.01 * len(names)}
+
+    def of_file(self):
+        return [np.full(10, self.torque)]
 
 
 class Laps:

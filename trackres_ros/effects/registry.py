@@ -21,7 +21,7 @@ from trackres_ros import checks
 from trackres_ros.effects.effect import ACTS_ON, BELONGS_TO, REFERENCE_NM, Active, Effect, Parameter, VehicleConstants, conditions
 from trackres_ros.effects.learned import NAMES as LEARNED
 from trackres_ros.effects.learned import Learned, learned
-from trackres_ros.errors import InputError
+from trackres_ros.errors import InputError, nearest
 
 NOWHERE = VehicleConstants(1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
 ELSEWHERE = {
@@ -85,7 +85,10 @@ def check_effects(
         raise InputError(where, given, "a mapping of effects: name: {parameter: value}")
     active = []
     for name, values in given.items():
-        effect = learned(name, values, size) if name in LEARNED else known[checks.one_of(name, f"{where}: effect", known)]
+        if name not in known and name not in LEARNED:
+            allowed = f"one of {', '.join(known)}, or one that a diagnosis has learned"
+            raise InputError(f"{where}: effect", name, allowed, nearest(str(name), [*known, *LEARNED]))
+        effect = learned(name, values, size) if name in LEARNED else known[name]
         if effect.belongs_to != belongs_to:
             raise InputError(f"{where}: effect", name, f"effects of the {belongs_to}", ELSEWHERE[effect.belongs_to])
         wanted = {q.name: q for q in effect.parameters if not q.is_fixed}

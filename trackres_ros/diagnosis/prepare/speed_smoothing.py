@@ -68,7 +68,7 @@ class SmoothedSpeed:
 
 
 def smooth_speed(at: Array, shown: Array, times: Array, longest_gap_s: float) -> SmoothedSpeed | None:
-    """Speed at some times by all samples before and after; None where samples are too slow or too few.
+    """Speed at some times by all samples before and after; None where samples are too slow, or too few of a vehicle that moves.
 
     Parameters
     ----------
@@ -85,6 +85,8 @@ def smooth_speed(at: Array, shown: Array, times: Array, longest_gap_s: float) ->
     at, shown = at[new], shown[new]
     step = rounding_step(shown)
     grid = _Grid.of(at, shown, times, longest_gap_s)
+    if grid.kept.sum() < FEWEST:
+        return None
     jerk, noise = _most_likely(grid, step)
     everywhere = np.full(len(grid.at), jerk)
     states, variances = grid.run(everywhere, noise)

@@ -1,0 +1,109 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""What every torque sensor does a little is fitted along and is no finding; what is more than that is found as before."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from trackres_ros.diagnosis import diagnose, read_recordings
+from trackres_ros.diagnosis.base.instrument import MOST_DELAY_S, MOST_GAIN, MOST_OFFSET_NM, instrument
+from trackres_ros.diagnosis.inference.fitting import Problem, fit
+from trackres_ros.effects import Active
+from trackres_ros.effects.effect import REFERENCE_NM
+from trackres_ros.evaluation.synthetic import drives, write_recordings
+
+SMALL = {"delay": 0.05, "torque_gain": 0.005, "torque_offset": 20.0}
+LARGE = {"delay": 0.3, "torque_offset": 300.0, "torque_gain": 0.05}
+
+
+def sensors(effects, values):
+    return [Active(effects[name], {effects[name].parameters[0].name: value}) for name, value in values.items()]
+
+
+@pytest.fixture(scope="module")
+def problem_with(loaded, effects):
+    """Drives as a base with effects would show them, with little noise."""
+
+    def make(values):
+        base, rng = loaded.base, np.random.default_rng(6)
+        sessions = drives(base, loaded.known.max_speed, 2, 8.0, np.random.default_rng(4), step=1.0)
+        nominal = {q.name: q.nominal for q in base.parameters}
+        shown = base.predict(sessions, nominal, sensors(effects, values))
+        measured = [replace(s, torque=p.torque + rng.normal(0.0, 5.0, len(s))) for s, p in zip(sessions, shown, strict=True)]
+        return Problem(base, tuple(measured), tuple(s.used for s in measured))
+
+    return make
+
+
+def test_an_instrument_stays_within_its_bounds(loaded, problem_with):
+    size = loaded.base.facts.weight * loaded.base.facts.radius / REFERENCE_NM
+    most = {"delay": MOST_DELAY_S, "torque_gain": MOST_GAIN, "torque_offset": MOST_OFFSET_NM * size}
+    for effect in instrument(loaded.base):
+        (q,) = effect.parameters
+        assert (-q.low, q.high) == (most[effect.name], most[effect.name])
+    found = fit(problem_with({"torque_offset": 300.0, "torque_gain": 0.05}))
+    assert {a.effect.name for a in found.instrument} == set(most)
+    for active in found.instrument:
+        (value,) = active.values.values()
+        assert abs(value) <= most[active.effect.name]
+
+
+def test_what_is_of_an_instruments_size_is_found_as_that_and_a_file_does_not_have_it(problem_with):
+    found = fit(problem_with(SMALL))
+    assert found.effects == ()
+    assert found.effect_names == ()
+    values = {a.effect.name: next(iter(a.values.values())) for a in found.instrument}
+    for name, value in SMALL.items():
+        (parameter,) = (q.name for a in found.instrument if a.effect.name == name for q in a.effect.parameters)
+        assert values[name] == pytest.approx(value, abs=max(4.0 * found.std_of(name, parameter), 0.1 * value))
+    assert found.acting == found.instrument
+    by_file = [p.torque for p in found.problem.predict(found.base_values, ())]
+    np.testing.assert_array_equal(found.of_file(), by_file)
+    shifted = np.concatenate([p.torque for p in found.predicted]) - np.concatenate(by_file)
+    assert np.abs(shifted).max() > 10.0
+
+
+@pytest.mark.parametrize("name", LARGE)
+def test_beside_an_effect_of_a_sensor_the_instruments_own_is_not_there(name, problem_with, effects):
+    found = fit(problem_with({name: LARGE[name]}), [effects[name]])
+    assert name not in {a.effect.name for a in found.instrument}
+    assert len(found.instrument) == len(instrument(found.problem.base)) - 1
+    keys = [f.key for f in found.free]
+    assert len(set(keys)) == len(keys)
+    (value,) = found.effects[0].values.values()
+    assert value == pytest.approx(LARGE[name], rel=0.1)
+
+
+@pytest.fixture
+def diagnosed_with(loaded, effects, tmp_path):
+    """A diagnosis of recordings by a sensor with such errors."""
+
+    def it(values):
+        rng = np.random.default_rng(7)
+        sessions = drives(loaded.base, loaded.known.max_speed, 2, 10.0, rng)
+        paths = write_recordings(loaded.base, tmp_path, sessions, sensors(effects, values), rng)
+        return diagnose(read_recordings(paths, None), loaded, quick=True)
+
+    return it
+
+
+@pytest.mark.long
+def test_what_is_of_an_instruments_size_is_no_finding(diagnosed_with):
+    found = diagnosed_with(SMALL)
+    assert found.found == ()
+    assert found.verdict.status == "none"
+    assert not any(found.verdict.sentence.startswith(name) for name in SMALL)
+    assert not any(a.effect.belongs_to == "sensor" for a in found.kept.effects)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", LARGE)
+def test_what_no_instrument_does_is_named(name, diagnosed_with):
+    found = diagnosed_with({name: LARGE[name]})
+    assert [f.name for f in found.found] == [name]
+    assert name not in {a.effect.name for a in found.final.instrument}
+    (value,) = found.found[0].values.values()
+    assert value == pytest.approx(LARGE[name], rel=0.15)

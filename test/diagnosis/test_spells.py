@@ -1,0 +1,133 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Spells: two levels are found where there are two, and told from a level that wanders and from noise."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from trackres_ros.diagnosis.described.describe import SURE, expected_there
+from trackres_ros.diagnosis.described.spells import (
+    BLOCK_S,
+    Blocks,
+    Chain,
+    blocks,
+    find_chain,
+    find_wander,
+    is_spells,
+    there_given,
+)
+
+COUNT = 25  # samples of a block
+NOISE_NM = 50.0  # of a sample
+LEVEL_NM, COMES, GOES = 60.0, 0.03, 0.06  # 83 s at a time, a third of the time
+SEEDS = range(4)
+
+
+def made(mean, pieces=4):
+    n = len(mean)
+    first = np.arange(n) % (n // pieces) == 0
+    index = np.arange(n)
+    return Blocks(mean, np.full(n, float(COUNT)), first, np.zeros(n, dtype=np.int64), COUNT * index, COUNT * (index + 1))
+
+
+def white(n, rng):
+    return rng.normal(0.0, NOISE_NM / math.sqrt(COUNT), n)
+
+
+def two_levels(n, rng):
+    there = np.zeros(n, dtype=bool)
+    for i in range(1, n):
+        there[i] = rng.random() > GOES if there[i - 1] else rng.random() < COMES
+    return LEVEL_NM * there + white(n, rng), there
+
+
+def wandering(n, rng, size=40.0, seconds=60.0):
+    keep, level = math.exp(-BLOCK_S / seconds), np.empty(n)
+    level[0] = rng.normal(0.0, size)
+    for i in range(1, n):
+        level[i] = keep * level[i - 1] + rng.normal(0.0, size * math.sqrt(1.0 - keep**2))
+    return level + white(n, rng)
+
+
+def likelier(b):
+    """By how much two levels are likelier than one that wanders; and the chain."""
+    chain, _, likelihood = find_chain(b)
+    return likelihood - find_wander(b)[1], chain
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_two_levels_are_found_with_their_size_length_and_share(seed):
+    n = 1600
+    mean, truth = two_levels(n, np.random.default_rng(seed))
+    gain, chain = likelier(made(mean))
+    assert gain > SURE
+    if chain.level < chain.rest:  # which of the two is the rest is for the caller to say
+        chain = Chain(chain.rest, chain.level, chain.goes, chain.comes, chain.noise)
+    assert is_spells(chain)
+    per_block = NOISE_NM / math.sqrt(COUNT)
+    error = per_block * math.sqrt(1.0 / truth.sum() + 1.0 / (~truth).sum())
+    assert chain.level - chain.rest == pytest.approx(LEVEL_NM, abs=4.0 * error)
+    assert chain.noise == pytest.approx(NOISE_NM, rel=4.0 / math.sqrt(2.0 * n))
+    spells = np.sum(np.diff(truth.astype(int)) == 1)
+    assert chain.share == pytest.approx(truth.mean(), abs=0.1)
+    assert math.log(chain.mean_s / (BLOCK_S / GOES)) == pytest.approx(0.0, abs=4.0 / math.sqrt(spells))
+    there, _ = there_given(made(mean), chain)
+    assert np.mean((there > 0.5) == truth) > 0.98
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("draw", [wandering, white], ids=["wandering", "white"])
+def test_what_wanders_and_what_is_noise_are_no_two_levels(draw, seed):
+    gain, chain = likelier(made(draw(1200, np.random.default_rng(seed))))
+    assert gain < SURE or not is_spells(chain)
+
+
+def test_a_level_that_wanders_is_found_with_its_size_and_time():
+    wander, _ = find_wander(made(wandering(4000, np.random.default_rng(1))))
+    assert wander.size == pytest.approx(40.0, rel=0.15)
+    assert wander.seconds == pytest.approx(60.0, rel=0.3)
+    assert wander.noise == pytest.approx(NOISE_NM, rel=0.1)
+
+
+CHAIN = Chain(LEVEL_NM, 0.0, COMES, GOES, NOISE_NM)
+
+
+@pytest.mark.parametrize("at", [0, 7, 100, 150, 399])
+def test_what_is_expected_hangs_on_the_past_alone(at):
+    b = made(two_levels(400, np.random.default_rng(2))[0])
+    changed = b.mean.copy()
+    changed[at] += 30.0 if changed[at] < 0.5 * LEVEL_NM else -30.0
+    before, after = (expected_there(one, CHAIN) for one in (b, replace(b, mean=changed)))
+    np.testing.assert_array_equal(before[: at + 1], after[: at + 1])
+    if at + 1 < len(changed) and not b.first[at + 1]:
+        assert before[at + 1] != after[at + 1]
+    rest = np.flatnonzero(b.first & (np.arange(len(changed)) > at))
+    if len(rest):  # a piece begins anew
+        np.testing.assert_array_equal(before[rest[0] :], after[rest[0] :])
+
+
+def test_what_is_expected_is_right_as_often_as_it_says():
+    mean, truth = two_levels(8000, np.random.default_rng(3))
+    expected = expected_there(made(mean), CHAIN)
+    assert np.all((expected > 0.0) & (expected < 1.0))
+    for low, high in ((0.0, 0.1), (0.9, 1.0)):
+        some = (expected >= low) & (expected <= high)
+        assert truth[some].mean() == pytest.approx(expected[some].mean(), abs=4.0 * math.sqrt(0.05 / some.sum()))
+
+
+def test_blocks_are_means_of_what_may_be_compared():
+    residual = np.arange(100.0)
+    residual[60] = np.nan
+    mask = np.ones(100, dtype=bool)
+    mask[25:49] = False  # all but one of a block
+    b = blocks([residual, residual[:30]], [mask, mask[:30]], 0.2)
+    assert b.session.tolist() == [0, 0, 0, 1]
+    assert b.begin.tolist() == [0, 50, 75, 0]
+    assert b.end.tolist() == [25, 75, 100, 25]
+    assert b.first.tolist() == [True, False, False, True]
+    assert b.count.tolist() == [25.0, 24.0, 25.0, 25.0]
+    assert b.mean.tolist() == pytest.approx([12.0, np.nanmean(residual[50:75]), 87.0, 12.0])

@@ -1,0 +1,293 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Effects without a name: laws of curves, gates and build-ups, and their way through a vehicle file."""
+
+import math
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trackres_ros.cli.main import cli
+from trackres_ros.diagnosis import load_base
+from trackres_ros.diagnosis.writing.kept import Kept
+from trackres_ros.effects import Active, catalogue, check_effects
+from trackres_ros.effects.effect import conditions
+from trackres_ros.effects.learned import (
+    ACCELERATING,
+    ACCELERATION,
+    ALWAYS,
+    AMBIENT,
+    BRAKING,
+    BUILD_UPS,
+    BY_BRAKING,
+    BY_DISTANCE,
+    BY_TIME,
+    CURVATURE,
+    CURVES,
+    DRIVING_TORQUE,
+    GATES,
+    HEAVY,
+    LEFT,
+    LIGHT,
+    LOAD,
+    MOST_KNOTS,
+    NAMES,
+    OPEN,
+    RIGHT,
+    SPEED,
+    TURN,
+    TURNING,
+    VARIABLES,
+    BuildUp,
+    Curve,
+    sized,
+)
+from trackres_ros.effects.stepping import FIRST_OWN, effect_table, is_compiled, look, new_memory, new_work, step_effects
+from trackres_ros.errors import InputError
+from trackres_ros.model.vehicle_constants import vehicle_constants
+from trackres_ros.units import STANDSTILL_MPS
+from trackres_ros.vehicle import load
+
+FACTS = vehicle_constants(load("xgd24d"))
+STEP_S = 0.1
+OF_VARIABLE = {
+    ALWAYS: lambda at: 0.0,
+    SPEED: lambda at: abs(at.speed),
+    ACCELERATION: lambda at: at.accel * at.direction,
+    LOAD: lambda at: at.weight,
+    AMBIENT: lambda at: at.ambient,
+    TURN: lambda at: at.yaw_rate,
+    TURNING: lambda at: abs(at.yaw_rate),
+    CURVATURE: lambda at: at.curvature,
+    DRIVING_TORQUE: lambda at: at.drive_torque * at.direction,
+}
+OF_GATE = {
+    OPEN: lambda at, threshold: True,
+    LEFT: lambda at, threshold: at.yaw_rate > threshold,
+    RIGHT: lambda at, threshold: -at.yaw_rate > threshold,
+    HEAVY: lambda at, threshold: at.weight > threshold,
+    LIGHT: lambda at, threshold: at.weight < threshold,
+    BRAKING: lambda at, threshold: -at.accel * at.direction > threshold,
+    ACCELERATING: lambda at, threshold: at.accel * at.direction > threshold,
+}
+# What a variable or the variable of a gate may come to, so that knots and thresholds lie among it.
+REACH = {
+    ALWAYS: (0.0, 1.0), SPEED: (0.0, 15.0), ACCELERATION: (-1.0, 1.0), LOAD: (1e5, 4e5), AMBIENT: (-20.0, 40.0),
+    TURN: (-0.5, 0.5), TURNING: (0.0, 0.5), CURVATURE: (0.0, 0.5), DRIVING_TORQUE: (-2e4, 2e4),
+}  # fmt: skip
+OPENS = {OPEN: (0.0, 1.0), LEFT: (0.0, 0.4), RIGHT: (0.0, 0.4), HEAVY: (1e5, 4e5), LIGHT: (1e5, 4e5), BRAKING: (0.0, 0.8),
+         ACCELERATING: (0.0, 0.8)}  # fmt: skip
+SOME = [  # of every kind, one
+    Curve(SPEED, OPEN, [1.0, 3.0, 8.0]),
+    Curve(ALWAYS, LEFT, [0.0], 0.05),
+    Curve(LOAD, BRAKING, [2e5, 3e5], 0.1),
+    BuildUp(BY_DISTANCE, 300.0),
+    BuildUp(BY_TIME, 120.0),
+    BuildUp(BY_BRAKING, 60.0),
+]
+
+
+def within(pair):
+    return st.floats(*pair, allow_nan=False)
+
+
+@st.composite
+def curves(draw):
+    """A curve of any variable behind any gate, with values."""
+    variable, gate = draw(st.sampled_from(sorted(VARIABLES))), draw(st.sampled_from(sorted(GATES)))
+    low, high = REACH[variable]
+    # Hundredths of the reach: knots that lie apart by more than rounding.
+    places = draw(st.lists(st.integers(0, 100), min_size=1, max_size=MOST_KNOTS, unique=True).map(sorted))
+    x = [low + 0.01 * place * (high - low) for place in places]
+    curve = Curve(variable, gate, x, draw(within(OPENS[gate])))
+    y = draw(st.lists(within((-3000.0, 3000.0)), min_size=len(x), max_size=len(x)))
+    return curve, x, y
+
+
+ANYWHERE = st.builds(
+    conditions,
+    st.just(FACTS),
+    speed=within((-15.0, 15.0)),
+    accel=within((-1.5, 1.5)),
+    weight=within((5e4, 5e5)),
+    ambient=within((-30.0, 50.0)),
+    yaw_rate=within((-0.6, 0.6)),
+    drive_torque=within((-3e4, 3e4)),
+)
+
+
+def active(curve, y):
+    return Active(curve, {**curve.values(), **{f"y{i}": height for i, height in enumerate(y, 1)}})
+
+
+def stepped(actives, at, memory=None, machine=True, dt=0.0):
+    """The torque of effects by the step, and the memory after it."""
+    table, work = effect_table(actives, machine=machine), new_work(FACTS)
+    memory = new_memory(len(actives)) if memory is None else memory
+    look(work, *at[1:9])
+    assert step_effects(table.rows, table.values, memory, work, dt) == 0
+    return work[0], memory
+
+
+# Curves
+
+
+@given(curves(), ANYWHERE)
+def test_a_curve_is_straight_between_its_knots_and_level_beyond_where_its_gate_is_open(drawn, at):
+    curve, x, y = drawn
+    opens = OF_GATE[curve.gate](at, curve.values()["threshold"])
+    by_hand = np.interp(OF_VARIABLE[curve.variable](at), x, y) * math.tanh(at.speed / STANDSTILL_MPS) if opens else 0.0
+    assert active(curve, y).terms(at).torque == pytest.approx(by_hand, rel=1e-9, abs=1e-7)
+
+
+@given(curves(), ANYWHERE)
+def test_at_rest_there_is_nothing_of_any_curve(drawn, at):
+    curve, _, y = drawn
+    still = conditions(FACTS, 0.0, at.accel, at.weight, at.ambient, at.yaw_rate, drive_torque=at.drive_torque)
+    assert active(curve, y).terms(still).torque == 0.0
+
+
+@pytest.mark.parametrize("effect", SOME, ids=lambda e: e.name)
+@pytest.mark.parametrize("speed", [-3.0, 0.0, 0.2, 6.0])
+def test_compiled_and_interpreted_say_the_same(effect, speed):
+    assert is_compiled(effect)
+    one = active(effect, [120.0, -80.0, 310.0][: effect.knots])
+    of_machine, of_python = new_memory(1), new_memory(1)
+    for accel, yaw_rate in ((0.2, 0.1), (-0.5, -0.1), (-0.5, 0.2), (0.0, 0.0)):
+        at = conditions(FACTS, speed, accel, 250e3, 10.0, yaw_rate, drive_torque=3000.0)
+        compiled, _ = stepped([one], at, of_machine, dt=7.0)
+        interpreted, _ = stepped([one], at, of_python, machine=False, dt=7.0)
+        assert compiled == pytest.approx(interpreted, rel=1e-12, abs=1e-12)
+    np.testing.assert_allclose(of_machine, of_python, rtol=1e-12)
+
+
+def test_a_step_interpolates_as_numpy_does():
+    x, y = [1.0, 3.0, 8.0], [120.0, -80.0, 310.0]
+    one = active(Curve(SPEED, OPEN, x), y)
+    for speed in (0.5, 1.0, 2.2, 3.0, 7.9, 8.0, 12.0):
+        torque, _ = stepped([one], conditions(FACTS, speed))
+        assert torque == pytest.approx(np.interp(speed, x, y) * math.tanh(speed / STANDSTILL_MPS), rel=1e-12)
+
+
+# Build-ups
+
+
+@given(st.lists(st.tuples(within((0.5, 12.0)), st.integers(1, 40)), min_size=1, max_size=6), within((50.0, 2000.0)))
+def test_what_builds_up_over_distance_knows_but_the_distance(legs, scale):
+    one = Active(BuildUp(BY_DISTANCE, scale), {"by": float(BY_DISTANCE), "y1": 400.0, "scale": scale})
+    memory, driven = new_memory(1), 0.0
+    for speed, seconds in legs:
+        stepped([one], conditions(FACTS, speed), memory)  # the target and pace of the leg
+        torque, _ = stepped([one], conditions(FACTS, speed), memory, dt=float(seconds))
+        driven += speed * seconds
+        assert torque == pytest.approx(400.0 * -math.expm1(-driven / scale) * math.tanh(speed / STANDSTILL_MPS), rel=1e-9)
+
+
+@pytest.mark.parametrize("by", [BY_DISTANCE, BY_TIME])
+def test_a_stop_takes_away_what_has_built_up(by):
+    one = Active(BuildUp(by, 100.0), {"by": float(by), "y1": 400.0, "scale": 100.0})
+    memory = new_memory(1)
+    stepped([one], conditions(FACTS, 8.0), memory)
+    torque, _ = stepped([one], conditions(FACTS, 8.0), memory, dt=300.0)
+    assert torque > 0.9 * 400.0
+    stepped([one], conditions(FACTS, 0.0), memory)
+    stepped([one], conditions(FACTS, 0.0), memory, dt=20.0)
+    torque, _ = stepped([one], conditions(FACTS, 8.0), memory)
+    assert abs(torque) < 1e-3 * 400.0
+
+
+def test_drag_after_braking_comes_with_it_and_goes_with_time():
+    one = Active(BuildUp(BY_BRAKING, 60.0), {"by": float(BY_BRAKING), "y1": 400.0, "scale": 60.0})
+    memory = new_memory(1)
+
+    def drive(accel, seconds):
+        stepped([one], conditions(FACTS, 6.0, accel), memory)
+        return stepped([one], conditions(FACTS, 6.0, accel), memory, dt=seconds)[0]
+
+    assert drive(0.0, 100.0) == 0.0
+    assert drive(-0.8, 10.0) == pytest.approx(400.0, rel=0.01)
+    assert drive(0.0, 60.0) == pytest.approx(400.0 / math.e, rel=0.01)
+    assert memory[FIRST_OWN] == pytest.approx(1.0 / math.e, rel=0.01)
+
+
+# Names and sizes
+
+
+def test_every_name_is_one_curve_or_build_up():
+    assert len(set(NAMES)) == len(NAMES) == len(CURVES) + len(BUILD_UPS)
+    assert not set(NAMES) & set(catalogue())
+    for name, (variable, gate) in CURVES.items():
+        assert Curve(variable, gate, [0.0]).name == name
+    assert "constant" not in NAMES  # that is an offset of the sensor or a friction
+
+
+def test_torques_grow_with_the_vehicle_and_knots_do_not():
+    whole = Curve(SPEED, OPEN, [1.0, 5.0])
+    half = sized(whole, 0.5 * 97920.0)
+    for q, other in zip(whole.parameters, half.parameters, strict=True):
+        factor = 0.5 if q.name.startswith("y") else 1.0
+        assert (other.low, other.start, other.high) == pytest.approx((factor * q.low, factor * q.start, factor * q.high))
+
+
+# Vehicle files
+
+
+def written(tmp_path, one):
+    base = load_base("xgd24d").base
+    base.write(tmp_path / "vehicle.yaml", Kept(None, (one,), {}), "Written by trackres diagnose from x.")
+    return tmp_path / "vehicle.yaml"
+
+
+@pytest.mark.parametrize("effect", SOME, ids=lambda e: e.name)
+def test_what_was_learned_comes_back_from_the_file_it_was_written_to(effect, tmp_path):
+    one = active(effect, [123.456, -80.0, 310.0][: effect.knots])
+    path = written(tmp_path, one)
+    (again,) = load(path).effects
+    assert again.effect.name == effect.name
+    assert again.values == pytest.approx(one.values, rel=1e-5)
+    assert [q.name for q in again.effect.parameters] == [q.name for q in effect.parameters]
+    for speed, accel, yaw_rate in ((6.0, 0.1, 0.2), (2.0, -0.4, -0.2), (-4.0, 0.0, 0.1)):
+        at = conditions(FACTS, speed, accel, 260e3, 10.0, yaw_rate)
+        assert again.terms(at, 0.4).torque == pytest.approx(one.terms(at, 0.4).torque, rel=1e-4)
+
+
+def test_commands_take_a_file_with_what_was_learned(tmp_path):
+    path = written(tmp_path, active(Curve(SPEED, LEFT, [2.0, 6.0], 0.05), [200.0, 500.0]))
+    rows = [f"{i * 0.1:.1f},5.0,{0.2 if i < 100 else -0.2}" for i in range(200)]
+    (tmp_path / "drive.csv").write_text("\n".join(["time_s,speed_mps,yaw_rate_radps", *rows]) + "\n")
+    for command in (
+        ["vehicle", "check", path, "--points", 10],
+        ["replay", tmp_path / "drive.csv", "--vehicle", path, "-o", tmp_path / "out.csv"],
+    ):
+        done = CliRunner().invoke(cli, [str(word) for word in command])
+        assert done.exit_code == 0, done.exception
+    added = np.genfromtxt(tmp_path / "out.csv", delimiter=",", names=True)["effects_nm"]
+    assert added[50:95] == pytest.approx(425.0, rel=1e-4)
+    assert added[105:] == pytest.approx(0.0, abs=1e-6)
+
+
+KNOTS = {"threshold": 0.0, "x1": 1.0, "x2": 3.0, "y1": 10.0, "y2": 20.0}
+MANY = {"threshold": 0.0, **{f"{of}{i}": float(i) for of in "xy" for i in range(1, MOST_KNOTS + 2)}}
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "said"),
+    [
+        ("curve_of_speed", {**KNOTS, "x2": 1.0}, "x1 to x2.*rise"),
+        ("curve_of_speed", {**KNOTS, "x2": 0.5}, "x1 to x2.*rise"),
+        ("curve_of_speed", MANY, f"effects.curve_of_speed.*a value for each of .*x{MOST_KNOTS}, y1"),
+        ("curve_of_speed", {**KNOTS, "x3": 4.0}, "effects.curve_of_speed.*a value for each of threshold, x1, x2, y1, y2$"),
+        ("curve_of_speed", {**KNOTS, "y1": 1e9}, "effects.curve_of_speed.y1"),
+        ("curve_of_speed", 7.0, "effects.curve_of_speed.*a value for each"),
+        ("curve_of_sped", KNOTS, "curve_of_sped.*did you mean curve_of_speed"),
+        ("build_up_over_distance", {"y1": 100.0}, "effects.build_up_over_distance.*y1, scale"),
+    ],
+    ids=str,
+)
+def test_what_cannot_be_a_learned_effect_is_refused_by_name(name, values, said):
+    with pytest.raises(InputError, match=said):
+        check_effects({name: values}, "vehicle.yaml: effects", catalogue(), "vehicle")
