@@ -119,12 +119,12 @@ class Learned(Effect):
     @property
     def knots(self) -> int:
         """How many heights it has."""
-        return sum(q.off is not None for q in self.parameters)
+        return sum(q.name.startswith("y") for q in self.parameters)
 
 
 class Curve(Learned):
     """A torque against travel along straight lines between knots, the value of the last knot beyond them; nothing where the
-    gate is closed.
+    gate is closed. A fit leaves the height of one knot of a curve without a gate at zero: a constant is no curve.
 
     Parameters
     ----------
@@ -142,6 +142,7 @@ class Curve(Learned):
         self.name = curve_name(variable, gate)
         self.text = " ".join(filter(None, ("a torque", follows.text and f"that follows the {follows.text},", opens.text)))
         self.needs = tuple(dict.fromkeys((*follows.needs, *opens.needs)))
+        zero = 1 + int(min(range(len(at)), key=lambda i: abs(at[i])))
         self.parameters = (
             _fixed("variable", variable, "code of what it follows"),
             _fixed("gate", gate, "code of where it acts"),
@@ -150,7 +151,7 @@ class Curve(Learned):
                 Parameter(f"x{i}", follows.unit, -FURTHEST, FURTHEST, x, f"{follows.text or 'nothing'} at knot {i}", fitted=False)
                 for i, x in enumerate(at, 1)
             ),
-            *(_height(f"y{i}", f"torque at knot {i}") for i in range(1, len(at) + 1)),
+            *(_height(f"y{i}", f"torque at knot {i}", gate != OPEN or i != zero) for i in range(1, len(at) + 1)),
         )
 
     def terms(self, at: Conditions, p: Values) -> Terms:
@@ -242,5 +243,6 @@ def _fixed(name: str, code: int, text: str) -> Parameter:
     return Parameter(name, "1", float(code), float(code), float(code), text, fitted=False)
 
 
-def _height(name: str, text: str) -> Parameter:
-    return Parameter(name, "Nm", -MOST_NM, MOST_NM, TYPICAL_NM, text, off=0.0, of_size=True)
+def _height(name: str, text: str, fitted: bool = True) -> Parameter:
+    start, off = (TYPICAL_NM, 0.0) if fitted else (0.0, None)
+    return Parameter(name, "Nm", -MOST_NM, MOST_NM, start, text, off=off, of_size=fitted, fitted=fitted)

@@ -90,9 +90,11 @@ def describe(
         if not found:
             break
         term = max(found, key=lambda t: t.candidate.net_evidence)
+        with_term, still_named = _needed(term.candidate.fit, kept)
+        if len(still_named) < len(kept) and with_term.log_evidence < current.log_evidence + SURE:
+            break  # a name explains as much
         terms[term.candidate.name] = term
-        current = term.candidate.fit
-        current, kept = _needed(current, kept)
+        current, kept = with_term, still_named
         if term.candidate.effect.acts_on != WATCHED:
             continue
         step = one_round(current, effects, replicates, rng)

@@ -23,7 +23,8 @@ from trackres_ros.effects.effect import Active, Effect
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-ROUNDS = 3  # of fit and noise
+ROUNDS, MOST_ROUNDS = 3, 10  # of fit and noise
+SETTLED = 0.3  # in log-likelihood: a round that gains less is the last
 LARGE = 3.0  # times its typical size: one standard deviation of what an effect may be
 DIFFERENCE = 1e-4  # of the span between bounds, for derivatives
 MOST_STEPS = 60
@@ -250,7 +251,7 @@ def fit(
     effects: Sequence[Effect] = (),
     start: Mapping[tuple[str, str], float] | None = None,
     noises: Mapping[str, Noise] | None = None,
-    rounds: int = ROUNDS,
+    rounds: int | None = None,
     fixed: Mapping[tuple[str, str], float] | None = None,
     largest_root: float = LARGEST_ROOT,
 ) -> Fit:
@@ -263,7 +264,7 @@ def fit(
     noises
         To begin with; estimated from the first residuals without.
     rounds
-        How often fit and noise take turns.
+        How often fit and noise take turns; without it until the likelihood settles.
     fixed
         Parameters that are held at a value.
     largest_root
@@ -296,8 +297,8 @@ def fit(
         robust = of_rows(problem, problem.white(residuals(at), current), Noise.deviance_root, current)
         return np.concatenate((robust, (at - nominal) / std))
 
-    solution = None
-    for _ in range(rounds):
+    solution, before = None, -np.inf
+    for turn in range(MOST_ROUNDS if rounds is None else rounds):
         solution = least_squares(
             objective,
             point,
@@ -309,9 +310,13 @@ def fit(
             xtol=1e-7,
         )
         point = solution.x
-        current = problem.noises(residuals(point), largest_root)
+        left = residuals(point)
+        current = problem.noises(left, largest_root)
+        likelihood = log_likelihood(problem, left, current) - 0.5 * float((((point - nominal) / std) ** 2).sum())
+        if rounds is None and turn + 1 >= ROUNDS and likelihood - before < SETTLED:
+            break
+        before = likelihood
     assert solution is not None
-    likelihood = log_likelihood(problem, residuals(point), current) - 0.5 * float((((point - nominal) / std) ** 2).sum())
     scaled = solution.jac * scale  # in units of each parameter's scale: they differ by many orders of magnitude
     covariance = np.linalg.pinv(scaled.T @ scaled, rcond=1e-14, hermitian=True) * np.outer(scale, scale)
     values, active = model(point)

@@ -17,13 +17,12 @@ from dataclasses import replace
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
 
 LARGEST_ROOT = 0.7
-ROUNDS = 3
 
 
 def with_levels(found: Fit, without: Collection[str] = ()) -> Fit:
     """The same model, `without` some of its effects, with values that predict."""
     effects = [a.effect for a in found.effects if a.effect.name not in without]
-    return fit(found.problem, effects, found.at, rounds=ROUNDS, largest_root=LARGEST_ROOT)
+    return fit(found.problem, effects, found.at, largest_root=LARGEST_ROOT)
 
 
 def for_tests(found: Fit) -> Fit:
