@@ -37,6 +37,7 @@ Array = NDArray[np.float64]
 
 MOST_DESCRIBED = 2
 SURE = 10.0  # in log-likelihood: spells over what only wanders, what wanders over what does not, a term over none
+LEAST_FOLLOWED = 8.0  # in log-likelihood, to first order: what gains less does not pay for its knots
 FEWEST_SPELLS = 3
 FEWEST_REPLICATES = 19
 SLOWEST_WANDER_S = 60.0  # what wanders faster is noise that the autoregression knows
@@ -106,7 +107,7 @@ def describe(
 def _followed(current: Fit, replicates: int, rng: np.random.Generator) -> Term | None:
     """The best curve, gated curve or build-up; of those as good the simplest."""
     forms = {key: e for key, e in candidates(current).items() if e.name not in current.effect_names}
-    step = one_round(current, forms, max(FEWEST_REPLICATES, replicates // 2), rng)
+    step = one_round(current, forms, max(FEWEST_REPLICATES, replicates // 2), rng, LEAST_FOLLOWED)
     if step.chosen is None or step.chosen.net_evidence < math.log(len(forms)):
         return None
     as_good = [

@@ -52,8 +52,11 @@ class Screened:
     reached: Array
 
 
-def screen(fit: Fit, candidates: Sequence[Sensitivity], replicates: int, rng: np.random.Generator) -> Screened:
-    """Gain of each candidate, and the distribution of the largest under noise of the fit's own kind.
+def screen(
+    fit: Fit, candidates: Sequence[Sensitivity], replicates: int, rng: np.random.Generator, least: float = 0.0
+) -> Screened:
+    """Gain of each candidate, and the distribution of the largest under noise of the fit's own kind; if none gains `least`,
+    nothing is drawn, and the threshold is infinite.
 
     Notes
     -----
@@ -67,6 +70,8 @@ def screen(fit: Fit, candidates: Sequence[Sensitivity], replicates: int, rng: np
     residual = linear.lagged(np.concatenate(fit.residuals))
     found = linear.gains(residual, movers)
     gains = sorted(zip(candidates, found, strict=True), key=lambda pair: -pair[1])
+    if not gains or gains[0][1] < least:
+        return Screened(tuple(gains), {}, np.inf, np.zeros(0))
     form_error_gain: dict[str, float] = {}
     if forms.shape[1]:
         strict = _Linear(fit, own, forms[:, :0])
