@@ -12,6 +12,7 @@ import pytest
 
 from trackres_ros.diagnosis.base.base import BaseParameter
 from trackres_ros.diagnosis.base.watched import WATCHED
+from trackres_ros.diagnosis.described.terms import Described
 from trackres_ros.diagnosis.findings.locate import Acts, SlowResidual
 from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
 from trackres_ros.diagnosis.findings.verdict import (
@@ -19,6 +20,7 @@ from trackres_ros.diagnosis.findings.verdict import (
     LEFT_SHARE,
     MOST_STRAY,
     Found,
+    Told,
     Verdict,
     judge,
     likelier,
@@ -27,7 +29,7 @@ from trackres_ros.diagnosis.findings.verdict import (
 from trackres_ros.diagnosis.pipeline import believed_in
 from trackres_ros.diagnosis.prepare.session import Session
 from trackres_ros.diagnosis.selection import confirm as confirming
-from trackres_ros.diagnosis.selection.confirm import Graded, confirm, keep
+from trackres_ros.diagnosis.selection.confirm import Graded, confirm, keep, leave_unconfirmed
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, HeldOut, HeldOutLaps, Improvement, held_out
 from trackres_ros.diagnosis.selection.naming import Candidate, Step
 from trackres_ros.effects.effect import Parameter
@@ -433,3 +435,50 @@ def test_errors_are_counted_by_stage_and_by_lap():
     assert (found.of_refit.before, found.of_refit.after) == pytest.approx((25.0, 12.5))
     assert (found.of_effects.before, found.of_effects.after) == pytest.approx((12.5, 2.5))
     assert found.of_effects.grade == CONFIRMED
+
+
+# Terms without a name
+
+
+def term(name="curve_of_speed", improvement=BETTER, adds=100.0, predictable=True):
+    described = Described("curve", name, "speed", "", None, None, f"{name} it takes", ("a fan",), abs(adds), predictable)
+    return Told(described, [np.full(100, adds)], {}, Graded(name, improvement, ()))
+
+
+def test_what_has_no_name_is_described_with_what_to_look_for():
+    verdict = said(terms=[term()])
+    assert (verdict.status, verdict.grade, verdict.names) == ("described", CONFIRMED, True)
+    assert verdict.sentence.startswith("curve_of_speed it takes; no effect of the catalogue does this. Look for a fan")
+    beside = said([found()], [term()])
+    assert beside.status == "named"
+    assert "Look for a fan" in beside.sentence
+
+
+def test_a_term_that_laps_do_not_confirm_is_suspected_and_one_that_explains_little_is_not_believed():
+    assert said(terms=[term(improvement=UNSURE)]).grade == SUSPECTED
+    little = said(terms=[term(adds=60.0)], at_end=regimes(59.0))
+    assert (little.status, little.names) == ("unexplained", False)
+
+
+def test_of_terms_those_are_written_that_follow_what_is_known_ahead():
+    described = Verdict("described", CONFIRMED, "")
+    terms = [term(), term("spells", predictable=False), term("constant_when_left", UNSURE)]
+    assert believed_in([], terms, described, KINDS, False) == ["curve_of_speed"]
+    assert believed_in([], terms, described, KINDS, True) == ["curve_of_speed", "constant_when_left"]
+
+
+def test_what_follows_the_clock_alone_is_never_written(monkeypatch):
+    monkeypatch.setattr(confirming, "intervals", lambda fit: {})
+    kept = keep(["a"], Fitted("a", "spells", torque=90.0, watched=("spells",)), Fitted(), worth(), Laps({}), {})
+    assert [active.effect.name for active in kept.effects] == ["a"]
+    assert "spells" not in kept.text
+
+
+def test_a_name_that_is_only_suspected_goes_beside_a_term_that_is_confirmed(leave_out):
+    laps = Laps({("", "t"): BETTER})
+    both = {"n": Graded("n", UNSURE, ()), "t": Graded("t", BETTER, ())}
+    kept, graded, left = leave_unconfirmed(Fitted("n", "t"), both, ["t"], Fitted(), laps)
+    assert (kept.names, set(graded), [g.name for g in left]) == ({"t"}, {"t"}, ["n"])
+    unsure = {**both, "t": Graded("t", UNSURE, ())}
+    final = Fitted("n", "t")
+    assert leave_unconfirmed(final, unsure, ["t"], Fitted(), laps) == (final, unsure, ())

@@ -48,6 +48,7 @@ SURE_OF_ACCELERATION = 6.0  # standard deviations of its error beyond which a ga
 SIGNED = (ACCELERATION, TURN, DRIVING_TORQUE)
 BOTH_SIDES = 0.05  # share of a signed variable on its rarer side: with less there is but one side
 NEAR_ZERO = 0.1  # of the range on a side: between these knots a signed curve may step
+RESOLVED = 6.0  # times its noise: nearer zero a smoothed acceleration says more of the smoothing than of the drive
 GATED_KNOTS = 3
 GATED = {
     LEFT: (ALWAYS, SPEED, CURVATURE, LOAD),
@@ -83,9 +84,17 @@ def _of(code: int, session: Session, driving: Array) -> Array:
 
 
 def driven(code: int, fit: Fit) -> Array:
-    """The variable where the fit compares torques; empty where it is not known throughout."""
+    """The variable where the fit compares torques; empty where it is not known throughout, or not well enough."""
     found = np.concatenate([x[m] for x, m in zip(series(code, fit), fit.problem.masks, strict=True)])
-    return found if np.isfinite(found).all() else np.empty(0)
+    known = np.isfinite(found).all() and (code not in (ACCELERATION, DRIVING_TORQUE) or _resolved(fit))
+    return found if known else np.empty(0)
+
+
+def _resolved(fit: Fit) -> bool:
+    """Whether the acceleration is known where a curve of it may step: what a smoothed one is off looks like such a curve."""
+    noise = max(s.accel_noise for s in fit.problem.sessions)
+    largest = max(float(np.quantile(np.abs(s.accel), DRIVEN[1])) for s in fit.problem.sessions)
+    return RESOLVED * noise <= NEAR_ZERO * largest
 
 
 def shows(code: int, fit: Fit) -> bool:
