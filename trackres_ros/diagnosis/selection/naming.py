@@ -169,9 +169,7 @@ def _apart(step: Step, chosen: Sequence[str]) -> Step:
     return replace(step, members=tuple(kept), weights={m: w / total for m, w in kept.items()})
 
 
-def one_round(
-    current: Fit, effects: Mapping[str, Effect], replicates: int, rng: np.random.Generator, least: float = 0.0
-) -> Step:
+def one_round(current: Fit, effects: Mapping[str, Effect], replicates: int, rng: np.random.Generator, least: float = 0.0) -> Step:
     """Which effect, if any, explains most of what a fit leaves; of one name there may be several, of which the best counts. One
     that gains less than `least` to first order is none.
     """
