@@ -448,10 +448,10 @@ def term(name="curve_of_speed", improvement=BETTER, adds=100.0, predictable=True
 def test_what_has_no_name_is_described_with_what_to_look_for():
     verdict = said(terms=[term()])
     assert (verdict.status, verdict.grade, verdict.names) == ("described", CONFIRMED, True)
-    assert verdict.sentence.startswith("curve_of_speed it takes; no effect of the catalogue does this. Look for a fan")
+    assert verdict.sentence.startswith("curve_of_speed it takes: look for a fan")
     beside = said([found()], [term()])
     assert beside.status == "named"
-    assert "Look for a fan" in beside.sentence
+    assert "look for a fan" in beside.sentence
 
 
 def test_a_term_that_laps_do_not_confirm_is_suspected_and_one_that_explains_little_is_not_believed():

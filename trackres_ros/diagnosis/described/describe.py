@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from trackres_ros.diagnosis.base.watched import WATCHED, Watched
 from trackres_ros.diagnosis.described.candidates import candidates, finer, series
 from trackres_ros.diagnosis.described.spells import (
+    BLOCK_S,
     Blocks,
     Chain,
     beyond_wander,
@@ -126,24 +127,32 @@ def _count(candidate: Candidate) -> tuple[int, float]:
     return candidate.effect.knots, -candidate.net_evidence
 
 
-def _with(current: Fit, effect: Effect, like: Candidate | None = None) -> Candidate:
-    """A candidate fitted beside what is there."""
+def _with(current: Fit, effect: Effect, like: Candidate) -> Candidate:
+    """Another form of a candidate, fitted beside what is there."""
     start = {**current.at, **{(effect.name, q.name): q.start for q in effect.parameters if q.fitted}}
     found = fit(current.problem, [*(a.effect for a in current.effects), effect], start, current.noises)
-    kept, d_prime = (like.kept, like.d_prime) if like else (1.0, math.nan)
-    return compared(current, found, effect.name, kept, d_prime, like.form_error_gain if like else 0.0)
+    return compared(current, found, effect.name, like.kept, like.d_prime, like.form_error_gain)
+
+
+def _watched(current: Fit, effect: Watched, level: float) -> Candidate:
+    """What follows the clock alone, fitted beside what is there; it begins at its level and with the noise beside that, as
+    without it the noise is taken for a random walk, under which no level counts.
+    """
+    start = {**current.at, (effect.name, "level"): level}
+    found = fit(current.problem, [*(a.effect for a in current.effects), effect], start)
+    return compared(current, found, effect.name, 1.0, math.nan, 0.0)
 
 
 def _counts(candidate: Candidate, current: Fit) -> bool:
     return candidate.counts(spurious_gain(current)) and candidate.net_evidence > SURE
 
 
-def torque_blocks(current: Fit, residuals: Sequence[Array], held_out: bool = False) -> Blocks:
+def torque_blocks(current: Fit, residuals: Sequence[Array], held_out: bool = False, seconds: float = BLOCK_S) -> Blocks:
     """Blocks of the torque's residual against travel: of the laps that are fitted, or of the others that can be compared."""
     problem = current.problem
     against = [r * np.sign(s.speed) for r, s in zip(residuals, problem.sessions, strict=True)]
     masks = [s.used & ~m if held_out else m for s, m in zip(problem.sessions, problem.masks, strict=True)]
-    return blocks(against, masks, problem.sessions[0].step)
+    return blocks(against, masks, problem.sessions[0].step, seconds)
 
 
 def _residuals(current: Fit) -> list[Array]:
@@ -161,10 +170,11 @@ def _spells(current: Fit) -> Term | None:
         if not is_spells(chain) or beyond_wander(b, chain, there) < SURE:
             return found
         if chain.level < chain.rest:
-            there, chain = 1.0 - there, replace(chain, level=chain.rest, rest=chain.level, comes=chain.goes, goes=chain.comes)
-        shape = _shape(current, b, there, chain, residuals)
+            there = 1.0 - there
+            chain = replace(chain, level=chain.rest, rest=chain.level, comes=chain.goes, goes=chain.comes)
+        shape = _shape(current, chain, residuals)
         effect = Watched(SPELLS, "a torque that is there for a while and gone for a while", shape, _size(current))
-        candidate = _with(current, effect)
+        candidate = _watched(current, effect, chain.level - chain.rest)
         if not _counts(candidate, current) or sum(_beginnings(b, there)) < FEWEST_SPELLS:
             return found
         found = Term(candidate, chain=chain)
@@ -173,13 +183,14 @@ def _spells(current: Fit) -> Term | None:
     return found
 
 
-def _shape(current: Fit, b: Blocks, there: Array, chain: Chain, residuals: Sequence[Array]) -> list[Array]:
-    """How likely it is there: on the laps fitted by all of them; elsewhere by what was measured up to the block before, as one
-    who watches live knows it.
+def _shape(current: Fit, chain: Chain, residuals: Sequence[Array]) -> list[Array]:
+    """How likely it is there: on the laps fitted by all of them, step by step, as it comes and goes within a block; elsewhere
+    by what was measured up to the block before, as one who watches live knows it.
     """
     problem = current.problem
-    shape = [np.zeros(len(s)) for s in problem.sessions]
-    _fill(shape, b, there)
+    shape, step = [np.zeros(len(s)) for s in problem.sessions], problem.sessions[0].step
+    by_step = torque_blocks(current, residuals, seconds=step)
+    _fill(shape, by_step, there_given(by_step, chain.for_blocks(step))[0])
     if any((s.used & ~m).any() for s, m in zip(problem.sessions, problem.masks, strict=True)):
         other = torque_blocks(current, residuals, held_out=True)
         _fill(shape, other, expected_there(other, chain))
@@ -217,7 +228,8 @@ def _wave(current: Fit) -> Term | None:
     if wave is None:
         return None
     used = [np.where(m, x, 0.0) for x, m in zip(wave.shape, current.problem.masks, strict=True)]
-    candidate = _with(current, Watched(WAVE, "a torque that comes again with distance", used, _size(current)))
+    effect = Watched(WAVE, "a torque that comes again with distance", used, _size(current))
+    candidate = _watched(current, effect, wave.size)
     pieces = 2.0 * sum(float(np.abs(x).max(initial=0.0) > 0.0) for x in used)  # a phase each, which were chosen too
     return Term(candidate, wave=wave) if candidate.net_evidence > SURE + pieces and candidate.matters else None
 

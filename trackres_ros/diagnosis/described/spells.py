@@ -19,14 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from trackres_ros.units import MAD_TO_STD
-
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 BLOCK_S = 5.0
 FEWEST_SAMPLES = 2  # of a block
-TAME = 5.0  # robust standard deviations: a mean beyond says no more
+INNER = (0.03, 0.97)  # quantiles: a mean further out than once more their distance says no more
 TURNS, ENOUGH = 60, 1e-3  # of expectation and maximisation, and a gain that is none
 STARTS = (-2.5, -1.2, 1.2, 2.5)  # standard deviations: where the second level may begin to be looked for
 SHORTEST_S, LONGEST_S = 10.0, 1200.0  # of a spell, on average
@@ -66,6 +64,10 @@ class Chain:
     goes: float
     noise: float
 
+    def for_blocks(self, seconds: float) -> Chain:
+        """The same for blocks of another length, shorter than its spells."""
+        return replace(self, comes=self.comes * seconds / BLOCK_S, goes=self.goes * seconds / BLOCK_S)
+
     @property
     def mean_s(self) -> float:
         """How long it is there on average [s]."""
@@ -77,22 +79,23 @@ class Chain:
         return self.comes / (self.comes + self.goes)
 
 
-def blocks(residuals: Sequence[Array], masks: Sequence[Mask], step: float) -> Blocks:
-    """Cut residuals into blocks; what is beyond all others counts as far as they go."""
-    length = max(1, round(BLOCK_S / step))
+def blocks(residuals: Sequence[Array], masks: Sequence[Mask], step: float, seconds: float = BLOCK_S) -> Blocks:
+    """Cut residuals into blocks of so many seconds; what is beyond all others counts as far as they go."""
+    length = max(1, round(seconds / step))
+    fewest = min(FEWEST_SAMPLES, length)
     rows: list[tuple[float, float, bool, int, int, int]] = []
     for i, (residual, mask) in enumerate(zip(residuals, masks, strict=True)):
         first = True
         for begin in range(0, len(residual), length):
             end = min(begin + length, len(residual))
             used = mask[begin:end] & np.isfinite(residual[begin:end])
-            if used.sum() < FEWEST_SAMPLES:
+            if used.sum() < fewest:
                 continue
             rows.append((float(residual[begin:end][used].mean()), float(used.sum()), first, i, begin, end))
             first = False
     mean, count, first_, session, begin_, end_ = (np.array(x) for x in zip(*rows, strict=True))
-    most = TAME * MAD_TO_STD * float(np.median(np.abs(mean - np.median(mean))))
-    return Blocks(np.clip(mean, np.median(mean) - most, np.median(mean) + most), count, first_, session, begin_, end_)
+    low, high = (float(q) for q in np.quantile(mean, INNER))
+    return Blocks(np.clip(mean, low - (high - low), high + (high - low)), count, first_, session, begin_, end_)
 
 
 def find_chain(b: Blocks) -> tuple[Chain, Array, float]:

@@ -160,7 +160,8 @@ def judge(
             besides += f" And {_strays(left_over)}."
         grades = [*(f.graded for f in found), *(t.graded for t in terms)]
         doubted = [g for g in grades if g.grade != CONFIRMED]
-        said = ". ".join([*(_of_effect(f) for f in found), *(_of_term(t) for t in terms)])
+        beside = ["No effect of the catalogue does this"] if terms else []
+        said = ". ".join([*map(_of_effect, found), *map(_of_term, terms), *beside])
         if not doubted:
             return Verdict(status, CONFIRMED, f"{said}. Confirmed {_gain(held_out, 'with_effects')}.{besides}")
         why = ". ".join(map(_doubt, doubted))
@@ -219,7 +220,7 @@ def _of_effect(f: Found) -> str:
 
 def _of_term(t: Told) -> str:
     """A term without a name, and what to look at."""
-    return f"{t.described.sentence}; no effect of the catalogue does this. Look for {', or '.join(t.described.mechanisms)}"
+    return f"{t.described.sentence}: look for {', or '.join(t.described.mechanisms)}"
 
 
 def _doubt(graded: Graded) -> str:

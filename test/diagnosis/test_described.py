@@ -1,0 +1,79 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""A torque that the catalogue does not know, added to simulated recordings: described, and written where it is known ahead."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from trackres_ros.diagnosis import diagnose, read_recordings
+from trackres_ros.vehicle import load
+
+TURN_NM = 600.0
+PUMP_NM, ON_S, OFF_S = 400.0, 70.0, 110.0
+
+
+def with_added(recordings, adds):
+    """Recordings with a torque added, of (recording, times [s])."""
+    found = []
+    for r in recordings:
+        torque = r.series["torque"].value + adds(r, r.time_s("torque"))
+        found.append(replace(r, series={**r.series, "torque": replace(r.series["torque"], value=torque)}))
+    return found
+
+
+def at(r, role, times):
+    return np.interp(times, r.time_s(role), r.series[role].value)
+
+
+@pytest.mark.long
+def test_a_torque_in_left_turns_alone_is_described_and_written(recorded, loaded, tmp_path):
+    def adds(r, times):
+        return TURN_NM * ((at(r, "yaw_rate", times) > 0.01) & (at(r, "speed", times) > 0.1))
+
+    recordings = with_added(read_recordings(recorded(), None), adds)
+    found = diagnose(recordings, loaded, quick=True)
+    assert found.verdict.status == "described"
+    assert found.verdict.grade == "confirmed"
+    assert found.found == ()
+    (told,) = found.described
+    assert told.described.form == "gated_curve"
+    assert told.described.gate == "in left turns"
+    assert told.described.size_nm == pytest.approx(TURN_NM, rel=0.15)
+    found.base.write(tmp_path / "vehicle.yaml", found.kept, "Written by trackres diagnose from x.")
+    (written,) = load(tmp_path / "vehicle.yaml").effects
+    assert written.effect.name == told.described.name
+    assert written.effect.name.endswith("when_left")
+    sessions, values = found.sessions, found.final.base_values
+    for s, bare, p in zip(sessions, *(found.base.predict(sessions, values, e) for e in ((), (written,))), strict=True):
+        adds = p.torque - bare.torque
+        left = (s.yaw_rate > 0.05) & (s.speed > 1.0)
+        assert np.median(adds[left]) == pytest.approx(TURN_NM, rel=0.1)
+        assert np.abs(adds[s.yaw_rate < 0.0]).max() < 1e-3  # what it drives harder in left turns warms the belt
+
+
+@pytest.mark.long
+def test_spells_are_described_and_never_written(recorded, loaded, tmp_path):
+    rng = np.random.default_rng(4)
+
+    def adds(r, times):
+        changes = np.cumsum(rng.uniform(0.6, 1.4, 200) * np.tile([OFF_S, ON_S], 100))
+        return PUMP_NM * (np.searchsorted(changes, times) % 2) * (at(r, "speed", times) > 0.1)
+
+    found = diagnose(with_added(read_recordings(recorded(), None), adds), loaded, quick=True)
+    (told,) = [t for t in found.described if t.described.form == "spells"]
+    assert not told.described.predictable
+    assert told.described.size_nm == pytest.approx(PUMP_NM, rel=0.2)
+    assert 0.5 * ON_S < told.described.memory < 2.0 * ON_S
+    assert told.described.name not in {a.effect.name for a in found.kept.effects}
+    found.base.write(tmp_path / "vehicle.yaml", found.kept, "Written by trackres diagnose from x.")
+    assert told.described.name not in (tmp_path / "vehicle.yaml").read_text()
+
+
+@pytest.mark.long
+def test_where_nothing_is_hidden_nothing_is_described(recorded, loaded):
+    found = diagnose(read_recordings(recorded(), None), loaded, quick=True)
+    assert found.described == ()
+    assert found.verdict.status == "none"
