@@ -125,7 +125,8 @@ class World:
         effect = self.effects[name]
         return Sensitivity(effect, start or effect.values(), ("size",), np.empty(0), kept, d_prime, 0.0, np.empty(0))
 
-    def screen(self, current, visible, replicates, rng):
+    def screen(self, current, visible, replicates, rng, least):
+        assert least == 0.0
         before = self.gains_of(current.effect_names).sum()
         gains = {s.effect.name: self.gains_of((*current.effect_names, s.effect.name)).sum() - before for s in visible}
         best_first = sorted(((s, gains[s.effect.name]) for s in visible), key=lambda pair: -pair[1])

@@ -28,7 +28,7 @@ def with_sessions(d, sessions, of):
     fits = [SimpleNamespace(predicted=[fit.predicted[i] for i in of]) for fit in (d.refitted, d.final)]
     return SimpleNamespace(
         sessions=sessions, nominal=[d.nominal[i] for i in of], refitted=fits[0], final=fits[1], found=d.found, split=d.split,
-        changes=d.changes,
+        changes=d.changes, modelled=d.modelled,
     )  # fmt: skip
 
 

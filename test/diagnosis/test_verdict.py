@@ -442,7 +442,7 @@ def test_errors_are_counted_by_stage_and_by_lap():
 
 def term(name="curve_of_speed", improvement=BETTER, adds=100.0, predictable=True):
     described = Described("curve", name, "speed", "", None, None, f"{name} it takes", ("a fan",), abs(adds), predictable)
-    return Told(described, [np.full(100, adds)], {}, Graded(name, improvement, ()))
+    return Told(described, [np.full(100, adds)], [], {}, Graded(name, improvement, ()))
 
 
 def test_what_has_no_name_is_described_with_what_to_look_for():

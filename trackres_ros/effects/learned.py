@@ -245,4 +245,4 @@ def _fixed(name: str, code: int, text: str) -> Parameter:
 
 def _height(name: str, text: str, fitted: bool = True) -> Parameter:
     start, off = (TYPICAL_NM, 0.0) if fitted else (0.0, None)
-    return Parameter(name, "Nm", -MOST_NM, MOST_NM, start, text, off=off, of_size=fitted, fitted=fitted)
+    return Parameter(name, "Nm", -MOST_NM, MOST_NM, start, text, off=off, of_size=True, fitted=fitted)

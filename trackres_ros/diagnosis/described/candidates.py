@@ -44,7 +44,6 @@ Array = NDArray[np.float64]
 
 DRIVEN = (0.02, 0.98)  # quantiles between which knots lie
 KNOTS = {SPEED: 5, LOAD: 3, AMBIENT: 2, TURNING: 3, CURVATURE: 3, ACCELERATION: 4, TURN: 4, DRIVING_TORQUE: 4}
-SURE_OF_ACCELERATION = 6.0  # standard deviations of its error that are to be less than where a gate opens
 SIGNED = (ACCELERATION, TURN, DRIVING_TORQUE)
 BOTH_SIDES = 0.05  # share of a signed variable on its rarer side: with less there is but one side
 NEAR_ZERO = 0.1  # of the range on a side: between these knots a signed curve may step
@@ -147,17 +146,11 @@ def thresholds(gate: int, fit: Fit) -> list[float]:
             cuts = np.quantile(x, (1.0 / 3.0, 2.0 / 3.0))
         return [float(c) for c in cuts if min((x < c).sum(), (x > c).sum()) >= FEWEST_OPEN]
     x = driven(GATE_AT[gate], fit)
-    if len(x) == 0 or (GATE_AT[gate] == ACCELERATION and is_rough(fit)):
+    if len(x) == 0:
         return []
     at = OPENS_AT * float(np.quantile(np.abs(x), 0.95))
     is_open = x > at if gate in (LEFT, ACCELERATING) else x < -at
     return [at] if FEWEST_OPEN <= is_open.sum() <= len(x) - FEWEST_OPEN else []
-
-
-def is_rough(fit: Fit) -> bool:
-    """Whether an acceleration made of speeds is off by more than a little beside what it reaches."""
-    reached = float(np.quantile(np.abs(driven(ACCELERATION, fit)), 0.95))
-    return SURE_OF_ACCELERATION * max(s.accel_noise for s in fit.problem.sessions) > OPENS_AT * reached
 
 
 def candidates(fit: Fit) -> dict[str, Learned]:
@@ -172,10 +165,8 @@ def candidates(fit: Fit) -> dict[str, Learned]:
     facts = fit.problem.base.facts
     found: list[Learned] = []
     x = {code: driven(code, fit) for code in VARIABLES}
-    measured = all("accel" in s.given for s in fit.problem.sessions)
-    unsure = {code for code in (ACCELERATION, DRIVING_TORQUE) if not measured and (code == ACCELERATION or is_rough(fit))}
     for code, count in KNOTS.items():
-        if shows(code, fit) and code not in unsure:
+        if shows(code, fit) and (code != ACCELERATION or all("accel" in s.given for s in fit.problem.sessions)):
             found.append(Curve(code, OPEN, knots(code, x[code], count)))
     for gate, codes in GATED.items():
         for threshold in thresholds(gate, fit):
@@ -185,7 +176,7 @@ def candidates(fit: Fit) -> dict[str, Learned]:
                     continue
                 if code == ALWAYS:
                     found.append(Curve(ALWAYS, gate, [0.0], threshold))
-                elif varies(x[code]) and code not in unsure:
+                elif varies(x[code]):
                     count = KNOTS[SPEED] if code == SPEED else GATED_KNOTS
                     found.append(Curve(code, gate, knots(code, x[code], count), threshold))
     found += [BuildUp(by, BUILD_UP_SCALE.get(by, BUILD_UP_SCALE_S)) for by in BUILD_UPS]

@@ -25,6 +25,7 @@ from trackres_ros.diagnosis.described.spells import (
     find_chain,
     find_wander,
     is_spells,
+    path_cost,
     there_given,
 )
 from trackres_ros.diagnosis.described.terms import Described, of_drift, of_learned, of_spells, of_wave
@@ -172,9 +173,9 @@ def _spells(current: Fit) -> Term | None:
         if chain.level < chain.rest:
             there = 1.0 - there
             chain = replace(chain, level=chain.rest, rest=chain.level, comes=chain.goes, goes=chain.comes)
-        shape = _shape(current, chain, residuals)
+        shape, cost = _shape(current, chain, residuals)
         effect = Watched(SPELLS, "a torque that is there for a while and gone for a while", shape, _size(current))
-        candidate = _watched(current, effect, chain.level - chain.rest)
+        candidate = replace(_watched(current, effect, chain.level - chain.rest), form_error_gain=cost)
         if not _counts(candidate, current) or sum(_beginnings(b, there)) < FEWEST_SPELLS:
             return found
         found = Term(candidate, chain=chain)
@@ -183,18 +184,23 @@ def _spells(current: Fit) -> Term | None:
     return found
 
 
-def _shape(current: Fit, chain: Chain, residuals: Sequence[Array]) -> list[Array]:
-    """How likely it is there: on the laps fitted by all of them, step by step, as it comes and goes within a block; elsewhere
-    by what was measured up to the block before, as one who watches live knows it.
+def _shape(current: Fit, chain: Chain, residuals: Sequence[Array]) -> tuple[list[Array], float]:
+    """How likely it is there, and what its comings and goings cost.
+
+    On the laps fitted it is by all of them, step by step, as it comes and goes within a block; elsewhere by what was measured
+    up to the block before, as one who watches live knows it.
     """
     problem = current.problem
     shape, step = [np.zeros(len(s)) for s in problem.sessions], problem.sessions[0].step
     by_step = torque_blocks(current, residuals, seconds=step)
-    _fill(shape, by_step, there_given(by_step, chain.for_blocks(step))[0])
+    quick = chain.for_blocks(step)
+    there = there_given(by_step, quick)[0]
+    _fill(shape, by_step, there)
     if any((s.used & ~m).any() for s, m in zip(problem.sessions, problem.masks, strict=True)):
         other = torque_blocks(current, residuals, held_out=True)
         _fill(shape, other, expected_there(other, chain))
-    return [np.asarray(x * np.sign(s.speed)) for x, s in zip(shape, problem.sessions, strict=True)]
+    against = [np.asarray(x * np.sign(s.speed)) for x, s in zip(shape, problem.sessions, strict=True)]
+    return against, path_cost(by_step, quick, there)
 
 
 def expected_there(b: Blocks, chain: Chain) -> Array:

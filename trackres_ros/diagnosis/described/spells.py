@@ -128,8 +128,13 @@ def beyond_wander(b: Blocks, chain: Chain, there: Array) -> float:
 
     Each of its comings and goings costs what it is unlikely by the chain; what is left without the spells may wander too.
     """
+    without = replace(b, mean=b.mean - np.where(there > 0.5, chain.level, chain.rest))
+    return find_wander(without)[1] - find_wander(b)[1] - path_cost(b, chain, there)
+
+
+def path_cost(b: Blocks, chain: Chain, there: Array) -> float:
+    """What the comings and goings of spells are unlikely by their chain, in log-likelihood: so much was chosen to fit."""
     on = there > 0.5
-    without = replace(b, mean=b.mean - np.where(on, chain.level, chain.rest))
     stays = {
         (False, False): 1.0 - chain.comes,
         (False, True): chain.comes,
@@ -141,7 +146,7 @@ def beyond_wander(b: Blocks, chain: Chain, there: Array) -> float:
         start[now] if first else stays[before, now]
         for before, now, first in zip([False, *on[:-1].tolist()], on.tolist(), b.first.tolist(), strict=True)
     ]
-    return float(np.log(steps).sum()) + find_wander(without)[1] - find_wander(b)[1]
+    return -float(np.log(steps).sum())
 
 
 def there_given(b: Blocks, chain: Chain) -> tuple[Array, float]:

@@ -24,6 +24,7 @@ Mask = NDArray[np.bool_]
 
 MOST_LAGS = 4
 LARGEST_ROOT = 0.995  # of the autoregression: more would take a constant for noise
+SHORT_ROOT = 0.7  # of a noise that is surely no random walk
 OUTLIER = 4.0  # standard deviations
 DEGREES = (2.5, 4.0, 7.0, 15.0, 60.0)  # of freedom that are tried; the last is as good as normal
 TURNS = 6  # of weights and coefficients
@@ -74,6 +75,16 @@ class Noise:
 
     def _squared(self, white: Array) -> Array:
         return np.asarray((white * (self.std / self.scale)) ** 2)
+
+
+def shortened(noise: Noise) -> Noise | None:
+    """The same noise held away from a random walk; None where it is far from one.
+
+    Beside an effect that is slow, noise is short; without it, it looks like a random walk, and under that the effect counts for
+    next to nothing: two maxima of one likelihood, of which a search that begins with the random walk sees one.
+    """
+    phi = _stable(noise.phi, SHORT_ROOT)
+    return None if np.allclose(phi, noise.phi) else Noise(phi, noise.scale, noise.degrees)
 
 
 def whitened(series: Array, mask: Mask, phi: Array) -> Array:

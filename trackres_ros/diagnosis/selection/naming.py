@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
+from trackres_ros.diagnosis.inference.noise import Noise, shortened
 from trackres_ros.diagnosis.selection.screening import screen
 from trackres_ros.diagnosis.selection.visibility import Sensitivity, Separability, separability
 from trackres_ros.effects.effect import Effect
@@ -217,12 +218,19 @@ def _refit(current: Fit, found: Sequence[Sensitivity], form_error_gain: float) -
     best: Fit | None = None
     for sensitivity in found:
         start = {**current.at, **{(name, parameter): value for parameter, value in _begin(sensitivity).items()}}
-        tried = fit(current.problem, [*active, sensitivity.effect], start, current.noises)
-        if best is None or tried.log_likelihood > best.log_likelihood:
-            best = tried
+        for noises in begun_with(current):
+            tried = fit(current.problem, [*active, sensitivity.effect], start, noises)
+            if best is None or tried.log_likelihood > best.log_likelihood:
+                best = tried
     assert best
     strongest = max(found, key=lambda s: s.d_prime)
     return compared(current, best, name, strongest.kept, strongest.d_prime, form_error_gain)
+
+
+def begun_with(current: Fit) -> list[Mapping[str, Noise]]:
+    """Noises that a fit with one more effect may begin with: see `noise.shortened`."""
+    short = shortened(current.noise)
+    return [current.noises] if short is None else [current.noises, {**current.noises, "torque": short}]
 
 
 def compared(current: Fit, found: Fit, name: str, kept: float, d_prime: float, form_error_gain: float) -> Candidate:

@@ -15,7 +15,7 @@ from scipy.optimize import lsq_linear
 from scipy.signal import lfilter
 
 from trackres_ros.diagnosis.inference.fitting import LARGE, Fit
-from trackres_ros.diagnosis.inference.noise import MOST_LAGS, Noise, improved, whole_past
+from trackres_ros.diagnosis.inference.noise import MOST_LAGS, Noise, improved, shortened, whole_past
 from trackres_ros.diagnosis.selection.form_error import other_forms
 from trackres_ros.diagnosis.selection.visibility import Sensitivity, base_columns
 
@@ -124,6 +124,8 @@ class _Linear:
 
     def __init__(self, fit: Fit, own: Array, further: Array, most_rows: int = sys.maxsize) -> None:
         self._fit = fit
+        short = shortened(fit.noise)
+        self._short = None if short is None else {**fit.noises, "torque": short}
         first, rows = 0, dict[str, list[NDArray[np.int64]]]()
         for segment in fit.problem.segments:
             rows.setdefault(segment.kind, []).append(first + np.flatnonzero(whole_past(segment.mask, MOST_LAGS)))
@@ -171,8 +173,15 @@ class _Linear:
         `centred_on_fit` takes the parameters of the fit for true, as they are in what is drawn: no candidate gains by
         bringing them back into their ranges.
         """
+        found = self._turned(residual, mover, self._fit.noises, centred_on_fit, turns)
+        if self._short is None or turns < TURNS:
+            return found
+        return max(found, self._turned(residual, mover, self._short, centred_on_fit, turns))
+
+    def _turned(self, residual: Lagged, mover: _Mover, begin: Mapping[str, Noise], centred_on_fit: bool, turns: int) -> float:
+        """The likelihood by turns of coefficients and noise that begin with a noise."""
         pull = np.zeros_like(mover.pull) if centred_on_fit else mover.pull
-        noises, left = dict(self._fit.noises), residual
+        noises, left = dict(begin), residual
         moved = np.zeros(len(mover.prior))
         for _ in range(turns):
             parts_x, parts_e = [np.diag(mover.prior)], [pull]
