@@ -12,6 +12,7 @@ import keyword
 import math
 import pkgutil
 from collections.abc import Mapping, Sequence
+from importlib.machinery import SourceFileLoader
 from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
@@ -136,8 +137,17 @@ def _python_files(folder: Path | None) -> list[Path]:
     return files
 
 
+class _AsItIs(SourceFileLoader):
+    """Loads a file as it is now: kept bytecode is told from another only by whole seconds and the file's size."""
+
+    def path_stats(self, path: str) -> Mapping[str, Any]:
+        """Say nothing that would find bytecode of it."""
+        raise OSError(path)
+
+
 def _module_of(path: Path) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(f"own_effect_{path.stem}", path)
+    name = f"own_effect_{path.stem}"
+    spec = importlib.util.spec_from_file_location(name, path, loader=_AsItIs(name, str(path)))
     if spec is None or spec.loader is None:
         raise InputError(str(path), "a file that Python does not know how to import", "a Python file, .py")
     module = importlib.util.module_from_spec(spec)
