@@ -77,17 +77,16 @@ def confirm(final: Fit, refitted: Fit, laps: HeldOutLaps) -> tuple[Fit, dict[str
 def leave_unconfirmed(
     final: Fit, graded: dict[str, Graded], terms: Collection[str], refitted: Fit, laps: HeldOutLaps
 ) -> tuple[Fit, dict[str, Graded], tuple[Graded, ...]]:
-    """Leave out names that are only suspected beside a term without a name that is confirmed, and terms beside a name that is:
-    what the other explains in part was theirs.
+    """Leave out names that are only suspected beside a term without a name that is confirmed: what that explains in part was
+    theirs before it was found.
 
     Returns
     -------
     fit, graded, left
         As of `confirm`, and the names that were left out.
     """
-    sure = {name in terms for name, g in graded.items() if g.grade == CONFIRMED}  # of terms, of names
-    left = tuple(g for name, g in graded.items() if g.grade != CONFIRMED and (name not in terms) in sure)
-    if not left:
+    left = tuple(g for name, g in graded.items() if name not in terms and g.grade != CONFIRMED)
+    if not left or not any(graded[name].grade == CONFIRMED for name in terms if name in graded):
         return final, graded, ()
     final = with_levels(final, [g.name for g in left])
     return final, {a.effect.name: _graded(a, final, refitted, laps) for a in final.effects}, left
