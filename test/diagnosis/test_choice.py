@@ -26,7 +26,7 @@ DRAWS = 0  # seed
 class Plain:
     """Noise whose whitened residuals are log-densities themselves, so that a test can say what each sample gains."""
 
-    dc_gain = 1.0
+    dc_gain, phi = 1.0, np.empty(0)
 
     def __init__(self, std=QUIET):
         self.std = std
