@@ -23,7 +23,6 @@ from trackres_ros.effects.learned import (
     BY_DISTANCE,
     CURVATURE,
     DRIVING_TORQUE,
-    GATES,
     HEAVY,
     LEFT,
     LIGHT,
@@ -197,8 +196,3 @@ def finer(effect: Curve, fit: Fit) -> list[Learned]:
 
 def _longer_than(count: int, at: Sequence[list[float]]) -> list[list[float]]:
     return [b for a, b in pairwise([[0.0] * count, *at]) if len(b) > len(a)]
-
-
-def gate_text(effect: Curve) -> str:
-    """Where a gated curve acts, in words."""
-    return GATES[effect.gate].text

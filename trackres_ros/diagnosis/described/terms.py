@@ -76,7 +76,6 @@ OF_SPELLS = (
 )
 OF_WAVES = ("a stiff or damaged place in a belt", "a wheel that is out of round or a bearing that is worn")
 OF_DRIFT = ("a zero of the torque sensor that drifts", "a slope, a wind or a ground that is not recorded")
-OF_CHANGES = ("something that broke, was mended or was taken up", "another ground", "a sensor that was set anew")
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +85,7 @@ class Described:
     Attributes
     ----------
     form
-        `curve`, `gated_curve`, `build_up`, `spells`, `wave`, `drift` or `level_change`.
+        `curve`, `gated_curve`, `build_up`, `spells`, `wave` or `drift`.
     name
         Of the effect in the fit; empty for what is only watched for.
     variable, gate
@@ -186,12 +185,6 @@ def of_drift(wander: Wander) -> Described:
         f"It wanders by {figures(wander.size)} Nm over about {figures(wander.seconds, 2)} s, and follows nothing that is recorded"
     )
     return Described("drift", "", "", "", None, wander.seconds, text, OF_DRIFT, wander.size, False)
-
-
-def of_change(name: str, recording: str, time_s: float, level: float) -> Described:
-    """A level that changed and stayed [Nm]."""
-    text = f"Since {figures(time_s, 4)} s of {recording} it takes {_more(level)}, for good"
-    return Described("level_change", name, "", "", None, None, text, OF_CHANGES, abs(level), False)
 
 
 def _more(torque: float) -> str:
