@@ -24,7 +24,6 @@ CODES = 3  # parameters of a curve before its knots: variable, gate, threshold
 MARGIN = 0.1  # of the range between the knots: so far beyond them it was driven now and then
 MOVING_MPS = 0.3
 BRAKING_MPS2 = -0.3
-HELD_S = 1e8  # a state that stays
 RESET_S = 1.0
 SETS_ON_S = 2.0
 
@@ -151,7 +150,7 @@ class Curve(Learned):
                 Parameter(f"x{i}", follows.unit, -FURTHEST, FURTHEST, x, f"{follows.text or 'nothing'} at knot {i}", fitted=False)
                 for i, x in enumerate(at, 1)
             ),
-            *(_height(f"y{i}", f"torque at knot {i}", gate != OPEN or i != zero) for i in range(1, len(at) + 1)),
+            *(height(f"y{i}", f"torque at knot {i}", gate != OPEN or i != zero) for i in range(1, len(at) + 1)),
         )
 
     def terms(self, at: Conditions, p: Values) -> Terms:
@@ -190,7 +189,7 @@ class BuildUp(Learned):
         low, high = (20.0, 20_000.0) if by == BY_DISTANCE else (5.0, 3000.0)
         self.parameters = (
             _fixed("by", by, "code of what builds it up"),
-            _height("y1", "torque when built up"),
+            height("y1", "torque when built up"),
             Parameter("scale", of.unit, low, high, scale, "in which two thirds of it have come or gone",
                       more_starts=(0.25 * scale, 4.0 * scale)),
         )  # fmt: skip
@@ -243,6 +242,7 @@ def _fixed(name: str, code: int, text: str) -> Parameter:
     return Parameter(name, "1", float(code), float(code), float(code), text, fitted=False)
 
 
-def _height(name: str, text: str, fitted: bool = True) -> Parameter:
+def height(name: str, text: str, fitted: bool = True) -> Parameter:
+    """A torque of an effect without a name; one that is not fitted stays at zero."""
     start, off = (TYPICAL_NM, 0.0) if fitted else (0.0, None)
     return Parameter(name, "Nm", -MOST_NM, MOST_NM, start, text, off=off, of_size=True, fitted=fitted)

@@ -10,11 +10,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.effects.effect import REFERENCE_NM, Effect, Parameter
+from trackres_ros.effects.effect import REFERENCE_NM, Effect
+from trackres_ros.effects.learned import height
 
 Array = NDArray[np.float64]
 
-TYPICAL_NM, MOST_NM = 150.0, 20_000.0  # of a vehicle of `REFERENCE_NM`
 WATCHED = "watched"
 
 
@@ -35,5 +35,4 @@ class Watched(Effect):
 
     def __init__(self, name: str, text: str, shape: Sequence[Array], size: float) -> None:
         self.name, self.text, self.shape = name, text, tuple(shape)
-        most, typical = MOST_NM * size / REFERENCE_NM, TYPICAL_NM * size / REFERENCE_NM
-        self.parameters = (Parameter("level", "Nm", -most, most, typical, "where it acts", off=0.0),)
+        self.parameters = (height("level", "torque where it acts").times(size / REFERENCE_NM),)

@@ -7,12 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.effects.effect import Conditions, VehicleConstants
 from trackres_ros.effects.learned import (
     ACCELERATING,
     ACCELERATION,
@@ -37,7 +39,10 @@ from trackres_ros.effects.learned import (
     Curve,
     Learned,
     sized,
+    variable,
 )
+from trackres_ros.jit.compiled import interpreted
+from trackres_ros.units import STANDSTILL_MPS
 
 Array = NDArray[np.float64]
 
@@ -67,18 +72,19 @@ BUILD_UP_SCALE_S = 120.0
 
 
 def series(code: int, fit: Fit) -> list[Array]:
-    """A variable of learned effects in each session of a fit."""
-    return [_of(code, s, p.at_sprockets) for s, p in zip(fit.problem.sessions, fit.predicted, strict=True)]
+    """A variable of learned effects in each session of a fit, as the step sees it."""
+    facts = fit.problem.base.facts
+    return [_of(code, facts, s, p.at_sprockets) for s, p in zip(fit.problem.sessions, fit.predicted, strict=True)]
 
 
-def _of(code: int, session: Session, driving: Array) -> Array:
-    facing = np.sign(session.speed)
-    by_code = {
-        ALWAYS: np.zeros(len(session)), SPEED: np.abs(session.speed), ACCELERATION: session.accel * facing,
-        LOAD: session.weight, AMBIENT: session.ambient, TURN: session.yaw_rate, TURNING: np.abs(session.yaw_rate),
-        CURVATURE: np.abs(session.yaw_rate) / np.maximum(np.abs(session.speed), 0.3), DRIVING_TORQUE: driving * facing,
-    }  # fmt: skip
-    return np.asarray(by_code[code], dtype=float)
+def _of(code: int, facts: VehicleConstants, session: Session, driving: Array) -> Array:
+    turning, follow = np.abs(session.yaw_rate), interpreted(variable)
+    curvature = turning / np.hypot(session.speed, facts.contact_length * turning + STANDSTILL_MPS)
+    known: Any = (
+        session.speed, session.accel, session.weight, session.ambient, session.yaw_rate, session.heading, session.distance,
+        driving, np.tanh(session.speed / STANDSTILL_MPS), curvature,
+    )  # fmt: skip
+    return np.asarray(np.broadcast_to(follow(Conditions(facts, *known), code), len(session)), dtype=float)
 
 
 def driven(code: int, fit: Fit) -> Array:

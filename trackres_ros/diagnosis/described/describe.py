@@ -33,7 +33,7 @@ from trackres_ros.diagnosis.described.waves import Wave, find_wave, part_of
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
 from trackres_ros.diagnosis.selection.naming import ALIKE_WITHIN, Candidate, Step, compared, one_round, rms, spurious_gain
 from trackres_ros.effects.effect import Effect
-from trackres_ros.effects.learned import ALWAYS, Curve, Learned
+from trackres_ros.effects.learned import ALWAYS, MOVING_MPS, Curve, Learned
 
 Array = NDArray[np.float64]
 
@@ -44,8 +44,9 @@ FEWEST_SPELLS = 3
 FEWEST_REPLICATES = 19
 SLOWEST_WANDER_S = 60.0  # what wanders faster is noise that the autoregression knows
 LEAST_WANDER = 0.01  # of the torque
+PHASE_COST = 1.0  # in log-likelihood: what a phase, which is fitted to each stretch, and its size gain by noise
 SPELLS, WAVE = "spells", "wave"
-BEGINNINGS_S = 15.0  # within so much of a stop or a turn a spell begins with it
+BEGINNINGS_S = 15.0  # within so much of a stop a spell begins with it
 MOST_BEGIN = 0.7  # of the spells
 
 
@@ -130,8 +131,7 @@ def _count(candidate: Candidate) -> tuple[int, float]:
 
 def _with(current: Fit, effect: Effect, like: Candidate) -> Candidate:
     """Another form of a candidate, fitted beside what is there."""
-    start = {**current.at, **{(effect.name, q.name): q.start for q in effect.parameters if q.fitted}}
-    found = fit(current.problem, [*(a.effect for a in current.effects), effect], start, current.noises)
+    found = fit(current.problem, [*(a.effect for a in current.effects), effect], current.at, current.noises)
     return compared(current, found, effect.name, like.kept, like.d_prime, like.form_error_gain)
 
 
@@ -236,8 +236,8 @@ def _wave(current: Fit) -> Term | None:
     used = [np.where(m, x, 0.0) for x, m in zip(wave.shape, current.problem.masks, strict=True)]
     effect = Watched(WAVE, "a torque that comes again with distance", used, _size(current))
     candidate = _watched(current, effect, wave.size)
-    pieces = 2.0 * sum(float(np.abs(x).max(initial=0.0) > 0.0) for x in used)  # a phase each, which were chosen too
-    return Term(candidate, wave=wave) if candidate.net_evidence > SURE + pieces and candidate.matters else None
+    chosen = PHASE_COST * wave.phases
+    return Term(candidate, wave=wave) if candidate.net_evidence > SURE + chosen and candidate.matters else None
 
 
 def _size(current: Fit) -> float:
@@ -273,7 +273,7 @@ def said(term: Term, final: Fit) -> Described:
     there, _ = there_given(b, term.chain)
     begins = np.flatnonzero(_beginnings(b, there))
     lengths = np.diff(np.flatnonzero(np.diff(np.concatenate(([0], (there > 0.5).astype(int), [0])))))[::2]
-    seconds = 5.0 * lengths.astype(float)
+    seconds = BLOCK_S * lengths.astype(float)
     return of_spells(name, term.chain, level, len(begins), seconds, _begins_with(b, begins, final))
 
 
@@ -297,7 +297,7 @@ def _begins_with(b: Blocks, begins: NDArray[np.int64], final: Fit) -> str:
     for i in begins:
         session = final.problem.sessions[b.session[i]]
         near = slice(max(0, b.begin[i] - round(BEGINNINGS_S / session.step)), b.end[i])
-        after_stop.append(bool((np.abs(session.speed[near]) < 0.3).any()))
+        after_stop.append(bool((np.abs(session.speed[near]) < MOVING_MPS).any()))
     return ", mostly after a stop" if np.mean(after_stop) > MOST_BEGIN else ""
 
 

@@ -100,8 +100,6 @@ class Described:
         How large it is where it acts [Nm].
     predictable
         Whether it can be fed forward: it follows what is known at the time.
-    chain
-        Of spells: what a live node watches for.
     unit
         Of the variable.
     """
@@ -116,7 +114,6 @@ class Described:
     mechanisms: tuple[str, ...]
     size_nm: float
     predictable: bool
-    chain: Chain | None = None
     unit: str = ""
 
 
@@ -143,7 +140,7 @@ def of_learned(effect: Learned, values: Mapping[str, float]) -> Described:
     looked = OF_GATES.get(effect.gate, ()) + (() if effect.variable == ALWAYS else MECHANISMS[effect.variable][:1])
     return Described(
         "curve" if effect.gate == OPEN else "gated_curve", effect.name, follows.text, opens.text, None, None, text,
-        looked or MECHANISMS[effect.variable], max(map(abs, y)), True, None, "" if follows.unit == "1" else follows.unit,
+        looked or MECHANISMS[effect.variable], max(map(abs, y)), True, "" if follows.unit == "1" else follows.unit,
     )  # fmt: skip
 
 
@@ -168,7 +165,7 @@ def of_spells(name: str, chain: Chain, level: float, count: int, lengths_s: Arra
     text = f"For {low} to {high} s at a time it takes {_more(level)}, {count} times in these recordings{begins}"
     return Described(
         "spells", name, "", "", None, BLOCK_S / chain.goes, f"{text}; it follows nothing that is recorded", OF_SPELLS,
-        abs(level), False, chain,
+        abs(level), False,
     )  # fmt: skip
 
 

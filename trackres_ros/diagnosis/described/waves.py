@@ -35,11 +35,11 @@ MOST_PARTS = 4  # times round of a short part in a wave
 
 @dataclass(frozen=True, eq=False)
 class Wave:
-    """A wave in driven distance: its length [m], size [Nm], gain in log-likelihood, and its course, about 1 at its crests."""
+    """A wave in driven distance: its length [m], size [Nm], number of phases fitted, and its course, about 1 at its crests."""
 
     length_m: float
     size: float
-    gain: float
+    phases: int
     shape: tuple[Array, ...]
 
 
@@ -71,7 +71,7 @@ def find_wave(found: Fit) -> Wave | None:
         ),
         key=lambda one: one[1],
     )
-    return None if gain / scale < float(expected.isf(CHANCE / len(waves))) else _wave(found, pieces, per_metre, gain)
+    return None if gain / scale < float(expected.isf(CHANCE / len(waves))) else _wave(found, pieces, per_metre)
 
 
 def part_of(length_m: float, parts: Mapping[str, float]) -> str:
@@ -150,7 +150,7 @@ def _gains(found: Fit, piece: _Piece, waves: Array) -> Array:
     return np.concatenate(found_gains)
 
 
-def _wave(found: Fit, pieces: list[_Piece], per_metre: float, gain: float) -> Wave:
+def _wave(found: Fit, pieces: list[_Piece], per_metre: float) -> Wave:
     sizes = [_fitted(found, piece, per_metre)[0] for piece in pieces]
     shape = [np.zeros(len(s)) for s in found.problem.sessions]
     for piece, size in zip(pieces, sizes, strict=True):
@@ -158,4 +158,4 @@ def _wave(found: Fit, pieces: list[_Piece], per_metre: float, gain: float) -> Wa
         turned = np.exp(1j * np.angle(size)) * wave
         shape[piece.session][piece.rows] = turned.real
     weights = [piece.valid.sum() for piece in pieces]
-    return Wave(1.0 / per_metre, float(np.average(np.abs(sizes), weights=weights)), gain, tuple(shape))
+    return Wave(1.0 / per_metre, float(np.average(np.abs(sizes), weights=weights)), len(pieces), tuple(shape))
