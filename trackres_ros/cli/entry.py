@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the command `trackres` calls: it listens to signals, or is ready for Ctrl-C, before all else is loaded."""
+"""The command `trackres` begins here: it listens to signals, or is ready for Ctrl-C, before all else is loaded."""
 
 from __future__ import annotations
 

@@ -148,7 +148,7 @@ class Acting:
         stepped = tuple(active for active in effects if active.effect.acts_on not in ("sensor", WATCHED))
         sensors = [active.terms(conditions(facts)) for active in effects if active.effect.acts_on == "sensor"]
         watched = tuple(active for active in effects if active.effect.acts_on == WATCHED)
-        return cls(stepped, effect_table(stepped, doubt=False), watched, together(sensors))
+        return cls(stepped, effect_table(stepped, with_uncertainty=False), watched, together(sensors))
 
     def speed(self, session: Session) -> Array:
         """True speed [m/s]."""
