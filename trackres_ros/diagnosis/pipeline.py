@@ -55,6 +55,8 @@ from trackres_ros.recording.recording import Recording
 
 Array = NDArray[np.float64]
 
+MOST_REFUTED = 3  # effects, before nothing more is looked for: held-out laps that decide too often are held out no more
+
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
@@ -192,14 +194,22 @@ def diagnose(
     tested_base = for_tests(refitted)
     at_base = regime_map(tested_base, rng)
     replicates = QUICK_REPLICATES if quick else REPLICATES
-    rounds, named = choose(tested, effects, replicates, rng, on_stage)
-    description = describe(named, rounds, effects, replicates, rng, on_stage)
-    steps, best = description.steps, description.fit
-    on_stage("what it is worth: laps held out")
     laps = HeldOutLaps(gated.sessions, [chosen.held_out_mask(s) for s in gated.sessions], rng)
-    final, graded, refuted = confirm(with_levels(best), refitted, laps) if best.effects else (refitted, {}, ())
+    allowed, refuted = dict(effects), list[Graded]()
+    while True:
+        rounds, named = choose(tested, allowed, replicates, rng, on_stage)
+        description = describe(named, rounds, allowed, replicates, rng, on_stage)
+        steps, best = description.steps, description.fit
+        on_stage("what it is worth: laps held out")
+        final, graded, left_out = confirm(with_levels(best), refitted, laps) if best.effects else (refitted, {}, ())
+        refuted += left_out
+        again = {g.name for g in left_out} & allowed.keys()
+        if final.effects or not again or len(refuted) >= MOST_REFUTED:
+            break
+        # What stood in front of the others is gone, and they are looked at anew.
+        allowed = {name: effect for name, effect in allowed.items() if name not in again}
     final, graded, unconfirmed = leave_unconfirmed(final, graded, description.terms, refitted, laps)
-    refuted = (*refuted, *unconfirmed)
+    refuted += unconfirmed
     predicted = {"refitted": refitted.predicted, "with_effects": final.predicted}
     worth = held_out(laps, {"nominal": nominal, **{stage: [p.torque for p in of] for stage, of in predicted.items()}})
     names, odd = ", ".join(s.name for s in gated.sessions), inconsistent_scale_notes(gated.sessions, nominal)
@@ -244,13 +254,13 @@ def diagnose(
     ]
     left_over = slow_residual(final)
     wanders = drift(final) if left_over.share > MOST_STRAY and not terms else None
-    verdict = judge(found, terms, refuted, refitted, at_end, left_over, steps[-1].hint, worth)
+    verdict = judge(found, terms, tuple(refuted), refitted, at_end, left_over, steps[-1].hint, worth)
     kinds = {name: effect.belongs_to for name, effect in effects.items()}
     believed = believed_in(found, terms, verdict, kinds, keep_suspected)
     return Diagnosis(
         base, gated, chosen, nominal, refitted, final, at_base, at_end, changes(tested_base), cumulative_periodogram(tested_end),
         thermal_check(refitted),
-        tuple(steps), tuple(found), tuple(terms), wanders, refuted, bounds_of("", bounds),
+        tuple(steps), tuple(found), tuple(terms), wanders, tuple(refuted), bounds_of("", bounds),
         worth, tuple(advice), verdict, keep(believed, final, refitted, worth, laps, bounds),
     )  # fmt: skip
 
