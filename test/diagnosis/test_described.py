@@ -54,22 +54,39 @@ def test_a_torque_in_left_turns_alone_is_described_and_written(recorded, loaded,
         assert np.abs(adds[s.yaw_rate < 0.0]).max() < 1e-3  # what it drives harder in left turns warms the belt
 
 
-@pytest.mark.long
-def test_spells_are_described_and_never_written(recorded, loaded, tmp_path):
-    rng = np.random.default_rng(4)
+@pytest.fixture(scope="module")
+def pumped(recorded, loaded):
+    """Three recordings with a pump, the diagnosis of two of them, and when the pump runs [s] in each."""
+    rng, changes = np.random.default_rng(4), []
 
     def adds(r, times):
-        changes = np.cumsum(rng.uniform(0.6, 1.4, 200) * np.tile([OFF_S, ON_S], 100))
-        return PUMP_NM * (np.searchsorted(changes, times) % 2) * (at(r, "speed", times) > 0.1)
+        changes.append(np.cumsum(rng.uniform(0.6, 1.4, 200) * np.tile([OFF_S, ON_S], 100)))
+        return PUMP_NM * runs(changes[-1], times) * (at(r, "speed", times) > 0.1)
 
-    found = diagnose(with_added(read_recordings(recorded(), None), adds), loaded, quick=True)
+    recordings = with_added(read_recordings(recorded(count=3), None), adds)
+    return recordings, diagnose(recordings[:2], loaded, quick=True), changes
+
+
+def runs(changes, times):
+    return np.searchsorted(changes, times) % 2
+
+
+@pytest.mark.long
+def test_spells_are_described_and_written_to_be_watched_for_alone(pumped, tmp_path):
+    _, found, _ = pumped
     (told,) = [t for t in found.described if t.described.form == "spells"]
     assert not told.described.predictable
     assert told.described.size_nm == pytest.approx(PUMP_NM, rel=0.2)
     assert 0.5 * ON_S < told.described.memory < 2.0 * ON_S
     assert told.described.name not in {a.effect.name for a in found.kept.effects}
     found.base.write(tmp_path / "vehicle.yaml", found.kept, "Written by trackres diagnose from x.")
-    assert told.described.name not in (tmp_path / "vehicle.yaml").read_text()
+    written = load(tmp_path / "vehicle.yaml")
+    assert told.described.name not in {a.effect.name for a in written.effects}
+    spells = written.disturbance
+    assert spells.level - spells.rest == pytest.approx(PUMP_NM, rel=0.2)
+    assert 0.5 * ON_S < spells.mean_there < 2.0 * ON_S
+    assert 0.5 * OFF_S < spells.mean_away < 2.0 * OFF_S
+    assert spells.noise < 0.5 * PUMP_NM
 
 
 @pytest.mark.long
