@@ -8,7 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import trackres_ros as tr
 from trackres_ros.diagnosis import diagnose, read_recordings
+from trackres_ros.estimator.disturbance import BLOCK_S
 from trackres_ros.vehicle import load
 
 TURN_NM = 600.0
@@ -87,6 +89,30 @@ def test_spells_are_described_and_written_to_be_watched_for_alone(pumped, tmp_pa
     assert 0.5 * ON_S < spells.mean_there < 2.0 * ON_S
     assert 0.5 * OFF_S < spells.mean_away < 2.0 * OFF_S
     assert spells.noise < 0.5 * PUMP_NM
+
+
+@pytest.mark.long
+def test_a_replay_of_a_drive_that_was_not_fitted_follows_the_spells_and_expects_no_other_torque(pumped, tmp_path):
+    recordings, found, changes = pumped
+    for name, kept in (("watching", found.kept), ("bare", replace(found.kept, disturbance=None))):
+        found.base.write(tmp_path / f"{name}.yaml", kept, "Written by trackres diagnose from x.")
+    watching, bare = (tr.replay(recordings[2], tmp_path / f"{name}.yaml") for name in ("watching", "bare"))
+    assert set(watching.columns) - set(bare.columns) == {"disturbance_probability", "disturbance_torque_nm"}
+    for name in bare.columns:
+        assert watching[name].tobytes() == bare[name].tobytes()
+    counts = (watching["speed_mps"] > 1.0) & (np.abs(watching["accel_mps2"]) < 0.3) & np.isfinite(watching["residual_nm"])
+    time = watching["time_s"]
+    block = (time[counts] // BLOCK_S).astype(int)
+    number = np.maximum(np.bincount(block), 1)
+
+    def error(residual):
+        return np.abs(np.bincount(block, residual[counts]) / number)[np.bincount(block) > 0].mean()
+
+    without, with_it = error(watching["residual_nm"]), error(watching["residual_nm"] - watching["disturbance_torque_nm"])
+    assert with_it < 0.6 * without
+    on, there = runs(changes[2], time)[counts] > 0, watching["disturbance_probability"][counts]
+    assert np.mean(there[on]) > 0.8
+    assert np.mean(there[~on]) < 0.2
 
 
 @pytest.mark.long
