@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from trackres_ros.estimator.disturbance import (
     BLOCK_S,
+    LONGEST_MEANS,
     MOST_DRIFT,
     DisturbanceWatch,
     later_level,
@@ -114,6 +115,13 @@ def test_a_lasting_level_is_known_within_a_few_blocks_with_its_time():
     over = fed(watch, -50.0, 3.0 * BLOCK_S, start_s=75.0)
     assert not over.present
     assert over.since_ns == pytest.approx(START_NS + 75 * 10**9, abs=1.1 * BLOCK_S * 1e9)
+
+
+def test_a_spell_that_does_not_end_is_overdue():
+    watch, longest_s = DisturbanceWatch(SPELLS), LONGEST_MEANS * SPELLS.mean_there
+    assert not fed(watch, 300.0, longest_s - 1.0, dt=0.5).overdue
+    assert fed(watch, 300.0, 20.0, start_s=longest_s, dt=0.5).overdue
+    assert not fed(watch, -50.0, 20.0, start_s=longest_s + 20.0).overdue
 
 
 def test_in_reverse_it_resists_the_other_way():

@@ -9,6 +9,7 @@ import shutil
 import pytest
 
 from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.disturbance import LONGEST_MEANS
 from trackres_ros.files.resources import config_dir
 from trackres_ros.node.comparison import Comparison
 from trackres_ros.node.edge import Level
@@ -131,7 +132,7 @@ def taken(comparison, residual_nm, seconds, start_s=0.0, drive_nm=3000.0):
 
 
 def test_what_a_spell_explains_is_no_mismatch_and_what_it_does_not_is_one():
-    hold_s, spell_s = 120.0, 900.0
+    hold_s, spell_s = 60.0, 400.0
     settings = MismatchSettings(mismatch_hold_s=hold_s)
     explained, unexplained, more = Comparison(settings, SPELLS), Comparison(settings, None), Comparison(settings, SPELLS)
     for comparison in (explained, unexplained, more):
@@ -143,6 +144,8 @@ def test_what_a_spell_explains_is_no_mismatch_and_what_it_does_not_is_one():
     assert unexplained.verdict.parted
     assert more.verdict.parted
     assert more.verdict.mean_nm == pytest.approx(LEVEL_NM, rel=0.15)
+    taken(explained, lambda t: LEVEL_NM + 40.0 * (-1.0) ** int(t), LONGEST_MEANS * SPELLS.mean_there, start_s=1000.0)
+    assert explained.verdict.parted  # what stays for so long is no spell
 
 
 def test_an_offset_far_beyond_a_drift_is_a_mismatch():

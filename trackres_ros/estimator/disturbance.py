@@ -22,6 +22,7 @@ LEAST_COMPARED_S = 1.0  # of a block: less says next to nothing
 LONGEST_STEP_S = 2.0  # between two residuals: over more it is not known to have rolled
 LATE_S = 30.0  # a stamp from further back: the clock was set back
 BEGINS, ENDS = 0.9, 0.1  # probability from which on a spell is said to be there, or over
+LONGEST_MEANS = 7.0  # mean lengths: of spells that end by chance one in a thousand is longer
 MOST_DRIFT = 2.0  # standard deviations of a drift: more is none
 LARGEST_NM = 1e100  # a larger number is left out like one that is not finite: its square would not be
 OUTLIER = 5.0  # standard deviations: beyond, a block counts as this far from a drift
@@ -70,6 +71,8 @@ class Belief:
         Stamp at which the present spell began, or the last one ended, as far as can be told; None before either, and of a drift.
     present
         Whether a spell is said to be there.
+    overdue
+        Whether that has been for longer than spells last: then it is something else that stays.
     """
 
     form: str
@@ -78,13 +81,14 @@ class Belief:
     std_nm: float
     since_ns: int | None
     present: bool
+    overdue: bool
 
     @property
     def text(self) -> str:
         """The same in a sentence."""
         if self.form == Drift.form:
             return f"a torque that wanders is expected to be {self.torque_nm:.0f} Nm against travel, +-{2.0 * self.std_nm:.0f} Nm"
-        state = "there" if self.present else "not there"
+        state = "there for longer than it lasts" if self.overdue else "there" if self.present else "not there"
         return f"a torque that comes and goes is {state} (probability {self.there:.2f}): {self.torque_nm:.0f} Nm against travel"
 
 
@@ -145,6 +149,7 @@ class DisturbanceWatch:
     def __init__(self, disturbance: Disturbance) -> None:
         self.form = disturbance.form
         self._noise = disturbance.noise
+        self._longest_s = LONGEST_MEANS * disturbance.mean_there if isinstance(disturbance, Spells) else math.inf
         self._filter = _SpellsFilter(disturbance) if isinstance(disturbance, Spells) else _DriftFilter(disturbance)
         self.restart()
 
@@ -199,7 +204,8 @@ class DisturbanceWatch:
         """What is known at a time [ns], by the blocks before it."""
         seconds = 0.0 if self._block_ns is None else max(0, stamp_ns - self._known_ns) * NANOSECOND
         there, torque, std = self._filter.after(seconds)
-        return Belief(self.form, there, torque, std, self._since_ns, self._present)
+        overdue = self._present and self._since_ns is not None and (stamp_ns - self._since_ns) * NANOSECOND > self._longest_s
+        return Belief(self.form, there, torque, std, self._since_ns, self._present, overdue)
 
     def _close_block(self, end_ns: int) -> None:
         self._filter.age((end_ns - self._known_ns) * NANOSECOND)

@@ -62,7 +62,7 @@ class Comparison:
         if self._watch is not None:
             counts = self._detector.settings.compares(speed, accel)
             self.belief = self._watch.take(stamp_ns, residual if counts else math.nan, speed)
-            explained = self.belief.torque_nm * math.copysign(1.0, speed)
+            explained = 0.0 if self.belief.overdue else self.belief.torque_nm * math.copysign(1.0, speed)
         self._detector.take(stamp_ns, residual - explained, row[at.OUT_DRIVE], row[at.OUT_STD], speed, accel)
         return _turned(before, self.belief)
 
