@@ -10,10 +10,12 @@ import pytest
 
 import trackres_ros as tr
 from trackres_ros.diagnosis import diagnose, read_recordings
+from trackres_ros.diagnosis.report.content import report
 from trackres_ros.estimator.disturbance import BLOCK_S
 from trackres_ros.vehicle import load
 
 TURN_NM = 600.0
+DRIFT_NM, DRIFT_S = 200.0, 240.0
 PUMP_NM, ON_S, OFF_S = 400.0, 70.0, 110.0
 
 
@@ -113,6 +115,31 @@ def test_a_replay_of_a_drive_that_was_not_fitted_follows_the_spells_and_expects_
     on, there = runs(changes[2], time)[counts] > 0, watching["disturbance_probability"][counts]
     assert np.mean(there[on]) > 0.8
     assert np.mean(there[~on]) < 0.2
+
+
+@pytest.mark.long
+def test_a_drift_is_judged_by_who_follows_it_and_written_to_be_watched_for(recorded, loaded, check_form, tmp_path):
+    rng = np.random.default_rng(4)
+
+    def adds(r, times):
+        keep, wander = np.exp(-1.0 / DRIFT_S), [0.0]
+        for shock in rng.normal(0.0, DRIFT_NM * np.sqrt(1.0 - keep**2), int(times[-1]) + 1):
+            wander.append(keep * wander[-1] + shock)
+        return np.interp(times, np.arange(len(wander)), wander) * (at(r, "speed", times) > 0.1)
+
+    recordings = with_added(read_recordings(recorded(minutes=15.0), None), adds)
+    found = diagnose(recordings, loaded, quick=True)
+    assert found.verdict.status == "unexplained"
+    said = report(found, [])
+    check_form({**said, "recordings": ["x"]})
+    (drift,) = [one for one in said["described"] if one["form"] == "drift"]
+    assert drift["grade"] == "confirmed"
+    assert drift["heldout"]["mae"][1] < 0.5 * drift["heldout"]["mae"][0]
+    assert said["written"]["disturbance"] == "drift"
+    found.base.write(tmp_path / "vehicle.yaml", found.kept, "Written by trackres diagnose from x.")
+    written = load(tmp_path / "vehicle.yaml").disturbance
+    assert 0.5 * DRIFT_NM < written.size < 2.0 * DRIFT_NM
+    assert written.noise < 0.5 * written.size
 
 
 @pytest.mark.long
