@@ -129,7 +129,7 @@ WAYS = (
         ),
     ),
     Way(
-        "a batch of messages taken apart column by column",
+        "a batch of messages decoded column by column",
         True,
         READING,
         (
@@ -305,8 +305,8 @@ def run(
     found: dict[str, float] = {}
     for of, size in sizes.items():
         for way in (None, *(way for way in WAYS[:ways] if way.of == of)):
-            said = "as it is" if way is None else f"{'without' if way.kept else 'with, not kept'}: {way.name}"
-            found |= {f"{what}, {said}": ratio for what, ratio in measured(of, way, size).items()}
+            variant = "as it is" if way is None else f"{'without' if way.kept else 'with, not kept'}: {way.name}"
+            found |= {f"{what}, {variant}": ratio for what, ratio in measured(of, way, size).items()}
     return found | in_one_process(messages, calls, max(1, repeats // 4))
 
 

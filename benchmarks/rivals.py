@@ -85,7 +85,7 @@ def plain_loop(
 ) -> None:
     """The limit: one loop over the samples that does the arithmetic and nothing else.
 
-    Fills `temps` (times, assemblies) [degC] and `out` (times, 4) [Nm]. No guards, no doubt, no status, no other column; the
+    Fills `temps` (times, assemblies) [degC] and `out` (times, 4) [Nm]. No guards, no uncertainty, no status, no other column; the
     temperature takes the same exponential step as the estimator's.
     """
     first_x, step_x, tg, c1, c2, friction, drag, inertia = p.numbers

@@ -1,10 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A drive controller that takes the feed-forward: fresh stamps only, only while the status allows it, and never by a jump.
+"""A drive controller adds the feed-forward: fresh stamps only, only while the status allows it, and never by a jump.
 
-`Drive` knows no middleware: `take` and `judge` are called with what comes, `torque` in each control step. How it is connected
-on ROS 2 stands below it; here it is fed by hand.
+`Drive` knows no middleware: `on_feedforward` and `on_status` are called with each message, `torque` in each
+control step. How it is connected on ROS 2 stands below it; here it is fed by hand.
 """
 
 OK, WARN, ERROR, STALE = range(4)
@@ -19,24 +19,24 @@ class Drive:
     def __init__(self, gain=8000.0, integral_gain=2000.0, limit_nm=20000.0, ramp_nm_per_s=5000.0):
         self.gain, self.integral_gain, self.limit_nm, self.ramp_nm_per_s = gain, integral_gain, limit_nm, ramp_nm_per_s
         self.feedforward, self.stamp_s = 0.0, None
-        self.level, self.judged_s = STALE, None
+        self.level, self.status_s = STALE, None
         self.used, self.integral, self.last_s = 0.0, 0.0, None
 
-    def take(self, stamp_s, torque_nm):
+    def on_feedforward(self, stamp_s, torque_nm):
         """A message of ~/feedforward_torque."""
         self.stamp_s, self.feedforward = stamp_s, torque_nm
 
-    def judge(self, now_s, level):
+    def on_status(self, now_s, level):
         """A message of ~/status."""
-        self.judged_s, self.level = now_s, level
+        self.status_s, self.level = now_s, level
 
     def usable(self, now_s):
         """Whether the feed-forward may be added now."""
-        if self.stamp_s is None or self.judged_s is None:
+        if self.stamp_s is None or self.status_s is None:
             return False
         fresh = -FARTHEST_AHEAD_S <= now_s - self.stamp_s <= OLDEST_S
-        heard = 0.0 <= now_s - self.judged_s <= STATUS_WITHIN_S
-        return fresh and heard and self.level in (OK, WARN)
+        status_fresh = 0.0 <= now_s - self.status_s <= STATUS_WITHIN_S
+        return fresh and status_fresh and self.level in (OK, WARN)
 
     def torque(self, now_s, set_speed, speed):
         """Torque at the sprockets [Nm]; to be called in each control step."""
@@ -46,9 +46,9 @@ class Drive:
         room = self.ramp_nm_per_s * elapsed_s
         self.used += max(-room, min(room, wanted - self.used))
         error = set_speed - speed
-        asked = self.gain * error + self.integral + self.used
-        given = max(-self.limit_nm, min(self.limit_nm, asked))
-        if given == asked:  # saturated, the integral waits
+        demand = self.gain * error + self.integral + self.used
+        given = max(-self.limit_nm, min(self.limit_nm, demand))
+        if given == demand:  # when saturated, the integral waits
             self.integral += self.integral_gain * error * elapsed_s
         return given
 
@@ -59,19 +59,19 @@ class Drive:
 #         def __init__(self):
 #             super().__init__("drive")
 #             self.drive = Drive()
-#             self.create_subscription(WrenchStamped, "/trackres/feedforward_torque", self.take, 10)
-#             self.create_subscription(DiagnosticArray, "/trackres/status", self.judge, 10)
+#             self.create_subscription(WrenchStamped, "/trackres/feedforward_torque", self.on_feedforward, 10)
+#             self.create_subscription(DiagnosticArray, "/trackres/status", self.on_status, 10)
 #
 #         def now_s(self):
 #             return self.get_clock().now().nanoseconds * 1e-9
 #
-#         def take(self, message):
+#         def on_feedforward(self, message):
 #             stamp = message.header.stamp
-#             self.drive.take(stamp.sec + stamp.nanosec * 1e-9, message.wrench.torque.y)
+#             self.drive.on_feedforward(stamp.sec + stamp.nanosec * 1e-9, message.wrench.torque.y)
 #
-#         def judge(self, message):
+#         def on_status(self, message):
 #             level = message.status[0].level  # rclpy gives a byte
-#             self.drive.judge(self.now_s(), level[0] if isinstance(level, bytes) else level)
+#             self.drive.on_status(self.now_s(), level[0] if isinstance(level, bytes) else level)
 
 if __name__ == "__main__":
     drive, now = Drive(), 1_700_000_000.0
@@ -86,7 +86,7 @@ if __name__ == "__main__":
         for _ in range(round(seconds / 0.02)):
             now += 0.02
             if level is not None:
-                drive.take(now - age_s, 3000.0)
-                drive.judge(now, level)
+                drive.on_feedforward(now - age_s, 3000.0)
+                drive.on_status(now, level)
             drive.torque(now, set_speed=5.0, speed=5.0)
         print(f"{what:24} {drive.used:6.0f} Nm of 3000 Nm are added")

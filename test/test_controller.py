@@ -29,9 +29,9 @@ def run(drive, seconds, stamp_age_s, level, start_s=1000.0, torque=3000.0):
     for step in range(round(seconds / 0.02)):
         now = start_s + 0.02 * step
         if stamp_age_s is not None:
-            drive.take(now - stamp_age_s, torque)
+            drive.on_feedforward(now - stamp_age_s, torque)
         if level is not None:
-            drive.judge(now, level)
+            drive.on_status(now, level)
         drive.torque(now, 5.0, 5.0)
         used.append(drive.used)
     return used

@@ -1,8 +1,8 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The checks that everything read from outside shares. Each gives the value back, or raises `InputError` with where it was given,
-what, and what is allowed.
+"""Checks what is read from outside. Each function returns the value, or raises `InputError` with where it was given, what, and
+what is allowed.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def span(given: object, where: str, low: float, high: float, unit: str = "") -> 
 
 
 def one_of(given: object, where: str, names: Iterable[str]) -> str:
-    """One of some names; of another the nearest of them is told."""
+    """One of some names; the error for another one suggests the nearest."""
     allowed = list(names)
     if not isinstance(given, str) or given not in allowed:
         raise InputError(where, given, f"one of {', '.join(allowed)}", nearest(str(given), allowed))

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The one exception that means: what was given cannot be used, and this is what to do."""
+"""`InputError` means: what was given cannot be used, and this is what to do."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import difflib
 from collections.abc import Iterable, Iterator, Mapping
 
 MOST_SHOWN, MOST_OF_TEXT = 80, 200  # characters of what was given: of data, and of a text, which may be a sentence of ours
-MOST_SAID = 1000  # characters of each other part
+MOST_OF_PART = 1000  # characters of each other part
 SHORT_NUMBER_BITS = 200
 
 
@@ -116,7 +116,7 @@ def _joined(before: str, parts: Iterable[tuple[object, ...]], after: str) -> Ite
 
 def one_line(text: str) -> str:
     """A text on one line that any terminal takes: what cannot be printed is written as an escape, what is long is cut."""
-    cut = text if len(text) <= MOST_SAID else f"{text[: MOST_SAID - 3]}..."
+    cut = text if len(text) <= MOST_OF_PART else f"{text[: MOST_OF_PART - 3]}..."
     return cut if cut.isprintable() else "".join(c if c.isprintable() else repr(c)[1:-1] for c in cut)
 
 

@@ -48,7 +48,7 @@ from trackres_ros.effects.learned import (
 )
 from trackres_ros.effects.stepping import (
     ALL_WELL,
-    BEYOND_LEARNED,
+    EXTRAPOLATED,
     FIRST_OWN,
     effect_table,
     is_compiled,
@@ -139,7 +139,7 @@ def stepped(actives, at, memory=None, machine=True, dt=0.0):
     table, work = effect_table(actives, machine=machine), new_work(FACTS)
     memory = new_memory(len(actives)) if memory is None else memory
     look(work, *at[1:9])
-    assert step_effects(table.rows, table.values, memory, work, dt) in (ALL_WELL, BEYOND_LEARNED)
+    assert step_effects(table.rows, table.values, memory, work, dt) in (ALL_WELL, EXTRAPOLATED)
     return work[0], memory
 
 

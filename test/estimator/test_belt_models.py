@@ -33,7 +33,7 @@ def constants():
     row[at.CAPACITY], row[at.SURFACE_SHARE], row[at.INNER_CONDUCTANCE] = CAPACITY, SHARE, CONDUCTANCE
     for first, values in CONSIDERED.items():
         row[first : first + 3] = values
-    return SimpleNamespace(assembly=assembly, number=SimpleNamespace(with_doubt=True, process_noise=NOISE))
+    return SimpleNamespace(assembly=assembly, number=SimpleNamespace(with_uncertainty=True, process_noise=NOISE))
 
 
 @pytest.fixture
@@ -114,11 +114,11 @@ def test_noise_goes_through_the_model_and_grows_with_time(name, dt, constants, b
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_without_doubt_only_temperatures_move_and_they_move_alike(name, constants, belt):
+def test_without_uncertainty_only_temperatures_move_and_they_move_alike(name, constants, belt):
     advance, _, nodes = MODELS[name]
     wanted, before = belt.copy(), belt.copy()
     interpreted(advance)(constants, 1, wanted, HEAT, AMBIENT_STD, 0.5)
-    constants.number.with_doubt = False
+    constants.number.with_uncertainty = False
     heat = interpreted(advance)(constants, 1, belt, HEAT, AMBIENT_STD, 0.5)
     assert all(map(math.isnan, heat))
     assert (belt[:, 0] == wanted[:, 0]).all()

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The feed-forward from step to step: its rate over any pauses, nothing at rest, and a doubt that is never zero."""
+"""The feed-forward from step to step: its rate over any pauses, nothing at rest, and a standard deviation that is never zero."""
 
 import itertools
 import math
@@ -97,25 +97,25 @@ def test_forward_and_reverse_are_alike(steps):
 
 @settings(max_examples=100)
 @given(st.lists(st.tuples(PAUSES_S, SPEEDS), min_size=1, max_size=20))
-def test_the_doubt_is_positive_and_finite_in_any_state_and_the_parts_add_up(steps):
+def test_the_standard_deviation_is_positive_and_finite_in_any_state_and_the_parts_add_up(steps):
     for _, estimate in rows_of(RATES[20000.0], steps):
         assert 0.0 < estimate.resistance_std_nm < math.inf
         assert estimate.resistance_torque_nm == pytest.approx(sum(estimate[c] for c in RESISTANCE_PARTS.values()), abs=1e-9)
 
 
-def test_at_rest_the_doubt_is_that_of_a_crawl():
+def test_at_rest_the_standard_deviation_is_that_of_a_crawl():
     rested, crawling = (rows_of(RATES[20000.0], [(0.02, v)] * 3)[-1][1].resistance_std_nm for v in (0.0, 1e-3))
     assert rested == pytest.approx(crawling, rel=0.05)
     walking = rows_of(RATES[20000.0], [(0.02, 0.2)] * 3)[-1][1].resistance_std_nm
     assert 0.5 * walking < rested < 2.0 * walking
 
 
-def test_a_file_and_settings_without_any_doubt_leave_what_no_sensor_is_better_than():
+def test_a_file_and_settings_without_any_uncertainty_leave_what_no_sensor_is_better_than():
     sure = Settings(initial_belt_std_k=0.0, process_noise_k=0.0, ambient_std_k=0.0, ambient_unknown_std_k=0.0)
     estimator = Estimator(load("xgd24d"), sure)
     k = estimator.constants
     k.assembly[:, at.CONSIDER_FACTOR :] = 0.0
-    estimator.kernel_arguments[0]["bearing_doubt"] = estimator.kernel_arguments[0]["drag_doubt"] = 0.0
+    estimator.kernel_arguments[0]["bearing_relative_std"] = estimator.kernel_arguments[0]["drag_relative_std"] = 0.0
     for speed in (0.0, 8.0):
         estimate = rows_of(estimator, [(0.02, speed)])[-1][1]
         assert estimate.resistance_std_nm == pytest.approx(1e-3 * 3000.0, rel=0.5)

@@ -12,7 +12,7 @@ import pytest
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator import guards
 from trackres_ros.estimator.columns import Count, Reason
-from trackres_ros.estimator.guards import TAKEN, TOOK_JUMP, TOOK_RESET, new_memory
+from trackres_ros.estimator.guards import ACCEPTED_AFTER_JUMP, ACCEPTED_AFTER_RESET, ACCEPTED_IN_ORDER, new_memory
 from trackres_ros.jit.compiled import interpreted
 
 S, MS = 1_000_000_000, 1_000_000
@@ -61,7 +61,7 @@ class Guard:
     def of(self, column, channel=at.SPEED):
         return int(self.memory.times[channel, column])
 
-    def inputs(self, outcome=TAKEN, started=1.0, quantum=0.0):
+    def inputs(self, outcome=ACCEPTED_IN_ORDER, started=1.0, quantum=0.0):
         motion = np.zeros(at.MOTION_COLUMNS)
         motion[at.STARTED], motion[at.QUANTUM] = started, quantum
         self.loads, self.belts = np.zeros(ASSEMBLIES), np.zeros(ASSEMBLIES)
@@ -77,7 +77,7 @@ def guard(k):
 
 
 def test_outcomes_are_no_negative_numbers_which_refusals_are():
-    assert (TAKEN, TOOK_JUMP, TOOK_RESET) == (0, 1, 2)
+    assert (ACCEPTED_IN_ORDER, ACCEPTED_AFTER_JUMP, ACCEPTED_AFTER_RESET) == (0, 1, 2)
 
 
 def test_it_begins_with_nothing(guard):
@@ -93,8 +93,8 @@ def test_it_begins_with_nothing(guard):
 
 
 def test_good_messages_are_taken_with_the_time_between(guard):
-    assert guard.send(0, 8.0) == (TAKEN, 0)
-    assert guard.send(20 * MS, 8.1) == (TAKEN, 20 * MS)
+    assert guard.send(0, 8.0) == (ACCEPTED_IN_ORDER, 0)
+    assert guard.send(20 * MS, 8.1) == (ACCEPTED_IN_ORDER, 20 * MS)
     assert guard.counts() == {"ACCEPTED": 2}
     assert guard.memory.values[at.SPEED] == 8.1
     assert (guard.of(at.SEEN), guard.of(at.FRESH), guard.of(at.LAST_STAMP) - T) == (1, 1, 20 * MS)
@@ -116,11 +116,11 @@ def test_values_that_cannot_be_are_counted_and_leave_no_trace(guard, value, refu
         guard.send(1, value)
         assert guard.counts() == {refused: 2}
     else:
-        assert outcome == TAKEN
+        assert outcome == ACCEPTED_IN_ORDER
 
 
 def test_limits_are_those_of_the_channel(guard):
-    assert guard.send(0, 30.0, at.LOAD)[0] == TAKEN
+    assert guard.send(0, 30.0, at.LOAD)[0] == ACCEPTED_IN_ORDER
     assert guard.send(0, 30.0, at.SPEED)[0] == -Count.OUT_OF_RANGE
 
 
@@ -132,15 +132,15 @@ def test_order_is_by_stamps(guard, offset, refused):
     """While arrival stands still."""
     guard.send(0)
     outcome, elapsed = guard.send(offset, arrival=0)
-    assert (outcome, elapsed) == ((-Count[refused], 0) if refused else (TAKEN, offset))
+    assert (outcome, elapsed) == ((-Count[refused], 0) if refused else (ACCEPTED_IN_ORDER, offset))
     assert guard.counts() == {"ACCEPTED": 1, refused: 1} if refused else {"ACCEPTED": 2}
     assert guard.of(at.LAST_STAMP) == (T if refused else T + offset)
 
 
 def test_a_pause_in_which_arrival_goes_on_too_is_no_jump(guard):
     guard.send(0)
-    assert guard.send(3600 * S) == (TAKEN, 3600 * S)
-    assert guard.send(7200 * S, arrival=7200 * S - JUMP) == (TAKEN, 3600 * S)
+    assert guard.send(3600 * S) == (ACCEPTED_IN_ORDER, 3600 * S)
+    assert guard.send(7200 * S, arrival=7200 * S - JUMP) == (ACCEPTED_IN_ORDER, 3600 * S)
     assert guard.send(10800 * S, arrival=9000 * S)[0] == -Count.FUTURE
 
 
@@ -158,24 +158,24 @@ def test_counters_count_on(guard):
 
 
 def test_without_a_stamp_the_arrival_counts(guard):
-    assert guard.send(None, arrival=5 * S) == (TAKEN, 0)
+    assert guard.send(None, arrival=5 * S) == (ACCEPTED_IN_ORDER, 0)
     assert guard.of(at.LAST_STAMP) == T + 5 * S
-    assert guard.send(None, arrival=6 * S) == (TAKEN, S)
+    assert guard.send(None, arrival=6 * S) == (ACCEPTED_IN_ORDER, S)
     assert guard.counts() == {"ACCEPTED": 2, "ZERO_STAMP": 2}
 
 
 def test_without_a_stamp_the_offset_of_the_source_stays(guard):
     guard.send(-500 * S, arrival=0)
-    assert guard.send(None, arrival=S) == (TAKEN, S)
+    assert guard.send(None, arrival=S) == (ACCEPTED_IN_ORDER, S)
     assert guard.of(at.LAST_STAMP) == T - 499 * S
     assert guard.of(at.LAST_ARRIVAL) == T + S
 
 
 def test_time_that_begins_at_zero_is_a_time(k):
     memory = new_memory(CHANNELS)
-    assert admit(k, memory, at.SPEED, 0, 0, 8.0) == (TAKEN, 0)
+    assert admit(k, memory, at.SPEED, 0, 0, 8.0) == (ACCEPTED_IN_ORDER, 0)
     assert memory.counters[at.SPEED, Count.ZERO_STAMP] == 0
-    assert admit(k, memory, at.SPEED, 10 * MS, 10 * MS, 8.0) == (TAKEN, 10 * MS)
+    assert admit(k, memory, at.SPEED, 10 * MS, 10 * MS, 8.0) == (ACCEPTED_IN_ORDER, 10 * MS)
 
 
 # Jumps
@@ -186,17 +186,17 @@ def test_the_third_that_agrees_is_believed_with_the_time_that_arrival_took(guard
     guard.send(0)
     assert guard.send(jump, arrival=20 * MS) == (-Count[refused], 0)
     assert guard.send(jump + 20 * MS, arrival=40 * MS) == (-Count[refused], 0)
-    assert guard.send(jump + 40 * MS, arrival=60 * MS) == (TOOK_JUMP, 60 * MS)
+    assert guard.send(jump + 40 * MS, arrival=60 * MS) == (ACCEPTED_AFTER_JUMP, 60 * MS)
     assert guard.counts() == {"ACCEPTED": 2, refused: 2, "CLOCK_JUMP": 1}
     assert guard.of(at.SUSPECTS) == 0
-    assert guard.send(jump + 60 * MS, arrival=80 * MS) == (TAKEN, 20 * MS)
+    assert guard.send(jump + 60 * MS, arrival=80 * MS) == (ACCEPTED_IN_ORDER, 20 * MS)
 
 
 def test_time_never_goes_back_by_a_jump(guard):
     guard.send(0, arrival=S)
     for i in range(3):
         outcome = guard.send(3600 * S + i, arrival=i)
-    assert outcome == (TOOK_JUMP, 0)
+    assert outcome == (ACCEPTED_AFTER_JUMP, 0)
 
 
 def test_suspects_that_do_not_agree_begin_anew(guard):
@@ -204,7 +204,7 @@ def test_suspects_that_do_not_agree_begin_anew(guard):
     stamps = (3600 * S, 3600 * S + 1, 7200 * S, 7200 * S + 1)
     assert [guard.send(s, arrival=i + 1)[0] for i, s in enumerate(stamps)] == [-Count.FUTURE] * 4
     assert guard.of(at.SUSPECTS) == 2
-    assert guard.send(7200 * S + 2, arrival=5)[0] == TOOK_JUMP
+    assert guard.send(7200 * S + 2, arrival=5)[0] == ACCEPTED_AFTER_JUMP
 
 
 @pytest.mark.parametrize(("apart", "agrees"), [(1, True), (JUMP, True), (JUMP + 1, False), (0, False), (-1, False)])
@@ -239,7 +239,7 @@ def test_a_first_suspect_is_none_by_what_was_long_ago(guard):
     """Before the first the memory holds zeros, which no stamp follows."""
     guard.k.number.jumps_to_accept = 2
     memory = guard.memory
-    assert admit(guard.k, memory, at.SPEED, 10 * S, 10 * S, 8.0)[0] == TAKEN
+    assert admit(guard.k, memory, at.SPEED, 10 * S, 10 * S, 8.0)[0] == ACCEPTED_IN_ORDER
     assert admit(guard.k, memory, at.SPEED, 10 * S + JUMP + 1, 10 * S, 8.0)[0] == -Count.FUTURE
 
 
@@ -249,8 +249,8 @@ def test_a_first_suspect_is_none_by_what_was_long_ago(guard):
 @pytest.mark.parametrize(
     ("back", "arrival_back", "outcome"),
     [
-        (3600 * S, 3600 * S, TOOK_RESET),
-        (JUMP + 1, JUMP + 1, TOOK_RESET),
+        (3600 * S, 3600 * S, ACCEPTED_AFTER_RESET),
+        (JUMP + 1, JUMP + 1, ACCEPTED_AFTER_RESET),
         (JUMP + 1, JUMP, -Count.BACKWARD),  # arrival hardly went back
         (JUMP, JUMP + 1, -Count.LATE),
     ],
@@ -258,7 +258,7 @@ def test_a_first_suspect_is_none_by_what_was_long_ago(guard):
 def test_time_is_reset_where_arrival_goes_back_too(guard, back, arrival_back, outcome):
     guard.send(0)
     assert guard.send(-back, arrival=-arrival_back) == (outcome, 0)
-    assert guard.counts().get("RESET", 0) == (outcome == TOOK_RESET)
+    assert guard.counts().get("RESET", 0) == (outcome == ACCEPTED_AFTER_RESET)
 
 
 def test_a_reset_counts_on_and_is_no_jump(guard):
@@ -321,7 +321,7 @@ def test_each_is_held_for_its_own_time(guard, channel, name, hold):
     assert math.isnan(getattr(guard.inputs(), name))
 
 
-def test_without_an_ambient_temperature_that_of_the_file_with_its_doubt(guard):
+def test_without_an_ambient_temperature_that_of_the_file_with_its_uncertainty(guard):
     guard.send(0, -4.0, at.AMBIENT)
     guard.send(AMBIENT_HOLD)
     assert not guard.reasons() & Reason.AMBIENT_NOMINAL
@@ -433,8 +433,8 @@ def test_jumps_and_resets_are_remarked_with_the_step_that_follows(guard):
     guard.send(0)
     nothing = Reason.LOAD_NOMINAL | Reason.AMBIENT_NOMINAL
     assert guard.reasons() == nothing
-    assert guard.reasons(outcome=TOOK_JUMP) == nothing | Reason.CLOCK_JUMPED
-    assert guard.reasons(outcome=TOOK_RESET) == nothing  # whichever channel saw it: the state says so
+    assert guard.reasons(outcome=ACCEPTED_AFTER_JUMP) == nothing | Reason.CLOCK_JUMPED
+    assert guard.reasons(outcome=ACCEPTED_AFTER_RESET) == nothing  # whichever channel saw it: the state says so
     assert guard.reasons(started=at.START_ANEW) == nothing | Reason.TIME_RESET
     assert guard.reasons(started=0.0) == nothing
 

@@ -147,13 +147,13 @@ def test_whichever_channel_sees_time_go_back_the_start_anew_is_reported(session)
     assert not send(session, START + 21 * MS).reasons & Reason.TIME_RESET
 
 
-def test_gaps_are_bridged_or_doubted(session):
+def test_gaps_are_bridged_or_marked_unknown(session):
     now, before = steady(session)
     bridged = send(session, now + 10 * S)
     assert bridged.reasons & Reason.GAP_BRIDGED
     assert bridged.belt_degc()[0] > before.belt_degc()[0] + 0.3
-    doubted = send(session, now + 600 * S)
-    assert doubted.reasons & Reason.GAP_UNKNOWN
+    unknown = send(session, now + 600 * S)
+    assert unknown.reasons & Reason.GAP_UNKNOWN
     assert count(session, Count.GAP) == 2
 
 

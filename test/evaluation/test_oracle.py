@@ -8,7 +8,7 @@ import pytest
 
 from trackres_ros.evaluation.sealed.cases import OUTSIDE, Case
 from trackres_ros.evaluation.sealed.generate import make_case
-from trackres_ros.evaluation.sealed.oracle import LEAST_GAIN, ask
+from trackres_ros.evaluation.sealed.oracle import LEAST_GAIN, fit_truth
 
 
 def made(folder, level, hidden):
@@ -27,7 +27,7 @@ def test_an_addition_gains_where_it_is_and_nowhere_else(tmp_path):
     mud = {key: float(x) for key, x in OUTSIDE["mud"](np.random.default_rng(2), 1.0).items()}
     with_mud, added = made(tmp_path, "outside", {"mud": mud})
     without, _ = made(tmp_path, "none", {})
-    there, absent = (ask(folder, (), added) for folder in (with_mud, without))
+    there, absent = (fit_truth(folder, (), added) for folder in (with_mud, without))
     assert there.identifiable
     assert there.gain > 2.0 * LEAST_GAIN
     assert not absent.identifiable

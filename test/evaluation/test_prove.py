@@ -62,11 +62,11 @@ def test_a_level_that_is_none_is_refused(tmp_path, level):
 
 
 def test_a_run_of_some_levels_is_asked_for_with_numbers_and_goes_on_where_it_was(tmp_path, monkeypatch):
-    asked = []
-    monkeypatch.setattr(prove, "_process", lambda _said_to, module, *arguments: asked.append((module, arguments)))
+    started = []
+    monkeypatch.setattr(prove, "_process", lambda _stream, module, *arguments: started.append((module, arguments)))
     begun = ["prove", "--level", "outside=18", "--level", "none", "--cases", "6", "--seed", "31", "-o", str(tmp_path)]
     assert CliRunner().invoke(cli, begun).exit_code == 0
-    assert asked[0] == ("generate", (str(tmp_path), "31", "15", "outside=18", "none=6"))
+    assert started[0] == ("generate", (str(tmp_path), "31", "15", "outside=18", "none=6"))
     (tmp_path / "results").mkdir()
     (tmp_path / "results" / "one.json").touch()
     assert CliRunner().invoke(cli, begun).exit_code == 0

@@ -20,7 +20,7 @@ DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "real"
 def test_drives_that_all_begin_cold_have_a_start_state_of_one(tmp_path):
     left = left_by_diagnosis(tmp_path, {"warmup": {"torque": 600.0, "seconds": 400.0}}, 12.0, -1, 3)
     tried = FieldTrial("drives", "a cold drive train", WARM, NOTHING, left.found)
-    assert tried.judged == "right"
+    assert tried.outcome == "right"
     states = [start_state(tried, i) for i in range(len(left.found.sessions))]
     assert len(states) == 2
     for state, std in states:
@@ -34,7 +34,7 @@ def test_a_route_driven_twice_repeats_its_residuals_but_not_as_the_slope(tmp_pat
     paths = [car(DATA, name, tmp_path) for name in TWICE]
     found = diagnose(read_recordings(paths, None), load_base("bmw_i3"), hide=["grade"], quick=True)
     tried = FieldTrial("one route twice", "elevation", NOTHING, UPHILL, found)
-    assert tried.judged == "right"
+    assert tried.outcome == "right"
     repeated = twice(tried)
     assert np.all(np.diff(repeated.distance) > 0.0)
     assert repeated.repeats > 0.8

@@ -22,7 +22,7 @@ from trackres_ros.evaluation.sealed.drives import drive
 from trackres_ros.evaluation.sealed.generate import write_vehicle
 from trackres_ros.evaluation.sealed.material import fit_material
 from trackres_ros.evaluation.sealed.sensors import Sensors, record
-from trackres_ros.evaluation.sealed.truth import Build, live
+from trackres_ros.evaluation.sealed.truth import Build, simulate_truth
 from trackres_ros.files.resources import find_vehicle
 
 SHEET = find_vehicle("xgd24d")
@@ -87,14 +87,14 @@ def test_heat_is_neither_made_nor_lost(tables, material):
 
 
 def test_what_is_switched_on_changes_the_torque_and_only_by_itself(drives):
-    plain = live(SHEET, Build(), {}, drives)[0]
+    plain = simulate_truth(SHEET, Build(), {}, drives)[0]
     assert plain.added == {}
     rng = np.random.default_rng(0)
     for name, draw in {**CATALOGUE, **OUTSIDE}.items():
         if name == "core_surface":  # it is in the truth always; the vehicle file is what lacks it
             continue
-        lived = live(SHEET, Build(), {name: draw(rng, 1.0)}, drives)[0]
-        change = lived.shown - plain.shown
+        run = simulate_truth(SHEET, Build(), {name: draw(rng, 1.0)}, drives)[0]
+        change = run.shown - plain.shown
         assert np.isfinite(change).all(), name
         assert np.abs(change).max() > 0.01, name
 
@@ -111,8 +111,8 @@ def test_the_base_refits_to_a_truth_without_effects(sheet, tmp_path):
         torque_nm=1.0, torque_share=0.001, torque_step_nm=0.1, road=0.0, speed_mps=1e-4, speed_step_mps=1e-4, dropouts=0.0
     )
     paths = [tmp_path / f"drive_{i}.csv" for i in range(len(made))]
-    for i, (path, one, lived) in enumerate(zip(paths, made, live(SHEET, Build(), {}, made), strict=True)):
-        record(path, one, lived, good, sheet["track.sprocket_radius"], 1.7e9 + 1e6 * i, rng)
+    for i, (path, one, run) in enumerate(zip(paths, made, simulate_truth(SHEET, Build(), {}, made), strict=True)):
+        record(path, one, run, good, sheet["track.sprocket_radius"], 1.7e9 + 1e6 * i, rng)
     loaded = load_base(vehicle)
     sessions = gate(read_recordings(paths, None), loaded.known).sessions
     found = fit(Problem(loaded.base, sessions, tuple(s.used for s in sessions)))

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Small files of every kind a reader takes, what is in them, and how a damaged copy is read and judged."""
+"""Small files of every kind a reader takes, what is in them, and how a damaged copy is read and what comes of it."""
 
 from __future__ import annotations
 
@@ -209,7 +209,7 @@ def damaged(form: Format, folder: Path, count: int, seed: int, start: int = 0) -
         yield Damaged(path, files[hit], copy[hit])
 
 
-def judged(one: Damaged) -> dict[str, Any]:
+def outcome_of(one: Damaged) -> dict[str, Any]:
     """Read a damaged file as the commands do, and say what became of it."""
     try:
         source = open_source([one.path], None if one.path.suffix in (".csv", ".gz", ".parquet") else TOPICS)
@@ -217,22 +217,22 @@ def judged(one: Damaged) -> dict[str, Any]:
         recording.aligned()
         recording.report()
     except InputError as error:
-        return _judged_refusal(error)
+        return _outcome_of_refusal(error)
     except Exception as error:
         return {"outcome": "traceback", "text": f"{type(error).__name__}: {error}"}
     read = Counter({role: len(series) for role, series in recording.series.items()})
     expected = _expected(one)
     short = expected - read
     lost = short.total() if source.zero_is_unset else max(short.values(), default=0)  # a row of a table is several samples
-    said = sum(finding.count for finding in recording.findings if finding.kind in LOSSES)
+    reported = sum(finding.count for finding in recording.findings if finding.kind in LOSSES)
     words = any(finding.kind == "structure" for finding in recording.findings)
     words |= any(note.startswith("ignored columns") and note != "ignored columns: note" for note in recording.notes)
     remarks = [finding.kind for finding in recording.findings]
-    outcome = "lost" if lost > said and not words else "remarks" if remarks else "alike"
-    return {"outcome": outcome, "text": f"{dict(read)} of {dict(expected)}; {said} said; {remarks}; {recording.notes}"}
+    outcome = "lost" if lost > reported and not words else "remarks" if remarks else "alike"
+    return {"outcome": outcome, "text": f"{dict(read)} of {dict(expected)}; {reported} reported; {remarks}; {recording.notes}"}
 
 
-def _judged_refusal(error: InputError) -> dict[str, Any]:
+def _outcome_of_refusal(error: InputError) -> dict[str, Any]:
     text = str(error)
     if OWN_FAULT in text or not text.isprintable() or len(text) > MOST_OF_A_LINE:
         return {"outcome": "traceback", "text": text}

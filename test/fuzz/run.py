@@ -67,16 +67,16 @@ def work(name: str, count: int, seed: int, start: int) -> None:
     warnings.simplefilter("error")
     resource.setrlimit(resource.RLIMIT_AS, (LIMIT_BYTES, LIMIT_BYTES))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    from formats import FORMATS, damaged, judged
+    from formats import FORMATS, damaged, outcome_of
 
     with tempfile.TemporaryDirectory() as folder:
         for number, one in enumerate(damaged(FORMATS[name], Path(folder), count, seed, start), start):
             print(json.dumps({"begin": number}), flush=True)
-            said = judged(one)
+            report = outcome_of(one)
             if peak_bytes() > MOST_BYTES:
-                said["outcome"] = "memory"
-            print(json.dumps({"number": number, **said}), flush=True)
-            if said["outcome"] == "memory":
+                report["outcome"] = "memory"
+            print(json.dumps({"number": number, **report}), flush=True)
+            if report["outcome"] == "memory":
                 return  # the peak would be that of all that follow
 
 
@@ -106,14 +106,14 @@ def fuzzed(name: str, count: int, seed: int, script: Path = Path(__file__)) -> R
         begun, hung = next_number, False
         with subprocess.Popen([*command, "--start", str(next_number)], stdout=subprocess.PIPE) as process:
             try:
-                for said in lines(process):
-                    if said is None:
+                for report in lines(process):
+                    if report is None:
                         hung = True
-                    elif "begin" in said:
-                        begun = said["begin"]
+                    elif "begin" in report:
+                        begun = report["begin"]
                     else:
-                        result.add(said["number"], said["outcome"], said["text"])
-                        next_number = said["number"] + 1
+                        result.add(report["number"], report["outcome"], report["text"])
+                        next_number = report["number"] + 1
             finally:
                 process.kill()  # it has ended, or hangs
                 status = process.wait()

@@ -17,7 +17,7 @@ pytest.importorskip("mcap")
 pytest.importorskip("pyarrow")
 
 import run
-from formats import EXPECTED, FORMATS, Damaged, judged
+from formats import EXPECTED, FORMATS, Damaged, outcome_of
 
 MUTATIONS = 300
 
@@ -26,9 +26,9 @@ MUTATIONS = 300
 def test_the_whole_file_is_read_whole(tmp_path, name):
     FORMATS[name].write(tmp_path)
     path = tmp_path / FORMATS[name].file
-    said = judged(Damaged(path, path, path.read_bytes() if path.is_file() else b""))
-    assert said["outcome"] == "alike"
-    assert said["text"].startswith(f"{dict(sorted(EXPECTED.items()))} of")
+    result = outcome_of(Damaged(path, path, path.read_bytes() if path.is_file() else b""))
+    assert result["outcome"] == "alike"
+    assert result["text"].startswith(f"{dict(sorted(EXPECTED.items()))} of")
 
 
 @pytest.mark.long

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the functions of the front door take, and what they make of it."""
+"""Turns what the functions of the front door are given into vehicles, paths and topics."""
 
 from __future__ import annotations
 

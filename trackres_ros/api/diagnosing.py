@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What recordings show that the model lacks."""
+"""Diagnoses recordings: which physics they show that the model lacks."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Recordings: made to try things on, and read."""
+"""Makes sample recordings, and reads recordings."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A recording through the estimator."""
+"""Replays a recording through the estimator."""
 
 from __future__ import annotations
 
@@ -28,9 +28,10 @@ def replay(
     output: StrPath | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> ReplayResult:
-    """Resistance torque and belt temperature over the time of a recording: what the live node would have said.
+    """Resistance torque and belt temperature over the time of a recording: what the live node would have given.
 
-    Messages are taken in the order they were logged and by their own stamps: twice the same recording gives twice the same bits.
+    Messages are processed in the order they were logged and by their own stamps, so the same recording always gives the same
+    bits.
 
     Parameters
     ----------

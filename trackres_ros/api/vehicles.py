@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Vehicle files: loaded, and checked."""
+"""Loads and checks vehicle files."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the commands share: options, output and progress."""
+"""Holds what the commands share: options, output and progress."""
 
 from __future__ import annotations
 
@@ -41,13 +41,13 @@ class Command(click.Command):
 
 
 def default_of(function: Callable[..., Any], argument: str) -> Any:
-    """The default of a function's argument, for the option that says the same."""
+    """The default of a function's argument, for the option of the same meaning."""
     return inspect.signature(function).parameters[argument].default
 
 
 @contextmanager
-def warnings_told() -> Iterator[None]:
-    """What functions warn of is said on standard error."""
+def print_warnings() -> Iterator[None]:
+    """Print the warnings of functions on standard error."""
     with warnings.catch_warnings():
         warnings.simplefilter("always")
         warnings.showwarning = lambda message, *_: click.echo(f"trackres: {message}", err=True)
@@ -75,7 +75,7 @@ def surroundings_option(command: Decorated) -> Decorated:
 
 
 def json_option(command: Decorated) -> Decorated:
-    """`--json`: the same facts for programs."""
+    """`--json`: the same content for programs."""
     return click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on standard output.")(command)
 
 

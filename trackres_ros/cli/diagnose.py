@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""`trackres diagnose` and `trackres effects`."""
+"""Runs `trackres diagnose` and `trackres effects`."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from trackres_ros.cli.common import (
     emit,
     json_option,
     method_options,
+    print_warnings,
     surroundings_option,
     vehicle_option,
-    warnings_told,
 )
 from trackres_ros.cli.written import watch
 
@@ -37,12 +37,10 @@ from trackres_ros.cli.written import watch
     help="How many of the last recordings or laps to hold out, or names of recordings with commas.",
 )
 @method_options
-@click.option(
-    "--seed", type=int, default=default_of(tr.diagnose, "seed"), show_default=True, help="Of all that is drawn at random."
-)
+@click.option("--seed", type=int, default=default_of(tr.diagnose, "seed"), show_default=True, help="Seed of all random draws.")
 @click.option("--quick", is_flag=True, help="Fewer draws for thresholds.")
 @click.option(
-    "--keep-suspected", is_flag=True, help="Write effects too that fit and that laps not used for fitting do not confirm."
+    "--keep-suspected", is_flag=True, help="Also write effects that fit but that laps not used for fitting do not confirm."
 )
 @click.option(
     "--effects",
@@ -82,7 +80,7 @@ def diagnose_command(
     \b
     trackres diagnose day1.mcap day2.mcap --vehicle xgd24d --topics topics.yaml -o report
 
-    Writes report.json, report.html, vehicle.yaml and pictures, and says in one sentence what it comes to. What is of the site,
+    Writes report.json, report.html, vehicle.yaml and pictures, and prints the verdict in one sentence. What is of the site,
     the weather or the ground goes to surroundings.yaml instead; what is a sensor's is printed as lines for the topics file.
     Ends with exit code 0 whatever the verdict.
     """
@@ -103,7 +101,7 @@ def diagnose_command(
         effects=effects,
         on_stage=lambda stage: click.echo(f"  {stage}", err=True),
     )
-    with warnings_told():
+    with print_warnings():
         found.report(output)
     emit(found.as_dict(), as_json, lambda: f"{found!r}\n{output}: {', '.join(path.name for path in found.written)}")
 

@@ -1,10 +1,11 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the command `trackres` calls: it listens to signals, or is ready for Ctrl-C, before all else is loaded."""
+"""The command `trackres` begins here: it listens to signals, or is ready for Ctrl-C, before all else is loaded."""
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 
@@ -35,6 +36,7 @@ def interrupt_handled() -> None:
 
 def main() -> None:
     """Run the command line."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are small here: its threads would wait more than they compute
     if next((word for word in sys.argv[1:] if not word.startswith("-")), "") == "live":
         from trackres_ros.node.signals import REQUESTS
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""`trackres explain`: one operating point by its parts."""
+"""`trackres explain` shows one operating point by its parts."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""`trackres live`: the running node, on ROS 2 where rclpy is there, else on Cyclone DDS."""
+"""`trackres live` runs the node, on ROS 2 where rclpy is installed, else on Cyclone DDS."""
 
 from __future__ import annotations
 

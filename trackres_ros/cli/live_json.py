@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the live table shows as lines of JSON, for programs."""
+"""Prints what the live table shows as lines of JSON, for programs."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The live table in the terminal: rates, ages, torque by part, temperatures, status."""
+"""Shows the running node in the terminal: rates, ages, torque by part, temperatures and status."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Entry of the `trackres` command."""
+"""Gathers the commands of `trackres`, and turns bad input into exit codes."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def cli() -> None:
       trackres replay lap.mcap --vehicle xgd24d -o out.csv     torque and temperature over time, and a picture
       trackres live --vehicle xgd24d --topics topics.yaml      the same while driving
       trackres diagnose day1.mcap day2.mcap --vehicle xgd24d -o report    which physics a model lacks
-      trackres explain --vehicle xgd24d --speed-kmh 50 --belt-degc 15    one operating point taken apart
+      trackres explain --vehicle xgd24d --speed-kmh 50 --belt-degc 15    one operating point by its parts
     """
 
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""`trackres play`: a bag onto the DDS wire, without ROS."""
+"""`trackres play` plays a bag onto the DDS wire, without ROS."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LISTENERS_WITHIN_S = 30.0
 
 @click.command("play")
 @click.argument("recording", type=click.Path(path_type=Path))
-@click.option("--rate", type=number(0.01, 1000.0), default=1.0, show_default=True, help="So much faster than it was recorded.")
+@click.option("--rate", type=number(0.01, 1000.0), default=1.0, show_default=True, help="Factor on the recorded pace.")
 @click.option("--wait-for", multiple=True, metavar="TOPIC", help="Begin when somebody listens to it; may be given several times.")
 @json_option
 def play_command(recording: Path, rate: float, wait_for: tuple[str, ...], as_json: bool) -> None:

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""`trackres record-sample`: a recording to try things on."""
+"""`trackres record-sample` makes a recording to try things on."""
 
 from __future__ import annotations
 

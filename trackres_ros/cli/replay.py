@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""`trackres replay`: a recording through the estimator."""
+"""`trackres replay` sends a recording through the estimator."""
 
 from __future__ import annotations
 
@@ -74,7 +74,8 @@ def replay_command(
     trackres replay lap.mcap --vehicle xgd24d --topics topics.yaml -o out.mcap
     trackres replay drive.csv --vehicle xgd24d -o out.csv
 
-    Messages are taken in the order they were logged and by their own stamps: twice the same recording gives twice the same bits.
+    Messages are processed in the order they were logged and by their own stamps, so the same recording always gives the same
+    bits.
     """
     picture = picture_beside(output)
     watch(output, picture, *([save_state] if save_state else []))

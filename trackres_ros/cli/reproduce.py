@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""`trackres reproduce`: the paper's figures."""
+"""`trackres reproduce` draws the paper's figures."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""`trackres simulate`: a drive that was never driven."""
+"""`trackres simulate` computes a drive that was never driven."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""`trackres vehicle check`: is the file right, and what follows from it."""
+"""`trackres vehicle check` says whether a vehicle file is right, and what follows from it."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a command has written so far, for true words when it is interrupted."""
+"""Finds the files that a command has written so far, for the message when it is interrupted."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a left-out effect is: one interface for the fit, the live estimator and the report."""
+"""Defines what a left-out effect is: one interface for the fit, the live estimator and the report."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ class Parameter:
     start
         A typical value, where fits begin.
     off
-        The value without effect; None for a parameter of shape, which says nothing while the others are off.
+        The value without effect; None for a parameter of shape, which has no meaning while the others are off.
     more_starts
-        Other values to begin a fit at, where its result may hang on that.
+        Other values to begin a fit at, where its result may depend on that.
     of_size
         Whether bounds and typical values are those of a vehicle of `REFERENCE_NM`, and grow with the vehicle.
     on_tyres
@@ -60,7 +60,7 @@ class Parameter:
 
     @property
     def is_fixed(self) -> bool:
-        """Whether there is but one value: it says which of a family the effect is, and stands in no file."""
+        """Whether there is only one value: it selects the effect within its family, and stands in no file."""
         return not self.fitted and self.low == self.high
 
     def for_size(self, size: float, on_tyres: bool) -> Parameter:
@@ -165,13 +165,13 @@ class Terms(NamedTuple):
     heat
         Into one belt [W].
     inner_resistance
-        From the mean of one belt to its surface [K/W]; hangs on nothing but the parameters.
+        From the mean of one belt to its surface [K/W]; depends on the parameters alone.
     speed_factor
-        True over measured speed; as those below it hangs on nothing but the parameters.
+        True over measured speed; as those below it depends on the parameters alone.
     sensor_gain, sensor_offset, sensor_delay
         What the torque sensor makes of it: factor, [Nm], by how much it is late [s].
-    beyond
-        1 where it is asked beyond what it was learned in, and holds the value at its end.
+    extrapolated
+        1 outside the range in which it was learned, where it holds the value at the end of that range.
     """
 
     torque: float = 0.0
@@ -188,7 +188,7 @@ class Terms(NamedTuple):
     sensor_gain: float = 1.0
     sensor_offset: float = 0.0
     sensor_delay: float = 0.0
-    beyond: float = 0.0
+    extrapolated: float = 0.0
 
     def with_(self, other: Terms) -> Terms:
         """Both together."""
@@ -200,7 +200,7 @@ class Terms(NamedTuple):
 
 
 FACTORS = ("drive_gain", "loss_factor", "film_offset_factor", "film_slope_factor", "speed_factor", "sensor_gain")
-SUMS = ("torque", "softening", "heat", "inner_resistance", "sensor_offset", "sensor_delay", "beyond")
+SUMS = ("torque", "softening", "heat", "inner_resistance", "sensor_offset", "sensor_delay", "extrapolated")
 if {*FACTORS, *SUMS, "conductance", "sink"} != set(Terms._fields):
     raise TypeError("Terms has a field that is neither a factor nor a sum: say how two effects act together in it")
 SOFTENING_FROM_DEGC = 40.0
@@ -233,7 +233,7 @@ class Effect(ABC):
     text
         One line that a test engineer understands.
     needs
-        Fields of `Conditions` without which nothing can be said.
+        Fields of `Conditions` that must be known for it.
     parameters
         See `Parameter`.
     belt_only
@@ -280,7 +280,7 @@ class Effect(ABC):
         return found
 
     def describe(self) -> dict[str, Any]:
-        """All there is to know, for `trackres effects --json`."""
+        """All of its attributes, for `trackres effects --json`."""
         return {
             "name": self.name,
             "acts_on": self.acts_on,
@@ -317,7 +317,7 @@ class Active:
         return self.effect.lag(at, self.effect.pack(*self.numbers))
 
     def shifted(self) -> list[Active]:
-        """The same with one parameter of size a standard deviation off, for each that has a range (of +-2 of them)."""
+        """The same with one parameter moved by a standard deviation, for each that has a range (+-2 standard deviations)."""
         found = []
         for q in self.effect.parameters:
             low, high = self.ranges.get(q.name, (0.0, 0.0))

@@ -1,11 +1,11 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Effects without a name: a torque that follows what is known of a drive, in a form that a diagnosis found in recordings.
+"""Learned effects have no name in the catalogue: each is a torque that follows what is known of a drive, as a diagnosis found it.
 
-A curve of one variable, alone or only where a gate is open, and a build-up that a stop or time takes away. They are effects as
-any other: fitted, run live, written to the vehicle file. Their names say what they follow (`curve_of_speed_when_light`), their
-parameters are the knots.
+A curve follows one variable, always or only where a gate is open; a build-up is taken away by a stop or by time. They are effects
+as any other: they are fitted, run live and are written to the vehicle file. Their names say what they follow
+(`curve_of_speed_when_light`), their parameters are the knots.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ TYPICAL_NM, MOST_NM = 150.0, 20_000.0  # of a vehicle of `REFERENCE_NM`
 MOST_KNOTS = 9
 FURTHEST = 1e7  # of a knot, in any unit
 CODES = 3  # parameters of a curve before its knots: variable, gate, threshold
-MARGIN = 0.1  # of the range between the knots: so far beyond them it was driven now and then
+MARGIN = 0.1  # of the range between the knots: so far outside of them it was driven now and then
 MOVING_MPS = 0.3
 BRAKING_MPS2 = -0.3
 RESET_S = 1.0
@@ -110,7 +110,7 @@ def is_open(at: Conditions, code: float, threshold: float) -> bool:
 
 
 class Learned(Effect):
-    """What a diagnosis found in recordings and the catalogue has no name for."""
+    """An effect that a diagnosis found in recordings and that the catalogue has no name for."""
 
     acts_on = "torque"
     belongs_to = "vehicle"
@@ -122,8 +122,8 @@ class Learned(Effect):
 
 
 class Curve(Learned):
-    """A torque against travel along straight lines between knots, the value of the last knot beyond them; nothing where the
-    gate is closed. A fit leaves the height of one knot of a curve without a gate at zero: a constant is no curve.
+    """A torque against travel along straight lines between knots, held at the value of the last knot outside of them, and zero
+    where the gate's condition does not hold. A fit leaves one knot of a curve without a gate at zero: a constant is no curve.
 
     Parameters
     ----------
@@ -159,11 +159,11 @@ class Curve(Learned):
         count = (len(p) - CODES) // 2
         x, knot, last = variable(at, p[0]), CODES, CODES + count - 1
         little = MARGIN * (p[last] - p[knot])
-        beyond = 1.0 if count > 1 and (x < p[knot] - little or x > p[last] + little) else 0.0
+        extrapolated = 1.0 if count > 1 and (x < p[knot] - little or x > p[last] + little) else 0.0
         if x >= p[last]:
-            return Terms(torque=p[last + count] * at.direction, beyond=beyond)
+            return Terms(torque=p[last + count] * at.direction, extrapolated=extrapolated)
         if x <= p[knot]:
-            return Terms(torque=p[knot + count] * at.direction, beyond=beyond)
+            return Terms(torque=p[knot + count] * at.direction, extrapolated=extrapolated)
         while p[knot + 1] < x:
             knot += 1
         share = (x - p[knot]) / (p[knot + 1] - p[knot])

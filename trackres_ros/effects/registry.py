@@ -41,7 +41,7 @@ def catalogue(
     Raises
     ------
     InputError
-        If a folder or file holds no usable effect, or one whose name is taken.
+        If a folder or file holds no usable effect, or one whose name is in use.
     """
     packages = [importlib.import_module(f"{__package__}.{kind}") for kind in BELONGS_TO]
     modules = [
@@ -138,7 +138,7 @@ def _python_files(folder: Path | None) -> list[Path]:
 
 
 class _AsItIs(SourceFileLoader):
-    """Loads a file as it is now: kept bytecode is told from another only by whole seconds and the file's size."""
+    """Loads a file as it is now: cached bytecode is compared with its file only by whole seconds and size."""
 
     def path_stats(self, path: str) -> Mapping[str, Any]:
         """Say nothing that would find bytecode of it."""
@@ -185,5 +185,5 @@ def _check(effect: Effect, path: Path) -> None:
     except TypeError as error:
         if "indices must be" in str(error):  # as effects were written once
             raise InputError(f"{path}: {effect.name}", 'p["name"]', "p.name for the value of a parameter") from error
-    except Exception:  # said where it is used, with what it was used for
+    except Exception:  # reported where it is used, with its purpose
         return

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Effects as the compiled step takes them: each one a machine function behind one signature, called by its address.
+"""Makes effects callable from the compiled step: each is a machine function behind one signature, called by its address.
 
 An effect is a Python file; the step is compiled once. Between them stands a table: a row for each effect with the addresses of
 its `terms` and `lag`, and a row of values of its parameters. What cannot be compiled, as a user's effect may be, stands behind
@@ -34,7 +34,7 @@ IntArray = NDArray[np.int64]
 STATE, KIND, NEEDS, TERMS_AT, LAG_AT = range(5)
 ROW = 5
 # Kinds. Fed forward is what belongs to the vehicle; what comes with an acceleration only where that is. A shifted row is the row
-# above it with one parameter a standard deviation off: it moves nothing and tells how sure the effect is.
+# above it with one parameter a standard deviation off: it moves nothing and gives the effect's variance.
 UNFED, FED, FED_WITH_ACCEL, SHIFTED = range(4)
 
 # Work space of a step: what effects look at, the facts first; then what one of them answers.
@@ -88,7 +88,7 @@ DISTANCE, LAST_SPEED, FIRST_OWN = range(3)
 OWN, TARGET, TIME_CONSTANT = range(3)
 EACH = 3
 
-# Beyond these an effect of whatever kind is a mistake: an order of magnitude outside what those of the catalogue reach.
+# Outside of these limits an effect of whatever kind is a mistake: they are an order of magnitude wider than the catalogue.
 MOST_TORQUE = 10.0  # times weight times radius
 LIMITS = {
     "torque": (-math.inf, math.inf),
@@ -110,10 +110,10 @@ MOST_STATE = 1e9
 LEAST_TIME_S = 1e-3
 SOFTENED_OVER_K = 20.0  # assumed distance of a belt from the temperature about which a softening turns
 
-# What comes of the effects of a step: all well; one is asked beyond what it was learned in; an input of one is not known; one
-# says what is no number or beyond all reason.
-ALL_WELL, BEYOND_LEARNED, INPUT_UNKNOWN, UNUSABLE = range(4)
-ANSWER_BEYOND = Terms._fields.index("beyond")
+# Outcome of the effects of a step: all well; one is outside the range in which it was learned; an input of one is not known; one
+# gives no number, or one outside of the limits.
+ALL_WELL, EXTRAPOLATED, INPUT_UNKNOWN, UNUSABLE = range(4)
+ANSWER_EXTRAPOLATED = Terms._fields.index("extrapolated")
 
 ANSWERS = {"terms": ANSWERED, "lag": len(Lag._fields)}
 CALL = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
@@ -127,10 +127,10 @@ class EffectTable(NamedTuple):
 
 
 def effect_table(
-    of_vehicle: Sequence[Active], of_surroundings: Sequence[Active] = (), doubt: bool = True, machine: bool = True
+    of_vehicle: Sequence[Active], of_surroundings: Sequence[Active] = (), with_uncertainty: bool = True, machine: bool = True
 ) -> EffectTable:
-    """The effects of a vehicle, which are fed forward, and of its surroundings; with how sure they are, or without; as machine
-    code, or, where that is not to be waited for, in plain Python.
+    """The effects of a vehicle, which are fed forward, and of its surroundings, with their variances or without; as machine code,
+    or, where that is not to be waited for, in plain Python.
     """
     rows: list[tuple[int, ...]] = []
     values: list[tuple[float, ...]] = []
@@ -141,7 +141,7 @@ def effect_table(
         addresses = native(effect, machine)
         rows.append((state, fed if state < len(of_vehicle) else UNFED, needs, *addresses))
         values.append(active.numbers)
-        for other in active.shifted() if doubt else ():
+        for other in active.shifted() if with_uncertainty else ():
             rows.append((state, SHIFTED, needs, *addresses))
             values.append(other.numbers)
     table = np.zeros((len(rows), max((len(row) for row in values), default=0)))
@@ -211,7 +211,7 @@ def rest_effects(rows: IntArray, values: Array, memory: Array, work: Array, ambi
 
 @inlined
 def usable(answer: Array, most_torque: float) -> bool:
-    """Whether what an effect says is a number within reason."""
+    """Whether what an effect returns is a number within the limits."""
     if not abs(answer[0]) <= most_torque:
         return False
     within = True
@@ -296,8 +296,8 @@ def step_effects(rows: IntArray, values: Array, memory: Array, work: Array, dt: 
                 outcome = UNUSABLE
         if left_out:
             continue
-        if answer[ANSWER_BEYOND] > 0.0:
-            outcome = max(outcome, BEYOND_LEARNED)
+        if answer[ANSWER_EXTRAPOLATED] > 0.0:
+            outcome = max(outcome, EXTRAPOLATED)
         torque, drive_gain = answer[TERM_TORQUE], answer[TERM_DRIVE_GAIN]
         loss_factor, softening = answer[TERM_LOSS_FACTOR], answer[TERM_SOFTENING]
         add_terms(work, answer)
@@ -321,7 +321,7 @@ def add_terms(work: Array, answer: Array) -> None:
 
 @inlined
 def call_terms(address: int, looked_at: Array, values: Array, answer: Array) -> None:
-    """What an effect does; no number where it does not say."""
+    """What an effect does; not a number where it does not fill in a term."""
     for i in range(LIMITED):
         answer[i] = math.nan
     call_at(address, looked_at, values, answer)
@@ -423,13 +423,13 @@ if HAVE_NUMBA:
         sensor_gain: float = 1.0,
         sensor_offset: float = 0.0,
         sensor_delay: float = 0.0,
-        beyond: float = 0.0,
+        extrapolated: float = 0.0,
     ) -> Terms:
-        """`Terms`, of which compiled code knows no defaults."""
+        """`Terms` with its defaults, which compiled code does not know."""
         return Terms(
             float(torque), float(drive_gain), float(loss_factor), float(softening), float(film_offset_factor),
             float(film_slope_factor), float(conductance), float(sink), float(heat), float(inner_resistance),
-            float(speed_factor), float(sensor_gain), float(sensor_offset), float(sensor_delay), float(beyond),
+            float(speed_factor), float(sensor_gain), float(sensor_offset), float(sensor_delay), float(extrapolated),
         )  # fmt: skip
 
     @cache
@@ -458,7 +458,7 @@ if HAVE_NUMBA:
         namespace["pack"] = values_type(names)
         exec("\n".join(lines), namespace)
         function = cast(FunctionType, namespace["call"])
-        # The name tells codes apart in the cache: what is catalogued is part of its folder's name, a user's file is not.
+        # The name distinguishes codes in the cache: what is catalogued is part of its folder's name, a user's file is not.
         known_as = repr((python.__code__.co_filename, python.__code__.co_code, python.__code__.co_consts, _frozen(python)))
         function.__module__ = __name__
         function.__qualname__ = f"{kind.__name__}.{method}.{hashlib.sha256(known_as.encode()).hexdigest()[:16]}"

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""One step of the assemblies: belt, measured temperature, and what each adds to torque and doubt of the vehicle."""
+"""Advances the track assemblies by one step: belt, measured temperature, and what each adds to torque and its variance."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.belt_doubt import belt_variance, correct_belt
 from trackres_ros.estimator.belt_heat import loss_force, surface
 from trackres_ros.estimator.belt_step import BEHIND_BELTS, pass_gap, roll
+from trackres_ros.estimator.belt_uncertainty import belt_variance, correct_belt
 from trackres_ros.estimator.constants import Constants
 from trackres_ros.estimator.records import Inputs
 from trackres_ros.estimator.road import Road
@@ -49,7 +49,7 @@ def advance_assembly(k: Constants, i: int, belt: Array, load: float, measured: f
     """Advance one assembly; fills its `part` of the totals and its columns of `out`, returns its reasons."""
     radius, share, log_load = k.assembly[i, at.RADIUS], load / road.weight, math.log(load)
     reasons = 0
-    # The drive torque strains the belt and is itself moved by the loss: that of the last step is taken.
+    # The drive torque strains the belt and itself depends on the loss, so that of the last step is used.
     drive = road.last_drive * share
     part[at.PART_HEAT] = part[at.PART_COOLING] = 0.0
     if road.dt > k.number.bridge:
@@ -79,18 +79,18 @@ def advance_assembly(k: Constants, i: int, belt: Array, load: float, measured: f
 
     arm = radius * share
     resisting = own + arm * (road.bearing + road.wind)
-    # What is in doubt at rest is what it would be at a crawl: the sign of friction is known, its size is not.
-    by_temperature, doubted = radius * slope, unsigned + arm * (road.rolling_bearing + abs(road.wind))
-    part[at.PART_ARM], part[at.PART_UNSIGNED] = arm, doubted
+    # The uncertainty at rest is that at a crawl: the sign of friction is known, its size is not.
+    by_temperature, size = radius * slope, unsigned + arm * (road.rolling_bearing + abs(road.wind))
+    part[at.PART_ARM], part[at.PART_UNSIGNED] = arm, size
     part[at.PART_HYSTERESIS], part[at.PART_BEARING], part[at.PART_WIND] = own, arm * road.bearing, arm * road.wind
     part[at.PART_GRADE], part[at.PART_INERTIA] = arm * road.uphill, arm * road.inertia
     for cause in range(3):
         part[at.PART_CONSIDER + cause] = (
             by_temperature * belt[0, at.CONSIDER_1 + cause]
             + unsigned * k.assembly[i, at.CONSIDER_LOSS + cause]
-            + doubted * k.assembly[i, at.CONSIDER_RADIUS + cause]
+            + size * k.assembly[i, at.CONSIDER_RADIUS + cause]
         )
-    part[at.PART_CONSIDER + 3] = doubted * k.assembly[i, at.CONSIDER_RADIUS + 3]
+    part[at.PART_CONSIDER + 3] = size * k.assembly[i, at.CONSIDER_RADIUS + 3]
     part[at.PART_CONSIDER_AMBIENT] = by_temperature * belt[0, at.CONSIDER_AMBIENT]
     part[at.PART_NOISE] = by_temperature * by_temperature * (belt[0, at.NOISE_1] ** 2 + belt[0, at.NOISE_2] ** 2)
     first = FIRST_OF_ASSEMBLIES + i * COLUMNS_EACH

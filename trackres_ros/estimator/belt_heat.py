@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What warms and what cools one belt: loss of the rolling rubber, film to the air, and what effects add to both."""
+"""Computes what warms and what cools one belt: loss of the rolling rubber, film to the air, and what effects add to both."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A belt with one temperature, the paper's: C dT/dt = P - h A (T - Ta), see `model.thermal`."""
+"""Advances a belt with one temperature, the paper's: C dT/dt = P - h A (T - Ta), see `model.thermal`."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def advance_lumped(k: Constants, i: int, belt: Array, heat: Heat, ambient_std: f
     rate, growth = gained - lost, (power_slope - cooling) * per_capacity
     mean = dt * phi_1(growth * dt)
     belt[0, TEMPERATURE] = temperature + mean * rate
-    if not k.number.with_doubt:
+    if not k.number.with_uncertainty:
         return math.nan, math.nan
     for cause in range(3):
         forced = (

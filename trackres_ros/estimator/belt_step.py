@@ -1,12 +1,11 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""One step of one assembly's belt: temperature, and what each cause of doubt makes of it, through the same dynamics.
+"""Advances one belt by a step: its temperature, and the departure that each uncertain input makes, through the same dynamics.
 
 The belt state is an array (2, BELT_COLUMNS): its mean, and its surface where that has a temperature of its own. Column 0 is
-the temperature.
-The others are departures [K] that one standard deviation of a cause makes: they obey the model's linearisation,
-forced by that cause.
+the temperature. The others are departures [K] that one standard deviation of an uncertain input makes: they obey the model's
+linearisation, forced by that input.
 """
 
 from __future__ import annotations
@@ -18,10 +17,10 @@ from numpy.typing import NDArray
 
 from trackres_ros.effects.stepping import WORK
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.belt_doubt import add_noise
 from trackres_ros.estimator.belt_heat import SLOWEST_LOG_SPEED, heat_of, log_speed
 from trackres_ros.estimator.belt_lumped import advance_lumped
 from trackres_ros.estimator.belt_two_nodes import advance_two_nodes
+from trackres_ros.estimator.belt_uncertainty import add_noise
 from trackres_ros.estimator.constants import Constants
 from trackres_ros.jit.compiled import compiled, inlined
 
@@ -106,7 +105,7 @@ def pass_gap(
     ambient_std: float,
     dt: float,
 ) -> None:
-    """A gap too long to bridge: the middle between resting and driving on all the while, and as uncertain as they differ."""
+    """Pass a gap too long to bridge: the mean of resting and of driving on all the while, as uncertain as the two differ."""
     before, rested = k.work[BEFORE:RESTED], k.work[RESTED:BEHIND_BELTS]
     for node in range(2):
         for column in range(at.BELT_COLUMNS):

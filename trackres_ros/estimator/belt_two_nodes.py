@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A belt with a mean temperature and that of its surface, see `model.thermal`."""
+"""Advances a belt with a mean temperature and that of its surface, see `model.thermal`."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.estimator import columns as at
-from trackres_ros.estimator.belt_doubt import add_noise
 from trackres_ros.estimator.belt_heat import Heat
+from trackres_ros.estimator.belt_uncertainty import add_noise
 from trackres_ros.estimator.columns import BELT_COLUMNS, CONSIDER_1, CONSIDER_AMBIENT, TEMPERATURE
 from trackres_ros.estimator.constants import Constants
 from trackres_ros.jit.compiled import inlined
@@ -37,7 +37,7 @@ def advance_two_nodes(k: Constants, i: int, belt: Array, heat: Heat, ambient_std
     m11, m12, m21, m22 = phi_matrix(j11 * dt, j12 * dt, j21 * dt, j22 * dt, 1)
     belt[0, TEMPERATURE] = temperature + dt * (m11 * rate_1 + m12 * rate_2)
     belt[1, TEMPERATURE] = outer + dt * (m21 * rate_1 + m22 * rate_2)
-    if not k.number.with_doubt:
+    if not k.number.with_uncertainty:
         return math.nan, math.nan
     for column in range(CONSIDER_1, BELT_COLUMNS):
         first, second = belt[0, column], belt[1, column]

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Where each number stands in the arrays that the kernel works on, and what the numbers are called outside."""
+"""Says where each number stands in the arrays that the kernel works on, and the names of the numbers outside of it."""
 
 from __future__ import annotations
 
@@ -146,9 +146,9 @@ REASON_TEXT = {
     Reason.FEEDFORWARD_CLAMPED: "the feed-forward torque is at its limit",
     Reason.FEEDFORWARD_RATE_LIMITED: "the feed-forward torque follows at its largest rate",
     Reason.SPEED_QUANTISED: "the speed comes in coarse steps: its acceleration is known only roughly",
-    Reason.EFFECT_LEFT_OUT: "an effect is left out: an input of it is missing, or what it says is no number or beyond all reason",
-    Reason.SURROUNDINGS: "site, weather and ground are taken from the file of the surroundings, not measured",
-    Reason.OUTSIDE_LEARNED: "beyond what was driven when it was learned, a term without a name keeps the value at its end",
+    Reason.EFFECT_LEFT_OUT: "an effect is left out: an input of it is missing, or what it gives is no number or implausible",
+    Reason.SURROUNDINGS: "site, weather and ground are those of the surroundings file, not measured",
+    Reason.OUTSIDE_LEARNED: "outside of the range in which it was learned, a learned term keeps the value at its end",
 }
 # Remarks that go with a fully usable estimate; any other reason makes it a warning.
 HARMLESS = Reason.LOAD_HELD | Reason.FEEDFORWARD_RATE_LIMITED | Reason.GAP_BRIDGED | Reason.SPEED_QUANTISED

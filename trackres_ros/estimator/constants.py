@@ -1,7 +1,9 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the kernel needs to know and never changes: vehicle, tables, uncertainties and settings as plain arrays and numbers."""
+"""Gathers what the kernel needs to know and never changes: vehicle, tables, uncertainties and settings, as plain arrays and
+numbers.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,7 @@ from trackres_ros.vehicle.reading import FITTED
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-# Limits beyond which a measurement is refused, where the vehicle file does not say: [low, high] in SI, degC.
+# Limits outside of which a measurement is refused, where the vehicle file does not say: [low, high] in SI, degC.
 PLAUSIBLE = {
     "torque": (-1e6, 1e6),
     "ambient": (-60.0, 60.0),
@@ -53,16 +55,16 @@ class Numbers(NamedTuple):
     glass_transition: float
     wlf_c1: float
     wlf_c2: float
-    hottest: float  # degC: beyond it the rubber data end
-    fastest_x: float  # log10(a_T v): so do they beyond this
-    with_doubt: bool  # whether standard deviations and heat are wanted besides temperatures and torques
+    hottest: float  # degC: the rubber data end here
+    fastest_x: float  # log10(a_T v): the rubber data end here
+    with_uncertainty: bool  # whether standard deviations and heat are computed besides temperatures and torques
     surroundings: bool  # whether effects of the surroundings are among the effects
     two_nodes: bool
     belt_shows_surface: bool
     bearing_friction: float
-    bearing_doubt: float  # relative standard deviation
+    bearing_relative_std: float
     drag_area: float
-    drag_doubt: float
+    drag_relative_std: float
     air_density: float
     rotating_mass_factor: float
     motor_gain: float  # motor torque per sprocket torque; not a number where the vehicle file gives none
@@ -184,14 +186,14 @@ def make_constants(vehicle: Vehicle, settings: Settings, cache: Path | None = No
         wlf_c2=vehicle.rubber.wlf_c2,
         hottest=min(each.hottest for each in covered),
         fastest_x=min(each.log_reduced_speed for each in covered),
-        with_doubt=True,
+        with_uncertainty=True,
         surroundings=bool(vehicle.surroundings),
         two_nodes=two_nodes,
         belt_shows_surface=settings.belt_sensor == "surface",
         bearing_friction=chassis.bearing_friction,
-        bearing_doubt=relative("bearing_friction"),
+        bearing_relative_std=relative("bearing_friction"),
         drag_area=chassis.drag_coefficient * chassis.frontal_area,
-        drag_doubt=relative("drag_coefficient", *area, "air_density"),
+        drag_relative_std=relative("drag_coefficient", *area, "air_density"),
         air_density=chassis.air_density,
         rotating_mass_factor=chassis.rotating_mass_factor,
         motor_gain=float(gain),
@@ -236,7 +238,7 @@ def make_constants(vehicle: Vehicle, settings: Settings, cache: Path | None = No
 def parting_resistance(effects: Sequence[Active], facts: VehicleConstants) -> float:
     """What effects put between the mean of a belt and its surface [K/W]: with it the belt has two nodes, whatever the file says.
 
-    It hangs on nothing but the parameters. What fails, as an effect of the user's own may, puts nothing there.
+    It depends on the parameters alone. An effect that fails, as a user's own may, puts nothing there.
     """
     total = 0.0
     for active in effects:

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A stream of messages through guards and steps, one at a time or in blocks: the same compiled code either way."""
+"""Takes a stream of messages through guards and steps, one at a time or in blocks: the same compiled code either way."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.belt_heat import SLOWEST_LOG_SPEED
 from trackres_ros.estimator.belt_step import roll
 from trackres_ros.estimator.constants import Constants
-from trackres_ros.estimator.guards import GAP, TOOK_RESET, Memory, admit, forget_others, gather
+from trackres_ros.estimator.guards import ACCEPTED_AFTER_RESET, GAP, Memory, admit, forget_others, gather
 from trackres_ros.estimator.kernel import advance, predict, start
 from trackres_ros.estimator.records import Carried, Inputs, Series
 from trackres_ros.jit.compiled import HAVE_NUMBA, inlined, interpreted
@@ -60,7 +60,7 @@ def feed(
     """Take one message in. An accepted speed makes a step and fills `out`; returns whether it did."""
     outcome, elapsed = admit(k, memory, channel, stamp, arrival, value)
     motion = carried.motion
-    if outcome == TOOK_RESET:
+    if outcome == ACCEPTED_AFTER_RESET:
         forget_others(memory, channel)
         motion[at.STARTED] = at.START_ANEW
     if outcome < 0 or channel != at.SPEED:

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The results of the estimator: those of one step by name, and those of many steps as rows."""
+"""Holds the results of the estimator: those of one step by name, and those of many steps as rows."""
 
 from __future__ import annotations
 

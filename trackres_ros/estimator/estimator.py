@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The estimator: a pure step from state to state, and a session that takes messages as they come."""
+"""The estimator has a pure step from state to state, and a session that takes messages as they come."""
 
 from __future__ import annotations
 

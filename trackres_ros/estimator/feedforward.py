@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Torque that goes to the controller ahead of time: chosen parts, limited in size and rate, faded where the speed pauses."""
+"""Makes the feed-forward torque: chosen parts, limited in size and rate, faded where the speed pauses."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What is done with each message before it counts: order, age and plausibility. The policy is docs/robustness.md.
+"""Checks each message before it is used: order, age and plausibility. The policy is docs/robustness.md.
 
 A message is one number with its channel, its own stamp and its arrival. It is accepted or refused, and counted in exactly
-one counter for that. Stamps carry time; arrival only says whether to believe them.
+one counter for that. Time is counted by stamps; the arrival only tells whether they can be right.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ STANDING = 1e-3  # m/s: slower is no movement that could be stuck
 QUANTISED = (0.05, 1.0)  # m/s: a smallest step between these is a bus's resolution, not noise
 QUANTISED_PATIENCE = 10  # a steady drive holds one value of such a bus for minutes
 
-# What admit() returns besides a refusal (a negative counter).
-TAKEN, TOOK_JUMP, TOOK_RESET = 0, 1, 2
+# What admit() returns of an accepted message; a refusal is a negative counter.
+ACCEPTED_IN_ORDER, ACCEPTED_AFTER_JUMP, ACCEPTED_AFTER_RESET = 0, 1, 2
 
 
 class Memory(NamedTuple):
@@ -50,7 +50,7 @@ class Memory(NamedTuple):
 
 
 def new_memory(channels: int) -> Memory:
-    """Memory of a session that has heard nothing yet."""
+    """Memory of a session that has received nothing yet."""
     return Memory(
         np.zeros((channels, at.MEMORY_COLUMNS), dtype=np.int64),
         np.full(channels, np.nan),
@@ -66,7 +66,8 @@ def admit(k: Constants, memory: Memory, channel: int, stamp: int, arrival: int, 
     Returns
     -------
     outcome, elapsed
-        TAKEN, TOOK_JUMP, TOOK_RESET, or minus the counter of the refusal; and the time [ns] since the channel's last message.
+        ACCEPTED_IN_ORDER, ACCEPTED_AFTER_JUMP, ACCEPTED_AFTER_RESET, or minus the counter of the refusal; and the time [ns]
+        since the channel's last message.
     """
     times, counters = memory.times[channel], memory.counters[channel]
     if not math.isfinite(value):
@@ -80,7 +81,7 @@ def admit(k: Constants, memory: Memory, channel: int, stamp: int, arrival: int, 
         stamp = arrival
         if times[at.SEEN]:  # by the last message's offset between stamp and arrival
             stamp += times[at.LAST_STAMP] - times[at.LAST_ARRIVAL]
-    outcome, elapsed = TAKEN, 0
+    outcome, elapsed = ACCEPTED_IN_ORDER, 0
     if times[at.SEEN]:
         forward, waited = stamp - times[at.LAST_STAMP], arrival - times[at.LAST_ARRIVAL]
         elapsed = forward
@@ -92,7 +93,7 @@ def admit(k: Constants, memory: Memory, channel: int, stamp: int, arrival: int, 
             return -LATE, 0
         if forward < 0 and waited < -k.number.clock_jump_ns:
             counters[RESET] += 1
-            outcome, elapsed = TOOK_RESET, 0
+            outcome, elapsed = ACCEPTED_AFTER_RESET, 0
         elif forward < 0 or (forward > k.number.clock_jump_ns and abs(forward - waited) > k.number.clock_jump_ns):
             since, until = stamp - times[at.SUSPECT_STAMP], arrival - times[at.SUSPECT_ARRIVAL]
             agrees = times[at.SUSPECTS] > 0 and since > 0 and abs(since - until) <= k.number.clock_jump_ns
@@ -103,8 +104,8 @@ def admit(k: Constants, memory: Memory, channel: int, stamp: int, arrival: int, 
                 counters[refusal] += 1
                 return -refusal, 0
             counters[CLOCK_JUMP] += 1
-            outcome, elapsed = TOOK_JUMP, max(waited, 0)
-    if not times[at.SEEN] or value != memory.values[channel] or outcome != TAKEN:
+            outcome, elapsed = ACCEPTED_AFTER_JUMP, max(waited, 0)
+    if not times[at.SEEN] or value != memory.values[channel] or outcome != ACCEPTED_IN_ORDER:
         times[at.UNCHANGED_SINCE] = stamp
     times[at.SEEN], times[at.LAST_STAMP], times[at.LAST_ARRIVAL] = 1, stamp, arrival
     times[at.SUSPECTS], times[at.FRESH] = 0, 1
@@ -134,7 +135,7 @@ def held(memory: Memory, channel: int, now: int, hold_ns: int) -> float:
 def gather_loads(k: Constants, memory: Memory, now: int, loads: Array) -> int:
     """Load of each assembly [N] by the finest source there is; fills `loads`, returns the reasons to report.
 
-    A load of the assembly goes before one of its axle, that before the total; each shared in proportion to nominal loads.
+    A load of the assembly comes before one of its axle, and that before the total; each is shared in proportion to nominal loads.
     """
     first_axle = at.DISTANCE + 1
     first_assembly = first_axle + k.number.axles
@@ -167,7 +168,7 @@ def gather(k: Constants, memory: Memory, outcome: int, motion: Array, loads: Arr
     now, stamp = memory.times[at.SPEED, at.LAST_ARRIVAL], memory.times[at.SPEED, at.LAST_STAMP]
     speed = memory.values[at.SPEED]
     reasons = gather_loads(k, memory, now, loads)
-    if outcome == TOOK_JUMP:
+    if outcome == ACCEPTED_AFTER_JUMP:
         reasons |= CLOCK_JUMPED
     if motion[at.STARTED] == at.START_ANEW:
         reasons |= TIME_RESET

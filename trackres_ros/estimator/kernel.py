@@ -1,7 +1,9 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""One step of the estimate: belts, motion, torque by part, doubt and feed-forward. Compiled; no I/O, no clock."""
+"""Makes one step of the estimate: belts, motion, torque by part, its standard deviation and the feed-forward. It is compiled,
+and has no I/O and no clock.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.effects.stepping import (
     ALL_WELL,
-    BEYOND_LEARNED,
+    EXTRAPOLATED,
     FIRST_OWN,
     TERM_FED,
     TERM_GAIN_VARIANCE,
@@ -127,7 +129,7 @@ def advance(k: Constants, carried: Carried, inputs: Inputs, dt: float, out: Arra
     others = arm * (road.bearing + road.wind + road.uphill + road.inertia)
     turning = inputs.yaw_rate, inputs.heading, inputs.distance
     outcome = act(k, motion, effects, speed, accel, weight, inputs.ambient, turning, others, dt)
-    if outcome == BEYOND_LEARNED:
+    if outcome == EXTRAPOLATED:
         reasons |= OUTSIDE_LEARNED
     elif outcome != ALL_WELL:
         reasons |= EFFECT_LEFT_OUT
@@ -140,14 +142,14 @@ def advance(k: Constants, carried: Carried, inputs: Inputs, dt: float, out: Arra
     for i in range(belts.shape[0]):  # effects are of the whole vehicle, and shared as the load is
         out[FIRST_OF_ASSEMBLIES + i * COLUMNS_EACH + at.PER_RESISTANCE] += of_effects * (inputs.load[i] / weight)
     # What resists motion is fed forward, so of effects nothing where nothing moves: friction holds a standing vehicle by itself,
-    # and whatever else an effect says at rest would push it.
+    # and any other torque of an effect at rest would push it.
     fed_effects = work[TERM_FED] * abs(direction(speed))
     wanted, of_feedforward = feedforward(k, motion, total, fed_effects, given_accel, dt)
     variance = (
         total[at.PART_NOISE]
         + total[at.PART_CONSIDER_AMBIENT] ** 2
-        + (total[at.PART_ARM] * road.rolling_bearing * number.bearing_doubt) ** 2
-        + (total[at.PART_WIND] * number.drag_doubt) ** 2
+        + (total[at.PART_ARM] * road.rolling_bearing * number.bearing_relative_std) ** 2
+        + (total[at.PART_WIND] * number.drag_relative_std) ** 2
         + work[TERM_VARIANCE]
         + work[TERM_LOSS_VARIANCE] * total[at.PART_HYSTERESIS] ** 2
         + work[TERM_GAIN_VARIANCE] * driving**2
@@ -186,7 +188,7 @@ def predict(
     k: Constants, carried: Carried, count: Array, speed: float, accel: float, grade: float, weight: float, ambient: float,
     turning: tuple[float, float, float], dt: float, out: Array,
 ) -> None:  # fmt: skip
-    """The step of `advance` without doubt, feed-forward and shares: what a fit asks for, thousands of times.
+    """The step of `advance` without uncertainty, feed-forward and shares: what a fit needs, thousands of times.
 
     Parameters
     ----------

@@ -1,10 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Acceleration from a speed that may be quantised, as many buses send it, to 1 km/h.
+"""Estimates the acceleration from a speed that may be quantised, as many buses send it, to 1 km/h.
 
-A Kalman filter on speed and acceleration, the acceleration returning to zero over a while (Singer's model). A quantised
-speed says only that the true one lies within half a step: while the prediction does, it is not pulled, so a staircase of
+It is a Kalman filter on speed and acceleration, the acceleration returning to zero over a while (Singer's model). A quantised
+speed says only that the true one lies within half a step: while the prediction does too, it is not corrected, so a staircase of
 repeated values does not become a staircase of accelerations.
 
 R. A. Singer, Estimating optimal tracking filter performance for manned maneuvering targets, IEEE Trans. Aerosp. Electron.

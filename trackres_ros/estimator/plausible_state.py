@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Whether the numbers of a stored state can be those of a vehicle: each is held against what the estimate can reach.
+"""Checks that the numbers of a stored state can be those of a vehicle: each is held against what the estimate can reach.
 
 A seal shows that a file is as it was written; these checks show that what was written is a state. Both are needed: nothing that
 is read again may move a vehicle by a number that no drive could have left.
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 BELT_DEGC = (-100.0, 400.0)  # wider than any rubber lives through
 LARGEST_DEPARTURE = 1000.0  # K, of a standard deviation of any cause
 SPEED_REACH = 3.0  # of the greatest speed: the filter may overshoot, and effects scale the speed
-LARGEST_ACCEL = 1e4  # m/s^2, by a filter on stamps a few microseconds apart
+LARGEST_ACCEL = 1e4  # m/s^2, by a filter on stamps that differ by a few microseconds
 LARGEST_COVARIANCE = 1e6
 ROUNDING = 1e-9
 NO_QUANTUM = 1e9  # as `kernel.start` begins
@@ -82,4 +82,4 @@ def check_memory(memory: Memory, limits: Array) -> None:
 def _within(name: str, given: ArrayLike, low: float, high: float) -> None:
     values: NDArray[Any] = np.asarray(given)
     if not ((values >= low) & (values <= high)).all():  # nan is not either
-        raise ValueError(f"{name} beyond {low:g} to {high:g}")
+        raise ValueError(f"{name} outside of {low:g} to {high:g}")

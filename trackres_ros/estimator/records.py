@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a step takes in and what it carries on, by name."""
+"""Names what a step takes in and what it carries on."""
 
 from __future__ import annotations
 

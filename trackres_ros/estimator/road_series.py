@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Road load along a series: the same effects and the same forces as in the step of a tracked vehicle, without belts."""
+"""Computes road load along a series: the same effects and the same forces as in the step of a tracked vehicle, without belts."""
 
 from __future__ import annotations
 

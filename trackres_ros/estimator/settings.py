@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""How the estimator behaves: one table of settings with unit, limits and meaning, which also makes docs and parameters."""
+"""Holds the settings of the estimator: one table with unit, limits and meaning, which also makes docs and parameters."""
 
 from __future__ import annotations
 
@@ -33,14 +33,12 @@ class Settings:
     )
     belt_measured_std_k: float = _setting(3.0, "K", 0.01, 60.0, "standard deviation of a measured belt temperature")
     gap_s: float = _setting(1.0, "s", 0.05, 60.0, "a longer pause in the speed is a gap and is reported")
-    bridge_s: float = _setting(
-        30.0, "s", 0.1, 600.0, "over a gap up to this long the speed is taken as a straight line between its ends"
-    )
+    bridge_s: float = _setting(30.0, "s", 0.1, 600.0, "over a gap up to this long the speed is interpolated between its ends")
     clock_jump_s: float = _setting(
-        1.0, "s", 0.05, 3600.0, "a stamp further than this from what arrival says is not believed at once"
+        1.0, "s", 0.05, 3600.0, "a stamp further than this from the time expected by its arrival is not accepted at once"
     )
     jumps_to_accept: float = _setting(3, "1", 2, 100, "as many stamps in a row that agree with each other make a clock jump")
-    load_hold_s: float = _setting(60.0, "s", 0.1, 1e6, "how long the last load holds before the nominal one is taken")
+    load_hold_s: float = _setting(60.0, "s", 0.1, 1e6, "how long the last load holds before the nominal one is used")
     ambient_hold_s: float = _setting(1800.0, "s", 1.0, 1e6, "how long the last ambient temperature holds")
     motion_hold_s: float = _setting(0.5, "s", 0.01, 60.0, "how long a given acceleration or grade holds")
     torque_hold_s: float = _setting(0.5, "s", 0.01, 60.0, "how long a measured torque holds")

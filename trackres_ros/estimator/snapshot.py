@@ -1,10 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Saving a session and taking it up again: versioned, keyed to the vehicle, written atomically.
+"""Saves a session and resumes it: versioned, keyed to the vehicle, written atomically.
 
-Resumed in the same stream of messages a session gives the same bits as one that never stopped. Taken up after time off,
-the belts have cooled and the guards start anew, as stamps and clocks may be others.
+Resumed in the same stream of messages, a session gives the same bits as one that never stopped. After time switched off, the
+belts have cooled and the guards start anew, as stamps and clocks may be others.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ def leftovers(path: Path) -> list[Path]:
 
 
 def resume(estimator: Estimator, path: Path) -> Session:
-    """Take a session up just where it stopped, for the same stream of messages.
+    """Resume a session just where it stopped, for the same stream of messages.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a topics file says of the estimator's settings: age limits, and the belt sensor."""
+"""Reads the estimator's settings out of a topics file: age limits, and the belt sensor."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ AGE_LIMITS = {
 
 
 def settings_for(settings: Settings, topics: Topics | None) -> Settings:
-    """Settings with what a topics file says.
+    """Settings, with those that a topics file gives.
 
     Raises
     ------

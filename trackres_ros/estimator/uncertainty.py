@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""How far the plausible ranges of the vehicle file let loss, cooling, heat capacity and sprocket radius be off."""
+"""Computes how far the plausible ranges of the vehicle file let loss, cooling, heat capacity and sprocket radius be off."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class ParameterUncertainty:
 
 
 def spread(vehicle: Vehicle, track_name: str, cache: Path | None = None) -> ParameterUncertainty:
-    """Propagate every range of the file to first order; parameters are taken as independent of each other.
+    """Propagate every range of the file to first order; parameters count as independent of each other.
 
     Notes
     -----

@@ -1,4 +1,6 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Is it right? Sealed drives, real recordings, the paper's test and figures, and a loop with a controller in; pages out."""
+"""Sealed drives, real recordings, the paper's test and figures, and a loop with a controller come in; pages that compare the
+results with what is true go out.
+"""

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The loop closed: a vehicle file that a diagnosis left, replayed on a drive that the diagnosis never saw."""
+"""Closes the loop: a vehicle file that a diagnosis wrote is replayed on a drive that the diagnosis never saw."""
 
 from __future__ import annotations
 
@@ -97,35 +97,35 @@ def _smooth(series: Array) -> Array:
     return np.asarray(np.convolve(np.where(known, series, 0.0), np.ones(n), mode="same") / np.maximum(count, 1.0))
 
 
-def draw(closed: ClosedLoop, path: Path) -> None:
+def draw(loop: ClosedLoop, path: Path) -> None:
     """Measured torque and both feed-forwards over time."""
     with picture(path, 8.0, 3.4) as figure:
         axes = figure.subplots()
-        minutes = closed.time / 60.0
+        minutes = loop.time / 60.0
         axes.plot(
             minutes,
-            np.where(np.isfinite(closed.torque), _smooth(closed.torque), np.nan),
+            np.where(np.isfinite(loop.torque), _smooth(loop.torque), np.nan),
             color=GREY,
             label="measured, less inertia",
         )
-        axes.plot(minutes, closed.before, color=VERMILION, label="feed-forward with the vehicle file as it was")
-        axes.plot(minutes, closed.after, color=BLUE, label="with the one that the diagnosis left")
+        axes.plot(minutes, loop.before, color=VERMILION, label="feed-forward with the vehicle file as it was")
+        axes.plot(minutes, loop.after, color=BLUE, label="with the one that the diagnosis left")
         axes.set_xlabel("time [min]", color=BLACK)
         axes.set_ylabel("torque [Nm]")
-        axes.set_ylim(0.0, 1.4 * float(np.nanpercentile(_smooth(closed.torque), 99.0)))
+        axes.set_ylim(0.0, 1.4 * float(np.nanpercentile(_smooth(loop.torque), 99.0)))
         axes.legend(loc="upper right")
 
 
-def page(closed: ClosedLoop, name: str) -> str:
+def page(loop: ClosedLoop, name: str) -> str:
     """The numbers, with the picture of a name."""
-    everywhere, cold = np.isfinite(closed.torque), closed.time < 300.0
+    everywhere, cold = np.isfinite(loop.torque), loop.time < 300.0
     rows = (
         ("the whole drive", everywhere),
         ("the first five minutes", cold),
-        ("bends", closed.turning),
-        ("straights", ~closed.turning),
+        ("bends", loop.turning),
+        ("straights", ~loop.turning),
     )
-    lines = [f"The diagnosis of two drives: {closed.sentence}", "", f"![A third drive, which it never saw.]({name})", ""]
+    lines = [f"The diagnosis of two drives: {loop.sentence}", "", f"![A third drive, which it never saw.]({name})", ""]
     lines += ["| Of a third drive | Mean error before [Nm] | After [Nm] |", "|---|---|---|"]
-    lines += [f"| {what} | {closed.error(closed.before, at):.0f} | {closed.error(closed.after, at):.0f} |" for what, at in rows]
+    lines += [f"| {what} | {loop.error(loop.before, at):.0f} | {loop.error(loop.after, at):.0f} |" for what, at in rows]
     return "\n".join(lines) + "\n"

@@ -1,9 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The paper's own test: laps of a circle on a site that is not level, torque from the engine's without the losses between.
+"""Repeats the paper's own test: laps of a circle on a site that is not level, torque computed from the engine's without losses.
 
-The paper compares it with a model of a straight, level, lossless drive. Here the truth has all three, and the diagnosis is asked.
+The paper compares it with a model of a straight, level, lossless drive. Here the truth has all three, and the diagnosis
+has to find them.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from trackres_ros.evaluation.sealed.data_sheet import read_data_sheet
 from trackres_ros.evaluation.sealed.drives import STEP_S, Drive, drive
 from trackres_ros.evaluation.sealed.generate import APART_S, FASTEST_MPS, LOADS, START_S, VEHICLE, write_vehicle
 from trackres_ros.evaluation.sealed.sensors import Sensors, record
-from trackres_ros.evaluation.sealed.truth import Build, live
+from trackres_ros.evaluation.sealed.truth import Build, simulate_truth
 from trackres_ros.files.resources import find_vehicle
 
 RADIUS_M = 100.0
@@ -33,22 +34,22 @@ MINUTES = 15.0
 
 @dataclass(frozen=True, eq=False)
 class PaperCase:
-    """A way to drive, and what the diagnosis said of it."""
+    """A way to drive, and its diagnosis."""
 
     what: str
     found: Diagnosis
 
 
-def ask_all(folder: Path, seed: int = 3) -> list[PaperCase]:
-    """The paper's circle, and the drives that would tell its causes apart."""
+def diagnose_all(folder: Path, seed: int = 3) -> list[PaperCase]:
+    """Diagnose the paper's circle, and drives that distinguish its causes."""
     sheet = find_vehicle(VEHICLE)
     weight = read_data_sheet(sheet)["weight"]
     rng = np.random.default_rng(seed)
     circles = [circle(MINUTES, speed, weight) for speed in LAP_SPEEDS_MPS]
     courses = [drive(MINUTES, share * weight, 15.0, FASTEST_MPS, rng) for share in LOADS]
     return [
-        PaperCase("laps of one circle at three speeds", _asked(folder / "circle", sheet, circles, rng)),
-        PaperCase("a course with bends and straights, three loads", _asked(folder / "course", sheet, courses, rng)),
+        PaperCase("laps of one circle at three speeds", _diagnosed(folder / "circle", sheet, circles, rng)),
+        PaperCase("a course with bends and straights, three loads", _diagnosed(folder / "course", sheet, courses, rng)),
     ]
 
 
@@ -63,35 +64,35 @@ def circle(minutes: float, speed: float, weight: float) -> Drive:
     )
 
 
-def _asked(folder: Path, sheet: Path, drives: list[Drive], rng: np.random.Generator) -> Diagnosis:
+def _diagnosed(folder: Path, sheet: Path, drives: list[Drive], rng: np.random.Generator) -> Diagnosis:
     folder.mkdir(parents=True, exist_ok=True)
     vehicle = write_vehicle(folder / "vehicle.yaml", "core_surface")
     radius = read_data_sheet(sheet)["track.sprocket_radius"]
     paths = []
-    for i, (one, lived) in enumerate(zip(drives, live(sheet, Build(), HIDDEN, drives), strict=True)):
+    for i, (one, run) in enumerate(zip(drives, simulate_truth(sheet, Build(), HIDDEN, drives), strict=True)):
         paths.append(folder / f"drive_{i + 1}.csv")
-        record(paths[-1], one, lived, Sensors(), radius, START_S + i * APART_S, rng)
+        record(paths[-1], one, run, Sensors(), radius, START_S + i * APART_S, rng)
     return diagnose(read_recordings(paths, None), load_base(vehicle))
 
 
-def page(asked: list[PaperCase]) -> str:
-    """What was said, beside what is true."""
+def page(cases: list[PaperCase]) -> str:
+    """What was found, beside what is true."""
     lines = [
         f"True: turning scrub (friction {HIDDEN['turning_scrub']['friction']:g}), "
         f"a site tilted by {HIDDEN['grade_profile']['rise']:.0%}, "
         f"a drive train of efficiency {HIDDEN['drivetrain_efficiency']['efficiency']:g}.",
         "",
-        "| Driven | Said | True ones in a class | Mean error on held-out laps: file, re-fitted, with effects [Nm] |",
+        "| Driven | Found | True ones in a class | Mean error on held-out laps: file, re-fitted, with effects [Nm] |",
         "|---|---|---|---|",
     ]
-    for a in asked:
+    for a in cases:
         classes = [f.step.members for f in a.found.found]
-        said = "; ".join(" or ".join(m) for m in classes) or a.found.verdict.status
+        named = "; ".join(" or ".join(m) for m in classes) or a.found.verdict.status
         hit = [name for name in HIDDEN if any(name in m for m in classes)]
         mae = a.found.held_out.mae
         errors = ", ".join(f"{mae[stage]:.0f}" for stage in ("nominal", "refitted", "with_effects"))
-        lines.append(f"| {a.what} | {said} | {', '.join(hit) or '-'} | {errors} |")
-    for a in asked:
+        lines.append(f"| {a.what} | {named} | {', '.join(hit) or '-'} | {errors} |")
+    for a in cases:
         lines += ["", f"## {a.what[0].upper()}{a.what[1:]}", "", a.found.verdict.sentence, ""]
         lines += [
             "Base, re-fitted along: "

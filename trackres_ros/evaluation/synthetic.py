@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Recordings that were never driven: the base model with an effect switched on, and sensors that are not perfect.
+"""Makes recordings that were never driven: the base model with an effect switched on, and sensors that are not perfect.
 
 They share the model with the diagnosis, so they show that it works as built, not that it is right.
 """

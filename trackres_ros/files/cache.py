@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The cache folder, and what is kept in it: only where no other user can write, only what its seal vouches for.
+"""Keeps the cache folder, used only where no other user can write; a file in it is used only if its seal is intact.
 
 A cache of compiled code is code. Whoever can write there can run what he likes as whoever starts the program, so a folder that
 others can write to, or could exchange for one of theirs, is not used at all. Everything in it can be computed again.
@@ -26,7 +26,7 @@ _log = logging.getLogger("trackres")
 
 
 def usable(folder: Path | None) -> Path | None:
-    """The folder, made if need be, if it may serve as a cache; None if not, which is said once."""
+    """The folder, made if need be, if it may serve as a cache; None if not, which is logged once."""
     if folder is None:
         _say("there is no home folder")
         return None

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Arrays that take a second to compute, kept in the cache folder under a key that says all they depend on."""
+"""Keeps arrays that take a second to compute in the cache folder, under a key of all they depend on."""
 
 from __future__ import annotations
 

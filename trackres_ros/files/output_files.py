@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Where results may be written: refused before any work is done for them."""
+"""Checks where results may be written, before any work is done for them."""
 
 from __future__ import annotations
 

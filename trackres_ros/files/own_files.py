@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Files that this program writes for itself and reads again: none of them is trusted for its name alone.
+"""Reads and writes the files that this program makes for itself: none of them is trusted for its name alone.
 
 A disk fills up, power fails, another program writes there, another user does. So what is read is a regular file of a bounded
 size, what is written replaces the old one in one step, and a seal over the content shows whether it is what was written.

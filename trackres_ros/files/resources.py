@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Where the shipped files are, alike in a checkout, a pip install and a colcon install."""
+"""Finds the shipped files, alike in a checkout, a pip install and a colcon install."""
 
 from __future__ import annotations
 

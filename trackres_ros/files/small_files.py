@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Small text files out of a user's hands: read whole, or refused in one line; never waited for, never without end."""
+"""Reads small text files of the user: whole, or refused in one line; it never waits and never reads without end."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The one reader of YAML: whatever a file holds, it is plain data of bounded size, or one line says why not."""
+"""Reads all YAML: whatever a file holds, it is plain data of bounded size, or one line says why not."""
 
 from __future__ import annotations
 

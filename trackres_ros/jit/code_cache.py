@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Machine code of one compiled function, kept over starts in the place of numba's own cache.
+"""Keeps the machine code of one compiled function over starts, in the place of numba's own cache.
 
 numba's trusts its files: an index that is empty or cut ends the program, and both index and code are pickles, which run what
 they hold. Here every specialisation is a file of its own under a seal, written in one step, so two processes at once leave

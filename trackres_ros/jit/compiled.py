@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The decorators of the kernels: numba where it is installed, plain Python where it is not.
+"""The decorators of the kernels use numba where it is installed, plain Python where it is not.
 
 The numerical kernels are written once, in the subset both run; the environment variable TRACKRES_INTERPRETED=1 leaves
 numba out, which the tests use to show that both give the same numbers.

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Entries into compiled code: from Python come arrays and numbers one by one, inside they are named records.
+"""Makes entries into compiled code: from Python come arrays and numbers one by one, inside they are named records.
 
 A call from Python pays more for a named tuple than for its arrays one by one: with those of a message as much as for all the rest
 of it (benchmarks/bench_ways.py).
@@ -28,20 +28,20 @@ def entry(function: Callable[..., Any]) -> Callable[..., Any]:
     """
     python = cast(FunctionType, getattr(function, "py_func", function))
     known: dict[str, Any] = {"inner": function}
-    taken: list[str] = []
+    parameters: list[str] = []
     given: list[str] = []
     kinds = get_type_hints(python)
     for name in signature(python).parameters:
         kind = kinds[name]
         if not _is_record(kind):
-            taken.append(name)
+            parameters.append(name)
             given.append(name)
             continue
         known[kind.__name__] = kind
         fields = {f"{name}_{field}": "[0]" * _is_record(inside) for field, inside in get_type_hints(kind).items()}
-        taken += fields
+        parameters += fields
         given.append(f"{kind.__name__}({', '.join(field + only for field, only in fields.items())})")
-    exec(f"def entry({', '.join(taken)}):\n    return inner({', '.join(given)})", known)
+    exec(f"def entry({', '.join(parameters)}):\n    return inner({', '.join(given)})", known)
     made = cast(FunctionType, known["entry"])
     made.__module__, made.__qualname__, made.__doc__ = python.__module__, f"{python.__qualname__}.entry", python.__doc__
     return compiled(made)

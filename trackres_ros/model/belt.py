@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The belt as a rope and as a body: stiffness (5, 6), mass and heat capacity (26), tension (12 to 18)."""
+"""Models the belt as a rope and as a body: stiffness (5, 6), mass and heat capacity (26), tension (12 to 18)."""
 
 from __future__ import annotations
 

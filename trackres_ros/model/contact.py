@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Contact under a rigid road wheel on a Winkler layer, equations (7) to (11)."""
+"""Solves the contact under a rigid road wheel on a Winkler layer, equations (7) to (11)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
-LARGEST_HALF_LENGTH = 0.98  # of the wheel radius; beyond it the layer would wrap the wheel
+LARGEST_HALF_LENGTH = 0.98  # of the wheel radius; above it the layer would wrap the wheel
 NEWTON_PASSES = 20
 NEWTON_TOLERANCE = 1e-14  # of the wheel radius
 MODULUS_PASSES = 60

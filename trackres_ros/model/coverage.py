@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the rubber data cover of a vehicle's temperatures and speeds, and where its belts settle.
+"""Says what the rubber data cover of a vehicle's temperatures and speeds, and where its belts settle.
 
 By time-temperature superposition a sweep at one frequency covers a range of the reduced frequency a_T f. The passage of a road
 wheel, which makes most of the loss, has the frequency v / (2a); so the cold end of the sweep is a reduced speed a_T v, and
@@ -24,7 +24,7 @@ from trackres_ros.model.thermal import film_coefficient, thermal_network
 from trackres_ros.model.track import load_range
 from trackres_ros.vehicle import Vehicle
 
-LIVES_DEGC = 150.0  # natural rubber and SBR revert and crack beyond (Mark, Erman, Roland, 4th ed., ch. 7)
+LIVES_DEGC = 150.0  # natural rubber and SBR revert and crack above it (Mark, Erman, Roland, 4th ed., ch. 7)
 DESTROYED_DEGC = 300.0  # and decompose by here: no vehicle has driven so
 COLDEST_DEGC, PASSES = -150.0, 60
 

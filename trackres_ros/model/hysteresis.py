@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Heat per metre of travel from the strain history, equations (27) to (29): two methods behind one interface."""
+"""Computes heat per metre of travel from the strain history, equations (27) to (29): two methods behind one interface."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Road-wheel loads through the tree of balance beams, equation (1)."""
+"""Distributes the load over the road wheels through the tree of balance beams, equation (1)."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Loss per metre of travel on a grid, fast enough for every step of a live estimate.
+"""Tabulates the loss per metre of travel on a grid, fast enough for every step of a live estimate.
 
 By time-temperature superposition temperature and speed enter only as the reduced speed a_T v: frequencies scale with v, and
 every modulus is a function of a_T f. So the axes are x = log10(a_T v) and the load; the torque on the sprocket enters as
@@ -35,7 +35,7 @@ EXACT_LOADS = 10
 FINE_LOG_SPEEDS = 1751  # nodes of the table, joined by straight lines
 FINE_LOADS = 64
 TABLE_HARMONICS = 2048
-DRIVE_TORQUE_SHARE = 0.15  # of load x sprocket radius: the torque at which the drive's share is taken
+DRIVE_TORQUE_SHARE = 0.15  # of load x sprocket radius: the torque at which the drive's share is computed
 CHECKED_BELT_DEGC = (-50.0, 120.0)
 SLOWEST_CHECKED = 0.05  # m/s
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""One operating point by the exact methods: loads, contacts, losses, heat, torque, rainflow matrix."""
+"""Computes one operating point by the exact methods: loads, contacts, losses, heat, torque, rainflow matrix."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from trackres_ros.model.track import TrackModel, steady_tension, track_model
 from trackres_ros.model.vehicle_constants import vehicle_constants
 from trackres_ros.vehicle import Vehicle
 
-UNKNOWN = {"yaw_rate", "heading", "distance"}  # needs of an effect of which an operating point says nothing
+UNKNOWN = {"yaw_rate", "heading", "distance"}  # needs of an effect that an operating point does not give
 DRIVE_PASSES = 4  # the torque strains the belt by 1e-4 of what the wheels do; a second pass already settles it
 
 
 def explain(
     vehicle: Vehicle, speed: float, belt_degc: float, ambient_degc: float | None = None, weight_n: float | None = None
 ) -> dict[str, Any]:
-    """Everything the model says of one steady state.
+    """Compute everything that the model gives for one steady state.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def explain(
 
 
 def _effects(vehicle: Vehicle) -> tuple[list[Active], list[str]]:
-    """Effects of the vehicle file that a steady straight drive says enough for, and the names of the others."""
+    """Effects of the vehicle file whose inputs a steady straight drive gives, and the names of the others."""
     usable = [active for active in vehicle.active if not set(active.effect.needs) & UNKNOWN]
     return usable, [active.effect.name for active in vehicle.active if active not in usable]
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Rainflow count after ASTM E1049-85, 5.4.4, and the strain rainflow matrix of equation (25)."""
+"""Counts cycles after ASTM E1049-85, 5.4.4, and fills the strain rainflow matrix of equation (25)."""
 
 from __future__ import annotations
 

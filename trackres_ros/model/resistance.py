@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Torque at the sprockets from loss and from everything else that resists, equations (32) to (36), each by itself.
+"""Computes torque at the sprockets from loss and from everything else that resists, equations (32) to (36), part by part.
 
 Forces [N] along the travel; a torque is a force times the sprocket pitch radius R1. Positive resists forward travel.
 """

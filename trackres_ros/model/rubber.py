@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Dynamic moduli of the compound over frequency and temperature, equations (2) to (4)."""
+"""Models the dynamic moduli of the compound over frequency and temperature, equations (2) to (4)."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Strain that a piece of belt sees on one way round the loop, by component, over position and height (Figure 10).
+"""Computes the strain of a piece of belt on one way round the loop, by component, over position and height (Figure 10).
 
 Two components: through the thickness (indentation under the road wheels) and along the belt (bending, tension, drive).
 The loop starts at the front end of the ground run and runs to its rear end, then over the wrapped wheels in the order of

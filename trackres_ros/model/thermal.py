@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Belt temperature, equations (26), (30) and (31): two networks behind one interface.
+"""Models the belt temperature, equations (26), (30) and (31): two networks behind one interface.
 
 `lumped` is the paper's: one mean temperature T, C dT/dt = P - U A (T - Ta). `core_surface` has a core and a surface layer
 that holds the share x of the heat capacity, and rubber that heats itself in both. Written with the mean temperature, at which
@@ -82,7 +82,7 @@ def phi_2(z: float) -> float:
 
 @compiled
 def phi_series(z11: float, z12: float, z21: float, z22: float, order: int) -> tuple[float, float, float, float]:
-    """The same by its series, for a matrix of which no term is much beyond 1."""
+    """The same by its series, for a matrix of which no term is much above 1."""
     s11, s12, s21, s22 = 1.0, 0.0, 0.0, 1.0
     for n in range(SERIES_TERMS, 0, -1):
         by = 1.0 / (n + order)
@@ -103,7 +103,8 @@ def phi_matrix(z11: float, z12: float, z21: float, z22: float, order: int) -> tu
     Notes
     -----
     Newton's divided difference on the eigenvalues: phi(Z) = phi(l1) I + phi[l1, l2] (Z - l1 I). At rest those of a belt are
-    real and apart. Where the loss falls so steeply with temperature that they are not, the step is short: then the series.
+    real and distinct. Where the loss falls so steeply with temperature that they are not, the step is short: the series
+    is used.
     """
     middle = 0.5 * (z11 + z22)
     squared = 0.25 * (z11 - z22) ** 2 + z12 * z21

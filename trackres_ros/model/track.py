@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""One kind of track assembly as a whole: the paper's chain from load and speed to loss, by the exact methods."""
+"""Joins the paper's chain from load and speed to loss for one kind of track assembly, by the exact methods."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The constants of a track vehicle that effects may use."""
+"""Gathers the constants of a track vehicle that effects may use."""
 
 from __future__ import annotations
 

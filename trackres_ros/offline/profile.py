@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A speed profile and what it says of its conditions, for a simulation."""
+"""Reads a speed profile, and the conditions it holds, for a simulation."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from trackres_ros.recording.table import TableSource
 Array = NDArray[np.float64]
 
 ARGUMENT_OF = {"load": "weight_kn", "ambient": "ambient_degc", "grade": ""}
-"""What a profile may say beside the speed, and the argument that says the same."""
+"""What a profile may hold beside the speed, and the argument of the same meaning."""
 
 
 def read_profile(profile: str | PathLike[str] | Recording) -> Recording:
@@ -49,7 +49,7 @@ def read_profile(profile: str | PathLike[str] | Recording) -> Recording:
 
 
 def conditions(recording: Recording, time_s: Array, given: Collection[str], weight: float) -> dict[str, Array]:
-    """What a profile says of its conditions at some times [s], along straight lines, by role.
+    """Conditions of a profile at some times [s], interpolated, by role.
 
     Raises
     ------

@@ -1,7 +1,9 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Recording -> estimator -> table or bag, and a picture. The same messages give the same bits, here and live."""
+"""Replays a recording through the estimator into a table or bag, and a picture. The same messages give the same bits, here and
+live.
+"""
 
 from __future__ import annotations
 

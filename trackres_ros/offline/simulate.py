@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Speed profile -> torques and belt temperature over time: the estimator run on a drive that was never driven."""
+"""Simulates torques and belt temperature over a speed profile: the estimator run on a drive that was never driven."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a replay has to say: what was read, what was wrong with it, what came out."""
+"""Sums up a replay: what was read, what was wrong with it, what came out."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def picture_columns(columns: Sequence[str], picture: Array) -> dict[str, Array]:
 
 
 def summary(result: Replayed, name: str, notes: Sequence[str], findings: Sequence[Finding]) -> dict[str, Any]:
-    """The report as a dict ready for JSON: of a recording of a name, what was said of its reading, and found wrong."""
+    """The report as a dict ready for JSON: the recording's name, the notes of its reading, and what was found wrong."""
     estimator = result.session.estimator
     last = {name: _finite(float(result.last[i])) for i, name in enumerate(estimator.columns) if name != "reasons"}
     torque = result.picture[:, HEAD + at.OUT_RESISTANCE]
@@ -104,7 +104,7 @@ def text(report: dict[str, Any]) -> str:
     last = report["last"]
     belts = {name.partition("/")[2]: value for name, value in last.items() if name.startswith("belt_degc/")}
     lines = [f"{report['messages']} messages, {report['steps']} steps over {report['duration_s']:.1f} s"]
-    lines += [f"  taken: {note}" for note in report["notes"]]
+    lines += [f"  note: {note}" for note in report["notes"]]
     lines += [f"  found: {item['role'] and item['role'] + ': '}{item['text']}" for item in report["findings"]]
     for channel, counts in report["counters"].items():
         refused = {name: number for name, number in counts.items() if name != "accepted"}

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What follows from a vehicle file: masses, loads and temperatures to look at, and how exact its tables are."""
+"""Computes what follows from a vehicle file: masses, loads and temperatures to look at, and how exact its tables are."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from trackres_ros.vehicle.reading import FLAGS
 
 SHOWN_SPEED_SHARES = (0.05, 0.25, 1.0)  # of the greatest speed
 SLOWEST = 0.05  # m/s: the softest belt is a hot one that creeps
-DEEP_STRAIN = 0.5  # of the thickness below a wheel: beyond it a layer is no longer an elastic foundation
+DEEP_STRAIN = 0.5  # of the thickness below a wheel: above it a layer is no longer an elastic foundation
 
 
 def check_vehicle(vehicle: Vehicle, points: int) -> dict[str, Any]:
@@ -115,12 +115,12 @@ def _physics(vehicle: Vehicle, name: str, model: TrackModel, table: LossTable) -
     if coldest[-1] > ambient:
         remarks.append(
             f"track {name}: the rubber data end at {coldest[-1]:.0f} degC at {chassis.max_speed * 3.6:.0f} km/h, and the file's "
-            f"ambient temperature begins at {ambient:g} degC: colder the moduli are held, and the status says OUTSIDE_TABLE"
+            f"ambient temperature begins at {ambient:g} degC: below it the moduli are held, and the status shows OUTSIDE_TABLE"
         )
     if settles > covered.hottest:
         remarks.append(
             f"track {name}: at {chassis.max_speed * 3.6:.0f} km/h the belt settles at {settles:.0f} degC, and the data or the "
-            f"life of its rubber end at {covered.hottest:.0f} degC: hotter the status says OUTSIDE_TABLE"
+            f"life of its rubber end at {covered.hottest:.0f} degC: above it the status shows OUTSIDE_TABLE"
         )
     if strain > DEEP_STRAIN:
         remarks.append(

@@ -1,4 +1,4 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Results: in come rows of the estimator, out go topics, bags, tables and pictures."""
+"""Rows of the estimator come in; topics, bags, tables and pictures go out."""

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A figure that a notebook shows by itself. Needs matplotlib: import it where something is drawn."""
+"""Makes figures that a notebook shows by itself. It needs matplotlib: import it where something is drawn."""
 
 from __future__ import annotations
 

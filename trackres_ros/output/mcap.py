@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Writing an MCAP file in blocks, as Foxglove, PlotJuggler and `ros2 bag play` open it."""
+"""Writes an MCAP file in blocks, as Foxglove, PlotJuggler and `ros2 bag play` open it."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Pictures of an estimate over time, and the look that every picture of the package shares.
+"""Draws an estimate over time, and holds the look that every picture of the package shares.
 
 Needs matplotlib, an optional extra: it is imported only when a picture is drawn. No window and no pyplot state; the same
 input gives the same bytes.
@@ -38,7 +38,7 @@ ESTIMATE_INCHES = (9.0, 7.2)
 ALIKE_K = 0.5  # assemblies whose temperatures differ by less are one line
 MEASURED = ("torque_nm", "belt_degc")
 
-# Okabe and Ito's palette, told apart with any kind of colour vision; the order keeps neighbours far apart in lightness.
+# Okabe and Ito's palette, distinguishable with any kind of colour vision; the order keeps neighbours different in lightness.
 BLACK, BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY = ("#000000", "#0072B2", "#D55E00", "#009E73", "#E69F00", "#CC79A7", "#56B4E9")
 PALETTE = (BLUE, ORANGE, GREEN, PURPLE, SKY, BLACK, VERMILION)
 GREY = "#8C8C8C"
@@ -95,7 +95,7 @@ def _empty_figure(width: float, height: float) -> Iterator[ShownFigure]:
 
 @contextmanager
 def _look() -> Iterator[None]:
-    """The look of the package, whatever else matplotlib is told in the same program."""
+    """The look of the package, whatever other settings of matplotlib the program makes."""
     import matplotlib
 
     with matplotlib.rc_context():

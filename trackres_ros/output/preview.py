@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Results that pass by in blocks: the first and last of them, and a thinned series for a picture."""
+"""Keeps a preview of results that pass by in blocks: the last row, and a thinned series for a picture."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What leaves the estimator on topics: one table of names, types and columns, for the bag of a replay and for live.
+"""Lists what leaves the estimator on topics: one table of names, types and columns, for the bag of a replay and for live.
 
 Signs after REP-103: rolling forward is positive rotation about y. So what resists it is a negative torque, and what drives a
 positive one: the feed-forward, what driving takes in all, a measured torque. A quantity has one sign on all topics, `sign_of`.

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""How many messages a bag says it holds, by all the counts that are in it: what is read less was lost."""
+"""Counts how many messages a bag claims to hold, by all the counts that are in it: the difference to what is read was lost."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ INDEX_DATA = 4
 
 @dataclass(slots=True)
 class Counts:
-    """What a bag says it holds.
+    """The numbers of messages that a bag states.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class Counts:
         """Return a count that is one; of what is none a remark remains."""
         if isinstance(count, int) and 0 <= count <= MOST_MESSAGES:
             return count
-        self.remarks.append(f"it counts {shown(count)} messages: what is lost cannot be told")
+        self.remarks.append(f"it counts {shown(count)} messages: what is lost cannot be determined")
         return 0
 
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Which topic and field, or which column, feeds which role: the topics file of bags, tables and the live node."""
+"""Binds topics and fields, or columns, to roles: the topics file of bags, tables and the live node."""
 
 from __future__ import annotations
 

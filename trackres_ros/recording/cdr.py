@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Decode one field of many serialised messages at once, and encode many messages from one template.
+"""Decodes one field of many serialised messages at once, and encodes many messages from one template.
 
 Messages of a type that are equally long mostly have their numbers at the same places: what moves them are the lengths
 of strings and sequences. The first message is walked field by field; every other whose lengths are the same is then

@@ -78,7 +78,7 @@ def guess(available: Mapping[str, str]) -> tuple[Topics, list[str]]:
     Raises
     ------
     InputError
-        Nothing tells the speed; the text lists every topic and type.
+        No topic is recognised as the speed; the text lists every topic and type.
     """
     found: dict[str, list[tuple[TopicBinding, str]]] = {}
     for rule in RULES:

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Message types as this package uses them: fields by name, checked field paths."""
+"""Describes message types as this package uses them: fields by name, checked field paths."""
 
 from __future__ import annotations
 
@@ -162,7 +162,7 @@ def check_field(types: Definitions, msgtype: str, path: str, where: str) -> tupl
     Raises
     ------
     InputError
-        No such field, no number, an array without index, an index beyond a fixed array.
+        No such field, no number, an array without index, an index outside of a fixed array.
     """
     steps = field_steps(path)
     within = msgtype

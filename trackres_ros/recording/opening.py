@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Open whatever the user named: bags or a table."""
+"""Opens whatever the user named: bags or a table."""
 
 from __future__ import annotations
 

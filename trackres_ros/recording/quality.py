@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What is found odd in the samples of one role: stamps, gaps, quantisation, stuck sensors and dropouts."""
+"""Finds what is odd in the samples of one role: stamps, gaps, quantisation, stuck sensors and dropouts."""
 
 from __future__ import annotations
 

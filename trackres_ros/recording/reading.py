@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The gate before every recording: a regular file, the content its name says, and one line for whatever goes wrong."""
+"""Guards the reading of every recording: a regular file, the content its name promises, and one line for whatever goes wrong."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def reading(path: Path, allowed: str, remedy: str = "") -> Iterator[None]:
     """Turn whatever is raised while a file is read into one line with its name; the cause is chained.
 
     Libraries raise what their formats, archives and the system make them stumble over, and document none of it. A fault of
-    our own code is said to be one.
+    our own code is reported as one.
 
     Raises
     ------
@@ -109,8 +109,8 @@ def reading(path: Path, allowed: str, remedy: str = "") -> Iterator[None]:
         frame = traceback.extract_tb(error.__traceback__)[-1]
         if _is_own(error, frame):
             where = f"{Path(frame.filename).name}:{frame.lineno}"
-            raise InputError(str(path), f"{_said(error)} at {where}", allowed, OWN_FAULT) from error
-        raise InputError(str(path), _said(error), allowed, remedy) from error
+            raise InputError(str(path), f"{_message_of(error)} at {where}", allowed, OWN_FAULT) from error
+        raise InputError(str(path), _message_of(error), allowed, remedy) from error
 
 
 def _is_own(error: Exception, frame: traceback.FrameSummary) -> bool:
@@ -119,7 +119,7 @@ def _is_own(error: Exception, frame: traceback.FrameSummary) -> bool:
     return ours and type(error).__module__ == "builtins" and not isinstance(error, DATA_FAULTS)
 
 
-def _said(error: Exception) -> str:
+def _message_of(error: Exception) -> str:
     if isinstance(error, MemoryError):
         return "more than fits into memory"
     if isinstance(error, RecursionError):

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A recording in memory: every role's samples in SI, in log order, with what was found wrong with them."""
+"""Holds a recording in memory: every role's samples in SI, in log order, with what was found wrong with them."""
 
 from __future__ import annotations
 

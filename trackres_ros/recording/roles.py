@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The roles that samples may have: what each kind of input means, and its unit inside the program."""
+"""Lists the roles that samples may have: what each kind of input means, and its unit inside the program."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Bags: rosbag2 and ROS 1 recordings read in blocks."""
+"""Reads bags in blocks: rosbag2 and ROS 1 recordings."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ BATCH_ROWS, BATCH_BYTES = 2048, 32 * 2**20
 READABLE = "a bag that can be read to its end"
 REMEDIES = {".mcap": "a file that was cut off is repaired with: mcap recover", ".bag": "try: rosbag reindex"}
 MAX_LOG_NS = 2**62
-"""Log times from 1970 to 2116 are taken: differences of two of them fit in 64 bits [ns]."""
+"""Log times from 1970 to 2116 are accepted: differences of two of them fit in 64 bits [ns]."""
 MAX_METADATA_BYTES, MAX_METADATA_DEPTH = 2**24, 50
 """Of the metadata.yaml of a bag; ten hours in files of a minute fill a hundredth of it, and the deepest value has 8 above it."""
 SQLITE_LIMIT_LENGTH = 0
@@ -119,17 +119,17 @@ class BagSource:
             found.append((path, list(reader.connections)))
             if path not in self._kept:
                 reader.close()
-        said: list[str] = []
+        guesses: list[str] = []
         if topics is None:
             filled = {one.topic: one.msgtype for _, ones in found for one in ones if one.msgcount}
-            topics, said = guess(filled)
+            topics, guesses = guess(filled)
         bindings = self.bindings = {role: topics[role] for role in topics if topics[role].topic}
         if "speed" not in bindings:
             raise InputError(f"{topics.origin}: speed", "no topic", "a topic for speed", "add a line for it")
         self.roles = tuple(sorted(bindings, key=lambda role: role == "speed"))
         self._origin = topics.origin
         self._topics = self._bound(found, bindings, topics.origin)
-        self.notes = tuple(map(one_line, (*said, *self._stamp_notes())))
+        self.notes = tuple(map(one_line, (*guesses, *self._stamp_notes())))
         self.findings: tuple[Finding, ...] = ()
 
     def _bound(
@@ -177,11 +177,11 @@ class BagSource:
         return bound
 
     def _stamp_notes(self) -> Iterator[str]:
-        said = set()
+        noted = set()
         for topic in self._topics.values():
             for role, binding, header in zip(topic.roles, topic.bindings, topic.header, strict=True):
-                if role not in said:
-                    said.add(role)
+                if role not in noted:
+                    noted.add(role)
                     why = "as the topics file says" if binding.stamp else f"{topic.msgtype} has no stamp"
                     stamps = "header stamps" if header else f"log time, {why}"
                     yield f"{self.roles[role]}: {topic.name} ({topic.msgtype}, {binding.field}), {stamps}"
@@ -445,17 +445,17 @@ def _common(encoding: Encoding) -> Typesdict:
 
 
 @lru_cache
-def _told(text: str, msgtype: str) -> Typesdict:
-    """Return the definitions in the text that a bag has of a type."""
+def _own_definitions(text: str, msgtype: str) -> Typesdict:
+    """Return the definitions in the text that a bag holds of a type."""
     from rosbags.typesys import get_types_from_idl, get_types_from_msg
 
     separator = "=" * 80 + "\n"
     if not text.startswith(f"{separator}IDL: "):
         return get_types_from_msg(text, msgtype) if text else {}
-    told: Typesdict = {}
+    own: Typesdict = {}
     for part in text.split(separator)[1:]:
-        told.update(get_types_from_idl(part.partition("\n")[2]))
-    return told
+        own.update(get_types_from_idl(part.partition("\n")[2]))
+    return own
 
 
 def _types(one: Connection, path: Path, encoding: Encoding) -> Definitions:
@@ -463,9 +463,9 @@ def _types(one: Connection, path: Path, encoding: Encoding) -> Definitions:
     text = one.msgdef if isinstance(one.msgdef, str) else one.msgdef.data
     where = f"{path}: {one.topic}"
     with reading(Path(where), f"a definition of {one.msgtype} that can be read"):
-        told = _told(text, one.msgtype)
+        own = _own_definitions(text, one.msgtype)
     try:
-        types = definitions({**_common(encoding), **told}, one.msgtype)
+        types = definitions({**_common(encoding), **own}, one.msgtype)
     except KeyError as error:
         raise InputError(
             where,

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Samples in SI and in log order: the blocks that a source is read in, the series of one role, and what was found wrong."""
+"""Defines samples in SI and in log order: the blocks that a source is read in, the series of one role, and findings."""
 
 from __future__ import annotations
 

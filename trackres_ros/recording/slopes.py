@@ -1,7 +1,9 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Altitude -> slope of the road: only where the vehicle moves, as sure as the altitude is, and no steeper than roads are."""
+"""Computes the slope of the road from the altitude: only where the vehicle moves, as sure as the altitude is, and no steeper
+than roads are.
+"""
 
 from __future__ import annotations
 

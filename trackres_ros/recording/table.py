@@ -29,8 +29,8 @@ from trackres_ros.recording.table_columns import TIME, choose_columns, listed_na
 
 CHUNK_ROWS = 8192
 MAX_TIME_S = 4.6e9
-"""Beyond it, differences of two times in nanoseconds do not fit in 64 bits [s]; a time in milliseconds or nanoseconds mostly
-lies beyond."""
+"""Above it, differences of two times in nanoseconds do not fit in 64 bits [s]; a time in milliseconds or nanoseconds mostly
+lies above."""
 MAX_ROW_BYTES = 2**24
 """Longest line, and longest row of quoted lines, that is read: one of 200,000 columns is a fifth of it."""
 HEAD_BYTES = 2**16

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Archives inside bags, unpacked up to a ceiling: a few bytes may ask for all the memory there is."""
+"""Unpacks archives inside bags up to a ceiling: a few bytes may ask for all the memory there is."""
 
 from __future__ import annotations
 

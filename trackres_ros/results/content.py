@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A result that is a mapping of plain data, ready for JSON."""
+"""Defines a result that is a mapping of plain data, ready for JSON."""
 
 from __future__ import annotations
 

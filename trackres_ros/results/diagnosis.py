@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a diagnosis gives back."""
+"""Defines the result of a diagnosis."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class DiagnosisResult:
 
     @property
     def sentence(self) -> str:
-        """What it comes to, in a sentence or a few."""
+        """The verdict, in a sentence or a few."""
         return self.diagnosis.verdict.sentence
 
     @property
@@ -74,7 +74,7 @@ class DiagnosisResult:
 
     @property
     def grade(self) -> str:
-        """What laps not used for fitting say of it: ``confirmed``, ``suspected`` or ``refuted``."""
+        """What laps not used for fitting show of it: ``confirmed``, ``suspected`` or ``refuted``."""
         return self.diagnosis.verdict.grade
 
     @property
@@ -94,7 +94,7 @@ class DiagnosisResult:
 
     @cached_property
     def vehicle(self) -> Vehicle | RoadVehicle:
-        """The vehicle with what held-out laps bear out, and nothing else: never worse there than the one given.
+        """The vehicle with the effects that held-out laps confirm, and no others: never worse there than the one given.
 
         It is the vehicle of the file that `report` writes, in the surroundings that were given. What was found of the site, the
         weather and the ground is not in it: `report` writes a file of its own. Its `source` is a file that is kept while the

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the model says of one steady state: loads, contacts, losses, heat and torque."""
+"""Defines the result of one steady state: loads, contacts, losses, heat and torque."""
 
 from __future__ import annotations
 

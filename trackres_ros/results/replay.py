@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a replay gives back."""
+"""Defines the result of a replay."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Series of results over time, as a mapping of column name to array: the ways out to pandas, xarray and a picture."""
+"""Defines results over time, as a mapping of column name to array, with ways to pandas, xarray and a picture."""
 
 from __future__ import annotations
 

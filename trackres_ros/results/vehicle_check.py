@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What follows from a vehicle file, for people and for programs."""
+"""Defines the result of a vehicle check, for people and for programs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Numbers and tables as people read them: in come values, out goes text or HTML."""
+"""Values come in; numbers and tables as people read them go out, as text or HTML."""

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Small pieces of HTML for what a notebook shows: no colours of their own, so that they read on light and on dark."""
+"""Makes small pieces of HTML for what a notebook shows: no colours of their own, so that they read on light and on dark."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Numbers as people are shown them: no more figures than matter, plain below a million, and no zero with a sign."""
+"""Writes numbers for people: no more figures than matter, plain below a million, and no zero with a sign."""
 
 from __future__ import annotations
 

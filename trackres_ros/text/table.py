@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Tables of plain text, laid out by rich: the same on every terminal and in a file, each row one whole line."""
+"""Lays out tables of plain text, by rich: the same on every terminal and in a file, each row one whole line."""
 
 from __future__ import annotations
 

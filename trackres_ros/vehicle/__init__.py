@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Vehicle file in, checked and frozen description with units and provenance out."""
+"""A vehicle file comes in; a checked, frozen description with units and provenance goes out."""
 
 from trackres_ros.vehicle.description import (
     Assembly,

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a vehicle is: a frozen description, SI inside, temperatures in degC.
+"""Describes a vehicle: frozen, SI inside, temperatures in degC.
 
 Made by `trackres_ros.vehicle.load`; every number in it passed the checks of `trackres_ros.vehicle.schema`.
 """

@@ -145,7 +145,7 @@ def _rubber(reader: Reader, given: Any) -> tuple[Rubber, Path]:
 
 
 def _rubber_file(vehicle_file: Path, file: Path) -> Path:
-    """The rubber file, relative to the vehicle file; where none is there, the shipped one of that name, which is said once."""
+    """The rubber file, relative to the vehicle file; where none is there, the shipped one of that name, which is logged once."""
     path = vehicle_file.parent / file
     shipped = config_dir() / "rubber" / file.name
     if path.exists() or file.is_absolute() or not shipped.exists():
@@ -162,7 +162,7 @@ def _say_shipped(path: Path, shipped: Path) -> None:
 def read_rubber_sweep(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Read a temperature sweep: T [degC], storage and loss modulus [Pa], each of shape (temperatures,).
 
-    The file is a CSV with the columns T_degC, E_storage_MPa_10Hz and E_loss_MPa_10Hz; the sweep's frequency is said in the
+    The file is a CSV with the columns T_degC, E_storage_MPa_10Hz and E_loss_MPa_10Hz; the sweep's frequency stands in the
     vehicle file. Further columns are allowed.
     """
     text = read_text(path, "CSV with a temperature sweep", MOST_RUBBER_BYTES)

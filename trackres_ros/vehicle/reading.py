@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Vehicle file -> checked, frozen description. Nothing passes that the file does not say plainly."""
+"""Reads values out of a vehicle file and checks each. Nothing passes that the file does not state plainly."""
 
 from __future__ import annotations
 

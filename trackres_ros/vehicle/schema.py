@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a vehicle file may say: for each quantity its unit and the limits beyond which a value is a mistake.
+"""Says what a vehicle file may hold: for each quantity its unit and the limits outside of which a value is a mistake.
 
 The limits here bound any track vehicle; the `range` a file gives with each value is narrower and is that vehicle's.
 """

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What is of the site, the weather or the ground: a small file of its own, as it holds today and here, not for the vehicle."""
+"""Reads the file of the surroundings: effects of site, weather and ground, which hold here and today, not for the vehicle."""
 
 from __future__ import annotations
 

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -111,8 +112,8 @@ class Base(Protocol):
         """Write a vehicle file with what was kept, surroundings beside it; returns the files that are for use."""
 
 
-class Remembered:
-    """The last simulation: what differs only in what sensors make of it is not simulated anew."""
+class Remembered(threading.local):
+    """The last simulation of each thread: what differs only in what sensors make of it is not simulated anew."""
 
     def __init__(self) -> None:
         self._hangs_on: tuple[object, ...] = ()
@@ -147,7 +148,7 @@ class Acting:
         stepped = tuple(active for active in effects if active.effect.acts_on not in ("sensor", WATCHED))
         sensors = [active.terms(conditions(facts)) for active in effects if active.effect.acts_on == "sensor"]
         watched = tuple(active for active in effects if active.effect.acts_on == WATCHED)
-        return cls(stepped, effect_table(stepped, doubt=False), watched, together(sensors))
+        return cls(stepped, effect_table(stepped, with_uncertainty=False), watched, together(sensors))
 
     def speed(self, session: Session) -> Array:
         """True speed [m/s]."""

@@ -156,7 +156,7 @@ class TrackBase:
         k, vehicle = self._constants, self.vehicle
         resistance = parting_resistance(acting.stepped, self.facts)
         number = k.number._replace(
-            with_doubt=False,
+            with_uncertainty=False,
             bearing_friction=values[BEARING],
             drag_area=values[DRAG] * vehicle.chassis.frontal_area,
             two_nodes=vehicle.thermal == "core_surface" or resistance > 0.0,

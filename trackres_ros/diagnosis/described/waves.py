@@ -144,10 +144,18 @@ def _gains(found: Fit, piece: _Piece, waves: Array) -> Array:
         turns = np.multiply.outer(some, far[rows])
         size = np.sinc(turns)
         like = np.exp(2j * math.pi * np.multiply.outer(some, middle[rows])) * size @ adjoint[rows]
-        passes = np.abs(1.0 - sum(c * np.exp(-2j * math.pi * lag * turns) for lag, c in enumerate(noise.phi, start=1))) ** 2
+        passes = np.abs(_horner(noise.phi, np.exp(-2j * math.pi * turns))) ** 2
         norm = 0.5 * (passes * size**2 * piece.valid[rows]).sum(axis=1) / noise.std**2
         found_gains.append(0.5 * np.abs(like) ** 2 / np.maximum(norm, 1e-9))
     return np.concatenate(found_gains)
+
+
+def _horner(phi: Array, z: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """What whitening leaves of a turn z a step: 1 - phi_1 z - phi_2 z^2 - ..."""
+    inner = np.zeros_like(z)
+    for coefficient in phi[::-1]:
+        inner = z * (coefficient + inner)
+    return np.asarray(1.0 - inner)
 
 
 def _wave(found: Fit, pieces: list[_Piece], per_metre: float) -> Wave:

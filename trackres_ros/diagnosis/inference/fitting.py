@@ -28,6 +28,7 @@ SETTLED = 0.3  # in log-likelihood: a round that gains less is the last
 LARGE = 3.0  # times its typical size: one standard deviation of what an effect may be
 DIFFERENCE = 1e-4  # of the span between bounds, for derivatives
 MOST_STEPS = 60
+NEARBY = 0.1  # standard deviations of noise, all rows together: within that what is simulated is linear
 BELT_EVERY = 10  # steps: a belt's temperature tells nothing new from one second to the next
 
 
@@ -100,6 +101,10 @@ class Problem:
 
     def _belt(self, session: int, predicted: Predicted) -> Array:
         return (predicted.skin if self.sessions[session].belt_shows_surface else predicted.belt)[::BELT_EVERY]
+
+    def split(self, rows: Array) -> list[Array]:
+        """Rows of all segments, one after the other, by segment."""
+        return list(np.split(rows, np.cumsum([len(g.measured) for g in self.segments])[:-1]))
 
     def residuals(self, predicted: Sequence[Predicted]) -> list[Array]:
         """Measured less simulated, of each segment."""
@@ -290,19 +295,33 @@ def fit(
     def residuals(at: Array) -> list[Array]:
         return problem.residuals(problem.predict(*model(at)))
 
+    def expected(at: Array) -> Array:
+        return np.concatenate(problem.expected(problem.predict(*model(at))))
+
     current = dict(noises or problem.noises(residuals(point), largest_root))
+    linearised_at, columns = np.full(len(free), np.inf), np.empty((0, len(free)))
 
     def objective(at: Array) -> Array:
         """Roots of what each whitened residual and each prior takes off the likelihood."""
         robust = of_rows(problem, problem.white(residuals(at), current), Noise.deviance_root, current)
         return np.concatenate((robust, (at - nominal) / std))
 
+    def derivatives(at: Array) -> Array:
+        """Of the objective; of what is simulated as they were nearby, where that is as good."""
+        nonlocal linearised_at, columns
+        white = None if np.isinf(linearised_at).any() else valid_rows(problem.white(problem.split(columns), current))
+        if white is None or np.linalg.norm(white @ (at - linearised_at)) > NEARBY:
+            linearised_at, columns = at.copy(), jacobian(expected, at, free)
+            white = valid_rows(problem.white(problem.split(columns), current))
+        slope = of_rows(problem, problem.white(residuals(at), current), Noise.deviance_slope, current)
+        return np.concatenate((-slope[:, np.newaxis] * white, np.diag(1.0 / std)))
+
     solution, before = None, -np.inf
     for turn in range(MOST_ROUNDS if rounds is None else rounds):
         solution = least_squares(
             objective,
             point,
-            jac=lambda at: jacobian(objective, at, free),
+            jac=derivatives,
             bounds=(low, high),
             x_scale=scale,
             max_nfev=MOST_STEPS,

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve
 from scipy.special import gammaln
 
 from trackres_ros.text.numbers import figures
@@ -64,6 +63,12 @@ class Noise:
         most likely.
         """
         return np.sign(white) * np.sqrt((self.degrees + 1.0) * np.log1p(self._squared(white) / self.degrees))
+
+    def deviance_slope(self, white: Array) -> Array:
+        """Derivative of `deviance_root`."""
+        root = self.deviance_root(white)
+        near = root == 0.0
+        return np.where(near, np.sqrt(self.weights(0.0 * white)), self.weights(white) * white / np.where(near, 1.0, root))
 
     def log_density(self, white: Array) -> Array:
         """Log-density of the innovations, of residuals over `std`."""
@@ -170,7 +175,7 @@ def _coefficients(x: Array, y: Array, weight: Array, largest_root: float) -> Arr
         return np.empty(0)
     weighted = x.T * weight
     normal = weighted @ x
-    return _stable(solve(normal + 1e-9 * np.trace(normal) * np.eye(len(normal)), weighted @ y, assume_a="pos"), largest_root)
+    return _stable(np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(len(normal)), weighted @ y), largest_root)
 
 
 def _stable(phi: Array, largest_root: float) -> Array:

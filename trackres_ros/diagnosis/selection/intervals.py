@@ -17,7 +17,7 @@ from scipy.stats import chi2
 from trackres_ros.diagnosis.inference.fitting import Fit, fit, free_parameters
 from trackres_ros.diagnosis.inference.levels import LARGEST_ROOT
 from trackres_ros.diagnosis.selection.form_error import FORM_ERROR
-from trackres_ros.diagnosis.selection.visibility import base_columns, split_rows
+from trackres_ros.diagnosis.selection.visibility import base_columns
 from trackres_ros.effects.effect import Effect
 
 Array = NDArray[np.float64]
@@ -65,7 +65,7 @@ def lap_std(found: Fit) -> dict[tuple[str, str], float]:
     """Standard deviations by leaving out one lap at a time, to first order."""
     scale = np.array([f.scale for f in found.free])
     prior = np.array([f.scale / f.std for f in found.free])
-    columns = found.problem.white(split_rows(base_columns(found) * scale, found), found.noises)
+    columns = found.problem.white(found.problem.split(base_columns(found) * scale), found.noises)
     blocks = np.concatenate([g.block for g in found.problem.segments])
     x, e = np.concatenate(columns), np.concatenate(found.white)
     weight = np.concatenate([found.noises[g.kind].weights(w) for w, g in zip(found.white, found.problem.segments, strict=True)])

@@ -5,7 +5,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -189,9 +191,15 @@ def one_round(current: Fit, effects: Mapping[str, Effect], replicates: int, rng:
         and (gain > best - within or (s.effect.acts_on in THROUGH_TEMPERATURE and gain > screened.threshold))
     ]
     names = list(dict.fromkeys(s.effect.name for s in worth))[:MOST_REFITTED]
-    candidates = [
-        _refit(current, [s for s in worth if s.effect.name == name], screened.form_error_gain.get(name, 0.0)) for name in names
-    ]
+    with ThreadPoolExecutor(os.cpu_count()) as threads:  # most of a fit is compiled, and leaves the interpreter to others
+        candidates = list(
+            threads.map(
+                lambda name: _refit(
+                    current, [s for s in worth if s.effect.name == name], screened.form_error_gain.get(name, 0.0)
+                ),
+                names,
+            )
+        )
     candidates.sort(key=lambda c: (not c.matters, -c.net_evidence))
     first = candidates[0]
     weights = _class_of(first, [c for c in candidates if c is first or (c.matters and c.net_gain > screened.threshold)], seen)

@@ -225,15 +225,10 @@ def _projector(own_white: Array, fit: Fit) -> Projector:
     return project
 
 
-def split_rows(rows: Array, fit: Fit) -> list[Array]:
-    """Rows of all segments, taken apart again."""
-    return list(np.split(rows, np.cumsum([len(g.measured) for g in fit.problem.segments])[:-1]))
-
-
 def _expected(fit: Fit, predicted: Sequence[Predicted]) -> Array:
     return np.concatenate(fit.problem.expected(predicted))
 
 
 def _white(columns: Array, fit: Fit) -> Array:
     """Whitened columns over the noise's standard deviation, the rows that count."""
-    return valid_rows(fit.problem.white(split_rows(columns, fit), fit.noises))
+    return valid_rows(fit.problem.white(fit.problem.split(columns), fit.noises))

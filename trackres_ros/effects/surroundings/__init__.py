@@ -1,4 +1,4 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Effects of site, weather and ground, which are others tomorrow; one file each."""
+"""Each file here is an effect of site, weather or ground, which may be another tomorrow."""

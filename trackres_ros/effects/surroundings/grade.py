@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A slope of the road that is not measured."""
+"""The road has a slope that is not measured."""
 
 from __future__ import annotations
 

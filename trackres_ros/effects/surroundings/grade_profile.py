@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A plane that is not level, driven in changing directions."""
+"""The site is a plane that is not level, driven in changing directions."""
 
 from __future__ import annotations
 

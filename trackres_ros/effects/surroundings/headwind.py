@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A steady wind over the ground."""
+"""A steady wind blows over the ground."""
 
 from __future__ import annotations
 

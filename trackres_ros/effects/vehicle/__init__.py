@@ -1,4 +1,4 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Effects that stay with the vehicle wherever it drives, one file each."""
+"""Each file here is an effect that stays with the vehicle wherever it drives."""

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Air density or drag area off."""
+"""The air density or the drag area differs from that of the vehicle file."""
 
 from __future__ import annotations
 

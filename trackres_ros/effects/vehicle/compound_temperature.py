@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Another compound: its loss falls more, or less, with temperature."""
+"""The compound is another: its loss falls more, or less, with temperature."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Cooling by air off, at rest and with speed."""
+"""Air cools the belt more, or less, than the vehicle file says, at rest and with speed."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A torque the drivetrain takes whatever it transmits."""
+"""The drivetrain takes a torque, whatever it transmits."""
 
 from __future__ import annotations
 

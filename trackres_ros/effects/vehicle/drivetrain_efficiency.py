@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A share of the torque that does not reach the sprockets."""
+"""A share of the torque does not reach the sprockets."""
 
 from __future__ import annotations
 

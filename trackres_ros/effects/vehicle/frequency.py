@@ -17,7 +17,7 @@ class Frequency(Effect):
     belongs_to = "vehicle"
     text = "the rubber's loss rises with frequency, so with speed"
     belt_only = True
-    parameters = (Parameter("exponent", "1", -0.1, 0.25, 0.1, "of frequency, beyond that of the rubber file", off=0.0),)
+    parameters = (Parameter("exponent", "1", -0.1, 0.25, 0.1, "of frequency, added to that of the rubber file", off=0.0),)
 
     def terms(self, at: Conditions, p: Values) -> Terms:
         return Terms(loss_factor=(max(abs(at.speed), SLOWEST_MPS) / REFERENCE_MPS) ** p.exponent)

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Rubber on the road wheels, or tyres: they lose too, less once they are warm."""
+"""The rubber of road wheels or tyres dissipates energy too, less once it is warm."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Rotating parts that the vehicle file leaves out or counts too high."""
+"""Rotating parts are left out of the vehicle file, or counted too high."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Seals and plain bearings: a friction that is greatest just after they start to slide."""
+"""Seals and plain bearings have a friction that is greatest just after they start to slide."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Grease and oil in bearings: stiff when cold, at a temperature of their own."""
+"""Grease and oil in bearings are stiff when cold, and have a temperature of their own."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Public recordings of real vehicles as tables that `trackres diagnose` reads. The project holds none of them.
+"""Reads public recordings of real vehicles into tables that `trackres diagnose` reads. The project holds none of them.
 
 The car: Steinstraeter, Buberger, Trifonov, "Battery and Heating Data in Real Driving Cycles", IEEE DataPort,
 doi:10.21227/6jr9-5235. The robots: norlab-ulaval, DRIVE, BSD-3.
@@ -25,7 +25,7 @@ from trackres_ros.units import KMH_PER_MPS
 Array = NDArray[np.float64]
 
 FINAL_DRIVE = 9.665
-CLIPPED_NM = -80.0  # of the motor: below it torque and friction brakes cannot be told apart
+CLIPPED_NM = -80.0  # of the motor: below it the torques of motor and friction brakes cannot be separated
 SLOWEST_MPS, YAW_OVER_S = 0.1, 0.5
 NM_PER_A = 1.0  # assumed: what is found of the robots is in units of it
 RADIUS_M = {"husky": 0.159, "warthog": 0.3}

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Page and pictures of the diagnosis on real recordings."""
+"""Writes page and pictures of the diagnosis on real recordings."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ EARLY_S, BIN_S = 900.0, 60.0
 YAW_BINS = 16
 LEAST_SHOWN_H = 0.03  # on an axis of logarithms, for a trip that began as the one before ended
 SIGNIFICANT = 0.05
-SETTLED_STD = 0.5  # of a start state: less sure, and it says nothing
+SETTLED_STD = 0.5  # of a start state: a less certain one is not used
 
 
 def write_page(data: Path, tried: Sequence[FieldTrial], folder: Path, of_pictures: str = "") -> str:
@@ -38,14 +38,14 @@ def write_page(data: Path, tried: Sequence[FieldTrial], folder: Path, of_picture
     _draw_twice(folder / "twice.png", route, repeated)
     _draw_turning(folder / "turning.png", grass)
     lines = [
-        "| Recordings | Concealed | Said | Mean error on held-out laps, re-fitted and with effects [Nm] | Judged |",
+        "| Recordings | Concealed | Found | Mean error on held-out laps, re-fitted and with effects [Nm] | Outcome |",
         "|---|---|---|---|---|",
     ]
     for t in tried:
-        said = "; ".join(" or ".join(members) for members in t.named) or t.found.verdict.status
+        named = "; ".join(" or ".join(members) for members in t.named) or t.found.verdict.status
         mae = t.found.held_out.mae
-        lines.append(f"| {t.what} | {t.hidden} | {said} | {mae['refitted']:.3g}, {mae['with_effects']:.3g} | {t.judged} |")
-    lines += ["", "What it said, word for word:", ""]
+        lines.append(f"| {t.what} | {t.hidden} | {named} | {mae['refitted']:.3g}, {mae['with_effects']:.3g} | {t.outcome} |")
+    lines += ["", "The verdicts, word for word:", ""]
     lines += [f"- {t.what}, without {t.hidden}: {t.found.verdict.sentence}" for t in tried]
     lines += ["", "## The car's starts, unsealed", "", *_starts(begun), _where(tried[1], begun), ""]
     lines += [
@@ -81,12 +81,12 @@ def _starts(begun: Sequence[Start]) -> list[str]:
     if not np.isfinite(state).all():
         return [*lines, "", f"{of_mean} Nothing that warms up was named, so there are no start states."]
     means = [float(np.average(state[at], weights=weight[at])) for at in (cold, ~cold)]
-    doubts = [float(weight[at].sum() ** -0.5) for at in (cold, ~cold)]
+    stds = [float(weight[at].sum() ** -0.5) for at in (cold, ~cold)]
     return [
         *lines,
         "",
-        f"{of_mean} The start states are {means[0]:.2f} +- {doubts[0]:.2f} and "
-        f"{means[1]:.2f} +- {doubts[1]:.2f} (one standard deviation of their weighted means). {_ranks(begun)}",
+        f"{of_mean} The start states are {means[0]:.2f} +- {stds[0]:.2f} and "
+        f"{means[1]:.2f} +- {stds[1]:.2f} (one standard deviation of their weighted means). {_ranks(begun)}",
     ]
 
 
@@ -123,7 +123,7 @@ def _twice(route: FieldTrial, repeated: RepeatedRoute) -> list[str]:
     return [
         f"The residuals of both drives repeat over distance with a correlation of {repeated.repeats:.2f}, and follow the "
         f"concealed slope with {repeated.follows_slope:.2f}: locked to position, which is not yet grade. "
-        + ("Grade was not named." if route.judged == "right" else "And yet something was named.")
+        + ("Grade was not named." if route.outcome == "right" else "And yet something was named.")
     ]
 
 

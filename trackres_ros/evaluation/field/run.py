@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The diagnosis on real recordings with a measured channel concealed, and again with it given."""
+"""Runs the diagnosis on real recordings with a measured channel concealed, and again with it given."""
 
 from __future__ import annotations
 
@@ -56,13 +56,13 @@ class FieldTrial:
 
     @property
     def named(self) -> tuple[tuple[str, ...], ...]:
-        """Classes it stands by."""
-        spoke = self.found.verdict.status in ("named", "one_of")
-        return tuple(f.step.members for f in self.found.found) if spoke else ()
+        """Classes of effects that are named; empty where the verdict names none."""
+        names_any = self.found.verdict.status in ("named", "one_of")
+        return tuple(f.step.members for f in self.found.found) if names_any else ()
 
     @property
-    def judged(self) -> str:
-        """Right, wrong, or silent where it ought to have spoken."""
+    def outcome(self) -> str:
+        """`right`, `wrong`, or `silent` where something ought to have been named."""
         names = {name for members in self.named for name in members}
         firsts = {members[0] for members in self.named}
         if firsts & self.never:

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Figure 26: torque at four ambient temperatures; the claims of section 4.2.3 and conclusion 4."""
+"""Reproduces Figure 26, torque at four ambient temperatures, and the claims of section 4.2.3 and conclusion 4."""
 
 from __future__ import annotations
 
@@ -87,11 +87,11 @@ def ambients(bench: Bench, out: Path) -> Section:
         c: [(family.stable[b][c].belt_degc - family.stable[a][c].belt_degc) / (b - a) for a, b in pairwise(AMBIENTS_DEGC)]
         for c in COMBINATIONS
     }
-    told = [f"{percents(shares, 0)} with {c.replace('/', ' and ')}" for c, shares in kept.items()]
+    kept_shares = [f"{percents(shares, 0)} with {c.replace('/', ' and ')}" for c, shares in kept.items()]
     text = [
         f"Constant {SPEED_KMH:g} km/h and {WEIGHT_N / 1e3:g} kN from the start, without a ramp, as in the paper; run on to "
         f"{DURATION_S:g} s beyond the paper's {PAPER_END_S:g} s. The belt starts at the ambient temperature.",
-        f"Of a difference in ambient temperature the stable belt keeps {listed(told)}.",
+        f"Of a difference in ambient temperature the stable belt keeps {listed(kept_shares)}.",
         *hot_belts(bench, family),
     ]
     numbers = {**family_numbers(family, TIMES_S), "kept_share": kept}

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""One vehicle with every combination of loss method and thermal model, and the drives run on them."""
+"""Prepares one vehicle with every combination of loss method and thermal model, and the drives run on them."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The claims that the paper makes of speed, weight and ambient temperature alike: torque falls, and what it tends to."""
+"""Checks the claims that the paper makes of speed, weight and ambient temperature alike: torque falls, and what it tends to."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def hot_belts(bench: Bench, family: Family) -> list[str]:
             hot.append(f"{c.replace('/', ', ')} at {family.quantity} {listed([f'{value:g}' for value in values])} ({belts})")
     return (
         [
-            f"The compound's sweep ends at {last:g} °C; beyond it the modulus keeps its last value. Stable belts that are "
+            f"The compound's sweep ends at {last:g} °C; above it the modulus keeps its last value. Stable belts that are "
             f"hotter: {'; '.join(hot)}."
         ]
         if hot

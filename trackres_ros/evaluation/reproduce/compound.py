@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Figure 16: dynamic moduli and loss tangent of the compound against temperature, and its master curve."""
+"""Reproduces Figure 16: dynamic moduli and loss tangent of the compound against temperature, and its master curve."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the studies of speed, weight and ambient temperature share: one drive for each value, drawn and judged alike."""
+"""Holds what the studies of speed, weight and ambient temperature share: one drive for each value, drawn and checked alike."""
 
 from __future__ import annotations
 

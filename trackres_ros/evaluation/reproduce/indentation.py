@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Figure 6: contact half length and strain amplitude against wheel load."""
+"""Reproduces Figure 6: contact half length and strain amplitude against wheel load."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The files of a reproduction: tables as CSV, and lines of one family in one panel."""
+"""Writes the files of a reproduction: tables as CSV, and lines of one family in one panel."""
 
 from __future__ import annotations
 

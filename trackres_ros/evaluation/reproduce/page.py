@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The page of a reproduction, from its summary alone."""
+"""Writes the page of a reproduction, from its summary alone."""
 
 from __future__ import annotations
 
@@ -73,11 +73,14 @@ def _details(claim: Mapping[str, Any]) -> list[str]:
     """A row for each model combination, with the outcome where there is one for each."""
     details, holds = claim["details"], claim["holds"]
     combinations = list(next(iter(details.values())))
-    told = set(combinations) == set(holds)
-    lines = [f"| methods | {' | '.join(details)} |" + (" holds |" if told else ""), "|" + "---|" * (len(details) + 1 + told)]
+    by_method = set(combinations) == set(holds)
+    lines = [
+        f"| methods | {' | '.join(details)} |" + (" holds |" if by_method else ""),
+        "|" + "---|" * (len(details) + 1 + by_method),
+    ]
     for name in combinations:
         cells = [name.replace("/", ", "), *(texts[name] for texts in details.values())]
-        cells += ["yes" if holds[name] else "no"] if told else []
+        cells += ["yes" if holds[name] else "no"] if by_method else []
         lines.append(f"| {' | '.join(cells)} |")
     return lines
 

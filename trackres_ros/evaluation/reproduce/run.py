@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Run everything and write pictures, tables, summary and page."""
+"""Runs the whole reproduction and writes pictures, tables, summary and page."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def reproduce(
     dt: float = STEP_S,
     cache: Path | None = None,
 ) -> dict[str, Any]:
-    """Reproduce the paper's Figures 6, 10, 11, 16 to 22 and 24 to 26, and judge the claims of its text.
+    """Reproduce the paper's Figures 6, 10, 11, 16 to 22 and 24 to 26, and check the claims of its text.
 
     Parameters
     ----------

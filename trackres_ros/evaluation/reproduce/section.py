@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a part of the reproduction hands over: figures, tables, and the paper's claims with a computed verdict each."""
+"""Defines what a part of the reproduction returns: figures, tables, and the paper's claims with a computed verdict each."""
 
 from __future__ import annotations
 

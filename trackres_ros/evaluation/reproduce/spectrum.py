@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Figures 10 and 11: strain of the belt round the loop by component, and the cycles that rainflow counts in it."""
+"""Reproduces Figures 10 and 11: strain of the belt round the loop by component, and the cycles that rainflow counts in it."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def spectrum(bench: Bench, out: Path) -> Section:
         f"One assembly at {SPEED_KMH:g} km/h, {load / 1e3:g} kN and a belt of {BELT_DEGC:g} °C. The paper gives neither the "
         "operating point nor the numbers of its Figures 10 and 11, so there is nothing to compare them with but their "
         "make-up. Indentation strains the belt through its thickness, bending, tension and drive along it: two components "
-        "that the program counts apart.",
+        "that the program counts separately.",
         f"The steady tension strains the belt by {strains.tension * 1e6:.0f} µm/m all round. The drive adds up to "
         f"{ranges['drive'] * 1e6:.0f} µm/m: {percent(ranges['drive'] / ranges['bending'], 2)} of the range of bending at the "
         "outer face.",

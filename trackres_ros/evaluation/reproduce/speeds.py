@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Figure 24: torque at five speeds, each reached in a ramp and held; the claims of section 4.2.1 and conclusion 2."""
+"""Reproduces Figure 24, torque at five speeds, each reached in a ramp, and the claims of section 4.2.1 and conclusion 2."""
 
 from __future__ import annotations
 
@@ -142,7 +142,7 @@ def _settles_sooner(family: Family, start_s: float) -> Claim:
     def sooner(seconds: Array) -> bool:
         return bool((seconds[1:] <= seconds[:-1]).all() and seconds[-1] < seconds[0])
 
-    def told(seconds: Array) -> str:
+    def as_text(seconds: Array) -> str:
         return ", ".join("later" if np.isinf(t) else f"{t:.0f}" for t in seconds)
 
     return Claim(
@@ -150,7 +150,7 @@ def _settles_sooner(family: Family, start_s: float) -> Claim:
         WHERE,
         "At a higher speed the torque comes to its stable value sooner.",
         {name: all(sooner(times[c][i]) for c in COMBINATIONS) for i, name in enumerate(names)},
-        f"The paper gives no measure, so two are taken: the time from the end of the ramp until {percent(FALLEN, 0)} of the fall "
+        f"The paper gives no measure, so two are used: the time from the end of the ramp until {percent(FALLEN, 0)} of the fall "
         f"to the stable value is done, and until the torque is within {percent(NEAR, 0)} of it.",
         {
             HOLDS: "The time constant is C / (U A - F_h' v). The film coefficient U grows with the speed, and so does the heat "
@@ -166,7 +166,7 @@ def _settles_sooner(family: Family, start_s: float) -> Claim:
             }
         },
         {
-            f"{name} after, {SPEEDS_KMH[0]:g} to {SPEEDS_KMH[-1]:g} km/h [s]": {c: told(times[c][i]) for c in COMBINATIONS}
+            f"{name} after, {SPEEDS_KMH[0]:g} to {SPEEDS_KMH[-1]:g} km/h [s]": {c: as_text(times[c][i]) for c in COMBINATIONS}
             for i, name in enumerate(names)
         },
     )

@@ -1,7 +1,9 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Figures 17 to 22: the paper's three driving tests, laps at 10 and 30 km/h and a straight at 50 km/h, as its text tells them."""
+"""Reproduces Figures 17 to 22, the paper's three driving tests as its text describes them: laps at 10 and 30 km/h and a straight
+at 50 km/h.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Figure 25: torque at four weights; the claims of section 4.2.2 and conclusion 3."""
+"""Reproduces Figure 25, torque at four weights, and the claims of section 4.2.2 and conclusion 3."""
 
 from __future__ import annotations
 

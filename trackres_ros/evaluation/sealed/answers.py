@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What was said of a case, by the diagnosis or by a simpler method, in one form."""
+"""Puts the answers to a case, of the diagnosis or of a simpler method, into one form."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ class Description:
 
 @dataclass(frozen=True)
 class Answer:
-    """A status as in the verdict; the classes of effects that it stands by, one for each that it says is missing; and what it
-    describes without a name.
+    """A status as in the verdict; the classes of effects that are named, one for each missing effect; and the terms that are
+    described without a name.
     """
 
     status: str
@@ -49,8 +49,8 @@ class Answer:
         """Whether the verdict is a description, and the form given first is one of these."""
         if self.status != DESCRIBED or not self.described:
             return False
-        said = self.described[0]
-        return any(said.form == form.name and all(word in said.about for word in form.about) for form in forms)
+        given = self.described[0]
+        return any(given.form == form.name and all(word in given.about for word in form.about) for form in forms)
 
     def holds(self, true: set[str]) -> int:
         """How many classes have a true effect in them."""
@@ -58,7 +58,7 @@ class Answer:
 
 
 def of_report(report: dict[str, Any]) -> Answer:
-    """What a report stands by: the name it gives first stands first in each class."""
+    """The answer of a report, with the name it gives first at the head of each class."""
     status = str(report["verdict"]["status"])
     described = tuple(
         Description(str(term["form"]), " ".join(filter(None, (_words(term.get(key)) for key in ABOUT))))
@@ -86,5 +86,5 @@ def error_left(report: dict[str, Any]) -> float:
 
 
 def of_names(names: Sequence[str]) -> Answer:
-    """What a method says that only gives names."""
+    """The answer of a method that only gives names."""
     return Answer("named" if names else "none", tuple((name,) for name in names))

@@ -1,9 +1,9 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Simpler methods, given the same residual of the same re-fitted base and the same shapes of effects, to compare with.
+"""Runs simpler methods for comparison, given the same residual of the same re-fitted base and the same shapes of effects.
 
-None of them whitens the residual, knows how alike two effects look, or may say that it cannot tell.
+None of them whitens the residual, knows how alike two effects look, or may leave the choice open.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Simple:
     Attributes
     ----------
     naive
-        The effect that explains most of the residual by itself, if that is beyond chance for white noise.
+        The effect that explains most of the residual by itself, if that is more than chance for white noise.
     aic
         Base and effects in one linear regression, effects added while Akaike's criterion falls.
     sparse
@@ -52,7 +52,7 @@ class Simple:
 
 
 def simple_answers(refitted: Fit, seen: Separability) -> Simple:
-    """Ask all of them; `seen` holds the effects linearised about the re-fitted base."""
+    """Run all of them; `seen` holds the effects linearised about the re-fitted base."""
     torque = np.concatenate([np.full(len(g.measured), g.kind == "torque") & g.mask for g in refitted.problem.segments])
     residual = np.concatenate(refitted.residuals)[torque]
     own = base_columns(refitted)[torque]
@@ -139,8 +139,8 @@ def _largest(sizes: dict[str, float], least: float) -> list[str]:
 
 
 def by_trees(features: Sequence[dict[str, tuple[float, float]]], labels: Sequence[str], names: Sequence[str]) -> list[str]:
-    """What boosted trees say of each case, trained on the others: those of other parts of a ten-fold split. Nothing of so few
-    cases that there is nothing to learn from.
+    """The effect that boosted trees predict for each case, trained on the other parts of a ten-fold split; empty where there are
+    too few cases to learn from.
 
     Parameters
     ----------
@@ -156,8 +156,8 @@ def by_trees(features: Sequence[dict[str, tuple[float, float]]], labels: Sequenc
         return []
     table = np.array([[x for name in names for x in of.get(name, (0.0, 0.0))] for of in features])
     known = np.array(labels)
-    said = np.empty(len(known), dtype=object)
+    predicted = np.empty(len(known), dtype=object)
     for train, test in KFold(10, shuffle=True, random_state=1).split(table):
         model = HistGradientBoostingClassifier(max_iter=60, min_samples_leaf=3, random_state=1).fit(table[train], known[train])
-        said[test] = model.predict(table[test])
-    return [str(x) for x in said]
+        predicted[test] = model.predict(table[test])
+    return [str(x) for x in predicted]

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The truth's belt temperature: heat conduction through the thickness, between an inner and an outer face."""
+"""Models the truth's belt temperature: heat conduction through the thickness, between an inner and an outer face."""
 
 from __future__ import annotations
 

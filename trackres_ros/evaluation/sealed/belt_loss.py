@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The truth's belt: loss per metre of travel from the Fourier series of the strain that a point of it sees in one loop."""
+"""Models the truth's belt: loss per metre of travel from the Fourier series of the strain that a point of it sees in one loop."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ def diagnosed(folder: Path) -> tuple[Diagnosis, list[Path]]:
     from trackres_ros.diagnosis import diagnose, load_base, read_recordings
 
     paths = sorted(folder.glob("drive_*.csv"))
-    # A drive made to tell effects apart is there to be fitted; the one before it is held out.
+    # A drive made to distinguish effects is fitted; the one before it is held out.
     held_out = [paths[-2].stem] if paths[-1].stem == FOLLOWED else None
     return diagnose(read_recordings(paths, None), load_base(folder / "vehicle.yaml"), holdout=held_out, quick=True), paths
 

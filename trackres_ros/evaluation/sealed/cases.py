@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What is hidden in which case: levels, sizes, builds of the vehicle, all drawn from one seed."""
+"""Draws what is hidden in which case: levels, sizes, builds of the vehicle, all from one seed."""
 
 from __future__ import annotations
 
@@ -163,7 +163,7 @@ RIGHT_FORMS: dict[str, tuple[Form, ...]] = {
 }
 """Of each phenomenon outside the catalogue the forms that describe it."""
 PREDICTABLE_FORMS = ("curve", "gated_curve", "build_up", "wave", "place", "level_change")
-"""What can be said ahead: of the others nothing but when it has begun."""
+"""Forms whose torque can be predicted: the others can only be detected once they have begun."""
 
 
 def predictable(name: str) -> bool:

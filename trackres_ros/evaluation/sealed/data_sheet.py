@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a maker would print of a vehicle: the plain numbers of its file, nothing computed."""
+"""Reduces a vehicle to what a maker would print: the plain numbers of its file, nothing computed."""
 
 from __future__ import annotations
 

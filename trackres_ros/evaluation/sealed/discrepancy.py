@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""General learners, given the same residual of the same re-fitted base: what each makes of it on laps that were not fitted.
+"""Fits general learners to the same residual of the same re-fitted base, and predicts laps that were not fitted.
 
 None of them knows physics, whitens the residual, or may say that there is nothing to learn.
 """

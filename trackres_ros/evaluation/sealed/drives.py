@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Drives of the proof: drivers and routes that vary."""
+"""Draws the drives of the proof: drivers and routes that vary."""
 
 from __future__ import annotations
 

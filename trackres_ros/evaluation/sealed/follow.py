@@ -44,7 +44,7 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def advised(report: dict[str, Any], true: set[str]) -> dict[str, Any] | None:
-    """The first advice that is to tell a true effect from others of its class; None where there is none."""
+    """The first advice that separates a true effect from others of its class; None where there is none."""
     tied = [set(members) & true for members in of_report(report).classes if len(members) > 1]
     if not any(tied):
         return None

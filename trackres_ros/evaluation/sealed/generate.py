@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from trackres_ros.evaluation.sealed.cases import Case, build_of, draw_cases, draws, sealed, sensors_of
 from trackres_ros.evaluation.sealed.drives import Drive, drive
 from trackres_ros.evaluation.sealed.sensors import record
-from trackres_ros.evaluation.sealed.truth import TruthRun, live
+from trackres_ros.evaluation.sealed.truth import TruthRun, simulate_truth
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.files.yamls import read_yaml
 
@@ -71,34 +71,34 @@ def make_case(task: tuple[Path, Case, float]) -> None:
         for path in paths:
             path.unlink()
     driven = _drives(case, minutes, "drive")
-    lived, _ = _record(case, into, "drive", driven)
+    runs, _ = _record(case, into, "drive", driven)
     kept, partial = folder / "sealed" / f"{case.name}.npz", folder / "sealed" / f"{case.name}.part.npz"
-    np.savez_compressed(partial, **_kept(case, driven, lived))
+    np.savez_compressed(partial, **_kept(case, driven, runs))
     partial.rename(kept)
 
 
-def _kept(case: Case, driven: Sequence[Drive], lived: Sequence[TruthRun]) -> dict[str, Any]:
+def _kept(case: Case, driven: Sequence[Drive], runs: Sequence[TruthRun]) -> dict[str, Any]:
     """Of the truth what the score needs: what each effect added, over what it may be looked at."""
 
     def joined(series: Sequence[Array]) -> Array:
         return np.concatenate([one[::EVERY] for one in series])
 
-    found = {f"added/{name}": np.concatenate([means(one.added[name]) for one in lived]) for name in case.hidden}
+    found = {f"added/{name}": np.concatenate([means(one.added[name]) for one in runs]) for name in case.hidden}
     over = {
         "speed": [d.speed for d in driven],
         "acceleration": [d.accel for d in driven],
         "load": [d.weight for d in driven],
-        "belt temperature": [one.belt for one in lived],
+        "belt temperature": [one.belt for one in runs],
         "ambient temperature": [d.ambient for d in driven],
         "yaw rate": [np.abs(d.yaw_rate) for d in driven],
         "yaw rate to the left": [d.yaw_rate for d in driven],
-        "driving torque": [one.torque for one in lived],
+        "driving torque": [one.torque for one in runs],
         "heading": [np.angle(np.exp(1j * d.heading)) for d in driven],
         "time since start": [np.arange(len(d)) * d.step for d in driven],
         "distance": [np.cumsum(np.abs(d.speed)) * d.step for d in driven],
         "curvature": [np.abs(d.yaw_rate) / np.maximum(np.abs(d.speed), 0.3) for d in driven],
     }
-    lengths = np.array([len(one.torque[::EVERY]) for one in lived])
+    lengths = np.array([len(one.torque[::EVERY]) for one in runs])
     return {"lengths": lengths, **found, **{f"over/{name}": joined(series) for name, series in over.items()}}
 
 
@@ -112,10 +112,10 @@ def drive_next(folder: Path, case: Case, minutes: float, name: str, planned: Cal
     """Let the vehicle of a case drive once more, after all it has driven, and record it; `planned` gets its last drive."""
     driven = _drives(case, minutes, "drive")
     more = planned(driven[-1])
-    lived = live(find_vehicle(VEHICLE), build_of(case), case.hidden, [*driven, more])[-1]
+    run = simulate_truth(find_vehicle(VEHICLE), build_of(case), case.hidden, [*driven, more])[-1]
     path = folder / "cases" / case.name / f"{name}.csv"
     _, radius = _weight_and_radius(find_vehicle(VEHICLE))
-    record(path, more, lived, sensors_of(case), radius, START_S + len(driven) * APART_S, draws(case, name))
+    record(path, more, run, sensors_of(case), radius, START_S + len(driven) * APART_S, draws(case, name))
     return path
 
 
@@ -141,12 +141,12 @@ def _drives(case: Case, minutes: float, name: str) -> list[Drive]:
 def _record(case: Case, into: Path, name: str, drives: Sequence[Drive]) -> tuple[list[TruthRun], list[Path]]:
     sheet = find_vehicle(VEHICLE)
     _, radius = _weight_and_radius(sheet)
-    lived = live(sheet, build_of(case), case.hidden, drives)
+    runs = simulate_truth(sheet, build_of(case), case.hidden, drives)
     paths = [into / f"{name}_{i + 1}.csv" for i in range(len(drives))]
     rng = draws(case, name)
-    for i, (path, one, true) in enumerate(zip(paths, drives, lived, strict=True)):
+    for i, (path, one, true) in enumerate(zip(paths, drives, runs, strict=True)):
         record(path, one, true, sensors_of(case), radius, START_S + i * APART_S, rng)
-    return lived, paths
+    return runs, paths
 
 
 def _dull(minutes: float, weight: float, rng: np.random.Generator) -> Drive:

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The truth's rubber: springs and dashpots in parallel (generalised Maxwell), shifted along temperature after WLF."""
+"""Models the truth's rubber: springs and dashpots in parallel (generalised Maxwell), shifted along temperature after WLF."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What could be known: the true structure fitted to the same laps by the same optimiser, and what tells of itself."""
+"""Computes what could be known: the true structure is fitted to the same laps by the same optimiser."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class OracleAnswer:
     gain
         In log-likelihood, of the true effects over the re-fitted base.
     alike
-        Effects that look the same as the first true one here (cosine beyond 0.95), itself among them.
+        Effects that look the same as the first true one here (cosine above 0.95), itself among them.
     identifiable
         Whether the gain is plain, no other effect looks alike, and the base does not take it up; of what is outside the
         catalogue, whether the gain is plain.
@@ -77,8 +77,8 @@ class WithAddition(TrackBase):
         ]
 
 
-def ask(folder: Path, true: Sequence[str], added: Sequence[Array] = ()) -> OracleAnswer:
-    """Ask the oracle about a case.
+def fit_truth(folder: Path, true: Sequence[str], added: Sequence[Array] = ()) -> OracleAnswer:
+    """Fit the true structure to the laps of a case.
 
     Parameters
     ----------

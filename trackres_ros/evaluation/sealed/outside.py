@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Physics that no catalogue has: what a vehicle does that nobody thought of.
+"""Holds physics that no catalogue has: what a vehicle does that nobody thought of.
 
 None of it has a tidy form: edges are soft, sizes vary from one time to the next, and what decides when is drawn.
 """
@@ -18,7 +18,7 @@ STANDING_MPS = 0.1
 
 
 def _draws(at: Journey, p: Mapping[str, float]) -> np.random.Generator:
-    """Of this phenomenon in this drive."""
+    """A random generator for this phenomenon in this drive."""
     return np.random.default_rng([int(p["seed"]), int(at.driven)])
 
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a run comes to: tables, the confusion matrix as a picture, and one page of each kind of mistake."""
+"""Writes the results of a run: tables, the confusion matrix as a picture, and one page of each kind of mistake."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def write_all(folder: Path, scored: Sequence[Scored], seal: str, seed: int) -> s
             table(found, own_shares(scored), sizes(scored)),
             learned_table(scored),
             *([outside_table(scored)] if counts["outside"] else []),
-            f"![What was said over what was true, of cases with one effect.]({CONFUSION})",
+            f"![What was named over what was true, of cases with one effect.]({CONFUSION})",
             mistake_table(kinds),
         )
     )
@@ -95,7 +95,7 @@ def mistakes(scored: Sequence[Scored]) -> dict[str, list[Scored]]:
 
 
 def file_name(kind: str) -> str:
-    """Of a page."""
+    """File name of the page of a kind of mistake."""
     return "wrong_" + "_".join(word.strip(",") for word in kind.split())
 
 
@@ -133,8 +133,8 @@ def table(
 
 
 def learned_table(scored: Sequence[Scored]) -> str:
-    """What the diagnosis and general learners take off the error on held-out laps."""
-    outside = [s for s in scored if s.case.level == "outside" and s.worth_removing]
+    """By how much the diagnosis and general learners reduce the error on held-out laps."""
+    outside = [s for s in scored if s.case.level == "outside" and s.reducible]
     groups = {
         "outside, predictable: removed, of what the oracle removes (median)": [s for s in outside if s.predictable],
         "outside, all: removed, of what the oracle removes (median)": outside,
@@ -157,31 +157,31 @@ def learned_table(scored: Sequence[Scored]) -> str:
 
 
 def outside_table(scored: Sequence[Scored]) -> str:
-    """What was said of each phenomenon that is not in the catalogue."""
+    """The verdicts on each phenomenon that is not in the catalogue."""
     of: dict[str, list[Scored]] = {}
     for s in sorted(scored, key=lambda s: s.case.name):
         if s.case.level == "outside":
             of.setdefault(" and ".join(s.case.hidden), []).append(s)
     lines = [
-        "| Not in the catalogue | Cases | Seen by the oracle | Described in the right form | Said |",
+        "| Not in the catalogue | Cases | Seen by the oracle | Described in the right form | Verdicts |",
         "|---|---|---|---|---|",
     ]
     for name, cases in sorted(of.items()):
         seen, right = (sum(hits) for hits in zip(*((s.known.identifiable, s.rightly_described) for s in cases), strict=True))
-        lines.append(f"| {name} | {len(cases)} | {seen} | {right} | {'; '.join(map(_said, cases))} |")
+        lines.append(f"| {name} | {len(cases)} | {seen} | {right} | {'; '.join(map(_verdict_of, cases))} |")
     return "\n".join(lines)
 
 
 def mistake_table(kinds: Mapping[str, Sequence[Scored]]) -> str:
     """Mistakes by kind, with the page of the first of each and what the others were."""
-    lines = ["| Mistake | Cases | Hidden, and said instead |", "|---|---|---|"]
+    lines = ["| Mistake | Cases | Hidden, and named instead |", "|---|---|---|"]
     for kind, of in kinds.items():
-        shown = "; ".join(f"{', '.join(s.case.hidden) or 'nothing'}: {_said(s)}" for s in of)
+        shown = "; ".join(f"{', '.join(s.case.hidden) or 'nothing'}: {_verdict_of(s)}" for s in of)
         lines.append(f"| {kind} ([the first]({file_name(kind)}.html)) | {len(of)} | {shown} |")
     return "\n".join(lines)
 
 
-def _said(s: Scored) -> str:
+def _verdict_of(s: Scored) -> str:
     if s.answer.status == DESCRIBED:
         return " + ".join(f"{term.form} ({term.about})" if term.about else term.form for term in s.answer.described)
     return " + ".join("/".join(members) for members in s.answer.classes) or s.answer.status
@@ -211,22 +211,22 @@ def _write_cases(path: Path, scored: Sequence[Scored]) -> None:
             beside = ["+".join(m for (m,) in s.answers[method].classes) or s.answers[method].status for method in methods]
             plain = "yes" if s.known.identifiable else "no"
             writer.writerow(
-                [s.case.name, s.case.level, "+".join(s.case.hidden), _said(s), s.answer.status, plain, f"{s.known.gain:.1f}",
-                 s.wrong, *beside]
+                [s.case.name, s.case.level, "+".join(s.case.hidden), _verdict_of(s), s.answer.status, plain,
+                 f"{s.known.gain:.1f}", s.wrong, *beside]
             )  # fmt: skip
 
 
 def _draw_confusion(path: Path, scored: Sequence[Scored]) -> None:
-    """What was said first over what was true, of cases with one effect or none."""
+    """What was named first over what was true, of cases with one effect or none."""
     pairs = Counter(
         (next(iter(s.case.hidden), "nothing") if s.case.level != "outside" else "not in the catalogue", _first(s))
         for s in scored
         if s.case.level in (*ALONE, "none", "outside")
     )
     true = sorted({t for t, _ in pairs}, key=_last_of_all)
-    said = sorted({a for _, a in pairs}, key=_last_of_all)
-    counts = np.array([[pairs[t, a] for a in said] for t in true])
-    with picture(path, 2.5 + 0.27 * len(said), 1.8 + 0.24 * len(true)) as figure:
+    named = sorted({a for _, a in pairs}, key=_last_of_all)
+    counts = np.array([[pairs[t, a] for a in named] for t in true])
+    with picture(path, 2.5 + 0.27 * len(named), 1.8 + 0.24 * len(true)) as figure:
         axes = figure.subplots()
         axes.grid(visible=False)
         share = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
@@ -235,9 +235,9 @@ def _draw_confusion(path: Path, scored: Sequence[Scored]) -> None:
             axes.text(
                 j, i, str(counts[i, j]), ha="center", va="center", fontsize=8, color="white" if share[i, j] > 0.7 else "black"
             )
-        axes.set_xticks(range(len(said)), said, rotation=60, ha="right", rotation_mode="anchor")
+        axes.set_xticks(range(len(named)), named, rotation=60, ha="right", rotation_mode="anchor")
         axes.set_yticks(range(len(true)), true)
-        axes.set_xlabel("said first")
+        axes.set_xlabel("named first")
         axes.set_ylabel("hidden")
 
 

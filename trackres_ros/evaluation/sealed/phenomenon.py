@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a phenomenon gets to see of a drive, and what it gives."""
+"""Defines what a phenomenon gets to see of a drive, and what it returns."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ class Journey:
 
     @property
     def step(self) -> float:
-        """Between samples [s]."""
+        """Time between samples [s]."""
         return self.drive.step
 
     @property
     def speed(self) -> Array:
-        """Backwards below 0 [m/s]."""
+        """Speed [m/s], negative backwards."""
         return self.drive.speed
 
     @property
@@ -49,17 +49,17 @@ class Journey:
 
     @property
     def curvature(self) -> Array:
-        """Of the way, without its sign [1/m]."""
+        """Curvature of the path without its sign [1/m]."""
         return np.abs(self.drive.yaw_rate) / np.maximum(self.travel, 0.3)
 
     @property
     def load(self) -> Array:
-        """Over the nominal weight."""
+        """Weight over the nominal one."""
         return self.drive.weight / self.sheet["weight"]
 
     @property
     def distance(self) -> Array:
-        """All that was driven [m]."""
+        """Distance driven so far, earlier drives included [m]."""
         return self.driven + np.cumsum(self.travel) * self.step
 
     def lagged(self, target: Array, seconds: float, start: float) -> Array:

@@ -26,7 +26,7 @@ from trackres_ros.evaluation.sealed.answers import BASELINES, Answer, of_names, 
 from trackres_ros.evaluation.sealed.baselines import by_trees
 from trackres_ros.evaluation.sealed.cases import CATALOGUE, OUTSIDE, Case, sealed
 from trackres_ros.evaluation.sealed.follow import advised
-from trackres_ros.evaluation.sealed.oracle import OracleAnswer, ask
+from trackres_ros.evaluation.sealed.oracle import OracleAnswer, fit_truth
 from trackres_ros.evaluation.sealed.page import write_all
 from trackres_ros.evaluation.sealed.scored import OURS, Scored
 
@@ -46,13 +46,13 @@ def main(arguments: Sequence[str]) -> None:
         given = "labels that are not those that were sealed"
         raise InputError(str(folder / "sealed"), given, "the labels of the cases as drawn", "begin anew with --fresh")
     simple = [json.loads((folder / "results" / f"{case.name}.json").read_text(encoding="utf-8"))["simple"] for case in cases]
-    said = [next(iter(case.hidden), "none") if case.level != "outside" else "unexplained" for case in cases]
-    trees: Sequence[str | None] = by_trees([s["features"] for s in simple], said, list(CATALOGUE)) or [None] * len(cases)
+    expected = [next(iter(case.hidden), "none") if case.level != "outside" else "unexplained" for case in cases]
+    trees: Sequence[str | None] = by_trees([s["features"] for s in simple], expected, list(CATALOGUE)) or [None] * len(cases)
     scored = []
     with ProcessPoolExecutor(os.cpu_count()) as pool:
         for done, one in enumerate(pool.map(_score, [(folder, c, t) for c, t in zip(cases, trees, strict=True)]), start=1):
             scored.append(one)
-            print(f"\roracle asked {done} of {len(cases)}", end="", flush=True)
+            print(f"\roracle fitted {done} of {len(cases)}", end="", flush=True)
     print(flush=True)
     print(write_all(folder, scored, seal, labels["seed"]))
 
@@ -63,7 +63,9 @@ def _score(task: tuple[Path, Case, str | None]) -> Scored:
     report, simple = result["report"], result["simple"]
     kept = folder / "sealed" / f"{case.name}.oracle.json"
     if not kept.exists():
-        known = ask(folder / "cases" / case.name, [name for name in case.hidden if name in CATALOGUE], _outside(folder, case))
+        known = fit_truth(
+            folder / "cases" / case.name, [name for name in case.hidden if name in CATALOGUE], _outside(folder, case)
+        )
         kept.write_text(json.dumps(asdict(known)), encoding="utf-8")
     known = OracleAnswer(**json.loads(kept.read_text(encoding="utf-8")))
     answers = {name: of_names(simple[name]) for name in BASELINES if name in simple}
@@ -82,7 +84,7 @@ def _outside(folder: Path, case: Case) -> list[Array]:
 
 
 def _where(folder: Path, case: Case, report: dict[str, Any]) -> tuple[float, float]:
-    """Common part over both together, of where a true effect acts and where it is said to: in time, and over its regime."""
+    """Intersection over union of where a true effect acts and where the report says it does: in time, and over its regime."""
     of = [e for e in report["effects"] if e["name"] in case.hidden]
     if not of:
         return float("nan"), float("nan")
@@ -90,11 +92,11 @@ def _where(folder: Path, case: Case, report: dict[str, Any]) -> tuple[float, flo
     added, lengths = np.abs(truth[f"added/{of[0]['name']}"]), truth["lengths"]
     if not added.max() > 0.0:
         return float("nan"), float("nan")
-    said, first = np.zeros(len(added), dtype=bool), np.concatenate(([0], np.cumsum(lengths)[:-1]))
+    indicated, first = np.zeros(len(added), dtype=bool), np.concatenate(([0], np.cumsum(lengths)[:-1]))
     for recording, begin, end in of[0]["where"]["time"]:
         at = int(first[int(Path(recording).stem.removeprefix("drive_")) - 1])
-        said[at + int(begin) : at + int(end)] = True
-    overlap = _common(added >= ACTING_SHARE * np.percentile(added, 95.0), said)
+        indicated[at + int(begin) : at + int(end)] = True
+    overlap = _common(added >= ACTING_SHARE * np.percentile(added, 95.0), indicated)
     regime = of[0]["where"]["regime"]
     if not regime:
         return overlap, float("nan")

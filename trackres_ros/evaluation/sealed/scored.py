@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A case beside what was said of it, and the scores of many."""
+"""Holds a case beside the answers to it, and computes the scores of many."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from trackres_ros.evaluation.sealed.cases import RIGHT_FORMS, Case, predictable,
 from trackres_ros.evaluation.sealed.oracle import OracleAnswer
 
 OURS = "diagnosis"
-WORTH_REMOVING = 0.01  # of the error
+LEAST_REDUCTION = 0.01  # of the error
 NO_WORSE = 1.01  # than the re-fitted base: a percent is chance
 COMPARABLE = {
     "grade": ("grade", "grade"), "torque_offset": ("offset", "offset"), "torque_gain": ("error", "error"),
@@ -32,7 +32,7 @@ COMPARABLE = {
 
 @dataclass(frozen=True, eq=False)
 class Scored:
-    """One case, what was said of it, and what an oracle knows.
+    """One case, the answers to it, and what an oracle knows.
 
     Attributes
     ----------
@@ -41,8 +41,8 @@ class Scored:
     overlap, jaccard
         Of the first true effect that was named: in time, and over the range of what it follows; nan where none was.
     resolved
-        Whether the advised manoeuvre left the true effect and took from its class all that was to be told from it; None where
-        none was advised, or driven.
+        Whether after the advised manoeuvre the true effect is still named, and the effects it was to be separated from are not;
+        None where none was advised, or driven.
     learned
         Errors on held-out laps, see `discrepancy.learned_errors`.
     """
@@ -63,7 +63,7 @@ class Scored:
 
     @property
     def answer(self) -> Answer:
-        """Of the diagnosis."""
+        """The answer of the diagnosis."""
         return self.answers[OURS]
 
     @property
@@ -77,17 +77,17 @@ class Scored:
         return self.case.level == "outside" and all(map(predictable, self.true))
 
     @property
-    def worth_removing(self) -> bool:
-        """Whether an oracle takes off the error on held-out laps what matters."""
-        return self.known.mae_base - self.known.mae > WORTH_REMOVING * self.known.mae_base
+    def reducible(self) -> bool:
+        """Whether an oracle reduces the error on held-out laps by more than `LEAST_REDUCTION` of it."""
+        return self.known.mae_base - self.known.mae > LEAST_REDUCTION * self.known.mae_base
 
     @property
     def removed(self) -> float:
-        """Error on held-out laps that the diagnosis takes off the re-fitted base's, over what an oracle does."""
+        """Reduction of the re-fitted base's error on held-out laps by the diagnosis, over that by an oracle."""
         return self.share_removed(self.report["heldout"]["mae"]["refitted"], error_left(self.report))
 
     def share_removed(self, before: float, after: float) -> float:
-        """What is taken off an error on held-out laps, over what an oracle takes off."""
+        """Reduction of an error on held-out laps, over that of an oracle."""
         return float((before - after) / (self.known.mae_base - self.known.mae))
 
     @property
@@ -193,13 +193,13 @@ def own_shares(scored: Sequence[Scored]) -> dict[str, tuple[int, int]]:
 
 
 def sizes(scored: Sequence[Scored]) -> dict[str, list[float]]:
-    """Scores that are no shares, case by case; of the first the median is told, of the last the mean."""
+    """Scores that are no shares, case by case; the first is reported as a median, the last as a mean."""
     return {
         "held-out error removed, of what the oracle removes (median)": [
-            s.removed for s in scored if s.case.level != "outside" and s.worth_removing
+            s.removed for s in scored if s.case.level != "outside" and s.reducible
         ],
         "outside, predictable: held-out error removed, of what the oracle removes (median)": [
-            s.removed for s in scored if s.predictable and s.worth_removing
+            s.removed for s in scored if s.predictable and s.reducible
         ],
         "relative error of parameters (median)": comparable(scored)[1],
         "where, in time: overlap (median)": [s.overlap for s in scored if np.isfinite(s.overlap)],

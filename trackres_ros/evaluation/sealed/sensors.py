@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What sensors make of the truth, written as a table."""
+"""Writes the truth as imperfect sensors show it, as a table."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ class Sensors:
 
 
 def record(
-    path: Path, drive: Drive, lived: TruthRun, sensors: Sensors, radius: float, start_s: float, rng: np.random.Generator
+    path: Path, drive: Drive, truth: TruthRun, sensors: Sensors, radius: float, start_s: float, rng: np.random.Generator
 ) -> None:
     """Write one recording."""
     n = len(drive)
     white = rng.standard_t(HEAVY_TAILS, n) * np.sqrt((HEAVY_TAILS - 2.0) / HEAVY_TAILS)
-    torque = lived.shown + _road(drive, sensors, rng) * drive.weight * radius
+    torque = truth.shown + _road(drive, sensors, rng) * drive.weight * radius
     torque = sensors.torque_gain * lagging(torque, sensors.torque_lag_s, drive.step) + sensors.torque_offset_nm
-    torque = torque + white * (sensors.torque_nm + sensors.torque_share * np.abs(lived.shown) + 20.0 * np.abs(drive.accel))
+    torque = torque + white * (sensors.torque_nm + sensors.torque_share * np.abs(truth.shown) + 20.0 * np.abs(drive.accel))
     torque = np.round(torque / sensors.torque_step_nm) * sensors.torque_step_nm
     speed = drive.speed + rng.normal(0.0, sensors.speed_mps, n)
     speed = np.round(speed / sensors.speed_step_mps) * sensors.speed_step_mps
@@ -67,7 +67,7 @@ def record(
         columns.append(drive.slope)
         names.append("grade")
     if sensors.belt_measured:
-        columns.append(lived.belt + rng.normal(0.0, 0.4, n))
+        columns.append(truth.belt + rng.normal(0.0, 0.4, n))
         names.append("belt_degc")
     rows = np.column_stack(columns)
     with path.open("w", encoding="utf-8") as file:

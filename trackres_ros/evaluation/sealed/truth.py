@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The second simulator: a vehicle that drives, with whatever the diagnosis is to find switched on.
+"""Simulates a vehicle by a second model, with whatever the diagnosis is to find switched on.
 
 Each phenomenon has another form here than in the catalogue of the diagnosis, as nature would.
 """
@@ -63,7 +63,7 @@ def _tables(path: Path) -> tuple[DataSheet, Material, BeltLoss]:
     return sheet, material, belt_loss(sheet, material)
 
 
-def live(path: Path, build: Build, hidden: Hidden, drives: Sequence[Drive]) -> list[TruthRun]:
+def simulate_truth(path: Path, build: Build, hidden: Hidden, drives: Sequence[Drive]) -> list[TruthRun]:
     """Drive one after the other, each begun with a belt at the air's temperature; what wears or runs in goes on."""
     sheet, material, tables = _tables(path)
     found, driven = [], 0.0

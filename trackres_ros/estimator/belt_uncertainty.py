@@ -1,10 +1,11 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""How unsure a belt's temperature is: its variance, noise that is added, and what a measurement takes away.
+"""Propagates the uncertainty of a belt's temperature: its variance, process noise, and what a measurement takes away.
 
-Of a belt state (2, BELT_COLUMNS), the mean and its surface, all columns but the temperature are departures [K] that one standard
-deviation of a cause makes: their squares sum to the variance, and a cause that moves heat and torque together stays one.
+A belt state has the shape (2, BELT_COLUMNS): the mean and its surface. Every column but the temperature is the departure [K] that
+one standard deviation of an uncertain input makes. Their squares sum to the variance, and an input that moves heat and torque
+together stays one.
 """
 
 from __future__ import annotations
@@ -48,8 +49,8 @@ def correct_belt(belt: Array, measured: float, variance: float, expected: float,
 
     Notes
     -----
-    Doubt in parameters is considered, not estimated (Schmidt's filter): the update takes its share of the departures away, but
-    as the parameters stay wrong they grow back with time.
+    The uncertainty of parameters is considered, not estimated (Schmidt's filter): the update takes its share of the departures
+    away, but as the parameters stay wrong they grow back with time.
     """
     innovation = measured - expected
     total = belt_variance(belt, of_mean, of_surface) + variance
