@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A torque that nothing foretells, watched for in what is measured: how likely it is there now, or how large it is.
+"""A torque that nothing foretells is watched for in what is measured: how likely it is there now, or how large it is.
 
 The steps of both filters are here once: a diagnosis takes them over blocks of a residual, the live node block by block as they
 come. Spells are a Markov chain of two levels (forward algorithm; Rabiner 1989, Proc. IEEE 77, 257), a drift is a process of
@@ -31,13 +31,33 @@ MOST_LOG = 500.0  # of a ratio of likelihoods: its exponential is finite
 
 
 def later_there(there: float, comes: float, goes: float, blocks: float = 1.0) -> float:
-    """The probability of being there some blocks later, with nothing seen; chances to come and to go are those of a block."""
+    """The probability that it is there some blocks later, with nothing seen.
+
+    Parameters
+    ----------
+    there
+        The probability now.
+    comes, goes
+        Probabilities that it comes, or goes, from one block to the next; together at most 1 where `blocks` is no whole number.
+    blocks
+        How many later.
+    """
     share = comes / (comes + goes)
     return share + (there - share) * math.pow(1.0 - comes - goes, blocks)
 
 
 def seen_there(there: float, mean: float, levels: tuple[float, float], variance: float) -> float:
-    """The probability of being there once the mean of a block is seen; levels [Nm] while it is away and there."""
+    """The probability that it is there once the mean of a block is seen.
+
+    Parameters
+    ----------
+    there
+        The probability before.
+    mean, variance
+        Mean of the block [Nm], and the variance of its noise [Nm^2].
+    levels
+        Torque while it is away and while it is there [Nm].
+    """
     away, present = levels
     log_ratio = 0.5 * ((mean - away) ** 2 - (mean - present) ** 2) / variance
     times = math.exp(min(max(log_ratio, -MOST_LOG), MOST_LOG))
@@ -45,12 +65,22 @@ def seen_there(there: float, mean: float, levels: tuple[float, float], variance:
 
 
 def later_level(level: float, variance: float, keep: float, size: float) -> tuple[float, float]:
-    """Mean and variance of a level that wanders when the share `keep` of it is left; of all its time it has the size `size`."""
+    """Mean [Nm] and variance [Nm^2] of a level that wanders, some time later.
+
+    Parameters
+    ----------
+    level, variance
+        The same now.
+    keep
+        Share of the level that is left by then.
+    size
+        Standard deviation of the level where nothing is known of it [Nm].
+    """
     return keep * level, keep**2 * variance + size**2 * (1.0 - keep**2)
 
 
 def seen_level(level: float, variance: float, mean: float, noise_variance: float) -> tuple[float, float]:
-    """Mean and variance of a level once the mean of a block is seen."""
+    """Mean [Nm] and variance [Nm^2] of a level once the mean of a block is seen, which has noise of some variance [Nm^2]."""
     gain = variance / (variance + noise_variance)
     return level + gain * (mean - level), variance * (1.0 - gain)
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Holds the measured torque against the expected one, row by row: have they parted, and is a disturbance there?
+"""The measured torque is compared with the expected one, row by row: have they parted, and is a disturbance there?
 
 It looks at the estimate and changes nothing of it: nothing of a disturbance is in an expected torque or in the feed-forward.
 """

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a replay adds to its table where the vehicle file has a disturbance: how likely it is there, and how large."""
+"""A replay adds to its table how likely the disturbance of the vehicle file is there, and how large it is."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What comes and goes, or wanders, and follows nothing known ahead: read from a vehicle file, to be watched for."""
+"""The section `disturbance` of a vehicle file is checked here: a torque that comes and goes, or wanders, and is watched for."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What follows nothing recorded, as it is to be watched for live: beside the torque that the written vehicle file expects."""
+"""Spells and a drift become what is watched for live, beside the torque that the written vehicle file expects."""
 
 from __future__ import annotations
 
