@@ -102,6 +102,9 @@ def test_a_replay_of_a_drive_that_was_not_fitted_follows_the_spells_and_expects_
     assert set(watching.columns) - set(bare.columns) == {"disturbance_probability", "disturbance_torque_nm"}
     for name in bare.columns:
         assert watching[name].tobytes() == bare[name].tobytes()
+    table = np.genfromtxt(watching.save(tmp_path / "out.csv"), delimiter=",", names=True, deletechars="")
+    assert table.dtype.names == watching.columns
+    np.testing.assert_array_equal(table["disturbance_torque_nm"], watching["disturbance_torque_nm"])
     counts = (watching["speed_mps"] > 1.0) & (np.abs(watching["accel_mps2"]) < 0.3) & np.isfinite(watching["residual_nm"])
     time = watching["time_s"]
     block = (time[counts] // BLOCK_S).astype(int)

@@ -140,6 +140,8 @@ def listed_effects(
 def _rubber(reader: Reader, given: Any) -> tuple[Rubber, Path]:
     values = reader.table(given, "rubber", schema.RUBBER, others=("file",))
     path = _rubber_file(reader.path, Path(reader.text(given["file"], "rubber.file")))
+    if not path.is_file():
+        raise InputError(reader.where("rubber.file"), str(path), "a readable CSV with a temperature sweep, relative to this file")
     sweep_degc, storage_pa, loss_pa = read_rubber_sweep(path)
     return Rubber(sweep_degc, storage_pa, loss_pa, **values), path
 
