@@ -6,12 +6,14 @@
 import json
 import math
 import re
+from dataclasses import replace
 
 import pytest
 from rich.console import Console
 
 from trackres_ros.cli.live_json import as_dict
 from trackres_ros.cli.live_table import line, table
+from trackres_ros.estimator.disturbance import Belief
 from trackres_ros.node.edge import Level
 from trackres_ros.node.mismatch import Mismatch
 from trackres_ros.node.remarks import KINDS, Remark
@@ -41,7 +43,7 @@ def overview(assemblies=ASSEMBLIES, remarks=()):
     state = "/home/somebody/.local/state/trackres/x.json"
     return Overview(
         Level.WARN, told, 1_700_000_000 * 10**9, 0.02, 1000.0, 5, 1.0, -98765.0, values, tuple(assemblies), tuple(inputs),
-        compared, state, 3.0, "",
+        compared, None, state, 3.0, "",
     )  # fmt: skip
 
 
@@ -74,6 +76,19 @@ def test_the_parts_that_are_shown_add_up():
     total = int(rows.pop("resistance (sum)"))
     assert len(rows) == 4
     assert sum(map(int, rows.values())) == total
+
+
+def test_what_is_watched_for_is_shown_and_said():
+    belief = Belief("spells", 0.97, 291.0, 60.0, 1_700_000_000 * 10**9, True, False)
+    watching = replace(overview(), disturbance=belief)
+    words, bare = (re.sub(r"[\s│]+", "", drawn(seen, 80)) for seen in (watching, overview()))
+    assert re.sub(r"\s+", "", f"watched for: {belief.text}") in words
+    assert "watchedfor" not in bare
+    assert as_dict(overview(), False)["disturbance"] is None
+    said = as_dict(watching, False)["disturbance"]
+    assert (said["there"], said["present"], said["torque_nm"]) == (0.97, True, 291.0)
+    drift = as_dict(replace(watching, disturbance=replace(belief, form="drift", there=math.nan)), False)
+    assert json.loads(json.dumps(drift, allow_nan=False))["disturbance"]["there"] is None
 
 
 def test_the_line_and_the_json_say_the_same():

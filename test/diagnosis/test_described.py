@@ -8,10 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import trackres_ros as tr
 from trackres_ros.diagnosis import diagnose, read_recordings
+from trackres_ros.diagnosis.report.content import report
+from trackres_ros.estimator.disturbance import BLOCK_S
 from trackres_ros.vehicle import load
 
 TURN_NM = 600.0
+DRIFT_NM, DRIFT_S = 200.0, 240.0
 PUMP_NM, ON_S, OFF_S = 400.0, 70.0, 110.0
 
 
@@ -54,22 +58,91 @@ def test_a_torque_in_left_turns_alone_is_described_and_written(recorded, loaded,
         assert np.abs(adds[s.yaw_rate < 0.0]).max() < 1e-3  # what it drives harder in left turns warms the belt
 
 
-@pytest.mark.long
-def test_spells_are_described_and_never_written(recorded, loaded, tmp_path):
-    rng = np.random.default_rng(4)
+@pytest.fixture(scope="module")
+def pumped(recorded, loaded):
+    """Three recordings with a pump, the diagnosis of two of them, and when the pump runs [s] in each."""
+    rng, changes = np.random.default_rng(4), []
 
     def adds(r, times):
-        changes = np.cumsum(rng.uniform(0.6, 1.4, 200) * np.tile([OFF_S, ON_S], 100))
-        return PUMP_NM * (np.searchsorted(changes, times) % 2) * (at(r, "speed", times) > 0.1)
+        changes.append(np.cumsum(rng.uniform(0.6, 1.4, 200) * np.tile([OFF_S, ON_S], 100)))
+        return PUMP_NM * runs(changes[-1], times) * (at(r, "speed", times) > 0.1)
 
-    found = diagnose(with_added(read_recordings(recorded(), None), adds), loaded, quick=True)
+    recordings = with_added(read_recordings(recorded(count=3), None), adds)
+    return recordings, diagnose(recordings[:2], loaded, quick=True), changes
+
+
+def runs(changes, times):
+    return np.searchsorted(changes, times) % 2
+
+
+@pytest.mark.long
+def test_spells_are_described_and_written_to_be_watched_for_alone(pumped, tmp_path):
+    _, found, _ = pumped
     (told,) = [t for t in found.described if t.described.form == "spells"]
     assert not told.described.predictable
     assert told.described.size_nm == pytest.approx(PUMP_NM, rel=0.2)
     assert 0.5 * ON_S < told.described.memory < 2.0 * ON_S
     assert told.described.name not in {a.effect.name for a in found.kept.effects}
     found.base.write(tmp_path / "vehicle.yaml", found.kept, "Written by trackres diagnose from x.")
-    assert told.described.name not in (tmp_path / "vehicle.yaml").read_text()
+    written = load(tmp_path / "vehicle.yaml")
+    assert told.described.name not in {a.effect.name for a in written.effects}
+    spells = written.disturbance
+    assert spells.level - spells.rest == pytest.approx(PUMP_NM, rel=0.2)
+    assert 0.5 * ON_S < spells.mean_there < 2.0 * ON_S
+    assert 0.5 * OFF_S < spells.mean_away < 2.0 * OFF_S
+    assert spells.noise < 0.5 * PUMP_NM
+
+
+@pytest.mark.long
+def test_a_replay_of_a_drive_that_was_not_fitted_follows_the_spells_and_expects_no_other_torque(pumped, tmp_path):
+    recordings, found, changes = pumped
+    for name, kept in (("watching", found.kept), ("bare", replace(found.kept, disturbance=None))):
+        found.base.write(tmp_path / f"{name}.yaml", kept, "Written by trackres diagnose from x.")
+    watching, bare = (tr.replay(recordings[2], tmp_path / f"{name}.yaml") for name in ("watching", "bare"))
+    assert set(watching.columns) - set(bare.columns) == {"disturbance_probability", "disturbance_torque_nm"}
+    for name in bare.columns:
+        assert watching[name].tobytes() == bare[name].tobytes()
+    table = np.genfromtxt(watching.save(tmp_path / "out.csv"), delimiter=",", names=True, deletechars="")
+    assert table.dtype.names == watching.columns
+    np.testing.assert_array_equal(table["disturbance_torque_nm"], watching["disturbance_torque_nm"])
+    counts = (watching["speed_mps"] > 1.0) & (np.abs(watching["accel_mps2"]) < 0.3) & np.isfinite(watching["residual_nm"])
+    time = watching["time_s"]
+    block = (time[counts] // BLOCK_S).astype(int)
+    number = np.maximum(np.bincount(block), 1)
+
+    def error(residual):
+        return np.abs(np.bincount(block, residual[counts]) / number)[np.bincount(block) > 0].mean()
+
+    without, with_it = error(watching["residual_nm"]), error(watching["residual_nm"] - watching["disturbance_torque_nm"])
+    assert with_it < 0.6 * without
+    on, there = runs(changes[2], time)[counts] > 0, watching["disturbance_probability"][counts]
+    assert np.mean(there[on]) > 0.8
+    assert np.mean(there[~on]) < 0.2
+
+
+@pytest.mark.long
+def test_a_drift_is_judged_by_who_follows_it_and_written_to_be_watched_for(recorded, loaded, check_form, tmp_path):
+    rng = np.random.default_rng(4)
+
+    def adds(r, times):
+        keep, wander = np.exp(-1.0 / DRIFT_S), [0.0]
+        for shock in rng.normal(0.0, DRIFT_NM * np.sqrt(1.0 - keep**2), int(times[-1]) + 1):
+            wander.append(keep * wander[-1] + shock)
+        return np.interp(times, np.arange(len(wander)), wander) * (at(r, "speed", times) > 0.1)
+
+    recordings = with_added(read_recordings(recorded(minutes=15.0), None), adds)
+    found = diagnose(recordings, loaded, quick=True)
+    assert found.verdict.status == "unexplained"
+    said = report(found, [])
+    check_form({**said, "recordings": ["x"]})
+    (drift,) = [one for one in said["described"] if one["form"] == "drift"]
+    assert drift["grade"] == "confirmed"
+    assert drift["heldout"]["mae"][1] < 0.5 * drift["heldout"]["mae"][0]
+    assert said["written"]["disturbance"] == "drift"
+    found.base.write(tmp_path / "vehicle.yaml", found.kept, "Written by trackres diagnose from x.")
+    written = load(tmp_path / "vehicle.yaml").disturbance
+    assert 0.5 * DRIFT_NM < written.size < 2.0 * DRIFT_NM
+    assert written.noise < 0.5 * written.size
 
 
 @pytest.mark.long

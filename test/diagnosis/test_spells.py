@@ -11,7 +11,6 @@ import pytest
 
 from trackres_ros.diagnosis.described.describe import SURE, expected_there
 from trackres_ros.diagnosis.described.spells import (
-    BLOCK_S,
     Blocks,
     Chain,
     blocks,
@@ -20,6 +19,7 @@ from trackres_ros.diagnosis.described.spells import (
     is_spells,
     there_given,
 )
+from trackres_ros.estimator.disturbance import BLOCK_S
 
 COUNT = 25  # samples of a block
 NOISE_NM = 50.0  # of a sample

@@ -30,13 +30,22 @@ SPOILT_OF_EACH, MORE = 30, 300
 LONGEST_LINE = 3000  # characters
 
 EFFECTS = "\neffects: {turning_scrub: {friction: 0.3}, still_air: {share: {value: 0.5, range: [0.4, 0.6]}}}\n"
+DISTURBANCE = """
+disturbance:
+  form: spells
+  level: {value: 300.0, unit: Nm, flag: F, range: [280.0, 320.0], reason: found by trackres diagnose}
+  rest: {value: -50.0, unit: Nm, flag: F, range: [-60.0, -40.0], reason: found by trackres diagnose}
+  mean_there: {value: 80.0, unit: s, flag: F, range: [50.0, 130.0], reason: found by trackres diagnose}
+  mean_away: {value: 160.0, unit: s, flag: F, range: [90.0, 280.0], reason: found by trackres diagnose}
+  noise: {value: 60.0, unit: Nm, flag: F, range: [50.0, 70.0], reason: found by trackres diagnose}
+"""
 SURROUNDINGS = "schema: 1\nvehicle: xgd24d\neffects: {grade: {grade: {value: 0.01, range: [0.0, 0.02]}}, rain: {factor: 3.0}}\n"
 ROS_PARAMETERS = (
     "/**:\n  ros__parameters: {output_rate_hz: 20.0, vehicle: xgd24d, feedforward_parts: [wind]}\nother: {ros__parameters: {}}\n"
 )
 
 KINDS: dict[str, tuple[Callable[[Path], object], str]] = {
-    "track vehicle": (load_base, (config_dir() / "xgd24d.yaml").read_text() + EFFECTS),
+    "track vehicle": (load_base, (config_dir() / "xgd24d.yaml").read_text() + EFFECTS + DISTURBANCE),
     "road vehicle": (load_base, (config_dir() / "husky.yaml").read_text()),
     "surroundings": (lambda path: load_surroundings(path, "xgd24d", 97920.0, on_tyres=False), SURROUNDINGS),
     "topics": (Topics.load, (config_dir() / "topics" / "sample.yaml").read_text()),

@@ -206,7 +206,8 @@ def test_a_sweep_that_is_not_there(folder: Path, content: dict[str, Any]) -> Non
     path.write_text(yaml.safe_dump(content), encoding="utf-8")
     with pytest.raises(InputError, match="a readable CSV") as caught:
         load(path)
-    assert "none.csv" in caught.value.where
+    assert caught.value.where == f"{path}: rubber.file"
+    assert "none.csv" in caught.value.given
 
 
 def test_a_sweep_is_read_in_pascal_beside_its_vehicle_file(folder: Path, content: dict[str, Any]) -> None:

@@ -75,6 +75,15 @@ def as_dict(seen: Overview, final: bool) -> dict[str, Any]:
             "mean_nm": _known(seen.mismatch.mean_nm),
             "text": seen.mismatch.text,
         },
+        "disturbance": None
+        if seen.disturbance is None
+        else {
+            "form": seen.disturbance.form,
+            "there": _known(seen.disturbance.there),
+            "present": seen.disturbance.present,
+            "torque_nm": _known(seen.disturbance.torque_nm),
+            "text": seen.disturbance.text,
+        },
         "state": {"file": seen.state_file, "saved_s_ago": _known(seen.saved_s_ago), "error": seen.state_error},
     }
 

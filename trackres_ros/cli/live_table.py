@@ -73,6 +73,8 @@ def table(title: str, seen: Overview) -> Panel:
         parts += [Text(""), side_by_side, Text("")]
     if any(given.role == "torque" for given in seen.inputs):
         parts.append(Text(f"measured torque: {seen.mismatch.text}"))
+    if seen.disturbance is not None:
+        parts.append(Text(f"watched for: {seen.disturbance.text}"))
     parts.append(Text(_foot(seen), style="dim"))
     return Panel(Group(*parts), title=title, border_style=colour)
 

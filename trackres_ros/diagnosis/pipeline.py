@@ -16,6 +16,7 @@ from trackres_ros.diagnosis.base.base import Base
 from trackres_ros.diagnosis.base.loading import LoadedBase
 from trackres_ros.diagnosis.described.describe import Term, course, describe, drift, said
 from trackres_ros.diagnosis.described.terms import Described
+from trackres_ros.diagnosis.described.watching import drift_on_held_out, drift_to_watch, spells_to_watch
 from trackres_ros.diagnosis.findings.change_points import Change, changes
 from trackres_ros.diagnosis.findings.locate import (
     ThermalCheck,
@@ -42,11 +43,11 @@ from trackres_ros.diagnosis.prepare.torque_checks import (
     nothing_to_conclude,
 )
 from trackres_ros.diagnosis.selection.confirm import Graded, confirm, keep, leave_unconfirmed
-from trackres_ros.diagnosis.selection.held_out import CONFIRMED, HeldOut, HeldOutLaps, held_out
+from trackres_ros.diagnosis.selection.held_out import CONFIRMED, HeldOut, HeldOutLaps, Improvement, held_out
 from trackres_ros.diagnosis.selection.intervals import Interval, intervals
 from trackres_ros.diagnosis.selection.naming import Step, choose
 from trackres_ros.diagnosis.selection.screening import QUICK_REPLICATES, REPLICATES
-from trackres_ros.diagnosis.writing.kept import Kept
+from trackres_ros.diagnosis.writing.kept import Kept, LearnedDisturbance
 from trackres_ros.effects import catalogue
 from trackres_ros.effects.vehicle.rotating_inertia import RotatingInertia
 from trackres_ros.recording.bindings import Topics
@@ -81,8 +82,9 @@ class Diagnosis:
     steps, found, refuted
         Rounds of the choice, the effects found, and those that were chosen and that held-out laps refute, or do not confirm
         beside a term without a name that they do.
-    described, wanders
-        Terms without a name that were found; and how what is left wanders, where it does so by more than it should.
+    described, wanders, tracked
+        Terms without a name that were found; how what is left wanders, where it does so by more than it should; and what held-out
+        laps say of following that live.
     base_intervals
         Of the base's parameters in `final`.
     held_out, advice, verdict
@@ -106,6 +108,7 @@ class Diagnosis:
     found: tuple[Found, ...]
     described: tuple[Told, ...]
     wanders: Described | None
+    tracked: Improvement | None
     refuted: tuple[Graded, ...]
     base_intervals: dict[str, Interval]
     held_out: HeldOut
@@ -254,14 +257,21 @@ def diagnose(
     ]
     left_over = slow_residual(final)
     wanders = drift(final) if left_over.share > MOST_STRAY and not terms else None
+    tracked = drift_on_held_out(final, laps) if wanders is not None else None
     verdict = judge(found, terms, tuple(refuted), refitted, at_end, left_over, steps[-1].hint, worth)
     kinds = {name: effect.belongs_to for name, effect in effects.items()}
     believed = believed_in(found, terms, verdict, kinds, keep_suspected)
+    kept = keep(believed, final, refitted, worth, laps, bounds)
+    if base.has_belt:  # a road_load vehicle does not run live
+        expected = nominal if kept.values is None else [p.torque for p in final.problem.predict(kept.values, kept.effects)]
+        watched = [description.terms[t.described.name] for t in terms if may_be_kept(t, verdict, keep_suspected)]
+        drifts = tracked is not None and (keep_suspected or tracked.grade == CONFIRMED)
+        kept = kept.with_disturbance(to_watch(watched, drifts, final, expected))
     return Diagnosis(
         base, gated, chosen, nominal, refitted, final, at_base, at_end, changes(tested_base), cumulative_periodogram(tested_end),
         thermal_check(refitted),
-        tuple(steps), tuple(found), tuple(terms), wanders, tuple(refuted), bounds_of("", bounds),
-        worth, tuple(advice), verdict, keep(believed, final, refitted, worth, laps, bounds),
+        tuple(steps), tuple(found), tuple(terms), wanders, tracked, tuple(refuted), bounds_of("", bounds),
+        worth, tuple(advice), verdict, kept,
     )  # fmt: skip
 
 
@@ -292,9 +302,28 @@ def believed_in(
         return {kinds[m] for m in f.step.members} <= {kinds[f.name]}
 
     ahead = [t for t in terms if t.described.predictable]
-    return [f.name for f in found if keep_suspected or (verdict.names and f.graded.grade == CONFIRMED and settled(f))] + [
-        t.described.name for t in ahead if keep_suspected or (verdict.names and t.graded.grade == CONFIRMED)
+    return [f.name for f in found if may_be_kept(f, verdict, keep_suspected) and (keep_suspected or settled(f))] + [
+        t.described.name for t in ahead if may_be_kept(t, verdict, keep_suspected)
     ]
+
+
+def may_be_kept(f: Found | Told, verdict: Verdict, keep_suspected: bool) -> bool:
+    """Whether the verdict stands by it and held-out laps confirm it, or suspected ones are kept."""
+    return keep_suspected or (verdict.names and f.graded.grade == CONFIRMED)
+
+
+def to_watch(terms: Sequence[Term], drifts: bool, final: Fit, expected: Sequence[Array]) -> LearnedDisturbance | None:
+    """What is to be watched for live: the spells among terms that may be kept, else a drift; None where there is neither.
+
+    Parameters
+    ----------
+    expected
+        Torque of each session that the written file expects [Nm].
+    """
+    spells = next((t for t in terms if t.chain is not None), None)
+    if spells is not None:
+        return spells_to_watch(spells, final, expected)
+    return drift_to_watch(final, expected) if drifts else None
 
 
 def align_and_check(gated: Gated, vehicle: LoadedBase) -> tuple[Gated, tuple[Array, ...]]:

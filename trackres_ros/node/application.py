@@ -20,11 +20,11 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimate import Estimate
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.topic_settings import settings_for
+from trackres_ros.node.comparison import Comparison
 from trackres_ros.node.edge import Edge, Level, Peer, Status
 from trackres_ros.node.endpoints import input_topics, live_topics
 from trackres_ros.node.inbox import Arrival
 from trackres_ros.node.intake import Intake
-from trackres_ros.node.mismatch import MismatchDetector
 from trackres_ros.node.outlet import Outlet
 from trackres_ros.node.parameters import Parameters
 from trackres_ros.node.remarks import Remark, level_of
@@ -37,7 +37,7 @@ from trackres_ros.node.warm_up import WarmUp, exercise
 from trackres_ros.node.watch import Watch
 from trackres_ros.units import SECOND_NS
 
-TIME_RESET, ACCEPTED = int(at.Reason.TIME_RESET), int(at.Count.ACCEPTED)
+ACCEPTED = int(at.Count.ACCEPTED)
 LONGEST_PERIOD_S = 0.1  # between two looks at the age of the speed, and between two outputs
 MOST_BEFORE_CLOCK = 10000
 MUST_BE_FINITE = (at.OUT_RESISTANCE, at.OUT_STD, at.OUT_FEEDFORWARD)
@@ -80,7 +80,8 @@ class Application:
         exercise(self.estimator)  # loading what is compiled takes a third of a second, which the first message need not wait
         self.inputs = input_topics(self.topics)
         self.outputs = live_topics(self.vehicle, self.topics)
-        self.mismatch = MismatchDetector(parameters.mismatch())
+        measured = any("torque" in given.roles for given in self.inputs)
+        self.comparison = Comparison(parameters.mismatch(), self.vehicle.disturbance if measured else None)
         self.keeper = StateKeeper(
             *state_path(parameters.text("state_file"), parameters.sim_time, node, namespace, self.vehicle.name)
         )
@@ -197,16 +198,9 @@ class Application:
             self._publish(self._steady_ns())
         self._state_at = time.time()
         reasons = int(values[at.OUT_REASONS])
-        if reasons & TIME_RESET:
-            self.mismatch.restart()
-        self.mismatch.take(
-            stamp,
-            values[at.OUT_RESIDUAL],
-            values[at.OUT_DRIVE],
-            values[at.OUT_STD],
-            values[at.OUT_SPEED],
-            values[at.OUT_ACCEL],
-        )
+        news = self.comparison.take(stamp, values)
+        if news:
+            self._log(Level.OK, news)
         if self._watch.accepted(reasons, now - stamp) and self.active:
             self._publish_status(self._steady_ns())
         if self.on_estimate:
@@ -318,8 +312,6 @@ class Application:
     def remarks(self, steady: int | None = None) -> list[Remark]:
         """All that is to be remarked now, heaviest first."""
         steady = self._steady_ns() if steady is None else steady
-        verdict = self.mismatch.verdict
-        parted = f"{verdict.text}; look into it with: {self.diagnose_command()}"
         found = [
             *self._watch.remarks(
                 age_s=self._outlet.age_s(steady),
@@ -327,7 +319,7 @@ class Application:
                 clock_runs=not self.parameters.sim_time or self._edge.now_ns() > 0,
                 steady=steady,
             ),
-            *([Remark("MISMATCH", parted)] if verdict.parted else []),
+            *self.comparison.remarks(self.diagnose_command()),
             *self._outlet.remarks(),
             *self.keeper.remarks(),
             *self._warm_up.remarks(self.estimator.entries),
@@ -343,7 +335,7 @@ class Application:
         """All there is to see now, for statuses and the terminal."""
         steady = self._steady_ns() if steady is None else steady
         remarks = self.remarks(steady)
-        return overview(level_of(remarks), remarks, self._outlet, self._watch, self.mismatch.verdict, self.keeper, steady)
+        return overview(level_of(remarks), remarks, self._outlet, self._watch, self.comparison, self.keeper, steady)
 
     # What an edge or a signal requests
 
@@ -357,8 +349,7 @@ class Application:
         """
         parameters = self.checked_change(given)
         settings = settings_for(parameters.settings(), self.topics)
-        if parameters.mismatch() != self.parameters.mismatch():
-            self.mismatch = MismatchDetector(parameters.mismatch())
+        self.comparison.change(parameters.mismatch())
         if parameters.number("save_period_s") != self.parameters.number("save_period_s"):
             self._next_save_ns = self._steady_ns()
         self.parameters = parameters
@@ -372,7 +363,7 @@ class Application:
     def reset(self) -> str:
         """Start cold, as if switched on with belts at the ambient temperature; what was done, in words."""
         self.session.start_anew(time_went_back=False)
-        self.mismatch.restart()
+        self.comparison.restart()
         text = "the estimate starts anew, with cold belts, at the next speed"
         self._log(Level.WARN, f"reset: {text}")
         return text
@@ -391,7 +382,7 @@ class Application:
     def time_went_back(self) -> None:
         """The simulated clock jumped back: start anew, and say so with the next estimate."""
         self.session.start_anew(time_went_back=True)
-        self.mismatch.restart()
+        self.comparison.restart()
         self._log(Level.WARN, "time went back: the estimate starts anew")
 
     def close(self) -> str:

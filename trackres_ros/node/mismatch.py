@@ -25,6 +25,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any, NamedTuple
 
+from trackres_ros.estimator.disturbance import LARGEST_NM, STEADY_MPS, STEADY_MPS2
 from trackres_ros.units import NANOSECOND
 
 SETTLING_BINS = 30  # before the noise is believed
@@ -36,7 +37,6 @@ MOST_PHI = 0.98  # nearer to 1 an offset and a random walk are one
 OUTLIER = 5.0  # standard deviations: beyond, a bin counts as this far
 MAD_TO_STD = 1.4826  # of a normal distribution
 LEAST_NOISE = 0.001  # of the expected torque: finer than torque transducers are (class 0.1), for a residual without noise
-LARGEST_NM = 1e100  # a larger number is left out like one that is not finite: its square would not be
 
 
 def _setting(default: float, unit: str, low: float, high: float, meaning: str) -> Any:
@@ -61,8 +61,12 @@ class MismatchSettings:
     )
     mismatch_bin_s: float = _setting(2.0, "s", 0.1, 60.0, "time over which the residual is averaged")
     mismatch_memory_s: float = _setting(600.0, "s", 30.0, 86400.0, "memory of the noise of the residual")
-    mismatch_min_speed_mps: float = _setting(1.0, "m/s", 0.0, 30.0, "slower is not compared")
-    mismatch_max_accel: float = _setting(0.3, "m/s^2", 0.01, 15.0, "a larger acceleration is not compared")
+    mismatch_min_speed_mps: float = _setting(STEADY_MPS, "m/s", 0.0, 30.0, "slower is not compared")
+    mismatch_max_accel: float = _setting(STEADY_MPS2, "m/s^2", 0.01, 15.0, "a larger acceleration is not compared")
+
+    def compares(self, speed_mps: float, accel_mps2: float) -> bool:
+        """Whether measured and expected torque are compared at a speed [m/s] and an acceleration [m/s^2]."""
+        return abs(speed_mps) >= self.mismatch_min_speed_mps and abs(accel_mps2) <= self.mismatch_max_accel
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,14 +225,13 @@ class MismatchDetector:
         stamp_ns
             Its time [ns].
         residual_nm
-            Measured less expected torque [Nm]; nan where none is measured.
+            Measured less expected torque, and less a disturbance that is known to be there [Nm]; nan where none is measured.
         drive_torque_nm, std_nm
             Expected torque and its standard deviation [Nm].
         speed_mps, accel_mps2
             Speed [m/s] and acceleration [m/s^2].
         """
-        s = self.settings
-        if not (abs(speed_mps) >= s.mismatch_min_speed_mps and abs(accel_mps2) <= s.mismatch_max_accel):
+        if not self.settings.compares(speed_mps, accel_mps2):
             return
         if not (abs(residual_nm) < LARGEST_NM and abs(drive_torque_nm) < LARGEST_NM and abs(std_nm) < LARGEST_NM):
             return

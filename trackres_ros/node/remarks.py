@@ -54,6 +54,9 @@ LIVE_KINDS = {
     "SEVERAL_PUBLISHERS": Kind(Level.WARN, "more than one publisher on the topic of an input: their values are mixed"),
     "CLOCK_OFFSET": Kind(Level.WARN, "the stamps of the speed are more than a second away from this machine's time"),
     "MISMATCH": Kind(Level.WARN, "measured and expected torque have parted by more than the estimate's own uncertainty"),
+    "DISTURBANCE": Kind(
+        Level.OK, "a torque that comes and goes, as the vehicle file tells of, is there now; the estimate does not have it"
+    ),
     "STATE_NOT_SAVED": Kind(Level.WARN, "the state file could not be written: a restart would begin with an older state or cold"),
     "STATE_NOT_USED": Kind(Level.OK, "there was a state file and it could not be used: cold start"),
     "COMPILING": Kind(Level.OK, "first start on a machine: steps run in plain Python until they are compiled; same numbers"),

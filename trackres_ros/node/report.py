@@ -10,6 +10,8 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from trackres_ros.estimator.disturbance import Belief
+from trackres_ros.node.comparison import Comparison
 from trackres_ros.node.edge import Level, Status
 from trackres_ros.node.mismatch import Mismatch
 from trackres_ros.node.outlet import Outlet
@@ -17,6 +19,7 @@ from trackres_ros.node.remarks import Remark
 from trackres_ros.node.state_keeper import StateKeeper
 from trackres_ros.node.watch import InputState, Watch
 from trackres_ros.output.topics import TOTALS, sign_of
+from trackres_ros.units import NANOSECOND
 
 ESTIMATE_KEYS = {
     "level": "ok, warn, error or stale",
@@ -52,6 +55,14 @@ COMPARISON_KEYS = {
     "share": "the same as a share of the expected torque",
     "settled": "true once there is enough data to judge",
 }
+DISTURBANCE_KEYS = {
+    "form": "spells or drift, as the vehicle file has it",
+    "there": "probability that a spell is there; nan of a drift",
+    "present": "true from a probability of 0.9 on until it is below 0.1",
+    "since": "time at which the present spell began, or the last one ended [s since 1970]; nan before either, and of a drift",
+    "torque_nm": "expected torque of the disturbance against travel [Nm]; it is in no other output",
+    "std_nm": "its standard deviation [Nm]",
+}
 STATE_KEYS = {"file": "the state file, empty if none is kept", "saved_s_ago": "time since it was written [s]", "error": "why not"}
 
 
@@ -71,6 +82,7 @@ class Overview:
     assemblies: tuple[str, ...]
     inputs: tuple[InputState, ...]
     mismatch: Mismatch
+    disturbance: Belief | None
     state_file: str
     saved_s_ago: float
     state_error: str
@@ -82,7 +94,13 @@ class Overview:
 
 
 def overview(
-    level: Level, remarks: Sequence[Remark], outlet: Outlet, watch: Watch, mismatch: Mismatch, keeper: StateKeeper, steady: int
+    level: Level,
+    remarks: Sequence[Remark],
+    outlet: Outlet,
+    watch: Watch,
+    comparison: Comparison,
+    keeper: StateKeeper,
+    steady: int,
 ) -> Overview:
     """Gather what is to be seen now."""
     estimator = outlet.estimator
@@ -98,7 +116,8 @@ def overview(
         dict(zip(estimator.columns, outlet.row, strict=True)) if outlet.row else {},
         estimator.assemblies,
         watch.inputs(steady),
-        mismatch,
+        comparison.verdict,
+        comparison.belief,
         str(keeper.path or ""),
         math.nan if keeper.saved_at is None else time.time() - keeper.saved_at,
         keeper.error,
@@ -143,10 +162,24 @@ def statuses(seen: Overview, node: str, vehicle: str) -> list[Status]:
             ("settled", str(mismatch.settled).lower()),
         )
         found.append(Status(Level.WARN if mismatch.parted else Level.OK, f"{node}: comparison", mismatch.text, vehicle, compared))
+    if seen.disturbance is not None:
+        found.append(_of_disturbance(seen.disturbance, node, vehicle))
     kept = (("file", seen.state_file), ("saved_s_ago", _text(seen.saved_s_ago)), ("error", seen.state_error))
     text = seen.state_error or ("kept" if seen.state_file else "not kept")
     found.append(Status(Level.WARN if seen.state_error else Level.OK, f"{node}: state", text, vehicle, kept))
     return found
+
+
+def _of_disturbance(belief: Belief, node: str, vehicle: str) -> Status:
+    known = (
+        ("form", belief.form),
+        ("there", _text(belief.there, 3)),
+        ("present", str(belief.present).lower()),
+        ("since", _text(math.nan if belief.since_ns is None else belief.since_ns * NANOSECOND, 3)),
+        ("torque_nm", _text(belief.torque_nm)),
+        ("std_nm", _text(belief.std_nm)),
+    )
+    return Status(Level.OK, f"{node}: disturbance", belief.text, vehicle, known)
 
 
 def _input_level(given: InputState) -> tuple[Level, str]:

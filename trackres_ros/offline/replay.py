@@ -21,6 +21,7 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.files.output_files import BAG_SUFFIX
+from trackres_ros.offline.disturbance import DisturbanceColumns
 from trackres_ros.output.bag import OutputBag
 from trackres_ros.output.preview import ResultPreview
 from trackres_ros.output.table import TableWriter
@@ -120,12 +121,13 @@ def result_writer(path: Path, estimator: Estimator) -> Iterator[Callable[[Steps]
         with OutputBag(path, estimator) as bag:
             yield bag.write
         return
-    with TableWriter(path, ["time_s", "stamp_ns", *estimator.columns]) as table:
+    added = DisturbanceColumns(estimator.vehicle)
+    with TableWriter(path, ["time_s", "stamp_ns", *estimator.columns, *added.names]) as table:
         first: list[int] = []
 
         def write(steps: Steps) -> None:
             first[:] = first or [int(steps.stamp_ns[0])]
             columns = [(steps.stamp_ns - first[0]) * NANOSECOND, steps.stamp_ns]
-            table.write_columns([*columns, *(steps.rows[:, i] for i in range(steps.rows.shape[1]))])
+            table.write_columns([*columns, *(steps.rows[:, i] for i in range(steps.rows.shape[1])), *added.of(steps)])
 
         yield write

@@ -17,6 +17,7 @@ from trackres_ros.errors import InputError
 from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.files.output_files import output_file
+from trackres_ros.offline.disturbance import DisturbanceColumns
 from trackres_ros.offline.replay import Replayed, result_writer
 from trackres_ros.offline.summary import picture_columns, summary, text
 from trackres_ros.recording.samples import Finding
@@ -74,17 +75,26 @@ class ReplayResult(SeriesResult):
     @property
     def columns(self) -> tuple[str, ...]:
         """Names of all columns, as in the table that `save` writes."""
-        return (*TIMES, *self.estimator.columns)
+        return (*TIMES, *self.estimator.columns, *DisturbanceColumns(self.vehicle).names)
 
     @cached_property
     def _stamps(self) -> Array:
         return np.concatenate([steps.stamp_ns for steps in self._blocks()])
+
+    @cached_property
+    def _watched(self) -> dict[str, Array]:
+        """What is watched for, by column."""
+        watched = DisturbanceColumns(self.vehicle)
+        blocks = [watched.of(steps) for steps in self._blocks()]
+        return {name: np.concatenate([block[i] for block in blocks]) for i, name in enumerate(watched.names)}
 
     def __getitem__(self, name: str) -> Array:
         if name == "stamp_ns":
             return self._stamps
         if name == "time_s":
             return np.asarray((self._stamps - self._stamps[0]) * NANOSECOND)
+        if name in DisturbanceColumns(self.vehicle).names:
+            return self._watched[name]
         column = self.estimator.column_index[name]
         values = np.concatenate([steps.rows[:, column] for steps in self._blocks()])
         return values.astype(np.int64) if name == "reasons" else values

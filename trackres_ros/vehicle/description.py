@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -164,6 +165,33 @@ class Chassis:
     motor_efficiency: float | None
 
 
+@dataclass(frozen=True, slots=True)
+class Spells:
+    """A torque that is there for a while and gone for a while; see `schema.DISTURBANCES` for the units."""
+
+    form: ClassVar[str] = "spells"
+
+    level: float
+    rest: float
+    mean_there: float
+    mean_away: float
+    noise: float
+
+
+@dataclass(frozen=True, slots=True)
+class Drift:
+    """A torque that wanders about none; see `schema.DISTURBANCES` for the units."""
+
+    form: ClassVar[str] = "drift"
+
+    size: float
+    time_constant: float
+    noise: float
+
+
+Disturbance = Spells | Drift
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Vehicle:
     """The whole vehicle, in SI.
@@ -184,6 +212,8 @@ class Vehicle:
         Every quantity by its path in the file, with range and provenance.
     effects, surroundings
         Effects that the vehicle file switches on, and those of site, weather and ground from a file of their own.
+    disturbance
+        A torque that nothing foretells: watched for where a torque is measured, part of no estimate.
     """
 
     name: str
@@ -200,6 +230,7 @@ class Vehicle:
     parameters: Mapping[str, Quantity]
     effects: tuple[Active, ...] = ()
     surroundings: tuple[Active, ...] = ()
+    disturbance: Disturbance | None = None
 
     def __repr__(self) -> str:
         with_effects = f", with {', '.join(active.effect.name for active in self.active)}" if self.active else ""

@@ -39,10 +39,12 @@ from trackres_ros.vehicle.description import (
     Vehicle,
     WrappedWheel,
 )
+from trackres_ros.vehicle.disturbance import read_disturbance
 from trackres_ros.vehicle.reading import Reader
 
 TOP_KEYS = ("schema", "name", "title", "model", "rubber", "chassis", "assemblies", "tracks")
 EFFECT_KEYS = ("effects", "effect_files")
+DISTURBANCE = "disturbance"
 RUBBER_COLUMNS = ("T_degC", "E_storage_MPa_10Hz", "E_loss_MPa_10Hz")
 MOST_RUBBER_BYTES = 1 << 20  # a sweep has some tens of rows
 CLOSED_LOOP_TOLERANCE_RAD = 0.05
@@ -85,7 +87,7 @@ def build(path: Path, content: Mapping[str, Any], overrides: Mapping[str, float]
     if isinstance(content.get("road_load"), dict):
         given = "a vehicle of the base model road_load"
         raise InputError(str(path), given, "a track vehicle", "road_load serves trackres diagnose alone")
-    reader.keys(content, "", TOP_KEYS, EFFECT_KEYS)
+    reader.keys(content, "", TOP_KEYS, (*EFFECT_KEYS, DISTURBANCE))
     if content["schema"] != 1:
         raise InputError(reader.where("schema"), content["schema"], "1")
     model = reader.keys(content["model"], "model", tuple(schema.MODEL_CHOICES))
@@ -107,6 +109,7 @@ def build(path: Path, content: Mapping[str, Any], overrides: Mapping[str, float]
         assemblies=_assemblies(reader, content["assemblies"], axles, tracks),
         tracks=MappingProxyType(tracks),
         parameters=MappingProxyType(reader.parameters),
+        disturbance=read_disturbance(reader, content[DISTURBANCE]) if DISTURBANCE in content else None,
     )
     size = vehicle.weight * vehicle.track_of(vehicle.assemblies[0]).sprocket_radius
     vehicle = replace(vehicle, effects=listed_effects(reader, content, size, False, "vehicle"))
@@ -137,6 +140,8 @@ def listed_effects(
 def _rubber(reader: Reader, given: Any) -> tuple[Rubber, Path]:
     values = reader.table(given, "rubber", schema.RUBBER, others=("file",))
     path = _rubber_file(reader.path, Path(reader.text(given["file"], "rubber.file")))
+    if not path.is_file():
+        raise InputError(reader.where("rubber.file"), str(path), "a readable CSV with a temperature sweep, relative to this file")
     sweep_degc, storage_pa, loss_pa = read_rubber_sweep(path)
     return Rubber(sweep_degc, storage_pa, loss_pa, **values), path
 

@@ -102,3 +102,20 @@ BEAM = {
 }
 
 MODEL_CHOICES = {"hysteresis": ("spectral", "rainflow"), "thermal": ("lumped", "core_surface")}
+
+# What is watched for. Its noise is that of blocks of `estimator.disturbance.BLOCK_S`.
+_NOISE = Limits("Nm", 1e-3, 1e6, "standard deviation of the measured torque's mean over 5 s, about what is expected with it")
+DISTURBANCES = {
+    "spells": {
+        "level": Limits("Nm", -1e6, 1e6, "torque against travel while it is there, above the expected one"),
+        "rest": Limits("Nm", -1e6, 1e6, "the same while it is away: not 0 where the fitted values have taken up its mean"),
+        "mean_there": Limits("s", 10.0, 1e5, "mean length of a spell"),
+        "mean_away": Limits("s", 10.0, 1e6, "mean time between two"),
+        "noise": _NOISE,
+    },
+    "drift": {
+        "size": Limits("Nm", 1e-3, 1e6, "standard deviation of the torque that wanders"),
+        "time_constant": Limits("s", 10.0, 1e6, "time over which it wanders"),
+        "noise": _NOISE,
+    },
+}

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from trackres_ros.diagnosis.base.watched import WATCHED, Watched
 from trackres_ros.diagnosis.described.candidates import candidates, finer, series
 from trackres_ros.diagnosis.described.spells import (
-    BLOCK_S,
     Blocks,
     Chain,
     beyond_wander,
@@ -34,6 +33,7 @@ from trackres_ros.diagnosis.inference.fitting import Fit, fit
 from trackres_ros.diagnosis.selection.naming import ALIKE_WITHIN, Candidate, Step, compared, one_round, rms, spurious_gain
 from trackres_ros.effects.effect import Effect
 from trackres_ros.effects.learned import ALWAYS, MOVING_MPS, Curve, Learned
+from trackres_ros.estimator.disturbance import BLOCK_S, later_there, seen_there
 
 Array = NDArray[np.float64]
 
@@ -160,6 +160,11 @@ def _residuals(current: Fit) -> list[Array]:
     return [r for r, g in zip(current.residuals, current.problem.segments, strict=True) if g.kind == "torque"]
 
 
+def residuals_without(current: Fit, name: str) -> list[Array]:
+    """What the torque of each session would leave without one effect, the others as they are [Nm]."""
+    return [r + x for r, x in zip(_residuals(current), current.contribution(name), strict=True)]
+
+
 def _spells(current: Fit) -> Term | None:
     """Spells, if two levels are likelier than one that wanders."""
     if SPELLS in current.effect_names:
@@ -176,11 +181,10 @@ def _spells(current: Fit) -> Term | None:
         shape, cost = _shape(current, chain, residuals)
         effect = Watched(SPELLS, "a torque that is there for a while and gone for a while", shape, _size(current))
         candidate = replace(_watched(current, effect, chain.level - chain.rest), form_error_gain=cost)
-        if not _counts(candidate, current) or sum(_beginnings(b, there)) < FEWEST_SPELLS:
+        if not _counts(candidate, current) or sum(beginnings(b, there)) < FEWEST_SPELLS:
             return found
         found = Term(candidate, chain=chain)
-        adds = candidate.fit.contribution(SPELLS)
-        residuals = [r + x for r, x in zip(_residuals(candidate.fit), adds, strict=True)]
+        residuals = residuals_without(candidate.fit, SPELLS)
     return found
 
 
@@ -195,32 +199,32 @@ def _shape(current: Fit, chain: Chain, residuals: Sequence[Array]) -> tuple[list
     by_step = torque_blocks(current, residuals, seconds=step)
     quick = chain.for_blocks(step)
     there = there_given(by_step, quick)[0]
-    _fill(shape, by_step, there)
+    fill(shape, by_step, there)
     if any((s.used & ~m).any() for s, m in zip(problem.sessions, problem.masks, strict=True)):
         other = torque_blocks(current, residuals, held_out=True)
-        _fill(shape, other, expected_there(other, chain))
+        fill(shape, other, expected_there(other, chain))
     against = [np.asarray(x * np.sign(s.speed)) for x, s in zip(shape, problem.sessions, strict=True)]
     return against, path_cost(by_step, quick, there)
 
 
 def expected_there(b: Blocks, chain: Chain) -> Array:
     """How likely it is there in each block by the blocks before it."""
-    variance = chain.noise**2 / b.count
-    ratio = np.exp(np.clip(0.5 * ((b.mean - chain.rest) ** 2 - (b.mean - chain.level) ** 2) / variance, -500.0, 500.0))
-    found, now = np.empty(len(ratio)), chain.share
-    for i, times in enumerate(ratio.tolist()):
-        now = chain.share if b.first[i] else now * (1.0 - chain.goes) + (1.0 - now) * chain.comes
+    levels, now = (chain.rest, chain.level), chain.share
+    found = np.empty(len(b.mean))
+    for i, (mean, variance) in enumerate(zip(b.mean.tolist(), (chain.noise**2 / b.count).tolist(), strict=True)):
+        now = chain.share if b.first[i] else later_there(now, chain.comes, chain.goes)
         found[i] = now
-        now = now * times / (now * times + 1.0 - now)
+        now = seen_there(now, mean, levels, variance)
     return found
 
 
-def _fill(shape: Sequence[Array], b: Blocks, value: Array) -> None:
+def fill(shape: Sequence[Array], b: Blocks, value: Array) -> None:
+    """Put the value of each block into the series of its session."""
     for session, begin, end, x in zip(b.session, b.begin, b.end, value, strict=True):
         shape[session][begin:end] = x
 
 
-def _beginnings(b: Blocks, there: Array) -> NDArray[np.bool_]:
+def beginnings(b: Blocks, there: Array) -> NDArray[np.bool_]:
     """Blocks in which a spell begins."""
     on = there > 0.5
     return np.asarray(on & ~np.concatenate(([False], on[:-1] & ~b.first[1:])))
@@ -268,10 +272,9 @@ def said(term: Term, final: Fit) -> Described:
     if term.wave is not None:
         return of_wave(name, term.wave, level, part_of(term.wave.length_m, final.problem.base.parts))
     assert term.chain is not None
-    adds = final.contribution(name)
-    b = torque_blocks(final, [r + x for r, x in zip(_residuals(final), adds, strict=True)])
+    b = torque_blocks(final, residuals_without(final, name))
     there, _ = there_given(b, term.chain)
-    begins = np.flatnonzero(_beginnings(b, there))
+    begins = np.flatnonzero(beginnings(b, there))
     lengths = np.diff(np.flatnonzero(np.diff(np.concatenate(([0], (there > 0.5).astype(int), [0])))))[::2]
     seconds = BLOCK_S * lengths.astype(float)
     return of_spells(name, term.chain, level, len(begins), seconds, _begins_with(b, begins, final))

@@ -19,10 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from trackres_ros.estimator.disturbance import BLOCK_S, later_level, seen_level
+
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-BLOCK_S = 5.0
 FEWEST_SAMPLES = 2  # of a block
 INNER = (0.03, 0.97)  # quantiles: a mean further out than once more their distance says no more
 TURNS, ENOUGH = 60, 1e-3  # of expectation and maximisation, and a gain that is none
@@ -193,11 +194,17 @@ def _look(b: Blocks, chain: Chain) -> tuple[Array, Array, float]:
     return there[:, 1], pairs, float(np.log(scales).sum() + top.sum())
 
 
-def _improved(b: Blocks, there: Array, pairs: Array) -> Chain:
+def levels_given(b: Blocks, there: Array) -> tuple[float, float, float]:
+    """The level, that of the rest and the noise of one sample [Nm], by how likely it is there in each block."""
     level, rest = (float(np.average(b.mean, weights=b.count * w + 1e-12)) for w in (there, 1.0 - there))
     left = there * (b.mean - level) ** 2 + (1.0 - there) * (b.mean - rest) ** 2
+    return level, rest, float(np.sqrt(np.mean(b.count * left)))
+
+
+def _improved(b: Blocks, there: Array, pairs: Array) -> Chain:
+    level, rest, noise = levels_given(b, there)
     comes, goes = ((pairs[i, 1 - i] + 0.5) / (pairs[i].sum() + 1.0) for i in (0, 1))
-    return Chain(level, rest, float(comes), float(goes), float(np.sqrt(np.mean(b.count * left))))
+    return Chain(level, rest, float(comes), float(goes), noise)
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,18 +236,17 @@ def find_wander(b: Blocks) -> tuple[Wander, float]:
 
 def _wandering(b: Blocks, w: Wander) -> float:
     """Log-likelihood of a level that wanders."""
+    level, spread = expected_level(b, w)
+    return -0.5 * float(np.sum((b.mean - level) ** 2 / spread + np.log(2.0 * math.pi * spread)))
+
+
+def expected_level(b: Blocks, w: Wander) -> tuple[Array, Array]:
+    """What is expected of each block's mean by the blocks before it [Nm], and the variance about that."""
     keep = math.exp(-BLOCK_S / w.seconds)
-    stationary = w.size**2
-    fresh = stationary * (1.0 - keep**2)
-    level, variance, total = 0.0, stationary, 0.0
-    for mean, noise, first in zip(b.mean.tolist(), (w.noise**2 / b.count).tolist(), b.first.tolist(), strict=True):
-        if first:
-            level, variance = 0.0, stationary
-        else:
-            level, variance = keep * level, keep**2 * variance + fresh
-        spread = variance + noise
-        off = mean - level
-        total -= 0.5 * (off * off / spread + math.log(2.0 * math.pi * spread))
-        gain = variance / spread
-        level, variance = level + gain * off, variance * (1.0 - gain)
-    return total
+    level, variance = 0.0, w.size**2
+    expected, spread = np.empty(len(b.mean)), np.empty(len(b.mean))
+    for i, (mean, noise) in enumerate(zip(b.mean.tolist(), (w.noise**2 / b.count).tolist(), strict=True)):
+        level, variance = (0.0, w.size**2) if b.first[i] else later_level(level, variance, keep, w.size)
+        expected[i], spread[i] = level, variance + noise
+        level, variance = seen_level(level, variance, mean, noise)
+    return expected, spread

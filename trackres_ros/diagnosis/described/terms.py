@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.described.spells import BLOCK_S, Chain, Wander
+from trackres_ros.diagnosis.described.spells import Chain, Wander
 from trackres_ros.diagnosis.described.waves import Wave
 from trackres_ros.effects.learned import (
     ACCELERATING,
@@ -39,6 +39,7 @@ from trackres_ros.effects.learned import (
     Curve,
     Learned,
 )
+from trackres_ros.estimator.disturbance import BLOCK_S
 from trackres_ros.text.numbers import figures
 
 Array = NDArray[np.float64]

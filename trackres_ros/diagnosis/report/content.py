@@ -18,7 +18,7 @@ from trackres_ros.diagnosis.findings.residual_bins import Bin
 from trackres_ros.diagnosis.findings.residual_sources import ResidualSources, residual_sources
 from trackres_ros.diagnosis.findings.verdict import Found, Told, likelier
 from trackres_ros.diagnosis.pipeline import Diagnosis
-from trackres_ros.diagnosis.selection.held_out import SUSPECTED, Improvement
+from trackres_ros.diagnosis.selection.held_out import Improvement
 from trackres_ros.diagnosis.selection.intervals import Interval
 from trackres_ros.diagnosis.selection.naming import STABLE_SHARE, Candidate, Step
 from trackres_ros.diagnosis.writing.sensor_lines import sensor_lines
@@ -63,11 +63,12 @@ def report(d: Diagnosis, paths: Sequence[Path], bindings: Mapping[str, TopicBind
             "hint": d.steps[-1].hint or None,
         },
         "effects": [_effect(f, belongs_to[f.name]) for f in d.found],
-        "described": [_described(t) for t in d.described] + ([_drift(d.wanders)] if d.wanders else []),
+        "described": [_described(t) for t in d.described] + ([_drift(d.wanders, d.tracked)] if d.wanders and d.tracked else []),
         "refuted": [{"name": g.name, "heldout": _improvement(g.improvement)} for g in d.refuted],
         "written": {
             "base": d.kept.values is not None,
             "effects": [a.effect.name for a in d.kept.effects],
+            "disturbance": None if d.kept.disturbance is None else d.kept.disturbance.disturbance.form,
             "why": d.kept.text,
         },
         "heldout": {
@@ -233,15 +234,17 @@ def _described(t: Told) -> dict[str, Any]:
     of = t.described
     return {
         **_term(of),
-        "gain_nm": _number(t.graded.improvement.before - t.graded.improvement.after),
-        "grade": t.graded.grade,
-        "heldout": _improvement(t.graded.improvement),
+        **_worth(t.graded.improvement, t.graded.grade),
         "parameters": {name: _pair(interval) for name, interval in t.intervals.items()},
     }
 
 
-def _drift(of: Described) -> dict[str, Any]:
-    return {**_term(of), "gain_nm": None, "grade": SUSPECTED, "heldout": None, "parameters": {}}
+def _drift(of: Described, tracked: Improvement) -> dict[str, Any]:
+    return {**_term(of), **_worth(tracked, tracked.grade), "parameters": {}}
+
+
+def _worth(found: Improvement, grade: str) -> dict[str, Any]:
+    return {"gain_nm": _number(found.before - found.after), "grade": grade, "heldout": _improvement(found)}
 
 
 def _term(of: Described) -> dict[str, Any]:

@@ -6,13 +6,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from trackres_ros.effects.effect import Active
+from trackres_ros.vehicle import Disturbance
 
 if TYPE_CHECKING:
     from trackres_ros.diagnosis.selection.intervals import Interval
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedDisturbance:
+    """A disturbance that is to be watched for, and the range of each of its values."""
+
+    disturbance: Disturbance
+    ranges: Mapping[str, tuple[float, float]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,12 +38,22 @@ class Kept:
         Of parameters, by (effect or "", parameter).
     text
         What was kept and why, in a sentence.
+    disturbance
+        What is to be watched for live; None where there is none, and then that of the file stays.
     """
 
     values: Mapping[str, float] | None
     effects: tuple[Active, ...]
     intervals: Mapping[tuple[str, str], Interval]
     text: str = ""
+    disturbance: LearnedDisturbance | None = None
+
+    def with_disturbance(self, learned: LearnedDisturbance | None) -> Kept:
+        """The same, with what is to be watched for."""
+        if learned is None:
+            return self
+        text = f"{self.text}; to be watched for where a torque is measured: {learned.disturbance.form}"
+        return replace(self, text=text, disturbance=learned)
 
     def of(self, kind: str) -> list[Active]:
         """The effects that belong to `vehicle`, `surroundings` or `sensor`, with their intervals as ranges."""

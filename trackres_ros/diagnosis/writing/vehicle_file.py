@@ -14,17 +14,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from trackres_ros.diagnosis.writing.kept import Kept
+from trackres_ros.diagnosis.writing.kept import Kept, LearnedDisturbance
 from trackres_ros.diagnosis.writing.yaml_edit import Document, flow
 from trackres_ros.effects.effect import Active
 from trackres_ros.errors import InputError
 from trackres_ros.model.belt import heat_capacity
 from trackres_ros.vehicle import Quantity, Vehicle
 from trackres_ros.vehicle.reading import FITTED
-from trackres_ros.vehicle.schema import BELT, CHASSIS, RUBBER, Limits
+from trackres_ros.vehicle.schema import BELT, CHASSIS, DISTURBANCES, RUBBER, Limits
 from trackres_ros.vehicle.surroundings import SCHEMA
 
 REASON = "re-fitted by trackres diagnose"
+FOUND = "found by trackres diagnose"
 WRITTEN = "Written by trackres diagnose"
 SURROUNDINGS_FILE = "surroundings.yaml"
 FIGURES = 6
@@ -43,6 +44,8 @@ def write_track_vehicle(vehicle: Vehicle, path: Path, kept: Kept, text: str) -> 
         document.set(("model", key), method)
     if kept.values is not None:
         _set_values(document, vehicle, kept)
+    if kept.disturbance is not None:
+        _set_disturbance(document, kept.disturbance)
     return finish(document, vehicle.name, vehicle.effects, vehicle.surroundings, path, kept, text)
 
 
@@ -69,6 +72,22 @@ def _set_values(document: Document, vehicle: Vehicle, kept: Kept) -> None:
         if "surface_share" in values:
             old, share = q[".".join((*belt, "surface_share"))], values["surface_share"]
             set_quantity(document, (*belt, "surface_share"), old, share, kept.range_of("surface_share"), BELT["surface_share"])
+
+
+def _set_disturbance(document: Document, learned: LearnedDisturbance) -> None:
+    """What is to be watched for, in place of what an earlier file has of it."""
+    form, limits = learned.disturbance.form, DISTURBANCES[learned.disturbance.form]
+    entries: dict[str, Any] = {"form": form}
+    for name, limit in limits.items():
+        value, (low, high) = _figures(getattr(learned.disturbance, name)), learned.ranges[name]
+        entries[name] = {
+            "value": value,
+            "unit": limit.unit,
+            "flag": FITTED,
+            "range": [_figures(min(low, value)), _figures(max(high, value))],
+            "reason": FOUND,
+        }
+    document.put_section("disturbance", entries)
 
 
 def _range(pair: Sequence[float]) -> Range:

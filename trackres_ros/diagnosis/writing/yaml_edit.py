@@ -55,6 +55,13 @@ class Document:
                 at = len(self._text) if at < 0 else at
                 self._edits[at, at] = "".join(f"\n{indent}{line}" for line in lines)
 
+    def put_section(self, key: str, entries: Mapping[str, Any]) -> None:
+        """Put a mapping at the top, one entry a line, in place of one that is there."""
+        if self._find((key,)) is None:
+            self.add(key, entries)
+        else:
+            self.set((key,), dict(entries))
+
     def text(self) -> str | None:
         """The text with all changes; None where they cannot be made in it without changing something else."""
         text = self._text

@@ -1,0 +1,106 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""What is to be watched for live: written as it was found, and only what may be."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import yaml
+
+from trackres_ros.diagnosis.described.spells import Blocks, expected_level, find_wander
+from trackres_ros.diagnosis.pipeline import may_be_kept
+from trackres_ros.diagnosis.selection.held_out import CONFIRMED, SUSPECTED
+from trackres_ros.diagnosis.writing.kept import Kept, LearnedDisturbance
+from trackres_ros.diagnosis.writing.vehicle_file import write_track_vehicle
+from trackres_ros.estimator.disturbance import BLOCK_S, MOST_DRIFT, DisturbanceWatch
+from trackres_ros.vehicle import Drift, Spells, load
+
+SPELLS = LearnedDisturbance(
+    Spells(312.3456789, -48.0, 81.25, 160.0, 61.0),
+    {
+        "level": (300.0, 325.0),
+        "rest": (-60.0, -40.0),
+        "mean_there": (50.0, 130.0),
+        "mean_away": (90.0, 280.0),
+        "noise": (50.0, 70.0),
+    },
+)
+DRIFT = LearnedDisturbance(
+    Drift(150.0, 300.0, 40.0), {"size": (100.0, 220.0), "time_constant": (150.0, 600.0), "noise": (35.0, 45.0)}
+)
+NOTHING = Kept(None, (), {}, "written: the file's own values")
+
+
+def written(vehicle, folder, kept):
+    folder.mkdir()
+    path = folder / "vehicle.yaml"
+    write_track_vehicle(vehicle, path, kept, "Written by trackres diagnose from x.")
+    return path
+
+
+@pytest.mark.parametrize("learned", [SPELLS, DRIFT])
+def test_it_is_written_with_unit_range_and_reason_and_read_again(tmp_path, learned):
+    path = written(load("xgd24d"), tmp_path / "first", NOTHING.with_disturbance(learned))
+    found, section = load(path).disturbance, yaml.safe_load(path.read_text())["disturbance"]
+    assert found.form == learned.disturbance.form == section.pop("form")
+    for name, (low, high) in learned.ranges.items():
+        assert getattr(found, name) == pytest.approx(getattr(learned.disturbance, name), rel=1e-5)
+        assert section[name]["range"] == [low, high]
+        assert section[name]["flag"] == "F"
+        assert "trackres diagnose" in section[name]["reason"]
+    assert set(section) == set(learned.ranges)
+    assert learned.disturbance.form in NOTHING.with_disturbance(learned).text
+
+
+def test_what_is_found_later_takes_its_place_and_where_nothing_is_it_stays(tmp_path):
+    first = load(written(load("xgd24d"), tmp_path / "first", NOTHING.with_disturbance(SPELLS)))
+    later = load(written(first, tmp_path / "later", NOTHING.with_disturbance(DRIFT)))
+    assert later.disturbance == DRIFT.disturbance
+    path = written(later, tmp_path / "last", NOTHING)
+    assert load(path).disturbance == DRIFT.disturbance
+    assert path.read_text().startswith("# Written by trackres diagnose from x.")
+    assert "comments could not be kept" not in path.read_text()
+
+
+@pytest.mark.parametrize(
+    ("grade", "names", "keep_suspected", "expected"),
+    [
+        (CONFIRMED, True, False, True),
+        (SUSPECTED, True, False, False),
+        (CONFIRMED, False, False, False),
+        (SUSPECTED, False, True, True),
+    ],
+)
+def test_what_is_only_suspected_is_watched_for_only_where_it_is_asked_for(grade, names, keep_suspected, expected):
+    told, verdict = SimpleNamespace(graded=SimpleNamespace(grade=grade)), SimpleNamespace(names=names)
+    assert may_be_kept(told, verdict, keep_suspected) is expected
+
+
+def wandering(seed, n=720, size=150.0, seconds=300.0, noise=40.0):
+    """Means over blocks of an hour of what wanders [Nm]."""
+    rng, level, keep = np.random.default_rng(seed), np.empty(n), np.exp(-BLOCK_S / seconds)
+    level[0] = rng.normal(0.0, size)
+    for i in range(1, n):
+        level[i] = keep * level[i - 1] + rng.normal(0.0, size * np.sqrt(1.0 - keep**2))
+    return level + rng.normal(0.0, noise, n)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_diagnosis_and_the_watch_follow_a_drift_alike(seed):
+    mean = wandering(seed)
+    n = len(mean)
+    index = np.arange(n)
+    b = Blocks(mean, np.full(n, 5.0), index == 0, np.zeros(n, dtype=np.int64), 5 * index, 5 * (index + 1))
+    wander, _ = find_wander(b)
+    noise = wander.noise / np.sqrt(5.0)
+    most = MOST_DRIFT * wander.size
+    expected = np.clip(expected_level(b, wander)[0], -most, most)
+    watch, live = DisturbanceWatch(Drift(wander.size, wander.seconds, noise)), np.empty(n)
+    for i in range(n):
+        for k in range(50):  # as many a block as blocks follow without a break
+            belief = watch.take(round((BLOCK_S * i + 0.1 * k) * 1e9), mean[i], 5.0)
+            live[i] = belief.torque_nm if k == 0 else live[i]
+    assert np.abs(live[1:] - expected[1:]).max() < 0.1 * noise + 0.02 * np.abs(expected).max()
+    assert np.abs(mean - expected).mean() < 0.7 * np.abs(mean).mean()

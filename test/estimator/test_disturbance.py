@@ -1,0 +1,199 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""What is watched for: laws of its two filters, and what the watch makes of residuals that come, go and stay away."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trackres_ros.estimator.disturbance import (
+    BLOCK_S,
+    LONGEST_MEANS,
+    MOST_DRIFT,
+    DisturbanceWatch,
+    later_level,
+    later_there,
+    seen_level,
+    seen_there,
+)
+from trackres_ros.vehicle import Drift, Spells
+
+START_NS = 1_700_000_000_000_000_000
+SPELLS = Spells(level=300.0, rest=-50.0, mean_there=80.0, mean_away=160.0, noise=60.0)
+SHARE, MEAN_NM = 1.0 / 3.0, -50.0 + 350.0 / 3.0
+DRIFT = Drift(size=150.0, time_constant=300.0, noise=40.0)
+
+probability = st.floats(0.0, 1.0)
+chance = st.floats(1e-6, 0.5)
+torque = st.floats(-1e6, 1e6)
+
+
+def fed(watch, residual, seconds, start_s=0.0, speed=8.0, dt=0.1):
+    """Residuals as of a time [s], every dt; the last belief."""
+    belief = None
+    for i in range(round(seconds / dt)):
+        time_s = start_s + i * dt
+        belief = watch.take(START_NS + round(time_s * 1e9), residual(time_s) if callable(residual) else residual, speed)
+    return belief
+
+
+def at_s(watch, time_s):
+    return watch.belief(START_NS + round(time_s * 1e9))
+
+
+# Laws
+
+
+@given(probability, chance, chance, st.floats(0.0, 1e6))
+def test_ageing_stays_a_probability_and_comes_nearer_to_the_share(there, comes, goes, blocks):
+    share, later = comes / (comes + goes), later_there(there, comes, goes, blocks)
+    assert -1e-12 <= later <= 1.0 + 1e-12
+    assert abs(later - share) <= abs(there - share) + 1e-12
+    assert later_there(share, comes, goes, blocks) == pytest.approx(share)
+
+
+@given(probability, chance, chance, st.floats(0.0, 50.0), st.floats(0.0, 50.0))
+def test_ageing_twice_is_ageing_for_both(there, comes, goes, first, second):
+    twice = later_there(later_there(there, comes, goes, first), comes, goes, second)
+    assert twice == pytest.approx(later_there(there, comes, goes, first + second), abs=1e-9)
+
+
+def test_a_block_later_it_has_come_or_gone_by_chance():
+    assert later_there(1.0, 0.02, 0.3) == pytest.approx(0.7)
+    assert later_there(0.0, 0.02, 0.3) == pytest.approx(0.02)
+
+
+@given(probability, torque, torque, torque, st.floats(1e-6, 1e12))
+def test_what_is_seen_moves_the_probability_to_the_nearer_level(there, mean, rest, level, variance):
+    seen = seen_there(there, mean, (rest, level), variance)
+    assert 0.0 <= seen <= 1.0
+    if abs(mean - level) <= abs(mean - rest):
+        assert seen >= there * (1.0 - 1e-12)
+    else:
+        assert seen <= there * (1.0 + 1e-12) + 1e-300
+
+
+@given(torque, st.floats(0.0, 1e6), torque)
+def test_a_level_seen_without_noise_is_what_was_seen_and_with_all_noise_what_was_known(level, variance, mean):
+    assert seen_level(level, variance + 1.0, mean, 0.0) == pytest.approx((mean, 0.0), abs=1e-6)
+    assert seen_level(level, variance, mean, 1e30) == pytest.approx((level, variance), abs=1e-6)
+
+
+@given(torque, st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.floats(0.1, 1e4))
+def test_a_level_ages_towards_none_and_its_variance_towards_its_size(level, share, keep, size):
+    later, variance = later_level(level, share * size**2, keep, size)
+    assert abs(later) <= abs(level)
+    assert share * size**2 * (1.0 - 1e-9) <= variance <= size**2 * (1.0 + 1e-9)
+
+
+# The watch
+
+
+def test_without_a_residual_it_is_there_as_often_as_it_is():
+    watch = DisturbanceWatch(SPELLS)
+    for belief in (watch.belief(START_NS), fed(watch, math.nan, 60.0)):
+        assert belief.there == pytest.approx(SHARE)
+        assert belief.torque_nm == pytest.approx(MEAN_NM)
+        assert not belief.present
+        assert belief.since_ns is None
+    assert fed(DisturbanceWatch(DRIFT), math.nan, 60.0).torque_nm == 0.0
+
+
+def test_a_lasting_level_is_known_within_a_few_blocks_with_its_time():
+    watch = DisturbanceWatch(SPELLS)
+    away = fed(watch, -50.0, 60.0)
+    assert away.there < 0.1
+    assert not away.present
+    there = fed(watch, 300.0, 3.0 * BLOCK_S, start_s=60.0)
+    assert there.there > 0.9
+    assert there.present
+    assert there.since_ns == pytest.approx(START_NS + 60 * 10**9, abs=1.1 * BLOCK_S * 1e9)
+    over = fed(watch, -50.0, 3.0 * BLOCK_S, start_s=75.0)
+    assert not over.present
+    assert over.since_ns == pytest.approx(START_NS + 75 * 10**9, abs=1.1 * BLOCK_S * 1e9)
+
+
+def test_a_spell_that_does_not_end_is_overdue():
+    watch, longest_s = DisturbanceWatch(SPELLS), LONGEST_MEANS * SPELLS.mean_there
+    assert not fed(watch, 300.0, longest_s - 1.0, dt=0.5).overdue
+    assert fed(watch, 300.0, 20.0, start_s=longest_s, dt=0.5).overdue
+    assert not fed(watch, -50.0, 20.0, start_s=longest_s + 20.0).overdue
+
+
+def test_in_reverse_it_resists_the_other_way():
+    forward, reverse = (DisturbanceWatch(SPELLS) for _ in range(2))
+    ahead = fed(forward, 300.0, 30.0)
+    assert fed(reverse, -300.0, 30.0, speed=-8.0) == ahead
+
+
+@pytest.mark.parametrize("disturbance", [SPELLS, DRIFT])
+def test_standstill_and_a_missing_torque_only_age_it(disturbance):
+    stood, left = (DisturbanceWatch(disturbance) for _ in range(2))
+    known = fed(stood, 250.0, 60.0)
+    fed(left, 250.0, 60.0)
+    fed(left, math.nan, 0.1, start_s=60.0)
+    times = np.arange(60.0, 1200.0, 30.0)
+    after = [fed(stood, math.nan, 30.0, start_s=t, speed=0.0, dt=0.5).torque_nm for t in times]
+    prior = MEAN_NM if disturbance is SPELLS else 0.0
+    assert known.torque_nm > after[0] > prior
+    assert (np.diff(after) <= 1e-9).all()
+    assert after[-1] == pytest.approx(prior, abs=0.1 * known.torque_nm)
+    assert at_s(left, 1199.5).torque_nm == pytest.approx(after[-1], abs=1e-6)
+
+
+@pytest.mark.parametrize("disturbance", [SPELLS, DRIFT])
+def test_the_rate_of_the_residuals_hardly_matters(disturbance):
+    def course(t):
+        return 250.0 if 100.0 < t < 200.0 else 0.0
+
+    found = [fed(DisturbanceWatch(disturbance), course, 160.0, dt=dt).torque_nm for dt in (0.01, 0.1, 1.0)]
+    assert found == pytest.approx([found[0]] * 3, rel=0.02)
+
+
+def test_a_drift_is_followed_and_never_taken_for_more_than_one():
+    rng, watch = np.random.default_rng(1), DisturbanceWatch(DRIFT)
+    belief = fed(watch, lambda t: 120.0 + rng.normal(0.0, 200.0), 600.0)
+    assert belief.torque_nm == pytest.approx(120.0, abs=3.0 * belief.std_nm)
+    assert belief.std_nm < 40.0
+    assert math.isnan(belief.there)
+    large = fed(watch, 1e4, 3600.0, start_s=600.0, dt=0.5)
+    assert large.torque_nm == MOST_DRIFT * DRIFT.size
+
+
+def test_a_spike_says_little_of_a_drift():
+    calm, spiked = (DisturbanceWatch(DRIFT) for _ in range(2))
+    fed(calm, 50.0, 300.0)
+    fed(spiked, lambda t: 1e9 if abs(t - 150.0) < 1.0 else 50.0, 300.0)
+    assert at_s(spiked, 300.0).torque_nm == pytest.approx(at_s(calm, 300.0).torque_nm, abs=DRIFT.noise)
+
+
+@pytest.mark.parametrize("disturbance", [SPELLS, DRIFT])
+def test_a_clock_that_was_set_back_begins_anew(disturbance):
+    watch, fresh = DisturbanceWatch(disturbance), DisturbanceWatch(disturbance)
+    fed(watch, 300.0, 60.0, start_s=3600.0)
+    assert fed(watch, 0.0, 20.0) == fed(fresh, 0.0, 20.0)
+
+
+def test_a_late_residual_is_left_out():
+    watch = DisturbanceWatch(SPELLS)
+    fed(watch, 300.0, 30.0)
+    before = at_s(watch, 30.0)
+    fed(watch, -50.0, 2.0, start_s=25.0)
+    assert at_s(watch, 30.0) == before
+
+
+STEPS_NS = st.one_of(st.just(10**9), st.integers(-(10**11), 10**12))
+
+
+@given(st.lists(st.tuples(STEPS_NS, st.floats(allow_nan=True, allow_infinity=True)), max_size=60))
+def test_whatever_comes_the_belief_is_one(steps):
+    watch, stamp = DisturbanceWatch(SPELLS), START_NS
+    for step, residual in steps:
+        stamp += step
+        belief = watch.take(stamp, residual, 8.0)
+        assert 0.0 <= belief.there <= 1.0
+        assert SPELLS.rest <= belief.torque_nm <= SPELLS.level

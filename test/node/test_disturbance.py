@@ -1,0 +1,157 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""A torque that comes and goes, watched for live: said where it is to be seen, and in nothing that is fed forward."""
+
+import re
+import shutil
+
+import pytest
+
+from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.disturbance import LONGEST_MEANS
+from trackres_ros.files.resources import config_dir
+from trackres_ros.node.comparison import Comparison
+from trackres_ros.node.edge import Level
+from trackres_ros.node.mismatch import MismatchSettings
+from trackres_ros.vehicle import Drift, Spells
+
+LEVEL_NM = 1000.0
+SECTION = """
+disturbance:
+  form: spells
+  level: {value: 1000.0, unit: Nm, flag: F, range: [900.0, 1100.0], reason: found by trackres diagnose}
+  rest: {value: 0.0, unit: Nm, flag: F, range: [-10.0, 10.0], reason: found by trackres diagnose}
+  mean_there: {value: 60.0, unit: s, flag: F, range: [30.0, 90.0], reason: found by trackres diagnose}
+  mean_away: {value: 120.0, unit: s, flag: F, range: [60.0, 180.0], reason: found by trackres diagnose}
+  noise: {value: 100.0, unit: Nm, flag: F, range: [80.0, 120.0], reason: found by trackres diagnose}
+"""
+TOPICS = """
+speed: {topic: speed, type: geometry_msgs/msg/TwistStamped, field: twist.linear.x}
+torque: {topic: torque, type: geometry_msgs/msg/WrenchStamped, field: wrench.torque.y}
+"""
+SPELLS = Spells(LEVEL_NM, 0.0, 60.0, 120.0, 100.0)
+START_NS = 1_700_000_000_000_000_000
+
+
+@pytest.fixture
+def given(tmp_path):
+    """Parameters of a vehicle with and without something to watch for, and of topics with a torque."""
+    folder = shutil.copytree(config_dir(), tmp_path / "config")
+    disturbed, topics = folder / "disturbed.yaml", folder / "topics.yaml"
+    disturbed.write_text((folder / "xgd24d.yaml").read_text() + SECTION)
+    topics.write_text(TOPICS)
+    return {"vehicle": str(disturbed), "topics": str(topics)}, {"vehicle": str(folder / "xgd24d.yaml"), "topics": str(topics)}
+
+
+def expected_nm(d):
+    """What driving takes by the model [Nm]."""
+    return d.app.overview().values["drive_torque_nm"]
+
+
+def drive(d, seconds, more_nm, speed=8.0):
+    """Drive with a measured torque that is so much above the expected one."""
+    for _ in range(round(seconds / 0.2)):
+        d.drive(0.2, speed=speed, dt=0.2, torque=expected_nm(d) + more_nm)
+
+
+def of(d, entry):
+    """Level and keys of an entry of the diagnostics as they are now; None where there is none."""
+    d.forward(1.0)
+    statuses = next(statuses for name, statuses in reversed(d.statuses) if name == "/diagnostics")
+    return next(((s.level, s.message, dict(s.values)) for s in statuses if s.name.endswith(f": {entry}")), None)
+
+
+def test_a_spell_is_said_while_it_lasts_and_logged_when_it_begins_and_ends(desk, given):
+    d = desk(**given[0])
+    d.drive(20.0, dt=0.2)
+    drive(d, 40.0, 0.0)
+    level, _, away = of(d, "disturbance")
+    assert level is Level.OK
+    assert away["form"] == "spells"
+    assert away["present"] == "false"
+    assert float(away["there"]) < 0.1
+    assert "DISTURBANCE" not in d.names()
+    began_s = d.time_s
+    drive(d, 40.0, LEVEL_NM)
+    level, message, there = of(d, "disturbance")
+    assert level is Level.OK
+    assert there["present"] == "true"
+    assert float(there["there"]) > 0.9
+    assert float(there["torque_nm"]) == pytest.approx(LEVEL_NM, rel=0.1)
+    assert float(there["since"]) == pytest.approx(START_NS * 1e-9 + began_s, abs=6.0)
+    assert "there" in message
+    assert "DISTURBANCE" in d.names()
+    assert next(r for r in d.app.remarks() if r.name == "DISTURBANCE").level is Level.OK
+    drive(d, 40.0, 0.0)
+    assert "DISTURBANCE" not in d.names()
+    logged = [(level, text) for level, text in d.logged if "spell" in text]
+    assert [level for level, _ in logged] == [Level.OK, Level.OK]
+    assert [re.match(r"a spell (begins|is over)", text)[1] for _, text in logged] == ["begins", "is over"]
+
+
+def test_what_is_published_as_torque_is_the_same_to_the_last_bit(desk, given):
+    found = []
+    for parameters in given:
+        d = desk(**parameters)
+        d.drive(5.0, dt=0.2)
+        for i in range(60):
+            d.drive(1.0, dt=0.2, torque=3000.0 + LEVEL_NM * (i // 20 % 2))
+        found.append(d)
+    disturbed, bare = found
+    assert of(disturbed, "disturbance") is not None
+    assert of(bare, "disturbance") is None
+    assert any(name == "feedforward_torque" and values != [0.0] for name, _, values in disturbed.published)
+    assert disturbed.published == bare.published
+
+
+def test_without_a_measured_torque_nothing_is_watched_for(desk, given):
+    d = desk(vehicle=given[0]["vehicle"])
+    d.drive(3.0)
+    assert of(d, "disturbance") is None
+    assert of(d, "estimate") is not None
+
+
+def test_a_reset_forgets_it(desk, given):
+    d = desk(**given[0])
+    d.drive(2.0, dt=0.2)
+    drive(d, 40.0, LEVEL_NM)
+    assert "DISTURBANCE" in d.names()
+    d.app.reset()
+    assert "DISTURBANCE" not in d.names()
+
+
+def taken(comparison, residual_nm, seconds, start_s=0.0, drive_nm=3000.0):
+    """Feed rows with a residual, a constant or of the time [s]."""
+    row = [0.0] * len(at.VEHICLE_COLUMNS)
+    row[at.OUT_DRIVE], row[at.OUT_STD], row[at.OUT_SPEED] = drive_nm, 100.0, 8.0
+    for i in range(round(seconds)):
+        time_s = start_s + i
+        row[at.OUT_RESIDUAL] = residual_nm(time_s) if callable(residual_nm) else residual_nm
+        comparison.take(START_NS + round(time_s * 1e9), row)
+
+
+def test_what_a_spell_explains_is_no_mismatch_and_what_it_does_not_is_one():
+    hold_s, spell_s = 60.0, 400.0
+    settings = MismatchSettings(mismatch_hold_s=hold_s)
+    explained, unexplained, more = Comparison(settings, SPELLS), Comparison(settings, None), Comparison(settings, SPELLS)
+    for comparison in (explained, unexplained, more):
+        taken(comparison, lambda t: 40.0 * (-1.0) ** int(t), 600.0)
+        assert not comparison.verdict.parted
+    for comparison, size in ((explained, LEVEL_NM), (unexplained, LEVEL_NM), (more, 2.0 * LEVEL_NM)):
+        taken(comparison, lambda t, size=size: size + 40.0 * (-1.0) ** int(t), spell_s, start_s=600.0)
+    assert not explained.verdict.parted
+    assert unexplained.verdict.parted
+    assert more.verdict.parted
+    assert more.verdict.mean_nm == pytest.approx(LEVEL_NM, rel=0.15)
+    taken(explained, lambda t: LEVEL_NM + 40.0 * (-1.0) ** int(t), LONGEST_MEANS * SPELLS.mean_there, start_s=1000.0)
+    assert explained.verdict.parted  # what stays for so long is no spell
+
+
+def test_an_offset_far_beyond_a_drift_is_a_mismatch():
+    settings, drift = MismatchSettings(mismatch_hold_s=120.0), Drift(150.0, 300.0, 60.0)
+    within, beyond = Comparison(settings, drift), Comparison(settings, drift)
+    for comparison, size in ((within, 250.0), (beyond, 1500.0)):
+        taken(comparison, lambda t, size=size: size * (t > 600.0) + 40.0 * (-1.0) ** int(t), 1800.0, drive_nm=1000.0)
+    assert not within.verdict.parted
+    assert beyond.verdict.parted

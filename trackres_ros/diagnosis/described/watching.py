@@ -1,0 +1,112 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Spells and a drift become what is watched for live, beside the torque that the written vehicle file expects."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.described.describe import Term, beginnings, fill, residuals_without, torque_blocks
+from trackres_ros.diagnosis.described.spells import Blocks, blocks, expected_level, find_wander, levels_given, there_given
+from trackres_ros.diagnosis.inference.fitting import Fit
+from trackres_ros.diagnosis.selection.held_out import HeldOutLaps, Improvement
+from trackres_ros.diagnosis.writing.kept import LearnedDisturbance
+from trackres_ros.estimator.disturbance import BLOCK_S
+from trackres_ros.vehicle import Drift, Spells
+from trackres_ros.vehicle.schema import DISTURBANCES
+
+Array = NDArray[np.float64]
+Range = tuple[float, float]
+
+
+def spells_to_watch(term: Term, final: Fit, expected: Sequence[Array]) -> LearnedDisturbance:
+    """Spells of the final fit, their two levels over the torque that the written file expects [Nm], of each session.
+
+    That file may have taken up the mean of the spells: then the rest is below what it expects.
+    """
+    assert term.chain is not None
+    chain = term.chain
+    with_spells = torque_blocks(final, residuals_without(final, term.candidate.name))
+    there, _ = there_given(with_spells, chain)
+    b = _over(final, expected)
+    level, rest, noise = levels_given(b, there)
+    found = Spells(level, rest, BLOCK_S / chain.goes, BLOCK_S / chain.comes, _of_blocks(noise, final))
+    count = int(beginnings(b, there).sum())
+    return _learned(
+        found,
+        {
+            "level": _about(level, found.noise / math.sqrt(there.sum())),
+            "rest": _about(rest, found.noise / math.sqrt((1.0 - there).sum())),
+            "mean_there": _times(found.mean_there, count),
+            "mean_away": _times(found.mean_away, count),
+            "noise": _times(found.noise, 2 * len(b.mean)),
+        },
+    )
+
+
+def drift_to_watch(final: Fit, expected: Sequence[Array]) -> LearnedDisturbance:
+    """What wanders over the torque that the written file expects [Nm], of each session."""
+    b = _over(final, expected)
+    wander, _ = find_wander(b)
+    found = Drift(wander.size, wander.seconds, _of_blocks(wander.noise, final))
+    apart = max(1.0, BLOCK_S * len(b.mean) / (2.0 * wander.seconds))  # stretches that say something each
+    return _learned(
+        found,
+        {
+            "size": _times(found.size, 2.0 * apart),
+            "time_constant": _times(found.time_constant, apart),
+            "noise": _times(found.noise, 2 * len(b.mean)),
+        },
+    )
+
+
+def drift_on_held_out(final: Fit, laps: HeldOutLaps) -> Improvement:
+    """What held-out laps say of a drift that is watched for: the error with what the blocks before let one expect of it, over
+    the error without.
+    """
+    sessions, without = final.problem.sessions, [p.torque for p in final.predicted]
+    wander, _ = find_wander(_over(final, without))
+    against = [(s.torque - e) * np.sign(s.speed) for s, e in zip(sessions, without, strict=True)]
+    b = blocks(against, [s.used for s in sessions], sessions[0].step)
+    shape = [np.zeros(len(s)) for s in sessions]
+    fill(shape, b, expected_level(b, wander)[0])
+    return laps.improvement(without, [e + x * np.sign(s.speed) for e, x, s in zip(without, shape, sessions, strict=True)])
+
+
+def _over(final: Fit, expected: Sequence[Array]) -> Blocks:
+    return torque_blocks(final, [s.torque - e for s, e in zip(final.problem.sessions, expected, strict=True)])
+
+
+def _of_blocks(noise: float, final: Fit) -> float:
+    """The noise of a block's mean, of that of one sample [Nm]."""
+    return noise / math.sqrt(BLOCK_S / final.problem.sessions[0].step)
+
+
+def _about(value: float, std: float) -> Range:
+    return value - 2.0 * std, value + 2.0 * std
+
+
+def _times(value: float, count: float) -> Range:
+    """A range of +-2 standard deviations of the logarithm, each 1 / sqrt(count): of the mean of so many exponential times, and
+    with twice their number of a standard deviation.
+    """
+    factor = math.exp(2.0 / math.sqrt(count))
+    return value / factor, value * factor
+
+
+def _learned(found: Spells | Drift, ranges: Mapping[str, Range]) -> LearnedDisturbance:
+    """With values and ranges within what a vehicle file may say."""
+    limits = DISTURBANCES[found.form]
+
+    def within(name: str, value: float) -> float:
+        return min(max(value, limits[name].low), limits[name].high)
+
+    values = {item.name: within(item.name, getattr(found, item.name)) for item in fields(found)}
+    clipped = {name: (within(name, low), within(name, high)) for name, (low, high) in ranges.items()}
+    return LearnedDisturbance(type(found)(**values), clipped)

@@ -1,0 +1,252 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""A torque that nothing foretells is watched for in what is measured: how likely it is there now, or how large it is.
+
+The steps of both filters are here once: a diagnosis takes them over blocks of a residual, the live node block by block as they
+come. Spells are a Markov chain of two levels (forward algorithm; Rabiner 1989, Proc. IEEE 77, 257), a drift is a process of
+Ornstein and Uhlenbeck (scalar Kalman filter). Nothing here enters the estimate or the feed-forward.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from trackres_ros.units import NANOSECOND
+from trackres_ros.vehicle import Disturbance, Drift, Spells
+
+BLOCK_S = 5.0
+STEADY_MPS, STEADY_MPS2 = 1.0, 0.3  # slower, or with a larger acceleration, measured and expected torque are not compared
+LEAST_COMPARED_S = 1.0  # of a block: less says next to nothing
+LONGEST_STEP_S = 2.0  # between two residuals: over more it is not known to have rolled
+LATE_S = 30.0  # a stamp from further back: the clock was set back
+BEGINS, ENDS = 0.9, 0.1  # probability from which on a spell is said to be there, or over
+LONGEST_MEANS = 7.0  # mean lengths: of spells that end by chance one in a thousand is longer
+MOST_DRIFT = 2.0  # standard deviations of a drift: more is none
+LARGEST_NM = 1e100  # a larger number is left out like one that is not finite: its square would not be
+OUTLIER = 5.0  # standard deviations: beyond, a block counts as this far from a drift
+BLOCK_NS, LATE_NS = int(BLOCK_S / NANOSECOND), int(LATE_S / NANOSECOND)
+MOST_LOG = 500.0  # of a ratio of likelihoods: its exponential is finite
+
+
+def later_there(there: float, comes: float, goes: float, blocks: float = 1.0) -> float:
+    """The probability that it is there some blocks later, with nothing seen.
+
+    Parameters
+    ----------
+    there
+        The probability now.
+    comes, goes
+        Probabilities that it comes, or goes, from one block to the next; together at most 1 where `blocks` is no whole number.
+    blocks
+        How many later.
+    """
+    share = comes / (comes + goes)
+    return share + (there - share) * math.pow(1.0 - comes - goes, blocks)
+
+
+def seen_there(there: float, mean: float, levels: tuple[float, float], variance: float) -> float:
+    """The probability that it is there once the mean of a block is seen.
+
+    Parameters
+    ----------
+    there
+        The probability before.
+    mean, variance
+        Mean of the block [Nm], and the variance of its noise [Nm^2].
+    levels
+        Torque while it is away and while it is there [Nm].
+    """
+    away, present = levels
+    log_ratio = 0.5 * ((mean - away) ** 2 - (mean - present) ** 2) / variance
+    times = math.exp(min(max(log_ratio, -MOST_LOG), MOST_LOG))
+    return there * times / (there * times + 1.0 - there)
+
+
+def later_level(level: float, variance: float, keep: float, size: float) -> tuple[float, float]:
+    """Mean [Nm] and variance [Nm^2] of a level that wanders, some time later.
+
+    Parameters
+    ----------
+    level, variance
+        The same now.
+    keep
+        Share of the level that is left by then.
+    size
+        Standard deviation of the level where nothing is known of it [Nm].
+    """
+    return keep * level, keep**2 * variance + size**2 * (1.0 - keep**2)
+
+
+def seen_level(level: float, variance: float, mean: float, noise_variance: float) -> tuple[float, float]:
+    """Mean [Nm] and variance [Nm^2] of a level once the mean of a block is seen, which has noise of some variance [Nm^2]."""
+    gain = variance / (variance + noise_variance)
+    return level + gain * (mean - level), variance * (1.0 - gain)
+
+
+@dataclass(frozen=True, slots=True)
+class Belief:
+    """What is known of a disturbance at a moment.
+
+    Attributes
+    ----------
+    form
+        `spells` or `drift`.
+    there
+        Probability that a spell is there; nan of a drift.
+    torque_nm, std_nm
+        Expected torque against travel and its standard deviation [Nm].
+    since_ns
+        Stamp at which the present spell began, or the last one ended, as far as can be told; None before either, and of a drift.
+    present
+        Whether a spell is said to be there.
+    overdue
+        Whether that has been for longer than spells last: then it is something else that stays.
+    """
+
+    form: str
+    there: float
+    torque_nm: float
+    std_nm: float
+    since_ns: int | None
+    present: bool
+    overdue: bool
+
+    @property
+    def text(self) -> str:
+        """The same in a sentence."""
+        if self.form == Drift.form:
+            return f"a torque that wanders is expected to be {self.torque_nm:.0f} Nm against travel, +-{2.0 * self.std_nm:.0f} Nm"
+        state = "there for longer than it lasts" if self.overdue else "there" if self.present else "not there"
+        return f"a torque that comes and goes is {state} (probability {self.there:.2f}): {self.torque_nm:.0f} Nm against travel"
+
+
+class _SpellsFilter:
+    def __init__(self, spells: Spells) -> None:
+        self._spells = spells
+        self._comes, self._goes = BLOCK_S / spells.mean_away, BLOCK_S / spells.mean_there
+        self.restart()
+
+    def restart(self) -> None:
+        self.there = self._comes / (self._comes + self._goes)
+
+    def age(self, seconds: float) -> None:
+        self.there = later_there(self.there, self._comes, self._goes, seconds / BLOCK_S)
+
+    def see(self, mean: float, variance: float) -> None:
+        self.there = seen_there(self.there, mean, (self._spells.rest, self._spells.level), variance)
+
+    def after(self, seconds: float) -> tuple[float, float, float]:
+        there = later_there(self.there, self._comes, self._goes, seconds / BLOCK_S)
+        apart = self._spells.level - self._spells.rest
+        return there, self._spells.rest + there * apart, abs(apart) * math.sqrt(there * (1.0 - there))
+
+
+class _DriftFilter:
+    def __init__(self, drift: Drift) -> None:
+        self._drift = drift
+        self.restart()
+
+    def restart(self) -> None:
+        self.level, self.variance = 0.0, self._drift.size**2
+
+    def age(self, seconds: float) -> None:
+        self.level, self.variance = self._later(seconds)
+
+    def see(self, mean: float, variance: float) -> None:
+        most = OUTLIER * math.sqrt(self.variance + variance)
+        within = min(max(mean, self.level - most), self.level + most)
+        self.level, self.variance = seen_level(self.level, self.variance, within, variance)
+
+    def after(self, seconds: float) -> tuple[float, float, float]:
+        level, variance = self._later(seconds)
+        most = MOST_DRIFT * self._drift.size
+        return math.nan, min(max(level, -most), most), math.sqrt(variance)
+
+    def _later(self, seconds: float) -> tuple[float, float]:
+        keep = math.exp(-seconds / self._drift.time_constant)
+        return later_level(self.level, self.variance, keep, self._drift.size)
+
+
+class DisturbanceWatch:
+    """Takes residuals one by one; `belief` is what it makes of them.
+
+    Means are taken over blocks of `BLOCK_S`, of the time for which residuals count. Over standstills, pauses and while no torque
+    is measured the belief ages towards what is known without any.
+    """
+
+    def __init__(self, disturbance: Disturbance) -> None:
+        self.form = disturbance.form
+        self._noise = disturbance.noise
+        self._longest_s = LONGEST_MEANS * disturbance.mean_there if isinstance(disturbance, Spells) else math.inf
+        self._filter = _SpellsFilter(disturbance) if isinstance(disturbance, Spells) else _DriftFilter(disturbance)
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget everything: the estimate was started anew."""
+        self._filter.restart()
+        self._block_ns: int | None = None
+        self._known_ns = 0  # the filter is of this time
+        self._last_ns: int | None = None
+        self._sum, self._seconds = 0.0, 0.0
+        self._present = False
+        self._since_ns: int | None = None
+
+    def take(self, stamp_ns: int, residual_nm: float, speed_mps: float) -> Belief:
+        """Take a residual.
+
+        Parameters
+        ----------
+        stamp_ns
+            Its time [ns].
+        residual_nm
+            Measured less expected torque [Nm]; nan where it does not count.
+        speed_mps
+            Speed [m/s]; its sign is the direction of travel.
+
+        Returns
+        -------
+        Belief
+            At that time.
+        """
+        began_ns = stamp_ns
+        if self._block_ns is not None and stamp_ns - self._block_ns < -LATE_NS:
+            self.restart()
+        if self._block_ns is None:
+            self._block_ns = self._known_ns = stamp_ns
+        elif stamp_ns - self._block_ns >= BLOCK_NS:
+            began_ns = self._block_ns
+            self._close_block(began_ns + BLOCK_NS)
+            self._block_ns = stamp_ns
+        if not abs(residual_nm) < LARGEST_NM:
+            self._last_ns = None
+        elif self._last_ns is None or stamp_ns > self._last_ns:
+            seconds = 0.0 if self._last_ns is None else (stamp_ns - self._last_ns) * NANOSECOND
+            if seconds <= LONGEST_STEP_S:
+                self._sum += residual_nm * math.copysign(1.0, speed_mps) * seconds
+                self._seconds += seconds
+            self._last_ns = stamp_ns
+        self._turn(self.belief(stamp_ns).there, began_ns)
+        return self.belief(stamp_ns)
+
+    def belief(self, stamp_ns: int) -> Belief:
+        """What is known at a time [ns], by the blocks before it."""
+        seconds = 0.0 if self._block_ns is None else max(0, stamp_ns - self._known_ns) * NANOSECOND
+        there, torque, std = self._filter.after(seconds)
+        overdue = self._present and self._since_ns is not None and (stamp_ns - self._since_ns) * NANOSECOND > self._longest_s
+        return Belief(self.form, there, torque, std, self._since_ns, self._present, overdue)
+
+    def _close_block(self, end_ns: int) -> None:
+        self._filter.age((end_ns - self._known_ns) * NANOSECOND)
+        self._known_ns = end_ns
+        if self._seconds >= LEAST_COMPARED_S:
+            self._filter.see(self._sum / self._seconds, self._noise**2 * BLOCK_S / self._seconds)
+        self._sum, self._seconds = 0.0, 0.0
+
+    def _turn(self, there: float, began_ns: int) -> None:
+        """Say that a spell has begun or ended, once that is sure; of a drift neither ever is."""
+        if there > BEGINS and not self._present:
+            self._present, self._since_ns = True, began_ns
+        elif there < ENDS and self._present:
+            self._present, self._since_ns = False, began_ns

@@ -1,0 +1,82 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The measured torque is compared with the expected one, row by row: have they parted, and is a disturbance there?
+
+It looks at the estimate and changes nothing of it: nothing of a disturbance is in an expected torque or in the feed-forward.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.disturbance import Belief, DisturbanceWatch
+from trackres_ros.node.mismatch import Mismatch, MismatchDetector, MismatchSettings
+from trackres_ros.node.remarks import Remark
+from trackres_ros.vehicle import Disturbance
+
+TIME_RESET = int(at.Reason.TIME_RESET)
+
+
+class Comparison:
+    """Takes rows of results; `verdict` and `belief` are what it makes of them.
+
+    Parameters
+    ----------
+    settings
+        Of the detector; what it does not compare is not watched either.
+    disturbance
+        Of the vehicle file; None where it has none, or no torque is measured.
+    """
+
+    def __init__(self, settings: MismatchSettings, disturbance: Disturbance | None) -> None:
+        self._detector = MismatchDetector(settings)
+        self._watch = None if disturbance is None else DisturbanceWatch(disturbance)
+        self.belief = None if self._watch is None else self._watch.belief(0)
+
+    @property
+    def verdict(self) -> Mismatch:
+        """Whether measured and expected torque, with what a disturbance explains, have parted."""
+        return self._detector.verdict
+
+    def restart(self) -> None:
+        """Forget everything: the estimate was started anew."""
+        self._detector.restart()
+        if self._watch is not None:
+            self._watch.restart()
+            self.belief = self._watch.belief(0)
+
+    def change(self, settings: MismatchSettings) -> None:
+        """Go on with other settings; the detector begins anew with them."""
+        if settings != self._detector.settings:
+            self._detector = MismatchDetector(settings)
+
+    def take(self, stamp_ns: int, row: Sequence[float]) -> str:
+        """Take the results of a step at a time [ns]; what is to be logged of it, empty where nothing is."""
+        if int(row[at.OUT_REASONS]) & TIME_RESET:
+            self.restart()
+        residual, speed, accel = row[at.OUT_RESIDUAL], row[at.OUT_SPEED], row[at.OUT_ACCEL]
+        before, explained = self.belief, 0.0
+        if self._watch is not None:
+            counts = self._detector.settings.compares(speed, accel)
+            self.belief = self._watch.take(stamp_ns, residual if counts else math.nan, speed)
+            explained = 0.0 if self.belief.overdue else self.belief.torque_nm * math.copysign(1.0, speed)
+        self._detector.take(stamp_ns, residual - explained, row[at.OUT_DRIVE], row[at.OUT_STD], speed, accel)
+        return _turned(before, self.belief)
+
+    def remarks(self, command: str) -> list[Remark]:
+        """What is to be remarked; `command` looks into a mismatch."""
+        verdict, belief = self.verdict, self.belief
+        return [
+            *([Remark("MISMATCH", f"{verdict.text}; look into it with: {command}")] if verdict.parted else []),
+            *([Remark("DISTURBANCE", belief.text)] if belief is not None and belief.present else []),
+        ]
+
+
+def _turned(before: Belief | None, now: Belief | None) -> str:
+    """That a spell begins or is over, in words; empty where neither is."""
+    if before is None or now is None or before.present is now.present:
+        return ""
+    return f"{'a spell begins' if now.present else 'a spell is over'}: {now.text}"

@@ -1,0 +1,52 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""A replay adds to its table how likely the disturbance of the vehicle file is there, and how large it is."""
+
+from __future__ import annotations
+
+import math
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.disturbance import STEADY_MPS, STEADY_MPS2, DisturbanceWatch
+from trackres_ros.estimator.estimate import Steps
+from trackres_ros.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+
+THERE, TORQUE = "disturbance_probability", "disturbance_torque_nm"
+MEANING = MappingProxyType(
+    {
+        THERE: "probability that a spell of the vehicle file's `disturbance` is there; nan of a drift",
+        TORQUE: "expected torque of it against travel [Nm], by the blocks of 5 s before; in no other column",
+    }
+)
+TIME_RESET = int(at.Reason.TIME_RESET)
+LOOKED_AT = [at.OUT_RESIDUAL, at.OUT_SPEED, at.OUT_ACCEL, at.OUT_REASONS]
+
+
+class DisturbanceColumns:
+    """Takes the results of a replay block by block, in their order; has no columns where there is nothing to watch for."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self._watch = None if vehicle.disturbance is None else DisturbanceWatch(vehicle.disturbance)
+        self.names: tuple[str, ...] = () if self._watch is None else tuple(MEANING)
+
+    def of(self, steps: Steps) -> list[Array]:
+        """The columns of a block, each of shape (steps,)."""
+        watch = self._watch
+        if watch is None:
+            return []
+        found = np.empty((len(self.names), len(steps)))
+        for i, (stamp, row) in enumerate(zip(steps.stamp_ns.tolist(), steps.rows[:, LOOKED_AT].tolist(), strict=True)):
+            residual, speed, accel, reasons = row
+            if int(reasons) & TIME_RESET:
+                watch.restart()
+            counts = abs(speed) >= STEADY_MPS and abs(accel) <= STEADY_MPS2
+            belief = watch.take(stamp, residual if counts else math.nan, speed)
+            found[:, i] = belief.there, belief.torque_nm
+        return list(found)
