@@ -9,10 +9,13 @@ import numpy as np
 import pytest
 
 from trackres_ros.diagnosis import diagnose, read_recordings
+from trackres_ros.diagnosis.report.content import report
+from trackres_ros.diagnosis.report.pictures import draw_all
 from trackres_ros.vehicle import load
 
 TURN_NM = 600.0
 PUMP_NM, ON_S, OFF_S = 400.0, 70.0, 110.0
+FOR_GOOD_NM, SINCE_S = 400.0, 370.0
 
 
 def with_added(recordings, adds):
@@ -70,6 +73,28 @@ def test_spells_are_described_and_never_written(recorded, loaded, tmp_path):
     assert told.described.name not in {a.effect.name for a in found.kept.effects}
     found.base.write(tmp_path / "vehicle.yaml", found.kept, "Written by trackres diagnose from x.")
     assert told.described.name not in (tmp_path / "vehicle.yaml").read_text()
+
+
+@pytest.mark.long
+def test_a_level_that_changed_for_good_is_described_with_its_time_and_never_written(recorded, loaded, check_form, tmp_path):
+    def adds(r, times):
+        since = SINCE_S if "drive_1" in r.name else 0.0
+        return FOR_GOOD_NM * (times > since) * (at(r, "speed", times) > 0.1)
+
+    found = diagnose(with_added(read_recordings(recorded(), None), adds), loaded, quick=True)
+    assert found.verdict.status == "described"
+    assert found.verdict.grade == "confirmed"
+    (told,) = found.described
+    assert told.described.form == "level_change"
+    assert not told.described.predictable
+    assert told.described.size_nm == pytest.approx(FOR_GOOD_NM, rel=0.15)
+    assert "Since 08:59 UTC on 2025-10-09 (6." in told.described.sentence
+    assert "min into drive_1.csv, day 1)" in told.described.sentence
+    assert found.kept.effects == ()
+    check_form(report(found, []) | {"recordings": ["drive_1.csv"]})
+    pytest.importorskip("matplotlib")
+    (drawn,) = [p for p in draw_all(found, tmp_path) if "level_change" in p.path.name]
+    assert "one after the other" in drawn.alternative
 
 
 @pytest.mark.long

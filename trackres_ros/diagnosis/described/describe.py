@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.watched import WATCHED, Watched
 from trackres_ros.diagnosis.described.candidates import candidates, finer, series
+from trackres_ros.diagnosis.described.level_changes import LevelChange, find_change, piece_s, sharpened
 from trackres_ros.diagnosis.described.spells import (
     BLOCK_S,
     Blocks,
@@ -28,7 +29,7 @@ from trackres_ros.diagnosis.described.spells import (
     path_cost,
     there_given,
 )
-from trackres_ros.diagnosis.described.terms import Described, of_drift, of_learned, of_spells, of_wave
+from trackres_ros.diagnosis.described.terms import Described, of_drift, of_learned, of_level_change, of_spells, of_wave
 from trackres_ros.diagnosis.described.waves import Wave, find_wave, part_of
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
 from trackres_ros.diagnosis.selection.naming import ALIKE_WITHIN, Candidate, Step, compared, one_round, rms, spurious_gain
@@ -45,7 +46,7 @@ FEWEST_REPLICATES = 19
 SLOWEST_WANDER_S = 60.0  # what wanders faster is noise that the autoregression knows
 LEAST_WANDER = 0.01  # of the torque
 PHASE_COST = 1.0  # in log-likelihood: what a phase, which is fitted to each stretch, and its size gain by noise
-SPELLS, WAVE = "spells", "wave"
+SPELLS, WAVE, LEVEL_CHANGE = "spells", "wave", "level_change"
 BEGINNINGS_S = 15.0  # within so much of a stop a spell begins with it
 MOST_BEGIN = 0.7  # of the spells
 
@@ -57,6 +58,7 @@ class Term:
     candidate: Candidate
     chain: Chain | None = None
     wave: Wave | None = None
+    change: LevelChange | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +92,8 @@ def describe(
     current, kept, terms = best, list(steps), dict[str, Term]()
     for round_ in range(MOST_DESCRIBED):
         on_stage(f"what has no name, round {round_ + 1}")
-        found = [t for t in (_followed(current, replicates, rng), _spells(current), _wave(current)) if t is not None]
+        looked_for = (_followed(current, replicates, rng), _spells(current), _wave(current), _level_change(current))
+        found = [t for t in looked_for if t is not None]
         if not found:
             break
         term = max(found, key=lambda t: t.candidate.net_evidence)
@@ -240,6 +243,30 @@ def _wave(current: Fit) -> Term | None:
     return Term(candidate, wave=wave) if candidate.net_evidence > SURE + chosen and candidate.matters else None
 
 
+def _level_change(current: Fit) -> Term | None:
+    """A level that changed for good. It is known of the laps that are not fitted by their time alone."""
+    if LEVEL_CHANGE in current.effect_names:
+        return None
+    sessions, masks = current.problem.sessions, current.problem.masks
+    residuals, step, found = _residuals(current), current.problem.sessions[0].step, None
+    seconds = piece_s(step * sum(int(m.sum()) for m in masks))
+    for _ in range(2):  # the second time beside a base that is no longer bent by it
+        change = find_change(torque_blocks(current, residuals, seconds=seconds), step)
+        if change is None:
+            return found
+        against = residuals[change.session] * np.sign(sessions[change.session].speed)
+        change = sharpened(change, against, masks[change.session], round(seconds / step))
+        shape = [x * np.sign(s.speed) for x, s in zip(change.shape([len(s) for s in sessions]), sessions, strict=True)]
+        effect = Watched(LEVEL_CHANGE, "a torque that is there from some time on", shape, _size(current))
+        candidate = replace(_watched(current, effect, change.size), form_error_gain=change.cost)
+        if not _counts(candidate, current):
+            return found
+        found = Term(candidate, change=change)
+        adds = candidate.fit.contribution(LEVEL_CHANGE)
+        residuals = [r + x for r, x in zip(_residuals(candidate.fit), adds, strict=True)]
+    return found
+
+
 def _size(current: Fit) -> float:
     facts = current.problem.base.facts
     return facts.weight * facts.radius
@@ -267,6 +294,8 @@ def said(term: Term, final: Fit) -> Described:
     level = active.values["level"]
     if term.wave is not None:
         return of_wave(name, term.wave, level, part_of(term.wave.length_m, final.problem.base.parts))
+    if term.change is not None:
+        return of_level_change(name, level, final.problem.sessions, term.change)
     assert term.chain is not None
     adds = final.contribution(name)
     b = torque_blocks(final, [r + x for r, x in zip(_residuals(final), adds, strict=True)])

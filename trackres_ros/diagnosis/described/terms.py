@@ -5,14 +5,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.diagnosis.described.level_changes import LevelChange
 from trackres_ros.diagnosis.described.spells import BLOCK_S, Chain, Wander
 from trackres_ros.diagnosis.described.waves import Wave
+from trackres_ros.diagnosis.prepare.session import Session
 from trackres_ros.effects.learned import (
     ACCELERATING,
     ACCELERATION,
@@ -75,6 +80,12 @@ OF_SPELLS = (
     "another consumer on the same drive",
 )
 OF_WAVES = ("a stiff or damaged place in a belt", "a wheel that is out of round or a bearing that is worn")
+OF_LEVEL_CHANGES = (
+    "a part that was changed",
+    "a brake that was not released",
+    "a bearing that failed",
+    "a zero of the torque sensor that was set anew",
+)
 OF_DRIFT = ("a zero of the torque sensor that drifts", "a slope, a wind or a ground that is not recorded")
 
 
@@ -85,7 +96,7 @@ class Described:
     Attributes
     ----------
     form
-        `curve`, `gated_curve`, `build_up`, `spells`, `wave` or `drift`.
+        `curve`, `gated_curve`, `build_up`, `spells`, `wave`, `level_change` or `drift`.
     name
         Of the effect in the fit; empty for what is only watched for.
     variable, gate
@@ -174,6 +185,30 @@ def of_wave(name: str, wave: Wave, level: float, part: str) -> Described:
     of = f", {part}" if part else ""
     text = f"A torque of {figures(abs(level))} Nm to either side comes again every {figures(wave.length_m, 4)} m{of}"
     return Described("wave", name, "driven distance", "", wave.length_m, None, text, OF_WAVES, abs(level), False)
+
+
+def of_level_change(name: str, level: float, sessions: Sequence[Session], change: LevelChange) -> Described:
+    """A level that changed for good by so much [Nm]."""
+    text = (
+        f"Since {_when(sessions, change)} it takes {_more(level)}, to the end of the recordings; a diagnosis of the recordings "
+        "since then alone can write that into a vehicle file"
+    )
+    return Described(
+        "level_change", name, "", "", None, None, text, OF_LEVEL_CHANGES, abs(level), False
+    )  # fmt: skip
+
+
+def _when(sessions: Sequence[Session], change: LevelChange) -> str:
+    """When a level changed: the time of day and the day where clocks say it, and the place in its recording."""
+    session, first = sessions[change.session], sessions[0]
+    seconds = float(session.time[change.row])
+    recording = Path(session.name).name
+    where = f"{figures(seconds / 60.0)} min into {recording}" if change.row else f"the beginning of {recording}"
+    if math.isnan(session.start_s):
+        return where
+    at = datetime.fromtimestamp(session.start_s + seconds, UTC)
+    day = "" if math.isnan(first.start_s) else f", day {(at.date() - datetime.fromtimestamp(first.start_s, UTC).date()).days + 1}"
+    return f"{at:%H:%M} UTC on {at:%Y-%m-%d} ({where}{day})"
 
 
 def of_drift(wander: Wander) -> Described:
