@@ -15,6 +15,7 @@ from trackres_ros.vehicle import load
 
 TURN_NM = 600.0
 PUMP_NM, ON_S, OFF_S = 400.0, 70.0, 110.0
+SLOPE_NM, LAP_M, BEGIN_M, END_M = 500.0, 700.0, 200.0, 320.0
 FOR_GOOD_NM, SINCE_S = 400.0, 370.0
 
 
@@ -95,6 +96,28 @@ def test_a_level_that_changed_for_good_is_described_with_its_time_and_never_writ
     pytest.importorskip("matplotlib")
     (drawn,) = [p for p in draw_all(found, tmp_path) if "level_change" in p.path.name]
     assert "one after the other" in drawn.alternative
+
+
+@pytest.mark.long
+def test_a_torque_at_the_same_place_on_each_pass_is_described_and_never_written(recorded, loaded, check_form, tmp_path):
+    def adds(r, times):
+        speed = np.abs(at(r, "speed", times))
+        place = np.cumsum(speed * np.gradient(times)) % LAP_M
+        return SLOPE_NM * ((place > BEGIN_M) & (place < END_M)) * (speed > 0.1)
+
+    found = diagnose(with_added(read_recordings(recorded(), None), adds), loaded, quick=True)
+    assert found.verdict.status == "described"
+    assert found.verdict.grade == "confirmed"
+    (told,) = found.described
+    assert told.described.form == "place"
+    assert told.described.period_m == pytest.approx(LAP_M, rel=0.01)
+    assert told.described.size_nm == pytest.approx(SLOPE_NM, rel=0.2)
+    assert "passes" in told.described.sentence
+    assert found.kept.effects == ()
+    check_form(report(found, []) | {"recordings": ["drive_1.csv"]})
+    pytest.importorskip("matplotlib")
+    (drawn,) = [p for p in draw_all(found, tmp_path) if "term_place" in p.path.name]
+    assert "place on the route" in drawn.alternative
 
 
 @pytest.mark.long

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from trackres_ros.diagnosis.base.watched import WATCHED, Watched
 from trackres_ros.diagnosis.described.candidates import candidates, finer, series
 from trackres_ros.diagnosis.described.level_changes import LevelChange, find_change, piece_s, sharpened
+from trackres_ros.diagnosis.described.places import Place, find_place
 from trackres_ros.diagnosis.described.spells import (
     BLOCK_S,
     Blocks,
@@ -29,7 +30,7 @@ from trackres_ros.diagnosis.described.spells import (
     path_cost,
     there_given,
 )
-from trackres_ros.diagnosis.described.terms import Described, of_drift, of_learned, of_level_change, of_spells, of_wave
+from trackres_ros.diagnosis.described.terms import Described, of_drift, of_learned, of_level_change, of_place, of_spells, of_wave
 from trackres_ros.diagnosis.described.waves import Wave, find_wave, part_of
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
 from trackres_ros.diagnosis.selection.naming import ALIKE_WITHIN, Candidate, Step, compared, one_round, rms, spurious_gain
@@ -46,7 +47,7 @@ FEWEST_REPLICATES = 19
 SLOWEST_WANDER_S = 60.0  # what wanders faster is noise that the autoregression knows
 LEAST_WANDER = 0.01  # of the torque
 PHASE_COST = 1.0  # in log-likelihood: what a phase, which is fitted to each stretch, and its size gain by noise
-SPELLS, WAVE, LEVEL_CHANGE = "spells", "wave", "level_change"
+SPELLS, WAVE, LEVEL_CHANGE, PLACE = "spells", "wave", "level_change", "place"
 BEGINNINGS_S = 15.0  # within so much of a stop a spell begins with it
 MOST_BEGIN = 0.7  # of the spells
 
@@ -59,6 +60,7 @@ class Term:
     chain: Chain | None = None
     wave: Wave | None = None
     change: LevelChange | None = None
+    place: Place | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +94,8 @@ def describe(
     current, kept, terms = best, list(steps), dict[str, Term]()
     for round_ in range(MOST_DESCRIBED):
         on_stage(f"what has no name, round {round_ + 1}")
-        looked_for = (_followed(current, replicates, rng), _spells(current), _wave(current), _level_change(current))
+        followed = _followed(current, replicates, rng)
+        looked_for = (followed, _spells(current), _wave(current), _level_change(current), _place(current))
         found = [t for t in looked_for if t is not None]
         if not found:
             break
@@ -267,6 +270,28 @@ def _level_change(current: Fit) -> Term | None:
     return found
 
 
+def _place(current: Fit) -> Term | None:
+    """A torque at the same place on each pass. It is known of the laps that are not fitted by the distance driven alone."""
+    if PLACE in current.effect_names:
+        return None
+    sessions, masks, found = current.problem.sessions, current.problem.masks, None
+    distances = [np.cumsum(np.abs(np.nan_to_num(s.speed))) * s.step for s in sessions]
+    residuals = _residuals(current)
+    for _ in range(2):  # the second time beside a base that is no longer bent by it
+        place = find_place(distances, [r * np.sign(s.speed) for r, s in zip(residuals, sessions, strict=True)], masks)
+        if place is None:
+            return found
+        shape = [x * np.sign(s.speed) for x, s in zip(place.shape, sessions, strict=True)]
+        effect = Watched(PLACE, "a torque at the same place on each pass", shape, _size(current))
+        candidate = replace(_watched(current, effect, place.size), form_error_gain=place.cost)
+        if not _counts(candidate, current):
+            return found
+        found = Term(candidate, place=place)
+        adds = candidate.fit.contribution(PLACE)
+        residuals = [r + x for r, x in zip(_residuals(candidate.fit), adds, strict=True)]
+    return found
+
+
 def _size(current: Fit) -> float:
     facts = current.problem.base.facts
     return facts.weight * facts.radius
@@ -296,6 +321,8 @@ def said(term: Term, final: Fit) -> Described:
         return of_wave(name, term.wave, level, part_of(term.wave.length_m, final.problem.base.parts))
     if term.change is not None:
         return of_level_change(name, level, final.problem.sessions, term.change)
+    if term.place is not None:
+        return of_place(name, level, term.place)
     assert term.chain is not None
     adds = final.contribution(name)
     b = torque_blocks(final, [r + x for r, x in zip(_residuals(final), adds, strict=True)])
@@ -311,6 +338,8 @@ def course(term: Term, final: Fit) -> list[Array]:
     effect = term.candidate.effect
     if isinstance(effect, Curve) and effect.variable != ALWAYS:
         return series(effect.variable, final)
+    if term.place is not None:
+        return list(term.place.course)
     if not isinstance(effect, Learned):
         return []
     adds, sessions = final.contribution(effect.name), final.problem.sessions

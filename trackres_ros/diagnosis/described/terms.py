@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.described.level_changes import LevelChange
+from trackres_ros.diagnosis.described.places import Place
 from trackres_ros.diagnosis.described.spells import BLOCK_S, Chain, Wander
 from trackres_ros.diagnosis.described.waves import Wave
 from trackres_ros.diagnosis.prepare.session import Session
@@ -86,6 +87,7 @@ OF_LEVEL_CHANGES = (
     "a bearing that failed",
     "a zero of the torque sensor that was set anew",
 )
+OF_PLACES = ("a slope", "soft or rough ground", "a bend, where neither heading nor yaw rate is recorded")
 OF_DRIFT = ("a zero of the torque sensor that drifts", "a slope, a wind or a ground that is not recorded")
 
 
@@ -96,13 +98,13 @@ class Described:
     Attributes
     ----------
     form
-        `curve`, `gated_curve`, `build_up`, `spells`, `wave`, `level_change` or `drift`.
+        `curve`, `gated_curve`, `build_up`, `spells`, `wave`, `place`, `level_change` or `drift`.
     name
         Of the effect in the fit; empty for what is only watched for.
     variable, gate
         What it follows and where it acts, in words; empty without.
     period_m
-        Of a wave [m]; None for what is none.
+        Of a wave, or length of the lap in which a place comes again [m]; None for what is none.
     memory
         Scale of a build-up in its own unit, or the average length of a spell [s]; None without.
     sentence, mechanisms
@@ -185,6 +187,19 @@ def of_wave(name: str, wave: Wave, level: float, part: str) -> Described:
     of = f", {part}" if part else ""
     text = f"A torque of {figures(abs(level))} Nm to either side comes again every {figures(wave.length_m, 4)} m{of}"
     return Described("wave", name, "driven distance", "", wave.length_m, None, text, OF_WAVES, abs(level), False)
+
+
+def of_place(name: str, level: float, place: Place) -> Described:
+    """A torque of a size [Nm] at the same place on each pass."""
+    route = f"of each lap of {figures(place.lap_m, 4)} m" if place.folded else "of the route of each recording"
+    text = (
+        f"At the same place {route}, from {figures(place.begin_m)} to {figures(place.end_m)} m after its start, it takes "
+        f"{_more(level)}; seen on {place.passes} passes"
+    )
+    lap_m = place.lap_m if place.folded else None
+    return Described(
+        "place", name, "place on the route", "", lap_m, None, text, OF_PLACES, abs(level), False, unit="m"
+    )  # fmt: skip
 
 
 def of_level_change(name: str, level: float, sessions: Sequence[Session], change: LevelChange) -> Described:
