@@ -11,12 +11,15 @@ import pytest
 import trackres_ros as tr
 from trackres_ros.diagnosis import diagnose, read_recordings
 from trackres_ros.diagnosis.report.content import report
+from trackres_ros.diagnosis.report.pictures import draw_all
 from trackres_ros.estimator.disturbance import BLOCK_S
 from trackres_ros.vehicle import load
 
 TURN_NM = 600.0
 DRIFT_NM, DRIFT_S = 200.0, 240.0
 PUMP_NM, ON_S, OFF_S = 400.0, 70.0, 110.0
+SLOPE_NM, LAP_M, BEGIN_M, END_M = 500.0, 700.0, 200.0, 320.0
+FOR_GOOD_NM, SINCE_S = 400.0, 370.0
 
 
 def with_added(recordings, adds):
@@ -143,6 +146,50 @@ def test_a_drift_is_judged_by_who_follows_it_and_written_to_be_watched_for(recor
     written = load(tmp_path / "vehicle.yaml").disturbance
     assert 0.5 * DRIFT_NM < written.size < 2.0 * DRIFT_NM
     assert written.noise < 0.5 * written.size
+
+
+@pytest.mark.long
+def test_a_level_that_changed_for_good_is_described_with_its_time_and_never_written(recorded, loaded, check_form, tmp_path):
+    def adds(r, times):
+        since = SINCE_S if "drive_1" in r.name else 0.0
+        return FOR_GOOD_NM * (times > since) * (at(r, "speed", times) > 0.1)
+
+    found = diagnose(with_added(read_recordings(recorded(), None), adds), loaded, quick=True)
+    assert found.verdict.status == "described"
+    assert found.verdict.grade == "confirmed"
+    (told,) = found.described
+    assert told.described.form == "level_change"
+    assert not told.described.predictable
+    assert told.described.size_nm == pytest.approx(FOR_GOOD_NM, rel=0.15)
+    assert "Since 08:59 UTC on 2025-10-09 (6." in told.described.sentence
+    assert "min into drive_1.csv, day 1)" in told.described.sentence
+    assert found.kept.effects == ()
+    check_form(report(found, []) | {"recordings": ["drive_1.csv"]})
+    pytest.importorskip("matplotlib")
+    (drawn,) = [p for p in draw_all(found, tmp_path) if "level_change" in p.path.name]
+    assert "one after the other" in drawn.alternative
+
+
+@pytest.mark.long
+def test_a_torque_at_the_same_place_on_each_pass_is_described_and_never_written(recorded, loaded, check_form, tmp_path):
+    def adds(r, times):
+        speed = np.abs(at(r, "speed", times))
+        place = np.cumsum(speed * np.gradient(times)) % LAP_M
+        return SLOPE_NM * ((place > BEGIN_M) & (place < END_M)) * (speed > 0.1)
+
+    found = diagnose(with_added(read_recordings(recorded(), None), adds), loaded, quick=True)
+    assert found.verdict.status == "described"
+    assert found.verdict.grade == "confirmed"
+    (told,) = found.described
+    assert told.described.form == "place"
+    assert told.described.period_m == pytest.approx(LAP_M, rel=0.01)
+    assert told.described.size_nm == pytest.approx(SLOPE_NM, rel=0.2)
+    assert "passes" in told.described.sentence
+    assert found.kept.effects == ()
+    check_form(report(found, []) | {"recordings": ["drive_1.csv"]})
+    pytest.importorskip("matplotlib")
+    (drawn,) = [p for p in draw_all(found, tmp_path) if "term_place" in p.path.name]
+    assert "place on the route" in drawn.alternative
 
 
 @pytest.mark.long

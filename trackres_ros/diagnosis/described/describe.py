@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.watched import WATCHED, Watched
 from trackres_ros.diagnosis.described.candidates import candidates, finer, series
+from trackres_ros.diagnosis.described.level_changes import LevelChange, find_change, piece_s, sharpened
+from trackres_ros.diagnosis.described.places import Place, find_place
 from trackres_ros.diagnosis.described.spells import (
     Blocks,
     Chain,
@@ -27,7 +29,7 @@ from trackres_ros.diagnosis.described.spells import (
     path_cost,
     there_given,
 )
-from trackres_ros.diagnosis.described.terms import Described, of_drift, of_learned, of_spells, of_wave
+from trackres_ros.diagnosis.described.terms import Described, of_drift, of_learned, of_level_change, of_place, of_spells, of_wave
 from trackres_ros.diagnosis.described.waves import Wave, find_wave, part_of
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
 from trackres_ros.diagnosis.selection.naming import ALIKE_WITHIN, Candidate, Step, compared, one_round, rms, spurious_gain
@@ -45,7 +47,7 @@ FEWEST_REPLICATES = 19
 SLOWEST_WANDER_S = 60.0  # what wanders faster is noise that the autoregression knows
 LEAST_WANDER = 0.01  # of the torque
 PHASE_COST = 1.0  # in log-likelihood: what a phase, which is fitted to each stretch, and its size gain by noise
-SPELLS, WAVE = "spells", "wave"
+SPELLS, WAVE, LEVEL_CHANGE, PLACE = "spells", "wave", "level_change", "place"
 BEGINNINGS_S = 15.0  # within so much of a stop a spell begins with it
 MOST_BEGIN = 0.7  # of the spells
 
@@ -57,6 +59,8 @@ class Term:
     candidate: Candidate
     chain: Chain | None = None
     wave: Wave | None = None
+    change: LevelChange | None = None
+    place: Place | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +94,9 @@ def describe(
     current, kept, terms = best, list(steps), dict[str, Term]()
     for round_ in range(MOST_DESCRIBED):
         on_stage(f"what has no name, round {round_ + 1}")
-        found = [t for t in (_followed(current, replicates, rng), _spells(current), _wave(current)) if t is not None]
+        followed = _followed(current, replicates, rng)
+        looked_for = (followed, _spells(current), _wave(current), _level_change(current), _place(current))
+        found = [t for t in looked_for if t is not None]
         if not found:
             break
         term = max(found, key=lambda t: t.candidate.net_evidence)
@@ -244,6 +250,52 @@ def _wave(current: Fit) -> Term | None:
     return Term(candidate, wave=wave) if candidate.net_evidence > SURE + chosen and candidate.matters else None
 
 
+def _level_change(current: Fit) -> Term | None:
+    """A level that changed for good. It is known of the laps that are not fitted by their time alone."""
+    if LEVEL_CHANGE in current.effect_names:
+        return None
+    sessions, masks = current.problem.sessions, current.problem.masks
+    residuals, step, found = _residuals(current), current.problem.sessions[0].step, None
+    seconds = piece_s(step * sum(int(m.sum()) for m in masks))
+    for _ in range(2):  # the second time beside a base that is no longer bent by it
+        change = find_change(torque_blocks(current, residuals, seconds=seconds), step)
+        if change is None:
+            return found
+        against = residuals[change.session] * np.sign(sessions[change.session].speed)
+        change = sharpened(change, against, masks[change.session], round(seconds / step))
+        shape = [x * np.sign(s.speed) for x, s in zip(change.shape([len(s) for s in sessions]), sessions, strict=True)]
+        effect = Watched(LEVEL_CHANGE, "a torque that is there from some time on", shape, _size(current))
+        candidate = replace(_watched(current, effect, change.size), form_error_gain=change.cost)
+        if not _counts(candidate, current):
+            return found
+        found = Term(candidate, change=change)
+        adds = candidate.fit.contribution(LEVEL_CHANGE)
+        residuals = [r + x for r, x in zip(_residuals(candidate.fit), adds, strict=True)]
+    return found
+
+
+def _place(current: Fit) -> Term | None:
+    """A torque at the same place on each pass. It is known of the laps that are not fitted by the distance driven alone."""
+    if PLACE in current.effect_names:
+        return None
+    sessions, masks, found = current.problem.sessions, current.problem.masks, None
+    distances = [np.cumsum(np.abs(np.nan_to_num(s.speed))) * s.step for s in sessions]
+    residuals = _residuals(current)
+    for _ in range(2):  # the second time beside a base that is no longer bent by it
+        place = find_place(distances, [r * np.sign(s.speed) for r, s in zip(residuals, sessions, strict=True)], masks)
+        if place is None:
+            return found
+        shape = [x * np.sign(s.speed) for x, s in zip(place.shape, sessions, strict=True)]
+        effect = Watched(PLACE, "a torque at the same place on each pass", shape, _size(current))
+        candidate = replace(_watched(current, effect, place.size), form_error_gain=place.cost)
+        if not _counts(candidate, current):
+            return found
+        found = Term(candidate, place=place)
+        adds = candidate.fit.contribution(PLACE)
+        residuals = [r + x for r, x in zip(_residuals(candidate.fit), adds, strict=True)]
+    return found
+
+
 def _size(current: Fit) -> float:
     facts = current.problem.base.facts
     return facts.weight * facts.radius
@@ -271,6 +323,10 @@ def said(term: Term, final: Fit) -> Described:
     level = active.values["level"]
     if term.wave is not None:
         return of_wave(name, term.wave, level, part_of(term.wave.length_m, final.problem.base.parts))
+    if term.change is not None:
+        return of_level_change(name, level, final.problem.sessions, term.change)
+    if term.place is not None:
+        return of_place(name, level, term.place)
     assert term.chain is not None
     b = torque_blocks(final, residuals_without(final, name))
     there, _ = there_given(b, term.chain)
@@ -285,6 +341,8 @@ def course(term: Term, final: Fit) -> list[Array]:
     effect = term.candidate.effect
     if isinstance(effect, Curve) and effect.variable != ALWAYS:
         return series(effect.variable, final)
+    if term.place is not None:
+        return list(term.place.course)
     if not isinstance(effect, Learned):
         return []
     adds, sessions = final.contribution(effect.name), final.problem.sessions

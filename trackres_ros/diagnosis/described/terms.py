@@ -5,14 +5,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.diagnosis.described.level_changes import LevelChange
+from trackres_ros.diagnosis.described.places import Place
 from trackres_ros.diagnosis.described.spells import Chain, Wander
 from trackres_ros.diagnosis.described.waves import Wave
+from trackres_ros.diagnosis.prepare.session import Session
 from trackres_ros.effects.learned import (
     ACCELERATING,
     ACCELERATION,
@@ -76,6 +82,13 @@ OF_SPELLS = (
     "another consumer on the same drive",
 )
 OF_WAVES = ("a stiff or damaged place in a belt", "a wheel that is out of round or a bearing that is worn")
+OF_LEVEL_CHANGES = (
+    "a part that was changed",
+    "a brake that was not released",
+    "a bearing that failed",
+    "a zero of the torque sensor that was set anew",
+)
+OF_PLACES = ("a slope", "soft or rough ground", "a bend, where neither heading nor yaw rate is recorded")
 OF_DRIFT = ("a zero of the torque sensor that drifts", "a slope, a wind or a ground that is not recorded")
 
 
@@ -86,13 +99,13 @@ class Described:
     Attributes
     ----------
     form
-        `curve`, `gated_curve`, `build_up`, `spells`, `wave` or `drift`.
+        `curve`, `gated_curve`, `build_up`, `spells`, `wave`, `place`, `level_change` or `drift`.
     name
         Of the effect in the fit; empty for what is only watched for.
     variable, gate
         What it follows and where it acts, in words; empty without.
     period_m
-        Of a wave [m]; None for what is none.
+        Of a wave, or length of the lap in which a place comes again [m]; None for what is none.
     memory
         Scale of a build-up in its own unit, or the average length of a spell [s]; None without.
     sentence, mechanisms
@@ -175,6 +188,43 @@ def of_wave(name: str, wave: Wave, level: float, part: str) -> Described:
     of = f", {part}" if part else ""
     text = f"A torque of {figures(abs(level))} Nm to either side comes again every {figures(wave.length_m, 4)} m{of}"
     return Described("wave", name, "driven distance", "", wave.length_m, None, text, OF_WAVES, abs(level), False)
+
+
+def of_place(name: str, level: float, place: Place) -> Described:
+    """A torque of a size [Nm] at the same place on each pass."""
+    route = f"of each lap of {figures(place.lap_m, 4)} m" if place.folded else "of the route of each recording"
+    text = (
+        f"At the same place {route}, from {figures(place.begin_m)} to {figures(place.end_m)} m after its start, it takes "
+        f"{_more(level)}; seen on {place.passes} passes"
+    )
+    lap_m = place.lap_m if place.folded else None
+    return Described(
+        "place", name, "place on the route", "", lap_m, None, text, OF_PLACES, abs(level), False, unit="m"
+    )  # fmt: skip
+
+
+def of_level_change(name: str, level: float, sessions: Sequence[Session], change: LevelChange) -> Described:
+    """A level that changed for good by so much [Nm]."""
+    text = (
+        f"Since {_when(sessions, change)} it takes {_more(level)}, to the end of the recordings; a diagnosis of the recordings "
+        "since then alone can write that into a vehicle file"
+    )
+    return Described(
+        "level_change", name, "", "", None, None, text, OF_LEVEL_CHANGES, abs(level), False
+    )  # fmt: skip
+
+
+def _when(sessions: Sequence[Session], change: LevelChange) -> str:
+    """When a level changed: the time of day and the day where clocks say it, and the place in its recording."""
+    session, first = sessions[change.session], sessions[0]
+    seconds = float(session.time[change.row])
+    recording = Path(session.name).name
+    where = f"{figures(seconds / 60.0)} min into {recording}" if change.row else f"the beginning of {recording}"
+    if math.isnan(session.start_s):
+        return where
+    at = datetime.fromtimestamp(session.start_s + seconds, UTC)
+    day = "" if math.isnan(first.start_s) else f", day {(at.date() - datetime.fromtimestamp(first.start_s, UTC).date()).days + 1}"
+    return f"{at:%H:%M} UTC on {at:%Y-%m-%d} ({where}{day})"
 
 
 def of_drift(wander: Wander) -> Described:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from trackres_ros.diagnosis.prepare.gaps import steps_within, steps_without_value, straight_spans
-from trackres_ros.diagnosis.prepare.refuse import check_compared
+from trackres_ros.diagnosis.prepare.refuse import EARLIEST_CLOCK_S, check_compared
 from trackres_ros.diagnosis.prepare.sample_noise import noise_of_means
 from trackres_ros.diagnosis.prepare.session import Array, Course, Mask, Session
 from trackres_ros.diagnosis.prepare.settings import STEP_S, GateSettings
@@ -125,6 +125,7 @@ def resample(
         accel_noise=accel_noise,
         torque_noise=torque_noise,
         belt_shows_surface=settings.belt_shows_surface,
+        start_s=start * 1e-9 if start * 1e-9 > EARLIEST_CLOCK_S else np.nan,
     )
     return session, {
         "no speed": ~known,

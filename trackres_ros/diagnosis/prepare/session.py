@@ -66,6 +66,8 @@ class Session:
         cannot be told.
     belt_shows_surface
         Whether the measured belt temperature is that of the surface, or the mean.
+    start_s
+        When it began [s since 1970, UTC]; nan where its clock does not say.
     torque_course
         The torque as it was measured, for delays of less than a step; None where it was not.
     """
@@ -91,6 +93,7 @@ class Session:
     accel_noise: float = 0.0
     torque_noise: float = 0.0
     belt_shows_surface: bool = False
+    start_s: float = np.nan
 
     def __len__(self) -> int:
         return len(self.time)

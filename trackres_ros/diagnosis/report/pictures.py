@@ -220,7 +220,32 @@ def _term(d: Diagnosis, told: Told, path: Path) -> Picture:
     if told.course:
         label = f"{of.variable} [{of.unit}]" if of.unit else of.variable or of.gate
         return _over(d, told.course, adds, left_over, label, of.name, of.sentence, path)
+    if of.form == "level_change":
+        return _over_recordings(d, adds, left_over, of.name, of.sentence, path)
     return _over_time(d, adds, left_over, of.name, of.sentence, path)
+
+
+def _over_recordings(d: Diagnosis, adds: list[Array], left_over: list[Array], name: str, title: str, path: Path) -> Picture:
+    """All recordings, one after the other."""
+    begins = np.cumsum([0.0, *(s.time[-1] + s.step for s in d.sessions)]) / 60.0
+    with picture_with_legend(path, WIDTH, 3.0) as body:
+        axis = body.subplots()
+        for session, begin, left, term in zip(d.sessions, begins[:-1], left_over, adds, strict=True):
+            time = begin + session.time / 60.0
+            without = _smooth(session, left + term)
+            axis.plot(*thinned(time, without), color=BLUE, label=f"left without the term, means over {SMOOTHED_S:.0f} s")
+            axis.plot(time, np.where(session.used, term, np.nan), color=VERMILION, label=f"{name} as found")
+            axis.axvline(begin, color=GREY, linestyle="--", linewidth=0.8, label="a recording begins")
+        axis.axhline(0.0, color=GREY, linewidth=0.8)
+        axis.set_xlabel("time in the recordings, one after the other [min]")
+        axis.set_ylabel("torque against travel [Nm]")
+        axis.set_title(textwrap.fill(title, TITLE_LETTERS))
+    return Picture(
+        path,
+        f"The term: {name}",
+        "What is left without the term, and the term, over all recordings one after the other; on laps that were not used for "
+        "fitting it is there by their time alone.",
+    )
 
 
 def _over_time(d: Diagnosis, adds: list[Array], left_over: list[Array], name: str, title: str, path: Path) -> Picture:

@@ -1,0 +1,98 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""A torque at the same place on each pass: found where there is one, with place and size, and nowhere else."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from trackres_ros.diagnosis.described.places import SHORTEST_LAP_M, find_place
+
+WHITE_NM, COLOURED_NM = 40.0, 40.0
+LAP_M, BEGIN_M, END_M = 1870.0, 420.0, 610.0
+LONG = (1350, 1350)  # samples of 1 s
+
+
+def autoregression(n, rng, seconds, size):
+    keep = np.exp(-1.0 / seconds)
+    return lfilter([1.0], [1.0, -keep], rng.normal(0.0, size * np.sqrt(1.0 - keep**2), n + 5000))[5000:]
+
+
+def spells(n, rng, on_s, off_s):
+    turns = np.cumsum(rng.uniform(0.6, 1.4, 200) * np.tile([off_s, on_s], 100))
+    return 400.0 * (np.searchsorted(turns, np.arange(n)) % 2)
+
+
+def driven(seed, size=0.0, lap_m=LAP_M, lengths=LONG, seconds=3.0, besides=lambda n, rng: 0.0):
+    """Distances, residuals and masks of drives at 2 to 9 m/s with stops, with a torque at a place of a lap."""
+    rng, drives = np.random.default_rng(seed), []
+    for n in lengths:
+        corners = np.arange(0, n + 1, 60)
+        speed = np.interp(np.arange(n), corners, rng.uniform(2.0, 9.0, len(corners)))
+        for at in rng.integers(0, n, 3):
+            speed[at : at + 20] = 0.0
+        distance = np.cumsum(speed)
+        place = distance % lap_m
+        residual = autoregression(n, rng, seconds, COLOURED_NM) + rng.normal(0.0, WHITE_NM, n) + besides(n, rng)
+        drives.append((distance, residual + size * ((place > BEGIN_M) & (place < END_M)), speed > 0.1))
+    return [list(of) for of in zip(*drives, strict=True)]
+
+
+NOWHERE = {
+    "noise": {},
+    "slow noise": {"seconds": 20.0},
+    "wandering": {"besides": lambda n, rng: autoregression(n, rng, 120.0, 80.0)},
+    "wandering slowly": {"besides": lambda n, rng: autoregression(n, rng, 900.0, 80.0)},
+    "spells": {"besides": lambda n, rng: spells(n, rng, 70.0, 110.0)},
+}
+
+
+@pytest.mark.parametrize("kind", NOWHERE)
+def test_what_comes_again_nowhere_has_no_place(kind):
+    seeds = range(60 if kind == "noise" else 8)
+    wrong = [seed for seed in seeds if find_place(*driven(seed, **NOWHERE[kind])) is not None]
+    assert len(wrong) <= 2 * len(seeds) / 60.0, wrong
+
+
+@pytest.mark.parametrize(("seed", "size"), [(50, 150.0), (51, 300.0), (52, -300.0), (53, 600.0)])
+def test_a_place_is_found_where_it_is_with_its_size(seed, size):
+    distances, residuals, masks = driven(seed, size)
+    found = find_place(distances, residuals, masks)
+    assert found.folded
+    assert found.lap_m == pytest.approx(LAP_M, rel=0.005)
+    assert found.begin_m == pytest.approx(BEGIN_M, abs=25.0)
+    assert found.end_m == pytest.approx(END_M, abs=25.0)
+    assert found.size == pytest.approx(size, rel=0.15)
+    ends = [d[-1] for d in distances]
+    assert found.passes == pytest.approx(sum(end // LAP_M for end in ends), abs=2)
+    for shape, distance in zip(found.shape, distances, strict=True):
+        there = (distance % LAP_M > BEGIN_M) & (distance % LAP_M < END_M)
+        assert np.corrcoef(shape, there)[0, 1] > 0.8
+
+
+def test_it_is_known_where_it_was_not_learned():
+    distances, residuals, masks = driven(54, 300.0)
+    fitted = [masks[0], masks[1] & (np.arange(LONG[1]) < 600)]
+    found = find_place(distances, residuals, fitted)
+    later = masks[1] & ~fitted[1]
+    left = residuals[1] - found.size * found.shape[1]
+    assert np.var(left[later]) < 0.6 * np.var(residuals[1][later])
+
+
+def test_the_larger_the_torque_the_larger_what_is_found():
+    sizes = [find_place(*driven(7, size)).size for size in (150.0, 300.0, 600.0)]
+    assert sizes == sorted(sizes)
+
+
+def test_where_too_little_was_driven_there_is_no_place():
+    assert find_place([np.linspace(0.0, SHORTEST_LAP_M, 200)], [np.zeros(200)], [np.ones(200, dtype=bool)]) is None
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_recordings_that_begin_at_the_same_place_are_passes_of_one_route(seed):
+    found = find_place(*driven(seed, 600.0, lap_m=1e9, lengths=(600,) * 6))
+    assert not found.folded
+    assert found.passes == 6
+    assert (found.begin_m, found.end_m) == pytest.approx((BEGIN_M, END_M), abs=25.0)
+    assert found.size == pytest.approx(600.0, rel=0.15)

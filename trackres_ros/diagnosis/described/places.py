@@ -1,0 +1,372 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""A torque that comes again at the same place of a route on each pass: a slope, soft ground, a bend.
+
+The distance driven is folded with many lap lengths. Each place of the lap has a mean of its own with a prior about none, so the
+evidence of a length pays for all its places (random effects; Laird and Ware 1982). What is found must show on passes that it was
+not learned from.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.described.waves import LONGEST_M
+from trackres_ros.diagnosis.inference.levels import LARGEST_ROOT
+from trackres_ros.diagnosis.inference.noise import Noise, estimate_noise, whitened
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+SHORTEST_LAP_M = LONGEST_M  # what comes again within less is a wave
+BIN_M = 25.0
+WIDTHS = (1, 2, 4)  # bins that a place may have
+FEWEST_PASSES = 3
+FEWEST_BINS = 60  # to look for anything
+PRIORS = (1.0, 4.0, 16.0)  # variance of a place's torque over that of its mean
+MOST_WORSE = 0.25  # of the passes: those that what the others show does not help
+WHOLE = 0.5  # of a lap: a pass of less says nothing
+SIZES = tuple(np.geomspace(0.03, 10.0, 12))  # of a place's torque over the residual's standard deviation
+FEWEST_PLACES = 4
+SURE = 10.0  # in log-likelihood, beyond the lengths that were tried
+FURTHEST = 3.0  # standard deviations
+EDGES_M, MOST_MOVED = (12.5, 2.5), 6  # steps in which the edges of where it acts are looked for, and how many
+HALF = 0.5  # of the largest: where it acts
+AT_ONCE = 200
+SOME = 8  # one length in so many shows what is gained by chance
+FINER, MOST_OFF = 0.0005, 8  # steps in which the length is looked for again, and how many
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """A torque over the place in a lap.
+
+    Attributes
+    ----------
+    lap_m
+        Length of the lap [m], as the odometer has it; of the longest recording where `folded` is false.
+    size
+        Mean torque where it acts [Nm], more or less than elsewhere in the lap.
+    begin_m, end_m
+        Where it acts, from the start of a lap; beyond the end of the lap where it lies across that.
+    passes
+        How often that was passed on the laps fitted.
+    folded
+        Whether laps follow one another within a recording; else each recording is one pass from the same start.
+    cost
+        Of length and places, in log-likelihood.
+    course, shape
+        Place in the lap [m], and the torque there, 1 on average where it acts, at each sample of each session.
+    """
+
+    lap_m: float
+    size: float
+    begin_m: float
+    end_m: float
+    passes: int
+    folded: bool
+    cost: float
+    course: tuple[Array, ...]
+    shape: tuple[Array, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Bins:
+    """Stretches of `BIN_M` of all sessions, where something was compared; arrays of shape (n,).
+
+    Attributes
+    ----------
+    at, session
+        Middle of each from the start of its session [m], and the session.
+    white
+        Mean residual, whitened over distance; what is far out counts as far as `FURTHEST`.
+    """
+
+    at: Array
+    session: Indices
+    white: Array
+
+
+@dataclass(frozen=True, slots=True)
+class _Folding:
+    """A length of a lap, the bins that a place has, and the variance of a whitened place: as likely as `evidence` says."""
+
+    evidence: float
+    lap_m: float
+    width: int
+    prior: float
+
+    def places(self, at: Array) -> tuple[Indices, int]:
+        """The place in the lap of each stretch, and how many places there are."""
+        count = max(1, round(self.lap_m / (BIN_M * self.width)))
+        return np.minimum((at % self.lap_m / self.lap_m * count).astype(np.int64), count - 1), count
+
+
+def find_place(distances: Sequence[Array], residuals: Sequence[Array], masks: Sequence[Mask]) -> Place | None:
+    """What comes again at the same place; None where nothing surely does.
+
+    Parameters
+    ----------
+    distances
+        Driven at each sample since the start of each session [m].
+    residuals, masks
+        Against travel [Nm], and where it may be compared.
+
+    Notes
+    -----
+    Beside a place that is not known its own torque looks like a random walk, under which no place counts; beside a noise that is
+    held away from one, all that wanders looks like places. So it is looked for twice: what the first search takes for a place is
+    left out as the noise for the second is estimated.
+    """
+    means, known = _means(distances, residuals, masks)
+    if sum(int(k.sum()) for k in known) < FEWEST_BINS:
+        return None
+    longest = max(float(d[-1]) for d in distances)
+    laps = _laps(longest, len(distances))
+    away = _whitened(means, known, estimate_noise(means, known, LARGEST_ROOT))
+    first = _best(away, laps, away)
+    left = [m - x for m, x in zip(means, _expected(means, known, first), strict=True)]
+    noise = estimate_noise(left, known)
+    bins = _whitened(means, known, noise)
+    best = _best(bins, laps, _whitened(left, known, noise))
+    tried = math.log(len(laps) * len(WIDTHS) * len(PRIORS))
+    if best.evidence < tried + SURE or not _shows_on_others(bins, best):
+        return None
+    expected = _expected(means, known, best)
+    left = [r - x[(d // BIN_M).astype(np.int64)] for r, d, x in zip(residuals, distances, expected, strict=True)]
+    folded, data = best.lap_m < longest, (distances, residuals, left, masks)
+    place = _place(best.lap_m, folded, tried, *data)
+    return _place(_length(place, distances, residuals, masks), folded, tried, *data) if folded else place
+
+
+def _length(place: Place, distances: Sequence[Array], residuals: Sequence[Array], masks: Sequence[Mask]) -> float:
+    """The length near that of a place with which its torque shows best: the means inside and outside part most."""
+    distance, residual = (np.concatenate([x[m] for x, m in zip(of, masks, strict=True)]) for of in (distances, residuals))
+    moves = np.arange(-MOST_MOVED, MOST_MOVED + 1) * EDGES_M[0]
+    best = (-math.inf, place.lap_m)
+    for lap in place.lap_m * (1.0 + FINER * np.arange(-MOST_OFF, MOST_OFF + 1)):
+        inside = (distance - place.begin_m - moves[:, np.newaxis]) % lap < place.end_m - place.begin_m
+        number = inside.sum(axis=1)
+        apart = inside @ residual / number - ~inside @ residual / (len(residual) - number)
+        best = max(best, (float((np.sign(place.size) * apart * np.sqrt(number)).max()), float(lap)))
+    return best[1]
+
+
+def _middles(means: Array) -> Array:
+    return np.asarray((np.arange(len(means)) + 0.5) * BIN_M, dtype=np.float64)
+
+
+def _best(bins: _Bins, laps: Array, left: _Bins) -> _Folding:
+    """The likeliest folding; what is `left` says how much lengths gain by chance, where noise is not quite white."""
+    found = []
+    for width in WIDTHS:
+        square, passes = _squares(bins, laps, width)
+        by_chance, there = _squares(left, laps[::SOME], width)
+        scale = max(1.0, float(np.median(by_chance.sum(axis=1) / (there > 0.0).sum(axis=1))))
+        taken = (passes > 0.0).sum(axis=1, keepdims=True) / len(bins.at)  # of what is left, by what was taken for places
+        scales = scale / np.maximum(1.0 - taken, 1.0 / FEWEST_PASSES)
+        typical = passes.sum(axis=1) / (passes > 0.0).sum(axis=1)
+        for prior in PRIORS:
+            grown = prior * passes / typical[:, np.newaxis]
+            evidence = 0.5 * (square / scales * grown / (1.0 + grown) - np.log1p(grown)).sum(axis=1)
+            i = int(np.argmax(evidence))
+            found.append(_Folding(float(evidence[i]), float(laps[i]), width, prior / float(typical[i])))
+    return max(found, key=lambda one: one.evidence)
+
+
+def _expected(means: Sequence[Array], known: Sequence[Mask], folding: _Folding) -> list[Array]:
+    """Mean of each place over its passes, at each bin."""
+    found = [folding.places(_middles(m)) for m in means]
+    count = found[0][1]
+    total, passes = (
+        np.sum([np.bincount(p[k], weights=x[k], minlength=count) for (p, _), x, k in zip(found, of, known, strict=True)], axis=0)
+        for of in (means, [np.ones(len(m)) for m in means])
+    )
+    profile = total / np.maximum(passes, 1.0)
+    return [np.asarray(profile[p]) for p, _ in found]
+
+
+def _laps(longest: float, sessions: int) -> Array:
+    """Lengths so close that half a bin is the most that their places part by. Beyond the longest recording each is one pass."""
+    least = math.log(SHORTEST_LAP_M)
+    most = math.log(max(longest / FEWEST_PASSES, SHORTEST_LAP_M))
+    folded = np.exp(np.arange(least, most, 0.5 * BIN_M / longest))
+    return np.append(folded, longest + BIN_M) if sessions >= FEWEST_PASSES or not len(folded) else folded
+
+
+def _means(distances: Sequence[Array], residuals: Sequence[Array], masks: Sequence[Mask]) -> tuple[list[Array], list[Mask]]:
+    """Mean residual of each stretch of each session, less the mean of all, and where there is one."""
+    means, known = [], []
+    for distance, residual, mask in zip(distances, residuals, masks, strict=True):
+        place, used = (distance // BIN_M).astype(np.int64), mask & np.isfinite(residual)
+        count = np.bincount(place[used], minlength=place[-1] + 1)
+        means.append(np.bincount(place[used], weights=residual[used], minlength=place[-1] + 1) / np.maximum(count, 1))
+        known.append(count > 0)
+    mean = float(np.concatenate(means)[np.concatenate(known)].mean())
+    return [np.where(k, m - mean, 0.0) for m, k in zip(means, known, strict=True)], known
+
+
+def _whitened(means: Sequence[Array], known: Sequence[Mask], noise: Noise) -> _Bins:
+    white = np.concatenate([whitened(m, k, noise.phi) / noise.std for m, k in zip(means, known, strict=True)])
+    at = np.concatenate([_middles(m) for m in means])
+    session = np.repeat(np.arange(len(means)), [len(m) for m in means])
+    valid = np.isfinite(white)
+    return _Bins(at[valid], session[valid], np.clip(white[valid], -FURTHEST, FURTHEST))
+
+
+def _squares(bins: _Bins, laps: Array, width: int) -> tuple[Array, Array]:
+    """Square of the sum over passes at each place over their number, and that number; shape (lengths, places)."""
+    squares, numbers = [], []
+    most = round(float(laps.max()) / (BIN_M * width)) + 1
+    for some in np.array_split(laps, max(1, len(laps) // AT_ONCE)):
+        lap = some[:, np.newaxis]
+        count = np.maximum(1.0, np.round(lap / (BIN_M * width)))
+        place = np.minimum(bins.at % lap * (count / lap), count - 0.5).astype(np.int64)
+        place = (place + most * np.arange(len(some))[:, np.newaxis]).ravel()
+        total = np.bincount(place, weights=np.tile(bins.white, len(some)), minlength=most * len(some))
+        passes = np.bincount(place, minlength=most * len(some))
+        squares.append((total**2 / np.maximum(passes, 1)).reshape(len(some), most))
+        numbers.append(passes.reshape(len(some), most).astype(float))
+    return np.concatenate(squares), np.concatenate(numbers)
+
+
+def _shows_on_others(bins: _Bins, folding: _Folding) -> bool:
+    """Whether nearly each pass goes as the others do."""
+    place, count = folding.places(bins.at)
+    number, prior = (bins.at // folding.lap_m).astype(np.int64), folding.prior
+    _, of_pass = np.unique(np.stack([bins.session, number]), axis=1, return_inverse=True)
+    of_pass = of_pass.ravel()
+    total, passes = np.bincount(place, weights=bins.white, minlength=count), np.bincount(place, minlength=count)
+    helped = []
+    for one in range(of_pass.max() + 1):
+        at, own = place[of_pass == one], bins.white[of_pass == one]
+        if len(np.unique(at)) < WHOLE * count:
+            continue
+        others = total - np.bincount(at, weights=own, minlength=count), passes - np.bincount(at, minlength=count)
+        expected = (prior * others[0] / (1.0 + prior * others[1]))[at]
+        helped.append(float((expected * (2.0 * own - expected)).sum()) > 0.0)
+    return len(helped) >= FEWEST_PASSES and bool(np.mean(helped) >= 1.0 - MOST_WORSE)
+
+
+def _place(
+    lap_m: float,
+    folded: bool,
+    tried: float,
+    distances: Sequence[Array],
+    residuals: Sequence[Array],
+    left: Sequence[Array],
+    masks: Sequence[Mask],
+) -> Place:
+    """The torque over the place in a lap of a length; the noise is that of what is left without it."""
+    noise = estimate_noise(left, masks, LARGEST_ROOT)
+    weight = noise.weights(np.concatenate([whitened(x, m, noise.phi) / noise.std for x, m in zip(left, masks, strict=True)]))
+    course = tuple(d % lap_m for d in distances)
+    white = np.concatenate([whitened(r, m, noise.phi) / noise.std for r, m in zip(residuals, masks, strict=True)])
+    spread = float(np.std(np.concatenate([r[m] for r, m in zip(residuals, masks, strict=True)])))
+    profiles = []
+    for width in WIDTHS:
+        count = max(FEWEST_PLACES, round(lap_m / (BIN_M * width)))
+        design = [_hats(c / lap_m * count, count) for c in course]
+        columns = np.concatenate([whitened(x, m, noise.phi) / noise.std for x, m in zip(design, masks, strict=True)])
+        profiles.append((*_learned(columns, white, weight, noise, spread), design))
+    evidence, cost, profile, design = max(profiles, key=lambda one: one[0])
+    profile, count = profile - np.median(profile), len(profile)
+    first, last = _acts(profile)
+    begin, end = first / count * lap_m, (last + 1) / count * lap_m
+    for edge_m in EDGES_M:
+        begin, end, size, gain = _box(begin, end, edge_m, lap_m, course, masks, white, weight, noise)
+    middle = 0.5 * (begin + end)
+    there = [np.abs((d - middle + 0.5 * lap_m) % lap_m - 0.5 * lap_m) < 0.5 * (end - begin) for d in distances]
+    passes = sum(
+        len(np.unique((d[m & t] - middle + 0.5 * lap_m) // lap_m)) for d, m, t in zip(distances, masks, there, strict=True)
+    )
+    edges = 2.0 * len(EDGES_M) * math.log(2.0 * MOST_MOVED + 1.0)
+    if gain - edges > evidence:  # the same all over it, and nothing elsewhere
+        cost, shape = edges, tuple(((c - begin) % lap_m < end - begin).astype(float) for c in course)
+    else:
+        scale = profile @ np.concatenate([x[m & t] for x, m, t in zip(design, masks, there, strict=True)]).mean(axis=0)
+        shape = tuple(x @ profile / scale for x in design)
+    return Place(lap_m, size, begin, end, passes, folded, cost + tried, course, shape)
+
+
+def _box(
+    begin: float,
+    end: float,
+    edge_m: float,
+    lap_m: float,
+    course: Sequence[Array],
+    masks: Sequence[Mask],
+    white: Array,
+    weight: Array,
+    noise: Noise,
+) -> tuple[float, float, float, float]:
+    """Edges near these, at which a torque that is there between them and nowhere else explains most; that torque [Nm], and what
+    it gains in log-likelihood.
+    """
+    valid = np.isfinite(white)
+    y, weight = white[valid], weight[valid]
+    constant = noise.dc_gain / noise.std
+    y = y - np.average(y, weights=weight)
+    best = (-math.inf, begin, end, 0.0)
+    moves = np.arange(-MOST_MOVED, MOST_MOVED + 1) * edge_m
+    for moved_begin in begin + moves:
+        ends = end + moves
+        ends = ends[(ends - moved_begin >= BIN_M) & (ends - moved_begin < lap_m - BIN_M)]
+        parts = []
+        for c, m in zip(course, masks, strict=True):
+            inside = ((c - moved_begin) % lap_m)[:, np.newaxis] < ends - moved_begin
+            parts.append(whitened(inside.astype(float), m, noise.phi) / noise.std)
+        x: Array = np.concatenate(parts)[valid]
+        x -= np.average(x, axis=0, weights=weight)
+        across, own = x.T @ (weight * y), np.maximum((x**2).T @ weight, constant**2)
+        gains = across**2 / own
+        if len(gains) and gains.max() > best[0]:
+            i = int(np.argmax(gains))
+            best = (float(gains[i]), float(moved_begin), float(ends[i]), float(across[i] / own[i]))
+    _, begin, end, size = best
+    turns = math.floor(begin / lap_m)
+    return begin - turns * lap_m, end - turns * lap_m, size, 0.5 * best[0]
+
+
+def _learned(columns: Array, white: Array, weight: Array, noise: Noise, spread: float) -> tuple[float, float, Array]:
+    """Log-evidence, what of it the places cost, and the torque at each, with the size of places that is likeliest."""
+    valid = np.isfinite(white)
+    mean = np.full(valid.sum(), noise.dc_gain / noise.std)  # the base's
+    x, y, weight = np.column_stack([columns[valid], mean]), white[valid], weight[valid]
+    normal, right = (x.T * weight) @ x, (x.T * weight) @ y
+    found = []
+    for size in SIZES:
+        std = np.append(np.full(x.shape[1] - 1, size * spread), spread)
+        solved: Array = np.linalg.solve(normal + np.diag(std**-2.0), right)
+        occam = 0.5 * float(np.linalg.slogdet(np.eye(len(std)) + normal * np.outer(std, std))[1])
+        found.append((0.5 * float(right @ solved) - occam, occam, solved[:-1]))
+    return max(found, key=lambda one: one[0])
+
+
+def _hats(at: Array, count: int) -> Array:
+    """Weights of places with their middles at 0.5, 1.5, ... up to a count, after which they begin again; shape (n, count)."""
+    low = np.floor(at - 0.5)
+    share = at - 0.5 - low
+    design, rows = np.zeros((len(at), count)), np.arange(len(at))
+    np.add.at(design, (rows, low.astype(int) % count), 1.0 - share)
+    np.add.at(design, (rows, (low.astype(int) + 1) % count), share)
+    return design
+
+
+def _acts(profile: Array) -> tuple[int, int]:
+    """First and last place around the largest torque with at least half of it; the last may lie beyond the end."""
+    count, top = len(profile), int(np.argmax(np.abs(profile)))
+    large = profile / profile[top] >= HALF
+    begin = end = top
+    while end - begin < count - 1 and large[(end + 1) % count]:
+        end += 1
+    while end - begin < count - 1 and large[(begin - 1) % count]:
+        begin -= 1
+    return begin % count, end + begin % count - begin
