@@ -300,6 +300,17 @@ def test_launch_starts_it(cyclone, workspace):
     assert "/left/trackres" in cyclone.ros2("node", "list", "--no-daemon")
 
 
+def test_launch_testing_finds_it_well_while_it_runs_and_after(cyclone, workspace):
+    if not importlib.util.find_spec("launch_testing"):
+        pytest.skip("launch_testing is not installed: ros-jazzy-launch-testing")
+    cyclone.environment = {**workspace, **{k: v for k, v in cyclone.environment.items() if os.environ.get(k) != v}}
+    tests = Path(__file__).with_name("launched.py")
+    program = "import sys; from launch_testing.launch_test import main; sys.exit(main())"
+    run = cyclone.start(sys.executable, "-c", program, str(tests))
+    assert run.wait(timeout=400.0) == 0, run.said()
+    assert "OK" in run.said()
+
+
 def test_the_edge_without_ros_is_seen_by_ros(shell):
     params = shell.folder / "p.yaml"
     params.write_text(json.dumps({"vehicle": "xgd24d", "state_file": "none"}))
