@@ -50,7 +50,8 @@ def diagnose(
     hide
         Channels to be left unread, such as ``grade`` or ``yaw_rate``.
     holdout
-        How many of the last recordings or laps to hold out, or names of recordings.
+        How many of the last recordings or laps to hold out, or names of recordings, or of laps as a report lists them
+        (``day2.mcap: 5``).
     method, thermal
         As in `load_vehicle`.
     seed

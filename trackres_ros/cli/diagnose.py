@@ -34,7 +34,7 @@ from trackres_ros.cli.written import watch
 @click.option(
     "--holdout",
     metavar="N|NAMES",
-    help="How many of the last recordings or laps to hold out, or names of recordings with commas.",
+    help="How many of the last recordings or laps to hold out, or names of recordings or laps (day2.mcap: 5) with commas.",
 )
 @method_options
 @click.option("--seed", type=int, default=default_of(tr.diagnose, "seed"), show_default=True, help="Seed of all random draws.")

@@ -251,7 +251,8 @@ def diagnose(
         )
     on_stage("what to drive next")
     told = [s for s in steps if s.chosen and s.chosen.name in graded]
-    advice = [a for s in told for a in advise(s.candidates, s.members, vehicle.known.max_speed)]
+    told += [term.tied for name, term in description.terms.items() if term.tied is not None and name in final.effect_names]
+    advice = [a for s in told for a in advise(s, vehicle.known.max_speed)]
     terms = [
         _told(description.terms[name], final, bounds, graded[name]) for name in final.effect_names if name in description.terms
     ]

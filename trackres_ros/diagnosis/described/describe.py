@@ -54,9 +54,12 @@ MOST_BEGIN = 0.7  # of the spells
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """A term that was found: how it is said, and the fit with it beside the one without."""
+    """A term that was found: how it is said, and the fit with it beside the one without; and the round in which it was tied
+    with others, None for what follows the clock alone.
+    """
 
     candidate: Candidate
+    tied: Step | None = None
     chain: Chain | None = None
     wave: Wave | None = None
     change: LevelChange | None = None
@@ -127,7 +130,15 @@ def _followed(current: Fit, replicates: int, rng: np.random.Generator) -> Term |
         tried = _with(current, more, chosen)
         if tried.net_evidence > chosen.net_evidence + ALIKE_WITHIN:
             chosen = tried
-    return Term(chosen)
+    return Term(chosen, _tied(step, chosen, as_good))
+
+
+def _tied(step: Step, chosen: Candidate, as_good: Sequence[Candidate]) -> Step:
+    """A round with the form that was chosen and those with other names that are as good."""
+    best = {c.name: c for c in sorted(as_good, key=lambda c: c.net_evidence)} | {chosen.name: chosen}
+    raw = {name: math.exp(min(0.0, c.net_evidence - chosen.net_evidence)) for name, c in best.items()}
+    weights = {name: x / sum(raw.values()) for name, x in raw.items()}
+    return replace(step, candidates=tuple(best.values()), chosen=chosen, members=tuple(best), weights=weights)
 
 
 def _count(candidate: Candidate) -> tuple[int, float]:

@@ -1,11 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Step 9: what to drive next, so that candidates that look alike here come apart."""
+"""Step 9: what to drive next, so that candidates that look alike here come apart, from one another and from nothing."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -17,13 +16,18 @@ from trackres_ros.diagnosis.inference.fitting import Fit, jacobian
 from trackres_ros.diagnosis.inference.noise import whitened
 from trackres_ros.diagnosis.prepare.session import Session
 from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS
-from trackres_ros.diagnosis.selection.naming import Candidate
+from trackres_ros.diagnosis.selection.naming import MODEL_ERROR, Step
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 STEP_S = 1.0
-SEEN_D_PRIME, SURE_D_PRIME = 3.0, 6.0
+SEEN_D_PRIME = 4.0  # from there on nine times in ten the evidence is further apart than within a class, `naming.ALIKE_WITHIN`
+NEARLY = 0.9  # of the most information: of manoeuvres that tell so much the shortest
+MOST_ADVICE = 3
 KNOWN_SLOPE = 0.05
+LOADS = 0.75, 1.0, 1.3  # of the weight in the vehicle file
+NOTHING = "nothing"
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +44,8 @@ class Advice:
         What to drive, and for how long.
     expected_d_prime
         Standard deviations between the closest two of different groups.
+    information
+        Expected at least, on which group it is in, or whether it is none but the model's own error [bit].
     """
 
     separates: tuple[str, ...]
@@ -47,27 +53,84 @@ class Advice:
     manoeuvre: str
     expected_d_prime: float
     minutes: float
+    information: float
 
 
-def advise(candidates: Sequence[Candidate], members: Sequence[str], max_speed: float) -> list[Advice]:
-    """Manoeuvres from a small menu, the best first; empty where nothing is tied, or nothing on it tells any two apart."""
-    tied = [c for c in candidates if c.name in members]
-    if len(tied) < 2:
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """What may be true: a fit, and how likely it is; its name is `NOTHING` for the fit without any of the tied."""
+
+    name: str
+    fit: Fit
+    weight: float
+
+
+def advise(step: Step, max_speed: float) -> list[Advice]:
+    """Manoeuvres from a menu, the best first; empty where nothing is tied, or nothing on it tells any two apart."""
+    if step.chosen is None or len(step.members) < 2:
         return []
-    problem = tied[0].fit.problem
-    found = []
-    for name, drive in menu(problem.base.facts.weight, max_speed).items():
+    tied = hypotheses(step)
+    names, weights = [h.name for h in tied[:-1]], np.array([h.weight for h in tied])
+    here = known(step, names)
+    before = information(weights, here)
+    problem, found = step.before.problem, []
+    for manoeuvre, drive in menu(problem.base.facts.weight, max_speed).items():
         session = drive(problem.sessions[0])
-        apart = {
-            frozenset((a.name, b.name)): min(_apart(a.fit, b.fit, session), _apart(b.fit, a.fit, session))
-            for a, b in combinations(tied, 2)
-        }
-        groups = _groups([c.name for c in tied], {pair for pair, d in apart.items() if d < SEEN_D_PRIME})
-        if len(groups) > 1:
-            between = [d for pair, d in apart.items() if not any(pair <= set(group) for group in groups)]
-            found.append(Advice(tuple(c.name for c in tied), groups, name, min(between), len(session) * STEP_S / 60.0))
-    # First what leaves the fewest together; of those that surely separate the shortest.
-    return sorted(found, key=lambda a: (-len(a.groups), -min(a.expected_d_prime, SURE_D_PRIME), a.minutes))[:3]
+        more = apart([h.fit for h in tied], session)
+        closest = np.sqrt(np.maximum(np.minimum(more, more.T), 0.0))
+        between = {frozenset((names[i], names[j])): float(closest[i, j]) for i, j in combinations(range(len(names)), 2)}
+        groups = _groups(names, {pair for pair, d in between.items() if d < SEEN_D_PRIME})
+        together = np.array([[any({a, b} <= set(group) for group in groups) for b in names] for a in names])
+        more[:-1, :-1][together] = 0.0  # what stays tied decides nothing
+        bits = information(weights, np.maximum(here + more, 0.0)) - before
+        if len(groups) > 1 and bits > 0.0:
+            told = [d for pair, d in between.items() if not any(pair <= set(group) for group in groups)]
+            found.append(Advice(tuple(names), groups, manoeuvre, min(told), len(session) * STEP_S / 60.0, bits))
+    return _best_first(found)
+
+
+def _best_first(found: Sequence[Advice]) -> list[Advice]:
+    """The shortest of those that tell nearly the most, then the others by what they tell."""
+    most = max((a.information for a in found), default=0.0)
+    rest = sorted(found, key=lambda a: -a.information)
+    first = min((a for a in rest if a.information >= NEARLY * most), key=lambda a: a.minutes, default=None)
+    return ([] if first is None else [first, *(a for a in rest if a is not first)])[:MOST_ADVICE]
+
+
+def hypotheses(step: Step) -> list[Hypothesis]:
+    """The tied effects of a round, and last that there is none of them, beforehand as likely as the likeliest."""
+    tied = [(c, step.weights[c.name]) for c in step.candidates if c.name in step.members]
+    none = max(weight for _, weight in tied)
+    total = sum(weight for _, weight in tied) + none
+    return [*(Hypothesis(c.name, c.fit, weight / total) for c, weight in tied), Hypothesis(NOTHING, step.before, none / total)]
+
+
+def known(step: Step, names: Sequence[str]) -> Array:
+    """Squared distances that the recordings themselves have shown, of the tied and last of nothing: from one another none, from
+    nothing twice the gain beyond what has to be gained, shape (n + 1, n + 1).
+    """
+    gains = {c.name: c.net_gain - step.threshold for c in step.candidates}
+    squares = np.zeros((len(names) + 1, len(names) + 1))
+    squares[-1, :-1] = squares[:-1, -1] = [max(0.0, 2.0 * gains[name]) for name in names]
+    return squares
+
+
+def information(weights: Array, squares: Array) -> float:
+    """Bits that are learned at least about which hypothesis is true.
+
+    Parameters
+    ----------
+    weights
+        How likely each is, shape (n,), sum 1.
+    squares
+        Of the distances, in standard deviations, by which what the first shows stands out of the second, shape (n, n).
+
+    Notes
+    -----
+    The entropy of a mixture of normal distributions of equal width from their Bhattacharyya distances, which are an eighth of
+    the squares: Kolchinsky and Tracey (2017), Estimating mixture entropy with pairwise distances, Entropy 19, 361.
+    """
+    return max(0.0, float(-weights @ np.log2(np.exp(-squares / 8.0) @ weights)))
 
 
 def _groups(names: Sequence[str], tied: set[frozenset[str]]) -> tuple[tuple[str, ...], ...]:
@@ -105,44 +168,78 @@ def menu(weight: float, max_speed: float) -> dict[str, Callable[[Session], Sessi
 
         return made
 
-    stairs = [(60.0 * i + t, v) for i, v in enumerate(np.linspace(slow, fast, 8)) for t in (15.0, 60.0)]
-    launches = [
-        (30.0 * i + t, v) for i in range(10) for t, v in ((0.0, 0.0), (6.0, fast / 2), (20.0, fast / 2), (26.0, 0.0), (29.0, 0.0))
-    ]
+    def times(count: int, points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+        """The same again and again, from standstill to standstill."""
+        return [(i * (points[-1][0] + 1.0) + t, v) for i in range(count) for t, v in points]
+
+    launch = [(0.0, 0.0), (6.0, fast / 2), (20.0, fast / 2), (26.0, 0.0), (29.0, 0.0)]
+    launch_back = [(t, -v / 2) for t, v in launch]
+    both_ways = [*times(10, launch), *((300.0 + t, v) for t, v in times(10, launch_back))]
+    to_and_fro = [(0.0, 0.0), (10.0, slow), (120.0, slow), (135.0, -slow), (250.0, -slow), (260.0, 0.0)]
+    stairs = [(0.0, 0.0), *((60.0 * i + t, v) for i, v in enumerate(np.linspace(slow, fast, 8)) for t in (15.0, 60.0))]
+    circles = [(0.0, 0.0), *((300.0 * i + t, v) for i, v in enumerate((0.6 * slow, slow, 1.4 * slow)) for t in (10.0, 300.0))]
+    slope = f"up and down a surveyed slope of {KNOWN_SLOPE:.0%} in turns, a minute each, with the grade in the recording"
+    light_and_heavy = LOADS[0], LOADS[-1]
     return {
-        "drive forwards and then in reverse, two minutes each": drive(
-            [(0, 0), (10, slow), (120, slow), (135, -slow), (250, -slow)]
+        "drive forwards and then in reverse, two minutes each": drive(to_and_fro),
+        "drive forwards and then in reverse, two minutes each, with each of three loads": drive(times(3, to_and_fro), load=LOADS),
+        "drive at one speed with three loads, five minutes each": drive([(0, 0), (20, fast), (900, fast)], load=LOADS),
+        "a staircase of speeds, cold, then again hot": drive([*stairs, *((t + 1500.0, v) for t, v in stairs[1:])]),
+        "a staircase of speeds with a light load, then with a heavy one": drive(
+            [*stairs, (495.0, 0.0), *((t + 495.0, v) for t, v in stairs)], load=light_and_heavy
         ),
-        "drive at one speed with three loads, five minutes each": drive([(0, 0), (20, fast), (900, fast)], load=(0.75, 1.0, 1.3)),
-        "a staircase of speeds, cold, then again hot": drive([(0, 0), *stairs, *((t + 1500.0, v) for t, v in stairs)]),
-        "ten sharp launches with coasting down between them": drive([(0, 0), *((t + 1.0, v) for t, v in launches)]),
+        "ten sharp launches with coasting down between them": drive(times(10, launch)),
+        "ten sharp launches with a light load, then ten with a heavy one": drive(times(20, launch), load=light_and_heavy),
+        "ten sharp launches forwards, then ten in reverse": drive(both_ways),
+        "ten sharp launches forwards and ten in reverse with a light load, then again with a heavy one": drive(
+            times(2, both_ways), load=light_and_heavy
+        ),
         "circles of 30 m radius and straights in turns, five minutes": drive(
             [(0, 0), (10, slow), (300, slow)], curvature=1.0 / 30.0
         ),
-        f"up and down a surveyed slope of {KNOWN_SLOPE:.0%} in turns, a minute each, with the grade in the recording": drive(
-            [(0, 0), (10, slow), (360, slow)], slope=KNOWN_SLOPE
+        "circles of 30 m radius and straights in turns, five minutes at each of three speeds": drive(
+            circles, curvature=1.0 / 30.0
         ),
+        slope: drive([(0, 0), (10, slow), (360, slow)], slope=KNOWN_SLOPE),
+        f"sharp launches {slope}": drive(times(20, launch), slope=KNOWN_SLOPE),
         "drive for 20 minutes, stand for an hour, drive for 10 minutes": drive(
             [(0, 0), (20, fast), (1200, fast), (1220, 0), (4820, 0), (4840, fast), (5440, fast)]
         ),
     }
 
 
-def _apart(truth: Fit, rival: Fit, session: Session) -> float:
-    """Standard deviations by which a truth stands out of its rival, after the rival's parameters have moved as they may."""
+def apart(fits: Sequence[Fit], session: Session) -> Array:
+    """Squares of the standard deviations by which what each fit shows stands out of each other, after the parameters of that
+    have moved as they may, shape (n, n).
 
-    def torque(found: Fit, point: Array) -> Array:
-        return found.problem.base.predict([session], *found.model_at(point))[0].torque
-
-    shown, expected = torque(truth, truth.point), torque(rival, rival.point)
-    columns = jacobian(lambda point: torque(rival, point), rival.point, rival.free)
+    The last has none of the effects. By so much as the model's own error is let gain over it, the others stand out less: see
+    `naming.spurious_gain`; a manoeuvre that shows none of them takes away from what was known.
+    """
     moving = np.abs(session.speed) > SLOWEST_MPS  # the gate leaves out the rest
+    shown = [_torque(found, found.point, session) for found in fits]
+    squares = np.stack([_out_of(f, shown, of, session, moving) for f, of in zip(fits, shown, strict=True)], axis=1)
+    noise, torque = fits[-1].noise, float(np.sqrt(np.mean(shown[-1][moving] ** 2)))
+    own = int(moving.sum()) * (MODEL_ERROR * torque * noise.dc_gain / noise.std) ** 2
+    squares[-1] = squares[:, -1] = squares[:, -1] - own
+    squares[-1, -1] = 0.0
+    return squares
+
+
+def _out_of(rival: Fit, shown: Sequence[Array], expected: Array, session: Session, moving: Mask) -> Array:
+    """Squared distances of what is shown from what one fit can follow, shape (shown,)."""
 
     def white(x: Array) -> Array:
         out = whitened(x, moving, rival.noise.phi) / rival.noise.std
-        return np.asarray(out[np.isfinite(out) if out.ndim == 1 else np.isfinite(out).all(axis=1)])
+        return np.asarray(out[np.isfinite(out).all(axis=1)])
 
-    difference, j = white(shown - expected), white(columns)
-    gram = np.linalg.pinv(rival.covariance, rcond=1e-12) + j.T @ j
-    left = difference @ difference - (difference @ j) @ np.linalg.solve(gram, j.T @ difference)
-    return math.sqrt(max(float(left), 0.0))
+    scale = np.array([f.scale for f in rival.free])  # they differ by many orders of magnitude
+    columns = white(jacobian(lambda point: _torque(rival, point, session), rival.point, rival.free) * scale)
+    precision = np.linalg.pinv(rival.covariance / np.outer(scale, scale), rcond=1e-12, hermitian=True)
+    differences = white(np.stack([one - expected for one in shown], axis=1))
+    along = columns.T @ differences
+    taken = np.einsum("ij,ij->j", along, np.linalg.solve(precision + columns.T @ columns, along))
+    return np.asarray(np.maximum(np.einsum("ij,ij->j", differences, differences) - taken, 0.0))
+
+
+def _torque(found: Fit, point: Array, session: Session) -> Array:
+    return np.asarray(found.problem.base.predict([session], *found.model_at(point))[0].torque)

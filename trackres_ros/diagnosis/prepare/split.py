@@ -22,7 +22,8 @@ def split(sessions: Sequence[Session], held_out: int | Sequence[str] | None = No
     sessions
         In the order of their recordings.
     held_out
-        How many of the last sessions (where there are several) or blocks, or the names of recordings.
+        How many of the last sessions (where there are several) or blocks, or the names of recordings, or of laps as a report
+        lists them ("drive_3.csv: 5"): with these a recording can be added to others without changing what is held out.
 
     Returns
     -------
@@ -37,10 +38,15 @@ def split(sessions: Sequence[Session], held_out: int | Sequence[str] | None = No
     blocks = [sorted(set(s.block.tolist())) for s in sessions]
     by_session = len(sessions) >= FEWEST_SESSIONS or (isinstance(held_out, int) and held_out < len(sessions) > 1)
     if held_out is not None and not isinstance(held_out, int):
-        unknown = [name for name in held_out if not any(name in s.name for s in sessions)]
+        laps = {lap_name(s, b): b for s, of in zip(sessions, blocks, strict=True) for b in of}
+        by_name = {b for lap, b in laps.items() if any(lap.endswith(name) for name in held_out)}
+        whole = [name for name in held_out if not any(lap.endswith(name) for lap in laps)]
+        unknown = [name for name in whole if not any(name in s.name for s in sessions)]
         if unknown:
             raise InputError("--holdout", unknown[0], f"part of a name among {', '.join(s.name for s in sessions)}")
-        chosen = {i for i, s in enumerate(sessions) if any(name in s.name for name in held_out)}
+        chosen = {i for i, s in enumerate(sessions) if any(name in s.name for name in whole)}
+        if by_name:
+            return _by_laps(sessions, blocks, by_name.union(*(blocks[i] for i in chosen)))
     elif by_session:
         count = held_out if isinstance(held_out, int) else max(1, round(HELD_OUT_SHARE * len(sessions)))
         chosen = set(range(len(sessions) - count, len(sessions)))
@@ -56,3 +62,16 @@ def split(sessions: Sequence[Session], held_out: int | Sequence[str] | None = No
         raise InputError("--holdout", held_out, f"some, but not all, of the {len(sessions)} recordings")
     text = f"held out: {', '.join(sessions[i].name for i in sorted(chosen))}"
     return Split(training, tuple(b for i in sorted(chosen) for b in blocks[i]), text)
+
+
+def lap_name(session: Session, block: int) -> str:
+    """A lap as a report lists it: the recording, and its number there."""
+    return f"{session.name}: {block - session.block[0] + 1}"
+
+
+def _by_laps(sessions: Sequence[Session], blocks: Sequence[Sequence[int]], held_out: set[int]) -> Split:
+    training = tuple(b for of in blocks for b in of if b not in held_out)
+    if not training:
+        raise InputError("--holdout", sorted(held_out), "some, but not all, of the laps")
+    text = f"held out: {', '.join(lap_name(s, b) for s, of in zip(sessions, blocks, strict=True) for b in of if b in held_out)}"
+    return Split(training, tuple(sorted(held_out)), text)

@@ -92,6 +92,7 @@ def report(d: Diagnosis, paths: Sequence[Path], bindings: Mapping[str, TopicBind
                 "manoeuvre": a.manoeuvre,
                 "expected_d_prime": _number(a.expected_d_prime),
                 "minutes": _number(a.minutes),
+                "information_bit": _number(a.information),
             }
             for a in d.advice
         ],

@@ -15,6 +15,7 @@ from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.inference.levels import for_tests
 from trackres_ros.diagnosis.inference.noise import whitened
 from trackres_ros.diagnosis.prepare.session import Mask, Session
+from trackres_ros.diagnosis.prepare.split import lap_name
 from trackres_ros.errors import InputError
 
 Array = NDArray[np.float64]
@@ -81,7 +82,7 @@ class HeldOutLaps:
         self._masks = masks
         self.measured = self.of([s.torque for s in sessions])
         self.blocks = np.concatenate([s.block[m] for s, m in zip(sessions, masks, strict=True)])
-        self.names = {int(b): f"{s.name}: {b - s.block[0] + 1}" for s in sessions for b in np.unique(s.block)}
+        self.names = {int(b): lap_name(s, int(b)) for s in sessions for b in np.unique(s.block)}
         pieces = self.blocks
         if len(np.unique(self.blocks)) < FEWEST_LAPS:
             number = self.of([s.time // PIECE_S for s in sessions]).astype(np.int64)

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from trackres_ros.diagnosis import Diagnosis
 
-FOLLOWED = "drive_next"
+HELD_OUT = "held_out.json"
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -44,8 +44,9 @@ def diagnosed(folder: Path) -> tuple[Diagnosis, list[Path]]:
     from trackres_ros.diagnosis import diagnose, load_base, read_recordings
 
     paths = sorted(folder.glob("drive_*.csv"))
-    # A drive made to distinguish effects is fitted; the one before it is held out.
-    held_out = [paths[-2].stem] if paths[-1].stem == FOLLOWED else None
+    # A drive made to distinguish effects is fitted beside what was: the same laps are held out as without it.
+    kept = folder / HELD_OUT
+    held_out = json.loads(kept.read_text(encoding="utf-8")) if kept.exists() else None
     return diagnose(read_recordings(paths, None), load_base(folder / "vehicle.yaml"), holdout=held_out, quick=True), paths
 
 

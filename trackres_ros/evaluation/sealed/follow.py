@@ -21,10 +21,12 @@ from typing import Any
 import numpy as np
 
 from trackres_ros.evaluation.sealed.answers import of_report
-from trackres_ros.evaluation.sealed.blind import FOLLOWED
+from trackres_ros.evaluation.sealed.blind import HELD_OUT
 from trackres_ros.evaluation.sealed.cases import Case
 from trackres_ros.evaluation.sealed.drives import STEP_S, Drive
 from trackres_ros.evaluation.sealed.generate import drive_next
+
+FOLLOWED = "drive_next"
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -36,7 +38,8 @@ def main(arguments: Sequence[str]) -> None:
         report = json.loads((folder / "results" / f"{case.name}.json").read_text(encoding="utf-8"))["report"]
         advice = advised(report, set(case.hidden))
         if advice is not None:
-            tasks.append((folder, case, minutes, str(advice["manoeuvre"])))
+            held_out = [Path(lap).name for lap in report["heldout"]["laps"]]
+            tasks.append((folder, case, minutes, str(advice["manoeuvre"]), held_out))
     with ProcessPoolExecutor(os.cpu_count()) as pool:
         for done, _ in enumerate(pool.map(_follow, tasks[:most]), start=1):
             print(f"\rdriven as advised {done} of {len(tasks[:most])}", end="", flush=True)
@@ -54,8 +57,8 @@ def advised(report: dict[str, Any], true: set[str]) -> dict[str, Any] | None:
     return None
 
 
-def _follow(task: tuple[Path, Case, float, str]) -> None:
-    folder, case, minutes, manoeuvre = task
+def _follow(task: tuple[Path, Case, float, str, list[str]]) -> None:
+    folder, case, minutes, manoeuvre, held_out = task
     into = folder / "next" / case.name
     if (into / f"{FOLLOWED}.csv").exists():
         return
@@ -64,6 +67,7 @@ def _follow(task: tuple[Path, Case, float, str]) -> None:
     into.mkdir(parents=True, exist_ok=True)
     for path in [*sorted(before.glob("drive_[0-9]*.csv")), before / "vehicle.yaml"]:
         shutil.copy(path, into / path.name)
+    (into / HELD_OUT).write_text(json.dumps(held_out), encoding="utf-8")
     recorded.rename(into / recorded.name)
 
 
