@@ -4,18 +4,23 @@
 """What no catalogue has, by its own laws, and the instruments of each case."""
 
 from collections import Counter
+from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from trackres_ros.evaluation.sealed import outside
 from trackres_ros.evaluation.sealed.cases import (
+    AFTER_FREEZE,
     CATALOGUE,
+    LEVELS,
     MOST_GAIN,
     MOST_LAG_S,
     MOST_OFFSET_NM,
     OUTSIDE,
     PREDICTABLE_FORMS,
+    QUICK,
     RIGHT_FORMS,
     draw_cases,
     predictable,
@@ -60,12 +65,19 @@ def added(sheet, name, one, torque=5000.0, seed=3, **values):
 
 def test_each_has_a_draw_and_right_forms_and_none_is_in_the_catalogue():
     assert set(OUTSIDE) == set(RIGHT_FORMS) == set(ADDS)
-    assert len(OUTSIDE) >= 9
+    assert set(AFTER_FREEZE) < set(OUTSIDE)
     assert not set(OUTSIDE) & set(CATALOGUE)
     assert {form.name for forms in RIGHT_FORMS.values() for form in forms} <= FORMS
     assert set(PREDICTABLE_FORMS) < FORMS
     assert predictable("mud")
     assert not predictable("pump")
+    assert not predictable("ratchet")  # no form is right of it
+
+
+@pytest.mark.parametrize(("levels", "each"), [(LEVELS, 4), (QUICK, 1)])
+def test_each_is_in_a_run_equally_often(levels, each):
+    cases = [case for case in draw_cases(levels, 1) if case.level == "outside"]
+    assert Counter(name for case in cases for name in case.hidden) == dict.fromkeys(OUTSIDE, each)
 
 
 def test_each_is_drawn_equally_often():
@@ -139,11 +151,98 @@ def test_a_zero_that_drifts_is_slow_and_begins_at_zero(sheet):
     assert np.abs(np.diff(drift)).max() < 0.01 * p["torque"]
 
 
+def slips(series, least):
+    """How often a torque falls below minus something."""
+    return int((np.diff((series < -least).astype(int)) == 1).sum())
+
+
+def test_a_ratchet_slips_when_it_pulls_hard_and_more_often_when_cold(sheet):
+    counts = {}
+    for torque, air in ((2000.0, 25.0), (6000.0, 25.0), (8000.0, 25.0), (6000.0, 5.0)):
+        one = replace(steady(sheet, 5.0), ambient=np.full(9000, air))
+        jumps, p = added(sheet, "ratchet", one, torque, limit=6000.0, rate=0.3)
+        counts[torque, air] = slips(jumps[:3000], 0.5 * p["torque"])  # in five minutes: later it is warm
+    assert counts[2000.0, 25.0] == 0
+    assert 0 < counts[6000.0, 25.0] < counts[8000.0, 25.0]
+    assert counts[6000.0, 25.0] < counts[6000.0, 5.0]
+
+
+def test_a_ratchet_loses_the_drive_for_a_moment_and_makes_up_for_it(sheet):
+    jumps, p = added(sheet, "ratchet", steady(sheet, 5.0, minutes=60.0), 5000.0, limit=5000.0, rate=0.1)
+    lost = jumps < -0.5 * p["torque"]
+    lasts = np.diff(np.flatnonzero(np.diff(lost.astype(int)))[: 2 * slips(jumps, 0.5 * p["torque"])])[::2] * 0.1
+    assert len(lasts) > 30
+    assert lasts.max() < 2.5
+    assert jumps.max() > 0.5 * p["torque"]
+    assert 0.0 < jumps.mean() < 0.1 * p["torque"]
+
+
+def test_a_ratchet_takes_no_more_drive_than_there_is(sheet):
+    jumps, _ = added(sheet, "ratchet", steady(sheet, 5.0), 300.0, limit=0.0, rate=1.0)
+    assert jumps.min() == pytest.approx(-240.0, rel=1e-3)
+    braking, _ = added(sheet, "ratchet", steady(sheet, 5.0), -5000.0)
+    assert np.abs(braking).max() == 0.0
+
+
+def places_of(sheet, one, driven=0.0, **values):
+    p = {"torque": 600.0, "lap": 1000.0, "seed": 5.0} | values
+    return outside.PHENOMENA["route_places"](Journey(sheet, one, driven), p, np.zeros(len(one)))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_places_of_a_route_come_again_with_each_lap_and_slip_by_a_percent(sheet, seed):
+    one = steady(sheet, 5.0, minutes=60.0)
+    distance = np.cumsum(one.speed) * 0.1
+    laps = np.array(
+        [np.interp(np.arange(1000.0), distance - 1000.0 * lap, places_of(sheet, one, seed=float(seed))) for lap in range(17)]
+    )
+    assert np.abs(laps[0]).max() == pytest.approx(600.0, rel=0.4)
+    assert (np.abs(laps[0]) < 6.0).mean() > 0.5  # most of a lap is none of them
+    for before, after in pairwise(laps):
+        alike = [np.corrcoef(before, np.roll(after, metres))[0, 1] for metres in range(-12, 13)]
+        assert max(alike) > 0.8
+    assert np.corrcoef(laps[0], np.roll(laps[1], 300))[0, 1] < 0.8
+
+
+def test_places_are_where_they_were_when_the_next_drive_begins(sheet):
+    one = steady(sheet, 5.0, minutes=20.0)
+    whole, driven = places_of(sheet, one), float(np.sum(one.speed[:6000])) * 0.1
+    rest = Drive(*(getattr(one, name)[6000:] if name != "step" else 0.1 for name in (
+        "step", "speed", "accel", "yaw_rate", "heading", "weight", "ambient"
+    )))  # fmt: skip
+    again = places_of(sheet, rest, driven)
+    assert np.corrcoef(whole[6000:], again)[0, 1] > 0.95  # each pass is on another line
+
+
+def test_a_bearing_rumbles_binds_and_then_is_seized_for_good(sheet):
+    one = steady(sheet, 5.0, minutes=60.0)
+    drag, p = added(sheet, "seized_bearing", one, distance=9000.0)
+    distance = np.cumsum(one.speed) * 0.1
+    early, late, after = distance < 3000.0, (distance > 6000.0) & (distance < 8700.0), distance > 9300.0
+    assert 0.0 < np.median(drag[early][100:]) < 0.05 * p["torque"]
+    assert slips(-drag[late], 0.2 * p["torque"]) > slips(-drag[early], 0.2 * p["torque"])
+    assert np.median(drag[late]) < 0.1 * p["torque"]
+    assert np.median(drag[after]) == pytest.approx(0.9 * p["torque"], rel=0.1)
+    assert (drag[after] > 0.5 * p["torque"]).mean() > 0.8
+    later = outside.PHENOMENA["seized_bearing"](Journey(sheet, one, 30000.0), p, np.zeros(len(one)))
+    assert np.median(later[100:]) == pytest.approx(0.85 * p["torque"], rel=0.05)
+    light, _ = added(sheet, "seized_bearing", steady(sheet, 5.0, load=0.8, minutes=60.0), distance=9000.0)
+    np.testing.assert_allclose(light[after], 0.86 * drag[after])
+
+
+@pytest.mark.parametrize("name", AFTER_FREEZE)
+@pytest.mark.parametrize("driven", [0.0, 40_000.0])
+def test_what_was_written_after_the_freeze_does_nothing_to_a_vehicle_that_stands(sheet, name, driven):
+    p = {key: float(x) for key, x in OUTSIDE[name](np.random.default_rng(3), 1.0).items()}
+    standing = steady(sheet, 0.0)
+    assert np.abs(ADDS[name](Journey(sheet, standing, driven), p, np.full(len(standing), 8000.0))).max() == 0.0
+
+
 def test_drives_of_one_case_differ_and_come_out_the_same_again(sheet):
     one = drive(6.0, sheet["weight"], 15.0, 14.0, np.random.default_rng(2))
     for name, adds in ADDS.items():
         p = {key: float(x) for key, x in OUTSIDE[name](np.random.default_rng(8), 1.0).items()}
-        first, again, later = (adds(Journey(sheet, one, driven), p, one.accel * 1e4) for driven in (0.0, 0.0, 5000.0))
+        first, again, later = (adds(Journey(sheet, one, driven), p, 3000.0 + one.accel * 1e4) for driven in (0.0, 0.0, 5000.0))
         np.testing.assert_array_equal(first, again, err_msg=name)
         assert np.abs(first - later).max() > 0.0, name
 

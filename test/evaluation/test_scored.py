@@ -54,6 +54,11 @@ def test_a_report_without_descriptions_is_read_as_before():
         ("brake_after_stops", term("build_up", "distance", None, {"constant_s": 60.0, "reset_by_stop": False}), False),
         ("backlash", term("curve", "driving torque"), True),
         ("zero_drift", term("drift"), True),
+        ("route_places", term("place", "distance"), True),
+        ("route_places", term("wave", "distance"), False),
+        ("seized_bearing", term("level_change"), True),
+        ("seized_bearing", term("spells"), False),
+        ("ratchet", term("curve", "driving torque"), False),
     ],
 )
 def test_right_forms(hidden, said, right):
@@ -97,6 +102,28 @@ def test_scores_of_what_is_outside():
     by_kind = outside_table(of)
     assert "| mud | 2 | 2 | 1 | build_up; delay |" in by_kind
     assert "| zero_drift | 1 | 0 | 0 | unexplained |" in by_kind
+
+
+def test_scores_of_what_was_written_after_the_freeze():
+    of = [
+        scored("outside", ["ratchet"], report("unexplained")),
+        scored("outside", ["ratchet"], report("described", described=[term("spells")])),
+        scored("outside", ["route_places"], report("described", described=[term("place")])),
+        scored("outside", ["seized_bearing"], report("named", ["delay"])),
+        scored("outside", ["pump"], report("unexplained")),
+        scored("single", ["delay"], report("named", ["delay"])),
+    ]
+    found, own = shares(of), own_shares(of)
+    assert found["written after the freeze: confident wrong name"] == (1, 4)
+    assert own["written after the freeze: described in the right form or unexplained"] == (2, 4)
+    assert own["outside, all: described in the right form"] == (1, 3)  # of the ratchet no form is right
+    assert own["outside, seen by the oracle: described in the right form"] == (1, 3)
+    assert [s.wrong for s in of[:2]] == ["", "described in another form"]
+    assert [s.predictable for s in of[:5]] == [False, False, True, True, False]
+    by_kind = outside_table(of)
+    assert "| ratchet (after the freeze) | 2 | 2 | no form is right |" in by_kind
+    assert "| route_places (after the freeze) | 1 | 1 | 1 | place |" in by_kind
+    assert "| pump | 1 | 1 | 0 | unexplained |" in by_kind
 
 
 def test_a_delay_is_compared_with_all_that_the_torque_is_late_by():

@@ -19,8 +19,8 @@ from trackres_ros.evaluation.sealed.truth import Build
 Values = dict[str, float]
 Draw = Callable[[np.random.Generator, float], Values]
 
-LEVELS = {"none": 60, "single": 60, "masked": 40, "compensated": 40, "two": 40, "confounded": 24, "outside": 36}
-QUICK = {"none": 14, "single": 14, "masked": 9, "compensated": 9, "two": 9, "confounded": 6, "outside": 9}
+LEVELS = {"none": 60, "single": 60, "masked": 40, "compensated": 40, "two": 40, "confounded": 24, "outside": 48}
+QUICK = {"none": 14, "single": 14, "masked": 9, "compensated": 9, "two": 9, "confounded": 6, "outside": 12}
 MASKED_SIZE = (0.2, 0.4)  # of a clear one
 # What any instrument has, which is no finding: less than a hidden `delay`, `torque_offset` or `torque_gain` adds.
 SPEED_STEPS_MPS = (0.02, 0.05)
@@ -129,8 +129,20 @@ OUTSIDE: dict[str, Draw] = {
         "torque": s * g.uniform(300.0, 800.0), "length": g.uniform(0.97, 1.03), "phase": _turn(g), "seed": _seed(g),
     },
     "zero_drift": lambda g, s: {"torque": s * g.uniform(100.0, 200.0), "seed": _seed(g)},
+    "ratchet": lambda g, s: {
+        "torque": s * g.uniform(400.0, 1000.0), "limit": g.uniform(4000.0, 5500.0), "rate": g.uniform(0.15, 0.4),
+        "seed": _seed(g),
+    },
+    "route_places": lambda g, s: {"torque": s * g.uniform(350.0, 900.0), "lap": g.uniform(600.0, 2000.0), "seed": _seed(g)},
+    "seized_bearing": lambda g, s: {
+        "torque": s * g.uniform(300.0, 800.0), "distance": g.uniform(3000.0, 11000.0), "seed": _seed(g),
+    },
 }  # fmt: skip
 """What no catalogue has, drawn equally often; the functions are in `outside`."""
+AFTER_FREEZE = ("ratchet", "route_places", "seized_bearing")
+"""Kinds written only after the grammar of descriptions was frozen, by somebody who had not seen the code that describes. They are
+used once, by the reported run: nothing was developed on them.
+"""
 
 
 @dataclass(frozen=True)
@@ -160,15 +172,19 @@ RIGHT_FORMS: dict[str, tuple[Form, ...]] = {
     "light_resonance": (Form("gated_curve", ("speed", "load")),),
     "stiff_joint": (WAVE,),
     "zero_drift": (DRIFT,),
+    "ratchet": (),  # it comes and goes within seconds, by chance, and in the mean adds next to nothing: unexplained is right
+    "route_places": (Form("place"),),
+    "seized_bearing": (Form("level_change"),),
 }
-"""Of each phenomenon outside the catalogue the forms that describe it."""
+"""Of each phenomenon outside the catalogue the forms that describe it; none where no form does."""
 PREDICTABLE_FORMS = ("curve", "gated_curve", "build_up", "wave", "place", "level_change")
 """Forms whose torque can be predicted: the others can only be detected once they have begun."""
 
 
 def predictable(name: str) -> bool:
     """Whether what a phenomenon outside the catalogue adds can be known ahead."""
-    return all(form.name in PREDICTABLE_FORMS for form in RIGHT_FORMS[name])
+    forms = RIGHT_FORMS[name]
+    return bool(forms) and all(form.name in PREDICTABLE_FORMS for form in forms)
 
 
 def draw_cases(counts: Mapping[str, int], seed: int) -> list[Case]:

@@ -15,6 +15,7 @@ import numpy as np
 from trackres_ros.evaluation.sealed.phenomenon import Adds, Array, Journey
 
 STANDING_MPS = 0.1
+SLIP_OF_ODOMETER = 0.01  # at most, of the length of a lap
 
 
 def _draws(at: Journey, p: Mapping[str, float]) -> np.random.Generator:
@@ -109,6 +110,84 @@ def _zero_drift(at: Journey, p: Mapping[str, float], _: Array) -> Array:
     return np.asarray(p["torque"] * walk / np.sqrt(np.mean(walk**2)))
 
 
+# The next three were written after the grammar of descriptions was frozen, by another hand, see `cases.AFTER_FREEZE`.
+
+
+def _ratchet(at: Journey, p: Mapping[str, float], torque: Array) -> Array:
+    """A sprocket that slips over the lugs of its belt when it pulls hard: the drive is lost for a second or two, then the teeth
+    catch with a shock that swings out. The harder it pulls, and the slacker and colder the belt is, the more often.
+
+    The vehicle keeps its speed over it, so what is lost is made up for, and the lugs that were climbed cost a little more.
+    """
+    rng, out = _draws(at, p), np.zeros(len(at.speed))
+    moving = at.travel > STANDING_MPS
+    cold = (1.0 - at.lagged(moving.astype(float), 500.0, 0.0)) * np.clip((20.0 - at.drive.ambient) / 15.0, 0.0, 1.0)
+    tight = rng.normal(1.0, 0.05) * _uneven(at, rng, 0.04, 120.0)  # as it was tensioned before this drive
+    over = torque * at.direction - p["limit"] * tight * (1.0 - 0.2 * cold)
+    chance = p["rate"] * at.step / (1.0 + np.exp(-over / 300.0))
+    held = 0
+    for begin in np.flatnonzero(moving & (rng.random(len(out)) < chance)).tolist():
+        lost_s, swings_s = rng.uniform(0.6, 2.0), rng.uniform(0.8, 2.0)
+        lost, shock = rng.uniform(0.7, 1.3), rng.uniform(0.9, 1.4)
+        if begin < held:
+            continue  # it still slips
+        held = begin + int(lost_s / at.step)
+        out[begin:held] = -lost
+        after = np.arange(len(out) - held) * at.step
+        out[held:] += lost * shock * np.exp(-after / swings_s)
+    added = np.maximum(p["torque"] * at.lagged(out, 0.15, 0.0), -0.8 * np.maximum(torque * at.direction, 0.0))
+    return added * moving * at.direction
+
+
+def _route_places(at: Journey, p: Mapping[str, float], _: Array) -> Array:
+    """Soft ground and rises that no map has, at the same places of a route that is driven lap after lap, drive after drive.
+
+    The odometer slips by up to a percent, in each lap by another share.
+    """
+    route, lap = np.random.default_rng(int(p["seed"])), p["lap"]
+    count = int(route.integers(2, 5))
+    centres = (np.arange(count) + route.uniform(0.3, 0.7, count)) * lap / count
+    halves, edges, rises = route.uniform(12.0, 30.0, count), route.uniform(4.0, 12.0, count), route.random(count) < 0.4
+    sizes = route.uniform(0.5, 1.0, count)
+    lengths = lap * (1.0 + route.uniform(-SLIP_OF_ODOMETER, SLIP_OF_ODOMETER, int(at.distance[-1] / (0.98 * lap)) + 2))
+    ends = np.cumsum(lengths)
+    laps = np.searchsorted(ends, at.distance, side="right")
+    position = lap * (1.0 - (ends[laps] - at.distance) / lengths[laps])
+    rng, out = _draws(at, p), np.zeros(len(at.speed))
+
+    def between(begin: float, end: float, edge: float) -> Array:
+        ahead = (position - 0.5 * (begin + end) + 0.5 * lap) % lap - 0.5 * lap
+        half = 0.5 * (end - begin)
+        return np.asarray(0.5 * (np.tanh((ahead + half) / edge) - np.tanh((ahead - half) / edge)))
+
+    for centre, half, edge, rises_here, size in zip(centres, halves, edges, rises, sizes / sizes.max(), strict=True):
+        passes = size * rng.normal(1.0, 0.1, len(ends))[laps]  # each on another line
+        if rises_here:  # and falls as much behind, over half as many metres again; the brakes hold it where it stands
+            slope = between(centre - half, centre, edge) - between(centre, centre + 1.5 * half, edge) / 1.5
+            out += passes * at.load * slope * np.abs(at.direction)
+        else:
+            out += passes * at.load**1.4 * between(centre - half, centre + half, edge) * at.direction
+    return p["torque"] * out
+
+
+def _seized_bearing(at: Journey, p: Mapping[str, float], _: Array) -> Array:
+    """A bearing of a road wheel that rumbles, then binds for seconds, more and more often, and at some distance seizes for good:
+    from there on the wheel is dragged along, breaks loose for seconds, and slides a little more easily the longer it did.
+    """
+    rng, worn = _draws(at, p), at.distance / p["distance"]
+    slid = np.maximum(at.distance - p["distance"], 0.0)
+    seized = 1.0 / (1.0 + np.exp(-(at.distance - p["distance"]) / 60.0))
+    other, held = np.zeros(len(at.speed)), 0  # binds while it still turns, turns although it has seized
+    for begin in np.flatnonzero(rng.random(len(other)) < 0.015 * at.step * np.minimum(worn, 1.0) ** 3).tolist():
+        for_s, size = rng.uniform(3.0, 12.0), rng.uniform(0.3, 0.8)
+        if begin >= held:
+            held = begin + int(for_s / at.step)
+            other[begin:held] = size
+    other = at.lagged(other, 0.8, 0.0)
+    drags = seized * (1.0 - other) * (0.85 + 0.15 * np.exp(-slid / 3000.0)) + (1.0 - seized) * (other + 0.05 * worn)
+    return p["torque"] * drags * (0.3 + 0.7 * at.load) * _uneven(at, rng, 0.06, 15.0) * at.direction
+
+
 PHENOMENA: dict[str, Adds] = {
     "sticking_brake": _sticking_brake,
     "mud": _mud,
@@ -118,6 +197,9 @@ PHENOMENA: dict[str, Adds] = {
     "backlash": _backlash,
     "light_resonance": _light_resonance,
     "stiff_joint": _stiff_joint,
+    "ratchet": _ratchet,
+    "route_places": _route_places,
+    "seized_bearing": _seized_bearing,
 }
 """What adds to the torque."""
 SHOWN: dict[str, Adds] = {"zero_drift": _zero_drift}

@@ -168,7 +168,9 @@ def outside_table(scored: Sequence[Scored]) -> str:
     ]
     for name, cases in sorted(of.items()):
         seen, right = (sum(hits) for hits in zip(*((s.known.identifiable, s.rightly_described) for s in cases), strict=True))
-        lines.append(f"| {name} | {len(cases)} | {seen} | {right} | {'; '.join(map(_verdict_of, cases))} |")
+        kind = f"{name} (after the freeze)" if cases[0].after_freeze else name
+        described = right if cases[0].describable else "no form is right"
+        lines.append(f"| {kind} | {len(cases)} | {seen} | {described} | {'; '.join(map(_verdict_of, cases))} |")
     return "\n".join(lines)
 
 

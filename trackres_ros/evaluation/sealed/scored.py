@@ -13,7 +13,7 @@ import numpy as np
 from scipy.stats import binomtest
 
 from trackres_ros.evaluation.sealed.answers import DESCRIBED, Answer, error_left
-from trackres_ros.evaluation.sealed.cases import RIGHT_FORMS, Case, predictable, sensors_of
+from trackres_ros.evaluation.sealed.cases import AFTER_FREEZE, RIGHT_FORMS, Case, predictable, sensors_of
 from trackres_ros.evaluation.sealed.oracle import OracleAnswer
 
 OURS = "diagnosis"
@@ -65,6 +65,16 @@ class Scored:
     def answer(self) -> Answer:
         """The answer of the diagnosis."""
         return self.answers[OURS]
+
+    @property
+    def describable(self) -> bool:
+        """Whether it is outside the catalogue and a form is right of it."""
+        return self.case.level == "outside" and all(RIGHT_FORMS[name] for name in self.true)
+
+    @property
+    def after_freeze(self) -> bool:
+        """Whether it is of the kinds that were written only after the grammar of descriptions was frozen."""
+        return self.case.level == "outside" and self.true <= set(AFTER_FREEZE)
 
     @property
     def rightly_described(self) -> bool:
@@ -162,6 +172,9 @@ def shares(scored: Sequence[Scored], method: str = OURS) -> dict[str, tuple[int,
         "outside: unexplained": share(outside, lambda _, a: a.status == "unexplained"),
         "outside: confident wrong name": share(outside, lambda _, a: a.status == "named"),
         "outside: a name or a class of names": share(outside, lambda _, a: bool(a.classes)),
+        "written after the freeze: confident wrong name": share(
+            [s for s in outside if s.after_freeze], lambda _, a: a.status == "named"
+        ),
     }
 
 
@@ -179,9 +192,12 @@ def own_shares(scored: Sequence[Scored]) -> dict[str, tuple[int, int]]:
     return {
         "none: false description": share(none, lambda s: s.answer.status == DESCRIBED),
         "outside, seen by the oracle: described in the right form": share(
-            [s for s in outside if s.known.identifiable], lambda s: s.rightly_described
+            [s for s in outside if s.describable and s.known.identifiable], lambda s: s.rightly_described
         ),
-        "outside, all: described in the right form": share(outside, lambda s: s.rightly_described),
+        "outside, all: described in the right form": share([s for s in outside if s.describable], lambda s: s.rightly_described),
+        "written after the freeze: described in the right form or unexplained": share(
+            [s for s in outside if s.after_freeze], lambda s: s.rightly_described or s.answer.status == "unexplained"
+        ),
         "in the catalogue and identifiable: described instead of named": share(within, lambda s: s.answer.status == DESCRIBED),
         "held-out laps: never worse than the base": (
             sum(after <= NO_WORSE * before for before, after in errors),
