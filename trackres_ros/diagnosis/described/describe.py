@@ -50,6 +50,7 @@ PHASE_COST = 1.0  # in log-likelihood: what a phase, which is fitted to each str
 SPELLS, WAVE, LEVEL_CHANGE, PLACE = "spells", "wave", "level_change", "place"
 BEGINNINGS_S = 15.0  # within so much of a stop a spell begins with it
 MOST_BEGIN = 0.7  # of the spells
+LIKELY = 0.5  # that it is there
 
 
 @dataclass(frozen=True, eq=False)
@@ -339,12 +340,31 @@ def said(term: Term, final: Fit) -> Described:
     if term.place is not None:
         return of_place(name, level, term.place)
     assert term.chain is not None
-    b = torque_blocks(final, residuals_without(final, name))
-    there, _ = there_given(b, term.chain)
-    begins = np.flatnonzero(beginnings(b, there))
-    lengths = np.diff(np.flatnonzero(np.diff(np.concatenate(([0], (there > 0.5).astype(int), [0])))))[::2]
-    seconds = BLOCK_S * lengths.astype(float)
-    return of_spells(name, term.chain, level, len(begins), seconds, _begins_with(b, begins, final))
+    assert isinstance(active.effect, Watched)
+    spells = _spells_of(active.effect.shape, final)
+    lengths = np.array([(end - begin) * final.problem.sessions[i].step for i, begin, end in spells])
+    return of_spells(name, term.chain, level, len(spells), lengths, _begins_with(spells, final))
+
+
+def _spells_of(shape: Sequence[Array], final: Fit) -> list[tuple[int, int, int]]:
+    """Spells on the laps that are fitted: session, and its samples from and up to."""
+    found = []
+    for i, (x, mask) in enumerate(zip(shape, final.problem.masks, strict=True)):
+        turns = np.flatnonzero(np.diff(np.concatenate(([0], ((np.abs(x) > LIKELY) & mask).astype(int), [0]))))
+        joined = _joined(turns.reshape(-1, 2), round(BLOCK_S / final.problem.sessions[i].step))
+        found += [(i, begin, end) for begin, end in joined]
+    return found
+
+
+def _joined(turns: NDArray[np.int64], within: int) -> list[tuple[int, int]]:
+    """Stretches, those that lie within so many samples of each other as one."""
+    found: list[tuple[int, int]] = []
+    for begin, end in turns.tolist():
+        if found and begin - found[-1][1] <= within:
+            found[-1] = found[-1][0], end
+        else:
+            found.append((begin, end))
+    return found
 
 
 def course(term: Term, final: Fit) -> list[Array]:
@@ -361,16 +381,14 @@ def course(term: Term, final: Fit) -> list[Array]:
     return [x * np.sign(s.speed) / max(level, 1e-9) for x, s in zip(adds, sessions, strict=True)]
 
 
-def _begins_with(b: Blocks, begins: NDArray[np.int64], final: Fit) -> str:
+def _begins_with(spells: Sequence[tuple[int, int, int]], final: Fit) -> str:
     """What most spells begin with, in words; empty where nothing stands out."""
-    if not len(begins):
-        return ""
     after_stop = []
-    for i in begins:
-        session = final.problem.sessions[b.session[i]]
-        near = slice(max(0, b.begin[i] - round(BEGINNINGS_S / session.step)), b.end[i])
+    for i, begin, _ in spells:
+        session = final.problem.sessions[i]
+        near = slice(max(0, begin - round(BEGINNINGS_S / session.step)), begin + round(BLOCK_S / session.step))
         after_stop.append(bool((np.abs(session.speed[near]) < MOVING_MPS).any()))
-    return ", mostly after a stop" if np.mean(after_stop) > MOST_BEGIN else ""
+    return ", mostly after a stop" if after_stop and np.mean(after_stop) > MOST_BEGIN else ""
 
 
 def drift(final: Fit) -> Described | None:

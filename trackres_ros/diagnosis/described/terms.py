@@ -175,7 +175,7 @@ def _of_build_up(effect: BuildUp, values: Mapping[str, float]) -> Described:
 
 def of_spells(name: str, chain: Chain, level: float, count: int, lengths_s: Array, begins: str) -> Described:
     """Spells of a size [Nm]: how many there were, how long each was [s], and what their beginnings have in common."""
-    low, high = (figures(float(q), 2) for q in np.quantile(lengths_s, (0.1, 0.9)))
+    low, high = (figures(float(q), 2) for q in np.quantile(lengths_s if len(lengths_s) else [BLOCK_S / chain.goes], (0.1, 0.9)))
     text = f"For {low} to {high} s at a time it takes {_more(level)}, {count} times in these recordings{begins}"
     return Described(
         "spells", name, "", "", None, BLOCK_S / chain.goes, f"{text}; it follows nothing that is recorded", OF_SPELLS,
