@@ -301,8 +301,7 @@ def test_launch_starts_it(cyclone, workspace):
 
 
 def test_launch_testing_finds_it_well_while_it_runs_and_after(cyclone, workspace):
-    if not importlib.util.find_spec("launch_testing"):
-        pytest.skip("launch_testing is not installed: ros-jazzy-launch-testing")
+    pytest.importorskip("launch_testing", reason="ros-jazzy-launch-testing or lark is not installed")
     cyclone.environment = {**workspace, **{k: v for k, v in cyclone.environment.items() if os.environ.get(k) != v}}
     tests = Path(__file__).with_name("launched.py")
     program = "import sys; from launch_testing.launch_test import main; sys.exit(main())"

@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from trackres_ros.diagnosis.inference.fitting import Fit, fit, free_parameters
+from trackres_ros.diagnosis.inference.fitting import Fit, Free, fit, free_parameters
 from trackres_ros.diagnosis.inference.levels import LARGEST_ROOT
+from trackres_ros.diagnosis.inference.threads import side_by_side
 from trackres_ros.diagnosis.selection.form_error import FORM_ERROR
 from trackres_ros.diagnosis.selection.visibility import base_columns
 from trackres_ros.effects.effect import Effect
@@ -45,20 +46,21 @@ def intervals(found: Fit) -> dict[tuple[str, str], Interval]:
     """
     by_laps = lap_std(found)
     offs = {(a.effect.name, q.name): q.off for a in found.effects for q in a.effect.parameters if q.off is not None}
-    result = {}
-    for f in free_parameters(found.problem.base, [a.effect for a in found.effects]):
+
+    def interval(f: Free) -> Interval:
         at = found.at[f.key]
         std = max(by_laps.get(f.key, 0.0), found.std_of(*f.key))
         if not f.key[0]:
-            result[f.key] = Interval(max(f.low, at - NORMAL_95 * std), min(f.high, at + NORMAL_95 * std), False)
-            continue
+            return Interval(max(f.low, at - NORMAL_95 * std), min(f.high, at + NORMAL_95 * std), False)
         low, low_open = _edge(found, f.key, -1.0, f.low)
         high, high_open = _edge(found, f.key, 1.0, f.high)
         lap = NORMAL_95 * by_laps.get(f.key, 0.0)
         form = NORMAL_95 * FORM_ERROR * abs(at - offs.get(f.key, at))
         below, above = (float(np.hypot(max(reach, lap), form)) for reach in (at - low, high - at))
-        result[f.key] = Interval(max(f.low, at - below), min(f.high, at + above), low_open or high_open)
-    return result
+        return Interval(max(f.low, at - below), min(f.high, at + above), low_open or high_open)
+
+    of = free_parameters(found.problem.base, [a.effect for a in found.effects])
+    return {f.key: one for f, one in zip(of, side_by_side(interval, of), strict=True)}
 
 
 def lap_std(found: Fit) -> dict[tuple[str, str], float]:

@@ -5,9 +5,7 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,6 +13,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
 from trackres_ros.diagnosis.inference.noise import Noise, shortened
+from trackres_ros.diagnosis.inference.threads import side_by_side
 from trackres_ros.diagnosis.selection.screening import screen
 from trackres_ros.diagnosis.selection.visibility import Sensitivity, Separability, separability
 from trackres_ros.effects.effect import Effect
@@ -191,15 +190,9 @@ def one_round(current: Fit, effects: Mapping[str, Effect], replicates: int, rng:
         and (gain > best - within or (s.effect.acts_on in THROUGH_TEMPERATURE and gain > screened.threshold))
     ]
     names = list(dict.fromkeys(s.effect.name for s in worth))[:MOST_REFITTED]
-    with ThreadPoolExecutor(os.cpu_count()) as threads:  # most of a fit is compiled, and leaves the interpreter to others
-        candidates = list(
-            threads.map(
-                lambda name: _refit(
-                    current, [s for s in worth if s.effect.name == name], screened.form_error_gain.get(name, 0.0)
-                ),
-                names,
-            )
-        )
+    candidates = side_by_side(
+        lambda name: _refit(current, [s for s in worth if s.effect.name == name], screened.form_error_gain.get(name, 0.0)), names
+    )
     candidates.sort(key=lambda c: (not c.matters, -c.net_evidence))
     first = candidates[0]
     weights = _class_of(first, [c for c in candidates if c is first or (c.matters and c.net_gain > screened.threshold)], seen)

@@ -16,6 +16,7 @@ from scipy.signal import lfilter
 
 from trackres_ros.diagnosis.inference.fitting import LARGE, Fit
 from trackres_ros.diagnosis.inference.noise import MOST_LAGS, Noise, improved, shortened, whole_past
+from trackres_ros.diagnosis.inference.threads import side_by_side
 from trackres_ros.diagnosis.selection.form_error import other_forms
 from trackres_ros.diagnosis.selection.visibility import Sensitivity, base_columns
 
@@ -81,12 +82,13 @@ def screen(
     few = linear if linear.rows <= MOST_DRAWN_ROWS else _Linear(fit, own, forms, MOST_DRAWN_ROWS)
     movers = movers if few is linear else [few.mover(c) for c in candidates]
     rank = few.ranking(movers)
-    reached = np.zeros(replicates)
-    for i in range(replicates):
-        drawn = few.lagged(few.drawn(rng))
+
+    def largest(drawn: Lagged) -> float:
         before = few.likelihood(drawn, few.own, centred_on_fit=True)
         nearly = [movers[j] for j in np.argsort(-rank(drawn))[:NEARLY_LARGEST]]
-        reached[i] = max((few.likelihood(drawn, m, centred_on_fit=True) - before for m in nearly), default=0.0)
+        return max((few.likelihood(drawn, m, centred_on_fit=True) - before for m in nearly), default=0.0)
+
+    reached = np.array(side_by_side(largest, [few.lagged(few.drawn(rng)) for _ in range(replicates)]))
     return Screened(tuple(gains), form_error_gain, largest_by_noise(reached), reached)
 
 
