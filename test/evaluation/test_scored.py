@@ -6,7 +6,7 @@
 import pytest
 
 from trackres_ros.evaluation.sealed.answers import error_left, of_report
-from trackres_ros.evaluation.sealed.cases import RIGHT_FORMS, Case, sensors_of
+from trackres_ros.evaluation.sealed.cases import RIGHT_FORMS, Case, first_by_name, sensors_of
 from trackres_ros.evaluation.sealed.oracle import OracleAnswer
 from trackres_ros.evaluation.sealed.page import learned_table, outside_table
 from trackres_ros.evaluation.sealed.scored import OURS, Scored, comparable, own_shares, shares, sizes
@@ -131,3 +131,11 @@ def test_a_delay_is_compared_with_all_that_the_torque_is_late_by():
     covers, (error,) = comparable([s])
     assert error == pytest.approx(abs(0.3 / (0.25 + sensors_of(s.case).torque_lag_s) - 1.0))
     assert covers == [True]
+
+
+def test_the_first_cases_are_those_of_the_first_drawn_names_whatever_is_in_them():
+    named = [
+        Case(name, level, {}, {}, False, False, False, True, 1) for name, level in (("c", "none"), ("a", "two"), ("b", "outside"))
+    ]
+    assert [one.name for one in first_by_name(named, 2)] == ["a", "b"]
+    assert {one.name for one in first_by_name(named, None)} == {"a", "b", "c"}

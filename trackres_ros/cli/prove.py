@@ -42,6 +42,7 @@ folder_option = click.option(
 @click.option("--cases", "count", type=click.IntRange(1), metavar="N", help="Number of cases of each level given without one.")
 @click.option("--seed", type=click.IntRange(0), default=REPORTED_SEED, show_default=True, help="Seed of all random draws.")
 @click.option("--quick", is_flag=True, help="73 cases of shorter drives.")
+@click.option("--first", type=click.IntRange(1), metavar="N", help="Diagnose and score N of the sealed cases, by drawn names.")
 @click.option("--fresh", is_flag=True, help="Begin anew instead of going on with what is in the folder.")
 @click.option(
     "-o",
@@ -57,6 +58,7 @@ def prove_command(
     count: int | None,
     seed: int,
     quick: bool,
+    first: int | None,
     fresh: bool,
     output: Path | None,
     as_json: bool,
@@ -92,10 +94,11 @@ def prove_command(
     settings_file.write_text(settings, encoding="utf-8")
     stream = sys.stderr if as_json else None
     _process(stream, "generate", str(output), *settings.split())
-    _process(stream, "blind", str(output / "cases"), str(output / "results"))
-    _process(stream, "follow", str(output), f"{minutes:g}", str(QUICK_FOLLOWED if quick else FOLLOWED))
+    so_many = [] if first is None else [str(first)]
+    _process(stream, "blind", str(output / "cases"), str(output / "results"), *so_many)
+    _process(stream, "follow", str(output), f"{minutes:g}", str(QUICK_FOLLOWED if quick else FOLLOWED), *so_many)
     _process(stream, "blind", str(output / "next"), str(output / "results_next"))
-    _process(stream, "score", str(output))
+    _process(stream, "score", str(output), *so_many)
     if as_json:
         click.echo((output / "scores.json").read_text(encoding="utf-8"))
 

@@ -3,7 +3,8 @@
 
 """Second process of a run: diagnoses each case, given its recordings and vehicle file and nothing else.
 
-`python -m trackres_ros.evaluation.sealed.blind CASES RESULTS`; what is there already is not done again.
+`python -m trackres_ros.evaluation.sealed.blind CASES RESULTS [FIRST]`; what is there already is not done again. With FIRST
+only so many, in the order of their names, which are drawn and say nothing.
 """
 
 from __future__ import annotations
@@ -26,9 +27,10 @@ HELD_OUT = "held_out.json"
 
 def main(arguments: Sequence[str]) -> None:
     """See above."""
-    cases, results = (Path(a) for a in arguments)
+    cases, results = (Path(a) for a in arguments[:2])
+    first = int(arguments[2]) if len(arguments) > 2 else None
     results.mkdir(parents=True, exist_ok=True)
-    folders = [f for f in sorted(cases.glob("*")) if not (results / f"{f.name}.json").exists()]
+    folders = [f for f in sorted(cases.glob("*"))[:first] if not (results / f"{f.name}.json").exists()]
     began = time.monotonic()
     with ProcessPoolExecutor(os.cpu_count()) as pool:
         tasks = [pool.submit(_diagnose, folder, results) for folder in folders]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -193,6 +193,11 @@ def draw_cases(counts: Mapping[str, int], seed: int) -> list[Case]:
     cases = [_case(level, i, rng) for level, count in counts.items() for i in range(count)]
     rng.shuffle(cases)
     return cases
+
+
+def first_by_name(cases: Sequence[Case], first: int | None) -> list[Case]:
+    """So many cases in the order of their names, which are drawn and say nothing; all without a number."""
+    return sorted(cases, key=lambda case: case.name)[:first]
 
 
 def sealed(seed: int, cases: list[Case]) -> str:

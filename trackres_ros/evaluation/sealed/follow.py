@@ -3,8 +3,8 @@
 
 """Fourth process of a run: lets the vehicles drive what was advised where effects could not be told apart.
 
-`python -m trackres_ros.evaluation.sealed.follow FOLDER MINUTES MOST`. It knows the vehicles, so it opens the seal; `blind` then
-diagnoses the recordings with the further one among them.
+`python -m trackres_ros.evaluation.sealed.follow FOLDER MINUTES MOST [FIRST]`. It knows the vehicles, so it opens the
+seal; `blind` then diagnoses the recordings with the further one among them.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import numpy as np
 
 from trackres_ros.evaluation.sealed.answers import of_report
 from trackres_ros.evaluation.sealed.blind import HELD_OUT
-from trackres_ros.evaluation.sealed.cases import Case
+from trackres_ros.evaluation.sealed.cases import Case, first_by_name
 from trackres_ros.evaluation.sealed.drives import STEP_S, Drive
 from trackres_ros.evaluation.sealed.generate import drive_next
 
@@ -32,9 +32,10 @@ FOLLOWED = "drive_next"
 def main(arguments: Sequence[str]) -> None:
     """See above."""
     folder, minutes, most = Path(arguments[0]), float(arguments[1]), int(arguments[2])
+    first = int(arguments[3]) if len(arguments) > 3 else None
     labels = json.loads((folder / "sealed" / "labels.json").read_text(encoding="utf-8"))
     tasks = []
-    for case in sorted((Case(**c) for c in labels["cases"]), key=lambda c: c.name):
+    for case in first_by_name([Case(**c) for c in labels["cases"]], first):
         report = json.loads((folder / "results" / f"{case.name}.json").read_text(encoding="utf-8"))["report"]
         advice = advised(report, set(case.hidden))
         if advice is not None:

@@ -42,7 +42,7 @@ ALONE = ("single", "masked", "compensated", "confounded")  # levels with one eff
 CONFUSION = "confusion.png"
 
 
-def write_all(folder: Path, scored: Sequence[Scored], seal: str, seed: int) -> str:
+def write_all(folder: Path, scored: Sequence[Scored], seal: str, seed: int, drawn: int) -> str:
     """Write scores.json, cases.csv, confusion.png, a page of one mistake of each kind, and proof.md; gives the last's text."""
     kinds = mistakes(scored)
     for kind, of in kinds.items():
@@ -72,8 +72,8 @@ def write_all(folder: Path, scored: Sequence[Scored], seal: str, seed: int) -> s
     counts = Counter(s.case.level for s in scored)
     text = "\n\n".join(
         (
-            f"{len(scored)} cases ({', '.join(f'{n} {level}' for level, n in counts.items())}), seed {seed}; SHA-256 of seed and "
-            f"labels, printed before the first recording was written: `{seal}`.",
+            f"{len(scored)} cases{_of(len(scored), drawn)} ({', '.join(f'{n} {level}' for level, n in counts.items())}), seed "
+            f"{seed}; SHA-256 of seed and labels, printed before the first recording was written: `{seal}`.",
             table(found, own_shares(scored), sizes(scored)),
             learned_table(scored),
             *([outside_table(scored)] if counts["outside"] else []),
@@ -83,6 +83,10 @@ def write_all(folder: Path, scored: Sequence[Scored], seal: str, seed: int) -> s
     )
     (folder / "proof.md").write_text(text + "\n", encoding="utf-8")
     return text
+
+
+def _of(count: int, drawn: int) -> str:
+    return "" if count == drawn else f" of the {drawn} that were sealed, the first in the order of their drawn names"
 
 
 def mistakes(scored: Sequence[Scored]) -> dict[str, list[Scored]]:

@@ -3,7 +3,7 @@
 
 """Last process of a run: opens the seal and counts.
 
-`python -m trackres_ros.evaluation.sealed.score FOLDER`
+`python -m trackres_ros.evaluation.sealed.score FOLDER [FIRST]`
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from trackres_ros.diagnosis.findings.locate import evenly_filled
 from trackres_ros.errors import InputError
 from trackres_ros.evaluation.sealed.answers import BASELINES, Answer, of_names, of_report
 from trackres_ros.evaluation.sealed.baselines import by_trees
-from trackres_ros.evaluation.sealed.cases import CATALOGUE, OUTSIDE, Case, sealed
+from trackres_ros.evaluation.sealed.cases import CATALOGUE, OUTSIDE, Case, first_by_name, sealed
 from trackres_ros.evaluation.sealed.follow import advised
 from trackres_ros.evaluation.sealed.oracle import OracleAnswer, fit_truth
 from trackres_ros.evaluation.sealed.page import write_all
@@ -40,8 +40,9 @@ def main(arguments: Sequence[str]) -> None:
     """See above."""
     folder = Path(arguments[0])
     labels = json.loads((folder / "sealed" / "labels.json").read_text(encoding="utf-8"))
-    cases = [Case(**c) for c in labels["cases"]]
-    seal = sealed(labels["seed"], cases)
+    drawn = [Case(**c) for c in labels["cases"]]
+    cases = first_by_name(drawn, int(arguments[1])) if len(arguments) > 1 else drawn
+    seal = sealed(labels["seed"], drawn)
     if seal != (folder / "seal.txt").read_text(encoding="utf-8").strip():
         given = "labels that are not those that were sealed"
         raise InputError(str(folder / "sealed"), given, "the labels of the cases as drawn", "begin anew with --fresh")
@@ -54,7 +55,7 @@ def main(arguments: Sequence[str]) -> None:
             scored.append(one)
             print(f"\roracle fitted {done} of {len(cases)}", end="", flush=True)
     print(flush=True)
-    print(write_all(folder, scored, seal, labels["seed"]))
+    print(write_all(folder, scored, seal, labels["seed"], len(drawn)))
 
 
 def _score(task: tuple[Path, Case, str | None]) -> Scored:
