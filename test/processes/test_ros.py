@@ -10,6 +10,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -46,8 +47,9 @@ class Shell:
         path = self.folder / f"out-{len(self.running)}.log"
         with path.open("w") as out:
             process = subprocess.Popen(
-                command, env=self.environment, stdout=out, stderr=out, stdin=subprocess.DEVNULL, cwd=self.folder
-            )
+                command, env=self.environment, stdout=out, stderr=out, stdin=subprocess.DEVNULL, cwd=self.folder,
+                start_new_session=True,
+            )  # fmt: skip
         process.said = path.read_text
         self.running.append(process)
         return process
@@ -77,6 +79,8 @@ class Shell:
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
+        with suppress(ProcessLookupError):  # what a launch that had to be killed has left
+            os.killpg(process.pid, signal.SIGKILL)
         return process.returncode
 
     def close(self):

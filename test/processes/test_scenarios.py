@@ -137,6 +137,7 @@ def test_a_trickle(standing):
 
 def test_a_flood(anywhere):
     anywhere.healthy()
+    anywhere.until(lambda: "accepted" in anywhere.values("input speed"), "a count", meanwhile=lambda: anywhere.drive(0.3))
     before, sent = int(anywhere.values("input speed")["accepted"]), anywhere.inputs["speed"].sent
     anywhere.drive(3.0, hz=1000.0)
     sent = anywhere.inputs["speed"].sent - sent
