@@ -48,7 +48,7 @@ def test_a_report_without_descriptions_is_read_as_before():
         ("left_turns", term("curve", "yaw rate to the left"), True),
         ("left_turns", term("gated_curve", "speed", "left turns only"), True),
         ("left_turns", term("curve", "speed"), False),
-        ("light_resonance", term("gated_curve", "speed", {"variable": "load", "side": "low"}), True),
+        ("light_resonance", term("gated_curve", "speed", "when light"), True),
         ("light_resonance", term("curve", "speed"), False),
         ("brake_after_stops", term("build_up", "distance", None, {"constant_s": 60.0, "reset": "stop"}), True),
         ("brake_after_stops", term("build_up", "distance", None, {"constant_s": 60.0, "reset_by_stop": False}), False),

@@ -169,7 +169,7 @@ RIGHT_FORMS: dict[str, tuple[Form, ...]] = {
     "pump": (SPELLS,),
     "brake_after_stops": (SPELLS, Form("build_up", ("stop",)), Form("build_up", ("stand",))),
     "backlash": (Form("curve", ("driving torque",)), Form("gated_curve", ("driving torque",))),
-    "light_resonance": (Form("gated_curve", ("speed", "load")),),
+    "light_resonance": (Form("gated_curve", ("speed", "light")),),
     "stiff_joint": (WAVE,),
     "zero_drift": (DRIFT,),
     "ratchet": (),  # it comes and goes within seconds, by chance, and in the mean adds next to nothing: unexplained is right
