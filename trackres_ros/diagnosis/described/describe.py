@@ -38,6 +38,8 @@ from trackres_ros.effects.learned import ALWAYS, MOVING_MPS, Curve, Learned
 from trackres_ros.estimator.disturbance import BLOCK_S, later_there, seen_there
 
 Array = NDArray[np.float64]
+Search = Callable[[Fit, Sequence[Array]], "Term | None"]
+"""Looks for a term that follows the clock alone in the residual of the torque of each session [Nm], beside a fit."""
 
 MOST_DESCRIBED = 2
 SURE = 10.0  # in log-likelihood: spells over what only wanders, what wanders over what does not, a term over none
@@ -99,7 +101,8 @@ def describe(
     for round_ in range(MOST_DESCRIBED):
         on_stage(f"what has no name, round {round_ + 1}")
         followed = _followed(current, replicates, rng)
-        looked_for = (followed, _spells(current), _wave(current), _level_change(current), _place(current))
+        by_clock = (_watched(current, name, search) for name, search in BY_CLOCK.items())
+        looked_for = (followed, _wave(current), *by_clock)
         found = [t for t in looked_for if t is not None]
         if not found:
             break
@@ -153,13 +156,28 @@ def _with(current: Fit, effect: Effect, like: Candidate) -> Candidate:
     return compared(current, found, effect.name, like.kept, like.d_prime, like.form_error_gain)
 
 
-def _watched(current: Fit, effect: Watched, level: float) -> Candidate:
+def _watched(current: Fit, name: str, search: Search) -> Term | None:
+    """A term that follows the clock alone; it is looked for twice, the second time beside a base that it no longer bends."""
+    if name in current.effect_names:
+        return None
+    residuals, found = _residuals(current), None
+    for _ in range(2):
+        term = search(current, residuals)
+        if term is None:
+            return found
+        found, residuals = term, residuals_without(term.candidate.fit, name)
+    return found
+
+
+def _fitted(current: Fit, name: str, text: str, shape: Sequence[Array], level: float, cost: float = 0.0) -> Candidate:
     """What follows the clock alone, fitted beside what is there; it begins at its level and with the noise beside that, as
     without it the noise is taken for a random walk, under which no level counts.
     """
-    start = {**current.at, (effect.name, "level"): level}
+    facts = current.problem.base.facts
+    effect = Watched(name, text, shape, facts.weight * facts.radius)
+    start = {**current.at, (name, "level"): level}
     found = fit(current.problem, [*(a.effect for a in current.effects), effect], start)
-    return compared(current, found, effect.name, 1.0, math.nan, 0.0)
+    return compared(current, found, name, 1.0, math.nan, cost)
 
 
 def _counts(candidate: Candidate, current: Fit) -> bool:
@@ -183,27 +201,21 @@ def residuals_without(current: Fit, name: str) -> list[Array]:
     return [r + x for r, x in zip(_residuals(current), current.contribution(name), strict=True)]
 
 
-def _spells(current: Fit) -> Term | None:
+def _spells(current: Fit, residuals: Sequence[Array]) -> Term | None:
     """Spells, if two levels are likelier than one that wanders."""
-    if SPELLS in current.effect_names:
+    b = torque_blocks(current, residuals)
+    chain, there, _ = find_chain(b)
+    if not is_spells(chain) or beyond_wander(b, chain, there) < SURE:
         return None
-    residuals, found = _residuals(current), None
-    for _ in range(2):  # the second time beside a base that is no longer bent by them
-        b = torque_blocks(current, residuals)
-        chain, there, _ = find_chain(b)
-        if not is_spells(chain) or beyond_wander(b, chain, there) < SURE:
-            return found
-        if chain.level < chain.rest:
-            there = 1.0 - there
-            chain = replace(chain, level=chain.rest, rest=chain.level, comes=chain.goes, goes=chain.comes)
-        shape, cost = _shape(current, chain, residuals)
-        effect = Watched(SPELLS, "a torque that is there for a while and gone for a while", shape, _size(current))
-        candidate = replace(_watched(current, effect, chain.level - chain.rest), form_error_gain=cost)
-        if not _counts(candidate, current) or sum(beginnings(b, there)) < FEWEST_SPELLS:
-            return found
-        found = Term(candidate, chain=chain)
-        residuals = residuals_without(candidate.fit, SPELLS)
-    return found
+    if chain.level < chain.rest:
+        there = 1.0 - there
+        chain = replace(chain, level=chain.rest, rest=chain.level, comes=chain.goes, goes=chain.comes)
+    shape, cost = _shape(current, chain, residuals)
+    text = "a torque that is there for a while and gone for a while"
+    candidate = _fitted(current, SPELLS, text, shape, chain.level - chain.rest, cost)
+    if not _counts(candidate, current) or sum(beginnings(b, there)) < FEWEST_SPELLS:
+        return None
+    return Term(candidate, chain=chain)
 
 
 def _shape(current: Fit, chain: Chain, residuals: Sequence[Array]) -> tuple[list[Array], float]:
@@ -244,7 +256,7 @@ def fill(shape: Sequence[Array], b: Blocks, value: Array) -> None:
 
 def beginnings(b: Blocks, there: Array) -> NDArray[np.bool_]:
     """Blocks in which a spell begins."""
-    on = there > 0.5
+    on = there > LIKELY
     return np.asarray(on & ~np.concatenate(([False], on[:-1] & ~b.first[1:])))
 
 
@@ -256,61 +268,39 @@ def _wave(current: Fit) -> Term | None:
     if wave is None:
         return None
     used = [np.where(m, x, 0.0) for x, m in zip(wave.shape, current.problem.masks, strict=True)]
-    effect = Watched(WAVE, "a torque that comes again with distance", used, _size(current))
-    candidate = _watched(current, effect, wave.size)
+    candidate = _fitted(current, WAVE, "a torque that comes again with distance", used, wave.size)
     chosen = PHASE_COST * wave.phases
     return Term(candidate, wave=wave) if candidate.net_evidence > SURE + chosen and candidate.matters else None
 
 
-def _level_change(current: Fit) -> Term | None:
+def _level_change(current: Fit, residuals: Sequence[Array]) -> Term | None:
     """A level that changed for good. It is known of the laps that are not fitted by their time alone."""
-    if LEVEL_CHANGE in current.effect_names:
-        return None
     sessions, masks = current.problem.sessions, current.problem.masks
-    residuals, step, found = _residuals(current), current.problem.sessions[0].step, None
+    step = sessions[0].step
     seconds = piece_s(step * sum(int(m.sum()) for m in masks))
-    for _ in range(2):  # the second time beside a base that is no longer bent by it
-        change = find_change(torque_blocks(current, residuals, seconds=seconds), step)
-        if change is None:
-            return found
-        against = residuals[change.session] * np.sign(sessions[change.session].speed)
-        change = sharpened(change, against, masks[change.session], round(seconds / step))
-        shape = [x * np.sign(s.speed) for x, s in zip(change.shape([len(s) for s in sessions]), sessions, strict=True)]
-        effect = Watched(LEVEL_CHANGE, "a torque that is there from some time on", shape, _size(current))
-        candidate = replace(_watched(current, effect, change.size), form_error_gain=change.cost)
-        if not _counts(candidate, current):
-            return found
-        found = Term(candidate, change=change)
-        adds = candidate.fit.contribution(LEVEL_CHANGE)
-        residuals = [r + x for r, x in zip(_residuals(candidate.fit), adds, strict=True)]
-    return found
-
-
-def _place(current: Fit) -> Term | None:
-    """A torque at the same place on each pass. It is known of the laps that are not fitted by the distance driven alone."""
-    if PLACE in current.effect_names:
+    change = find_change(torque_blocks(current, residuals, seconds=seconds), step)
+    if change is None:
         return None
-    sessions, masks, found = current.problem.sessions, current.problem.masks, None
+    against = residuals[change.session] * np.sign(sessions[change.session].speed)
+    change = sharpened(change, against, masks[change.session], round(seconds / step))
+    shape = [x * np.sign(s.speed) for x, s in zip(change.shape([len(s) for s in sessions]), sessions, strict=True)]
+    candidate = _fitted(current, LEVEL_CHANGE, "a torque that is there from some time on", shape, change.size, change.cost)
+    return Term(candidate, change=change) if _counts(candidate, current) else None
+
+
+def _place(current: Fit, residuals: Sequence[Array]) -> Term | None:
+    """A torque at the same place on each pass. It is known of the laps that are not fitted by the distance driven alone."""
+    sessions, masks = current.problem.sessions, current.problem.masks
     distances = [np.cumsum(np.abs(np.nan_to_num(s.speed))) * s.step for s in sessions]
-    residuals = _residuals(current)
-    for _ in range(2):  # the second time beside a base that is no longer bent by it
-        place = find_place(distances, [r * np.sign(s.speed) for r, s in zip(residuals, sessions, strict=True)], masks)
-        if place is None:
-            return found
-        shape = [x * np.sign(s.speed) for x, s in zip(place.shape, sessions, strict=True)]
-        effect = Watched(PLACE, "a torque at the same place on each pass", shape, _size(current))
-        candidate = replace(_watched(current, effect, place.size), form_error_gain=place.cost)
-        if not _counts(candidate, current):
-            return found
-        found = Term(candidate, place=place)
-        adds = candidate.fit.contribution(PLACE)
-        residuals = [r + x for r, x in zip(_residuals(candidate.fit), adds, strict=True)]
-    return found
+    place = find_place(distances, [r * np.sign(s.speed) for r, s in zip(residuals, sessions, strict=True)], masks)
+    if place is None:
+        return None
+    shape = [x * np.sign(s.speed) for x, s in zip(place.shape, sessions, strict=True)]
+    candidate = _fitted(current, PLACE, "a torque at the same place on each pass", shape, place.size, place.cost)
+    return Term(candidate, place=place) if _counts(candidate, current) else None
 
 
-def _size(current: Fit) -> float:
-    facts = current.problem.base.facts
-    return facts.weight * facts.radius
+BY_CLOCK: Mapping[str, Search] = {SPELLS: _spells, LEVEL_CHANGE: _level_change, PLACE: _place}
 
 
 def _needed(current: Fit, steps: list[Step]) -> tuple[Fit, list[Step]]:

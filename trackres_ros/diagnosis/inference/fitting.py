@@ -299,7 +299,7 @@ def fit(
         return np.concatenate(problem.expected(problem.predict(*model(at))))
 
     current = dict(noises or problem.noises(residuals(point), largest_root))
-    linearised_at, columns = np.full(len(free), np.inf), np.empty((0, len(free)))
+    linear: tuple[Array, Array] | None = None  # a point, and the derivatives of what is simulated there
 
     def objective(at: Array) -> Array:
         """Roots of what each whitened residual and each prior takes off the likelihood."""
@@ -308,13 +308,16 @@ def fit(
 
     def derivatives(at: Array) -> Array:
         """Of the objective; of what is simulated as they were nearby, where that is as good."""
-        nonlocal linearised_at, columns
-        white = None if np.isinf(linearised_at).any() else valid_rows(problem.white(problem.split(columns), current))
-        if white is None or np.linalg.norm(white @ (at - linearised_at)) > NEARBY:
-            linearised_at, columns = at.copy(), jacobian(expected, at, free)
-            white = valid_rows(problem.white(problem.split(columns), current))
+        nonlocal linear
+
+        def white() -> Array:
+            assert linear
+            return valid_rows(problem.white(problem.split(linear[1]), current))
+
+        if linear is None or np.linalg.norm(white() @ (at - linear[0])) > NEARBY:
+            linear = at.copy(), jacobian(expected, at, free)
         slope = of_rows(problem, problem.white(residuals(at), current), Noise.deviance_slope, current)
-        return np.concatenate((-slope[:, np.newaxis] * white, np.diag(1.0 / std)))
+        return np.concatenate((-slope[:, np.newaxis] * white(), np.diag(1.0 / std)))
 
     solution, before = None, -np.inf
     for turn in range(MOST_ROUNDS if rounds is None else rounds):

@@ -9,6 +9,7 @@ import textwrap
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -225,6 +226,13 @@ def _term(d: Diagnosis, told: Told, path: Path) -> Picture:
     return _over_time(d, adds, left_over, of.name, of.sentence, path)
 
 
+def _label(axis: Any, along: str, title: str) -> None:
+    """Labels of a picture of a term: what it is shown along, and its sentence."""
+    axis.set_xlabel(along)
+    axis.set_ylabel("torque against travel [Nm]")
+    axis.set_title(textwrap.fill(title, TITLE_LETTERS))
+
+
 def _over_recordings(d: Diagnosis, adds: list[Array], left_over: list[Array], name: str, title: str, path: Path) -> Picture:
     """All recordings, one after the other."""
     begins = np.cumsum([0.0, *(s.time[-1] + s.step for s in d.sessions)]) / 60.0
@@ -237,9 +245,7 @@ def _over_recordings(d: Diagnosis, adds: list[Array], left_over: list[Array], na
             axis.plot(time, np.where(session.used, term, np.nan), color=VERMILION, label=f"{name} as found")
             axis.axvline(begin, color=GREY, linestyle="--", linewidth=0.8, label="a recording begins")
         axis.axhline(0.0, color=GREY, linewidth=0.8)
-        axis.set_xlabel("time in the recordings, one after the other [min]")
-        axis.set_ylabel("torque against travel [Nm]")
-        axis.set_title(textwrap.fill(title, TITLE_LETTERS))
+        _label(axis, "time in the recordings, one after the other [min]", title)
     return Picture(
         path,
         f"The term: {name}",
@@ -259,9 +265,7 @@ def _over_time(d: Diagnosis, adds: list[Array], left_over: list[Array], name: st
         axis.plot(session.time, left, color=BLUE, label=f"left without the term, means over {SMOOTHED_S:.0f} s")
         axis.plot(session.time, np.where(session.used, adds[i], np.nan), color=VERMILION, label=f"{name} as found")
         axis.axhline(0.0, color=GREY, linewidth=0.8)
-        axis.set_xlabel(f"time in {shortened(Path(session.name).name, TITLE_LETTERS - 40)} [s]")
-        axis.set_ylabel("torque against travel [Nm]")
-        axis.set_title(textwrap.fill(title, TITLE_LETTERS))
+        _label(axis, f"time in {shortened(Path(session.name).name, TITLE_LETTERS - 40)} [s]", title)
     return Picture(
         path,
         f"The term: {name}",
@@ -302,9 +306,7 @@ def _over(
             label="left without it, mean and spread",
         )
         axis.plot(middle[shown], term[shown], color=VERMILION, label=f"{name} as fitted")
-        axis.set_xlabel(label)
-        axis.set_ylabel("torque against travel [Nm]")
-        axis.set_title(textwrap.fill(title, TITLE_LETTERS))
+        _label(axis, label, title)
     return Picture(
         path,
         f"The term: {name}",

@@ -137,12 +137,11 @@ def separability(effects: Mapping[str, Effect], fit: Fit) -> Separability:
     project_short = None if beside_short is None else _projector(_white(own, beside_short), beside_short)
     visible = []
     for effect in possible:
-        found = [s for start in starts(effect) if (s := _sensitivity(effect, start, fit, project)) is not None]
-        best = max(found, key=lambda s: s.d_prime, default=None)
+        columns = [(start, _columns(effect, start, fit)) for start in starts(effect)]
+        found, best = _strongest(effect, columns, fit, project)
         if best and LARGE * best.d_prime < LEAST_D_PRIME and beside_short and project_short:
             # What is slow hides in noise that is taken for a random walk, and may be what that is made of.
-            found = [s for start in starts(effect) if (s := _sensitivity(effect, start, beside_short, project_short)) is not None]
-            best = max(found, key=lambda s: s.d_prime, default=None)
+            found, best = _strongest(effect, columns, beside_short, project_short)
         if best is None:
             not_visible.append(NotVisible(effect.name, "it does nothing here"))
         elif LARGE * best.d_prime < LEAST_D_PRIME:
@@ -172,24 +171,33 @@ def base_columns(fit: Fit) -> Array:
     return jacobian(lambda point: _expected(fit, fit.problem.predict(*fit.model_at(point))), fit.point, fit.free)
 
 
-def _sensitivity(effect: Effect, start: Mapping[str, float], fit: Fit, project: Projector) -> Sensitivity | None:
+def _columns(effect: Effect, start: Mapping[str, float], fit: Fit) -> Array:
+    """Change of what is expected per amplitude of an effect, shape (n, amplitudes)."""
     before = _expected(fit, fit.predicted)
     off = {**start, **{q.name: q.off for q in effect.parameters if q.off is not None}}
-    amplitudes = [q for q in effect.parameters if q.off is not None]
+    amplitudes = [(q, q.off, q.start - q.off) for q in effect.parameters if q.off is not None]
     columns = np.empty((len(before), len(amplitudes)))
-    typical = np.zeros(len(before))
-    for i, q in enumerate(amplitudes):
-        assert q.off is not None
-        step = q.start - q.off  # the secant: some effects are far from linear
-        active = [*fit.acting, Active(effect, {**off, q.name: q.off + step})]
-        after = _expected(fit, fit.problem.predict(fit.base_values, active))
-        columns[:, i] = (after - before) / step
-        typical += columns[:, i] * (q.start - q.off)
-    spans = np.array([q.start - q.off for q in amplitudes if q.off is not None])
-    found = [one for series in (typical, *(columns * spans).T) if (one := _shown(series, fit, project)) is not None]
-    if not found:
+    for i, (q, none, step) in enumerate(amplitudes):  # the secant: some effects are far from linear
+        active = [*fit.acting, Active(effect, {**off, q.name: none + step})]
+        columns[:, i] = (_expected(fit, fit.problem.predict(fit.base_values, active)) - before) / step
+    return columns
+
+
+def _strongest(
+    effect: Effect, columns: Sequence[tuple[dict[str, float], Array]], fit: Fit, project: Projector
+) -> tuple[list[Sensitivity], Sensitivity | None]:
+    """How an effect shows from each start from which it does anything, under the noise of a fit; and the strongest of them."""
+    found = [s for start, of in columns if (s := _sensitivity(effect, start, of, fit, project)) is not None]
+    return found, max(found, key=lambda s: s.d_prime, default=None)
+
+
+def _sensitivity(effect: Effect, start: Mapping[str, float], columns: Array, fit: Fit, project: Projector) -> Sensitivity | None:
+    amplitudes = [q for q in effect.parameters if q.off is not None]
+    spanned = columns * np.array([q.start - q.off for q in amplitudes if q.off is not None])
+    shown = [one for series in (spanned.sum(axis=1), *spanned.T) if (one := _shown(series, fit, project)) is not None]
+    if not shown:
         return None
-    best = max(found, key=lambda one: one.d_prime)
+    best = max(shown, key=lambda one: one.d_prime)
     names = tuple(q.name for q in amplitudes)
     return Sensitivity(effect, start, names, columns, best.kept, best.d_prime, best.by_priors, best.direction)
 
