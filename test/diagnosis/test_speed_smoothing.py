@@ -71,6 +71,18 @@ def test_a_constant_speed_and_a_ramp_are_not_bent(slope):
     assert smooth.change_std.max() < 0.02
 
 
+@pytest.mark.parametrize("step", [0.0, 0.04])
+def test_a_speed_that_is_held_shows_its_slow_waver_and_not_the_error_of_the_sensor(step):
+    rng = np.random.default_rng(7)
+    at = np.arange(0.0, 720.0, 0.1)
+    true = 6.0 * np.minimum(1.0, at / 30.0) * (1.0 + 0.02 * np.sin(at / 40.0))
+    shown = true + rng.normal(0.0, 0.015, len(at))
+    times = np.arange(60.0, 719.0)
+    smooth = smooth_speed(at, np.round(shown / step) * step if step else shown, times, GAP_S)
+    change = np.diff(np.interp(times, at, true))
+    assert (np.diff(smooth.speed) - change).std() < 0.3 * change.std()
+
+
 @pytest.mark.parametrize(("step", "noise"), [(0.05, 0.01), (0.05, 0.0), (0.02, 0.005), (0.2, 0.02)])
 @pytest.mark.parametrize("every", [1, 10])
 def test_rounding_is_part_of_what_is_said(step, noise, every):

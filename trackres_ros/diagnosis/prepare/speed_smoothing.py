@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 SLOWEST_S, FEWEST = 0.25, 100  # slower samples, or fewer, do not tell noise from what the vehicle does
-JERK = 0.05, 1.0  # m/s^2/sqrt(s): from a heavy vehicle that is eased to a robot that is pushed; assumed
+JERK = 0.002, 1.0  # m/s^2/sqrt(s): from a heavy vehicle that holds one speed to a robot that is pushed; assumed
 NOISE_MPS = 3e-4, 0.5  # beside the rounding: from a hundredth of what wheel encoders show to a poor satellite receiver; assumed
 REST_S = 1.0  # so long at exactly zero is no crawling
 SAME = 1e-6  # of the greatest speed: as exact as six digits are written
