@@ -6,6 +6,7 @@
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
@@ -13,6 +14,7 @@ from click.testing import CliRunner
 from trackres_ros.cli import prove
 from trackres_ros.cli.main import cli
 from trackres_ros.errors import InputError
+from trackres_ros.evaluation.sealed import earlier
 from trackres_ros.evaluation.sealed.oracle import LEAST_GAIN
 from trackres_ros.evaluation.sealed.scored import wilson
 
@@ -32,12 +34,14 @@ def test_the_labels_are_opened_only_by_the_score(tmp_path):
     away = tmp_path.parent / "away"
     (tmp_path / "sealed").rename(away)  # the diagnosis does without
     process("blind", tmp_path / "cases", tmp_path / "results")
+    process("earlier", tmp_path / "cases", tmp_path / "results_earlier", Path(__file__).parents[2])
     away.rename(tmp_path / "sealed")
     assert {p.stem for p in (tmp_path / "results").iterdir()} == {c.name for c in cases}
     page = process("score", tmp_path)
     assert seal in page
     scores = json.loads((tmp_path / "scores.json").read_text())
     assert sorted(c["case"]["level"] for c in scores["cases"]) == ["outside", "single"]
+    assert all(c["answers"]["earlier"] == c["answers"]["diagnosis"] for c in scores["cases"])  # the same version twice
     (outside,) = [c for c in scores["cases"] if c["case"]["level"] == "outside"]
     assert outside["known"]["gain"] > LEAST_GAIN
     assert outside["known"]["mae"] < outside["known"]["mae_base"]
@@ -73,6 +77,11 @@ def test_a_run_of_some_levels_is_asked_for_with_numbers_and_goes_on_where_it_was
     assert (tmp_path / "results" / "one.json").exists()
     assert CliRunner().invoke(cli, [*begun, "--fresh"]).exit_code == 0
     assert not (tmp_path / "results").exists()
+
+
+def test_an_earlier_version_is_a_checkout(tmp_path):
+    with pytest.raises(InputError, match="--earlier"):
+        earlier.main([str(tmp_path), str(tmp_path / "results"), str(tmp_path)])
 
 
 def test_a_folder_of_something_else_is_refused(tmp_path):

@@ -23,7 +23,7 @@ QUICK_MINUTES = 12.0
 REPORTED_SEED = 20261122
 FOLLOWED, QUICK_FOLLOWED = 40, 8  # cases in which the advised manoeuvre is driven
 EXTRA = "proof", "numba", "matplotlib", "jinja2", "ruptures"
-FOLDERS = ("cases", "results", "next", "results_next", "sealed")
+FOLDERS = ("cases", "results", "results_earlier", "next", "results_next", "sealed")
 
 
 folder_option = click.option(
@@ -43,6 +43,12 @@ folder_option = click.option(
 @click.option("--seed", type=click.IntRange(0), default=REPORTED_SEED, show_default=True, help="Seed of all random draws.")
 @click.option("--quick", is_flag=True, help="73 cases of shorter drives.")
 @click.option("--first", type=click.IntRange(1), metavar="N", help="Diagnose and score N of the sealed cases, by drawn names.")
+@click.option(
+    "--earlier",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="CHECKOUT",
+    help="Have an earlier version of this tool diagnose the same cases.",
+)
 @click.option("--fresh", is_flag=True, help="Begin anew instead of going on with what is in the folder.")
 @click.option(
     "-o",
@@ -59,6 +65,7 @@ def prove_command(
     seed: int,
     quick: bool,
     first: int | None,
+    earlier: Path | None,
     fresh: bool,
     output: Path | None,
     as_json: bool,
@@ -96,6 +103,8 @@ def prove_command(
     _process(stream, "generate", str(output), *settings.split())
     so_many = [] if first is None else [str(first)]
     _process(stream, "blind", str(output / "cases"), str(output / "results"), *so_many)
+    if earlier is not None:
+        _process(stream, "earlier", str(output / "cases"), str(output / "results_earlier"), str(earlier), *so_many)
     _process(stream, "follow", str(output), f"{minutes:g}", str(QUICK_FOLLOWED if quick else FOLLOWED), *so_many)
     _process(stream, "blind", str(output / "next"), str(output / "results_next"))
     _process(stream, "score", str(output), *so_many)

@@ -14,11 +14,13 @@ from trackres_ros.evaluation.sealed.cases import Form
 SURE = ("named", "one_of")
 DESCRIBED = "described"
 ABOUT = ("variable", "gate", "memory")
+EARLIER = "earlier"
 BASELINES = {
     "naive": "regression of the residual on one effect",
     "aic": "AIC, not whitened",
     "sparse": "lasso on the residual",
     "trees": "boosted trees",
+    EARLIER: "an earlier version of this tool",
 }
 
 

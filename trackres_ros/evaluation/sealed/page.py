@@ -17,7 +17,7 @@ import numpy as np
 from trackres_ros.diagnosis.report.content import report
 from trackres_ros.diagnosis.report.page import write_page
 from trackres_ros.diagnosis.report.pictures import draw_all
-from trackres_ros.evaluation.sealed.answers import BASELINES, DESCRIBED, error_left
+from trackres_ros.evaluation.sealed.answers import BASELINES, DESCRIBED, Answer, error_left
 from trackres_ros.evaluation.sealed.blind import diagnosed
 from trackres_ros.evaluation.sealed.discrepancy import BASE
 from trackres_ros.evaluation.sealed.scored import NO_WORSE, OURS, Scored, own_shares, shares, sizes, wilson
@@ -49,7 +49,7 @@ def write_all(folder: Path, scored: Sequence[Scored], seal: str, seed: int, draw
         write_case(folder, of[0], folder / f"{file_name(kind)}.html")
     _write_cases(folder / "cases.csv", scored)
     _draw_confusion(folder / CONFUSION, scored)
-    found = {method: shares(scored, method) for method in (OURS, *BASELINES) if method in scored[0].answers}
+    found = {method: shares(scored, method) for method in (OURS, *BASELINES) if all(method in s.answers for s in scored)}
     kept = {
         "seed": seed,
         "seal": seal,
@@ -174,7 +174,7 @@ def outside_table(scored: Sequence[Scored]) -> str:
         seen, right = (sum(hits) for hits in zip(*((s.known.identifiable, s.rightly_described) for s in cases), strict=True))
         kind = f"{name} (after the freeze)" if cases[0].after_freeze else name
         described = right if cases[0].describable else "no form is right"
-        lines.append(f"| {kind} | {len(cases)} | {seen} | {described} | {'; '.join(map(_verdict_of, cases))} |")
+        lines.append(f"| {kind} | {len(cases)} | {seen} | {described} | {'; '.join(_verdict_of(s.answer) for s in cases)} |")
     return "\n".join(lines)
 
 
@@ -182,15 +182,15 @@ def mistake_table(kinds: Mapping[str, Sequence[Scored]]) -> str:
     """Mistakes by kind, with the page of the first of each and what the others were."""
     lines = ["| Mistake | Cases | Hidden, and named instead |", "|---|---|---|"]
     for kind, of in kinds.items():
-        shown = "; ".join(f"{', '.join(s.case.hidden) or 'nothing'}: {_verdict_of(s)}" for s in of)
+        shown = "; ".join(f"{', '.join(s.case.hidden) or 'nothing'}: {_verdict_of(s.answer)}" for s in of)
         lines.append(f"| {kind} ([the first]({file_name(kind)}.html)) | {len(of)} | {shown} |")
     return "\n".join(lines)
 
 
-def _verdict_of(s: Scored) -> str:
-    if s.answer.status == DESCRIBED:
-        return " + ".join(f"{term.form} ({term.about})" if term.about else term.form for term in s.answer.described)
-    return " + ".join("/".join(members) for members in s.answer.classes) or s.answer.status
+def _verdict_of(answer: Answer) -> str:
+    if answer.status == DESCRIBED:
+        return " + ".join(f"{term.form} ({term.about})" if term.about else term.form for term in answer.described)
+    return " + ".join("/".join(members) for members in answer.classes) or answer.status
 
 
 def _share(hits: int, of: int) -> str:
@@ -211,13 +211,13 @@ def _target(name: str, value: float, shown: Callable[[float], str]) -> tuple[str
 def _write_cases(path: Path, scored: Sequence[Scored]) -> None:
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)
-        methods = [method for method in BASELINES if method in scored[0].answers]
+        methods = [method for method in BASELINES if all(method in s.answers for s in scored)]
         writer.writerow(["case", "level", "hidden", "said", "status", "identifiable", "oracle_gain", "mistake", *methods])
         for s in sorted(scored, key=lambda s: (s.case.level, sorted(s.true))):
-            beside = ["+".join(m for (m,) in s.answers[method].classes) or s.answers[method].status for method in methods]
+            beside = [_verdict_of(s.answers[method]) for method in methods]
             plain = "yes" if s.known.identifiable else "no"
             writer.writerow(
-                [s.case.name, s.case.level, "+".join(s.case.hidden), _verdict_of(s), s.answer.status, plain,
+                [s.case.name, s.case.level, "+".join(s.case.hidden), _verdict_of(s.answer), s.answer.status, plain,
                  f"{s.known.gain:.1f}", s.wrong, *beside]
             )  # fmt: skip
 

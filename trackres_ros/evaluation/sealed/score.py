@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.findings.locate import evenly_filled
 from trackres_ros.errors import InputError
-from trackres_ros.evaluation.sealed.answers import BASELINES, Answer, of_names, of_report
+from trackres_ros.evaluation.sealed.answers import BASELINES, EARLIER, Answer, of_names, of_report
 from trackres_ros.evaluation.sealed.baselines import by_trees
 from trackres_ros.evaluation.sealed.cases import CATALOGUE, OUTSIDE, Case, first_by_name, sealed
 from trackres_ros.evaluation.sealed.follow import advised
@@ -72,6 +72,9 @@ def _score(task: tuple[Path, Case, str | None]) -> Scored:
     answers = {name: of_names(simple[name]) for name in BASELINES if name in simple}
     if tree:
         answers["trees"] = Answer(tree, ()) if tree in ("none", "unexplained") else of_names([tree])
+    before = folder / "results_earlier" / f"{case.name}.json"
+    if before.exists():
+        answers[EARLIER] = of_report(json.loads(before.read_text(encoding="utf-8")))
     overlap, jaccard = _where(folder, case, report)
     resolved = _resolved(folder, case, report)
     return Scored(case, report, known, {OURS: of_report(report), **answers}, overlap, jaccard, resolved, result["learned"])

@@ -1,0 +1,52 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Process of a run that has an earlier version of this tool diagnose the same cases, for comparison.
+
+`python -m trackres_ros.evaluation.sealed.earlier CASES RESULTS CHECKOUT [FIRST]`; what is there already is not done again. The
+earlier version is a checkout, and is run by its own command line, with the libraries that are installed here.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+from trackres_ros.errors import InputError
+
+
+def main(arguments: Sequence[str]) -> None:
+    """See above."""
+    cases, results, checkout = (Path(a).resolve() for a in arguments[:3])
+    first = int(arguments[3]) if len(arguments) > 3 else None
+    if not (checkout / "trackres_ros" / "__init__.py").is_file():
+        raise InputError("--earlier", str(checkout), "a checkout of an earlier version, with its folder trackres_ros")
+    results.mkdir(parents=True, exist_ok=True)
+    folders = [f for f in sorted(cases.glob("*"))[:first] if not (results / f"{f.name}.json").exists()]
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        for done, _ in enumerate(pool.map(lambda folder: _diagnose(folder, results, checkout), folders), start=1):
+            print(f"\rdiagnosed by the earlier version {done} of {len(folders)}", end="", flush=True)
+    print(flush=True)
+
+
+def _diagnose(folder: Path, results: Path, checkout: Path) -> None:
+    with tempfile.TemporaryDirectory() as report:
+        drives = [str(path) for path in sorted(folder.glob("drive_*.csv"))]
+        command = [sys.executable, "-m", "trackres_ros", "diagnose", *drives, "--vehicle", str(folder / "vehicle.yaml")]
+        environment = {**os.environ, "PYTHONPATH": str(checkout)}
+        done = subprocess.run(
+            [*command, "--quick", "-o", report], env=environment, cwd=report, capture_output=True, text=True, check=False
+        )
+        if done.returncode:
+            raise RuntimeError(f"{folder.name}: the earlier version ended with exit code {done.returncode}: {done.stderr[-500:]}")
+        shutil.move(Path(report) / "report.json", results / f"{folder.name}.json")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
