@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from trackres_ros.diagnosis.base.watched import WATCHED, Watched
 from trackres_ros.diagnosis.described.candidates import candidates, finer, series
 from trackres_ros.diagnosis.described.level_changes import LevelChange, find_change, piece_s, sharpened
+from trackres_ros.diagnosis.described.payload import Payload, find_payload
 from trackres_ros.diagnosis.described.places import Place, find_place
 from trackres_ros.diagnosis.described.spells import (
     Blocks,
@@ -29,7 +30,16 @@ from trackres_ros.diagnosis.described.spells import (
     path_cost,
     there_given,
 )
-from trackres_ros.diagnosis.described.terms import Described, of_drift, of_learned, of_level_change, of_place, of_spells, of_wave
+from trackres_ros.diagnosis.described.terms import (
+    Described,
+    of_drift,
+    of_learned,
+    of_level_change,
+    of_payload,
+    of_place,
+    of_spells,
+    of_wave,
+)
 from trackres_ros.diagnosis.described.waves import Wave, find_wave, part_of
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
 from trackres_ros.diagnosis.selection.naming import ALIKE_WITHIN, Candidate, Step, compared, one_round, rms, spurious_gain
@@ -49,7 +59,7 @@ FEWEST_REPLICATES = 19
 SLOWEST_WANDER_S = 60.0  # what wanders faster is noise that the autoregression knows
 LEAST_WANDER = 0.01  # of the torque
 PHASE_COST = 1.0  # in log-likelihood: what a phase, which is fitted to each stretch, and its size gain by noise
-SPELLS, WAVE, LEVEL_CHANGE, PLACE = "spells", "wave", "level_change", "place"
+SPELLS, WAVE, LEVEL_CHANGE, PLACE, PAYLOAD = "spells", "wave", "level_change", "place", "payload"
 BEGINNINGS_S = 15.0  # within so much of a stop a spell begins with it
 MOST_BEGIN = 0.7  # of the spells
 LIKELY = 0.5  # that it is there
@@ -67,6 +77,7 @@ class Term:
     wave: Wave | None = None
     change: LevelChange | None = None
     place: Place | None = None
+    payload: Payload | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,7 +311,17 @@ def _place(current: Fit, residuals: Sequence[Array]) -> Term | None:
     return Term(candidate, place=place) if _counts(candidate, current) else None
 
 
-BY_CLOCK: Mapping[str, Search] = {SPELLS: _spells, LEVEL_CHANGE: _level_change, PLACE: _place}
+def _payload(current: Fit, residuals: Sequence[Array]) -> Term | None:
+    """A mass that differs from one stretch between stops to the next; on laps that are not fitted by what was measured before."""
+    payload = find_payload(current, residuals)
+    if payload is None:
+        return None
+    text = "another mass on each stretch between stops"
+    candidate = _fitted(current, PAYLOAD, text, payload.shape, payload.level, payload.cost)
+    return Term(candidate, payload=payload) if _counts(candidate, current) else None
+
+
+BY_CLOCK: Mapping[str, Search] = {SPELLS: _spells, LEVEL_CHANGE: _level_change, PLACE: _place, PAYLOAD: _payload}
 
 
 def _needed(current: Fit, steps: list[Step]) -> tuple[Fit, list[Step]]:
@@ -329,6 +350,8 @@ def said(term: Term, final: Fit) -> Described:
         return of_level_change(name, level, final.problem.sessions, term.change)
     if term.place is not None:
         return of_place(name, level, term.place)
+    if term.payload is not None:
+        return of_payload(name, level, term.payload)
     assert term.chain is not None
     assert isinstance(active.effect, Watched)
     spells = _spells_of(active.effect.shape, final)

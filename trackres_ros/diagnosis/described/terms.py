@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.described.level_changes import LevelChange
+from trackres_ros.diagnosis.described.payload import Payload, Stretch
 from trackres_ros.diagnosis.described.places import Place
 from trackres_ros.diagnosis.described.spells import Chain, Wander
 from trackres_ros.diagnosis.described.waves import Wave
@@ -89,6 +90,7 @@ OF_LEVEL_CHANGES = (
     "a zero of the torque sensor that was set anew",
 )
 OF_PLACES = ("a slope", "soft or rough ground", "a bend, where neither heading nor yaw rate is recorded")
+OF_PAYLOAD = ("people or goods that get on and off", "a tank or a hopper that fills and empties")
 OF_DRIFT = ("a zero of the torque sensor that drifts", "a slope, a wind or a ground that is not recorded")
 
 
@@ -99,7 +101,7 @@ class Described:
     Attributes
     ----------
     form
-        `curve`, `gated_curve`, `build_up`, `spells`, `wave`, `place`, `level_change` or `drift`.
+        `curve`, `gated_curve`, `build_up`, `spells`, `wave`, `place`, `payload`, `level_change` or `drift`.
     name
         Of the effect in the fit; empty for what is only watched for.
     variable, gate
@@ -116,6 +118,8 @@ class Described:
         Whether it can be fed forward: it follows what is known at the time.
     unit
         Of the variable.
+    stretches
+        Of a payload: the mass of each stretch between stops.
     """
 
     form: str
@@ -129,6 +133,7 @@ class Described:
     size_nm: float
     predictable: bool
     unit: str = ""
+    stretches: tuple[Stretch, ...] = ()
 
 
 def of_learned(effect: Learned, values: Mapping[str, float]) -> Described:
@@ -203,6 +208,20 @@ def of_place(name: str, level: float, place: Place) -> Described:
     )  # fmt: skip
 
 
+def of_payload(name: str, level: float, payload: Payload) -> Described:
+    """A mass by stretch, whose torque is of a size [Nm]."""
+    scale = level / payload.level
+    stretches = tuple(replace(s, mass=scale * s.mass, std=scale * s.std) for s in payload.stretches)
+    masses, seconds = np.array([s.mass for s in stretches]), np.array([s.end_s - s.begin_s for s in stretches])
+    low, high = np.quantile(np.repeat(masses, np.maximum(1, np.round(seconds)).astype(int)), (0.05, 0.95))
+    sure = float(np.median([s.std for s in stretches]))
+    text = (
+        f"The vehicle weighs from {_more(float(low), 'kg')} to {_more(float(high), 'kg')} than the model has, another "
+        f"mass after each stop ({len(stretches)} stretches, each known to about {figures(sure)} kg)"
+    )
+    return Described("payload", name, "mass", "", None, None, text, OF_PAYLOAD, abs(level), False, "kg", stretches)
+
+
 def of_level_change(name: str, level: float, sessions: Sequence[Session], change: LevelChange) -> Described:
     """A level that changed for good by so much [Nm]."""
     text = (
@@ -235,5 +254,5 @@ def of_drift(wander: Wander) -> Described:
     return Described("drift", "", "", "", None, wander.seconds, text, OF_DRIFT, wander.size, False)
 
 
-def _more(torque: float) -> str:
-    return f"{figures(abs(torque))} Nm {'more' if torque > 0.0 else 'less'}"
+def _more(by: float, unit: str = "Nm") -> str:
+    return f"{figures(abs(by))} {unit} {'more' if by > 0.0 else 'less'}"

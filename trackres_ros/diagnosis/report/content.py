@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -260,6 +261,7 @@ def _term(of: Described) -> dict[str, Any]:
         "sentence": of.sentence,
         "mechanisms": list(of.mechanisms),
         "predictable": of.predictable,
+        **({"stretches": [asdict(stretch) for stretch in of.stretches]} if of.stretches else {}),
     }
 
 

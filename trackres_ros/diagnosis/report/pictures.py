@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.variables import BY_NAME
+from trackres_ros.diagnosis.described.terms import Described
 from trackres_ros.diagnosis.findings.locate import against_travel, evenly_filled
 from trackres_ros.diagnosis.findings.residual_bins import Bin
 from trackres_ros.diagnosis.findings.verdict import Found, Told
@@ -221,6 +222,8 @@ def _term(d: Diagnosis, told: Told, path: Path) -> Picture:
     if told.course:
         label = f"{of.variable} [{of.unit}]" if of.unit else of.variable or of.gate
         return _over(d, told.course, adds, left_over, label, of.name, of.sentence, path)
+    if of.stretches:
+        return _by_stretch(d, of, path)
     if of.form == "level_change":
         return _over_recordings(d, adds, left_over, of.name, of.sentence, path)
     return _over_time(d, adds, left_over, of.name, of.sentence, path)
@@ -251,6 +254,31 @@ def _over_recordings(d: Diagnosis, adds: list[Array], left_over: list[Array], na
         f"The term: {name}",
         "What is left without the term, and the term, over all recordings one after the other; on laps that were not used for "
         "fitting it is there by their time alone.",
+    )
+
+
+def _by_stretch(d: Diagnosis, of: Described, path: Path) -> Picture:
+    """The mass of each stretch with its interval, all recordings one after the other."""
+    begins = dict(
+        zip((s.name for s in d.sessions), np.cumsum([0.0, *(s.time[-1] + s.step for s in d.sessions[:-1])]), strict=True)
+    )
+    edges = np.array([[s.begin_s, s.end_s] for s in of.stretches]) + np.array([[begins[s.recording]] for s in of.stretches])
+    mass, std = np.array([s.mass for s in of.stretches]), np.array([s.std for s in of.stretches])
+    with picture_with_legend(path, WIDTH, 3.0) as body:
+        axis = body.subplots()
+        axis.errorbar(
+            edges.mean(axis=1) / 60.0, mass, 1.96 * std, 0.5 * np.diff(edges, axis=1)[:, 0] / 60.0, fmt="none", color=VERMILION,
+            linewidth=1.2, label="a stretch between stops, and its 95 % interval",
+        )  # fmt: skip
+        axis.axhline(0.0, color=GREY, linewidth=0.8)
+        axis.set_xlabel("time in the recordings, one after the other [min]")
+        axis.set_ylabel("mass beside the model's [kg]")
+        axis.set_title(textwrap.fill(of.sentence, TITLE_LETTERS))
+    return Picture(
+        path,
+        f"The term: {of.name}",
+        "Mass of each stretch between stops that was used for fitting, beside that of the model, told by what it takes to speed "
+        "up, to roll and to climb.",
     )
 
 

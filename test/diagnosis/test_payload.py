@@ -1,0 +1,108 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""A mass by stretch between stops: found as it is and as sure as is said, and nowhere else."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from trackres_ros.diagnosis import load_base
+from trackres_ros.diagnosis.described.describe import BY_CLOCK, PAYLOAD, residuals_without, said
+from trackres_ros.diagnosis.described.payload import STOP_S, find_payload, stretch_numbers
+from trackres_ros.diagnosis.inference.fitting import Problem, fit
+from trackres_ros.evaluation.synthetic import drives
+from trackres_ros.files.resources import config_dir
+from trackres_ros.units import GRAVITY, STANDSTILL_MPS
+
+STRETCH_S, STILL_S = 90, 15
+MINUTES, FITTED_S = 30.0, 1400.0
+NOISE_NM, NOISE_PHI = 40.0, 0.5
+
+
+@pytest.fixture(scope="module")
+def car():
+    return load_base(config_dir() / "bmw_i3.yaml").base
+
+
+def fitted(base, loaded_kg, seed=1, given=frozenset({"grade"})):
+    """A fit to drives that stop every minute and a half, with another mass after each stop; and the masses."""
+    rng, sessions, masses = np.random.default_rng(seed), [], []
+    for drive in drives(base, 30.0, 2, MINUTES, rng, step=1.0):
+        phase = drive.time % STRETCH_S
+        speed = np.clip(np.minimum(phase / 20.0, (STRETCH_S - STILL_S - phase) / 20.0), 0.0, 1.0)
+        speed = 10.0 * speed * (1.0 + 0.2 * np.sin(drive.time / 300.0))
+        number = (drive.time // STRETCH_S).astype(int)
+        mass = rng.normal(0.0, loaded_kg, number.max() + 1)
+        weight = base.facts.weight + GRAVITY * mass[number]
+        level = np.zeros(len(drive))
+        known = frozenset({"grade", "load"})
+        sessions.append(replace(drive, speed=speed, accel=np.gradient(speed), grade=level, weight=weight, given=known))
+        masses.append(mass)
+    torques = [p.torque for p in base.predict(sessions, {q.name: q.nominal for q in base.parameters}, ())]
+    shown = []
+    for session, torque in zip(sessions, torques, strict=True):
+        noise = lfilter([1.0], [1.0, -NOISE_PHI], rng.normal(0.0, NOISE_NM, len(torque)))
+        moving = np.abs(session.speed) > 0.5
+        of_file = np.full(len(torque), base.facts.weight)
+        shown.append(replace(session, torque=torque + noise, weight=of_file, given=given, used=moving))
+    problem = Problem(base, tuple(shown), tuple(s.used & (s.time < FITTED_S) for s in shown))
+    return fit(problem), masses
+
+
+def looked_for(found):
+    return BY_CLOCK[PAYLOAD](found, [s.torque - p.torque for s, p in zip(found.problem.sessions, found.predicted, strict=True)])
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_masses_are_found_as_sure_as_is_said(car, seed):
+    found, masses = fitted(car, 250.0, seed)
+    term = looked_for(found)
+    told = said(term, term.candidate.fit)
+    true = np.concatenate([m[: int(FITTED_S // STRETCH_S) + 1] for m in masses])
+    mass, std = (np.array([getattr(s, name) for s in told.stretches]) for name in ("mass", "std"))
+    off = (mass - mass.mean()) - (true - true.mean())  # the mean is the model's own mass
+    assert np.sqrt(np.mean((off / std) ** 2)) < 1.5
+    assert np.sqrt(np.mean(off**2)) < 0.4 * true.std()
+    assert "kg less to" in told.sentence
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_vehicle_that_weighs_the_same_has_no_payload(car, seed):
+    assert looked_for(fitted(car, 0.0, seed)[0]) is None
+
+
+def test_nothing_is_looked_for_where_loads_are_recorded(car):
+    found, _ = fitted(car, 250.0, given=frozenset({"grade", "load"}))
+    assert find_payload(found, [np.zeros(len(s)) for s in found.problem.sessions]) is None
+
+
+def test_laps_that_are_not_fitted_are_known_better_by_what_was_measured_before(car):
+    found, _ = fitted(car, 250.0)
+    term = looked_for(found)
+    with_term, problem = term.candidate.fit, found.problem
+    without = residuals_without(with_term, PAYLOAD)
+    later = [s.used & ~m for s, m in zip(problem.sessions, problem.masks, strict=True)]
+    adds = with_term.contribution(PAYLOAD)
+    before, after = (
+        np.mean(np.abs(np.concatenate([r[m] for r, m in zip(of, later, strict=True)])))
+        for of in (without, [r - x for r, x in zip(without, adds, strict=True)])
+    )
+    assert after < 0.95 * before
+
+
+def test_a_vehicle_that_stands_is_not_pushed(car):
+    term = looked_for(fitted(car, 250.0)[0])
+    for session, shape in zip(term.candidate.fit.problem.sessions, term.payload.shape, strict=True):
+        assert not shape[np.abs(session.speed) < STANDSTILL_MPS].any()
+
+
+def test_a_stop_belongs_to_the_stretch_before_and_a_short_one_begins_none(car):
+    session = drives(car, 30.0, 1, 2.0, np.random.default_rng(1), step=1.0)[0]
+    speed = np.full(len(session), 5.0)
+    speed[:7], speed[30 : 30 + int(STOP_S) - 1], speed[60:70] = 0.0, 0.0, 0.0
+    numbers = stretch_numbers(replace(session, speed=speed))
+    assert (numbers[:70] == 0).all()
+    assert (numbers[70:] == 1).all()
