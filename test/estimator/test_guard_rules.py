@@ -18,9 +18,10 @@ from trackres_ros.jit.compiled import interpreted
 S, MS = 1_000_000_000, 1_000_000
 T = 1_700_000_000 * S
 JUMP, AMBIENT_HOLD, MOTION_HOLD, TORQUE_HOLD, LOAD_HOLD, STUCK = 2 * S, 300 * S, 1 * S, 3 * S, 60 * S, 30 * S
+PASSENGERS_HOLD = 1000 * S
 AXLES, ASSEMBLIES = 2, 4
-NAMED = {"axle": at.DISTANCE + 1, "assembly": at.DISTANCE + 1 + AXLES, "belt": at.DISTANCE + 1 + AXLES + ASSEMBLIES}
-CHANNELS = at.DISTANCE + 1 + AXLES + 2 * ASSEMBLIES
+NAMED = {"axle": at.FIRST_AXLE, "assembly": at.FIRST_AXLE + AXLES, "belt": at.FIRST_AXLE + AXLES + ASSEMBLIES}
+CHANNELS = at.FIRST_AXLE + AXLES + 2 * ASSEMBLIES
 SHARES_OF_ALL, SHARES_OF_AXLE = (0.3, 0.3, 0.25, 0.15), (0.5, 0.5, 0.625, 0.375)
 
 admit, held = interpreted(guards.admit), interpreted(guards.held)
@@ -39,6 +40,7 @@ def k():
     limits[at.SPEED] = (-20.0, 25.0)
     number = SimpleNamespace(
         clock_jump_ns=JUMP, jumps_to_accept=3, load_hold_ns=LOAD_HOLD, ambient_hold_ns=AMBIENT_HOLD, motion_hold_ns=MOTION_HOLD,
+        passengers_hold_ns=PASSENGERS_HOLD, passenger_weight=700.0,
         torque_hold_ns=TORQUE_HOLD, stuck_ns=STUCK, axles=AXLES, nominal_ambient=15.0, ambient_std=0.5, ambient_unknown_std=9.0,
     )  # fmt: skip
     return SimpleNamespace(number=number, assembly=assembly, channel_limits=limits)
@@ -350,6 +352,28 @@ def test_the_total_is_shared_by_nominal_loads(guard):
     reasons, found = loads(guard)
     assert reasons == 0
     assert found == pytest.approx(200e3 * np.array(SHARES_OF_ALL))
+
+
+def test_passengers_come_on_top_of_the_nominal_loads_until_they_are_too_old(guard):
+    guard.send(1 * S, 20.0, at.PASSENGERS)
+    guard.send(2 * S)
+    assert not guard.reasons() & (Reason.LOAD_NOMINAL | Reason.LOAD_HELD)
+    assert guard.loads.tolist() == pytest.approx(
+        [n + 14e3 * s for n, s in zip((60e3, 61e3, 62e3, 63e3), SHARES_OF_ALL, strict=True)]
+    )
+    guard.send(1 * S + PASSENGERS_HOLD)
+    assert not guard.reasons() & Reason.LOAD_NOMINAL
+    guard.send(1 * S + PASSENGERS_HOLD + 1)
+    assert guard.reasons() & Reason.LOAD_NOMINAL
+    assert guard.loads.tolist() == [60e3, 61e3, 62e3, 63e3]
+
+
+def test_a_load_has_the_passengers_in_it(guard):
+    guard.send(1 * S, 20.0, at.PASSENGERS)
+    guard.send(1 * S, 200e3, at.LOAD)
+    guard.send(2 * S)
+    guard.inputs()
+    assert guard.loads.sum() == pytest.approx(200e3)
 
 
 def test_the_load_of_an_axle_goes_before_the_total(guard):

@@ -10,8 +10,9 @@ from enum import IntEnum, IntFlag
 from trackres_ros.vehicle import Vehicle
 
 # Channels: what can arrive. Loads by axle and assembly and belt temperatures by assembly follow these.
-SPEED, LOAD, TORQUE, AMBIENT, BELT, ACCEL, GRADE, YAW_RATE, HEADING, DISTANCE = range(10)
-CHANNELS = ("speed", "load", "torque", "ambient", "belt", "accel", "grade", "yaw_rate", "heading", "distance")
+SPEED, LOAD, TORQUE, AMBIENT, BELT, ACCEL, GRADE, YAW_RATE, HEADING, DISTANCE, PASSENGERS = range(11)
+CHANNELS = ("speed", "load", "torque", "ambient", "belt", "accel", "grade", "yaw_rate", "heading", "distance", "passengers")
+FIRST_AXLE = len(CHANNELS)
 
 # Constants of an assembly; those of one KIND differ in nothing but the axle and load shares. INNER_CONDUCTANCE lies between the
 # mean and the surface where these are two nodes, SKIN_CONDUCTANCE between the last node and what a sensor sees, infinite where

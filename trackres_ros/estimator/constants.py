@@ -24,6 +24,7 @@ from trackres_ros.model.coverage import check_heat, coverage
 from trackres_ros.model.loss_table import loss_table
 from trackres_ros.model.thermal import ThermalNetwork, thermal_network
 from trackres_ros.model.vehicle_constants import vehicle_constants
+from trackres_ros.units import GRAVITY
 from trackres_ros.vehicle import Vehicle
 from trackres_ros.vehicle.reading import FITTED
 
@@ -40,6 +41,7 @@ PLAUSIBLE = {
     "yaw_rate": (-5.0, 5.0),
     "heading": (-1e3, 1e3),
     "distance": (-1e9, 1e9),
+    "passengers": (0.0, 1e3),
 }
 LEAST_LOAD_SHARE = 0.1  # of nominal weight: less is not a driving vehicle
 LARGEST_LOAD_SHARE = 2.5
@@ -80,6 +82,8 @@ class Numbers(NamedTuple):
     clock_jump_ns: int
     jumps_to_accept: int
     load_hold_ns: int
+    passengers_hold_ns: int
+    passenger_weight: float  # N each
     ambient_hold_ns: int
     motion_hold_ns: int
     torque_hold_ns: int
@@ -209,6 +213,8 @@ def make_constants(vehicle: Vehicle, settings: Settings, cache: Path | None = No
         clock_jump_ns=ns(settings.clock_jump_s),
         jumps_to_accept=int(settings.jumps_to_accept),
         load_hold_ns=ns(settings.load_hold_s),
+        passengers_hold_ns=ns(settings.passengers_hold_s),
+        passenger_weight=settings.passenger_kg * GRAVITY,
         ambient_hold_ns=ns(settings.ambient_hold_s),
         motion_hold_ns=ns(settings.motion_hold_s),
         torque_hold_ns=ns(settings.torque_hold_s),

@@ -136,11 +136,13 @@ def gather_loads(k: Constants, memory: Memory, now: int, loads: Array) -> int:
     """Load of each assembly [N] by the finest source there is; fills `loads`, returns the reasons to report.
 
     A load of the assembly comes before one of its axle, and that before the total; each is shared in proportion to nominal loads.
+    Where none is given, passengers come on top of the nominal loads.
     """
-    first_axle = at.DISTANCE + 1
+    first_axle = at.FIRST_AXLE
     first_assembly = first_axle + k.number.axles
     reasons = 0
     total = held(memory, at.LOAD, now, k.number.load_hold_ns)
+    payload = held(memory, at.PASSENGERS, now, k.number.passengers_hold_ns) * k.number.passenger_weight
     for i in range(loads.shape[0]):
         source = first_assembly + i
         value = held(memory, source, now, k.number.load_hold_ns)
@@ -149,7 +151,9 @@ def gather_loads(k: Constants, memory: Memory, now: int, loads: Array) -> int:
             value = held(memory, source, now, k.number.load_hold_ns) * k.assembly[i, at.SHARE_OF_AXLE]
         if math.isnan(value):
             source, value = at.LOAD, total * k.assembly[i, at.SHARE_OF_ALL]
-        if math.isnan(value):
+        if math.isnan(value) and not math.isnan(payload):
+            loads[i] = k.assembly[i, at.NOMINAL_LOAD] + payload * k.assembly[i, at.SHARE_OF_ALL]
+        elif math.isnan(value):
             loads[i] = k.assembly[i, at.NOMINAL_LOAD]
             reasons |= LOAD_NOMINAL
         else:
@@ -182,7 +186,7 @@ def gather(k: Constants, memory: Memory, outcome: int, motion: Array, loads: Arr
     if math.isnan(ambient):
         ambient, ambient_std = k.number.nominal_ambient, k.number.ambient_unknown_std
         reasons |= AMBIENT_NOMINAL
-    first_belt = at.DISTANCE + 1 + k.number.axles + loads.shape[0]
+    first_belt = at.FIRST_AXLE + k.number.axles + loads.shape[0]
     for i in range(loads.shape[0]):
         belt_measured[i] = math.nan
         for channel in (at.BELT, first_belt + i):

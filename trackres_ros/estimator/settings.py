@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from trackres_ros import checks
+from trackres_ros.recording.roles import PASSENGER_KG
 
 PARTS = ("hysteresis", "bearing", "wind", "grade", "inertia")
 BELT_SENSORS = ("mean", "surface")
@@ -39,6 +40,10 @@ class Settings:
     )
     jumps_to_accept: float = _setting(3, "1", 2, 100, "as many stamps in a row that agree with each other make a clock jump")
     load_hold_s: float = _setting(60.0, "s", 0.1, 1e6, "how long the last load holds before the nominal one is used")
+    passengers_hold_s: float = _setting(
+        3600.0, "s", 1.0, 1e6, "how long the last count of passengers holds, as counts come at stops"
+    )
+    passenger_kg: float = _setting(PASSENGER_KG, "kg", 1.0, 500.0, "mass of a passenger, on top of the vehicle file's loads")
     ambient_hold_s: float = _setting(1800.0, "s", 1.0, 1e6, "how long the last ambient temperature holds")
     motion_hold_s: float = _setting(0.5, "s", 0.01, 60.0, "how long a given acceleration or grade holds")
     torque_hold_s: float = _setting(0.5, "s", 0.01, 60.0, "how long a measured torque holds")

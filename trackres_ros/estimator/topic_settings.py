@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Reads the estimator's settings out of a topics file: age limits, and the belt sensor."""
+"""Reads the estimator's settings out of a topics file: age limits, the belt sensor, and the mass of a passenger."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from trackres_ros.recording.roles import base_role
 AGE_LIMITS = {
     "speed": "speed_max_age_s",
     "load": "load_hold_s",
+    "passengers": "passengers_hold_s",
     "ambient": "ambient_hold_s",
     "accel": "motion_hold_s",
     "grade": "motion_hold_s",
@@ -43,6 +44,8 @@ def settings_for(settings: Settings, topics: Topics | None) -> Settings:
         if name is None:
             raise InputError(f"{topics.origin}: {role}: max_age_s", limit, f"an age limit on {', '.join(AGE_LIMITS)}")
         changes[name] = min(limit, changes.get(name, limit))
+    if "passengers" in topics:
+        changes["passenger_kg"] = topics["passengers"].kg_each
     belts = [topics[role] for role in topics if base_role(role) == "belt"]
     if belts:
         kinds = {(belt.sensor, belt.std_k) for belt in belts}

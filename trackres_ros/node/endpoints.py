@@ -7,9 +7,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from trackres_ros.estimator.columns import CHANNELS
 from trackres_ros.node.parameters import Parameters
 from trackres_ros.output.topics import OutputTopic, output_topics
 from trackres_ros.recording.bindings import TopicBinding, Topics
+from trackres_ros.recording.roles import base_role
 from trackres_ros.vehicle import Vehicle
 
 DIAGNOSTICS = OutputTopic(
@@ -51,13 +53,13 @@ class InputTopic:
 
 
 def input_topics(topics: Topics) -> tuple[InputTopic, ...]:
-    """All topics to subscribe to; those that feed a speed last.
+    """All topics to subscribe to, those that feed a speed last; of roles that the estimate does not need none.
 
     Where messages wait on several topics, an edge hands them over in this order: what a speed is to be computed with comes
     first.
     """
     by_name: dict[tuple[str, str], list[str]] = {}
-    for role in topics:
+    for role in (role for role in topics if base_role(role) in CHANNELS):
         by_name.setdefault((topics[role].topic, topics[role].type), []).append(role)
     inputs = [
         InputTopic(name, kind, tuple(sorted(roles, key=_last_speed)), tuple(topics[r] for r in sorted(roles, key=_last_speed)))

@@ -15,6 +15,7 @@ from trackres_ros.estimator.topic_settings import settings_for
 from trackres_ros.files.resources import config_dir, find_vehicle
 from trackres_ros.node.parameters import Parameters
 from trackres_ros.recording.bindings import Topics
+from trackres_ros.recording.roles import POSITION
 from trackres_ros.vehicle import Vehicle, load, with_surroundings
 
 
@@ -87,5 +88,7 @@ def _check_live(topics: Topics) -> None:
     for role in topics:
         if not topics[role].topic:
             raise InputError(f"{topics.origin}: {role}", "a column of a table", "a topic with type and field")
+        if role in POSITION and not topics[role].unit:
+            raise InputError(f"{topics.origin}: {role}: unit", "none", "deg or rad", "live there are no values yet to tell it by")
     if "speed" not in topics:
         raise InputError(topics.origin, f"roles {', '.join(topics)}", "a speed among them")

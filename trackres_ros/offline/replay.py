@@ -25,7 +25,8 @@ from trackres_ros.offline.disturbance import DisturbanceColumns
 from trackres_ros.output.bag import OutputBag
 from trackres_ros.output.preview import ResultPreview
 from trackres_ros.output.table import TableWriter
-from trackres_ros.recording.samples import Source
+from trackres_ros.recording.roles import base_role
+from trackres_ros.recording.samples import Block, Source
 from trackres_ros.units import NANOSECOND
 
 Array = NDArray[np.float64]
@@ -46,7 +47,7 @@ class Replayed:
 
 
 def channel_indices(session: Session, roles: Sequence[str]) -> NDArray[np.int16]:
-    """Channel of each role of a source, shape (roles,).
+    """Channel of each role of a source, shape (roles,); -1 of a role that the estimate does not need.
 
     Raises
     ------
@@ -54,12 +55,12 @@ def channel_indices(session: Session, roles: Sequence[str]) -> NDArray[np.int16]
         For a role of an axle or assembly that the vehicle does not have.
     """
     channels = session.estimator.channels
-    unknown = [role for role in roles if role not in channels]
+    unknown = [role for role in roles if role not in channels and base_role(role) in at.CHANNELS]
     if unknown:
         vehicle = session.estimator.vehicle
         places = [name for name in channels if "/" in name]
         raise InputError(f"role {unknown[0]}", f"vehicle {vehicle.name}", f"{', '.join(at.CHANNELS)}, {', '.join(places)}")
-    return np.array([session.channel(role) for role in roles], dtype=np.int16)
+    return np.array([session.channel(role) if role in channels else -1 for role in roles], dtype=np.int16)
 
 
 def replay(
@@ -87,15 +88,21 @@ def replay(
     """
     session = session or estimator.session()
     channel_of = channel_indices(session, source.roles)
+    not_needed = bool((channel_of < 0).any())
     seen = ResultPreview(len(estimator.columns))
     messages = 0
     with ThreadPoolExecutor(max_workers=1) as worker:  # the kernel lets go of the interpreter: reading goes on meanwhile
         running: Future[Steps] | None = None
         for block in source.blocks(BLOCK_ROWS):
             messages += len(block)
+            channel = channel_of[block.role]
+            if not_needed:
+                rows = channel >= 0
+                channel = channel[rows]
+                block = Block(block.role[rows], block.stamp_ns[rows], block.arrival_ns[rows], block.value[rows])
             before, running = (
                 running,
-                worker.submit(session.handle_block, channel_of[block.role], block.stamp_ns, block.arrival_ns, block.value),
+                worker.submit(session.handle_block, channel, block.stamp_ns, block.arrival_ns, block.value),
             )
             if before:
                 seen.take(before.result(), write)

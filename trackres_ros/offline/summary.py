@@ -34,8 +34,13 @@ class KeptSource:
         self._source, self._keep = source, keep
         self._kept: list[Block] = []
         self._dropped = False
-        self.name, self.roles, self.notes = source.name, source.roles, source.notes
+        self.name, self.roles = source.name, source.roles
         self.zero_is_unset = source.zero_is_unset
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What reading says of it; see `Source`."""
+        return self._source.notes
 
     @property
     def findings(self) -> tuple[Finding, ...]:

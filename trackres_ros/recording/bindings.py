@@ -12,16 +12,37 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Literal, cast
 
+import numpy as np
+from numpy.typing import NDArray
+
 from trackres_ros import checks
 from trackres_ros.errors import InputError, nearest
 from trackres_ros.files.yamls import read_yaml
-from trackres_ros.recording.roles import ROLES, base_role
+from trackres_ros.recording.roles import ANGLES, BRAKE_ON_PA, PASSENGER_KG, POSITION, ROLES, base_role
+from trackres_ros.units import DEGREE
 
-KEYS = ("topic", "type", "field", "column", "scale", "offset", "stamp", "max_age_s", "sensor", "std_k", "delay_s")
+KEYS = (
+    "topic", "type", "field", "column", "scale", "offset", "stamp", "max_age_s", "sensor", "std_k", "delay_s",
+    "unit", "kg_each", "threshold",
+)  # fmt: skip
+ONLY_FOR = {
+    "sensor": ("belt",),
+    "std_k": ("belt",),
+    "delay_s": ("torque",),
+    "unit": ANGLES,
+    "kg_each": ("passengers",),
+    "threshold": ("brake",),
+}
+"""Keys that have a meaning for some roles alone."""
+TIME = "time"
+"""The line that names the column of the time in a table; no role, as every sample has its time."""
+IN_DEGREES = "sensor_msgs/msg/NavSatFix"
+"""The message type whose latitude and longitude are in degrees by its definition."""
 STEP = re.compile(r"([A-Za-z_]\w*)(?:\[([^\[\]]+)\])?")
 MESSAGE_TYPE = re.compile(r"([A-Za-z]\w*)/(?:msg/)?([A-Za-z]\w*)")
 PART = re.compile(r"[A-Za-z0-9_\-]+")
 MOST_DELAY_S = 10.0
+MOST_KG_EACH = 500.0  # with what somebody may carry
 LARGEST = 1e300  # a whole number may be larger than any float
 EXAMPLE = "speed: {topic: /vehicle/speed, type: geometry_msgs/msg/TwistStamped, field: twist.linear.x}"
 
@@ -49,7 +70,7 @@ class TopicBinding:
     column : str
         Column of a table; empty for a topic.
     scale, offset : float
-        The value in the unit of the role is ``scale * raw + offset``.
+        The value in the unit of the role is ``scale * raw + offset``; of an angle given in degrees they turn it into rad.
     stamp : str
         ``header``, ``log``, or empty: the header's where the type has one, else log time.
     max_age_s : float or None
@@ -60,6 +81,12 @@ class TopicBinding:
         Standard deviation of a belt temperature [K].
     delay_s : float
         By how much a torque comes late [s]: what is shown was so that long before its stamp.
+    unit : str
+        Of an angle: ``deg``, ``rad``, or empty; then a position is told by its values, and any other angle is in rad.
+    kg_each : float
+        Of passengers: mass of one [kg].
+    threshold : float or None
+        Of a brake: from which value on it brakes; None where nobody says.
     """
 
     topic: str = ""
@@ -73,6 +100,15 @@ class TopicBinding:
     sensor: Literal["surface", "mean"] = "surface"
     std_k: float = 3.0
     delay_s: float = 0.0
+    unit: Literal["deg", "rad", ""] = ""
+    kg_each: float = PASSENGER_KG
+    threshold: float | None = None
+
+    def brakes_from(self, values: NDArray[np.float64]) -> float:
+        """The value from which a brake is on: the threshold, else half of a switch's 0 and 1, else `BRAKE_ON_PA`."""
+        if self.threshold is not None:
+            return self.threshold
+        return 0.5 if np.isin(values, (0.0, 1.0)).all() else BRAKE_ON_PA
 
     @property
     def delay_ns(self) -> int:
@@ -117,10 +153,13 @@ class Topics:
         By role, qualified where the file says so (``load/front``).
     origin : str
         The file, for messages to the user.
+    time : TopicBinding, optional
+        The column of the time in a table, where it is not ``time_s``.
     """
 
     bindings: Mapping[str, TopicBinding]
     origin: str = "topics"
+    time: TopicBinding | None = None
 
     def __getitem__(self, role: str) -> TopicBinding:
         return self.bindings[role]
@@ -165,9 +204,11 @@ class Topics:
             raise InputError(origin, content, "a mapping with one line a role", f"write for example: {EXAMPLE}")
         bindings = {}
         for role, line in content.items():
-            _check_role(role, origin)
-            bindings[role] = _binding(role, line, f"{origin}: {role}")
-        return cls(MappingProxyType(bindings), origin)
+            if role != TIME:
+                _check_role(role, origin)
+                bindings[role] = _binding(role, line, f"{origin}: {role}")
+        time = _time(content[TIME], f"{origin}: {TIME}") if TIME in content else None
+        return cls(MappingProxyType(bindings), origin, time)
 
 
 def field_steps(path: str) -> tuple[FieldStep, ...]:
@@ -213,15 +254,15 @@ def message_type(name: str) -> str:
 
 
 def _check_role(role: object, origin: str) -> None:
-    allowed = ", ".join(ROLES)
+    allowed = ", ".join((*ROLES, TIME))
     if not isinstance(role, str) or base_role(role) not in ROLES:
         raise InputError(f"{origin}: role", role, allowed, nearest(str(role).partition("/")[0], ROLES))
     base, slash, part = role.partition("/")
     if slash and not ROLES[base].parts:
         parts = ", ".join(name for name, about in ROLES.items() if about.parts)
-        raise InputError(f"{origin}: role", role, f"an axle or assembly only for {parts}", f"write {base}")
+        raise InputError(f"{origin}: role", role, f"an axle, assembly or wheel only for {parts}", f"write {base}")
     if slash and not PART.fullmatch(part):
-        raise InputError(f"{origin}: role", role, f"{base}/NAME with the name of an axle or assembly")
+        raise InputError(f"{origin}: role", role, f"{base}/NAME with the name of an axle, assembly or wheel")
 
 
 def _binding(role: str, line: object, where: str) -> TopicBinding:
@@ -229,10 +270,9 @@ def _binding(role: str, line: object, where: str) -> TopicBinding:
         raise InputError(where, line, "a mapping with topic, type and field, or with column", f"for example: {EXAMPLE}")
     for key in line:
         checks.one_of(key, f"{where}: key", KEYS)
-        if key in ("sensor", "std_k") and base_role(role) != "belt":
-            raise InputError(f"{where}: key", key, "sensor and std_k only for belt")
-        if key == "delay_s" and role != "torque":
-            raise InputError(f"{where}: key", key, "delay_s only for torque")
+        meant = ONLY_FOR.get(key)
+        if meant and base_role(role) not in meant:
+            raise InputError(f"{where}: key", key, f"{key} only for {', '.join(meant)}")
         if "column" in line and key in ("topic", "type", "field", "stamp", "max_age_s"):
             raise InputError(f"{where}: key", key, "either column, or topic with type and field")
     texts = {key: _text(line, key, where) for key in ("topic", "type", "field", "column")}
@@ -250,22 +290,39 @@ def _binding(role: str, line: object, where: str) -> TopicBinding:
             allowed = "a path such as twist.linear.x, effort[NAME] or data[3]"
             raise InputError(f"{where}: field", texts["field"], allowed) from None
     max_age_s = _number(line, "max_age_s", 0.0, where) if "max_age_s" in line else None
+    unit = _choice(line, "unit", ("deg", "rad"), "", where)
+    if not unit and role in POSITION and texts["type"] == IN_DEGREES:
+        unit = "deg"
+    turned = DEGREE if unit == "deg" else 1.0
     binding = TopicBinding(
         **texts,
-        scale=_number(line, "scale", 1.0, where),
-        offset=_number(line, "offset", 0.0, where),
+        scale=turned * _number(line, "scale", 1.0, where),
+        offset=turned * _number(line, "offset", 0.0, where),
         stamp=cast("Literal['header', 'log', '']", _choice(line, "stamp", ("header", "log"), "", where)),
         max_age_s=max_age_s,
         sensor=cast("Literal['surface', 'mean']", _choice(line, "sensor", ("surface", "mean"), "surface", where)),
         std_k=_number(line, "std_k", 3.0, where),
         delay_s=checks.number(line.get("delay_s", 0.0), f"{where}: delay_s", 0.0, MOST_DELAY_S, "s"),
+        unit=cast("Literal['deg', 'rad', '']", unit),
+        kg_each=checks.number(line.get("kg_each", PASSENGER_KG), f"{where}: kg_each", 1.0, MOST_KG_EACH, "kg"),
+        threshold=_number(line, "threshold", 0.0, where) if "threshold" in line else None,
     )
     if binding.scale == 0.0:
         raise InputError(f"{where}: scale", 0.0, "a finite number that is not 0")
-    for key, number in (("max_age_s", max_age_s), ("std_k", binding.std_k)):
+    for key, number in (("max_age_s", max_age_s), ("std_k", binding.std_k), ("threshold", binding.threshold)):
         if number is not None and number <= 0.0:
             raise InputError(f"{where}: {key}", number, "a positive number")
     return binding
+
+
+def _time(line: object, where: str) -> TopicBinding:
+    """The column of the time; a bag has stamps instead."""
+    if not isinstance(line, Mapping) or not set(line) <= {"column", "scale", "offset"} or "column" not in line:
+        raise InputError(where, line, "column, scale and offset", "write for example: time: {column: seconds}")
+    scale = _number(line, "scale", 1.0, where)
+    if scale <= 0.0:
+        raise InputError(f"{where}: scale", scale, "a positive number: seconds in a unit of the column")
+    return TopicBinding(column=_text(line, "column", where), scale=scale, offset=_number(line, "offset", 0.0, where))
 
 
 def _text(line: Mapping[object, object], key: str, where: str) -> str:

@@ -9,10 +9,12 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Literal
 
 from trackres_ros.errors import InputError
-from trackres_ros.recording.bindings import EXAMPLE, TopicBinding, Topics
-from trackres_ros.recording.roles import ROLES
+from trackres_ros.recording.bindings import EXAMPLE, IN_DEGREES, TopicBinding, Topics
+from trackres_ros.recording.roles import POSITION, ROLES
+from trackres_ros.units import DEGREE
 
 NOT_MEASURED = re.compile(
     r"\b(cmd|commands?|commanded|target|desired|set ?point|reference|ref|goal|limit|max|min|"
@@ -22,11 +24,14 @@ NOT_MEASURED = re.compile(
 NOT_VEHICLE = r"rpm|\b(engine|motor|wind|fan|angular|yaw|cpu)\b"
 """Words that say a speed, load or torque is not that of the vehicle at its tracks."""
 SCALARS = ("std_msgs/msg/Float64", "std_msgs/msg/Float32")
+COUNTS = tuple(f"std_msgs/msg/{name}" for name in ("UInt8", "UInt16", "UInt32", "Int8", "Int16", "Int32"))
 AMBIENT = r"\b(ambient|outside|outdoor|air)\b"
 UNITS = {
     "speed": (("km/h", r"km ?p?h\b|kph\b", 1.0 / 3.6),),
     "load": (("kN", r"\bkn\b", 1e3), ("kg", r"\bkg\b", 9.80665)),
     "torque": (("kNm", r"\bkn ?m\b", 1e3),),
+    "brake": (("bar", r"\bbar\b", 1e5), ("kPa", r"\bkpa\b", 1e3)),
+    "steering_angle": (("degrees", r"\bdeg(rees?)?\b", DEGREE),),
 }
 """Units the topic name of a bare number may carry: unit, pattern, scale to the unit of the role."""
 
@@ -54,6 +59,12 @@ RULES = (
     _Rule("ambient", ("sensor_msgs/msg/Temperature",), "temperature", AMBIENT),
     _Rule("belt", ("sensor_msgs/msg/Temperature",), "temperature", r"\b(belt|track|rubber)\b", AMBIENT),
     _Rule("yaw_rate", ("sensor_msgs/msg/Imu",), "angular_velocity.z"),
+    _Rule("latitude", (IN_DEGREES,), "latitude"),
+    _Rule("longitude", (IN_DEGREES,), "longitude"),
+    _Rule("altitude", (IN_DEGREES,), "altitude"),
+    _Rule("steering_angle", SCALARS, "data", r"steering angle\b", r"\bwheel\b|ratio"),
+    _Rule("passengers", (*SCALARS, *COUNTS), "data", r"\bpassengers?\b"),
+    _Rule("brake", SCALARS, "data", r"brake pressure", r"park|halt"),
 )
 """In the order of preference."""
 
@@ -88,7 +99,8 @@ def guess(available: Mapping[str, str]) -> tuple[Topics, list[str]]:
                 continue
             if not re.search(rule.not_words, words) and not NOT_MEASURED.search(words):
                 unit, scale = _unit_of(rule, words)
-                binding = TopicBinding(topic, available[topic], rule.field, scale=scale)
+                angle: Literal["deg", ""] = "deg" if rule.role in POSITION else ""
+                binding = TopicBinding(topic, available[topic], rule.field, scale=scale, unit=angle)
                 found.setdefault(rule.role, []).append((binding, unit))
     if "speed" not in found:
         listed = "; ".join(f"{topic} ({kind})" for topic, kind in sorted(available.items())) or "no topic at all"
@@ -113,6 +125,8 @@ def _words(topic: str) -> str:
 
 
 def _unit_of(rule: _Rule, words: str) -> tuple[str, float]:
+    if rule.role in POSITION:
+        return "degrees", DEGREE
     for unit, pattern, scale in UNITS.get(rule.role, ()) if rule.field == "data" else ():
         if re.search(pattern, words):
             return unit, scale

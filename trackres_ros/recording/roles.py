@@ -21,7 +21,7 @@ class Role:
     text : str
         What it is.
     parts : bool
-        Whether it may be given for each axle or assembly (``load/front``).
+        Whether it may be given for each axle, assembly or wheel (``load/front``, ``wheel_speed/rear_left``).
     lively : bool
         Whether a moving vehicle changes it all the time, so that a constant value means a stuck sensor.
     """
@@ -44,8 +44,24 @@ ROLES: Mapping[str, Role] = MappingProxyType(
         "yaw_rate": Role("rad/s", "turning rate about the upward axis", lively=True),
         "heading": Role("rad", "direction of travel about the upward axis"),
         "distance": Role("m", "distance travelled"),
+        "latitude": Role("rad", "latitude, positive north"),
+        "longitude": Role("rad", "longitude, positive east"),
+        "altitude": Role("m", "height above a fixed level"),
+        "steering_angle": Role("rad", "angle of the steered wheels, positive to the left"),
+        "passengers": Role("1", "people on board, who come on top of the empty vehicle"),
+        "brake": Role("Pa", "pressure of the friction brakes, or 0 and 1 of a switch"),
+        "wheel_speed": Role("m/s", "speed of the rim of a wheel", parts=True),
     }
 )
+
+
+POSITION = ("latitude", "longitude")
+ANGLES = (*POSITION, "heading", "steering_angle")
+"""Roles in rad that may be given in degrees, with ``unit: deg``."""
+PASSENGER_KG = 70.0
+"""Mass of a passenger where nobody says; assumed. UN regulation 107 counts 68 kg in a city bus, 71 kg with luggage."""
+BRAKE_ON_PA = 10e3
+"""Pressure from which a friction brake counts as on, where nobody says; assumed: springs hold its shoes off below."""
 
 
 def base_role(role: str) -> str:

@@ -24,6 +24,7 @@ from trackres_ros.recording.bindings import TopicBinding, Topics
 from trackres_ros.recording.cdr import Encoding, FieldReader
 from trackres_ros.recording.guess import guess
 from trackres_ros.recording.message_types import Definitions, check_field, check_size, definitions, message_fields, stamp_path
+from trackres_ros.recording.position_units import PositionUnits
 from trackres_ros.recording.reading import check_file, check_there, reading
 from trackres_ros.recording.samples import Block, Finding, IntArray
 from trackres_ros.recording.unpacking import (
@@ -129,7 +130,8 @@ class BagSource:
         self.roles = tuple(sorted(bindings, key=lambda role: role == "speed"))
         self._origin = topics.origin
         self._topics = self._bound(found, bindings, topics.origin)
-        self.notes = tuple(map(one_line, (*guesses, *self._stamp_notes())))
+        self._position = PositionUnits(bindings)
+        self._notes = tuple(map(one_line, (*guesses, *self._stamp_notes())))
         self.findings: tuple[Finding, ...] = ()
 
     def _bound(
@@ -186,6 +188,11 @@ class BagSource:
                     stamps = "header stamps" if header else f"log time, {why}"
                     yield f"{self.roles[role]}: {topic.name} ({topic.msgtype}, {binding.field}), {stamps}"
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was guessed, which stamps are used, and in which unit a position was taken to be once it was read."""
+        return (*self._notes, *self._position.notes)
+
     def blocks(self, max_rows: int = 65536) -> Iterator[Block]:
         """Read all bags; see `trackres_ros.recording.samples.Source.blocks`.
 
@@ -199,11 +206,11 @@ class BagSource:
         for path in self._paths:
             for block in self._batches(path, max_rows, tally):
                 if sum(map(len, held)) + len(block) > max_rows:
-                    yield _joined(held)
+                    yield self._position.in_radians(_joined(held), self.roles)
                     held.clear()
                 held.append(block)
         if held:
-            yield _joined(held)
+            yield self._position.in_radians(_joined(held), self.roles)
         self.findings = tuple(self._found(tally))
         speed = len(self.roles) - 1
         if not tally.speeds and speed in tally.absent:

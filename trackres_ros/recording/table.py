@@ -22,10 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError, MissingExtraError, one_line
-from trackres_ros.recording.bindings import TopicBinding, Topics
+from trackres_ros.recording.bindings import Topics
+from trackres_ros.recording.position_units import PositionUnits
 from trackres_ros.recording.reading import check_file, reading
 from trackres_ros.recording.samples import Block, Finding, FloatArray
-from trackres_ros.recording.table_columns import TIME, choose_columns, listed_names
+from trackres_ros.recording.table_columns import choose_columns, listed_names
 
 CHUNK_ROWS = 8192
 MAX_TIME_S = 4.6e9
@@ -56,8 +57,8 @@ class TableSource:
     """Samples of a CSV (also ``.csv.gz``) or Parquet file, row by row.
 
     An empty cell gives no sample. Within a row speed comes last, so that whoever steps on speed knows the rest of
-    the row. Stamps are the column ``time_s``, counted in nanoseconds; a role without a column in the topics file is
-    taken from the column known by name.
+    the row. Stamps are the column ``time_s``, or the one that the topics file names,
+    counted in nanoseconds; a role without a column in the topics file is taken from the column known by name.
 
     Parameters
     ----------
@@ -88,17 +89,21 @@ class TableSource:
         self._time, columns = choose_columns(names, topics, self.name)
         self._columns = tuple(sorted(columns, key=lambda column: column.role == "speed"))
         self.roles = tuple(column.role for column in self._columns)
-        self.bindings = {
-            c.role: TopicBinding(column=c.name, scale=c.scale, offset=c.offset, delay_s=c.delay_s) for c in self._columns
-        }
+        self.bindings = {column.role: column.binding for column in self._columns}
         notes = [f"{column.role}: column {column.name}" for column in self._columns]
-        used = {self._time, *(column.place for column in columns)}
+        used = {self._time.place, *(column.place for column in columns)}
         ignored = [name for place, name in enumerate(names) if place not in used]
         if ignored:
             notes.append(f"ignored columns: {listed_names(ignored)}")
         if self._encoding == "latin-1":
             notes.append("the file is not UTF-8; read as Latin-1")
-        self.notes = tuple(map(one_line, notes))
+        self._notes = tuple(map(one_line, notes))
+        self._position = PositionUnits(self.bindings)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Which column feeds what, what is ignored, and in which unit a position was taken to be once it was read."""
+        return (*self._notes, *self._position.notes)
 
     def blocks(self, max_rows: int = 65536) -> Iterator[Block]:
         """Read the table; see `trackres_ros.recording.samples.Source.blocks`.
@@ -110,27 +115,29 @@ class TableSource:
             is damaged.
         """
         with self._reading():
-            yield from self._blocks(max_rows)
+            for block in self._blocks(max_rows):
+                yield self._position.in_radians(block, self.roles)
 
     def _reading(self) -> AbstractContextManager[None]:
         return reading(self._path, f"{'Parquet' if self._parquet else 'CSV'} that can be read to its end")
 
     def _blocks(self, max_rows: int) -> Iterator[Block]:
-        places = [self._time, *(column.place for column in self._columns)]
-        scale = np.array([column.scale for column in self._columns])
-        offset = np.array([column.offset for column in self._columns])
-        delay_ns = np.array([round(column.delay_s * 1e9) for column in self._columns])
+        places = [self._time.place, *(column.place for column in self._columns)]
+        clock, bindings = self._time.binding, [column.binding for column in self._columns]
+        scale, offset = np.array([b.scale for b in bindings]), np.array([b.offset for b in bindings])
+        delay_ns = np.array([b.delay_ns for b in bindings])
         at_once = max(1, max_rows // len(self._columns))
         done = 0
         for cells, given in self._parquet_chunks(places) if self._parquet else self._csv_chunks(places):
-            bad = ~(np.abs(cells[:, 0]) < MAX_TIME_S)
+            seconds = clock.scale * cells[:, 0] + clock.offset
+            bad = ~(np.abs(seconds) < MAX_TIME_S)
             if bad.any():
                 first = int(np.argmax(bad))
-                where = f"{self.name}: {TIME}, row {done + first + 1} below the header"
-                time_s = float(cells[first, 0]) if given[first, 0] else ""
+                where = f"{self.name}: {self._time.name}, row {done + first + 1} below the header"
+                time_s = float(seconds[first]) if given[first, 0] else ""
                 raise InputError(where, time_s, f"a time in seconds, within {MAX_TIME_S:g}")
             done += len(cells)
-            stamp_ns = np.rint(cells[:, 0] * 1e9).astype(np.int64)
+            stamp_ns = np.rint(seconds * 1e9).astype(np.int64)
             for start in range(0, len(cells), at_once):
                 rows, column = np.nonzero(given[start : start + at_once, 1:])
                 if not rows.size:

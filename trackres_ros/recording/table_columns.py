@@ -9,12 +9,14 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Literal
 
 from trackres_ros.errors import InputError, nearest
-from trackres_ros.recording.bindings import Topics
-from trackres_ros.recording.roles import ROLES, base_role
+from trackres_ros.recording.bindings import TIME, TopicBinding, Topics
+from trackres_ros.recording.roles import ANGLES, ROLES, base_role
+from trackres_ros.units import DEGREE
 
-TIME = "time_s"
+TIME_S = "time_s"
 COLUMNS: Mapping[str, tuple[str, float]] = MappingProxyType(
     {
         "speed_mps": ("speed", 1.0),
@@ -29,6 +31,16 @@ COLUMNS: Mapping[str, tuple[str, float]] = MappingProxyType(
         "heading_rad": ("heading", 1.0),
         "accel_mps2": ("accel", 1.0),
         "distance_m": ("distance", 1.0),
+        "latitude_deg": ("latitude", DEGREE),
+        "latitude_rad": ("latitude", 1.0),
+        "longitude_deg": ("longitude", DEGREE),
+        "longitude_rad": ("longitude", 1.0),
+        "altitude_m": ("altitude", 1.0),
+        "steering_angle_rad": ("steering_angle", 1.0),
+        "passengers": ("passengers", 1.0),
+        "brake_pa": ("brake", 1.0),
+        "brake_on": ("brake", 1.0),
+        "wheel_speed_mps": ("wheel_speed", 1.0),
     }
 )
 """Columns known by name: role, and scale to its unit. ``weight_n/front`` is the load of the axle or assembly front."""
@@ -37,28 +49,27 @@ NAMES_SHOWN = 20
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column to read: its place among all columns, its name, the role it feeds, and the conversion."""
+    """A column to read: its place among all columns, its name, and the role it feeds, with the conversion in its binding."""
 
     place: int
     name: str
     role: str
-    scale: float = 1.0
-    offset: float = 0.0
-    delay_s: float = 0.0
+    binding: TopicBinding
 
 
-def choose_columns(names: Sequence[str], topics: Topics | None, origin: str) -> tuple[int, list[Column]]:
-    """Return the place of the time, and the columns to read: as the topics file says, else those known by name."""
+def choose_columns(names: Sequence[str], topics: Topics | None, origin: str) -> tuple[Column, list[Column]]:
+    """Return the column of the time, and the columns to read: as the topics file says, else those known by name."""
     places: dict[str, int] = {}
     for place, name in enumerate(names):
         places.setdefault(name, place)
-    columns: dict[str, Column] = {}
-    for role, binding in topics.bindings.items() if topics else ():
-        if binding.column:
-            if binding.column not in places:
-                where = f"{topics.origin if topics else origin}: {role}: column"
-                raise InputError(where, binding.column, listed_names(names), nearest(binding.column, names))
-            columns[role] = Column(places[binding.column], binding.column, role, binding.scale, binding.offset, binding.delay_s)
+
+    def named(role: str, binding: TopicBinding) -> Column:
+        if binding.column not in places:
+            where = f"{topics.origin if topics else origin}: {role}: column"
+            raise InputError(where, binding.column, listed_names(names), nearest(binding.column, names))
+        return Column(places[binding.column], binding.column, role, binding)
+
+    columns = {role: named(role, b) for role, b in topics.bindings.items() if b.column} if topics else {}
     by_file = frozenset(columns)
     for name, place in places.items():
         base, slash, part = name.partition("/")
@@ -73,9 +84,16 @@ def choose_columns(names: Sequence[str], topics: Topics | None, origin: str) -> 
                     f"one column for {role}",
                     "name the right one in a topics file",
                 )
-            columns[role] = Column(place, name, role, scale)
-    if TIME not in places:
-        raise InputError(origin, f"columns {listed_names(names)}", f"a column {TIME}, in seconds", nearest(TIME, names))
+            unit: Literal["deg", "rad", ""] = "" if COLUMNS[base][0] not in ANGLES else "rad" if scale == 1.0 else "deg"
+            columns[role] = Column(place, name, role, TopicBinding(column=name, scale=scale, unit=unit))
+    if topics and topics.time:
+        time = named(TIME, topics.time)
+    elif TIME_S in places:
+        time = Column(places[TIME_S], TIME_S, TIME, TopicBinding(column=TIME_S))
+    else:
+        near = nearest(TIME_S, names)
+        name_it = "or name it in a topics file: time: {column: NAME, scale: 1.0}"
+        raise InputError(origin, f"columns {listed_names(names)}", f"a column {TIME_S}, in seconds", near or name_it)
     if "speed" not in columns:
         raise InputError(
             origin,
@@ -84,10 +102,10 @@ def choose_columns(names: Sequence[str], topics: Topics | None, origin: str) -> 
             "or name it in a topics file: speed: {column: NAME, scale: 1.0}",
         )
     count = Counter(names)
-    for name in (TIME, *(column.name for column in columns.values())):
+    for name in (time.name, *(column.name for column in columns.values())):
         if count[name] > 1:
             raise InputError(origin, f"{count[name]} columns {name}", "each column once")
-    return places[TIME], list(columns.values())
+    return time, list(columns.values())
 
 
 def listed_names(names: Sequence[str]) -> str:

@@ -52,18 +52,18 @@ def load_base(
     """
     if isinstance(vehicle, RoadVehicle) and surroundings:
         vehicle = vehicle.source
+    settings = settings_for(Settings(), topics)
     if isinstance(vehicle, RoadVehicle):
-        return _road(vehicle)
+        return _road(vehicle, settings)
     if not isinstance(vehicle, Vehicle):
         path = find_vehicle(vehicle)
         content = read_yaml(path)
         if "road_load" in content:
-            return _road(load_road_vehicle(path, content, Path(surroundings) if surroundings else None))
+            return _road(load_road_vehicle(path, content, Path(surroundings) if surroundings else None), settings)
         vehicle = load(path)
     else:
         _check_as_in_its_file(vehicle)
     track = with_surroundings(with_methods(vehicle, hysteresis, thermal), surroundings)
-    settings = settings_for(Settings(), topics)
     known = GateSettings(
         track.weight,
         track.chassis.max_speed,
@@ -71,11 +71,12 @@ def load_base(
         False,
         settings.belt_sensor == "surface",
         track.chassis.motor_ratio,
+        passenger_kg=settings.passenger_kg,
     )
     return LoadedBase(TrackBase(track), track.title, known, track.surroundings)
 
 
-def _road(road: RoadVehicle) -> LoadedBase:
+def _road(road: RoadVehicle, settings: Settings) -> LoadedBase:
     base = RoadBase(road)
     known = GateSettings(
         base.facts.weight,
@@ -83,6 +84,7 @@ def _road(road: RoadVehicle) -> LoadedBase:
         road.values["ambient"],
         road.friction_brakes,
         torque_scale=road.torque_shown,
+        passenger_kg=settings.passenger_kg,
     )
     return LoadedBase(base, road.title, known, road.surroundings)
 

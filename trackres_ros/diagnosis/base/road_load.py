@@ -173,7 +173,7 @@ class RoadBase:
             series = Series(
                 session.time,
                 acting.speed(session),
-                session.weight if "load" in session.given else np.full(len(session), values["mass"] * GRAVITY),
+                session.weight if "load" in session.given else values["mass"] * GRAVITY + session.payload,
                 session.ambient,
                 session.accel,
                 session.grade if "grade" in session.given else np.zeros(len(session)),

@@ -6,20 +6,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from trackres_ros.diagnosis.prepare.gaps import steps_within, steps_without_value, straight_spans
 from trackres_ros.diagnosis.prepare.refuse import EARLIEST_CLOCK_S, check_compared
 from trackres_ros.diagnosis.prepare.sample_noise import noise_of_means
+from trackres_ros.diagnosis.prepare.sampling import LONGEST_HOLD_S, carried, held, means, ordered, read_off
 from trackres_ros.diagnosis.prepare.session import Array, Course, Mask, Session
 from trackres_ros.diagnosis.prepare.settings import STEP_S, GateSettings
 from trackres_ros.diagnosis.prepare.speed_smoothing import smooth_speed
 from trackres_ros.diagnosis.prepare.unit_checks import check_speed_unit, check_units
 from trackres_ros.recording.recording import Recording
+from trackres_ros.recording.roles import POSITION
 from trackres_ros.recording.samples import Series
+from trackres_ros.units import GRAVITY
 
-LONGEST_HOLD_S = 2.0  # of speed and torque over a gap
 MOST_UNKNOWN = 0.5  # of a recording
 CHANNELS = ("ambient", "grade", "yaw_rate", "heading", "accel")
 
@@ -56,51 +59,68 @@ def resample(
     check_compared(recording.name, series)
     torques = [role for role in series if role.partition("/")[0] == "torque" and np.isfinite(series[role].value).any()]
     start = recording.start_ns
-    speed_at, raw_speed = _ordered(series["speed"], start)
+    speed_at, raw_speed = ordered(series["speed"], start)
     edges = np.arange(0.0, speed_at[-1] + 1e-9, STEP_S)
     count = len(edges) - 1
     notes += check_units(recording.name, series, settings.weight)
     smoothed = smooth_speed(speed_at, raw_speed, edges, LONGEST_HOLD_S)
     at_edges = smoothed.speed if smoothed else np.interp(edges, speed_at, raw_speed)
-    speed, known = _means(speed_at, raw_speed, edges)
+    speed, known = means(speed_at, raw_speed, edges)
     if "torque" in torques:
         torques = ["torque"]
     torque, measured = np.zeros(count), ~_nowhere(count)
     filled, torque_noise = _nowhere(count), 0.0
     for role in torques:
-        part, there = _means(*_ordered(series[role], start), edges)
+        part, there = means(*ordered(series[role], start), edges)
         torque, measured = torque + part, measured & there
-        torque_noise = float(np.hypot(torque_noise, noise_of_means(*_ordered(series[role], start), STEP_S)))
-        filled |= steps_within(straight_spans(*_ordered(series[role], start)), edges)
+        torque_noise = float(np.hypot(torque_noise, noise_of_means(*ordered(series[role], start), STEP_S)))
+        filled |= steps_within(straight_spans(*ordered(series[role], start)), edges)
     filled &= steps_within(straight_spans(speed_at, raw_speed), edges)
 
-    def held(role: str, default: float) -> Array:
-        return _held(series[role], start, edges, default) if role in series else np.full(count, default)
+    def held_on(role: str, default: float) -> Array:
+        return held(series[role], start, edges, default) if role in series else np.full(count, default)
 
     given = frozenset(role for role in CHANNELS if role in series and np.isfinite(series[role].value).any())
     accel, accel_noise = np.diff(at_edges) / STEP_S, smoothed.typical_change_std / STEP_S if smoothed else 0.0
     way = series.get("distance")
-    by_way = np.diff(np.interp(edges, *_ordered(way, start))) / STEP_S if way and np.isfinite(way.value).any() else None
-    check_speed_unit(recording.name, speed, accel, held("accel", np.nan) if "accel" in given else None, by_way)
+    by_way = np.diff(np.interp(edges, *ordered(way, start))) / STEP_S if way and np.isfinite(way.value).any() else None
+    check_speed_unit(recording.name, speed, accel, held_on("accel", np.nan) if "accel" in given else None, by_way)
     if "accel" in given:
-        mean, there = _means(*_ordered(series["accel"], start), edges)
+        mean, there = means(*ordered(series["accel"], start), edges)
         accel, accel_noise = np.where(there, mean, accel), 0.0
     weight, of_load = _weight(series, start, edges, settings.weight)
     given |= {"load"} if of_load else frozenset()
-    belts = [_held(series[role], start, edges, np.nan) for role in series if role.partition("/")[0] == "belt"]
+    passengers = carried(series["passengers"], start, edges) if "passengers" in series else np.full(count, np.nan)
+    payload = np.zeros(count)
+    if np.isfinite(passengers).any():
+        given |= {"passengers"}
+        notes.append(_of_passengers(recording.name, passengers, settings.passenger_kg, of_load))
+        if not of_load:
+            payload = np.nan_to_num(passengers) * settings.passenger_kg * GRAVITY
+            weight = weight + payload
+    latitude, longitude = _position(series, start, edges)
+    given |= {"position"} if np.isfinite(latitude).any() else frozenset()
+    altitude = read_off(series["altitude"], start, edges) if "altitude" in series else np.full(count, np.nan)
+    given |= {"altitude"} if np.isfinite(altitude).any() else frozenset()
+    steering = np.full(count, np.nan)
+    if "steering_angle" in series and np.isfinite(series["steering_angle"].value).sum() > 1:
+        given |= {"steering_angle"}
+        angle, there = means(*ordered(series["steering_angle"], start), edges)
+        steering = np.where(there, angle, np.nan)
+    belts = [held(series[role], start, edges, np.nan) for role in series if role.partition("/")[0] == "belt"]
     belt = np.mean(belts, axis=0) if belts else np.full(count, np.nan)
     given |= {"belt"} if belts and np.isfinite(belt).any() else frozenset()
-    heading, yaw_rate = held("heading", np.nan), np.full(count, np.nan)
+    heading, yaw_rate = held_on("heading", np.nan), np.full(count, np.nan)
     if "yaw_rate" in given and not np.ptp(series["yaw_rate"].value[np.isfinite(series["yaw_rate"].value)]):
         given -= {"yaw_rate"}  # a gyroscope that is there is never still
         notes.append(f"{recording.name}: yaw_rate never changes; taken for not recorded")
     if "yaw_rate" in given:
-        yaw_rate = _means(*_ordered(series["yaw_rate"], start), edges)[0]
+        yaw_rate = means(*ordered(series["yaw_rate"], start), edges)[0]
     if "yaw_rate" in given and "heading" not in given:
         heading = np.cumsum(np.nan_to_num(yaw_rate)) * STEP_S
         given |= {"heading"}
         notes.append(f"{recording.name}: heading is integrated from the yaw rate")
-    no_slope = steps_without_value(_ordered(series["grade"], start)[0], edges) if "grade" in given else _nowhere(count)
+    no_slope = steps_without_value(ordered(series["grade"], start)[0], edges) if "grade" in given else _nowhere(count)
     if no_slope.mean() > MOST_UNKNOWN:
         notes.append(f"{recording.name}: the slope is not known for {no_slope.mean():.0%} of it; taken for not recorded")
         given, no_slope = given - {"grade"}, _nowhere(count)
@@ -111,8 +131,8 @@ def resample(
         speed=speed,
         accel=accel,
         weight=weight,
-        ambient=held("ambient", settings.ambient),
-        grade=held("grade", 0.0) if "grade" in given else np.zeros(count),
+        ambient=held_on("ambient", settings.ambient),
+        grade=held_on("grade", 0.0) if "grade" in given else np.zeros(count),
         yaw_rate=yaw_rate,
         heading=heading,
         distance=np.cumsum(np.abs(speed)) * STEP_S,
@@ -121,11 +141,17 @@ def resample(
         used=~_nowhere(count),
         block=np.zeros(count, dtype=np.int64),
         given=given,
-        torque_course=_course([_ordered(series[role], start) for role in torques]),
+        torque_course=_course([ordered(series[role], start) for role in torques]),
         accel_noise=accel_noise,
         torque_noise=torque_noise,
         belt_shows_surface=settings.belt_shows_surface,
         start_s=start * 1e-9 if start * 1e-9 > EARLIEST_CLOCK_S else np.nan,
+        latitude=latitude,
+        longitude=longitude,
+        altitude=altitude,
+        steering_angle=steering,
+        passengers=passengers,
+        payload=payload,
     )
     return session, {
         "no speed": ~known,
@@ -145,35 +171,30 @@ def _course(torques: Sequence[tuple[Array, Array]]) -> Course:
     return Course.of(at, np.sum([np.interp(at, t, v) for t, v in torques], axis=0))
 
 
+def _of_passengers(name: str, passengers: Array, kg_each: float, of_load: bool) -> str:
+    """What becomes of the passengers."""
+    if of_load:
+        return f"{name}: the weight is that of the load; passengers are taken to be in it"
+    first = int(np.argmax(np.isfinite(passengers)))
+    empty = f"; taken for empty until the first count, {first * STEP_S:.0f} s after its start" if first else ""
+    return f"{name}: passengers of {kg_each:g} kg each come on top of the empty vehicle{empty}"
+
+
+def _position(series: dict[str, Series], start: int, edges: Array) -> tuple[Array, Array]:
+    """Latitude and longitude [rad]; zeros are what a receiver gives that knows nothing."""
+    if not set(POSITION) <= series.keys():
+        return np.full(len(edges) - 1, np.nan), np.full(len(edges) - 1, np.nan)
+    seen = [replace(s, value=np.where(s.value == 0.0, np.nan, s.value)) for s in (series[role] for role in POSITION)]
+    latitude, longitude = read_off(seen[0], start, edges), read_off(seen[1], start, edges, angle=True)
+    known = np.isfinite(longitude) & (np.abs(latitude) <= 0.5 * np.pi)
+    return np.where(known, latitude, np.nan), np.where(known, longitude, np.nan)
+
+
 def _weight(series: dict[str, Series], start: int, edges: Array, nominal: float) -> tuple[Array, bool]:
     """Weight of the whole vehicle [N], and whether it was measured."""
     for roles in (["load"], [r for r in series if r.startswith("load/")]):
         there = [r for r in roles if r in series and np.isfinite(series[r].value).any()]
         if there:
-            total = np.sum([_held(series[r], start, edges, np.nan) for r in there], axis=0)
+            total = np.sum([held(series[r], start, edges, np.nan) for r in there], axis=0)
             return np.where(np.isfinite(total) & (total > 0.1 * nominal), total, nominal), True
     return np.full(len(edges) - 1, nominal), False
-
-
-def _ordered(series: Series, start: int) -> tuple[Array, Array]:
-    """Times [s] and values that are finite, by stamp; of equal stamps the first."""
-    finite = np.isfinite(series.value)
-    at, index = np.unique(series.stamp_ns[finite], return_index=True)
-    return np.asarray((at - start) * 1e-9, dtype=float), series.value[finite][index]
-
-
-def _means(at: Array, value: Array, edges: Array) -> tuple[Array, Mask]:
-    """Mean over each step, along straight lines between samples; and where no gap there is too long for that."""
-    middle = 0.5 * (edges[1:] + edges[:-1])
-    after = np.clip(np.searchsorted(at, middle), 1, len(at) - 1)
-    known = (at[after] - at[after - 1] <= LONGEST_HOLD_S) & (middle <= at[-1]) & (middle >= at[0])
-    return Course.of(at, value).means(edges[:-1], STEP_S), known
-
-
-def _held(series: Series, start: int, edges: Array, default: float) -> Array:
-    """The last finite value before the middle of each step; before the first that one."""
-    at, value = _ordered(series, start)
-    if not len(at):
-        return np.full(len(edges) - 1, default)
-    middle = 0.5 * (edges[1:] + edges[:-1])
-    return value[np.maximum(np.searchsorted(at, middle, side="right") - 1, 0)]

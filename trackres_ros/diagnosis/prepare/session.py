@@ -15,6 +15,8 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 AROUND = 5  # steps, odd
+NOT_RECORDED = dict.fromkeys(("latitude", "longitude", "altitude", "steering_angle", "passengers"), np.nan) | {"payload": 0.0}
+"""Series that a session may be made without, and what they then are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +72,12 @@ class Session:
         When it began [s since 1970, UTC]; nan where its clock does not say.
     torque_course
         The torque as it was measured, for delays of less than a step; None where it was not.
+    latitude, longitude, altitude, steering_angle
+        [rad], [rad], [m], [rad]: where it is, as recorded, and how it steers.
+    passengers
+        People on board, from one count to the next; their weight is in `payload`.
+    payload
+        What of `weight` comes on top of the empty vehicle, as the passengers say [N].
     """
 
     name: str
@@ -94,6 +102,17 @@ class Session:
     torque_noise: float = 0.0
     belt_shows_surface: bool = False
     start_s: float = np.nan
+    latitude: Array = field(default_factory=lambda: np.empty(0))
+    longitude: Array = field(default_factory=lambda: np.empty(0))
+    altitude: Array = field(default_factory=lambda: np.empty(0))
+    steering_angle: Array = field(default_factory=lambda: np.empty(0))
+    passengers: Array = field(default_factory=lambda: np.empty(0))
+    payload: Array = field(default_factory=lambda: np.empty(0))
+
+    def __post_init__(self) -> None:
+        for name, default in NOT_RECORDED.items():
+            if len(getattr(self, name)) != len(self.time):
+                object.__setattr__(self, name, np.full(len(self.time), default))
 
     def __len__(self) -> int:
         return len(self.time)

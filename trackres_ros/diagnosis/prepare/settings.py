@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from trackres_ros.recording.roles import PASSENGER_KG
+
 STEP_S = 1.0  # mean torque over a step against the change of speed over it: exact, whatever happens within
 SLOWEST_MPS, SLOWEST_SHARE = 0.3, 0.1  # of the greatest speed; below both friction may be static
 
@@ -27,6 +29,8 @@ class GateSettings:
         Turns of the motor to one of the sprocket; None where the file does not say.
     torque_scale
         Least and most times the expected torque that the file allows to be shown.
+    passenger_kg
+        Mass of a passenger [kg].
     """
 
     weight: float
@@ -36,6 +40,7 @@ class GateSettings:
     belt_shows_surface: bool = False
     motor_ratio: float | None = None
     torque_scale: tuple[float, float] = (1.0, 1.0)
+    passenger_kg: float = PASSENGER_KG
 
     @property
     def slowest(self) -> float:

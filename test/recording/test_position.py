@@ -1,0 +1,132 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Position, passengers and brakes of a recording: units told by the values, and what a topics file says of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+import trackres_ros as tr
+from trackres_ros.errors import InputError
+from trackres_ros.recording.bindings import TopicBinding, Topics
+from trackres_ros.recording.guess import guess
+from trackres_ros.recording.position_units import PositionUnits
+from trackres_ros.recording.samples import Block
+from trackres_ros.units import GRAVITY
+
+ROLES = ("latitude", "longitude")
+BY_VALUES = {role: TopicBinding(column=role) for role in ROLES}
+FIX = "sensor_msgs/msg/NavSatFix"
+
+
+def block(latitude: float, longitude: float) -> Block:
+    zeros = np.zeros(2, np.int64)
+    return Block(np.array([0, 1], np.int16), zeros, zeros, np.array([latitude, longitude]))
+
+
+def table(folder: Path, **columns: np.ndarray) -> Path:
+    path = folder / "drive.csv"
+    rows = np.column_stack(list(columns.values()))
+    lines = [",".join("" if np.isnan(x) else repr(float(x)) for x in row) for row in rows]
+    path.write_text("\n".join([",".join(columns), *lines, ""]), encoding="utf-8")
+    return path
+
+
+@given(st.floats(-90.0, 90.0), st.floats(-180.0, 180.0))
+def test_a_position_on_land_is_the_same_in_degrees_and_in_radians(latitude: float, longitude: float) -> None:
+    assume(abs(latitude) > 1.6 or abs(longitude) > 3.2)  # there is no land else
+    assume(latitude and longitude)
+    want = np.radians([latitude, longitude])
+    degrees, radians = PositionUnits(BY_VALUES), PositionUnits(BY_VALUES)
+    np.testing.assert_allclose(degrees.in_radians(block(latitude, longitude), ROLES).value, want, rtol=1e-12)
+    np.testing.assert_array_equal(radians.in_radians(block(*want), ROLES).value, want)
+    assert "degrees" in degrees.notes[0]
+    assert "radians" in radians.notes[0]
+
+
+def test_a_receiver_without_a_fix_says_nothing_of_the_unit() -> None:
+    units = PositionUnits(BY_VALUES)
+    for nothing in (block(np.nan, np.nan), block(0.0, 0.0)):
+        assert np.isnan(units.in_radians(nothing, ROLES).value).all()
+    assert not units.notes
+    np.testing.assert_allclose(units.in_radians(block(47.4, 8.5), ROLES).value, np.radians([47.4, 8.5]))
+    np.testing.assert_allclose(units.in_radians(block(1.3, 1.0), ROLES).value, np.radians([1.3, 1.0]))  # what it is, it stays
+
+
+def test_one_unit_that_is_said_holds_for_both() -> None:
+    units = PositionUnits({"latitude": TopicBinding(column="a", unit="deg"), "longitude": TopicBinding(column="b")})
+    np.testing.assert_allclose(units.in_radians(block(0.01, 1.0), ROLES).value, [0.01, np.radians(1.0)])
+    assert units.notes == ("longitude: taken for degrees, as latitude",)
+
+
+def test_columns_by_name_and_by_file(tmp_path: Path) -> None:
+    time, speed, latitude, longitude = np.arange(5.0), np.ones(5), np.linspace(47.40, 47.41, 5), np.linspace(8.50, 8.51, 5)
+    path = table(tmp_path, time_s=time, speed_mps=speed, latitude_deg=latitude, longitude_deg=longitude, altitude_m=400.0 + time)
+    read = tr.read(path)
+    np.testing.assert_allclose(read.series["latitude"].value, np.radians(latitude))
+    np.testing.assert_allclose(read.series["longitude"].value, np.radians(longitude))
+    np.testing.assert_array_equal(read.series["altitude"].value, 400.0 + time)
+    path = table(tmp_path, ms=1e3 * time, v=speed, lat=latitude, lon=longitude)
+    topics = {role: {"column": column} for role, column in (("speed", "v"), ("latitude", "lat"), ("longitude", "lon"))}
+    read = tr.read(path, topics={"time": {"column": "ms", "scale": 1e-3}, **topics})
+    np.testing.assert_allclose(read.series["longitude"].value, np.radians(longitude))
+    assert "latitude, longitude: taken for degrees, by the values" in read.notes
+    np.testing.assert_allclose(read.time_s("speed"), time)
+
+
+def test_a_fix_is_in_degrees() -> None:
+    line = {"topic": "/gps", "type": FIX, "field": "latitude"}
+    assert Topics.parse({"latitude": line})["latitude"].scale == pytest.approx(np.pi / 180.0)
+    assert Topics.parse({"latitude": {**line, "unit": "rad"}})["latitude"].scale == 1.0
+    topics, notes = guess({"/gps": FIX, "/odom": "nav_msgs/msg/Odometry"})
+    assert topics["longitude"].scale == pytest.approx(np.pi / 180.0)
+    assert topics["altitude"].scale == 1.0
+    assert any(note.startswith("latitude: guessed from /gps") and "in degrees" in note for note in notes)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ({"speed": {"column": "a", "unit": "deg"}}, ["speed: key", "unit only for latitude, longitude, heading, steering_angle"]),
+        ({"latitude": {"column": "a", "unit": "gon"}}, ["latitude: unit", "gon", "deg, rad"]),
+        ({"load": {"column": "a", "kg_each": 70}}, ["kg_each only for passengers"]),
+        ({"passengers": {"column": "a", "kg_each": 0}}, ["passengers: kg_each", "1"]),
+        ({"brake": {"column": "a", "threshold": -1}}, ["brake: threshold", "a positive number"]),
+        ({"time": {"topic": "/clock"}}, ["time", "column, scale and offset"]),
+        ({"time": {"column": "a", "scale": -1}}, ["time: scale", "positive"]),
+    ],
+)
+def test_refused(text: dict[str, object], says: list[str]) -> None:
+    with pytest.raises(InputError) as refused:
+        Topics.parse(text)
+    for part in says:
+        assert part in str(refused.value)
+
+
+def test_a_brake_is_on_from_its_threshold() -> None:
+    switch, pressure = np.array([0.0, 1.0, 0.0]), np.array([0.0, 900.0, 2.5e5])
+    assert 0.0 < TopicBinding().brakes_from(switch) < 1.0
+    assert 900.0 < TopicBinding().brakes_from(pressure) < 2.5e5
+    assert TopicBinding(threshold=3e4).brakes_from(pressure) == 3e4
+
+
+def test_passengers_weigh_in_a_replay_and_a_position_does_not_disturb_it(tmp_path: Path) -> None:
+    time = np.arange(120.0)
+    count = np.full(120, np.nan)
+    count[[30, 60]] = 10.0, 25.0
+    speed = np.full(120, 5.0)
+    position = {"latitude_deg": 47.0 + 1e-6 * time, "longitude_deg": 8.0 + 1e-6 * time, "brake_pa": 0.0 * time}
+    path = table(tmp_path, time_s=time, speed_mps=speed, passengers=count, **position)
+    topics = {"passengers": {"column": "passengers", "kg_each": 80.0}}
+    weight = tr.replay(path, "xgd24d", topics=topics)["weight_n"]
+    of_each = 80.0 * GRAVITY
+    np.testing.assert_allclose(weight[35] - weight[20], 10.0 * of_each, rtol=1e-9)
+    np.testing.assert_allclose(weight[-1] - weight[20], 25.0 * of_each, rtol=1e-9)
+    loaded = table(tmp_path, time_s=time, speed_mps=speed, passengers=count, weight_n=np.full(120, 250e3))
+    np.testing.assert_allclose(tr.replay(loaded, "xgd24d")["weight_n"], 250e3)

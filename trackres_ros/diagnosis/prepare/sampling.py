@@ -1,0 +1,79 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Puts one series of a recording on the steps of a session: as means, held, carried on, or read off at the middle of a step."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from trackres_ros.diagnosis.prepare.session import Array, Course, Mask
+from trackres_ros.diagnosis.prepare.settings import STEP_S
+from trackres_ros.recording.samples import Series
+
+LONGEST_HOLD_S = 2.0  # of what changes while driving, over a gap
+SLOWEST_SPACING = 3.0  # usual spacings that no sample came for: a gap, of a receiver of one sample in a second or in five
+
+
+def ordered(series: Series, start: int) -> tuple[Array, Array]:
+    """Times [s] and values that are finite, by stamp; of equal stamps the first."""
+    finite = np.isfinite(series.value)
+    at, index = np.unique(series.stamp_ns[finite], return_index=True)
+    return np.asarray((at - start) * 1e-9, dtype=float), series.value[finite][index]
+
+
+def means(at: Array, value: Array, edges: Array) -> tuple[Array, Mask]:
+    """Mean over each step, along straight lines between samples; and where no gap there is too long for that."""
+    middle = middles(edges)
+    after = np.clip(np.searchsorted(at, middle), 1, len(at) - 1)
+    known = (at[after] - at[after - 1] <= LONGEST_HOLD_S) & (middle <= at[-1]) & (middle >= at[0])
+    return Course.of(at, value).means(edges[:-1], STEP_S), known
+
+
+def held(series: Series, start: int, edges: Array, default: float) -> Array:
+    """The last finite value before the middle of each step; before the first that one."""
+    at, value = ordered(series, start)
+    if not len(at):
+        return np.full(len(edges) - 1, default)
+    return value[np.maximum(np.searchsorted(at, middles(edges), side="right") - 1, 0)]
+
+
+def carried(series: Series, start: int, edges: Array) -> Array:
+    """The last finite value before the middle of each step; nan before the first."""
+    at, value = ordered(series, start)
+    return np.concatenate(([np.nan], value))[np.searchsorted(at, middles(edges), side="right")]
+
+
+def read_off(series: Series, start: int, edges: Array, angle: bool = False) -> Array:
+    """The value at the middle of each step, along straight lines between samples; nan in gaps.
+
+    Parameters
+    ----------
+    angle
+        Whether it turns at pi: the line then goes the short way, and what comes out lies within it again.
+    """
+    at, value = ordered(series, start)
+    if len(at) < 2:
+        return np.full(len(edges) - 1, np.nan)
+    middle = middles(edges)
+    found = np.interp(middle, at, np.unwrap(value) if angle else value)
+    after = np.clip(np.searchsorted(at, middle), 1, len(at) - 1)
+    longest = max(LONGEST_HOLD_S, SLOWEST_SPACING * float(np.median(np.diff(at))))
+    found[(at[after] - at[after - 1] > longest) | (middle < at[0] - STEP_S) | (middle > at[-1] + STEP_S)] = np.nan
+    return np.asarray((found + np.pi) % (2.0 * np.pi) - np.pi) if angle else found
+
+
+def any_from(series: Series, start: int, edges: Array, least: float) -> Mask:
+    """Steps in which a value of at least `least` was sampled, or held from the sample before."""
+    at, value = ordered(series, start)
+    steps = np.zeros(len(edges) - 1, dtype=bool)
+    high = value >= least
+    inside = (at >= edges[0]) & (at < edges[-1]) & high
+    steps[np.searchsorted(edges, at[inside], side="right") - 1] = True
+    before = np.searchsorted(at, edges[:-1], side="right") - 1
+    return steps | ((before >= 0) & high[np.maximum(before, 0)])
+
+
+def middles(edges: Array) -> Array:
+    """Times of the middles of steps."""
+    return np.asarray(0.5 * (edges[1:] + edges[:-1]))

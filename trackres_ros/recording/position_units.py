@@ -1,0 +1,68 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Tells degrees from radians by the values of a position, and turns it into radians."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from trackres_ros.recording.bindings import TopicBinding
+from trackres_ros.recording.roles import POSITION
+from trackres_ros.recording.samples import Block
+from trackres_ros.units import DEGREE
+
+LARGEST_RAD = {"latitude": 0.5 * math.pi, "longitude": math.pi}
+
+
+class PositionUnits:
+    """The unit of latitude and longitude where neither topics file, column nor message type says it.
+
+    No land lies within 1.6 degrees of the equator and at once within 3.2 degrees of the prime meridian: a vehicle whose
+    latitudes and longitudes are all as small as angles in radians can be is recorded in radians.
+
+    Parameters
+    ----------
+    bindings
+        Of the source, by role.
+    """
+
+    def __init__(self, bindings: Mapping[str, TopicBinding]) -> None:
+        given = {role: bindings[role].unit for role in POSITION if role in bindings}
+        said = {unit for unit in given.values() if unit}
+        self._open = [role for role, unit in given.items() if not unit]
+        self._scale = math.nan
+        self.notes: tuple[str, ...] = ()
+        if self._open and said:  # one receiver gives both
+            self._decide(said == {"deg"}, f"as {', '.join(set(given) - set(self._open))}")
+
+    def _decide(self, degrees: bool, why: str) -> None:
+        self._scale = DEGREE if degrees else 1.0
+        self.notes = (f"{', '.join(self._open)}: taken for {'degrees' if degrees else 'radians'}, {why}",)
+
+    def in_radians(self, block: Block, roles: Sequence[str]) -> Block:
+        """A block with its position in radians; nan as long as it has not shown what it is in.
+
+        Parameters
+        ----------
+        block
+            The next one of the source.
+        roles
+            Those of the source.
+        """
+        if not self._open:
+            return block
+        where = {role: block.role == roles.index(role) for role in self._open}
+        if math.isnan(self._scale):
+            seen = {role: np.abs(block.value[rows & np.isfinite(block.value)]) for role, rows in where.items()}
+            if any((seen[role] > most).any() for role, most in LARGEST_RAD.items() if role in seen):
+                self._decide(True, "by the values")
+            elif all(values.any() for values in seen.values()):  # zeros are what a receiver says that knows nothing
+                self._decide(False, "by the values")
+        value = block.value.copy()
+        for rows in where.values():
+            value[rows] *= self._scale
+        return Block(block.role, block.stamp_ns, block.arrival_ns, value)
