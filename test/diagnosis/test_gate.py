@@ -137,7 +137,7 @@ def test_a_gap_filled_by_straight_lines_is_left_out_and_counted(recorded, loaded
     one, other = recorded()
     healthy = judged([one, other], loaded)
     found = judged([rewritten(one, tmp_path, fill), other], loaded)
-    (count,) = [x.samples for x in found.left_out if "filled" in x.reason]
+    (count,) = [x.seconds for x in found.left_out if "filled" in x.reason]
     assert end - begin - 1 <= count <= end - begin + 2
     assert not found.sessions[0].used[round(begin) + 1 : round(end) - 1].any()
     assert not any("filled" in x.reason for x in healthy.left_out)
@@ -181,7 +181,7 @@ def test_a_short_recording_among_others_is_left_out_with_a_note(recorded, loaded
     found = judged([one, short], loaded)
     assert [s.name for s in found.sessions] == [str(one)]
     assert any("short.csv" in note and "left out" in note for note in found.notes)
-    assert [x.samples for x in found.left_out if "less than 120 s" in x.reason] == [79]
+    assert [x.seconds for x in found.left_out if "less than 120 s" in x.reason] == [79]
     with pytest.raises(InputError, match="at least 120 s"):
         judged([short], loaded)
 

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 import yaml
 
-from trackres_ros.diagnosis import load_base
+from trackres_ros.diagnosis import load_base, read_recordings
 from trackres_ros.diagnosis.base.road_load import FITTED
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
+from trackres_ros.diagnosis.prepare.gate import gate
 from trackres_ros.diagnosis.writing.kept import Kept
 from trackres_ros.evaluation.synthetic import drives
 from trackres_ros.files.resources import config_dir
@@ -72,3 +73,26 @@ def test_a_range_without_width_holds_its_value_and_the_file_is_written_all_the_s
 def test_a_gain_is_no_effect_beside_a_scale_that_is_re_fitted(tmp_path):
     assert "torque_gain" in car(tmp_path, mass={"range": [1400.0, 1400.0]}).includes
     assert "torque_gain" not in car(tmp_path).includes
+
+
+@pytest.mark.parametrize(("rate_hz", "step"), [(100.0, 1.0), (10.0, 1.0), (5.0, 1.0), (2.0, 3.0), (1.0, 5.0)])
+def test_the_mass_is_found_however_slowly_samples_come(rate_hz, step, tmp_path):
+    """What happens between two samples hides a part of the inertia, unless a step has several of them."""
+    base = car(tmp_path, torque_scale={"range": [1.0, 1.0]}, rotating_mass_factor={"range": [1.05, 1.05]})
+    rng = np.random.default_rng(3)
+    at = np.arange(0.0, 1200.0, 0.01)
+    pushes = sum(
+        rng.uniform(0.1, 0.5) * np.sin(2.0 * np.pi * at / s + rng.uniform(0.0, 6.0)) for s in (1.7, 2.9, 5.3, 17.0, 41.0)
+    )
+    speed = 12.0 + np.cumsum(pushes) * 0.01
+    v = base.vehicle.values
+    force = v["mass"] * (1.05 * pushes + 9.80665 * (v["rolling_coefficient"] + v["rolling_rise"] * speed))
+    force += 0.5 * v["air_density"] * v["drag_area"] * speed**2
+    torque = force * v["wheel_radius"] / v["efficiency"] ** np.sign(force) + rng.normal(0.0, 5.0, len(at))
+    path, every = tmp_path / "drive.csv", round(100.0 / rate_hz)
+    rows = np.column_stack([at, speed, torque])[::every]
+    np.savetxt(path, rows, delimiter=",", header="time_s,speed_mps,torque_nm", comments="")
+    gated = gate(read_recordings([path], None), replace(load_base(tmp_path / "car.yaml").known, friction_brakes=False))
+    assert gated.sessions[0].step == step
+    found = fit(Problem(base, gated.sessions, tuple(s.used for s in gated.sessions)))
+    assert found.base_values["mass"] == pytest.approx(1400.0, rel=0.04)

@@ -106,7 +106,7 @@ class _Solution:
 
 
 def find_payload(current: Fit, residuals: Sequence[Array]) -> Payload | None:
-    """The mass of each stretch; None where loads are recorded, or where there are too few stretches.
+    """The mass of each stretch; None where loads or passengers are recorded, or where there are too few stretches.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def find_payload(current: Fit, residuals: Sequence[Array]) -> Payload | None:
         Of the torque of each session [Nm].
     """
     sessions, masks = current.problem.sessions, current.problem.masks
-    if any("load" in s.given for s in sessions):
+    if any({"load", "passengers"} & s.given for s in sessions):
         return None
     numbers = [stretch_numbers(s) for s in sessions]
     counts = [int(n.max()) + 1 for n in numbers]

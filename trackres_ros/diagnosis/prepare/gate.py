@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 from trackres_ros.diagnosis.prepare.laps import lap_numbers
 from trackres_ros.diagnosis.prepare.refuse import check_speed, long_enough, refuse_overlaps
-from trackres_ros.diagnosis.prepare.resample import resample
+from trackres_ros.diagnosis.prepare.resample import resample, step_for
 from trackres_ros.diagnosis.prepare.session import Session
 from trackres_ros.diagnosis.prepare.settings import STEP_S, GateSettings
 from trackres_ros.diagnosis.prepare.usable import usable
@@ -24,10 +24,10 @@ LONGEST_BREAK_S = 7 * 86400.0  # between recordings whose clocks run on
 
 @dataclass(frozen=True, slots=True)
 class LeftOut:
-    """Samples that are not compared, and why."""
+    """What is not compared [s], and why."""
 
     reason: str
-    samples: int
+    seconds: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ class Gated:
     sessions
         One for each recording that is used.
     left_out
-        Samples that are not compared, by reason.
+        What is not compared, by reason.
     notes
         What was assumed, one sentence each.
     """
@@ -78,8 +78,12 @@ def gate(recordings: Sequence[Recording], settings: GateSettings, hide: Sequence
     end_ns: int | None = None
     end_m = 0.0
     refuse_overlaps(recordings, notes)
-    for recording in long_enough(recordings, left_out, notes):
-        session, unknown = resample(recording, settings, frozenset(hide), notes)
+    long = long_enough(recordings, left_out, notes)
+    step = step_for(long)
+    if step > STEP_S:
+        notes.append(f"samples come so slowly that torques are compared as means over {step:.0f} s")
+    for recording in long:
+        session, unknown = resample(recording, step, settings, frozenset(hide), notes)
         session = replace(session, used=usable(session, unknown, settings, left_out))
         check_speed(session, settings.max_speed)
         begin_ns = recording.start_ns
@@ -95,7 +99,7 @@ def gate(recordings: Sequence[Recording], settings: GateSettings, hide: Sequence
         session = replace(session, block=laps + block, distance=session.distance + end_m)
         block, end_m = int(session.block[-1]) + 1, float(session.distance[-1])
         sessions.append(session)
-    seconds = sum(int(s.used.sum()) for s in sessions) * STEP_S
+    seconds = sum(int(s.used.sum()) for s in sessions) * step
     if seconds < SHORTEST_MOVING_S:
         raise InputError(
             ", ".join(r.name for r in recordings),

@@ -39,7 +39,7 @@ def long_enough(recordings: Sequence[Recording], left_out: Counter[str], notes: 
         seconds = _duration_s(recording.series)
         notes.append(f"{recording.name}: left out, it has {seconds:.0f} s of {SHORTEST_S:.0f} s at least")
         reason = f"in recordings of less than {SHORTEST_S:.0f} s"
-        left_out[reason] += int(seconds / STEP_S)
+        left_out[reason] += int(seconds)
     return [r for r in recordings if r not in short]
 
 

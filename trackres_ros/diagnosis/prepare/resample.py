@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -15,7 +16,7 @@ from trackres_ros.diagnosis.prepare.refuse import EARLIEST_CLOCK_S, check_compar
 from trackres_ros.diagnosis.prepare.sample_noise import noise_of_means
 from trackres_ros.diagnosis.prepare.sampling import LONGEST_HOLD_S, carried, held, means, ordered, read_off
 from trackres_ros.diagnosis.prepare.session import Array, Course, Mask, Session
-from trackres_ros.diagnosis.prepare.settings import STEP_S, GateSettings
+from trackres_ros.diagnosis.prepare.settings import LEAST_SAMPLES, STEP_S, GateSettings
 from trackres_ros.diagnosis.prepare.speed_smoothing import smooth_speed
 from trackres_ros.diagnosis.prepare.unit_checks import check_speed_unit, check_units
 from trackres_ros.recording.recording import Recording
@@ -27,15 +28,32 @@ MOST_UNKNOWN = 0.5  # of a recording
 CHANNELS = ("ambient", "grade", "yaw_rate", "heading", "accel")
 
 
+def step_for(recordings: Sequence[Recording]) -> float:
+    """Step in which recordings are compared [s]: the usual one, or longer where speed or torque come slowly.
+
+    Of a bus that recorded once in a second, steps of 1 s made a mass of 12.5 t of one of 19 t, and steps from 3 to 8 s one of
+    18.1 to 18.9 t: what happens between two samples hides a part of the inertia.
+    """
+    slowest = 0.0
+    for recording in recordings:
+        for role, series in recording.series.items():
+            at = series.stamp_ns[np.isfinite(series.value)]
+            if role.partition("/")[0] in ("speed", "torque") and len(at) > LEAST_SAMPLES:
+                slowest = max(slowest, float(np.median(np.diff(np.sort(at)))) * 1e-9)
+    return STEP_S * max(1, math.ceil(LEAST_SAMPLES * round(slowest, 2) / STEP_S))
+
+
 def resample(
-    recording: Recording, settings: GateSettings, hide: frozenset[str], notes: list[str]
+    recording: Recording, step: float, settings: GateSettings, hide: frozenset[str], notes: list[str]
 ) -> tuple[Session, dict[str, Mask]]:
-    """Put a recording on an even grid of `STEP_S`.
+    """Put a recording on an even grid.
 
     Parameters
     ----------
     recording
         With a speed and a torque.
+    step
+        Of the grid [s].
     settings
         Of the vehicle; its weight and ambient temperature stand in where none is recorded.
     hide
@@ -60,7 +78,7 @@ def resample(
     torques = [role for role in series if role.partition("/")[0] == "torque" and np.isfinite(series[role].value).any()]
     start = recording.start_ns
     speed_at, raw_speed = ordered(series["speed"], start)
-    edges = np.arange(0.0, speed_at[-1] + 1e-9, STEP_S)
+    edges = np.arange(0.0, speed_at[-1] + 1e-9, step)
     count = len(edges) - 1
     notes += check_units(recording.name, series, settings.weight)
     smoothed = smooth_speed(speed_at, raw_speed, edges, LONGEST_HOLD_S)
@@ -73,7 +91,7 @@ def resample(
     for role in torques:
         part, there = means(*ordered(series[role], start), edges)
         torque, measured = torque + part, measured & there
-        torque_noise = float(np.hypot(torque_noise, noise_of_means(*ordered(series[role], start), STEP_S)))
+        torque_noise = float(np.hypot(torque_noise, noise_of_means(*ordered(series[role], start), step)))
         filled |= steps_within(straight_spans(*ordered(series[role], start)), edges)
     filled &= steps_within(straight_spans(speed_at, raw_speed), edges)
 
@@ -81,9 +99,9 @@ def resample(
         return held(series[role], start, edges, default) if role in series else np.full(count, default)
 
     given = frozenset(role for role in CHANNELS if role in series and np.isfinite(series[role].value).any())
-    accel, accel_noise = np.diff(at_edges) / STEP_S, smoothed.typical_change_std / STEP_S if smoothed else 0.0
+    accel, accel_noise = np.diff(at_edges) / step, smoothed.typical_change_std / step if smoothed else 0.0
     way = series.get("distance")
-    by_way = np.diff(np.interp(edges, *ordered(way, start))) / STEP_S if way and np.isfinite(way.value).any() else None
+    by_way = np.diff(np.interp(edges, *ordered(way, start))) / step if way and np.isfinite(way.value).any() else None
     check_speed_unit(recording.name, speed, accel, held_on("accel", np.nan) if "accel" in given else None, by_way)
     if "accel" in given:
         mean, there = means(*ordered(series["accel"], start), edges)
@@ -94,7 +112,7 @@ def resample(
     payload = np.zeros(count)
     if np.isfinite(passengers).any():
         given |= {"passengers"}
-        notes.append(_of_passengers(recording.name, passengers, settings.passenger_kg, of_load))
+        notes.append(_of_passengers(recording.name, passengers, step, settings.passenger_kg, of_load))
         if not of_load:
             payload = np.nan_to_num(passengers) * settings.passenger_kg * GRAVITY
             weight = weight + payload
@@ -117,7 +135,7 @@ def resample(
     if "yaw_rate" in given:
         yaw_rate = means(*ordered(series["yaw_rate"], start), edges)[0]
     if "yaw_rate" in given and "heading" not in given:
-        heading = np.cumsum(np.nan_to_num(yaw_rate)) * STEP_S
+        heading = np.cumsum(np.nan_to_num(yaw_rate)) * step
         given |= {"heading"}
         notes.append(f"{recording.name}: heading is integrated from the yaw rate")
     no_slope = steps_without_value(ordered(series["grade"], start)[0], edges) if "grade" in given else _nowhere(count)
@@ -126,7 +144,7 @@ def resample(
         given, no_slope = given - {"grade"}, _nowhere(count)
     session = Session(
         name=recording.name,
-        step=STEP_S,
+        step=step,
         time=edges[:-1],
         speed=speed,
         accel=accel,
@@ -135,7 +153,7 @@ def resample(
         grade=held_on("grade", 0.0) if "grade" in given else np.zeros(count),
         yaw_rate=yaw_rate,
         heading=heading,
-        distance=np.cumsum(np.abs(speed)) * STEP_S,
+        distance=np.cumsum(np.abs(speed)) * step,
         torque=torque,
         belt=belt,
         used=~_nowhere(count),
@@ -171,12 +189,12 @@ def _course(torques: Sequence[tuple[Array, Array]]) -> Course:
     return Course.of(at, np.sum([np.interp(at, t, v) for t, v in torques], axis=0))
 
 
-def _of_passengers(name: str, passengers: Array, kg_each: float, of_load: bool) -> str:
+def _of_passengers(name: str, passengers: Array, step: float, kg_each: float, of_load: bool) -> str:
     """What becomes of the passengers."""
     if of_load:
         return f"{name}: the weight is that of the load; passengers are taken to be in it"
     first = int(np.argmax(np.isfinite(passengers)))
-    empty = f"; taken for empty until the first count, {first * STEP_S:.0f} s after its start" if first else ""
+    empty = f"; taken for empty until the first count, {first * step:.0f} s after its start" if first else ""
     return f"{name}: passengers of {kg_each:g} kg each come on top of the empty vehicle{empty}"
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 import numpy as np
 
 from trackres_ros.diagnosis.prepare.session import Array, Course, Mask
-from trackres_ros.diagnosis.prepare.settings import STEP_S
 from trackres_ros.recording.samples import Series
 
 LONGEST_HOLD_S = 2.0  # of what changes while driving, over a gap
@@ -27,7 +26,7 @@ def means(at: Array, value: Array, edges: Array) -> tuple[Array, Mask]:
     middle = middles(edges)
     after = np.clip(np.searchsorted(at, middle), 1, len(at) - 1)
     known = (at[after] - at[after - 1] <= LONGEST_HOLD_S) & (middle <= at[-1]) & (middle >= at[0])
-    return Course.of(at, value).means(edges[:-1], STEP_S), known
+    return Course.of(at, value).means(edges[:-1], edges[1] - edges[0]), known
 
 
 def held(series: Series, start: int, edges: Array, default: float) -> Array:
@@ -59,7 +58,8 @@ def read_off(series: Series, start: int, edges: Array, angle: bool = False) -> A
     found = np.interp(middle, at, np.unwrap(value) if angle else value)
     after = np.clip(np.searchsorted(at, middle), 1, len(at) - 1)
     longest = max(LONGEST_HOLD_S, SLOWEST_SPACING * float(np.median(np.diff(at))))
-    found[(at[after] - at[after - 1] > longest) | (middle < at[0] - STEP_S) | (middle > at[-1] + STEP_S)] = np.nan
+    step = edges[1] - edges[0]
+    found[(at[after] - at[after - 1] > longest) | (middle < at[0] - step) | (middle > at[-1] + step)] = np.nan
     return np.asarray((found + np.pi) % (2.0 * np.pi) - np.pi) if angle else found
 
 

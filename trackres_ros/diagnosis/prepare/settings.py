@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from trackres_ros.recording.roles import PASSENGER_KG
 
 STEP_S = 1.0  # mean torque over a step against the change of speed over it: exact, whatever happens within
+LEAST_SAMPLES = 5  # in a step: of fewer, the change of speed and the mean torque are as much the sampling's as the drive's
 SLOWEST_MPS, SLOWEST_SHARE = 0.3, 0.1  # of the greatest speed; below both friction may be static
 
 

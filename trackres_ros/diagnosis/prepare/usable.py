@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from trackres_ros.diagnosis.prepare.session import Array, Mask, Session
-from trackres_ros.diagnosis.prepare.settings import STEP_S, GateSettings
+from trackres_ros.diagnosis.prepare.settings import GateSettings
 
 SAME_SHARE = 1e-9  # of the largest torque: a difference that rounding makes
 BRAKING_MPS2 = -0.5  # with a torque that does not drive: friction brakes may be at work
@@ -29,27 +29,27 @@ def usable(session: Session, unknown: Mapping[str, Mask], settings: GateSettings
     settings
         Of the vehicle.
     left_out
-        Counts each step that is not used under the first reason that holds.
+        Counts the seconds that are not used under the first reason that holds.
     """
     used = np.ones(len(session), dtype=bool)
     braking = (session.accel < BRAKING_MPS2) & (session.torque <= 0.0)
     if settings.friction_brakes:  # used together with a torque that brakes, and for a moment after it
         braking = np.convolve(session.torque <= 0.0, np.ones(3), mode="same") > 0
     slow = np.abs(session.speed) < settings.slowest
-    stuck = _stuck(session.torque, ~slow)
+    stuck = _stuck(session.torque, session.step, ~slow)
     for reason, bad in (
         *unknown.items(),
         (f"slower than {settings.slowest:g} m/s", slow),
         ("torque stuck", stuck),
         ("may brake", braking),
     ):
-        left_out[reason] += int((used & bad).sum())
+        left_out[reason] += round(int((used & bad).sum()) * session.step)
         used &= ~bad
     return used
 
 
-def _stuck(torque: Array, moving: Mask, longest_s: float = 30.0) -> Mask:
+def _stuck(torque: Array, step: float, moving: Mask, longest_s: float = 30.0) -> Mask:
     """Where one torque stays, but for rounding, while moving."""
     changes = np.flatnonzero(~(np.abs(np.diff(torque, prepend=np.nan)) <= SAME_SHARE * np.abs(torque).max()))
     lengths = np.diff(np.append(changes, len(torque)))
-    return np.repeat(lengths * STEP_S > longest_s, lengths) & moving
+    return np.repeat(lengths * step > longest_s, lengths) & moving

@@ -85,7 +85,7 @@ def report(d: Diagnosis, paths: Sequence[Path], bindings: Mapping[str, TopicBind
             },
         },
         "not_visible": [{"name": n.name, "why": n.why} for n in d.steps[-1].separability.not_visible],
-        "rejected": [{"reason": x.reason, "samples": x.samples} for x in d.gated.left_out],
+        "rejected": [{"reason": x.reason, "samples": x.seconds} for x in d.gated.left_out],
         "advice": [
             {
                 "separates": list(a.separates),
