@@ -3,15 +3,18 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import jsonschema
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from worlds import Model, World
 
 import trackres_ros.diagnosis.report
 from trackres_ros.cli.main import cli
 from trackres_ros.diagnosis import diagnose, load_base, read_recordings
+from trackres_ros.diagnosis.selection import naming
 from trackres_ros.effects import Active, catalogue
 from trackres_ros.evaluation.synthetic import drives, write_recordings
 
@@ -94,3 +97,25 @@ def scrubbed(run, recorded, tmp_path_factory):
     done = run(recorded("turning_scrub"), out)
     assert done.exit_code == 0, done.exception
     return out, json.loads((out / "report.json").read_text()), done
+
+
+@pytest.fixture
+def play(monkeypatch):
+    """Chooses in a world: steps, fit, and the world."""
+    monkeypatch.setattr(naming, "RESAMPLES", 2000)  # enough here
+
+    def it(gains, effects=None, seed=0, **given):
+        world = World(gains, **given)
+        for name, changed in (effects or {}).items():
+            world.effects[name] = changed
+        return run(world, seed)
+
+    def run(world, seed=0):
+        for name in ("fit", "separability", "screen"):
+            monkeypatch.setattr(naming, name, getattr(world, name))
+        said = []
+        steps, found = naming.choose(Model(world, ()), world.effects, 19, np.random.default_rng(seed), said.append)
+        return SimpleNamespace(steps=steps, fit=found, world=world, said=said, named=found.effect_names)
+
+    it.run = run
+    return it

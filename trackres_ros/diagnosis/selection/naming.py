@@ -178,7 +178,7 @@ def one_round(current: Fit, effects: Mapping[str, Effect], replicates: int, rng:
     seen = separability(effects, current)
     screened = screen(current, seen.visible, replicates, rng, least)
     gains = tuple((s.effect.name, gain) for s, gain in screened.gains)
-    best = screened.gains[0][1] if screened.gains else 0.0
+    best = max((gain for _, gain in screened.gains), default=0.0)
     threshold = max(screened.threshold, spurious_gain(current))
     if best < 0.5 * screened.threshold or best < 1.0:
         return Step(current, seen, screened.threshold, threshold, gains, (), None, (), {}, 0.0)
@@ -214,18 +214,15 @@ def spurious_gain(current: Fit) -> float:
 
 def _refit(current: Fit, found: Sequence[Sensitivity], form_error_gain: float) -> Candidate:
     """The best of the fits from each start."""
-    name = found[0].effect.name
     active = [a.effect for a in current.effects]
-    best: Fit | None = None
-    for sensitivity in found:
-        start = {**current.at, **{(name, parameter): value for parameter, value in _begin(sensitivity).items()}}
-        for noises in begun_with(current):
-            tried = fit(current.problem, [*active, sensitivity.effect], start, noises)
-            if best is None or tried.log_likelihood > best.log_likelihood:
-                best = tried
-    assert best
+    fits = (
+        fit(current.problem, [*active, s.effect], {**current.at, **_begin(s)}, noises)
+        for s in found
+        for noises in begun_with(current)
+    )
+    best = max(fits, key=lambda f: f.log_likelihood)
     strongest = max(found, key=lambda s: s.d_prime)
-    return compared(current, best, name, strongest.kept, strongest.d_prime, form_error_gain)
+    return compared(current, best, strongest.effect.name, strongest.kept, strongest.d_prime, form_error_gain)
 
 
 def begun_with(current: Fit) -> list[Mapping[str, Noise]]:
@@ -249,13 +246,13 @@ def rms(series: Sequence[Array], found: Fit) -> float:
     return float(np.sqrt(np.mean(used[np.isfinite(used)] ** 2)))
 
 
-def _begin(sensitivity: Sensitivity) -> dict[str, float]:
+def _begin(sensitivity: Sensitivity) -> dict[tuple[str, str], float]:
     """Values to begin a fit at: a fifth of the typical effect, so that its sign may turn and its shape can be felt."""
     values = dict(sensitivity.start)
     for q in sensitivity.effect.parameters:
         if q.off is not None:
             values[q.name] = q.off + 0.2 * (q.start - q.off)
-    return values
+    return {(sensitivity.effect.name, parameter): value for parameter, value in values.items()}
 
 
 def effective_parameters(found: Fit, effect: str) -> float:
@@ -327,32 +324,29 @@ def _log_density(found: Fit) -> tuple[NDArray[np.int64], Array]:
 
 def _drop(current: Fit, steps: list[Step]) -> tuple[Fit, list[Step]]:
     """Leave out what gains less than its threshold once the others are there."""
-    kept = list(current.effects)
     needed = {s.chosen.name: s.threshold + s.chosen.form_error_gain for s in steps if s.chosen}
-    for active in list(kept):
-        if len(kept) == 1:
-            break
-        without = [a.effect for a in kept if a is not active]
-        reduced = fit(current.problem, without, current.at, current.noises)
-        gain = current.log_likelihood - reduced.log_likelihood
-        if gain < needed.get(active.effect.name, 0.0) or current.log_evidence < reduced.log_evidence:
-            kept = [a for a in kept if a is not active]
-            current = reduced
-    remaining = {a.effect.name for a in kept}
-    return current, [s for s in steps if s.chosen is None or s.chosen.name in remaining]
+    for name in current.effect_names:
+        others = [a.effect for a in current.effects if a.effect.name != name]
+        if others:
+            reduced = fit(current.problem, others, current.at, current.noises)
+            gain = current.log_likelihood - reduced.log_likelihood
+            if gain < needed[name] or current.log_evidence < reduced.log_evidence:
+                current = reduced
+    return current, [s for s in steps if s.chosen is None or s.chosen.name in current.effect_names]
 
 
 def _compared_again(current: Fit, steps: list[Step], rng: np.random.Generator) -> tuple[Fit, list[Step]]:
     """Each effect against its rivals beside the others: the first was chosen when what the others explain was still left."""
     for i, step in enumerate(steps):
         chosen = step.chosen
-        others = [a.effect for a in current.effects if chosen is None or a.effect.name != chosen.name]
+        if chosen is None:
+            break
+        others = [a.effect for a in current.effects if a.effect.name != chosen.name]
         taken = {effect.name for effect in others}
         rivals = [
             c
             for c in step.candidates
-            if chosen is not None
-            and c.name not in taken
+            if c.name not in taken
             and c.matters
             and c.net_gain > step.threshold
             and c.net_evidence > chosen.net_evidence - FAR_BEHIND

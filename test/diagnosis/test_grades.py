@@ -1,0 +1,252 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""What held-out laps say of each effect and what may be written, on fits whose errors are given: nothing is simulated."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from trackres_ros.diagnosis.base.watched import WATCHED
+from trackres_ros.diagnosis.selection import confirm as confirming
+from trackres_ros.diagnosis.selection.confirm import Graded, confirm, keep, leave_unconfirmed
+from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, Improvement
+from trackres_ros.effects.effect import Parameter
+
+FILE_NM = 100.0  # mean error of the vehicle file on held-out laps
+SURE = Improvement(100.0, 90.0, 5.0, 15.0)
+UNSURE = Improvement(100.0, 95.0, -5.0, 15.0)
+WORSE = Improvement(100.0, 110.0, -15.0, -5.0)
+
+
+def effect(name, value=5.0, acts_on="torque", **given):
+    """An effect of one parameter between -10 and 10, or of such as are given, and the value it was fitted to."""
+    size = Parameter("size", "Nm", **{"low": -10.0, "high": 10.0, "start": 3.0, "text": "of it", "off": 0.0, **given})
+    return SimpleNamespace(effect=SimpleNamespace(name=name, acts_on=acts_on, parameters=(size,)), values={"size": value})
+
+
+class Fitted:
+    """A fit with some effects, and what it leaves of the held-out laps."""
+
+    def __init__(self, laps, effects):
+        self.laps, self.effects = laps, tuple(effects)
+        self.base_values = {"bearing": float(len(self.effects))}
+
+    @property
+    def error(self):
+        return self.laps.errors[frozenset(a.effect.name for a in self.effects)]
+
+    def of_file(self):
+        return self.error
+
+
+class Laps:
+    """Held-out laps on which the mean error of a model is said by the effects in it [Nm]."""
+
+    def __init__(self, errors, spread=0.5):
+        self.errors, self.spread = {frozenset(names): error for names, error in errors.items()}, spread
+        self.measured = np.zeros(4)
+
+    def of(self, error):
+        return error * np.array([1.0, -1.0, 1.0, -1.0])
+
+    def improvement_of(self, before, after):
+        gain = before.error - after.error
+        return Improvement(before.error, after.error, gain - self.spread, gain + self.spread)
+
+
+@pytest.fixture(autouse=True)
+def fitted_again(monkeypatch):
+    """Fits without some effects are those of the same laps, and intervals tell whose they are."""
+
+    def without(fit, names):
+        return Fitted(fit.laps, [a for a in fit.effects if a.effect.name not in names])
+
+    monkeypatch.setattr(confirming, "with_levels", without)
+    monkeypatch.setattr(confirming, "intervals", lambda fit: {"of": fit.error})
+
+
+def fits(errors, *effects, **given):
+    laps = Laps(errors, **given)
+    return Fitted(laps, effects), Fitted(laps, ()), laps
+
+
+# Grades
+
+
+@pytest.mark.parametrize(
+    ("after", "low", "high", "likelier", "grade"),
+    [
+        (90.0, 1.0, 19.0, -np.inf, CONFIRMED),
+        (90.0, -1.0, 21.0, 0.1, CONFIRMED),
+        (90.0, -1.0, 21.0, -0.1, SUSPECTED),
+        (90.0, 0.0, 20.0, 0.0, SUSPECTED),
+        (100.0, 1.0, 2.0, 1.0, CONFIRMED),
+        (100.5, 1.0, 2.0, 1.0, SUSPECTED),  # likelier, but the mean error does not fall
+        (101.0, -2.0, 0.0, 1.0, SUSPECTED),
+        (101.1, -2.0, 1.0, 1.0, REFUTED),
+        (100.5, -2.0, -0.1, 1.0, REFUTED),
+    ],
+)
+def test_a_grade_is_what_the_mean_error_and_its_interval_say(after, low, high, likelier, grade):
+    assert Improvement(100.0, after, low, high, likelier).grade == grade
+
+
+def test_on_a_bound_what_is_confirmed_is_suspected_and_what_is_refuted_stays_so():
+    for on_bounds in ((), ("size",)):
+        graded = [Graded("x", improvement, on_bounds).grade for improvement in (SURE, UNSURE, WORSE)]
+        assert graded == [SUSPECTED if on_bounds else CONFIRMED, SUSPECTED, REFUTED]
+
+
+@pytest.mark.parametrize(
+    ("value", "given", "bounds"),
+    [
+        (5.0, {}, ()),
+        (10.0, {}, ("size",)),
+        (-10.0, {}, ("size",)),
+        (9.98, {}, ("size",)),  # within a thousandth of the span
+        (9.97, {}, ()),
+        (-9.98, {}, ("size",)),
+        (-9.97, {}, ()),
+        (0.0, {"low": 0.0}, ()),  # no effect at all is no bound of what is plausible
+        (10.0, {"low": 0.0}, ("size",)),
+        (10.0, {"fitted": False}, ()),
+        (1.0 + 1e-3, {"low": 1.0, "high": 2.0}, ("size",)),
+        (1.0 + 3e-3, {"low": 1.0, "high": 2.0}, ()),
+        (1.0, {"low": 1.0, "high": 2.0, "off": 1.0}, ()),
+    ],
+)
+def test_a_parameter_lies_on_a_bound_within_a_thousandth_of_its_span(value, given, bounds):
+    final, refitted, laps = fits({(): 100.0, ("a",): 80.0}, effect("a", value, **given))
+    _, graded, _ = confirm(final, refitted, laps)
+    assert graded["a"].on_bounds == bounds
+    assert graded["a"].grade == (SUSPECTED if bounds else CONFIRMED)
+
+
+# What is left out
+
+
+def test_effects_that_make_laps_better_stay_each_graded_by_the_fit_without_it():
+    errors = {(): 100.0, ("a",): 80.0, ("b",): 95.0, ("a", "b"): 70.0}
+    final, refitted, laps = fits(errors, effect("a"), effect("b"))
+    kept, graded, refuted = confirm(final, refitted, laps)
+    assert kept is final
+    assert refuted == ()
+    assert {name: (g.name, g.improvement.before, g.improvement.after) for name, g in graded.items()} == {
+        "a": ("a", 95.0, 70.0),
+        "b": ("b", 80.0, 70.0),
+    }
+
+
+def test_one_effect_alone_is_graded_over_the_fit_that_has_none():
+    final, _, laps = fits({(): 100.0, ("a",): 80.0}, effect("a"))
+    _, graded, _ = confirm(final, Fitted(Laps({(): 130.0}), ()), laps)
+    assert graded["a"].improvement.before == 130.0
+
+
+def test_the_worst_is_left_out_first_and_the_others_are_graded_anew():
+    errors = {
+        (): 100.0, ("a",): 80.0, ("b",): 99.0, ("c",): 120.0,
+        ("a", "b"): 70.0, ("a", "c"): 95.0, ("b", "c"): 104.0, ("a", "b", "c"): 84.0,
+    }  # fmt: skip
+    # `c` makes the laps worse beside `a` and `b`, and more so than anything else.
+    final, refitted, laps = fits(errors, *map(effect, "abc"))
+    kept, graded, refuted = confirm(final, refitted, laps)
+    assert [a.effect.name for a in kept.effects] == ["a", "b"]
+    assert [(g.name, g.improvement.before, g.improvement.after) for g in refuted] == [("c", 70.0, 84.0)]
+    assert {name: g.improvement.before for name, g in graded.items()} == {"a": 99.0, "b": 80.0}
+
+
+def test_of_two_that_are_refuted_only_the_worse_goes_if_the_other_is_sound_without_it():
+    errors = {(): 100.0, ("a",): 90.0, ("b",): 95.0, ("a", "b"): 98.0}
+    final, refitted, laps = fits(errors, effect("a"), effect("b"))
+    kept, graded, refuted = confirm(final, refitted, laps)
+    assert ([a.effect.name for a in kept.effects], list(graded), [g.name for g in refuted]) == (["a"], ["a"], ["b"])
+
+
+def test_effects_that_are_worse_together_than_none_go_though_each_helps_the_other():
+    errors = {(): 100.0, ("a",): 150.0, ("b",): 140.0, ("a", "b"): 120.0}
+    final, refitted, laps = fits(errors, effect("a"), effect("b"))
+    kept, graded, refuted = confirm(final, refitted, laps)
+    assert kept is refitted
+    assert graded == {}
+    assert [g.name for g in refuted] == ["a", "b"]  # `a` helps by 20 Nm where `b` helps by 30
+
+
+def test_without_an_effect_there_is_nothing_to_grade():
+    final, refitted, laps = fits({(): 100.0})
+    assert confirm(final, refitted, laps) == (final, {}, ())
+
+
+def graded(**improvements):
+    return {name: Graded(name, improvement, ()) for name, improvement in improvements.items()}
+
+
+@pytest.mark.parametrize(
+    ("of", "left"),
+    [
+        ({"name": UNSURE, "curve": SURE}, ["name"]),
+        ({"name": SURE, "curve": SURE}, []),
+        ({"name": UNSURE, "curve": UNSURE}, []),
+        ({"name": UNSURE}, []),
+        ({"name": UNSURE, "curve": SURE, "wave": UNSURE}, ["name"]),  # terms stay, suspected or not
+        ({"name": UNSURE, "other": SURE}, []),
+    ],
+)
+def test_a_suspected_name_goes_only_beside_a_term_that_is_confirmed(of, left):
+    errors = {(): 100.0, ("name",): 99.0, tuple(of): 60.0, tuple(set(of) - {"name"}): 65.0, ("curve",): 65.0, ("wave",): 90.0}
+    final, refitted, laps = fits(errors, *map(effect, of))
+    before = graded(**of)
+    kept, after, gone = leave_unconfirmed(final, before, {"curve", "wave"}, refitted, laps)
+    assert [g.name for g in gone] == left
+    assert [a.effect.name for a in kept.effects] == [name for name in of if name not in left]
+    if left:
+        assert {g.improvement.after for g in after.values()} == {65.0}
+        assert list(after) == [name for name in of if name not in left]
+    else:
+        assert kept is final
+        assert after is before
+
+
+# What is written
+
+
+def kept_of(errors, believed, *effects):
+    final, refitted, laps = fits(errors, *effects)
+    held_out = SimpleNamespace(mae={"nominal": FILE_NM, "refitted": 1.0, "with_effects": 1.0})
+    return keep(believed, final, refitted, held_out, laps, {"of": "final"})
+
+
+def names(kept):
+    return [a.effect.name for a in kept.effects]
+
+
+def test_the_re_fit_with_what_is_believed_is_written_if_it_is_no_worse_than_the_file():
+    for error in (90.0, FILE_NM):
+        kept = kept_of({(): 95.0, ("a",): error}, ["a"], effect("a"))
+        assert (names(kept), kept.values, kept.intervals) == (["a"], {"bearing": 1.0}, {"of": "final"})
+
+
+def test_else_the_re_fit_of_the_base_and_else_the_files_own_values():
+    base = kept_of({(): 95.0, ("a",): 100.1}, ["a"], effect("a"))
+    assert (names(base), base.values, base.intervals) == ([], {"bearing": 0.0}, {"of": 95.0})
+    own = kept_of({(): 100.1, ("a",): 100.2}, ["a"], effect("a"))
+    assert (names(own), own.values, own.intervals) == ([], None, {})
+
+
+def test_what_is_not_believed_is_not_written_and_said():
+    errors = {(): 95.0, ("a",): 90.0, ("b",): 70.0, ("a", "b"): 60.0}
+    some = kept_of(errors, ["a"], effect("a"), effect("b"))
+    assert (names(some), some.intervals) == (["a"], {"of": 90.0})
+    assert some.text.endswith("; not written: b")
+    none = kept_of(errors, [], effect("a"), effect("b"))
+    assert (names(none), none.values) == ([], {"bearing": 0.0})
+    assert none.text.endswith("; not written: a, b")
+    assert "not written" not in kept_of(errors, ["a", "b"], effect("a"), effect("b")).text
+
+
+def test_what_follows_the_clock_alone_is_neither_written_nor_doubted():
+    kept = kept_of({(): 95.0, ("a", "spells"): 80.0}, ["a"], effect("a"), effect("spells", acts_on=WATCHED))
+    assert (names(kept), kept.intervals) == (["a"], {"of": "final"})
+    assert "spells" not in kept.text
