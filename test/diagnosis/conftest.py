@@ -9,6 +9,7 @@ import jsonschema
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from scipy.optimize import least_squares
 from worlds import Model, World
 
 import trackres_ros.diagnosis.report
@@ -119,3 +120,25 @@ def play(monkeypatch):
 
     it.run = run
     return it
+
+
+@pytest.fixture(scope="session")
+def robust_least_squares():
+    """Expected torques of a base that is fitted by scipy's least squares with a soft L1 loss and the file's priors."""
+
+    def expected(problem):
+        names = [q.name for q in problem.base.parameters]
+        columns = ("low", "high", "nominal", "std")
+        low, high, nominal, std = (np.array([getattr(q, name) for q in problem.base.parameters]) for name in columns)
+
+        def residuals(values):
+            predicted = problem.predict(dict(zip(names, values, strict=True)), ())
+            at = zip(problem.sessions, predicted, problem.masks, strict=True)
+            torque = np.concatenate([(s.torque - p.torque)[m] for s, p, m in at])
+            return np.concatenate((torque / 30.0, (values - nominal) / std))
+
+        start = np.clip(nominal, low + 1e-6 * std, high - 1e-6 * std)
+        found = least_squares(residuals, start, bounds=(low, high), x_scale=std, loss="soft_l1", max_nfev=40)
+        return problem.predict(dict(zip(names, found.x, strict=True)), ())
+
+    return expected

@@ -216,7 +216,7 @@ def hills(seconds=1800):
 def test_a_slope_is_that_of_the_road(noise, step, off):
     time, speed, _, altitude, slope = hills()
     shown = altitude + np.random.default_rng(2).normal(0.0, noise, len(time))
-    found = slopes(time, speed, np.round(shown / step) * step if step else shown)
+    found = slopes(time, speed, np.round(shown / step) * step if step else shown).value
     assert np.isfinite(found).all()
     assert np.sqrt(np.mean((found - slope)[100:-100] ** 2)) < off
 
@@ -224,17 +224,17 @@ def test_a_slope_is_that_of_the_road(noise, step, off):
 def test_what_the_altitude_does_while_the_vehicle_stands_is_no_slope():
     time, speed, _, altitude, slope = hills()
     settling = altitude + 80.0 * np.maximum(0.0, 1.0 - time / 400.0)  # as a receiver that still settles
-    found = slopes(time, speed, settling)
+    found = slopes(time, speed, settling).value
     assert np.isnan(found).any()
     known = np.isfinite(found)
     assert np.sqrt(np.mean((found - slope)[known] ** 2)) < 0.01
     assert known[time > 700.0].mean() > 0.9
-    still = slopes(time, 0.0 * speed, settling)
+    still = slopes(time, 0.0 * speed, settling).value
     assert np.isnan(still).all()
 
 
 def test_no_slope_is_steeper_than_roads_are():
     time, speed, way, _, _ = hills()
-    found = slopes(time, speed, 0.01 * way + np.where(way > way[-1] / 2, 300.0, 0.0))
+    found = slopes(time, speed, 0.01 * way + np.where(way > way[-1] / 2, 300.0, 0.0)).value
     assert np.nanmax(np.abs(found)) <= STEEPEST
     assert np.isnan(found).any()

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 from trackres_ros.diagnosis import load_base
@@ -56,25 +55,8 @@ def pairs(found):
     return enumerate(zip(found.problem.sessions, found.predicted, strict=True))
 
 
-def robust_least_squares(problem):
-    """The same base by scipy's least squares with a soft L1 loss and the file's priors, and nothing else."""
-    names = [q.name for q in problem.base.parameters]
-    columns = ("low", "high", "nominal", "std")
-    low, high, nominal, std = (np.array([getattr(q, name) for q in problem.base.parameters]) for name in columns)
-
-    def residuals(values):
-        predicted = problem.predict(dict(zip(names, values, strict=True)), ())
-        at = zip(problem.sessions, predicted, problem.masks, strict=True)
-        torque = np.concatenate([(s.torque - p.torque)[m] for s, p, m in at])
-        return np.concatenate((torque / 30.0, (values - nominal) / std))
-
-    start = np.clip(nominal, low + 1e-6 * std, high - 1e-6 * std)
-    found = least_squares(residuals, start, bounds=(low, high), x_scale=std, loss="soft_l1", max_nfev=40)
-    return problem.predict(dict(zip(names, found.x, strict=True)), ())
-
-
 @pytest.mark.long
-def test_a_refit_keeps_its_level_and_is_no_worse_than_the_file_or_robust_least_squares(road):
+def test_a_refit_keeps_its_level_and_is_no_worse_than_the_file_or_robust_least_squares(road, robust_least_squares):
     means, ours, files, robust = [], [], [], []
     for seed in range(6):
         problem = problem_of(street(seed, road), road)

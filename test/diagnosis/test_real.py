@@ -6,15 +6,27 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
+import trackres_ros as tr
 from trackres_ros.cli.main import cli
+from trackres_ros.diagnosis.base.loading import load_base
+from trackres_ros.diagnosis.inference.fitting import Problem, fit
+from trackres_ros.diagnosis.inference.levels import with_levels
+from trackres_ros.diagnosis.pipeline import align_and_check
+from trackres_ros.diagnosis.prepare.gate import gate
+from trackres_ros.diagnosis.prepare.split import split
 from trackres_ros.errors import InputError
 from trackres_ros.evaluation.field.data import car, robot, trips
+from trackres_ros.files.resources import config_dir
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "real"
 
+BUS = DATA / "ztbus" / "B183_2021-10-05_13-53-20.csv.gz"
+
+needs_bus = pytest.mark.skipif(not BUS.is_file(), reason="no recording of the bus on this machine")
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="no real recordings on this machine")
 
 
@@ -74,6 +86,44 @@ def test_the_car_is_refitted_to_values_of_a_car(run, tmp_path):
     assert found["heldout"]["r2"]["refitted"] > 0.85
     assert sum("carried over" in note for note in found["notes"]) == 2
     assert any("may brake" in x["reason"] and x["samples"] > 100 for x in found["rejected"])
+
+
+@pytest.fixture(scope="module")
+def bus():
+    """The trolley bus, read with its topics file, and its vehicle file."""
+    recording = tr.read(BUS, topics=config_dir() / "topics" / "ztbus.yaml")
+    return recording, load_base("ztbus_hess19", topics=recording.topics)
+
+
+@needs_bus
+def test_of_a_bus_it_is_said_what_altitude_brakes_passengers_and_wheels_are_worth(bus):
+    recording, loaded = bus
+    found = gate([recording], loaded.known)
+    said = " ".join(found.notes)
+    for part in ("worth nothing as a slope", "brakes on in", "passengers of 70 kg", "wheels that turn faster than front_"):
+        assert part in said
+    (session,) = found.sessions
+    assert "grade" not in session.given
+    assert np.isfinite(session.latitude).mean() > 0.9
+    assert 20.0 * 70.0 * 9.8 < session.payload.max() < 120.0 * 70.0 * 9.8
+    left_out = {x.reason: x.samples for x in found.left_out}
+    assert left_out["brakes on"] < 0.1 * session.used.sum()
+    assert (session.torque[session.used] < 0.0).mean() > 0.2  # what its motors brake is compared
+
+
+@needs_bus
+def test_the_bus_is_refitted_no_worse_than_its_file_and_than_robust_least_squares(bus, robust_least_squares):
+    recording, loaded = bus
+    gated, nominal = align_and_check(gate([recording], loaded.known), loaded)
+    chosen = split(gated.sessions)
+    (session,) = gated.sessions
+    problem = Problem(loaded.base, gated.sessions, (chosen.training_mask(session),))
+    held = chosen.held_out_mask(session)
+    refitted = with_levels(fit(problem)).predicted[0].torque
+    models = {"file": nominal[0], "refitted": refitted, "robust": robust_least_squares(problem)[0].torque}
+    error = {name: float(np.abs(session.torque - torque)[held].mean()) for name, torque in models.items()}
+    assert error["refitted"] < error["file"]
+    assert error["refitted"] < 1.02 * error["robust"]
 
 
 def test_a_bag_without_a_torque_has_nothing_to_diagnose(run, tmp_path):

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from trackres_ros.recording.quality import findings_of
 from trackres_ros.recording.roles import ROLES, base_role
 from trackres_ros.recording.samples import Block, Finding, FloatArray, IntArray, Series, Source
+from trackres_ros.recording.wheels import wheel_notes
 from trackres_ros.text.html import listed, panel, table
 from trackres_ros.text.numbers import figures
 
@@ -187,8 +188,18 @@ class Recording:
             f"Recording {self.name}",
             table(("role", "samples", "rate [Hz]", "least", "greatest", "unit"), rows),
             listed("Found", notes),
-            listed("Notes", self.notes, folded=True),
+            listed("Notes", [*self.notes, *self.wheel_notes()], folded=True),
         )
+
+    def wheel_notes(self) -> list[str]:
+        """Say what recorded wheel speeds show of radii and slip.
+
+        Returns
+        -------
+        list of str
+            A sentence each; none where no wheel is recorded for long enough.
+        """
+        return wheel_notes(self.aligned()) if any(base_role(role) == "wheel_speed" for role in self.series) else []
 
     def _findings(self) -> Iterator[tuple[str, str]]:
         """Role and text of each finding, with where it was first."""
@@ -207,8 +218,9 @@ class Recording:
         lines = [f"Recording {self.name}"]
         for role, samples in self.series.items():
             lines.append(f"  {role} [{ROLES[base_role(role)].unit}]: {_summary(samples)}")
-        if self.notes:
-            lines += ["Notes", *(f"  {note}" for note in self.notes)]
+        notes = [*self.notes, *self.wheel_notes()]
+        if notes:
+            lines += ["Notes", *(f"  {note}" for note in notes)]
         if self.findings:
             lines.append("Found")
         return [*lines, *(f"  {role}: {text}" if role else f"  {text}" for role, text in self._findings())]

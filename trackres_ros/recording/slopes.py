@@ -8,6 +8,7 @@ than roads are.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,13 +29,34 @@ OF_A_LINE = 12.0**0.5  # standard deviation of the slope of a line over that of 
 MAD_TO_STD = 1.4826
 
 
-def slopes(time_s: Array, speed: Array, altitude: Array) -> Array:
-    """Slope of the road along a drive, rise over run; nan where it is not known.
+class Slopes(NamedTuple):
+    """Slopes along a drive.
+
+    Attributes
+    ----------
+    value
+        Rise over run, shape (n,); nan where it is not known.
+    std
+        Their standard deviation, by the error of the altitude.
+    length_m
+        Over how much of the way each is taken.
+    """
+
+    value: Array
+    std: float
+    length_m: float
+
+
+def slopes(time_s: Array, speed: Array, altitude: Array, error_m: float = 0.0) -> Slopes:
+    """Slope of the road along a drive.
 
     Parameters
     ----------
     time_s, speed, altitude
         Rising times [s], speeds [m/s] and altitudes [m] that may be nan, each of shape (n,).
+    error_m
+        Standard deviation of an error of the altitude that lasts longer than the way a slope is taken over, and does not show
+        as scatter [m].
 
     Notes
     -----
@@ -43,8 +65,9 @@ def slopes(time_s: Array, speed: Array, altitude: Array) -> Array:
     stand in which it is still. The rest is fitted by straight lines over as much of the way as its noise and its steps ask for.
     """
     known = np.isfinite(altitude)
+    unknown = Slopes(np.full(len(time_s), np.nan), np.nan, np.nan)
     if known.sum() < 2:
-        return np.full(len(time_s), np.nan)
+        return unknown
     height = np.interp(time_s, time_s[known], altitude[known])
     moving = np.abs(speed) > SLOWEST_MPS
     steps = np.abs(0.5 * (speed[1:] + speed[:-1])) * np.diff(time_s)
@@ -52,17 +75,17 @@ def slopes(time_s: Array, speed: Array, altitude: Array) -> Array:
     rises = np.where(moving[1:] & moving[:-1], np.diff(height), 0.0)
     along = np.concatenate(([0.0], np.cumsum(rises)))
     if distance[-1] < SHORTEST_M:
-        return np.full(len(time_s), np.nan)
+        return unknown
     at = np.arange(0.0, distance[-1] + GRID_M, GRID_M)
     unique, first = np.unique(distance, return_index=True)
     profile = np.interp(at, unique, along[first])
     step = _step(altitude[known])
     rough = profile - _lines(profile, SHORTEST_M)[0]
-    noise = max(MAD_TO_STD * float(np.median(np.abs(rough - np.median(rough)))), step / OF_A_LINE)
+    noise = max(MAD_TO_STD * float(np.median(np.abs(rough - np.median(rough)))), step / OF_A_LINE, error_m)
     length = min(max(noise * OF_A_LINE / SURE_SLOPE, SHORTEST_M), LONGEST_M)
     found = np.interp(distance, at, _lines(profile, length)[1])
     found[~(np.abs(found) <= STEEPEST) | _untrusted(time_s, height, speed, moving)] = np.nan
-    return found
+    return Slopes(found, noise * OF_A_LINE / length, length)
 
 
 def _step(altitude: Array) -> float:

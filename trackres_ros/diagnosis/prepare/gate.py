@@ -9,12 +9,15 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
+from trackres_ros.diagnosis.prepare.altitude import with_slope
 from trackres_ros.diagnosis.prepare.laps import lap_numbers
 from trackres_ros.diagnosis.prepare.refuse import check_speed, long_enough, refuse_overlaps
 from trackres_ros.diagnosis.prepare.resample import resample, step_for
-from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.diagnosis.prepare.session import Mask, Session
 from trackres_ros.diagnosis.prepare.settings import STEP_S, GateSettings
-from trackres_ros.diagnosis.prepare.usable import usable
+from trackres_ros.diagnosis.prepare.usable import BRAKES_ON, usable
 from trackres_ros.errors import InputError
 from trackres_ros.recording.recording import Recording
 
@@ -85,6 +88,11 @@ def gate(recordings: Sequence[Recording], settings: GateSettings, hide: Sequence
     for recording in long:
         session, unknown = resample(recording, step, settings, frozenset(hide), notes)
         session = replace(session, used=usable(session, unknown, settings, left_out))
+        if "brake" in session.given:
+            notes.append(_of_brakes(session, unknown[BRAKES_ON], settings))
+        session, of_slope = with_slope(session)
+        notes += [of_slope] if of_slope else []
+        notes += [f"{session.name}: {note}" for note in recording.wheel_notes()]
         check_speed(session, settings.max_speed)
         begin_ns = recording.start_ns
         if end_ns is not None and 0 <= begin_ns - end_ns <= LONGEST_BREAK_S * 1e9 and begin_ns > 0:
@@ -108,6 +116,19 @@ def gate(recordings: Sequence[Recording], settings: GateSettings, hide: Sequence
             "give a longer recording, or look at units and topics",
         )
     return Gated(tuple(sessions), tuple(LeftOut(reason, n) for reason, n in left_out.items() if n), tuple(notes))
+
+
+def _of_brakes(session: Session, on: Mask, settings: GateSettings) -> str:
+    """What the brakes leave."""
+    drives = np.abs(session.speed) >= settings.slowest
+    braked, driven, left, braking = (
+        round(int(steps.sum()) * session.step)
+        for steps in (drives & on, drives, session.used, session.used & (session.torque < 0.0))
+    )
+    return (
+        f"{session.name}: brakes on in {braked} s of {driven} s driven; {left} s are left to compare, {braking} of them with a "
+        "torque that brakes"
+    )
 
 
 def _listed(left_out: Counter[str]) -> str:

@@ -14,11 +14,13 @@ import numpy as np
 from trackres_ros.diagnosis.prepare.gaps import steps_within, steps_without_value, straight_spans
 from trackres_ros.diagnosis.prepare.refuse import EARLIEST_CLOCK_S, check_compared
 from trackres_ros.diagnosis.prepare.sample_noise import noise_of_means
-from trackres_ros.diagnosis.prepare.sampling import LONGEST_HOLD_S, carried, held, means, ordered, read_off
+from trackres_ros.diagnosis.prepare.sampling import LONGEST_HOLD_S, any_from, carried, held, means, ordered, read_off
 from trackres_ros.diagnosis.prepare.session import Array, Course, Mask, Session
 from trackres_ros.diagnosis.prepare.settings import LEAST_SAMPLES, STEP_S, GateSettings
 from trackres_ros.diagnosis.prepare.speed_smoothing import smooth_speed
 from trackres_ros.diagnosis.prepare.unit_checks import check_speed_unit, check_units
+from trackres_ros.diagnosis.prepare.usable import BRAKES_ON
+from trackres_ros.recording.bindings import TopicBinding
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.roles import POSITION
 from trackres_ros.recording.samples import Series
@@ -142,6 +144,15 @@ def resample(
     if no_slope.mean() > MOST_UNKNOWN:
         notes.append(f"{recording.name}: the slope is not known for {no_slope.mean():.0%} of it; taken for not recorded")
         given, no_slope = given - {"grade"}, _nowhere(count)
+    braked = _nowhere(count)
+    if "brake" in series and np.isfinite(series["brake"].value).any():
+        given |= {"brake"}
+        value = series["brake"].value[np.isfinite(series["brake"].value)]
+        from_on = recording.bindings.get("brake", TopicBinding()).brakes_from(value)
+        braked = any_from(series["brake"], start, edges, from_on)
+        notes.append(
+            f"{recording.name}: brakes count as on from {from_on:g}; whatever else slows it down is in the measured torque"
+        )
     session = Session(
         name=recording.name,
         step=step,
@@ -176,6 +187,7 @@ def resample(
         "no torque": ~measured,
         "gap filled by straight lines": filled,
         "slope not known": no_slope,
+        BRAKES_ON: braked,
     }
 
 

@@ -64,14 +64,12 @@ def read_off(series: Series, start: int, edges: Array, angle: bool = False) -> A
 
 
 def any_from(series: Series, start: int, edges: Array, least: float) -> Mask:
-    """Steps in which a value of at least `least` was sampled, or held from the sample before."""
+    """Steps in which, or at an edge of which, a value of at least `least` was sampled or is held from the sample before."""
     at, value = ordered(series, start)
-    steps = np.zeros(len(edges) - 1, dtype=bool)
-    high = value >= least
-    inside = (at >= edges[0]) & (at < edges[-1]) & high
-    steps[np.searchsorted(edges, at[inside], side="right") - 1] = True
-    before = np.searchsorted(at, edges[:-1], side="right") - 1
-    return steps | ((before >= 0) & high[np.maximum(before, 0)])
+    high = np.concatenate(([0], np.cumsum(value >= least)))
+    first = np.maximum(np.searchsorted(at, edges[:-1], side="right") - 1, 0)  # the sample that is held as the step begins
+    behind = np.searchsorted(at, edges[1:], side="right")
+    return np.asarray(high[np.maximum(behind, first)] > high[first])
 
 
 def middles(edges: Array) -> Array:

@@ -68,6 +68,8 @@ class Session:
         cannot be told.
     belt_shows_surface
         Whether the measured belt temperature is that of the surface, or the mean.
+    grade_std
+        Standard deviation of `grade`, where it is made of an altitude; nan where nobody knows.
     start_s
         When it began [s since 1970, UTC]; nan where its clock does not say.
     torque_course
@@ -102,6 +104,7 @@ class Session:
     torque_noise: float = 0.0
     belt_shows_surface: bool = False
     start_s: float = np.nan
+    grade_std: float = np.nan
     latitude: Array = field(default_factory=lambda: np.empty(0))
     longitude: Array = field(default_factory=lambda: np.empty(0))
     altitude: Array = field(default_factory=lambda: np.empty(0))

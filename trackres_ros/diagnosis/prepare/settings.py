@@ -23,7 +23,7 @@ class GateSettings:
     weight, max_speed, ambient
         [N], [m/s], [degC]; the first and last stand in where nothing is recorded.
     friction_brakes
-        Whether brakes of which nothing is recorded help a torque that brakes.
+        Whether brakes help a torque that brakes, where nothing is recorded of them.
     belt_shows_surface
         Whether a measured belt temperature is that of the surface, as infrared sees it, or the mean.
     motor_ratio

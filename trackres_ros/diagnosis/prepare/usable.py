@@ -13,6 +13,7 @@ import numpy as np
 from trackres_ros.diagnosis.prepare.session import Array, Mask, Session
 from trackres_ros.diagnosis.prepare.settings import GateSettings
 
+BRAKES_ON = "brakes on"
 SAME_SHARE = 1e-9  # of the largest torque: a difference that rounding makes
 BRAKING_MPS2 = -0.5  # with a torque that does not drive: friction brakes may be at work
 
@@ -35,12 +36,16 @@ def usable(session: Session, unknown: Mapping[str, Mask], settings: GateSettings
     braking = (session.accel < BRAKING_MPS2) & (session.torque <= 0.0)
     if settings.friction_brakes:  # used together with a torque that brakes, and for a moment after it
         braking = np.convolve(session.torque <= 0.0, np.ones(3), mode="same") > 0
+    if "brake" in session.given:  # what brakes beside the torque is known
+        braking = np.zeros(len(session), dtype=bool)
     slow = np.abs(session.speed) < settings.slowest
     stuck = _stuck(session.torque, session.step, ~slow)
+    braked = unknown.get(BRAKES_ON, np.zeros(len(session), dtype=bool))
     for reason, bad in (
-        *unknown.items(),
+        *((reason, bad) for reason, bad in unknown.items() if reason != BRAKES_ON),
         (f"slower than {settings.slowest:g} m/s", slow),
         ("torque stuck", stuck),
+        (BRAKES_ON, braked),
         ("may brake", braking),
     ):
         left_out[reason] += round(int((used & bad).sum()) * session.step)

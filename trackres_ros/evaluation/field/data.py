@@ -55,7 +55,7 @@ def car(data: Path, name: str, folder: Path, clock: bool = True) -> Path:
         "speed_mps": speed,
         "torque_nm": np.where(torque < CLIPPED_NM, np.nan, torque * FINAL_DRIVE),
         "ambient_degc": ambient,
-        "grade": slopes(time, speed, height),
+        "grade": slopes(time, speed, height).value,
     }
     return _write(folder / f"{name}.csv", columns)
 

@@ -1,0 +1,106 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Makes a slope of a recorded altitude, where the altitude is good enough for one, and says how sure it is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from trackres_ros.diagnosis.prepare.session import Array, Session
+from trackres_ros.recording.slopes import slopes
+from trackres_ros.units import GRAVITY, MAD_TO_STD
+
+EARTH_M = 6.371e6  # mean radius
+SAME_PLACE_M = 10.0  # lanes and the scatter of a receiver
+ANOTHER_PASS_S = 600.0  # after which the error of a receiver is another one
+APART_M = 20.0  # of the places of one pass that are looked at
+FEWEST_REVISITS = 30
+MOST_UNKNOWN = 0.5  # of a recording
+WORTH = 0.5  # of a slope: share that is road and no error
+PIECE_S = 300.0  # over which errors hang together
+SURE = 2.0  # standard deviations
+ROBUST_TURNS = 10
+
+
+def with_slope(session: Session) -> tuple[Session, str]:
+    """A session whose slope is that of its altitude, and what to say of it; without altitude, or with a slope, as it is.
+
+    The slope is taken over as much of the way as the altitude's error asks for: what it scatters by, and where places are
+    passed again, what it is off by from one pass to the next. It is used if at least half of its variance is no error, and if
+    the measured torque is surely nearer to what it takes on such slopes than to what it takes on a plane.
+    """
+    if "altitude" not in session.given or "grade" in session.given:
+        return session, ""
+    error, passes = error_by_revisits(session)
+    found = slopes(session.time + 0.5 * session.step, session.speed, session.altitude, error)
+    known = np.isfinite(found.value)
+    used = session.used & known
+    of_error = f", which is {error:.1f} m off from one pass of a place to the next ({passes} places)," if passes else ""
+    where = f"{session.name}: the altitude{of_error}"
+    if used.sum() < (1.0 - MOST_UNKNOWN) * session.used.sum():
+        return session, f"{where} gives a slope on less than half of the way; none is used"
+    spread = float(np.std(found.value[used]))
+    if spread**2 < found.std**2 / (1.0 - WORTH):
+        text = f"slopes with a standard deviation of {found.std:.2%} over {found.length_m:.0f} m, as large as what it shows"
+        return session, f"{where} is worth nothing as a slope: {text}; none is used"
+    with_it = replace(session, grade=np.where(known, found.value, 0.0), grade_std=found.std, used=used)
+    without, error_with, surely = torque_errors(with_it)
+    if not surely:
+        text = f"with its slopes the torque is explained to {error_with:.4g} Nm, without them to {without:.4g} Nm"
+        return session, f"{where} is worth nothing as a slope over {found.length_m:.0f} m: {text}; none is used"
+    text = f"a slope over {found.length_m:.0f} m with a standard deviation of {found.std:.2%}"
+    explained = f"with it the torque is explained to {error_with:.4g} Nm, without it to {without:.4g} Nm"
+    return replace(with_it, given=session.given | {"grade"}), f"{where} gives {text}; {explained}"
+
+
+def error_by_revisits(session: Session) -> tuple[float, int]:
+    """Standard deviation of the altitude's error from one pass of a place to the next [m], and at how many pairs; 0 without."""
+    known = np.isfinite(session.latitude) & np.isfinite(session.altitude)
+    piece = np.floor(session.distance / APART_M)
+    rows = np.flatnonzero(known & (np.diff(piece, prepend=-1.0) > 0.0))
+    if len(rows) < 2:
+        return 0.0, 0
+    north = EARTH_M * session.latitude[rows]
+    east = EARTH_M * np.cos(np.mean(session.latitude[rows])) * np.unwrap(session.longitude[rows])
+    pairs = cKDTree(np.column_stack([north, east])).query_pairs(SAME_PLACE_M, output_type="ndarray")
+    first, second = rows[pairs[:, 0]], rows[pairs[:, 1]]
+    again = np.abs(session.time[first] - session.time[second]) > ANOTHER_PASS_S
+    apart = np.abs(session.altitude[first] - session.altitude[second])[again]
+    if len(apart) < FEWEST_REVISITS:
+        return 0.0, 0
+    return float(MAD_TO_STD * np.median(apart) / np.sqrt(2.0)), len(apart)
+
+
+def torque_errors(session: Session) -> tuple[float, float, bool]:
+    """Mean error of a torque without and with the slopes of a session [Nm], and whether they surely make it smaller.
+
+    What changes of speed, rolling and air take is fitted, each by a factor; a slope takes as much as an acceleration by its
+    share of gravity does. So mass and radius need not be known. It is sure at two standard deviations over pieces of the drive.
+    """
+    use = session.used
+    mass, speed, torque = session.weight[use] / GRAVITY, session.speed[use], session.torque[use]
+    resists = [mass * np.sign(speed), mass * speed, speed * np.abs(speed)]
+    by_slope = GRAVITY * session.grade[use]
+    without, with_it = (
+        np.abs(_left(np.stack([mass * pull, *resists], axis=1), torque))
+        for pull in (session.accel[use], session.accel[use] + by_slope)
+    )
+    _, piece = np.unique(session.time[use] // PIECE_S, return_inverse=True)
+    gains = np.bincount(piece, without - with_it) / np.bincount(piece)
+    surely = len(gains) > 1 and gains.mean() > SURE * np.std(gains, ddof=1) / np.sqrt(len(gains))
+    return float(without.mean()), float(with_it.mean()), bool(surely)
+
+
+def _left(columns: Array, value: Array) -> Array:
+    """What a fit by factors leaves, nearly that of the least absolute error: brakes and shocks lean to one side."""
+    columns = columns / np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-12)
+    left, root = value, np.ones(len(value))
+    for _ in range(ROBUST_TURNS):
+        left = value - columns @ np.linalg.lstsq(columns * root[:, np.newaxis], value * root, rcond=None)[0]
+        scale = max(float(np.median(np.abs(left))), 1e-12)
+        root = 1.0 / np.sqrt(np.maximum(np.abs(left) / scale, 1.0))
+    return left
