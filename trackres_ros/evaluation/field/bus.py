@@ -1,0 +1,153 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The trolley bus: one after the other a channel is concealed, and what is found is set beside it.
+
+Widmer, Ritter, Onder, "ZTBus: A Large Dataset of Time-Resolved City Bus Driving Missions", Scientific Data 10 (2023) 687.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from trackres_ros.diagnosis import Diagnosis, diagnose, load_base, read_recordings
+from trackres_ros.evaluation.field.run import NOTHING, TURNING, UPHILL, WARM, FieldTrial
+from trackres_ros.files.resources import config_dir
+from trackres_ros.recording.bindings import Topics
+from trackres_ros.units import GRAVITY
+
+Array = NDArray[np.float64]
+
+FOLDER, VEHICLE, TOPICS = "ztbus", "ztbus_hess19", "ztbus.yaml"
+EARTH_M = 6.371e6  # mean radius
+SAME_PLACE_M = 15.0
+SLOPE_OVER_M = 300.0
+LONG_STRETCH_S = 300.0  # of driving
+CLOSE = 0.08  # of the passengers' weight
+
+
+@dataclass(frozen=True)
+class SlopeFound:
+    """What was found of the slope beside that of the altitude, averaged over all passes of a place and taken over 300 m.
+
+    Attributes
+    ----------
+    correlation, coefficient
+        Of the slope found with that of the altitude, and how much of the latter is in it.
+    """
+
+    correlation: float
+    coefficient: float
+
+
+@dataclass(frozen=True)
+class PayloadFound:
+    """What was found of the payload beside the passengers.
+
+    Attributes
+    ----------
+    begin_s, end_s, mass, std, true
+        Of each stretch; masses beside their mean [kg].
+    correlation
+        Of the masses found with the passengers', weighted by time.
+    close, long
+        Of stretches with more than 5 minutes of driving, those within 8 % of the passengers' weight, and all.
+    """
+
+    begin_s: Array
+    end_s: Array
+    mass: Array
+    std: Array
+    true: Array
+    correlation: float
+    close: int
+    long: int
+
+
+def missions(data: Path) -> list[Path]:
+    """The recordings of the bus that are there."""
+    return sorted((data / FOLDER).glob("*.csv.gz"))
+
+
+def try_bus(data: Path) -> list[FieldTrial]:
+    """Diagnose each of the concealments; empty where no mission is there."""
+    paths = missions(data)
+    if not paths:
+        return []
+    topics = Topics.load(config_dir() / "topics" / TOPICS)
+
+    def without(*hide: str) -> Diagnosis:
+        return diagnose(read_recordings(paths, topics), load_base(VEHICLE, topics=topics), hide=hide)
+
+    wanted = {
+        "nothing": ((), UPHILL),
+        "altitude": (("altitude",), UPHILL),
+        "altitude and position": (("altitude", "latitude", "longitude"), NOTHING),
+        "passengers": (("passengers",), frozenset({"payload"})),
+        "steering angle": (("steering_angle",), TURNING),
+        "ambient temperature": (("ambient",), WARM),
+        "brake pressure": (("brake",), NOTHING),
+    }
+    return [
+        FieldTrial("trolley bus, a mission of 4.4 h", hidden, names, NOTHING, without(*roles))
+        for hidden, (roles, names) in wanted.items()
+    ]
+
+
+def slope_found(tried: FieldTrial) -> SlopeFound | None:
+    """The slope that was found against that of the altitude; None where none was found."""
+    final = tried.found.final
+    if not UPHILL & set(final.effect_names):
+        return None
+    named = next(name for name in final.effect_names if name in UPHILL)
+    radius = tried.found.base.facts.radius * final.base_values.get("torque_scale", tried.found.base.torque_scale)
+    found, true = [], []
+    for session, adds in zip(final.problem.sessions, final.contribution(named), strict=True):
+        surveyed = slope_by_all_passes(session.latitude, session.longitude, session.altitude, session.distance)
+        there = session.used & np.isfinite(surveyed) & (np.abs(adds) > 0.0)
+        found.append((adds / (session.weight * radius))[there])
+        true.append(surveyed[there])
+    x, y = np.concatenate(true), np.concatenate(found)
+    return SlopeFound(float(np.corrcoef(x, y)[0, 1]), float(np.polyfit(x, y, 1)[0]))
+
+
+def slope_by_all_passes(latitude: Array, longitude: Array, altitude: Array, distance: Array) -> Array:
+    """Slope of the altitude averaged over all passes of each place, over 300 m of the way; nan where it is not known."""
+    known = np.isfinite(latitude) & np.isfinite(altitude)
+    at = EARTH_M * np.column_stack([latitude, np.cos(np.mean(latitude[known])) * longitude])[known]
+    near = cKDTree(at).query_ball_point(at, SAME_PLACE_M)
+    mean = np.array([altitude[known][rows].mean() for rows in near])
+    ahead, behind = (np.interp(distance + side * 0.5 * SLOPE_OVER_M, distance[known], mean) for side in (1.0, -1.0))
+    slope = np.full(len(distance), np.nan)
+    inside = (distance - 0.5 * SLOPE_OVER_M > distance[known][0]) & (distance + 0.5 * SLOPE_OVER_M < distance[known][-1])
+    slope[inside & known] = ((ahead - behind) / SLOPE_OVER_M)[inside & known]
+    return slope
+
+
+def payload_found(tried: FieldTrial, given: FieldTrial) -> PayloadFound | None:
+    """The masses that were found against the passengers, which `given` knew; None where none were found."""
+    stretches = next((t.described.stretches for t in tried.found.described if t.described.stretches), ())
+    if not stretches:
+        return None
+    known = {s.name: s for s in given.found.sessions}
+    driven, rows = [], []
+    for stretch in stretches:
+        session = known[stretch.recording]
+        there = (session.time >= stretch.begin_s) & (session.time < stretch.end_s) & session.used
+        if there.any():
+            driven.append(float(there.sum()) * session.step)
+            people = float(session.payload[there].mean()) / GRAVITY
+            rows.append((stretch.begin_s, stretch.end_s, stretch.mass, stretch.std, people))
+    begin, end, mass, std, true = np.array(rows).T
+    weight = np.array(driven)
+    mass, people = mass - np.average(mass, weights=weight), true - np.average(true, weights=weight)
+    covariance = np.cov(np.stack([mass, people]), aweights=weight)
+    long = weight > LONG_STRETCH_S
+    close = long & (np.abs(mass - people) < CLOSE * true)
+    correlation = float(covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1]))
+    return PayloadFound(begin, end, mass, std, people, correlation, int(close.sum()), int(long.sum()))
