@@ -330,7 +330,7 @@ def _drop(current: Fit, steps: list[Step]) -> tuple[Fit, list[Step]]:
         if others:
             reduced = fit(current.problem, others, current.at, current.noises)
             gain = current.log_likelihood - reduced.log_likelihood
-            if gain < needed[name] or current.log_evidence < reduced.log_evidence:
+            if gain < needed.get(name, 0.0) or current.log_evidence < reduced.log_evidence:
                 current = reduced
     return current, [s for s in steps if s.chosen is None or s.chosen.name in current.effect_names]
 
