@@ -12,6 +12,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.diagnosis.base.watched import Watched
 from trackres_ros.diagnosis.inference.fitting import Fit, jacobian
 from trackres_ros.diagnosis.inference.noise import whitened
 from trackres_ros.diagnosis.prepare.session import Session
@@ -242,4 +243,7 @@ def _out_of(rival: Fit, shown: Sequence[Array], expected: Array, session: Sessio
 
 
 def _torque(found: Fit, point: Array, session: Session) -> Array:
-    return np.asarray(found.problem.base.predict([session], *found.model_at(point))[0].torque)
+    """What a drive would show; what follows a series of the recordings is not known of it."""
+    values, acting = found.model_at(point)
+    ahead = [a for a in acting if not isinstance(a.effect, Watched)]
+    return np.asarray(found.problem.base.predict([session], values, ahead)[0].torque)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from trackres_ros.diagnosis import Diagnosis, diagnose, load_base, read_recordings
-from trackres_ros.evaluation.field.run import NOTHING, TURNING, UPHILL, WARM, FieldTrial
+from trackres_ros.evaluation.field.run import NOTHING, UPHILL, WARM, FieldTrial
 from trackres_ros.files.resources import config_dir
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.units import GRAVITY
@@ -89,25 +89,25 @@ def try_bus(data: Path) -> list[FieldTrial]:
         "altitude": (("altitude",), UPHILL),
         "altitude and position": (("altitude", "latitude", "longitude"), NOTHING),
         "passengers": (("passengers",), frozenset({"payload"})),
-        "steering angle": (("steering_angle",), TURNING),
+        "steering angle": (("steering_angle",), NOTHING),
         "ambient temperature": (("ambient",), WARM),
         "brake pressure": (("brake",), NOTHING),
     }
     return [
-        FieldTrial("trolley bus, a mission of 4.4 h", hidden, names, NOTHING, without(*roles))
+        FieldTrial("trolley bus, a mission of 4.4 h", hidden, names, NOTHING, without(*roles), UPHILL)
         for hidden, (roles, names) in wanted.items()
     ]
 
 
-def slope_found(tried: FieldTrial) -> SlopeFound | None:
-    """The slope that was found against that of the altitude; None where none was found."""
+def slope_found(tried: FieldTrial, given: FieldTrial) -> SlopeFound | None:
+    """The slope that was found against that of the altitude, which `given` knew; None where none was found."""
     final = tried.found.final
     if not UPHILL & set(final.effect_names):
         return None
     named = next(name for name in final.effect_names if name in UPHILL)
     radius = tried.found.base.facts.radius * final.base_values.get("torque_scale", tried.found.base.torque_scale)
     found, true = [], []
-    for session, adds in zip(final.problem.sessions, final.contribution(named), strict=True):
+    for session, adds in zip(given.found.sessions, final.contribution(named), strict=True):
         surveyed = slope_by_all_passes(session.latitude, session.longitude, session.altitude, session.distance)
         there = session.used & np.isfinite(surveyed) & (np.abs(adds) > 0.0)
         found.append((adds / (session.weight * radius))[there])

@@ -8,9 +8,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from trackres_ros.evaluation.field.bus import CLOSE, LONG_STRETCH_S, PayloadFound, payload_found, slope_found
 from trackres_ros.evaluation.field.run import FieldTrial
 from trackres_ros.output.plots import BLUE, GREY, VERMILION, picture
+from trackres_ros.text.numbers import figures
 
 SECONDS_PER_MIN = 60.0
 
@@ -22,7 +25,7 @@ def bus_page(tried: Sequence[FieldTrial], folder: Path, of_pictures: str = "") -
     given = next(t for t in tried if t.hidden == "nothing")
     lines = ["## The trolley bus, unsealed", ""]
     for t in tried:
-        slope = slope_found(t)
+        slope = slope_found(t, given)
         if slope is not None:
             lines.append(
                 f"- Without {t.hidden}: the slope that was found has a correlation of {slope.correlation:.2f} with that of the "
@@ -36,8 +39,10 @@ def bus_page(tried: Sequence[FieldTrial], folder: Path, of_pictures: str = "") -
         return [*lines, "- Without passengers: no payload was found.", ""]
     lines.append(
         f"- Without passengers: the masses of {len(payload.mass)} stretches have a correlation of {payload.correlation:.2f} with "
-        f"those of the passengers (70 kg each); of {payload.long} with more than {LONG_STRETCH_S:.0f} s of driving "
-        f"{payload.close} are within {CLOSE:.0%} of the passengers' weight."
+        f"those of the passengers (70 kg each), which differ by {figures(float(payload.true.std()))} kg, and are "
+        f"{figures(float(np.sqrt(np.mean((payload.mass - payload.true) ** 2))))} kg off; "
+        f"{figures(float(payload.std.mean()))} kg is what they are said to be off. Of {payload.long} stretches with more than "
+        f"{LONG_STRETCH_S:.0f} s of driving {payload.close} are within {CLOSE:.0%} of the passengers' weight."
     )
     _draw_payload(folder / "payload.png", payload)
     return [*lines, "", f"![Masses of stretches between stops, found and of passengers.]({of_pictures}payload.png)", ""]

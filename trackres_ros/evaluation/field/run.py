@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.diagnosis import Diagnosis, diagnose, load_base, read_recordings
 from trackres_ros.diagnosis.inference.noise import whitened
+from trackres_ros.diagnosis.selection.held_out import CONFIRMED
 from trackres_ros.errors import InputError
 from trackres_ros.evaluation.field.data import car, robot, trips
 
@@ -46,6 +47,8 @@ class FieldTrial:
         Effects that must not be named: what was given, or cannot be.
     found
         The diagnosis.
+    beside
+        Effects that may be named as well, as they are there and nothing that was given tells of them.
     """
 
     what: str
@@ -53,6 +56,7 @@ class FieldTrial:
     wanted: frozenset[str]
     never: frozenset[str]
     found: Diagnosis
+    beside: frozenset[str] = NOTHING
 
     @property
     def named(self) -> tuple[tuple[str, ...], ...]:
@@ -61,15 +65,22 @@ class FieldTrial:
         return tuple(f.step.members for f in self.found.found) if names_any else ()
 
     @property
+    def described(self) -> tuple[str, ...]:
+        """Forms of the terms without a name that held-out laps confirm."""
+        return tuple(t.described.form for t in self.found.described if t.graded.grade == CONFIRMED)
+
+    @property
     def outcome(self) -> str:
-        """`right`, `wrong`, or `silent` where something ought to have been named."""
+        """`right`, `wrong`, or `silent` where something ought to have been named or described."""
         names = {name for members in self.named for name in members}
         firsts = {members[0] for members in self.named}
         if firsts & self.never:
             return "wrong"
-        if self.wanted:
-            return "right" if names & self.wanted else ("wrong" if names else "silent")
-        return "wrong" if names else "right"
+        if self.wanted & {*names, *self.described}:
+            return "right"
+        if names - self.beside:
+            return "wrong"
+        return "silent" if self.wanted else "right"
 
 
 def try_all(data: Path, folder: Path) -> list[FieldTrial]:
