@@ -6,17 +6,22 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
+from trackres_ros.diagnosis.prepare.brakes import motor_brakes_alone
 from trackres_ros.diagnosis.prepare.laps import lap_numbers
 from trackres_ros.diagnosis.prepare.refuse import check_speed, long_enough, refuse_overlaps
 from trackres_ros.diagnosis.prepare.resample import resample, step_for
-from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.diagnosis.prepare.session import Mask, Session
 from trackres_ros.diagnosis.prepare.settings import STEP_S, GateSettings
-from trackres_ros.diagnosis.prepare.usable import usable
+from trackres_ros.diagnosis.prepare.usable import is_slow, usable
 from trackres_ros.errors import InputError
 from trackres_ros.recording.recording import Recording
+
+Resampled = tuple[Session, Mapping[str, Mask]]
 
 SHORTEST_MOVING_S = 60.0
 LONGEST_BREAK_S = 7 * 86400.0  # between recordings whose clocks run on
@@ -78,13 +83,14 @@ def gate(recordings: Sequence[Recording], settings: GateSettings, hide: Sequence
     end_ns: int | None = None
     end_m = 0.0
     refuse_overlaps(recordings, notes)
-    long = long_enough(recordings, left_out, notes)
-    step = step_for(long)
+    admitted = long_enough(recordings, left_out, notes)
+    step = step_for(admitted)
     if step > STEP_S:
         notes.append(f"samples come so slowly that torques are compared as means over {step:.0f} s")
-    for recording in long:
-        session, unknown = resample(recording, step, settings, frozenset(hide), notes)
-        session = replace(session, used=usable(session, unknown, settings, left_out))
+    resampled = [resample(recording, step, settings, frozenset(hide), notes) for recording in admitted]
+    alone = _motor_brakes_alone(resampled, settings, notes) if settings.friction_brakes else 0.0
+    for recording, (session, unknown) in zip(admitted, resampled, strict=True):
+        session = replace(session, used=usable(session, unknown, settings, left_out, alone))
         check_speed(session, settings.max_speed)
         begin_ns = recording.start_ns
         if end_ns is not None and 0 <= begin_ns - end_ns <= LONGEST_BREAK_S * 1e9 and begin_ns > 0:
@@ -108,6 +114,17 @@ def gate(recordings: Sequence[Recording], settings: GateSettings, hide: Sequence
             "give a longer recording, or look at units and topics",
         )
     return Gated(tuple(sessions), tuple(LeftOut(reason, n) for reason, n in left_out.items() if n), tuple(notes))
+
+
+def _motor_brakes_alone(resampled: Sequence[Resampled], settings: GateSettings, notes: list[str]) -> float:
+    """The torque down to which nothing but the motor brakes [Nm]; adds what was found to the notes."""
+    compared = [~is_slow(session, settings) & ~np.any(list(unknown.values()), axis=0) for session, unknown in resampled]
+    alone = motor_brakes_alone([session for session, _ in resampled], compared)
+    if alone < 0.0:
+        notes.append(
+            f"down to {alone:.0f} Nm the motor brakes alone, as changes of speed show; below it friction brakes may help"
+        )
+    return alone
 
 
 def _listed(left_out: Counter[str]) -> str:

@@ -25,7 +25,6 @@ from trackres_ros.units import KMH_PER_MPS
 Array = NDArray[np.float64]
 
 FINAL_DRIVE = 9.665
-CLIPPED_NM = -80.0  # of the motor: below it the torques of motor and friction brakes cannot be separated
 SLOWEST_MPS, YAW_OVER_S = 0.1, 0.5
 NM_PER_A = 1.0  # assumed: what is found of the robots is in units of it
 RADIUS_M = {"husky": 0.159, "warthog": 0.3}
@@ -53,7 +52,7 @@ def car(data: Path, name: str, folder: Path, clock: bool = True) -> Path:
     columns = {
         "time_s": start + time,
         "speed_mps": speed,
-        "torque_nm": np.where(torque < CLIPPED_NM, np.nan, torque * FINAL_DRIVE),
+        "torque_nm": torque * FINAL_DRIVE,
         "ambient_degc": ambient,
         "grade": slopes(time, speed, height),
     }
