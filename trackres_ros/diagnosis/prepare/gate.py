@@ -25,6 +25,7 @@ Resampled = tuple[Session, Mapping[str, Mask]]
 
 SHORTEST_MOVING_S = 60.0
 LONGEST_BREAK_S = 7 * 86400.0  # between recordings whose clocks run on
+CLOCK_OFF_S = 60.0  # by which a standing time that is given may be shorter than clocks say, and still be the same
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,8 +94,17 @@ def gate(recordings: Sequence[Recording], settings: GateSettings, hide: Sequence
         session = replace(session, used=usable(session, unknown, settings, left_out, alone))
         check_speed(session, settings.max_speed)
         begin_ns = recording.start_ns
-        if end_ns is not None and 0 <= begin_ns - end_ns <= LONGEST_BREAK_S * 1e9 and begin_ns > 0:
-            session = replace(session, gap=(begin_ns - end_ns) * 1e-9)
+        follows = end_ns is not None and 0 <= begin_ns - end_ns <= LONGEST_BREAK_S * 1e9 and begin_ns > 0
+        off = (begin_ns - end_ns) * 1e-9 if end_ns is not None and follows else np.inf
+        stood = _stood(recording, hide)
+        if stood < off - CLOCK_OFF_S:
+            session = replace(session, gap=stood, after_unseen=True)
+            notes.append(
+                f"{session.name}: it had stood for {stood:.0f} s, after a drive that is not among the recordings and is taken to "
+                "have been like this one"
+            )
+        elif follows:
+            session = replace(session, gap=off)
             notes.append(
                 f"{session.name}: goes on {session.gap:.0f} s after the one before; the belt's temperature is carried over"
             )
@@ -114,6 +124,25 @@ def gate(recordings: Sequence[Recording], settings: GateSettings, hide: Sequence
             "give a longer recording, or look at units and topics",
         )
     return Gated(tuple(sessions), tuple(LeftOut(reason, n) for reason, n in left_out.items() if n), tuple(notes))
+
+
+def _stood(recording: Recording, hide: Sequence[str]) -> float:
+    """How long it had stood before, as far as that was recorded [s]; infinite where it was not, or longer than counts.
+
+    Raises
+    ------
+    InputError
+        If it is negative.
+    """
+    series = recording.series.get("stood")
+    given = series.value[np.isfinite(series.value)] if series is not None and "stood" not in hide else np.empty(0)
+    if not len(given):
+        return np.inf
+    if given[0] < 0.0:
+        raise InputError(
+            f"{recording.name}: stood", f"{given[0]:g} s", "0 s or more", "give the time since the drive before ended"
+        )
+    return float(given[0]) if given[0] <= LONGEST_BREAK_S else np.inf
 
 
 def _motor_brakes_alone(resampled: Sequence[Resampled], settings: GateSettings, notes: list[str]) -> float:
