@@ -44,6 +44,7 @@ ROLES: Mapping[str, Role] = MappingProxyType(
         "yaw_rate": Role("rad/s", "turning rate about the upward axis", lively=True),
         "heading": Role("rad", "direction of travel about the upward axis"),
         "distance": Role("m", "distance travelled"),
+        "stood": Role("s", "how long it had stood when the recording began; one value"),
         "latitude": Role("rad", "latitude, positive north"),
         "longitude": Role("rad", "longitude, positive east"),
         "altitude": Role("m", "height above a fixed level"),

@@ -31,6 +31,7 @@ COLUMNS: Mapping[str, tuple[str, float]] = MappingProxyType(
         "heading_rad": ("heading", 1.0),
         "accel_mps2": ("accel", 1.0),
         "distance_m": ("distance", 1.0),
+        "stood_s": ("stood", 1.0),
         "latitude_deg": ("latitude", DEGREE),
         "latitude_rad": ("latitude", 1.0),
         "longitude_deg": ("longitude", DEGREE),

@@ -85,6 +85,7 @@ def _road(road: RoadVehicle, settings: Settings) -> LoadedBase:
         road.friction_brakes,
         torque_scale=road.torque_shown,
         passenger_kg=settings.passenger_kg,
+        track_width=road.values.get("track_width"),
     )
     return LoadedBase(base, road.title, known, road.surroundings)
 

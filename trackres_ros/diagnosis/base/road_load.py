@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.base import Acting, BaseParameter, Predicted, Remembered, Values
-from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.diagnosis.prepare.session import Session, with_unseen
 from trackres_ros.diagnosis.writing.kept import Kept
 from trackres_ros.diagnosis.writing.vehicle_file import finish, opened, set_quantity
 from trackres_ros.effects.effect import Active, VehicleConstants
 from trackres_ros.effects.sensor.delay import Delay
 from trackres_ros.effects.sensor.torque_gain import TorqueGain
-from trackres_ros.effects.stepping import UNUSABLE, cooled, new_memory, new_work, rest_effects
+from trackres_ros.effects.stepping import DISTANCE, UNUSABLE, cooled, new_memory, new_work, rest_effects
 from trackres_ros.effects.vehicle.drivetrain_efficiency import DrivetrainEfficiency
 from trackres_ros.effects.vehicle.rotating_inertia import RotatingInertia
 from trackres_ros.errors import InputError
@@ -48,6 +48,7 @@ QUANTITIES = {
     "efficiency": Limits("1", 0.75, 1.0, "of the gears between the measured torque and the wheels"),
     "torque_delay": Limits("s", 0.0, 1.0, "by which the measured torque is late"),
     "contact_length": Limits("m", 0.01, 10.0, "length of the ground contact, or the wheelbase of a skid-steered vehicle"),
+    "track_width": Limits("m", 0.02, 10.0, "distance of left from right wheels, as they turn it", optional=True),
     "max_speed": Limits("m/s", 0.1, 100.0, "greatest speed"),
     "ambient": Limits("degC", -60.0, 60.0, "ambient temperature where none is given"),
 }
@@ -156,7 +157,8 @@ class RoadBase:
         """Step through sessions; the torque of each [Nm]."""
         work, memory = new_work(self.facts), new_memory(len(acting.stepped))
         found = []
-        for i, session in enumerate(sessions):
+        for i, (session, unseen) in enumerate(with_unseen(sessions)):
+            far = float(memory[DISTANCE])
             if i > 0 and np.isfinite(session.gap):
                 rest_effects(*acting.table, memory, work, float(session.ambient[0]), session.gap)
             else:
@@ -183,7 +185,10 @@ class RoadBase:
             )
             run_road_load(*acting.table, work, memory, *vehicle, *series, torque, outcome)
             acting.check(outcome == UNUSABLE, session, self.facts)
-            found.append(torque)
+            if unseen:
+                memory[DISTANCE] = far
+            else:
+                found.append(torque)
         return found
 
     def write(self, path: Path, kept: Kept, text: str) -> list[Path]:

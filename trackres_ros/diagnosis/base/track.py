@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.base import Acting, BaseParameter, Predicted, Remembered, Values
-from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.diagnosis.prepare.session import Session, with_unseen
 from trackres_ros.diagnosis.writing.kept import Kept
 from trackres_ros.diagnosis.writing.vehicle_file import rubber_share, write_track_vehicle
 from trackres_ros.effects.effect import Active
-from trackres_ros.effects.stepping import UNUSABLE, new_memory
+from trackres_ros.effects.stepping import DISTANCE, UNUSABLE, new_memory
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.constants import (
     Constants,
@@ -124,8 +124,8 @@ class TrackBase:
         belts, motion = np.empty((len(self._firsts), 2, at.BELT_COLUMNS)), np.empty(at.MOTION_COLUMNS)
         state = Carried(belts, motion, new_memory(len(acting.stepped)))
         found = []
-        for i, session in enumerate(sessions):
-            ambient = float(session.ambient[0])
+        for i, (session, unseen) in enumerate(with_unseen(sessions)):
+            ambient, far = float(session.ambient[0]), float(state.effects[DISTANCE])
             if i == 0 or not np.isfinite(session.gap):
                 COMPILED.start_belts(*arguments, *state, ambient, 0.0)
             else:
@@ -144,7 +144,10 @@ class TrackBase:
             )
             COMPILED.predict_series(*arguments, *state, self._count, *series, rows)
             acting.check(rows[:, PREDICTED_OUTCOME] == UNUSABLE, session, self.facts)
-            found.append(rows)
+            if unseen:
+                state.effects[DISTANCE] = far
+            else:
+                found.append(rows)
         return found
 
     def write(self, path: Path, kept: Kept, text: str) -> list[Path]:

@@ -6,23 +6,27 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from trackres_ros.diagnosis.prepare.altitude import with_slope
+from trackres_ros.diagnosis.prepare.brakes import motor_brakes_alone
 from trackres_ros.diagnosis.prepare.laps import lap_numbers
 from trackres_ros.diagnosis.prepare.refuse import check_speed, long_enough, refuse_overlaps
 from trackres_ros.diagnosis.prepare.resample import resample, step_for
 from trackres_ros.diagnosis.prepare.session import Mask, Session
 from trackres_ros.diagnosis.prepare.settings import STEP_S, GateSettings
-from trackres_ros.diagnosis.prepare.usable import BRAKES_ON, usable
+from trackres_ros.diagnosis.prepare.usable import BRAKES_ON, is_slow, usable
 from trackres_ros.errors import InputError
 from trackres_ros.recording.recording import Recording
 
+Resampled = tuple[Session, Mapping[str, Mask]]
+
 SHORTEST_MOVING_S = 60.0
 LONGEST_BREAK_S = 7 * 86400.0  # between recordings whose clocks run on
+CLOCK_OFF_S = 60.0  # by which a standing time that is given may be shorter than clocks say, and still be the same
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,13 +85,15 @@ def gate(recordings: Sequence[Recording], settings: GateSettings, hide: Sequence
     end_ns: int | None = None
     end_m = 0.0
     refuse_overlaps(recordings, notes)
-    long = long_enough(recordings, left_out, notes)
-    step = step_for(long)
+    admitted = long_enough(recordings, left_out, notes)
+    step = step_for(admitted)
     if step > STEP_S:
         notes.append(f"samples come so slowly that torques are compared as means over {step:.0f} s")
-    for recording in long:
-        session, unknown = resample(recording, step, settings, frozenset(hide), notes)
-        session = replace(session, used=usable(session, unknown, settings, left_out))
+    resampled = [resample(recording, step, settings, frozenset(hide), notes) for recording in admitted]
+    not_recorded = settings.friction_brakes and not all("brake" in session.given for session, _ in resampled)
+    alone = _motor_brakes_alone(resampled, settings, notes) if not_recorded else 0.0
+    for recording, (session, unknown) in zip(admitted, resampled, strict=True):
+        session = replace(session, used=usable(session, unknown, settings, left_out, alone))
         if "brake" in session.given:
             notes.append(_of_brakes(session, unknown[BRAKES_ON], settings))
         session, of_slope = with_slope(session)
@@ -95,8 +101,17 @@ def gate(recordings: Sequence[Recording], settings: GateSettings, hide: Sequence
         notes += [f"{session.name}: {note}" for note in recording.wheel_notes()]
         check_speed(session, settings.max_speed)
         begin_ns = recording.start_ns
-        if end_ns is not None and 0 <= begin_ns - end_ns <= LONGEST_BREAK_S * 1e9 and begin_ns > 0:
-            session = replace(session, gap=(begin_ns - end_ns) * 1e-9)
+        follows = end_ns is not None and 0 <= begin_ns - end_ns <= LONGEST_BREAK_S * 1e9 and begin_ns > 0
+        off = (begin_ns - end_ns) * 1e-9 if end_ns is not None and follows else np.inf
+        stood = _stood(recording, hide)
+        if stood < off - CLOCK_OFF_S:
+            session = replace(session, gap=stood, after_unseen=True)
+            notes.append(
+                f"{session.name}: it had stood for {stood:.0f} s, after a drive that is not among the recordings and is taken to "
+                "have been like this one"
+            )
+        elif follows:
+            session = replace(session, gap=off)
             notes.append(
                 f"{session.name}: goes on {session.gap:.0f} s after the one before; the belt's temperature is carried over"
             )
@@ -129,6 +144,36 @@ def _of_brakes(session: Session, on: Mask, settings: GateSettings) -> str:
         f"{session.name}: brakes on in {braked} s of {driven} s driven; {left} s are left to compare, {braking} of them with a "
         "torque that brakes"
     )
+
+
+def _stood(recording: Recording, hide: Sequence[str]) -> float:
+    """How long it had stood before, as far as that was recorded [s]; infinite where it was not, or longer than counts.
+
+    Raises
+    ------
+    InputError
+        If it is negative.
+    """
+    series = recording.series.get("stood")
+    given = series.value[np.isfinite(series.value)] if series is not None and "stood" not in hide else np.empty(0)
+    if not len(given):
+        return np.inf
+    if given[0] < 0.0:
+        raise InputError(
+            f"{recording.name}: stood", f"{given[0]:g} s", "0 s or more", "give the time since the drive before ended"
+        )
+    return float(given[0]) if given[0] <= LONGEST_BREAK_S else np.inf
+
+
+def _motor_brakes_alone(resampled: Sequence[Resampled], settings: GateSettings, notes: list[str]) -> float:
+    """The torque down to which nothing but the motor brakes [Nm]; adds what was found to the notes."""
+    compared = [~is_slow(session, settings) & ~np.any(list(unknown.values()), axis=0) for session, unknown in resampled]
+    alone = motor_brakes_alone([session for session, _ in resampled], compared)
+    if alone < 0.0:
+        notes.append(
+            f"down to {alone:.0f} Nm the motor brakes alone, as changes of speed show; below it friction brakes may help"
+        )
+    return alone
 
 
 def _listed(left_out: Counter[str]) -> str:

@@ -18,6 +18,7 @@ from trackres_ros.diagnosis.prepare.sampling import LONGEST_HOLD_S, any_from, ca
 from trackres_ros.diagnosis.prepare.session import Array, Course, Mask, Session
 from trackres_ros.diagnosis.prepare.settings import LEAST_SAMPLES, STEP_S, GateSettings
 from trackres_ros.diagnosis.prepare.speed_smoothing import smooth_speed
+from trackres_ros.diagnosis.prepare.turning import turning
 from trackres_ros.diagnosis.prepare.unit_checks import check_speed_unit, check_units
 from trackres_ros.diagnosis.prepare.usable import BRAKES_ON
 from trackres_ros.recording.bindings import TopicBinding
@@ -136,6 +137,12 @@ def resample(
         notes.append(f"{recording.name}: yaw_rate never changes; taken for not recorded")
     if "yaw_rate" in given:
         yaw_rate = means(*ordered(series["yaw_rate"], start), edges)[0]
+    if "yaw_rate" not in given and (made := turning(series, start, edges, speed, settings.slowest, settings.track_width)):
+        known_turns = np.isfinite(made.yaw_rate)
+        if known_turns.mean() > 1.0 - MOST_UNKNOWN:
+            yaw_rate = np.interp(edges[:-1], edges[:-1][known_turns], made.yaw_rate[known_turns])
+            given |= {"yaw_rate"}
+            notes.append(f"{recording.name}: the yaw rate is made of {made.made_of}")
     if "yaw_rate" in given and "heading" not in given:
         heading = np.cumsum(np.nan_to_num(yaw_rate)) * step
         given |= {"heading"}

@@ -5,7 +5,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -58,6 +59,8 @@ class Session:
         Number of the lap, or of the piece, that a sample belongs to; counted through all sessions.
     gap
         Time off since the session before [s]; infinite where the belt starts soaked at the ambient temperature.
+    after_unseen
+        Whether the drive before, `gap` ago, is not among the recordings; it is taken to have been like this one.
     given
         The channels that were measured.
     accel_noise
@@ -98,6 +101,7 @@ class Session:
     used: Mask
     block: NDArray[np.int64]
     gap: float = np.inf
+    after_unseen: bool = False
     given: frozenset[str] = field(default_factory=frozenset)
     torque_course: Course | None = None
     accel_noise: float = 0.0
@@ -125,6 +129,16 @@ class Session:
         """Acceleration [m/s^2] as a mean over `AROUND` steps, in which errors of the speed at the edges of a step cancel."""
         inside = np.convolve(np.ones(len(self)), np.ones(AROUND), mode="same")
         return np.asarray(np.convolve(self.accel, np.ones(AROUND), mode="same") / inside)
+
+
+def with_unseen(sessions: Sequence[Session]) -> Iterator[tuple[Session, bool]]:
+    """Sessions to step through one after the other, with the drives before them that are not among them; and whether it is one
+    of those.
+    """
+    for session in sessions:
+        if session.after_unseen:
+            yield replace(session, gap=np.inf, after_unseen=False), True
+        yield session, False
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,6 +32,8 @@ class GateSettings:
         Least and most times the expected torque that the file allows to be shown.
     passenger_kg
         Mass of a passenger [kg].
+    track_width
+        Distance of left from right wheels [m]; None where the file does not say.
     """
 
     weight: float
@@ -42,6 +44,7 @@ class GateSettings:
     motor_ratio: float | None = None
     torque_scale: tuple[float, float] = (1.0, 1.0)
     passenger_kg: float = PASSENGER_KG
+    track_width: float | None = None
 
     @property
     def slowest(self) -> float:

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from trackres_ros.diagnosis.prepare.brakes import near
 from trackres_ros.diagnosis.prepare.session import Array, Mask, Session
 from trackres_ros.diagnosis.prepare.settings import GateSettings
 
@@ -18,7 +19,9 @@ SAME_SHARE = 1e-9  # of the largest torque: a difference that rounding makes
 BRAKING_MPS2 = -0.5  # with a torque that does not drive: friction brakes may be at work
 
 
-def usable(session: Session, unknown: Mapping[str, Mask], settings: GateSettings, left_out: Counter[str]) -> Mask:
+def usable(
+    session: Session, unknown: Mapping[str, Mask], settings: GateSettings, left_out: Counter[str], alone: float = 0.0
+) -> Mask:
     """Steps in which the torque may be compared.
 
     Parameters
@@ -29,16 +32,18 @@ def usable(session: Session, unknown: Mapping[str, Mask], settings: GateSettings
         Steps in which something needed was not measured, each of shape (n,), by reason.
     settings
         Of the vehicle.
+    alone
+        Torque [Nm], zero or negative, down to which nothing but the motor brakes.
     left_out
         Counts the seconds that are not used under the first reason that holds.
     """
     used = np.ones(len(session), dtype=bool)
     braking = (session.accel < BRAKING_MPS2) & (session.torque <= 0.0)
     if settings.friction_brakes:  # used together with a torque that brakes, and for a moment after it
-        braking = np.convolve(session.torque <= 0.0, np.ones(3), mode="same") > 0
+        braking = near(session.torque < alone if alone < 0.0 else session.torque <= 0.0)
     if "brake" in session.given:  # what brakes beside the torque is known
         braking = np.zeros(len(session), dtype=bool)
-    slow = np.abs(session.speed) < settings.slowest
+    slow = is_slow(session, settings)
     stuck = _stuck(session.torque, session.step, ~slow)
     braked = unknown.get(BRAKES_ON, np.zeros(len(session), dtype=bool))
     for reason, bad in (
@@ -51,6 +56,11 @@ def usable(session: Session, unknown: Mapping[str, Mask], settings: GateSettings
         left_out[reason] += round(int((used & bad).sum()) * session.step)
         used &= ~bad
     return used
+
+
+def is_slow(session: Session, settings: GateSettings) -> Mask:
+    """Steps in which friction may be static."""
+    return np.asarray(np.abs(session.speed) < settings.slowest)
 
 
 def _stuck(torque: Array, step: float, moving: Mask, longest_s: float = 30.0) -> Mask:

@@ -10,6 +10,8 @@ import math
 from trackres_ros.effects.effect import Conditions, Effect, Lag, Parameter, Terms, Values
 
 REFERENCE_DEGC = 20.0
+MOVING_MPS = 0.3
+SLOWER_AT_REST = 4.0  # film of McAdams, 5.9 + 3.7 v W/(m^2 K), and 5 of radiation: 48 at 10 m/s, 11 at rest
 
 
 class ViscousBearing(Effect):
@@ -24,11 +26,12 @@ class ViscousBearing(Effect):
         Parameter("coefficient", "Nm/(m/s)^(2/3)", 0.0, 400.0, 54.0, "drag at 20 degC", off=0.0, of_size=True),
         Parameter("thinning", "1/K", 0.03, 0.07, 0.05, "fall of viscosity with temperature"),
         Parameter("rise", "K/(m/s)", 0.0, 5.0, 1.5, "warming of the bearing with speed", more_starts=(0.2,)),
-        Parameter("time_constant", "s", 200.0, 4000.0, 1000.0, "of the bearing's temperature"),
+        Parameter("time_constant", "s", 200.0, 4000.0, 1000.0, "of the bearing's temperature while driving"),
     )
 
     def lag(self, at: Conditions, p: Values) -> Lag:
-        return Lag(at.ambient + p.rise * abs(at.speed), p.time_constant, at.ambient)
+        slower = 1.0 if abs(at.speed) > MOVING_MPS else SLOWER_AT_REST
+        return Lag(at.ambient + p.rise * abs(at.speed), slower * p.time_constant, at.ambient)
 
     def terms(self, at: Conditions, p: Values) -> Terms:
         thinned = math.exp(-p.thinning * (at.own - REFERENCE_DEGC))

@@ -19,15 +19,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.diagnosis.prepare.turning import EARTH_RADIUS_M
 from trackres_ros.recording.slopes import slopes
 from trackres_ros.units import KMH_PER_MPS
 
 Array = NDArray[np.float64]
 
 FINAL_DRIVE = 9.665
-CLIPPED_NM = -80.0  # of the motor: below it the torques of motor and friction brakes cannot be separated
+SECONDS_PER_H = 3600.0
 SLOWEST_MPS, YAW_OVER_S = 0.1, 0.5
 NM_PER_A = 1.0  # assumed: what is found of the robots is in units of it
+POSITION = {"latitude_deg": "y", "longitude_deg": "x"}
 RADIUS_M = {"husky": 0.159, "warthog": 0.3}
 OF_CAR = ("Time [s]", "Velocity [km/h]", "Elevation [m]", "Motor Torque [Nm]", "Ambient Temperature")
 
@@ -39,7 +41,9 @@ def trips(data: Path) -> dict[str, dict[str, str]]:
 
 
 def car(data: Path, name: str, folder: Path, clock: bool = True) -> Path:
-    """Write one trip of the car: torque at the wheels, elevation as a slope; without `clock` it begins at 0 s."""
+    """Write one trip of the car: torque at the wheels, elevation as a slope, and how long it had stood; without `clock` it begins
+    at 0 s and that is not known.
+    """
     text = gzip.decompress((data / "bmw_i3" / f"{name}.csv.gz").read_bytes()).decode("latin-1")
     header, *lines = [line.split(";") for line in text.splitlines()]
     place = [next(i for i, column in enumerate(header) if column.startswith(title)) for title in OF_CAR]
@@ -49,13 +53,16 @@ def car(data: Path, name: str, folder: Path, clock: bool = True) -> Path:
     _, first = np.unique(table[:, 0], return_index=True)
     time, kmh, height, torque, ambient = table[first].T
     speed = kmh / KMH_PER_MPS
-    start = datetime.fromisoformat(trips(data)[name]["start_local"]).replace(tzinfo=UTC).timestamp() if clock else 0.0
+    trip = trips(data)[name]
+    start = datetime.fromisoformat(trip["start_local"]).replace(tzinfo=UTC).timestamp() if clock else 0.0
+    stood_s = SECONDS_PER_H * float(trip["hours_since_previous_trip_ended"] or "nan") if clock else np.nan
     columns = {
         "time_s": start + time,
         "speed_mps": speed,
-        "torque_nm": np.where(torque < CLIPPED_NM, np.nan, torque * FINAL_DRIVE),
+        "torque_nm": torque * FINAL_DRIVE,
         "ambient_degc": ambient,
         "grade": slopes(time, speed, height).value,
+        "stood_s": np.full(len(time), stood_s),
     }
     return _write(folder / f"{name}.csv", columns)
 
@@ -63,8 +70,8 @@ def car(data: Path, name: str, folder: Path, clock: bool = True) -> Path:
 def robot(data: Path, name: str, folder: Path) -> Path:
     """Write one recording of a skid-steered robot.
 
-    Its sides turn unalike: the torque is the power of both sides' currents over the mean speed. The yaw rate is that of
-    the laser scans' position, as one of the robots records no gyroscope.
+    Its sides turn unalike: the torque is the power of both sides' currents over the mean speed. Heading and yaw rate are those
+    of the laser scans' position, as one of the robots records no gyroscope; the position is given as if about the equator.
     """
     text = gzip.decompress((data / "husky_warthog" / f"{name}.csv.gz").read_bytes()).decode()
     rows = list(csv.DictReader(io.StringIO(text)))
@@ -75,12 +82,13 @@ def robot(data: Path, name: str, folder: Path) -> Path:
     time = column("ros_time") * 1e-9
     there = np.concatenate(([False], np.diff(time) > 0.0)) & (time > 1.0)
     radius = RADIUS_M[name.partition("_")[0]]
-    power, mean = np.zeros(len(rows)), np.zeros(len(rows))
+    power, mean, rims = np.zeros(len(rows)), np.zeros(len(rows)), {}
     signed = float(np.nanmin(column("left_wheel_current"))) < -1.0
     for side in ("left", "right"):
         speed, current = radius * column(f"meas_{side}_vel"), column(f"{side}_wheel_current")
         power += current * (speed if signed else np.abs(speed))
         mean += 0.5 * speed
+        rims[side] = speed
     moving = np.abs(mean) > SLOWEST_MPS
     yaw = np.unwrap(2.0 * np.arctan2(column("icp_quat_z"), column("icp_quat_w"))[there])
     at = time[there]
@@ -90,6 +98,9 @@ def robot(data: Path, name: str, folder: Path) -> Path:
         "speed_mps": mean[there],
         "torque_nm": np.where(moving, NM_PER_A * power / np.where(moving, mean, 1.0), np.nan)[there],
         "yaw_rate_radps": (after - before) / YAW_OVER_S,
+        "heading_rad": yaw,
+        **{name: np.degrees(column(f"icp_pos_{axis}")[there] / EARTH_RADIUS_M) for name, axis in POSITION.items()},
+        **{f"wheel_speed_mps/{side}": rim[there] for side, rim in rims.items()},
     }
     return _write(folder / f"{name}.csv", columns)
 
@@ -100,5 +111,5 @@ def _write(path: Path, columns: Mapping[str, Array]) -> Path:
     with path.open("w", encoding="utf-8") as file:
         file.write(",".join(columns) + "\n")
         for row in rows:
-            file.write(",".join("" if np.isnan(x) else f"{x:.6f}" for x in row) + "\n")
+            file.write(",".join("" if np.isnan(x) else repr(float(x)) for x in row) + "\n")
     return path

@@ -27,6 +27,8 @@ AIR = "ambient temperature"
 NOTHING: frozenset[str] = frozenset()
 HILLY = ("TripA06", "TripA07", "TripA11", "TripA12")
 TWICE = ("TripB16", "TripB17")
+BUT_WHEELS = ("yaw_rate", "heading", "latitude", "longitude")
+SHOWS_TURNING = (*BUT_WHEELS, "wheel_speed")
 COLD_S = 180.0
 COLD_AFTER_H = 5.0
 EVERY_M, SMOOTHED = 50.0, 5
@@ -112,7 +114,9 @@ def try_all(data: Path, folder: Path) -> list[FieldTrial]:
         FieldTrial("car, hilly trips A06, A07, A11, A12", "elevation", UPHILL, NOTHING, of_car(HILLY, ["grade"])),
         FieldTrial("the same", "nothing", NOTHING, UPHILL, of_car(HILLY, [])),
         FieldTrial("car, one route twice, B16 and B17", "elevation", NOTHING, UPHILL, of_car(TWICE, ["grade"])),
-        FieldTrial("robot on wet grass", "yaw rate", NOTHING, TURNING, of_robot("husky_wetgrass", ["yaw_rate"])),
+        FieldTrial("robot on wet grass", "all that shows turning", NOTHING, TURNING, of_robot("husky_wetgrass", SHOWS_TURNING)),
+        FieldTrial("the same", "yaw rate, heading, position", TURNING, NOTHING, of_robot("husky_wetgrass", BUT_WHEELS)),
+        FieldTrial("the same", "yaw rate", TURNING, NOTHING, of_robot("husky_wetgrass", SHOWS_TURNING[:1])),
         FieldTrial("the same", "nothing that the base has", TURNING, NOTHING, of_robot("husky_wetgrass")),
         FieldTrial("robot, wheels off the ground", "nothing", NOTHING, TURNING, of_robot("husky_avide2")),
     ]  # fmt: skip

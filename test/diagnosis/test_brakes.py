@@ -1,0 +1,80 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Friction brakes of which nothing is recorded: what the motor brakes alone is compared, what they help with is not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from trackres_ros.diagnosis import load_base, read_recordings
+from trackres_ros.diagnosis.prepare.brakes import motor_brakes_alone
+from trackres_ros.diagnosis.prepare.gate import gate
+from trackres_ros.evaluation.synthetic import drives
+
+NOISE_NM = 6.0
+
+
+@pytest.fixture(scope="module")
+def loaded():
+    return load_base("bmw_i3")
+
+
+def found(loaded, motor, seed=1):
+    """The torque down to which a motor brakes alone that takes a share of the torques of drives; `motor` says which."""
+    rng = np.random.default_rng(seed)
+    sessions = drives(loaded.base, 30.0, 3, 15.0, rng, step=1.0)
+    values = {q.name: q.nominal for q in loaded.base.parameters}
+    torques = [p.torque for p in loaded.base.predict(sessions, values, ())]
+    shown = [replace(s, torque=motor(t, rng) + rng.normal(0.0, NOISE_NM, len(t))) for s, t in zip(sessions, torques, strict=True)]
+    return motor_brakes_alone(shown, [np.abs(s.speed) > 0.5 for s in shown]), min(t.min() for t in torques)
+
+
+@pytest.mark.parametrize("most", [50.0, 80.0])
+def test_a_motor_at_its_limit_is_told_from_one_that_brakes_alone(loaded, most):
+    alone, _ = found(loaded, lambda torque, _: np.maximum(torque, -most))
+    assert -most - 2.0 * NOISE_NM < alone < -0.5 * most
+
+
+def test_without_friction_brakes_all_of_the_braking_is_the_motors(loaded):
+    alone, least = found(loaded, lambda torque, _: torque)
+    assert alone < 0.9 * least
+
+
+def test_brakes_that_always_take_half_leave_nothing_to_compare(loaded):
+    alone, least = found(loaded, lambda torque, _: np.where(torque < 0.0, 0.5 * torque, torque))
+    assert alone > 0.35 * least
+
+
+def test_brakes_that_are_used_now_and_then_at_any_torque_leave_nothing_to_compare(loaded):
+    def now_and_then(torque, rng):
+        return np.where((torque < 0.0) & (rng.random(len(torque)) < 0.4), 0.0, torque)
+
+    alone, least = found(loaded, now_and_then)
+    assert alone > 0.2 * least
+
+
+def test_too_little_driving_tells_nothing(loaded):
+    rng = np.random.default_rng(1)
+    (session,) = drives(loaded.base, 30.0, 1, 4.0, rng, step=1.0)
+    session = replace(session, torque=rng.normal(0.0, 100.0, len(session)))
+    assert motor_brakes_alone([session], [np.abs(session.speed) > 0.5]) == 0.0
+
+
+@pytest.mark.parametrize("brakes", [True, False])
+def test_the_gate_says_down_to_where_it_compares(loaded, tmp_path, brakes):
+    rng = np.random.default_rng(2)
+    (session,) = drives(loaded.base, 30.0, 1, 30.0, rng, step=1.0)
+    torque = loaded.base.predict([session], {q.name: q.nominal for q in loaded.base.parameters}, ())[0].torque
+    shown = np.maximum(torque, -80.0) + rng.normal(0.0, NOISE_NM, len(torque))
+    path = tmp_path / "drive.csv"
+    rows = np.column_stack([session.time, session.speed, shown])
+    np.savetxt(path, rows, delimiter=",", header="time_s,speed_mps,torque_nm", comments="", fmt="%.6f")
+    gated = gate(read_recordings([path], None), replace(loaded.known, friction_brakes=brakes))
+    assert any("the motor brakes alone" in note for note in gated.notes) == brakes
+    (session,) = gated.sessions
+    compared = session.torque[session.used & (np.abs(session.speed) > 1.0)]
+    assert (compared < -20.0).sum() > 50
+    if brakes:
+        assert (compared > -80.0 - 2.0 * NOISE_NM).all()

@@ -1,0 +1,98 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""A yaw rate that was not recorded is made of heading, wheel speeds or positions, and it is that of the drive."""
+
+import numpy as np
+import pytest
+
+from trackres_ros.diagnosis import read_recordings
+from trackres_ros.diagnosis.prepare.gate import gate
+from trackres_ros.diagnosis.prepare.settings import GateSettings
+from trackres_ros.diagnosis.prepare.turning import EARTH_RADIUS_M, turning
+from trackres_ros.recording.samples import Series
+
+STEP_S, RATE_HZ = 1.0, 10.0
+WIDTH_M = 1.5
+
+
+def drive(seconds=300.0, noise_m=0.0, seed=1):
+    """Times, speed, yaw rate, heading and positions of a drive with bends and a stop."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, seconds, 1.0 / RATE_HZ)
+    speed = 8.0 + 2.0 * np.sin(time / 23.0)
+    speed[(time > 100.0) & (time < 120.0)] = 0.0
+    yaw = np.where(speed > 0.0, 0.15 * np.sin(time / 11.0) + 0.05, 0.0)
+    heading = np.cumsum(yaw) / RATE_HZ
+    x, y = (np.cumsum(speed * f(heading)) / RATE_HZ + rng.normal(0.0, noise_m, len(time)) for f in (np.cos, np.sin))
+    return time, speed, yaw, heading, x, y
+
+
+def series(time, value):
+    stamps = (time * 1e9).astype(np.int64)
+    return Series(stamps, stamps, np.asarray(value, dtype=float))
+
+
+def made(time, speed, yaw, of, width=None):
+    """What is made of series, and the true means over steps."""
+    edges = np.arange(0.0, time[-1], STEP_S)
+    over = [np.diff(np.interp(edges, time, np.concatenate(([0.0], np.cumsum(z[:-1])))) / RATE_HZ) / STEP_S for z in (speed, yaw)]
+    return turning({role: series(time, z) for role, z in of.items()}, 0, edges, over[0], 0.3, width), over[1], over[0]
+
+
+def wheels(speed, yaw):
+    return {"wheel_speed/front_left": speed - 0.5 * WIDTH_M * yaw, "wheel_speed/front_right": speed + 0.5 * WIDTH_M * yaw}
+
+
+def test_a_heading_that_jumps_at_pi_gives_the_yaw_rate():
+    time, speed, yaw, heading, *_ = drive()
+    found, true, _ = made(time, speed, yaw, {"heading": np.angle(np.exp(1j * heading))})
+    assert found.made_of == "heading"
+    known = np.isfinite(found.yaw_rate)
+    assert known.mean() > 0.98
+    np.testing.assert_allclose(found.yaw_rate[known], true[known], atol=0.012)
+
+
+def test_wheel_speeds_give_it_where_the_track_width_is_known():
+    time, speed, yaw, *_ = drive()
+    found, true, _ = made(time, speed, yaw, wheels(speed, yaw), WIDTH_M)
+    np.testing.assert_allclose(found.yaw_rate, true, atol=0.012)
+    assert made(time, speed, yaw, wheels(speed, yaw))[0] is None
+
+
+def test_positions_give_it_where_the_vehicle_moves():
+    time, speed, yaw, _, x, y = drive(noise_m=0.02)
+    positions = {"latitude": 0.8 + y / EARTH_RADIUS_M, "longitude": 0.2 + x / EARTH_RADIUS_M / np.cos(0.8)}
+    found, true, over = made(time, speed, yaw, positions)
+    known = np.isfinite(found.yaw_rate)
+    assert 0.8 < known.mean() < 0.97
+    assert not known[over < 0.1].any()
+    assert np.sqrt(np.mean((found.yaw_rate - true)[known] ** 2)) < 0.02
+
+
+def test_positions_that_scatter_too_much_give_none():
+    time, speed, yaw, _, x, y = drive(noise_m=8.0)
+    assert made(time, speed, yaw, {"latitude": y / EARTH_RADIUS_M, "longitude": x / EARTH_RADIUS_M})[0] is None
+
+
+def test_a_heading_with_gaps_is_not_known_in_them():
+    time, speed, yaw, heading, *_ = drive()
+    away = (time > 50.0) & (time < 60.0)
+    found, *_ = made(time, speed, yaw, {"heading": np.where(away, np.nan, heading)})
+    assert np.isnan(found.yaw_rate[51:59]).all()
+    assert np.isfinite(found.yaw_rate[:49]).all()
+
+
+@pytest.mark.parametrize("recorded", [True, False])
+def test_the_gate_makes_one_only_where_none_was_recorded(tmp_path, recorded):
+    time, speed, yaw, heading, *_ = drive()
+    columns = {"time_s": time, "speed_mps": speed, "torque_nm": 20.0 + 100.0 * np.gradient(speed, time), "heading_rad": heading}
+    columns |= {"yaw_rate_radps": 2.0 * yaw} if recorded else {}
+    path = tmp_path / "drive.csv"
+    np.savetxt(path, np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns), comments="")
+    gated = gate(read_recordings([path], None), GateSettings(700.0, 20.0, 15.0, False))
+    (session,) = gated.sessions
+    said = [note for note in gated.notes if "the yaw rate is made of heading" in note]
+    assert len(said) == (0 if recorded else 1)
+    expected = np.interp(session.time + 0.5, time, yaw) * (2.0 if recorded else 1.0)
+    assert np.abs(session.yaw_rate - expected)[1:-1].max() < 0.02 * (2.0 if recorded else 1.0)

@@ -1,0 +1,85 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Finds down to which torque a motor brakes alone, where nothing is recorded of the friction brakes that help it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from trackres_ros.diagnosis.prepare.session import Array, Mask, Session
+from trackres_ros.units import GRAVITY, MAD_TO_STD
+
+FEWEST_DRIVING = 300  # steps
+FEWEST_OF_A_LEVEL, LEVELS = 40, 25
+ROBUST_TURNS, OUTLIER = 10, 1.5  # Huber's
+FAR_STDS = 4.0  # of driving steps: so much more a brake takes than is explained
+MOST_FAR = 0.1  # of the steps of a level, beyond those of driving; a few strays the noise of a fit bears
+MOST_LOST = 0.2  # of a braking torque: gears that lose a tenth, there and back
+
+
+def motor_brakes_alone(sessions: Sequence[Session], compared: Sequence[Mask]) -> float:
+    """The torque [Nm], zero or negative, down to which nothing but the motor brakes; zero where that does not show.
+
+    Parameters
+    ----------
+    sessions
+        Of one vehicle.
+    compared
+        Steps of each in which speed and torque are known and it moves.
+
+    Notes
+    -----
+    What driving steps take hangs on speed, acceleration and slope. Where friction brakes help, a vehicle slows down by more
+    than that says of its torque: by far more in some steps of a level of torque, or a little in all of them. Braking steps
+    are looked at level by level, from the least torque on, up to the first level where either shows.
+    """
+    torque, columns = (np.concatenate(rows) for rows in zip(*map(_rows, sessions, compared), strict=True))
+    drives = np.concatenate([~near(s.torque <= 0.0)[m] for s, m in zip(sessions, compared, strict=True)])
+    if drives.sum() < FEWEST_DRIVING:
+        return 0.0
+    values = _robust(columns[drives], torque[drives])
+    left = torque - columns @ values
+    middle = float(np.median(left[drives]))
+    std = MAD_TO_STD * float(np.median(np.abs(left[drives] - middle)))
+    usual = float((left[drives] > middle + FAR_STDS * std).mean())
+    brakes = np.flatnonzero(torque <= 0.0)
+    order = brakes[np.argsort(-torque[brakes])]
+    alone = 0.0
+    for level in np.array_split(order, max(1, min(LEVELS, len(order) // FEWEST_OF_A_LEVEL))):
+        if len(level) < FEWEST_OF_A_LEVEL:
+            break
+        of_level = float(np.median(left[level]))
+        far = float((left[level] > of_level + FAR_STDS * std).mean())
+        if far > usual + MOST_FAR or of_level - middle > std + MOST_LOST * abs(float(np.median(torque[level]))):
+            break
+        alone = float(torque[level[-1]])
+    return alone
+
+
+def near(steps: Mask) -> Mask:
+    """Steps and those beside them."""
+    return np.asarray(np.convolve(steps, np.ones(3), mode="same") > 0)
+
+
+def _rows(session: Session, compared: Mask) -> tuple[Array, Array]:
+    """The torque, and what it may hang on."""
+    v, weight = session.speed, session.weight
+    of_mass = weight * (session.accel / GRAVITY)
+    columns = (weight * np.sign(v), weight * v, v * np.abs(v), of_mass, weight * np.nan_to_num(session.grade))
+    return session.torque[compared], np.column_stack(columns)[compared]
+
+
+def _robust(columns: Array, y: Array) -> Array:
+    """Least squares in which samples far from the rest count less; columns may hang together."""
+    scale = np.maximum(np.abs(columns).max(axis=0), 1e-12)
+    weight = np.ones(len(y))
+    values = np.zeros(columns.shape[1])
+    for _ in range(ROBUST_TURNS):
+        root = np.sqrt(weight)
+        values = np.linalg.lstsq(columns / scale * root[:, np.newaxis], y * root, rcond=None)[0] / scale
+        left = np.abs(y - columns @ values)
+        weight = np.minimum(1.0, OUTLIER * MAD_TO_STD * float(np.median(left)) / np.maximum(left, 1e-12))
+    return values
