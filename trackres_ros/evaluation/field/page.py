@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,19 @@ from scipy.stats import spearmanr
 from trackres_ros.diagnosis.findings.locate import evenly_filled
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.selection.intervals import NORMAL_95
-from trackres_ros.evaluation.field.run import COLD_AFTER_H, COLD_S, FieldTrial, RepeatedRoute, Start, acts_early, starts, twice
+from trackres_ros.evaluation.field.data import SECONDS_PER_H
+from trackres_ros.evaluation.field.run import (
+    COLD_AFTER_H,
+    COLD_S,
+    TURNING,
+    FieldTrial,
+    RepeatedRoute,
+    Start,
+    acts_early,
+    starts,
+    twice,
+)
+from trackres_ros.evaluation.field.warmth import WANTED_RANK, Pooled, pool, start_states, warming
 from trackres_ros.output.plots import BLUE, GREY, ORANGE, VERMILION, picture
 from trackres_ros.text.numbers import decimals
 
@@ -25,16 +38,19 @@ EARLY_S, BIN_S = 900.0, 60.0
 YAW_BINS = 16
 LEAST_SHOWN_H = 0.03  # on an axis of logarithms, for a trip that began as the one before ended
 SIGNIFICANT = 0.05
-SETTLED_STD = 0.5  # of a start state: a less certain one is not used
+SETTLED_STD = 1.0  # of a start state: a less certain one is not used
 
 
 def write_page(data: Path, tried: Sequence[FieldTrial], folder: Path, of_pictures: str = "") -> str:
     """Draw the pictures into a folder and give the page, whose links to them begin with `of_pictures`."""
     winter = tried[0]
     route = next(t for t in tried if "twice" in t.what)
-    grass = next(t for t in tried if "yaw_rate" in t.found.sessions[0].given)
+    grass = next(t for t in tried if t.wanted == TURNING and t.hidden.startswith("nothing"))
     begun, repeated = starts(data, winter), twice(route)
-    _draw_starts(folder / "starts.png", winter, begun)
+    states = start_states(warming(tried[1].found.refitted), [SECONDS_PER_H * s.stood_h for s in begun])
+    together = pool(states, np.random.default_rng(1))
+    begun = [replace(s, state=float(x), std=float(d)) for s, x, d in zip(begun, states.alone, states.alone_std, strict=True)]
+    _draw_starts(folder / "starts.png", winter, begun, together)
     _draw_twice(folder / "twice.png", route, repeated)
     _draw_turning(folder / "turning.png", grass)
     lines = [
@@ -47,7 +63,7 @@ def write_page(data: Path, tried: Sequence[FieldTrial], folder: Path, of_picture
         lines.append(f"| {t.what} | {t.hidden} | {named} | {mae['refitted']:.3g}, {mae['with_effects']:.3g} | {t.outcome} |")
     lines += ["", "The verdicts, word for word:", ""]
     lines += [f"- {t.what}, without {t.hidden}: {t.found.verdict.sentence}" for t in tried]
-    lines += ["", "## The car's starts, unsealed", "", *_starts(begun), _where(tried[1], begun), ""]
+    lines += ["", "## The car's starts, unsealed", "", *_starts(begun, together), _where(tried[1], begun), ""]
     lines += [
         f"![Torque that the re-fitted base lacks over the time since the start, and start states.]({of_pictures}starts.png)",
         "",
@@ -59,10 +75,11 @@ def write_page(data: Path, tried: Sequence[FieldTrial], folder: Path, of_picture
     return "\n".join(lines) + "\n"
 
 
-def _starts(begun: Sequence[Start]) -> list[str]:
+def _starts(begun: Sequence[Start], together: Pooled) -> list[str]:
     lines = [
-        "The start state of each trip is fitted to that trip alone, with what was named: 0 as warm as after a long drive, 1 as "
-        "cold as the common fit has every trip begin, for it knows neither standing time nor air.",
+        "The start state of each trip is fitted to that trip alone, with a warm-up that knows the clocks: 0 as warm as after a "
+        "drive like it, 1 as cold as it can be. How sure it is comes from the same sum over what is left ten minutes and more "
+        "after a start, when there is nothing to warm up.",
         "",
         "| Trip | Stood [h] | Ambient [degC] | Lacks in the first three minutes [Nm] | Start state |",
         "|---|---|---|---|---|",
@@ -71,22 +88,21 @@ def _starts(begun: Sequence[Start]) -> list[str]:
         f"| {s.trip} | {s.stood_h:.1f} | {s.ambient:g} | {decimals(s.lacks)} | {decimals(s.state, 2)} +- {decimals(s.std, 2)} |"
         for s in sorted(begun, key=lambda s: -s.stood_h)
     ]
-    lacks = np.array([s.lacks for s in begun])
-    state, weight = np.array([s.state for s in begun]), np.array([s.std for s in begun]) ** -2.0
-    cold = np.array([s.cold for s in begun])
-    of_mean = (
-        f"After a night or a day ({COLD_AFTER_H:g} h and more) the first three minutes lack {np.nanmean(lacks[cold]):.0f} Nm, "
-        f"after a short stop {np.nanmean(lacks[~cold]):.0f} Nm."
-    )
-    if not np.isfinite(state).all():
-        return [*lines, "", f"{of_mean} Nothing that warms up was named, so there are no start states."]
-    means = [float(np.average(state[at], weights=weight[at])) for at in (cold, ~cold)]
-    stds = [float(weight[at].sum() ** -0.5) for at in (cold, ~cold)]
+    lacks, cold = np.array([s.lacks for s in begun]), np.array([s.cold for s in begun])
+    low, high = (f"{x / SECONDS_PER_H:.2g}" for x in (together.low_s, together.high_s))
     return [
         *lines,
         "",
-        f"{of_mean} The start states are {means[0]:.2f} +- {stds[0]:.2f} and "
-        f"{means[1]:.2f} +- {stds[1]:.2f} (one standard deviation of their weighted means). {_ranks(begun)}",
+        f"After a night or a day ({COLD_AFTER_H:g} h and more) the first three minutes lack {np.nanmean(lacks[cold]):.0f} Nm, "
+        f"after a short stop {np.nanmean(lacks[~cold]):.0f} Nm. {_ranks(begun)}",
+        "",
+        "All trips together, with one time constant of cooling at rest and a spread of start states about what the standing time "
+        f"says: {together.time_constant_s / SECONDS_PER_H:.2g} h [{low}, {high}], "
+        + ("within" if together.settled else "open to one end of")
+        + f" what was tried; the spread is {together.spread:.2g}, and start states fitted so have a rank correlation of "
+        f"{together.rank_together:.2f} with the standing time, as they are drawn towards it. Standing times given to the "
+        f"trips at random say as much in {together.chance:.1%} of draws. Were all of this true, the states fitted alone would "
+        f"reach a rank correlation of {WANTED_RANK:g} in {together.reached:.0%} of winters like this one.",
     ]
 
 
@@ -102,7 +118,7 @@ def _where(known: FieldTrial, begun: Sequence[Start]) -> str:
 
 
 def _ranks(begun: Sequence[Start]) -> str:
-    sure = [s for s in begun if s.std < SETTLED_STD]
+    sure = [s for s in begun if s.std < SETTLED_STD and np.isfinite(s.state)]
     if len(sure) < 4:
         return "Too few of them are sure enough to be ranked."
     stood = spearmanr([s.stood_h for s in sure], [s.state for s in sure])
@@ -141,7 +157,7 @@ def _over_time(fit: Fit, sessions: Sequence[int]) -> tuple[Array, Array]:
     return np.asarray((np.arange(len(means)) + 0.5) * BIN_S / 60.0), np.where(count > 0, means, np.nan)
 
 
-def _draw_starts(path: Path, winter: FieldTrial, begun: Sequence[Start]) -> None:
+def _draw_starts(path: Path, winter: FieldTrial, begun: Sequence[Start], together: Pooled) -> None:
     cold = [i for i, s in enumerate(begun) if s.cold]
     warm = [i for i, s in enumerate(begun) if not s.cold]
     with picture(path, 9.0, 3.4) as figure:
@@ -158,6 +174,10 @@ def _draw_starts(path: Path, winter: FieldTrial, begun: Sequence[Start]) -> None
             right.errorbar(
                 max(s.stood_h, LEAST_SHOWN_H), s.state, yerr=NORMAL_95 * s.std, fmt="o", markersize=4, color=colour, linewidth=1.0
             )
+        hours = np.geomspace(LEAST_SHOWN_H, max(s.stood_h for s in begun), 100)
+        says = together.height * -np.expm1(-hours * SECONDS_PER_H / together.time_constant_s)
+        right.plot(hours, says, color=GREY, label="all together")
+        right.legend()
         right.set_xscale("log")
         right.set_xlabel("time it had stood [h]")
         right.set_ylabel("start state, 0 warm, 1 cold (95 %)")

@@ -1,0 +1,181 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""How cold each of several drives began: fitted to each alone, and all together with one time constant of cooling at rest."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import spearmanr
+
+from trackres_ros.diagnosis.inference.fitting import Fit, fit
+from trackres_ros.diagnosis.inference.levels import with_levels
+from trackres_ros.effects.vehicle.warmup import WarmUp
+from trackres_ros.units import MAD_TO_STD
+
+Array = NDArray[np.float64]
+
+SHORTEST_S, LONGEST_S, CONSTANTS = 60.0, 4e5, 40  # time constants of cooling at rest that are tried
+SPREADS = np.concatenate(([0.0], np.geomspace(0.05, 2.0, 20)))  # standard deviations of start states about what standing says
+DRAWS = 500
+NEAR_BEST = 1.92  # in log-likelihood: 95 % of one parameter
+WARM_AFTER_S = 600.0
+EVERY_STEPS, FEWEST_APART = 60, 10  # between what is looked at of warm driving
+LEAST_KNOWN = 0.2  # of a shape's square
+OUTLIER = 4.0  # standard deviations
+SURE_STD = 1.0  # of a start state: a less certain one is of a drive whose beginning could hardly be compared
+
+
+@dataclass(frozen=True, eq=False)
+class Starts:
+    """Start states of drives, 0 as warm as after a drive like it, 1 as cold as the ambient; arrays of shape (drives,).
+
+    Attributes
+    ----------
+    alone, alone_std
+        Fitted to each drive alone.
+    stood_s
+        How long it had stood.
+    """
+
+    alone: Array
+    alone_std: Array
+    stood_s: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Pooled:
+    """Start states of drives together: A (1 - exp(-stood / tau)), with a spread about it.
+
+    Attributes
+    ----------
+    time_constant_s, low_s, high_s
+        tau, and its interval of 95 %; at an end of what was tried it is open.
+    height, spread
+        A, and the standard deviation of start states about what the standing time says.
+    state, std
+        What each drive and the others together say of its start state.
+    rank_alone, rank_together
+        Rank correlation of the standing time with the start states, fitted alone and together.
+    chance
+        How often standing times given to the drives at random say as much of the start states.
+    reached
+        How often the rank correlation of states fitted alone would reach 0.6 if all that is said here were true.
+    """
+
+    time_constant_s: float
+    low_s: float
+    high_s: float
+    height: float
+    spread: float
+    state: Array
+    std: Array
+    rank_alone: float
+    rank_together: float
+    chance: float
+    reached: float
+
+    @property
+    def settled(self) -> bool:
+        """Whether the time constant lies within what was tried, and not at an end."""
+        return self.low_s > SHORTEST_S and self.high_s < LONGEST_S
+
+
+WANTED_RANK = 0.6
+
+
+def warming(refitted: Fit) -> Fit:
+    """A re-fitted base with a warm-up, whatever was named, and values by levels."""
+    base = refitted.problem.base
+    effect = WarmUp().for_size(base.facts.weight * base.facts.radius, not base.has_belt)
+    return with_levels(fit(refitted.problem, [effect], refitted.at))
+
+
+def start_states(fitted: Fit, stood_s: Sequence[float]) -> Starts:
+    """The start state of each drive by least squares: the share of what a cold start takes beyond a warm one.
+
+    Parameters
+    ----------
+    fitted
+        With an effect that warms up, and values by levels.
+    stood_s
+        How long each had stood; nan where that is not known.
+
+    Notes
+    -----
+    What a vehicle model leaves wanders for minutes, with the street for one. So how sure a start state is comes from the same sum
+    over what is left of all drives from ten minutes on, when there is nothing to warm up.
+    """
+    sessions = fitted.problem.sessions
+    cold, warm = (
+        fitted.problem.base.predict(
+            [replace(s, gap=gap, after_unseen=unseen) for s in sessions], fitted.base_values, fitted.acting
+        )
+        for gap, unseen in ((np.inf, False), (0.0, True))
+    )
+    every = np.concatenate([r[s.used] for r, s in zip(fitted.residuals, sessions, strict=True)])
+    most = OUTLIER * MAD_TO_STD * float(np.median(np.abs(every - np.median(every))))
+    later = [
+        np.where(s.used & (s.time >= WARM_AFTER_S), np.clip(r, -most, most), np.nan)
+        for r, s in zip(fitted.residuals, sessions, strict=True)
+    ]
+    states, stds = [], []
+    for session, at_cold, at_warm in zip(sessions, cold, warm, strict=True):
+        shape = np.where(session.time < WARM_AFTER_S, at_cold.torque - at_warm.torque, 0.0)[: int(WARM_AFTER_S / session.step)]
+        left = np.where(
+            session.used, np.clip(session.torque - at_warm.torque, -most, most + np.abs(at_cold.torque - at_warm.torque)), np.nan
+        )
+        states.append(_share(shape, left[: len(shape)]))
+        apart = [_share(shape, row[i : i + len(shape)]) for row in later for i in range(0, len(row) - len(shape), EVERY_STEPS)]
+        known = np.array(apart)[np.isfinite(apart)]
+        stds.append(float(np.sqrt(np.mean(known**2))) if len(known) >= FEWEST_APART else np.inf)
+    return Starts(np.array(states), np.array(stds), np.array(stood_s))
+
+
+def _share(shape: Array, left: Array) -> float:
+    """How much of a shape is in what is left, nan where less than half of the shape is known."""
+    known = np.isfinite(left)
+    size = float(shape[known] @ shape[known])
+    return float(shape[known] @ left[known]) / size if size > LEAST_KNOWN * float(shape @ shape) else np.nan
+
+
+def pool(starts: Starts, rng: np.random.Generator) -> Pooled:
+    """All drives whose standing time is known and whose start shows, together."""
+    sure = np.isfinite(starts.stood_s) & np.isfinite(starts.alone) & (starts.alone_std < SURE_STD)
+    alone, std, stood = starts.alone[sure], starts.alone_std[sure], starts.stood_s[sure]
+    constants = np.geomspace(SHORTEST_S, LONGEST_S, CONSTANTS)
+    likelihood, heights = _likelihood(alone, std, stood, constants)
+    best = np.unravel_index(int(np.argmax(likelihood)), likelihood.shape)
+    height, spread = float(heights[best]), float(SPREADS[best[1]])
+    near = constants[likelihood.max(axis=1) > likelihood[best] - NEAR_BEST]
+    expected = height * -np.expm1(-starts.stood_s / constants[best[0]])
+    trust = spread**2 / (spread**2 + starts.alone_std**2)
+    state = expected + np.where(sure, trust * (starts.alone - expected), 0.0)
+    as_good = [_likelihood(alone, std, rng.permutation(stood), constants)[0].max() >= likelihood[best] for _ in range(DRAWS)]
+    drawn = expected[sure] + np.hypot(std, spread) * rng.normal(size=(DRAWS, len(alone)))
+    return Pooled(
+        float(constants[best[0]]),
+        float(near[0]),
+        float(near[-1]),
+        height,
+        spread,
+        state,
+        np.sqrt(trust) * starts.alone_std,
+        float(spearmanr(stood, alone).statistic),
+        float(spearmanr(stood, state[sure]).statistic),
+        float(np.mean(as_good)),
+        float(np.mean([spearmanr(stood, row).statistic >= WANTED_RANK for row in drawn])),
+    )
+
+
+def _likelihood(alone: Array, std: Array, stood: Array, constants: Array) -> tuple[Array, Array]:
+    """Logarithm of the likelihood and most likely height, each of shape (time constants, spreads)."""
+    shape = -np.expm1(-stood / constants[:, np.newaxis, np.newaxis])
+    weight = 1.0 / (std**2 + SPREADS[:, np.newaxis] ** 2)
+    height = np.maximum((weight * shape * alone).sum(axis=-1) / np.maximum((weight * shape**2).sum(axis=-1), 1e-12), 0.0)
+    left = alone - height[..., np.newaxis] * shape
+    return 0.5 * (np.log(weight) - weight * left**2).sum(axis=-1), height
