@@ -3,6 +3,8 @@
 
 """Answers and scores of constructed reports."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from trackres_ros.evaluation.sealed.answers import error_left, of_report
 from trackres_ros.evaluation.sealed.cases import RIGHT_FORMS, Case, first_by_name, sensors_of
 from trackres_ros.evaluation.sealed.masses import MassError, mass_errors
 from trackres_ros.evaluation.sealed.oracle import OracleAnswer
-from trackres_ros.evaluation.sealed.page import TARGETS, learned_table, outside_table, street_table
+from trackres_ros.evaluation.sealed.page import TARGETS, learned_table, outside_table, street_table, write_all
 from trackres_ros.evaluation.sealed.scored import OURS, Scored, comparable, own_shares, shares, sizes
 
 PARAMETERS = {"time": {"value": 0.3, "ci95": [0.25, 0.35]}}
@@ -182,6 +184,21 @@ def test_scores_in_a_town():
     assert "| stretch_load | 1 | 1 | 1 | payload |" in by_kind
     assert set(TARGETS) <= {*found, *own, *values}
     assert "| street: worse than the base | 6 | 1 | 0 |" in learned_table(of)
+
+
+def test_the_page_of_a_run_of_towns_alone(tmp_path):
+    of = [
+        scored("street", [], report("none"), oracle_error=200.0),
+        scored("street", ["street_slope"], report("named", ["grade"], after=120.0)),
+    ]
+    text = write_all(tmp_path, of, "seal", 3, 4)
+    assert "2 cases of the 4 that were sealed" in text
+    assert "| street_slope | 1 | 1 | 1 | grade |" in text
+    assert (tmp_path / "proof.md").read_text() == text + "\n"
+    assert (tmp_path / "cases.csv").read_text().count("street") == 3  # two levels, one name
+    assert (tmp_path / "confusion.png").stat().st_size > 1000
+    kept = json.loads((tmp_path / "scores.json").read_text())
+    assert [one["wrong"] for one in kept["cases"]] == ["", ""]
 
 
 def test_masses_are_compared_between_changes_of_the_load():

@@ -245,7 +245,7 @@ def _draw_confusion(path: Path, scored: Sequence[Scored]) -> None:
     pairs = Counter(
         (next(iter(s.case.hidden), "nothing") if s.case.level != "outside" else "not in the catalogue", _first(s))
         for s in scored
-        if s.case.level in (*ALONE, "none", "outside")
+        if s.case.level in (*ALONE, "none", *NOT_IN_CATALOGUE)
     )
     true = sorted({t for t, _ in pairs}, key=_last_of_all)
     named = sorted({a for _, a in pairs}, key=_last_of_all)
