@@ -6,20 +6,20 @@
 import numpy as np
 import pytest
 
-from trackres_ros.evaluation.sealed.cases import AFTER_FREEZE, OUTSIDE, Case
+from trackres_ros.evaluation.sealed.cases import AFTER_FREEZE, OUTSIDE, Case, sensors_of
 from trackres_ros.evaluation.sealed.generate import make_case
 from trackres_ros.evaluation.sealed.oracle import LEAST_GAIN, fit_truth
 
 MINUTES = 12.0  # of each drive: on shorter ones no bearing is sure to seize
 
 
-def made(folder, level, hidden):
+def made(folder, level, hidden, minutes=MINUTES, seed=21):
     """The folder of a case, and what is hidden in it adds to the torque of each drive [Nm]."""
-    case = Case(level, level, hidden, {}, False, False, False, True, 21)
-    make_case((folder, case, MINUTES))
-    truth = np.load(folder / "sealed" / f"{level}.npz")
+    case = Case(f"{level}_{len(hidden)}", level, hidden, {}, False, False, False, True, seed)
+    make_case((folder, case, minutes))
+    truth = np.load(folder / "sealed" / f"{case.name}.npz")
     added = [truth[f"added/{name}"] for name in hidden]
-    return folder / "cases" / level, np.split(added[0], np.cumsum(truth["lengths"])[:-1]) if added else []
+    return folder / "cases" / case.name, np.split(added[0], np.cumsum(truth["lengths"])[:-1]) if added else []
 
 
 @pytest.mark.long
@@ -35,3 +35,25 @@ def test_an_addition_gains_where_it_is_and_nowhere_else(tmp_path, name):
     assert there.gain > 2.0 * LEAST_GAIN
     assert not absent.identifiable
     assert abs(absent.gain) < 0.6 * LEAST_GAIN
+
+
+def once_a_second(level, seeds):
+    """The first seed of which a case is recorded once in a second, and the first of which it is recorded faster."""
+    slow = {bool(sensors_of(Case("a", level, {}, {}, False, False, False, True, seed)).every_s): seed for seed in reversed(seeds)}
+    return slow[True], slow[False]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", once_a_second("street", range(20)))
+@pytest.mark.parametrize(
+    "hidden", [{"street_slope": {"steepest": 0.02}}, {"stretch_load": {"share": 0.2, "bulk": 1.0, "seed": 3.0}}]
+)
+def test_what_a_town_adds_is_seen_whatever_the_steps_of_the_fit_are(tmp_path, hidden, seed):
+    for sub in ("cases", "sealed"):
+        (tmp_path / sub).mkdir()
+    folder, added = made(tmp_path, "street", hidden, 6.0, seed)
+    found = fit_truth(folder, (), added)
+    assert found.gain > 2.0 * LEAST_GAIN
+    assert found.mae < 0.8 * found.mae_base
+    shifted = fit_truth(folder, (), [np.roll(one, len(one) // 2) for one in added])
+    assert shifted.gain < 0.5 * found.gain

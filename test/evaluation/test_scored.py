@@ -3,12 +3,16 @@
 
 """Answers and scores of constructed reports."""
 
+import json
+
+import numpy as np
 import pytest
 
 from trackres_ros.evaluation.sealed.answers import error_left, of_report
 from trackres_ros.evaluation.sealed.cases import RIGHT_FORMS, Case, first_by_name, sensors_of
+from trackres_ros.evaluation.sealed.masses import MassError, mass_errors
 from trackres_ros.evaluation.sealed.oracle import OracleAnswer
-from trackres_ros.evaluation.sealed.page import learned_table, outside_table
+from trackres_ros.evaluation.sealed.page import TARGETS, learned_table, outside_table, street_table, write_all
 from trackres_ros.evaluation.sealed.scored import OURS, Scored, comparable, own_shares, shares, sizes
 
 PARAMETERS = {"time": {"value": 0.3, "ci95": [0.25, 0.35]}}
@@ -27,11 +31,11 @@ def term(form, variable="", gate=None, memory=None, after=120.0):
     return {"form": form, "variable": variable, "gate": gate, "memory": memory, "heldout": {"mae": [200.0, after]}}
 
 
-def scored(level, hidden, made, seen=True, oracle_error=100.0, learned=None):
+def scored(level, hidden, made, seen=True, oracle_error=100.0, learned=None, masses=()):
     values = {name: {"time": 0.25} for name in hidden}
     case = Case("0000cafe", level, values, {}, False, False, False, True, 11)
     known = OracleAnswer(50.0 if seen else 1.0, (), seen, False, 200.0, oracle_error)
-    return Scored(case, made, known, {OURS: of_report(made)}, 0.5, 0.5, None, learned or {"base": 200.0, "trees": 150.0})
+    return Scored(case, made, known, {OURS: of_report(made)}, 0.5, 0.5, None, learned or {"base": 200.0, "trees": 150.0}, masses)
 
 
 def test_a_report_without_descriptions_is_read_as_before():
@@ -59,6 +63,11 @@ def test_a_report_without_descriptions_is_read_as_before():
         ("seized_bearing", term("level_change"), True),
         ("seized_bearing", term("spells"), False),
         ("ratchet", term("curve", "driving torque"), False),
+        ("street_slope", term("place", "place on the route"), True),
+        ("street_slope", term("payload", "mass"), False),
+        ("stretch_load", term("payload", "mass"), True),
+        ("street_ground", term("place", "place on the route"), True),
+        ("street_ground", term("level_change"), False),
     ],
 )
 def test_right_forms(hidden, said, right):
@@ -124,6 +133,90 @@ def test_scores_of_what_was_written_after_the_freeze():
     assert "| ratchet (after the freeze) | 2 | 2 | no form is right |" in by_kind
     assert "| route_places (after the freeze) | 1 | 1 | 1 | place |" in by_kind
     assert "| pump | 1 | 1 | 0 | unexplained |" in by_kind
+
+
+def test_mistakes_in_a_town():
+    place, payload = [term("place")], [term("payload")]
+    assert scored("street", [], report("none")).wrong == ""
+    assert scored("street", [], report("described", described=payload)).wrong == "false description"
+    assert scored("street", [], report("named", ["grade"])).wrong == "false alarm"
+    assert scored("street", ["street_slope"], report("named", ["grade"])).wrong == ""
+    assert scored("street", ["street_slope"], report("described", described=place)).wrong == ""
+    both = report("named", ["grade", "delay"])
+    assert scored("street", ["street_slope"], both).wrong == "a name for what is not in the catalogue"
+    assert scored("street", ["street_ground"], report("named", ["grade"])).wrong == "a name for what is not in the catalogue"
+    assert scored("street", ["street_ground"], report("described", described=payload)).wrong == "described in another form"
+    assert scored("street", ["stretch_load"], report("none")).wrong == "unknown not noticed"
+
+
+def test_scores_in_a_town():
+    masses = [MassError(400.0, 0.05), MassError(310.0, 0.2), MassError(300.0, 0.02), MassError(50.0, 0.5)]
+    of = [
+        scored("street", [], report("none", after=200.0), oracle_error=200.0),
+        scored("street", [], report("one_of", ["delay"]), oracle_error=200.0),
+        scored("street", ["street_slope"], report("named", ["grade"], after=120.0)),
+        scored("street", ["street_slope"], report("named", ["delay"], after=250.0)),
+        scored("street", ["stretch_load"], report("described", described=[term("payload", after=150.0)]), masses=masses),
+        scored("street", ["street_ground"], report("described", described=[term("place", after=110.0)]), seen=False),
+        scored("single", ["delay"], report("named", ["delay"])),
+    ]
+    found, own, values = shares(of), own_shares(of), sizes(of)
+    assert found["street, nothing hidden: a name or a description"] == (1, 2)
+    assert found["street: confident wrong name"] == (1, 6)
+    assert own["street, seen by the oracle: rightly named or described"] == (2, 3)
+    assert own["street, slope: named grade or described by place"] == (1, 2)
+    assert own["street, load: described as a payload"] == (1, 1)
+    assert own["street, ground: described by place"] == (1, 1)
+    assert own["street, load described: masses within 8% of the load, over 300 s of driving"] == (1, 2)
+    assert own["street, load described: masses within 8% of the load, all"] == (2, 4)
+    assert own["street: held-out laps never worse than the base"] == (5, 6)
+    assert own["held-out laps: never worse than the base"] == (6, 7)
+    assert own["in the catalogue and identifiable: described instead of named"] == (0, 1)
+    removed = "held-out error removed, of what the oracle removes (median)"
+    assert values[removed] == pytest.approx([1.0])  # of the case that is in the catalogue
+    assert values[f"street, street slope: {removed}"] == pytest.approx([0.8, -0.5])
+    assert values[f"street, stretch load: {removed}"] == pytest.approx([0.5])
+    assert values["street, load described: masses off, of the load, over 300 s of driving (median)"] == [0.05, 0.2]
+    assert values["street, load described: masses off, of the load, all (median)"] == [0.05, 0.2, 0.02, 0.5]
+    by_kind = street_table(of)
+    assert "| nothing | 2 | 2 | 1 | none; delay |" in by_kind
+    assert "| street_slope | 2 | 2 | 1 | grade; delay |" in by_kind
+    assert "| stretch_load | 1 | 1 | 1 | payload |" in by_kind
+    assert set(TARGETS) <= {*found, *own, *values}
+    assert "| street: worse than the base | 6 | 1 | 0 |" in learned_table(of)
+
+
+def test_the_page_of_a_run_of_towns_alone(tmp_path):
+    of = [
+        scored("street", [], report("none"), oracle_error=200.0),
+        scored("street", ["street_slope"], report("named", ["grade"], after=120.0)),
+    ]
+    text = write_all(tmp_path, of, "seal", 3, 4)
+    assert "2 cases of the 4 that were sealed" in text
+    assert "| street_slope | 1 | 1 | 1 | grade |" in text
+    assert (tmp_path / "proof.md").read_text() == text + "\n"
+    assert (tmp_path / "cases.csv").read_text().count("street") == 3  # two levels, one name
+    assert (tmp_path / "confusion.png").stat().st_size > 1000
+    kept = json.loads((tmp_path / "scores.json").read_text())
+    assert [one["wrong"] for one in kept["cases"]] == ["", ""]
+
+
+def test_masses_are_compared_between_changes_of_the_load():
+    speed = np.repeat([5.0, 0.0, 5.0, 5.0], [400, 20, 100, 80])  # stands, and is loaded meanwhile
+    mass = np.repeat([1000.0, 3000.0, 0.0], [410, 110, 80])
+    told = [
+        {"begin_s": 0.0, "end_s": 200.0, "mass": 900.0},
+        {"begin_s": 200.0, "end_s": 420.0, "mass": 1300.0},
+        {"begin_s": 420.0, "end_s": 520.0, "mass": 2800.0},
+        {"begin_s": 520.0, "end_s": 550.0, "mass": 0.0},
+    ]
+    long, short = mass_errors(speed, mass, told, 4000.0)  # of the last less than half is told
+    assert (long.driving_s, short.driving_s) == (400.0, 100.0)
+    assert long.off == pytest.approx(100.0 / 4000.0)
+    assert short.off == pytest.approx(200.0 / 4000.0)
+    assert (long.long, short.long) == (True, False)
+    assert long.close
+    assert not MassError(400.0, 0.081).close
 
 
 def test_a_delay_is_compared_with_all_that_the_torque_is_late_by():

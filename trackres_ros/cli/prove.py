@@ -41,7 +41,7 @@ folder_option = click.option(
 @click.option("--level", "levels", multiple=True, metavar="L[=N]", help="Only N cases of this level; may be repeated.")
 @click.option("--cases", "count", type=click.IntRange(1), metavar="N", help="Number of cases of each level given without one.")
 @click.option("--seed", type=click.IntRange(0), default=REPORTED_SEED, show_default=True, help="Seed of all random draws.")
-@click.option("--quick", is_flag=True, help="73 cases of shorter drives.")
+@click.option("--quick", is_flag=True, help="81 cases of shorter drives.")
 @click.option("--first", type=click.IntRange(1), metavar="N", help="Diagnose and score N of the sealed cases, by drawn names.")
 @click.option(
     "--earlier",

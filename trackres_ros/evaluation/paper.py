@@ -15,9 +15,10 @@ from pathlib import Path
 import numpy as np
 
 from trackres_ros.diagnosis import Diagnosis, diagnose, load_base, read_recordings
+from trackres_ros.evaluation.sealed.cases import LOADS
 from trackres_ros.evaluation.sealed.data_sheet import read_data_sheet
 from trackres_ros.evaluation.sealed.drives import STEP_S, Drive, drive
-from trackres_ros.evaluation.sealed.generate import APART_S, FASTEST_MPS, LOADS, START_S, VEHICLE, write_vehicle
+from trackres_ros.evaluation.sealed.generate import APART_S, FASTEST_MPS, START_S, VEHICLE, write_vehicle
 from trackres_ros.evaluation.sealed.sensors import Sensors, record
 from trackres_ros.evaluation.sealed.truth import Build, simulate_truth
 from trackres_ros.files.resources import find_vehicle

@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -19,12 +19,20 @@ from trackres_ros.evaluation.sealed.truth import Build
 Values = dict[str, float]
 Draw = Callable[[np.random.Generator, float], Values]
 
-LEVELS = {"none": 60, "single": 60, "masked": 40, "compensated": 40, "two": 40, "confounded": 24, "outside": 48}
-QUICK = {"none": 14, "single": 14, "masked": 9, "compensated": 9, "two": 9, "confounded": 6, "outside": 12}
+LEVELS = {
+    "none": 60, "single": 60, "masked": 40, "compensated": 40, "two": 40, "confounded": 24, "outside": 48,
+    "street": 40,
+}  # fmt: skip
+QUICK = {"none": 14, "single": 14, "masked": 9, "compensated": 9, "two": 9, "confounded": 6, "outside": 12, "street": 8}
+NOT_IN_CATALOGUE = ("outside", "street")  # levels
+LOADS = (1.0, 0.8, 1.25)  # of the three drives, over the nominal one
 MASKED_SIZE = (0.2, 0.4)  # of a clear one
 # What any instrument has, which is no finding: less than a hidden `delay`, `torque_offset` or `torque_gain` adds.
 SPEED_STEPS_MPS = (0.02, 0.05)
 MOST_LAG_S, MOST_OFFSET_NM, MOST_GAIN = 0.1, 15.0, 0.005
+# In towns: share of the cases that are recorded once in a second, and the error of positions and altitudes [m].
+SLOW_SHARE, SLOW_S = 1.0 / 3.0, 1.0
+POSITION_M, ALTITUDE_M = (3.0, 8.0), (2.0, 5.0)
 
 
 @dataclass(frozen=True)
@@ -144,6 +152,13 @@ AFTER_FREEZE = ("ratchet", "route_places", "seized_bearing")
 used once, by the reported run: nothing was developed on them.
 """
 
+STREET: dict[str, Draw] = {
+    "street_slope": lambda g, _s: {"steepest": g.uniform(0.015, 0.03)},
+    "stretch_load": lambda g, _s: {"share": g.uniform(0.1, 0.2), "bulk": float(g.random() < 0.5), "seed": _seed(g)},
+    "street_ground": lambda g, _s: {"torque": g.uniform(300.0, 900.0), "seed": _seed(g)},
+}  # fmt: skip
+"""What is hidden in a town, drawn as often as nothing; the functions are in `street`."""
+
 
 @dataclass(frozen=True)
 class Form:
@@ -175,8 +190,13 @@ RIGHT_FORMS: dict[str, tuple[Form, ...]] = {
     "ratchet": (),  # it comes and goes within seconds, by chance, and in the mean adds next to nothing: unexplained is right
     "route_places": (Form("place"),),
     "seized_bearing": (Form("level_change"),),
+    "street_slope": (Form("place"),),
+    "stretch_load": (Form("payload"),),
+    "street_ground": (Form("place"),),
 }
 """Of each phenomenon outside the catalogue the forms that describe it; none where no form does."""
+RIGHT_NAMES: dict[str, tuple[str, ...]] = {"street_slope": ("grade",)}
+"""Names that say the same as a right form: a slope by place is a grade."""
 PREDICTABLE_FORMS = ("curve", "gated_curve", "build_up", "wave", "place", "level_change")
 """Forms whose torque can be predicted: the others can only be detected once they have begun."""
 
@@ -211,9 +231,11 @@ def _case(level: str, i: int, rng: np.random.Generator) -> Case:
     if level == "masked":
         size = float(rng.uniform(*MASKED_SIZE))
         names.remove("core_surface")  # it has no size
-    library = OUTSIDE if level == "outside" else CATALOGUE
-    if level == "none":
+    library = {"outside": OUTSIDE, "street": STREET}.get(level, CATALOGUE)
+    if level == "none" or (level == "street" and i % (1 + len(STREET)) == 0):
         chosen: list[str] = []
+    elif level == "street":
+        chosen = [list(STREET)[i % (1 + len(STREET)) - 1]]
     elif level == "outside":
         chosen = [list(OUTSIDE)[i % len(OUTSIDE)]]
     else:
@@ -247,12 +269,60 @@ def draws(case: Case, what: str) -> np.random.Generator:
 
 
 def sensors_of(case: Case) -> Sensors:
-    """The instruments of a case: good ones, and none without a lag, an offset and a gain of its own."""
+    """The instruments of a case: good ones, and none without a lag, an offset and a gain of its own; in a town those that a
+    vehicle of the road has.
+    """
     rng = draws(case, "sensors")
-    return Sensors(
+    sensors = Sensors(
         belt_measured=case.belt_measured,
         speed_step_mps=float(rng.uniform(*SPEED_STEPS_MPS)),
         torque_lag_s=float(rng.uniform(0.0, MOST_LAG_S)),
         torque_offset_nm=float(rng.uniform(-MOST_OFFSET_NM, MOST_OFFSET_NM)),
         torque_gain=float(1.0 + rng.uniform(-MOST_GAIN, MOST_GAIN)),
     )
+    if case.level != "street":
+        return sensors
+    return replace(
+        sensors,
+        load_measured=streets_of(case).load_measured,
+        every_s=SLOW_S if rng.random() < SLOW_SHARE else 0.0,
+        position_m=float(rng.uniform(*POSITION_M)),
+        altitude_m=float(rng.uniform(*ALTITUDE_M)),
+    )
+
+
+@dataclass(frozen=True)
+class Streets:
+    """What the drives of a case in a town have that is not hidden.
+
+    Attributes
+    ----------
+    steepest
+        Slope that was surveyed, so that it is recorded; 0 of a level town and of one whose slope is hidden.
+    shares
+        Weight of each drive, over the nominal one, without what differs by stretch.
+    load
+        How recorded loads differ by stretch; None where they do not.
+    load_measured
+        Whether the load is recorded.
+    """
+
+    steepest: float
+    shares: tuple[float, float, float]
+    load: Values | None
+    load_measured: bool
+
+
+def streets_of(case: Case) -> Streets:
+    """Half of the towns whose slope is not hidden are level, half were surveyed. A load that is not hidden is recorded and
+    differs by stretch, is recorded and differs by drive, or is what the vehicle file says and not recorded, equally often.
+    """
+    rng = draws(case, "streets")
+    surveyed, kind = rng.random() < 0.5, int(rng.integers(3))
+    slope, load = (STREET[name](rng, 1.0) for name in ("street_slope", "stretch_load"))
+    steepest = slope["steepest"] if surveyed and "street_slope" not in case.hidden else 0.0
+    if "stretch_load" in case.hidden or kind == 0:
+        return Streets(steepest, (1.0, 1.0, 1.0), None, False)
+    if kind == 1:
+        return Streets(steepest, LOADS, None, True)
+    return Streets(steepest, (1.0, 1.0, 1.0), {key: float(x) for key, x in load.items()}, True)

@@ -17,9 +17,39 @@ MOST_SIDEWAYS_MPS2 = 2.0
 
 
 @dataclass(frozen=True, eq=False)
+class OnStreet:
+    """Where a drive through a town is, and what it meets there, series of shape (n,).
+
+    Attributes
+    ----------
+    x, y
+        To the east and to the north [m].
+    slope, height
+        Of the street in the direction of travel [rise over run], and of the ground [m].
+    softness
+        Of the ground, 1 where the town is softest.
+    covered
+        Where no satellite is seen.
+    stretch
+        Number of the stretch between two stops at which loads change.
+    brakes
+        Share of a torque that brakes which friction brakes take; 1 where they hold the vehicle.
+    """
+
+    x: Array
+    y: Array
+    slope: Array
+    height: Array
+    softness: Array
+    covered: NDArray[np.bool_]
+    stretch: NDArray[np.int64]
+    brakes: Array
+
+
+@dataclass(frozen=True, eq=False)
 class Drive:
-    """One drive, series of shape (n,): speed [m/s], acceleration [m/s^2], yaw rate [rad/s], heading, weight [N], air [degC], and
-    the slope where it was surveyed [rise over run].
+    """One drive, series of shape (n,): speed [m/s], acceleration [m/s^2], yaw rate [rad/s], heading, weight [N], air [degC], the
+    slope where it was surveyed [rise over run], and where in a town it was.
     """
 
     step: float
@@ -30,6 +60,7 @@ class Drive:
     weight: Array
     ambient: Array
     slope: Array | None = None
+    street: OnStreet | None = None
 
     def __len__(self) -> int:
         return len(self.speed)

@@ -13,7 +13,7 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +21,12 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from trackres_ros.evaluation.sealed.cases import Case, build_of, draw_cases, draws, sealed, sensors_of
+from trackres_ros.evaluation.sealed.cases import LOADS, Case, build_of, draw_cases, draws, sealed, sensors_of, streets_of
 from trackres_ros.evaluation.sealed.drives import Drive, drive
 from trackres_ros.evaluation.sealed.sensors import record
+from trackres_ros.evaluation.sealed.street import loaded
+from trackres_ros.evaluation.sealed.street_drives import street_drive
+from trackres_ros.evaluation.sealed.town import draw_town
 from trackres_ros.evaluation.sealed.truth import TruthRun, simulate_truth
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.files.yamls import read_yaml
@@ -31,10 +34,11 @@ from trackres_ros.files.yamls import read_yaml
 Array = NDArray[np.float64]
 
 VEHICLE = "xgd24d"
-LOADS, DULL_LOADS = (1.0, 0.8, 1.25), (1.0, 1.0, 1.0)
+DULL_LOADS = (1.0, 1.0, 1.0)
 AIRS_DEGC = (5.0, 15.0, 25.0)
 FASTEST_MPS = 16.7
 DULL_MPS = (6.0, 8.0)
+STREET_TIMES = 2.0  # as long drives in towns: they stand at crossings, and streets are to come again
 START_S, APART_S = 1_750_000_000.0, 1_300_000.0  # two weeks: each begins soaked
 EVERY = 10  # samples: what is kept of the truth for the score
 
@@ -87,7 +91,7 @@ def _kept(case: Case, driven: Sequence[Drive], runs: Sequence[TruthRun]) -> dict
     over = {
         "speed": [d.speed for d in driven],
         "acceleration": [d.accel for d in driven],
-        "load": [d.weight for d in driven],
+        "load": [one.weight for one in runs],
         "belt temperature": [one.belt for one in runs],
         "ambient temperature": [d.ambient for d in driven],
         "yaw rate": [np.abs(d.yaw_rate) for d in driven],
@@ -132,10 +136,28 @@ def write_vehicle(path: Path, thermal: str) -> Path:
 def _drives(case: Case, minutes: float, name: str) -> list[Drive]:
     rng = draws(case, f"route of {name}")
     weight, _ = _weight_and_radius(find_vehicle(VEHICLE))
+    if case.level == "street":
+        return _in_town(case, STREET_TIMES * minutes, weight, rng)
     return [
         _dull(minutes, weight, rng) if case.dull else drive(minutes, share * weight, air, FASTEST_MPS, rng)
         for share, air in zip(DULL_LOADS if case.dull else LOADS, rng.permutation(AIRS_DEGC), strict=True)
     ]
+
+
+def _in_town(case: Case, minutes: float, weight: float, rng: np.random.Generator) -> list[Drive]:
+    """Drives through the town of a case. The slope of a town that is not level is in the recording or hidden."""
+    town, streets = draw_town(draws(case, "town")), streets_of(case)
+    steepest = case.hidden.get("street_slope", {}).get("steepest", streets.steepest)
+    drives, driven = list[Drive](), 0.0
+    for share, air in zip(streets.shares, rng.permutation(AIRS_DEGC), strict=True):
+        one = street_drive(minutes, share * weight, air, town, steepest, rng)
+        if streets.load:
+            one = loaded(one, streets.load, driven)
+        if streets.steepest and one.street is not None:
+            one = replace(one, slope=one.street.slope)
+        drives.append(one)
+        driven += float(np.abs(one.speed).sum() * one.step)
+    return drives
 
 
 def _record(case: Case, into: Path, name: str, drives: Sequence[Drive]) -> tuple[list[TruthRun], list[Path]]:

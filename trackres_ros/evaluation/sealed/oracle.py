@@ -85,7 +85,7 @@ def fit_truth(folder: Path, true: Sequence[str], added: Sequence[Array] = ()) ->
     true
         The effects of the catalogue that are in it.
     added
-        Of one with something that is not in the catalogue: what that adds to the torque in each step of each drive [Nm].
+        Of one with something that is not in the catalogue: what that adds to the torque in each second of each drive [Nm].
     """
     loaded = load_base(folder / "vehicle.yaml")
     base = loaded.base
@@ -102,7 +102,8 @@ def fit_truth(folder: Path, true: Sequence[str], added: Sequence[Array] = ()) ->
     mae_base = error([p.torque for p in with_levels(before).predicted])
     if added:
         assert isinstance(base, TrackBase)
-        found = fit(replace(before.problem, base=WithAddition(base.vehicle, added)), start=before.at, noises=before.noises)
+        by_step = [_over_steps(one, s.step) for one, s in zip(added, sessions, strict=True)]
+        found = fit(replace(before.problem, base=WithAddition(base.vehicle, by_step)), start=before.at, noises=before.noises)
         gain = found.log_likelihood - before.log_likelihood
         mae = error([p.torque for p in with_levels(found).predicted])
         return OracleAnswer(gain, (), gain > LEAST_GAIN, False, mae_base, mae)
@@ -121,3 +122,9 @@ def fit_truth(folder: Path, true: Sequence[str], added: Sequence[Array] = ()) ->
         for one in wanted
     )
     return OracleAnswer(gain, alike, plain, both, mae_base, error([p.torque for p in with_levels(found).predicted]))
+
+
+def _over_steps(by_second: Array, step: float) -> Array:
+    """Means over steps of some whole seconds, the last of as many as there are."""
+    begins = np.arange(0, len(by_second), round(step))
+    return np.asarray(np.add.reduceat(by_second, begins) / np.diff(np.append(begins, len(by_second))))

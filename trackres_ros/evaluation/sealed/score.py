@@ -24,11 +24,17 @@ from trackres_ros.diagnosis.findings.locate import evenly_filled
 from trackres_ros.errors import InputError
 from trackres_ros.evaluation.sealed.answers import BASELINES, EARLIER, Answer, of_names, of_report
 from trackres_ros.evaluation.sealed.baselines import by_trees
-from trackres_ros.evaluation.sealed.cases import CATALOGUE, OUTSIDE, Case, first_by_name, sealed
+from trackres_ros.evaluation.sealed.cases import CATALOGUE, Case, first_by_name, sealed
+from trackres_ros.evaluation.sealed.data_sheet import read_data_sheet
 from trackres_ros.evaluation.sealed.follow import advised
+from trackres_ros.evaluation.sealed.generate import VEHICLE
+from trackres_ros.evaluation.sealed.masses import MassError, mass_errors
 from trackres_ros.evaluation.sealed.oracle import OracleAnswer, fit_truth
 from trackres_ros.evaluation.sealed.page import write_all
 from trackres_ros.evaluation.sealed.scored import OURS, Scored
+from trackres_ros.evaluation.sealed.street import LOAD
+from trackres_ros.evaluation.sealed.truth import G
+from trackres_ros.files.resources import find_vehicle
 
 Array = NDArray[np.float64]
 
@@ -47,7 +53,7 @@ def main(arguments: Sequence[str]) -> None:
         given = "labels that are not those that were sealed"
         raise InputError(str(folder / "sealed"), given, "the labels of the cases as drawn", "begin anew with --fresh")
     simple = [json.loads((folder / "results" / f"{case.name}.json").read_text(encoding="utf-8"))["simple"] for case in cases]
-    expected = [next(iter(case.hidden), "none") if case.level != "outside" else "unexplained" for case in cases]
+    expected = [_expected(case) for case in cases]
     trees: Sequence[str | None] = by_trees([s["features"] for s in simple], expected, list(CATALOGUE)) or [None] * len(cases)
     scored = []
     with ProcessPoolExecutor(os.cpu_count()) as pool:
@@ -56,6 +62,12 @@ def main(arguments: Sequence[str]) -> None:
             print(f"\roracle fitted {done} of {len(cases)}", end="", flush=True)
     print(flush=True)
     print(write_all(folder, scored, seal, labels["seed"], len(drawn)))
+
+
+def _expected(case: Case) -> str:
+    """What a method that only gives names ought to answer."""
+    first = next(iter(case.hidden), "none")
+    return first if first in (*CATALOGUE, "none") else "unexplained"
 
 
 def _score(task: tuple[Path, Case, str | None]) -> Scored:
@@ -77,14 +89,37 @@ def _score(task: tuple[Path, Case, str | None]) -> Scored:
         answers[EARLIER] = of_report(json.loads(before.read_text(encoding="utf-8")))
     overlap, jaccard = _where(folder, case, report)
     resolved = _resolved(folder, case, report)
-    return Scored(case, report, known, {OURS: of_report(report), **answers}, overlap, jaccard, resolved, result["learned"])
+    masses = _masses(folder, case, report)
+    return Scored(
+        case, report, known, {OURS: of_report(report), **answers}, overlap, jaccard, resolved, result["learned"], masses
+    )
 
 
 def _outside(folder: Path, case: Case) -> list[Array]:
-    """What is not in the catalogue adds to the torque of each drive, in means over the steps of a fit [Nm]; empty without."""
+    """What is not in the catalogue adds to the torque of each drive, in means over seconds [Nm]; empty without."""
     truth = np.load(folder / "sealed" / f"{case.name}.npz")
-    added = [truth[f"added/{name}"] for name in case.hidden if name in OUTSIDE]
+    added = [truth[f"added/{name}"] for name in case.hidden if name not in CATALOGUE]
     return np.split(added[0], np.cumsum(truth["lengths"])[:-1]) if added else []
+
+
+def _masses(folder: Path, case: Case, report: dict[str, Any]) -> list[MassError]:
+    """How far the masses of a described payload are off; none where there is none, or none described."""
+    described = [term["stretches"] for term in report.get("described", ()) if term["form"] == "payload"]
+    if LOAD not in case.hidden or not described:
+        return []
+    truth = np.load(folder / "sealed" / f"{case.name}.npz")
+    speed, weight = (np.split(truth[f"over/{name}"], np.cumsum(truth["lengths"])[:-1]) for name in ("speed", "load"))
+    nominal = read_data_sheet(find_vehicle(VEHICLE))["weight"]
+    greatest = case.hidden[LOAD]["share"] * nominal / G
+    return [
+        error
+        for i, (v, w) in enumerate(zip(speed, weight, strict=True), start=1)
+        for error in mass_errors(v, (w - nominal) / G, _named(described[0], f"drive_{i}"), greatest)
+    ]
+
+
+def _named(stretches: Sequence[dict[str, Any]], recording: str) -> list[dict[str, Any]]:
+    return [one for one in stretches if Path(one["recording"]).stem == recording]
 
 
 def _where(folder: Path, case: Case, report: dict[str, Any]) -> tuple[float, float]:

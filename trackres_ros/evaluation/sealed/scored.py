@@ -13,12 +13,27 @@ import numpy as np
 from scipy.stats import binomtest
 
 from trackres_ros.evaluation.sealed.answers import DESCRIBED, Answer, error_left
-from trackres_ros.evaluation.sealed.cases import AFTER_FREEZE, RIGHT_FORMS, Case, predictable, sensors_of
+from trackres_ros.evaluation.sealed.cases import (
+    AFTER_FREEZE,
+    NOT_IN_CATALOGUE,
+    RIGHT_FORMS,
+    RIGHT_NAMES,
+    STREET,
+    Case,
+    predictable,
+    sensors_of,
+)
+from trackres_ros.evaluation.sealed.masses import CLOSE, LONG_S, MassError
 from trackres_ros.evaluation.sealed.oracle import OracleAnswer
 
 OURS = "diagnosis"
 LEAST_REDUCTION = 0.01  # of the error
 NO_WORSE = 1.01  # than the re-fitted base: a percent is chance
+RIGHTLY_TOLD = {
+    "street_slope": "slope: named grade or described by place",
+    "stretch_load": "load: described as a payload",
+    "street_ground": "ground: described by place",
+}
 COMPARABLE = {
     "grade": ("grade", "grade"), "torque_offset": ("offset", "offset"), "torque_gain": ("error", "error"),
     "delay": ("time", "time"),
@@ -45,6 +60,8 @@ class Scored:
         None where none was advised, or driven.
     learned
         Errors on held-out laps, see `discrepancy.learned_errors`.
+    masses
+        Of a payload that was hidden and described.
     """
 
     case: Case
@@ -55,6 +72,7 @@ class Scored:
     jaccard: float
     resolved: bool | None
     learned: Mapping[str, float]
+    masses: Sequence[MassError] = ()
 
     @property
     def true(self) -> set[str]:
@@ -82,6 +100,21 @@ class Scored:
         return all(self.answer.describes(RIGHT_FORMS[name]) for name in self.true)
 
     @property
+    def rightly_named(self) -> bool:
+        """Whether the diagnosis gives names that say the same as a right form, and no other."""
+        return self.names_rightly(self.answer)
+
+    def names_rightly(self, answer: Answer) -> bool:
+        """Whether an answer calls what is outside the catalogue by names that say the same as a right form, and by no other."""
+        right = {name for true in self.true for name in RIGHT_NAMES.get(true, ())}
+        return 0 < len(answer.classes) == answer.holds(right)
+
+    @property
+    def rightly_told(self) -> bool:
+        """Whether what is outside the catalogue is rightly named or described."""
+        return self.rightly_named or self.rightly_described
+
+    @property
     def predictable(self) -> bool:
         """Whether it is outside the catalogue and what it adds can be known ahead."""
         return self.case.level == "outside" and all(map(predictable, self.true))
@@ -90,6 +123,11 @@ class Scored:
     def reducible(self) -> bool:
         """Whether an oracle reduces the error on held-out laps by more than `LEAST_REDUCTION` of it."""
         return self.known.mae_base - self.known.mae > LEAST_REDUCTION * self.known.mae_base
+
+    @property
+    def no_worse(self) -> bool:
+        """Whether held-out laps are not worse than with the re-fitted base."""
+        return error_left(self.report) <= NO_WORSE * float(self.report["heldout"]["mae"]["refitted"])
 
     @property
     def removed(self) -> float:
@@ -104,9 +142,9 @@ class Scored:
     def wrong(self) -> str:
         """What kind of mistake the diagnosis made; empty where none."""
         a = self.answer
-        if self.case.level == "none":
+        if not self.true:
             return "false alarm" if a.classes else "false description" if a.status == DESCRIBED else ""
-        if self.case.level == "outside":
+        if self.case.level in NOT_IN_CATALOGUE:
             return self._wrong_outside()
         if not a.classes and self.known.identifiable:
             return "described though in the catalogue" if a.status == DESCRIBED else "not named though identifiable"
@@ -119,6 +157,8 @@ class Scored:
         return "one of two missed" if self.case.level == "two" and a.holds(self.true) < 2 else ""
 
     def _wrong_outside(self) -> str:
+        if self.rightly_named:
+            return ""
         if self.answer.classes:
             return "a name for what is not in the catalogue"
         if self.answer.status == DESCRIBED:
@@ -151,7 +191,7 @@ def shares(scored: Sequence[Scored], method: str = OURS) -> dict[str, tuple[int,
         return [s for s in of if s.known.identifiable]
 
     single, masked, compensated = (by.get(level, []) for level in ("single", "masked", "compensated"))
-    two, outside, none = (by.get(level, []) for level in ("two", "outside", "none"))
+    two, outside, none, street = (by.get(level, []) for level in ("two", "outside", "none", "street"))
     unclear = [s for s in [*single, *masked, *compensated, *by.get("confounded", [])] if not s.known.identifiable]
     return {
         "none: false alarm": share(none, lambda _, a: bool(a.classes)),
@@ -175,16 +215,19 @@ def shares(scored: Sequence[Scored], method: str = OURS) -> dict[str, tuple[int,
         "written after the freeze: confident wrong name": share(
             [s for s in outside if s.after_freeze], lambda _, a: a.status == "named"
         ),
+        "street, nothing hidden: a name or a description": share(
+            [s for s in street if not s.true], lambda _, a: bool(a.classes) or a.status == DESCRIBED
+        ),
+        "street: confident wrong name": share(street, lambda s, a: a.status == "named" and not s.names_rightly(a)),
     }
 
 
 def own_shares(scored: Sequence[Scored]) -> dict[str, tuple[int, int]]:
     """Hits and tries of what only the diagnosis answers."""
     covers, _ = comparable(scored)
-    errors = [(s.report["heldout"]["mae"]["refitted"], error_left(s.report)) for s in scored]
     driven = [s.resolved for s in scored if s.resolved is not None]
     none, outside = ([s for s in scored if s.case.level == level] for level in ("none", "outside"))
-    within = [s for s in scored if s.case.level not in ("none", "outside") and s.known.identifiable]
+    within = [s for s in scored if s.case.level not in ("none", *NOT_IN_CATALOGUE) and s.known.identifiable]
 
     def share(of: Sequence[Scored], hit: Callable[[Scored], bool]) -> tuple[int, int]:
         return sum(map(hit, of)), len(of)
@@ -199,28 +242,63 @@ def own_shares(scored: Sequence[Scored]) -> dict[str, tuple[int, int]]:
             [s for s in outside if s.after_freeze], lambda s: s.rightly_described or s.answer.status == "unexplained"
         ),
         "in the catalogue and identifiable: described instead of named": share(within, lambda s: s.answer.status == DESCRIBED),
-        "held-out laps: never worse than the base": (
-            sum(after <= NO_WORSE * before for before, after in errors),
-            len(errors),
-        ),
+        "held-out laps: never worse than the base": share(scored, lambda s: s.no_worse),
+        **_own_of_streets([s for s in scored if s.case.level == "street"]),
         "95 % intervals cover": (sum(covers), len(covers)),
         "recommended manoeuvre resolves the tie": (sum(driven), len(driven)),
     }
+
+
+def _own_of_streets(of: Sequence[Scored]) -> dict[str, tuple[int, int]]:
+    """Hits and tries in towns."""
+    seen = [s for s in of if s.true and s.known.identifiable]
+    kinds = {kind: [s for s in of if kind in s.true] for kind in STREET}
+    masses = [m for s in of for m in s.masses]
+    long = [m for m in masses if m.long]
+    return {
+        "street, seen by the oracle: rightly named or described": (sum(s.rightly_told for s in seen), len(seen)),
+        **{
+            f"street, {RIGHTLY_TOLD[kind]}": (sum(s.rightly_told for s in cases), len(cases)) for kind, cases in kinds.items()
+        },
+        f"street, load described: masses within {CLOSE:.0%} of the load, over {LONG_S:.0f} s of driving": (
+            sum(m.close for m in long), len(long),
+        ),
+        f"street, load described: masses within {CLOSE:.0%} of the load, all": (sum(m.close for m in masses), len(masses)),
+        "street: held-out laps never worse than the base": (sum(s.no_worse for s in of), len(of)),
+    }  # fmt: skip
 
 
 def sizes(scored: Sequence[Scored]) -> dict[str, list[float]]:
     """Scores that are no shares, case by case; the first is reported as a median, the last as a mean."""
     return {
         "held-out error removed, of what the oracle removes (median)": [
-            s.removed for s in scored if s.case.level != "outside" and s.reducible
+            s.removed for s in scored if s.case.level not in NOT_IN_CATALOGUE and s.reducible
         ],
         "outside, predictable: held-out error removed, of what the oracle removes (median)": [
             s.removed for s in scored if s.predictable and s.reducible
         ],
+        **_sizes_of_streets([s for s in scored if s.case.level == "street"]),
         "relative error of parameters (median)": comparable(scored)[1],
         "where, in time: overlap (median)": [s.overlap for s in scored if np.isfinite(s.overlap)],
         "where, in its regime: Jaccard (median)": [s.jaccard for s in scored if np.isfinite(s.jaccard)],
         "single: size of the class (mean)": [float(len(m)) for s in scored if s.case.level == "single" for m in s.answer.classes],
+    }
+
+
+def _sizes_of_streets(of: Sequence[Scored]) -> dict[str, list[float]]:
+    removed = {
+        f"street, {kind.replace('_', ' ')}: held-out error removed, of what the oracle removes (median)": [
+            s.removed for s in of if kind in s.true and s.reducible
+        ]
+        for kind in STREET
+    }
+    masses = [m for s in of for m in s.masses]
+    return {
+        **removed,
+        f"street, load described: masses off, of the load, over {LONG_S:.0f} s of driving (median)": [
+            m.off for m in masses if m.long
+        ],
+        "street, load described: masses off, of the load, all (median)": [m.off for m in masses],
     }
 
 

@@ -12,19 +12,22 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from trackres_ros.evaluation.sealed.drives import Drive
+from trackres_ros.evaluation.sealed.drives import Drive, OnStreet
 from trackres_ros.evaluation.sealed.truth import TruthRun
 
 Array = NDArray[np.float64]
 
-COLUMNS = ("time_s", "speed_mps", "weight_n", "ambient_degc", "yaw_rate_radps", "heading_rad", "torque_nm")
+POSITION = ("latitude_deg", "longitude_deg")
 RESTING_MPS = 1e-3  # an encoder that does not turn counts nothing
 HEAVY_TAILS = 5.0  # degrees of freedom of the torque's white noise
+EARTH_M, LATITUDE_DEG, LONGITUDE_DEG = 6_371_000.0, 48.0, 9.0  # radius, and where the towns are
+SECOND_S, MINUTE_S = 1.0, 60.0  # between positions; over which their error wanders
+LOST_S, SEEN_S = (20.0, 60.0), 900.0  # how long narrow streets hide the satellites, and for how long they are seen in the mean
 
 
 @dataclass(frozen=True)
 class Sensors:
-    """How good the instruments are, and how rough the road is."""
+    """How good the instruments are, what is recorded, and how rough the road is."""
 
     torque_nm: float = 30.0
     torque_share: float = 0.01  # of the torque
@@ -38,6 +41,12 @@ class Sensors:
     speed_step_mps: float = 0.02
     dropouts: float = 0.002  # share of samples, in bursts
     belt_measured: bool = True
+    load_measured: bool = True
+    every_s: float = 0.0  # between rows; as often as is simulated where it is less than that
+    position_m: float = 5.0  # standard deviation of the error that wanders; in towns
+    position_white_m: float = 1.0
+    altitude_m: float = 4.0
+    altitude_white_m: float = 0.5
 
 
 def record(
@@ -53,26 +62,63 @@ def record(
     speed = drive.speed + rng.normal(0.0, sensors.speed_mps, n)
     speed = np.round(speed / sensors.speed_step_mps) * sensors.speed_step_mps
     speed = np.where(np.abs(drive.speed) < RESTING_MPS, 0.0, speed)
-    columns = [
-        start_s + np.arange(n) * drive.step,
-        speed,
-        drive.weight,
-        np.round(drive.ambient, 1),
-        drive.yaw_rate + rng.normal(0.0, 0.003, n),
-        drive.heading,
-        np.where(_bursts(n, sensors.dropouts, rng), np.nan, torque),
-    ]
-    names = list(COLUMNS)
+    columns: dict[str, Array] = {
+        "time_s": np.asarray(start_s + np.arange(n) * drive.step),
+        "speed_mps": speed,
+        "weight_n": drive.weight,
+        "ambient_degc": np.round(drive.ambient, 1),
+        "yaw_rate_radps": drive.yaw_rate + rng.normal(0.0, 0.003, n),
+        "heading_rad": drive.heading,
+        "torque_nm": np.where(_bursts(n, sensors.dropouts, rng), np.nan, torque),
+    }
     if drive.slope is not None:
-        columns.append(drive.slope)
-        names.append("grade")
+        columns["grade"] = drive.slope
     if sensors.belt_measured:
-        columns.append(truth.belt + rng.normal(0.0, 0.4, n))
-        names.append("belt_degc")
-    rows = np.column_stack(columns)
+        columns["belt_degc"] = truth.belt + rng.normal(0.0, 0.4, n)
+    if not sensors.load_measured:
+        del columns["weight_n"]
+    if drive.street is not None:
+        del columns["heading_rad"]  # a compass among cars and tracks is worth nothing
+        columns |= _in_town(drive.street, drive.step, sensors, rng)
+    every = max(1, round(sensors.every_s / drive.step))
+    rows = np.column_stack(list(columns.values()))[::every]
     with path.open("w", encoding="utf-8") as file:
-        file.write(",".join(names) + "\n")
-        np.savetxt(file, rows, delimiter=",", fmt="%.5f")
+        file.write(",".join(columns) + "\n")
+        np.savetxt(file, rows, delimiter=",", fmt=["%.8f" if name in POSITION else "%.5f" for name in columns])
+
+
+def _in_town(street: OnStreet, step: float, sensors: Sensors, rng: np.random.Generator) -> dict[str, Array]:
+    """What a satellite receiver and a switch at the brakes show; a receiver's sample comes once in a second."""
+    n, per_sample = len(street.x), round(SECOND_S / step)
+    known = (np.arange(n) % per_sample == 0) & ~street.covered & ~_lost(n, step, rng)
+
+    def shown(series: Array, wanders: float, white: float) -> Array:
+        return np.where(known, series + wandering(n, step, wanders, rng) + rng.normal(0.0, white, n), np.nan)
+
+    x, y = (shown(series, sensors.position_m, sensors.position_white_m) for series in (street.x, street.y))
+    parallel_m = EARTH_M * np.cos(np.radians(LATITUDE_DEG))
+    return {
+        POSITION[0]: LATITUDE_DEG + np.degrees(y / EARTH_M),
+        POSITION[1]: LONGITUDE_DEG + np.degrees(x / parallel_m),
+        "altitude_m": shown(400.0 + street.height, sensors.altitude_m, sensors.altitude_white_m),
+        "brake_on": (street.brakes > 0.0).astype(float),
+    }
+
+
+def wandering(n: int, step: float, std: float, rng: np.random.Generator) -> Array:
+    """An error that wanders within a minute."""
+    keep = np.exp(-step / MINUTE_S)
+    shocks = rng.normal(0.0, std * np.sqrt(1.0 - keep**2), n)
+    return np.asarray(lfilter([1.0], [1.0, -keep], shocks, zi=[keep * rng.normal(0.0, std)])[0])
+
+
+def _lost(n: int, step: float, rng: np.random.Generator) -> NDArray[np.bool_]:
+    out, i = np.zeros(n, dtype=bool), int(rng.exponential(SEEN_S) / step)
+    while i < n:
+        held = int(rng.uniform(*LOST_S) / step)
+        out[i : i + held] = True
+        i += held + int(rng.exponential(SEEN_S) / step)
+    return out
 
 
 def lagging(series: Array, seconds: float, step: float) -> Array:

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.evaluation.sealed import outside
+from trackres_ros.evaluation.sealed import outside, street
 from trackres_ros.evaluation.sealed.belt_heat import KELVIN, LAYERS, roll
 from trackres_ros.evaluation.sealed.belt_loss import LOAD_SHARES, LOG_SPEEDS, BeltLoss, belt_loss
 from trackres_ros.evaluation.sealed.data_sheet import DataSheet, read_data_sheet
@@ -45,8 +45,19 @@ class Build:
 
 @dataclass(frozen=True, eq=False)
 class TruthRun:
-    """What truly happened over a drive: torque at the sprockets and where the sensor is [Nm], belt temperatures [degC], and
-    what the phenomena added to the torque, or to what is shown of it where that is all they do (`outside.SHOWN`) [Nm].
+    """What truly happened over a drive, series of shape (n,).
+
+    Attributes
+    ----------
+    torque, shown
+        At the sprockets, and where the sensor is [Nm].
+    belt, surface
+        Temperatures of the belt [degC].
+    added
+        What the phenomena added to the torque; to what is shown of it where that is all they do (`outside.SHOWN`), or where
+        friction brakes take a part of it [Nm].
+    weight
+        With all that was on board [N].
     """
 
     torque: Array
@@ -54,6 +65,7 @@ class TruthRun:
     belt: Array
     surface: Array
     added: dict[str, Array]
+    weight: Array
 
 
 @cache
@@ -72,9 +84,9 @@ def simulate_truth(path: Path, build: Build, hidden: Hidden, drives: Sequence[Dr
         added = {}
         for name in hidden:
             without = _one(sheet, material, tables, build, _without(hidden, name), drive, driven)
-            where = 1 if name in outside.SHOWN else 0
+            where = 1 if name in outside.SHOWN or drive.street is not None else 0  # brakes take a part of what a town adds
             added[name] = with_all[where] - without[where]
-        found.append(TruthRun(*with_all, added))
+        found.append(TruthRun(*with_all, added, _with_load(hidden, drive, driven).weight))
         driven += float(np.abs(drive.speed).sum() * drive.step)
     return found
 
@@ -83,9 +95,14 @@ def _without(hidden: Hidden, name: str) -> Hidden:
     return {key: value for key, value in hidden.items() if key != name}
 
 
+def _with_load(hidden: Hidden, drive: Drive, driven: float) -> Drive:
+    return street.loaded(drive, hidden[street.LOAD], driven) if street.LOAD in hidden else drive
+
+
 def _one(
     sheet: DataSheet, material: Material, tables: BeltLoss, build: Build, hidden: Hidden, drive: Drive, driven: float
 ) -> tuple[Array, Array, Array, Array]:
+    drive = _with_load(hidden, drive, driven)
     at = Journey(sheet, drive, driven)
     rub = _run(sheet, material, tables, build, hidden, at, np.ones(len(drive)))
     if "tension_torque" in hidden:  # the torque stretches the belt, which changes the torque: once round is near enough
@@ -185,6 +202,9 @@ def _resistance(sheet: DataSheet, build: Build, hidden: Hidden, at: Journey, for
 
 def _sensor(torque: Array, hidden: Hidden, at: Journey) -> Array:
     shown = torque
+    if at.drive.street is not None:  # friction brakes sit behind the sensor, and hold the vehicle where it stands
+        brakes = at.drive.street.brakes
+        shown = np.where(at.travel > 0.0, torque - brakes * np.minimum(torque, 0.0), 0.0)
     if "delay" in hidden:
         time = np.arange(len(torque)) * at.step
         shown = np.interp(time - hidden["delay"]["time"], time, shown)
@@ -272,5 +292,6 @@ PHENOMENA: dict[str, Adds] = {
     "warmup": _warmup,
     "lug_friction": _lug_friction,
     **outside.PHENOMENA,
+    **street.PHENOMENA,
 }
 """What adds to the torque; the rest acts in the belt, on the drive train or in a sensor."""

@@ -1,0 +1,64 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Compares the masses of a described payload with what was on board between one stop and the next."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+DRIVING_MPS = 0.3
+LEAST_KNOWN = 0.5  # of the driving: laps held out are not fitted
+LONG_S = 300.0  # of driving
+CLOSE = 0.08  # of the greatest load
+
+
+@dataclass(frozen=True)
+class MassError:
+    """How long it drove between two changes of the load [s], and how far the mass is off, as a share of the greatest load."""
+
+    driving_s: float
+    off: float
+
+    @property
+    def long(self) -> bool:
+        """Whether it drove so long that the mass should show."""
+        return self.driving_s > LONG_S
+
+    @property
+    def close(self) -> bool:
+        """Whether the mass is near the true one."""
+        return self.off <= CLOSE
+
+
+def mass_errors(speed: Array, mass: Array, told: Sequence[Mapping[str, Any]], greatest: float) -> list[MassError]:
+    """Errors of the masses of one recording, one for each time between two changes of the load of which at least half is told.
+
+    Parameters
+    ----------
+    speed, mass
+        In each second, shape (n,) [m/s], and what is on board beside the empty vehicle [kg].
+    told
+        Stretches of a report: `begin_s`, `end_s` and the `mass` beside the model's [kg].
+    greatest
+        Load that there may be [kg].
+    """
+    second, driving = np.arange(len(mass)), np.abs(speed) > DRIVING_MPS
+    estimate = np.full(len(mass), np.nan)
+    for one in told:
+        estimate[(second >= one["begin_s"]) & (second < one["end_s"])] = one["mass"]
+    found = []
+    for piece in np.split(second, np.flatnonzero(np.diff(mass)) + 1):
+        drives = piece[driving[piece]]
+        known = drives[np.isfinite(estimate[drives])]
+        if len(drives) and len(known) >= LEAST_KNOWN * len(drives):
+            off = abs(float(estimate[known].mean()) - float(mass[piece[0]])) / greatest
+            found.append(MassError(float(len(drives)), off))
+    return found

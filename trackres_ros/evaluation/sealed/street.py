@@ -1,0 +1,53 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Holds what is hidden in a town: the slope of its streets, what is loaded and unloaded at stops, and soft or rough ground."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from trackres_ros.evaluation.sealed.drives import Drive
+from trackres_ros.evaluation.sealed.phenomenon import Adds, Array, Journey
+
+LOAD = "stretch_load"
+STAYS = 0.5  # share of the people who stay on at a stop
+
+
+def loaded(drive: Drive, p: Mapping[str, float], driven: float) -> Drive:
+    """The same drive with what is on board between one stop and the next, up to a `share` of its weight.
+
+    People get on and off a few at a time; `bulk` is there or is not.
+    """
+    assert drive.street is not None
+    rng = np.random.default_rng([int(p["seed"]), int(driven)])
+    count = int(drive.street.stretch.max()) + 1
+    load = rng.uniform(0.0, 1.0, count)
+    if p["bulk"]:
+        full = np.arange(count) % 2 == rng.integers(2)
+        load = np.where(full, 0.8 + 0.2 * load, 0.05 * load)
+    else:
+        for k in range(1, count):
+            load[k] = STAYS * load[k - 1] + (1.0 - STAYS) * load[k]
+    return replace(drive, weight=drive.weight * (1.0 + p["share"] * load[drive.street.stretch]))
+
+
+def _slope(at: Journey, _p: Mapping[str, float], _: Array) -> Array:
+    """The slope of a street that was not surveyed: its steepness is that of the town."""
+    assert at.drive.street is not None
+    return np.asarray(at.drive.weight * at.sheet["track.sprocket_radius"] * np.sin(np.arctan(at.drive.street.slope)))
+
+
+def _ground(at: Journey, p: Mapping[str, float], _: Array) -> Array:
+    """Soft or rough ground on some streets, which takes the same either way; each pass runs on another line."""
+    assert at.drive.street is not None
+    rng = np.random.default_rng([int(p["seed"]), int(at.driven)])
+    line = 1.0 + at.lagged(rng.normal(0.0, 0.1 * np.sqrt(2.0 * 40.0 / at.step), len(at.speed)), 40.0, 0.0)
+    return p["torque"] * at.drive.street.softness * line * at.load * at.direction
+
+
+PHENOMENA: dict[str, Adds] = {"street_slope": _slope, "street_ground": _ground}
+"""What adds to the torque; `LOAD` is in the weight."""
