@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from streets import autoregression, drive, slope_at
 
-from trackres_ros.diagnosis.described.by_place import Columns, Streets, gained, learn
+from trackres_ros.diagnosis.described.by_place import Columns, Streets, gains, learn
 from trackres_ros.diagnosis.inference.noise import estimate_noise
 from trackres_ros.route.matching import matched, neighbours, places_of
 from trackres_ros.route.track import track_of
@@ -44,9 +44,9 @@ def test_slopes_are_learned_and_hold_on_passes_that_were_not_used(seed):
     found = learn(slope, [residual], [fitted], noise, 0.03)
     assert found.evidence > 100.0
     others = mask & (at.number == 4)
-    left = residual - slope.expected(found.value)[0]
+    left = residual - slope.expected(found)[0]
     assert np.abs(left[others]).mean() < 0.5 * np.abs(residual[others]).mean()
-    assert gained(slope, found.value, [residual], [others], noise) > 100.0
+    assert gains(slope, found.value[:, np.newaxis], [residual], [others], noise)[0] > 100.0
     seen = np.unique(at.place[fitted & at.known])
     true = np.array([np.median((slope_at(one.way) * one.direction * at.sign[:, 0])[at.place[:, 0] == p]) for p in seen])
     off = (found.value[seen] - true) / found.std(seen)
@@ -97,7 +97,7 @@ def test_one_way_and_one_load_tell_nothing():
 
 
 def test_places_that_were_not_driven_are_as_unsure_as_before():
-    one, at, residual, mask, slope, _ = made(5, (1, 1))
+    one, at, residual, mask, slope, _ = made(5, (1, -1, 1, -1))
     fitted = mask & (one.way < 400.0)
     found = learn(slope, [residual], [fitted], noise_of(residual, mask), 0.03)
     far = np.unique(at.place[(one.way > 1200.0) & at.known])

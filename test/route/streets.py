@@ -53,7 +53,9 @@ def drive(seed, rounds=(1, 1, 1, 1), scatter_m=5.0, aside_m=2.0, hidden=()):
     corners = np.arange(0, n + 1, 40)
     speed = np.interp(np.arange(n), corners, rng.uniform(3.0, 11.0, len(corners)))
     for at in rng.integers(0, n, 2 * len(rounds)):
-        speed[at : at + 15] = 0.0
+        speed[at : at + 25] = 0.0
+    for _ in range(2):  # no vehicle stops within a second
+        speed = np.convolve(speed, np.full(9, 1.0 / 9.0), mode="same")
     distance = np.cumsum(speed)
     end = int(np.searchsorted(distance, len(rounds) * LAP_M))
     speed, distance = speed[:end], distance[:end]
@@ -67,3 +69,9 @@ def drive(seed, rounds=(1, 1, 1, 1), scatter_m=5.0, aside_m=2.0, hidden=()):
     for begin, stop in hidden:
         x = np.where((way > begin) & (way < stop), np.nan, x)
     return Drive(speed, distance, way, direction, x, y)
+
+
+def position_of(one):
+    """Latitude and longitude of a drive as shown [rad]."""
+    metres = 6371008.8
+    return LATITUDE + one.y / metres, LONGITUDE + one.x / (metres * np.cos(LATITUDE))

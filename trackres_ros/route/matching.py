@@ -104,14 +104,16 @@ class Matched:
     place, share, sign
         The places behind and ahead, -1 where it is at none, how much each counts, and 1 where the place's direction is that of
         travel, -1 where it is the other one; shape (points, 2).
-    number
-        Which of all passes of the nearer place this is, from 0; -1 where it is at none. Shape (points,).
+    number, number_this_way
+        Which of all passes of the nearer place this is, and which of those in this direction, from 0; -1 where it is at none.
+        Shape (points,).
     """
 
     place: Indices
     share: Array
     sign: Array
     number: Indices
+    number_this_way: Indices
 
     @property
     def known(self) -> NDArray[np.bool_]:
@@ -120,7 +122,15 @@ class Matched:
 
     def at(self, points: Indices) -> Matched:
         """Of some points of the track, in their order."""
-        return Matched(self.place[points], self.share[points], self.sign[points], self.number[points])
+        number, this_way = self.number[points], self.number_this_way[points]
+        return Matched(self.place[points], self.share[points], self.sign[points], number, this_way)
+
+    def middles(self, each: int) -> Matched:
+        """The middle one of each so many points; at no place where not all of them are at one."""
+        middle = self.at(np.arange(each // 2, len(self.number), each))
+        whole = self.known.reshape(-1, each).all(axis=1)
+        number, this_way = (np.where(whole, n, -1) for n in (middle.number, middle.number_this_way))
+        return Matched(middle.place, middle.share, middle.sign, number, this_way)
 
 
 def places_of(tracks: Sequence[Track]) -> Places:
@@ -135,21 +145,21 @@ def places_of(tracks: Sequence[Track]) -> Places:
 
 def matched(places: Places, tracks: Sequence[Track]) -> list[Matched]:
     """Where tracks are between places, and how often each was passed until then."""
-    passes, last = np.full(len(places), -1), np.full(len(places), -np.inf)
+    passes, last = np.full((len(places), 3), -1), np.full((len(places), 3), -np.inf)  # one way, the other, and either
     found, before_m = [], 0.0
     for track in tracks:
         place, share, sign = np.full((len(track), 2), -1), np.zeros((len(track), 2)), np.zeros((len(track), 2))
-        number = np.full(len(track), -1)
+        number = np.full((len(track), 2), -1)
         for i, *at in _known(track):
             place[i], share[i], sign[i] = places.between(*at)
             if place[i, 0] < 0:
                 continue
-            nearer, here = int(place[i, int(share[i, 1] > 0.5)]), before_m + i * STEP_M
-            if here - last[nearer] > AGAIN_M:
-                passes[nearer] += 1
-            last[nearer] = here
-            number[i] = passes[nearer]
-        found.append(Matched(place, share, sign, number))
+            side, here = int(share[i, 1] > 0.5), before_m + i * STEP_M
+            nearer, ways = place[i, side], [2, int(sign[i, side] < 0.0)]
+            passes[nearer, ways] += here - last[nearer, ways] > AGAIN_M
+            last[nearer, ways] = here
+            number[i] = passes[nearer, ways]
+        found.append(Matched(place, share, sign, number[:, 0], number[:, 1]))
         before_m += len(track) * STEP_M + AGAIN_M
     return found
 

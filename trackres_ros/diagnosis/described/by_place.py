@@ -19,9 +19,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
+from scipy.signal import lfilter
 from scipy.sparse.linalg import SuperLU, splu
 
-from trackres_ros.diagnosis.inference.noise import MOST_LAGS, Noise, whitened, whole_past
+from trackres_ros.diagnosis.inference.noise import Noise, whole_past
 from trackres_ros.route.matching import SPACING_M, Matched
 
 Array = NDArray[np.float64]
@@ -29,8 +30,11 @@ Mask = NDArray[np.bool_]
 
 LENGTHS_M = (50.0, 100.0, 200.0, 400.0, 800.0, 1600.0)  # over which places are alike, that are tried
 SIZES = (0.125, 0.25, 0.5, 1.0, 2.0, 4.0)  # of what is learned over the spread of the residual, that are tried
-TURNS = 4  # of values and weights
+TURNS = 6  # of values and weights
 AT_ONCE = 256  # columns of a solution
+PROBES = 16  # for a trace (Hutchinson, 1990)
+LEAST_LEFT = 0.1  # of the samples, that were not settled by values
+LONGEST_RESPONSE = 1000  # samples, after which a shock is forgotten
 NEAREST_M = 0.25 * SPACING_M  # two places are taken to lie at least so far apart
 FLOOR = 1e-9  # of the prior's precision, so that places without a neighbour have one
 
@@ -89,16 +93,25 @@ class Streets:
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """What each place's value adds to the torque of each session: sparse, of shape (samples, values), and the streets that
-    the values lie along.
+    """What each place's value adds to the torque of each session: sparse, of shape (samples, values), the streets that the values
+    lie along, and what a base adds that may bend along with them.
     """
 
     of: tuple[sparse.csr_matrix, ...]
     streets: Streets
+    base: tuple[Array, ...] = ()
+
+    def beside(self, base: Sequence[Array]) -> Columns:
+        """The same beside a base that may bend: what it adds to each session when a parameter is off by a standard deviation,
+        shape (samples, parameters).
+        """
+        return replace(self, base=tuple(base))
 
     @classmethod
     def of_slope(cls, tracks: Sequence[Matched], forces: Sequence[Array], streets: Streets) -> Columns:
-        """Of the sine of a slope, rising the way a place points; forces are weight times radius, along travel [Nm]."""
+        """Of the sine of a slope, rising the way a place points; forces are weight times radius, along travel [Nm]. A track has
+        as many points in each sample of a session.
+        """
         return cls(tuple(_column(t, t.place, t.sign, f, streets.count) for t, f in zip(tracks, forces, strict=True)), streets)
 
     @classmethod
@@ -109,16 +122,20 @@ class Columns:
         every = zip(tracks, place, against, strict=True)
         return cls(tuple(_column(t, p, np.ones_like(t.share), a, both.count) for t, p, a in every), both)
 
-    def expected(self, value: Array) -> list[Array]:
-        """Torque of each session by the values of the places."""
-        return [np.asarray(z @ value) for z in self.of]
+    def expected(self, learned: Learned) -> list[Array]:
+        """Torque of each session by the values of the places, without what the base bends."""
+        return [np.asarray(z @ learned.value) for z in self.of]
 
 
 def _column(track: Matched, place: NDArray[np.int64], sign: Array, factor: Array, count: int) -> sparse.csr_matrix:
-    rows = np.flatnonzero(track.known & np.isfinite(factor))
-    data = (track.share * sign)[rows] * factor[rows, np.newaxis]
-    at = (np.repeat(rows, 2), place[rows].ravel())
-    return sparse.coo_matrix((data.ravel(), at), (len(track.number), count)).tocsr()
+    """Means over the points within each sample; nothing where not all of them are at a place."""
+    each = len(track.number) // len(factor)
+    whole = np.repeat(track.known.reshape(-1, each).all(axis=1), each)
+    of = np.repeat(np.arange(len(factor)), each)
+    rows = np.flatnonzero(whole)
+    data = (track.share * sign)[rows] * factor[of[rows], np.newaxis] / each
+    at = (np.repeat(of[rows], 2), place[rows].ravel())
+    return sparse.coo_matrix((data.ravel(), at), (len(factor), count)).tocsr()
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,8 +144,8 @@ class Learned:
 
     Attributes
     ----------
-    value
-        Of each place.
+    value, bent
+        Of each place; and by how much the base's parameters moved along.
     length_m, size
         Over which places are alike, and how large values are.
     evidence
@@ -137,21 +154,30 @@ class Learned:
         What the values, and the length and size that were tried, cost.
     noise
         Under which it was learned.
+    shrinks
+        By what factor it makes what is left smaller than the noise is, as so many values were fitted to it.
     """
 
     value: Array
+    bent: Array
     length_m: float
     size: float
     evidence: float
     cost: float
     noise: Noise
+    shrinks: float
     _solve: SuperLU = field(repr=False)
+
+    def again(self, columns: Columns, residuals: Sequence[Array], masks: Sequence[Mask]) -> Array:
+        """Values from other samples, with this length, size and noise, beside a base that does not bend."""
+        rows = _Rows.of(replace(columns, base=()), residuals, masks, self.noise)
+        return _learned(rows, columns.streets, self.length_m, self.size).value
 
     def std(self, of: NDArray[np.int64]) -> Array:
         """Standard deviation of the values of some places."""
         found = np.empty(len(of))
         for some in np.array_split(np.arange(len(of)), max(1, len(of) // AT_ONCE)):
-            unit = np.zeros((len(self.value), len(some)))
+            unit = np.zeros((len(self.value) + len(self.bent), len(some)))
             unit[of[some], np.arange(len(some))] = 1.0
             found[some] = self._solve.solve(unit)[of[some], np.arange(len(some))]
         return np.sqrt(np.maximum(found, 0.0))
@@ -190,44 +216,62 @@ def learn(columns: Columns, residuals: Sequence[Array], masks: Sequence[Mask], n
     return replace(found, evidence=found.evidence - choices, cost=found.cost + choices)
 
 
-def gained(columns: Columns, value: Array, residuals: Sequence[Array], masks: Sequence[Mask], noise: Noise) -> float:
-    """Gain in log-likelihood of values that were learned elsewhere."""
-    rows = _Rows.of(columns, residuals, masks, noise)
-    return float((noise.log_density(rows.white - rows.columns @ value) - noise.log_density(rows.white)).sum())
+def gains(columns: Columns, values: Array, residuals: Sequence[Array], masks: Sequence[Mask], noise: Noise) -> Array:
+    """Gain in log-likelihood of values that were learned elsewhere, each a column; shape (columns,)."""
+    rows = _Rows.of(replace(columns, base=()), residuals, masks, noise)
+    left = rows.white[:, np.newaxis] - rows.columns @ values
+    return np.asarray((noise.log_density(left) - noise.log_density(rows.white)[:, np.newaxis]).sum(axis=0))
 
 
 @dataclass(frozen=True, eq=False)
 class _Rows:
-    """Whitened residuals over their standard deviation, and what the values add to them."""
+    """Whitened residuals over their standard deviation, and what the values add to them. The first of a stretch, of which nothing
+    is known before, counts by itself: on a street brakes leave stretches of some seconds.
+    """
 
     white: Array
     columns: sparse.csr_matrix
     noise: Noise
+    bends: int
 
     @classmethod
     def of(cls, columns: Columns, residuals: Sequence[Array], masks: Sequence[Mask], noise: Noise) -> _Rows:
-        white, parts = [], []
-        for residual, mask, column in zip(residuals, masks, columns.of, strict=True):
+        white, parts, lags = [], [], len(noise.phi)
+        stationary = noise.std * _growth(noise.phi)
+        base = columns.base or [np.empty((len(r), 0)) for r in residuals]
+        for residual, mask, of_places, of_base in zip(residuals, masks, columns.of, base, strict=True):
+            column = sparse.hstack([of_places, sparse.csr_matrix(of_base)]).tocsr()
             used = mask & np.isfinite(residual)
-            rows = np.flatnonzero(whole_past(used, MOST_LAGS))
-            white.append(whitened(residual, used, noise.phi)[rows] / noise.std)
-            part = column[rows]
+            rows, begins = np.flatnonzero(whole_past(used, lags)), np.flatnonzero(used & ~np.concatenate(([False], used[:-1])))
+            left, part = residual[rows], column[rows]
             for lag, coefficient in enumerate(noise.phi, start=1):
-                part = part - coefficient * column[rows - lag]
-            parts.append(part / noise.std)
-        return cls(np.concatenate(white), sparse.vstack(parts).tocsr(), noise)
+                left, part = left - coefficient * residual[rows - lag], part - coefficient * column[rows - lag]
+            begins = begins if lags else begins[:0]
+            white += [left / noise.std, residual[begins] / stationary]
+            parts += [part / noise.std, column[begins] / stationary]
+        return cls(np.concatenate(white), sparse.vstack(parts).tocsr(), noise, base[0].shape[1])
+
+
+def _growth(phi: Array) -> float:
+    """Standard deviation of an autoregression over that of its innovations."""
+    response = lfilter([1.0], np.concatenate(([1.0], -phi)), np.eye(1, LONGEST_RESPONSE)[0])
+    return float(np.sqrt(np.sum(response**2)))
 
 
 def _learned(rows: _Rows, streets: Streets, length_m: float, size: float) -> Learned:
-    prior = streets.precision(length_m, size)
-    value, noise = np.zeros(streets.count), rows.noise
+    prior = sparse.block_diag([streets.precision(length_m, size), sparse.identity(rows.bends)]).tocsc()
+    noise, weight = rows.noise, np.ones(len(rows.white))  # without values all that is steep would look far out
     for _ in range(TURNS):
-        weighted = rows.columns.multiply(noise.weights(rows.white - rows.columns @ value)[:, np.newaxis]).tocsr()
+        weighted = rows.columns.multiply(weight[:, np.newaxis]).tocsr()
         solve = _factored((rows.columns.T @ weighted + prior).tocsc())
         value = solve.solve(weighted.T @ rows.white)
+        weight = noise.weights(rows.white - rows.columns @ value)
     cost = 0.5 * float(value @ (prior @ value)) + 0.5 * (_log_determinant(solve) - _log_determinant(_factored(prior)))
     gain = float((noise.log_density(rows.white - rows.columns @ value) - noise.log_density(rows.white)).sum())
-    return Learned(value, length_m, size, gain - cost, cost, noise, solve)
+    probes = np.random.default_rng(0).choice((-1.0, 1.0), (len(value), PROBES))
+    settled = float(np.mean((probes * solve.solve(rows.columns.T @ (weighted @ probes))).sum(axis=0)))  # of the values, by data
+    shrinks = math.sqrt(max(1.0 - settled / len(rows.white), LEAST_LEFT))
+    return Learned(value[: streets.count], value[streets.count :], length_m, size, gain - cost, cost, noise, shrinks, solve)
 
 
 def _factored(precision: sparse.csc_matrix) -> SuperLU:
