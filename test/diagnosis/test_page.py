@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from trackres_ros.diagnosis.report.page import GRADES, write_page
-from trackres_ros.diagnosis.report.pictures import Picture
+from trackres_ros.diagnosis.report.picture import Picture
 
 BROWSER = next((path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), None)
 ALONE = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking"]

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from trackres_ros.diagnosis.base.base import Base
 from trackres_ros.diagnosis.base.loading import LoadedBase
 from trackres_ros.diagnosis.described.describe import Term, course, describe, drift, said
+from trackres_ros.diagnosis.described.routes import SLOPES, Route, beside_names, by_place, find_route, roads_of
 from trackres_ros.diagnosis.described.terms import Described
 from trackres_ros.diagnosis.described.watching import drift_on_held_out, drift_to_watch, spells_to_watch
 from trackres_ros.diagnosis.findings.change_points import Change, changes
@@ -34,6 +35,7 @@ from trackres_ros.diagnosis.inference.fitting import Fit, Problem, fit
 from trackres_ros.diagnosis.inference.levels import for_tests, with_levels
 from trackres_ros.diagnosis.inference.noise import Noise
 from trackres_ros.diagnosis.prepare.gate import Gated, gate
+from trackres_ros.diagnosis.prepare.on_route import on_route
 from trackres_ros.diagnosis.prepare.session import Session, Split
 from trackres_ros.diagnosis.prepare.split import split
 from trackres_ros.diagnosis.prepare.torque_checks import (
@@ -85,6 +87,8 @@ class Diagnosis:
     described, wanders, tracked
         Terms without a name that were found; how what is left wanders, where it does so by more than it should; and what held-out
         laps say of following that live.
+    route
+        What goes by place, named or without a name; None where nothing does.
     base_intervals
         Of the base's parameters in `final`.
     held_out, advice, verdict
@@ -109,6 +113,7 @@ class Diagnosis:
     described: tuple[Told, ...]
     wanders: Described | None
     tracked: Improvement | None
+    route: Route | None
     refuted: tuple[Graded, ...]
     base_intervals: dict[str, Interval]
     held_out: HeldOut
@@ -186,7 +191,7 @@ def diagnose(
         for name, effect in catalogue(effects_dir, base.facts.weight * base.facts.radius, on_tyres=not base.has_belt).items()
     }
     on_stage("gate: units, clocks, gaps")
-    gated = gate(recordings, vehicle.known, hide)
+    gated = on_route(gate(recordings, vehicle.known, hide), vehicle.route)
     gated, nominal = align_and_check(gated, vehicle)
     chosen = split(gated.sessions, holdout)
     masks = tuple(chosen.training_mask(s) for s in gated.sessions)
@@ -198,11 +203,18 @@ def diagnose(
     at_base = regime_map(tested_base, rng)
     replicates = QUICK_REPLICATES if quick else REPLICATES
     laps = HeldOutLaps(gated.sessions, [chosen.held_out_mask(s) for s in gated.sessions], rng)
+    on_stage("places: passes of the same streets")
+    roads = roads_of(gated.sessions) if vehicle.route is None else None
+    first = find_route(tested, roads) if roads is not None else None
     allowed, refuted = dict(effects), list[Graded]()
     while True:
-        rounds, named = choose(tested, allowed, replicates, rng, on_stage)
-        description = describe(named, rounds, allowed, replicates, rng, on_stage)
+        possible = allowed if first is None else {name: effect for name, effect in allowed.items() if name not in SLOPES}
+        rounds, named = choose(tested if first is None else first.candidate.fit, possible, replicates, rng, on_stage)
+        route, named = beside_names(first, roads, named)
+        description = describe(named, rounds, possible, replicates, rng, on_stage, roads, route)
         steps, best = description.steps, description.fit
+        if route is not None and route.told and route.candidate.name in best.effect_names:
+            steps = [by_place(route, rounds[0]), *steps]
         on_stage("what it is worth: laps held out")
         final, graded, left_out = confirm(with_levels(best), refitted, laps) if best.effects else (refitted, {}, ())
         refuted += left_out
@@ -212,6 +224,7 @@ def diagnose(
         # What stood in front of the others is gone, and they are looked at anew.
         allowed = {name: effect for name, effect in allowed.items() if name not in again}
     final, graded, unconfirmed = leave_unconfirmed(final, graded, description.terms, refitted, laps)
+    route = route if route is not None and route.candidate.name in final.effect_names else None
     refuted += unconfirmed
     predicted = {"refitted": refitted.predicted, "with_effects": final.predicted}
     worth = held_out(laps, {"nominal": nominal, **{stage: [p.torque for p in of] for stage, of in predicted.items()}})
@@ -275,8 +288,8 @@ def diagnose(
     return Diagnosis(
         base, gated, chosen, nominal, refitted, final, at_base, at_end, changes(tested_base), cumulative_periodogram(tested_end),
         thermal_check(refitted),
-        tuple(steps), tuple(found), tuple(terms), wanders, tracked, tuple(refuted), bounds_of("", bounds),
-        worth, tuple(advice), verdict, kept,
+        tuple(steps), tuple(found), tuple(terms), wanders, tracked, route, tuple(refuted), bounds_of("", bounds), worth,
+        tuple(advice), verdict, kept,
     )  # fmt: skip
 
 

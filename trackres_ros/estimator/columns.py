@@ -130,6 +130,7 @@ class Reason(IntFlag):
     EFFECT_LEFT_OUT = 1 << 14
     SURROUNDINGS = 1 << 15
     OUTSIDE_LEARNED = 1 << 16
+    OFF_ROUTE = 1 << 17
 
 
 REASON_TEXT = {
@@ -149,6 +150,7 @@ REASON_TEXT = {
     Reason.SPEED_QUANTISED: "the speed comes in coarse steps: its acceleration is known only roughly",
     Reason.EFFECT_LEFT_OUT: "an effect is left out: an input of it is missing, or what it gives is no number or implausible",
     Reason.SURROUNDINGS: "site, weather and ground are those of the surroundings file, not measured",
+    Reason.OFF_ROUTE: "no position on the route of the surroundings, and no recorded slope: the ground counts as level",
     Reason.OUTSIDE_LEARNED: "outside of the range in which it was learned, a learned term keeps the value at its end",
 }
 # Remarks that go with a fully usable estimate; any other reason makes it a warning.

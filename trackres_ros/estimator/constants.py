@@ -61,6 +61,7 @@ class Numbers(NamedTuple):
     fastest_x: float  # log10(a_T v): the rubber data end here
     with_uncertainty: bool  # whether standard deviations and heat are computed besides temperatures and torques
     surroundings: bool  # whether effects of the surroundings are among the effects
+    route: bool  # whether slopes of a route are among the surroundings
     two_nodes: bool
     belt_shows_surface: bool
     bearing_friction: float
@@ -191,7 +192,8 @@ def make_constants(vehicle: Vehicle, settings: Settings, cache: Path | None = No
         hottest=min(each.hottest for each in covered),
         fastest_x=min(each.log_reduced_speed for each in covered),
         with_uncertainty=True,
-        surroundings=bool(vehicle.surroundings),
+        surroundings=bool(vehicle.surroundings) or vehicle.route is not None,
+        route=vehicle.route is not None,
         two_nodes=two_nodes,
         belt_shows_surface=settings.belt_sensor == "surface",
         bearing_friction=chassis.bearing_friction,

@@ -41,6 +41,7 @@ LEAST_STD_SHARE = 0.001  # of the resistance: torque transducers are no better (
 
 BRIDGED, UNKNOWN = int(at.Reason.GAP_BRIDGED), int(at.Reason.GAP_UNKNOWN)
 SURROUNDINGS, EFFECT_LEFT_OUT = int(at.Reason.SURROUNDINGS), int(at.Reason.EFFECT_LEFT_OUT)
+OFF_ROUTE = int(at.Reason.OFF_ROUTE)
 OUTSIDE_LEARNED = int(at.Reason.OUTSIDE_LEARNED)
 PREDICTED_DRIVE, PREDICTED_BELT, PREDICTED_SKIN, PREDICTED_OUTCOME = range(4)
 PREDICTED = 4
@@ -135,6 +136,8 @@ def advance(k: Constants, carried: Carried, inputs: Inputs, dt: float, out: Arra
         reasons |= EFFECT_LEFT_OUT
     if number.surroundings:
         reasons |= SURROUNDINGS
+    if number.route and math.isnan(inputs.grade):
+        reasons |= OFF_ROUTE
     total, of_assemblies = advance_assemblies(k, belts, inputs, road, out)
     resisting = total[at.PART_HYSTERESIS] + total[at.PART_BEARING] + total[at.PART_WIND]
     driving, of_effects = driving_torque(work, resisting, total[at.PART_GRADE], total[at.PART_INERTIA])

@@ -22,6 +22,7 @@ from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.files.output_files import BAG_SUFFIX
 from trackres_ros.offline.disturbance import DisturbanceColumns
+from trackres_ros.offline.on_route import on_route
 from trackres_ros.output.bag import OutputBag
 from trackres_ros.output.preview import ResultPreview
 from trackres_ros.output.table import TableWriter
@@ -86,7 +87,7 @@ def replay(
     InputError
         If the source holds no usable speed, or cannot be read.
     """
-    session = session or estimator.session()
+    session, source = session or estimator.session(), on_route(source, estimator.vehicle.route)
     channel_of = channel_indices(session, source.roles)
     not_needed = bool((channel_of < 0).any())
     seen = ResultPreview(len(estimator.columns))

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.effects.effect import Active
+from trackres_ros.route.learned import RouteMap
 
 Array = NDArray[np.float64]
 
@@ -212,6 +213,8 @@ class Vehicle:
         Every quantity by its path in the file, with range and provenance.
     effects, surroundings
         Effects that the vehicle file switches on, and those of site, weather and ground from a file of their own.
+    route
+        Slope by place, of the surroundings; None where there is none.
     disturbance
         A torque that nothing foretells: watched for where a torque is measured, part of no estimate.
     """
@@ -230,6 +233,7 @@ class Vehicle:
     parameters: Mapping[str, Quantity]
     effects: tuple[Active, ...] = ()
     surroundings: tuple[Active, ...] = ()
+    route: RouteMap | None = None
     disturbance: Disturbance | None = None
 
     def __repr__(self) -> str:

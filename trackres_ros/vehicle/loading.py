@@ -78,6 +78,7 @@ def variants(vehicle: Vehicle) -> Callable[[Mapping[str, float]], Vehicle]:
         thermal=vehicle.thermal,
         effects=vehicle.effects,
         surroundings=vehicle.surroundings,
+        route=vehicle.route,
     )
 
 

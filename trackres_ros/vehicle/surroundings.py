@@ -1,7 +1,9 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Reads the file of the surroundings: effects of site, weather and ground, which hold here and today, not for the vehicle."""
+"""Reads the file of the surroundings: effects of site, weather and ground, which hold here and today, not for the vehicle, and
+the slopes of a route.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +14,8 @@ from pathlib import Path
 from trackres_ros.effects.effect import Active
 from trackres_ros.errors import InputError
 from trackres_ros.files.yamls import read_yaml
+from trackres_ros.route.learned import RouteMap
+from trackres_ros.route.table import read_route
 from trackres_ros.vehicle.description import Vehicle
 from trackres_ros.vehicle.loading import listed_effects
 from trackres_ros.vehicle.reading import Reader
@@ -31,7 +35,8 @@ def with_surroundings(vehicle: Vehicle, file: str | os.PathLike[str] | None) -> 
     if not file:
         return vehicle
     size = vehicle.weight * vehicle.track_of(vehicle.assemblies[0]).sprocket_radius
-    return replace(vehicle, surroundings=load_surroundings(Path(file), vehicle.name, size, False))
+    path = Path(file)
+    return replace(vehicle, surroundings=load_surroundings(path, vehicle.name, size, False), route=load_route(path))
 
 
 def load_surroundings(path: Path, vehicle: str, size: float, on_tyres: bool) -> tuple[Active, ...]:
@@ -43,10 +48,22 @@ def load_surroundings(path: Path, vehicle: str, size: float, on_tyres: bool) -> 
         If the file cannot be read, was made for another vehicle, or lists what is not of the surroundings.
     """
     reader, content = Reader(path), read_yaml(path)
-    reader.keys(content, "", KEYS, ("effect_files",))
+    reader.keys(content, "", KEYS, ("effect_files", "route"))
     if content["schema"] != SCHEMA:
         raise InputError(reader.where("schema"), content["schema"], str(SCHEMA))
     if reader.text(content["vehicle"], "vehicle") != vehicle:
         remedy = "surroundings are fitted together with a vehicle: run trackres diagnose with this one"
         raise InputError(reader.where("vehicle"), content["vehicle"], vehicle, remedy)
     return listed_effects(reader, content, size, on_tyres, "surroundings")
+
+
+def load_route(path: Path) -> RouteMap | None:
+    """The slope by place that a file of the surroundings names; None where it names none.
+
+    Raises
+    ------
+    InputError
+        If its table cannot be read.
+    """
+    name = read_yaml(path).get("route")
+    return None if name is None else read_route(path.parent / Reader(path).text(name, "route"))

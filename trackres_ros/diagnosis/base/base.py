@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.base.watched import WATCHED, Watched
+from trackres_ros.diagnosis.base.watched import SlopeByPlace, Watched
 from trackres_ros.diagnosis.prepare.session import Session
 from trackres_ros.diagnosis.writing.kept import Kept
 from trackres_ros.effects.effect import Active, Conditions, Terms, VehicleConstants, conditions, together
@@ -123,7 +123,7 @@ class Remembered(threading.local):
         self, sessions: Sequence[Session], values: Values, acting: Acting, simulate: Callable[[], list[Array]]
     ) -> list[Array]:
         """What `simulate` gives, or gave when it was last asked with the same."""
-        stepped = tuple((active.effect, *active.numbers) for active in acting.stepped)
+        stepped = tuple((active.effect, *active.numbers) for active in (*acting.stepped, *acting.slopes))
         hangs_on = (*map(id, sessions), *values.values(), acting.sensors.speed_factor, *stepped)
         if hangs_on != self._hangs_on:
             self._hangs_on, self._rows = hangs_on, simulate()
@@ -133,32 +133,43 @@ class Remembered(threading.local):
 
 @dataclass(frozen=True)
 class Acting:
-    """Effects sorted: those that act in every step, ready for it, those that follow the clock alone, and what those of sensors
-    make of speed and torque.
+    """Effects sorted: those that act in every step, ready for it, those that follow a series of their own, slopes among them by
+    themselves, and what those of sensors make of speed and torque.
     """
 
     stepped: tuple[Active, ...]
     table: EffectTable
     watched: tuple[Active, ...]
+    slopes: tuple[Active, ...]
     sensors: Terms
 
     @classmethod
     def of(cls, effects: Sequence[Active], facts: VehicleConstants) -> Acting:
         """Sort effects; what a sensor makes of it hangs on nothing but its parameters."""
-        stepped = tuple(active for active in effects if active.effect.acts_on not in ("sensor", WATCHED))
+        series = tuple(active for active in effects if isinstance(active.effect, Watched))
+        slopes = tuple(active for active in series if isinstance(active.effect, SlopeByPlace))
+        watched = tuple(active for active in series if active not in slopes)
+        stepped = tuple(active for active in effects if active not in series and active.effect.acts_on != "sensor")
         sensors = [active.terms(conditions(facts)) for active in effects if active.effect.acts_on == "sensor"]
-        watched = tuple(active for active in effects if active.effect.acts_on == WATCHED)
-        return cls(stepped, effect_table(stepped, with_uncertainty=False), watched, together(sensors))
+        return cls(stepped, effect_table(stepped, with_uncertainty=False), watched, slopes, together(sensors))
 
     def speed(self, session: Session) -> Array:
         """True speed [m/s]."""
         return np.ascontiguousarray(session.speed * self.sensors.speed_factor)
 
+    def grade(self, session: Session, number: int) -> Array:
+        """Slope of the session of a number, as recorded and as learned by place; level where nothing is known."""
+        grade = session.grade if "grade" in session.given else np.zeros(len(session))
+        for active in self.slopes:
+            assert isinstance(active.effect, Watched)
+            grade = grade + active.numbers[0] * active.effect.shape[number]
+        return np.ascontiguousarray(grade)
+
     def with_watched(self, torque: Array, session: int) -> Array:
-        """A torque of the session of a number with what follows the clock alone [Nm]."""
+        """A torque of the session of a number with what follows a series of its own [Nm]."""
         for active in self.watched:
             assert isinstance(active.effect, Watched)
-            torque = torque + active.values["level"] * active.effect.shape[session]
+            torque = torque + active.numbers[0] * active.effect.shape[session]
         return torque
 
     def sensed(self, torque: Array, session: Session) -> Array:

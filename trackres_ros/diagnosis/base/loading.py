@@ -21,17 +21,21 @@ from trackres_ros.files.resources import find_vehicle
 from trackres_ros.files.yamls import read_yaml
 from trackres_ros.model.track import with_methods
 from trackres_ros.recording.bindings import Topics
+from trackres_ros.route.learned import RouteMap
 from trackres_ros.vehicle import Vehicle, load, with_surroundings
 
 
 @dataclass(frozen=True, eq=False)
 class LoadedBase:
-    """A base model, the vehicle's title, what the gate needs to know of it, and the surroundings that it is in."""
+    """A base model, the vehicle's title, what the gate needs to know of it, and the surroundings that it is in: effects, and
+    slopes by place.
+    """
 
     base: Base
     title: str
     known: GateSettings
     surroundings: tuple[Active, ...] = ()
+    route: RouteMap | None = None
 
 
 def load_base(
@@ -73,7 +77,7 @@ def load_base(
         track.chassis.motor_ratio,
         passenger_kg=settings.passenger_kg,
     )
-    return LoadedBase(TrackBase(track), track.title, known, track.surroundings)
+    return LoadedBase(TrackBase(track), track.title, known, track.surroundings, track.route)
 
 
 def _road(road: RoadVehicle, settings: Settings) -> LoadedBase:
@@ -87,7 +91,7 @@ def _road(road: RoadVehicle, settings: Settings) -> LoadedBase:
         passenger_kg=settings.passenger_kg,
         track_width=road.values.get("track_width"),
     )
-    return LoadedBase(base, road.title, known, road.surroundings)
+    return LoadedBase(base, road.title, known, road.surroundings, road.route)
 
 
 def _check_as_in_its_file(vehicle: Vehicle) -> None:

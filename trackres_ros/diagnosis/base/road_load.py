@@ -27,12 +27,13 @@ from trackres_ros.effects.vehicle.rotating_inertia import RotatingInertia
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.records import Series
 from trackres_ros.estimator.road_series import RoadLoad, run_road_load
+from trackres_ros.route.learned import RouteMap
 from trackres_ros.units import GRAVITY
 from trackres_ros.vehicle import Quantity
 from trackres_ros.vehicle.loading import EFFECT_KEYS, listed_effects
 from trackres_ros.vehicle.reading import Reader
 from trackres_ros.vehicle.schema import Limits
-from trackres_ros.vehicle.surroundings import load_surroundings
+from trackres_ros.vehicle.surroundings import load_route, load_surroundings
 
 Array = NDArray[np.float64]
 
@@ -76,6 +77,7 @@ class RoadVehicle:
     friction_brakes: bool  # whether brakes of which nothing is recorded help a torque that brakes
     effects: tuple[Active, ...]
     surroundings: tuple[Active, ...]
+    route: RouteMap | None  # slope by place, of the surroundings
     torque_shown: tuple[float, float]  # least and most times the expected torque, by the ranges of its scale and of the mass
 
 
@@ -98,9 +100,10 @@ def load_road_vehicle(path: Path, content: Mapping[str, Any], surroundings: Path
     size = values["mass"] * GRAVITY * values["wheel_radius"]
     effects = listed_effects(reader, content, size, True, "vehicle")
     around = load_surroundings(surroundings, name, size, True) if surroundings else ()
+    route = load_route(surroundings) if surroundings else None
     scale, mass = parameters["torque_scale"], parameters["mass"]
     shown = (scale.low * mass.low / values["mass"], scale.high * mass.high / values["mass"])
-    return RoadVehicle(name, title, path, values, parameters, brakes, effects, around, shown)
+    return RoadVehicle(name, title, path, values, parameters, brakes, effects, around, route, shown)
 
 
 class RoadBase:
@@ -178,7 +181,7 @@ class RoadBase:
                 session.weight if "load" in session.given else values["mass"] * GRAVITY + session.payload,
                 session.ambient,
                 session.accel,
-                session.grade if "grade" in session.given else np.zeros(len(session)),
+                acting.grade(session, i),
                 session.yaw_rate,
                 session.heading,
                 np.full(len(session), np.nan),
@@ -198,4 +201,4 @@ class RoadBase:
             for name in kept.values:
                 old = vehicle.parameters[name]
                 set_quantity(document, ("road_load", name), old, kept.values[name], kept.range_of(name), QUANTITIES[name])
-        return finish(document, vehicle.name, vehicle.effects, vehicle.surroundings, path, kept, text)
+        return finish(document, vehicle.name, vehicle.effects, vehicle.surroundings, path, kept, text, vehicle.route)

@@ -137,7 +137,7 @@ class TrackBase:
                 session.weight,
                 session.ambient,
                 session.accel,
-                session.grade if "grade" in session.given else unknown,
+                acting.grade(session, i),
                 session.yaw_rate,
                 session.heading,
                 unknown,

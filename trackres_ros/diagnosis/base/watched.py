@@ -1,7 +1,9 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A torque that follows nothing known ahead, only the clock: a series found in what a fit leaves, fitted along in size."""
+"""What follows no series of the estimator: the clock alone, or the place. A series found in what a fit leaves, fitted along in
+size.
+"""
 
 from __future__ import annotations
 
@@ -10,12 +12,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.effects.effect import REFERENCE_NM, Effect
+from trackres_ros.effects.effect import REFERENCE_NM, Effect, Parameter
 from trackres_ros.effects.learned import height
+from trackres_ros.route.learned import RouteMap
 
 Array = NDArray[np.float64]
 
 WATCHED = "watched"
+STEEPEST = 0.3  # rise over run, as of the catalogue's slopes
 
 
 class Watched(Effect):
@@ -36,3 +40,38 @@ class Watched(Effect):
     def __init__(self, name: str, text: str, shape: Sequence[Array], size: float) -> None:
         self.name, self.text, self.shape = name, text, tuple(shape)
         self.parameters = (height("level", "torque where it acts").times(size / REFERENCE_NM),)
+
+
+class ByPlace(Watched):
+    """A torque against travel that was learned for each place of a route.
+
+    Parameters
+    ----------
+    route
+        What was learned, for a level of `typical`.
+    typical
+        Of its parameter.
+    """
+
+    belongs_to = "surroundings"
+
+    def __init__(self, name: str, text: str, shape: Sequence[Array], size: float, route: RouteMap, typical: float) -> None:
+        super().__init__(name, text, shape, size)
+        self.route, self.typical = route, typical
+
+    def learned(self, level: float) -> RouteMap:
+        """What was learned, by the fitted level."""
+        return self.route.times(level / self.typical)
+
+
+class SlopeByPlace(ByPlace):
+    """A slope that was learned for each place of a route: the series are the rise over run the way the vehicle points. It
+    is known ahead where positions come in, and so it may be written.
+    """
+
+    acts_on = "torque"
+
+    def __init__(self, name: str, text: str, shape: Sequence[Array], size: float, route: RouteMap, typical: float) -> None:
+        super().__init__(name, text, shape, size, route, typical)
+        typical_slope = Parameter("slope", "1", -STEEPEST, STEEPEST, typical, "root mean square over the places", off=0.0)
+        self.parameters = (typical_slope,)

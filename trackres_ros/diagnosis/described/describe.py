@@ -19,6 +19,7 @@ from trackres_ros.diagnosis.described.candidates import candidates, finer, serie
 from trackres_ros.diagnosis.described.level_changes import LevelChange, find_change, piece_s, sharpened
 from trackres_ros.diagnosis.described.payload import Payload, find_payload
 from trackres_ros.diagnosis.described.places import Place, find_place
+from trackres_ros.diagnosis.described.routes import Roads, Route
 from trackres_ros.diagnosis.described.spells import (
     Blocks,
     Chain,
@@ -37,6 +38,7 @@ from trackres_ros.diagnosis.described.terms import (
     of_level_change,
     of_payload,
     of_place,
+    of_route,
     of_spells,
     of_wave,
 )
@@ -63,6 +65,7 @@ SPELLS, WAVE, LEVEL_CHANGE, PLACE, PAYLOAD = "spells", "wave", "level_change", "
 BEGINNINGS_S = 15.0  # within so much of a stop a spell begins with it
 MOST_BEGIN = 0.7  # of the spells
 LIKELY = 0.5  # that it is there
+MOST_OF_IT = (0.025, 0.975)  # quantiles
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +81,7 @@ class Term:
     change: LevelChange | None = None
     place: Place | None = None
     payload: Payload | None = None
+    route: Route | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +100,8 @@ def describe(
     replicates: int,
     rng: np.random.Generator,
     on_stage: Callable[[str], None],
+    roads: Roads | None = None,
+    route: Route | None = None,
 ) -> Description:
     """Look for terms without a name in what a fit leaves.
 
@@ -107,12 +113,17 @@ def describe(
         The catalogue: what was hidden behind a term is looked for once more beside it.
     replicates
         Draws for the threshold of each round.
+    roads, route
+        Where positions say that the sessions are, and what goes by place in the fit already.
     """
     current, kept, terms = best, list(steps), dict[str, Term]()
+    if route is not None and not route.told:
+        terms[route.candidate.name] = Term(route.candidate, route=route)
+    searches = {name: search for name, search in BY_CLOCK.items() if roads is None or name != PLACE}
     for round_ in range(MOST_DESCRIBED):
         on_stage(f"what has no name, round {round_ + 1}")
         followed = _followed(current, replicates, rng)
-        by_clock = (_watched(current, name, search) for name, search in BY_CLOCK.items())
+        by_clock = (_watched(current, name, search) for name, search in searches.items())
         looked_for = (followed, _wave(current), *by_clock)
         found = [t for t in looked_for if t is not None]
         if not found:
@@ -343,7 +354,7 @@ def said(term: Term, final: Fit) -> Described:
     active = next(a for a in final.effects if a.effect.name == name)
     if isinstance(active.effect, Learned):
         return of_learned(active.effect, active.values)
-    level = active.values["level"]
+    level = active.numbers[0]
     if term.wave is not None:
         return of_wave(name, term.wave, level, part_of(term.wave.length_m, final.problem.base.parts))
     if term.change is not None:
@@ -352,6 +363,11 @@ def said(term: Term, final: Fit) -> Described:
         return of_place(name, level, term.place)
     if term.payload is not None:
         return of_payload(name, level, term.payload)
+    if term.route is not None:
+        adds = [x * np.sign(s.speed) for x, s in zip(final.contribution(name), final.problem.sessions, strict=True)]
+        used = np.concatenate([x[m] for x, m in zip(adds, final.problem.masks, strict=True)])
+        least, most = (float(q) for q in np.quantile(used, MOST_OF_IT))
+        return of_route(name, float(np.sqrt(np.mean(used**2))), least, most, term.route)
     assert term.chain is not None
     assert isinstance(active.effect, Watched)
     spells = _spells_of(active.effect.shape, final)
@@ -387,6 +403,8 @@ def course(term: Term, final: Fit) -> list[Array]:
         return series(effect.variable, final)
     if term.place is not None:
         return list(term.place.course)
+    if term.route is not None:
+        return list(term.route.course)
     if not isinstance(effect, Learned):
         return []
     adds, sessions = final.contribution(effect.name), final.problem.sessions

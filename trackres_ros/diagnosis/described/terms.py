@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from trackres_ros.diagnosis.described.level_changes import LevelChange
 from trackres_ros.diagnosis.described.payload import Payload, Stretch
 from trackres_ros.diagnosis.described.places import Place
+from trackres_ros.diagnosis.described.routes import TOLD, Route
 from trackres_ros.diagnosis.described.spells import Chain, Wander
 from trackres_ros.diagnosis.described.waves import Wave
 from trackres_ros.diagnosis.prepare.session import Session
@@ -220,6 +221,19 @@ def of_payload(name: str, level: float, payload: Payload) -> Described:
         f"mass after each stop ({len(stretches)} stretches, each known to about {figures(sure)} kg)"
     )
     return Described("payload", name, "mass", "", None, None, text, OF_PAYLOAD, abs(level), False, "kg", stretches)
+
+
+def of_route(name: str, size: float, least: float, most: float, route: Route) -> Described:
+    """What goes by place, from a least to a most torque [Nm] and of a size, where it is not told for a slope."""
+    tied = abs(route.apart) <= TOLD
+    text = (
+        f"At the same places of {figures(0.001 * route.metres)} km of streets it takes from {_more(least)} to {_more(most)} on "
+        f"each pass, {route.passes} of most that were passed again"
+    )
+    if tied:
+        text += "; passing them the other way too, or with another load, would tell whether that is a slope"
+    mechanisms = OF_PLACES if tied else OF_PLACES[1:]
+    return Described("place", name, "place on the route", "", None, None, text, mechanisms, size, False, unit="m")
 
 
 def of_level_change(name: str, level: float, sessions: Sequence[Session], change: LevelChange) -> Described:

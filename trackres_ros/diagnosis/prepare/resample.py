@@ -14,8 +14,8 @@ import numpy as np
 from trackres_ros.diagnosis.prepare.gaps import steps_within, steps_without_value, straight_spans
 from trackres_ros.diagnosis.prepare.refuse import EARLIEST_CLOCK_S, check_compared
 from trackres_ros.diagnosis.prepare.sample_noise import noise_of_means
-from trackres_ros.diagnosis.prepare.sampling import LONGEST_HOLD_S, any_from, carried, held, means, ordered, read_off
-from trackres_ros.diagnosis.prepare.session import Array, Course, Mask, Session
+from trackres_ros.diagnosis.prepare.sampling import LONGEST_HOLD_S, any_from, carried, held, means, middles, ordered, read_off
+from trackres_ros.diagnosis.prepare.session import Array, Course, Mask, Session, Way
 from trackres_ros.diagnosis.prepare.settings import LEAST_SAMPLES, STEP_S, GateSettings
 from trackres_ros.diagnosis.prepare.speed_smoothing import smooth_speed
 from trackres_ros.diagnosis.prepare.turning import turning
@@ -188,6 +188,7 @@ def resample(
         steering_angle=steering,
         passengers=passengers,
         payload=payload,
+        way=_way(series, start, speed_at, raw_speed, edges) if "position" in given else None,
     )
     return session, {
         "no speed": ~known,
@@ -225,6 +226,14 @@ def _position(series: dict[str, Series], start: int, edges: Array) -> tuple[Arra
     latitude, longitude = read_off(seen[0], start, edges), read_off(seen[1], start, edges, angle=True)
     known = np.isfinite(longitude) & (np.abs(latitude) <= 0.5 * np.pi)
     return np.where(known, latitude, np.nan), np.where(known, longitude, np.nan)
+
+
+def _way(series: dict[str, Series], start: int, speed_at: Array, speed: Array, edges: Array) -> Way:
+    """Where it was at the middle of each `STEP_S` of all steps."""
+    fine = np.arange(0.0, edges[-1] + 0.5 * STEP_S, STEP_S)
+    driven = Course.of(speed_at, np.abs(speed))
+    latitude, longitude = _position(series, start, fine)
+    return Way(latitude, longitude, np.interp(middles(fine), driven.at, driven.integral))
 
 
 def _weight(series: dict[str, Series], start: int, edges: Array, nominal: float) -> tuple[Array, bool]:

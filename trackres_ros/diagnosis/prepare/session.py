@@ -40,6 +40,23 @@ class Course:
 
 
 @dataclass(frozen=True, eq=False)
+class Way:
+    """Where a session was within its steps: as many samples in each, evenly spaced in time, shape (n times samples in a step,).
+
+    Attributes
+    ----------
+    latitude, longitude
+        [rad]; nan where they are not known.
+    driven
+        Distance since the start of the session [m].
+    """
+
+    latitude: Array
+    longitude: Array
+    driven: Array
+
+
+@dataclass(frozen=True, eq=False)
 class Session:
     """One recording. All series have the shape (n,), evenly spaced by `step` [s]; nan where nothing is known.
 
@@ -83,6 +100,8 @@ class Session:
         People on board, from one count to the next; their weight is in `payload`.
     payload
         What of `weight` comes on top of the empty vehicle, as the passengers say [N].
+    way
+        Where it was within its steps; None where no position is known.
     """
 
     name: str
@@ -115,6 +134,7 @@ class Session:
     steering_angle: Array = field(default_factory=lambda: np.empty(0))
     passengers: Array = field(default_factory=lambda: np.empty(0))
     payload: Array = field(default_factory=lambda: np.empty(0))
+    way: Way | None = None
 
     def __post_init__(self) -> None:
         for name, default in NOT_RECORDED.items():

@@ -14,10 +14,12 @@ from typing import Any
 
 import numpy as np
 
+from trackres_ros.diagnosis.described.routes import Route
 from trackres_ros.diagnosis.described.terms import Described
 from trackres_ros.diagnosis.findings.residual_bins import Bin
 from trackres_ros.diagnosis.findings.residual_sources import ResidualSources, residual_sources
 from trackres_ros.diagnosis.findings.verdict import Found, Told, likelier
+from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.selection.held_out import Improvement
 from trackres_ros.diagnosis.selection.intervals import Interval
@@ -26,6 +28,7 @@ from trackres_ros.diagnosis.writing.sensor_lines import sensor_lines
 from trackres_ros.diagnosis.writing.vehicle_file import SURROUNDINGS_FILE
 from trackres_ros.effects.effect import BELONGS_TO
 from trackres_ros.recording.bindings import TopicBinding
+from trackres_ros.route.learned import SLOPE
 
 SCHEMA = 1
 NO_BINDINGS: Mapping[str, TopicBinding] = MappingProxyType({})
@@ -65,10 +68,11 @@ def report(d: Diagnosis, paths: Sequence[Path], bindings: Mapping[str, TopicBind
         },
         "effects": [_effect(f, belongs_to[f.name]) for f in d.found],
         "described": [_described(t) for t in d.described] + ([_drift(d.wanders, d.tracked)] if d.wanders and d.tracked else []),
+        "route": None if d.route is None else _route(d.route, d.final),
         "refuted": [{"name": g.name, "heldout": _improvement(g.improvement)} for g in d.refuted],
         "written": {
             "base": d.kept.values is not None,
-            "effects": [a.effect.name for a in d.kept.effects],
+            "effects": [name for kind in BELONGS_TO for name in d.kept.names_of(kind)],
             "disturbance": None if d.kept.disturbance is None else d.kept.disturbance.disturbance.form,
             "why": d.kept.text,
         },
@@ -132,7 +136,7 @@ def report(d: Diagnosis, paths: Sequence[Path], bindings: Mapping[str, TopicBind
         "residual_sources": _sources(residual_sources(d.final)),
         "split": d.split.text,
         "notes": list(d.gated.notes),
-        "kept": {kind: [a.effect.name for a in d.kept.of(kind)] for kind in BELONGS_TO},
+        "kept": {kind: d.kept.names_of(kind) for kind in BELONGS_TO},
         "topics_lines": lines,
         "to_do": _to_do(d, lines),
         "thermal": None
@@ -144,7 +148,7 @@ def report(d: Diagnosis, paths: Sequence[Path], bindings: Mapping[str, TopicBind
 def _to_do(d: Diagnosis, lines: Mapping[str, str]) -> list[str]:
     """What is to be done with what was kept, besides driving with the vehicle file."""
     said = []
-    around, sensors = (", ".join(a.effect.name for a in d.kept.of(kind)) for kind in ("surroundings", "sensor"))
+    around, sensors = (", ".join(d.kept.names_of(kind)) for kind in ("surroundings", "sensor"))
     if around:
         said.append(
             f"Of the surroundings, not of the vehicle: {around}. It is in {SURROUNDINGS_FILE}, for --surroundings where it holds."
@@ -238,6 +242,22 @@ def _described(t: Told) -> dict[str, Any]:
         **_term(of),
         **_worth(t.graded.improvement, t.graded.grade),
         "parameters": {name: _pair(interval) for name, interval in t.intervals.items()},
+    }
+
+
+def _route(route: Route, final: Fit) -> dict[str, Any]:
+    """What goes by place."""
+    learned = route.learned(final)
+    return {
+        "name": route.candidate.name,
+        "kind": learned.kind,
+        "slope_likelier_by": _number(route.apart),
+        "streets_m": _number(route.metres),
+        "passed_again_m": _number(route.again_m),
+        "passes": route.passes,
+        "rms": _number(float(np.sqrt(np.nanmean(learned.value**2)))),
+        "std_median": _number(float(np.nanmedian(learned.std))),
+        "unit": "1" if learned.kind == SLOPE else "Nm",
     }
 
 

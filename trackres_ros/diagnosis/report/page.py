@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from trackres_ros.diagnosis.report.pictures import Picture
+from trackres_ros.diagnosis.report.picture import Picture
 from trackres_ros.errors import MissingExtraError
 from trackres_ros.text.numbers import alike, decimals, figures
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,27 +20,19 @@ from trackres_ros.diagnosis.findings.residual_bins import Bin
 from trackres_ros.diagnosis.findings.verdict import Found, Told
 from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.prepare.session import Mask, Session
+from trackres_ros.diagnosis.report.picture import WIDTH, Picture
+from trackres_ros.diagnosis.report.route_pictures import draw_route
 from trackres_ros.output.plots import BLUE, GREY, ORANGE, VERMILION, picture, picture_with_legend, shortened, thinned
 from trackres_ros.text.numbers import alike, decimals, figures
 
 Array = NDArray[np.float64]
 
-WIDTH = 7.2  # as wide as an A4 page prints, so that type keeps its size
 TITLE_LETTERS = 88  # that a title over the whole width holds
 SMOOTHED_S = 20.0
 BROKEN_S = 2.0  # a longer time without a sample that counts breaks the line
 LONGEST_SHOWN_S = 400.0
 SHOWN_BINS = 24
 IN_ONE_COLUMN, MOST_RECORDINGS = 8, 24
-
-
-@dataclass(frozen=True, slots=True)
-class Picture:
-    """A picture and what it shows, in words."""
-
-    path: Path
-    title: str
-    alternative: str
 
 
 def draw_all(d: Diagnosis, folder: Path) -> list[Picture]:
@@ -52,7 +43,9 @@ def draw_all(d: Diagnosis, folder: Path) -> list[Picture]:
         draw_regimes(d, folder / "where_regime.png"),
     ]
     found += [_partial(d, f, folder / f"effect_{f.name}.png") for f in d.found]
-    found += [_term(d, t, folder / f"term_{t.described.name}.png") for t in d.described]
+    by_place = "" if d.route is None else d.route.candidate.name
+    found += [_term(d, t, folder / f"term_{t.described.name}.png") for t in d.described if t.described.name != by_place]
+    found += [draw_route(d.route, d.final, folder / "route.png")] if d.route is not None else []
     found.append(_laps(d, folder / "held_out.png"))
     if len(d.steps[-1].separability.names) > 1:
         found.append(_matrix(d, folder / "separability.png"))

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.base.watched import WATCHED
+from trackres_ros.diagnosis.base.watched import WATCHED, SlopeByPlace
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.inference.levels import with_levels
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, HeldOut, HeldOutLaps, Improvement
@@ -83,13 +83,13 @@ def leave_unconfirmed(
     Returns
     -------
     fit, graded, left
-        As of `confirm`, and the names that were left out.
+        As of `confirm`, and what was left out: those names, and what held-out laps refute without them.
     """
     left = tuple(g for name, g in graded.items() if name not in terms and g.grade != CONFIRMED)
     if not left or not any(graded[name].grade == CONFIRMED for name in terms if name in graded):
         return final, graded, ()
-    final = with_levels(final, [g.name for g in left])
-    return final, {a.effect.name: _graded(a, final, refitted, laps) for a in final.effects}, left
+    final, graded, worse = confirm(with_levels(final, [g.name for g in left]), refitted, laps)
+    return final, graded, (*left, *worse)
 
 
 def keep(
@@ -119,11 +119,13 @@ def keep(
         after = float(np.abs(laps.measured - laps.of(model.of_file())).mean())
         if after <= before:
             found = bounds if model is final else intervals(model)
-            effects = tuple(a for a in model.effects if a.effect.acts_on != WATCHED)
-            of_effects = ", ".join(a.effect.name for a in effects)
+            written = [a for a in model.effects if a.effect.acts_on != WATCHED]
+            effects = tuple(a for a in written if not isinstance(a.effect, SlopeByPlace))
+            route = next((a.effect.learned(a.numbers[0]) for a in written if isinstance(a.effect, SlopeByPlace)), None)
+            of_effects = ", ".join(a.effect.name for a in written)
             what = f"the base's values and {of_effects}" if of_effects else "the base's values"
             error = f"the mean error on laps not used for fitting is {figures(after)} Nm, {figures(before)} Nm with the old one"
-            return Kept(dict(model.base_values), effects, found, f"written: {what}; {error}{but}")
+            return Kept(dict(model.base_values), effects, found, f"written: {what}; {error}{but}", route=route)
     why = f"as no re-fit has a smaller error on laps not used for fitting than they, {figures(before)} Nm"
     return Kept(None, (), {}, f"written: the file's own values, {why}{but}")
 

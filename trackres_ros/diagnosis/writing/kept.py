@@ -10,10 +10,13 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from trackres_ros.effects.effect import Active
+from trackres_ros.route.learned import RouteMap
 from trackres_ros.vehicle import Disturbance
 
 if TYPE_CHECKING:
     from trackres_ros.diagnosis.selection.intervals import Interval
+
+SLOPE_BY_PLACE = "grade"  # the name of a slope that was learned by place
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +43,8 @@ class Kept:
         What was kept and why, in a sentence.
     disturbance
         What is to be watched for live; None where there is none, and then that of the file stays.
+    route
+        A slope by place; None where there is none, and then that of the surroundings that were given stays.
     """
 
     values: Mapping[str, float] | None
@@ -47,6 +52,7 @@ class Kept:
     intervals: Mapping[tuple[str, str], Interval]
     text: str = ""
     disturbance: LearnedDisturbance | None = None
+    route: RouteMap | None = None
 
     def with_disturbance(self, learned: LearnedDisturbance | None) -> Kept:
         """The same, with what is to be watched for."""
@@ -58,6 +64,11 @@ class Kept:
     def of(self, kind: str) -> list[Active]:
         """The effects that belong to `vehicle`, `surroundings` or `sensor`, with their intervals as ranges."""
         return [_with_ranges(active, self.intervals) for active in self.effects if active.effect.belongs_to == kind]
+
+    def names_of(self, kind: str) -> list[str]:
+        """Names of all that belongs to `vehicle`, `surroundings` or `sensor`, a slope by place too."""
+        by_place = [SLOPE_BY_PLACE] if kind == "surroundings" and self.route is not None else []
+        return [*by_place, *(active.effect.name for active in self.of(kind))]
 
     def range_of(self, parameter: str) -> tuple[float, float] | None:
         """The interval of a parameter of the base."""

@@ -19,6 +19,8 @@ from trackres_ros.diagnosis.writing.yaml_edit import Document, flow
 from trackres_ros.effects.effect import Active
 from trackres_ros.errors import InputError
 from trackres_ros.model.belt import heat_capacity
+from trackres_ros.route.learned import RouteMap
+from trackres_ros.route.table import write_route
 from trackres_ros.vehicle import Quantity, Vehicle
 from trackres_ros.vehicle.reading import FITTED
 from trackres_ros.vehicle.schema import BELT, CHASSIS, DISTURBANCES, RUBBER, Limits
@@ -28,6 +30,7 @@ REASON = "re-fitted by trackres diagnose"
 FOUND = "found by trackres diagnose"
 WRITTEN = "Written by trackres diagnose"
 SURROUNDINGS_FILE = "surroundings.yaml"
+ROUTE_FILE = "route.csv"
 FIGURES = 6
 
 Range = tuple[float, float] | None
@@ -46,7 +49,7 @@ def write_track_vehicle(vehicle: Vehicle, path: Path, kept: Kept, text: str) -> 
         _set_values(document, vehicle, kept)
     if kept.disturbance is not None:
         _set_disturbance(document, kept.disturbance)
-    return finish(document, vehicle.name, vehicle.effects, vehicle.surroundings, path, kept, text)
+    return finish(document, vehicle.name, vehicle.effects, vehicle.surroundings, path, kept, text, vehicle.route)
 
 
 def _set_values(document: Document, vehicle: Vehicle, kept: Kept) -> None:
@@ -126,9 +129,18 @@ def set_quantity(document: Document, path: Sequence[str], old: Quantity, value: 
 
 
 def finish(
-    document: Document, name: str, effects: Sequence[Active], surroundings: Sequence[Active], path: Path, kept: Kept, text: str
+    document: Document,
+    name: str,
+    effects: Sequence[Active],
+    surroundings: Sequence[Active],
+    path: Path,
+    kept: Kept,
+    text: str,
+    route: RouteMap | None = None,
 ) -> list[Path]:
-    """Write the file of a vehicle of a name, with effects and surroundings that it has already; see `write_track_vehicle`."""
+    """Write the file of a vehicle of a name, with effects, surroundings and route that it has already; see
+    `write_track_vehicle`.
+    """
     added, around = kept.of("vehicle"), [*surroundings, *kept.of("surroundings")]
     copied = _copied_effects([*effects, *added, *around], path.parent)
     document.add("effects", {active.effect.name: _values(active) for active in added})
@@ -138,17 +150,22 @@ def finish(
     edited = document.text()
     note = "" if edited is not None else "Its comments could not be kept: they stand in the file it was made from.\n"
     path.write_text(_comment(note + text) + (edited or document.plain()), encoding="utf-8")
-    beside = path.with_name(SURROUNDINGS_FILE)
-    if not around:
+    beside, route = path.with_name(SURROUNDINGS_FILE), kept.route or route
+    if not around and route is None:
         if beside.is_file() and f"# {WRITTEN}" in beside.read_text(encoding="utf-8"):
             beside.unlink()  # of an earlier diagnosis: it would be taken for this one's
         return [path]
     lines = [f"schema: {SCHEMA}", f"vehicle: {flow(name)}"]
     files = _files_of(around, copied)
     lines += [f"effect_files: {flow(files)}"] if files else []
-    lines += ["effects:", *(f"  {active.effect.name}: {flow(_values(active))}" for active in around)]
+    lines += [f"route: {ROUTE_FILE}"] if route is not None else []
+    lines += ["effects:" if around else "effects: {}"]
+    lines += [f"  {active.effect.name}: {flow(_values(active))}" for active in around]
     beside.write_text(_comment(text) + "\n".join(lines) + "\n", encoding="utf-8")
-    return [path, beside]
+    if route is None:
+        return [path, beside]
+    write_route(path.with_name(ROUTE_FILE), route)
+    return [path, beside, path.with_name(ROUTE_FILE)]
 
 
 def _comment(text: str) -> str:

@@ -1,0 +1,107 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""A slope by place is learned from passes, with its uncertainty, and told from a torque by its sign and by the load."""
+
+import numpy as np
+import pytest
+from streets import autoregression, drive, slope_at
+
+from trackres_ros.diagnosis.described.by_place import Columns, Streets, gains, learn
+from trackres_ros.diagnosis.inference.noise import estimate_noise
+from trackres_ros.route.matching import matched, neighbours, places_of
+from trackres_ros.route.track import track_of
+
+WEIGHT_RADIUS_NM = 60_000.0
+
+
+def made(seed, rounds, size=1.0, loads=(1.0,)):
+    """A drive matched to itself, the torque of its slopes and noise, and what a slope makes of it."""
+    one, rng = drive(seed, rounds), np.random.default_rng(seed + 100)
+    track = track_of(one.distance, one.x, one.y)
+    places = places_of([track])
+    whole = matched(places, [track])
+    streets = Streets.of(neighbours(whole), places.table)
+    at = whole[0].at(track.nearest(one.distance))
+    load = np.array(loads)[np.arange(len(one.speed)) * len(loads) // len(one.speed)]
+    force = WEIGHT_RADIUS_NM * load
+    rise = slope_at(one.way) * one.direction * size
+    residual = force * rise / np.hypot(1.0, rise) + autoregression(len(load), rng, 3.0, 300.0) + rng.normal(0.0, 300.0, len(load))
+    slope = Columns.of_slope([at], [force], streets)
+    torque = Columns.of_torque([at], [np.ones_like(force)], streets)
+    return one, at, residual, one.speed > 0.5, slope, torque
+
+
+def noise_of(residual, mask):
+    return estimate_noise([residual], [mask], 0.7)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_slopes_are_learned_and_hold_on_passes_that_were_not_used(seed):
+    one, at, residual, mask, slope, _ = made(seed, (1, -1, 1, 1, -1))
+    fitted = mask & (at.number < 4)
+    noise = noise_of(residual - WEIGHT_RADIUS_NM * slope_at(one.way) * one.direction, mask)
+    found = learn(slope, [residual], [fitted], noise, 0.03)
+    assert found.evidence > 100.0
+    others = mask & (at.number == 4)
+    left = residual - slope.expected(found)[0]
+    assert np.abs(left[others]).mean() < 0.5 * np.abs(residual[others]).mean()
+    assert gains(slope, found.value[:, np.newaxis], [residual], [others], noise)[0] > 100.0
+    seen = np.unique(at.place[fitted & at.known])
+    true = np.array([np.median((slope_at(one.way) * one.direction * at.sign[:, 0])[at.place[:, 0] == p]) for p in seen])
+    off = (found.value[seen] - true) / found.std(seen)
+    known = np.isfinite(off)
+    assert np.mean(np.abs(off[known]) < 3.0) > 0.9
+
+
+def test_where_nothing_is_by_place_there_is_no_evidence_of_it():
+    wrong = []
+    for seed in range(12):
+        _, _, residual, mask, slope, torque = made(seed, (1, 1, -1), size=0.0)
+        noise = noise_of(residual, mask)
+        wrong += [
+            learn(columns, [residual], [mask], noise, typical).evidence > 5.0
+            for columns, typical in ((slope, 0.01), (torque, 500.0))
+        ]
+    assert not any(wrong)
+
+
+def test_a_slope_is_told_from_a_torque_where_streets_are_passed_both_ways():
+    _, _, residual, mask, slope, torque = made(1, (1, -1, 1, -1))
+    noise = noise_of(residual, mask)
+    evidence = [learn(c, [residual], [mask], noise, t).evidence for c, t in ((slope, 0.03), (torque, 1800.0))]
+    assert evidence[0] > evidence[1] + 20.0
+
+
+def test_a_torque_is_told_from_a_slope_where_streets_are_passed_both_ways():
+    one, _, _, mask, slope, torque = made(2, (1, -1, 1, -1))
+    rng = np.random.default_rng(9)
+    residual = 2500.0 * np.maximum(slope_at(one.way) / 0.05, 0.0) + rng.normal(0.0, 400.0, len(one.way))
+    noise = noise_of(residual, mask)
+    evidence = [learn(c, [residual], [mask], noise, t).evidence for c, t in ((slope, 0.03), (torque, 1800.0))]
+    assert evidence[1] > evidence[0] + 20.0
+
+
+def test_a_slope_is_told_from_a_torque_by_loads_that_differ():
+    _, _, residual, mask, slope, torque = made(3, (1, 1, 1, 1), loads=(0.7, 1.4, 0.8, 1.3))
+    noise = noise_of(residual, mask)
+    evidence = [learn(c, [residual], [mask], noise, t).evidence for c, t in ((slope, 0.03), (torque, 1800.0))]
+    assert evidence[0] > evidence[1] + 3.0
+
+
+def test_one_way_and_one_load_tell_nothing():
+    _, _, residual, mask, slope, torque = made(4, (1, 1, 1))
+    noise = noise_of(residual, mask)
+    evidence = [learn(c, [residual], [mask], noise, t).evidence for c, t in ((slope, 0.03), (torque, 0.03 * WEIGHT_RADIUS_NM))]
+    assert evidence[0] == pytest.approx(evidence[1], abs=0.5)
+
+
+def test_places_that_were_not_driven_are_as_unsure_as_before():
+    one, at, residual, mask, slope, _ = made(5, (1, -1, 1, -1))
+    fitted = mask & (one.way < 400.0)
+    found = learn(slope, [residual], [fitted], noise_of(residual, mask), 0.03)
+    far = np.unique(at.place[(one.way > 1200.0) & at.known])
+    near = np.unique(at.place[(one.way > 100.0) & (one.way < 300.0) & at.known])
+    assert np.median(found.std(far)) > 0.5 * found.size
+    assert np.median(found.std(near)) < 0.4 * found.size
+    assert np.abs(found.value[far]).max() < found.size

@@ -1,0 +1,192 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""What goes by place is found by positions, told for a slope where it is one, and nothing is found on a route driven once."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from streets import LAP_M, autoregression, drive, position_of, slope_at
+
+from trackres_ros.diagnosis import load_base, read_recordings
+from trackres_ros.diagnosis.base.watched import ByPlace, SlopeByPlace
+from trackres_ros.diagnosis.described.routes import find_route, roads_of
+from trackres_ros.diagnosis.inference.fitting import Problem, fit
+from trackres_ros.diagnosis.prepare.gate import gate
+from trackres_ros.diagnosis.prepare.on_route import on_route
+from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.vehicle.surroundings import load_route
+
+LOADS = (1.0, 1.2, 0.9, 1.1)
+
+
+@pytest.fixture(scope="module")
+def base():
+    return load_base("ztbus_hess19").base
+
+
+def session_of(base, seed, rounds, slope=0.0, soft_nm=0.0, loads=(1.0,), with_positions=True, noise_nm=150.0, wanders_nm=0.0):
+    """A drive round the block with a slope that is not recorded, or with soft ground on a part of it."""
+    one, rng = drive(seed, rounds), np.random.default_rng(seed + 50)
+    n = len(one.speed)
+    nan = np.full(n, np.nan)
+    latitude, longitude = position_of(one) if with_positions else (nan, nan)
+    load = np.array(loads)[np.arange(n) * len(loads) // n]
+    made = Session(
+        "round", 1.0, np.arange(n, dtype=float), one.speed, np.gradient(one.speed), base.facts.weight * load, np.full(n, 15.0),
+        slope * slope_at(one.way) * one.direction, nan, nan, one.distance, nan, nan, one.speed > 1.0,
+        (one.distance // LAP_M).astype(np.int64), given=frozenset({"grade", "load", "position"}), latitude=latitude,
+        longitude=longitude,
+    )  # fmt: skip
+    values = {q.name: q.nominal for q in base.parameters}
+    torque = base.predict([made], values, ())[0].torque + soft_nm * ((one.way > 600.0) & (one.way < 1000.0))
+    torque = (
+        torque + autoregression(n, rng, 3.0, noise_nm) + rng.normal(0.0, noise_nm, n) + autoregression(n, rng, 150.0, wanders_nm)
+    )
+    given = frozenset({"load", "position"})
+    return Session(**{**made.__dict__, "torque": torque, "grade": np.zeros(n), "given": given}), one
+
+
+def found_in(base, session, fitted_rounds):
+    mask = session.used & (session.block < fitted_rounds)
+    current = fit(Problem(base, (session,), (mask,)))
+    roads = roads_of((session,))
+    return current, None if roads is None else find_route(current, roads)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_slope_on_streets_passed_both_ways_is_told_and_holds_on_a_round_that_was_not_fitted(base, seed):
+    session, _ = session_of(base, seed, (1, -1, 1, -1, 1), slope=1.0)
+    current, route = found_in(base, session, 4)
+    assert route is not None
+    assert route.told
+    assert isinstance(route.effect, SlopeByPlace)
+    held = session.used & (session.block == 4)
+    before, after = (np.abs(session.torque - f.predicted[0].torque)[held].mean() for f in (current, route.candidate.fit))
+    assert after < 0.4 * before
+    assert route.metres == pytest.approx(LAP_M, rel=0.4)
+    learned = route.learned(route.candidate.fit)
+    assert np.array_equal(learned.value[:, 0], -learned.value[:, 1])
+
+
+def test_loads_that_differ_tell_a_slope_on_streets_passed_one_way(base):
+    session, _ = session_of(base, 3, (1, 1, 1, 1), slope=1.0, loads=LOADS)
+    _, route = found_in(base, session, 4)
+    assert route is not None
+    assert route.told
+
+
+def test_soft_ground_on_streets_passed_both_ways_is_no_slope(base):
+    session, one = session_of(base, 4, (1, -1, 1, -1), soft_nm=2500.0, loads=(1.0,))
+    _, route = found_in(base, session, 4)
+    assert route is not None
+    assert not route.told
+    assert route.apart < 0.0
+    assert isinstance(route.effect, ByPlace)
+    adds = route.candidate.fit.contribution("place")[0]
+    soft = (one.way > 650.0) & (one.way < 950.0) & session.used
+    level = (one.way > 1150.0) & session.used
+    assert adds[soft].mean() - adds[level].mean() == pytest.approx(2500.0, rel=0.25)
+
+
+def test_one_way_and_one_load_do_not_tell_a_slope(base):
+    session, _ = session_of(base, 5, (1, 1, 1, 1), slope=1.0)
+    _, route = found_in(base, session, 4)
+    assert route is not None
+    assert not route.told
+
+
+NOTHING = {
+    "a route driven once": {"rounds": (1,), "slope": 1.0},
+    "a street driven there and back in part": {"rounds": (1,), "slope": 1.0, "wanders_nm": 300.0},
+    "noise": {"rounds": (1, -1, 1)},
+    "a torque that wanders": {"rounds": (1, 1, 1), "wanders_nm": 600.0},
+    "a torque that wanders, both ways": {"rounds": (1, -1, 1, -1), "wanders_nm": 600.0},
+    "no position": {"rounds": (1, 1, 1), "slope": 1.0, "with_positions": False},
+}
+
+
+@pytest.mark.parametrize("kind", NOTHING)
+def test_nothing_is_found(base, kind):
+    for seed in range(1 if kind == "no position" else 4):
+        session, _ = session_of(base, 10 + seed, **NOTHING[kind])
+        assert found_in(base, session, len(NOTHING[kind]["rounds"]))[1] is None, seed
+
+
+@pytest.fixture(scope="module")
+def hilly(base, tmp_path_factory):
+    """A table of rounds with a slope that is not recorded."""
+    session, one = session_of(base, 21, (1, -1, 1, -1, 1, -1, 1, -1), slope=1.0)
+    latitude, longitude = np.degrees(position_of(one))
+    rows = np.column_stack(
+        [1.76e9 + session.time, session.speed, session.weight, np.full(len(session), 15.0), session.torque, latitude, longitude]
+    )
+    path = tmp_path_factory.mktemp("hilly") / "rounds.csv"
+    header = "time_s,speed_mps,weight_n,ambient_degc,torque_nm,latitude_deg,longitude_deg"
+    np.savetxt(path, rows, delimiter=",", header=header, comments="", fmt="%.8f")
+    return path
+
+
+@pytest.fixture(scope="module")
+def diagnosed(hilly, tmp_path_factory):
+    from click.testing import CliRunner
+
+    from trackres_ros.cli.main import cli
+
+    out = tmp_path_factory.mktemp("diagnosed")
+    done = CliRunner().invoke(cli, ["diagnose", str(hilly), "--vehicle", "ztbus_hess19", "-o", str(out), "--quick"])
+    assert done.exit_code == 0, done.output
+    return out
+
+
+def test_the_diagnosis_names_it_and_draws_it(diagnosed, check_form):
+    report = json.loads((diagnosed / "report.json").read_text())
+    check_form(report)
+    assert report["verdict"]["status"] == "named"
+    assert report["effects"][0]["name"] == "grade"
+    assert report["effects"][0]["grade"] == "confirmed"
+    assert report["heldout"]["mae"]["with_effects"] < 0.5 * report["heldout"]["mae"]["refitted"]
+    assert report["route"]["kind"] == "slope"
+    assert report["route"]["passes"] > 2
+    assert (diagnosed / "route.png").is_file()
+    assert "By place" in (diagnosed / "report.html").read_text()
+
+
+def test_the_slopes_are_written_for_where_they_hold(diagnosed):
+    report = json.loads((diagnosed / "report.json").read_text())
+    assert report["kept"]["surroundings"] == ["grade"]
+    assert "grade" in report["written"]["effects"]
+    route = load_route(diagnosed / "surroundings.yaml")
+    one = drive(21, (1,), scatter_m=0.0)
+    x, y = route.frame.metres(*position_of(one))
+    found = np.array([route.at(*at)[0] for at in zip(x[:-1], y[:-1], *unit(np.diff(x), np.diff(y)), strict=True)])
+    known = np.isfinite(found) & (one.speed[:-1] > 2.0)
+    assert known.mean() > 0.7
+    assert np.abs(found - slope_at(one.way[:-1]))[known].mean() < 0.006
+
+
+def unit(east, north):
+    length = np.maximum(np.hypot(east, north), 1e-9)
+    return east / length, north / length
+
+
+def test_a_route_that_is_given_is_taken_as_recorded(hilly, diagnosed):
+    given = load_base(diagnosed / "vehicle.yaml", surroundings=diagnosed / "surroundings.yaml")
+    gated = on_route(gate(read_recordings([hilly], None), given.known), given.route)
+    session = gated.sessions[0]
+    assert "grade" in session.given
+    assert any("of it lies on the route" in note for note in gated.notes)
+    values = {q.name: q.nominal for q in given.base.parameters}
+    level = replace(session, grade=np.zeros(len(session)))
+    errors = [np.abs(s.torque - given.base.predict([s], values, ())[0].torque)[s.used].mean() for s in (session, level)]
+    assert errors[0] < 0.5 * errors[1]
+
+
+def test_a_route_elsewhere_is_not_used(hilly, diagnosed):
+    given = load_base(diagnosed / "vehicle.yaml", surroundings=diagnosed / "surroundings.yaml")
+    away = replace(given.route, latitude=given.route.latitude + 0.001)
+    gated = on_route(gate(read_recordings([hilly], None), given.known), away)
+    assert "grade" not in gated.sessions[0].given
+    assert gated.notes[-1].endswith("0% of it lies on the route whose slopes are given; they are not used")

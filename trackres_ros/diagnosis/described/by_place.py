@@ -1,0 +1,283 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""A slope or a torque by place: a smooth function along the streets of a route, learned from what is left on passes of them.
+
+Between neighbouring places it is a Gaussian process, as smooth as the likelihood has it; the precision of it on the graph of
+streets is sparse, so that thousands of places take a fraction of a second.
+
+Source: Lindgren, Rue, Lindstroem (2011) for the precision on a graph, of which Ornstein and Uhlenbeck's process is the member
+that never runs beyond what it saw on either side; Laird and Ware (1982) for the evidence of random effects.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.signal import lfilter
+from scipy.sparse.linalg import SuperLU, splu
+
+from trackres_ros.diagnosis.inference.noise import Noise, whole_past
+from trackres_ros.route.matching import SPACING_M, Matched
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+LENGTHS_M = (50.0, 100.0, 200.0, 400.0, 800.0, 1600.0)  # over which places are alike, that are tried
+SIZES = (0.125, 0.25, 0.5, 1.0, 2.0, 4.0)  # of what is learned over the spread of the residual, that are tried
+TURNS = 6  # of values and weights
+AT_ONCE = 256  # columns of a solution
+PROBES = 16  # for a trace (Hutchinson, 1990)
+LEAST_LEFT = 0.1  # of the samples, that were not settled by values
+LONGEST_RESPONSE = 1000  # samples, after which a shock is forgotten
+NEAREST_M = 0.25 * SPACING_M  # two places are taken to lie at least so far apart
+FLOOR = 1e-9  # of the prior's precision, so that places without a neighbour have one
+
+
+@dataclass(frozen=True, eq=False)
+class Streets:
+    """The graph of places.
+
+    Attributes
+    ----------
+    first, second
+        Neighbours, shape (pairs,).
+    sign
+        1 where a rise along one is a rise along the other, else -1.
+    away
+        Distance between them [m].
+    count
+        Number of places.
+    """
+
+    first: NDArray[np.int64]
+    second: NDArray[np.int64]
+    sign: Array
+    away: Array
+    count: int
+
+    @classmethod
+    def of(cls, pairs: Mapping[tuple[int, int], float], table: Array) -> Streets:
+        """Of neighbours and whether they point the same way, and of the places' table; see `route.matching`."""
+        ends = np.array(list(pairs), dtype=np.int64).reshape(-1, 2)
+        away = np.hypot(*(table[ends[:, 0], :2] - table[ends[:, 1], :2]).T)
+        return cls(ends[:, 0], ends[:, 1], np.array(list(pairs.values()), dtype=float), np.maximum(away, NEAREST_M), len(table))
+
+    def both_ways(self) -> Streets:
+        """With two places for each: one passed the way it points, one passed the other way."""
+        turned = (self.sign < 0.0).astype(np.int64)
+        return Streets(
+            np.concatenate([2 * self.first, 2 * self.first + 1]),
+            np.concatenate([2 * self.second + turned, 2 * self.second + 1 - turned]),
+            np.ones(2 * len(self.sign)),
+            np.tile(self.away, 2),
+            2 * self.count,
+        )
+
+    def precision(self, length_m: float, size: float) -> sparse.csc_matrix:
+        """Of values at the places, which are alike over a length and of a standard deviation."""
+        stiff = 1.0 / self.away
+        i, j, n = self.first, self.second, self.count
+        rows, columns = np.concatenate([i, j, i, j]), np.concatenate([i, j, j, i])
+        laplace = sparse.coo_matrix(
+            (np.concatenate([stiff, stiff, -stiff * self.sign, -stiff * self.sign]), (rows, columns)), (n, n)
+        )
+        mass = sparse.identity(n) * (SPACING_M / length_m**2)
+        return ((mass + laplace) * (0.5 * length_m / size**2) + sparse.identity(n) * (FLOOR / size**2)).tocsc()
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """What each place's value adds to the torque of each session: sparse, of shape (samples, values), the streets that the values
+    lie along, and what a base adds that may bend along with them.
+    """
+
+    of: tuple[sparse.csr_matrix, ...]
+    streets: Streets
+    base: tuple[Array, ...] = ()
+
+    def beside(self, base: Sequence[Array]) -> Columns:
+        """The same beside a base that may bend: what it adds to each session when a parameter is off by a standard deviation,
+        shape (samples, parameters).
+        """
+        return replace(self, base=tuple(base))
+
+    @classmethod
+    def of_slope(cls, tracks: Sequence[Matched], forces: Sequence[Array], streets: Streets) -> Columns:
+        """Of the sine of a slope, rising the way a place points; forces are weight times radius, along travel [Nm]. A track has
+        as many points in each sample of a session.
+        """
+        return cls(tuple(_column(t, t.place, t.sign, f, streets.count) for t, f in zip(tracks, forces, strict=True)), streets)
+
+    @classmethod
+    def of_torque(cls, tracks: Sequence[Matched], against: Sequence[Array], streets: Streets) -> Columns:
+        """Of a torque against travel, one each way; `against` has the sign of that at each sample."""
+        both = streets.both_ways()
+        place = [np.where(t.place >= 0, 2 * t.place + (t.sign < 0.0), -1) for t in tracks]
+        every = zip(tracks, place, against, strict=True)
+        return cls(tuple(_column(t, p, np.ones_like(t.share), a, both.count) for t, p, a in every), both)
+
+    def expected(self, learned: Learned) -> list[Array]:
+        """Torque of each session by the values of the places, without what the base bends."""
+        return [np.asarray(z @ learned.value) for z in self.of]
+
+
+def _column(track: Matched, place: NDArray[np.int64], sign: Array, factor: Array, count: int) -> sparse.csr_matrix:
+    """Means over the points within each sample; nothing where not all of them are at a place."""
+    each = len(track.number) // len(factor)
+    whole = np.repeat(track.known.reshape(-1, each).all(axis=1), each)
+    of = np.repeat(np.arange(len(factor)), each)
+    rows = np.flatnonzero(whole)
+    data = (track.share * sign)[rows] * factor[of[rows], np.newaxis] / each
+    at = (np.repeat(of[rows], 2), place[rows].ravel())
+    return sparse.coo_matrix((data.ravel(), at), (len(factor), count)).tocsr()
+
+
+@dataclass(frozen=True, eq=False)
+class Learned:
+    """Values by place.
+
+    Attributes
+    ----------
+    value, bent
+        Of each place; and by how much the base's parameters moved along.
+    length_m, size
+        Over which places are alike, and how large values are.
+    evidence
+        Gain in log-likelihood over no values, less what the values cost.
+    cost
+        What the values, and the length and size that were tried, cost.
+    noise
+        Under which it was learned.
+    shrinks
+        By what factor it makes what is left smaller than the noise is, as so many values were fitted to it.
+    """
+
+    value: Array
+    bent: Array
+    length_m: float
+    size: float
+    evidence: float
+    cost: float
+    noise: Noise
+    shrinks: float
+    _solve: SuperLU = field(repr=False)
+
+    def again(self, columns: Columns, residuals: Sequence[Array], masks: Sequence[Mask]) -> Array:
+        """Values from other samples, with this length, size and noise, beside a base that does not bend."""
+        rows = _Rows.of(replace(columns, base=()), residuals, masks, self.noise)
+        return _learned(rows, columns.streets, self.length_m, self.size).value
+
+    def std(self, of: NDArray[np.int64]) -> Array:
+        """Standard deviation of the values of some places."""
+        found = np.empty(len(of))
+        for some in np.array_split(np.arange(len(of)), max(1, len(of) // AT_ONCE)):
+            unit = np.zeros((len(self.value) + len(self.bent), len(some)))
+            unit[of[some], np.arange(len(some))] = 1.0
+            found[some] = self._solve.solve(unit)[of[some], np.arange(len(some))]
+        return np.sqrt(np.maximum(found, 0.0))
+
+
+def learn(columns: Columns, residuals: Sequence[Array], masks: Sequence[Mask], noise: Noise, typical: float) -> Learned:
+    """The most likely values, and length and size with the most evidence.
+
+    Parameters
+    ----------
+    residuals, masks
+        Of the torque of each session [Nm], and which of its samples count.
+    noise
+        Of the residuals without what goes by place.
+    typical
+        A value that makes as much torque as the residual has.
+    """
+    rows = _Rows.of(columns, residuals, masks, noise)
+    tried: dict[tuple[int, int], Learned] = {}
+
+    def at(i: int, j: int) -> Learned:
+        if (i, j) not in tried:
+            tried[i, j] = _learned(rows, columns.streets, LENGTHS_M[i], SIZES[j] * typical)
+        return tried[i, j]
+
+    i, j = len(LENGTHS_M) // 2, len(SIZES) // 2
+    while True:
+        around = [(i + a, j + b) for a, b in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1))]
+        inside = [(a, b) for a, b in around if 0 <= a < len(LENGTHS_M) and 0 <= b < len(SIZES)]
+        best = max(inside, key=lambda one: at(*one).evidence)
+        if best == (i, j):
+            break
+        i, j = best
+    choices = math.log(len(LENGTHS_M) * len(SIZES))
+    found = tried[i, j]
+    return replace(found, evidence=found.evidence - choices, cost=found.cost + choices)
+
+
+def gains(columns: Columns, values: Array, residuals: Sequence[Array], masks: Sequence[Mask], noise: Noise) -> Array:
+    """Gain in log-likelihood of values that were learned elsewhere, each a column; shape (columns,)."""
+    rows = _Rows.of(replace(columns, base=()), residuals, masks, noise)
+    left = rows.white[:, np.newaxis] - rows.columns @ values
+    return np.asarray((noise.log_density(left) - noise.log_density(rows.white)[:, np.newaxis]).sum(axis=0))
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Whitened residuals over their standard deviation, and what the values add to them. The first of a stretch, of which nothing
+    is known before, counts by itself: on a street brakes leave stretches of some seconds.
+    """
+
+    white: Array
+    columns: sparse.csr_matrix
+    noise: Noise
+    bends: int
+
+    @classmethod
+    def of(cls, columns: Columns, residuals: Sequence[Array], masks: Sequence[Mask], noise: Noise) -> _Rows:
+        white, parts, lags = [], [], len(noise.phi)
+        stationary = noise.std * _growth(noise.phi)
+        base = columns.base or [np.empty((len(r), 0)) for r in residuals]
+        for residual, mask, of_places, of_base in zip(residuals, masks, columns.of, base, strict=True):
+            column = sparse.hstack([of_places, sparse.csr_matrix(of_base)]).tocsr()
+            used = mask & np.isfinite(residual)
+            rows, begins = np.flatnonzero(whole_past(used, lags)), np.flatnonzero(used & ~np.concatenate(([False], used[:-1])))
+            left, part = residual[rows], column[rows]
+            for lag, coefficient in enumerate(noise.phi, start=1):
+                left, part = left - coefficient * residual[rows - lag], part - coefficient * column[rows - lag]
+            begins = begins if lags else begins[:0]
+            white += [left / noise.std, residual[begins] / stationary]
+            parts += [part / noise.std, column[begins] / stationary]
+        return cls(np.concatenate(white), sparse.vstack(parts).tocsr(), noise, base[0].shape[1])
+
+
+def _growth(phi: Array) -> float:
+    """Standard deviation of an autoregression over that of its innovations."""
+    response = lfilter([1.0], np.concatenate(([1.0], -phi)), np.eye(1, LONGEST_RESPONSE)[0])
+    return float(np.sqrt(np.sum(response**2)))
+
+
+def _learned(rows: _Rows, streets: Streets, length_m: float, size: float) -> Learned:
+    prior = sparse.block_diag([streets.precision(length_m, size), sparse.identity(rows.bends)]).tocsc()
+    noise, weight = rows.noise, np.ones(len(rows.white))  # without values all that is steep would look far out
+    for _ in range(TURNS):
+        weighted = rows.columns.multiply(weight[:, np.newaxis]).tocsr()
+        solve = _factored((rows.columns.T @ weighted + prior).tocsc())
+        value = solve.solve(weighted.T @ rows.white)
+        weight = noise.weights(rows.white - rows.columns @ value)
+    cost = 0.5 * float(value @ (prior @ value)) + 0.5 * (_log_determinant(solve) - _log_determinant(_factored(prior)))
+    gain = float((noise.log_density(rows.white - rows.columns @ value) - noise.log_density(rows.white)).sum())
+    probes = np.random.default_rng(0).choice((-1.0, 1.0), (len(value), PROBES))
+    settled = float(np.mean((probes * solve.solve(rows.columns.T @ (weighted @ probes))).sum(axis=0)))  # of the values, by data
+    shrinks = math.sqrt(max(1.0 - settled / len(rows.white), LEAST_LEFT))
+    return Learned(value[: streets.count], value[streets.count :], length_m, size, gain - cost, cost, noise, shrinks, solve)
+
+
+def _factored(precision: sparse.csc_matrix) -> SuperLU:
+    options = {"SymmetricMode": True}
+    return splu(precision, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
+
+
+def _log_determinant(factored: SuperLU) -> float:
+    return float(np.log(np.abs(factored.U.diagonal())).sum())

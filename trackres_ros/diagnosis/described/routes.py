@@ -1,0 +1,302 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""What comes again at the same places of streets, known by positions: a slope where it changes its sign with the direction of
+travel or follows the load, a torque by place where it does neither.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.base.watched import STEEPEST, ByPlace, SlopeByPlace
+from trackres_ros.diagnosis.described.by_place import Columns, Learned, Streets, gains, learn
+from trackres_ros.diagnosis.inference.fitting import Fit, fit
+from trackres_ros.diagnosis.inference.noise import LARGEST_ROOT, SHORT_ROOT, Noise, estimate_noise
+from trackres_ros.diagnosis.prepare.on_route import way_of
+from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.diagnosis.selection.naming import Candidate, Step, compared
+from trackres_ros.diagnosis.selection.visibility import base_columns
+from trackres_ros.diagnosis.writing.kept import SLOPE_BY_PLACE
+from trackres_ros.route.learned import SLOPE, TORQUE, RouteMap
+from trackres_ros.route.matching import SPACING_M, Matched, Places, matched, neighbours, places_of
+from trackres_ros.route.track import Frame, track_of
+from trackres_ros.text.numbers import figures
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+NAMES: Mapping[str, str] = {SLOPE: SLOPE_BY_PLACE, TORQUE: "place"}  # of what they are told for
+SLOPES = ("grade", "grade_profile")  # effects of the catalogue that a slope by place has in it
+SURE = 10.0  # in log-likelihood: that it is by place, and beyond other places on passes that it was not learned from
+TOLD = 5.0  # in log-likelihood: of a slope over a torque
+LEAST_AGAIN_M = 500.0  # passed again on the laps fitted
+TURNS = 5  # of the base and what is by place
+SETTLED = 0.05  # of its size: less, and it is the same as a turn before
+MOVED, NEAREST_MOVED = 39, 0.125  # other places that what is learned is tried at, and how near in shares of all places
+OWN = 2.0  # times what is gained at other places: what only wanders slowly fits many by chance
+UNLEARNED = 0.9  # of its size: as unsure as that is a torque where a street was never driven that way
+
+
+@dataclass(frozen=True, eq=False)
+class Route:
+    """What was learned of a route.
+
+    Attributes
+    ----------
+    candidate
+        The fit with it beside the one without.
+    apart
+        How much likelier a slope is than a torque by place, in log-likelihood.
+    metres, again_m
+        Length of the streets that were fitted, and of those that were passed twice and more [m].
+    passes
+        How often a place was passed, median of those passed twice and more.
+    course
+        Matched distance at each sample of each session [m], along the places in the order in which they were first driven; nan
+        where it is at none.
+    """
+
+    candidate: Candidate
+    apart: float
+    metres: float
+    again_m: float
+    passes: int
+    course: tuple[Array, ...]
+
+    @property
+    def effect(self) -> ByPlace:
+        """What it adds."""
+        effect = self.candidate.effect
+        assert isinstance(effect, ByPlace)
+        return effect
+
+    def learned(self, final: Fit) -> RouteMap:
+        """What was learned, by the values of a final fit."""
+        active = next(a for a in final.effects if a.effect.name == self.candidate.name)
+        return self.effect.learned(active.numbers[0])
+
+    @property
+    def told(self) -> bool:
+        """Whether it is surely a slope."""
+        return self.effect.route.kind == SLOPE and self.apart > TOLD
+
+
+@dataclass(frozen=True, eq=False)
+class _Better:
+    """The likelier of slope and torque: what was learned, the sine of the slope or the torque of each session, and by how much a
+    slope is likelier, in log-likelihood.
+    """
+
+    kind: str
+    learned: Learned
+    expected: list[Array]
+    apart: float
+
+    def moved(self, before: _Better, masks: Sequence[Mask]) -> float:
+        """Root mean square of how far it went from another one of its kind, over its own; infinite from one of the other kind."""
+        if self.kind != before.kind:
+            return math.inf
+        now, then = (np.concatenate([x[m] for x, m in zip(of.expected, masks, strict=True)]) for of in (self, before))
+        return float(np.sqrt(np.mean((now - then) ** 2) / max(float(np.mean(now**2)), 1e-30)))
+
+
+@dataclass(frozen=True, eq=False)
+class Roads:
+    """Sessions matched to themselves.
+
+    Attributes
+    ----------
+    at, within
+        Where each step of each session is between places at its middle, and at each of its positions.
+    """
+
+    frame: Frame
+    places: Places
+    streets: Streets
+    at: tuple[Matched, ...]
+    within: tuple[Matched, ...]
+
+    def passes(self, masks: Sequence[Mask]) -> NDArray[np.int64]:
+        """How often each place was passed on samples that count, shape (places,)."""
+        found = set()
+        for track, mask in zip(self.within, masks, strict=True):
+            used = np.repeat(mask, len(track.number) // len(mask)) & track.known
+            nearer = np.where(track.share[used, 1] > 0.5, track.place[used, 1], track.place[used, 0])
+            found |= set(zip(nearer.tolist(), track.number[used].tolist(), strict=True))
+        return np.bincount(np.array([place for place, _ in found], dtype=np.int64), minlength=len(self.places))
+
+
+def roads_of(sessions: Sequence[Session]) -> Roads | None:
+    """Match sessions to themselves; None where no position is recorded."""
+    ways = [way_of(s) for s in sessions]
+    latitude, longitude = (np.concatenate([getattr(w, name) for w in ways]) for name in ("latitude", "longitude"))
+    there = np.isfinite(latitude) & np.isfinite(longitude)
+    if not there.any():
+        return None
+    frame = Frame(float(np.median(latitude[there])), float(np.median(longitude[there])))
+    tracks = [track_of(w.driven, *frame.metres(w.latitude, w.longitude)) for w in ways]
+    places = places_of(tracks)
+    whole = matched(places, tracks)
+    within = tuple(m.at(t.nearest(w.driven)) for m, t, w in zip(whole, tracks, ways, strict=True))
+    at = tuple(m.middles(len(m.number) // len(s)) for m, s in zip(within, sessions, strict=True))
+    return Roads(frame, places, Streets.of(neighbours(whole), places.table), at, within)
+
+
+def find_route(current: Fit, roads: Roads) -> Route | None:
+    """A slope or a torque by place in what a fit leaves; None where nothing surely is by place.
+
+    Notes
+    -----
+    Beside a slope that is not known noise looks like a random walk, and the base bends to what is steep: so base, noise and what
+    is by place take turns.
+    """
+    masks = current.problem.masks
+    passes = roads.passes(masks)
+    again_m = SPACING_M * int((passes > 1).sum())
+    if again_m < LEAST_AGAIN_M:
+        return None
+    residuals, fitted = _torque_residuals(current), current
+    noise = estimate_noise(residuals, masks, SHORT_ROOT)
+    best: _Better | None = None
+    for _ in range(TURNS):
+        before = best
+        best = _better(current, fitted, roads, residuals, noise)
+        if best is None:
+            return None
+        effect = _effect(current, roads, best, passes)
+        fitted = _beside(current, effect, fitted, SHORT_ROOT)
+        left = _torque_residuals(fitted)
+        noise = estimate_noise(left, masks, SHORT_ROOT)
+        noise = replace(noise, scale=noise.scale / best.learned.shrinks)
+        residuals = [r + x for r, x in zip(left, fitted.contribution(effect.name), strict=True)]
+        if before is not None and best.moved(before, masks) < SETTLED:
+            break
+    assert best is not None
+    found = compared(current, _beside(current, effect, fitted), effect.name, 1.0, math.nan, best.learned.cost + math.log(2.0))
+    if not found.matters:
+        return None
+    metres = SPACING_M * int((passes > 0).sum())
+    course = tuple(np.where(m.known, SPACING_M * (m.place * m.share).sum(axis=1), np.nan) for m in roads.at)
+    return Route(found, best.apart, metres, again_m, int(np.median(passes[passes > 1])), course)
+
+
+def beside_names(first: Route | None, roads: Roads | None, named: Fit) -> tuple[Route | None, Fit]:
+    """What goes by place, learned again beside the effects that were named with it, if there are any; and the fit with it."""
+    if first is None or roads is None or named.effect_names == (first.candidate.name,):
+        return first, named
+    others = [a.effect for a in named.effects if a.effect.name != first.candidate.name]
+    without = fit(named.problem, others, named.at, named.noises)
+    again = find_route(without, roads)
+    return again, without if again is None else again.candidate.fit
+
+
+def by_place(route: Route, round_: Step) -> Step:
+    """The round in which a slope by place was chosen, before a first round of names."""
+    chosen = route.candidate
+    return replace(
+        round_, by_noise=SURE, threshold=SURE, screened=(), candidates=(chosen,), chosen=chosen, members=(chosen.name,),
+        weights={chosen.name: 1.0}, stability=1.0,
+    )  # fmt: skip
+
+
+def _better(current: Fit, fitted: Fit, roads: Roads, residuals: Sequence[Array], noise: Noise) -> _Better | None:
+    """Slope or torque, whichever has more evidence beside a base that bends as it may; None where it does not show on passes
+    that it was not learned from.
+    """
+    problem, masks = current.problem, current.problem.masks
+    scale = fitted.base_values.get("torque_scale", problem.base.torque_scale)
+    radius = scale * problem.base.facts.radius
+    ways = [np.where(s.speed < 0.0, -1.0, 1.0) for s in problem.sessions]
+    force = [s.weight * radius * way for s, way in zip(problem.sessions, ways, strict=True)]
+    spread = float(np.std(np.concatenate([r[m] for r, m in zip(residuals, masks, strict=True)])))
+    columns = {
+        SLOPE: Columns.of_slope(roads.within, force, roads.streets),
+        TORQUE: Columns.of_torque(roads.within, [scale * way for way in ways], roads.streets),
+    }
+    typical = {SLOPE: spread / (problem.base.facts.weight * radius), TORQUE: spread / scale}
+    bends = _bends(current)
+    learned = {kind: learn(c.beside(bends), residuals, masks, noise, typical[kind]) for kind, c in columns.items()}
+    kind = max(learned, key=lambda k: learned[k].evidence)
+    if learned[kind].evidence < SURE or not _shows_on_others(columns[kind], learned[kind], roads, residuals, masks):
+        return None
+    of_one = Columns.of_slope if kind == SLOPE else Columns.of_torque
+    expected = of_one(roads.within, ways, roads.streets).expected(learned[kind])
+    return _Better(kind, learned[kind], expected, learned[SLOPE].evidence - learned[TORQUE].evidence)
+
+
+def _bends(current: Fit) -> list[Array]:
+    """What the torque of each session does when a parameter of the base is off by a standard deviation."""
+    own = [i for i, f in enumerate(current.free) if f.key[0] not in current.effect_names]
+    columns = base_columns(current) * np.array([f.std if np.isfinite(f.std) else f.scale for f in current.free])
+    parts = np.split(columns[:, own], np.cumsum([len(g.measured) for g in current.problem.segments])[:-1])
+    return [part for part, g in zip(parts, current.problem.segments, strict=True) if g.kind == "torque"]
+
+
+def _shows_on_others(columns: Columns, found: Learned, roads: Roads, residuals: Sequence[Array], masks: Sequence[Mask]) -> bool:
+    """Whether what is learned from every other pass explains the passes between, and far better than were it of other places."""
+    total = np.zeros(1 + MOVED)
+    ways = len(found.value) // len(roads.places)
+    numbers = [t.number if ways == 1 else t.number_this_way for t in roads.at]
+    for half in (0, 1):
+        others, used = (
+            [m & (n >= 0) & ((n % 2 == half) == own) for m, n in zip(masks, numbers, strict=True)] for own in (True, False)
+        )
+        value = found.again(columns, residuals, used)
+        moved = [ways * round(by * len(roads.places)) for by in (0.0, *np.linspace(NEAREST_MOVED, 1.0 - NEAREST_MOVED, MOVED))]
+        total += gains(columns, np.stack([np.roll(value, by) for by in moved], axis=1), residuals, others, found.noise)
+    elsewhere = max(0.0, float(total[1:].max()))
+    return bool(total[0] > elsewhere + SURE and total[0] > OWN * elsewhere)
+
+
+def _effect(current: Fit, roads: Roads, best: _Better, passes: NDArray[np.int64]) -> ByPlace:
+    """What was learned, as an effect."""
+    facts, masks = current.problem.base.facts, current.problem.masks
+    route, shape = _map(roads, best.kind, best.learned, passes), best.expected
+    if best.kind == SLOPE:
+        sine = [np.clip(x, -STEEPEST, STEEPEST) for x in shape]
+        shape = [x / np.sqrt(1.0 - x**2) for x in sine]
+    used = np.concatenate([x[m] for x, m in zip(shape, masks, strict=True)])
+    typical = max(float(np.sqrt(np.mean(used**2))), 1e-9)
+    make = SlopeByPlace if best.kind == SLOPE else ByPlace
+    return make(NAMES[best.kind], _text(route), [x / typical for x in shape], facts.weight * facts.radius, route, typical)
+
+
+def _beside(current: Fit, effect: ByPlace, begin: Fit, largest_root: float = LARGEST_ROOT) -> Fit:
+    """A fit with it beside what is there, under a noise whose roots are bounded: for values that predict, or for tests."""
+    effects = [*(a.effect for a in current.effects), effect]
+    start = {**begin.at, (effect.name, effect.parameters[0].name): effect.typical}
+    return fit(current.problem, effects, start, largest_root=largest_root)
+
+
+def _map(roads: Roads, kind: str, learned: Learned, passes: NDArray[np.int64]) -> RouteMap:
+    """What was learned, of the places that were passed on the laps fitted."""
+    seen = np.flatnonzero(passes > 0)
+    x, y, east, north = roads.places.table[seen].T
+    if kind == SLOPE:
+        slope, spread = np.clip(learned.value[seen], -STEEPEST, STEEPEST), learned.std(seen)
+        slope = slope / np.sqrt(1.0 - slope**2)
+        value, std = np.stack([slope, -slope], axis=1), np.stack([spread, spread], axis=1)
+    else:
+        ways = np.stack([2 * seen, 2 * seen + 1], axis=1)
+        value, std = learned.value[ways], learned.std(ways.ravel()).reshape(-1, 2)
+        known = std < UNLEARNED * learned.size
+        value, std = np.where(known, value, np.nan), np.where(known, std, np.nan)
+    latitude, longitude = roads.frame.position(x, y)
+    return RouteMap(kind, latitude, longitude, np.arctan2(north, east), value, std, passes[seen])
+
+
+def _torque_residuals(found: Fit) -> list[Array]:
+    return [r for r, g in zip(found.residuals, found.problem.segments, strict=True) if g.kind == "torque"]
+
+
+def _text(route: RouteMap) -> str:
+    low, high = (float(q) for q in np.nanquantile(route.value, (0.025, 0.975)))
+    if route.kind == SLOPE:
+        return f"the road rises and falls, by up to {max(-low, high):.1%}, the same on each pass of a place"
+    return f"it takes {figures(low, 2)} to {figures(high, 2)} Nm more by the place, the same on each pass"

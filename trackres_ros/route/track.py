@@ -1,0 +1,111 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""A drive as a course in local metres over the distance driven, out of scattered positions that come now and then."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+EARTH_M = 6371008.8  # mean radius, IUGG
+STEP_M = 10.0  # between points of a track
+SMOOTH_M = 10.0  # standard deviation of the mean over distance: satellite positions scatter by 5 to 20 m
+LONGEST_GAP_M = 100.0  # between positions: beyond it a straight line may be off by more than a street is wide
+STRAIGHT = (0.5, 1.5)  # way by positions over way driven: outside of it one of them is wrong
+FAR_RAD = 0.02  # of a place from where its metres are measured: some 120 km, over which a map is flat to half a percent
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """Local metres, east and north of a place [rad]."""
+
+    latitude: float
+    longitude: float
+
+    def metres(self, latitude: Array, longitude: Array) -> tuple[Array, Array]:
+        """East and north [m] of positions [rad]; nan where they are none, or too far for a flat map."""
+        east = np.remainder(longitude - self.longitude + math.pi, 2.0 * math.pi) - math.pi
+        north = np.asarray(latitude - self.latitude)
+        near = np.hypot(east * math.cos(self.latitude), north) < FAR_RAD
+        x, y = EARTH_M * math.cos(self.latitude) * east, EARTH_M * north
+        return np.where(near, x, np.nan), np.where(near, y, np.nan)
+
+    def position(self, x: Array, y: Array) -> tuple[Array, Array]:
+        """Latitude and longitude [rad] of places [m]."""
+        return self.latitude + y / EARTH_M, self.longitude + x / (EARTH_M * math.cos(self.latitude))
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """Points every `STEP_M` of a drive; arrays of shape (n,).
+
+    Attributes
+    ----------
+    x, y
+        East and north [m].
+    east, north
+        Direction of travel, of length 1.
+    known
+        Where positions and the distance driven agree.
+    """
+
+    x: Array
+    y: Array
+    east: Array
+    north: Array
+    known: Mask
+
+    def __len__(self) -> int:
+        return len(self.x)
+
+    def nearest(self, distance: Array) -> NDArray[np.int64]:
+        """The point at each distance driven [m]."""
+        return np.clip(np.round(distance / STEP_M).astype(np.int64), 0, len(self) - 1)
+
+
+def track_of(distance: Array, x: Array, y: Array) -> Track:
+    """The track of a drive.
+
+    Parameters
+    ----------
+    distance
+        Driven since its start at each sample [m], rising; shape (n,).
+    x, y
+        East and north at each [m], nan where no position came; shape (n,).
+
+    Notes
+    -----
+    Between positions the way is straight, by the distance driven; where they lie further apart than `LONGEST_GAP_M` it is not
+    known. A mean over some metres takes scatter away; standing still counts once.
+    """
+    at = np.arange(0.0, float(distance[-1]) + 2.0 * STEP_M, STEP_M)
+    there = np.isfinite(x) & np.isfinite(y)
+    if there.sum() < 2:
+        nothing = np.full(len(at), np.nan)
+        return Track(nothing, nothing, nothing, nothing, np.zeros(len(at), dtype=bool))
+    driven, of = np.unique(np.round(distance[there], 1), return_inverse=True)
+    count = np.bincount(of.ravel())
+    fixes = [np.bincount(of.ravel(), weights=p[there]) / count for p in (x, y)]
+    after = np.clip(np.searchsorted(driven, at), 1, max(len(driven) - 1, 1))
+    known = (at >= driven[0]) & (at <= driven[-1])
+    if len(driven) > 1:
+        known &= driven[after] - driven[after - 1] <= LONGEST_GAP_M
+    reach = math.ceil(3.0 * SMOOTH_M / STEP_M)
+    near = np.exp(-0.5 * (np.arange(-reach, reach + 1) * STEP_M / SMOOTH_M) ** 2)
+    share = np.convolve(known, near, mode="full")[reach:-reach]
+    mean_x, mean_y = (
+        np.convolve(np.where(known, np.interp(at, driven, p), 0.0), near, mode="full")[reach:-reach] / np.maximum(share, 1e-9)
+        for p in fixes
+    )
+    east, north = np.gradient(mean_x, STEP_M), np.gradient(mean_y, STEP_M)
+    way = np.hypot(east, north)
+    known &= (way > STRAIGHT[0]) & (way < STRAIGHT[1])
+    way = np.where(known, way, 1.0)
+    return Track(mean_x, mean_y, east / way, north / way, known)
