@@ -120,11 +120,12 @@ def hilly(base, tmp_path_factory):
     """A table of rounds with a slope that is not recorded."""
     session, one = session_of(base, 21, (1, -1, 1, -1, 1, -1, 1, -1), slope=1.0)
     latitude, longitude = np.degrees(position_of(one))
+    air, brake_off = np.full(len(session), 15.0), np.zeros(len(session))
     rows = np.column_stack(
-        [1.76e9 + session.time, session.speed, session.weight, np.full(len(session), 15.0), session.torque, latitude, longitude]
+        [1.76e9 + session.time, session.speed, session.weight, air, session.torque, latitude, longitude, brake_off]
     )
     path = tmp_path_factory.mktemp("hilly") / "rounds.csv"
-    header = "time_s,speed_mps,weight_n,ambient_degc,torque_nm,latitude_deg,longitude_deg"
+    header = "time_s,speed_mps,weight_n,ambient_degc,torque_nm,latitude_deg,longitude_deg,brake_on"
     np.savetxt(path, rows, delimiter=",", header=header, comments="", fmt="%.8f")
     return path
 
