@@ -12,3 +12,4 @@ SECOND_NS = 1_000_000_000
 STANDSTILL_MPS = 0.05  # m/s, assumed: over it friction changes its sign smoothly; a fifth of 1 km/h
 MAD_TO_STD = 1.4826
 DEGREE = 0.017453292519943295  # rad
+EARTH_M = 6371008.8  # mean radius, IUGG

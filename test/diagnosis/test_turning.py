@@ -9,8 +9,9 @@ import pytest
 from trackres_ros.diagnosis import read_recordings
 from trackres_ros.diagnosis.prepare.gate import gate
 from trackres_ros.diagnosis.prepare.settings import GateSettings
-from trackres_ros.diagnosis.prepare.turning import EARTH_RADIUS_M, turning
+from trackres_ros.diagnosis.prepare.turning import turning
 from trackres_ros.recording.samples import Series
+from trackres_ros.units import EARTH_M
 
 STEP_S, RATE_HZ = 1.0, 10.0
 WIDTH_M = 1.5
@@ -62,7 +63,7 @@ def test_wheel_speeds_give_it_where_the_track_width_is_known():
 
 def test_positions_give_it_where_the_vehicle_moves():
     time, speed, yaw, _, x, y = drive(noise_m=0.02)
-    positions = {"latitude": 0.8 + y / EARTH_RADIUS_M, "longitude": 0.2 + x / EARTH_RADIUS_M / np.cos(0.8)}
+    positions = {"latitude": 0.8 + y / EARTH_M, "longitude": 0.2 + x / EARTH_M / np.cos(0.8)}
     found, true, over = made(time, speed, yaw, positions)
     known = np.isfinite(found.yaw_rate)
     assert 0.8 < known.mean() < 0.97
@@ -72,7 +73,7 @@ def test_positions_give_it_where_the_vehicle_moves():
 
 def test_positions_that_scatter_too_much_give_none():
     time, speed, yaw, _, x, y = drive(noise_m=8.0)
-    assert made(time, speed, yaw, {"latitude": y / EARTH_RADIUS_M, "longitude": x / EARTH_RADIUS_M})[0] is None
+    assert made(time, speed, yaw, {"latitude": y / EARTH_M, "longitude": x / EARTH_M})[0] is None
 
 
 def test_a_heading_with_gaps_is_not_known_in_them():

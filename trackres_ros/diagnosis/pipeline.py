@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.base import Base
 from trackres_ros.diagnosis.base.loading import LoadedBase
+from trackres_ros.diagnosis.base.watched import ByPlace
 from trackres_ros.diagnosis.described.describe import Term, course, describe, drift, said
 from trackres_ros.diagnosis.described.routes import SLOPES, Route, beside_names, by_place, find_route, roads_of
 from trackres_ros.diagnosis.described.terms import Described
@@ -249,6 +250,8 @@ def diagnose(
         adds = final.contribution(active.effect.name)
         resists = against_travel(final.problem.sessions, adds) if active.effect.acts_on != "sensor" else adds
         where = acts(final, resists)
+        if isinstance(active.effect, ByPlace):
+            where = replace(where, low=where.least, high=where.most)  # by the place, and by nothing that is looked over
         found.append(
             Found(
                 active.effect.name,

@@ -11,10 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.units import EARTH_M
+
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-EARTH_M = 6371008.8  # mean radius, IUGG
 STEP_M = 10.0  # between points of a track
 SMOOTH_M = 10.0  # standard deviation of the mean over distance: satellite positions scatter by 5 to 20 m
 LONGEST_GAP_M = 100.0  # between positions: beyond it a straight line may be off by more than a street is wide

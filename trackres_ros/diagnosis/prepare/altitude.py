@@ -12,9 +12,8 @@ from scipy.spatial import cKDTree
 
 from trackres_ros.diagnosis.prepare.session import Array, Session
 from trackres_ros.recording.slopes import slopes
-from trackres_ros.units import GRAVITY, MAD_TO_STD
+from trackres_ros.units import EARTH_M, GRAVITY, MAD_TO_STD
 
-EARTH_M = 6.371e6  # mean radius
 SAME_PLACE_M = 10.0  # lanes and the scatter of a receiver
 ANOTHER_PASS_S = 600.0  # after which the error of a receiver is another one
 APART_M = 20.0  # of the places of one pass that are looked at

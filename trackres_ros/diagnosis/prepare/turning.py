@@ -13,9 +13,9 @@ import numpy as np
 from trackres_ros.diagnosis.prepare.sampling import ordered
 from trackres_ros.diagnosis.prepare.session import Array, Course
 from trackres_ros.recording.samples import Series
+from trackres_ros.units import EARTH_M
 
 SIDES = ("left", "right")
-EARTH_RADIUS_M = 6.371e6
 LONGEST_GAP_S = 2.0
 REACHES_S = (1.0, 2.0, 4.0)  # of positions to either side, of which the shortest is taken that is sure enough
 SURE_RADPS = 0.03  # standard deviation of a yaw rate that is good enough
@@ -85,7 +85,7 @@ def _of_positions(series: Mapping[str, Series], start: int, edges: Array, speed:
         return None
     middle = 0.5 * (edges[1:] + edges[:-1])
     east = np.interp(at, also_at, np.unwrap(east))
-    x, y = EARTH_RADIUS_M * np.cos(np.median(north)) * (east - east[0]), EARTH_RADIUS_M * (north - north[0])
+    x, y = EARTH_M * np.cos(np.median(north)) * (east - east[0]), EARTH_M * (north - north[0])
     noise = max(MAD_OF_SECOND_DIFFERENCE * float(np.median(np.abs(np.diff(z, 2)))) for z in (x, y))
     moving = np.abs(speed) > slowest
     if moving.sum() < FEWEST_MOVING:

@@ -19,12 +19,11 @@ from trackres_ros.diagnosis import Diagnosis, diagnose, load_base, read_recordin
 from trackres_ros.evaluation.field.run import NOTHING, UPHILL, WARM, FieldTrial
 from trackres_ros.files.resources import config_dir
 from trackres_ros.recording.bindings import Topics
-from trackres_ros.units import GRAVITY
+from trackres_ros.units import EARTH_M, GRAVITY
 
 Array = NDArray[np.float64]
 
 FOLDER, VEHICLE, TOPICS = "ztbus", "ztbus_hess19", "ztbus.yaml"
-EARTH_M = 6.371e6  # mean radius
 SAME_PLACE_M = 15.0
 SLOPE_OVER_M = 300.0
 LONG_STRETCH_S = 300.0  # of driving

@@ -19,9 +19,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.prepare.turning import EARTH_RADIUS_M
 from trackres_ros.recording.slopes import slopes
-from trackres_ros.units import KMH_PER_MPS
+from trackres_ros.units import EARTH_M, KMH_PER_MPS
 
 Array = NDArray[np.float64]
 
@@ -99,7 +98,7 @@ def robot(data: Path, name: str, folder: Path) -> Path:
         "torque_nm": np.where(moving, NM_PER_A * power / np.where(moving, mean, 1.0), np.nan)[there],
         "yaw_rate_radps": (after - before) / YAW_OVER_S,
         "heading_rad": yaw,
-        **{name: np.degrees(column(f"icp_pos_{axis}")[there] / EARTH_RADIUS_M) for name, axis in POSITION.items()},
+        **{name: np.degrees(column(f"icp_pos_{axis}")[there] / EARTH_M) for name, axis in POSITION.items()},
         **{f"wheel_speed_mps/{side}": rim[there] for side, rim in rims.items()},
     }
     return _write(folder / f"{name}.csv", columns)
