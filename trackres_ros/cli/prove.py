@@ -136,18 +136,23 @@ def _process(stream: IO[str] | None, module: str, *arguments: str) -> None:
 
 @prove_command.command("real")
 @click.option(
-    "--data", type=click.Path(path_type=Path), required=True, metavar="DIR", help="Folder with bmw_i3 and husky_warthog."
+    "--data",
+    type=click.Path(path_type=Path),
+    required=True,
+    metavar="DIR",
+    help="Folder with bmw_i3, husky_warthog and ztbus, as far as they are there.",
 )
 @folder_option
 @json_option
 def prove_real_command(data: Path, output: Path, as_json: bool) -> None:
     """Diagnose public recordings of real vehicles, with a measured channel concealed."""
     needs("trackres prove real", *EXTRA)
+    from trackres_ros.evaluation.field.bus import try_bus
     from trackres_ros.evaluation.field.page import write_page
     from trackres_ros.evaluation.field.run import try_all
 
     output_folder(output)
-    _write_and_print(output / "proof-real.md", write_page(data, try_all(data, output), output), as_json)
+    _write_and_print(output / "proof-real.md", write_page(data, try_all(data, output), try_bus(data), output), as_json)
 
 
 @prove_command.command("paper")

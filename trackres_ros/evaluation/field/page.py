@@ -16,6 +16,7 @@ from scipy.stats import spearmanr
 from trackres_ros.diagnosis.findings.locate import evenly_filled
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.selection.intervals import NORMAL_95
+from trackres_ros.evaluation.field.bus_page import bus_page
 from trackres_ros.evaluation.field.data import SECONDS_PER_H
 from trackres_ros.evaluation.field.run import (
     COLD_AFTER_H,
@@ -41,8 +42,14 @@ SIGNIFICANT = 0.05
 SETTLED_STD = 1.0  # of a start state: a less certain one is not used
 
 
-def write_page(data: Path, tried: Sequence[FieldTrial], folder: Path, of_pictures: str = "") -> str:
-    """Draw the pictures into a folder and give the page, whose links to them begin with `of_pictures`."""
+def write_page(data: Path, tried: Sequence[FieldTrial], of_bus: Sequence[FieldTrial], folder: Path, of_pictures: str = "") -> str:
+    """Draw the pictures into a folder and give the page, whose links to them begin with `of_pictures`.
+
+    Parameters
+    ----------
+    tried, of_bus
+        What `run.try_all` and `bus.try_bus` gave.
+    """
     winter = tried[0]
     route = next(t for t in tried if "twice" in t.what)
     grass = next(t for t in tried if t.wanted == TURNING and t.hidden.startswith("nothing"))
@@ -57,17 +64,18 @@ def write_page(data: Path, tried: Sequence[FieldTrial], folder: Path, of_picture
         "| Recordings | Concealed | Found | Mean error on held-out laps, re-fitted and with effects [Nm] | Outcome |",
         "|---|---|---|---|---|",
     ]
-    for t in tried:
-        named = "; ".join(" or ".join(members) for members in t.named) or t.found.verdict.status
+    for t in (*tried, *of_bus):
+        named = "; ".join((*(" or ".join(members) for members in t.named), *t.described)) or t.found.verdict.status
         mae = t.found.held_out.mae
         lines.append(f"| {t.what} | {t.hidden} | {named} | {mae['refitted']:.3g}, {mae['with_effects']:.3g} | {t.outcome} |")
     lines += ["", "The verdicts, word for word:", ""]
-    lines += [f"- {t.what}, without {t.hidden}: {t.found.verdict.sentence}" for t in tried]
+    lines += [f"- {t.what}, without {t.hidden}: {t.found.verdict.sentence}" for t in (*tried, *of_bus)]
     lines += ["", "## The car's starts, unsealed", "", *_starts(begun, together), _where(tried[1], begun), ""]
     lines += [
         f"![Torque that the re-fitted base lacks over the time since the start, and start states.]({of_pictures}starts.png)",
         "",
     ]
+    lines += bus_page(of_bus, folder, of_pictures)
     lines += ["## A route driven twice", "", *_twice(route, repeated), ""]
     lines += [f"![Residuals of both drives and the slope over the distance.]({of_pictures}twice.png)", ""]
     lines += ["## Turning on wet grass", ""]
