@@ -31,6 +31,7 @@ FEWEST_STRETCHES = 6
 SIZES = tuple(np.geomspace(0.003, 0.3, 9))  # standard deviation of what is loaded, over the vehicle's mass
 ALIKE = (0.0, 0.5, 0.8, 0.95)  # correlation of the mass of a stretch with that of the one before
 TURNS = 3  # of masses and noise
+SURE = 10.0  # in log-likelihood: of a mass by stretch over a torque by stretch
 MORE = 0.01  # of the weight, for the derivative
 
 
@@ -122,14 +123,11 @@ def find_payload(current: Fit, residuals: Sequence[Array]) -> Payload | None:
         return None
     mass = current.base_values.get("mass", current.problem.base.facts.weight / GRAVITY)
     per_kg = torque_of_a_kilogram(current, mass)
-    columns = [m[:, np.newaxis] * (n[:, np.newaxis] == np.arange(c)) for m, n, c in zip(per_kg, numbers, counts, strict=True)]
-    left, noise = list(residuals), current.noise
-    for _ in range(TURNS):  # unless it is left out, noise is as large as the payload and counts the more it is loaded the less
-        parts = [_whitened(*of, noise) for of in zip(columns, residuals, left, masks, strict=True)]
-        tried = (_Solution.of(parts, size * mass, alike) for size in SIZES for alike in ALIKE)
-        best = max(tried, key=lambda one: one.evidence)
-        left = [r - x @ m for r, x, (m, _) in zip(residuals, columns, best.masses, strict=True)]
-        noise = estimate_noise(left, masks)
+    typical = float(np.sqrt(np.mean(np.concatenate([m[use] for m, use in zip(per_kg, masks, strict=True)]) ** 2)))
+    against = [typical * np.sign(s.speed) for s in sessions]
+    (best, noise), (of_level, _) = (_most_likely(by, numbers, counts, residuals, current, mass) for by in (per_kg, against))
+    if best.evidence < of_level.evidence + SURE:
+        return None  # whatever it is that differs, it is not told by what a mass does
     torques, stretches = [], list[Stretch]()
     for i, (session, number, by_mass, residual, (masses, stds)) in enumerate(
         zip(sessions, numbers, per_kg, residuals, best.masses, strict=True)
@@ -147,6 +145,22 @@ def find_payload(current: Fit, residuals: Sequence[Array]) -> Payload | None:
         return None
     cost = best.cost + math.log(len(SIZES) * len(ALIKE))
     return Payload(tuple(stretches), level, tuple(t / level for t in torques), cost)
+
+
+def _most_likely(
+    by: Sequence[Array], numbers: Sequence[Indices], counts: Sequence[int], residuals: Sequence[Array], current: Fit, mass: float
+) -> tuple[_Solution, Noise]:
+    """Sizes of a series by stretch that explain residuals best, and the noise beside them."""
+    masks = current.problem.masks
+    columns = [x[:, np.newaxis] * (n[:, np.newaxis] == np.arange(c)) for x, n, c in zip(by, numbers, counts, strict=True)]
+    left, noise = list(residuals), current.noise
+    for _ in range(TURNS):  # unless it is left out, noise is as large as the payload and counts the more it is loaded the less
+        parts = [_whitened(*of, noise) for of in zip(columns, residuals, left, masks, strict=True)]
+        tried = (_Solution.of(parts, size * mass, alike) for size in SIZES for alike in ALIKE)
+        best = max(tried, key=lambda one: one.evidence)
+        left = [r - x @ m for r, x, (m, _) in zip(residuals, columns, best.masses, strict=True)]
+        noise = estimate_noise(left, masks)
+    return best, noise
 
 
 def stretch_numbers(session: Session) -> Indices:
