@@ -69,7 +69,8 @@ def test_the_gate_says_down_to_where_it_compares(loaded, tmp_path, brakes):
     torque = loaded.base.predict([session], {q.name: q.nominal for q in loaded.base.parameters}, ())[0].torque
     shown = np.maximum(torque, -80.0) + rng.normal(0.0, NOISE_NM, len(torque))
     path = tmp_path / "drive.csv"
-    rows = np.column_stack([session.time, session.speed, shown])
+    at = np.arange(5 * len(session)) / 5.0  # so often that steps are of a second
+    rows = np.column_stack([at, np.interp(at, session.time + 0.5, session.speed), np.repeat(shown, 5)])
     np.savetxt(path, rows, delimiter=",", header="time_s,speed_mps,torque_nm", comments="", fmt="%.6f")
     gated = gate(read_recordings([path], None), replace(loaded.known, friction_brakes=brakes))
     assert any("the motor brakes alone" in note for note in gated.notes) == brakes
