@@ -201,6 +201,14 @@ def test_the_page_of_a_run_of_towns_alone(tmp_path):
     assert [one["wrong"] for one in kept["cases"]] == ["", ""]
 
 
+def test_the_page_of_a_run_of_pairs_alone_has_no_picture_of_single_names(tmp_path):
+    both = scored("two", ["delay", "mullins"], report("named", ["delay", "mullins"]))
+    text = write_all(tmp_path, [both], "seal", 7, 1)
+    assert "confusion.png" not in text
+    assert not (tmp_path / "confusion.png").exists()
+    assert "| two: both | 100% (1 of 1) |" in text
+
+
 def test_masses_are_compared_between_changes_of_the_load():
     speed = np.repeat([5.0, 0.0, 5.0, 5.0], [400, 20, 100, 80])  # stands, and is loaded meanwhile
     mass = np.repeat([1000.0, 3000.0, 0.0], [410, 110, 80])

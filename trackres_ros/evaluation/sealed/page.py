@@ -52,7 +52,9 @@ def write_all(folder: Path, scored: Sequence[Scored], seal: str, seed: int, draw
     for kind, of in kinds.items():
         write_case(folder, of[0], folder / f"{file_name(kind)}.html")
     _write_cases(folder / "cases.csv", scored)
-    _draw_confusion(folder / CONFUSION, scored)
+    alone = [s for s in scored if s.case.level in (*ALONE, "none", *NOT_IN_CATALOGUE)]
+    if alone:
+        _draw_confusion(folder / CONFUSION, alone)
     found = {method: shares(scored, method) for method in (OURS, *BASELINES) if all(method in s.answers for s in scored)}
     kept = {
         "seed": seed,
@@ -82,7 +84,7 @@ def write_all(folder: Path, scored: Sequence[Scored], seal: str, seed: int, draw
             learned_table(scored),
             *([outside_table(scored)] if counts["outside"] else []),
             *([street_table(scored)] if counts["street"] else []),
-            f"![What was named over what was true, of cases with one effect.]({CONFUSION})",
+            *([f"![What was named over what was true, of cases with one effect.]({CONFUSION})"] if alone else []),
             mistake_table(kinds),
         )
     )
@@ -243,9 +245,7 @@ def _write_cases(path: Path, scored: Sequence[Scored]) -> None:
 def _draw_confusion(path: Path, scored: Sequence[Scored]) -> None:
     """What was named first over what was true, of cases with one effect or none."""
     pairs = Counter(
-        (next(iter(s.case.hidden), "nothing") if s.case.level != "outside" else "not in the catalogue", _first(s))
-        for s in scored
-        if s.case.level in (*ALONE, "none", *NOT_IN_CATALOGUE)
+        (next(iter(s.case.hidden), "nothing") if s.case.level != "outside" else "not in the catalogue", _first(s)) for s in scored
     )
     true = sorted({t for t, _ in pairs}, key=_last_of_all)
     named = sorted({a for _, a in pairs}, key=_last_of_all)
