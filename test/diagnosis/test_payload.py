@@ -10,8 +10,9 @@ import pytest
 from scipy.signal import lfilter
 
 from trackres_ros.diagnosis import load_base
-from trackres_ros.diagnosis.described.describe import BY_CLOCK, PAYLOAD, residuals_without, said
+from trackres_ros.diagnosis.described.describe import BY_CLOCK, PAYLOAD, residuals_without
 from trackres_ros.diagnosis.described.payload import STOP_S, find_payload, stretch_numbers
+from trackres_ros.diagnosis.described.told import said
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.evaluation.synthetic import drives
 from trackres_ros.files.resources import config_dir

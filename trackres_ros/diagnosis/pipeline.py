@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from trackres_ros.diagnosis.base.base import Base
 from trackres_ros.diagnosis.base.loading import LoadedBase
 from trackres_ros.diagnosis.base.watched import ByPlace
-from trackres_ros.diagnosis.described.describe import Term, course, describe, drift, said
+from trackres_ros.diagnosis.described.describe import Term, describe, drift
 from trackres_ros.diagnosis.described.routes import SLOPES, Route, beside_names, by_place, find_route, roads_of
 from trackres_ros.diagnosis.described.terms import Described
+from trackres_ros.diagnosis.described.told import course, said
 from trackres_ros.diagnosis.described.watching import drift_on_held_out, drift_to_watch, spells_to_watch
 from trackres_ros.diagnosis.findings.change_points import Change, changes
 from trackres_ros.diagnosis.findings.locate import (

@@ -30,6 +30,12 @@ class Frame:
     latitude: float
     longitude: float
 
+    @classmethod
+    def about(cls, latitude: Array, longitude: Array) -> Frame:
+        """About the middle of positions [rad], nan where there is none."""
+        there = np.isfinite(latitude) & np.isfinite(longitude)
+        return cls(float(np.median(latitude[there])), float(np.median(longitude[there]))) if there.any() else cls(0.0, 0.0)
+
     def metres(self, latitude: Array, longitude: Array) -> tuple[Array, Array]:
         """East and north [m] of positions [rad]; nan where they are none, or too far for a flat map."""
         east = np.remainder(longitude - self.longitude + math.pi, 2.0 * math.pi) - math.pi

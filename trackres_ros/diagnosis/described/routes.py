@@ -139,7 +139,7 @@ def roads_of(sessions: Sequence[Session]) -> Roads | None:
     there = np.isfinite(latitude) & np.isfinite(longitude)
     if not there.any():
         return None
-    frame = Frame(float(np.median(latitude[there])), float(np.median(longitude[there])))
+    frame = Frame.about(latitude, longitude)
     tracks = [track_of(w.driven, *frame.metres(w.latitude, w.longitude)) for w in ways]
     places = places_of(tracks)
     whole = matched(places, tracks)

@@ -10,9 +10,11 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from trackres_ros.diagnosis.prepare.session import Array, Session
+from trackres_ros.diagnosis.prepare.robust import robust_least_squares
+from trackres_ros.diagnosis.prepare.session import Session
 from trackres_ros.recording.slopes import slopes
-from trackres_ros.units import EARTH_M, GRAVITY, MAD_TO_STD
+from trackres_ros.route.track import Frame
+from trackres_ros.units import GRAVITY, MAD_TO_STD
 
 SAME_PLACE_M = 10.0  # lanes and the scatter of a receiver
 ANOTHER_PASS_S = 600.0  # after which the error of a receiver is another one
@@ -22,7 +24,6 @@ MOST_UNKNOWN = 0.5  # of a recording
 WORTH = 0.5  # of a slope: share that is road and no error
 PIECE_S = 300.0  # over which errors hang together
 SURE = 2.0  # standard deviations
-ROBUST_TURNS = 10
 
 
 def with_slope(session: Session) -> tuple[Session, str]:
@@ -58,14 +59,13 @@ def with_slope(session: Session) -> tuple[Session, str]:
 
 def error_by_revisits(session: Session) -> tuple[float, int]:
     """Standard deviation of the altitude's error from one pass of a place to the next [m], and at how many pairs; 0 without."""
-    known = np.isfinite(session.latitude) & np.isfinite(session.altitude)
+    x, y = Frame.about(session.latitude, session.longitude).metres(session.latitude, session.longitude)
+    known = np.isfinite(x) & np.isfinite(session.altitude)
     piece = np.floor(session.distance / APART_M)
     rows = np.flatnonzero(known & (np.diff(piece, prepend=-1.0) > 0.0))
     if len(rows) < 2:
         return 0.0, 0
-    north = EARTH_M * session.latitude[rows]
-    east = EARTH_M * np.cos(np.mean(session.latitude[rows])) * np.unwrap(session.longitude[rows])
-    pairs = cKDTree(np.column_stack([north, east])).query_pairs(SAME_PLACE_M, output_type="ndarray")
+    pairs = cKDTree(np.column_stack([x[rows], y[rows]])).query_pairs(SAME_PLACE_M, output_type="ndarray")
     first, second = rows[pairs[:, 0]], rows[pairs[:, 1]]
     again = np.abs(session.time[first] - session.time[second]) > ANOTHER_PASS_S
     apart = np.abs(session.altitude[first] - session.altitude[second])[again]
@@ -84,22 +84,10 @@ def torque_errors(session: Session) -> tuple[float, float, bool]:
     mass, speed, torque = session.weight[use] / GRAVITY, session.speed[use], session.torque[use]
     resists = [mass * np.sign(speed), mass * speed, speed * np.abs(speed)]
     by_slope = GRAVITY * session.grade[use]
-    without, with_it = (
-        np.abs(_left(np.stack([mass * pull, *resists], axis=1), torque))
-        for pull in (session.accel[use], session.accel[use] + by_slope)
-    )
+    pulls = (session.accel[use], session.accel[use] + by_slope)
+    columns = [np.stack([mass * pull, *resists], axis=1) for pull in pulls]
+    without, with_it = (np.abs(torque - x @ robust_least_squares(x, torque)) for x in columns)
     _, piece = np.unique(session.time[use] // PIECE_S, return_inverse=True)
     gains = np.bincount(piece, without - with_it) / np.bincount(piece)
     surely = len(gains) > 1 and gains.mean() > SURE * np.std(gains, ddof=1) / np.sqrt(len(gains))
     return float(without.mean()), float(with_it.mean()), bool(surely)
-
-
-def _left(columns: Array, value: Array) -> Array:
-    """What a fit by factors leaves, nearly that of the least absolute error: brakes and shocks lean to one side."""
-    columns = columns / np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-12)
-    left, root = value, np.ones(len(value))
-    for _ in range(ROBUST_TURNS):
-        left = value - columns @ np.linalg.lstsq(columns * root[:, np.newaxis], value * root, rcond=None)[0]
-        scale = max(float(np.median(np.abs(left))), 1e-12)
-        root = 1.0 / np.sqrt(np.maximum(np.abs(left) / scale, 1.0))
-    return left

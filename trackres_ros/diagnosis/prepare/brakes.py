@@ -9,12 +9,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from trackres_ros.diagnosis.prepare.robust import robust_least_squares
 from trackres_ros.diagnosis.prepare.session import Array, Mask, Session
 from trackres_ros.units import GRAVITY, MAD_TO_STD
 
 FEWEST_DRIVING = 300  # steps
 FEWEST_OF_A_LEVEL, LEVELS = 40, 25
-ROBUST_TURNS, OUTLIER = 10, 1.5  # Huber's
 FAR_STDS = 4.0  # of driving steps: so much more a brake takes than is explained
 MOST_FAR = 0.1  # of the steps of a level, beyond those of driving; a few strays the noise of a fit bears
 MOST_LOST = 0.2  # of a braking torque: gears that lose a tenth, there and back
@@ -40,7 +40,7 @@ def motor_brakes_alone(sessions: Sequence[Session], compared: Sequence[Mask]) ->
     drives = np.concatenate([~near(s.torque <= 0.0)[m] for s, m in zip(sessions, compared, strict=True)])
     if drives.sum() < FEWEST_DRIVING:
         return 0.0
-    values = _robust(columns[drives], torque[drives])
+    values = robust_least_squares(columns[drives], torque[drives])
     left = torque - columns @ values
     middle = float(np.median(left[drives]))
     std = MAD_TO_STD * float(np.median(np.abs(left[drives] - middle)))
@@ -70,16 +70,3 @@ def _rows(session: Session, compared: Mask) -> tuple[Array, Array]:
     of_mass = weight * (session.accel / GRAVITY)
     columns = (weight * np.sign(v), weight * v, v * np.abs(v), of_mass, weight * np.nan_to_num(session.grade))
     return session.torque[compared], np.column_stack(columns)[compared]
-
-
-def _robust(columns: Array, y: Array) -> Array:
-    """Least squares in which samples far from the rest count less; columns may hang together."""
-    scale = np.maximum(np.abs(columns).max(axis=0), 1e-12)
-    weight = np.ones(len(y))
-    values = np.zeros(columns.shape[1])
-    for _ in range(ROBUST_TURNS):
-        root = np.sqrt(weight)
-        values = np.linalg.lstsq(columns / scale * root[:, np.newaxis], y * root, rcond=None)[0] / scale
-        left = np.abs(y - columns @ values)
-        weight = np.minimum(1.0, OUTLIER * MAD_TO_STD * float(np.median(left)) / np.maximum(left, 1e-12))
-    return values

@@ -13,14 +13,14 @@ import numpy as np
 from trackres_ros.diagnosis.prepare.sampling import ordered
 from trackres_ros.diagnosis.prepare.session import Array, Course
 from trackres_ros.recording.samples import Series
-from trackres_ros.units import EARTH_M
+from trackres_ros.units import EARTH_M, MAD_TO_STD
 
 SIDES = ("left", "right")
 LONGEST_GAP_S = 2.0
 REACHES_S = (1.0, 2.0, 4.0)  # of positions to either side, of which the shortest is taken that is sure enough
 SURE_RADPS = 0.03  # standard deviation of a yaw rate that is good enough
 FEWEST_MOVING = 60  # steps
-MAD_OF_SECOND_DIFFERENCE = 1.4826 / 6.0**0.5
+MAD_OF_SECOND_DIFFERENCE = MAD_TO_STD / 6.0**0.5
 
 
 class Turning(NamedTuple):

@@ -19,7 +19,8 @@ from trackres_ros.diagnosis import Diagnosis, diagnose, load_base, read_recordin
 from trackres_ros.evaluation.field.run import NOTHING, UPHILL, WARM, FieldTrial
 from trackres_ros.files.resources import config_dir
 from trackres_ros.recording.bindings import Topics
-from trackres_ros.units import EARTH_M, GRAVITY
+from trackres_ros.route.track import Frame
+from trackres_ros.units import GRAVITY
 
 Array = NDArray[np.float64]
 
@@ -117,8 +118,9 @@ def slope_found(tried: FieldTrial, given: FieldTrial) -> SlopeFound | None:
 
 def slope_by_all_passes(latitude: Array, longitude: Array, altitude: Array, distance: Array) -> Array:
     """Slope of the altitude averaged over all passes of each place, over 300 m of the way; nan where it is not known."""
-    known = np.isfinite(latitude) & np.isfinite(altitude)
-    at = EARTH_M * np.column_stack([latitude, np.cos(np.mean(latitude[known])) * longitude])[known]
+    x, y = Frame.about(latitude, longitude).metres(latitude, longitude)
+    known = np.isfinite(x) & np.isfinite(altitude)
+    at = np.column_stack([x, y])[known]
     near = cKDTree(at).query_ball_point(at, SAME_PLACE_M)
     mean = np.array([altitude[known][rows].mean() for rows in near])
     ahead, behind = (np.interp(distance + side * 0.5 * SLOPE_OVER_M, distance[known], mean) for side in (1.0, -1.0))

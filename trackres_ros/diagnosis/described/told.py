@@ -1,0 +1,109 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""What a term that was found comes to with the values of the last fit: in words, and what it follows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.base.watched import Watched
+from trackres_ros.diagnosis.described.candidates import series
+from trackres_ros.diagnosis.described.describe import LIKELY, Term
+from trackres_ros.diagnosis.described.terms import (
+    Described,
+    of_learned,
+    of_level_change,
+    of_payload,
+    of_place,
+    of_route,
+    of_spells,
+    of_wave,
+)
+from trackres_ros.diagnosis.described.waves import part_of
+from trackres_ros.diagnosis.inference.fitting import Fit
+from trackres_ros.effects.learned import ALWAYS, MOVING_MPS, Curve, Learned
+from trackres_ros.estimator.disturbance import BLOCK_S
+
+Array = NDArray[np.float64]
+
+BEGINNINGS_S = 15.0  # within so much of a stop a spell begins with it
+MOST_BEGIN = 0.7  # of the spells
+MOST_OF_IT = (0.025, 0.975)  # quantiles
+
+
+def said(term: Term, final: Fit) -> Described:
+    """A term in words, with the values of the final fit."""
+    name = term.candidate.name
+    active = next(a for a in final.effects if a.effect.name == name)
+    if isinstance(active.effect, Learned):
+        return of_learned(active.effect, active.values)
+    level = active.numbers[0]
+    if term.wave is not None:
+        return of_wave(name, term.wave, level, part_of(term.wave.length_m, final.problem.base.parts))
+    if term.change is not None:
+        return of_level_change(name, level, final.problem.sessions, term.change)
+    if term.place is not None:
+        return of_place(name, level, term.place)
+    if term.payload is not None:
+        return of_payload(name, level, term.payload)
+    if term.route is not None:
+        adds = [x * np.sign(s.speed) for x, s in zip(final.contribution(name), final.problem.sessions, strict=True)]
+        used = np.concatenate([x[m] for x, m in zip(adds, final.problem.masks, strict=True)])
+        least, most = (float(q) for q in np.quantile(used, MOST_OF_IT))
+        return of_route(name, float(np.sqrt(np.mean(used**2))), least, most, term.route)
+    assert term.chain is not None
+    assert isinstance(active.effect, Watched)
+    spells = _spells_of(active.effect.shape, final)
+    lengths = np.array([(end - begin) * final.problem.sessions[i].step for i, begin, end in spells])
+    return of_spells(name, term.chain, level, len(spells), lengths, _begins_with(spells, final))
+
+
+def _spells_of(shape: Sequence[Array], final: Fit) -> list[tuple[int, int, int]]:
+    """Spells on the laps that are fitted: session, and its samples from and up to."""
+    found = []
+    for i, (x, mask) in enumerate(zip(shape, final.problem.masks, strict=True)):
+        turns = np.flatnonzero(np.diff(np.concatenate(([0], ((np.abs(x) > LIKELY) & mask).astype(int), [0]))))
+        joined = _joined(turns.reshape(-1, 2), round(BLOCK_S / final.problem.sessions[i].step))
+        found += [(i, begin, end) for begin, end in joined]
+    return found
+
+
+def _joined(turns: NDArray[np.int64], within: int) -> list[tuple[int, int]]:
+    """Stretches, those that lie within so many samples of each other as one."""
+    found: list[tuple[int, int]] = []
+    for begin, end in turns.tolist():
+        if found and begin - found[-1][1] <= within:
+            found[-1] = found[-1][0], end
+        else:
+            found.append((begin, end))
+    return found
+
+
+def course(term: Term, final: Fit) -> list[Array]:
+    """What a term follows in each session: its variable, or how far it is built up; empty where that is the clock alone."""
+    effect = term.candidate.effect
+    if isinstance(effect, Curve) and effect.variable != ALWAYS:
+        return series(effect.variable, final)
+    if term.place is not None:
+        return list(term.place.course)
+    if term.route is not None:
+        return list(term.route.course)
+    if not isinstance(effect, Learned):
+        return []
+    adds, sessions = final.contribution(effect.name), final.problem.sessions
+    level = max(float(np.abs(x).max(initial=0.0)) for x in adds)
+    return [x * np.sign(s.speed) / max(level, 1e-9) for x, s in zip(adds, sessions, strict=True)]
+
+
+def _begins_with(spells: Sequence[tuple[int, int, int]], final: Fit) -> str:
+    """What most spells begin with, in words; empty where nothing stands out."""
+    after_stop = []
+    for i, begin, _ in spells:
+        session = final.problem.sessions[i]
+        near = slice(max(0, begin - round(BEGINNINGS_S / session.step)), begin + round(BLOCK_S / session.step))
+        after_stop.append(bool((np.abs(session.speed[near]) < MOVING_MPS).any()))
+    return ", mostly after a stop" if after_stop and np.mean(after_stop) > MOST_BEGIN else ""
