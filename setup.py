@@ -29,6 +29,8 @@ NOTEBOOK = ["pandas>=2.0", "xarray>=2023.1", *PLOTS]
 CYCLONE = "cyclonedds>=11.0.1"
 DIAGNOSIS = ["jinja2>=3.1", "ruptures>=1.1.8", *PLOTS, *FAST]
 PROOF = [*DIAGNOSIS, "scikit-learn>=1.3", "pysindy>=1.7.5"]
+FLEET = [*DIAGNOSIS, *PARQUET, "dask>=2024.1", "distributed>=2024.1", "fsspec>=2023.12"]
+FLEET_TESTED = [*FLEET, "s3fs>=2023.12", "moto[server]>=5.0"]  # a bucket that is there, on loopback
 DDS = [*BAGS, CYCLONE]
 # No wheels elsewhere, and its source needs the C library: there the tests of that edge are skipped.
 DDS_TESTED = [f"{CYCLONE}; platform_machine == 'x86_64' and python_version < '3.14'"]
@@ -47,7 +49,11 @@ setup(
     long_description_content_type="text/markdown",
     license="Apache-2.0",
     packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
-    package_data={PACKAGE: ["py.typed"], f"{PACKAGE}.diagnosis.report": ["page.html", "report.schema.json"]},
+    package_data={
+        PACKAGE: ["py.typed"],
+        f"{PACKAGE}.diagnosis.report": ["page.html", "report.schema.json"],
+        f"{PACKAGE}.fleet.page": ["*.html", "*.css"],
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
@@ -65,8 +71,9 @@ setup(
         "dds": DDS,
         "diagnosis": DIAGNOSIS,
         "proof": PROOF,
-        "all": BAGS + PARQUET + NOTEBOOK + PROOF,
-        "test": BAGS + PARQUET + NOTEBOOK + PROOF + DDS_TESTED + TEST,
+        "fleet": FLEET,
+        "all": BAGS + PARQUET + NOTEBOOK + PROOF + FLEET,
+        "test": BAGS + PARQUET + NOTEBOOK + PROOF + FLEET_TESTED + DDS_TESTED + TEST,
         "mutation": MUTATION,
         "docs": DOCS,
         "coverage": COVERAGE,

@@ -90,8 +90,8 @@ WAYS = (
         (
             (
                 "estimator/columns.py",
-                "    PART_CONSIDER,\n) = range(13)",
-                "    PART_LOAD,\n    PART_LOG_LOAD,\n    PART_CONSIDER,\n) = range(15)",
+                "    PART_BY,\n) = range(13)",
+                "    PART_LOAD,\n    PART_LOG_LOAD,\n    PART_BY,\n) = range(15)",
             ),
             ("estimator/constants.py", "np.empty(parts_and_belts)", "np.full(parts_and_belts, np.nan)"),
             (

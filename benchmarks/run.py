@@ -14,9 +14,12 @@ from importlib import metadata
 from pathlib import Path
 
 import bench_diagnosis
+import bench_fleet
+import bench_learning
 import bench_live
 import bench_reading
 import bench_recording
+import bench_route
 import bench_step
 import bench_table
 import bench_ways
@@ -26,11 +29,14 @@ PAGE = ROOT / "docs" / "performance.md"
 PACKAGES = ("numpy", "scipy", "numba", "rosbags", "cyclonedds")
 BENCHMARKS = {
     "One step": bench_step,
+    "On a route": bench_route,
     "A whole recording": bench_recording,
     "Reading and replay": bench_reading,
     "Loss table and start": bench_table,
     "The diagnosis": bench_diagnosis,
+    "A fleet": bench_fleet,
     "The live node": bench_live,
+    "Learning": bench_learning,
     "Ways that were tried": bench_ways,
 }
 

@@ -38,6 +38,8 @@ OPTIONAL = (
     "sklearn",
     "pysindy",
     "cyclonedds",
+    "distributed",
+    "fsspec",
 )
 
 
@@ -53,6 +55,9 @@ NEEDED = [
     (("prove", "paper", "-o", "out"), ("matplotlib", "ruptures")),
     (("prove", "loop", "-o", "out"), ("matplotlib",)),
     (("prove", "real", "--data", "here", "-o", "out"), ("matplotlib",)),
+    (("fleet", "drive.csv", "--vehicle", "agri3t", "-o", "out"), ("distributed", "fsspec", "pyarrow", "jinja2")),
+    (("trend", "here"), ("pyarrow",)),
+    (("prove", "fleet", "-o", "out"), ("distributed",)),
     (("reproduce", "-o", "out"), ("matplotlib",)),
     (("record-sample", "-o", "out.mcap"), ("rosbags",)),
     (("simulate", "--vehicle", "agri3t", "--speed-kmh", "5", "-o", "out.parquet"), ("pyarrow",)),

@@ -43,7 +43,7 @@ def overview(assemblies=ASSEMBLIES, remarks=()):
     state = "/home/somebody/.local/state/trackres/x.json"
     return Overview(
         Level.WARN, told, 1_700_000_000 * 10**9, 0.02, 1000.0, 5, 1.0, -98765.0, values, tuple(assemblies), tuple(inputs),
-        compared, None, state, 3.0, "",
+        compared, None, "", state, 3.0, "",
     )  # fmt: skip
 
 
@@ -89,6 +89,15 @@ def test_what_is_watched_for_is_shown_and_said():
     assert (said["there"], said["present"], said["torque_nm"]) == (0.97, True, 291.0)
     drift = as_dict(replace(watching, disturbance=replace(belief, form="drift", there=math.nan)), False)
     assert json.loads(json.dumps(drift, allow_nan=False))["disturbance"]["there"] is None
+
+
+def test_what_is_learned_is_shown_and_said():
+    learning = replace(overview(), learning="learned 2 of 6, 46 Nm better than the vehicle file; used")
+    words, bare = (re.sub(r"[\s│]+", "", drawn(seen, 80)) for seen in (learning, overview()))
+    assert re.sub(r"\s+", "", f"learning: {learning.learning}") in words
+    assert "learning:" not in bare
+    assert as_dict(learning, False)["learning"] == learning.learning
+    assert as_dict(overview(), False)["learning"] is None
 
 
 def test_the_line_and_the_json_say_the_same():

@@ -23,6 +23,7 @@ from trackres_ros.vehicle import load
 
 STAMP_NS = 1_700_000_000_123_456_789
 TWIST, JOINTS = "geometry_msgs/msg/TwistStamped", "sensor_msgs/msg/JointState"
+FIX = "sensor_msgs/msg/NavSatFix"
 
 
 def all_outputs(tmp_path):
@@ -100,6 +101,16 @@ def test_big_and_little_ends_may_alternate():
     speed = reader("std_msgs/msg/Float64", "data")
     for big in (True, False, True):
         assert speed.read(raw_of("std_msgs/msg/Float64", big, data=1.25)) == (None, [1.25])
+
+
+@pytest.mark.parametrize("status", [-2, -1, 0, 2])
+def test_a_receiver_without_a_fix_says_nothing(status):
+    both = reader(FIX, "latitude", "altitude", scale=2.0)
+    raw = raw_of(FIX, header=peer.stamp(STAMP_NS), status={"status": status, "service": 1}, latitude=47.0, altitude=400.0)
+    found = [math.nan, math.nan] if status == -1 else [94.0, 800.0]
+    stamp, numbers = both.read(raw)
+    assert stamp == STAMP_NS
+    np.testing.assert_array_equal(numbers, found)
 
 
 def test_a_joint_is_found_by_name_wherever_it_stands():

@@ -125,6 +125,29 @@ def test_a_quarter_of_what_noise_gains_is_the_least_worth_a_fit(play):
     assert fitted_first(play({"best": 10.0, "little": 2.6, "less": 2.4}, threshold=10.0)) == {"best", "little"}
 
 
+def test_a_gain_that_a_fit_does_not_bear_out_is_no_measure_for_the_others(play):
+    done = play({"bent": 1.0, "real": 20.0, "near": 6.0, "far": 4.0}, first_order={"bent": 80.0})
+    assert done.named[0] == "real"
+    assert {c.name for c in done.steps[0].candidates} == {"bent", "real", "near"}
+    # One that is borne out keeps the others from being fitted, however many are bent.
+    done = play({"bent": 1.0, "real": 40.0, "near": 6.0}, first_order={"bent": 90.0, "real": 100.0})
+    assert {c.name for c in done.steps[0].candidates} == {"bent", "real"}
+    edge = naming.BORNE_OUT * 80.0
+    assert "near" not in {c.name for c in play({"bent": edge, "near": 6.0}, first_order={"bent": 80.0}).steps[0].candidates}
+
+
+def test_where_all_but_what_is_not_borne_out_gain_less_than_noise_nothing_more_is_fitted(play):
+    done = play({"bent": 1.0, "little": 2.4}, first_order={"bent": 80.0})
+    assert done.named == ()
+    assert {c.name for c in done.steps[0].candidates} == {"bent"}
+
+
+def test_those_that_mislead_take_no_place_of_those_that_are_fitted(play):
+    gains = {f"bent{i}": 1.0 for i in range(3)} | {f"e{i}": 20.0 - i for i in range(8)}
+    done = play(gains, first_order={f"bent{i}": 80.0 for i in range(3)})
+    assert len(done.steps[0].candidates) == 3 + naming.MOST_REFITTED
+
+
 @pytest.mark.parametrize("acts_on", ["heat", "cooling"])
 def test_what_acts_through_the_temperature_is_fitted_however_far_behind(play, acts_on):
     gains = {"best": 60.0, "warm": 6.0, "cold": 4.0}

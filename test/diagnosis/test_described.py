@@ -135,7 +135,8 @@ def test_a_drift_is_judged_by_who_follows_it_and_written_to_be_watched_for(recor
 
     recordings = with_added(read_recordings(recorded(minutes=15.0), None), adds)
     found = diagnose(recordings, loaded, quick=True)
-    assert found.verdict.status == "unexplained"
+    assert (found.verdict.status, found.verdict.grade) == ("described", "confirmed")
+    assert "a zero of the torque sensor that drifts" in found.verdict.sentence
     said = report(found, [])
     check_form({**said, "recordings": ["x"]})
     (drift,) = [one for one in said["described"] if one["form"] == "drift"]

@@ -3,6 +3,7 @@
 
 """One dynamics: message by message, block by block and in a fit the same functions run, so the numbers are the same."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from trackres_ros.diagnosis import load_base
 from trackres_ros.effects import Active, catalogue
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.estimator.records import GroundSeries
 from trackres_ros.evaluation.synthetic import drives
 from trackres_ros.offline.replay import replay
 from trackres_ros.recording.samples import Block
@@ -125,6 +127,23 @@ def test_live_replayed_and_fitted_are_one(loaded, effects, three, two_nodes, nod
     as_live = live(estimator, three)
     agree(as_live, replayed(estimator, three))
     agree(as_live, simulated(base, three, active))
+
+
+@pytest.mark.parametrize("names", [(), ("drivetrain_efficiency", "warmup")], ids="+".join)
+def test_a_torque_by_place_is_the_same_live_and_in_a_fit(loaded, effects, drive, names):
+    active = tuple(Active(effects[name], effects[name].values()) for name in names)
+    estimator = Estimator(replace(loaded.base.vehicle, effects=active))
+    soft = np.where((drive.time > 60.0) & (drive.time < 160.0), 700.0, 0.0)
+    unknown = np.full(len(soft), np.nan)
+    begin = estimator.cold_start(estimator.inputs(float(drive.speed[0]), ambient=float(drive.ambient[0])))
+    _, rows = estimator.run(
+        begin, drive.time, drive.speed, drive.weight, drive.ambient, drive.accel, math.nan, drive.yaw_rate, drive.heading,
+        ground=GroundSeries(unknown, soft, unknown),
+    )  # fmt: skip
+    fitted = simulated(loaded.base, [replace(drive, torque_by_place=soft)], active)
+    agree([picked(estimator, rows)], fitted)
+    (bare, _), (ground, _) = *simulated(loaded.base, [drive], active), *fitted
+    assert np.abs(ground - bare).max() > 600.0
 
 
 def test_a_belt_rests_alike_in_a_fit_and_live(two_nodes):

@@ -8,15 +8,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from streets import LAP_M, autoregression, drive, position_of, slope_at
 
+from trackres_ros.cli.main import cli
 from trackres_ros.diagnosis import load_base, read_recordings
-from trackres_ros.diagnosis.base.watched import ByPlace, SlopeByPlace
+from trackres_ros.diagnosis.base.watched import SlopeByPlace, TorqueByPlace
 from trackres_ros.diagnosis.described.routes import find_route, roads_of
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.prepare.gate import gate
 from trackres_ros.diagnosis.prepare.on_route import on_route
 from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.route.learned import SLOPE, TORQUE, of_kind
 from trackres_ros.vehicle.surroundings import load_route
 
 LOADS = (1.0, 1.2, 0.9, 1.1)
@@ -68,7 +71,7 @@ def test_a_slope_on_streets_passed_both_ways_is_told_and_holds_on_a_round_that_w
     assert after < 0.4 * before
     assert route.metres == pytest.approx(LAP_M, rel=0.4)
     learned = route.learned(route.candidate.fit)
-    assert np.array_equal(learned.value[:, 0], -learned.value[:, 1])
+    assert np.array_equal(learned.value[:, 0], -learned.value[:, 1], equal_nan=True)
 
 
 def test_loads_that_differ_tell_a_slope_on_streets_passed_one_way(base):
@@ -84,7 +87,7 @@ def test_soft_ground_on_streets_passed_both_ways_is_no_slope(base):
     assert route is not None
     assert not route.told
     assert route.apart < 0.0
-    assert isinstance(route.effect, ByPlace)
+    assert isinstance(route.effect, TorqueByPlace)
     adds = route.candidate.fit.contribution("place")[0]
     soft = (one.way > 650.0) & (one.way < 950.0) & session.used
     level = (one.way > 1150.0) & session.used
@@ -96,6 +99,17 @@ def test_one_way_and_one_load_do_not_tell_a_slope(base):
     _, route = found_in(base, session, 4)
     assert route is not None
     assert not route.told
+    assert isinstance(route.effect, TorqueByPlace)  # which says nothing of the way that was not driven
+    assert np.isnan(route.effect.route.value).any(axis=1).mean() > 0.9
+
+
+def test_what_is_known_by_place_is_not_looked_for_again(base):
+    hills, _ = session_of(base, 3, (1, -1, 1, -1), slope=1.0)
+    soft, _ = session_of(base, 4, (1, -1, 1, -1), soft_nm=2500.0)
+    one_way, _ = session_of(base, 5, (1, 1, 1, 1), slope=1.0)
+    for session, kinds in ((hills, (TORQUE,)), (soft, (SLOPE,)), (one_way, (TORQUE,)), (one_way, (SLOPE,))):
+        current = fit(Problem(base, (session,), (session.used,)))
+        assert find_route(current, roads_of((session,)), kinds) is None, kinds
 
 
 NOTHING = {
@@ -115,31 +129,50 @@ def test_nothing_is_found(base, kind):
         assert found_in(base, session, len(NOTHING[kind]["rounds"]))[1] is None, seed
 
 
-@pytest.fixture(scope="module")
-def hilly(base, tmp_path_factory):
-    """A table of rounds with a slope that is not recorded."""
-    session, one = session_of(base, 21, (1, -1, 1, -1, 1, -1, 1, -1), slope=1.0)
+def as_table(path, session, one):
+    """A recording of a drive, without its slope."""
     latitude, longitude = np.degrees(position_of(one))
     air, brake_off = np.full(len(session), 15.0), np.zeros(len(session))
     rows = np.column_stack(
         [1.76e9 + session.time, session.speed, session.weight, air, session.torque, latitude, longitude, brake_off]
     )
-    path = tmp_path_factory.mktemp("hilly") / "rounds.csv"
     header = "time_s,speed_mps,weight_n,ambient_degc,torque_nm,latitude_deg,longitude_deg,brake_on"
     np.savetxt(path, rows, delimiter=",", header=header, comments="", fmt="%.8f")
     return path
 
 
+def diagnose(recording, out, vehicle="ztbus_hess19", surroundings=None):
+    """The report of `trackres diagnose`."""
+    given = ["--surroundings", str(surroundings)] if surroundings else []
+    words = ["diagnose", str(recording), "--vehicle", str(vehicle), *given, "-o", str(out), "--quick"]
+    done = CliRunner().invoke(cli, words)
+    assert done.exit_code == 0, done.output
+    return json.loads((out / "report.json").read_text())
+
+
+ROUNDS = (1, -1, 1, -1, 1, -1, 1, -1)
+
+
+@pytest.fixture(scope="module")
+def hilly(base, tmp_path_factory):
+    """A table of rounds with a slope that is not recorded."""
+    return as_table(tmp_path_factory.mktemp("hilly") / "rounds.csv", *session_of(base, 21, ROUNDS, slope=1.0))
+
+
 @pytest.fixture(scope="module")
 def diagnosed(hilly, tmp_path_factory):
-    from click.testing import CliRunner
-
-    from trackres_ros.cli.main import cli
-
     out = tmp_path_factory.mktemp("diagnosed")
-    done = CliRunner().invoke(cli, ["diagnose", str(hilly), "--vehicle", "ztbus_hess19", "-o", str(out), "--quick"])
-    assert done.exit_code == 0, done.output
+    diagnose(hilly, out)
     return out
+
+
+@pytest.fixture(scope="module")
+def soft(base, tmp_path_factory):
+    """A table of rounds over soft ground, and what a diagnosis leaves of it."""
+    made = session_of(base, 22, ROUNDS, soft_nm=2500.0)
+    folder = tmp_path_factory.mktemp("soft")
+    path = as_table(folder / "rounds.csv", *made)
+    return *made, path, folder, diagnose(path, folder / "out")
 
 
 def test_the_diagnosis_names_it_and_draws_it(diagnosed, check_form):
@@ -159,7 +192,7 @@ def test_the_slopes_are_written_for_where_they_hold(diagnosed):
     report = json.loads((diagnosed / "report.json").read_text())
     assert report["kept"]["surroundings"] == ["grade"]
     assert "grade" in report["written"]["effects"]
-    route = load_route(diagnosed / "surroundings.yaml")
+    (route,) = load_route(diagnosed / "surroundings.yaml", 1e5)
     one = drive(21, (1,), scatter_m=0.0)
     x, y = route.frame.metres(*position_of(one))
     found = np.array([route.at(*at)[0] for at in zip(x[:-1], y[:-1], *unit(np.diff(x), np.diff(y)), strict=True)])
@@ -187,7 +220,55 @@ def test_a_route_that_is_given_is_taken_as_recorded(hilly, diagnosed):
 
 def test_a_route_elsewhere_is_not_used(hilly, diagnosed):
     given = load_base(diagnosed / "vehicle.yaml", surroundings=diagnosed / "surroundings.yaml")
-    away = replace(given.route, latitude=given.route.latitude + 0.001)
-    gated = on_route(gate(read_recordings([hilly], None), given.known), away)
+    away = replace(given.route[0], latitude=given.route[0].latitude + 0.001)
+    gated = on_route(gate(read_recordings([hilly], None), given.known), [away])
     assert "grade" not in gated.sessions[0].given
     assert gated.notes[-1].endswith("0% of it lies on the route whose slopes are given; they are not used")
+
+
+def test_soft_ground_is_described_confirmed_and_written_each_way(soft):
+    _, _, _, folder, report = soft
+    assert report["verdict"]["status"] == "described"
+    (term,) = report["described"]
+    assert (term["form"], term["grade"], term["predictable"]) == ("place", "confirmed", True)
+    assert report["kept"]["surroundings"] == ["place"]
+    assert "place" in report["written"]["effects"]
+    (route,) = load_route(folder / "out" / "surroundings.yaml", 1e5)
+    assert route.kind == TORQUE
+    x, y = route.frame.metres(*position_of(drive(22, (1,), scatter_m=0.0)))
+    way = drive(22, (1,), scatter_m=0.0).way[:-1]
+    for sign in (1.0, -1.0):
+        headings = (sign * part for part in unit(np.diff(x), np.diff(y)))
+        at = [route.at(*place) for place in zip(x[:-1], y[:-1], *headings, strict=True)]
+        value, std = np.array(at).T
+        on_it, off = (way > 650.0) & (way < 950.0), (way > 1150.0) | (way < 500.0)
+        assert np.nanmedian(value[on_it]) - np.nanmedian(value[off]) == pytest.approx(2500.0, rel=0.25)
+        assert 20.0 < np.nanmedian(std) < 600.0
+
+
+def test_given_what_was_written_nothing_is_named_again_and_held_out_rounds_are_as_good(soft):
+    _, _, path, folder, report = soft
+    out = folder / "out"
+    again = diagnose(path, folder / "again", out / "vehicle.yaml", out / "surroundings.yaml")
+    assert again["route"] is None
+    assert not [*again["effects"], *again["described"]], again["verdict"]["sentence"]
+    assert again["heldout"]["mae"]["nominal"] < 1.1 * report["heldout"]["mae"]["with_effects"]
+    assert again["heldout"]["mae"]["nominal"] < 0.7 * report["heldout"]["mae"]["nominal"]
+    written, kept = (load_route(folder / name / "surroundings.yaml", 1e5)[0] for name in ("out", "again"))
+    np.testing.assert_array_equal(written.value, kept.value)  # what was given is written on
+
+
+def test_given_the_slope_the_torque_is_found_and_written_beside_it(base, diagnosed, tmp_path):
+    """Of the block's slope from elsewhere, and rounds that have soft ground too."""
+    path = as_table(tmp_path / "rounds.csv", *session_of(base, 23, ROUNDS, slope=1.0, soft_nm=2500.0))
+    report = diagnose(path, tmp_path / "out", diagnosed / "vehicle.yaml", diagnosed / "surroundings.yaml")
+    assert report["route"]["kind"] == "torque"
+    assert "grade" not in [effect["name"] for effect in report["effects"]]
+    (given,), found = (load_route(folder / "surroundings.yaml", 1e5) for folder in (diagnosed, tmp_path / "out"))
+    np.testing.assert_array_equal(of_kind(found, SLOPE).value, given.value)
+    soft = of_kind(found, TORQUE).value
+    assert np.nanmax(soft) - np.nanmedian(soft) == pytest.approx(2500.0, rel=0.3)
+    both = diagnose(path, tmp_path / "again", tmp_path / "out" / "vehicle.yaml", tmp_path / "out" / "surroundings.yaml")
+    assert both["route"] is None
+    assert not {"grade", "grade_profile"} & {effect["name"] for effect in both["effects"]}
+    assert both["heldout"]["mae"]["nominal"] < report["heldout"]["mae"]["nominal"]

@@ -74,8 +74,8 @@ def refitted(*moved, std=0.1):
     return SimpleNamespace(base_values=values, problem=SimpleNamespace(base=SimpleNamespace(parameters=parameters)))
 
 
-def said(found=(), terms=(), refuted=(), base=None, at_end=None, stray=QUIET, hint="", held=None):
-    return judge(found, terms, refuted, base or refitted(), at_end or regimes(), stray, hint, held or worth())
+def said(found=(), terms=(), refuted=(), base=None, at_end=None, stray=QUIET, hint="", held=None, drift=None):
+    return judge(found, terms, refuted, base or refitted(), at_end or regimes(), stray, hint, held or worth(), drift)
 
 
 # Nothing found
@@ -203,6 +203,27 @@ def test_what_several_explain_counts_together_where_they_act():
     assert said([seldom], at_end=regimes(49.0)).status == "named"
     seldom.adds[0][:] = np.where(np.arange(100) < 3, 100.0, 0.0)
     assert said([seldom], at_end=regimes(49.0)).status == "unexplained"
+
+
+def test_what_strays_and_can_be_followed_is_described_as_a_drift():
+    of = Described("drift", "", "", "", None, 300.0, "It wanders by 40 Nm", ("a zero that drifts",), 40.0, False)
+
+    def drift(improvement):
+        return Told(of, [], [], {}, Graded("drift", improvement, ()))
+
+    verdict = said(stray=NOISY, drift=drift(BETTER))
+    assert (verdict.status, verdict.grade) == ("described", CONFIRMED)
+    assert verdict.sentence.startswith("It wanders by 40 Nm: look for a zero that drifts. It cannot be known ahead.")
+    assert "from 100 to 80 Nm" in verdict.sentence
+    for not_followed in (None, drift(UNSURE), drift(WORSE)):
+        assert said(stray=NOISY, drift=not_followed).status == "unexplained"
+    # What a regime lacks is more than a level that wanders, and one that hardly shows is nothing.
+    assert said(stray=NOISY, drift=drift(BETTER), at_end=regimes(30.0)).status == "unexplained"
+    assert said(drift=drift(BETTER)).status == "none"
+    # Time and distance only grow, and show it as a level.
+    at_distance = RegimeMap((Bin("distance", 0.0, 900.0, 30.0, "m", 50, 0.001),), 0.001, 500)
+    assert said(stray=NOISY, drift=drift(BETTER), at_end=at_distance).status == "described"
+    assert said(stray=NOISY, drift=drift(UNSURE), at_end=at_distance).status == "unexplained"
 
 
 def test_what_strays_beside_a_name_is_only_told():

@@ -78,13 +78,18 @@ class World:
         Of each effect: in all, spread evenly, or of each lap.
     together
         Of sets of effects that are no sum of the others.
+    first_order
+        What screening takes for the gain of an effect that is far from linear.
     """
 
-    def __init__(self, gains, together: Mapping = {}, alike=(), costs=2.0, shares=0.1, taken=0.0, threshold=5.0, std=QUIET):
+    def __init__(
+        self, gains, together: Mapping = {}, alike=(), costs=2.0, shares=0.1, taken=0.0, threshold=5.0, std=QUIET,
+        first_order: Mapping = {},
+    ):  # fmt: skip
         self.gains = {name: np.broadcast_to(g if np.ndim(g) else g / LAPS, LAPS).astype(float) for name, g in gains.items()}
         self.together = {frozenset(names): value for names, value in together.items()}
         self.effects = {name: Kind(name) for name in gains}
-        self.alike, self.threshold = alike, threshold
+        self.alike, self.threshold, self.first_order = alike, threshold, first_order
         self.costs, self.shares, self.taken = (
             {name: x.get(name, default) if isinstance(x, dict) else x for name in gains}
             for x, default in ((costs, 2.0), (shares, 0.1), (taken, 0.0))
@@ -125,6 +130,7 @@ class World:
         assert least == 0.0
         before = self.gains_of(current.effect_names).sum()
         gains = {s.effect.name: self.gains_of((*current.effect_names, s.effect.name)).sum() - before for s in visible}
+        gains |= {name: gain for name, gain in self.first_order.items() if name in gains}
         best_first = sorted(((s, gains[s.effect.name]) for s in visible), key=lambda pair: -pair[1])
         taken = {name: gain for name, gain in self.taken.items() if gain}
         return Screened(tuple(best_first), taken, self.threshold, np.zeros(replicates))

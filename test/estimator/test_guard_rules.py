@@ -41,7 +41,8 @@ def k():
     number = SimpleNamespace(
         clock_jump_ns=JUMP, jumps_to_accept=3, load_hold_ns=LOAD_HOLD, ambient_hold_ns=AMBIENT_HOLD, motion_hold_ns=MOTION_HOLD,
         passengers_hold_ns=PASSENGERS_HOLD, passenger_weight=700.0,
-        torque_hold_ns=TORQUE_HOLD, stuck_ns=STUCK, axles=AXLES, nominal_ambient=15.0, ambient_std=0.5, ambient_unknown_std=9.0,
+        slopes_by_place=False, torques_by_place=False, torque_hold_ns=TORQUE_HOLD, stuck_ns=STUCK,
+        axles=AXLES, nominal_ambient=15.0, ambient_std=0.5, ambient_unknown_std=9.0,
     )  # fmt: skip
     return SimpleNamespace(number=number, assembly=assembly, channel_limits=limits)
 
@@ -67,7 +68,7 @@ class Guard:
         motion = np.zeros(at.MOTION_COLUMNS)
         motion[at.STARTED], motion[at.QUANTUM] = started, quantum
         self.loads, self.belts = np.zeros(ASSEMBLIES), np.zeros(ASSEMBLIES)
-        return gather(self.k, self.memory, outcome, motion, self.loads, self.belts)
+        return gather(self.k, self.memory, outcome, 0, motion, self.loads, self.belts)
 
     def reasons(self, **given):
         return Reason(self.inputs(**given).reasons)

@@ -14,7 +14,7 @@ import time
 from pathlib import Path
 
 import pytest
-from waiting import PATIENCE_S, Pace, wait_for
+from waiting import PATIENCE_S, Pace, exit_code, wait_for
 
 if not importlib.util.find_spec("cyclonedds"):
     collect_ignore_glob = ["test_*.py"]
@@ -221,9 +221,7 @@ class Node:
         """End it; its exit code."""
         if self.process.poll() is None:
             self.process.send_signal(how)
-            try:
-                self.process.wait(10.0)
-            except subprocess.TimeoutExpired:
+            if exit_code(self.process) is None:
                 self.process.kill()
                 self.process.wait()
         return self.process.returncode

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 from conftest import EDGES, Node, environment
-from waiting import Pace, wait_for, work_s
+from waiting import Pace, exit_code, wait_for, work_s
 
 from trackres_ros.files.resources import cache_dir
 
@@ -109,7 +109,7 @@ def test_signals_to_save_and_reset_while_starting_are_done_once_it_runs(edge, tm
     assert process.poll() is None, log.read_text()
     assert (tmp_path / "state.json").exists()
     process.send_signal(signal.SIGTERM)
-    assert process.wait(30) == 0
+    assert exit_code(process) == 0
     assert "Traceback" not in log.read_text()
 
 
@@ -133,7 +133,7 @@ def test_lines_of_json_for_programs(tmp_path, wire):
             lines.append(json.loads(process.stdout.readline()))
         process.send_signal(signal.SIGTERM)
         lines += [json.loads(line) for line in process.stdout]
-        assert process.wait(30) == 0
+        assert exit_code(process) == 0
     finally:
         process.stdout.close()
         if process.poll() is None:
@@ -171,6 +171,6 @@ def test_without_a_home_as_a_user_that_nobody_knows_it_runs_and_says_what_it_can
     assert wait_for(said_or_ended, working=process.pid), log.read_text()
     assert process.poll() is None, log.read_text()
     process.send_signal(signal.SIGTERM)
-    assert process.wait(60) == 0, log.read_text()
+    assert exit_code(process) == 0, log.read_text()
     assert "no home folder" in log.read_text()
     assert "Traceback" not in log.read_text()

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 from conftest import environment, why_not
 from peer import Wire, domain_of_worker
-from waiting import wait_for
+from waiting import exit_code, wait_for
 
 if why_not("ros"):
     pytest.skip(why_not("ros"), allow_module_level=True)
@@ -74,9 +74,7 @@ class Shell:
         """End a process; its exit code."""
         if process.poll() is None:
             process.send_signal(how)
-            try:
-                process.wait(10)
-            except subprocess.TimeoutExpired:
+            if exit_code(process) is None:
                 process.kill()
                 process.wait()
         with suppress(ProcessLookupError):  # what a launch that had to be killed has left
@@ -186,12 +184,12 @@ def test_two_publishers_and_a_wrong_type_are_seen(shell):
 
 def test_a_bad_start_ends_with_code_2_or_waits_to_be_configured(cyclone):
     bad = cyclone.start(sys.executable, "-m", "trackres_ros.node.ros.estimator", "--ros-args", "-p", "vehicle:=nonsense")
-    assert bad.wait(30) == 2
+    assert exit_code(bad) == 2
     assert "one of agri3t, xgd24d" in bad.said() or "xgd24d" in bad.said()
     assert "Traceback" not in bad.said()
     given = ["--ros-args", "-p", "vehicle:=xgd24d", "-p", "gap_s:=1e9"]
     bad = cyclone.start(sys.executable, "-m", "trackres_ros.node.ros.estimator", *given)
-    assert bad.wait(30) == 2
+    assert exit_code(bad) == 2
     assert "gap_s" in bad.said()
     assert "Traceback" not in bad.said()
     waiting = cyclone.start(
@@ -249,7 +247,7 @@ def test_a_bag_played_live_is_recorded_as_the_offline_replay_gives_it(cyclone, r
         play = cyclone.start(ROS2, "bag", "play", str(bag), *paused)
         wait(lambda: PLAYER in cyclone.ros2("node", "list"), play)
         cyclone.ros2("service", "call", f"{PLAYER}/resume", "rosbag2_interfaces/srv/Resume")
-        assert play.wait(120.0) == 0
+        assert exit_code(play, 120.0) == 0
         # Where messages were lost the last may be among them, and the bag is played once more.
         wait_for(lambda: ours.update() and stamp_of(ours.heard[-1].message) == last, patience_s=5.0)
         assert cyclone.end(record) == 0
@@ -310,7 +308,7 @@ def test_launch_testing_finds_it_well_while_it_runs_and_after(cyclone, workspace
     tests = Path(__file__).with_name("launched.py")
     program = "import sys; from launch_testing.launch_test import main; sys.exit(main())"
     run = cyclone.start(sys.executable, "-c", program, str(tests))
-    assert run.wait(timeout=400.0) == 0, run.said()
+    assert exit_code(run, 400.0) == 0, run.said()
     assert "OK" in run.said()
 
 
@@ -369,7 +367,7 @@ def test_both_edges_offer_the_same(cyclone):
 
     def offered(process):
         looked = cyclone.start(sys.executable, "-c", OFFERED, "11")
-        assert looked.wait(60) == 0, looked.said()
+        assert exit_code(looked) == 0, looked.said()
         assert process.poll() is None
         return json.loads(looked.said().splitlines()[-1])
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 import waiting
-from waiting import Pace, kept_waiting_s, wait_for, work_s
+from waiting import Pace, exit_code, kept_waiting_s, wait_for, work_s
 
 TESTS = Path(__file__).parents[1]
 BUSY = "import time\nend = time.process_time() + 1.0\nwhile time.process_time() < end: pass\nopen({!r}, 'w').close()\ninput()"
@@ -57,6 +57,14 @@ def test_who_works_without_end_is_given_up(start, monkeypatch):
     monkeypatch.setattr(waiting, "LEAST_PROGRESS", 1e-9)
     monkeypatch.setattr(waiting, "MOST_WORK_S", 0.3)
     assert not wait_for(lambda: False, patience_s=0.2, working=start("while True: pass").pid)
+
+
+def test_an_exit_code_is_waited_for_and_who_does_not_end_has_none(start, tmp_path, monkeypatch):
+    idle = start("input()")
+    assert exit_code(idle, patience_s=0.2) is None
+    monkeypatch.setattr(waiting, "LEAST_PROGRESS", 1e-9)
+    busy = start(BUSY.format(str(tmp_path / "there")).replace("input()", "raise SystemExit(3)"))
+    assert exit_code(busy, patience_s=0.2) == 3
 
 
 def test_work_is_that_of_children_too(start, tmp_path):

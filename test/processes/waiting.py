@@ -54,6 +54,12 @@ def wait_for(holds, patience_s=PATIENCE_S, working=None, meanwhile=None):
     return True
 
 
+def exit_code(process, patience_s=PATIENCE_S):
+    """Exit code of a process that is to end, waited for as long as it works; None where it does not come to its end."""
+    wait_for(lambda: process.poll() is not None, patience_s, working=process.pid)
+    return process.poll()
+
+
 def work_s(pid):
     """Processor time of a process and of all it has started, ended ones too [s]; 0 where there is none any more."""
     return sum(family(pid).values()) / _TICKS_PER_S

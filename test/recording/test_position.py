@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -130,3 +131,93 @@ def test_passengers_weigh_in_a_replay_and_a_position_does_not_disturb_it(tmp_pat
     np.testing.assert_allclose(weight[-1] - weight[20], 25.0 * of_each, rtol=1e-9)
     loaded = table(tmp_path, time_s=time, speed_mps=speed, passengers=count, weight_n=np.full(120, 250e3))
     np.testing.assert_allclose(tr.replay(loaded, "xgd24d")["weight_n"], 250e3)
+
+
+def test_one_line_names_both_halves_of_a_position() -> None:
+    topics = Topics.parse({"position": {"topic": "/gps", "type": "sensor_msgs/NavSatFix", "max_age_s": 3.0}})
+    assert set(topics) == {"latitude", "longitude"}
+    for role in topics:
+        assert (topics[role].topic, topics[role].type, topics[role].field) == ("/gps", FIX, role)
+        assert topics[role].scale == pytest.approx(np.pi / 180.0)
+        assert topics[role].max_age_s == 3.0
+    assert Topics.parse({"position": {"topic": "/gps"}}).bindings == {
+        **Topics.parse({role: {"topic": "/gps", "type": FIX, "field": role} for role in ROLES}).bindings
+    }
+    pose = {"topic": "/pose", "type": "geographic_msgs/msg/GeoPoseStamped", "field": "pose.position", "unit": "deg"}
+    assert Topics.parse({"position": pose})["longitude"].field == "pose.position.longitude"
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ({"position": {"topic": "/gps"}, "latitude": {"column": "a"}}, ["position and latitude", "either"]),
+        ({"position": {"column": "a"}}, ["position", "column", "latitude and longitude"]),
+        ({"position": {"topic": "/gps", "scale": 2.0}}, ["position", "scale"]),
+        ({"position": "/gps"}, ["position", "/gps", "topic: /fix"]),
+        ({"position": {"type": FIX}}, ["position", "no topic"]),
+        ({"positon": {"topic": "/gps"}}, ["positon", "position"]),
+    ],
+)
+def test_a_line_of_a_position_that_is_none_is_refused(text: dict[str, object], says: list[str]) -> None:
+    with pytest.raises(InputError) as refused:
+        Topics.parse(text)
+    for part in says:
+        assert part in str(refused.value)
+
+
+UNKNOWN, NO_FIX, FIXED, AUGMENTED = -2, -1, 0, 2  # NavSatStatus.msg
+STATES = (FIXED, NO_FIX, AUGMENTED, NO_FIX, UNKNOWN, FIXED)
+
+
+def fixes(store: Any) -> list[Any]:
+    """Messages of a receiver that loses its fix and goes on with what it had."""
+    types, start = store.types, 1_700_000_000
+    return [
+        types[FIX](
+            types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](start + i, 0), "gps"),
+            types["sensor_msgs/msg/NavSatStatus"](status, 1),
+            47.0 + 0.001 * i,
+            8.0 + 0.002 * i,
+            400.0 + i,
+            np.zeros(9),
+            0,
+        )
+        for i, status in enumerate(STATES)
+    ]
+
+
+def test_without_a_fix_there_is_no_position_live_nor_in_a_bag(tmp_path: Path) -> None:
+    pytest.importorskip("rosbags")
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    from trackres_ros.estimator.columns import CHANNELS
+    from trackres_ros.node.endpoints import input_topics
+    from trackres_ros.node.intake import Intake
+
+    store = get_typestore(Stores.ROS2_JAZZY)
+    speed = {"topic": "/speed", "type": "std_msgs/msg/Float64", "field": "data"}
+    topics = Topics.parse({"position": {"topic": "/gps"}, "speed": speed})
+    number = store.types["std_msgs/msg/Float64"]
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        of = {t: writer.add_connection(t, k, typestore=store) for t, k in (("/gps", FIX), ("/speed", "std_msgs/msg/Float64"))}
+        for i, fix in enumerate(fixes(store)):
+            writer.write(of["/gps"], (1_700_000_000 + i) * 10**9, store.serialize_cdr(fix, FIX))
+            writer.write(of["/speed"], (1_700_000_000 + i) * 10**9 + 1, store.serialize_cdr(number(5.0), "std_msgs/msg/Float64"))
+    there = np.array([status != NO_FIX for status in STATES])
+    want = {"latitude": np.radians(47.0 + 0.001 * np.arange(6)), "longitude": np.radians(8.0 + 0.002 * np.arange(6))}
+    read = tr.read(tmp_path / "bag", topics=topics)
+    intake = Intake(input_topics(topics, on_route=True)[:1], CHANNELS)
+    live = np.array([intake.read(0, fix)[1] for fix in fixes(store)])
+    for column, (role, values) in enumerate(want.items()):
+        shown = np.where(there, values, np.nan)
+        np.testing.assert_allclose(read.series[role].value, shown)
+        np.testing.assert_allclose(live[:, column], shown)
+
+
+def test_a_vehicle_without_a_route_listens_to_no_position() -> None:
+    from trackres_ros.node.endpoints import input_topics
+
+    topics = Topics.parse({"position": {"topic": "/gps"}, "speed": {"topic": "/s", "type": "std_msgs/Float64", "field": "data"}})
+    assert [given.name for given in input_topics(topics)] == ["/s"]
+    assert [given.roles for given in input_topics(topics, on_route=True)] == [("latitude", "longitude"), ("speed",)]

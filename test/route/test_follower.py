@@ -1,109 +1,318 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The slope under a vehicle by its positions: live and in replay as if it had been recorded, and none beside the route."""
+"""Slope and torque under a vehicle by its positions: from each message the same, and nothing beside the route."""
+
+import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from streets import LATITUDE, LONGITUDE, autoregression
 
 import trackres_ros as tr
-from trackres_ros.estimator.columns import Reason
-from trackres_ros.route.follower import EVERY_S, Follower
-from trackres_ros.route.learned import SLOPE, RouteMap
+from trackres_ros.estimator import columns as at
+from trackres_ros.estimator import snapshot
+from trackres_ros.estimator.columns import Count, Reason
+from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.estimator.settings import Settings
+from trackres_ros.route.learned import SLOPE, TORQUE, RouteMap
 from trackres_ros.route.table import write_route
 from trackres_ros.route.track import Frame
 from trackres_ros.units import SECOND_NS
 
 STREET_M = 1000.0
+START_NS = 1_700_000_000 * SECOND_NS
+SOFT_NM, BACK_NM, STD_NM = 900.0, 300.0, 120.0
+POSITIONS = at.LATITUDE, at.LONGITUDE
 
 
 def slope_at(way):
     return 0.04 * np.sin(2.0 * np.pi * way / 500.0)
 
 
-@pytest.fixture(scope="module")
-def route():
-    """A street to the east."""
+def street(kind, value, std):
+    """A street to the east, of which something is known each way."""
     way = np.arange(0.0, STREET_M + 1.0, 20.0)
     latitude, longitude = Frame(LATITUDE, LONGITUDE).position(way, np.zeros_like(way))
-    slope = slope_at(way)
-    values, spread = np.stack([slope, -slope], axis=1), np.full((len(way), 2), 0.002)
-    return RouteMap(SLOPE, latitude, longitude, np.zeros_like(way), values, spread, np.full(len(way), 5))
+    value = np.stack([np.broadcast_to(one, way.shape) for one in value(way)], axis=1).astype(float)
+    passes = np.full(len(way), 5)
+    return RouteMap(kind, latitude, longitude, np.zeros_like(way), value, np.full((len(way), 2), std), passes)
 
 
-def followed(route, way, speed, aside=0.0, scatter_m=0.0, hidden=(), step_s=1.0):
-    """Slopes at each second of a drive, the last that was told."""
-    rng, follower = np.random.default_rng(1), Follower(route)
-    n = len(way)
-    x, y = (autoregression(n, rng, 30.0, scatter_m) + at for at in (way, np.full(n, aside)))
+@pytest.fixture(scope="module")
+def slopes():
+    return street(SLOPE, lambda way: (slope_at(way), -slope_at(way)), 0.002)
+
+
+@pytest.fixture(scope="module")
+def torques():
+    """Soft ground on the middle third; nobody has driven the first third to the west."""
+
+    def value(way):
+        soft = (way > 333.0) & (way < 667.0)
+        return np.where(soft, SOFT_NM, 0.0), np.where(way < 333.0, np.nan, np.where(soft, BACK_NM, 0.0))
+
+    return street(TORQUE, value, STD_NM)
+
+
+@pytest.fixture(scope="module")
+def on(slopes, torques):
+    """Estimators on a route with slopes, with torques, with both, and without one."""
+    vehicle = tr.load_vehicle("xgd24d")
+    routes = {"slopes": (slopes,), "torques": (torques,), "both": (slopes, torques), "none": ()}
+    return {name: Estimator(replace(vehicle, route=route)) for name, route in routes.items()}
+
+
+def messages(way, speed, aside=0.0, scatter_m=0.0, hidden=(), step_s=1.0, more=()):
+    """What a vehicle sends each second: channel, stamp and value; `more` of (sample, channel, value) come before the speed."""
+    rng, n = np.random.default_rng(1), len(way)
+    x, y = (autoregression(n, rng, 30.0, scatter_m) + where for where in (way, np.broadcast_to(aside, way.shape)))
     latitude, longitude = Frame(LATITUDE, LONGITUDE).position(x, y)
     found = []
     for i in range(n):
-        stamp = int((i + 1) * step_s * SECOND_NS)
+        now = START_NS + round((i + 1) * step_s * SECOND_NS)
         if i not in hidden:
-            follower.position(stamp, latitude[i], longitude[i])
-        told = follower.speed(stamp, float(speed[i]))
-        found.append(found[-1] if told is None else told)
-    return np.array(found)
+            found += [(at.LATITUDE, now, latitude[i]), (at.LONGITUDE, now, longitude[i])]
+        found += [(channel, now, value) for sample, channel, value in more if sample == i]
+        found.append((at.SPEED, now, float(speed[i])))
+    return found
 
 
-def test_the_slope_is_that_of_the_place_either_way(route):
+def driven(estimator, sent, session=None):
+    """Rows of results, one a speed."""
+    channel, stamp, value = (np.array(column) for column in zip(*sent, strict=True))
+    steps = (session or estimator.session()).handle_block(channel.astype(np.int16), stamp, stamp, value.astype(float))
+    return steps.rows.copy()
+
+
+def slope_of(estimator, rows):
+    """The slope that a step used; nan beside the route."""
+    radius = estimator.vehicle.track_of(estimator.vehicle.assemblies[0]).sprocket_radius
+    sine = rows[:, at.OUT_GRADE] / (radius * rows[:, at.OUT_WEIGHT])
+    off = (rows[:, at.OUT_REASONS].astype(int) & Reason.OFF_ROUTE) > 0
+    return np.where(off, np.nan, sine / np.sqrt(1.0 - sine**2))
+
+
+def reasons_of(rows):
+    return rows[:, at.OUT_REASONS].astype(int)
+
+
+def followed(estimator, way, speed, **given):
+    return slope_of(estimator, driven(estimator, messages(way, speed, **given)))
+
+
+def test_the_slope_is_that_of_the_place_either_way(on):
     way = np.arange(50.0, 950.0, 8.0)
-    there = followed(route, way, np.full(len(way), 8.0))
-    back = followed(route, way[::-1], np.full(len(way), 8.0))[::-1]
+    there = followed(on["slopes"], way, np.full(len(way), 8.0))
+    back = followed(on["slopes"], way[::-1], np.full(len(way), 8.0))[::-1]
     assert np.abs(there - slope_at(way))[3:-3].max() < 0.004
     assert np.abs(back + slope_at(way))[3:-3].max() < 0.004
 
 
-def test_scatter_of_positions_leaves_it_usable(route):
+def test_scatter_of_positions_leaves_it_usable(on):
     way = np.arange(50.0, 950.0, 8.0)
-    found = followed(route, way, np.full(len(way), 8.0), scatter_m=6.0)
+    found = followed(on["slopes"], way, np.full(len(way), 8.0), scatter_m=6.0)
     known = np.isfinite(found)
     assert known.mean() > 0.9
     assert np.abs(found - slope_at(way))[known].mean() < 0.008
 
 
-def test_backing_down_a_slope_it_still_points_up(route):
+def test_backing_down_a_slope_it_still_points_up(on):
     way = np.concatenate([np.arange(50.0, 130.0, 5.0), np.full(5, 125.0), np.arange(125.0, 70.0, -3.0)])
     speed = np.concatenate([np.full(16, 5.0), np.zeros(5), np.full(len(way) - 21, -3.0)])
-    found = followed(route, way, speed)
+    found = followed(on["slopes"], way, speed)
     assert np.abs(found - slope_at(way))[25:].max() < 0.01
 
 
-def test_standing_it_keeps_its_slope_whatever_positions_scatter(route):
+def test_standing_it_keeps_its_slope_whatever_positions_scatter(on):
     way = np.concatenate([np.arange(50.0, 130.0, 8.0), np.full(600, 122.0)])
     speed = np.concatenate([np.full(10, 8.0), np.zeros(600)])
-    found = followed(route, way, speed, scatter_m=8.0)[12:]
+    found = followed(on["slopes"], way, speed, scatter_m=8.0)[12:]
     known = np.isfinite(found)
     assert known.mean() > 0.95
     assert (found[known] > 0.02).all()
 
 
-def test_a_short_gap_is_bridged_and_a_long_one_is_not(route):
+def test_a_short_gap_is_bridged_and_a_long_one_is_not(on):
     way = np.arange(50.0, 950.0, 8.0)
-    found = followed(route, way, np.full(len(way), 8.0), hidden=(*range(20, 26), *range(50, 90)))
+    hidden = (*range(20, 26), *range(50, 90))
+    rows = driven(on["slopes"], messages(way, np.full(len(way), 8.0), hidden=hidden))
+    found = slope_of(on["slopes"], rows)
     assert np.abs(found - slope_at(way))[20:26].max() < 0.006
     assert np.isnan(found[66:90]).all()
+    assert (reasons_of(rows)[66:90] & Reason.PLACE_UNKNOWN).all()
+
+
+def test_how_long_a_position_holds_is_a_setting(slopes):
+    way = np.arange(50.0, 950.0, 2.0)
+    sent = messages(way, np.full(len(way), 2.0), hidden=range(100, 140))
+    for hold_s, last in ((3.0, 103), (30.0, 130)):
+        estimator = Estimator(replace(tr.load_vehicle("xgd24d"), route=(slopes,)), Settings(position_hold_s=hold_s))
+        unknown = reasons_of(driven(estimator, sent)) & Reason.PLACE_UNKNOWN > 0
+        assert not unknown[60:last].any()
+        assert unknown[last + 1 : 140].all()
+        assert not unknown[145:].any()
 
 
 @pytest.mark.parametrize("aside", [60.0, -200.0])
-def test_beside_the_street_nothing_is_told(route, aside):
+def test_beside_the_street_nothing_is_told_and_the_status_says_why(on, aside):
     way = np.arange(50.0, 950.0, 8.0)
-    assert np.isnan(followed(route, way, np.full(len(way), 8.0), aside=aside)).all()
+    rows = driven(on["both"], messages(way, np.full(len(way), 8.0), aside=aside))
+    assert np.isnan(slope_of(on["both"], rows)).all()
+    assert (rows[:, at.OUT_EFFECTS] == 0.0).all()
+    assert (reasons_of(rows) & Reason.OFF_ROUTE).all()
+    assert not (reasons_of(rows)[5:] & Reason.PLACE_UNKNOWN).any()
 
 
-def test_it_tells_no_more_often_than_is_useful(route):
-    follower = Follower(route)
-    told = [follower.speed(int(i * 0.01 * SECOND_NS), 5.0) for i in range(1, 501)]
-    assert sum(x is not None for x in told) <= 5.0 / EVERY_S + 1
+def test_a_measured_slope_comes_before_that_of_the_place(on):
+    way = np.arange(50.0, 950.0, 8.0)
+    more = [(i, at.GRADE, 0.07) for i in range(60)]
+    rows = driven(on["slopes"], messages(way, np.full(len(way), 8.0), more=more))
+    found = slope_of(on["slopes"], rows)
+    assert found[10:60] == pytest.approx(0.07)
+    assert not (reasons_of(rows)[:60] & (Reason.OFF_ROUTE | Reason.PLACE_UNKNOWN)).any()
+    assert np.abs(found - slope_at(way))[62:].max() < 0.004
+
+
+def test_the_torque_of_the_place_is_expected_against_travel_whichever_way(on):
+    way = np.arange(50.0, 950.0, 8.0)
+    rows = driven(on["torques"], messages(way, np.full(len(way), 8.0)))
+    soft = (way > 370.0) & (way < 630.0)
+    assert rows[soft, at.OUT_EFFECTS] == pytest.approx(SOFT_NM, rel=1e-6)
+    back = driven(on["torques"], messages(way[::-1], np.full(len(way), 8.0)))[::-1]
+    assert back[soft, at.OUT_EFFECTS] == pytest.approx(BACK_NM, rel=1e-6)
+    reverse = driven(on["torques"], messages(way[::-1], np.full(len(way), -4.0), step_s=2.0))[::-1]
+    assert reverse[soft, at.OUT_EFFECTS] == pytest.approx(-BACK_NM, rel=1e-6)
+
+
+def test_where_a_street_was_never_driven_this_way_nothing_counts_and_the_status_says_so(on):
+    way = np.arange(50.0, 950.0, 8.0)[::-1]
+    rows = driven(on["torques"], messages(way, np.full(len(way), 8.0)))
+    never, driven_so = way < 290.0, (way > 350.0) & (way < 900.0)
+    assert (rows[never, at.OUT_EFFECTS] == 0.0).all()
+    assert (reasons_of(rows)[never] & Reason.OFF_ROUTE).all()
+    assert not (reasons_of(rows)[driven_so] & Reason.OFF_ROUTE).any()
+
+
+def test_what_is_expected_of_the_place_is_in_the_drive_torque_and_its_doubt_in_the_standard_deviation(on):
+    way = np.arange(50.0, 950.0, 8.0)
+    sent = messages(way, np.full(len(way), 8.0))
+    bare, soft = (driven(on[name], sent) for name in ("none", "torques"))
+    place = soft[:, at.OUT_EFFECTS]
+    np.testing.assert_allclose(soft[:, at.OUT_RESISTANCE] - bare[:, at.OUT_RESISTANCE], place, atol=1.0)  # it strains belts too
+    np.testing.assert_allclose(soft[:, at.OUT_DRIVE] - bare[:, at.OUT_DRIVE], place, atol=1.0)
+    known = np.arange(len(way)) > 5
+    of_place = np.sqrt(soft[:, at.OUT_STD] ** 2 - bare[:, at.OUT_STD] ** 2)
+    assert of_place[known] == pytest.approx(STD_NM, rel=0.05)
+
+
+@pytest.mark.parametrize("name", ["slopes", "torques", "both"])
+def test_nothing_of_it_is_fed_forward_whatever_parts_are(name, slopes, torques):
+    settings = Settings(feedforward_parts=("hysteresis", "bearing", "wind", "grade", "inertia"))
+    vehicle = replace(tr.load_vehicle("xgd24d"), thermal="lumped")
+    route = {"slopes": (slopes,), "torques": (torques,), "both": (slopes, torques)}[name]
+    way = np.arange(50.0, 950.0, 8.0)
+    sent = messages(way, np.full(len(way), 8.0))
+    found, bare = (driven(Estimator(replace(vehicle, route=of), settings), sent) for of in (route, ()))
+    assert np.abs(found[:, at.OUT_DRIVE] - bare[:, at.OUT_DRIVE]).max() > 800.0
+    np.testing.assert_allclose(found[:, at.OUT_FEEDFORWARD], bare[:, at.OUT_FEEDFORWARD], atol=1.0)
+
+
+@given(
+    torque=st.floats(-1e5, 1e5),
+    slope=st.floats(-0.5, 0.5),
+    parts=st.sets(st.sampled_from(["hysteresis", "bearing", "wind", "grade", "inertia"]), min_size=1),
+)
+def test_at_a_standstill_nothing_pushes_whatever_the_table_says(torque, slope, parts):
+    route = street(TORQUE, lambda way: (torque, torque), 10.0), street(SLOPE, lambda way: (slope, -slope), 0.01)
+    vehicle = replace(tr.load_vehicle("xgd24d"), route=route)
+    estimator = Estimator(vehicle, Settings(feedforward_parts=tuple(parts)))
+    way = np.concatenate([np.arange(400.0, 500.0, 5.0), np.full(30, 500.0)])
+    speed = np.concatenate([np.full(20, 5.0), np.zeros(30)])
+    rows = driven(estimator, messages(way, speed))
+    assert not (reasons_of(rows)[-5:] & Reason.OFF_ROUTE).any()
+    assert rows[-5:, at.OUT_FEEDFORWARD] == pytest.approx(0.0, abs=1e-9)
+    assert rows[-5:, at.OUT_EFFECTS] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_message_by_message_and_in_blocks_the_numbers_are_the_same_bits(on):
+    way = np.arange(50.0, 950.0, 3.0)
+    sent = messages(way, np.full(len(way), 3.0), scatter_m=4.0, hidden=range(90, 130))
+    whole = driven(on["both"], sent)
+    session, rows = on["both"].session(), []
+    for channel, stamp, value in sent:
+        estimate = session.handle(channel, stamp, stamp, float(value))
+        if estimate is not None:
+            rows.append(estimate.row)
+    np.testing.assert_array_equal(np.array(rows), whole)
+
+
+def test_resumed_on_the_way_the_numbers_are_the_same_bits(on, tmp_path):
+    way = np.arange(50.0, 950.0, 3.0)
+    sent = messages(way, np.full(len(way), 3.0), scatter_m=4.0)
+    whole = driven(on["both"], sent)
+    first = on["both"].session()
+    before = driven(on["both"], sent[:400], first)
+    snapshot.save(first, tmp_path / "state.json", saved_at=1.0)
+    after = driven(on["both"], sent[400:], snapshot.resume(on["both"], tmp_path / "state.json"))
+    np.testing.assert_array_equal(np.concatenate([before, after]), whole)
+
+
+def test_a_state_of_another_route_is_refused(on, slopes, tmp_path):
+    session = on["slopes"].session()
+    driven(on["slopes"], messages(np.arange(50.0, 90.0, 8.0), np.full(5, 8.0)), session)
+    snapshot.save(session, tmp_path / "state.json", saved_at=1.0)
+    other = Estimator(replace(on["slopes"].vehicle, route=(slopes.times(2.0),)))
+    with pytest.raises(tr.InputError, match="other values"):
+        snapshot.resume(other, tmp_path / "state.json")
+
+
+@pytest.mark.parametrize("broken", [math.nan, 7.0])
+def test_a_position_of_which_one_half_is_refused_is_none(on, broken):
+    way = np.arange(50.0, 950.0, 8.0)
+    sent = messages(way, np.full(len(way), 8.0))
+    spoilt = [(c, stamp, broken if c == at.LONGITUDE and i > 180 else value) for i, (c, stamp, value) in enumerate(sent)]
+    session = on["slopes"].session()
+    rows = driven(on["slopes"], spoilt, session)
+    unknown = reasons_of(rows) & Reason.PLACE_UNKNOWN > 0
+    assert not unknown[10:60].any()
+    assert unknown[73:].all()
+    refused = Count.NON_FINITE if math.isnan(broken) else Count.OUT_OF_RANGE
+    assert ("longitude", refused) in {(name, count) for name, count, _ in session.counts()}
+
+
+def test_a_receiver_whose_clock_is_another_is_followed_too(on):
+    way = np.arange(50.0, 950.0, 8.0)
+    sent = messages(way, np.full(len(way), 8.0))
+    for offset_s in (-3600.0, -0.4, 0.4, 3600.0):
+        session, rows = on["slopes"].session(), []
+        for channel, stamp, value in sent:
+            of_receiver = round(offset_s * SECOND_NS) if channel in POSITIONS else 0
+            estimate = session.handle(channel, stamp + of_receiver, stamp, float(value))
+            if estimate is not None:
+                rows.append(estimate.row)
+        found = slope_of(on["slopes"], np.array(rows))
+        assert np.abs(found - slope_at(way))[5:-3].max() < 0.007, offset_s
+
+
+def test_time_that_goes_back_forgets_the_place(on):
+    way = np.arange(50.0, 450.0, 8.0)
+    sent = messages(way, np.full(len(way), 8.0))
+    session = on["slopes"].session()
+    driven(on["slopes"], sent, session)
+    session.start_anew(time_went_back=True)
+    rows = driven(on["slopes"], [one for one in sent if one[0] == at.SPEED], session)
+    assert (reasons_of(rows) & Reason.PLACE_UNKNOWN).all()
 
 
 @pytest.fixture(scope="module")
-def replays(route, tmp_path_factory):
-    """Replays of one drive: with its slope recorded, with its position on the route, and with neither; none beyond 700 m."""
+def replays(slopes, torques, tmp_path_factory):
+    """Replays of one drive: with its slope recorded, with its position on the route, and with neither; none beyond 500 m."""
     folder = tmp_path_factory.mktemp("replays")
-    write_route(folder / "route.csv", route)
+    write_route(folder / "route.csv", (slopes, torques))
     (folder / "surroundings.yaml").write_text("schema: 1\nvehicle: xgd24d\nroute: route.csv\neffects: {}\n")
     speed = np.concatenate([np.linspace(0.0, 8.0, 20), np.full(60, 8.0), np.linspace(8.0, 0.0, 20), np.zeros(60)])
     way = np.cumsum(speed)
@@ -121,24 +330,40 @@ def replays(route, tmp_path_factory):
         np.savetxt(path, np.column_stack([time, speed, *series]), delimiter=",", header=header, comments="", fmt="%.8f")
         vehicle = tr.load_vehicle("xgd24d", surroundings=folder / "surroundings.yaml")
         found[name[:5]] = tr.replay(tr.read(path), vehicle).to_pandas()
-    return way, found
+    return way, folder, found
 
 
-def test_a_replay_has_the_slope_of_the_route_as_if_it_had_been_recorded(replays):
-    way, found = replays
-    on = (way > 60.0) & (way < 480.0)
+def test_a_replay_has_slope_and_torque_of_the_route(replays):
+    way, _, found = replays
+    on_it = (way > 60.0) & (way < 480.0)
     recorded, by_place = (found[name]["grade_nm"].to_numpy() for name in ("grade", "latit"))
-    assert np.abs(recorded[on]).max() > 1000.0
-    assert np.abs(by_place - recorded)[on].mean() < 0.1 * np.abs(recorded[on]).mean()
+    assert np.abs(recorded[on_it]).max() > 1000.0
+    assert np.abs(by_place - recorded)[on_it].mean() < 0.1 * np.abs(recorded[on_it]).mean()
+    assert found["latit"]["effects_nm"].to_numpy()[(way > 370.0) & (way < 480.0)] == pytest.approx(SOFT_NM, rel=1e-3)
 
 
-def test_beside_the_route_the_ground_counts_as_level_and_the_status_says_so(replays):
-    way, found = replays
-    table = found["latit"]
-    off = way > 620.0
+def test_beside_the_route_the_ground_counts_as_level_and_firm_and_the_status_says_so(replays):
+    way, _, found = replays
+    table, off = found["latit"], way > 620.0
     assert (table["grade_nm"].to_numpy()[off] == 0.0).all()
+    assert (table["effects_nm"].to_numpy()[off] == 0.0).all()
     reasons = table["reasons"].to_numpy().astype(int)
     assert (reasons[off] & Reason.OFF_ROUTE).all()
     assert not (reasons[(way > 60.0) & (way < 480.0)] & Reason.OFF_ROUTE).any()
-    assert not (found["grade"]["reasons"].to_numpy().astype(int) & Reason.OFF_ROUTE).any()
-    assert (found["ambie"]["reasons"].to_numpy().astype(int) & Reason.OFF_ROUTE).all()
+    neither = found["ambie"]["reasons"].to_numpy().astype(int)
+    assert (neither & Reason.OFF_ROUTE).all()
+    assert (neither & Reason.PLACE_UNKNOWN).all()
+
+
+def test_a_simulation_follows_the_positions_of_its_profile(replays):
+    way, folder, found = replays
+    vehicle = tr.load_vehicle("xgd24d", surroundings=folder / "surroundings.yaml")
+    drive = tr.simulate(vehicle, profile=folder / "latit.csv", dt=0.5)
+    time = drive["time_s"]
+    far = np.interp(time, np.arange(len(way), dtype=float), way)
+    soft, off = (far > 370.0) & (far < 470.0), far > 620.0
+    assert drive["effects_nm"][soft] == pytest.approx(SOFT_NM, rel=1e-3)
+    assert np.abs(drive["effects_nm"][off]).max() == 0.0
+    replayed = np.interp(far, way, found["latit"]["grade_nm"].to_numpy())
+    uphill = (far > 60.0) & (far < 480.0)
+    assert np.abs(drive["grade_nm"] - replayed)[uphill].mean() < 0.1 * np.abs(replayed[uphill]).mean()

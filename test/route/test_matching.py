@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from streets import LAP_M, LATITUDE, LONGITUDE, drive, place_at
 
-from trackres_ros.route.matching import SPACING_M, matched, neighbours, places_of
+from trackres_ros.route.lookup import SPACING_M
+from trackres_ros.route.matching import matched, neighbours, places_of
 from trackres_ros.route.track import LONGEST_GAP_M, Frame, track_of
 
 

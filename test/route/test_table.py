@@ -1,38 +1,63 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Slopes by place go to a table and come back, and a table that is none is refused with what to do."""
+"""Slopes and torques by place go to a table and come back, and a table that is none is refused with what to do."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from streets import LATITUDE, LONGITUDE
 
+import trackres_ros as tr
 from trackres_ros.errors import InputError
-from trackres_ros.route.learned import SLOPE, RouteMap
-from trackres_ros.route.table import COLUMNS, read_route, write_route
+from trackres_ros.route.learned import SLOPE, TORQUE, RouteMap, of_kind
+from trackres_ros.route.table import HEADERS, MOST_IN_A_CELL, read_route, write_route
 from trackres_ros.route.track import Frame
 
+OF_SLOPE, OF_TORQUE, OF_BOTH = (",".join(header) + "\n" for header in HEADERS)
 
-def straight(count=10, course=0.0):
-    """A straight street with a slope that rises along it."""
+
+def straight(count=10, course=0.0, kind=SLOPE, first=0):
+    """A straight street with a slope that rises along it, or a torque that is another each way."""
     frame = Frame(LATITUDE, LONGITUDE)
-    way = 20.0 * np.arange(count)
+    way = 20.0 * np.arange(first, first + count)
     latitude, longitude = frame.position(way * np.cos(course), way * np.sin(course))
     slope = 0.01 * np.arange(count, dtype=float)
-    values = np.stack([slope, -slope], axis=1)
-    return RouteMap(SLOPE, latitude, longitude, np.full(count, course), values, np.full((count, 2), 0.002), np.full(count, 4))
+    values = np.stack([slope, -slope], axis=1) if kind == SLOPE else np.stack([1e4 * slope, 100.0 + 1e4 * slope], axis=1)
+    std = np.full((count, 2), 0.002 if kind == SLOPE else 50.0)
+    return RouteMap(kind, latitude, longitude, np.full(count, course), values, std, np.full(count, 4))
 
 
-def test_what_is_written_is_read(tmp_path):
-    made = straight(course=0.7)
+def same(found, made):
+    at = np.lexsort([found.latitude, found.longitude]), np.lexsort([made.latitude, made.longitude])
+    size = 1.0 if made.kind == SLOPE else 1e4
+    for name, exact in (("latitude", 2e-9), ("longitude", 2e-9), ("value", 1e-5 * size), ("std", 1e-5 * size), ("passes", 0)):
+        one, other = (getattr(route, name)[rows] for route, rows in zip((found, made), at, strict=True))
+        np.testing.assert_allclose(one, other, rtol=0.0, atol=exact, equal_nan=True, err_msg=name)
+    assert np.allclose(np.cos(found.course - made.course), 1.0, atol=1e-5)
+
+
+@pytest.mark.parametrize("kinds", [(SLOPE,), (TORQUE,), (SLOPE, TORQUE)])
+def test_what_is_written_is_read(tmp_path, kinds):
+    made = [straight(course=0.7, kind=kind) for kind in kinds]
     write_route(tmp_path / "route.csv", made)
     found = read_route(tmp_path / "route.csv")
-    assert np.allclose(found.latitude, made.latitude, atol=2e-9)
-    assert np.allclose(found.longitude, made.longitude, atol=2e-9)
-    assert np.allclose(np.cos(found.course - made.course), 1.0, atol=1e-5)
-    assert np.allclose(found.value, made.value, atol=1e-5)
-    assert np.allclose(found.std, made.std, atol=1e-5)
-    assert np.array_equal(found.passes, made.passes)
+    assert [one.kind for one in found] == list(kinds)
+    for one, other in zip(found, made, strict=True):
+        same(one, other)
+    assert len((tmp_path / "route.csv").read_text().splitlines()) == 11  # a place of both is one row
+
+
+def test_what_was_learned_of_other_places_and_of_one_way_alone_comes_back_too(tmp_path):
+    slopes, torques = straight(), straight(kind=TORQUE, first=6)
+    one_way = torques.value.copy()
+    one_way[:4, 1] = np.nan
+    torques = replace(torques, value=one_way, std=np.where(np.isnan(one_way), np.nan, torques.std))
+    write_route(tmp_path / "route.csv", [slopes, torques])
+    found = read_route(tmp_path / "route.csv")
+    same(of_kind(found, SLOPE), slopes)
+    same(of_kind(found, TORQUE), torques)
 
 
 @pytest.mark.parametrize(
@@ -40,12 +65,20 @@ def test_what_is_written_is_read(tmp_path):
     [
         ("", "nothing"),
         ("a,b,c\n1,2,3\n", "a first line"),
-        (",".join(COLUMNS) + "\n", "no place"),
-        (",".join(COLUMNS) + "\n47,8.5,10,0.02\n", "4 values"),
-        (",".join(COLUMNS) + "\n47,8.5,10,steep,0.01,3\n", "slope"),
-        (",".join(COLUMNS) + "\n47,8.5,10,nan,0.01,3\n", "slope"),
-        (",".join(COLUMNS) + "\n147,8.5,10,0.02,0.01,3\n", "latitude_deg"),
-        (",".join(COLUMNS) + "\n47,8.5,10,1.5,0.01,3\n", "slope"),
+        (OF_SLOPE, "no place"),
+        (OF_SLOPE + "47,8.5,10,0.02\n", "4 values"),
+        (OF_SLOPE + "47,8.5,10,steep,0.01,3\n", "slope"),
+        (OF_SLOPE + "47,8.5,10,nan,0.01,3\n", "slope"),
+        (OF_SLOPE + "47,8.5,10,0.02,,3\n", "both, or neither"),
+        (OF_SLOPE + "47,8.5,10,,,3\n", "nothing that was learned"),
+        (OF_SLOPE + "47,8.5,,0.02,0.01,3\n", "course_deg"),
+        (OF_SLOPE + "147,8.5,10,0.02,0.01,3\n", "latitude_deg"),
+        (OF_SLOPE + "47,8.5,10,1.5,0.01,3\n", "slope"),
+        (OF_TORQUE + "47,8.5,10,100,-5,100,5,3\n", "torque_std_nm"),
+        (OF_TORQUE + "47,8.5,10,,,1e9,5,3\n", "torque_back_nm"),
+        (OF_BOTH + "47,8.5,10,0.02,0.01,100,5,100,,3\n", "both, or neither"),
+        (OF_SLOPE + "47,8.5,10,0.02,0.01,3\n48.5,8.5,10,0.02,0.01,3\n49,8.5,10,0.02,0.01,3\n", "one region"),
+        (OF_SLOPE + "47,8.5,10,0.02,0.01,3\n" * (MOST_IN_A_CELL + 1), "within 50 m"),
     ],
 )
 def test_what_is_no_route_is_refused(tmp_path, text, said):
@@ -55,13 +88,23 @@ def test_what_is_no_route_is_refused(tmp_path, text, said):
         read_route(path)
 
 
-def test_the_rise_is_along_the_travel():
+def test_a_torque_that_no_ground_takes_of_this_vehicle_is_refused(tmp_path):
+    torques = straight(kind=TORQUE)
+    write_route(tmp_path / "route.csv", [torques.times(100.0)])
+    (tmp_path / "surroundings.yaml").write_text("schema: 1\nvehicle: xgd24d\nroute: route.csv\neffects: {}\n")
+    with pytest.raises(InputError, match="of this vehicle"):
+        tr.load_vehicle("xgd24d", surroundings=tmp_path / "surroundings.yaml")
+
+
+def test_the_rise_is_along_the_travel_and_a_torque_against_it():
     route = straight()
     up, std = route.at(90.0 - 90.0, 0.0, 1.0, 0.0)
     down, _ = route.at(0.0, 0.0, -1.0, 0.0)
     assert up == pytest.approx(0.045, abs=0.006)
     assert down == pytest.approx(-up)
     assert std == pytest.approx(0.002)
+    ground = straight(kind=TORQUE)
+    assert ground.at(0.0, 0.0, -1.0, 0.0)[0] == pytest.approx(ground.at(0.0, 0.0, 1.0, 0.0)[0] + 100.0)
 
 
 @pytest.mark.parametrize("where", [(0.0, 60.0, 1.0, 0.0), (400.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0)])

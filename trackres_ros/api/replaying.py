@@ -25,6 +25,8 @@ def replay(
     params: StrPath | Mapping[str, object] | None = None,
     resume: StrPath | None = None,
     save_state: StrPath | None = None,
+    learning: str = "off",
+    save_vehicle: StrPath | None = None,
     output: StrPath | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> ReplayResult:
@@ -45,6 +47,11 @@ def replay(
         Parameters of the estimator (docs/settings.md): a file, flat or as the live node reads it, or a mapping of name to value.
     resume, save_state
         State files: to go on from, and to save the state in at the end.
+    learning
+        `off`; `watch` learns the vehicle from the measured torque, and moves nothing; `on` uses what was learned; as the live
+        node does with this parameter.
+    save_vehicle
+        Vehicle file to write at the end that starts from what was learned.
     output
         File to write while it runs, as `ReplayResult.save` does. Its rows are then not kept, so that memory does not grow with
         the recording.
@@ -74,13 +81,17 @@ def replay(
     >>> result.save("out.csv").name
     'out.csv'
     """
+    from trackres_ros.checks import one_of
     from trackres_ros.estimator import columns as at
     from trackres_ros.estimator.estimate import Steps
     from trackres_ros.estimator.estimator import Estimator
+    from trackres_ros.estimator.snapshot import read_beside, save
     from trackres_ros.estimator.snapshot import resume as resumed
-    from trackres_ros.estimator.snapshot import save
     from trackres_ros.estimator.topic_settings import settings_for
     from trackres_ros.files.output_files import BAG_SUFFIX, output_file, state_file
+    from trackres_ros.learning.learner import MODES, Learner
+    from trackres_ros.learning.store import stored, take_learned
+    from trackres_ros.learning.vehicle_file import write_learned
     from trackres_ros.node.parameters import make_parameters, read_parameters
     from trackres_ros.offline.replay import replay as run
     from trackres_ros.offline.replay import result_writer
@@ -103,15 +114,24 @@ def replay(
     settings = settings_for(make_parameters(given).settings(), mapping)
     source = in_memory or KeptSource(open_source(paths, mapping), keep=file is None or file.suffix.lower() != BAG_SUFFIX)
     estimator = Estimator(as_vehicle(vehicle), settings)
+    learner = None if one_of(learning, "learning", MODES) == "off" else Learner(estimator, learning)
+    learned_file = None if save_vehicle is None else output_file(save_vehicle, (".yaml",), "save_vehicle")
+    if learned_file is not None and learner is None:
+        raise InputError("save_vehicle", str(save_vehicle), "a replay that learns", "give learning='watch' too")
     session = None if resume is None else resumed(estimator, Path(resume))
+    if resume is not None and learner is not None and (kept_before := read_beside(estimator, Path(resume))) is not None:
+        take_learned(learner, kept_before, Path(resume))
     kept: list[Steps] = []
     if file is None:
-        done = run(source, estimator, kept.append, session, progress)
+        done = run(source, estimator, kept.append, session, progress, learner)
     else:
-        with result_writer(file, estimator) as write:
-            done = run(source, estimator, write, session, progress)
+        with result_writer(file, estimator, learner) as write:
+            done = run(source, estimator, write, session, progress, learner)
     if state is not None:
-        save(done.session, state, int(done.session.memory.times[at.SPEED, at.LAST_ARRIVAL]) * NANOSECOND)
+        saved_at = int(done.session.memory.times[at.SPEED, at.LAST_ARRIVAL]) * NANOSECOND
+        save(done.session, state, saved_at, None if learner is None else stored(learner))
+    if learned_file is not None and learner is not None:
+        write_learned(learner, estimator.vehicle, learned_file)
     title = one_line(f"{', '.join(path.name for path in paths) or source.name}: {estimator.vehicle.title}")
     findings = source.all_findings() if isinstance(source, KeptSource) else source.findings
     return ReplayResult(done, kept if file is None else None, title, source.name, source.notes, findings, file)

@@ -40,7 +40,8 @@ def simulate(
         Speed after a straight ramp from rest [km/h], time of the ramp [s], and how long to simulate [s]; 2500 s by default.
     profile
         Instead of them a CSV or Parquet table with ``time_s`` and ``speed_mps`` or ``speed_kmh``, and ``weight_n``,
-        ``ambient_degc`` and ``grade`` if need be; straight lines between its rows.
+        ``ambient_degc`` and ``grade`` if need be, and positions (``latitude_deg``, ``longitude_deg``) where the vehicle's
+        surroundings have a route; straight lines between its rows.
     ambient_degc, initial_degc
         Ambient temperature [degC], by default the vehicle file's, and that of the belts at the start, by default the same.
     weight_kn
@@ -79,6 +80,7 @@ def simulate(
     from trackres_ros.files.output_files import output_file
     from trackres_ros.offline.profile import conditions, read_profile
     from trackres_ros.offline.simulate import ramp_and_hold, run_drive, through_points
+    from trackres_ros.recording.roles import POSITION
     from trackres_ros.results.simulation import SimulationResult
 
     if (speed_kmh is None) == (profile is None):
@@ -96,13 +98,16 @@ def simulate(
         drive = ramp_and_hold(speed_kmh / KMH_PER_MPS, ramp_s, 2500.0 if duration_s is None else duration_s, dt)
     else:
         assert profile is not None
-        recording = read_profile(profile)
+        recording = read_profile(profile, bool(described.route))
         notes = tuple(f"{recording.name}: {note}" for note in recording.notes if note.startswith("ignored"))
         drive = through_points(recording.time_s("speed"), recording.series["speed"].value, dt)
         _check_speed(float(np.abs(drive.speed).max()), described.chassis.max_speed)
         given |= conditions(recording, drive.time_s, given, described.weight)
-    rows = run_drive(estimator, drive, given.get("load"), given.get("ambient"), initial_degc, given.get("grade", np.nan))
-    result = SimulationResult(estimator, drive, rows, "grade" in given, notes)
+    position = [given[role] for role in POSITION if role in given]
+    ground = estimator.along_route(drive.time_s, drive.speed, *position) if len(position) == len(POSITION) else None
+    grade = given.get("grade", np.nan)
+    rows = run_drive(estimator, drive, given.get("load"), given.get("ambient"), initial_degc, grade, ground)
+    result = SimulationResult(estimator, drive, rows, "grade" in given or ground is not None, notes)
     if file is not None:
         result.save(file)
     return result

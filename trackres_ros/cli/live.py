@@ -84,7 +84,7 @@ def live_command(
 
     def started(application: Application) -> None:
         if recorder:
-            application.on_estimate = recorder.begin(application.estimator)
+            application.on_estimate = recorder.begin(application.estimator, application.learning.learner)
         if as_json:
             shown.append(LiveJson(application.overview))
         elif not quiet:

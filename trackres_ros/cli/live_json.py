@@ -75,6 +75,7 @@ def as_dict(seen: Overview, final: bool) -> dict[str, Any]:
             "mean_nm": _known(seen.mismatch.mean_nm),
             "text": seen.mismatch.text,
         },
+        "learning": seen.learning or None,
         "disturbance": None
         if seen.disturbance is None
         else {

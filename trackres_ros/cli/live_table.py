@@ -75,6 +75,8 @@ def table(title: str, seen: Overview) -> Panel:
         parts.append(Text(f"measured torque: {seen.mismatch.text}"))
     if seen.disturbance is not None:
         parts.append(Text(f"watched for: {seen.disturbance.text}"))
+    if seen.learning:
+        parts.append(Text(f"learning: {seen.learning}"))
     parts.append(Text(_foot(seen), style="dim"))
     return Panel(Group(*parts), title=title, border_style=colour)
 

@@ -17,6 +17,7 @@ from trackres_ros.cli import written
 from trackres_ros.cli.diagnose import diagnose_command, effects_command
 from trackres_ros.cli.entry import INTERRUPTED, interrupt_handled
 from trackres_ros.cli.explain import explain_command
+from trackres_ros.cli.fleet import compare_command, fleet_group, trend_command
 from trackres_ros.cli.live import live_command
 from trackres_ros.cli.play import play_command
 from trackres_ros.cli.prove import prove_command
@@ -54,6 +55,9 @@ for command in (
     diagnose_command,
     prove_command,
     effects_command,
+    fleet_group,
+    trend_command,
+    compare_command,
     reproduce_command,
     record_sample_command,
     vehicle_group,

@@ -16,7 +16,7 @@ from typing import IO
 import click
 
 from trackres_ros import InputError
-from trackres_ros.cli.common import emit, json_option, needs, output_folder
+from trackres_ros.cli.common import emit, json_option, needs, number, output_folder
 
 MINUTES = 15.0
 QUICK_MINUTES = 12.0
@@ -125,10 +125,10 @@ def _write_and_print(path: Path, text: str, as_json: bool) -> None:
     emit({"written": str(path), "text": text}, as_json, lambda: text)
 
 
-def _process(stream: IO[str] | None, module: str, *arguments: str) -> None:
+def _process(stream: IO[str] | None, module: str, *arguments: str, room: str = "sealed") -> None:
     # Every core works on a case of its own: threads within a case would only compete for cores.
     alone = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-    command = [sys.executable, "-m", f"trackres_ros.evaluation.sealed.{module}", *arguments]
+    command = [sys.executable, "-m", f"trackres_ros.evaluation.{room}.{module}", *arguments]
     done = subprocess.run(command, env={**os.environ, **alone}, stdout=stream, check=False)
     if done.returncode:
         raise click.ClickException(f"{module} ended with exit code {done.returncode}; what was done is kept")
@@ -155,6 +155,40 @@ def prove_real_command(data: Path, output: Path, as_json: bool) -> None:
     _write_and_print(output / "proof-real.md", write_page(data, try_all(data, output), try_bus(data), output), as_json)
 
 
+@prove_command.command("learning")
+@click.option("--seed", type=click.IntRange(0), default=REPORTED_SEED, show_default=True, help="Seed of all random draws.")
+@click.option("--vehicles", type=click.IntRange(0), default=60, show_default=True, help="Vehicles whose files are off.")
+@click.option("--hostile", type=click.IntRange(0), default=40, show_default=True, help="Vehicles that something misleads.")
+@click.option("--first", type=click.IntRange(1), metavar="N", help="Only N of the sealed vehicles, by drawn names.")
+@click.option("--hours", type=click.FloatRange(0.0), default=200.0, show_default=True, help="Hours of an ageing run; 0: none.")
+@folder_option
+@json_option
+def prove_learning_command(
+    seed: int, vehicles: int, hostile: int, first: int | None, hours: float, output: Path, as_json: bool
+) -> None:
+    """Learn vehicles that are other than their files while they drive, and compare with re-fits and with the truth.
+
+    Recordings are drawn and sealed by one process, learned from by a second that sees nothing else, and scored by a third.
+    A folder serves one seed and one number of cases; an interrupted run goes on where it was.
+    """
+    needs("trackres prove learning", *EXTRA)
+    output_folder(output)
+    stream = sys.stderr if as_json else None
+    settings = f"learning {seed} {vehicles} {hostile}"
+    settings_file = output / "asked.txt"
+    if (settings_file.exists() and settings_file.read_text(encoding="utf-8") != settings) or (
+        not settings_file.exists() and any((output / name).exists() for name in FOLDERS)
+    ):
+        raise InputError("-o", str(output), "a folder of its own for each seed and number of cases")
+    settings_file.write_text(settings, encoding="utf-8")
+    so_many = [] if first is None else [str(first)]
+    _process(stream, "generate", str(output), str(seed), f"{MINUTES:g}", str(vehicles), str(hostile), *so_many, room="learned")
+    _process(stream, "blind", str(output), *so_many, room="learned")
+    _process(stream, "score", str(output), f"{hours:g}", room="learned")
+    if as_json:
+        click.echo((output / "scores.json").read_text(encoding="utf-8"))
+
+
 @prove_command.command("paper")
 @folder_option
 @json_option
@@ -179,3 +213,35 @@ def prove_loop_command(output: Path, as_json: bool) -> None:
     loop = close_loop(output)
     draw(loop, output / "loop.png")
     _write_and_print(output / "loop.md", page(loop, "loop.png"), as_json)
+
+
+@prove_command.command("fleet")
+@click.option("--vehicles", type=click.IntRange(2, 10_000), default=24, show_default=True, help="How many; half of them change.")
+@click.option("--days", type=click.IntRange(3, 3650), default=75, show_default=True, help="Over how many days they drive.")
+@click.option("--every", type=number(0.1, 365.0), default=3.0, show_default=True, help="Days between recordings of a vehicle.")
+@click.option("--minutes", type=number(3.0, 600.0), default=10.0, show_default=True, help="Length of a recording.")
+@click.option("--seed", type=click.IntRange(0), default=REPORTED_SEED, show_default=True, help="Seed of all random draws.")
+@folder_option
+@json_option
+def prove_fleet_command(vehicles: int, days: int, every: float, minutes: float, seed: int, output: Path, as_json: bool) -> None:
+    """Count how many changes in a simulated fleet are found, how soon, and how often chance is taken for one.
+
+    One process draws, seals and records; trackres fleet sees recordings and fleet.yaml; the last opens the seal and counts.
+    """
+    needs("trackres prove fleet", "fleet", "distributed", "pyarrow", "fsspec", "jinja2")
+    output_folder(output)
+    asked, settings = output / "asked.txt", f"fleet {seed} {vehicles} {days} {every:g} {minutes:g}"
+    if any(output.iterdir()) and (not asked.exists() or asked.read_text(encoding="utf-8") != settings):
+        raise InputError("-o", str(output), "a folder that is empty, or of a run with the same options")
+    asked.write_text(settings, encoding="utf-8")
+    stream = sys.stderr if as_json else None
+    _process(stream, "prove", "generate", str(output), *settings.split()[1:], room="fleet")
+    with (output / "found.json").open("w", encoding="utf-8") as into:
+        words = ["fleet", str(output / "fleet" / "recordings"), "--vehicles", str(output / "fleet" / "fleet.yaml")]
+        words += ["--period", "none", "-o", str(output / "results"), "--json"]
+        done = subprocess.run([sys.executable, "-m", "trackres_ros", *words], stdout=into, check=False)
+    if done.returncode:
+        raise click.ClickException(f"trackres fleet ended with exit code {done.returncode}; what was done is kept")
+    _process(stream, "prove", "score", str(output), room="fleet")
+    if as_json:
+        click.echo((output / "scores.json").read_text(encoding="utf-8"))

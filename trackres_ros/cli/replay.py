@@ -45,6 +45,19 @@ from trackres_ros.errors import one_line
 @click.option("--resume", type=click.Path(path_type=Path), metavar="STATE", help="Go on from a state saved by --save-state.")
 @click.option("--save-state", type=click.Path(path_type=Path), metavar="STATE", help="Save the state at the end.")
 @click.option(
+    "--learning",
+    default="off",
+    show_default=True,
+    metavar="off|watch|on",
+    help="Learn the vehicle from the measured torque as the live node does; on: use what was learned.",
+)
+@click.option(
+    "--save-vehicle",
+    type=click.Path(path_type=Path),
+    metavar="V.yaml",
+    help="Write a vehicle file that starts from what was learned.",
+)
+@click.option(
     "-o",
     "--output",
     type=click.Path(path_type=Path),
@@ -62,6 +75,8 @@ def replay_command(
     thermal: str | None,
     resume: Path | None,
     save_state: Path | None,
+    learning: str,
+    save_vehicle: Path | None,
     output: Path,
     as_json: bool,
 ) -> None:
@@ -78,7 +93,7 @@ def replay_command(
     bits.
     """
     picture = picture_beside(output)
-    watch(output, picture, *([save_state] if save_state else []))
+    watch(output, picture, *(path for path in (save_state, save_vehicle) if path))
     described = tr.load_vehicle(vehicle, method=method, thermal=thermal, surroundings=surroundings)
     with progress("replaying", None) as advance:
         result = tr.replay(
@@ -88,10 +103,12 @@ def replay_command(
             params=params,
             resume=resume,
             save_state=save_state,
+            learning=learning,
+            save_vehicle=save_vehicle,
             output=output,
             progress=advance,
         )
-    written = [str(output)]
+    written = [str(path) for path in (output, save_vehicle) if path]
     try:
         result.plot(picture)
         written.append(str(picture))

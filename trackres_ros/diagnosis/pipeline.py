@@ -57,6 +57,7 @@ from trackres_ros.effects.vehicle.rotating_inertia import RotatingInertia
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.recording import Recording
+from trackres_ros.route.learned import SLOPE, TORQUE, of_kind
 
 Array = NDArray[np.float64]
 
@@ -89,8 +90,8 @@ class Diagnosis:
     described, wanders, tracked
         Terms without a name that were found; how what is left wanders, where it does so by more than it should; and what held-out
         laps say of following that live.
-    route
-        What goes by place, named or without a name; None where nothing does.
+    routes
+        What goes by place, named or without a name: a slope, a torque, or a torque beside a slope.
     base_intervals
         Of the base's parameters in `final`.
     held_out, advice, verdict
@@ -115,7 +116,7 @@ class Diagnosis:
     described: tuple[Told, ...]
     wanders: Described | None
     tracked: Improvement | None
-    route: Route | None
+    routes: tuple[Route, ...]
     refuted: tuple[Graded, ...]
     base_intervals: dict[str, Interval]
     held_out: HeldOut
@@ -206,14 +207,15 @@ def diagnose(
     replicates = QUICK_REPLICATES if quick else REPLICATES
     laps = HeldOutLaps(gated.sessions, [chosen.held_out_mask(s) for s in gated.sessions], rng)
     on_stage("places: passes of the same streets")
-    roads = roads_of(gated.sessions) if vehicle.route is None else None
-    first = find_route(tested, roads) if roads is not None else None
+    kinds = [kind for kind in (SLOPE, TORQUE) if of_kind(vehicle.route, kind) is None]
+    roads = roads_of(gated.sessions) if kinds else None
+    first = find_route(tested, roads, kinds) if roads is not None else None
     allowed, refuted = dict(effects), list[Graded]()
     while True:
         possible = allowed if first is None else {name: effect for name, effect in allowed.items() if name not in SLOPES}
         rounds, named = choose(tested if first is None else first.candidate.fit, possible, replicates, rng, on_stage)
-        route, named = beside_names(first, roads, named)
-        description = describe(named, rounds, possible, replicates, rng, on_stage, roads, route)
+        route, named = beside_names(first, roads, named, kinds)
+        description = describe(named, rounds, possible, replicates, rng, on_stage, roads, route, kinds)
         steps, best = description.steps, description.fit
         if route is not None and route.told and route.candidate.name in best.effect_names:
             steps = [by_place(route, rounds[0]), *steps]
@@ -226,7 +228,8 @@ def diagnose(
         # What stood in front of the others is gone, and they are looked at anew.
         allowed = {name: effect for name, effect in allowed.items() if name not in again}
     final, graded, unconfirmed = leave_unconfirmed(final, graded, description.terms, refitted, laps)
-    route = route if route is not None and route.candidate.name in final.effect_names else None
+    by_place_too = (route, *(term.route for term in description.terms.values()))
+    routes = {r.candidate.name: r for r in by_place_too if r is not None and r.candidate.name in final.effect_names}
     refuted += unconfirmed
     predicted = {"refitted": refitted.predicted, "with_effects": final.predicted}
     worth = held_out(laps, {"nominal": nominal, **{stage: [p.torque for p in of] for stage, of in predicted.items()}})
@@ -280,9 +283,10 @@ def diagnose(
     left_over = slow_residual(final)
     wanders = drift(final) if left_over.share > MOST_STRAY and not terms else None
     tracked = drift_on_held_out(final, laps) if wanders is not None else None
-    verdict = judge(found, terms, tuple(refuted), refitted, at_end, left_over, steps[-1].hint, worth)
-    kinds = {name: effect.belongs_to for name, effect in effects.items()}
-    believed = believed_in(found, terms, verdict, kinds, keep_suspected)
+    wandering = None if wanders is None or tracked is None else Told(wanders, [], [], {}, Graded(wanders.form, tracked, ()))
+    verdict = judge(found, terms, tuple(refuted), refitted, at_end, left_over, steps[-1].hint, worth, wandering)
+    belong_to = {name: effect.belongs_to for name, effect in effects.items()}
+    believed = believed_in(found, terms, verdict, belong_to, keep_suspected)
     kept = keep(believed, final, refitted, worth, laps, bounds)
     if base.has_belt:  # a road_load vehicle does not run live
         expected = nominal if kept.values is None else [p.torque for p in final.problem.predict(kept.values, kept.effects)]
@@ -292,8 +296,8 @@ def diagnose(
     return Diagnosis(
         base, gated, chosen, nominal, refitted, final, at_base, at_end, changes(tested_base), cumulative_periodogram(tested_end),
         thermal_check(refitted),
-        tuple(steps), tuple(found), tuple(terms), wanders, tracked, route, tuple(refuted), bounds_of("", bounds), worth,
-        tuple(advice), verdict, kept,
+        tuple(steps), tuple(found), tuple(terms), wanders, tracked, tuple(routes.values()), tuple(refuted), bounds_of("", bounds),
+        worth, tuple(advice), verdict, kept,
     )  # fmt: skip
 
 

@@ -15,6 +15,7 @@ from trackres_ros.estimator.belt_heat import loss_force, surface
 from trackres_ros.estimator.belt_step import BEHIND_BELTS, pass_gap, roll
 from trackres_ros.estimator.belt_uncertainty import belt_variance, correct_belt
 from trackres_ros.estimator.constants import Constants
+from trackres_ros.estimator.learned_step import learned_elsewhere, learned_hysteresis
 from trackres_ros.estimator.records import Inputs
 from trackres_ros.estimator.road import Road
 from trackres_ros.jit.compiled import compiled, inlined
@@ -45,7 +46,9 @@ def measure(k: Constants, i: int, belt: Array, measured: float, ambient: float, 
 
 
 @inlined
-def advance_assembly(k: Constants, i: int, belt: Array, load: float, measured: float, road: Road, part: Array, out: Array) -> int:
+def advance_assembly(
+    k: Constants, i: int, belt: Array, load: float, measured: float, road: Road, learned: Array, part: Array, out: Array
+) -> int:
     """Advance one assembly; fills its `part` of the totals and its columns of `out`, returns its reasons."""
     radius, share, log_load = k.assembly[i, at.RADIUS], load / road.weight, math.log(load)
     reasons = 0
@@ -93,13 +96,25 @@ def advance_assembly(k: Constants, i: int, belt: Array, load: float, measured: f
     part[at.PART_CONSIDER + 3] = size * k.assembly[i, at.CONSIDER_RADIUS + 3]
     part[at.PART_CONSIDER_AMBIENT] = by_temperature * belt[0, at.CONSIDER_AMBIENT]
     part[at.PART_NOISE] = by_temperature * by_temperature * (belt[0, at.NOISE_1] ** 2 + belt[0, at.NOISE_2] ** 2)
+    # What a loss, cooling or capacity that is larger by its whole makes of the belt's temperature, the departures by cause tell.
+    warmer = learned[at.DEPARTURES + at.OF_BELT]
+    for which in range(3):
+        kelvin = 0.0
+        for cause in range(3):
+            kelvin += k.assembly[i, at.CAUSES_OF + 3 * cause + which] * belt[0, at.CONSIDER_1 + cause]
+        part[at.PART_BY + which] = by_temperature * kelvin
+        warmer += kelvin * learned[at.DEPARTURES + which]
+    part[at.PART_BY + at.OF_LOSS] += unsigned
+    part[at.PART_BY + at.OF_BELT] = by_temperature
+    warmer *= learned[at.LEARNED_ON]
+    more = learned_hysteresis(part, learned) * road.sign
     first = FIRST_OF_ASSEMBLIES + i * COLUMNS_EACH
-    out[first + at.PER_BELT] = temperature
-    out[first + at.PER_SURFACE] = surface(k, i, belt, road.ambient, road.speed)[0]
+    out[first + at.PER_BELT] = temperature + warmer
+    out[first + at.PER_SURFACE] = surface(k, i, belt, road.ambient, road.speed)[0] + warmer
     out[first + at.PER_STD] = std
     out[first + at.PER_LOAD] = load
-    out[first + at.PER_RESISTANCE] = resisting
-    out[first + at.PER_HYSTERESIS] = own
+    out[first + at.PER_RESISTANCE] = resisting + more + learned_elsewhere(part, learned)
+    out[first + at.PER_HYSTERESIS] = own + more
     return reasons
 
 
@@ -127,7 +142,7 @@ def twin_of(k: Constants, i: int, belts: Array, inputs: Inputs) -> int:
 
 
 @inlined
-def advance_assemblies(k: Constants, belts: Array, inputs: Inputs, road: Road, out: Array) -> tuple[Array, int]:
+def advance_assemblies(k: Constants, belts: Array, inputs: Inputs, road: Road, learned: Array, out: Array) -> tuple[Array, int]:
     """Advance all assemblies; the sums of their parts, shape (PARTS,), which lie in the work space, and their reasons."""
     assemblies = belts.shape[0]
     total, parts = k.work[PARTS_OF_ALL:PARTS_OF_EACH], k.work[PARTS_OF_EACH:]
@@ -140,7 +155,7 @@ def advance_assemblies(k: Constants, belts: Array, inputs: Inputs, road: Road, o
         part = parts[i * at.PARTS : (i + 1) * at.PARTS]
         j = int(part[at.PART_TWIN])
         if j == i:
-            reasons |= advance_assembly(k, i, belts[i], inputs.load[i], inputs.belt_measured[i], road, part, out)
+            reasons |= advance_assembly(k, i, belts[i], inputs.load[i], inputs.belt_measured[i], road, learned, part, out)
         else:
             for column in range(at.BELT_COLUMNS):
                 belts[i, 0, column] = belts[j, 0, column]

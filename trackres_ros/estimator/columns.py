@@ -7,11 +7,28 @@ from __future__ import annotations
 
 from enum import IntEnum, IntFlag
 
+from trackres_ros.recording.roles import POSITION
 from trackres_ros.vehicle import Vehicle
 
 # Channels: what can arrive. Loads by axle and assembly and belt temperatures by assembly follow these.
-SPEED, LOAD, TORQUE, AMBIENT, BELT, ACCEL, GRADE, YAW_RATE, HEADING, DISTANCE, PASSENGERS = range(11)
-CHANNELS = ("speed", "load", "torque", "ambient", "belt", "accel", "grade", "yaw_rate", "heading", "distance", "passengers")
+(
+    SPEED,
+    LOAD,
+    TORQUE,
+    AMBIENT,
+    BELT,
+    ACCEL,
+    GRADE,
+    YAW_RATE,
+    HEADING,
+    DISTANCE,
+    PASSENGERS,
+    LATITUDE,
+    LONGITUDE,
+) = range(13)
+CHANNELS = (
+    "speed", "load", "torque", "ambient", "belt", "accel", "grade", "yaw_rate", "heading", "distance", "passengers", *POSITION,
+)  # fmt: skip
 FIRST_AXLE = len(CHANNELS)
 
 # Constants of an assembly; those of one KIND differ in nothing but the axle and load shares. INNER_CONDUCTANCE lies between the
@@ -37,10 +54,14 @@ FIRST_AXLE = len(CHANNELS)
     CONSIDER_FACTOR,
 ) = range(17)
 CONSIDER_LOSS, CONSIDER_COOLING, CONSIDER_CAPACITY, CONSIDER_RADIUS = (CONSIDER_FACTOR + 4 * row for row in range(4))
+# Behind it the inverse of its first three rows and columns: how much of each cause makes a loss, a cooling or a capacity that is
+# larger by its whole, and moves no other of the three.
+CAUSES_OF = CONSIDER_FACTOR + 16
 
 # What an assembly adds to the totals of a step: torques by part, heat and cooling, uncertainty by the ambient temperature and
 # by noise, the arm of a force on the whole vehicle, what resists without its sign, which assembly it is computed as; from
-# PART_CONSIDER on its four causes of uncertainty.
+# PART_BY on what a larger loss, cooling and capacity would add, and a belt warmer by a kelvin; from PART_CONSIDER on its four
+# causes of uncertainty.
 (
     PART_HYSTERESIS,
     PART_BEARING,
@@ -54,8 +75,9 @@ CONSIDER_LOSS, CONSIDER_COOLING, CONSIDER_CAPACITY, CONSIDER_RADIUS = (CONSIDER_
     PART_ARM,
     PART_UNSIGNED,
     PART_TWIN,
-    PART_CONSIDER,
+    PART_BY,
 ) = range(13)
+PART_CONSIDER = PART_BY + 4
 PARTS = PART_CONSIDER + 4
 
 # Columns of an assembly's belt state, [K] but the first: temperature, then what each cause of uncertainty makes of it, as a
@@ -83,6 +105,19 @@ BELT_COLUMNS = 7
     LAST_OTHERS,
 ) = range(13)
 MOTION_COLUMNS = 13
+# What can be learned of a vehicle while it drives, as departures from its file: of the loss, the cooling and the heat capacity of
+# its belts, the friction of its bearings, its drag, and its mass where it accelerates, each over its value there; and of the
+# temperature of its belts [K].
+OF_LOSS, OF_COOLING, OF_CAPACITY, OF_BELT, OF_BEARING, OF_DRAG, OF_MASS = range(7)
+LEARNABLE = 7
+# The memory of what was learned: whether it acts (1) or not (0), the departures, a torque against travel that goes on [Nm], the
+# standard deviation of what wanders [Nm], the lower factor of the departures' covariance row by row, and of the last step how
+# much driving torque each departure adds, by its whole or per kelvin [Nm].
+LEARNED_ON, DEPARTURES = 0, 1
+LEARNED_TORQUE, LEARNED_SLOW = DEPARTURES + LEARNABLE, DEPARTURES + LEARNABLE + 1
+LEARNED_FACTOR = LEARNED_SLOW + 1
+SENSITIVITIES = LEARNED_FACTOR + LEARNABLE * LEARNABLE
+LEARNED_COLUMNS = SENSITIVITIES + LEARNABLE
 START_ANEW = -1.0  # in STARTED: time went back, the next speed starts cold and says so
 
 # What the guards remember of a channel.
@@ -131,6 +166,7 @@ class Reason(IntFlag):
     SURROUNDINGS = 1 << 15
     OUTSIDE_LEARNED = 1 << 16
     OFF_ROUTE = 1 << 17
+    PLACE_UNKNOWN = 1 << 18
 
 
 REASON_TEXT = {
@@ -150,8 +186,9 @@ REASON_TEXT = {
     Reason.SPEED_QUANTISED: "the speed comes in coarse steps: its acceleration is known only roughly",
     Reason.EFFECT_LEFT_OUT: "an effect is left out: an input of it is missing, or what it gives is no number or implausible",
     Reason.SURROUNDINGS: "site, weather and ground are those of the surroundings file, not measured",
-    Reason.OFF_ROUTE: "no position on the route of the surroundings, and no recorded slope: the ground counts as level",
     Reason.OUTSIDE_LEARNED: "outside of the range in which it was learned, a learned term keeps the value at its end",
+    Reason.OFF_ROUTE: "the surroundings do not say what slope or torque is here: the ground counts as level and firm",
+    Reason.PLACE_UNKNOWN: "where on the route it is, is not known: no position, an old one, or no course of it yet",
 }
 # Remarks that go with a fully usable estimate; any other reason makes it a warning.
 HARMLESS = Reason.LOAD_HELD | Reason.FEEDFORWARD_RATE_LIMITED | Reason.GAP_BRIDGED | Reason.SPEED_QUANTISED

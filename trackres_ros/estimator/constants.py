@@ -8,6 +8,7 @@ numbers.
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, get_type_hints
@@ -24,6 +25,7 @@ from trackres_ros.model.coverage import check_heat, coverage
 from trackres_ros.model.loss_table import loss_table
 from trackres_ros.model.thermal import ThermalNetwork, thermal_network
 from trackres_ros.model.vehicle_constants import vehicle_constants
+from trackres_ros.route.learned import SLOPE, TORQUE, followed_in, frame_of, of_kind
 from trackres_ros.units import GRAVITY
 from trackres_ros.vehicle import Vehicle
 from trackres_ros.vehicle.reading import FITTED
@@ -42,6 +44,8 @@ PLAUSIBLE = {
     "heading": (-1e3, 1e3),
     "distance": (-1e9, 1e9),
     "passengers": (0.0, 1e3),
+    "latitude": (-0.5 * math.pi, 0.5 * math.pi),
+    "longitude": (-2.0 * math.pi, 2.0 * math.pi),
 }
 LEAST_LOAD_SHARE = 0.1  # of nominal weight: less is not a driving vehicle
 LARGEST_LOAD_SHARE = 2.5
@@ -61,7 +65,10 @@ class Numbers(NamedTuple):
     fastest_x: float  # log10(a_T v): the rubber data end here
     with_uncertainty: bool  # whether standard deviations and heat are computed besides temperatures and torques
     surroundings: bool  # whether effects of the surroundings are among the effects
-    route: bool  # whether slopes of a route are among the surroundings
+    slopes_by_place: bool  # whether slopes, or torques, by place are among the surroundings
+    torques_by_place: bool
+    route_latitude: float  # rad, of the middle of their places
+    route_longitude: float
     two_nodes: bool
     belt_shows_surface: bool
     bearing_friction: float
@@ -88,6 +95,7 @@ class Numbers(NamedTuple):
     ambient_hold_ns: int
     motion_hold_ns: int
     torque_hold_ns: int
+    position_hold_ns: int
     stuck_ns: int
     speed_variance: float
     acceleration_variance: float
@@ -114,6 +122,8 @@ class Constants(NamedTuple):
     channel_limits: Array  # (channels, 2)
     effects: IntArray  # (rows, effects.stepping.ROW)
     effect_values: Array  # (rows, most parameters of one)
+    route_cells: IntArray  # see route.lookup
+    route_places: Array
     work: Array  # what effects look at and do in a step, see effects.stepping; the only part that changes
 
 
@@ -150,6 +160,7 @@ def make_constants(vehicle: Vehicle, settings: Settings, cache: Path | None = No
     axle_names = [axle.name for axle in vehicle.axles]
     chassis, loads = vehicle.chassis, vehicle.nominal_loads()
     acting = effect_table(vehicle.effects, vehicle.surroundings, machine=machine)
+    frame = frame_of(vehicle.route)
     resistance = parting_resistance(vehicle.active, vehicle_constants(vehicle))
     two_nodes = vehicle.thermal == "core_surface" or resistance > 0.0
     constants = np.empty((len(vehicle.assemblies), at.CONSIDER_FACTOR))
@@ -167,6 +178,7 @@ def make_constants(vehicle: Vehicle, settings: Settings, cache: Path | None = No
         row[at.SHARE_OF_AXLE] = load / loads[list(vehicle.assemblies_of(assembly.axle))].sum()
         row[at.SHARE_OF_ALL] = load / loads.sum()
     factors = np.array([spreads[a.track].factor.ravel() for a in vehicle.assemblies])
+    causes = np.array([np.linalg.inv(spreads[a.track].factor[:3, :3]).ravel() for a in vehicle.assemblies])
     gain = (
         np.nan
         if chassis.motor_ratio is None or chassis.motor_efficiency is None
@@ -192,8 +204,11 @@ def make_constants(vehicle: Vehicle, settings: Settings, cache: Path | None = No
         hottest=min(each.hottest for each in covered),
         fastest_x=min(each.log_reduced_speed for each in covered),
         with_uncertainty=True,
-        surroundings=bool(vehicle.surroundings) or vehicle.route is not None,
-        route=vehicle.route is not None,
+        surroundings=bool(vehicle.surroundings or vehicle.route),
+        slopes_by_place=of_kind(vehicle.route, SLOPE) is not None,
+        torques_by_place=of_kind(vehicle.route, TORQUE) is not None,
+        route_latitude=frame.latitude,
+        route_longitude=frame.longitude,
         two_nodes=two_nodes,
         belt_shows_surface=settings.belt_sensor == "surface",
         bearing_friction=chassis.bearing_friction,
@@ -220,6 +235,7 @@ def make_constants(vehicle: Vehicle, settings: Settings, cache: Path | None = No
         ambient_hold_ns=ns(settings.ambient_hold_s),
         motion_hold_ns=ns(settings.motion_hold_s),
         torque_hold_ns=ns(settings.torque_hold_s),
+        position_hold_ns=ns(settings.position_hold_s),
         stuck_ns=ns(settings.stuck_s),
         speed_variance=settings.speed_std_mps**2,
         acceleration_variance=settings.acceleration_std**2,
@@ -233,12 +249,13 @@ def make_constants(vehicle: Vehicle, settings: Settings, cache: Path | None = No
     )
     return Constants(
         number,
-        np.concatenate([constants, factors], axis=1),
+        np.concatenate([constants, factors, causes], axis=1),
         np.stack([t.loss for t in tables]),
         np.stack([t.drive for t in tables]),
         _channel_limits(vehicle),
         acting.rows,
         acting.values,
+        *followed_in(vehicle.route, frame),
         work_space(vehicle_constants(vehicle), len(vehicle.assemblies)),
     )
 

@@ -17,6 +17,7 @@ from trackres_ros.effects.stepping import neutral, rest_effects
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.belt_heat import SLOWEST_LOG_SPEED
 from trackres_ros.estimator.belt_step import roll
+from trackres_ros.estimator.by_place import follow_along, position_came
 from trackres_ros.estimator.constants import Constants
 from trackres_ros.estimator.guards import ACCEPTED_AFTER_RESET, GAP, Memory, admit, forget_others, gather
 from trackres_ros.estimator.kernel import advance, predict, start
@@ -63,9 +64,11 @@ def feed(
     if outcome == ACCEPTED_AFTER_RESET:
         forget_others(memory, channel)
         motion[at.STARTED] = at.START_ANEW
+    if outcome >= 0 and (channel == at.LATITUDE or channel == at.LONGITUDE):
+        position_came(k, memory.times, memory.values, memory.followed)
     if outcome < 0 or channel != at.SPEED:
         return False
-    inputs = gather(k, memory, outcome, motion, loads, belt_measured)
+    inputs = gather(k, memory, outcome, elapsed, motion, loads, belt_measured)
     if motion[at.STARTED] <= 0.0:
         start(k, carried, inputs.ambient, inputs.ambient_std)
     dt = elapsed * NANOSECOND
@@ -111,7 +114,8 @@ def advance_along(
             loads[j] = series.weights[i] * k.assembly[j, at.SHARE_OF_ALL]
         inputs = Inputs(
             series.speeds[i], loads, series.ambients[i], ambient_std, no_belts, series.accelerations[i], series.grades[i],
-            series.yaw_rates[i], series.headings[i], series.distances[i], math.nan, 0,
+            series.yaw_rates[i], series.headings[i], series.distances[i], math.nan, series.slopes_by_place[i],
+            series.torques_by_place[i], series.torque_stds_by_place[i], 0,
         )  # fmt: skip
         advance(k, carried, inputs, series.times[i] - series.times[i - 1] if i > 0 else 0.0, out[i])
 
@@ -123,8 +127,8 @@ def predict_along(k: Constants, carried: Carried, count: Array, series: Series, 
         turning = series.yaw_rates[i], series.headings[i], series.distances[i]
         dt = series.times[i] - series.times[i - 1] if i > 0 else 0.0
         predict(
-            k, carried, count, series.speeds[i], series.accelerations[i], series.grades[i], series.weights[i], series.ambients[i],
-            turning, dt, out[i],
+            k, carried, count, series.speeds[i], series.accelerations[i], series.grades[i], series.torques_by_place[i],
+            series.weights[i], series.ambients[i], turning, dt, out[i],
         )  # fmt: skip
 
 
@@ -154,9 +158,10 @@ class Entries:
     step_once: Callable[..., Any]
     rest_vehicle: Callable[..., Any]
     start_belts: Callable[..., Any]
+    follow_series: Callable[..., Any]
 
 
-_KERNELS: tuple[Callable[..., Any], ...] = (feed, feed_all, advance_along, predict_along, advance, rest, start)
+_KERNELS: tuple[Callable[..., Any], ...] = (feed, feed_all, advance_along, predict_along, advance, rest, start, follow_along)
 _ENTRIES = tuple(map(entry, _KERNELS))
 COMPILED = Entries(HAVE_NUMBA, *_ENTRIES)
 

@@ -20,10 +20,13 @@ from trackres_ros.estimator.constants import Constants, kernel_arguments, make_c
 from trackres_ros.estimator.entry_points import COMPILED, Entries
 from trackres_ros.estimator.estimate import Estimate, Steps
 from trackres_ros.estimator.guards import Memory, new_memory
-from trackres_ros.estimator.records import Carried, Inputs, Series
+from trackres_ros.estimator.records import Carried, GroundSeries, Inputs, Series
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.estimator.state import State
+from trackres_ros.route.follower import NOTHING_YET
 from trackres_ros.vehicle import Vehicle
+
+UNKNOWN_GROUND = math.nan, math.nan, math.nan
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -209,6 +212,7 @@ class Estimator:
         yaw_rate: ArrayLike = math.nan,
         heading: ArrayLike = math.nan,
         distance: ArrayLike = math.nan,
+        ground: GroundSeries | None = None,
     ) -> tuple[State, Array]:
         """`step` along a whole series: the same numbers, without a call for each.
 
@@ -221,6 +225,8 @@ class Estimator:
         weight, ambient, acceleration, grade, yaw_rate, heading, distance
             Whole weight [N], ambient temperature [degC], and as in `inputs`; each a number or shape (times,), all but the first
             two nan where unknown.
+        ground
+            What the surroundings say of the ground, see `along_route`; nothing without.
 
         Returns
         -------
@@ -228,7 +234,7 @@ class Estimator:
             State at the last time; results, shape (times, columns).
         """
         times = np.ascontiguousarray(time_s, dtype=float)
-        given = (speed, weight, ambient, acceleration, grade, yaw_rate, heading, distance)
+        given = (speed, weight, ambient, acceleration, grade, yaw_rate, heading, distance, *(ground or UNKNOWN_GROUND))
         series = Series(times, *(np.array(np.broadcast_to(np.asarray(a, dtype=float), times.shape), order="C") for a in given))
         after, rows = _copy(state), np.empty((len(times), len(self.columns)))
         self.entries.run_series(
@@ -241,6 +247,26 @@ class Estimator:
             rows,
         )
         return after, rows
+
+    def along_route(self, time_s: Array, speed: Array, latitude: Array, longitude: Array) -> GroundSeries:
+        """What the surroundings say of the ground along a drive, as live: by the positions until then.
+
+        Parameters
+        ----------
+        time_s, speed
+            Rising times [s] and speeds [m/s], shape (times,).
+        latitude, longitude
+            Positions [rad], nan where there is none; shape (times,).
+
+        Returns
+        -------
+        GroundSeries
+            Series for `run`; nan beside the route, and where the vehicle has none.
+        """
+        given = (np.ascontiguousarray(a, dtype=float) for a in (time_s, speed, latitude, longitude))
+        found = np.empty((len(time_s), len(GroundSeries._fields)))
+        self.entries.follow_series(*self.own_arguments(), np.array(NOTHING_YET), *given, found)
+        return GroundSeries(*found.T)
 
     def rest(self, state: State, ambient: float, seconds: float) -> State:
         """The state after standing, or being switched off, for a while at an ambient temperature [degC].
@@ -286,7 +312,7 @@ def _copy(state: State) -> State:
 
 def _arrays(state: State) -> Carried:
     """As the kernel takes them."""
-    return Carried(state.belts, state.motion, state.effects)
+    return Carried(state.belts, state.motion, state.effects, state.learned)
 
 
 class Session:
@@ -299,6 +325,7 @@ class Session:
         self.belts = np.zeros((assemblies, 2, at.BELT_COLUMNS))
         self.motion = np.zeros(at.MOTION_COLUMNS)
         self.effects = new_effects_memory(len(estimator.vehicle.active))
+        self.learned = np.zeros(at.LEARNED_COLUMNS)
         self._loads = np.zeros(assemblies)
         self._arguments = (
             *estimator.own_arguments(),
@@ -306,6 +333,7 @@ class Session:
             self.belts,
             self.motion,
             self.effects,
+            self.learned,
             self._loads,
             np.zeros(assemblies),
         )
@@ -319,25 +347,27 @@ class Session:
     @property
     def state(self) -> State:
         """A copy of the state now."""
-        return State(self.belts.copy(), self.motion.copy(), self.effects.copy())
+        return State(self.belts.copy(), self.motion.copy(), self.effects.copy(), self.learned.copy())
 
     def begin(self, state: State) -> None:
         """Begin from a known state instead of a cold start."""
         self.belts[:], self.motion[:] = state.belts, state.motion
         if len(state.effects) == len(self.effects):
             self.effects[:] = state.effects
+        self.learned[:] = state.learned
         self.motion[at.STARTED] = 0.5
 
     def adopt(self, other: Session) -> None:
         """Go on where another session of the same vehicle is: all it remembers, under this one's settings."""
         self.belts[:], self.motion[:], self._loads[:] = other.belts, other.motion, other._loads
-        self.effects[:] = other.effects
+        self.effects[:], self.learned[:] = other.effects, other.learned
         for mine, its in zip(self.memory, other.memory, strict=True):
             mine[:] = its
 
     def start_anew(self, time_went_back: bool) -> None:
         """Forget belts and messages, as at a cold start; counters stay. The next estimate says so if time went back."""
         self.memory.times[:], self.memory.values[:] = 0, math.nan
+        self.memory.followed[:] = NOTHING_YET
         self.effects[:] = cooled_effects(self.effects)
         self.motion[at.STARTED] = at.START_ANEW if time_went_back else 0.0
 

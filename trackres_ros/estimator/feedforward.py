@@ -41,14 +41,16 @@ def followed(value: float, target: float, rate: float, age: float) -> float:
 
 
 @inlined
-def feedforward(k: Constants, motion: Array, total: Array, of_effects: float, given_accel: bool, dt: float) -> tuple[float, int]:
+def feedforward(
+    k: Constants, motion: Array, total: Array, of_effects: float, given_grade: bool, given_accel: bool, dt: float
+) -> tuple[float, int]:
     """Chosen parts [Nm], limited in size and rate, and the reasons that gives; keeps what it is on its way to in `motion`.
 
     It begins where the outputs are by now, which have followed their last target, and faded if the speed has paused. From there
     it moves by as much as one output may. A vehicle that stands is fed nothing of what rolling takes.
     """
     number, reasons = k.number, 0
-    wanted = number.feed_grade * total[at.PART_GRADE]
+    wanted = number.feed_grade * total[at.PART_GRADE] if given_grade else 0.0  # a slope by place is of the surroundings
     if motion[at.ROLLS] > 0.0:
         wanted += (
             number.feed_hysteresis * total[at.PART_HYSTERESIS]

@@ -16,9 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.by_place import ground_now, is_missing
 from trackres_ros.estimator.constants import Constants
 from trackres_ros.estimator.records import Inputs
 from trackres_ros.jit.compiled import compiled, inlined
+from trackres_ros.route.follower import NOTHING_YET, forget
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -30,6 +32,7 @@ LOAD_HELD, LOAD_NOMINAL = int(at.Reason.LOAD_HELD), int(at.Reason.LOAD_NOMINAL)
 SPEED_QUANTISED = int(at.Reason.SPEED_QUANTISED)
 AMBIENT_NOMINAL, SPEED_STUCK = int(at.Reason.AMBIENT_NOMINAL), int(at.Reason.SPEED_STUCK)
 CLOCK_JUMPED, TIME_RESET = int(at.Reason.CLOCK_JUMPED), int(at.Reason.TIME_RESET)
+PLACE_UNKNOWN = int(at.Reason.PLACE_UNKNOWN)
 
 FRESH_LOAD_NS = 2_000_000_000  # a load older than this is reported as held, as long as it holds
 STANDING = 1e-3  # m/s: slower is no movement that could be stuck
@@ -47,6 +50,7 @@ class Memory(NamedTuple):
     values: Array  # (channels,) last accepted value
     counters: IntArray  # (channels, counters)
     reasons: IntArray  # (reasons,) steps at which each held
+    followed: Array  # (FOLLOWED,) where on a route it is, see `route.follower`
 
 
 def new_memory(channels: int) -> Memory:
@@ -56,6 +60,7 @@ def new_memory(channels: int) -> Memory:
         np.full(channels, np.nan),
         np.zeros((channels, len(at.Count)), dtype=np.int64),
         np.zeros(len(at.REASON_TEXT), dtype=np.int64),
+        np.array(NOTHING_YET),
     )
 
 
@@ -121,6 +126,7 @@ def forget_others(memory: Memory, kept: int) -> None:
         if channel != kept:
             memory.times[channel, :] = 0
             memory.values[channel] = math.nan
+    forget(memory.followed)
 
 
 @inlined
@@ -164,7 +170,7 @@ def gather_loads(k: Constants, memory: Memory, now: int, loads: Array) -> int:
 
 
 @inlined
-def gather(k: Constants, memory: Memory, outcome: int, motion: Array, loads: Array, belt_measured: Array) -> Inputs:
+def gather(k: Constants, memory: Memory, outcome: int, elapsed: int, motion: Array, loads: Array, belt_measured: Array) -> Inputs:
     """The inputs of the step that an accepted speed makes; fills `loads` and `belt_measured`, one entry an assembly.
 
     `motion` tells whether time was reset, by whichever channel, and the smallest step seen in the speed.
@@ -195,6 +201,10 @@ def gather(k: Constants, memory: Memory, outcome: int, motion: Array, loads: Arr
     memory.times[at.BELT, at.FRESH] = 0
     for i in range(loads.shape[0]):
         memory.times[first_belt + i, at.FRESH] = 0
+    grade = held(memory, at.GRADE, now, k.number.motion_hold_ns)
+    slope, torque, torque_std, known = ground_now(k, memory.times, memory.followed, speed, elapsed)
+    if not known and is_missing(k, grade, slope, torque):
+        reasons |= PLACE_UNKNOWN
     return Inputs(
         speed,
         loads,
@@ -202,10 +212,13 @@ def gather(k: Constants, memory: Memory, outcome: int, motion: Array, loads: Arr
         ambient_std,
         belt_measured,
         held(memory, at.ACCEL, now, k.number.motion_hold_ns),
-        held(memory, at.GRADE, now, k.number.motion_hold_ns),
+        grade,
         held(memory, at.YAW_RATE, now, k.number.motion_hold_ns),
         held(memory, at.HEADING, now, k.number.motion_hold_ns),
         math.nan,  # an odometer begins anywhere; the distance is counted from the speed, as in a fit
         held(memory, at.TORQUE, now, k.number.torque_hold_ns),
+        slope,
+        torque,
+        torque_std,
         reasons,
     )

@@ -16,6 +16,7 @@ from trackres_ros.effects.stepping import (
     ALL_WELL,
     EXTRAPOLATED,
     FIRST_OWN,
+    TERM_DRIVE_GAIN,
     TERM_FED,
     TERM_GAIN_VARIANCE,
     TERM_LOSS_VARIANCE,
@@ -27,11 +28,13 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.assembly_step import COLUMNS_EACH, FIRST_OF_ASSEMBLIES, advance_assemblies
 from trackres_ros.estimator.belt_heat import loss_force, surface
 from trackres_ros.estimator.belt_step import roll
+from trackres_ros.estimator.by_place import is_missing
 from trackres_ros.estimator.constants import Constants
 from trackres_ros.estimator.feedforward import feedforward
+from trackres_ros.estimator.learned_step import learn_from, learned_variance
 from trackres_ros.estimator.motion_step import advance_motion, rolls, start_motion
 from trackres_ros.estimator.records import Carried, Inputs
-from trackres_ros.estimator.road import driving_torque, road_now
+from trackres_ros.estimator.road import driving_torque, road_now, torque_of_place
 from trackres_ros.jit.compiled import inlined
 from trackres_ros.model.resistance import direction
 
@@ -50,7 +53,7 @@ PREDICTED = 4
 @inlined
 def start(k: Constants, carried: Carried, ambient: float, ambient_std: float) -> None:
     """A cold start: every belt at the ambient temperature, and uncertain."""
-    belts, motion, effects = carried
+    belts, motion, effects, _ = carried
     for i in range(belts.shape[0]):
         for node in range(2):
             for column in range(at.BELT_COLUMNS):
@@ -102,7 +105,7 @@ def advance(k: Constants, carried: Carried, inputs: Inputs, dt: float, out: Arra
         Row of results, shape (columns,), see `columns`.
     """
     number, work = k.number, k.work
-    belts, motion, effects = carried
+    belts, motion, effects, learned = carried
     reasons = inputs.reasons
     speed = inputs.speed
     started = motion[at.STARTED] > 0.0
@@ -126,8 +129,11 @@ def advance(k: Constants, carried: Carried, inputs: Inputs, dt: float, out: Arra
         arm += inputs.load[i] * k.assembly[i, at.RADIUS]
     arm /= weight
     air = inputs.ambient, inputs.ambient_std
-    road = road_now(k, last_speed, speed, accel, inputs.grade, weight, motion[at.LAST_DRIVE], *air, dt)
-    others = arm * (road.bearing + road.wind + road.uphill + road.inertia)
+    given_grade = not math.isnan(inputs.grade)
+    grade = inputs.grade if given_grade else inputs.slope_by_place
+    road = road_now(k, last_speed, speed, accel, grade, weight, motion[at.LAST_DRIVE], *air, dt)
+    of_place = torque_of_place(inputs.torque_by_place, speed)
+    others = of_place + arm * (road.bearing + road.wind + road.uphill + road.inertia)
     turning = inputs.yaw_rate, inputs.heading, inputs.distance
     outcome = act(k, motion, effects, speed, accel, weight, inputs.ambient, turning, others, dt)
     if outcome == EXTRAPOLATED:
@@ -136,29 +142,37 @@ def advance(k: Constants, carried: Carried, inputs: Inputs, dt: float, out: Arra
         reasons |= EFFECT_LEFT_OUT
     if number.surroundings:
         reasons |= SURROUNDINGS
-    if number.route and math.isnan(inputs.grade):
+    if is_missing(k, inputs.grade, inputs.slope_by_place, inputs.torque_by_place):
         reasons |= OFF_ROUTE
-    total, of_assemblies = advance_assemblies(k, belts, inputs, road, out)
+    total, of_assemblies = advance_assemblies(k, belts, inputs, road, learned, out)
+    lasting = learn_from(total, learned, road.sign, work[TERM_DRIVE_GAIN])
     resisting = total[at.PART_HYSTERESIS] + total[at.PART_BEARING] + total[at.PART_WIND]
-    driving, of_effects = driving_torque(work, resisting, total[at.PART_GRADE], total[at.PART_INERTIA])
+    driving, of_effects = driving_torque(work, resisting + lasting, of_place, total[at.PART_GRADE], total[at.PART_INERTIA])
+    of_effects += lasting
     resistance = resisting + of_effects
     for i in range(belts.shape[0]):  # effects are of the whole vehicle, and shared as the load is
         out[FIRST_OF_ASSEMBLIES + i * COLUMNS_EACH + at.PER_RESISTANCE] += of_effects * (inputs.load[i] / weight)
     # What resists motion is fed forward, so of effects nothing where nothing moves: friction holds a standing vehicle by itself,
     # and any other torque of an effect at rest would push it.
-    fed_effects = work[TERM_FED] * abs(direction(speed))
-    wanted, of_feedforward = feedforward(k, motion, total, fed_effects, given_accel, dt)
+    fed_effects = (work[TERM_FED] + lasting) * abs(direction(speed))
+    wanted, of_feedforward = feedforward(k, motion, total, fed_effects, given_grade, given_accel, dt)
     variance = (
-        total[at.PART_NOISE]
-        + total[at.PART_CONSIDER_AMBIENT] ** 2
-        + (total[at.PART_ARM] * road.rolling_bearing * number.bearing_relative_std) ** 2
-        + (total[at.PART_WIND] * number.drag_relative_std) ** 2
+        total[at.PART_CONSIDER_AMBIENT] ** 2
         + work[TERM_VARIANCE]
         + work[TERM_LOSS_VARIANCE] * total[at.PART_HYSTERESIS] ** 2
         + work[TERM_GAIN_VARIANCE] * driving**2
+        + torque_of_place(inputs.torque_by_place_std, speed) ** 2
     )
-    for cause in range(4):
-        variance += total[at.PART_CONSIDER + cause] ** 2
+    if learned[at.LEARNED_ON] > 0.0:
+        variance += learned_variance(learned)
+    else:
+        variance += (
+            total[at.PART_NOISE]
+            + (total[at.PART_ARM] * road.rolling_bearing * number.bearing_relative_std) ** 2
+            + (total[at.PART_WIND] * number.drag_relative_std) ** 2
+        )
+        for cause in range(4):
+            variance += total[at.PART_CONSIDER + cause] ** 2
     motion[at.FEEDFORWARD] = wanted
     motion[at.LAST_SPEED] = speed
     motion[at.LAST_DRIVE] = driving
@@ -188,8 +202,8 @@ def advance(k: Constants, carried: Carried, inputs: Inputs, dt: float, out: Arra
 
 @inlined
 def predict(
-    k: Constants, carried: Carried, count: Array, speed: float, accel: float, grade: float, weight: float, ambient: float,
-    turning: tuple[float, float, float], dt: float, out: Array,
+    k: Constants, carried: Carried, count: Array, speed: float, accel: float, grade: float, torque_by_place: float, weight: float,
+    ambient: float, turning: tuple[float, float, float], dt: float, out: Array,
 ) -> None:  # fmt: skip
     """The step of `advance` without uncertainty, feed-forward and shares: what a fit needs, thousands of times.
 
@@ -202,13 +216,14 @@ def predict(
     out
         `PREDICTED`: driving torque [Nm], mean of the belts' temperatures and of their skins [degC], how the effects went.
     """  # fmt: skip
-    belts, motion, effects = carried
+    belts, motion, effects, _ = carried
     arm = 0.0
     for i in range(belts.shape[0]):
         arm += count[i] * k.assembly[i, at.SHARE_OF_ALL] * k.assembly[i, at.RADIUS]
     last_speed = motion[at.LAST_SPEED] if motion[at.STARTED] > 0.0 else speed
     road = road_now(k, last_speed, speed, accel, grade, weight, motion[at.LAST_DRIVE], ambient, 0.0, dt)
-    others = arm * (road.bearing + road.wind + road.uphill + road.inertia)
+    of_place = torque_of_place(torque_by_place, speed)
+    others = of_place + arm * (road.bearing + road.wind + road.uphill + road.inertia)
     outcome = act(k, motion, effects, speed, accel, weight, ambient, turning, others, dt)
     hysteresis = mean = skin = belts_in_all = 0.0
     for i in range(belts.shape[0]):
@@ -221,7 +236,8 @@ def predict(
         mean += count[i] * belt[0, at.TEMPERATURE]
         skin += count[i] * surface(k, i, belt, ambient, speed)[0]
         belts_in_all += count[i]
-    driving, _ = driving_torque(k.work, hysteresis + arm * (road.bearing + road.wind), arm * road.uphill, arm * road.inertia)
+    resisting = hysteresis + arm * (road.bearing + road.wind)
+    driving, _ = driving_torque(k.work, resisting, of_place, arm * road.uphill, arm * road.inertia)
     motion[at.STARTED], motion[at.LAST_SPEED], motion[at.LAST_DRIVE], motion[at.LAST_OTHERS] = 1.0, speed, driving, others
     out[PREDICTED_DRIVE], out[PREDICTED_BELT], out[PREDICTED_SKIN] = driving, mean / belts_in_all, skin / belts_in_all
     out[PREDICTED_OUTCOME] = outcome

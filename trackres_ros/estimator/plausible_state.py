@@ -17,10 +17,12 @@ from numpy.typing import ArrayLike, NDArray
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.guards import Memory
+from trackres_ros.route.follower import NOTHING_YET
 
 Array = NDArray[np.float64]
 
 BELT_DEGC = (-100.0, 400.0)  # wider than any rubber lives through
+MOST_DEPARTURE = 10.0  # of a value over that of the file
 LARGEST_DEPARTURE = 1000.0  # K, of a standard deviation of any cause
 SPEED_REACH = 3.0  # of the greatest speed: the filter may overshoot, and effects scale the speed
 LARGEST_ACCEL = 1e4  # m/s^2, by a filter on stamps that differ by a few microseconds
@@ -31,6 +33,7 @@ TORQUE_REACH = 1e4  # of weight times sprocket radius: inertia by the accelerati
 STARTED = (at.START_ANEW, 0.0, 0.5, 1.0)
 FARTHEST_NS = 1 << 62
 MOST_SUSPECTS = 1000
+FARTHEST_FOLLOWED = 1e9  # metres, Nm, and seconds
 LARGEST_EFFECT = 1e12  # distance [m], time constant [s], or the state of an effect in any unit
 
 
@@ -65,6 +68,21 @@ def check_effects(memory: Array) -> None:
     _within("memory of effects", memory[~np.isnan(memory)], -LARGEST_EFFECT, LARGEST_EFFECT)
 
 
+def check_learned(estimator: Estimator, learned: Array) -> None:
+    """Raise ValueError for what nothing that is learned can be."""
+    k = estimator.constants.assembly
+    torque = TORQUE_REACH * float(k[:, at.NOMINAL_LOAD] @ k[:, at.RADIUS])
+    departures = learned[at.DEPARTURES : at.LEARNED_TORQUE]
+    _within("mark of what acts", learned[at.LEARNED_ON], 0.0, 1.0)
+    _within("departures", np.delete(departures, at.OF_BELT), -1.0, MOST_DEPARTURE)
+    _within("departure of the belts", departures[at.OF_BELT], -LARGEST_DEPARTURE, LARGEST_DEPARTURE)
+    _within("torques that were learned", learned[at.LEARNED_TORQUE : at.LEARNED_FACTOR], -torque, torque)
+    _within(
+        "covariance of what was learned", learned[at.LEARNED_FACTOR : at.SENSITIVITIES], -LARGEST_DEPARTURE, LARGEST_DEPARTURE
+    )
+    _within("sensitivities", learned[at.SENSITIVITIES :], -torque, torque)
+
+
 def check_memory(memory: Memory, limits: Array) -> None:
     """Raise ValueError for a memory of the guards that no stream of messages leaves."""
     known = ~np.isnan(memory.values)
@@ -75,6 +93,10 @@ def check_memory(memory: Memory, limits: Array) -> None:
     _within("suspects", memory.times[:, at.SUSPECTS], 0, MOST_SUSPECTS)
     if (known != (memory.times[:, at.SEEN] == 1)).any():
         raise ValueError("channels with a time and no value, or the other way round")
+    followed = ~np.isnan(memory.followed)
+    _within("place on a route", memory.followed[followed], -FARTHEST_FOLLOWED, FARTHEST_FOLLOWED)
+    if not followed[~np.isnan(NOTHING_YET)].all():
+        raise ValueError("a way on a route that is no number")
     _within("counters", memory.counters, 0, FARTHEST_NS)
     _within("counts of reasons", memory.reasons, 0, FARTHEST_NS)
 

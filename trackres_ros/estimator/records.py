@@ -28,6 +28,9 @@ class Inputs(NamedTuple):
     heading: float = math.nan  # rad
     distance: float = math.nan  # m, driven; without one it is counted from the speed
     measured_torque: float = math.nan  # Nm at the sprockets, whole vehicle
+    slope_by_place: float = math.nan  # as `grade`, where none is given: what surroundings say of the place
+    torque_by_place: float = math.nan  # Nm against travel, whole vehicle, what they say besides
+    torque_by_place_std: float = math.nan  # Nm
     reasons: int = 0  # columns.Reason found before the step
 
 
@@ -37,6 +40,7 @@ class Carried(NamedTuple):
     belts: Array  # (assemblies, 2, BELT_COLUMNS); in a fit one of each kind
     motion: Array  # (MOTION_COLUMNS,)
     effects: Array  # see `stepping.new_memory`
+    learned: Array  # (LEARNED_COLUMNS,), see columns; zeros where nothing was
 
 
 class Series(NamedTuple):
@@ -51,3 +55,14 @@ class Series(NamedTuple):
     yaw_rates: Array  # rad/s
     headings: Array  # rad
     distances: Array  # m
+    slopes_by_place: Array  # as grades, where these are not known
+    torques_by_place: Array  # Nm against travel
+    torque_stds_by_place: Array  # Nm
+
+
+class GroundSeries(NamedTuple):
+    """What surroundings say of the ground along a drive, shape (times,); nan where they say nothing."""
+
+    slopes: Array  # rise over run the way the vehicle points
+    torques: Array  # Nm against travel
+    torque_stds: Array  # Nm

@@ -75,8 +75,14 @@ def road_now(
 
 
 @inlined
-def driving_torque(work: Array, resisting: float, uphill: float, inertia: float) -> tuple[float, float]:
-    """Torque at the sprockets [Nm] out of its parts, and what of it is the effects'."""
-    without_gain = resisting + work[TERM_TORQUE] + uphill + inertia
+def torque_of_place(against: float, speed: float) -> float:
+    """Torque by place [Nm] out of what it is against travel; none where it is not known, and none at a standstill."""
+    return 0.0 if math.isnan(against) else against * direction(speed)
+
+
+@inlined
+def driving_torque(work: Array, resisting: float, of_place: float, uphill: float, inertia: float) -> tuple[float, float]:
+    """Torque at the sprockets [Nm] out of its parts, and what of it is the effects' and the place's."""
+    without_gain = resisting + work[TERM_TORQUE] + of_place + uphill + inertia
     driving = without_gain * work[TERM_DRIVE_GAIN]
-    return driving, work[TERM_TORQUE] + driving - without_gain
+    return driving, work[TERM_TORQUE] + of_place + driving - without_gain

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.effects.stepping import TERM_DRIVE_GAIN, TERM_TORQUE, EffectTable, look, step_effects
 from trackres_ros.estimator.records import Series
+from trackres_ros.estimator.road import torque_of_place
 from trackres_ros.jit.compiled import inlined
 from trackres_ros.jit.entries import entry
 from trackres_ros.model.resistance import direction, grade_force, inertia_force, wind_force
@@ -46,7 +47,7 @@ def road_load_along(
     for i in range(series.times.shape[0]):
         speed, weight = series.speeds[i], series.weights[i]
         rolling = (vehicle.rolling_coefficient + vehicle.rolling_rise * abs(speed)) * weight * direction(speed)
-        others = vehicle.radius * (
+        others = torque_of_place(series.torques_by_place[i], speed) + vehicle.radius * (
             rolling
             + wind_force(speed, vehicle.drag_area, vehicle.air_density)
             + inertia_force(series.accelerations[i], weight, vehicle.rotating_mass_factor)

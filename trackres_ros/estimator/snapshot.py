@@ -13,6 +13,7 @@ import glob
 import hashlib
 import json
 import re
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -23,12 +24,12 @@ from numpy.typing import NDArray
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator, Session
-from trackres_ros.estimator.plausible_state import check_effects, check_memory, check_state
+from trackres_ros.estimator.plausible_state import check_effects, check_learned, check_memory, check_state
 from trackres_ros.estimator.state import State
 from trackres_ros.files import own_files
 
 FORMAT = "trackres-state"
-VERSION = 5
+VERSION = 6
 REMEDY = "delete the file to start cold"
 LARGEST = 4 << 20  # bytes; that of a vehicle with four assemblies has 10 thousand
 FARTHEST_SAVED_AT = 1e10  # s: the year 2286, and as far before 1970
@@ -36,8 +37,9 @@ LONGEST_OFF = 7 * 86400.0  # s: by then any belt has the temperature of the air,
 SEAL = re.compile(rb', "sha256": "([0-9a-f]{64})"\}\Z')
 
 # What a state file holds of a session, in the order of `_arrays`.
-FLOATS = ("belts", "motion", "effects", "values")
+FLOATS = ("belts", "motion", "effects", "learned", "values", "followed")
 INTEGERS = ("times", "counters", "reasons")
+BESIDE = "learning"  # what is learned beside a session, in its own terms
 
 
 def key(estimator: Estimator) -> str:
@@ -51,25 +53,27 @@ def key(estimator: Estimator) -> str:
         estimator.columns,
         at.BELT_COLUMNS,
         at.MOTION_COLUMNS,
+        at.LEARNED_COLUMNS,
         values,
         asdict(vehicle.rubber),
         [[(active.effect.name, dict(active.values)) for active in some] for some in (vehicle.effects, vehicle.surroundings)],
+        hashlib.sha256(estimator.constants.route_places.tobytes()).hexdigest(),
     ]
     return hashlib.sha256(json.dumps(parts, sort_keys=True, default=lambda a: a.tolist()).encode()).hexdigest()[:32]
 
 
-def save(session: Session, path: Path, saved_at: float) -> None:
-    """Write a session. `saved_at` is the wall-clock time [s since 1970] from which the time off counts.
+def save(session: Session, path: Path, saved_at: float, beside: Mapping[str, Any] | None = None) -> None:
+    """Write a session, and plain values beside it. From the wall-clock time `saved_at` [s since 1970] on the time off counts.
 
     Raises
     ------
     OSError
         If the file cannot be written; an older one is then left whole.
     """
-    own_files.write(path, content(session, saved_at))
+    own_files.write(path, content(session, saved_at, beside))
 
 
-def content(session: Session, saved_at: float) -> bytes:
+def content(session: Session, saved_at: float, beside: Mapping[str, Any] | None = None) -> bytes:
     """Content of a state file, sealed; see `save`."""
     arrays = _arrays(session)
     return seal(
@@ -82,6 +86,7 @@ def content(session: Session, saved_at: float) -> bytes:
             "started": session.started,
             **{name: [float(value).hex() for value in arrays[name].ravel()] for name in FLOATS},  # bit by bit, nan too
             **{name: arrays[name].ravel().tolist() for name in INTEGERS},
+            **({} if beside is None else {BESIDE: beside}),
         }
     )
 
@@ -90,6 +95,17 @@ def seal(content: dict[str, Any]) -> bytes:
     """The content as JSON that ends in a digest of all before it."""
     body = json.dumps({name: value for name, value in content.items() if name != "sha256"})[:-1].encode()
     return body + f', "sha256": "{hashlib.sha256(body).hexdigest()}"}}'.encode()
+
+
+def read_beside(estimator: Estimator, path: Path) -> Any:
+    """What was saved beside a session; None where nothing was.
+
+    Raises
+    ------
+    InputError
+        As `resume`.
+    """
+    return _read(estimator, path).get(BESIDE)
 
 
 def leftovers(path: Path) -> list[Path]:
@@ -131,14 +147,16 @@ def after_time_off(estimator: Estimator, path: Path, now: float, ambient: float 
         return session, 0.0
     off = max(0.0, now - saved_at)
     ambient = estimator.vehicle.chassis.ambient if ambient is None else ambient
-    session.begin(estimator.rest(State(before.belts, before.motion, before.effects), ambient, min(off, LONGEST_OFF)))
+    session.begin(
+        estimator.rest(State(before.belts, before.motion, before.effects, before.learned), ambient, min(off, LONGEST_OFF))
+    )
     return session, off
 
 
 def _arrays(session: Session) -> dict[str, NDArray[Any]]:
     memory = session.memory
-    arrays = (session.belts, session.motion, session.effects, memory.values, memory.times, memory.counters, memory.reasons)
-    return dict(zip((*FLOATS, *INTEGERS), arrays, strict=True))
+    floats = session.belts, session.motion, session.effects, session.learned, memory.values, memory.followed
+    return dict(zip((*FLOATS, *INTEGERS), (*floats, memory.times, memory.counters, memory.reasons), strict=True))
 
 
 def _take(session: Session, path: Path) -> float:
@@ -159,6 +177,7 @@ def _take(session: Session, path: Path) -> float:
             raise ValueError("started does not fit the motion")
         check_state(session.estimator, session.belts, session.motion)
         check_effects(session.effects)
+        check_learned(session.estimator, session.learned)
         check_memory(session.memory, session.estimator.constants.channel_limits)
     except KeyError as error:
         raise InputError(where, f"no {error.args[0]}", "a whole file written by this program", REMEDY) from error

@@ -29,11 +29,14 @@ class State:
         Filtered speed and what the last step left; see `columns`.
     effects : ndarray, shape (effects, columns)
         Memory of the effects; see `effects.stepping`.
+    learned : ndarray, shape (LEARNED_COLUMNS,)
+        What was learned of the vehicle; see `columns`.
     """
 
     belts: Array
     motion: Array
     effects: Array = field(default_factory=lambda: new_memory(0))
+    learned: Array = field(default_factory=lambda: np.zeros(at.LEARNED_COLUMNS))
 
     def __repr__(self) -> str:
         belts = ", ".join(decimals(float(degc), 1) for degc in self.belts[:, 0, at.TEMPERATURE])

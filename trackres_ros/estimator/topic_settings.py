@@ -21,6 +21,8 @@ AGE_LIMITS = {
     "accel": "motion_hold_s",
     "grade": "motion_hold_s",
     "torque": "torque_hold_s",
+    "latitude": "position_hold_s",
+    "longitude": "position_hold_s",
 }
 """The setting that `max_age_s` of a role means; the smallest counts where several share one."""
 

@@ -25,6 +25,7 @@ from trackres_ros.node.edge import Edge, Level, Peer, Status
 from trackres_ros.node.endpoints import input_topics, live_topics
 from trackres_ros.node.inbox import Arrival
 from trackres_ros.node.intake import Intake
+from trackres_ros.node.live_learning import LiveLearning
 from trackres_ros.node.outlet import Outlet
 from trackres_ros.node.parameters import Parameters
 from trackres_ros.node.remarks import Remark, level_of
@@ -78,7 +79,7 @@ class Application:
         self._warm_up = WarmUp(str(setup.vehicle_file), setup.surroundings_file)
         self.estimator = Estimator(self.vehicle, setup.settings, entries=self._warm_up.first)
         exercise(self.estimator)  # loading what is compiled takes a third of a second, which the first message need not wait
-        self.inputs = input_topics(self.topics)
+        self.inputs = input_topics(self.topics, bool(self.vehicle.route))
         self.outputs = live_topics(self.vehicle, self.topics)
         measured = any("torque" in given.roles for given in self.inputs)
         self.comparison = Comparison(parameters.mismatch(), self.vehicle.disturbance if measured else None)
@@ -94,7 +95,8 @@ class Application:
         self._intake = Intake(self.inputs, self.estimator.channels)
         self._outlet = Outlet(self.outputs, self.estimator, edge)
         self._arrival_offset_ns = time.time_ns() - steady_ns()
-        self.session, self.began_with = self.keeper.load(self.estimator)
+        self.learning = LiveLearning(self.estimator, parameters.text("learning"), measured)
+        self.session, self.began_with = self.keeper.load(self.estimator, self.learning.learner)
         self._state_at = self._rested_at = time.time()
         self._watch = Watch(self.estimator, self.inputs)
         now = steady_ns()
@@ -203,8 +205,9 @@ class Application:
             self._log(Level.OK, news)
         if self._watch.accepted(reasons, now - stamp) and self.active:
             self._publish_status(self._steady_ns())
+        self.learning.take(stamp, values, self.session)  # after the outputs were sent: it acts from the next step on
         if self.on_estimate:
-            self.on_estimate(values, stamp, arrival)
+            self.on_estimate([*values, *self.learning.columns(values, self.session)], stamp, arrival)
 
     def _fault(self, error: Exception) -> None:
         if self._watch.fault(error, self._steady_ns()):
@@ -268,7 +271,7 @@ class Application:
         if steady >= self._next_save_ns:
             self._next_save_ns = steady + self._save_period_ns()
             self._rest_unused_belts()
-            self.keeper.save_soon(self.session, self._state_at)
+            self.keeper.save_soon(self.session, self._state_at, self.learning.learner)
 
     def _every_second(self, steady: int) -> None:
         for part in (self._change_over, self._look, self._log_remarks):
@@ -307,7 +310,7 @@ class Application:
         except Exception as error:  # as above
             self._fault(error)
             now_ns = steady + self._arrival_offset_ns
-        self._outlet.publish_statuses(found, now_ns, diagnostics)
+        self._outlet.publish_statuses(found, now_ns, diagnostics, self.learning.statuses(name, self.vehicle.name))
 
     def remarks(self, steady: int | None = None) -> list[Remark]:
         """All that is to be remarked now, heaviest first."""
@@ -320,6 +323,7 @@ class Application:
                 steady=steady,
             ),
             *self.comparison.remarks(self.diagnose_command()),
+            *self.learning.remarks(),
             *self._outlet.remarks(),
             *self.keeper.remarks(),
             *self._warm_up.remarks(self.estimator.entries),
@@ -335,7 +339,9 @@ class Application:
         """All there is to see now, for statuses and the terminal."""
         steady = self._steady_ns() if steady is None else steady
         remarks = self.remarks(steady)
-        return overview(level_of(remarks), remarks, self._outlet, self._watch, self.comparison, self.keeper, steady)
+        return overview(
+            level_of(remarks), remarks, self._outlet, self._watch, self.comparison, self.keeper, self.learning, steady
+        )
 
     # What an edge or a signal requests
 
@@ -350,6 +356,7 @@ class Application:
         parameters = self.checked_change(given)
         settings = settings_for(parameters.settings(), self.topics)
         self.comparison.change(parameters.mismatch())
+        self.learning.change(parameters.text("learning"), self.session)
         if parameters.number("save_period_s") != self.parameters.number("save_period_s"):
             self._next_save_ns = self._steady_ns()
         self.parameters = parameters
@@ -364,8 +371,15 @@ class Application:
         """Start cold, as if switched on with belts at the ambient temperature; what was done, in words."""
         self.session.start_anew(time_went_back=False)
         self.comparison.restart()
+        self.learning.restart()
         text = "the estimate starts anew, with cold belts, at the next speed"
         self._log(Level.WARN, f"reset: {text}")
+        return text
+
+    def reset_learning(self) -> str:
+        """Forget what was learned of the vehicle; what was done, in words."""
+        text = self.learning.reset(self.session)
+        self._log(Level.WARN, f"reset of learning: {text}")
         return text
 
     def save_state(self) -> str:
@@ -377,12 +391,13 @@ class Application:
             If no state is kept or it cannot be written.
         """
         self._rest_unused_belts()
-        return self.keeper.save(self.session, self._state_at)
+        return self.keeper.save(self.session, self._state_at, self.learning.learner)
 
     def time_went_back(self) -> None:
         """The simulated clock jumped back: start anew, and say so with the next estimate."""
         self.session.start_anew(time_went_back=True)
         self.comparison.restart()
+        self.learning.restart()
         self._log(Level.WARN, "time went back: the estimate starts anew")
 
     def close(self) -> str:

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 from trackres_ros.estimator.columns import CHANNELS
 from trackres_ros.node.parameters import Parameters
-from trackres_ros.output.topics import OutputTopic, output_topics
+from trackres_ros.output.topics import PARAMETERS_TOPIC, OutputTopic, output_topics
 from trackres_ros.recording.bindings import TopicBinding, Topics
-from trackres_ros.recording.roles import base_role
+from trackres_ros.recording.roles import POSITION, base_role
 from trackres_ros.vehicle import Vehicle
 
 DIAGNOSTICS = OutputTopic(
@@ -52,14 +52,15 @@ class InputTopic:
     bindings: tuple[TopicBinding, ...]
 
 
-def input_topics(topics: Topics) -> tuple[InputTopic, ...]:
-    """All topics to subscribe to, those that feed a speed last; of roles that the estimate does not need none.
+def input_topics(topics: Topics, on_route: bool = False) -> tuple[InputTopic, ...]:
+    """All topics to subscribe to, those that feed a speed last; of roles that the estimate does not need none, and a position
+    only for a vehicle that is followed on a route.
 
     Where messages wait on several topics, an edge hands them over in this order: what a speed is to be computed with comes
     first.
     """
     by_name: dict[tuple[str, str], list[str]] = {}
-    for role in (role for role in topics if base_role(role) in CHANNELS):
+    for role in (role for role in topics if base_role(role) in CHANNELS and (on_route or role not in POSITION)):
         by_name.setdefault((topics[role].topic, topics[role].type), []).append(role)
     inputs = [
         InputTopic(name, kind, tuple(sorted(roles, key=_last_speed)), tuple(topics[r] for r in sorted(roles, key=_last_speed)))
@@ -73,9 +74,10 @@ def _last_speed(role: str) -> bool:
 
 
 def live_topics(vehicle: Vehicle, topics: Topics) -> tuple[OutputTopic, ...]:
-    """All topics to publish, most urgent first; the residual only where a torque is measured."""
+    """All topics to publish, most urgent first; the residual and what is learned only where a torque is measured."""
     given = (topic for topic in output_topics(vehicle) if topic.name != "torque_residual" or "torque" in topics)
-    return (*given, DIAGNOSTICS)
+    learned = (PARAMETERS_TOPIC,) if any(base_role(role) == "torque" for role in topics) else ()
+    return (*given, *learned, DIAGNOSTICS)
 
 
 def input_quality(parameters: Parameters) -> Quality:

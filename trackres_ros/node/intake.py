@@ -101,7 +101,7 @@ def _channel(role: str, channels: Sequence[str]) -> int:
 
 def _getter(binding: TopicBinding) -> Callable[[Any], float]:
     """A function that reads the value of a role; a plain path is split once, here."""
-    if any(step.index is not None or step.element is not None for step in binding.steps):
+    if binding.fix or any(step.index is not None or step.element is not None for step in binding.steps):
         return binding.read
     get, scale, offset = attrgetter(binding.field), binding.scale, binding.offset
     return lambda message: scale * float(get(message)) + offset

@@ -15,7 +15,7 @@ from trackres_ros.jit.compiled import interpreted
 from trackres_ros.node.edge import Edge, Status
 from trackres_ros.node.remarks import Remark
 from trackres_ros.node.stamps import nearest_usable
-from trackres_ros.output.topics import OutputTopic
+from trackres_ros.output.topics import PARAMETERS_TOPIC, OutputTopic
 from trackres_ros.units import NANOSECOND
 
 FADE, FOLLOWED, TOWARDS = interpreted(fade), interpreted(followed), interpreted(towards)  # not worth compiling at a first start
@@ -88,10 +88,15 @@ class Outlet:
                 self._send(output, self._edge.publish, self.stamp_ns, numbers)
         self.published += 1
 
-    def publish_statuses(self, statuses: Sequence[Status], now_ns: int, diagnostics: bool) -> None:
-        """Publish the first status on the node's own topic, and all as diagnostics when asked."""
+    def publish_statuses(
+        self, statuses: Sequence[Status], now_ns: int, diagnostics: bool, learned: Sequence[Status] = ()
+    ) -> None:
+        """Publish the first status on the node's own topic, and, when asked, all as diagnostics and what is learned."""
         for output, topic in enumerate(self.outputs):
-            if topic.kind == "status" and (diagnostics or not topic.name.startswith("/")):
+            if topic is PARAMETERS_TOPIC:
+                if diagnostics and learned:
+                    self._send(output, self._edge.publish_status, nearest_usable(now_ns), learned)
+            elif topic.kind == "status" and (diagnostics or not topic.name.startswith("/")):
                 shown = statuses if topic.name.startswith("/") else statuses[:1]
                 self._send(output, self._edge.publish_status, nearest_usable(now_ns), shown)
 

@@ -22,6 +22,7 @@ from trackres_ros import checks
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.settings import BELT_SENSORS, PARTS, Settings
 from trackres_ros.files.yamls import read_yaml
+from trackres_ros.learning.learner import MODES
 from trackres_ros.node.mismatch import MismatchSettings
 
 Value = float | bool | str | tuple[str, ...]
@@ -113,6 +114,12 @@ NODE_PARAMETERS = (
         "file that keeps the belt temperatures over a restart; auto: one for each node and vehicle under "
         "~/.local/state/trackres, none where time is simulated; none: start cold",
         fixed_because=AT_START,
+    ),
+    Parameter(
+        "learning",
+        "watch",
+        "whether a measured torque is learned from: off; watch: learned and published; on: what was learned is used too",
+        choices=MODES,
     ),
     Parameter("save_period_s", 30.0, "time between two savings of the state", "s", 1.0, 3600.0),
     Parameter("output_rate_hz", 50.0, "rate of the outputs; 0: once on each accepted speed", "Hz", 0.0, 1000.0),

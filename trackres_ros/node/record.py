@@ -13,6 +13,8 @@ import numpy as np
 from trackres_ros.errors import MissingExtraError
 from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.learning.columns import LearnedTopic
+from trackres_ros.learning.learner import Learner
 from trackres_ros.offline.summary import picture_columns
 from trackres_ros.output.bag import OutputBag
 from trackres_ros.output.plots import plot_estimate
@@ -32,11 +34,17 @@ class Recorder:
         self._estimator: Estimator | None = None
         self._bag: OutputBag | None = None
         self._seen: ResultPreview | None = None
+        self._columns: tuple[str, ...] = ()
 
-    def begin(self, estimator: Estimator) -> TakeEstimate:
-        """Begin the bag; the function takes a row of results, its stamp and its arrival [ns]."""
-        self._estimator, self._seen = estimator, ResultPreview(len(estimator.columns))
-        self._bag = OutputBag(self.path, estimator)
+    def begin(self, estimator: Estimator, learner: Learner | None = None) -> TakeEstimate:
+        """Begin the bag; the function takes a row of results, its stamp and its arrival [ns].
+
+        With a learner, its columns stand behind those of the estimate.
+        """
+        learned = None if learner is None else LearnedTopic(learner)
+        self._columns = (*estimator.columns, *(() if learned is None else learned.names))
+        self._estimator, self._seen = estimator, ResultPreview(len(self._columns))
+        self._bag = OutputBag(self.path, estimator, learned)
         self._bag.__enter__()
         return self._take
 
@@ -51,7 +59,7 @@ class Recorder:
         picture = self.path.with_suffix(".png")
         lines = [f"{self.path}: {self._seen.steps} estimates as topics"]
         try:
-            columns = picture_columns(self._estimator.columns, self._seen.kept)
+            columns = picture_columns(self._columns, self._seen.kept)
             plot_estimate(picture, self._seen.kept[:, 0], columns, f"Live: {self._estimator.vehicle.title}")
         except MissingExtraError as error:
             return [*lines, f"no picture: {error}"]

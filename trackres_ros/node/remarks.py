@@ -57,6 +57,9 @@ LIVE_KINDS = {
     "DISTURBANCE": Kind(
         Level.OK, "a torque that comes and goes, as the vehicle file tells of, is there now; the estimate does not have it"
     ),
+    "LEARNING_FROZEN": Kind(
+        Level.OK, "a measured torque is there and nothing is learned from it now; what was learned before goes on as it was"
+    ),
     "STATE_NOT_SAVED": Kind(Level.WARN, "the state file could not be written: a restart would begin with an older state or cold"),
     "STATE_NOT_USED": Kind(Level.OK, "there was a state file and it could not be used: cold start"),
     "COMPILING": Kind(Level.OK, "first start on a machine: steps run in plain Python until they are compiled; same numbers"),

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from trackres_ros.estimator.disturbance import Belief
 from trackres_ros.node.comparison import Comparison
 from trackres_ros.node.edge import Level, Status
+from trackres_ros.node.live_learning import LiveLearning
 from trackres_ros.node.mismatch import Mismatch
 from trackres_ros.node.outlet import Outlet
 from trackres_ros.node.remarks import Remark
@@ -83,6 +84,7 @@ class Overview:
     inputs: tuple[InputState, ...]
     mismatch: Mismatch
     disturbance: Belief | None
+    learning: str  # what is learned, in a sentence; empty where no torque is measured
     state_file: str
     saved_s_ago: float
     state_error: str
@@ -100,6 +102,7 @@ def overview(
     watch: Watch,
     comparison: Comparison,
     keeper: StateKeeper,
+    learning: LiveLearning,
     steady: int,
 ) -> Overview:
     """Gather what is to be seen now."""
@@ -118,6 +121,7 @@ def overview(
         watch.inputs(steady),
         comparison.verdict,
         comparison.belief,
+        learning.text,
         str(keeper.path or ""),
         math.nan if keeper.saved_at is None else time.time() - keeper.saved_at,
         keeper.error,

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Requests that come to the running node as signals: to stop, to save its state, to start cold.
+"""Requests that come to the running node as signals: to stop, to save its state, to start cold, to forget what was learned.
 
 Signals are listened to from the very start, while libraries are still being loaded, and each request is carried out once the node
 can: no work is broken off in the middle, and no signal ends the process without a line of text. So this imports nothing of the
@@ -13,7 +13,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -23,8 +23,13 @@ if TYPE_CHECKING:
     from trackres_ros.node.edge import Level
 
 STOP = (signal.SIGINT, signal.SIGTERM)
-SAVE, RESET = signal.SIGUSR1, signal.SIGUSR2
-WHAT: dict[int, str] = {SAVE: "the state is saved", RESET: "the estimate starts cold", **dict.fromkeys(STOP, "it ends")}
+SAVE, RESET, RESET_LEARNING = signal.SIGUSR1, signal.SIGUSR2, signal.SIGRTMIN
+WHAT: dict[int, str] = {
+    SAVE: "the state is saved",
+    RESET: "the estimate starts cold",
+    RESET_LEARNING: "what was learned is forgotten",
+    **dict.fromkeys(STOP, "it ends"),
+}
 
 
 class SignalRequests:
@@ -53,7 +58,12 @@ class SignalRequests:
 
         while self._waiting:
             try:
-                done = application.save_state() if self._waiting.pop(0) == SAVE else application.reset()
+                do: dict[int, Callable[[], str]] = {
+                    SAVE: application.save_state,
+                    RESET: application.reset,
+                    RESET_LEARNING: application.reset_learning,
+                }
+                done = do[self._waiting.pop(0)]()
             except InputError as error:
                 yield Level.WARN, str(error)
             else:

@@ -12,11 +12,14 @@ import re
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.estimator import Estimator, Session
-from trackres_ros.estimator.snapshot import after_time_off, content, leftovers
+from trackres_ros.estimator.snapshot import after_time_off, content, leftovers, read_beside
 from trackres_ros.files import own_files
+from trackres_ros.learning.learner import Learner
+from trackres_ros.learning.store import stored, take
 from trackres_ros.node.remarks import Remark
 
 AUTO, NONE = "auto", "none"
@@ -59,8 +62,11 @@ class StateKeeper:
         self._writer = ThreadPoolExecutor(max_workers=1, thread_name_prefix="state")
         self._writing: Future[None] | None = None
 
-    def load(self, estimator: Estimator) -> tuple[Session, str]:
-        """A session that begins with the kept belts, cooled since, or cold; and what was found, in words."""
+    def load(self, estimator: Estimator, learner: Learner | None = None) -> tuple[Session, str]:
+        """A session that begins with the kept belts, cooled since, or cold; and what was found, in words.
+
+        A learner goes on with what was learned, less sure by the time off; a file without it leaves it as it is.
+        """
         if self.path is None:
             return estimator.session(), f"no state is kept{self.error and f', as {self.error}'}: cold start"
         try:
@@ -76,7 +82,18 @@ class StateKeeper:
         except InputError as error:
             self._unused = f"cold start, as the state file is of no use: {error}"
             return estimator.session(), self._unused
-        return session, f"belts taken from {self.path}, cooled over {off_s / 60.0:.1f} min off"
+        text = f"belts taken from {self.path}, cooled over {off_s / 60.0:.1f} min off"
+        session.learned[:] = 0.0  # it acts again once the learner says so
+        beside = read_beside(estimator, self.path)
+        if learner is None or beside is None:
+            return session, text
+        try:
+            take(learner, beside)
+        except ValueError as error:
+            self._unused = f"nothing is learned yet, as in the state file {error}"
+            return session, text
+        learner.age(off_s)
+        return session, f"{text}; {learner.learned.seconds / 60.0:.0f} min of driving were learned from"
 
     def remarks(self) -> list[Remark]:
         """That the state file cannot be written, or that the one that was there could not be used."""
@@ -88,16 +105,16 @@ class StateKeeper:
             found.append(Remark("STATE_NOT_USED", self._unused))
         return found
 
-    def save_soon(self, session: Session, state_at: float) -> None:
+    def save_soon(self, session: Session, state_at: float, learner: Learner | None = None) -> None:
         """Save in the background, without holding up the outputs; not while the last one is still being written.
 
         `state_at` is the time [s since 1970] of the state: the belts cool from then on.
         """
         if self.path is None or (self._writing and not self._writing.done()):
             return
-        self._writing = self._writer.submit(self._write, content(session, state_at), self.path)
+        self._writing = self._writer.submit(self._write, content(session, state_at, _beside(learner)), self.path)
 
-    def save(self, session: Session, state_at: float) -> str:
+    def save(self, session: Session, state_at: float, learner: Learner | None = None) -> str:
         """Save now; what was done, in words. See `save_soon`.
 
         Raises
@@ -107,7 +124,7 @@ class StateKeeper:
         """
         if self.path is None:
             raise InputError("state file", "none", "a node with the parameter state_file set to a path, or auto")
-        self._writer.submit(self._write, content(session, state_at), self.path).result()
+        self._writer.submit(self._write, content(session, state_at, _beside(learner)), self.path).result()
         if self.error:
             raise InputError(f"state file {self.path}", self.error, "a file that can be written")
         return f"state saved in {self.path}"
@@ -124,3 +141,7 @@ class StateKeeper:
             self.error = getattr(error, "strerror", None) or str(error)
         else:
             self.error, self.saved_at = "", time.time()
+
+
+def _beside(learner: Learner | None) -> dict[str, Any] | None:
+    return None if learner is None else stored(learner)

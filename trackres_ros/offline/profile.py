@@ -16,17 +16,17 @@ from trackres_ros.errors import InputError
 from trackres_ros.estimator.constants import LARGEST_LOAD_SHARE, LEAST_LOAD_SHARE, PLAUSIBLE
 from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.recording import Recording
-from trackres_ros.recording.roles import ROLES
+from trackres_ros.recording.roles import POSITION, ROLES
 from trackres_ros.recording.table import TableSource
 
 Array = NDArray[np.float64]
 
-ARGUMENT_OF = {"load": "weight_kn", "ambient": "ambient_degc", "grade": ""}
+ARGUMENT_OF = {"load": "weight_kn", "ambient": "ambient_degc", "grade": "", **dict.fromkeys(POSITION, "")}
 """What a profile may hold beside the speed, and the argument of the same meaning."""
 
 
-def read_profile(profile: str | PathLike[str] | Recording) -> Recording:
-    """The profile, out of a table; a column that would do nothing is refused.
+def read_profile(profile: str | PathLike[str] | Recording, on_route: bool = False) -> Recording:
+    """The profile, out of a table; a column that would do nothing is refused, as a position would where there is no route.
 
     Raises
     ------
@@ -40,10 +40,13 @@ def read_profile(profile: str | PathLike[str] | Recording) -> Recording:
         if not isinstance(source, TableSource):
             raise InputError("profile", str(profile), "a CSV or Parquet table; trackres replay reads bags")
         recording = Recording.from_source(source)
-    unused = [role for role in recording.roles if role not in ("speed", *ARGUMENT_OF)]
+    taken = [role for role in ("speed", *ARGUMENT_OF) if on_route or role not in POSITION]
+    unused = [role for role in recording.roles if role not in taken]
     if unused:
-        allowed = f"speed, {', '.join(ARGUMENT_OF)}"
+        allowed = ", ".join(taken)
         remedy = "leave out what a simulation does not take"
+        if set(unused) <= set(POSITION):
+            remedy = "a position counts with a route in the surroundings: --surroundings FILE"
         raise InputError(f"{recording.name}: columns of", ", ".join(unused), allowed, remedy)
     return recording
 

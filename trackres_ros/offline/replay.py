@@ -21,12 +21,13 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.files.output_files import BAG_SUFFIX
+from trackres_ros.learning.columns import LearnedTopic, LearningColumns, column_names
+from trackres_ros.learning.learner import Learner
 from trackres_ros.offline.disturbance import DisturbanceColumns
-from trackres_ros.offline.on_route import on_route
 from trackres_ros.output.bag import OutputBag
 from trackres_ros.output.preview import ResultPreview
 from trackres_ros.output.table import TableWriter
-from trackres_ros.recording.roles import base_role
+from trackres_ros.recording.roles import POSITION, base_role
 from trackres_ros.recording.samples import Block, Source
 from trackres_ros.units import NANOSECOND
 
@@ -45,6 +46,7 @@ class Replayed:
     duration_s: float
     picture: Array  # (samples, 1 + columns): time [s] and results, thinned
     last: Array  # last row of results
+    learner: Learner | None = None
 
 
 def channel_indices(session: Session, roles: Sequence[str]) -> NDArray[np.int16]:
@@ -61,7 +63,8 @@ def channel_indices(session: Session, roles: Sequence[str]) -> NDArray[np.int16]
         vehicle = session.estimator.vehicle
         places = [name for name in channels if "/" in name]
         raise InputError(f"role {unknown[0]}", f"vehicle {vehicle.name}", f"{', '.join(at.CHANNELS)}, {', '.join(places)}")
-    return np.array([session.channel(role) if role in channels else -1 for role in roles], dtype=np.int16)
+    needed = [role in channels and (role not in POSITION or bool(session.estimator.vehicle.route)) for role in roles]
+    return np.array([session.channel(r) if n else -1 for r, n in zip(roles, needed, strict=True)], dtype=np.int16)
 
 
 def replay(
@@ -70,6 +73,7 @@ def replay(
     write: Callable[[Steps], None] | None = None,
     session: Session | None = None,
     progress: Callable[[float], None] | None = None,
+    learner: Learner | None = None,
 ) -> Replayed:
     """Feed a source through a session, block by block: memory does not grow with the recording.
 
@@ -81,16 +85,20 @@ def replay(
         A session to go on with; by default a new one.
     progress
         Takes the number of messages of each block.
+    learner
+        Learns from each step, as live; its columns then stand behind those of the estimate.
 
     Raises
     ------
     InputError
         If the source holds no usable speed, or cannot be read.
     """
-    session, source = session or estimator.session(), on_route(source, estimator.vehicle.route)
+    session = session or estimator.session()
     channel_of = channel_indices(session, source.roles)
     not_needed = bool((channel_of < 0).any())
-    seen = ResultPreview(len(estimator.columns))
+    names = () if learner is None else column_names(learner.learnables)
+    seen = ResultPreview(len(estimator.columns) + len(names))
+    handle = session.handle_block if learner is None else LearningSteps(session, learner).handle_block
     messages = 0
     with ThreadPoolExecutor(max_workers=1) as worker:  # the kernel lets go of the interpreter: reading goes on meanwhile
         running: Future[Steps] | None = None
@@ -103,7 +111,7 @@ def replay(
                 block = Block(block.role[rows], block.stamp_ns[rows], block.arrival_ns[rows], block.value[rows])
             before, running = (
                 running,
-                worker.submit(session.handle_block, channel, block.stamp_ns, block.arrival_ns, block.value),
+                worker.submit(handle, channel, block.stamp_ns, block.arrival_ns, block.value),
             )
             if before:
                 seen.take(before.result(), write)
@@ -119,18 +127,48 @@ def replay(
             "at least one finite, plausible speed",
             "check topic, field, scale and unit of the speed",
         )
-    return Replayed(session, messages, seen.steps, (seen.last_ns - seen.first_ns) * NANOSECOND, seen.kept, seen.last)
+    return Replayed(session, messages, seen.steps, (seen.last_ns - seen.first_ns) * NANOSECOND, seen.kept, seen.last, learner)
+
+
+class LearningSteps:
+    """Takes messages as `Session.handle_block` does, but lets a learner look at each step before the next one, as live."""
+
+    def __init__(self, session: Session, learner: Learner) -> None:
+        self._session, self._learner = session, learner
+        self._columns = LearningColumns(learner)
+
+    def handle_block(
+        self, channel: NDArray[np.int16], stamp_ns: NDArray[np.int64], arrival_ns: NDArray[np.int64], value: Array
+    ) -> Steps:
+        """Take in many messages; the columns of the learner stand behind those of each step."""
+        session, learner = self._session, self._learner
+        rows, stamps, arrivals = [], [], []
+        for message in zip(channel.tolist(), stamp_ns.tolist(), arrival_ns.tolist(), value.tolist(), strict=True):
+            estimate = session.handle(*message)
+            if estimate is None:
+                continue
+            row, stamp = estimate.row.tolist(), int(session.memory.times[at.SPEED, at.LAST_STAMP])
+            learner.take(stamp, row, session)
+            rows.append([*row, *self._columns.of(row, session)])
+            stamps.append(stamp)
+            arrivals.append(message[2])
+        width = len(session.estimator.columns) + len(self._columns.names)
+        table = np.array(rows, dtype=float).reshape(-1, width)
+        return Steps(np.array(stamps, dtype=np.int64), np.array(arrivals, dtype=np.int64), table)
 
 
 @contextmanager
-def result_writer(path: Path, estimator: Estimator) -> Iterator[Callable[[Steps], None]]:
+def result_writer(path: Path, estimator: Estimator, learner: Learner | None = None) -> Iterator[Callable[[Steps], None]]:
     """A writer for the kind of file a path names: `.mcap` as topics, `.csv`, `.csv.gz` or `.parquet` as a table."""
+    learned = None if learner is None else LearnedTopic(learner)
     if path.suffix.lower() == BAG_SUFFIX:
-        with OutputBag(path, estimator) as bag:
+        with OutputBag(path, estimator, learned) as bag:
             yield bag.write
         return
     added = DisturbanceColumns(estimator.vehicle)
-    with TableWriter(path, ["time_s", "stamp_ns", *estimator.columns, *added.names]) as table:
+    with TableWriter(
+        path, ["time_s", "stamp_ns", *estimator.columns, *(() if learned is None else learned.names), *added.names]
+    ) as table:
         first: list[int] = []
 
         def write(steps: Steps) -> None:

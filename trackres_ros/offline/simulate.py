@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.estimator.records import GroundSeries
 from trackres_ros.model.resistance import RESISTANCE_PARTS
 
 Array = NDArray[np.float64]
@@ -112,14 +113,15 @@ def run_drive(
     ambient_degc: ArrayLike | None = None,
     initial_degc: float | None = None,
     grade: ArrayLike = math.nan,
+    ground: GroundSeries | None = None,
 ) -> Array:
-    """Rows of results along a drive, shape (times, columns); see `simulate`."""
+    """Rows of results along a drive, shape (times, columns); see `simulate`, and `Estimator.along_route` for the ground."""
     weight = estimator.vehicle.weight if weight_n is None else weight_n
     ambient = estimator.vehicle.chassis.ambient if ambient_degc is None else ambient_degc
     speed, first_weight, first_ambient = (float(np.ravel(x)[0]) for x in (drive.speed, weight, ambient))
     first = estimator.inputs(speed, weight=first_weight, ambient=first_ambient)
     state = estimator.cold_start(first, belt_degc=initial_degc)
-    return estimator.run(state, drive.time_s, drive.speed, weight, ambient, drive.acceleration, grade)[1]
+    return estimator.run(state, drive.time_s, drive.speed, weight, ambient, drive.acceleration, grade, ground=ground)[1]
 
 
 def series_of(estimator: Estimator, drive: Drive, rows: Array) -> dict[str, Array]:

@@ -14,6 +14,9 @@ from numpy.typing import NDArray
 
 from trackres_ros.errors import one_line
 from trackres_ros.estimator import columns as at
+from trackres_ros.learning.columns import lines as lines_of
+from trackres_ros.learning.columns import ranges_of, shown
+from trackres_ros.learning.learner import Learner
 from trackres_ros.model.resistance import RESISTANCE_PARTS
 from trackres_ros.offline.replay import Replayed
 from trackres_ros.recording.recording import Recording
@@ -79,6 +82,7 @@ def summary(result: Replayed, name: str, notes: Sequence[str], findings: Sequenc
     """The report as a dict ready for JSON: the recording's name, the notes of its reading, and what was found wrong."""
     estimator = result.session.estimator
     last = {name: _finite(float(result.last[i])) for i, name in enumerate(estimator.columns) if name != "reasons"}
+    learned = {} if result.learner is None else {"learning": _learned(result.learner)}
     torque = result.picture[:, HEAD + at.OUT_RESISTANCE]
     counters: dict[str, dict[str, int]] = {}
     for channel, count, number in result.session.counts():
@@ -101,6 +105,7 @@ def summary(result: Replayed, name: str, notes: Sequence[str], findings: Sequenc
         ],
         "resistance_torque_nm": {"first": float(torque[0]), "largest": float(np.max(torque)), "last": float(torque[-1])},
         "last": last,
+        **learned,
     }
 
 
@@ -122,8 +127,24 @@ def text(report: dict[str, Any]) -> str:
         + ", ".join(f"{part} {decimals(last[column])}" for part, column in RESISTANCE_PARTS.items())
         + f"), largest {decimals(report['resistance_torque_nm']['largest'])} Nm"
     )
+    if "learning" in report:
+        lines.append(f"Learning ({report['learning']['mode']}): {report['learning']['text']}")
+        lines += [f"  {item['text']}" for item in report["learning"]["parameters"]]
     lines.append("Belts: " + ", ".join(f"{name} {decimals(value, 1)} degC" for name, value in belts.items()))
     return "\n".join(map(one_line, lines))
+
+
+def _learned(learner: Learner) -> dict[str, Any]:
+    """What was learned, at the end."""
+    values = shown(learner)
+    each = lines_of(learner.learnables, ranges_of(learner), values)
+    return {
+        "mode": learner.mode,
+        "text": learner.text,
+        "acts": learner.acts,
+        "coverage": values[0],
+        "parameters": [{"name": name, "text": text, **dict(known)} for name, text, known in each],
+    }
 
 
 def _finite(value: float) -> float | None:

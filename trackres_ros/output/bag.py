@@ -15,8 +15,17 @@ from numpy.typing import NDArray
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.learning.columns import LearnedTopic
 from trackres_ros.output.mcap import BagTopic, BagWriter
-from trackres_ros.output.topics import BASE_FRAME, DEFAULT_NODE, OutputTopic, output_topics, status_of, values_of
+from trackres_ros.output.topics import (
+    BASE_FRAME,
+    DEFAULT_NODE,
+    PARAMETERS_TOPIC,
+    OutputTopic,
+    output_topics,
+    status_of,
+    values_of,
+)
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -28,17 +37,18 @@ FIELDS = {"wrench": ("wrench.torque.y",), "number": ("data",), "temperature": ("
 class OutputBag:
     """Writes blocks of results; the file takes its place when the `with` block ends well."""
 
-    def __init__(self, path: Path, estimator: Estimator) -> None:
+    def __init__(self, path: Path, estimator: Estimator, learned: LearnedTopic | None = None) -> None:
         self._writer = BagWriter(path)
-        self._estimator = estimator
+        self._estimator, self._learned = estimator, learned
         self._topics: list[tuple[OutputTopic, BagTopic]] = []
         self._last_reasons: int | None = None
-        self._last_status_ns = 0
+        self._last_status_ns = self._last_learned_ns = 0
 
     def __enter__(self) -> Self:
         """Begin the file and announce the topics."""
         self._writer.__enter__()
-        for topic in output_topics(self._estimator.vehicle):
+        parameters = () if self._learned is None else (PARAMETERS_TOPIC,)
+        for topic in (*output_topics(self._estimator.vehicle), *parameters):
             fields = FIELDS.get(topic.kind, tuple(f"effort[{i}]" for i in range(len(topic.names))))
             template = None if topic.kind == "status" else template_message(topic, self._writer.typestore, BASE_FRAME)
             name = f"/{DEFAULT_NODE}/{topic.name}"
@@ -52,6 +62,9 @@ class OutputBag:
     def write(self, steps: Steps) -> None:
         """Write the results of a block of messages on all topics."""
         for topic, bag_topic in self._topics:
+            if topic is PARAMETERS_TOPIC:
+                self._write_learned(bag_topic, steps)
+                continue
             if topic.kind == "status":
                 self._write_status(bag_topic, steps)
                 continue
@@ -67,6 +80,28 @@ class OutputBag:
             self._writer.write(topic, message, int(steps.stamp_ns[i]), int(steps.arrival_ns[i]))
         if len(reasons):
             self._last_reasons = int(reasons[-1])
+
+    def _write_learned(self, topic: BagTopic, steps: Steps) -> None:
+        """What is learned, once a second."""
+        assert self._learned is not None
+        types = self._writer.typestore.types
+        status, pair = types["diagnostic_msgs/msg/DiagnosticStatus"], types["diagnostic_msgs/msg/KeyValue"]
+        for i, second in enumerate((steps.arrival_ns // STATUS_PERIOD_NS).tolist()):
+            if second == self._last_learned_ns:
+                continue
+            self._last_learned_ns = second
+            found = [
+                status(
+                    level=0,
+                    name=f"{DEFAULT_NODE}: {name}",
+                    message=message,
+                    hardware_id=self._estimator.vehicle.name,
+                    values=[pair(key=key, value=value) for key, value in known],
+                )
+                for name, message, known in self._learned.lines(steps.rows[i].tolist())
+            ]
+            array = types["diagnostic_msgs/msg/DiagnosticArray"](header=self._header(), status=found)
+            self._writer.write(topic, array, int(steps.stamp_ns[i]), int(steps.arrival_ns[i]))
 
     def _due(self, arrival_ns: NDArray[np.int64], changed: NDArray[np.bool_]) -> list[int]:
         """Rows at which a status is due: at each change, and once a second."""

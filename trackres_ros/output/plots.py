@@ -19,11 +19,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from trackres_ros.errors import InputError, MissingExtraError
+from trackres_ros.output.learned_plot import draw_coverage, draw_values, is_there
 from trackres_ros.units import KMH_PER_MPS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure, SubFigure
+    from matplotlib.figure import Figure, FigureBase, SubFigure
 
     from trackres_ros.output.figures import ShownFigure
 
@@ -35,6 +36,7 @@ HOURS_FROM_S = 3 * 3600.0  # a longer time axis is in hours
 LEGEND_INCHES = 0.28
 TITLE_LETTERS = 95  # that a line across a picture of 9 inches holds
 ESTIMATE_INCHES = (9.0, 7.2)
+LEARNED_INCHES, MAP_INCHES = 1.8, 2.2  # more of it where something was learned
 ALIKE_K = 0.5  # assemblies whose temperatures differ by less are one line
 MEASURED = ("torque_nm", "belt_degc")
 
@@ -181,7 +183,11 @@ def plot_estimate(
 
 
 def estimate_figure(
-    time_s: ArrayLike, columns: Mapping[str, Array], title: str, measured: Mapping[str, Array] | None = None
+    time_s: ArrayLike,
+    columns: Mapping[str, Array],
+    title: str,
+    measured: Mapping[str, Array] | None = None,
+    coverage: Array | None = None,
 ) -> Figure:
     """Speed, torques and belt temperature over one time axis.
 
@@ -198,6 +204,8 @@ def estimate_figure(
     measured
         `torque_nm` [Nm] and `belt_degc` [degC], each of shape (times,), nan where there is no measurement. A measured torque
         holds the inertia too, so the estimated drive torque is drawn beside it. By default the column `measured_torque_nm`.
+    coverage
+        Seconds that were learned from, as `learning.buckets` counts them; drawn as a map below what was learned.
 
     Raises
     ------
@@ -207,13 +215,18 @@ def estimate_figure(
         On an empty series, a measured one of another name, or one whose length is not that of the time.
     """
     with _empty_figure(*ESTIMATE_INCHES) as figure:
-        _draw_estimate(figure, time_s, columns, title, measured)
+        _draw_estimate(figure, time_s, columns, title, measured, coverage)
         figure.draw_without_rendering()  # ticks and text are made now, in this look
     return figure
 
 
 def _draw_estimate(
-    figure: Figure, time_s: ArrayLike, columns: Mapping[str, Array], title: str, measured: Mapping[str, Array] | None
+    figure: Figure,
+    time_s: ArrayLike,
+    columns: Mapping[str, Array],
+    title: str,
+    measured: Mapping[str, Array] | None,
+    coverage: Array | None = None,
 ) -> None:
     time = np.asarray(time_s, float)
     if len(time) == 0:
@@ -229,17 +242,29 @@ def _draw_estimate(
             raise InputError(f"column {name}", np.shape(values), f"the shape of the time, {time.shape}")
     in_hours = float(time[-1] - time[0]) > HOURS_FROM_S
     x = time / 3600.0 if in_hours else time
-    speed, torque, belt = figure.subplots(3, 1, sharex=True, height_ratios=(1.0, 1.8, 1.4))
+    drawn: FigureBase = figure
+    if learned := is_there(columns):
+        figure.set_size_inches(
+            ESTIMATE_INCHES[0], ESTIMATE_INCHES[1] + LEARNED_INCHES + (0.0 if coverage is None else MAP_INCHES)
+        )
+        if coverage is not None:
+            heights = (ESTIMATE_INCHES[1] + LEARNED_INCHES, MAP_INCHES)
+            drawn, below = np.ravel(np.asarray(figure.subfigures(2, 1, height_ratios=heights)))
+            draw_coverage(below.subplots(), coverage)
+    parts = drawn.subplots(3 + learned, 1, sharex=True, height_ratios=(1.0, 1.8, 1.4, 1.2)[: 3 + learned])
+    speed, torque, belt = parts[:3]
     figure.suptitle(shortened(title, TITLE_LETTERS), x=0.01, ha="left", fontsize=11)
     _line(speed, x, np.asarray(columns["speed_mps"], float) * KMH_PER_MPS, "speed", BLACK)
     speed.set_ylabel("speed [km/h]")
     _draw_torque(torque, x, columns, given.get("torque_nm"))
     _draw_belt(belt, x, columns, given.get("belt_degc"))
-    belt.set_xlabel("time [h]" if in_hours else "time [s]")
-    for axes in (speed, torque, belt):
+    if learned:
+        draw_values(parts[3], x, columns)
+    parts[-1].set_xlabel("time [h]" if in_hours else "time [s]")
+    for axes in parts:
         axes.margins(x=0.01)
         legend_beside(axes)
-    figure.align_ylabels()
+    drawn.align_ylabels()
 
 
 def _draw_torque(axes: Axes, x: Array, columns: Mapping[str, Array], measured: Array | None) -> None:

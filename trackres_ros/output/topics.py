@@ -67,6 +67,14 @@ class OutputTopic:
         return tuple(sign_of(column) for column in self.columns)
 
 
+PARAMETERS_TOPIC = OutputTopic(
+    "parameters",
+    "diagnostic_msgs/msg/DiagnosticArray",
+    "status",
+    "what is learned of the vehicle, once a second while a torque is measured: value, standard deviation, range, coverage, state",
+)
+
+
 def sign_of(column: str) -> float:
     """Factor from a column of results, of the vehicle or of an assembly, to what stands on topics."""
     return -1.0 if column.partition("/")[0] in RESISTING else 1.0

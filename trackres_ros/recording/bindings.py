@@ -5,9 +5,11 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
 from types import MappingProxyType
 from typing import Literal, cast
@@ -36,8 +38,14 @@ ONLY_FOR = {
 """Keys that have a meaning for some roles alone."""
 TIME = "time"
 """The line that names the column of the time in a table; no role, as every sample has its time."""
+BOTH = "position"
+"""The line that stands for latitude and longitude of one message."""
+OF_BOTH = ("topic", "type", "field", "stamp", "max_age_s", "unit")
+"""Its keys: the field is that which holds the two."""
 IN_DEGREES = "sensor_msgs/msg/NavSatFix"
 """The message type whose latitude and longitude are in degrees by its definition."""
+FIX, NO_FIX = "status.status", -1
+"""Where such a message says whether there is a fix, and that there is none."""
 STEP = re.compile(r"([A-Za-z_]\w*)(?:\[([^\[\]]+)\])?")
 MESSAGE_TYPE = re.compile(r"([A-Za-z]\w*)/(?:msg/)?([A-Za-z]\w*)")
 PART = re.compile(r"[A-Za-z0-9_\-]+")
@@ -120,8 +128,13 @@ class TopicBinding:
         """The steps of the field path."""
         return field_steps(self.field)
 
+    @property
+    def fix(self) -> str:
+        """The field path of what says whether the message holds a fix; empty where its type has none."""
+        return FIX if self.type == IN_DEGREES else ""
+
     def read(self, message: object) -> float:
-        """Return the value of this role in a decoded message, in the unit of the role.
+        """Return the value of this role in a decoded message, in the unit of the role; nan of a receiver without a fix.
 
         Raises
         ------
@@ -130,6 +143,8 @@ class TopicBinding:
         AttributeError
             The type of the message has no such field.
         """
+        if self.fix and attrgetter(self.fix)(message) == NO_FIX:
+            return math.nan
         value = message
         for step in self.steps:
             parent, value = value, getattr(value, step.name)
@@ -202,9 +217,11 @@ class Topics:
         """
         if not isinstance(content, Mapping) or not content:
             raise InputError(origin, content, "a mapping with one line a role", f"write for example: {EXAMPLE}")
-        bindings = {}
+        bindings: dict[str, TopicBinding] = {}
         for role, line in content.items():
-            if role != TIME:
+            if role == BOTH:
+                bindings |= _position(line, content, f"{origin}: {role}")
+            elif role != TIME:
                 _check_role(role, origin)
                 bindings[role] = _binding(role, line, f"{origin}: {role}")
         time = _time(content[TIME], f"{origin}: {TIME}") if TIME in content else None
@@ -254,7 +271,7 @@ def message_type(name: str) -> str:
 
 
 def _check_role(role: object, origin: str) -> None:
-    allowed = ", ".join((*ROLES, TIME))
+    allowed = ", ".join((*ROLES, BOTH, TIME))
     if not isinstance(role, str) or base_role(role) not in ROLES:
         raise InputError(f"{origin}: role", role, allowed, nearest(str(role).partition("/")[0], ROLES))
     base, slash, part = role.partition("/")
@@ -313,6 +330,19 @@ def _binding(role: str, line: object, where: str) -> TopicBinding:
         if number is not None and number <= 0.0:
             raise InputError(f"{where}: {key}", number, "a positive number")
     return binding
+
+
+def _position(line: object, content: Mapping[object, object], where: str) -> dict[str, TopicBinding]:
+    """Latitude and longitude of one message: of a NavSatFix, where no type is named."""
+    twice = [role for role in POSITION if role in content]
+    if twice:
+        raise InputError(where, f"{BOTH} and {twice[0]}", f"either {BOTH}, or {' and '.join(POSITION)}")
+    if not isinstance(line, Mapping) or not set(line) <= set(OF_BOTH):
+        other = [key for key in line if key not in OF_BOTH] if isinstance(line, Mapping) else [line]
+        remedy = f"write for example: {BOTH}: {{topic: /fix, type: {IN_DEGREES}}}; of a table: {' and '.join(POSITION)}"
+        raise InputError(where, other[0], f"a mapping with {', '.join(OF_BOTH)}", remedy)
+    within = f"{_text(line, 'field', where)}." if "field" in line else ""
+    return {role: _binding(role, {"type": IN_DEGREES, **line, "field": within + role}, where) for role in POSITION}
 
 
 def _time(line: object, where: str) -> TopicBinding:

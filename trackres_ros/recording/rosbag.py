@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError, MissingExtraError, nearest, one_line
 from trackres_ros.recording.bag_counts import counts_of, storages_of
-from trackres_ros.recording.bindings import TopicBinding, Topics
+from trackres_ros.recording.bindings import NO_FIX, TopicBinding, Topics
 from trackres_ros.recording.cdr import Encoding, FieldReader
 from trackres_ros.recording.guess import guess
 from trackres_ros.recording.message_types import Definitions, check_field, check_size, definitions, message_fields, stamp_path
@@ -166,7 +166,8 @@ class BagSource:
                 for role, binding in zip(roles, chosen, strict=True):
                     _check_binding(binding, one, types, f"{origin}: {role}")
                 if key not in readers:
-                    readers[key] = FieldReader(types, one.msgtype, [binding.field for binding in chosen], encoding)
+                    fields = [*(binding.field for binding in chosen), *filter(None, [chosen[0].fix])]
+                    readers[key] = FieldReader(types, one.msgtype, fields, encoding)
                 stamped = bool(stamp_path(types, one.msgtype))
                 bound[path, one.topic] = _Topic(
                     one.topic,
@@ -282,6 +283,8 @@ class BagSource:
         for number, topic in enumerate(topics):
             mine = which == number
             decoded = topic.reader.decode(list(itertools.compress(raws, mine.tolist())))
+            if topic.bindings[0].fix:
+                decoded.value[decoded.value[:, -1] == NO_FIX] = np.nan
             arrived = arrival_ns[mine]
             for slot, (role, binding, header) in enumerate(zip(topic.roles, topic.bindings, topic.header, strict=True)):
                 to = start[mine] + slot

@@ -17,6 +17,8 @@ from trackres_ros.errors import InputError
 from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.files.output_files import output_file
+from trackres_ros.learning.columns import column_names
+from trackres_ros.learning.learner import Learner
 from trackres_ros.offline.disturbance import DisturbanceColumns
 from trackres_ros.offline.replay import Replayed, result_writer
 from trackres_ros.offline.summary import picture_columns, summary, text
@@ -75,7 +77,17 @@ class ReplayResult(SeriesResult):
     @property
     def columns(self) -> tuple[str, ...]:
         """Names of all columns, as in the table that `save` writes."""
-        return (*TIMES, *self.estimator.columns, *DisturbanceColumns(self.vehicle).names)
+        return (*TIMES, *self._of_rows, *DisturbanceColumns(self.vehicle).names)
+
+    @property
+    def learner(self) -> Learner | None:
+        """What learned on the way; None where learning was off."""
+        return self._replayed.learner
+
+    @property
+    def _of_rows(self) -> tuple[str, ...]:
+        learned = () if self.learner is None else column_names(self.learner.learnables)
+        return (*self.estimator.columns, *learned)
 
     @cached_property
     def _stamps(self) -> Array:
@@ -95,7 +107,7 @@ class ReplayResult(SeriesResult):
             return np.asarray((self._stamps - self._stamps[0]) * NANOSECOND)
         if name in DisturbanceColumns(self.vehicle).names:
             return self._watched[name]
-        column = self.estimator.column_index[name]
+        column = self._of_rows.index(name)
         values = np.concatenate([steps.rows[:, column] for steps in self._blocks()])
         return values.astype(np.int64) if name == "reasons" else values
 
@@ -108,7 +120,10 @@ class ReplayResult(SeriesResult):
 
     def _drawn(self) -> Mapping[str, Array]:
         picture = self._replayed.picture
-        return {"time_s": picture[:, 0], **picture_columns(self.estimator.columns, picture)}
+        return {"time_s": picture[:, 0], **picture_columns(self._of_rows, picture)}
+
+    def _coverage(self) -> Array | None:
+        return None if self.learner is None else self.learner.buckets.seconds
 
     def _attributes(self) -> dict[str, str]:
         return {"vehicle": self.vehicle.name, "recording": self.name}
@@ -133,7 +148,7 @@ class ReplayResult(SeriesResult):
         """
         file = output_file(path, where="path")
         blocks = self._blocks()
-        with result_writer(file, self.estimator) as write:
+        with result_writer(file, self.estimator, self.learner) as write:
             for steps in blocks:
                 write(steps)
         return file

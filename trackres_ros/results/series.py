@@ -65,6 +65,10 @@ class SeriesResult(Mapping[str, Array]):
     def _drawn(self) -> Mapping[str, Array]:
         """The columns of the picture, which may be thinned."""
 
+    def _coverage(self) -> Array | None:
+        """Seconds that were learned from, where something was."""
+        return None
+
     def __iter__(self) -> Iterator[str]:
         return iter(self.columns)
 
@@ -156,7 +160,7 @@ class SeriesResult(Mapping[str, Array]):
 
         drawn = self._drawn()
         columns = {name: drawn[name] for name in drawn if name not in ("time_s", "stamp_ns")}
-        figure = estimate_figure(drawn["time_s"], columns, self.title)
+        figure = estimate_figure(drawn["time_s"], columns, self.title, coverage=self._coverage())
         if path is not None:
             write_figure(figure, Path(path))
         return figure

@@ -1,88 +1,101 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Follows a vehicle on a route that was learned: positions and speeds come in, one by one, and the slope under it goes out."""
+"""Follows a vehicle on a route that was learned: positions and speeds come in, one by one, and what was learned of the ground
+under it comes out. It is compiled, and all that it remembers stands in one array.
+"""
 
 from __future__ import annotations
 
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
-from trackres_ros.route.learned import RouteMap
-from trackres_ros.units import NANOSECOND
+from trackres_ros.jit.compiled import compiled, inlined
+from trackres_ros.route.lookup import learned_at
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 COURSE_M = 15.0  # between two positions that say where it is heading: their scatter is a part of it
 FARTHEST_M = 150.0  # between two positions: the way between them is not known
 MOVING_MPS = 0.5  # slower, positions say nothing of where it is heading
-LONGEST_S, LONGEST_M = 10.0, 100.0  # without a position, that its place is carried on by its speed
-EVERY_S = 0.2  # of the slopes that go out
+LONGEST_M = 100.0  # without a position, that its place is carried on by its speed
+EVERY_S = 0.2  # between two looks at the route
+
+SLOPES, TORQUES = range(2)  # kinds of what is learned by place, as of `lookup.lookup_of`
+
+# What is remembered: the last position and the one that the course counts from, east and north of a frame [m]; the course, of
+# length 1; whether it backs up; distance driven since that position, and since the last one [m]; time since the last look [s];
+# and what that saw: slope the way it points, torque against travel and its standard deviation [Nm], whether the place was known.
+(
+    AT_X,
+    AT_Y,
+    FROM_X,
+    FROM_Y,
+    EAST,
+    NORTH,
+    BACKWARD,
+    SINCE_M,
+    AHEAD_M,
+    LOOKED_S,
+    SLOPE,
+    TORQUE,
+    TORQUE_STD,
+    PLACE_KNOWN,
+) = range(14)
+FOLLOWED = 14
+NOTHING_YET = (*(math.nan,) * 6, 0.0, 0.0, 0.0, EVERY_S, *(math.nan,) * 3, 0.0)
 
 
-class Follower:
-    """Where a vehicle is on a route.
+@compiled
+def forget(followed: Array) -> None:
+    """As at the start."""
+    for i in range(FOLLOWED):
+        followed[i] = NOTHING_YET[i]
 
-    Parameters
-    ----------
-    route
-        Slopes by place.
+
+@inlined
+def take_position(followed: Array, x: float, y: float) -> None:
+    """A position came, east and north of the frame [m]; nan of one beyond it."""
+    moved = math.hypot(x - followed[FROM_X], y - followed[FROM_Y])
+    if math.isnan(moved) or moved > FARTHEST_M:
+        followed[EAST] = followed[NORTH] = math.nan
+        followed[FROM_X], followed[FROM_Y], followed[SINCE_M] = x, y, 0.0
+    elif moved >= COURSE_M and followed[SINCE_M] > 0.5 * COURSE_M:
+        followed[EAST], followed[NORTH] = (x - followed[FROM_X]) / moved, (y - followed[FROM_Y]) / moved
+        followed[FROM_X], followed[FROM_Y], followed[SINCE_M] = x, y, 0.0
+    followed[AT_X], followed[AT_Y], followed[AHEAD_M] = x, y, 0.0
+
+
+@inlined
+def drive_on(followed: Array, speed: float, dt: float, since_position: float) -> None:
+    """A speed came [m/s], so long after the one before and so long after the last position, by their stamps [s]."""
+    followed[SINCE_M] += abs(speed) * dt
+    followed[AHEAD_M] += abs(speed) * min(max(since_position, 0.0), dt)
+    followed[LOOKED_S] += dt
+    if abs(speed) > MOVING_MPS:
+        backward = 1.0 if speed < 0.0 else 0.0
+        if backward != followed[BACKWARD]:  # it comes back on its way
+            followed[EAST], followed[NORTH] = -followed[EAST], -followed[NORTH]
+        followed[BACKWARD] = backward
+
+
+@inlined
+def look(cells: IntArray, places: Array, followed: Array, is_old: bool) -> None:
+    """See what was learned of the ground under it, if the last look was long enough ago; `is_old` tells whether the last position
+    is.
     """
-
-    def __init__(self, route: RouteMap) -> None:
-        self._route = route
-        self._anchor: tuple[float, float] | None = None  # the position that the course counts from
-        self._at: tuple[float, float] | None = None
-        self._course: tuple[float, float] | None = None
-        self._backward = False
-        self._since_m = 0.0
-        self._ahead_m = 0.0  # driven since the last position
-        self._fixed_ns = self._now_ns = self._told_ns = 0
-
-    def position(self, stamp_ns: int, latitude: float, longitude: float) -> None:
-        """A position came [rad]."""
-        x, y = (float(p[0]) for p in self._route.frame.metres(np.array([latitude]), np.array([longitude])))
-        if not (math.isfinite(x) and math.isfinite(y)):
-            return
-        if self._anchor is not None:
-            east, north = x - self._anchor[0], y - self._anchor[1]
-            moved = math.hypot(east, north)
-            if moved > FARTHEST_M:
-                self._course = self._anchor = None
-            elif moved >= COURSE_M and self._since_m > 0.5 * COURSE_M:
-                self._course = east / moved, north / moved
-                self._anchor, self._since_m = (x, y), 0.0
-        if self._anchor is None:
-            self._anchor, self._since_m = (x, y), 0.0
-        self._at, self._fixed_ns = (x, y), stamp_ns
-        self._ahead_m = 0.0
-
-    def speed(self, stamp_ns: int, speed: float) -> float | None:
-        """A speed came [m/s]: the slope under the vehicle, rise over run the way it points; nan beside the route, None where it
-        was told a moment ago.
-        """
-        if not math.isfinite(speed):
-            return None
-        self._since_m += abs(speed) * _seconds(self._now_ns, stamp_ns)
-        self._ahead_m += abs(speed) * _seconds(max(self._now_ns, self._fixed_ns), stamp_ns)
-        self._now_ns = max(stamp_ns, self._now_ns)
-        if abs(speed) > MOVING_MPS:
-            if self._backward != (speed < 0.0):  # it comes back on its way
-                self._course = None if self._course is None else (-self._course[0], -self._course[1])
-            self._backward = speed < 0.0
-        if 0.0 <= (stamp_ns - self._told_ns) * NANOSECOND < EVERY_S:
-            return None
-        self._told_ns = stamp_ns
-        return self._slope(stamp_ns)
-
-    def _slope(self, stamp_ns: int) -> float:
-        late = (stamp_ns - self._fixed_ns) * NANOSECOND > LONGEST_S and self._ahead_m > 0.0
-        if self._at is None or self._course is None or late or self._ahead_m > LONGEST_M:
-            return math.nan
-        (x, y), (east, north) = self._at, self._course
-        rise, _ = self._route.at(x + self._ahead_m * east, y + self._ahead_m * north, east, north)
-        return -rise if self._backward else rise
-
-
-def _seconds(before_ns: int, now_ns: int) -> float:
-    """Time since a stamp, at most `LONGEST_S`; none where there was no stamp yet."""
-    return min(max((now_ns - before_ns) * NANOSECOND, 0.0), LONGEST_S) if before_ns else 0.0
+    if followed[LOOKED_S] < EVERY_S:
+        return
+    followed[LOOKED_S] = followed[PLACE_KNOWN] = 0.0
+    followed[SLOPE] = followed[TORQUE] = followed[TORQUE_STD] = math.nan
+    ahead, east, north = followed[AHEAD_M], followed[EAST], followed[NORTH]
+    if math.isnan(followed[AT_X]) or math.isnan(east) or (is_old and ahead > 0.0) or ahead > LONGEST_M:
+        return
+    followed[PLACE_KNOWN] = 1.0
+    x, y = followed[AT_X] + ahead * east, followed[AT_Y] + ahead * north
+    rise, _ = learned_at(cells, places, SLOPES, x, y, east, north)
+    followed[SLOPE] = -rise if followed[BACKWARD] > 0.0 else rise
+    followed[TORQUE], followed[TORQUE_STD] = learned_at(cells, places, TORQUES, x, y, east, north)

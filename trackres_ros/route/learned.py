@@ -5,18 +5,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.route.follower import SLOPES, TORQUES
+from trackres_ros.route.lookup import NUMBER, PLACE_COLUMNS, POSE, STDS, VALUES, Lookup, learned_at, lookup_of
 from trackres_ros.route.matching import Places
 from trackres_ros.route.track import Frame
 
 Array = NDArray[np.float64]
 
 SLOPE, TORQUE = "slope", "torque"
+KINDS = {SLOPE: SLOPES, TORQUE: TORQUES}
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +49,9 @@ class RouteMap:
     std: Array
     passes: NDArray[np.int64]
 
+    def __len__(self) -> int:
+        return len(self.latitude)
+
     def times(self, factor: float) -> RouteMap:
         """The same with values so many times as large."""
         return replace(self, value=factor * self.value, std=abs(factor) * self.std)
@@ -52,22 +59,44 @@ class RouteMap:
     @cached_property
     def frame(self) -> Frame:
         """Local metres about the middle of it."""
-        return Frame(float(np.median(self.latitude)), float(np.median(self.longitude)))
+        return Frame.about(self.latitude, self.longitude)
 
     @cached_property
     def places(self) -> Places:
-        """The places, to be looked up."""
-        x, y = self.frame.metres(self.latitude, self.longitude)
-        return Places(*(part.tolist() for part in (x, y, np.cos(self.course), np.sin(self.course))))
+        """The places, to be matched."""
+        return Places(self.table(self.frame)[:, POSE].tolist())
+
+    def table(self, frame: Frame) -> Array:
+        """Places in a frame, with what was learned, as `lookup.lookup_of` takes them."""
+        table = np.empty((len(self), PLACE_COLUMNS))
+        table[:, POSE] = np.stack(
+            [*frame.metres(self.latitude, self.longitude), np.cos(self.course), np.sin(self.course)], axis=1
+        )
+        table[:, NUMBER], table[:, VALUES], table[:, STDS] = np.arange(len(self)), self.value, self.std
+        return table
 
     def at(self, x: float, y: float, east: float, north: float) -> tuple[float, float]:
         """Value and standard deviation for one who travels in a direction at a place [m], of a slope the rise along the travel;
         nan where nothing was learned.
         """
-        places, shares, signs = self.places.between(x, y, east, north)
-        total, spread, weight = 0.0, 0.0, 0.0
-        for place, share, sign in zip(places, shares, signs, strict=True):
-            value = self.value[place, int(sign < 0.0)] if place >= 0 else np.nan
-            if share > 0.0 and np.isfinite(value):
-                total, spread, weight = total + share * value, spread + share * self.std[place, int(sign < 0.0)], weight + share
-        return (total / weight, spread / weight) if weight > 0.0 else (np.nan, np.nan)
+        return learned_at(*self._lookup, 0, x, y, east, north)
+
+    @cached_property
+    def _lookup(self) -> Lookup:
+        return lookup_of([self.table(self.frame)])
+
+
+def of_kind(route: Sequence[RouteMap], kind: str) -> RouteMap | None:
+    """The map of a kind, None where there is none."""
+    return next((one for one in route if one.kind == kind), None)
+
+
+def frame_of(route: Sequence[RouteMap]) -> Frame:
+    """Local metres about the middle of all of it."""
+    return Frame.about(*(np.concatenate([np.empty(0), *(getattr(m, name) for m in route)]) for name in ("latitude", "longitude")))
+
+
+def followed_in(route: Sequence[RouteMap], frame: Frame) -> Lookup:
+    """All maps ready for the follower."""
+    tables = {KINDS[m.kind]: m.table(frame) for m in route}
+    return lookup_of([tables.get(kind, np.empty((0, PLACE_COLUMNS))) for kind in sorted(KINDS.values())])

@@ -5,27 +5,30 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.route.lookup import (
+    JOINED,
+    NUMBER,
+    PLACE_COLUMNS,
+    POSE,
+    SPACING_M,
+    Lookup,
+    between,
+    cell_of,
+    lookup_of,
+    seen_from,
+)
 from trackres_ros.route.track import STEP_M, Track
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
-Between = tuple[tuple[int, int], tuple[float, float], tuple[float, float]]
 
-SPACING_M = 20.0  # of places along a street
-ASIDE_M = 25.0  # two drives on one street lie as far apart as the scatter of positions and its lanes make them
-ALIKE = math.cos(math.radians(45.0))  # of directions: less is a street that crosses
-REACH = 1.5  # spacings ahead or behind that a place is looked for
-JOINED = 0.75  # of a spacing: no new place so near to another
-SIDEWAYS = 0.5  # how much distance aside counts beside distance along
 AGAIN_M = 150.0  # driven before a place is passed once more
-CELL_M = 50.0  # of the grid in which places are looked up: more than ASIDE_M and REACH spacings come to
 
 
 class Places:
@@ -33,15 +36,15 @@ class Places:
 
     Parameters
     ----------
-    x, y, east, north
-        East and north of each [m], and its direction, of length 1.
+    table
+        East and north of each [m], and its direction, of length 1; shape (places, 4).
     """
 
-    def __init__(self, x: Sequence[float] = (), y: Sequence[float] = (), east: Sequence[float] = (), north: Sequence[float] = ()):
+    def __init__(self, table: Iterable[Sequence[float]] = ()) -> None:
         self._at: list[tuple[float, float, float, float]] = []
-        self._cells: dict[tuple[int, int], list[int]] = {}
-        for place in zip(x, y, east, north, strict=True):
-            self.add(*place)
+        self._cells: dict[tuple[int, int], list[tuple[float, float, float, float]]] = {}
+        for x, y, east, north in table:
+            self.add(x, y, east, north)
 
     def __len__(self) -> int:
         return len(self._at)
@@ -51,48 +54,27 @@ class Places:
         """East, north and the two parts of the direction of each, shape (places, 4)."""
         return np.array(self._at, dtype=np.float64).reshape(-1, 4)
 
+    @property
+    def lookup(self) -> Lookup:
+        """The places, to be looked up by where one is; nothing is learned of them."""
+        places = np.full((len(self), PLACE_COLUMNS), np.nan)
+        places[:, POSE], places[:, NUMBER] = self.table, np.arange(len(self))
+        return lookup_of([places])
+
     def add(self, x: float, y: float, east: float, north: float) -> None:
-        """One more place."""
-        self._cells.setdefault((math.floor(x / CELL_M), math.floor(y / CELL_M)), []).append(len(self._at))
+        """One more place: east and north [m], and its direction, of length 1."""
         self._at.append((x, y, east, north))
+        self._cells.setdefault((cell_of(x), cell_of(y)), []).append(self._at[-1])
 
     def is_near(self, x: float, y: float, east: float, north: float) -> bool:
         """Whether there is a place already."""
-        return any(abs(along) <= JOINED * SPACING_M for along, _, _, _ in self._around(x, y, east, north))
-
-    def between(self, x: float, y: float, east: float, north: float) -> Between:
-        """Where one is who travels in a direction: the places behind and ahead, their shares, and whether they point along (1)
-        or against (-1); places of -1 where there is none near.
-        """
-        behind = ahead = None
-        for found in self._around(x, y, east, north):
-            if found[0] <= 0.0:
-                behind = found if behind is None or found[1] < behind[1] else behind
-            else:
-                ahead = found if ahead is None or found[1] < ahead[1] else ahead
-        if behind is not None and ahead is not None:
-            share = behind[0] / (behind[0] - ahead[0])
-            return (behind[2], ahead[2]), (1.0 - share, share), (behind[3], ahead[3])
-        only = behind or ahead
-        if only is None or abs(only[0]) > JOINED * SPACING_M:
-            return (-1, -1), (0.0, 0.0), (0.0, 0.0)
-        return (only[2], only[2]), (1.0, 0.0), (only[3], only[3])
-
-    def _around(self, x: float, y: float, east: float, north: float) -> list[tuple[float, float, int, float]]:
-        """Places on the same street: distance along the travel [m], how far they count as, which, and 1 or -1."""
-        column, row = math.floor(x / CELL_M), math.floor(y / CELL_M)
-        found = []
-        for cell in ((i, j) for i in (column - 1, column, column + 1) for j in (row - 1, row, row + 1)):
-            for place in self._cells.get(cell, ()):
-                px, py, of_east, of_north = self._at[place]
-                alike = of_east * east + of_north * north
-                if abs(alike) < ALIKE:
-                    continue
-                along = (px - x) * east + (py - y) * north
-                aside = abs((py - y) * east - (px - x) * north)
-                if aside <= ASIDE_M and abs(along) <= REACH * SPACING_M:
-                    found.append((along, abs(along) + SIDEWAYS * aside, place, math.copysign(1.0, alike)))
-        return found
+        column, row = cell_of(x), cell_of(y)
+        around = ((i, j) for i in (column - 1, column, column + 1) for j in (row - 1, row, row + 1))
+        return any(
+            far < np.inf and abs(along) <= JOINED * SPACING_M
+            for cell in around
+            for along, far, _ in (seen_from(x, y, east, north, *place) for place in self._cells.get(cell, ()))
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,14 +128,17 @@ def places_of(tracks: Sequence[Track]) -> Places:
 def matched(places: Places, tracks: Sequence[Track]) -> list[Matched]:
     """Where tracks are between places, and how often each was passed until then."""
     passes, last = np.full((len(places), 3), -1), np.full((len(places), 3), -np.inf)  # one way, the other, and either
+    lookup = places.lookup
+    numbers = lookup.places[:, NUMBER].astype(np.int64)
     found, before_m = [], 0.0
     for track in tracks:
         place, share, sign = np.full((len(track), 2), -1), np.zeros((len(track), 2)), np.zeros((len(track), 2))
         number = np.full((len(track), 2), -1)
         for i, *at in _known(track):
-            place[i], share[i], sign[i] = places.between(*at)
-            if place[i, 0] < 0:
+            behind, ahead, of_ahead, *signs = between(*lookup, 0, *at)
+            if behind < 0:
                 continue
+            place[i], share[i], sign[i] = numbers[[behind, ahead]], (1.0 - of_ahead, of_ahead), signs
             side, here = int(share[i, 1] > 0.5), before_m + i * STEP_M
             nearer, ways = place[i, side], [2, int(sign[i, side] < 0.0)]
             passes[nearer, ways] += here - last[nearer, ways] > AGAIN_M

@@ -1,80 +1,118 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Reads and writes the slopes of a route as a table: a row for each place."""
+"""Reads and writes what was learned of the places of a route as a table: a row for each place."""
 
 from __future__ import annotations
 
 import csv
 import io
 import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trackres_ros.checks import number
 from trackres_ros.errors import InputError
 from trackres_ros.files.small_files import read_text
-from trackres_ros.route.learned import SLOPE, RouteMap
+from trackres_ros.route.learned import SLOPE, TORQUE, RouteMap, followed_in, frame_of, of_kind
+from trackres_ros.route.lookup import CELL_M, END, FIRST
+from trackres_ros.route.track import FARTHEST_M
 from trackres_ros.units import DEGREE
 
-MOST_BYTES = 1 << 25  # half a million places, ten thousand kilometres of streets
-COLUMNS = {
+Array = NDArray[np.float64]
+
+MOST_BYTES = 1 << 26  # half a million places, ten thousand kilometres of streets
+MOST_IN_A_CELL = 200  # places: streets that lie one over the other have some tens, and each takes time in the vehicle
+MOST_NM = 1e7
+PLACE = {
     "latitude_deg": (-90.0, 90.0),
     "longitude_deg": (-180.0, 180.0),
     "course_deg": (0.0, 360.0),  # clockwise from north: the way in which the slope counts
-    "slope": (-0.5, 0.5),  # rise over run
-    "std": (0.0, 0.5),
-    "passes": (0.0, 1e9),
 }
+LEARNED = {
+    SLOPE: {"slope": (-0.5, 0.5), "std": (0.0, 0.5)},  # rise over run
+    TORQUE: {  # against travel, of one who travels along the course, and the other way
+        "torque_nm": (-MOST_NM, MOST_NM),
+        "torque_std_nm": (0.0, MOST_NM),
+        "torque_back_nm": (-MOST_NM, MOST_NM),
+        "torque_back_std_nm": (0.0, MOST_NM),
+    },
+}
+PASSES = {"passes": (0.0, 1e9)}
+HEADERS = [
+    {name: limits for group in (PLACE, *(LEARNED[kind] for kind in kinds), PASSES) for name, limits in group.items()}
+    for kinds in ((SLOPE,), (TORQUE,), (SLOPE, TORQUE))
+]
 
 
-def write_route(path: Path, route: RouteMap) -> None:
-    """Write slopes by place."""
+def write_route(path: Path, route: Sequence[RouteMap]) -> None:
+    """Write what was learned by place: a row for each place of which anything was, and a cell that is empty where nothing was."""
+    rows: dict[str, dict[str, str]] = {}
+    for one in route:
+        for at, learned, passes in zip(_places(one), _learned(one), one.passes.tolist(), strict=True):
+            if any(learned.values()):
+                rows.setdefault(at, {}).update({**learned, "passes": str(passes)})
+    kinds = [kind for kind in LEARNED if of_kind(route, kind) is not None]
+    columns = [*(name for kind in kinds for name in LEARNED[kind]), *PASSES]
+    lines = [",".join([at, *(row.get(name, "") for name in columns)]) for at, row in rows.items()]
+    path.write_text("\n".join([",".join([*PLACE, *columns]), *lines]) + "\n", encoding="utf-8")
+
+
+def _places(route: RouteMap) -> list[str]:
     course = np.degrees(0.5 * math.pi - route.course) % 360.0
-    rows = zip(
-        np.degrees(route.latitude),
-        np.degrees(route.longitude),
-        course,
-        route.value[:, 0],
-        route.std[:, 0],
-        route.passes,
-        strict=True,
-    )
-    lines = [f"{a:.7f},{b:.7f},{c:.1f},{d:.5f},{e:.5f},{n}" for a, b, c, d, e, n in rows]
-    path.write_text("\n".join([",".join(COLUMNS), *lines]) + "\n", encoding="utf-8")
+    at = zip(np.degrees(route.latitude), np.degrees(route.longitude), course, strict=True)
+    return [f"{a:.7f},{b:.7f},{c:.1f}" for a, b, c in at]
 
 
-def read_route(path: Path) -> RouteMap:
-    """Read slopes by place.
+def _learned(route: RouteMap) -> list[dict[str, str]]:
+    digits = 5 if route.kind == SLOPE else 1
+    std = np.where(np.isfinite(route.value), route.std, np.nan)
+    values = np.stack([route.value, std], axis=2).reshape(len(route), -1)
+    rows = ([f"{x:.{digits}f}" if math.isfinite(x) else "" for x in row] for row in values.tolist())
+    return [dict(zip(LEARNED[route.kind], row, strict=False)) for row in rows]  # a slope of one way is that of the other
+
+
+def read_route(path: Path) -> tuple[RouteMap, ...]:
+    """Read what was learned by place: a slope, a torque, or both.
 
     Raises
     ------
     InputError
-        If it is no such table, or a value is beyond all reason.
+        If it is no such table, a value is beyond all reason, or its places lie too far apart or too near to one another.
     """
     rows = list(csv.reader(io.StringIO(read_text(path, "table of a route", MOST_BYTES))))
-    if not rows or tuple(rows[0]) != tuple(COLUMNS):
-        raise InputError(str(path), ",".join(rows[0])[:80] if rows else "nothing", f"a first line {','.join(COLUMNS)}")
+    known = next((header for header in HEADERS if rows and rows[0] == list(header)), None)
+    if known is None:
+        allowed = f"a first line {' or '.join(','.join(header) for header in HEADERS)}"
+        raise InputError(str(path), ",".join(rows[0])[:80] if rows else "nothing", allowed)
     if len(rows) < 2:
         raise InputError(str(path), "no place", "at least one row")
-    table = np.array([_row(row, f"{path}, line {line}") for line, row in enumerate(rows[1:], 2)])
-    latitude, longitude, course, slope, std, passes = table.T
-    return RouteMap(
-        SLOPE,
-        DEGREE * latitude,
-        DEGREE * longitude,
-        0.5 * math.pi - DEGREE * course,
-        np.stack([slope, -slope], axis=1),
-        np.stack([std, std], axis=1),
-        passes.astype(np.int64),
-    )
+    table = np.array([_row(row, known, f"{path}, line {line}") for line, row in enumerate(rows[1:], 2)])
+    columns = dict(zip(known, table.T, strict=True))
+    route = tuple(_map(kind, columns) for kind in LEARNED if set(LEARNED[kind]) <= set(known))
+    route = tuple(one for one in route if len(one))
+    if not route:
+        raise InputError(str(path), "nothing that was learned", "at least one row with a slope or a torque")
+    _check_places(path, route)
+    return route
 
 
-def _row(row: list[str], where: str) -> list[float]:
-    if len(row) != len(COLUMNS):
-        raise InputError(where, f"{len(row)} values", f"{len(COLUMNS)}: {', '.join(COLUMNS)}")
-    return [number(_parsed(x), f"{where}: {name}", *limits) for x, (name, limits) in zip(row, COLUMNS.items(), strict=True)]
+def _row(row: list[str], known: Mapping[str, tuple[float, float]], where: str) -> list[float]:
+    if len(row) != len(known):
+        raise InputError(where, f"{len(row)} values", f"{len(known)}: {', '.join(known)}")
+    may_be_empty = known.keys() - PLACE.keys() - PASSES.keys()
+    found = [
+        math.nan if name in may_be_empty and not text.strip() else number(_parsed(text), f"{where}: {name}", *limits)
+        for text, (name, limits) in zip(row, known.items(), strict=True)
+    ]
+    values = dict(zip(known, found, strict=True))
+    for name, std in (("slope", "std"), ("torque_nm", "torque_std_nm"), ("torque_back_nm", "torque_back_std_nm")):
+        if name in values and math.isnan(values[name]) != math.isnan(values[std]):
+            raise InputError(where, f"one of {name} and {std}", "both, or neither")
+    return found
 
 
 def _parsed(text: str) -> float | str:
@@ -82,3 +120,28 @@ def _parsed(text: str) -> float | str:
         return float(text)
     except ValueError:
         return text
+
+
+def _map(kind: str, columns: Mapping[str, Array]) -> RouteMap:
+    """The places of a kind, where something was learned."""
+    learned = np.stack([columns[name] for name in LEARNED[kind]], axis=1)
+    value, std = learned[:, ::2], learned[:, 1::2]
+    if kind == SLOPE:
+        value, std = np.concatenate([value, -value], axis=1), np.concatenate([std, std], axis=1)
+    there = np.isfinite(value).any(axis=1)
+    latitude, longitude, course = (DEGREE * columns[name][there] for name in PLACE)
+    return RouteMap(
+        kind, latitude, longitude, 0.5 * math.pi - course, value[there], std[there], columns["passes"][there].astype(np.int64)
+    )
+
+
+def _check_places(path: Path, route: Sequence[RouteMap]) -> None:
+    """Refuse places that no flat map holds, and so many at one spot that looking them up would take long."""
+    frame = frame_of(route)
+    if not all(np.isfinite(one.table(frame)[:, 0]).all() for one in route):
+        given = f"places more than {0.001 * FARTHEST_M:.0f} km from their middle"
+        raise InputError(str(path), given, "places of one region", "make a table for each region")
+    cells = followed_in(route, frame).cells
+    most = int((cells[:, END] - cells[:, FIRST]).max())
+    if most > MOST_IN_A_CELL:
+        raise InputError(str(path), f"{most} places within {CELL_M:.0f} m", f"at most {MOST_IN_A_CELL}")

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.jit.compiled import inlined
 from trackres_ros.units import EARTH_M
 
 Array = NDArray[np.float64]
@@ -20,7 +22,18 @@ STEP_M = 10.0  # between points of a track
 SMOOTH_M = 10.0  # standard deviation of the mean over distance: satellite positions scatter by 5 to 20 m
 LONGEST_GAP_M = 100.0  # between positions: beyond it a straight line may be off by more than a street is wide
 STRAIGHT = (0.5, 1.5)  # way by positions over way driven: outside of it one of them is wrong
-FAR_RAD = 0.02  # of a place from where its metres are measured: some 120 km, over which a map is flat to half a percent
+FARTHEST_M = 125_000.0  # of a place from where its metres are measured: so far a map is flat to half a percent
+
+
+def flat(latitude: Any, longitude: Any, of_latitude: Any, of_longitude: Any) -> tuple[Any, Any]:
+    """East and north of a place [m] that another one lies, all in rad, on a flat map; numbers, or arrays. Compiled code has it as
+    `flat_now`.
+    """
+    east = np.remainder(of_longitude - longitude + math.pi, 2.0 * math.pi) - math.pi
+    return EARTH_M * math.cos(latitude) * east, EARTH_M * (of_latitude - latitude)
+
+
+flat_now = inlined(flat)
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,10 +51,8 @@ class Frame:
 
     def metres(self, latitude: Array, longitude: Array) -> tuple[Array, Array]:
         """East and north [m] of positions [rad]; nan where they are none, or too far for a flat map."""
-        east = np.remainder(longitude - self.longitude + math.pi, 2.0 * math.pi) - math.pi
-        north = np.asarray(latitude - self.latitude)
-        near = np.hypot(east * math.cos(self.latitude), north) < FAR_RAD
-        x, y = EARTH_M * math.cos(self.latitude) * east, EARTH_M * north
+        x, y = flat(self.latitude, self.longitude, latitude, longitude)
+        near = np.hypot(x, y) < FARTHEST_M
         return np.where(near, x, np.nan), np.where(near, y, np.nan)
 
     def position(self, x: Array, y: Array) -> tuple[Array, Array]:

@@ -214,7 +214,7 @@ class Vehicle:
     effects, surroundings
         Effects that the vehicle file switches on, and those of site, weather and ground from a file of their own.
     route
-        Slope by place, of the surroundings; None where there is none.
+        Slope and torque by place, of the surroundings; empty where there is neither.
     disturbance
         A torque that nothing foretells: watched for where a torque is measured, part of no estimate.
     """
@@ -233,7 +233,7 @@ class Vehicle:
     parameters: Mapping[str, Quantity]
     effects: tuple[Active, ...] = ()
     surroundings: tuple[Active, ...] = ()
-    route: RouteMap | None = None
+    route: tuple[RouteMap, ...] = ()
     disturbance: Disturbance | None = None
 
     def __repr__(self) -> str:

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """Reads the file of the surroundings: effects of site, weather and ground, which hold here and today, not for the vehicle, and
-the slopes of a route.
+what was learned of the places of a route.
 """
 
 from __future__ import annotations
@@ -11,16 +11,20 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from trackres_ros.effects.effect import Active
 from trackres_ros.errors import InputError
 from trackres_ros.files.yamls import read_yaml
-from trackres_ros.route.learned import RouteMap
+from trackres_ros.route.learned import TORQUE, RouteMap, of_kind
 from trackres_ros.route.table import read_route
+from trackres_ros.text.numbers import figures
 from trackres_ros.vehicle.description import Vehicle
 from trackres_ros.vehicle.loading import listed_effects
 from trackres_ros.vehicle.reading import Reader
 
 SCHEMA = 1
+MOST_SHARE = 0.5  # of weight times wheel radius: what a torque by place may come to, as a slope of 50 %
 KEYS = ("schema", "vehicle", "effects")
 
 
@@ -36,7 +40,7 @@ def with_surroundings(vehicle: Vehicle, file: str | os.PathLike[str] | None) -> 
         return vehicle
     size = vehicle.weight * vehicle.track_of(vehicle.assemblies[0]).sprocket_radius
     path = Path(file)
-    return replace(vehicle, surroundings=load_surroundings(path, vehicle.name, size, False), route=load_route(path))
+    return replace(vehicle, surroundings=load_surroundings(path, vehicle.name, size, False), route=load_route(path, size))
 
 
 def load_surroundings(path: Path, vehicle: str, size: float, on_tyres: bool) -> tuple[Active, ...]:
@@ -57,13 +61,22 @@ def load_surroundings(path: Path, vehicle: str, size: float, on_tyres: bool) -> 
     return listed_effects(reader, content, size, on_tyres, "surroundings")
 
 
-def load_route(path: Path) -> RouteMap | None:
-    """The slope by place that a file of the surroundings names; None where it names none.
+def load_route(path: Path, size: float) -> tuple[RouteMap, ...]:
+    """Slope and torque by place that a file of the surroundings names, for a vehicle of a weight times wheel radius [Nm]; nothing
+    where it names none.
 
     Raises
     ------
     InputError
-        If its table cannot be read.
+        If its table cannot be read, or has a torque that no ground takes of this vehicle.
     """
     name = read_yaml(path).get("route")
-    return None if name is None else read_route(path.parent / Reader(path).text(name, "route"))
+    if name is None:
+        return ()
+    file = path.parent / Reader(path).text(name, "route")
+    route, most = read_route(file), MOST_SHARE * size
+    torques = of_kind(route, TORQUE)
+    largest = 0.0 if torques is None else float(np.nanmax(np.abs(torques.value)))
+    if largest > most:
+        raise InputError(str(file), f"a torque by place of {figures(largest)} Nm", f"at most {figures(most)} Nm of this vehicle")
+    return route

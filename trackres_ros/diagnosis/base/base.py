@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.base.watched import SlopeByPlace, Watched
+from trackres_ros.diagnosis.base.watched import SlopeByPlace, TorqueByPlace, Watched
 from trackres_ros.diagnosis.prepare.session import Session
 from trackres_ros.diagnosis.writing.kept import Kept
 from trackres_ros.effects.effect import Active, Conditions, Terms, VehicleConstants, conditions, together
@@ -123,7 +123,7 @@ class Remembered(threading.local):
         self, sessions: Sequence[Session], values: Values, acting: Acting, simulate: Callable[[], list[Array]]
     ) -> list[Array]:
         """What `simulate` gives, or gave when it was last asked with the same."""
-        stepped = tuple((active.effect, *active.numbers) for active in (*acting.stepped, *acting.slopes))
+        stepped = tuple((active.effect, *active.numbers) for active in (*acting.stepped, *acting.slopes, *acting.torques))
         hangs_on = (*map(id, sessions), *values.values(), acting.sensors.speed_factor, *stepped)
         if hangs_on != self._hangs_on:
             self._hangs_on, self._rows = hangs_on, simulate()
@@ -133,14 +133,15 @@ class Remembered(threading.local):
 
 @dataclass(frozen=True)
 class Acting:
-    """Effects sorted: those that act in every step, ready for it, those that follow a series of their own, slopes among them by
-    themselves, and what those of sensors make of speed and torque.
+    """Effects sorted: those that act in every step, ready for it, those that follow a series of their own, slopes and torques by
+    place among them by themselves, and what those of sensors make of speed and torque.
     """
 
     stepped: tuple[Active, ...]
     table: EffectTable
     watched: tuple[Active, ...]
     slopes: tuple[Active, ...]
+    torques: tuple[Active, ...]
     sensors: Terms
 
     @classmethod
@@ -148,10 +149,11 @@ class Acting:
         """Sort effects; what a sensor makes of it hangs on nothing but its parameters."""
         series = tuple(active for active in effects if isinstance(active.effect, Watched))
         slopes = tuple(active for active in series if isinstance(active.effect, SlopeByPlace))
-        watched = tuple(active for active in series if active not in slopes)
+        torques = tuple(active for active in series if isinstance(active.effect, TorqueByPlace))
+        watched = tuple(active for active in series if active not in slopes and active not in torques)
         stepped = tuple(active for active in effects if active not in series and active.effect.acts_on != "sensor")
         sensors = [active.terms(conditions(facts)) for active in effects if active.effect.acts_on == "sensor"]
-        return cls(stepped, effect_table(stepped, with_uncertainty=False), watched, slopes, together(sensors))
+        return cls(stepped, effect_table(stepped, with_uncertainty=False), watched, slopes, torques, together(sensors))
 
     def speed(self, session: Session) -> Array:
         """True speed [m/s]."""
@@ -160,17 +162,15 @@ class Acting:
     def grade(self, session: Session, number: int) -> Array:
         """Slope of the session of a number, as recorded and as learned by place; level where nothing is known."""
         grade = session.grade if "grade" in session.given else np.zeros(len(session))
-        for active in self.slopes:
-            assert isinstance(active.effect, Watched)
-            grade = grade + active.numbers[0] * active.effect.shape[number]
-        return np.ascontiguousarray(grade)
+        return np.ascontiguousarray(_with_series(grade, self.slopes, number))
+
+    def torque_by_place(self, session: Session, number: int) -> Array:
+        """Torque against travel by the place of the session of a number, as given and as learned [Nm]."""
+        return np.ascontiguousarray(_with_series(session.torque_by_place, self.torques, number))
 
     def with_watched(self, torque: Array, session: int) -> Array:
         """A torque of the session of a number with what follows a series of its own [Nm]."""
-        for active in self.watched:
-            assert isinstance(active.effect, Watched)
-            torque = torque + active.numbers[0] * active.effect.shape[session]
-        return torque
+        return _with_series(torque, self.watched, session)
 
     def sensed(self, torque: Array, session: Session) -> Array:
         """What the torque sensor shows of a torque [Nm]."""
@@ -203,6 +203,14 @@ class Acting:
             for active in own:
                 if all(np.isfinite(getattr(at, need)) for need in active.effect.needs):
                     _refuse_unusable(active, at)
+
+
+def _with_series(values: Array, effects: Sequence[Active], session: int) -> Array:
+    """Values with what effects add to them that have a series for the session of a number."""
+    for active in effects:
+        assert isinstance(active.effect, Watched)
+        values = values + active.numbers[0] * active.effect.shape[session]
+    return values
 
 
 def _refuse_unusable(active: Active, at: Conditions) -> None:

@@ -28,14 +28,14 @@ from trackres_ros.vehicle import Vehicle, load, with_surroundings
 @dataclass(frozen=True, eq=False)
 class LoadedBase:
     """A base model, the vehicle's title, what the gate needs to know of it, and the surroundings that it is in: effects, and
-    slopes by place.
+    what is known of its ground by place.
     """
 
     base: Base
     title: str
     known: GateSettings
     surroundings: tuple[Active, ...] = ()
-    route: RouteMap | None = None
+    route: tuple[RouteMap, ...] = ()
 
 
 def load_base(

@@ -77,7 +77,7 @@ class RoadVehicle:
     friction_brakes: bool  # whether brakes of which nothing is recorded help a torque that brakes
     effects: tuple[Active, ...]
     surroundings: tuple[Active, ...]
-    route: RouteMap | None  # slope by place, of the surroundings
+    route: tuple[RouteMap, ...]  # slope and torque by place, of the surroundings
     torque_shown: tuple[float, float]  # least and most times the expected torque, by the ranges of its scale and of the mass
 
 
@@ -100,7 +100,7 @@ def load_road_vehicle(path: Path, content: Mapping[str, Any], surroundings: Path
     size = values["mass"] * GRAVITY * values["wheel_radius"]
     effects = listed_effects(reader, content, size, True, "vehicle")
     around = load_surroundings(surroundings, name, size, True) if surroundings else ()
-    route = load_route(surroundings) if surroundings else None
+    route = load_route(surroundings, size) if surroundings else ()
     scale, mass = parameters["torque_scale"], parameters["mass"]
     shown = (scale.low * mass.low / values["mass"], scale.high * mass.high / values["mass"])
     return RoadVehicle(name, title, path, values, parameters, brakes, effects, around, route, shown)
@@ -167,6 +167,7 @@ class RoadBase:
             else:
                 memory = cooled(memory)
             torque, outcome = np.empty(len(session)), np.empty(len(session), dtype=np.int64)
+            unknown = np.full(len(session), np.nan)
             vehicle = RoadLoad(
                 values["wheel_radius"],
                 values["rolling_coefficient"],
@@ -184,7 +185,10 @@ class RoadBase:
                 acting.grade(session, i),
                 session.yaw_rate,
                 session.heading,
-                np.full(len(session), np.nan),
+                unknown,
+                unknown,
+                acting.torque_by_place(session, i),
+                unknown,
             )
             run_road_load(*acting.table, work, memory, *vehicle, *series, torque, outcome)
             acting.check(outcome == UNUSABLE, session, self.facts)

@@ -122,7 +122,7 @@ class TrackBase:
         """Step through sessions; rows as of `kernel.predict`, shape (n, `PREDICTED`), of each."""
         arguments = kernel_arguments(self._with(values, acting), COMPILED.compiled)
         belts, motion = np.empty((len(self._firsts), 2, at.BELT_COLUMNS)), np.empty(at.MOTION_COLUMNS)
-        state = Carried(belts, motion, new_memory(len(acting.stepped)))
+        state = Carried(belts, motion, new_memory(len(acting.stepped)), np.zeros(at.LEARNED_COLUMNS))
         found = []
         for i, (session, unseen) in enumerate(with_unseen(sessions)):
             ambient, far = float(session.ambient[0]), float(state.effects[DISTANCE])
@@ -140,6 +140,9 @@ class TrackBase:
                 acting.grade(session, i),
                 session.yaw_rate,
                 session.heading,
+                unknown,
+                unknown,
+                acting.torque_by_place(session, i),
                 unknown,
             )
             COMPILED.predict_series(*arguments, *state, self._count, *series, rows)

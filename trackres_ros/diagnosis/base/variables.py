@@ -22,11 +22,14 @@ CONSTANT_SHARE = 1e-9  # of its size: what differs by less does not vary
 
 @dataclass(frozen=True)
 class Variable:
-    """A variable with its unit, and its series of shape (n,) out of a session and what is simulated of it."""
+    """A variable with its unit, and its series of shape (n,) out of a session and what is simulated of it; and whether it only
+    grows as a drive goes on, so that it shows what follows the clock alone.
+    """
 
     name: str
     unit: str
     of: Callable[[Session, Predicted], Array]
+    as_clock: bool = False
 
 
 VARIABLES = (
@@ -38,9 +41,9 @@ VARIABLES = (
     Variable("heading", "rad", lambda s, _: np.angle(np.exp(1j * s.heading))),
     Variable("belt temperature", "degC", lambda _, p: p.belt),
     Variable("ambient temperature", "degC", lambda s, _: s.ambient),
-    Variable("time since start", "s", lambda s, _: s.time),
+    Variable("time since start", "s", lambda s, _: s.time, as_clock=True),
     Variable("load", "N", lambda s, _: s.weight),
-    Variable("distance", "m", lambda s, _: s.distance),
+    Variable("distance", "m", lambda s, _: s.distance, as_clock=True),
 )
 BY_NAME = {variable.name: variable for variable in VARIABLES}
 

@@ -43,33 +43,32 @@ class Watched(Effect):
 
 
 class ByPlace(Watched):
-    """A torque against travel that was learned for each place of a route.
+    """What was learned for each place of a route. It is known ahead where positions come in, and so it may be written.
 
     Parameters
     ----------
     route
-        What was learned, for a level of `typical`.
-    typical
-        Of its parameter.
+        What was learned, for a value of its parameter of `typical`.
     """
 
+    acts_on = "torque"
     belongs_to = "surroundings"
 
     def __init__(self, name: str, text: str, shape: Sequence[Array], size: float, route: RouteMap, typical: float) -> None:
         super().__init__(name, text, shape, size)
         self.route, self.typical = route, typical
 
-    def learned(self, level: float) -> RouteMap:
-        """What was learned, by the fitted level."""
-        return self.route.times(level / self.typical)
+    def learned(self, value: float) -> RouteMap:
+        """What was learned, by the fitted value of its parameter."""
+        return self.route.times(value / self.typical)
+
+
+class TorqueByPlace(ByPlace):
+    """A torque that was learned for each place: the series are against travel."""
 
 
 class SlopeByPlace(ByPlace):
-    """A slope that was learned for each place of a route: the series are the rise over run the way the vehicle points. It
-    is known ahead where positions come in, and so it may be written.
-    """
-
-    acts_on = "torque"
+    """A slope that was learned for each place: the series are the rise over run the way the vehicle points."""
 
     def __init__(self, name: str, text: str, shape: Sequence[Array], size: float, route: RouteMap, typical: float) -> None:
         super().__init__(name, text, shape, size, route, typical)

@@ -23,7 +23,8 @@ from scipy.signal import lfilter
 from scipy.sparse.linalg import SuperLU, splu
 
 from trackres_ros.diagnosis.inference.noise import Noise, whole_past
-from trackres_ros.route.matching import SPACING_M, Matched
+from trackres_ros.route.lookup import SPACING_M
+from trackres_ros.route.matching import Matched
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

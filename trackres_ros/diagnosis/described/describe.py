@@ -8,7 +8,7 @@ error would; and names that they make needless are taken away.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,7 +19,7 @@ from trackres_ros.diagnosis.described.candidates import candidates, finer
 from trackres_ros.diagnosis.described.level_changes import LevelChange, find_change, piece_s, sharpened
 from trackres_ros.diagnosis.described.payload import Payload, find_payload
 from trackres_ros.diagnosis.described.places import Place, find_place
-from trackres_ros.diagnosis.described.routes import Roads, Route
+from trackres_ros.diagnosis.described.routes import Roads, Route, find_route
 from trackres_ros.diagnosis.described.spells import (
     Blocks,
     Chain,
@@ -35,9 +35,11 @@ from trackres_ros.diagnosis.described.terms import Described, of_drift
 from trackres_ros.diagnosis.described.waves import Wave, find_wave
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
 from trackres_ros.diagnosis.selection.naming import ALIKE_WITHIN, Candidate, Step, compared, one_round, rms, spurious_gain
+from trackres_ros.diagnosis.writing.kept import BY_PLACE
 from trackres_ros.effects.effect import Effect
 from trackres_ros.effects.learned import Curve, Learned
 from trackres_ros.estimator.disturbance import BLOCK_S, later_there, seen_there
+from trackres_ros.route.learned import TORQUE
 
 Array = NDArray[np.float64]
 Search = Callable[[Fit, Sequence[Array]], "Term | None"]
@@ -89,6 +91,7 @@ def describe(
     on_stage: Callable[[str], None],
     roads: Roads | None = None,
     route: Route | None = None,
+    kinds: Collection[str] = (),
 ) -> Description:
     """Look for terms without a name in what a fit leaves.
 
@@ -100,8 +103,8 @@ def describe(
         The catalogue: what was hidden behind a term is looked for once more beside it.
     replicates
         Draws for the threshold of each round.
-    roads, route
-        Where positions say that the sessions are, and what goes by place in the fit already.
+    roads, route, kinds
+        Where positions say that the sessions are, what goes by place in the fit already, and what may.
     """
     current, kept, terms = best, list(steps), dict[str, Term]()
     if route is not None and not route.told:
@@ -111,7 +114,8 @@ def describe(
         on_stage(f"what has no name, round {round_ + 1}")
         followed = _followed(current, replicates, rng)
         by_clock = (_watched(current, name, search) for name, search in searches.items())
-        looked_for = (followed, _wave(current), *by_clock)
+        ground = _ground(current, roads) if route is not None and route.told and TORQUE in kinds else None
+        looked_for = (followed, _wave(current), ground, *by_clock)
         found = [t for t in looked_for if t is not None]
         if not found:
             break
@@ -267,6 +271,14 @@ def beginnings(b: Blocks, there: Array) -> NDArray[np.bool_]:
     """Blocks in which a spell begins."""
     on = there > LIKELY
     return np.asarray(on & ~np.concatenate(([False], on[:-1] & ~b.first[1:])))
+
+
+def _ground(current: Fit, roads: Roads | None) -> Term | None:
+    """A torque by place beside a slope by place."""
+    if roads is None or BY_PLACE[TORQUE] in current.effect_names:
+        return None
+    found = find_route(current, roads, (TORQUE,))
+    return Term(found.candidate, route=found) if found is not None and _counts(found.candidate, current) else None
 
 
 def _wave(current: Fit) -> Term | None:

@@ -8,13 +8,13 @@ travel or follows the load, a torque by place where it does neither.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.base.watched import STEEPEST, ByPlace, SlopeByPlace
+from trackres_ros.diagnosis.base.watched import STEEPEST, ByPlace, SlopeByPlace, TorqueByPlace
 from trackres_ros.diagnosis.described.by_place import Columns, Learned, Streets, gains, learn
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
 from trackres_ros.diagnosis.inference.noise import LARGEST_ROOT, SHORT_ROOT, Noise, estimate_noise
@@ -22,16 +22,16 @@ from trackres_ros.diagnosis.prepare.on_route import way_of
 from trackres_ros.diagnosis.prepare.session import Session
 from trackres_ros.diagnosis.selection.naming import Candidate, Step, compared
 from trackres_ros.diagnosis.selection.visibility import base_columns
-from trackres_ros.diagnosis.writing.kept import SLOPE_BY_PLACE
+from trackres_ros.diagnosis.writing.kept import BY_PLACE
 from trackres_ros.route.learned import SLOPE, TORQUE, RouteMap
-from trackres_ros.route.matching import SPACING_M, Matched, Places, matched, neighbours, places_of
+from trackres_ros.route.lookup import SPACING_M
+from trackres_ros.route.matching import Matched, Places, matched, neighbours, places_of
 from trackres_ros.route.track import Frame, track_of
 from trackres_ros.text.numbers import figures
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-NAMES: Mapping[str, str] = {SLOPE: SLOPE_BY_PLACE, TORQUE: "place"}  # of what they are told for
 SLOPES = ("grade", "grade_profile")  # effects of the catalogue that a slope by place has in it
 SURE = 10.0  # in log-likelihood: that it is by place, and beyond other places on passes that it was not learned from
 TOLD = 5.0  # in log-likelihood: of a slope over a torque
@@ -40,7 +40,7 @@ TURNS = 5  # of the base and what is by place
 SETTLED = 0.05  # of its size: less, and it is the same as a turn before
 MOVED, NEAREST_MOVED = 39, 0.125  # other places that what is learned is tried at, and how near in shares of all places
 OWN = 2.0  # times what is gained at other places: what only wanders slowly fits many by chance
-UNLEARNED = 0.9  # of its size: as unsure as that is a torque where a street was never driven that way
+UNLEARNED = 0.9  # of its size: as unsure as that is what was learned nowhere near, as of a street never driven that way
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +52,8 @@ class Route:
     candidate
         The fit with it beside the one without.
     apart
-        How much likelier a slope is than a torque by place, in log-likelihood.
+        How much likelier a slope is than a torque by place, in log-likelihood. Where they are not surely told apart it is a
+        torque, which says nothing of the other direction of travel.
     metres, again_m
         Length of the streets that were fitted, and of those that were passed twice and more [m].
     passes
@@ -84,13 +85,13 @@ class Route:
     @property
     def told(self) -> bool:
         """Whether it is surely a slope."""
-        return self.effect.route.kind == SLOPE and self.apart > TOLD
+        return self.effect.route.kind == SLOPE
 
 
 @dataclass(frozen=True, eq=False)
 class _Better:
-    """The likelier of slope and torque: what was learned, the sine of the slope or the torque of each session, and by how much a
-    slope is likelier, in log-likelihood.
+    """A slope, if it surely is one, or a torque: what was learned, the sine of the slope or the torque against travel of each
+    session, and `Route.apart`.
     """
 
     kind: str
@@ -148,8 +149,9 @@ def roads_of(sessions: Sequence[Session]) -> Roads | None:
     return Roads(frame, places, Streets.of(neighbours(whole), places.table), at, within)
 
 
-def find_route(current: Fit, roads: Roads) -> Route | None:
-    """A slope or a torque by place in what a fit leaves; None where nothing surely is by place.
+def find_route(current: Fit, roads: Roads, kinds: Collection[str] = (SLOPE, TORQUE)) -> Route | None:
+    """A slope or a torque by place in what a fit leaves; None where nothing surely is by place, or it is of a kind that is known
+    already, and not among the `kinds` that are looked for.
 
     Notes
     -----
@@ -166,7 +168,7 @@ def find_route(current: Fit, roads: Roads) -> Route | None:
     best: _Better | None = None
     for _ in range(TURNS):
         before = best
-        best = _better(current, fitted, roads, residuals, noise)
+        best = _better(current, fitted, roads, residuals, noise, kinds)
         if best is None:
             return None
         effect = _effect(current, roads, best, passes)
@@ -186,13 +188,15 @@ def find_route(current: Fit, roads: Roads) -> Route | None:
     return Route(found, best.apart, metres, again_m, int(np.median(passes[passes > 1])), course)
 
 
-def beside_names(first: Route | None, roads: Roads | None, named: Fit) -> tuple[Route | None, Fit]:
+def beside_names(
+    first: Route | None, roads: Roads | None, named: Fit, kinds: Collection[str] = (SLOPE, TORQUE)
+) -> tuple[Route | None, Fit]:
     """What goes by place, learned again beside the effects that were named with it, if there are any; and the fit with it."""
     if first is None or roads is None or named.effect_names == (first.candidate.name,):
         return first, named
     others = [a.effect for a in named.effects if a.effect.name != first.candidate.name]
     without = fit(named.problem, others, named.at, named.noises)
-    again = find_route(without, roads)
+    again = find_route(without, roads, kinds)
     return again, without if again is None else again.candidate.fit
 
 
@@ -205,9 +209,11 @@ def by_place(route: Route, round_: Step) -> Step:
     )  # fmt: skip
 
 
-def _better(current: Fit, fitted: Fit, roads: Roads, residuals: Sequence[Array], noise: Noise) -> _Better | None:
-    """Slope or torque, whichever has more evidence beside a base that bends as it may; None where it does not show on passes
-    that it was not learned from.
+def _better(
+    current: Fit, fitted: Fit, roads: Roads, residuals: Sequence[Array], noise: Noise, kinds: Collection[str]
+) -> _Better | None:
+    """A slope, if it surely is one, or a torque, beside a base that bends as it may; None where it does not show on passes that
+    it was not learned from, or is not surely of the one kind that is looked for.
     """
     problem, masks = current.problem, current.problem.masks
     scale = fitted.base_values.get("torque_scale", problem.base.torque_scale)
@@ -222,12 +228,17 @@ def _better(current: Fit, fitted: Fit, roads: Roads, residuals: Sequence[Array],
     typical = {SLOPE: spread / (problem.base.facts.weight * radius), TORQUE: spread / scale}
     bends = _bends(current)
     learned = {kind: learn(c.beside(bends), residuals, masks, noise, typical[kind]) for kind, c in columns.items()}
-    kind = max(learned, key=lambda k: learned[k].evidence)
+    apart = learned[SLOPE].evidence - learned[TORQUE].evidence
+    kind = SLOPE if apart > TOLD else TORQUE
+    if kind not in kinds or (len(kinds) == 1 and abs(apart) <= TOLD):
+        return None
     if learned[kind].evidence < SURE or not _shows_on_others(columns[kind], learned[kind], roads, residuals, masks):
         return None
-    of_one = Columns.of_slope if kind == SLOPE else Columns.of_torque
-    expected = of_one(roads.within, ways, roads.streets).expected(learned[kind])
-    return _Better(kind, learned[kind], expected, learned[SLOPE].evidence - learned[TORQUE].evidence)
+    if kind == SLOPE:
+        shape = Columns.of_slope(roads.within, ways, roads.streets)
+    else:
+        shape = Columns.of_torque(roads.within, [np.ones(len(way)) for way in ways], roads.streets)
+    return _Better(kind, learned[kind], shape.expected(learned[kind]), apart)
 
 
 def _bends(current: Fit) -> list[Array]:
@@ -263,8 +274,8 @@ def _effect(current: Fit, roads: Roads, best: _Better, passes: NDArray[np.int64]
         shape = [x / np.sqrt(1.0 - x**2) for x in sine]
     used = np.concatenate([x[m] for x, m in zip(shape, masks, strict=True)])
     typical = max(float(np.sqrt(np.mean(used**2))), 1e-9)
-    make = SlopeByPlace if best.kind == SLOPE else ByPlace
-    return make(NAMES[best.kind], _text(route), [x / typical for x in shape], facts.weight * facts.radius, route, typical)
+    make = SlopeByPlace if best.kind == SLOPE else TorqueByPlace
+    return make(BY_PLACE[best.kind], _text(route), [x / typical for x in shape], facts.weight * facts.radius, route, typical)
 
 
 def _beside(current: Fit, effect: ByPlace, begin: Fit, largest_root: float = LARGEST_ROOT) -> Fit:
@@ -285,8 +296,8 @@ def _map(roads: Roads, kind: str, learned: Learned, passes: NDArray[np.int64]) -
     else:
         ways = np.stack([2 * seen, 2 * seen + 1], axis=1)
         value, std = learned.value[ways], learned.std(ways.ravel()).reshape(-1, 2)
-        known = std < UNLEARNED * learned.size
-        value, std = np.where(known, value, np.nan), np.where(known, std, np.nan)
+    known = std < UNLEARNED * learned.size
+    value, std = np.where(known, value, np.nan), np.where(known, std, np.nan)
     latitude, longitude = roads.frame.position(x, y)
     return RouteMap(kind, latitude, longitude, np.arctan2(north, east), value, std, passes[seen])
 

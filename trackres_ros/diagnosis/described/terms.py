@@ -233,7 +233,7 @@ def of_route(name: str, size: float, least: float, most: float, route: Route) ->
     if tied:
         text += "; passing them the other way too, or with another load, would tell whether that is a slope"
     mechanisms = OF_PLACES if tied else OF_PLACES[1:]
-    return Described("place", name, "place on the route", "", None, None, text, mechanisms, size, False, unit="m")
+    return Described("place", name, "place on the route", "", None, None, text, mechanisms, size, True, unit="m")
 
 
 def of_level_change(name: str, level: float, sessions: Sequence[Session], change: LevelChange) -> Described:

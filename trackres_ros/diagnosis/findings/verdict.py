@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.base import BaseParameter
+from trackres_ros.diagnosis.base.variables import BY_NAME
 from trackres_ros.diagnosis.described.terms import Described
 from trackres_ros.diagnosis.findings.locate import STRAY_S, Acts, SlowResidual, Span
 from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
@@ -133,6 +134,7 @@ def judge(
     left_over: SlowResidual,
     hint: str,
     held_out: HeldOut,
+    drift: Told | None = None,
 ) -> Verdict:
     """The verdict.
 
@@ -143,6 +145,8 @@ def judge(
     ----------
     found, terms, refuted
         Effects and terms without a name that fit, and those that fit and that held-out laps refute.
+    drift
+        What strays, as a level that wanders, if it does. Where a regime other than of time or distance is left, there is more.
     """
     left = [b for b in at_end.bins if b.p < LACK_OF_FIT_P]
     besides = f" {_refuted(refuted)}" if refuted else ""
@@ -166,6 +170,9 @@ def judge(
             return Verdict(status, CONFIRMED, f"{said}. Confirmed {_gain(held_out, 'with_effects')}.{besides}")
         why = ". ".join(map(_doubt, doubted))
         return Verdict(status, SUSPECTED, f"Suspected: {said}. {why}.{besides}")
+    drifts = left_over.share > MOST_STRAY and all(BY_NAME[b.variable].as_clock for b in left)
+    if drift is not None and drifts and drift.graded.grade == CONFIRMED:
+        return Verdict("described", CONFIRMED, f"{_of_term(drift)}. {_followed(drift.graded)}.{besides}")
     if left:
         text = f"{_unexplained(left)}, and no effect of the catalogue explains it."
         return Verdict("unexplained", REFUTED if refuted else SUSPECTED, text + besides)
@@ -221,6 +228,12 @@ def _of_effect(f: Found) -> str:
 def _of_term(t: Told) -> str:
     """A term without a name, and what to look at."""
     return f"{t.described.sentence}: look for {', or '.join(t.described.mechanisms)}"
+
+
+def _followed(drift: Graded) -> str:
+    """What it is worth to follow what wanders."""
+    error = f"the mean error falls from {figures(drift.improvement.before)} to {figures(drift.improvement.after)} Nm"
+    return f"It cannot be known ahead. Confirmed on laps not used for fitting: where it is followed as it goes, {error}"
 
 
 def _doubt(graded: Graded) -> str:

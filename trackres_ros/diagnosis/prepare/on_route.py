@@ -1,10 +1,11 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Gives sessions the slopes of a route that was learned before, by their positions."""
+"""Gives sessions what was learned before of the places of a route, by their positions."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,27 +13,32 @@ import numpy as np
 from trackres_ros.diagnosis.prepare.gate import Gated
 from trackres_ros.diagnosis.prepare.resample import MOST_UNKNOWN
 from trackres_ros.diagnosis.prepare.session import Array, Session, Way
-from trackres_ros.route.learned import RouteMap
+from trackres_ros.route.learned import SLOPE, RouteMap
 from trackres_ros.route.matching import matched
 from trackres_ros.route.track import track_of
 
 
-def on_route(gated: Gated, route: RouteMap | None) -> Gated:
-    """Sessions with a position and without a recorded slope have that of the route; samples beside it are not compared."""
-    if route is None:
-        return gated
-    sessions, notes = [], list(gated.notes)
-    for session in gated.sessions:
-        if "position" in session.given and "grade" not in session.given:
-            slope = _slope(session, route)
-            known = np.isfinite(slope)
-            notes.append(f"{session.name}: {known.mean():.0%} of it lies on the route whose slopes are given")
-            if known.mean() > MOST_UNKNOWN:
-                given, used = session.given | {"grade"}, session.used & known
-                session = replace(session, grade=np.where(known, slope, 0.0), given=given, used=used)
-            else:
+def on_route(gated: Gated, route: Sequence[RouteMap]) -> Gated:
+    """Sessions with a position have the torque of the route, and its slope where none is recorded; samples beside it are not
+    compared.
+    """
+    sessions, notes = list(gated.sessions), list(gated.notes)
+    for one in route:
+        for i, session in enumerate(sessions):
+            if "position" not in session.given or (one.kind == SLOPE and "grade" in session.given):
+                continue
+            found = _along(session, one)
+            known = np.isfinite(found)
+            notes.append(f"{session.name}: {known.mean():.0%} of it lies on the route whose {one.kind}s are given")
+            if known.mean() <= MOST_UNKNOWN:
                 notes[-1] += "; they are not used"
-        sessions.append(session)
+                continue
+            found = np.where(known, found, 0.0)
+            session = replace(session, used=session.used & known)
+            if one.kind == SLOPE:
+                sessions[i] = replace(session, grade=found, given=session.given | {"grade"})
+            else:
+                sessions[i] = replace(session, torque_by_place=found)
     return replace(gated, sessions=tuple(sessions), notes=tuple(notes))
 
 
@@ -44,11 +50,17 @@ def way_of(session: Session) -> Way:
     return Way(session.latitude, session.longitude, np.cumsum(driven) - 0.5 * driven)
 
 
-def _slope(session: Session, route: RouteMap) -> Array:
-    """Rise over run the way the vehicle points, mean over each step; nan beside the route."""
+def _along(session: Session, route: RouteMap) -> Array:
+    """What was learned for the way it travels, of a slope the way the vehicle points; mean over each step, nan where nothing was
+    learned.
+    """
     way = way_of(session)
     track = track_of(way.driven, *route.frame.metres(way.latitude, way.longitude))
     at = matched(route.places, [track])[0].at(track.nearest(way.driven))
-    rise = np.where(at.known, (at.share * at.sign * route.value[at.place, 0]).sum(axis=1), np.nan)
-    mean = rise.reshape(len(session), -1).mean(axis=1)
-    return np.asarray(np.where(session.speed < 0.0, -mean, mean))
+    learned = route.value[at.place, (at.sign < 0.0).astype(int)]
+    there = np.isfinite(learned) & (at.share > 0.0) & at.known[:, np.newaxis]
+    share = np.where(there, at.share, 0.0)
+    total = share.sum(axis=1)
+    found = (share * np.where(there, learned, 0.0)).sum(axis=1) / np.where(total > 0.0, total, np.nan)
+    mean = found.reshape(len(session), -1).mean(axis=1)
+    return np.asarray(np.where((session.speed < 0.0) & (route.kind == SLOPE), -mean, mean))

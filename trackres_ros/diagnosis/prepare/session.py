@@ -16,7 +16,9 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 AROUND = 5  # steps, odd
-NOT_RECORDED = dict.fromkeys(("latitude", "longitude", "altitude", "steering_angle", "passengers"), np.nan) | {"payload": 0.0}
+NOT_RECORDED = dict.fromkeys(("latitude", "longitude", "altitude", "steering_angle", "passengers"), np.nan) | {
+    "payload": 0.0, "torque_by_place": 0.0,
+}  # fmt: skip
 """Series that a session may be made without, and what they then are."""
 
 
@@ -100,6 +102,8 @@ class Session:
         People on board, from one count to the next; their weight is in `payload`.
     payload
         What of `weight` comes on top of the empty vehicle, as the passengers say [N].
+    torque_by_place
+        Against travel, as the surroundings have it [Nm].
     way
         Where it was within its steps; None where no position is known.
     """
@@ -134,6 +138,7 @@ class Session:
     steering_angle: Array = field(default_factory=lambda: np.empty(0))
     passengers: Array = field(default_factory=lambda: np.empty(0))
     payload: Array = field(default_factory=lambda: np.empty(0))
+    torque_by_place: Array = field(default_factory=lambda: np.empty(0))
     way: Way | None = None
 
     def __post_init__(self) -> None:

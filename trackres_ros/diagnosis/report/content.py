@@ -68,7 +68,8 @@ def report(d: Diagnosis, paths: Sequence[Path], bindings: Mapping[str, TopicBind
         },
         "effects": [_effect(f, belongs_to[f.name]) for f in d.found],
         "described": [_described(t) for t in d.described] + ([_drift(d.wanders, d.tracked)] if d.wanders and d.tracked else []),
-        "route": None if d.route is None else _route(d.route, d.final),
+        "route": _route(d.routes[0], d.final) if d.routes else None,
+        "routes": [_route(route, d.final) for route in d.routes],
         "refuted": [{"name": g.name, "heldout": _improvement(g.improvement)} for g in d.refuted],
         "written": {
             "base": d.kept.values is not None,

@@ -32,6 +32,7 @@ SMOOTHED_S = 20.0
 BROKEN_S = 2.0  # a longer time without a sample that counts breaks the line
 LONGEST_SHOWN_S = 400.0
 SHOWN_BINS = 24
+ROUTE_PICTURES = "route.png", "route_beside.png"
 IN_ONE_COLUMN, MOST_RECORDINGS = 8, 24
 
 
@@ -43,9 +44,9 @@ def draw_all(d: Diagnosis, folder: Path) -> list[Picture]:
         draw_regimes(d, folder / "where_regime.png"),
     ]
     found += [_partial(d, f, folder / f"effect_{f.name}.png") for f in d.found]
-    by_place = "" if d.route is None else d.route.candidate.name
-    found += [_term(d, t, folder / f"term_{t.described.name}.png") for t in d.described if t.described.name != by_place]
-    found += [draw_route(d.route, d.final, folder / "route.png")] if d.route is not None else []
+    by_place = [route.candidate.name for route in d.routes]
+    found += [_term(d, t, folder / f"term_{t.described.name}.png") for t in d.described if t.described.name not in by_place]
+    found += [draw_route(route, d.final, folder / name) for name, route in zip(ROUTE_PICTURES, d.routes, strict=False)]
     found.append(_laps(d, folder / "held_out.png"))
     if len(d.steps[-1].separability.names) > 1:
         found.append(_matrix(d, folder / "separability.png"))

@@ -14,7 +14,7 @@ from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.report.picture import WIDTH, Picture
 from trackres_ros.output.plots import BLUE, GREY, VERMILION, picture_with_legend
 from trackres_ros.route.learned import SLOPE
-from trackres_ros.route.matching import SPACING_M
+from trackres_ros.route.lookup import SPACING_M
 from trackres_ros.text.numbers import figures
 
 INTERVAL = 1.96  # standard deviations, of 95 %
@@ -38,7 +38,9 @@ def draw_route(route: Route, final: Fit, path: Path) -> Picture:
         along.axhline(0.0, color=GREY, linewidth=0.8)
         along.set_xlabel("matched distance along the streets, in the order in which they were first driven [km]")
         along.set_ylabel(unit)
-        shown = factor * np.nanmean(learned.value, axis=1) if not slope else factor * learned.value[:, 0]
+        ways_known = np.isfinite(learned.value).sum(axis=1)
+        mean = np.nansum(learned.value, axis=1) / np.where(ways_known > 0, ways_known, np.nan)
+        shown = factor * (learned.value[:, 0] if slope else mean)
         most = float(np.nanmax(np.abs(shown)))
         dots = seen.scatter(x, y, c=shown, cmap="coolwarm", vmin=-most, vmax=most, s=8.0)
         body.colorbar(dots, ax=seen, label=f"{unit}, the way first driven" if slope else unit)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.base.watched import WATCHED, SlopeByPlace
+from trackres_ros.diagnosis.base.watched import WATCHED, ByPlace
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.inference.levels import with_levels
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, HeldOut, HeldOutLaps, Improvement
@@ -120,8 +120,8 @@ def keep(
         if after <= before:
             found = bounds if model is final else intervals(model)
             written = [a for a in model.effects if a.effect.acts_on != WATCHED]
-            effects = tuple(a for a in written if not isinstance(a.effect, SlopeByPlace))
-            route = next((a.effect.learned(a.numbers[0]) for a in written if isinstance(a.effect, SlopeByPlace)), None)
+            effects = tuple(a for a in written if not isinstance(a.effect, ByPlace))
+            route = tuple(a.effect.learned(a.numbers[0]) for a in written if isinstance(a.effect, ByPlace))
             of_effects = ", ".join(a.effect.name for a in written)
             what = f"the base's values and {of_effects}" if of_effects else "the base's values"
             error = f"the mean error on laps not used for fitting is {figures(after)} Nm, {figures(before)} Nm with the old one"

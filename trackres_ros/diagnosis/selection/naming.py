@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
 from trackres_ros.diagnosis.inference.noise import Noise, shortened
 from trackres_ros.diagnosis.inference.threads import side_by_side
-from trackres_ros.diagnosis.selection.screening import screen
+from trackres_ros.diagnosis.selection.screening import Screened, screen
 from trackres_ros.diagnosis.selection.visibility import Sensitivity, Separability, separability
 from trackres_ros.effects.effect import Effect
 
@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 MOST_EFFECTS = 3
 MOST_REFITTED = 6
 FAR_BEHIND = 15.0  # in log-likelihood, to first order: no refit makes that good
+BORNE_OUT = 0.25  # of its gain to first order: a fit that gains less does not bear it out
 THROUGH_TEMPERATURE = ("heat", "cooling")  # but for what is far from linear
 ALIKE_WITHIN = 3.0  # in log-likelihood
 STABLE_SHARE = 0.8
@@ -178,21 +179,10 @@ def one_round(current: Fit, effects: Mapping[str, Effect], replicates: int, rng:
     seen = separability(effects, current)
     screened = screen(current, seen.visible, replicates, rng, least)
     gains = tuple((s.effect.name, gain) for s, gain in screened.gains)
-    best = max((gain for _, gain in screened.gains), default=0.0)
     threshold = max(screened.threshold, spurious_gain(current))
-    if best < 0.5 * screened.threshold or best < 1.0:
+    candidates = _refitted(current, screened)
+    if not candidates:
         return Step(current, seen, screened.threshold, threshold, gains, (), None, (), {}, 0.0)
-    within = max(FAR_BEHIND, 0.5 * best)
-    worth = [
-        s
-        for s, gain in screened.gains
-        if gain > 0.25 * screened.threshold
-        and (gain > best - within or (s.effect.acts_on in THROUGH_TEMPERATURE and gain > screened.threshold))
-    ]
-    names = list(dict.fromkeys(s.effect.name for s in worth))[:MOST_REFITTED]
-    candidates = side_by_side(
-        lambda name: _refit(current, [s for s in worth if s.effect.name == name], screened.form_error_gain.get(name, 0.0)), names
-    )
     candidates.sort(key=lambda c: (not c.matters, -c.net_evidence))
     first = candidates[0]
     weights = _class_of(first, [c for c in candidates if c is first or (c.matters and c.net_gain > screened.threshold)], seen)
@@ -200,6 +190,38 @@ def one_round(current: Fit, effects: Mapping[str, Effect], replicates: int, rng:
     members, weights, stability = _widened(weights, wins)
     chosen = first if first.counts(threshold) and stability >= STABLE_SHARE else None
     return Step(current, seen, screened.threshold, threshold, gains, tuple(candidates), chosen, members, weights, stability)
+
+
+def _refitted(current: Fit, screened: Screened) -> list[Candidate]:
+    """Effects that may gain most to first order, fitted.
+
+    The others are measured by the best; but not by one whose fit does not bear out its gain to first order: a delay, whose
+    likeness to the lag that any sensor has is far from linear, would keep what is there from being looked at.
+    """
+    fitted, misleading = dict[str, Candidate](), set[str]()
+    while True:
+        looked_at = _may_be_best(screened, misleading)
+        new = [name for name in looked_at if name not in fitted][: MOST_REFITTED + len(misleading) - len(fitted)]
+        if not new:
+            return list(fitted.values())
+        tasks = [(looked_at[name], screened.form_error_gain.get(name, 0.0)) for name in new]
+        fitted.update(zip(new, side_by_side(lambda task: _refit(current, *task), tasks), strict=True))
+        first_order = {name: max(gain for s, gain in screened.gains if s.effect.name == name) for name in fitted}
+        misleading = {name for name, c in fitted.items() if c.gain < BORNE_OUT * first_order[name]}
+
+
+def _may_be_best(screened: Screened, misleading: Collection[str]) -> dict[str, list[Sensitivity]]:
+    """By name the sensitivities that are to be fitted, of effects the best of which is no misleading one."""
+    best = max((gain for s, gain in screened.gains if s.effect.name not in misleading), default=0.0)
+    if best < 0.5 * screened.threshold or best < 1.0:
+        return {}
+    within = max(FAR_BEHIND, 0.5 * best)
+    worth = dict[str, list[Sensitivity]]()
+    for s, gain in screened.gains:
+        near = gain > best - within or (s.effect.acts_on in THROUGH_TEMPERATURE and gain > screened.threshold)
+        if near and gain > 0.25 * screened.threshold:
+            worth.setdefault(s.effect.name, []).append(s)
+    return worth
 
 
 def spurious_gain(current: Fit) -> float:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -26,6 +27,7 @@ TURNS = 3  # of coefficients and noise
 FLIPPED_TOGETHER = 20  # samples whose sign the bootstrap flips as one: what whitening left of their likeness stays
 REPLICATES, QUICK_REPLICATES = 99, 39
 NEARLY_LARGEST = 4
+FIRST_SHARE, PLAINLY = 0.4, 3.0  # of the draws; that many times the threshold, or less by as much, is plain
 GUMBEL_95 = (-np.log(-np.log(0.95)) - np.euler_gamma) * np.sqrt(6.0) / np.pi  # standard deviations from mean to 95th percentile
 MOST_DRAWN_ROWS = 7200  # two hours of driving
 STRETCH = 200  # rows that stay together where not all are drawn
@@ -57,7 +59,7 @@ def screen(
     fit: Fit, candidates: Sequence[Sensitivity], replicates: int, rng: np.random.Generator, least: float = 0.0
 ) -> Screened:
     """Gain of each candidate, and the distribution of the largest under noise of the fit's own kind; if none gains `least`,
-    nothing is drawn, and the threshold is infinite.
+    nothing is drawn, and the threshold is infinite. Where the first draws leave no doubt, there are no more.
 
     Notes
     -----
@@ -88,7 +90,11 @@ def screen(
         nearly = [movers[j] for j in np.argsort(-rank(drawn))[:NEARLY_LARGEST]]
         return max((few.likelihood(drawn, m, centred_on_fit=True) - before for m in nearly), default=0.0)
 
-    reached = np.array(side_by_side(largest, [few.lagged(few.drawn(rng)) for _ in range(replicates)]))
+    first = math.ceil(FIRST_SHARE * replicates)
+    reached = np.array(side_by_side(largest, [few.lagged(few.drawn(rng)) for _ in range(first)]))
+    if 1.0 / PLAINLY < gains[0][1] / largest_by_noise(reached) < PLAINLY:
+        more = side_by_side(largest, [few.lagged(few.drawn(rng)) for _ in range(replicates - first)])
+        reached = np.concatenate((reached, more))
     return Screened(tuple(gains), form_error_gain, largest_by_noise(reached), reached)
 
 

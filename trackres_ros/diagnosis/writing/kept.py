@@ -10,13 +10,13 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from trackres_ros.effects.effect import Active
-from trackres_ros.route.learned import RouteMap
+from trackres_ros.route.learned import SLOPE, TORQUE, RouteMap
 from trackres_ros.vehicle import Disturbance
 
 if TYPE_CHECKING:
     from trackres_ros.diagnosis.selection.intervals import Interval
 
-SLOPE_BY_PLACE = "grade"  # the name of a slope that was learned by place
+BY_PLACE = {SLOPE: "grade", TORQUE: "place"}  # names of what was learned by place
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,7 @@ class Kept:
     disturbance
         What is to be watched for live; None where there is none, and then that of the file stays.
     route
-        A slope by place; None where there is none, and then that of the surroundings that were given stays.
+        A slope, or a torque, by place; what of these was given with the surroundings stays beside it.
     """
 
     values: Mapping[str, float] | None
@@ -52,7 +52,7 @@ class Kept:
     intervals: Mapping[tuple[str, str], Interval]
     text: str = ""
     disturbance: LearnedDisturbance | None = None
-    route: RouteMap | None = None
+    route: tuple[RouteMap, ...] = ()
 
     def with_disturbance(self, learned: LearnedDisturbance | None) -> Kept:
         """The same, with what is to be watched for."""
@@ -66,8 +66,8 @@ class Kept:
         return [_with_ranges(active, self.intervals) for active in self.effects if active.effect.belongs_to == kind]
 
     def names_of(self, kind: str) -> list[str]:
-        """Names of all that belongs to `vehicle`, `surroundings` or `sensor`, a slope by place too."""
-        by_place = [SLOPE_BY_PLACE] if kind == "surroundings" and self.route is not None else []
+        """Names of all that belongs to `vehicle`, `surroundings` or `sensor`, what goes by place too."""
+        by_place = (BY_PLACE[one.kind] for one in self.route if kind == "surroundings")
         return [*by_place, *(active.effect.name for active in self.of(kind))]
 
     def range_of(self, parameter: str) -> tuple[float, float] | None:

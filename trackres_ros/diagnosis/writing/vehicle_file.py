@@ -136,7 +136,7 @@ def finish(
     path: Path,
     kept: Kept,
     text: str,
-    route: RouteMap | None = None,
+    route: Sequence[RouteMap] = (),
 ) -> list[Path]:
     """Write the file of a vehicle of a name, with effects, surroundings and route that it has already; see
     `write_track_vehicle`.
@@ -150,19 +150,21 @@ def finish(
     edited = document.text()
     note = "" if edited is not None else "Its comments could not be kept: they stand in the file it was made from.\n"
     path.write_text(_comment(note + text) + (edited or document.plain()), encoding="utf-8")
-    beside, route = path.with_name(SURROUNDINGS_FILE), kept.route or route
-    if not around and route is None:
+    beside = path.with_name(SURROUNDINGS_FILE)
+    learned = {one.kind for one in kept.route}
+    route = [*kept.route, *(one for one in route if one.kind not in learned)]
+    if not around and not route:
         if beside.is_file() and f"# {WRITTEN}" in beside.read_text(encoding="utf-8"):
             beside.unlink()  # of an earlier diagnosis: it would be taken for this one's
         return [path]
     lines = [f"schema: {SCHEMA}", f"vehicle: {flow(name)}"]
     files = _files_of(around, copied)
     lines += [f"effect_files: {flow(files)}"] if files else []
-    lines += [f"route: {ROUTE_FILE}"] if route is not None else []
+    lines += [f"route: {ROUTE_FILE}"] if route else []
     lines += ["effects:" if around else "effects: {}"]
     lines += [f"  {active.effect.name}: {flow(_values(active))}" for active in around]
     beside.write_text(_comment(text) + "\n".join(lines) + "\n", encoding="utf-8")
-    if route is None:
+    if not route:
         return [path, beside]
     write_route(path.with_name(ROUTE_FILE), route)
     return [path, beside, path.with_name(ROUTE_FILE)]

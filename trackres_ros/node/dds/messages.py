@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Sequence
 from typing import Any
@@ -16,7 +17,7 @@ from trackres_ros.node.endpoints import InputTopic
 from trackres_ros.node.stamps import UNUSABLE, stamp_ns
 from trackres_ros.output.bag import FIELDS, template_message
 from trackres_ros.output.topics import OutputTopic
-from trackres_ros.recording.bindings import FieldStep, field_steps
+from trackres_ros.recording.bindings import FIX, NO_FIX, FieldStep, field_steps
 from trackres_ros.recording.cdr import MalformedError, layout_of
 from trackres_ros.recording.message_types import TIME, check_field, definitions, message_fields, stamp_path
 from trackres_ros.units import SECOND_NS
@@ -92,6 +93,9 @@ class InputReader:
         self._types = definitions(message_fields(typestore()), given.type)
         self._scales = [(binding.scale, binding.offset) for binding in given.bindings]
         self._paths = [check_field(self._types, given.type, binding.field, f"{where}: field") for binding in given.bindings]
+        self._has_fix = bool(given.bindings[0].fix)
+        if self._has_fix:
+            self._paths.append(field_steps(FIX))
         stamp = stamp_path(self._types, given.type)
         if stamp:
             self._paths += [(*stamp, FieldStep(field.name)) for field in self._types[TIME]]
@@ -101,7 +105,8 @@ class InputReader:
         self._places: list[tuple[int, struct.Struct] | None] = []
 
     def read(self, raw: bytes) -> tuple[int | None, list[float | None]]:
-        """Stamp [ns], None where the type has none; and the scaled number of each binding, None where it is not in the message.
+        """Stamp [ns], None where the type has none; and the scaled number of each binding, None where it is not in the message,
+        nan of a receiver without a fix.
 
         Raises
         ------
@@ -115,6 +120,8 @@ class InputReader:
         if self._has_stamp:
             nanoseconds, seconds = numbers.pop(), numbers.pop()
             stamp = stamp_ns(int(seconds), int(nanoseconds))
+        if self._has_fix and numbers.pop() == NO_FIX:
+            numbers = [math.nan] * len(numbers)
         return stamp, [
             None if number is None else scale * number + offset
             for number, (scale, offset) in zip(numbers, self._scales, strict=True)

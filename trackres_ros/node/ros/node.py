@@ -183,6 +183,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         self._next_tick = 0
         self._offered = [
             self.create_service(Trigger, "~/reset", self._server(application.reset)),
+            self.create_service(Trigger, "~/reset_learning", self._server(application.reset_learning)),
             self.create_service(Trigger, "~/save_state", self._server(application.save_state)),
         ]
         back = Duration(nanoseconds=-int(application.estimator.settings.clock_jump_s * SECOND_NS))

@@ -1,0 +1,83 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""What was learned moves the torque as a vehicle file with that value does, to first order, and nothing at rest."""
+
+import numpy as np
+import pytest
+
+from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.vehicle import load, variants
+
+BY_FILE = {
+    at.OF_LOSS: ("rubber.loss_modulus_scale",),
+    at.OF_COOLING: ("belt.film_offset", "belt.film_slope"),
+    at.OF_BEARING: ("chassis.bearing_friction",),
+    at.OF_DRAG: ("chassis.drag_coefficient",),
+    at.OF_MASS: ("chassis.rotating_mass_factor",),
+}
+
+
+def driven(estimator, departure=0.0, which=at.OF_LOSS, on=1.0):
+    session, time = estimator.session(), np.arange(9000) * 0.1
+    session.learned[at.LEARNED_ON], session.learned[at.DEPARTURES + which] = on, departure
+    stamps = (time * 1e9).astype(np.int64) + 10**18
+    steps = session.handle_block(np.zeros(len(time), np.int16), stamps, stamps, 8.0 + 6.0 * np.sin(time / 120.0))
+    return steps.rows, session
+
+
+def changed(vehicle, which, departure):
+    track = next(iter(vehicle.tracks))
+    paths = [path if "." in path and not path.startswith("belt") else f"tracks.{track}.{path}" for path in BY_FILE[which]]
+    return Estimator(variants(vehicle)({path: vehicle.parameters[path].value * (1.0 + departure) for path in paths}))
+
+
+@pytest.mark.parametrize("which", BY_FILE)
+@pytest.mark.parametrize("name", ["xgd24d", "agri3t"])
+@pytest.mark.parametrize("departure", [0.05, -0.05])
+def test_a_departure_moves_torque_and_belts_as_a_file_with_that_value_does(name, which, departure):
+    vehicle = load(name)
+    (plain, _), (true, _) = driven(Estimator(vehicle)), driven(changed(vehicle, which, departure))
+    learned, _ = driven(Estimator(vehicle), departure, which)
+    drive, belt = at.OUT_DRIVE, len(at.VEHICLE_COLUMNS)
+    moved = np.abs(true[:, drive] - plain[:, drive])
+    assert np.abs(learned[:, drive] - true[:, drive]).max() < 0.06 * moved.max() + 0.5
+    assert np.abs(learned[:, belt] - true[:, belt]).max() < 0.1 * np.abs(true[:, belt] - plain[:, belt]).max() + 1e-6
+
+
+def test_parts_add_up_and_assemblies_to_the_whole(reference):
+    rows, _ = driven(reference, 0.1)
+    parts = rows[:, [at.OUT_HYSTERESIS, at.OUT_BEARING, at.OUT_WIND, at.OUT_EFFECTS]].sum(axis=1)
+    assert parts == pytest.approx(rows[:, at.OUT_RESISTANCE], abs=1e-6)
+    each = rows[:, len(at.VEHICLE_COLUMNS) + at.PER_RESISTANCE :: len(at.ASSEMBLY_COLUMNS)].sum(axis=1)
+    assert each == pytest.approx(rows[:, at.OUT_RESISTANCE], abs=1e-6)
+
+
+def test_what_is_known_but_not_on_changes_no_bit(reference):
+    plain, _ = driven(reference, on=0.0)
+    known, _ = driven(reference, 0.3, on=0.0)
+    assert np.array_equal(plain, known, equal_nan=True)
+
+
+def test_at_rest_nothing_that_was_learned_pushes(reference):
+    session = reference.session()
+    session.learned[at.LEARNED_ON], session.learned[at.LEARNED_TORQUE] = 1.0, 500.0
+    session.learned[at.DEPARTURES + at.OF_LOSS] = 0.5
+    for i in range(100):
+        estimate = session.handle(at.SPEED, 10**18 + i * 10**8, 10**18 + i * 10**8, 0.0)
+        assert estimate["feedforward_torque_nm"] == 0.0
+        assert estimate.resistance_torque_nm == 0.0
+
+
+def test_a_torque_that_goes_on_is_against_travel_either_way(reference):
+    for speed in (5.0, -5.0):
+        session = reference.session()
+        without, _ = reference.step(reference.cold_start(reference.inputs(speed)), reference.inputs(speed), 0.0)
+        session.begin(without)
+        plain = session.handle(at.SPEED, 10**18, 10**18, speed).resistance_torque_nm
+        session = reference.session()
+        session.begin(without)
+        session.learned[at.LEARNED_ON], session.learned[at.LEARNED_TORQUE] = 1.0, 100.0
+        more = session.handle(at.SPEED, 10**18, 10**18, speed).resistance_torque_nm
+        assert more - plain == pytest.approx(np.copysign(100.0, speed), rel=1e-6)

@@ -1,0 +1,61 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""What is drawn for the proof of the learning: the same from a seed, sealed, and each thing that misleads does mislead."""
+
+import numpy as np
+import pytest
+
+from trackres_ros.evaluation.learned.ageing import age
+from trackres_ros.evaluation.learned.cases import (
+    KINDS,
+    OFF,
+    SENSORS,
+    Case,
+    added_torque,
+    draw_cases,
+    misled,
+    sealed,
+    weight_shares,
+)
+
+STEP_S = 0.1
+
+
+def case_of(kind):
+    return Case("v1", {"loss": 1.0}, True, kind, 0.5, 7)
+
+
+def test_a_seed_gives_the_same_cases_and_another_seal():
+    cases = draw_cases(11, 6, 20)
+    assert cases == draw_cases(11, 6, 20)
+    assert sealed(11, cases) == sealed(11, draw_cases(11, 6, 20))
+    assert sealed(11, cases) != sealed(12, draw_cases(12, 6, 20))
+    assert sum(not case.hostile for case in cases) == 6
+    assert {case.hostile for case in cases} == {"", *KINDS}
+    for case in cases:
+        assert OFF[0] - 1e-9 <= abs(1.0 / case.build["loss"] - 1.0) <= OFF[1] + 1e-9
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_each_thing_misleads_and_nothing_else_does(kind):
+    random = np.random.default_rng(3)
+    speed = 6.0 + 4.0 * np.sin(np.arange(9000) / 500.0)
+    speed[4000:4100] = 0.0
+    torque = 3000.0 + random.normal(0.0, 30.0, len(speed))
+    changed = []
+    for of in (case_of(kind), case_of("")):
+        added = added_torque(of, speed, np.cumsum(speed) * STEP_S, STEP_S, 1000.0, np.full(len(speed), 272e3), 0.36)
+        shown = misled(of, torque, STEP_S, random)
+        loaded = weight_shares(of, speed)
+        changed.append([bool(np.any(added)), not np.array_equal(shown, torque), bool(np.any(loaded != 1.0))])
+    assert sum(changed[0]) == 1
+    assert changed[0][1] is (kind in SENSORS)
+    assert not any(changed[1])
+
+
+def test_an_hour_of_age_is_an_hour_whose_error_is_small():
+    hours = age(11, 2.0)
+    assert [hour["hour"] for hour in hours] == [1.0, 2.0]
+    assert hours[1]["error"] < 0.02
+    assert hours[1]["bytes"] < 1.1 * hours[0]["bytes"]

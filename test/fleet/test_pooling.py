@@ -1,0 +1,154 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Pooling and changes: laws of the likelihoods, and what is found in vehicles drawn by them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trackres_ros.fleet.changes import DAY_S, RAMP, STEP, exceeded, shapes, vehicle_changes
+from trackres_ros.fleet.pooling import Vehicles, pool, softened
+from trackres_ros.fleet.trends import forecast
+
+NAMES = ("bearing_friction", "loss_modulus_scale", "drag_coefficient")
+BETWEEN, WITHIN = np.array([0.3, 0.2, 0.1]), np.array([0.08, 0.05, 0.1])
+MEAN = np.array([-0.5, 0.4, 0.0])
+
+
+def drawn(vehicles=8, recordings=24, seed=3, moved=None):
+    """Vehicles whose bearing and loss look nearly alike; `moved(vehicle, recording)` is what changed, shape (p,)."""
+    rng, p = np.random.default_rng(seed), len(NAMES)
+    columns = {key: [] for key in ("vehicle", "time", "air", "precision", "linear")}
+    for v in range(vehicles):
+        own = MEAN + BETWEEN * rng.standard_normal(p)
+        for r in range(recordings):
+            slopes = rng.standard_normal((30, p)) * (8.0, 8.0, 3.0)
+            slopes[:, 1] = slopes[:, 0] + 0.3 * slopes[:, 1]
+            precision = slopes.T @ slopes
+            true = own + WITHIN * rng.standard_normal(p) + (0.0 if moved is None else moved(v, r))
+            linear = precision @ true + np.linalg.cholesky(precision) @ rng.standard_normal(p)
+            row = (f"v{v}", 1.7e9 + 2.0 * DAY_S * r, 0.5 * rng.standard_normal(), precision, linear)
+            for key, value in zip(columns, row, strict=True):
+                columns[key].append(value)
+    arrays = {key: np.array(value) for key, value in columns.items()}
+    return Vehicles(
+        NAMES, ("1",) * p, np.ones(p), np.full(p, 0.1), arrays["vehicle"], arrays["time"], arrays["air"], arrays["precision"],
+        arrays["linear"], tuple(map(str, range(len(arrays["vehicle"])))),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def quiet():
+    return pool(drawn())
+
+
+@given(st.integers(0, 10_000), st.floats(0.0, 2.0))
+def test_a_scatter_takes_information_away_and_no_scatter_none(seed, std):
+    rng = np.random.default_rng(seed)
+    slopes = rng.standard_normal((5, 3))
+    precision, linear = slopes.T @ slopes, rng.standard_normal(3)
+    softer, moved, _ = softened(precision, linear, np.full(3, std**2))
+    assert np.linalg.eigvalsh(precision - softer).min() > -1e-9
+    unchanged, same, log = softened(precision, linear, np.zeros(3))
+    assert np.allclose(unchanged, precision)
+    assert np.allclose(same, linear)
+    assert log == 0.0
+    # As a Gaussian with a known value and covariance: the two add.
+    assert np.allclose(np.linalg.inv(softer), np.linalg.inv(precision) + std**2 * np.eye(3), rtol=1e-4)
+    assert np.allclose(np.linalg.solve(softer, moved), np.linalg.solve(precision, linear), rtol=1e-4, atol=1e-6)
+
+
+def test_what_differs_among_vehicles_and_recordings_is_found(quiet):
+    assert np.abs(quiet.mean - MEAN).max() < 0.35
+    assert np.all((quiet.within / WITHIN > 0.4) & (quiet.within / WITHIN < 2.5))
+    assert np.all((quiet.between / BETWEEN > 0.3) & (quiet.between / BETWEEN < 3.0))
+
+
+def test_a_vehicle_with_little_to_say_is_taken_to_be_as_its_type_is():
+    data = drawn(recordings=12)
+    known = pool(data)
+    faint = np.where(data.vehicle == "v0", 1e-9, 1.0)
+    weak = replace(data, precision=data.precision * faint[:, None, None], linear=data.linear * faint[:, None])
+    mean, covariance = pool(weak).by_vehicle["v0"]
+    assert np.allclose(mean, pool(weak).mean, atol=1e-3)
+    assert np.all(np.diag(covariance) > np.diag(known.by_vehicle["v0"][1]))
+
+
+def test_more_vehicles_make_the_type_surer():
+    few, many = (pool(drawn(vehicles=n, recordings=10)) for n in (3, 12))
+    assert np.all(np.diag(many.covariance) < np.diag(few.covariance))
+
+
+def test_the_order_of_rows_makes_no_difference():
+    data = drawn(vehicles=3, recordings=8)
+    rows = [
+        {
+            "status": "good", "names": list(NAMES), "units": ["1"] * 3, "nominal": [1.0] * 3, "std": [0.1] * 3, "vehicle": str(v),
+            "start_s": float(t), "url": url, "mean_ambient": 15.0 + 10.0 * float(a),
+            "precision": p[np.triu_indices(3)].tolist(), "linear": x.tolist(),
+        }
+        for v, t, a, p, x, url in zip(data.vehicle, data.time_s, data.air, data.precision, data.linear, data.urls, strict=True)
+    ]  # fmt: skip
+    (forward,), (backward,) = Vehicles.of(rows), Vehicles.of(rows[::-1])
+    assert np.array_equal(forward.linear, backward.linear)
+    assert np.allclose(forward.precision, data.precision)
+    other = [{**row, "nominal": [2.0] * 3} if row["vehicle"] == "v1" else row for row in rows]
+    assert sorted(len(of) for of in Vehicles.of(other)) == [8, 16]
+
+
+def test_nothing_is_found_where_nothing_changed(quiet):
+    assert not [c for v in quiet.by_vehicle for c in vehicle_changes(quiet, v)[0]]
+
+
+@pytest.mark.parametrize("size", [0.4, -0.4])
+def test_a_step_is_found_with_its_day_and_size_and_no_other_vehicle_is_blamed(size):
+    pooled = pool(drawn(moved=lambda v, r: np.array([size * (v == 2 and r >= 12), 0.0, 0.0])))
+    found = {v: vehicle_changes(pooled, v)[0] for v in pooled.by_vehicle}
+    (change,) = found.pop("v2")
+    assert change.parameter == "bearing_friction"
+    assert change.kind == STEP
+    assert abs(change.since_s - (1.7e9 + 24.0 * DAY_S)) <= 2.0 * DAY_S
+    assert abs(change.size - 0.1 * size) < 3.0 * change.size_std + 0.01
+    assert change.recordings <= 10
+    assert not any(found.values())
+
+
+def test_what_rises_more_and_more_is_a_ramp_with_a_forecast():
+    pooled = pool(drawn(moved=lambda v, r: np.array([0.08 * max(0, r - 8) * (v == 1), 0.0, 0.0])))
+    change = vehicle_changes(pooled, "v1")[0][0]
+    assert change.kind == RAMP
+    assert change.parameter == "bearing_friction"
+    last = 1.7e9 + 46.0 * DAY_S
+    now = change.before + change.size
+    told = forecast(change, last, now + change.size)
+    days = (last - change.since_s) / DAY_S
+    assert told is not None
+    assert told["from"] <= told["day"] <= (told["to"] or "9999")
+    expected = np.datetime64("1970-01-01") + np.timedelta64(int((last + days * DAY_S) // DAY_S), "D")
+    assert told["day"] == str(expected)
+    assert forecast(change, last, change.before - 1.0)["reached"]
+    assert forecast(change, last, None) is None
+    assert forecast(replace(change, kind=STEP), last, now + 1.0) is None
+
+
+def test_a_ramp_begins_with_the_recording_before_its_first():
+    time = 86400.0 * np.arange(5.0)
+    assert shapes(time, 2, RAMP).tolist() == [0.0, 0.0, 1.0, 2.0, 3.0]
+    assert shapes(time, 2, STEP).tolist() == [0.0, 0.0, 1.0, 1.0, 1.0]
+
+
+def test_a_rarer_false_alarm_asks_for_more():
+    highest = np.random.default_rng(0).gumbel(4.0, 1.0, 400)
+    least = [exceeded(highest, share) for share in (0.3, 0.05, 0.001)]
+    assert least == sorted(least)
+    assert least[-1] > highest.mean() + 4.0
+    assert np.mean(highest > least[1]) <= 0.05
+
+
+def test_one_recording_of_one_vehicle_can_be_pooled():
+    pooled = pool(drawn(vehicles=1, recordings=1))
+    assert vehicle_changes(pooled, "v0")[0] == []

@@ -1,0 +1,235 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Which recordings there are, whose they are, and rows that come into their place whole."""
+
+import os
+
+import pytest
+
+from trackres_ros.errors import InputError
+
+pytest.importorskip("fsspec")
+pytest.importorskip("pyarrow")
+
+from trackres_ros.files.own_files import PART
+from trackres_ros.fleet.dataset import FleetDataset
+from trackres_ros.fleet.recordings import FoundRecording, find_recordings
+from trackres_ros.fleet.task import AGAIN, Task, analyse, broken
+from trackres_ros.fleet.trends import without_overlaps
+from trackres_ros.fleet.vehicles import digest, one_vehicle, read_fleet
+
+
+@pytest.fixture
+def folder(tmp_path):
+    for name in ("a/one.csv", "a/two.mcap", "b/three.csv.gz", "b/notes.txt", "c/bag/metadata.yaml", "c/bag/bag_0.db3"):
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(name)
+    return tmp_path
+
+
+def names(found, top):
+    return [one.url.removeprefix(f"{top}/") for one in found]
+
+
+def test_a_folder_holds_its_recordings_and_a_bag_that_is_a_folder_is_one(folder):
+    assert names(find_recordings([str(folder)]), folder) == ["a/one.csv", "a/two.mcap", "b/three.csv.gz", "c/bag"]
+
+
+@pytest.mark.parametrize("form", ["{}/a/*.csv", "file://{}/a/*.csv", "{}/a/one.csv"])
+def test_paths_globs_and_urls_lead_to_the_same(folder, form):
+    assert names(find_recordings([form.format(folder)]), folder) == ["a/one.csv"]
+
+
+def test_each_recording_comes_once_however_often_it_is_named(folder):
+    assert names(find_recordings([str(folder / "a"), str(folder), str(folder / "a" / "one.csv")]), folder)[:2] == [
+        "a/one.csv",
+        "a/two.mcap",
+    ]
+    assert len(list(find_recordings([str(folder), str(folder)]))) == 4
+
+
+@pytest.mark.parametrize("place", ["nowhere", "*.bag", "empty"])
+def test_a_place_where_nothing_is_says_so_and_the_others_go_on(folder, place):
+    (folder / "empty").mkdir()
+    first, *others = find_recordings([str(folder / place), str(folder / "a")])
+    assert first.problem
+    assert not any(other.problem for other in others)
+    assert len(others) == 2
+
+
+def test_an_unknown_kind_of_url_is_one_line():
+    with pytest.raises(InputError, match="fsspec knows"):
+        list(find_recordings(["nonsense://x"]))
+
+
+def test_the_stamp_changes_with_the_file(folder):
+    (before,) = find_recordings([str(folder / "a" / "one.csv")])
+    (folder / "a" / "one.csv").write_text("another")
+    (after,) = find_recordings([str(folder / "a" / "one.csv")])
+    assert before.stamp != after.stamp
+    (bag,) = find_recordings([str(folder / "c")])
+    (folder / "c" / "bag" / "bag_0.db3").write_text("another one")
+    (other,) = find_recordings([str(folder / "c")])
+    assert bag.url == other.url
+    assert bag.stamp != other.stamp
+
+
+def fleet_of(tmp_path, text):
+    path = tmp_path / "fleet.yaml"
+    path.write_text(text)
+    return read_fleet(path)
+
+
+def test_a_recording_is_that_of_the_vehicle_whose_folder_it_is_in_or_whose_pattern_it_matches(tmp_path):
+    fleet = fleet_of(
+        tmp_path, 'vehicles: {t1: xgd24d, t2: {file: xgd24d, recordings: ["other/*.csv"], limits: {bearing_friction: 0.01}}}'
+    )
+    assert fleet.vehicle_of("/data/t1/x.csv").name == "t1"
+    assert fleet.vehicle_of("s3://bucket/other/y.csv").name == "t2"
+    assert fleet.vehicles["t2"].limits == {"bearing_friction": 0.01}
+    with pytest.raises(InputError, match="none of the vehicles"):
+        fleet.vehicle_of("/data/t10/x.csv")
+    with pytest.raises(InputError, match="t1, t2"):
+        fleet.vehicle_of("/data/t1/other/x.csv")
+
+
+@pytest.mark.parametrize(
+    ("text", "part"),
+    [
+        ("vehicles: {}", "vehicles"),
+        ("vehicles: {a/b: xgd24d}", "folder"),
+        ("vehicles: {..: xgd24d}", "folder"),
+        ("vehicles: {none: xgd24d}", "folder"),
+        ("vehicles: {a: nothing.yaml}", "nothing.yaml"),
+        ("vehicles: {a: {fil: xgd24d}}", "file"),
+        ("vehicles: {a: {file: xgd24d, topic: x}}", "topics"),
+        ("vehicles: {a: {file: xgd24d, recordings: 3}}", "globs"),
+        ("vehicles: {a: {file: xgd24d, limits: {x: hot}}}", "limits"),
+        ("vehicle: {a: xgd24d}", "vehicles"),
+        ("[1, 2]", "vehicles"),
+    ],
+)
+def test_a_bad_fleet_file_is_one_line(tmp_path, text, part):
+    with pytest.raises(InputError, match=part) as refused:
+        fleet_of(tmp_path, text)
+    assert "\n" not in str(refused.value)
+
+
+def test_the_digest_of_a_vehicle_follows_the_files_it_names(tmp_path, repository):
+    import shutil
+
+    shutil.copytree(repository / "config", tmp_path / "config")
+    path = tmp_path / "config" / "xgd24d.yaml"
+    before = digest(path)
+    assert before == digest(path) == one_vehicle(str(path), None).vehicles["xgd24d"].sha
+    sweep = next((tmp_path / "config" / "rubber").glob("*.csv"))
+    for sweep in (tmp_path / "config" / "rubber").glob("*.csv"):
+        sweep.write_text(sweep.read_text() + "\n")
+    assert digest(path) != before
+
+
+def row(url, **more):
+    vehicle = more.pop("vehicle", "t 1/é")
+    return {**broken(FoundRecording(url, "1"), vehicle, "x", "why"), **more}
+
+
+def test_a_row_comes_back_as_it_was_put_and_replaces_that_of_before(tmp_path):
+    dataset = FleetDataset(tmp_path)
+    dataset.prepare()
+    first = dataset.put(row("a", status="good", day="2026-01-02", point=[1.0, 2.0], names=["x", "y"]), None)
+    (back,) = dataset.rows()
+    assert (back["vehicle"], back["day"], back["point"], back["names"]) == ("t 1/é", "2026-01-02", [1.0, 2.0], ["x", "y"])
+    second = dataset.put(row("a", stamp="2", day="2026-01-03"), first)
+    assert not first.exists()
+    assert second.exists()
+    assert [r["day"] for r in dataset.rows(["url", "day"])] == ["2026-01-03"]
+
+
+def test_what_a_killed_run_leaves_is_no_row(tmp_path):
+    dataset = FleetDataset(tmp_path)
+    dataset.prepare()
+    old = dataset.put(row("a"), None)
+    os.utime(old, (1.0, 1.0))
+    new = dataset.put(row("a", stamp="2"), None)  # it died before it took the older away
+    (new.parent / f"{new.name}xyz{PART}").write_bytes(b"half")
+    torn = new.parent / "0000-0000.parquet"
+    torn.write_bytes(new.read_bytes()[:100])
+    dataset.prepare()
+    index = dataset.index()
+    assert list(index) == ["a"]
+    assert index["a"].stamp == "2"
+    assert not old.exists()
+    assert not torn.exists()
+    assert not list(tmp_path.rglob(f"*{PART}"))
+
+
+def test_any_tool_can_read_the_dataset(tmp_path):
+    pd = pytest.importorskip("pandas")
+    dataset = FleetDataset(tmp_path)
+    for url in ("a", "b"):
+        dataset.put(row(url, vehicle="t1", day="2026-01-02", mismatch=0.5), None)
+    frame = pd.read_parquet(tmp_path / "rows")
+    assert sorted(frame["url"]) == ["a", "b"]
+    assert set(frame["vehicle"].astype(str)) == {"t1"}
+
+
+def test_no_results_is_one_line(tmp_path):
+    with pytest.raises(InputError, match="trackres fleet"):
+        FleetDataset.existing(tmp_path / "x")
+
+
+def good(vehicle, start_s, duration_s=600.0, url=""):
+    return {
+        "vehicle": vehicle,
+        "start_s": start_s,
+        "duration_s": duration_s,
+        "url": url or f"{vehicle}{start_s}",
+        "status": "good",
+        "day": "2026-01-01",
+    }
+
+
+def test_of_clocks_that_overlap_the_later_recording_is_left_out_and_only_that():
+    rows = [good("a", 1e9), good("a", 1e9 + 300.0), good("a", 1e9 + 600.0), good("b", 1e9 + 100.0)]
+    kept, left_out = without_overlaps(rows)
+    assert [r["url"] for r in left_out] == ["a1000000300.0"]
+    assert "clock" in left_out[0]["reason"]
+    assert len(kept) == 3
+    undated = [{**good("a", 0.0, url=name), "day": "none"} for name in "xy"]
+    assert len(without_overlaps(undated)[0]) == 2
+
+
+@pytest.mark.parametrize(
+    ("content", "part"),
+    [
+        ("time_s,speed_kmh\n0,0\n10,36\n200,36\n", "torque"),
+        ("hello", "time_s"),
+        ("", ""),
+    ],
+)
+def test_a_broken_recording_is_a_row_with_its_reason(tmp_path, content, part):
+    path = tmp_path / "x.csv"
+    path.write_text(content)
+    done = analyse(Task(str(path), "1", one_vehicle("xgd24d", None).vehicles["xgd24d"]))
+    assert done["status"] == "broken"
+    assert part in done["reason"]
+    assert "\n" not in done["reason"]
+    assert "fault of this program" not in done["reason"]
+
+
+def test_what_may_be_otherwise_the_next_time_is_tried_again(tmp_path):
+    done = analyse(Task(f"file://{tmp_path}/gone.csv", "1", one_vehicle("xgd24d", None).vehicles["xgd24d"]))
+    assert done["status"] == "broken"
+    assert done["inputs"] == AGAIN
+
+
+def test_a_vehicle_file_that_changes_midway_is_a_reason(tmp_path, repository):
+    import shutil
+
+    shutil.copytree(repository / "config", tmp_path / "config")
+    path = tmp_path / "config" / "xgd24d.yaml"
+    vehicle = one_vehicle(str(path), None).vehicles["xgd24d"]
+    path.write_text(path.read_text() + "\n# another\n")
+    assert "changed since the run began" in analyse(Task(str(tmp_path / "x.csv"), "1", vehicle))["reason"]

@@ -1,0 +1,233 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The public commands, and the engine as processes of its own on loopback: what dies loses nothing and doubles nothing."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from contextlib import contextmanager
+
+import pytest
+from waiting import wait_for
+
+pytest.importorskip("distributed")
+pytest.importorskip("fsspec")
+pytest.importorskip("pyarrow")
+
+from trackres_ros.fleet.dataset import FleetDataset
+from trackres_ros.fleet.engine import DEATHS, done, engine, why
+
+SIX = {f"truck-0{v}/drive_000{n}.csv" for v in (1, 2) for n in (1, 2, 3)}
+
+
+@pytest.fixture(autouse=True)
+def bounded(monkeypatch):
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        monkeypatch.setenv(name, "1")
+
+
+def words(folder, *more):
+    return [
+        "fleet",
+        str(folder / "recordings"),
+        "--vehicles",
+        str(folder / "fleet.yaml"),
+        "--period",
+        "none",
+        "-o",
+        str(folder / "out"),
+        *more,
+    ]
+
+
+def urls(folder):
+    return [row["url"].removeprefix(f"{folder}/recordings/") for row in FleetDataset(folder / "out").rows(["url", "status"])]
+
+
+def begun(*arguments, **kwargs):
+    return subprocess.Popen(
+        [sys.executable, "-m", *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **kwargs
+    )
+
+
+@contextmanager
+def scheduler(folder, workers):
+    """A scheduler and its workers as processes of their own; gives its address and the processes."""
+    file = folder / "scheduler.json"
+    started = [
+        begun(
+            "distributed.cli.dask_scheduler",
+            "--host",
+            "127.0.0.1",
+            "--port",
+            "0",
+            "--no-dashboard",
+            "--scheduler-file",
+            str(file),
+        )
+    ]
+    try:
+        assert wait_for(file.exists, working=started[0].pid)
+        address = json.loads(file.read_text())["address"]
+        for _ in range(workers):
+            started.append(
+                begun(
+                    "distributed.cli.dask_worker",
+                    address,
+                    "--host",
+                    "127.0.0.1",
+                    "--no-nanny",
+                    "--nthreads",
+                    "1",
+                    "--no-dashboard",
+                    cwd=folder,
+                )
+            )
+        yield address, started
+    finally:
+        for process in started:
+            process.kill()
+        for process in started:
+            process.communicate()
+
+
+def rows_there(folder):
+    return list((folder / "out" / "rows").glob("*/*/*.parquet"))
+
+
+@pytest.mark.long
+def test_a_run_gives_a_row_for_each_and_a_second_does_only_what_is_new(recordings, good, trackres):
+    (recordings / "recordings" / "truck-01" / "broken.csv").write_text("time_s,speed_mps\n")
+    (recordings / "recordings" / "stranger.csv").write_text("time_s,speed_mps\n")
+    first = json.loads(good(*words(recordings, "--workers", "1", "--json")))
+    assert first["run"] == {"found": 8, "kept": 0, "good": 6, "broken": 2}
+    assert sorted(urls(recordings)) == sorted({*SIX, "truck-01/broken.csv", "stranger.csv"})
+    assert len(first["broken"]) == 2
+    again = json.loads(good(*words(recordings, "--json")))
+    assert again["run"] == {"found": 8, "kept": 8, "good": 0, "broken": 0}
+    assert {key: again[key] for key in ("types", "vehicles")} == {key: first[key] for key in ("types", "vehicles")}
+    # A file that is only touched is not computed anew, one that changed is; neither has two rows.
+    touched, changed = (recordings / "recordings" / "truck-02" / f"drive_000{n}.csv" for n in (1, 2))
+    os.utime(touched, (1e9, 1e9))
+    lines = changed.read_text().splitlines()
+    changed.write_text("\n".join(lines[:-50]) + "\n")
+    third = json.loads(good(*words(recordings, "--workers", "1", "--json")))
+    assert third["run"] == {"found": 8, "kept": 7, "good": 1, "broken": 0}
+    assert len(urls(recordings)) == 8
+    trend = json.loads(good("trend", recordings / "out", "--json", "--limit", "bearing_friction=0.02"))
+    assert set(trend["vehicles"]) == {"truck-01", "truck-02"}
+    compared = json.loads(good("compare", f"{recordings}/out:truck-01", f"{recordings}/out:truck-02", "--json"))
+    assert {q["parameter"] for q in compared["parameters"]} >= {"bearing_friction", "loss_modulus_scale"}
+    same = json.loads(good("compare", f"{recordings}/out:truck-01", f"{recordings}/out:truck-01", "--json"))
+    assert not any(q["differs"] or q["difference"] for q in same["parameters"])
+    for given, part in (("out:nobody", "truck-01"), ("out@1999", "a day or month")):
+        refused = trackres("compare", f"{recordings}/{given}", f"{recordings}/out")
+        assert refused.returncode == 2
+        assert part in refused.stderr
+    page = (recordings / "out" / "index.html").read_text()
+    assert "truck-01" in page
+    assert "http" not in page
+    assert (recordings / "out" / "vehicles" / "truck-02.html").exists()
+
+
+@pytest.mark.long
+def test_a_worker_that_is_killed_loses_nothing_and_doubles_nothing(recordings):
+    with scheduler(recordings, workers=2) as (address, (_, first, second)):
+        run = begun("trackres_ros", *words(recordings, "--engine", address))
+        assert wait_for(lambda: rows_there(recordings) or run.poll() is not None, working=first.pid)
+        first.send_signal(signal.SIGKILL)
+        assert wait_for(lambda: run.poll() is not None, working=second.pid)
+        out, err = run.communicate()
+    assert run.returncode == 0, err
+    assert "6 new" in out
+    assert sorted(urls(recordings)) == sorted(SIX)
+
+
+@pytest.mark.long
+def test_the_death_of_the_scheduler_is_one_line_and_the_next_run_goes_on(recordings, good):
+    with scheduler(recordings, workers=1) as (address, (head, worker)):
+        run = begun("trackres_ros", *words(recordings, "--engine", address))
+        assert wait_for(lambda: rows_there(recordings) or run.poll() is not None, working=worker.pid)
+        head.send_signal(signal.SIGKILL)
+        assert wait_for(lambda: run.poll() is not None, working=run.pid, patience_s=120.0)
+        _, err = run.communicate()
+    assert run.returncode == 2
+    assert "run the same command again" in err
+    assert len(err.strip().splitlines()) == 1, err
+    kept = len(rows_there(recordings))
+    assert 0 < kept < len(SIX)
+    after = json.loads(good(*words(recordings, "--workers", "1", "--json")))
+    assert after["run"] == {"found": 6, "kept": kept, "good": 6 - kept, "broken": 0}
+    assert sorted(urls(recordings)) == sorted(SIX)
+
+
+@pytest.mark.long
+def test_work_that_kills_its_worker_each_time_ends_and_the_other_work_is_done():
+    deadly = "__import__('os').kill(__import__('os').getpid(), 9)"
+    with engine("local", 1) as client:
+        found = dict(done(client, eval, ["1 + 1", deadly, "2 + 2"]))
+    assert found["1 + 1"] == 2
+    assert found["2 + 2"] == 4
+    assert f"{DEATHS} workers died" in why(found[deadly])
+
+
+@pytest.mark.parametrize(("address", "part"), [("tcp://127.0.0.1:1", "no scheduler answers"), ("somewhere", "tcp://HOST:PORT")])
+def test_an_engine_that_is_not_there_is_one_line(recordings, trackres, address, part):
+    refused = trackres(*words(recordings, "--engine", address))
+    assert refused.returncode == 2
+    assert part in refused.stderr
+    assert len(refused.stderr.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("given", "part"),
+    [
+        (("--vehicle", "xgd24d"), "both"),
+        (("--hide", "gradde"), "did you mean grade"),
+        (("--engine",), "requires an argument"),
+    ],
+)
+def test_bad_options_are_one_line(recordings, trackres, given, part):
+    refused = trackres(*words(recordings, *given))
+    assert refused.returncode == 2
+    assert part in refused.stderr
+
+
+def test_nothing_that_can_be_used_ends_with_two(tmp_path, trackres):
+    (tmp_path / "recordings").mkdir()
+    (tmp_path / "fleet.yaml").write_text("vehicles: {a: xgd24d}")
+    refused = trackres(*words(tmp_path))
+    assert refused.returncode == 2
+    assert "a folder without a recording" in refused.stderr
+
+
+@pytest.mark.parametrize(
+    "command", [("trend", "nowhere"), ("compare", "nowhere", "xgd24d"), ("compare", "nowhere:v@2026", "xgd24d")]
+)
+def test_what_is_not_there_is_one_line(trackres, command, tmp_path):
+    refused = trackres(*command, cwd=tmp_path)
+    assert refused.returncode == 2
+    assert "nowhere" in refused.stderr
+
+
+def test_two_designs_are_compared(good, tmp_path, repository):
+    import shutil
+
+    shutil.copytree(repository / "config", tmp_path / "config")
+    path = tmp_path / "config" / "xgd24d.yaml"
+    path.write_text(path.read_text().replace("bearing_friction: {value: 0.0075", "bearing_friction: {value: 0.0105"))
+    found = json.loads(good("compare", "xgd24d", str(path), "--json"))
+    bearing = next(q for q in found["parameters"] if q["parameter"] == "bearing_friction")
+    assert bearing["difference"] == pytest.approx(0.003)
+    assert not [q for q in found["parameters"] if q["difference"] and q is not bearing]
+
+
+def test_the_live_node_imports_none_of_it():
+    program = (
+        "import sys, trackres_ros.node.application, trackres_ros.estimator.estimator, trackres_ros.cli.live; "
+        "print([m for m in sys.modules if m.startswith(('trackres_ros.fleet', 'dask', 'distributed', 'fsspec', 'pyarrow'))])"
+    )
+    assert subprocess.check_output([sys.executable, "-c", program], text=True).strip() == "[]"

@@ -1,0 +1,63 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Drives of a vehicle whose own model is the truth, but for departures that its file does not have."""
+
+import numpy as np
+import pytest
+
+from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.learning.learner import Learner
+
+START_NS = 1_700_000_000_000_000_000
+STEP_NS = 100_000_000
+
+
+class Road:
+    """One vehicle that is driven, and what is learned of it. `true` are departures that the file does not have."""
+
+    def __init__(self, estimator: Estimator, mode="watch", true=None, seed=1):
+        self.true = estimator.session()
+        self.true.learned[at.LEARNED_ON] = 1.0
+        for which, departure in (true or {}).items():
+            self.true.learned[at.DEPARTURES + which] = departure
+        self.session, self.learner = estimator.session(), Learner(estimator, mode)
+        self.random, self.steps, self.rows = np.random.default_rng(seed), 0, []
+        self.said = set()
+
+    def drive(self, minutes, shown=lambda torque, i: torque, speed=lambda t: 8.0 + 6.0 * np.sin(t / 60.0), noise=30.0):
+        """Drive on; `shown` is what the sensor makes of a torque, by the number of the step since here."""
+        for i in range(round(minutes * 600.0)):
+            stamp, time = START_NS + self.steps * STEP_NS, self.steps * 0.1
+            self.steps += 1
+            now = speed(time)
+            truth = self.true.handle(at.SPEED, stamp, stamp, now)
+            torque = shown(truth["drive_torque_nm"], i)
+            if torque is not None:
+                self.session.handle(at.TORQUE, stamp, stamp, torque + self.random.normal(0.0, noise))
+            estimate = self.session.handle(at.SPEED, stamp, stamp, now)
+            self.learner.take(stamp, estimate.row.tolist(), self.session)
+            self.rows.append((truth["resistance_torque_nm"], estimate["resistance_torque_nm"], self.expected(estimate)))
+            if self.learner.frozen:
+                self.said.add(self.learner.frozen.split(":")[0])
+        return self
+
+    def expected(self, estimate):
+        """Resistance with what was learned, whatever acts."""
+        learned = self.session.learned
+        if learned[at.LEARNED_ON] > 0.0:
+            return estimate["resistance_torque_nm"]
+        moved = self.learner.learned.applied * learned[at.SENSITIVITIES :]
+        return estimate["resistance_torque_nm"] + moved.sum() - moved[at.OF_MASS]
+
+    def errors(self, minutes):
+        """Mean error of the last minutes, without and with what was learned, over the torque."""
+        rows = np.array(self.rows[-round(minutes * 600.0) :])
+        return [float(np.abs(rows[:, i] - rows[:, 0]).mean() / np.abs(rows[:, 0]).mean()) for i in (1, 2)]
+
+
+@pytest.fixture(scope="session")
+def road(reference):
+    """`road(mode, true, seed)`: a vehicle to be driven."""
+    return lambda *given, **named: Road(reference, *given, **named)

@@ -1,0 +1,143 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""What is learned of a vehicle, and what is not: each rule by a drive that would break it."""
+
+import copy
+
+import numpy as np
+import pytest
+
+from trackres_ros.estimator import columns as at
+from trackres_ros.learning.learner import LASTING_SHARE
+from trackres_ros.learning.parameters import SLOW, VEHICLES_OWN
+
+
+@pytest.fixture(scope="module")
+def learned(road):
+    """A vehicle whose belts lose a fifth more than its file says, after twenty minutes."""
+    return road("watch", {at.OF_LOSS: 0.2}).drive(20.0)
+
+
+def test_a_quarter_of_an_hour_is_enough_for_a_torque_that_is_a_fifth_off(learned):
+    file, with_it = learned.errors(5.0)
+    assert file > 0.08
+    assert with_it < 0.02
+    assert learned.learner.acts
+    assert learned.learner.counts(at.OF_LOSS)
+
+
+def test_watching_changes_no_bit(reference, road):
+    watched = road("watch", {at.OF_LOSS: 0.2}).drive(6.0)
+    plain = reference.session()
+    for i, (_, resistance, _) in enumerate(watched.rows):
+        stamp = 1_700_000_000_000_000_000 + i * 100_000_000
+        assert plain.handle(at.SPEED, stamp, stamp, 8.0 + 6.0 * np.sin(i * 0.1 / 60.0))["resistance_torque_nm"] == resistance
+
+
+def test_on_and_watching_learn_the_same(learned, road):
+    on = road("on", {at.OF_LOSS: 0.2}).drive(20.0)
+    own = list(VEHICLES_OWN)
+    assert on.learner.learned.mean[own] == pytest.approx(learned.learner.learned.mean[own], abs=2e-3)
+    assert on.errors(5.0)[0] < 0.02
+
+
+def test_twice_the_same_to_the_bit(learned, road):
+    again = road("watch", {at.OF_LOSS: 0.2}).drive(20.0)
+    assert np.array_equal(again.learner.learned.covariance, learned.learner.learned.covariance)
+    assert again.rows == learned.rows
+
+
+def test_where_no_torque_is_measured_nothing_changes(road):
+    driven = road("on", {at.OF_LOSS: 0.2}).drive(6.0, lambda _torque, _i: None)
+    assert not driven.session.learned[: at.SENSITIVITIES].any()
+    assert driven.learner.learned.seconds == 0.0
+
+
+def test_a_file_that_is_right_stays_right(road):
+    driven = road("on").drive(20.0)
+    assert driven.errors(5.0)[1] < 0.01
+
+
+def test_one_corner_is_not_the_whole(road):
+    driven = road("on", {at.OF_LOSS: 0.2}).drive(3.0, speed=lambda _t: 6.0)
+    assert not any(driven.learner.counts(state) for state in VEHICLES_OWN)
+    assert driven.session.learned[at.LEARNED_ON] == 0.0
+
+
+def test_a_vehicle_that_stands_is_not_pushed(learned, road):
+    driven = road("on", {at.OF_LOSS: 0.2}).drive(15.0).drive(0.5, speed=lambda _t: 0.0)
+    assert driven.rows[-1][1] == 0.0
+    assert driven.session.motion[at.FEEDFORWARD] == 0.0
+
+
+@pytest.mark.parametrize("share", [0.07, -0.07])
+def test_another_sensor_is_a_step_and_not_the_rubber(road, share):
+    driven = road("watch", {at.OF_LOSS: 0.1}).drive(16.0)
+    before = driven.learner.learned.applied.copy()
+    driven.drive(4.0, lambda torque, _i: (1.0 + share) * torque)
+    assert any(text.startswith("a disturbance of") for text in driven.said)
+    assert driven.learner.learned.applied[VEHICLES_OWN,] == pytest.approx(before[VEHICLES_OWN,], abs=0.03)
+
+
+def test_a_pump_goes_as_it_came(road):
+    driven = road("on", {at.OF_LOSS: 0.1}).drive(16.0)
+    driven.drive(3.0, lambda torque, _i: torque + 300.0).drive(14.0)
+    assert driven.errors(4.0)[1] < 0.025
+
+
+def test_of_a_disturbance_no_more_is_fed_than_its_bound(road):
+    driven = road("on", {at.OF_LOSS: 0.1}).drive(16.0).drive(5.0, lambda torque, _i: torque + 400.0)
+    state = driven.learner.learned
+    assert abs(state.lasting_nm) <= LASTING_SHARE * state.rolling * 1.01
+    lasting = abs(state.lasting_nm)
+    driven.drive(0.15, lambda _torque, _i: None)
+    assert abs(driven.learner.learned.lasting_nm) < 0.05 * lasting + 0.1
+
+
+@pytest.mark.parametrize(
+    ("shown", "name"),
+    [
+        (lambda _torque, _i: 2500.0, "stuck"),
+        (lambda torque, _i: -torque, "flipped"),
+    ],
+)
+def test_a_sensor_that_is_broken_is_not_learned_from(road, shown, name):
+    driven = road("on", {at.OF_LOSS: 0.1}).drive(16.0)
+    before, seconds = driven.learner.learned.applied.copy(), driven.learner.learned.seconds
+    driven.drive(4.0, shown, noise=0.0)
+    assert driven.learner.learned.seconds < seconds + 15.0, name
+    assert driven.learner.learned.applied[VEHICLES_OWN,] == pytest.approx(before[VEHICLES_OWN,], abs=0.03)
+
+
+def test_outliers_freeze_it(road):
+    driven = road("on", {at.OF_LOSS: 0.1})
+    random = np.random.default_rng(5)
+    driven.drive(10.0, lambda torque, _i: torque + (3000.0 if random.random() < 0.3 else 0.0))
+    assert any("disagree" in text for text in driven.said)
+    assert driven.errors(2.0)[1] < 1.02 * driven.errors(2.0)[0] + 0.02
+
+
+def test_what_wanders_is_not_taken_for_the_vehicle(road):
+    """Hills of one in a hundred of which nothing is known."""
+    driven = road("on", {at.OF_LOSS: -0.05})
+    driven.drive(25.0, lambda torque, i: torque + 980.0 * np.sin(2.0 * np.pi * i / 1500.0))
+    file, with_it = driven.errors(10.0)
+    assert with_it < file + 0.02
+
+
+def test_nothing_leaves_the_ranges_of_the_file(road):
+    driven = road("on").drive(15.0, lambda torque, _i: 3.0 * torque)
+    learner = driven.learner
+    assert (learner.learned.mean <= learner.prior.high).all()
+    assert (learner.learned.mean >= learner.prior.low).all()
+    assert (learner.learned.applied <= learner.prior.high[: at.LEARNABLE]).all()
+
+
+def test_time_off_makes_it_less_sure_and_forgets_what_wanders(learned):
+    state = copy.deepcopy(learned.learner)
+    before = state.learned.covariance[at.OF_LOSS, at.OF_LOSS]
+    state.age(30 * 86400.0)
+    assert before < state.learned.covariance[at.OF_LOSS, at.OF_LOSS] < state.prior.covariance[at.OF_LOSS, at.OF_LOSS]
+    assert state.learned.mean[SLOW] == 0.0
+    assert state.learned.mean[at.OF_LOSS] == learned.learner.learned.mean[at.OF_LOSS]

@@ -1,0 +1,92 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Learning over a recording: the numbers of the live session, to the bit and twice, and a vehicle file that starts from them."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+import trackres_ros as tr
+from trackres_ros.estimator import columns as at
+
+MINUTES = 18.0
+
+
+@pytest.fixture(scope="module")
+def recording(reference, tmp_path_factory):
+    """A drive of a vehicle whose belts lose a fifth more than its file says."""
+    path = tmp_path_factory.mktemp("drive") / "drive.csv"
+    session, random = reference.session(), np.random.default_rng(4)
+    session.learned[at.LEARNED_ON], session.learned[at.DEPARTURES + at.OF_LOSS] = 1.0, 0.2
+    with path.open("w", newline="") as file:
+        table = csv.writer(file)
+        table.writerow(["time_s", "speed_mps", "torque_nm"])
+        for i in range(round(MINUTES * 600)):
+            stamp, speed = 10**18 + i * 10**8, 8.0 + 6.0 * np.sin(i / 600.0)
+            torque = session.handle(at.SPEED, stamp, stamp, speed)["drive_torque_nm"]
+            table.writerow([f"{i / 10:.1f}", f"{speed:.6f}", f"{torque + random.normal(0.0, 30.0):.3f}"])
+    return path
+
+
+def test_twice_the_same_bytes_and_no_others_than_in_pieces(recording, tmp_path):
+    for name in ("a", "b"):
+        tr.replay(recording, "xgd24d", learning="on", output=tmp_path / f"{name}.csv")
+    assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
+
+
+def test_stopped_and_resumed_it_learns_what_it_would_have(recording, tmp_path):
+    lines = recording.read_text().splitlines(keepends=True)
+    half = len(lines) // 2
+    first, second = tmp_path / "first.csv", tmp_path / "second.csv"
+    first.write_text("".join(lines[:half]))
+    second.write_text("".join([lines[0], *lines[half:]]))
+    state = tmp_path / "state.json"
+    tr.replay(first, "xgd24d", learning="on", save_state=state)
+    resumed = tr.replay(second, "xgd24d", learning="on", resume=state)
+    whole = tr.replay(recording, "xgd24d", learning="on")
+    for column in ("resistance_torque_nm", "learned_loss_modulus_scale", "learned_loss_modulus_scale_std"):
+        assert np.array_equal(resumed[column], whole[column][-len(resumed[column]) :]), column
+
+
+def test_watching_leaves_every_column_of_the_estimate_as_it_is(recording):
+    off, watched = tr.replay(recording, "xgd24d"), tr.replay(recording, "xgd24d", learning="watch")
+    for column in off.columns:
+        assert np.array_equal(off[column], watched[column], equal_nan=True), column
+    assert watched["learned_resistance_torque_nm"][-1] > 1.05 * off["resistance_torque_nm"][-1]
+
+
+def test_the_vehicle_file_it_leaves_starts_from_what_was_learned(recording, tmp_path):
+    learned = tr.replay(recording, "xgd24d", learning="watch", save_vehicle=tmp_path / "learned.yaml")
+    again = tr.replay(recording, tmp_path / "learned.yaml")
+    late = slice(-600, None)  # what was learned by then, all the way
+    assert again["resistance_torque_nm"][late] == pytest.approx(learned["learned_resistance_torque_nm"][late], rel=0.02)
+    assert again["resistance_std_nm"][-1] < 0.5 * learned["resistance_std_nm"][-1]
+
+
+def test_what_does_not_count_is_not_written(recording, tmp_path):
+    lines = recording.read_text().splitlines(keepends=True)
+    (tmp_path / "short.csv").write_text("".join(lines[:600]))
+    tr.replay(tmp_path / "short.csv", "xgd24d", learning="watch", save_vehicle=tmp_path / "same.yaml")
+    before, after = tr.load_vehicle("xgd24d"), tr.load_vehicle(tmp_path / "same.yaml")
+    assert {path: q.value for path, q in before.parameters.items()} == {path: q.value for path, q in after.parameters.items()}
+
+
+def test_the_command_says_what_was_learned_and_draws_it(recording, tmp_path, good, trackres):
+    pytest.importorskip("matplotlib")
+    said = json.loads(
+        good("replay", recording, "--vehicle", "xgd24d", "--learning", "watch", "-o", tmp_path / "out.csv", "--json")
+    )
+    names = [one["name"] for one in said["learning"]["parameters"]]
+    assert names[:2] == ["loss_modulus_scale", "bearing_friction"]
+    assert (tmp_path / "out.png").stat().st_size > 10_000
+    refused = trackres("replay", recording, "--vehicle", "xgd24d", "--learning", "fast", "-o", tmp_path / "x.csv")
+    assert refused.returncode == 2
+    assert "off, watch, on" in refused.stderr
+    refused = trackres(
+        "replay", recording, "--vehicle", "xgd24d", "--save-vehicle", tmp_path / "v.yaml", "-o", tmp_path / "x.csv"
+    )
+    assert refused.returncode == 2
+    assert "replay that learns" in refused.stderr

@@ -1,0 +1,117 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""A node that learns: by default it watches, says what it learned, keeps it over a restart, and moves nothing."""
+
+import math
+
+import pytest
+
+from trackres_ros.errors import InputError
+from trackres_ros.estimator import columns as at
+from trackres_ros.node.remarks import KINDS
+
+TOPICS = """
+speed: {topic: speed, type: geometry_msgs/msg/TwistStamped, field: twist.linear.x}
+torque: {topic: torque, type: geometry_msgs/msg/WrenchStamped, field: wrench.torque.y}
+"""
+
+
+@pytest.fixture
+def topics(tmp_path):
+    file = tmp_path / "topics.yaml"
+    file.write_text(TOPICS)
+    return str(file)
+
+
+def drive(d, seconds, share=1.1):
+    """Drive now slower, now faster, with a torque so many times what the file expects."""
+    for i in range(round(seconds / 0.2)):
+        speed = 8.0 + 4.0 * math.sin(i / 150.0)
+        expected = d.app.overview().values.get("drive_torque_nm", 3000.0)
+        moved = d.app.session.learned
+        if moved[at.LEARNED_ON] > 0.0:
+            expected -= float((moved[at.DEPARTURES : at.LEARNED_TORQUE] * moved[at.SENSITIVITIES :]).sum())
+        d.drive(0.2, speed=speed, dt=0.2, torque=share * expected + (i % 11 - 5.0))
+
+
+def learned_topic(d):
+    """The last statuses on ~/parameters, by their last word."""
+    d.forward(1.1)
+    last = next(statuses for name, statuses in reversed(d.statuses) if name == "parameters")
+    return {status.name.rpartition(" ")[2]: status for status in last}
+
+
+def test_by_default_it_watches_and_says_what_it_learns(desk, topics):
+    d = desk(topics=topics)
+    drive(d, 120.0)
+    found = learned_topic(d)
+    assert set(found) >= {"learning", "loss_modulus_scale", "bearing_friction", "drag_coefficient", "torque_gain", "disturbance"}
+    values = dict(found["loss_modulus_scale"].values)
+    assert float(values["low"]) < float(values["value"]) < float(values["high"])
+    assert float(values["value"]) > 1.0
+    assert values["state"] in ("learning", "learned", "frozen")
+    assert d.app.session.learned[at.LEARNED_ON] == 0.0
+    assert "learning" in d.app.overview().learning
+
+
+def test_where_no_torque_is_measured_there_is_no_topic_and_no_learner(desk):
+    d = desk()
+    d.drive(2.0)
+    assert d.app.learning.learner is None
+    assert "parameters" not in [topic.name for topic in d.app.outputs]
+    assert d.app.overview().learning == ""
+
+
+def test_it_survives_a_restart_and_a_reset_forgets_it(desk, topics, tmp_path):
+    given = {"topics": topics, "state_file": str(tmp_path / "state.json")}
+    d = desk(**given)
+    drive(d, 60.0)
+    seconds = d.app.learning.learner.learned.seconds
+    assert seconds > 30.0
+    d.app.save_state()
+    again = desk(**given)
+    assert again.app.learning.learner.learned.seconds == seconds
+    assert "learned from" in again.app.began_with
+    assert "forgotten" in again.app.reset_learning()
+    assert again.app.learning.learner.learned.seconds == 0.0
+
+
+def test_a_state_file_from_a_node_that_learned_nothing_begins_anew(desk, topics, tmp_path):
+    state = str(tmp_path / "state.json")
+    d = desk(state_file=state)
+    d.drive(2.0)
+    d.app.save_state()
+    assert desk(topics=topics, state_file=state).app.learning.learner.learned.seconds == 0.0
+
+
+def test_it_can_be_turned_off_and_on_while_it_runs(desk, topics):
+    d = desk(topics=topics, learning="off")
+    drive(d, 10.0)
+    assert d.app.learning.learner.learned.seconds == 0.0
+    assert d.app.overview().learning == "off"
+    d.app.change({"learning": "on"})
+    drive(d, 20.0)
+    assert d.app.learning.learner.mode == "on"
+    assert d.app.learning.learner.learned.seconds > 5.0
+    d.app.change({"learning": "watch"})
+    assert not d.app.session.learned[: at.SENSITIVITIES].any()
+    with pytest.raises(InputError, match="off, watch, on"):
+        d.app.change({"learning": "fast"})
+
+
+def test_a_sensor_that_disagrees_with_itself_is_said(desk, topics):
+    d = desk(topics=topics)
+    for i in range(600):
+        d.drive(0.2, speed=8.0, dt=0.2, torque=3000.0 + (6000.0 if i % 3 == 0 and i > 50 else i % 11))
+    assert "LEARNING_FROZEN" in d.names()
+    assert KINDS["LEARNING_FROZEN"].meaning
+
+
+def test_it_is_compiled_while_it_learns_and_goes_on(desk, topics):
+    d = desk(topics=topics)
+    drive(d, 20.0)
+    before = d.app.learning.learner.learned.seconds
+    d.app.change({"ambient_std_k": 3.0})  # another estimator, as after a change over to compiled code
+    drive(d, 20.0)
+    assert d.app.learning.learner.learned.seconds > before + 10.0

@@ -1,0 +1,222 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Runs `trackres fleet`, `trackres trend` and `trackres compare`."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from pathlib import Path
+
+import click
+
+from trackres_ros import InputError
+from trackres_ros.cli.common import Command, emit, json_option, needs, number, output_folder, progress
+from trackres_ros.cli.written import watch
+
+EXTRA = "fsspec", "pyarrow", "distributed", "jinja2"
+
+
+class FleetGroup(click.Group):
+    """A group whose own work is a command too, for all words that name none of the others."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Put the word `run` before arguments that begin with no command."""
+        if args and args[0] not in {*self.commands, "-h", "--help"}:
+            args = ["run", *args]
+        return super().parse_args(ctx, args)
+
+
+@click.group("fleet", cls=FleetGroup)
+def fleet_group() -> None:
+    """Many recordings of many vehicles over months: what changed, in which, and since when.
+
+    \b
+    trackres fleet RECORDINGS... --vehicles fleet.yaml -o results
+    trackres fleet RECORDINGS... --vehicle xgd24d --engine tcp://scheduler:8786 -o results
+    trackres fleet sample -o try                  a simulated fleet to try it on
+
+    See trackres fleet run --help for all options.
+    """
+
+
+@fleet_group.command("run", cls=Command)
+@click.argument("recordings", nargs=-1, required=True)
+@click.option("--vehicle", metavar="FILE|NAME", help="Vehicle file of one vehicle, which all recordings are of.")
+@click.option(
+    "--vehicles", type=click.Path(path_type=Path), metavar="fleet.yaml", help="Vehicles, each with its file and recordings."
+)
+@click.option(
+    "--topics", type=click.Path(path_type=Path), metavar="T.yaml", help="With --vehicle: which topic or column feeds which role."
+)
+@click.option(
+    "--engine", default="local", show_default=True, metavar="local|tcp://HOST:PORT", help="Where it runs: a Dask scheduler."
+)
+@click.option(
+    "--workers", type=click.IntRange(1), metavar="N", help="Processes of a local engine; as many as processors without."
+)
+@click.option("--hide", multiple=True, metavar="CHANNEL", help="Leave a channel unread; may be repeated.")
+@click.option(
+    "--period",
+    type=click.Choice(["month", "none"]),
+    default="month",
+    show_default=True,
+    help="Diagnose each vehicle by this period.",
+)
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path, file_okay=False),
+    required=True,
+    metavar="DIR",
+    help="Folder of all results.",
+)
+@json_option
+def run_command(
+    recordings: tuple[str, ...],
+    vehicle: str | None,
+    vehicles: Path | None,
+    topics: Path | None,
+    engine: str,
+    workers: int | None,
+    hide: tuple[str, ...],
+    period: str,
+    output: Path,
+    as_json: bool,
+) -> None:
+    """Analyse what is new, and pool, compare and show all that is there.
+
+    RECORDINGS are paths, folders, globs or URLs (s3://bucket/folder). What was done is kept in DIR: a second run, or one after an
+    interruption, does only what is new.
+    """
+    needs("trackres fleet", "fleet", *EXTRA)
+    if (vehicle is None) == (vehicles is None):
+        raise InputError("--vehicle, --vehicles", "both" if vehicle else "neither", "one of them")
+    from trackres_ros.fleet import asked
+    from trackres_ros.fleet.dataset import FleetDataset
+    from trackres_ros.fleet.page.write import write_pages
+    from trackres_ros.fleet.periods import diagnose_periods
+    from trackres_ros.fleet.run import run
+    from trackres_ros.fleet.trends import sentences, trends
+    from trackres_ros.fleet.vehicles import one_vehicle, read_fleet
+
+    fleet = one_vehicle(vehicle, topics) if vehicle is not None else read_fleet(vehicles or Path())
+    watch(output)
+    dataset = FleetDataset(output)
+    with ExitStack() as bars:
+        counts = run(
+            recordings, fleet, dataset, engine, workers, hide, lambda total: bars.enter_context(progress("recordings", total))
+        )
+    asked.keep(output, fleet)
+    if period != "none":
+        diagnose_periods(dataset, fleet, engine, workers, hide, progress)
+    found = trends(dataset, asked.limits_of(output, {}))
+    pages = write_pages(output, found, dataset)
+    done = {"found": counts.found, "kept": counts.kept, "good": counts.good, "broken": counts.broken}
+
+    def text() -> str:
+        head = f"{counts.found} recordings: {counts.kept} as before, {counts.good} new, {counts.broken} that cannot be used"
+        return "\n".join([head, *sentences(found), f"{pages}"])
+
+    emit({"run": done, **found, "page": str(pages)}, as_json, text)
+
+
+@fleet_group.command("sample", cls=Command)
+@click.option("--vehicles", type=click.IntRange(1, 10_000), default=20, show_default=True, help="How many.")
+@click.option("--days", type=click.IntRange(1, 3650), default=90, show_default=True, help="Over how many days they drive.")
+@click.option("--every", type=number(0.1, 365.0), default=3.0, show_default=True, help="Days between recordings of a vehicle.")
+@click.option("--minutes", type=number(3.0, 600.0), default=10.0, show_default=True, help="Length of a recording.")
+@click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Seed of all random draws.")
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path, file_okay=False), required=True, metavar="DIR", help="Folder to write into."
+)
+@json_option
+def sample_command(vehicles: int, days: int, every: float, minutes: float, seed: int, output: Path, as_json: bool) -> None:
+    """A simulated fleet with three changes to be found; which they are stands in answers.json.
+
+    \b
+    trackres fleet sample -o try --vehicles 20 --days 90
+    trackres fleet try/recordings --vehicles try/fleet.yaml -o results
+    """
+    from trackres_ros.evaluation.fleet.sample import write_sample
+
+    watch(output)
+    with ExitStack() as bars:
+        fleet = write_sample(
+            output, vehicles, days, every, minutes, seed, lambda total: bars.enter_context(progress("driving", total))
+        )
+    count = sum(len(vehicle.days) for vehicle in fleet)
+    emit(
+        {"recordings": count, "vehicles": len(fleet), "folder": str(output)},
+        as_json,
+        lambda: f"{count} recordings of {len(fleet)} vehicles in {output}",
+    )
+
+
+@click.command("trend", cls=Command)
+@click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
+@click.option("--name", metavar="VEHICLE", help="Look for changes of this vehicle alone.")
+@click.option(
+    "--limit", "limits", multiple=True, metavar="PARAMETER=VALUE", help="Where a parameter must be looked after; may be repeated."
+)
+@click.option(
+    "--false-alarms",
+    type=number(1e-4, 10.0),
+    default=0.1,
+    show_default=True,
+    help="How often chance may raise one, per vehicle and year.",
+)
+@json_option
+def trend_command(folder: Path, name: str | None, limits: tuple[str, ...], false_alarms: float, as_json: bool) -> None:
+    """What changed over the months of a fleet, in which vehicle and since when, and when a limit is reached.
+
+    DIR is what trackres fleet wrote.
+
+    \b
+    trackres trend results --limit bearing_friction=0.012
+    """
+    needs("trackres trend", "fleet", "pyarrow")
+    from trackres_ros.fleet import asked
+    from trackres_ros.fleet.dataset import FleetDataset
+    from trackres_ros.fleet.trends import sentences, trends
+
+    found = trends(FleetDataset.existing(folder), asked.limits_of(folder, dict(map(_limit, limits))), false_alarms, name)
+    emit(found, as_json, lambda: "\n".join(sentences(found)))
+
+
+def _limit(given: str) -> tuple[str, float]:
+    name, equals, value = given.partition("=")
+    try:
+        if not equals or float(value) != float(value):
+            raise ValueError
+        return name, float(value)
+    except ValueError:
+        raise InputError("--limit", given, "PARAMETER=VALUE, as bearing_friction=0.012") from None
+
+
+@click.command("compare", cls=Command)
+@click.argument("one")
+@click.argument("other")
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="Folder for a picture of both."
+)
+@json_option
+def compare_command(one: str, other: str, output: Path | None, as_json: bool) -> None:
+    """What differs beyond its uncertainty between two days, vehicles, reports or designs.
+
+    ONE and OTHER are each a folder of trackres fleet, all of it or a part (results:truck-01, results:truck-01@2026-03,
+    results@2026-03-14), a folder of trackres diagnose, or a vehicle file.
+
+    \b
+    trackres compare results:truck-01@2026-01 results:truck-01@2026-03
+    trackres compare xgd24d my_design.yaml
+    """
+    from trackres_ros.fleet.compare import compare, compare_text
+
+    found = compare(one, other)
+    if output is not None:
+        needs("a picture", "plots", "matplotlib")
+        from trackres_ros.fleet.overlay import draw_overlay
+
+        found["written"] = str(draw_overlay(found, output_folder(output) / "compare.png"))
+    emit(found, as_json, lambda: compare_text(found))

@@ -1,0 +1,95 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""What the surroundings say of the ground under the vehicle, by its positions: their messages go to the follower of the route,
+and each step looks at what it sees.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.constants import Constants
+from trackres_ros.jit.compiled import inlined
+from trackres_ros.route.follower import PLACE_KNOWN, SLOPE, TORQUE, TORQUE_STD, drive_on, look, take_position
+from trackres_ros.route.track import FARTHEST_M, flat_now
+from trackres_ros.units import NANOSECOND
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@inlined
+def has_route(k: Constants) -> bool:
+    """Whether the surroundings say anything by place."""
+    return k.number.slopes_by_place or k.number.torques_by_place
+
+
+@inlined
+def position_came(k: Constants, times: IntArray, values: Array, followed: Array) -> None:
+    """A latitude or a longitude was accepted: it is a position once both of a time are there."""
+    if not has_route(k) or times[at.LATITUDE, at.SEEN] == 0 or times[at.LONGITUDE, at.SEEN] == 0:
+        return
+    if times[at.LATITUDE, at.LAST_STAMP] == times[at.LONGITUDE, at.LAST_STAMP]:
+        position_at(k, followed, values[at.LATITUDE], values[at.LONGITUDE])
+
+
+@inlined
+def position_at(k: Constants, followed: Array, latitude: float, longitude: float) -> None:
+    """It is at a position [rad]."""
+    x, y = flat_now(k.number.route_latitude, k.number.route_longitude, latitude, longitude)
+    if not math.hypot(x, y) < FARTHEST_M:
+        x = y = math.nan
+    take_position(followed, x, y)
+
+
+@inlined
+def ground_now(k: Constants, times: IntArray, followed: Array, speed: float, elapsed: int) -> tuple[float, float, float, bool]:
+    """What is known of the ground at an accepted speed [m/s], so long after the one before [ns].
+
+    Returns
+    -------
+    slope, torque, torque_std, known
+        Slope the way it points, torque against travel [Nm] and its standard deviation, nan where nothing is known; and whether
+        it is known where on the route it is.
+    """
+    if not has_route(k):
+        return math.nan, math.nan, math.nan, True
+    since_position = times[at.SPEED, at.LAST_STAMP] - of_position(times, at.LAST_STAMP)
+    drive_on(followed, speed, min(elapsed, k.number.position_hold_ns) * NANOSECOND, since_position * NANOSECOND)
+    is_old = times[at.SPEED, at.LAST_ARRIVAL] - of_position(times, at.LAST_ARRIVAL) > k.number.position_hold_ns
+    look(k.route_cells, k.route_places, followed, is_old)
+    return followed[SLOPE], followed[TORQUE], followed[TORQUE_STD], followed[PLACE_KNOWN] > 0.0
+
+
+@inlined
+def of_position(times: IntArray, column: int) -> int:
+    """A time of the last position [ns]: where one half of it was refused, that of the other half before."""
+    return int(min(times[at.LATITUDE, column], times[at.LONGITUDE, column]))
+
+
+@inlined
+def is_missing(k: Constants, grade: float, slope: float, torque: float) -> bool:
+    """Whether the surroundings say something by place, and not of this one. A slope that is measured comes before theirs."""
+    no_slope = k.number.slopes_by_place and math.isnan(grade) and math.isnan(slope)
+    return no_slope or (k.number.torques_by_place and math.isnan(torque))
+
+
+@inlined
+def follow_along(
+    k: Constants, followed: Array, times: Array, speeds: Array, latitudes: Array, longitudes: Array, out: Array
+) -> None:
+    """Follow a drive; fills one row of `out` a time, as `records.GroundSeries`. A position is nan where there is none."""
+    at_s = -math.inf
+    for i in range(times.shape[0]):
+        if not (math.isnan(latitudes[i]) or math.isnan(longitudes[i])):
+            position_at(k, followed, latitudes[i], longitudes[i])
+            at_s = times[i]
+        dt, hold_s = times[i] - times[max(i - 1, 0)], k.number.position_hold_ns * NANOSECOND
+        drive_on(followed, speeds[i], min(dt, hold_s), times[i] - at_s)
+        look(k.route_cells, k.route_places, followed, times[i] - at_s > hold_s)
+        out[i, 0], out[i, 1], out[i, 2] = followed[SLOPE], followed[TORQUE], followed[TORQUE_STD]

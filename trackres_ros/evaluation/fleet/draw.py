@@ -1,0 +1,137 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Draws a fleet: vehicles that differ from their data sheet, months of drives, and what changes in some of them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.evaluation.sealed.data_sheet import read_data_sheet
+from trackres_ros.evaluation.sealed.drives import drive
+from trackres_ros.evaluation.sealed.sensors import Sensors, record
+from trackres_ros.evaluation.sealed.truth import Build, simulate_truth
+from trackres_ros.files.own_files import PART
+from trackres_ros.files.resources import find_vehicle
+
+Array = NDArray[np.float64]
+
+VEHICLE = "xgd24d"
+START_S, DAY_S = 1_750_000_000.0, 86_400.0
+FASTEST_MPS = 16.7
+LOADS = (1.0, 0.8, 1.25)  # over the nominal weight
+VEHICLES_DIFFER = 0.05  # standard deviation of each of a vehicle's factors
+AIR_DEGC, SEASON_K, WEATHER_K = 14.0, 10.0, 4.0  # mean, amplitude over a year, and what a day differs by
+WIND_MPS = 3.0  # most, from anywhere
+RAIN_SHARE, RAIN = 0.12, (0.1, 0.8)  # of recordings; how much more a wet belt gives off
+MOST_LAG_S, MOST_OFFSET_NM, MOST_GAIN = 0.1, 15.0, 0.005  # of the torque sensor of each vehicle
+SPEED_STEPS_MPS = (0.02, 0.05)
+BEARING, LOSS, GAIN = "bearing_friction", "loss_modulus_scale", "torque_gain.error"
+NONE, STEP, RAMP = "none", "step", "ramp"
+RIGHT = {BEARING: (BEARING,), LOSS: (LOSS,), GAIN: (GAIN,)}
+
+
+@dataclass(frozen=True, slots=True)
+class Hidden:
+    """What changes in a vehicle: which parameter, how, from which recording on, and by which share at the last one."""
+
+    parameter: str
+    kind: str
+    first: int
+    size: float
+
+
+@dataclass(frozen=True, slots=True)
+class DrawnVehicle:
+    """A vehicle: its build, the seed of all else that is drawn of it, days of its recordings, and what changes."""
+
+    name: str
+    build: dict[str, float]
+    seed: int
+    days: tuple[float, ...]
+    hidden: Hidden | None
+
+
+def draw_fleet(
+    vehicles: int, days: int, every: float, changes: Sequence[tuple[str, str, float]], seed: int
+) -> list[DrawnVehicle]:
+    """Vehicles, the first drawn of which have the changes: parameter, kind and size of each; in an order that says nothing."""
+    rng = np.random.default_rng([seed, *b"fleet"])
+    found = []
+    count = max(1, int(days / every))
+    for i in range(vehicles):
+        build = np.clip(rng.normal(1.0, VEHICLES_DIFFER, 5), 0.8, 1.2)
+        begins = (np.arange(count) + rng.uniform(0.1, 0.9, count)) * every
+        hidden = None
+        if i < len(changes):
+            parameter, kind, size = changes[i]
+            hidden = Hidden(parameter, kind, int(rng.integers(max(1, count // 4), max(2, count // 2 + 1))), size)
+        names = ("loss", "bearing", "drag", "film", "capacity")
+        found.append(
+            DrawnVehicle(
+                "", dict(zip(names, map(float, build), strict=True)), int(rng.integers(2**31)), tuple(map(float, begins)), hidden
+            )
+        )
+    return [replace(found[j], name=f"truck-{i + 1:02d}") for i, j in enumerate(rng.permutation(vehicles))]
+
+
+def seal(seed: int, fleet: Sequence[DrawnVehicle]) -> str:
+    """Hash of the seed and of all that is hidden."""
+    content = json.dumps({"seed": seed, "fleet": [asdict(vehicle) for vehicle in fleet]}, sort_keys=True)
+    return hashlib.sha256(content.encode()).hexdigest()
+
+
+def come(hidden: Hidden, number: int, count: int) -> float:
+    """How far a change has come at a recording: 0 before, 1 at the last."""
+    if number < hidden.first:
+        return 0.0
+    return 1.0 if hidden.kind == STEP else (number - hidden.first + 1) / (count - hidden.first)
+
+
+def write_recording(folder: Path, vehicle: DrawnVehicle, number: int, minutes: float) -> Path:
+    """Drive and record once; a file that is there is kept."""
+    begin = START_S + vehicle.days[number] * DAY_S
+    path = folder / vehicle.name / f"drive_{number + 1:04d}.csv"
+    if path.exists():
+        return path
+    path.parent.mkdir(parents=True, exist_ok=True)
+    sheet = find_vehicle(VEHICLE)
+    numbers = read_data_sheet(sheet)
+    rng = np.random.default_rng([vehicle.seed, number])
+    season = SEASON_K * np.sin(2.0 * np.pi * vehicle.days[number] / 365.25)
+    air = AIR_DEGC + season + WEATHER_K * rng.standard_normal()
+    one = drive(minutes, float(rng.choice(LOADS)) * numbers["weight"], air, FASTEST_MPS, rng)
+    weather = {"headwind": {"wind": rng.uniform(0.0, WIND_MPS), "towards": rng.uniform(0.0, 2.0 * np.pi)}}
+    if rng.random() < RAIN_SHARE:
+        weather["rain"] = {"factor": 1.0 + rng.uniform(*RAIN)}
+    build, sensors = Build(**vehicle.build), _sensors(vehicle)
+    if vehicle.hidden is not None:
+        share = 1.0 + vehicle.hidden.size * come(vehicle.hidden, number, len(vehicle.days))
+        if vehicle.hidden.parameter == GAIN:
+            sensors = replace(sensors, torque_gain=sensors.torque_gain * share)
+        else:
+            name = "bearing" if vehicle.hidden.parameter == BEARING else "loss"
+            build = replace(build, **{name: getattr(build, name) * share})
+    (run,) = simulate_truth(sheet, build, weather, [one])
+    part = path.with_name(path.name + PART)
+    record(part, one, run, sensors, numbers["track.sprocket_radius"], begin, rng)
+    return part.rename(path)
+
+
+def _sensors(vehicle: DrawnVehicle) -> Sensors:
+    """The instruments of a vehicle: good ones, and none without a lag, an offset and a gain of its own."""
+    rng = np.random.default_rng([vehicle.seed, *b"sensors"])
+    return Sensors(
+        belt_measured=False,
+        speed_step_mps=float(rng.uniform(*SPEED_STEPS_MPS)),
+        torque_lag_s=float(rng.uniform(0.0, MOST_LAG_S)),
+        torque_offset_nm=float(rng.uniform(-MOST_OFFSET_NM, MOST_OFFSET_NM)),
+        torque_gain=float(1.0 + rng.uniform(-MOST_GAIN, MOST_GAIN)),
+    )

@@ -1,0 +1,217 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Counts how many changes of a concealed fleet are found, how soon and by which name, and how often chance is taken for one.
+
+`python -m trackres_ros.evaluation.fleet.prove generate FOLDER SEED VEHICLES DAYS EVERY MINUTES` draws, seals and records;
+`... score FOLDER` opens the seal. Between them runs `trackres fleet`, which sees recordings and fleet.yaml and nothing else.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from scipy.stats import beta
+
+from trackres_ros.errors import InputError
+from trackres_ros.evaluation.fleet.draw import (
+    BEARING,
+    DAY_S,
+    GAIN,
+    LOSS,
+    RAMP,
+    RIGHT,
+    START_S,
+    STEP,
+    DrawnVehicle,
+    Hidden,
+    draw_fleet,
+    seal,
+)
+from trackres_ros.evaluation.fleet.sample import write_recordings
+
+SEALED, OPEN, RESULTS = "sealed", "fleet", "results"
+KINDS = (
+    (BEARING, STEP, 0.10),
+    (BEARING, STEP, -0.10),
+    (BEARING, STEP, 0.10),
+    (BEARING, RAMP, 0.30),
+    (LOSS, STEP, 0.12),
+    (GAIN, STEP, 0.05),
+)
+CHANGED_SHARE = 0.5  # of the vehicles
+TEN_PERCENT = 0.10
+SOON = 10  # recordings
+MONTH_S = 365.25 / 12.0 * DAY_S
+TARGETS = "targets: 95 % of changes of 10 % in bearing drag within 10 recordings; at most one false alarm in 50 vehicle-months"
+
+
+@dataclass(frozen=True, slots=True)
+class ScoredVehicle:
+    """What was hidden in a vehicle, and what was found: the first change after it, in how many recordings, whether its name is
+    right, alone or among what would explain it as well; and how many changes were found of which there is none.
+    """
+
+    name: str
+    hidden: Hidden | None
+    found: bool
+    recordings: int | None
+    named: bool
+    one_of: bool
+    false: int
+    months: float
+
+
+def changes_of(count: int) -> list[tuple[str, str, float]]:
+    """Changes of half of so many vehicles, the kinds one after the other."""
+    return [KINDS[i % len(KINDS)] for i in range(int(CHANGED_SHARE * count))]
+
+
+def generate(folder: Path, seed: int, vehicles: int, days: int, every: float, minutes: float) -> None:
+    """Draw a fleet, seal what is hidden, and record it."""
+    fleet = draw_fleet(vehicles, days, every, changes_of(vehicles), seed)
+    (folder / SEALED).mkdir(parents=True, exist_ok=True)
+    digest = seal(seed, fleet)
+    print(f"sealed: {len(fleet)} vehicles, SHA-256 {digest}", flush=True)
+    (folder / "seal.txt").write_text(digest + "\n", encoding="utf-8")
+    (folder / SEALED / "fleet.json").write_text(json.dumps({"seed": seed, "fleet": [asdict(v) for v in fleet]}), encoding="utf-8")
+    write_recordings(folder / OPEN, fleet, minutes, lambda total: _counting(total))
+
+
+def score(folder: Path) -> dict[str, Any]:
+    """Open the seal and count.
+
+    Raises
+    ------
+    InputError
+        If what is hidden is not what was sealed.
+    """
+    labels = json.loads((folder / SEALED / "fleet.json").read_text(encoding="utf-8"))
+    fleet = [
+        DrawnVehicle(**{**v, "days": tuple(v["days"]), "hidden": Hidden(**v["hidden"]) if v["hidden"] else None})
+        for v in labels["fleet"]
+    ]
+    if seal(labels["seed"], fleet) != (folder / "seal.txt").read_text(encoding="utf-8").strip():
+        raise InputError(str(folder / SEALED), "labels that are not those that were sealed", "those as drawn", "begin anew")
+    found = json.loads((folder / "found.json").read_text(encoding="utf-8"))
+    scored = [score_vehicle(v, found["vehicles"].get(v.name, {"changes": []})) for v in fleet]
+    return summary(scored, labels["seed"], (folder / "seal.txt").read_text(encoding="utf-8").strip())
+
+
+def score_vehicle(vehicle: DrawnVehicle, found: Mapping[str, Any]) -> ScoredVehicle:
+    """What was found of one vehicle. What is said to be known before a change began is false, and so is any second one."""
+    hidden, changes = vehicle.hidden, found["changes"]
+    months = (vehicle.days[-1] - vehicle.days[0]) * DAY_S / MONTH_S
+    if hidden is None:
+        return ScoredVehicle(vehicle.name, None, False, None, False, False, len(changes), months)
+    begun = START_S + vehicle.days[hidden.first] * DAY_S
+    after = [c for c in changes if c["known_s"] >= begun]
+    if not after:
+        return ScoredVehicle(vehicle.name, hidden, False, None, False, False, len(changes), months)
+    first = min(after, key=lambda c: c["known_s"])
+    passed = sum(begun <= START_S + day * DAY_S <= first["known_s"] + 1.0 for day in vehicle.days)
+    right = RIGHT[hidden.parameter]
+    named = first["parameter"] in right
+    of_these = named or any(name in right for name in first["alike"])
+    return ScoredVehicle(vehicle.name, hidden, True, passed, named, of_these, len(changes) - 1, months)
+
+
+def summary(scored: Sequence[ScoredVehicle], seed: int, digest: str) -> dict[str, Any]:
+    """Counts, ready for JSON."""
+    changed = [s for s in scored if s.hidden is not None]
+    tenths = [
+        s
+        for s in changed
+        if s.hidden and s.hidden.parameter == BEARING and s.hidden.kind == STEP and abs(abs(s.hidden.size) - TEN_PERCENT) < 1e-9
+    ]
+    soon = [s for s in tenths if s.found and s.recordings is not None and s.recordings <= SOON]
+    months, false = sum(s.months for s in scored), sum(s.false for s in scored)
+    return {
+        "seed": seed,
+        "seal": digest,
+        "vehicles": len(scored),
+        "vehicle_months": months,
+        "ten_percent_of_bearing": {
+            "hidden": len(tenths),
+            "within_10_recordings": len(soon),
+            "interval_95": _interval(len(soon), len(tenths)),
+        },
+        "changes": {
+            "hidden": len(changed),
+            "found": sum(s.found for s in changed),
+            "named": sum(s.named for s in changed),
+            "among_those_named": sum(s.one_of for s in changed),
+        },
+        "false_alarms": {"count": false, "per_50_vehicle_months": 50.0 * false / months if months else None},
+        "each": [asdict(s) for s in scored],
+    }
+
+
+def page(found: Mapping[str, Any]) -> str:
+    """The counts as Markdown."""
+    tenth, changes, false = found["ten_percent_of_bearing"], found["changes"], found["false_alarms"]
+    low, high = tenth["interval_95"]
+    lines = [
+        "# Changes in a concealed fleet",
+        "",
+        f"Seed {found['seed']}, SHA-256 of what is hidden {found['seal']}; {TARGETS}.",
+        "",
+        f"- changes of 10 % in bearing drag found within 10 recordings: {tenth['within_10_recordings']} of {tenth['hidden']} "
+        f"(95 % interval of the share {low:.2f} to {high:.2f})",
+        f"- all changes: {changes['found']} of {changes['hidden']} found, {changes['named']} by the right name, "
+        f"{changes['among_those_named']} by that or with it among what would explain it as well",
+        f"- false alarms: {false['count']} in {found['vehicle_months']:.0f} vehicle-months",
+        "",
+        "| vehicle | hidden | from recording | found within | name right | false |",
+        "|---|---|---|---|---|---|",
+    ]
+    for s in found["each"]:
+        h = s["hidden"]
+        what = f"{h['parameter']} {h['kind']} {100.0 * h['size']:+.0f} %" if h else "-"
+        named = "" if not h or not s["found"] else "yes" if s["named"] else "among others" if s["one_of"] else "no"
+        first, within = (h["first"] + 1, s["recordings"] or "not found") if h else ("", "")
+        lines.append(f"| {s['name']} | {what} | {first} | {within} | {named} | {s['false']} |")
+    return "\n".join(lines) + "\n"
+
+
+def _interval(hits: int, of: int) -> tuple[float, float]:
+    """Of a share, by Clopper and Pearson at 95 %."""
+    low = float(beta.ppf(0.025, hits, of - hits + 1)) if hits else 0.0
+    high = float(beta.ppf(0.975, hits + 1, of - hits)) if hits < of else 1.0
+    return low, high
+
+
+def _counting(total: int) -> Callable[[float], None]:
+    done = 0.0
+
+    def advance(more: float) -> None:
+        nonlocal done
+        done += more
+        print(f"\rrecorded {done:.0f} of {total}", end="\n" if done >= total else "", flush=True)
+
+    return advance
+
+
+def main(arguments: Sequence[str]) -> None:
+    """See above."""
+    folder = Path(arguments[1])
+    if arguments[0] == "generate":
+        seed, vehicles, days = (int(a) for a in arguments[2:5])
+        generate(folder, seed, vehicles, days, float(arguments[5]), float(arguments[6]))
+        return
+    found = score(folder)
+    (folder / "scores.json").write_text(json.dumps(found, indent=1), encoding="utf-8")
+    (folder / "fleet.md").write_text(page(found), encoding="utf-8")
+    print(page(found))
+
+
+if __name__ == "__main__":
+    try:
+        main(sys.argv[1:])
+    except InputError as refused:
+        sys.exit(f"trackres: error: {refused}")

@@ -1,0 +1,151 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Second process: learns and re-fits, given recordings and vehicle files and nothing else.
+
+`python -m trackres_ros.evaluation.learned.blind FOLDER [FIRST]`
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from collections.abc import Sequence
+from multiprocessing import Pool, cpu_count
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis import load_base, read_recordings
+from trackres_ros.diagnosis.inference.fitting import Problem, fit
+from trackres_ros.diagnosis.inference.levels import with_levels
+from trackres_ros.diagnosis.prepare.gate import gate
+from trackres_ros.diagnosis.writing.kept import Kept
+from trackres_ros.errors import InputError
+from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.estimate import Steps
+from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.estimator.snapshot import read_beside, save
+from trackres_ros.evaluation.learned.generate import REFIT
+from trackres_ros.evaluation.sealed.generate import APART_S
+from trackres_ros.learning.gate import COUNTED, TEXTS
+from trackres_ros.learning.learner import Learner
+from trackres_ros.learning.parameters import VEHICLES_OWN
+from trackres_ros.learning.store import stored, take
+from trackres_ros.offline.replay import replay
+from trackres_ros.recording.opening import open_source
+from trackres_ros.vehicle import load
+
+Array = NDArray[np.float64]
+KEY = re.compile(r"\(?[+-]?\d+ (%|Nm|s)|( of the|of)(?= *$)| since *$|, of the kind.*")  # what differs from time to time
+SHOWN = [at.OUT_SPEED, at.OUT_FEEDFORWARD, at.OUT_RESISTANCE, at.OUT_STD]
+
+
+class Listening(Learner):
+    """A learner that keeps what it says: why it was frozen, why seconds were left out, and whether it left its ranges."""
+
+    def __init__(self, estimator: Estimator, mode: str) -> None:
+        super().__init__(estimator, mode)
+        self.said: dict[str, int] = {}
+        self.left_out = np.zeros(COUNTED)
+        self.outside = False
+
+    def _close(self, session: Any) -> None:
+        second = self.gate.second
+        if not second.counts and second.refused.any():
+            self.left_out[second.mostly] += 1.0
+        super()._close(session)
+        if self.frozen:
+            key = KEY.sub("", self.frozen.split(":")[0]).strip()
+            self.said[key] = self.said.get(key, 0) + 1
+        own, applied = list(VEHICLES_OWN), self.learned.applied
+        self.outside |= bool((applied[own] < self.prior.low[own]).any() or (applied[own] > self.prior.high[own]).any())
+
+
+def main(arguments: Sequence[str]) -> None:
+    """See above."""
+    folder = Path(arguments[0])
+    (folder / "results").mkdir(exist_ok=True)
+    chosen = sorted((folder / "cases").iterdir())[: int(arguments[1]) if len(arguments) > 1 else None]
+    missing = [p for p in chosen if not (folder / "results" / f"{p.name}.json").exists()]
+    with Pool(cpu_count()) as pool:
+        for done, _ in enumerate(pool.imap(learn_and_fit, [(p, folder / "results") for p in missing]), start=1):
+            print(f"\rlearned {done} of {len(missing)}", end="", flush=True)
+    print(flush=True)
+
+
+def learn_and_fit(task: tuple[Path, Path]) -> None:
+    """One vehicle: with its file, with learning on, and with files that a re-fit left."""
+    case, results = task
+    drives = sorted(case.glob("drive_*.csv"))
+    vehicle = case / "vehicle.yaml"
+    rows: dict[str, Any] = {}
+    for i, path in enumerate(drives):
+        rows[f"file_{i + 1}"] = _plain(path, vehicle)
+    said = _learned(case, drives, vehicle, rows, "learned")
+    _learned(case, [drives[0], drives[-1]], vehicle, rows, "after_one")
+    ways = (("refit_one", drives[:1]), ("refit", drives[:-1]), ("oracle", drives)) if (case / REFIT).exists() else ()
+    for name, which in ways:
+        try:
+            rows[f"{name}_{len(drives)}"] = _plain(drives[-1], _refitted(which, vehicle, case / f"{name}.yaml"))
+        except InputError as error:  # of a recording that a re-fit refuses nothing is learned
+            rows[f"{name}_{len(drives)}"] = rows[f"file_{len(drives)}"]
+            said[f"{name} refused"] = str(error)[:200]
+    np.savez_compressed(results / f"{case.name}.npz", **rows)
+    (results / f"{case.name}.json").write_text(json.dumps(said, indent=1), encoding="utf-8")
+
+
+def _plain(path: Path, vehicle: Path) -> Array:
+    kept: list[Steps] = []
+    replay(open_source([path], None), Estimator(load(vehicle)), kept.append)
+    return _shown(kept)
+
+
+def _shown(kept: Sequence[Steps]) -> Array:
+    """Time [s] and what is scored of each step."""
+    rows = np.concatenate([steps.rows[:, SHOWN] for steps in kept])
+    stamps = np.concatenate([steps.stamp_ns for steps in kept])
+    return np.column_stack([stamps * 1e-9, rows])
+
+
+def _learned(case: Path, drives: Sequence[Path], vehicle: Path, rows: dict[str, Array], name: str) -> dict[str, Any]:
+    """With learning on: what was learned comes from the state file of the drive before, two weeks later."""
+    estimator, state = Estimator(load(vehicle)), case / f"{name}.state"
+    said: dict[str, Any] = {}
+    for path in drives:
+        learner = Listening(estimator, "on")
+        if path is not drives[0]:  # belts begin soaked at the measured air's temperature, as with every other file
+            take(learner, read_beside(estimator, state))
+            learner.age(APART_S)
+        kept: list[Steps] = []
+        done = replay(open_source([path], None), estimator, kept.append, learner=learner)
+        save(done.session, state, 0.0, stored(learner))
+        number = path.stem.rpartition("_")[2]
+        rows[f"{name}_{number}"] = _shown(kept)
+        said[number] = {
+            "text": learner.text,
+            "frozen_s": learner.said,
+            "left_out_s": {text: float(n) for text, n in zip(TEXTS, learner.left_out, strict=True) if n},
+            "outside": learner.outside,
+            "seconds": learner.learned.seconds,
+            "applied": learner.learned.applied.tolist(),
+            "std": np.sqrt(np.diag(learner.learned.covariance)).tolist(),
+            "counts": [state for state in VEHICLES_OWN if learner.counts(state)],
+        }
+    return said
+
+
+def _refitted(paths: Sequence[Path], vehicle: Path, into: Path) -> Path:
+    """The vehicle file with the parameters that `trackres diagnose` begins with re-fitted to recordings."""
+    loaded = load_base(vehicle)
+    sessions = gate(read_recordings(paths, None), loaded.known).sessions
+    found = with_levels(fit(Problem(loaded.base, sessions, tuple(s.used for s in sessions))))
+    loaded.base.write(into, Kept(found.base_values, (), {}), "re-fitted")
+    return into
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

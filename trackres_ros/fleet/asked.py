@@ -1,0 +1,32 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""What the last run of a fleet was asked, for what is computed of its rows later on: limits."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+from trackres_ros.files.own_files import read, write
+from trackres_ros.fleet.vehicles import Fleet
+
+FILE, MOST_BYTES = "fleet.json", 1 << 24
+
+
+def keep(folder: Path, fleet: Fleet) -> None:
+    """Write the limits of a fleet."""
+    limits: dict[str, float] = {}
+    for vehicle in fleet.vehicles.values():
+        limits |= vehicle.limits
+    write(folder / FILE, (json.dumps({"limits": limits}, indent=2) + "\n").encode())
+
+
+def limits_of(folder: Path, given: Mapping[str, float]) -> dict[str, float]:
+    """Those of the last run, and those given instead."""
+    try:
+        kept = json.loads(read(folder / FILE, MOST_BYTES))
+        return {**{str(name): float(value) for name, value in kept["limits"].items()}, **given}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return dict(given)

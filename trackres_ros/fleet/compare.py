@@ -1,0 +1,198 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Compares two days, vehicles, reports or designs: what differs beyond its uncertainty."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2, norm
+
+from trackres_ros.errors import InputError, nearest
+from trackres_ros.files.own_files import read
+from trackres_ros.files.resources import find_vehicle
+from trackres_ros.fleet.dataset import ROWS, FleetDataset
+from trackres_ros.fleet.pooling import Vehicles, pool, softened
+from trackres_ros.fleet.trends import NUMBERS, TEXTS, some_of, without_overlaps
+from trackres_ros.text.numbers import alike, figures
+from trackres_ros.text.table import table
+
+Array = NDArray[np.float64]
+
+SURE = 0.05  # probability that any of the parameters is said to differ by chance
+REPORT, MOST_BYTES = "report.json", 1 << 26
+TWO_SIDED_95 = 1.96
+ALLOWED = "a folder of trackres fleet, with :VEHICLE or @DAY if need be, one of trackres diagnose, or a vehicle file"
+
+
+@dataclass(frozen=True, eq=False)
+class Side:
+    """One of two: values and covariance of parameters in their units."""
+
+    title: str
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    value: Array
+    covariance: Array
+
+
+def compare(one: str, other: str) -> dict[str, Any]:
+    """What differs between two, ready for JSON; see `trackres compare`.
+
+    Raises
+    ------
+    InputError
+        If one is nothing that can be compared, or both have nothing in common.
+    """
+    sides = side(one), side(other)
+    names = [name for name in sides[0].names if name in sides[1].names]
+    if not names:
+        raise InputError(f"{one}, {other}", "nothing that both have", "two with parameters in common")
+    at = [[s.names.index(name) for name in names] for s in sides]
+    change = sides[1].value[at[1]] - sides[0].value[at[0]]
+    parts = [s.covariance[np.ix_(i, i)] for s, i in zip(sides, at, strict=True)]
+    covariance = parts[0] + parts[1]
+    std = np.sqrt(np.diag(covariance))
+    most = float(norm.isf(0.5 * SURE / len(names)))
+    listed = []
+    for i, name in enumerate(names):
+        (one_value, one_std), (other_value, other_std) = (
+            (float(s.value[j[i]]), float(np.sqrt(s.covariance[j[i], j[i]]))) for s, j in zip(sides, at, strict=True)
+        )
+        beyond = bool(abs(change[i]) > most * std[i]) if std[i] > 0.0 else bool(change[i] != 0.0)
+        listed.append(
+            {
+                "parameter": name, "unit": sides[0].units[at[0][i]], "one": one_value, "one_std": one_std, "other": other_value,
+                "other_std": other_std, "difference": float(change[i]), "difference_std": float(std[i]), "differs": beyond,
+            }
+        )  # fmt: skip
+    known = std > 0.0
+    chance = 1.0
+    if known.any():
+        scaled = covariance[np.ix_(known, known)] / np.outer(std[known], std[known])
+        apart = change[known] / std[known]
+        chance = float(chi2.sf(apart @ np.linalg.pinv(scaled, rcond=1e-9, hermitian=True) @ apart, int(known.sum())))
+    return {"one": sides[0].title, "other": sides[1].title, "parameters": listed, "chance_of_all": chance}
+
+
+def compare_text(found: Mapping[str, Any]) -> str:
+    """The table, and what it comes to."""
+    rows = []
+    for q in found["parameters"]:
+        spread = max(q["difference_std"], 1e-3 * abs(q["difference"]), 1e-12)
+        one, other, change, std = alike((q["one"], q["other"], q["difference"], TWO_SIDED_95 * q["difference_std"]), spread)
+        unit = "" if q["unit"] == "1" else q["unit"]
+        rows.append((q["parameter"], unit, one, other, change, std, "yes" if q["differs"] else "no"))
+    head = ("parameter", "unit", "one", "other", "difference", "+- 95 %", "differs")
+    differs = [q["parameter"] for q in found["parameters"] if q["differs"]]
+    if differs:
+        end = f"Beyond its uncertainty: {', '.join(differs)}."
+    elif found["chance_of_all"] < SURE:
+        end = (
+            "No parameter differs beyond its uncertainty; all together do "
+            f"(chance {figures(found['chance_of_all'], 1)}): which of them cannot be told."
+        )
+    else:
+        end = "Nothing differs beyond its uncertainty."
+    return "\n".join([f"one: {found['one']}", f"other: {found['other']}", table(rows, head), end])
+
+
+def side(given: str) -> Side:
+    """What was named: see `ALLOWED`.
+
+    Raises
+    ------
+    InputError
+        If it is none of those.
+    """
+    folder, vehicle, day = _parts(given)
+    if (folder / ROWS).is_dir():
+        return _of_fleet(folder, vehicle, day, given)
+    if not Path(given).exists() and (vehicle or day):
+        raise InputError(given, f"no results of a fleet in {folder}", ALLOWED)
+    path = Path(given)
+    if (path / REPORT).is_file() or path.name == REPORT:
+        return _of_report(path / REPORT if path.is_dir() else path)
+    if path.is_dir():
+        raise InputError(given, "a folder of something else", ALLOWED)
+    try:
+        return _of_design(given)
+    except InputError as error:
+        if error.where == "vehicle":
+            raise InputError(given, "nothing of that name", ALLOWED) from None
+        raise
+
+
+def _parts(given: str) -> tuple[Path, str, str]:
+    """Folder, vehicle and beginning of the day of DIR:VEHICLE@DAY."""
+    if (Path(given) / ROWS).is_dir():
+        return Path(given), "", ""
+    rest, _, day = given.rpartition("@") if "@" in given else (given, "", "")
+    folder, _, vehicle = rest.rpartition(":") if ":" in rest else (rest, "", "")
+    return Path(folder or rest), vehicle, day
+
+
+def _of_fleet(folder: Path, vehicle: str, day: str, given: str) -> Side:
+    rows, _ = without_overlaps(FleetDataset.existing(folder).rows([*TEXTS, *NUMBERS]))
+    good = [row for row in rows if row["status"] == "good"]
+    names = sorted({row["vehicle"] for row in good})
+    if vehicle and vehicle not in names:
+        raise InputError(given, vehicle, f"one of {some_of(names)}", nearest(vehicle, names))
+    chosen = [row for row in good if vehicle in ("", row["vehicle"]) and row["day"].startswith(day)]
+    if not chosen:
+        days = sorted({row["day"] for row in good if vehicle in ("", row["vehicle"])})
+        raise InputError(
+            given,
+            day or "no recording",
+            f"a day or month from {days[0]} to {days[-1]}" if days else "a recording that is compared",
+        )
+    types = [data for data in Vehicles.of(good) if {row["vehicle"] for row in chosen} <= set(data.vehicle.tolist())]
+    if not types:
+        raise InputError(given, "vehicles of several types", "those of one", "name a vehicle: DIR:VEHICLE")
+    whole = pool(types[0])
+    wanted = {row["url"] for row in chosen}
+    of = whole.of.some(np.array([url in wanted for url in whole.of.urls]))
+    # How recordings differ is learned of all; what the parameters are of those chosen alone, with the vehicle file's ranges.
+    linear = of.linear - np.einsum("nij,j,n->ni", of.precision, whole.follows, of.air)
+    precision, linear, _ = softened(of.precision, linear, whole.within**2)
+    covariance = np.linalg.inv(np.eye(len(of.names)) + precision.sum(axis=0))
+    mean = covariance @ linear.sum(axis=0)
+    scale = np.outer(of.std, of.std)
+    return Side(f"{given} ({len(of)} recordings)", of.names, of.units, of.nominal + of.std * mean, scale * covariance)
+
+
+def _of_report(path: Path) -> Side:
+    try:
+        content = json.loads(read(path, MOST_BYTES))
+        parameters = dict(content["base"]["refitted"])
+        for effect in content["effects"]:
+            parameters |= {f"{effect['name']}.{name}": q for name, q in effect["parameters"].items()}
+        listed = [
+            (name, str(q["unit"]), float(q["value"]), (q["ci95"][1] - q["ci95"][0]) / (2.0 * TWO_SIDED_95))
+            for name, q in parameters.items()
+            if q["ci95"] and None not in q["ci95"]
+        ]
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(str(path), f"{type(error).__name__}: {error}", "report.json of trackres diagnose") from None
+    return _uncorrelated(str(path.parent), listed)
+
+
+def _of_design(given: str) -> Side:
+    from trackres_ros.diagnosis.base.loading import load_base
+
+    path = find_vehicle(given)
+    base = load_base(path).base
+    listed = [(q.name, q.unit, q.nominal, q.std if np.isfinite(q.std) else 0.0) for q in base.parameters]
+    return _uncorrelated(f"{given}, as its file has it", listed)
+
+
+def _uncorrelated(title: str, listed: list[tuple[str, str, float, float]]) -> Side:
+    names, units, values, stds = zip(*listed, strict=True) if listed else ((), (), (), ())
+    return Side(title, tuple(names), tuple(units), np.array(values), np.diag(np.array(stds) ** 2))

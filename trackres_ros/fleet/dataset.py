@@ -1,0 +1,172 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The results of a fleet: a Parquet dataset with a row for each recording, partitioned by vehicle and day.
+
+Each row is a file of its own, which comes into its place whole and in one step: whatever dies meanwhile, a row is there or it is
+not. Its name is a digest of the recording's place and of all that the row hangs on.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
+
+from trackres_ros.errors import InputError, MissingExtraError
+from trackres_ros.files.own_files import PART, write
+from trackres_ros.fleet.task import ENERGIES, NO_DAY
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+ROWS = "rows"
+SUFFIX = ".parquet"
+TEXTS = ("url", "stamp", "inputs", "content", "status", "reason")
+NUMBERS = (
+    "start_s", "duration_s", "distance_m", "warmest_degc", *(f"{part}_mj" for part in ENERGIES), "compared_s", "residual_mean",
+    "residual_std", "mismatch", "held_out_file", "held_out_refit", "mean_torque", "mean_speed", "mean_weight", "mean_ambient",
+    "took_s",
+)  # fmt: skip
+LISTS_OF_TEXT = ("names", "units", "findings", "notes")
+LISTS_OF_NUMBERS = ("nominal", "std", "point", "covariance", "precision", "linear")
+OF_PATH = ("vehicle", "day")
+BATCH = 4096  # rows that are in memory at a time
+
+
+@dataclass(frozen=True, slots=True)
+class Kept:
+    """What is remembered of a row to know whether it is still what would be computed."""
+
+    file: Path
+    stamp: str
+    inputs: str
+    content: str
+    broken: bool
+
+
+class FleetDataset:
+    """The rows in a folder."""
+
+    def __init__(self, folder: Path) -> None:
+        try:
+            import pyarrow  # noqa: F401
+        except ImportError:
+            raise MissingExtraError("trackres fleet", "pyarrow", "fleet") from None
+        self.folder = folder
+
+    @classmethod
+    def existing(cls, folder: Path) -> FleetDataset:
+        """That of an earlier run.
+
+        Raises
+        ------
+        InputError
+            If there is none.
+        """
+        if not (folder / ROWS).is_dir():
+            raise InputError(str(folder), "no results of a fleet", "the folder that trackres fleet -o wrote")
+        return cls(folder)
+
+    def prepare(self) -> None:
+        """Make the folder; what a killed run had begun to write goes."""
+        rows = self.folder / ROWS
+        rows.mkdir(parents=True, exist_ok=True)
+        for left in rows.rglob(f"*{PART}"):
+            left.unlink(missing_ok=True)
+
+    def index(self) -> dict[str, Kept]:
+        """What is there, by the recording's URL. Of two rows of one recording, which a run leaves that was killed
+        between writing one and taking away the other, the older goes.
+        """
+        found: dict[str, Kept] = {}
+        for file in sorted(self._files(), key=lambda path: path.stat().st_mtime_ns):
+            row = self._one(file, ["url", "stamp", "inputs", "content", "status"])
+            if row is None:
+                file.unlink(missing_ok=True)
+                continue
+            before = found.get(row["url"])
+            if before is not None:
+                before.file.unlink(missing_ok=True)
+            found[row["url"]] = Kept(file, row["stamp"], row["inputs"], row["content"] or "", row["status"] != "good")
+        return found
+
+    def put(self, row: Mapping[str, Any], replaces: Path | None) -> Path:
+        """Write a row in the place of an older one."""
+        import pyarrow as pa
+        from pyarrow import parquet
+
+        place = self.folder / ROWS / f"vehicle={quote(row['vehicle'], safe='')}" / f"day={row.get('day', NO_DAY)}"
+        place.mkdir(parents=True, exist_ok=True)
+        hangs_on = f"{row['stamp']}\0{row.get('content', '')}\0{row['inputs']}"
+        path = place / f"{_short(row['url'])}-{_short(hangs_on)}{SUFFIX}"
+        table = pa.Table.from_pylist([{name: row.get(name) for name in _schema().names}], schema=_schema())
+        buffer = io.BytesIO()
+        parquet.write_table(table, buffer, compression="zstd")
+        write(path, buffer.getvalue())
+        if replaces is not None and replaces != path:
+            replaces.unlink(missing_ok=True)
+        return path
+
+    def of(self, kept: Kept) -> dict[str, Any]:
+        """One whole row."""
+        (row,) = (row for row in self._read([kept.file]))
+        return row
+
+    def batches(self, columns: Sequence[str] | None = None) -> Iterator[list[dict[str, Any]]]:
+        """All rows, some thousand at a time, with `vehicle` and `day`."""
+        files = sorted(self._files())
+        for first in range(0, len(files), BATCH):
+            yield self._read(files[first : first + BATCH], columns)
+
+    def _read(self, files: Sequence[Path], columns: Sequence[str] | None = None) -> list[dict[str, Any]]:
+        import pyarrow as pa
+        from pyarrow import dataset
+
+        of_path = pa.schema([(name, pa.string()) for name in OF_PATH])
+        rows = dataset.dataset(
+            [str(path) for path in files],
+            schema=pa.unify_schemas([_schema(), of_path]),
+            format="parquet",
+            partitioning=dataset.partitioning(of_path, flavor="hive"),
+            partition_base_dir=str(self.folder / ROWS),
+        )
+        found = rows.to_table(columns=None if columns is None else list(columns)).to_pylist()
+        return [dict(row) for row in found]
+
+    def rows(self, columns: Sequence[str] | None = None) -> list[dict[str, Any]]:
+        """All rows."""
+        return [row for batch in self.batches(columns) for row in batch]
+
+    def _files(self) -> Iterator[Path]:
+        return (self.folder / ROWS).glob(f"vehicle=*/day=*/*{SUFFIX}")
+
+    def _one(self, file: Path, columns: list[str]) -> dict[str, Any] | None:
+        """Of one file some columns; None where it is none of ours."""
+        from pyarrow import ArrowException, parquet
+
+        try:
+            rows = parquet.read_table(file, columns=columns, partitioning=None).to_pylist()
+        except (ArrowException, OSError):
+            return None
+        return dict(rows[0]) if len(rows) == 1 and set(rows[0]) == set(columns) else None
+
+
+def _schema() -> pa.Schema:
+    import pyarrow as pa
+
+    return pa.schema(
+        [(name, pa.string()) for name in TEXTS]
+        + [("messages", pa.int64())]
+        + [(name, pa.float64()) for name in NUMBERS]
+        + [(name, pa.list_(pa.string())) for name in LISTS_OF_TEXT]
+        + [(name, pa.list_(pa.float64())) for name in LISTS_OF_NUMBERS]
+    )
+
+
+def _short(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -1,0 +1,158 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The engine is Dask: a cluster on this machine, or a scheduler that runs. It has the queue, the workers and the retries; here it
+is only begun, given work, and asked.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from importlib.util import find_spec
+from itertools import islice
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from trackres_ros.errors import InputError, MissingExtraError, one_line
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+Work = TypeVar("Work")
+
+LOCAL = "local"
+CONNECT_S = 10.0
+DEATHS = 3  # of workers with a task, before it counts as the task's fault; with the engine's own meaning
+AHEAD = 4  # tasks for each thread of the workers that the engine has at a time: more would be in the client's memory for nothing
+LOUD = "distributed", "tornado", "asyncio"
+SAID = "tcp://HOST:PORT of a dask scheduler that runs, or local"
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+
+
+class EngineGoneError(InputError):
+    """The scheduler does not answer any more."""
+
+
+@contextmanager
+def engine(address: str, workers: int | None = None) -> Iterator[Client]:
+    """A client of a scheduler, or of a cluster that is there for as long as this is.
+
+    Parameters
+    ----------
+    address
+        ``local``, or the address of a scheduler.
+    workers
+        Processes of a local cluster; as many as there are processors without.
+
+    Raises
+    ------
+    InputError
+        If there is no scheduler.
+    """
+    try:
+        import dask
+        from distributed import Client, LocalCluster
+    except ImportError:
+        raise MissingExtraError("trackres fleet", "distributed", "fleet") from None
+    for name in list(logging.root.manager.loggerDict):
+        if name.partition(".")[0] in LOUD:
+            logging.getLogger(name).setLevel(logging.CRITICAL)  # what matters of it is said in one line
+    settings = {
+        "distributed.scheduler.allowed-failures": DEATHS - 1,
+        "distributed.comm.timeouts.connect": CONNECT_S,
+        "distributed.nanny.environ": ONE_THREAD,
+        "distributed.admin.tick.limit": "1h",
+    }
+    with dask.config.set(settings):
+        if address == LOCAL:
+            count = workers or len(os.sched_getaffinity(0))
+            dashboard = "127.0.0.1:0" if find_spec("bokeh") else None
+            with (
+                LocalCluster(
+                    n_workers=count,
+                    threads_per_worker=1,
+                    host="127.0.0.1",
+                    dashboard_address=dashboard,
+                    silence_logs=logging.CRITICAL,
+                ) as cluster,
+                Client(cluster, set_as_default=False) as client,
+            ):
+                yield client
+            return
+        if not address.partition("://")[2]:
+            raise InputError("--engine", address, SAID)
+        try:
+            client = Client(address, timeout=CONNECT_S, set_as_default=False)
+        except (OSError, ValueError, TimeoutError) as error:
+            given = f"{address}, where no scheduler answers ({one_line(str(error) or type(error).__name__)[:120]})"
+            raise InputError("--engine", given, SAID, "start one with: dask scheduler") from None
+        with client:
+            yield client
+
+
+def done(client: Client, function: Callable[[Work], Any], work: Iterable[Work]) -> Iterator[tuple[Work, Any]]:
+    """Each piece of work with its result, or with the exception that ended it, as they come.
+
+    The engine has but a few at a time, so that memory does not grow with the number of pieces. It blames a worker's death on all
+    that the worker had: what it gives up is done again at the end, with nothing beside it.
+
+    Raises
+    ------
+    EngineGoneError
+        If the scheduler is gone.
+    """
+    from distributed import KilledWorker
+
+    threads = sum(client.nthreads().values()) if client.status == "running" else 1
+    suspected = []
+    for piece, result in _done(client, function, work, AHEAD * max(1, threads)):
+        if isinstance(result, KilledWorker):
+            suspected.append(piece)
+        else:
+            yield piece, result
+    yield from _done(client, function, suspected, at_once=1)
+
+
+def _done(client: Client, function: Callable[[Work], Any], work: Iterable[Work], at_once: int) -> Iterator[tuple[Work, Any]]:
+    from distributed import as_completed
+
+    pieces, of = iter(work), {}
+
+    def submit(count: int) -> list[Any]:
+        futures = [(client.submit(function, piece, pure=False), piece) for piece in islice(pieces, count)]
+        of.update({future.key: piece for future, piece in futures})
+        return [future for future, _ in futures]
+
+    begun = submit(at_once)
+    completed = as_completed(begun, loop=client.loop)
+    del begun
+    for future in completed:
+        if future.status in ("cancelled", "lost"):
+            raise _gone(client)
+        try:
+            result = future.exception() if future.status == "error" else future.result()
+        except Exception as error:
+            raise _gone(client) from error
+        piece = of.pop(future.key)
+        del future
+        yield piece, result
+        for more in submit(1):
+            completed.add(more)
+
+
+def _gone(client: Client) -> EngineGoneError:
+    return EngineGoneError(
+        "--engine", f"{client.scheduler.address if client.scheduler else 'a scheduler'}, which does not answer any more", SAID,
+        "what was done is kept: run the same command again",
+    )  # fmt: skip
+
+
+def why(error: BaseException) -> str:
+    """Why a piece of work ended without a result."""
+    from distributed import KilledWorker
+
+    if isinstance(error, KilledWorker):
+        return f"{DEATHS} workers died with it and nothing else, one after the other: out of memory, most likely"
+    return one_line(f"{type(error).__name__}: {error}")

@@ -1,0 +1,149 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""What one recording says of the base's parameters, in a form that adds up over recordings: a quadratic log-likelihood without
+the vehicle file's ranges, which would count once for each recording.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.base.loading import LoadedBase
+from trackres_ros.diagnosis.inference.fitting import Fit, Problem, fit, jacobian, of_rows, valid_rows
+from trackres_ros.diagnosis.inference.levels import LARGEST_ROOT
+from trackres_ros.diagnosis.inference.noise import Noise
+from trackres_ros.diagnosis.prepare.gate import gate
+from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.diagnosis.prepare.split import split
+from trackres_ros.recording.recording import Recording
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What a recording says.
+
+    Attributes
+    ----------
+    names, units
+        Of the parameters, those of the instrument as ``torque_offset.offset``.
+    nominal, std
+        Of the vehicle file, shape (p,).
+    point, covariance
+        Where the fit came to lie, and how sure that is with the file's ranges, shapes (p,) and (p, p).
+    precision, linear
+        The log-likelihood alone is ``linear @ x - x @ precision @ x / 2`` for x the parameters less `nominal`, over `std`.
+    compared_s
+        Seconds that count.
+    residual_mean, residual_std
+        Of what the fit leaves of all that counts [Nm].
+    mismatch
+        Mean absolute error of the vehicle file as it is over the mean absolute torque.
+    held_out_file, held_out_refit
+        Mean absolute error on the laps held out, of the file and of the fit [Nm]; nan where none could be.
+    mean_torque, mean_speed, mean_weight, mean_ambient
+        Over what counts: absolute torque [Nm], [m/s], [N], [degC].
+    notes
+        What the gate assumed.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    nominal: Array
+    std: Array
+    point: Array
+    covariance: Array
+    precision: Array
+    linear: Array
+    compared_s: float
+    residual_mean: float
+    residual_std: float
+    mismatch: float
+    held_out_file: float
+    held_out_refit: float
+    mean_torque: float
+    mean_speed: float
+    mean_weight: float
+    mean_ambient: float
+    notes: tuple[str, ...]
+
+
+def evidence(recording: Recording, loaded: LoadedBase, hide: tuple[str, ...] = ()) -> Evidence:
+    """Fit the base to one recording, and expand its likelihood about that.
+
+    Raises
+    ------
+    InputError
+        If the recording cannot be compared; says why.
+    """
+    gated = gate([recording], loaded.known, hide)
+    (session,) = gated.sessions
+    whole = Problem(loaded.base, gated.sessions, (session.used,))
+    training = _training(session)
+    fitted = fit(Problem(loaded.base, gated.sessions, (training,)), largest_root=LARGEST_ROOT)
+    precision, linear, std = quadratic(whole, fitted)
+    free = fitted.free
+    by_file = loaded.base.predict(gated.sessions, {q.name: q.nominal for q in loaded.base.parameters}, ())[0].torque
+    refit, used, held = fitted.predicted[0].torque, session.used, session.used & ~training
+    torque = float(np.abs(session.torque[used]).mean())
+
+    def error(expected: Array, mask: NDArray[np.bool_]) -> float:
+        return float(np.abs(session.torque - expected)[mask].mean()) if mask.any() else float("nan")
+
+    left = (session.torque - refit)[used]
+    speed, weight, ambient = (float(series[used].mean()) for series in (np.abs(session.speed), session.weight, session.ambient))
+    return Evidence(
+        names=tuple(f"{effect}.{name}" if effect else name for effect, name in (f.key for f in free)),
+        units=tuple(f.unit for f in free),
+        nominal=np.array([f.nominal for f in free]),
+        std=std,
+        point=fitted.point,
+        covariance=fitted.covariance,
+        precision=precision,
+        linear=linear,
+        compared_s=float(used.sum() * session.step),
+        residual_mean=float(left.mean()),
+        residual_std=float(left.std()),
+        mismatch=error(by_file, used) / max(torque, 1e-9),
+        held_out_file=error(by_file, held),
+        held_out_refit=error(refit, held),
+        mean_torque=torque,
+        mean_speed=speed,
+        mean_weight=weight,
+        mean_ambient=ambient,
+        notes=gated.notes,
+    )
+
+
+def quadratic(problem: Problem, fitted: Fit) -> tuple[Array, Array, Array]:
+    """The log-likelihood of a problem about a fit, without priors, shapes (p, p) and (p,), and the scales (p,) of the parameters;
+    see `Evidence.precision`.
+    """
+    free, point = fitted.free, fitted.point
+    nominal = np.array([f.nominal for f in free])
+    std = np.array([f.std if np.isfinite(f.std) else f.scale for f in free])
+    left = problem.residuals(problem.predict(*fitted.model_at(point)))
+    noises = problem.noises(left, LARGEST_ROOT)
+    white = problem.white(left, noises)
+
+    def expected(at: Array) -> Array:
+        return np.concatenate(problem.expected(problem.predict(*fitted.model_at(at))))
+
+    columns = valid_rows(problem.white(problem.split(jacobian(expected, point, free)), noises)) * std
+    root, slope = (of_rows(problem, white, function, noises) for function in (Noise.deviance_root, Noise.deviance_slope))
+    columns = columns * slope[:, np.newaxis]
+    precision = columns.T @ columns
+    return precision, columns.T @ root + precision @ ((point - nominal) / std), std
+
+
+def _training(session: Session) -> NDArray[np.bool_]:
+    """What is fitted: without the last laps, unless there is but one."""
+    if len(np.unique(session.block[session.used])) < 2:
+        return session.used
+    chosen = split((session,)).training_mask(session)
+    return chosen if chosen.any() else session.used

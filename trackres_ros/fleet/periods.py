@@ -1,0 +1,131 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Diagnoses each vehicle by month, on a few recordings that stand for it, with the engine that analysed them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+import tempfile
+import warnings
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import numpy as np
+
+from trackres_ros.errors import InputError, one_line
+from trackres_ros.files.own_files import PART
+from trackres_ros.fleet.dataset import FleetDataset
+from trackres_ros.fleet.engine import done, engine, why
+from trackres_ros.fleet.task import NO_DAY
+from trackres_ros.fleet.trends import without_overlaps
+from trackres_ros.fleet.vehicles import Fleet, FleetVehicle
+
+DIAGNOSES, INPUTS = "diagnosis", "inputs.txt"
+RECORDINGS = 4  # of a period that are diagnosed: three are fitted, one is held out; evenly over it
+Bar = Callable[[str, float | None], AbstractContextManager[Callable[[float], None]]]
+
+
+@dataclass(frozen=True, slots=True)
+class Period:
+    """What is to be diagnosed: recordings of one vehicle and month, and a digest of all that the result hangs on."""
+
+    vehicle: FleetVehicle
+    month: str
+    urls: tuple[str, ...]
+    hide: tuple[str, ...]
+    inputs: str
+
+    @property
+    def place(self) -> str:
+        """Folder of the result below that of the diagnoses."""
+        return f"{quote(self.vehicle.name, safe='')}/{self.month}"
+
+
+def diagnose_periods(
+    dataset: FleetDataset, fleet: Fleet, address: str, workers: int | None, hide: tuple[str, ...], bar: Bar
+) -> None:
+    """Diagnose what has no diagnosis yet, or has new recordings; one that cannot be has a reason instead of a report."""
+    new = [period for period in periods(dataset, fleet, hide) if not _is_kept(dataset.folder, period)]
+    if not new:
+        return
+    with bar("diagnoses", len(new)) as advance, engine(address, workers) as client:
+        for period, result in done(client, diagnose_period, new):
+            files = {"reason.txt": one_line(why(result)).encode()} if isinstance(result, BaseException) else result
+            _put(dataset.folder, period, files)
+            advance(1)
+
+
+def periods(dataset: FleetDataset, fleet: Fleet, hide: tuple[str, ...]) -> list[Period]:
+    """All vehicles and months of which there are recordings."""
+    rows, _ = without_overlaps(dataset.rows(["url", "vehicle", "day", "status", "start_s", "duration_s", "content", "inputs"]))
+    found: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
+    for row in rows:
+        if row["status"] == "good" and row["day"] != NO_DAY and row["vehicle"] in fleet.vehicles:
+            found.setdefault((row["vehicle"], row["day"][:7]), []).append(row)
+    listed = []
+    for (name, month), of in sorted(found.items()):
+        chosen = [of[i] for i in np.unique(np.linspace(0, len(of) - 1, RECORDINGS).round().astype(int))]
+        digest = hashlib.sha256("\0".join(f"{row['content']} {row['inputs']}" for row in chosen).encode()).hexdigest()
+        listed.append(Period(fleet.vehicles[name], month, tuple(row["url"] for row in chosen), hide, digest))
+    return listed
+
+
+def diagnose_period(period: Period) -> dict[str, bytes]:
+    """The files of a report, or of the reason why there is none."""
+    import trackres_ros as tr
+    from trackres_ros.fleet.task import fetched
+
+    with tempfile.TemporaryDirectory(prefix="trackres-") as folder, fetched(period.urls) as paths:
+        try:
+            vehicle = period.vehicle
+            found = tr.diagnose(paths, vehicle.file, topics=vehicle.topics, hide=period.hide, quick=True)
+        except InputError as error:
+            return {"reason.txt": str(error).encode()}
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of a page that cannot be drawn: the command asked before
+            found.report(Path(folder) / "report")
+        return {path.name: path.read_bytes() for path in (Path(folder) / "report").iterdir()}
+
+
+def verdicts(folder: Path) -> dict[str, dict[str, dict[str, str]]]:
+    """By vehicle and month: status, sentence, and the page relative to the folder of the fleet."""
+    found: dict[str, dict[str, dict[str, str]]] = {}
+    for inputs in sorted((folder / DIAGNOSES).glob(f"*/*/{INPUTS}")):
+        place = inputs.parent
+        report = place / "report.json"
+        if report.is_file():
+            verdict = json.loads(report.read_text(encoding="utf-8"))["verdict"]
+            page = place / "report.html"
+            told = {
+                "status": verdict["status"],
+                "text": verdict["sentence"],
+                "page": page.relative_to(folder).as_posix() if page.is_file() else "",
+            }
+        else:
+            told = {"status": "refused", "text": (place / "reason.txt").read_text(encoding="utf-8"), "page": ""}
+        found.setdefault(place.parent.name, {})[place.name] = told
+    return found
+
+
+def _is_kept(folder: Path, period: Period) -> bool:
+    file = folder / DIAGNOSES / period.place / INPUTS
+    return file.is_file() and file.read_text(encoding="utf-8") == period.inputs
+
+
+def _put(folder: Path, period: Period, files: Mapping[str, bytes]) -> None:
+    """Write a report beside its place, and move it there whole."""
+    place = folder / DIAGNOSES / period.place
+    part = place.with_name(place.name + PART)
+    shutil.rmtree(part, ignore_errors=True)
+    part.mkdir(parents=True)
+    for name, content in {**files, INPUTS: period.inputs.encode()}.items():
+        (part / name).write_bytes(content)
+    shutil.rmtree(place, ignore_errors=True)
+    part.rename(place)

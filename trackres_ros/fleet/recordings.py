@@ -1,0 +1,133 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Finds recordings: paths, folders, globs and URLs of any file system that fsspec knows."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import PurePosixPath
+from typing import Any
+
+from trackres_ros.errors import InputError, MissingExtraError, one_line
+from trackres_ros.recording.opening import BAG_SUFFIXES, TABLE_SUFFIXES
+
+SUFFIXES = (*BAG_SUFFIXES, *TABLE_SUFFIXES)
+OF_A_BAG = "metadata.yaml"  # makes of a folder one recording, a rosbag2
+WILD = "*?["
+CHANGED = ("ETag", "etag", "mtime", "LastModified", "last_modified")
+"""What file systems call that which changes with the content; the first that is there counts."""
+
+
+@dataclass(frozen=True, slots=True)
+class FoundRecording:
+    """A recording that is there, or a place that cannot be looked into.
+
+    Attributes
+    ----------
+    url
+        As it is opened: an absolute path, or a URL.
+    stamp
+        Size and time of change, or what the file system has instead: it tells that a recording changed without reading it.
+    problem
+        Why it cannot be used; empty where it can.
+    """
+
+    url: str
+    stamp: str
+    problem: str = ""
+
+
+def find_recordings(given: Sequence[str]) -> Iterator[FoundRecording]:
+    """All recordings at some places, each once, in the order of the places and of their names.
+
+    Raises
+    ------
+    MissingExtraError
+        Without fsspec, or without what opens such a URL.
+    """
+    seen: set[str] = set()
+    for place in given:
+        for found in _at(place):
+            if found.url not in seen:
+                seen.add(found.url)
+                yield found
+
+
+def _at(place: str) -> Iterator[FoundRecording]:
+    try:
+        from fsspec.core import url_to_fs
+    except ImportError:
+        raise MissingExtraError("trackres fleet", "fsspec", "fleet") from None
+    protocol = place.partition("://")[0] if "://" in place else ""
+    try:
+        system, path = url_to_fs(place)
+    except ImportError as error:
+        module = "s3fs" if protocol in ("s3", "s3a") else str(error).split()[1] if len(str(error).split()) > 1 else protocol
+        raise InputError(place, f"{protocol}://", "a URL that an installed library opens", f"pip install {module}") from None
+    except ValueError as error:
+        raise InputError(place, f"{protocol}://", f"a path, or a URL that fsspec knows ({error})") from None
+    try:
+        yield from _listed(system, path, place)
+    except (OSError, ValueError) as error:  # a bucket that denies, a network that is down: told, and the others go on
+        yield FoundRecording(place, "", one_line(f"{type(error).__name__}: {getattr(error, 'strerror', None) or error}"))
+
+
+def _listed(system: Any, path: str, place: str) -> Iterator[FoundRecording]:
+    if any(sign in path for sign in WILD):
+        matches = sorted(system.glob(path))
+        if not matches:
+            yield FoundRecording(place, "", "nothing matches it")
+        for match in matches:
+            yield from _one(system, match, sought=False)
+    elif not system.exists(path):
+        yield FoundRecording(place, "", "nothing is there")
+    else:
+        empty = True
+        for found in _one(system, path, sought=True):
+            empty = False
+            yield found
+        if empty:
+            yield FoundRecording(place, "", f"a folder without a recording ({', '.join(SUFFIXES)})")
+
+
+def _one(system: Any, path: str, sought: bool) -> Iterator[FoundRecording]:
+    """What a path leads to; a file of another kind counts only if it was `sought` by name."""
+    if system.isdir(path):
+        yield from _inside(system, path)
+    elif sought or path.lower().endswith(SUFFIXES):
+        yield FoundRecording(_url(system, path), _stamp([system.info(path)]))
+
+
+def _inside(system: Any, top: str) -> Iterator[FoundRecording]:
+    bags: list[str] = []
+    for folder, folders, files in system.walk(top, detail=True):
+        folders_here = sorted(folders)
+        if isinstance(folders, dict):
+            for name in folders_here:  # in the order of names, which a walk that goes down reads from here
+                folders[name] = folders.pop(name)
+        if any(folder.startswith(f"{bag}/") for bag in bags):
+            continue
+        if OF_A_BAG in files:
+            bags.append(folder)
+            yield FoundRecording(_url(system, folder), _stamp([files[name] for name in sorted(files)]))
+            continue
+        for name in sorted(files):
+            if name.lower().endswith(SUFFIXES):
+                yield FoundRecording(_url(system, str(PurePosixPath(folder) / name)), _stamp([files[name]]))
+
+
+def _url(system: Any, path: str) -> str:
+    """A local path as it is, else with the protocol before it."""
+    protocol = system.protocol if isinstance(system.protocol, str) else system.protocol[0]
+    return path if protocol in ("file", "local") else str(system.unstrip_protocol(path))
+
+
+def _stamp(infos: Sequence[dict[str, Any]]) -> str:
+    parts = []
+    for info in infos:
+        changed = next((str(info[name]) for name in CHANGED if info.get(name) is not None), "")
+        parts.append(f"{info.get('size')} {changed}")
+    return parts[0] if len(parts) == 1 else hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]

@@ -1,0 +1,152 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""A run: what is new among the recordings is analysed, and each becomes a row."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import chain
+from typing import Any
+
+from trackres_ros.checks import one_of
+from trackres_ros.errors import InputError
+from trackres_ros.fleet.dataset import FleetDataset, Kept
+from trackres_ros.fleet.engine import LOCAL, done, engine, why
+from trackres_ros.fleet.recordings import FoundRecording, find_recordings
+from trackres_ros.fleet.task import AGAIN, BROKEN, NO_VEHICLE, SAME, Task, analyse, broken
+from trackres_ros.fleet.vehicles import Fleet
+from trackres_ros.recording.roles import ROLES, base_role
+
+UNKNOWN = "unknown"  # instead of a digest where no vehicle was found
+
+
+@dataclass(slots=True)
+class Counts:
+    """What a run came to."""
+
+    found: int = 0
+    kept: int = 0
+    good: int = 0
+    broken: int = 0
+    reasons: list[str] = field(default_factory=list)
+
+    @property
+    def new(self) -> int:
+        """Rows written."""
+        return self.good + self.broken
+
+
+MOST_REASONS = 10
+
+
+def run(
+    recordings: Sequence[str],
+    fleet: Fleet,
+    dataset: FleetDataset,
+    address: str = LOCAL,
+    workers: int | None = None,
+    hide: tuple[str, ...] = (),
+    on_begin: Callable[[int], Callable[[float], None]] = lambda _: lambda _: None,
+) -> Counts:
+    """Make a row of each recording that has none yet, or that changed.
+
+    Parameters
+    ----------
+    recordings
+        Paths, folders, globs and URLs.
+    address, workers
+        See `engine.engine`.
+    hide
+        Roles that are not read.
+    on_begin
+        Takes how many are to be done, and gives what takes that one more is.
+
+    Raises
+    ------
+    InputError
+        If nothing could be done: no recording, or no engine.
+    """
+    for channel in hide:
+        one_of(base_role(channel), "--hide", ROLES)
+    dataset.prepare()
+    index, counts = dataset.index(), Counts()
+
+    for place in recordings:  # what could not be looked into may be otherwise now
+        before = index.get(place)
+        if before is not None and not before.stamp:
+            index.pop(place).file.unlink(missing_ok=True)
+
+    def put(row: dict[str, Any]) -> None:
+        before = index.get(row["url"])
+        if row["status"] == SAME and before is not None:
+            dataset.put({**dataset.of(before), "stamp": row["stamp"]}, before.file)
+            counts.kept += 1
+            return
+        dataset.put(row, before.file if before else None)
+        if row["status"] == BROKEN:
+            counts.broken += 1
+            if len(counts.reasons) < MOST_REASONS:
+                counts.reasons.append(row["reason"])
+        else:
+            counts.good += 1
+
+    def tasks() -> Iterator[Task]:
+        for found in find_recordings(recordings):
+            counts.found += 1
+            task = _task(found, fleet, hide)
+            inputs = task.inputs if isinstance(task, Task) else UNKNOWN
+            before = index.get(found.url)
+            if _is_kept(before, found, inputs):
+                counts.kept += 1
+            elif isinstance(task, Task):
+                yield task if before is None or before.inputs != inputs else replace(task, known=before.content)
+            else:
+                put(broken(found, NO_VEHICLE, UNKNOWN, task))
+
+    new = tasks()
+    first = next(new, None)
+    if first is not None:
+        advance = on_begin(_how_many(recordings, fleet, hide, index))
+        with engine(address, workers) as client:
+            for row in rows(done(client, analyse, chain([first], new))):
+                put(row)
+                advance(1)
+    if not counts.found:
+        raise InputError("recordings", ", ".join(recordings), "paths, folders, globs or URLs of recordings")
+    if not counts.kept + counts.good:
+        raise InputError("recordings", f"{counts.broken} that cannot be used", "one at least that can", counts.reasons[0])
+    return counts
+
+
+def rows(results: Iterable[tuple[Task, Any]]) -> Iterator[dict[str, Any]]:
+    """Rows of what the engine gives."""
+    for task, result in results:
+        if isinstance(result, BaseException):
+            yield broken(FoundRecording(task.url, task.stamp), task.vehicle.name, AGAIN, f"{task.url}: {why(result)}")
+        else:
+            yield result
+
+
+def _task(found: FoundRecording, fleet: Fleet, hide: tuple[str, ...]) -> Task | str:
+    """What is to be done with a recording, or why nothing can be."""
+    if found.problem:
+        return f"{found.url}: {found.problem}"
+    try:
+        return Task(found.url, found.stamp, fleet.vehicle_of(found.url), hide)
+    except InputError as error:
+        return str(error)
+
+
+def _is_kept(kept: Kept | None, found: FoundRecording, inputs: str) -> bool:
+    return kept is not None and (kept.stamp, kept.inputs) == (found.stamp, inputs)
+
+
+def _how_many(recordings: Sequence[str], fleet: Fleet, hide: tuple[str, ...], index: dict[str, Kept]) -> int:
+    """How many tasks there will be, for the time that is left."""
+    count = 0
+    for found in find_recordings(recordings):
+        task = _task(found, fleet, hide)
+        count += isinstance(task, Task) and not _is_kept(index.get(found.url), found, task.inputs)
+    return count

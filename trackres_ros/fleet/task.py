@@ -1,0 +1,165 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""One recording, whole: inspected, replayed, and compared with its vehicle; what runs on a worker of the engine."""
+
+from __future__ import annotations
+
+import hashlib
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from functools import lru_cache
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+
+from trackres_ros import __version__
+from trackres_ros.errors import InputError, one_line
+from trackres_ros.fleet.recordings import FoundRecording
+from trackres_ros.fleet.vehicles import FleetVehicle, digest
+
+ROW_VERSION = 1  # raised with any change of what a row holds or how it is computed: rows of before are computed anew
+GOOD, BROKEN, SAME = "good", "broken", "same"
+AGAIN = "again"  # instead of a digest of what a row hangs on: what failed may be otherwise the next time
+NO_VEHICLE = NO_DAY = "none"
+ENERGIES = ("resistance", "hysteresis", "bearing", "wind", "effects", "drive")
+LONGEST_STEP_S = 1.0  # between two results of a replay: of longer ones no energy is known
+MEGA = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """What is to be done with one recording; `known` is the digest of a content of which there is a row that holds."""
+
+    url: str
+    stamp: str
+    vehicle: FleetVehicle
+    hide: tuple[str, ...] = ()
+    known: str = ""
+
+    @property
+    def inputs(self) -> str:
+        """Digest of all but the recording: vehicle and topics files, settings and version."""
+        parts = (self.vehicle.name, self.vehicle.sha, self.vehicle.topics_sha, *sorted(self.hide), __version__, str(ROW_VERSION))
+        return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:16]
+
+
+def broken(found: FoundRecording, vehicle: str, inputs: str, reason: str) -> dict[str, Any]:
+    """The row of a recording that cannot be used."""
+    row = {"url": found.url, "stamp": found.stamp, "vehicle": vehicle, "day": NO_DAY, "inputs": inputs}
+    return {**row, "status": BROKEN, "reason": one_line(reason)}
+
+
+def analyse(task: Task) -> dict[str, Any]:
+    """The row of one recording: a broken one is a row with its reason."""
+    began = time.perf_counter()
+    row = broken(FoundRecording(task.url, task.stamp), task.vehicle.name, task.inputs, "")
+    here = task.url
+    try:
+        if digest(task.vehicle.file) != task.vehicle.sha:
+            raise InputError(
+                str(task.vehicle.file), "a vehicle file that changed since the run began", "one that stays", "run again"
+            )
+        with fetched((task.url,)) as (path,):
+            here = str(path)
+            row |= {"content": _content(path)}
+            if row["content"] == task.known:
+                return {**row, "status": SAME}
+            row |= _analysed(path, task, row)
+            row["notes"] = [note.replace(here, task.url) for note in row["notes"]]
+    except InputError as error:
+        row["reason"] = str(error).replace(here, task.url)
+    except OSError as error:
+        row |= {"reason": one_line(f"{task.url}: {error.strerror or error}"), "inputs": AGAIN}
+    except Exception as error:  # one recording is never the end of a run; what it was is in its row
+        row["reason"] = one_line(f"{type(error).__name__}: {error} (a fault of this program: please report it, with the file)")
+    return {**row, "took_s": time.perf_counter() - began}
+
+
+def _analysed(path: Path, task: Task, row: dict[str, Any]) -> dict[str, Any]:
+    import trackres_ros as tr
+    from trackres_ros.fleet.likelihood import evidence
+
+    recording = tr.read(path, topics=task.vehicle.topics)
+    start_s = recording.start_ns * 1e-9
+    times = recording.time_s("speed")
+    found = [one_line(f"{f.role}: {f.text}" if f.role else f.text) for f in recording.findings]
+    row |= {"start_s": start_s, "day": _day(start_s), "duration_s": float(times[-1]) if len(times) else 0.0, "findings": found}
+    loaded, track = _vehicle(task.vehicle.file, task.vehicle.sha, task.vehicle.topics)
+    if track is not None:
+        row |= _replayed(recording, track)
+    told = asdict(evidence(recording, loaded, task.hide))
+    upper = np.triu_indices(len(told["names"]))
+    for name in ("covariance", "precision"):
+        told[name] = told[name][upper]
+    plain = {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in told.items()}
+    return {**plain, "status": GOOD}
+
+
+@lru_cache(maxsize=4)
+def _vehicle(file: Path, _sha: str, topics: Path | None) -> tuple[Any, Any]:
+    """The base model of a vehicle, and the vehicle itself where it has tracks; a worker has it for all recordings."""
+    import trackres_ros as tr
+    from trackres_ros.api.arguments import as_topics
+    from trackres_ros.diagnosis.base.loading import load_base
+
+    loaded = load_base(file, topics=as_topics(topics))
+    return loaded, tr.load_vehicle(file) if loaded.base.has_belt else None
+
+
+def _replayed(recording: Any, vehicle: Any) -> dict[str, Any]:
+    """Way, energies and the warmest belt, as the live node would have had them."""
+    import trackres_ros as tr
+    from trackres_ros.model.vehicle_constants import vehicle_constants
+
+    result = tr.replay(recording, vehicle)
+    step = np.diff(result.time_s, prepend=result.time_s[0])
+    way = np.where((step > 0.0) & (step <= LONGEST_STEP_S), step, 0.0) * np.nan_to_num(result["speed_mps"])
+    turned = way / vehicle_constants(vehicle).radius
+    energies = {f"{part}_mj": MEGA * float(np.nansum(turned * result[_column(part)])) for part in ENERGIES}
+    warmest = max(float(np.nanmax(result[name])) for name in result.columns if name.startswith("belt_degc/"))
+    return {"distance_m": float(np.abs(way).sum()), "messages": result.messages, "warmest_degc": warmest, **energies}
+
+
+def _column(part: str) -> str:
+    return {"resistance": "resistance_torque_nm", "drive": "drive_torque_nm"}.get(part, f"{part}_nm")
+
+
+def _day(start_s: float) -> str:
+    """The day it began [UTC]; `NO_DAY` where its clock does not say."""
+    return datetime.fromtimestamp(start_s, UTC).strftime("%Y-%m-%d") if start_s > 86400.0 * 365.0 else NO_DAY
+
+
+@contextmanager
+def fetched(urls: Sequence[str]) -> Iterator[list[Path]]:
+    """Recordings as local paths; those that are elsewhere are fetched, and gone afterwards."""
+    with tempfile.TemporaryDirectory(prefix="trackres-") as folder:
+        found = []
+        for i, url in enumerate(urls):
+            if "://" not in url:
+                found.append(Path(url))
+                continue
+            from fsspec.core import url_to_fs
+
+            system, path = url_to_fs(url)
+            here = Path(folder) / str(i) / PurePosixPath(path).name
+            here.parent.mkdir()
+            system.get(path, str(here), recursive=system.isdir(path))
+            found.append(here)
+        yield found
+
+
+def _content(path: Path) -> str:
+    """Digest of what is in a recording, whatever it is called."""
+    found = hashlib.sha256()
+    for file in sorted(path.iterdir()) if path.is_dir() else [path]:
+        if file.is_file():
+            with file.open("rb") as stream:
+                while block := stream.read(1 << 20):
+                    found.update(block)
+    return found.hexdigest()

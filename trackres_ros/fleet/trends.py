@@ -1,0 +1,257 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""What a fleet's rows say together, ready for JSON: types, vehicles, changes over months, and when a limit is reached."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+
+from trackres_ros.errors import InputError, nearest
+from trackres_ros.fleet.changes import DAY_S, FALSE_ALARMS, RAMP, YEAR_S, VehicleChange, levels, vehicle_changes
+from trackres_ros.fleet.dataset import FleetDataset
+from trackres_ros.fleet.pooling import Pooled, Vehicles, pool
+from trackres_ros.fleet.task import NO_DAY
+from trackres_ros.text.numbers import figures
+
+TWO_SIDED_95 = 1.96
+OVERLAP_S = 1.0  # by which a recording may begin before the one before it ends: clocks are read one after the other
+MOST_NAMES = 8  # in a message
+FARTHEST_YEARS = 20.0  # a forecast beyond is none
+TEXTS = ("url", "vehicle", "day", "status", "reason", "names", "units", "findings")
+NUMBERS = (
+    "start_s", "duration_s", "distance_m", "mismatch", "mean_torque", "mean_ambient", "residual_std", "held_out_file",
+    "held_out_refit", "resistance_mj", "nominal", "std", "precision", "linear",
+)  # fmt: skip
+
+
+def day_of(time_s: float) -> str:
+    """A day as people write it [UTC]."""
+    return datetime.fromtimestamp(time_s, UTC).strftime("%Y-%m-%d")
+
+
+def some_of(names: Sequence[str]) -> str:
+    """Names in a row, of many the first few."""
+    more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
+    return f"{', '.join(names[:MOST_NAMES])}{more}"
+
+
+def without_overlaps(rows: Iterable[Mapping[str, Any]]) -> tuple[list[Mapping[str, Any]], list[dict[str, str]]]:
+    """Rows of which no two of one vehicle are of the same time, and those left out, with the reason."""
+    kept: list[Mapping[str, Any]] = []
+    left_out: list[dict[str, str]] = []
+    for row in sorted(rows, key=lambda row: (row["vehicle"], row["start_s"] or 0.0, row["url"])):
+        before = kept[-1] if kept else None
+        timed = row["status"] == "good" and row["day"] != NO_DAY
+        same = (
+            before is not None and before["vehicle"] == row["vehicle"] and before["status"] == "good" and before["day"] != NO_DAY
+        )
+        if timed and same and before is not None and row["start_s"] < before["start_s"] + before["duration_s"] - OVERLAP_S:
+            reason = f"its clock says that it was recorded while {before['url']} was: of one vehicle only one can be right"
+            left_out.append({"url": row["url"], "vehicle": row["vehicle"], "reason": reason})
+        else:
+            kept.append(row)
+    return kept, left_out
+
+
+def trends(
+    dataset: FleetDataset, limits: Mapping[str, float], rate: float = FALSE_ALARMS, vehicle: str | None = None
+) -> dict[str, Any]:
+    """All that is found in a dataset.
+
+    Parameters
+    ----------
+    limits
+        By parameter, where it must be looked after: for forecasts.
+    rate
+        Of false alarms, per vehicle and year.
+    vehicle
+        Of which alone changes are looked for; of all without.
+
+    Raises
+    ------
+    InputError
+        If there is nothing to compare, a limit of an unknown parameter, or no such vehicle.
+    """
+    rows = dataset.rows([*TEXTS, *NUMBERS])
+    kept, overlapping = without_overlaps(rows)
+    good = [row for row in kept if row["status"] == "good"]
+    if not good:
+        broken = Counter(row["reason"] for row in rows).most_common(1)
+        raise InputError(
+            str(dataset.folder), "no recording that could be compared", "one at least", broken[0][0] if broken else ""
+        )
+    named = sorted({row["vehicle"] for row in good})
+    if vehicle is not None and vehicle not in named:
+        raise InputError("--name", vehicle, f"one of {some_of(named)}", nearest(vehicle, named))
+    types = [pool(data) for data in Vehicles.of(good)]
+    known = sorted({name for of in types for name in of.of.names})
+    for name in limits:
+        if name not in known:
+            raise InputError("--limit", name, f"one of {', '.join(known)}", nearest(name, known))
+    by_vehicle: dict[str, list[Mapping[str, Any]]] = {}
+    for row in good:
+        by_vehicle.setdefault(row["vehicle"], []).append(row)
+    vehicles = {
+        name: _vehicle(of, name, by_vehicle[name], limits, rate)
+        for of in types
+        for name in of.by_vehicle
+        if vehicle in (None, name)
+    }
+    bad = [row for row in rows if row["status"] != "good"]
+    years = sum(v["years"] for v in vehicles.values())
+    return {
+        "recordings": len(rows),
+        "compared": len(good),
+        "broken": [{"url": row["url"], "vehicle": row["vehicle"], "reason": row["reason"]} for row in bad],
+        "overlapping": overlapping,
+        "false_alarms_per_vehicle_year": rate,
+        "vehicle_years": years,
+        "types": [_type(of) for of in types],
+        "vehicles": dict(sorted(vehicles.items())),
+        "months": _months(good),
+    }
+
+
+def _type(of: Pooled) -> dict[str, Any]:
+    parameters = {}
+    for i, name in enumerate(of.of.names):
+        value, std = of.value(None, name)
+        scale = float(of.of.std[i])
+        parameters[name] = {
+            "unit": of.of.units[i],
+            "file": float(of.of.nominal[i]),
+            "value": value,
+            "std": std,
+            "between_vehicles": scale * float(of.between[i]),
+            "between_recordings": scale * float(of.within[i]),
+            "per_10_k_of_air": scale * float(of.follows[i]),
+        }
+    return {"vehicles": sorted(of.by_vehicle), "recordings": len(of.of), "parameters": parameters}
+
+
+def _vehicle(
+    of: Pooled, name: str, rows: Sequence[Mapping[str, Any]], limits: Mapping[str, float], rate: float
+) -> dict[str, Any]:
+    values = {}
+    for i, parameter in enumerate(of.of.names):
+        value, std = of.value(name, parameter)
+        typical = of.value(None, parameter)[0]
+        unusual = float((of.by_vehicle[name][0][i] - of.mean[i]) / max(float(of.between[i]), 1e-9))
+        values[parameter] = {"value": value, "std": std, "beyond_type": value - typical, "in_stds_of_type": unusual}
+    changes, least = vehicle_changes(of, name, rate)
+    starts = [row["start_s"] for row in rows]
+    watched = sorted(
+        {*(c.parameter for c in changes), *(set(limits) & set(of.of.names)), *of.of.names[3:4], *_present(of, "bearing_friction")}
+    )
+    return {
+        "recordings": len(rows),
+        "first_day": day_of(min(starts)),
+        "last_day": day_of(max(starts)),
+        "years": (max(starts) - min(starts)) / YEAR_S,
+        "distance_km": sum(row["distance_m"] or 0.0 for row in rows) / 1000.0,
+        "mismatch": float(np.mean([row["mismatch"] for row in rows])),
+        "values": values,
+        "changes": [_change(c, max(starts), limits.get(c.parameter)) for c in changes],
+        "least_gain": least if np.isfinite(least) else None,
+        "levels": {parameter: [[float(x) for x in series] for series in levels(of, name, parameter)] for parameter in watched},
+    }
+
+
+def _present(of: Pooled, name: str) -> tuple[str, ...]:
+    return (name,) if name in of.of.names else ()
+
+
+def _change(found: VehicleChange, last_s: float, limit: float | None) -> dict[str, Any]:
+    content = {
+        "parameter": found.parameter,
+        "alike": list(found.alike),
+        "kind": found.kind,
+        "since": day_of(found.since_s),
+        "known": day_of(found.known_s),
+        "since_s": found.since_s,
+        "known_s": found.known_s,
+        "recordings_until_known": found.recordings,
+        "before": found.before,
+        "size": found.size,
+        "size_std": found.size_std,
+        "relative": found.relative,
+        "gain": found.gain,
+    }
+    return content | {"forecast": forecast(found, last_s, limit)}
+
+
+def forecast(found: VehicleChange, last_s: float, limit: float | None) -> dict[str, Any] | None:
+    """When a parameter that changes more and more reaches a limit: the day, and the first and last that are likely at 95 %; None
+    where nothing is asked, or nothing moves towards it.
+
+    The time until then is taken to be as sure as the size of the change so far, and the change to go on as it did.
+    """
+    if limit is None or found.kind != RAMP or last_s <= found.since_s:
+        return None
+    now, days = found.before + found.size, (last_s - found.since_s) / DAY_S
+    slopes = [found.size / days, *((found.size + sign * TWO_SIDED_95 * found.size_std) / days for sign in (1.0, -1.0))]
+    if (limit - now) * found.size <= 0.0:
+        reached = (now - limit) * np.sign(found.size) >= 0.0
+        return {"limit": limit, "reached": True, "day": None, "from": None, "to": None} if reached else None
+    ends = [(limit - now) / slope if slope * found.size > 0.0 else np.inf for slope in slopes]
+    first, last = min(ends), max(ends)
+    far = FARTHEST_YEARS * 365.25
+    shown = [day_of(last_s + end * DAY_S) if end < far else None for end in (ends[0], first, last)]
+    return {"limit": limit, "reached": False, "day": shown[0], "from": shown[1], "to": shown[2]}
+
+
+def _months(rows: Iterable[Mapping[str, Any]]) -> dict[str, dict[str, dict[str, float]]]:
+    """By vehicle and month: how many recordings, and their mean mismatch."""
+    found: dict[str, dict[str, list[float]]] = {}
+    for row in rows:
+        month = row["day"][:7]
+        found.setdefault(row["vehicle"], {}).setdefault(month, []).append(row["mismatch"])
+    return {
+        vehicle: {month: {"recordings": len(of), "mismatch": float(np.mean(of))} for month, of in sorted(months.items())}
+        for vehicle, months in sorted(found.items())
+    }
+
+
+def change_sentence(vehicle: str, c: Mapping[str, Any]) -> str:
+    """A change in a sentence."""
+    how = "rises" if c["size"] > 0 else "falls"
+    what = (
+        f"{c['parameter']} {how} more and more since {c['since']}"
+        if c["kind"] == RAMP
+        else (f"{c['parameter']} {'rose' if c['size'] > 0 else 'fell'} at once on {c['since']}")
+    )
+    size = f"{figures(abs(c['size']))} +- {figures(TWO_SIDED_95 * c['size_std'], 2)} ({100.0 * c['relative']:+.0f} %)"
+    text = f"{vehicle}: {what}, by {size}, known on {c['known']}"
+    if c["alike"]:
+        text += f"; {' or '.join(c['alike'])} would explain it as well"
+    f = c["forecast"]
+    if f and f["reached"]:
+        text += f"; beyond its limit {figures(f['limit'])} already"
+    elif f:
+        ends = f"{f['from'] or 'later'} to {f['to'] or 'not within 20 years'}"
+        text += f"; reaches {figures(f['limit'])} on {f['day'] or 'no day within 20 years'} ({ends})"
+    return text
+
+
+def sentences(found: Mapping[str, Any]) -> list[str]:
+    """What is found, in lines."""
+    changed = [change_sentence(name, c) for name, v in found["vehicles"].items() for c in v["changes"]]
+    count = len(found["vehicles"])
+    head = [f"{found['compared']} of {found['recordings']} recordings of {count} vehicles compared"]
+    if not changed:
+        head.append("No vehicle has changed beyond chance")
+    rate = found["false_alarms_per_vehicle_year"]
+    here = figures(rate * found["vehicle_years"], 2)
+    tail = f"Chance alone would say so {figures(rate)} times per vehicle and year: {here} times here"
+    lines = [*head, *changed, tail]
+    if found["overlapping"]:
+        lines.append(f"{len(found['overlapping'])} recordings left out, as clocks overlap: {found['overlapping'][0]['url']}")
+    if found["broken"]:
+        lines.append(f"{len(found['broken'])} recordings that cannot be used, the first: {found['broken'][0]['reason']}")
+    return lines

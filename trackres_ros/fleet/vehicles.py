@@ -1,0 +1,175 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The vehicles of a fleet: which file each has, and which recordings are its."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from trackres_ros.checks import number
+from trackres_ros.errors import InputError, nearest
+from trackres_ros.files.resources import find_vehicle
+from trackres_ros.files.yamls import read_yaml
+
+KEYS = ("file", "recordings", "topics", "limits")
+ALLOWED = "vehicles: a name for each, with file, and if need be recordings, topics, limits"
+FORBIDDEN_IN_NAMES = "/\\=\0"  # a name becomes a folder of the dataset
+NOT_A_NAME = ("", ".", "..", "none")
+
+
+@dataclass(frozen=True, slots=True)
+class FleetVehicle:
+    """One vehicle.
+
+    Attributes
+    ----------
+    name
+        Of this very vehicle; `file` describes its type.
+    file
+        Its vehicle file.
+    sha
+        Digest of that file, and of the files it names.
+    patterns
+        Globs of which its recordings' paths match one; without any a folder of the path must have its name.
+    topics
+        Which topic or column feeds which role; None where that is guessed.
+    topics_sha
+        Digest of the topics file; empty without one.
+    limits
+        By parameter: where it must be looked after.
+    """
+
+    name: str
+    file: Path
+    sha: str
+    patterns: tuple[str, ...] = ()
+    topics: Path | None = None
+    topics_sha: str = ""
+    limits: Mapping[str, float] = field(default_factory=dict)
+
+    def owns(self, url: str) -> bool:
+        """Whether a recording is this vehicle's."""
+        path = PurePosixPath(url.partition("://")[2] or url)
+        if not self.patterns:
+            return self.name in path.parts
+        return any(fnmatchcase(str(path), pattern) or fnmatchcase(str(path), f"*/{pattern}") for pattern in self.patterns)
+
+
+@dataclass(frozen=True, slots=True)
+class Fleet:
+    """All vehicles by name."""
+
+    vehicles: Mapping[str, FleetVehicle]
+
+    def vehicle_of(self, url: str) -> FleetVehicle:
+        """Whose recording it is.
+
+        Raises
+        ------
+        InputError
+            If it is nobody's, or that of several.
+        """
+        of = [vehicle for vehicle in self.vehicles.values() if vehicle.owns(url)]
+        if len(of) == 1:
+            return of[0]
+        if of:
+            names = ", ".join(vehicle.name for vehicle in of[:3])
+            raise InputError(url, f"a recording of {names}", "one vehicle", "make the recordings patterns of fleet.yaml narrower")
+        raise InputError(
+            url,
+            "a recording of none of the vehicles",
+            "a folder with the name of one",
+            "or give recordings patterns in fleet.yaml",
+        )
+
+
+def one_vehicle(path_or_name: str, topics: Path | None) -> Fleet:
+    """A fleet of one vehicle, of which all recordings are."""
+    file = find_vehicle(path_or_name)
+    return Fleet({file.stem: FleetVehicle(file.stem, file, digest(file), ("*",), topics, digest(topics) if topics else "")})
+
+
+def read_fleet(path: Path) -> Fleet:
+    """Read a fleet.yaml; paths in it are relative to it.
+
+    Raises
+    ------
+    InputError
+        If it cannot be used.
+    """
+    content = read_yaml(path, ALLOWED)
+    unknown = [key for key in content if key != "vehicles"]
+    if unknown:
+        raise InputError(f"{path}: {unknown[0]}", content[unknown[0]], ALLOWED)
+    vehicles = content.get("vehicles")
+    if not isinstance(vehicles, dict) or not vehicles:
+        raise InputError(f"{path}: vehicles", vehicles, ALLOWED)
+    return Fleet({str(name): _vehicle(path, str(name), of) for name, of in vehicles.items()})
+
+
+def _vehicle(path: Path, name: str, content: Any) -> FleetVehicle:
+    where = f"{path}: vehicles.{name}"
+    if name in NOT_A_NAME or any(sign in name for sign in FORBIDDEN_IN_NAMES) or not name.isprintable():
+        raise InputError(where, name, "a name that may be that of a folder")
+    if isinstance(content, str):
+        content = {"file": content}
+    if not isinstance(content, dict) or "file" not in content:
+        raise InputError(where, content, "a vehicle file, or a mapping with file")
+    for key in content:
+        if key not in KEYS:
+            raise InputError(f"{where}.{key}", content[key], f"one of {', '.join(KEYS)}", nearest(str(key), KEYS))
+    patterns = content.get("recordings", ())
+    if isinstance(patterns, str):
+        patterns = [patterns]
+    if not isinstance(patterns, Sequence) or not all(isinstance(pattern, str) for pattern in patterns):
+        raise InputError(f"{where}.recordings", patterns, "a list of globs")
+    file, topics = (
+        None if content.get(key) is None else _beside(path, content[key], f"{where}.{key}") for key in ("file", "topics")
+    )
+    assert file is not None
+    limits = content.get("limits", {})
+    if not isinstance(limits, dict):
+        raise InputError(f"{where}.limits", limits, "a number for each parameter")
+    checked = {str(key): number(value, f"{where}.limits.{key}", -1e12, 1e12) for key, value in limits.items()}
+    return FleetVehicle(name, file, digest(file), tuple(patterns), topics, digest(topics) if topics else "", checked)
+
+
+def _beside(path: Path, given: object, where: str) -> Path:
+    if not isinstance(given, str):
+        raise InputError(where, given, "a path")
+    beside = path.parent / given
+    if beside.is_file():
+        return beside.resolve()
+    if where.endswith(".file"):
+        return find_vehicle(given).resolve()
+    raise InputError(where, given, "the path of a file")
+
+
+def digest(path: Path) -> str:
+    """Digest of a vehicle or topics file, and of the files in it that its lines name.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read.
+    """
+    content = read_yaml(path)
+    found = hashlib.sha256(path.read_bytes())
+    for name in sorted(_files_named(content)):
+        beside = path.parent / name
+        if beside.is_file():
+            found.update(beside.read_bytes())
+    return found.hexdigest()
+
+
+def _files_named(content: Any) -> set[str]:
+    if isinstance(content, dict):
+        named = {value for key, value in content.items() if key == "file" and isinstance(value, str)}
+        return named.union(*(_files_named(value) for value in content.values()))
+    return set().union(*map(_files_named, content)) if isinstance(content, list) else set()

@@ -1,0 +1,75 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Counts for how long it has driven where, by speed, belt temperature and load: one corner is not yet the whole."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.estimator import columns as at
+
+Array = NDArray[np.float64]
+
+SPEED_SHARES = (0.2, 0.4, 0.6)  # edges, of the greatest speed
+BELT_DEGC = (15.0, 30.0, 45.0)
+LOAD_SHARES = (0.9, 1.1)  # of the nominal weight
+SHAPE = (len(SPEED_SHARES) + 1, len(BELT_DEGC) + 1, len(LOAD_SHARES) + 1)
+FILLED_S = 20.0
+LEAST_S = 240.0  # of driving compared, in all
+LEAST_FILLED = 4  # buckets
+ACCELERATES_MPS2, LEAST_ACCELERATING_S = 0.15, 60.0
+
+
+class Buckets:
+    """Seconds of driving that were learned from.
+
+    Attributes
+    ----------
+    seconds : ndarray, shape SHAPE
+        By speed, belt temperature and load.
+    accelerating : ndarray, shape (1,)
+        Seconds in which it accelerated.
+    """
+
+    def __init__(self, greatest_speed: float, nominal_weight: float) -> None:
+        self._speeds = [share * greatest_speed for share in SPEED_SHARES]
+        self._weights = [share * nominal_weight for share in LOAD_SHARES]
+        self.seconds, self.accelerating = np.zeros(SHAPE), np.zeros(1)
+
+    def clear(self) -> None:
+        """Nothing was driven yet."""
+        self.seconds[:], self.accelerating[:] = 0.0, 0.0
+
+    def count(self, speed: float, belt_degc: float, weight: float, accel: float) -> None:
+        """A second at a speed [m/s], a mean belt temperature [degC], a weight [N] and an acceleration [m/s^2]."""
+        self.seconds[_place(self._speeds, abs(speed)), _place(BELT_DEGC, belt_degc), _place(self._weights, weight)] += 1.0
+        if abs(accel) >= ACCELERATES_MPS2:
+            self.accelerating += 1.0
+
+    @property
+    def filled(self) -> NDArray[np.bool_]:
+        """Buckets with enough in them, shape SHAPE."""
+        return np.asarray(self.seconds >= FILLED_S)
+
+    def covered(self) -> NDArray[np.bool_]:
+        """Whether enough was seen of what shows each departure, shape (LEARNABLE,)."""
+        filled: NDArray[np.bool_] = self.filled
+        if self.seconds.sum() < LEAST_S or filled.sum() < LEAST_FILLED:
+            return np.zeros(at.LEARNABLE, dtype=bool)
+        speeds = np.asarray(filled.any(axis=(1, 2)))
+        found = np.full(at.LEARNABLE, bool(speeds.sum() >= 2))
+        found[at.OF_DRAG] &= bool(speeds[-2:].any())
+        found[at.OF_MASS] = self.accelerating[0] >= LEAST_ACCELERATING_S
+        found[at.OF_BELT] = False  # a state, not the vehicle's own
+        return found
+
+    @property
+    def share(self) -> float:
+        """How much of what is asked for has been driven, 0 to 1."""
+        return float(min(self.seconds.sum() / LEAST_S, self.filled.sum() / LEAST_FILLED, 1.0))
+
+
+def _place(edges: tuple[float, ...] | list[float], value: float) -> int:
+    return sum(value >= edge for edge in edges)

@@ -1,0 +1,122 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""What is learned as columns behind the results of a step, and as lines of a status: live, in a bag and in a table the same."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.estimator import Session
+from trackres_ros.learning.learner import Learner
+from trackres_ros.learning.parameters import VEHICLES_OWN, Learnable
+from trackres_ros.text.numbers import figures
+
+LEARNING, LEARNED, FROZEN = range(3)
+STATES_OF = ("learning", "learned", "frozen")
+TORQUE, COVERAGE, ACTS = "learned_resistance_torque_nm", "learned_coverage", "learned_acts"
+TEXTS = ("the vehicle file is used", "what was learned fits better than the vehicle file")
+
+
+class LearningColumns:
+    """The columns of a learner, behind those of the estimate.
+
+    Attributes
+    ----------
+    names
+        Resistance with what was learned [Nm], whatever acts; share of what is asked for that has been driven; whether what was
+        learned is used, or would be; and of each thing that is learned its value, standard deviation and state.
+    """
+
+    def __init__(self, learner: Learner) -> None:
+        self._learner = learner
+        self._values: list[float] = []
+        self._second = -2
+        self.names = column_names(learner.learnables)
+
+    def of(self, row: Sequence[float], session: Session) -> list[float]:
+        """The columns of a step, once it was taken."""
+        learner, learned = self._learner, session.learned
+        second = learner.gate.second.number
+        if second != self._second:
+            self._values, self._second = shown(learner), second
+        torque = row[at.OUT_RESISTANCE]
+        if learned[at.LEARNED_ON] == 0.0 and learner.acts:
+            moved = learner.learned.applied * learned[at.SENSITIVITIES :]
+            torque += float(moved.sum()) - float(moved[at.OF_MASS])
+        return [torque, *self._values]
+
+
+def column_names(learnables: Sequence[Learnable]) -> tuple[str, ...]:
+    """Names of the columns of a learner."""
+    each = (name for one in learnables for name in columns_of(one))
+    return (TORQUE, COVERAGE, ACTS, *each)
+
+
+def columns_of(one: Learnable) -> tuple[str, str, str]:
+    """Value, standard deviation and state of one thing that is learned."""
+    unit = "_nm" if one.unit == "Nm" else ""
+    return f"learned_{one.name}{unit}", f"learned_{one.name}_std{unit}", f"learned_{one.name}_state"
+
+
+def shown(learner: Learner) -> list[float]:
+    """The columns but for the torque, which change once a second."""
+    found = [learner.buckets.share, float(learner.acts)]
+    frozen, counted = bool(learner.frozen), learner.counted
+    for one in learner.learnables:
+        variance = float(learner.learned.covariance[one.state, one.state])
+        counts = one.state in VEHICLES_OWN and bool(counted[one.state])
+        state = FROZEN if frozen and one.state in VEHICLES_OWN else LEARNED if counts else LEARNING
+        found += [one.value(float(learner.learned.mean[one.state])), one.size(math.sqrt(max(variance, 0.0))), float(state)]
+    return found
+
+
+Line = tuple[str, str, tuple[tuple[str, str], ...]]
+
+
+def lines(learnables: Sequence[Learnable], ranges: Sequence[tuple[float, float]], values: Sequence[float]) -> list[Line]:
+    """Name, message and values of a status for each thing that is learned, out of the columns but for the torque."""
+    coverage, acts = values[:2]
+    found: list[Line] = []
+    for i, (one, (low, high)) in enumerate(zip(learnables, ranges, strict=True)):
+        value, std, state = values[2 + 3 * i : 5 + 3 * i]
+        known = (
+            ("value", f"{value:.6g}"),
+            ("std", figures(std)),
+            ("unit", one.unit),
+            ("nominal", f"{one.nominal:.6g}"),
+            ("low", f"{low:.6g}"),
+            ("high", f"{high:.6g}"),
+            ("coverage", f"{coverage:.3f}"),
+            ("state", STATES_OF[int(state)]),
+            ("acts", str(bool(acts) and int(state) != LEARNING and one.state in VEHICLES_OWN).lower()),
+        )
+        unit = f" {one.unit}" if one.unit != "1" else ""
+        found.append((one.name, f"{one.meaning}: {figures(value, 4)} +- {figures(std, 2)}{unit}, {STATES_OF[int(state)]}", known))
+    return found
+
+
+class LearnedTopic:
+    """What is learned as lines of a status, out of rows that have the columns of a learner.
+
+    Attributes
+    ----------
+    names
+        Those columns.
+    """
+
+    def __init__(self, learner: Learner) -> None:
+        self._learnables, self._ranges = learner.learnables, ranges_of(learner)
+        self.names = column_names(learner.learnables)
+
+    def lines(self, row: Sequence[float]) -> list[Line]:
+        """The lines of a row, whose last columns are those of a learner."""
+        return lines(self._learnables, self._ranges, row[len(row) - len(self.names) + 1 :])
+
+
+def ranges_of(learner: Learner) -> list[tuple[float, float]]:
+    """The least and the greatest value that each may take, in its unit."""
+    low, high = learner.prior.low, learner.prior.high
+    return [(one.value(float(low[one.state])), one.value(float(high[one.state]))) for one in learner.learnables]

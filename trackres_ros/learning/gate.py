@@ -1,0 +1,215 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Says of each step whether its measured torque is one to learn from, and of each second what it comes to."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.estimator import Session
+from trackres_ros.units import MAD_TO_STD, SECOND_NS, STANDSTILL_MPS
+
+Array = NDArray[np.float64]
+Row = list[float]
+
+SLOWEST_MPS = 1.0  # slower, friction may be static
+HARDEST_MPS2 = 1.0  # a larger acceleration is known too roughly
+BRAKING_MPS2 = -0.3  # with a torque that does not drive: friction brakes may be at work
+TURNS_M = 0.02  # 1/m: a bend of less than 50 m makes a belt slide sideways
+STUCK_S = 3.0  # one torque for longer while rolling
+AGAINST_SHARE = 0.3  # of what rolling takes: a torque so large in the other sense is no noise
+OUTLIER = 5.0  # typical deviations of a sample
+FOLLOWS_S = 2.0  # in which the level of samples follows
+SPREAD_S = 30.0  # in which their typical deviation does
+LOST_S = 3.0  # of nothing but outliers
+FIRST_SPREAD = 0.05  # of what rolling takes
+LEAST_SPREAD = 0.002
+INERTIA_DOUBT = 0.3  # of the inertia: an acceleration that is filtered from a speed lags
+FOLLOWED = 1.5  # typical deviations: by no more does one sample move the level
+LEAST_SHARE = 0.5  # of a second's samples that count: else the second does not
+LONGEST_HOLD_NS = 10 * SECOND_NS
+APART_NS = 45_000_000  # between two samples of a second: more of them make its mean no better known
+
+UNSURE = int(
+    at.Reason.SPEED_STUCK
+    | at.Reason.GAP_UNKNOWN
+    | at.Reason.CLOCK_JUMPED
+    | at.Reason.TIME_RESET
+    | at.Reason.BELT_SENSOR_DISAGREES
+    | at.Reason.OUTSIDE_TABLE
+    | at.Reason.EFFECT_LEFT_OUT
+)
+NO_TORQUE, SLOW, HARD, BRAKES, TURNS, STUCK, AGAINST, OUTLYING, DOUBTFUL = range(9)
+TEXTS = (
+    "no torque is measured",
+    "it stands or crawls",
+    "it accelerates hard",
+    "it brakes",
+    "it turns",
+    "the measured torque is stuck",
+    "the measured torque has the sense that it cannot have",
+    "the measured torque jumps about",
+    "the estimate itself is in doubt",
+)
+COUNTED, TAKEN = len(TEXTS), -1
+
+
+@dataclass
+class Second:
+    """Sums over the samples of a second that count, and how many there were by why they do not."""
+
+    number: int = -1  # seconds since 1970 by the stamps; -1 before the first
+    taken: int = 0
+    refused: Array = field(default_factory=lambda: np.zeros(COUNTED))
+    residual: float = 0.0  # measured less what the file expects [Nm]
+    drive: float = 0.0
+    resisting: float = 0.0
+    speed: float = 0.0
+    accel: float = 0.0
+    belt_degc: float = 0.0
+    weight: float = 0.0
+    inertia: float = 0.0
+    by: Array = field(default_factory=lambda: np.zeros(at.LEARNABLE))
+
+    def begin(self, number: int) -> None:
+        """Begin a second."""
+        self.number, self.taken = number, 0
+        self.residual = self.drive = self.resisting = self.speed = self.accel = self.belt_degc = self.weight = self.inertia = 0.0
+        self.refused[:], self.by[:] = 0.0, 0.0
+
+    @property
+    def counts(self) -> bool:
+        """Whether enough samples count."""
+        return self.taken >= LEAST_SHARE * (self.taken + float(self.refused.sum())) and self.taken > 0
+
+    @property
+    def mostly(self) -> int:
+        """Why most of the others do not."""
+        return int(np.argmax(self.refused))
+
+
+@dataclass
+class Samples:
+    """What is remembered from sample to sample: their level, their typical deviation from it, and since when one torque stays."""
+
+    level: float = 0.0
+    deviation: float = 0.0
+    known: bool = False
+    seen_ns: int = 0
+    last_ns: int = 0
+    outlying_s: float = 0.0  # for so long all have been far from the level
+    torque: float = math.nan
+    since_ns: int = 0
+
+
+class Gate:
+    """Takes steps one by one and sums up those that count.
+
+    Parameters
+    ----------
+    belts
+        Columns of a row in which their belts' temperatures stand.
+    rolling_nm
+        Size of the torque that rolling takes [Nm].
+    """
+
+    def __init__(self, belts: list[int], rolling_nm: float) -> None:
+        self._belts = belts
+        self.rolling_nm = rolling_nm
+        self.second, self.samples = Second(), Samples()
+
+    def restart(self) -> None:
+        """Forget what passed: the estimate was started anew."""
+        self.second, self.samples = Second(), Samples()
+
+    def take(self, stamp_ns: int, row: Row, session: Session) -> None:
+        """Take a step into the second that is open; of steps that come fast, some are enough for its mean."""
+        if 0 <= stamp_ns - self.samples.seen_ns < APART_NS:
+            return
+        self.samples.seen_ns = stamp_ns
+        learned = session.learned
+        residual = row[at.OUT_RESIDUAL]
+        if learned[at.LEARNED_ON] > 0.0:  # against the file, whatever acts
+            moved = learned[at.DEPARTURES : at.LEARNED_TORQUE] * learned[at.SENSITIVITIES :]
+            residual += float(moved.sum()) + row_lasting(row, learned)
+        why = self._why_not(stamp_ns, row, residual, float(session.memory.values[at.YAW_RATE]))
+        second = self.second
+        if why != TAKEN:
+            second.refused[why] += 1.0
+            return
+        second.taken += 1
+        second.residual += residual
+        second.drive += row[at.OUT_MEASURED] - residual
+        second.resisting += row[at.OUT_RESISTANCE]
+        second.speed += row[at.OUT_SPEED]
+        second.accel += row[at.OUT_ACCEL]
+        second.weight += row[at.OUT_WEIGHT]
+        second.inertia += row[at.OUT_INERTIA]
+        belts = 0.0
+        for column in self._belts:
+            belts += row[column]
+        second.belt_degc += belts / len(self._belts)
+        second.by += learned[at.SENSITIVITIES :]
+
+    def _why_not(self, stamp_ns: int, row: Row, residual: float, yaw_rate: float) -> int:
+        measured, speed, accel = row[at.OUT_MEASURED], row[at.OUT_SPEED], row[at.OUT_ACCEL]
+        if not math.isfinite(measured):
+            return NO_TORQUE
+        samples = self.samples
+        if measured != samples.torque or stamp_ns < samples.since_ns:
+            samples.torque, samples.since_ns = measured, stamp_ns
+        if abs(speed) < SLOWEST_MPS:
+            return SLOW
+        if stamp_ns - samples.since_ns > STUCK_S * SECOND_NS:
+            return STUCK
+        if int(row[at.OUT_REASONS]) & UNSURE:
+            return DOUBTFUL
+        ahead = math.copysign(1.0, speed)
+        if accel * ahead < BRAKING_MPS2 and measured * ahead <= AGAINST_SHARE * self.rolling_nm:
+            return BRAKES
+        if abs(accel) > HARDEST_MPS2:
+            return HARD
+        if math.isfinite(yaw_rate) and abs(yaw_rate) > TURNS_M * abs(speed):
+            return TURNS
+        most = AGAINST_SHARE * self.rolling_nm
+        expected = measured - residual
+        if (measured > most and expected < -most) or (measured < -most and expected > most):
+            return AGAINST
+        return self._outlying(stamp_ns, residual, INERTIA_DOUBT * abs(row[at.OUT_INERTIA]))
+
+    def _outlying(self, stamp_ns: int, residual: float, doubt: float) -> int:
+        """Whether a sample is far from those of late, by more than a doubt [Nm]; follows their level by as much as one counts."""
+        samples = self.samples
+        passed_ns = stamp_ns - samples.last_ns
+        samples.last_ns = stamp_ns
+        least = LEAST_SPREAD * self.rolling_nm
+        if not samples.known:
+            samples.known, samples.level, samples.deviation = True, residual, FIRST_SPREAD * self.rolling_nm
+            return TAKEN
+        if not 0 <= passed_ns <= LONGEST_HOLD_NS:  # where it goes on after a pause is known less well
+            samples.deviation = max(samples.deviation, FIRST_SPREAD * self.rolling_nm)
+            passed_ns = 0
+        far = residual - samples.level
+        outlying = abs(far) > OUTLIER * samples.deviation + doubt
+        seconds = passed_ns / SECOND_NS
+        samples.outlying_s = samples.outlying_s + seconds if outlying else 0.0
+        if samples.outlying_s > LOST_S:  # not they are far off: the level is
+            samples.level, samples.deviation, samples.outlying_s = residual, FIRST_SPREAD * self.rolling_nm, 0.0
+            return OUTLYING
+        most = FOLLOWED * samples.deviation
+        samples.level += min(seconds / FOLLOWS_S, 0.5) * min(max(far, -most), most)
+        # Towards the median size: three in ten that are far off move it little.
+        wider = 1.0 if MAD_TO_STD * abs(far) > samples.deviation else -1.0
+        samples.deviation = max(samples.deviation * (1.0 + wider * min(seconds / SPREAD_S, 0.1)), least)
+        return OUTLYING if outlying else TAKEN
+
+
+def row_lasting(row: Row, learned: Array) -> float:
+    """What of a step's torque is one that goes on besides [Nm]."""
+    return float(learned[at.LEARNED_TORQUE]) * math.tanh(row[at.OUT_SPEED] / STANDSTILL_MPS)

@@ -1,0 +1,137 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Says what is learned of a vehicle while it drives: names, how far its file lets each be off, and nuisances beside it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+
+# The filter's states: the departures of `estimator.columns`, then what is learned only so that it is not taken for them: offset
+# [Nm] and gain of the torque sensor, a torque against travel that wanders within minutes, and one that came at once [Nm].
+OFFSET, GAIN, SLOW, STEP = range(at.LEARNABLE, at.LEARNABLE + 4)
+STATES = at.LEARNABLE + 4
+VEHICLES_OWN = (at.OF_LOSS, at.OF_COOLING, at.OF_CAPACITY, at.OF_BEARING, at.OF_DRAG, at.OF_MASS)
+
+LEAST_STD = 0.02  # assumed: rubber wears and oil ages, so that no value of a file is known better for the whole of its life
+REACH_STD = 2.0  # the ranges of a vehicle file are read as +-2 standard deviations: nothing is learned beyond
+LEAST_FACTOR = 0.2  # of the file's value, whatever the ranges say
+OFFSET_SHARE = 0.005  # assumed: of the torque that rolling takes, standard deviation of a transducer's zero
+GAIN_STD = 0.005  # assumed: of a transducer (class 0.5); a motor's current is worse, which is no torque of its own
+ROLLING_SHARE = 0.01  # assumed: what rolling takes, over weight times sprocket radius; only where nothing was seen yet
+WANDERING_SHARE = 0.03  # assumed: of what rolling takes, standard deviation of what no model has
+
+
+@dataclass(frozen=True)
+class Learnable:
+    """One thing that is learned.
+
+    Attributes
+    ----------
+    name, unit, meaning
+        As it is published; the name is that of a re-fit by `trackres diagnose`.
+    state
+        Which state of the filter it is.
+    nominal
+        Value of the vehicle file in that unit. States are departures over it; offset and torques are themselves.
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    state: int
+    nominal: float
+
+    def value(self, departure: float) -> float:
+        """The value in its unit, of a departure."""
+        return self.nominal * (1.0 + departure) if self.state in VEHICLES_OWN or self.state == GAIN else departure
+
+    def size(self, std: float) -> float:
+        """A standard deviation in its unit, of one of the departure."""
+        return abs(self.nominal) * std if self.state in VEHICLES_OWN or self.state == GAIN else std
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """What is known before anything was learned.
+
+    Attributes
+    ----------
+    covariance
+        Of all states, shape (STATES, STATES).
+    low, high
+        Bounds of the departures, shape (STATES,); infinite where there are none.
+    rolling_nm
+        Size of the torque that rolling takes [Nm], until it is seen.
+    """
+
+    covariance: Array
+    low: Array
+    high: Array
+    rolling_nm: float
+
+
+def learnables(vehicle: Vehicle) -> tuple[Learnable, ...]:
+    """What is learned of a vehicle, in the order in which it is published."""
+    chassis = vehicle.chassis
+    return (
+        Learnable("loss_modulus_scale", "1", "loss of the belts", at.OF_LOSS, vehicle.rubber.loss_modulus_scale),
+        Learnable("bearing_friction", "1", "friction of bearings", at.OF_BEARING, chassis.bearing_friction),
+        Learnable("drag_coefficient", "1", "drag", at.OF_DRAG, chassis.drag_coefficient),
+        Learnable("rotating_mass_factor", "1", "mass where it accelerates", at.OF_MASS, chassis.rotating_mass_factor),
+        Learnable("film_scale", "1", "cooling of the belts", at.OF_COOLING, 1.0),
+        Learnable("capacity_scale", "1", "heat capacity of the belts", at.OF_CAPACITY, 1.0),
+        Learnable("torque_gain", "1", "gain of the torque sensor", GAIN, 1.0),
+        Learnable("torque_offset", "Nm", "offset of the torque sensor", OFFSET, 0.0),
+        Learnable("disturbance", "Nm", "torque against travel that wanders", SLOW, 0.0),
+        Learnable("step", "Nm", "torque against travel that came at once", STEP, 0.0),
+    )
+
+
+def make_prior(estimator: Estimator) -> Prior:
+    """What the ranges of the vehicle file leave open; what they tie together stays tied.
+
+    The sprockets' radius moves every torque alike. It is no state: what it is off by is part of all departures, which makes them
+    correlated.
+    """
+    k, number = estimator.constants, estimator.constants.number
+    vehicle = estimator.vehicle
+    mass = vehicle.parameters["chassis.rotating_mass_factor"]
+    load = k.assembly[:, at.NOMINAL_LOAD]
+    factor = (load / load.sum()) @ k.assembly[:, at.CONSIDER_FACTOR : at.CAUSES_OF]
+    factor = factor.reshape(4, 4)
+    causes = np.zeros((STATES, 4))
+    for state, rows in (
+        (at.OF_LOSS, (0, 3)),
+        (at.OF_COOLING, (1,)),
+        (at.OF_CAPACITY, (2,)),
+        (at.OF_BEARING, (3,)),
+        (at.OF_DRAG, (3,)),
+        (at.OF_MASS, (3,)),
+    ):
+        causes[state] = factor[list(rows)].sum(axis=0)
+    covariance = causes @ causes.T
+    covariance[at.OF_BEARING, at.OF_BEARING] += number.bearing_relative_std**2
+    covariance[at.OF_DRAG, at.OF_DRAG] += number.drag_relative_std**2
+    covariance[at.OF_MASS, at.OF_MASS] += (mass.standard_deviation / vehicle.chassis.rotating_mass_factor) ** 2
+    for state in VEHICLES_OWN:
+        covariance[state, state] += max(LEAST_STD**2 - covariance[state, state], 0.0)
+    rolling = ROLLING_SHARE * float(load @ k.assembly[:, at.RADIUS])
+    covariance[at.OF_BELT, at.OF_BELT] = number.initial_belt_std**2
+    covariance[OFFSET, OFFSET] = (OFFSET_SHARE * rolling) ** 2
+    covariance[GAIN, GAIN] = GAIN_STD**2
+    covariance[SLOW, SLOW] = (WANDERING_SHARE * rolling) ** 2
+    low, high = np.full(STATES, -np.inf), np.full(STATES, np.inf)
+    for state in VEHICLES_OWN:
+        reach = REACH_STD * float(np.sqrt(covariance[state, state]))
+        low[state], high[state] = max(-reach, LEAST_FACTOR - 1.0), reach
+    return Prior(covariance, low, high, rolling)

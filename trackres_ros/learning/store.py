@@ -1,0 +1,132 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""What was learned as plain values for a state file, bit by bit, and back; whatever no learning leaves is refused."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trackres_ros.errors import InputError
+from trackres_ros.learning.learner import Learner
+from trackres_ros.learning.parameters import VEHICLES_OWN
+
+LARGEST = 1e12  # of any number; times in ns are whole numbers and apart
+FARTHEST = 1 << 62
+NOT_YET = {"last_left": "nan", "torque": "nan", "step_s": "inf"}  # what stands where nothing was seen
+REACH = 1.0 + 1e-9  # of the bounds: rounding
+
+
+def stored(learner: Learner) -> dict[str, Any]:
+    """All that a learner remembers, ready for JSON."""
+    return {name: _plain(part) for name, part in _parts(learner).items()}
+
+
+def take(learner: Learner, given: object) -> None:
+    """Fill a new learner with what `stored` gave.
+
+    Raises
+    ------
+    ValueError
+        If it is not what a learner of this vehicle leaves; the learner is then as new.
+    """
+    try:
+        if not isinstance(given, Mapping):
+            raise TypeError("no mapping")
+        for name, part in _parts(learner).items():
+            _fill(part, given[name])
+        _check(learner)
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        learner.reset()
+        raise ValueError(f"what was learned: {str(error)[:80]}") from error
+
+
+def take_learned(learner: Learner, given: object, path: Path) -> None:
+    """As `take`, of a state file.
+
+    Raises
+    ------
+    InputError
+        If it is not what a learner of this vehicle leaves.
+    """
+    try:
+        take(learner, given)
+    except ValueError as error:
+        raise InputError(
+            f"state file {path}", str(error), "what this program learned", "delete the file to start anew"
+        ) from error
+
+
+def _parts(learner: Learner) -> dict[str, Any]:
+    buckets = learner.buckets
+    return {
+        "learned": learner.learned,
+        "second": learner.gate.second,
+        "samples": learner.gate.samples,
+        "buckets": {"seconds": buckets.seconds, "accelerating": buckets.accelerating},
+    }
+
+
+def _plain(part: Any) -> Any:
+    if dataclasses.is_dataclass(part):
+        return {item.name: _plain(getattr(part, item.name)) for item in dataclasses.fields(part)}
+    if isinstance(part, Mapping):
+        return {name: _plain(inner) for name, inner in part.items()}
+    if isinstance(part, np.ndarray):
+        return [float(value).hex() for value in part.ravel()]
+    return part if isinstance(part, bool | int) else float(part).hex()
+
+
+def _fill(part: Any, given: Any) -> None:
+    """Fill arrays in place and the fields of dataclasses, each by a value of its own kind."""
+    named = isinstance(part, Mapping)
+    names = list(part) if named else [item.name for item in dataclasses.fields(part)]
+    if not isinstance(given, Mapping) or set(given) != set(names):
+        raise TypeError("other entries than are kept")
+    for name in names:
+        now, new = part[name] if named else getattr(part, name), given[name]
+        if isinstance(now, np.ndarray):
+            if not isinstance(new, list) or len(new) != now.size:
+                raise TypeError(f"{name} of another length")
+            now[...] = np.array([_number(one, name) for one in new]).reshape(now.shape)
+        elif dataclasses.is_dataclass(now):
+            _fill(now, new)
+        elif isinstance(now, bool | int):
+            if type(new) is not type(now) or not -FARTHEST <= new <= FARTHEST:
+                raise TypeError(f"{name} is of another kind")
+            setattr(part, name, new)
+        else:
+            setattr(part, name, _number(new, name))
+
+
+def _number(given: object, name: str) -> float:
+    if not isinstance(given, str):
+        raise TypeError("a number that is not written as it is written here")
+    value = float.fromhex(given)
+    known = abs(value) <= LARGEST or repr(value) == NOT_YET.get(name)
+    if value.hex() != given or not known:
+        raise ValueError(f"a number {given[:20]}")
+    return value
+
+
+def _check(learner: Learner) -> None:
+    """Raise ValueError for what no learning leaves."""
+    s, prior = learner.learned, learner.prior
+    for covariance in (s.covariance, s.recent_covariance, s.before_covariance):
+        if np.linalg.eigvalsh(0.5 * (covariance + covariance.T)).min() < -1e-9 * np.abs(covariance).max():
+            raise ValueError("a covariance that is none")
+    for departures in (s.mean, s.recent_mean, s.before_mean, s.aim, s.applied):
+        for state in VEHICLES_OWN:
+            if not prior.low[state] * REACH <= departures[state] <= prior.high[state] * REACH:
+                raise ValueError("a departure outside of the vehicle file's ranges")
+    sizes = [s.seconds, s.rolling, s.noise, s.disagrees, s.lasting_s, s.step_s, learner.gate.samples.deviation]
+    sizes += [s.wandering.variance, s.contest.variance]
+    if not all(size >= 0.0 for size in sizes):
+        raise ValueError("a size that is none")
+    if not ((learner.buckets.seconds >= 0.0).all() and (learner.buckets.accelerating >= 0.0).all()):
+        raise ValueError("seconds that are none")

@@ -1,0 +1,88 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Writes a vehicle file that starts from what was learned; what does not count as learned, or is no better, stays as it was."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from trackres_ros.diagnosis.writing.kept import Kept
+from trackres_ros.diagnosis.writing.vehicle_file import rubber_share, write_track_vehicle
+from trackres_ros.diagnosis.writing.yaml_edit import Document
+from trackres_ros.estimator import columns as at
+from trackres_ros.learning.filter import known_of_others
+from trackres_ros.learning.learner import Learner
+from trackres_ros.learning.parameters import VEHICLES_OWN
+from trackres_ros.vehicle import Vehicle
+from trackres_ros.vehicle.reading import FITTED
+from trackres_ros.vehicle.schema import BELT, CHASSIS, RUBBER, Limits
+
+REACH_STD = 2.0  # ranges are read as +-2 standard deviations
+FIGURES = 6
+REASON = "learned by trackres while driving"
+
+
+def write_learned(learner: Learner, vehicle: Vehicle, path: Path) -> list[str]:
+    """Write the file of a vehicle with what was learned of it.
+
+    Returns
+    -------
+    list of str
+        Paths of the values that are other than they were.
+    """
+    counts = [state for state in VEHICLES_OWN if learner.acts and learner.counts(state)]
+    minutes = learner.learned.seconds / 60.0
+    text = f"Written by trackres replay --save-vehicle, learned from {minutes:.0f} min of driving"
+    write_track_vehicle(vehicle, path, Kept(None, (), {}), text)
+    document = Document(path.read_text(encoding="utf-8"))
+    stds = _stds(learner, counts)
+    applied = learner.learned.applied.tolist()
+    written = [name for state in counts for name in _set(document, vehicle, state, applied[state], stds[state])]
+    if written:
+        path.write_text(document.text() or f"# {text}\n{document.plain()}", encoding="utf-8")
+    return written
+
+
+def _stds(learner: Learner, counts: list[int]) -> dict[int, float]:
+    """Standard deviations of what counts, where all else is as the file has it."""
+    learned = np.zeros(at.LEARNABLE, dtype=bool)
+    learned[counts] = True
+    covariance = known_of_others(learner.learned.covariance[: at.LEARNABLE, : at.LEARNABLE], learned)
+    return {state: math.sqrt(max(float(covariance[state, state]), 0.0)) for state in counts}
+
+
+def _set(document: Document, vehicle: Vehicle, state: int, departure: float, std: float) -> list[str]:
+    """Put a departure into the values of the file that it is of; their paths."""
+    share = rubber_share(vehicle)  # of the heat that a belt holds: cords hold the rest
+    of_track = [f"tracks.{name}.belt.{film}" for name in vehicle.tracks for film in ("film_offset", "film_slope")]
+    places: dict[int, tuple[tuple[str, ...], float, Limits | None]] = {
+        at.OF_LOSS: (("rubber.loss_modulus_scale",), 1.0, RUBBER["loss_modulus_scale"]),
+        at.OF_CAPACITY: (("rubber.heat_capacity",), 1.0 / share, RUBBER["heat_capacity"]),
+        at.OF_COOLING: (tuple(of_track), 1.0, None),
+        at.OF_BEARING: (("chassis.bearing_friction",), 1.0, CHASSIS["bearing_friction"]),
+        at.OF_DRAG: (("chassis.drag_coefficient",), 1.0, CHASSIS["drag_coefficient"]),
+        at.OF_MASS: (("chassis.rotating_mass_factor",), 1.0, CHASSIS["rotating_mass_factor"]),
+    }
+    paths, factor, limits = places[state]
+    for path in paths:
+        old = vehicle.parameters[path]
+        assert isinstance(old.value, float)
+        limit = limits or BELT[path.rpartition(".")[2]]
+        value, low, high = (
+            min(max(old.value * (1.0 + factor * x), limit.low), limit.high)
+            for x in (departure, departure - REACH_STD * std, departure + REACH_STD * std)
+        )
+        before = f"{REASON}; before it {old.value:g} ({old.flag}): {old.reason}"
+        reason = old.reason if old.reason.startswith(REASON) else before
+        new = {"value": _figures(value), "range": [_figures(low), _figures(high)], "flag": FITTED, "reason": reason}
+        for key, given in new.items():
+            document.set((*path.split("."), key), given)
+    return list(paths)
+
+
+def _figures(value: float) -> float:
+    return float(f"{value:.{FIGURES}g}")

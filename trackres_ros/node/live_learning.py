@@ -1,0 +1,103 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The learning of a running node: what it is shown, what it says, and the three ways it can be: off, watching, on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.estimator import Estimator, Session
+from trackres_ros.learning.columns import LearningColumns, lines, ranges_of, shown
+from trackres_ros.learning.learner import Learner
+from trackres_ros.node.edge import Level, Status
+from trackres_ros.node.remarks import Remark
+
+OFF, ON = "off", "on"
+
+
+class LiveLearning:
+    """A learner where a torque is measured; else nothing is learned, and nothing changes.
+
+    Parameters
+    ----------
+    estimator
+        Of the node.
+    mode
+        `off`, `watch` or `on`. What was learned is kept while it is off.
+    measured
+        Whether a torque is measured at all.
+    """
+
+    def __init__(self, estimator: Estimator, mode: str, measured: bool) -> None:
+        self.mode = mode
+        self.learner = Learner(estimator, mode) if measured else None
+        self._columns = None if self.learner is None else LearningColumns(self.learner)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of what stands behind the columns of the estimate."""
+        return () if self._columns is None else self._columns.names
+
+    def take(self, stamp_ns: int, row: list[float], session: Session) -> None:
+        """Take the results of a step."""
+        if self.learner is not None and self.mode != OFF:
+            self.learner.take(stamp_ns, row, session)
+
+    def columns(self, row: list[float], session: Session) -> list[float]:
+        """The columns behind those of a step that was taken, as `names` has them."""
+        return [] if self._columns is None else self._columns.of(row, session)
+
+    def change(self, mode: str, session: Session) -> None:
+        """Go on in another way; what was learned stays, and acts only where it is on."""
+        if self.learner is None or mode == self.mode:
+            self.mode = mode
+            return
+        if mode == OFF or self.mode == OFF:
+            self.learner.restart()
+        self.mode = self.learner.mode = mode
+        if mode != ON:
+            session.learned[: at.SENSITIVITIES] = 0.0
+
+    def restart(self) -> None:
+        """The estimate starts anew; what was learned of the vehicle stays."""
+        if self.learner is not None:
+            self.learner.restart()
+
+    def reset(self, session: Session) -> str:
+        """Forget what was learned; what was done, in words."""
+        session.learned[: at.SENSITIVITIES] = 0.0
+        if self.learner is None:
+            return "no torque is measured, so nothing was learned"
+        self.learner.reset()
+        return "what was learned of the vehicle is forgotten: the vehicle file counts"
+
+    @property
+    def text(self) -> str:
+        """What is going on, in a sentence; empty where no torque is measured."""
+        if self.learner is None:
+            return ""
+        return "off" if self.mode == OFF else self.learner.text
+
+    def statuses(self, node: str, vehicle: str) -> Sequence[Status]:
+        """A status of each thing that is learned, as they are published."""
+        if self.learner is None or self.mode == OFF:
+            return ()
+        level = Level.WARN if self.learner.frozen else Level.OK
+        values = shown(self.learner)
+        overall = (("mode", self.mode), ("acts", str(self.learner.acts).lower()), ("frozen", self.learner.frozen))
+        head = Status(level, f"{node}: learning", self.text, vehicle, overall)
+        return [
+            head,
+            *(
+                Status(level, f"{node}: {name}", message, vehicle, known)
+                for name, message, known in lines(self.learner.learnables, ranges_of(self.learner), values)
+            ),
+        ]
+
+    def remarks(self) -> list[Remark]:
+        """What is to be remarked of it."""
+        if self.learner is None or self.mode == OFF or not self.learner.frozen:
+            return []
+        return [Remark("LEARNING_FROZEN", f"nothing is learned of the vehicle now: {self.learner.frozen}")]
