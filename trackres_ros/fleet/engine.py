@@ -129,9 +129,9 @@ def _done(client: Client, function: Callable[[Work], Any], work: Iterable[Work],
     completed = as_completed(begun, loop=client.loop)
     del begun
     for future in completed:
-        if future.status in ("cancelled", "lost"):
+        if future.status == "cancelled":
             raise _gone(client)
-        try:
+        try:  # a result that went with its worker is waited for: it is computed anew
             result = future.exception() if future.status == "error" else future.result()
         except Exception as error:
             raise _gone(client) from error
