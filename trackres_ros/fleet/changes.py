@@ -116,10 +116,9 @@ class Best:
 def course(pooled: Pooled, vehicle: str) -> Course:
     """Of one vehicle of the pool."""
     of = pooled.of.some(pooled.of.vehicle == vehicle)
-    p = len(of.names)
     linear = of.linear - np.einsum("nij,j,n->ni", of.precision, pooled.follows, of.air)
-    precision, linear, _ = softened(of.precision, np.asarray(linear), pooled.within**2)
-    prior = np.asarray(np.linalg.inv(np.diag(pooled.between**2) + pooled.covariance[:p, :p]))
+    precision, linear = softened(of.precision, np.asarray(linear), pooled.within)
+    prior = np.asarray(np.linalg.inv(pooled.between + pooled.covariance))
     looked_for = tuple(of.names.index(name) for name in SUFFER_CHANGE if name in of.names)
     return Course(precision, linear, prior, prior @ pooled.mean, of.time_s, looked_for)
 

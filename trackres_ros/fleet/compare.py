@@ -161,7 +161,7 @@ def _of_fleet(folder: Path, vehicle: str, day: str, given: str) -> Side:
     of = whole.of.some(np.array([url in wanted for url in whole.of.urls]))
     # How recordings differ is learned of all; what the parameters are of those chosen alone, with the vehicle file's ranges.
     linear = of.linear - np.einsum("nij,j,n->ni", of.precision, whole.follows, of.air)
-    precision, linear, _ = softened(of.precision, linear, whole.within**2)
+    precision, linear = softened(of.precision, linear, whole.within)
     covariance = np.linalg.inv(np.eye(len(of.names)) + precision.sum(axis=0))
     mean = covariance @ linear.sum(axis=0)
     scale = np.outer(of.std, of.std)

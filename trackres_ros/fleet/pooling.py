@@ -12,11 +12,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 
 from trackres_ros.errors import InputError
 
@@ -24,9 +23,10 @@ Array = NDArray[np.float64]
 
 AMBIENT_DEGC, AMBIENT_STEP_K = 15.0, 10.0  # about which, and over how much, parameters are said to follow the air's temperature
 FOLLOWS_STD = 0.3  # by how much they may, in standard deviations of the vehicle file [1/AMBIENT_STEP_K]
-VEHICLES_STD, RECORDINGS_STD = 0.5, 0.3  # half-normal scales: of how vehicles of a type differ, and recordings of one vehicle
-LEAST_STD = 1e-3
-MOST_ROWS = 20_000  # of which it is learned how vehicles and recordings differ; means are of all
+VEHICLES_STD, RECORDINGS_STD = 0.3, 0.1  # of how vehicles of a type differ, and recordings of one vehicle, before any is seen,
+WORTH = 3.0  # as if that many had been
+ROUNDS, SETTLED = 100, 1e-3  # of learning how they differ; relative change of a variance at which it ends
+MOST_ROWS = 5_000  # of which it is learned; means are of all
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +113,7 @@ class Pooled:
     follows
         What `AMBIENT_STEP_K` more add, shape (p,).
     between, within
-        Standard deviations among vehicles, and among recordings of one, shape (p,).
+        Covariances among vehicles, and among recordings of one, shape (p, p).
     by_vehicle
         Mean and covariance of each vehicle.
     """
@@ -133,24 +133,21 @@ class Pooled:
         return float(self.of.nominal[i] + self.of.std[i] * mean[i]), float(self.of.std[i] * np.sqrt(covariance[i, i]))
 
 
-def softened(precision: Array, linear: Array, variance: Array) -> tuple[Array, Array, Array]:
-    """Likelihoods of a mean about which parameters scatter, and their logarithms at mean zero.
+def softened(precision: Array, linear: Array, spread: Array) -> tuple[Array, Array]:
+    """Likelihoods of a mean about which parameters scatter.
 
     Parameters
     ----------
     precision, linear
         Of what scatters, shapes (..., p, p) and (..., p).
-    variance
-        Of the scatter, shape (p,), or (p, p).
+    spread
+        Covariance of the scatter, shape (p, p).
     """
-    spread = np.diag(variance) if variance.ndim == 1 else variance
-    eye = np.eye(precision.shape[-1])
-    mixed = eye + precision @ spread
+    mixed = np.eye(precision.shape[-1]) + precision @ spread
     softer = np.asarray(np.linalg.solve(mixed, precision))
     softer = np.asarray(0.5 * (softer + np.swapaxes(softer, -1, -2)))
     moved = np.asarray(np.linalg.solve(mixed, linear[..., np.newaxis])[..., 0])
-    log = -0.5 * np.linalg.slogdet(mixed)[1] + 0.5 * np.einsum("...i,ij,...j->...", linear, spread, moved)
-    return softer, moved, np.asarray(log)
+    return softer, moved
 
 
 def with_air(precision: Array, linear: Array, air: Array) -> tuple[Array, Array]:
@@ -162,7 +159,10 @@ def with_air(precision: Array, linear: Array, air: Array) -> tuple[Array, Array]
 
 
 def pool(data: Vehicles) -> Pooled:
-    """Fit type, vehicles and scatter together: the standard deviations by what is most probable, the means given those.
+    """Fit type, vehicles and scatter together: the covariances by what is most probable, the means given those.
+
+    Recordings of one vehicle scatter by weather and load, which move several parameters at once: what tells them apart least
+    scatters most. So the scatter has correlations.
 
     Raises
     ------
@@ -172,48 +172,76 @@ def pool(data: Vehicles) -> Pooled:
     if not len(data):
         raise InputError("recordings", "none that could be compared", "at least one")
     between, within = _spreads(data)
-    _, mean, covariance = _means(data, between, within)
-    p = len(data.names)
-    by_vehicle = {}
-    for name in np.unique(data.vehicle):
-        of = data.some(data.vehicle == name)
-        softer, moved, _ = softened(of.precision, of.linear - np.einsum("nij,j,n->ni", of.precision, mean[p:], of.air), within**2)
-        own = np.diag(between**2) + covariance[:p, :p]
-        posterior = np.linalg.inv(np.linalg.inv(own) + softer.sum(axis=0))
-        by_vehicle[str(name)] = posterior @ (np.linalg.solve(own, mean[:p]) + moved.sum(axis=0)), posterior
-    return Pooled(data, mean[:p], covariance[:p, :p], mean[p:], between, within, by_vehicle)
+    p, (type_, vehicles) = len(data.names), _means(data, between, within)
+    by_vehicle = {name: (v.itself.mean[:p], v.itself.covariance[:p, :p]) for name, v in vehicles.items()}
+    return Pooled(data, type_.mean[:p], type_.covariance[:p, :p], type_.mean[p:], between, within, by_vehicle)
+
+
+class Known(NamedTuple):
+    """Mean and covariance of the parameters at `AMBIENT_DEGC` and of what they follow the air by, shapes (2p,) and (2p, 2p)."""
+
+    mean: Array
+    covariance: Array
+
+
+class KnownVehicle(NamedTuple):
+    """A vehicle, and how far it is from its type."""
+
+    itself: Known
+    off: Known
 
 
 def _spreads(data: Vehicles) -> tuple[Array, Array]:
+    """Covariances among vehicles and among recordings of one, by expectation and maximisation: Dempster, Laird and Rubin, Journal
+    of the Royal Statistical Society B 39 (1977) 1.
+    """
     p = len(data.names)
-    chosen = data
     if len(data) > MOST_ROWS:
-        chosen = data.some(np.sort(np.random.default_rng(0).choice(len(data), MOST_ROWS, replace=False)))
-    scales = np.concatenate((np.full(p, VEHICLES_STD), np.full(p, RECORDINGS_STD)))
+        data = data.some(np.sort(np.random.default_rng(0).choice(len(data), MOST_ROWS, replace=False)))
+    between, within = VEHICLES_STD**2 * np.eye(p), RECORDINGS_STD**2 * np.eye(p)
+    first_between, first_within = between, within
+    one = np.stack((np.ones_like(data.air), data.air), axis=1)
+    names, of = np.unique(data.vehicle, return_inverse=True)
+    for _ in range(ROUNDS):
+        _, vehicles = _means(data, between, within)
+        known, apart = zip(*(vehicles[str(name)] for name in names), strict=True)
+        # Where the mean of each recording lies, by what is known of its vehicle, and how sure that is.
+        means, covariances = np.array([k.mean for k in known])[of], np.array([k.covariance for k in known])[of]
+        mean = np.einsum("na,nai->ni", one, means.reshape(-1, 2, p))
+        unsure = np.einsum("na,nb,naibj->nij", one, one, covariances.reshape(-1, 2, p, 2, p))
+        # What each recording is off that: its own likelihood, and the scatter as it is known so far.
+        narrowed = np.linalg.solve(np.eye(p) + within @ data.precision, np.broadcast_to(within, data.precision.shape))
+        off = np.einsum("nij,nj->ni", narrowed, data.linear - np.einsum("nij,nj->ni", data.precision, mean))
+        pulled = narrowed @ data.precision
+        scatter = narrowed + np.einsum("ni,nj->nij", off, off) + pulled @ unsure @ np.swapaxes(pulled, 1, 2)
+        among = sum((np.outer(k.mean, k.mean) + k.covariance)[:p, :p] for k in apart)
+        before = np.diag(within)
+        within = (scatter.sum(axis=0) + WORTH * first_within) / (len(data) + WORTH)
+        between = (among + WORTH * first_between) / (len(names) + WORTH)
+        if np.abs(np.diag(within) / before - 1.0).max() < SETTLED:
+            break
+    return between, within
 
-    def cost(logs: Array) -> float:
-        stds = np.exp(logs)
-        return -_means(chosen, stds[:p], stds[p:])[0] + 0.5 * float(((stds / scales) ** 2).sum()) - 0.1 * float(logs.sum())
 
-    bounds = [(np.log(LEAST_STD), np.log(10.0))] * (2 * p)
-    found = minimize(cost, np.log(0.3 * scales), method="L-BFGS-B", bounds=bounds, options={"maxiter": 60})
-    stds = np.exp(found.x)
-    return stds[:p], stds[p:]
-
-
-def _means(data: Vehicles, between: Array, within: Array) -> tuple[float, Array, Array]:
-    """Log-likelihood of standard deviations; mean and covariance of the type, and of what it follows the air by."""
+def _means(data: Vehicles, between: Array, within: Array) -> tuple[Known, dict[str, KnownVehicle]]:
+    """What is known of the type, and of each vehicle by all, given how they scatter."""
     p = len(data.names)
-    softer, moved, log = softened(data.precision, data.linear, within**2)
-    total = float(log.sum())
+    softer, moved = softened(data.precision, data.linear, within)
     both, linear = with_air(softer, moved, data.air)
     starts = np.concatenate(([0], np.flatnonzero(data.vehicle[1:] != data.vehicle[:-1]) + 1))
     both, linear = np.add.reduceat(both, starts), np.add.reduceat(linear, starts)
-    spread = np.concatenate((between**2, np.zeros(p)))
-    softer, moved, log = softened(both, linear, spread)
+    spread = np.zeros((2 * p, 2 * p))
+    spread[:p, :p] = between
+    softer, moved = softened(both, linear, spread)
     prior = np.diag(np.concatenate((np.ones(p), np.full(p, FOLLOWS_STD**-2.0))))
-    precision, right = prior + softer.sum(axis=0), moved.sum(axis=0)
-    covariance = np.linalg.inv(precision)
-    mean = covariance @ right
-    total += float(log.sum()) - 0.5 * float(np.linalg.slogdet(precision)[1]) + 0.5 * float(right @ mean)
-    return total, mean, covariance
+    covariance = np.linalg.inv(prior + softer.sum(axis=0))
+    type_ = Known(covariance @ moved.sum(axis=0), covariance)
+    vehicles = {}
+    for start, precision, right in zip(starts, both, linear, strict=True):
+        narrowed = np.linalg.solve(np.eye(2 * p) + spread @ precision, spread)
+        pulled = narrowed @ precision
+        off = Known(narrowed @ (right - precision @ type_.mean), narrowed + pulled @ covariance @ pulled.T)
+        kept = np.eye(2 * p) - pulled
+        itself = Known(type_.mean + off.mean, narrowed + kept @ covariance @ kept.T)
+        vehicles[str(data.vehicle[start])] = KnownVehicle(itself, off)
+    return type_, vehicles

@@ -128,8 +128,8 @@ def _type(of: Pooled) -> dict[str, Any]:
             "file": float(of.of.nominal[i]),
             "value": value,
             "std": std,
-            "between_vehicles": scale * float(of.between[i]),
-            "between_recordings": scale * float(of.within[i]),
+            "between_vehicles": scale * float(of.between[i, i] ** 0.5),
+            "between_recordings": scale * float(of.within[i, i] ** 0.5),
             "per_10_k_of_air": scale * float(of.follows[i]),
         }
     return {"vehicles": sorted(of.by_vehicle), "recordings": len(of.of), "parameters": parameters}
@@ -142,7 +142,7 @@ def _vehicle(
     for i, parameter in enumerate(of.of.names):
         value, std = of.value(name, parameter)
         typical = of.value(None, parameter)[0]
-        unusual = float((of.by_vehicle[name][0][i] - of.mean[i]) / max(float(of.between[i]), 1e-9))
+        unusual = float((of.by_vehicle[name][0][i] - of.mean[i]) / max(float(of.between[i, i] ** 0.5), 1e-9))
         values[parameter] = {"value": value, "std": std, "beyond_type": value - typical, "in_stds_of_type": unusual}
     changes, least = vehicle_changes(of, name, rate)
     starts = [row["start_s"] for row in rows]
