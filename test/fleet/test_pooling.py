@@ -83,6 +83,18 @@ def test_what_scatters_together_is_found_to():
     assert together > apart + 0.2
 
 
+def test_a_day_of_rain_counts_little_and_hides_no_change():
+    def moved(v, r):
+        return np.array([0.5 * (v == 2 and r >= 12) + 2.0 * ((5 * v + r) % 12 == 0), 0.0, 0.0])
+
+    pooled = pool(drawn(moved=moved))
+    wet = np.array([(5 * v + r) % 12 == 0 for v in range(8) for r in range(24)])
+    assert pooled.weight[wet].max() < 0.2 * np.median(pooled.weight[~wet])
+    found = {v: vehicle_changes(pooled, v)[0] for v in pooled.by_vehicle}
+    assert [c.parameter for c in found.pop("v2")] == ["bearing_friction"]
+    assert not any(found.values())
+
+
 def test_a_vehicle_with_little_to_say_is_taken_to_be_as_its_type_is():
     data = drawn(recordings=12)
     known = pool(data)

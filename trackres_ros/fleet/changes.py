@@ -115,9 +115,10 @@ class Best:
 
 def course(pooled: Pooled, vehicle: str) -> Course:
     """Of one vehicle of the pool."""
-    of = pooled.of.some(pooled.of.vehicle == vehicle)
+    own = pooled.of.vehicle == vehicle
+    of = pooled.of.some(own)
     linear = of.linear - np.einsum("nij,j,n->ni", of.precision, pooled.follows, of.air)
-    precision, linear = softened(of.precision, np.asarray(linear), pooled.within)
+    precision, linear = softened(of.precision, np.asarray(linear), pooled.scatter(own))
     prior = np.asarray(np.linalg.inv(pooled.between + pooled.covariance))
     looked_for = tuple(of.names.index(name) for name in SUFFER_CHANGE if name in of.names)
     return Course(precision, linear, prior, prior @ pooled.mean, of.time_s, looked_for)

@@ -26,6 +26,8 @@ FOLLOWS_STD = 0.3  # by how much they may, in standard deviations of the vehicle
 VEHICLES_STD, RECORDINGS_STD = 0.3, 0.1  # of how vehicles of a type differ, and recordings of one vehicle, before any is seen,
 WORTH = 3.0  # as if that many had been
 ROUNDS, SETTLED = 100, 1e-3  # of learning how they differ; relative change of a variance at which it ends
+DEGREES = 4.0  # of freedom: weather scatters as Student's t, most days little and some a lot
+TURNS = 10  # of weights and means, the covariances being known
 MOST_ROWS = 5_000  # of which it is learned; means are of all
 
 
@@ -114,6 +116,8 @@ class Pooled:
         What `AMBIENT_STEP_K` more add, shape (p,).
     between, within
         Covariances among vehicles, and among recordings of one, shape (p, p).
+    weight
+        Of each recording, shape (n,): one that is far from its vehicle scatters as `within` over its weight.
     by_vehicle
         Mean and covariance of each vehicle.
     """
@@ -124,7 +128,12 @@ class Pooled:
     follows: Array
     between: Array
     within: Array
+    weight: Array
     by_vehicle: dict[str, tuple[Array, Array]]
+
+    def scatter(self, rows: NDArray[np.bool_]) -> Array:
+        """Covariance by which some recordings scatter, shape (n, p, p)."""
+        return _scatter(self.within, self.weight[rows])
 
     def value(self, vehicle: str | None, name: str) -> tuple[float, float]:
         """A parameter's value and standard deviation in its unit, of a vehicle or of the type."""
@@ -141,13 +150,17 @@ def softened(precision: Array, linear: Array, spread: Array) -> tuple[Array, Arr
     precision, linear
         Of what scatters, shapes (..., p, p) and (..., p).
     spread
-        Covariance of the scatter, shape (p, p).
+        Covariance of the scatter, shape (p, p), or of each (..., p, p).
     """
     mixed = np.eye(precision.shape[-1]) + precision @ spread
     softer = np.asarray(np.linalg.solve(mixed, precision))
     softer = np.asarray(0.5 * (softer + np.swapaxes(softer, -1, -2)))
     moved = np.asarray(np.linalg.solve(mixed, linear[..., np.newaxis])[..., 0])
     return softer, moved
+
+
+def _scatter(within: Array, weight: Array) -> Array:
+    return np.asarray(within / weight[:, np.newaxis, np.newaxis])
 
 
 def with_air(precision: Array, linear: Array, air: Array) -> tuple[Array, Array]:
@@ -172,9 +185,12 @@ def pool(data: Vehicles) -> Pooled:
     if not len(data):
         raise InputError("recordings", "none that could be compared", "at least one")
     between, within = _spreads(data)
-    p, (type_, vehicles) = len(data.names), _means(data, between, within)
+    weight = np.ones(len(data))
+    for _ in range(TURNS):
+        weight = _off(data, between, within, weight).weight
+    p, (type_, vehicles) = len(data.names), _means(data, between, within, weight)
     by_vehicle = {name: (v.itself.mean[:p], v.itself.covariance[:p, :p]) for name, v in vehicles.items()}
-    return Pooled(data, type_.mean[:p], type_.covariance[:p, :p], type_.mean[p:], between, within, by_vehicle)
+    return Pooled(data, type_.mean[:p], type_.covariance[:p, :p], type_.mean[p:], between, within, weight, by_vehicle)
 
 
 class Known(NamedTuple):
@@ -200,33 +216,52 @@ def _spreads(data: Vehicles) -> tuple[Array, Array]:
         data = data.some(np.sort(np.random.default_rng(0).choice(len(data), MOST_ROWS, replace=False)))
     between, within = VEHICLES_STD**2 * np.eye(p), RECORDINGS_STD**2 * np.eye(p)
     first_between, first_within = between, within
-    one = np.stack((np.ones_like(data.air), data.air), axis=1)
-    names, of = np.unique(data.vehicle, return_inverse=True)
+    weight, count = np.ones(len(data)), len(np.unique(data.vehicle))
     for _ in range(ROUNDS):
-        _, vehicles = _means(data, between, within)
-        known, apart = zip(*(vehicles[str(name)] for name in names), strict=True)
-        # Where the mean of each recording lies, by what is known of its vehicle, and how sure that is.
-        means, covariances = np.array([k.mean for k in known])[of], np.array([k.covariance for k in known])[of]
-        mean = np.einsum("na,nai->ni", one, means.reshape(-1, 2, p))
-        unsure = np.einsum("na,nb,naibj->nij", one, one, covariances.reshape(-1, 2, p, 2, p))
-        # What each recording is off that: its own likelihood, and the scatter as it is known so far.
-        narrowed = np.linalg.solve(np.eye(p) + within @ data.precision, np.broadcast_to(within, data.precision.shape))
-        off = np.einsum("nij,nj->ni", narrowed, data.linear - np.einsum("nij,nj->ni", data.precision, mean))
-        pulled = narrowed @ data.precision
-        scatter = narrowed + np.einsum("ni,nj->nij", off, off) + pulled @ unsure @ np.swapaxes(pulled, 1, 2)
-        among = sum((np.outer(k.mean, k.mean) + k.covariance)[:p, :p] for k in apart)
-        before = np.diag(within)
-        within = (scatter.sum(axis=0) + WORTH * first_within) / (len(data) + WORTH)
-        between = (among + WORTH * first_between) / (len(names) + WORTH)
+        off, before = _off(data, between, within, weight), np.diag(within)
+        weight = off.weight
+        within = (np.einsum("n,nij->ij", weight, off.recordings) + WORTH * first_within) / (len(data) + WORTH)
+        between = (off.vehicles + WORTH * first_between) / (count + WORTH)
         if np.abs(np.diag(within) / before - 1.0).max() < SETTLED:
             break
     return between, within
 
 
-def _means(data: Vehicles, between: Array, within: Array) -> tuple[Known, dict[str, KnownVehicle]]:
+class Off(NamedTuple):
+    """Expected squares of how far vehicles are from their type, their sum, shape (p, p), and recordings from their vehicle, shape
+    (n, p, p), each by all that is known; and the weights that follow, shape (n,).
+    """
+
+    vehicles: Array
+    recordings: Array
+    weight: Array
+
+
+def _off(data: Vehicles, between: Array, within: Array, weight: Array) -> Off:
+    p = len(data.names)
+    names, of = np.unique(data.vehicle, return_inverse=True)
+    vehicles = _means(data, between, within, weight)[1]
+    known, apart = zip(*(vehicles[str(name)] for name in names), strict=True)
+    one = np.stack((np.ones_like(data.air), data.air), axis=1)
+    # Where the mean of each recording lies, by what is known of its vehicle, and how sure that is.
+    means, covariances = np.array([k.mean for k in known])[of], np.array([k.covariance for k in known])[of]
+    mean = np.einsum("na,nai->ni", one, means.reshape(-1, 2, p))
+    unsure = np.einsum("na,nb,naibj->nij", one, one, covariances.reshape(-1, 2, p, 2, p))
+    # What each recording is off that: its own likelihood, and the scatter as it is known so far.
+    spread = _scatter(within, weight)
+    narrowed = np.linalg.solve(np.eye(p) + spread @ data.precision, spread)
+    off = np.einsum("nij,nj->ni", narrowed, data.linear - np.einsum("nij,nj->ni", data.precision, mean))
+    pulled = narrowed @ data.precision
+    squares = narrowed + np.einsum("ni,nj->nij", off, off) + pulled @ unsure @ np.swapaxes(pulled, 1, 2)
+    distance = np.einsum("ij,nij->n", np.linalg.inv(within), squares)
+    among = np.sum([(np.outer(k.mean, k.mean) + k.covariance)[:p, :p] for k in apart], axis=0)
+    return Off(among, squares, (DEGREES + p) / (DEGREES + distance))
+
+
+def _means(data: Vehicles, between: Array, within: Array, weight: Array) -> tuple[Known, dict[str, KnownVehicle]]:
     """What is known of the type, and of each vehicle by all, given how they scatter."""
     p = len(data.names)
-    softer, moved = softened(data.precision, data.linear, within)
+    softer, moved = softened(data.precision, data.linear, _scatter(within, weight))
     both, linear = with_air(softer, moved, data.air)
     starts = np.concatenate(([0], np.flatnonzero(data.vehicle[1:] != data.vehicle[:-1]) + 1))
     both, linear = np.add.reduceat(both, starts), np.add.reduceat(linear, starts)
