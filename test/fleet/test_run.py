@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 from contextlib import contextmanager
+from urllib.request import urlopen
 
 import pytest
 from waiting import wait_for
@@ -18,7 +19,7 @@ pytest.importorskip("fsspec")
 pytest.importorskip("pyarrow")
 
 from trackres_ros.fleet.dataset import FleetDataset
-from trackres_ros.fleet.engine import DEATHS, done, engine, why
+from trackres_ros.fleet.engine import DEATHS, dashboard, done, engine, why
 
 SIX = {f"truck-0{v}/drive_000{n}.csv" for v in (1, 2) for n in (1, 2, 3)}
 
@@ -192,6 +193,13 @@ def test_work_that_kills_its_worker_each_time_ends_and_the_other_work_is_done():
     assert found["1 + 1"] == 2
     assert found["2 + 2"] == 4
     assert f"{DEATHS} workers died" in why(found[deadly])
+
+
+@pytest.mark.long
+def test_the_engines_own_page_answers_where_it_has_one():
+    pytest.importorskip("bokeh")
+    with engine("local", 1) as client, urlopen(dashboard(client)) as page:
+        assert page.status == 200
 
 
 @pytest.mark.parametrize(("address", "part"), [("tcp://127.0.0.1:1", "no scheduler answers"), ("somewhere", "tcp://HOST:PORT")])

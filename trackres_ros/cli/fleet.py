@@ -105,7 +105,14 @@ def run_command(
     dataset = FleetDataset(output)
     with ExitStack() as bars:
         counts = run(
-            recordings, fleet, dataset, engine, workers, hide, lambda total: bars.enter_context(progress("recordings", total))
+            recordings,
+            fleet,
+            dataset,
+            engine,
+            workers,
+            hide,
+            lambda total: bars.enter_context(progress("recordings", total)),
+            lambda page: click.echo(f"the engine's own page: {page}", err=True),
         )
     asked.keep(output, fleet)
     if period != "none":

@@ -55,6 +55,8 @@ class VehicleChange:
         How many it took until then.
     before, size, size_std
         The value before, and by how much it changed to the last recording, in the parameter's unit.
+    relative
+        Its size over the value before; nan of what the vehicle file says is 0, as an error of an instrument.
     gain
         In log-likelihood.
     """
@@ -68,12 +70,8 @@ class VehicleChange:
     before: float
     size: float
     size_std: float
+    relative: float
     gain: float
-
-    @property
-    def relative(self) -> float:
-        """Its size over the value before."""
-        return self.size / self.before if self.before else float("nan")
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,6 +262,7 @@ def vehicle_changes(pooled: Pooled, vehicle: str, rate: float = FALSE_ALARMS) ->
                 before=float(before),
                 size=float(best.size * reach),
                 size_std=float(best.std * reach),
+                relative=float(best.size * reach / before) if nominal[best.parameter] and before else float("nan"),
                 gain=best.gain,
             )
         )

@@ -92,6 +92,13 @@ def engine(address: str, workers: int | None = None) -> Iterator[Client]:
             yield client
 
 
+def dashboard(client: Client) -> str:
+    """Address of the engine's own page, empty where it has none: it needs bokeh beside the scheduler."""
+    port = client.scheduler_info()["services"].get("dashboard")
+    host = client.scheduler.address.partition("://")[2].rpartition(":")[0] if client.scheduler else ""
+    return f"http://{host}:{port}/status" if port and host else ""
+
+
 def done(client: Client, function: Callable[[Work], Any], work: Iterable[Work]) -> Iterator[tuple[Work, Any]]:
     """Each piece of work with its result, or with the exception that ended it, as they come.
 

@@ -180,7 +180,7 @@ def _change(found: VehicleChange, last_s: float, limit: float | None) -> dict[st
         "before": found.before,
         "size": found.size,
         "size_std": found.size_std,
-        "relative": found.relative,
+        "relative": found.relative if np.isfinite(found.relative) else None,
         "gain": found.gain,
     }
     return content | {"forecast": forecast(found, last_s, limit)}
@@ -226,7 +226,9 @@ def change_sentence(vehicle: str, c: Mapping[str, Any]) -> str:
         if c["kind"] == RAMP
         else (f"{c['parameter']} {'rose' if c['size'] > 0 else 'fell'} at once on {c['since']}")
     )
-    size = f"{figures(abs(c['size']))} +- {figures(TWO_SIDED_95 * c['size_std'], 2)} ({100.0 * c['relative']:+.0f} %)"
+    size = f"{figures(abs(c['size']))} +- {figures(TWO_SIDED_95 * c['size_std'], 2)}"
+    if c["relative"] is not None:
+        size += f" ({100.0 * c['relative']:+.0f} %)"
     text = f"{vehicle}: {what}, by {size}, known on {c['known']}"
     if c["alike"]:
         text += f"; {' or '.join(c['alike'])} would explain it as well"
