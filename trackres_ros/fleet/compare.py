@@ -100,7 +100,7 @@ def compare_text(found: Mapping[str, Any]) -> str:
             f"(chance {figures(found['chance_of_all'], 1)}): which of them cannot be told."
         )
     else:
-        end = "Nothing differs beyond its uncertainty."
+        end = "None of these parameters differs beyond its uncertainty."
     return "\n".join([f"one: {found['one']}", f"other: {found['other']}", table(rows, head), end])
 
 
