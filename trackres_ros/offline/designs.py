@@ -119,7 +119,7 @@ def draw_designs(found: Mapping[str, Any], path: Path) -> Path:
         one.grid(alpha=0.3)
     axes[0].set_ylabel("resistance over weight [%]")
     axes[0].set_ylim(bottom=0.0)
-    axes[-1].legend(title="belt", fontsize="small")
+    figure.legend(*axes[0].get_legend_handles_labels(), title="belt", loc="outside right center")
     write_figure(figure, path)
     return path
 
