@@ -90,7 +90,7 @@ def test_a_torque_beside_the_vehicle_is_told_of_while_it_is_there(road):
     driven = road("watch", {at.OF_LOSS: 0.1}).drive(16.0)
     assert driven.learner.disturbance == ""
     less_than_a_step = 0.025 * driven.learner.learned.rolling
-    driven.drive(3.0, lambda torque, _i: torque + less_than_a_step)
+    driven.drive(1.4, lambda torque, _i: torque + less_than_a_step)
     assert driven.learner.disturbance.startswith("a disturbance of +")
     assert driven.learner.disturbance in driven.learner.text
     driven.drive(10.0)

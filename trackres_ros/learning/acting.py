@@ -21,6 +21,13 @@ Mask = NDArray[np.bool_]
 RATE_PER_HOUR = 1.0  # of the file's value: what acts follows no faster
 FASTEST = np.full(at.LEARNABLE, RATE_PER_HOUR / 3600.0)  # in a second
 FASTEST[at.OF_BELT] = 1.0  # K
+ACCEL_DOUBT = 0.04  # of an acceleration filtered out of a speed; of simulated drives a right mass comes out by so much too large
+
+
+def std_of(s: Learned, state: int) -> float:
+    """Standard deviation of a state as it is told; of a mass with what accelerations are off by themselves."""
+    doubt = ACCEL_DOUBT if state == at.OF_MASS else 0.0
+    return math.hypot(math.sqrt(max(float(s.covariance[state, state]), 0.0)), doubt)
 
 
 def sure(s: Learned, prior: Prior) -> Mask:
