@@ -6,6 +6,7 @@
 import numpy as np
 import pytest
 
+from trackres_ros.estimator import columns as at
 from trackres_ros.evaluation.learned.ageing import age
 from trackres_ros.evaluation.learned.cases import (
     KINDS,
@@ -18,6 +19,7 @@ from trackres_ros.evaluation.learned.cases import (
     sealed,
     weight_shares,
 )
+from trackres_ros.evaluation.learned.page import _of_hostile, _of_mass
 
 STEP_S = 0.1
 
@@ -59,3 +61,25 @@ def test_an_hour_of_age_is_an_hour_whose_error_is_small():
     assert [hour["hour"] for hour in hours] == [1.0, 2.0]
     assert hours[1]["error"] < 0.02
     assert hours[1]["bytes"] < 1.1 * hours[0]["bytes"]
+
+
+def hostile_case(kind, said):
+    return {"hostile": kind, "worse": [0.0, 0.01, -0.01], "outside": False,
+            "said": {str(i + 1): {"frozen_s": {said: 20} if said and i else {}, "left_out_s": {}} for i in range(3)}}  # fmt: skip
+
+
+def test_the_page_tells_on_which_drives_nothing_was_said():
+    text = "\n".join(_of_hostile([hostile_case("pump", "a torque beside the vehicle"), hostile_case("mud", "")]))
+    assert "4 of 6 drives (target: none): mud on drive 1, mud on drive 2, mud on drive 3, pump on drive 1." in text
+    assert "a torque beside the vehicle (13 s a drive)" in text
+
+
+def test_the_page_tells_by_how_much_a_right_mass_is_off():
+    def case(mass, counts):
+        applied = [0.0] * at.LEARNABLE
+        applied[at.OF_MASS] = mass
+        return {"said": {"3": {"applied": applied, "counts": counts}}}
+
+    text = _of_mass([case(0.02, [at.OF_MASS]), case(-0.06, [at.OF_MASS]), case(0.5, [])])
+    assert "of 2 vehicles and is then off by -2.0 % in the median, 6.0 % at worst" in text
+    assert _of_mass([case(0.5, [])]) == "No mass counts as learned."

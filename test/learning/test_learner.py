@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from trackres_ros.estimator import columns as at
-from trackres_ros.learning.learner import LASTING_SHARE
+from trackres_ros.learning.disturbances import LASTING_SHARE
 from trackres_ros.learning.parameters import SLOW, VEHICLES_OWN
 
 
@@ -86,6 +86,35 @@ def test_a_pump_goes_as_it_came(road):
     assert driven.errors(4.0)[1] < 0.025
 
 
+def test_a_torque_beside_the_vehicle_is_told_of_while_it_is_there(road):
+    driven = road("watch", {at.OF_LOSS: 0.1}).drive(16.0)
+    assert driven.learner.disturbance == ""
+    less_than_a_step = 0.025 * driven.learner.learned.rolling
+    driven.drive(1.4, lambda torque, _i: torque + less_than_a_step)
+    assert driven.learner.disturbance.startswith("a disturbance of +")
+    assert driven.learner.disturbance in driven.learner.text
+    driven.drive(10.0)
+    assert driven.learner.disturbance == ""
+
+
+def test_bumps_of_the_road_are_noise_and_hills_are_what_wanders(road):
+    """Both of 100 Nm: one goes from block to block, the other within some minutes."""
+    shares = []
+    for keep in (0.0, np.exp(-1.0 / 9.0)):
+        random, level = np.random.default_rng(6), [0.0]
+
+        def shown(torque, i, random=random, level=level, keep=keep):
+            if i % 200 == 0:
+                level[0] = keep * level[0] + 100.0 * np.sqrt(1.0 - keep**2) * random.normal()
+            return torque + level[0]
+
+        learner = road("watch").drive(30.0, shown).learner
+        past = learner.learned.past
+        shares.append(past.slow / (past.slow + past.white))
+    assert shares[0] < 0.2
+    assert shares[1] > 0.5
+
+
 def test_of_a_disturbance_no_more_is_fed_than_its_bound(road):
     driven = road("on", {at.OF_LOSS: 0.1}).drive(16.0).drive(5.0, lambda torque, _i: torque + 400.0)
     state = driven.learner.learned
@@ -141,3 +170,13 @@ def test_time_off_makes_it_less_sure_and_forgets_what_wanders(learned):
     assert before < state.learned.covariance[at.OF_LOSS, at.OF_LOSS] < state.prior.covariance[at.OF_LOSS, at.OF_LOSS]
     assert state.learned.mean[SLOW] == 0.0
     assert state.learned.mean[at.OF_LOSS] == learned.learner.learned.mean[at.OF_LOSS]
+
+
+def test_wear_grows_with_the_time_off(learned):
+    stds = []
+    for days in (10.0, 20.0):
+        learner = copy.deepcopy(learned.learner)
+        before = learner.learned.covariance[at.OF_LOSS, at.OF_LOSS]
+        learner.age(days * 86400.0)
+        stds.append(np.sqrt(learner.learned.covariance[at.OF_LOSS, at.OF_LOSS] - before))
+    assert stds[1] == pytest.approx(2.0 * stds[0], rel=0.05)

@@ -4,16 +4,28 @@
 """A node that learns: by default it watches, says what it learned, keeps it over a restart, and moves nothing."""
 
 import math
+import re
+import shutil
 
 import pytest
 
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
+from trackres_ros.files.resources import config_dir
 from trackres_ros.node.remarks import KINDS
 
 TOPICS = """
 speed: {topic: speed, type: geometry_msgs/msg/TwistStamped, field: twist.linear.x}
 torque: {topic: torque, type: geometry_msgs/msg/WrenchStamped, field: wrench.torque.y}
+"""
+SPELLS = """
+disturbance:
+  form: spells
+  level: {value: 300.0, unit: Nm, flag: F, range: [280.0, 320.0], reason: found by trackres diagnose}
+  rest: {value: 0.0, unit: Nm, flag: F, range: [-10.0, 10.0], reason: found by trackres diagnose}
+  mean_there: {value: 60.0, unit: s, flag: F, range: [30.0, 90.0], reason: found by trackres diagnose}
+  mean_away: {value: 120.0, unit: s, flag: F, range: [60.0, 180.0], reason: found by trackres diagnose}
+  noise: {value: 100.0, unit: Nm, flag: F, range: [80.0, 120.0], reason: found by trackres diagnose}
 """
 
 
@@ -24,7 +36,7 @@ def topics(tmp_path):
     return str(file)
 
 
-def drive(d, seconds, share=1.1):
+def drive(d, seconds, share=1.1, more=0.0):
     """Drive now slower, now faster, with a torque so many times what the file expects."""
     for i in range(round(seconds / 0.2)):
         speed = 8.0 + 4.0 * math.sin(i / 150.0)
@@ -32,7 +44,7 @@ def drive(d, seconds, share=1.1):
         moved = d.app.session.learned
         if moved[at.LEARNED_ON] > 0.0:
             expected -= float((moved[at.DEPARTURES : at.LEARNED_TORQUE] * moved[at.SENSITIVITIES :]).sum())
-        d.drive(0.2, speed=speed, dt=0.2, torque=share * expected + (i % 11 - 5.0))
+        d.drive(0.2, speed=speed, dt=0.2, torque=share * expected + more + (i % 11 - 5.0))
 
 
 def learned_topic(d):
@@ -115,3 +127,21 @@ def test_it_is_compiled_while_it_learns_and_goes_on(desk, topics):
     d.app.change({"ambient_std_k": 3.0})  # another estimator, as after a change over to compiled code
     drive(d, 20.0)
     assert d.app.learning.learner.learned.seconds > before + 10.0
+
+
+@pytest.mark.parametrize(("more", "kind"), [(300.0, ", of the kind seen before (spells)"), (700.0, "")])
+def test_a_disturbance_is_told_of_and_whether_the_vehicle_file_knows_its_kind(desk, topics, tmp_path, more, kind):
+    folder = shutil.copytree(config_dir(), tmp_path / "config")
+    vehicle = folder / "disturbed.yaml"
+    vehicle.write_text((folder / "xgd24d.yaml").read_text() + SPELLS)
+    d = desk(topics=topics, vehicle=str(vehicle))
+    drive(d, 400.0, 1.0)
+    assert dict(learned_topic(d)["learning"].values)["disturbance"] == ""
+    drive(d, 90.0, 1.0, more)
+    head = learned_topic(d)["learning"]
+    said = dict(head.values)["disturbance"] or dict(head.values)["frozen"]
+    found = re.match(r"a disturbance of \+(\d+) Nm since (\d+) s(, of the kind seen before \(spells\))?", said)
+    assert float(found[1]) == pytest.approx(more, rel=0.3)
+    assert int(found[2]) < 100
+    assert (found[3] or "") == kind
+    assert found[0] in head.message

@@ -5,11 +5,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Session
+from trackres_ros.learning.acting import std_of
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.parameters import VEHICLES_OWN, Learnable
 from trackres_ros.text.numbers import figures
@@ -66,10 +66,10 @@ def shown(learner: Learner) -> list[float]:
     found = [learner.buckets.share, float(learner.acts)]
     frozen, counted = bool(learner.frozen), learner.counted
     for one in learner.learnables:
-        variance = float(learner.learned.covariance[one.state, one.state])
+        std = std_of(learner.learned, one.state)
         counts = one.state in VEHICLES_OWN and bool(counted[one.state])
         state = FROZEN if frozen and one.state in VEHICLES_OWN else LEARNED if counts else LEARNING
-        found += [one.value(float(learner.learned.mean[one.state])), one.size(math.sqrt(max(variance, 0.0))), float(state)]
+        found += [one.value(float(learner.learned.mean[one.state])), one.size(std), float(state)]
     return found
 
 

@@ -26,7 +26,7 @@ LEAST_STD = 0.02  # assumed: rubber wears and oil ages, so that no value of a fi
 REACH_STD = 2.0  # the ranges of a vehicle file are read as +-2 standard deviations: nothing is learned beyond
 LEAST_FACTOR = 0.2  # of the file's value, whatever the ranges say
 OFFSET_SHARE = 0.005  # assumed: of the torque that rolling takes, standard deviation of a transducer's zero
-GAIN_STD = 0.005  # assumed: of a transducer (class 0.5); a motor's current is worse, which is no torque of its own
+GAIN_STD = 0.003  # assumed: class 0.5 is off by half a percent at most; a motor's current is no torque of its own, and worse
 ROLLING_SHARE = 0.01  # assumed: what rolling takes, over weight times sprocket radius; only where nothing was seen yet
 WANDERING_SHARE = 0.03  # assumed: of what rolling takes, standard deviation of what no model has
 

@@ -18,7 +18,7 @@ from trackres_ros.learning.parameters import VEHICLES_OWN
 
 LARGEST = 1e12  # of any number; times in ns are whole numbers and apart
 FARTHEST = 1 << 62
-NOT_YET = {"last_left": "nan", "torque": "nan", "step_s": "inf"}  # what stands where nothing was seen
+NOT_YET = {"last_left": "nan", "torque": "nan", "step_s": "inf", "slow": "nan", "white": "nan"}  # unseen
 REACH = 1.0 + 1e-9  # of the bounds: rounding
 
 

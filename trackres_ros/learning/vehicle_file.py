@@ -14,6 +14,7 @@ from trackres_ros.diagnosis.writing.kept import Kept
 from trackres_ros.diagnosis.writing.vehicle_file import rubber_share, write_track_vehicle
 from trackres_ros.diagnosis.writing.yaml_edit import Document
 from trackres_ros.estimator import columns as at
+from trackres_ros.learning.acting import ACCEL_DOUBT
 from trackres_ros.learning.filter import known_of_others
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.parameters import VEHICLES_OWN
@@ -52,7 +53,8 @@ def _stds(learner: Learner, counts: list[int]) -> dict[int, float]:
     learned = np.zeros(at.LEARNABLE, dtype=bool)
     learned[counts] = True
     covariance = known_of_others(learner.learned.covariance[: at.LEARNABLE, : at.LEARNABLE], learned)
-    return {state: math.sqrt(max(float(covariance[state, state]), 0.0)) for state in counts}
+    stds = {state: math.sqrt(max(float(covariance[state, state]), 0.0)) for state in counts}
+    return {state: math.hypot(std, ACCEL_DOUBT) if state == at.OF_MASS else std for state, std in stds.items()}
 
 
 def _set(document: Document, vehicle: Vehicle, state: int, departure: float, std: float) -> list[str]:

@@ -86,7 +86,12 @@ class LiveLearning:
             return ()
         level = Level.WARN if self.learner.frozen else Level.OK
         values = shown(self.learner)
-        overall = (("mode", self.mode), ("acts", str(self.learner.acts).lower()), ("frozen", self.learner.frozen))
+        overall = (
+            ("mode", self.mode),
+            ("acts", str(self.learner.acts).lower()),
+            ("frozen", self.learner.frozen),
+            ("disturbance", self.learner.disturbance),
+        )
         head = Status(level, f"{node}: learning", self.text, vehicle, overall)
         return [
             head,

@@ -41,6 +41,7 @@ from trackres_ros.vehicle import load
 
 Array = NDArray[np.float64]
 KEY = re.compile(r"\(?[+-]?\d+ (%|Nm|s)|( of the|of)(?= *$)| since *$|, of the kind.*")  # what differs from time to time
+BESIDE = "a torque beside the vehicle"
 SHOWN = [at.OUT_SPEED, at.OUT_FEEDFORWARD, at.OUT_RESISTANCE, at.OUT_STD]
 
 
@@ -58,9 +59,10 @@ class Listening(Learner):
         if not second.counts and second.refused.any():
             self.left_out[second.mostly] += 1.0
         super()._close(session)
-        if self.frozen:
-            key = KEY.sub("", self.frozen.split(":")[0]).strip()
-            self.said[key] = self.said.get(key, 0) + 1
+        for text in (self.frozen, self.disturbance and BESIDE):
+            if text:
+                key = KEY.sub("", text.split(":")[0]).strip()
+                self.said[key] = self.said.get(key, 0) + 1
         own, applied = list(VEHICLES_OWN), self.learned.applied
         self.outside |= bool((applied[own] < self.prior.low[own]).any() or (applied[own] > self.prior.high[own]).any())
 

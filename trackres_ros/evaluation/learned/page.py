@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from trackres_ros.estimator import columns as at
 from trackres_ros.evaluation.learned.cases import DRIVES, KINDS, SENSORS
 from trackres_ros.output.plots import BLACK, BLUE, GREY, VERMILION, picture
 
@@ -29,6 +30,7 @@ SHORT = {
     "is looked at": "a step is looked at",
     "disagree with the others": "torques disagree with the others",
     "wanders": "what is left wanders",
+    "beside the vehicle": "a torque beside the vehicle",
 }
 
 
@@ -81,9 +83,20 @@ def _of_vehicles(plain: list[Any]) -> list[str]:
         f"Learned over re-fitted, median of the vehicles: {one:.2f} after one drive, {two:.2f} after two (target: at most 1.3). "
         f"Intervals of 95 % hold the torque in {100.0 * np.mean(seconds):.1f} % of all seconds of the third drive, and that of "
         f"its mean in {sum(means)} of {len(means)} drives (target: 90 to 98 %). At worst, learning changed the error of a "
-        f"drive by {100.0 * max(worse):+.1f} % of the torque.",
+        f"drive by {100.0 * max(worse):+.1f} % of the torque. {_of_mass(plain)}",
         "",
     ]
+
+
+def _of_mass(plain: list[Any]) -> str:
+    """By how much a mass that is right in the file is learned to be off."""
+    off = [case["said"][str(LAST)]["applied"][at.OF_MASS] for case in plain if at.OF_MASS in case["said"][str(LAST)]["counts"]]
+    if not off:
+        return "No mass counts as learned."
+    return (
+        f"The rotating-mass factor, which is right in all files, counts as learned of {len(off)} vehicles and is then off by "
+        f"{100.0 * float(np.median(off)):+.1f} % in the median, {100.0 * max(map(abs, off)):.1f} % at worst."
+    )
 
 
 def _ratio(plain: list[Any], key: str, over: str) -> float:
@@ -112,7 +125,15 @@ def _of_hostile(hostile: list[Any]) -> list[str]:
         )
     drives = [float(x) for case in hostile for x in case["worse"]]
     bad = sum(x > MOST_WORSE for x in drives)
-    return [*lines, "", f"Worse than the file by more than 2 % of the torque: {bad} of {len(drives)} drives (target: none).", ""]
+    silent = [(case["hostile"], i + 1) for case in hostile for i in range(DRIVES) if not case["said"][str(i + 1)]["frozen_s"]]
+    which = ", ".join(f"{kind} on drive {drive}" for kind, drive in sorted(silent))
+    return [
+        *lines,
+        "",
+        f"Worse than the file by more than 2 % of the torque: {bad} of {len(drives)} drives (target: none). Without a word in "
+        f"the status: {len(silent)} of {len(drives)} drives (target: none){': ' if which else ''}{which}.",
+        "",
+    ]
 
 
 def _said(cases: list[Any]) -> str:

@@ -1,0 +1,75 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Lets what was learned act on the step: of what counts so much as it may, and how sure that is."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.estimator import columns as at
+from trackres_ros.learning.filter import given_others
+from trackres_ros.learning.learned import Learned
+from trackres_ros.learning.parameters import STEP, Prior
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+RATE_PER_HOUR = 1.0  # of the file's value: what acts follows no faster
+FASTEST = np.full(at.LEARNABLE, RATE_PER_HOUR / 3600.0)  # in a second
+FASTEST[at.OF_BELT] = 1.0  # K
+ACCEL_DOUBT = 0.04  # of an acceleration filtered out of a speed; of simulated drives a right mass comes out by so much too large
+
+
+def std_of(s: Learned, state: int) -> float:
+    """Standard deviation of a state as it is told; of a mass with what accelerations are off by themselves."""
+    doubt = ACCEL_DOUBT if state == at.OF_MASS else 0.0
+    return math.hypot(math.sqrt(max(float(s.covariance[state, state]), 0.0)), doubt)
+
+
+def sure(s: Learned, prior: Prior) -> Mask:
+    """Which departures are known twice as well as by the vehicle file, shape (LEARNABLE,)."""
+    variances = np.diag(s.covariance)[: at.LEARNABLE]
+    return np.asarray(variances < 0.25 * np.diag(prior.covariance)[: at.LEARNABLE])
+
+
+def aim(s: Learned, prior: Prior, counted: Mask) -> None:
+    """What is to act: all that counts, with the rest as the file has it."""
+    s.aim[:] = 0.0
+    if not counted.any():
+        return
+    of_vehicle = counted.copy()
+    of_vehicle[at.OF_BELT] = True
+    found = given_others(s.mean[: at.LEARNABLE], s.covariance[: at.LEARNABLE, : at.LEARNABLE], of_vehicle)
+    s.aim[:] = np.clip(found, prior.low[: at.LEARNABLE], prior.high[: at.LEARNABLE])
+
+
+def follow(s: Learned) -> None:
+    """What acts follows what is to act, no faster than it may."""
+    s.applied += np.minimum(np.maximum(s.aim - s.applied, -FASTEST), FASTEST)
+
+
+def move(s: Learned, acts: bool, learned: Array) -> None:
+    """Write what acts into the memory of a session, see `estimator.columns`."""
+    if not (acts and s.applied.any()):
+        learned[at.LEARNED_ON] = 0.0
+        learned[at.DEPARTURES : at.LEARNED_TORQUE] = 0.0
+        learned[at.LEARNED_TORQUE] = 0.0
+        return
+    learned[at.LEARNED_ON] = 1.0
+    learned[at.DEPARTURES : at.LEARNED_TORQUE] = s.applied
+    learned[at.LEARNED_TORQUE] = s.lasting_nm
+    unexplained = s.mean[STEP] - s.lasting_nm if s.step_s < math.inf else 0.0
+    learned[at.LEARNED_SLOW] = math.sqrt(s.slow_std**2 + unexplained**2)
+    learned[at.LEARNED_FACTOR : at.SENSITIVITIES] = factor(s).ravel()
+
+
+def factor(s: Learned) -> Array:
+    """Lower factor of the covariance about what acts, shape (LEARNABLE, LEARNABLE)."""
+    off = s.mean[: at.LEARNABLE] - s.applied
+    covariance = s.covariance[: at.LEARNABLE, : at.LEARNABLE] + off[:, None] * off[None, :]
+    covariance[np.diag_indices_from(covariance)] += 1e-12
+    return np.asarray(np.linalg.cholesky(covariance))

@@ -1,0 +1,137 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Tells a torque that came at once, or wanders, from the vehicle: what is left over blocks goes in, and why nothing is learned of
+the vehicle comes out.
+"""
+
+from __future__ import annotations
+
+import math
+
+from trackres_ros.learning.blocks import CONFIRMED, LEAST_BLOCKS, STEP_SHARE, STEP_STDS, Block
+from trackres_ros.learning.filter import expected
+from trackres_ros.learning.learned import SLOW_KEEPS, Learned
+from trackres_ros.learning.parameters import GAIN, SLOW, STEP
+from trackres_ros.vehicle import Disturbance, Spells
+
+FIRST_SHARE = 0.015  # of what rolling takes: by so much blocks are thought to differ at first
+MOST_WANDERING_SHARE = 0.06  # of what rolling takes: beyond, ground or drive differ by what nothing is known of
+STEP_HOLDS_S = 600.0  # driving after a step in which nothing is learned of the vehicle
+GAIN_STEP_STD = 0.05  # of a sensor that was replaced
+DISAGREES_SHARE, DISAGREES_S = 0.08, 60.0  # of the samples of a minute that disagree with the others
+ALIKE_SHARE = 0.3  # by which a step may differ from a spell that the vehicle file tells of
+LASTS_S = 60.0  # before a disturbance is fed forward
+LASTING_SHARE = 0.02  # of what rolling takes: no more of it is, whatever it is
+SAID_SHARE, SAID_STDS = 0.02, 3.0  # of what rolling takes, and of a minute's mean: more beside the vehicle is told of
+FADES = 0.5  # of it is left a second later where no torque comes
+
+
+def close_block(s: Learned) -> None:
+    """A block is full: whether what is left came at once, and whether what was learned explains more than the file."""
+    s.blocks += 1
+    block, before = s.block, s.last_block
+    if before.seconds:
+        _judge(s, _level(s, block), _level(s, before))
+    s.past.see(_level(s, block) - float(s.mean[STEP]), SLOW_KEEPS)
+    _tell(s)
+    s.contest.see(abs(block.residual) - abs(block.residual - block.learned))
+    s.last_block.take(block)
+    block.begin()
+    s.keep_before()
+
+
+def _level(s: Learned, block: Block) -> float:
+    """What a block has left of what is known by now, but for disturbances; against travel [Nm]."""
+    return (block.residual - expected(s.mean[:SLOW], block.looks[:SLOW])) * block.sign
+
+
+def _judge(s: Learned, level: float, last: float) -> None:
+    least = s.least_variance if s.wandering.blocks else (FIRST_SHARE * s.rolling) ** 2
+    threshold = max(STEP_SHARE * s.rolling, STEP_STDS * s.wandering.std(least))
+    if s.suspect:
+        still = (level - s.suspect_level) / s.suspect
+        if still > CONFIRMED:
+            _step_found(s, level - s.suspect_level)
+        else:
+            s.wandering.see(s.suspect, least)
+        s.suspect = 0.0
+        return
+    difference = level - last
+    if min(s.wandering.blocks, s.blocks) >= LEAST_BLOCKS and abs(difference) > threshold:
+        s.suspect, s.suspect_level = difference, last
+        return
+    s.wandering.see(difference, least)
+
+
+def _step_found(s: Learned, size: float) -> None:
+    """Take it for a disturbance, or for another sensor: go back to before it, and let those two take it up."""
+    s.mean[:], s.covariance[:] = s.before_mean, s.before_covariance
+    s.covariance[STEP, STEP] += max(size * size, (LASTING_SHARE * s.rolling) ** 2)
+    s.covariance[GAIN, GAIN] += GAIN_STEP_STD**2
+    s.mean[STEP] += size
+    s.past.pause()
+    s.step_s, s.step_nm, s.step_second = 0.0, size, s.second
+    s.recent_mean[:], s.recent_covariance[:] = s.mean, s.covariance
+
+
+def _tell(s: Learned) -> None:
+    """Whether what is left of a minute is more than what comes and goes."""
+    beside, std = s.past.of_late()
+    least = SAID_SHARE * s.rolling
+    if not abs(beside) > 0.5 * least:
+        s.beside_since = -1
+    elif s.beside_since < 0 and abs(beside) > max(least, SAID_STDS * std):
+        s.beside_since = s.second
+    s.beside_nm = beside if s.beside_since >= 0 else 0.0
+
+
+def let_last(s: Learned, compared: bool) -> None:
+    """Feed forward what has lasted, within a bound; it fades where no torque is compared."""
+    if not compared:
+        s.lasting_nm *= FADES
+        s.lasting_s = 0.0
+        return
+    there = float(s.mean[SLOW] + s.mean[STEP])
+    std = math.sqrt(max(float(s.covariance[SLOW, SLOW] + s.covariance[STEP, STEP]), 0.0))
+    sure = abs(there) > 2.0 * std
+    s.lasting_s = s.lasting_s + 1.0 if sure and there * s.lasting_nm >= 0.0 else 0.0
+    most = LASTING_SHARE * s.rolling
+    aim = min(max(there, -most), most) if s.lasting_s > LASTS_S else 0.0
+    s.lasting_nm += 0.1 * (aim - s.lasting_nm)
+
+
+def why_frozen(s: Learned, now: int, known: Disturbance | None) -> str:
+    """Why nothing is learned of the vehicle now; empty where it is.
+
+    Parameters
+    ----------
+    now
+        The second it is.
+    known
+        The disturbance that the vehicle file tells of.
+    """
+    if s.disagrees > DISAGREES_SHARE:
+        return f"{100.0 * s.disagrees:.0f} % of the measured torques disagree with the others"
+    if s.suspect:
+        return f"a step of {s.suspect:+.0f} Nm is looked at"
+    if s.step_s < STEP_HOLDS_S:
+        since = max(now - s.step_second, 0)
+        return f"{said(s.step_nm, since, known)}: a sensor, a brake, a load or the ground, not the belts"
+    if s.wanders_std > MOST_WANDERING_SHARE * s.rolling:
+        return f"what is left wanders by {s.wanders_std:.0f} Nm: hills or ground of which nothing is known"
+    return ""
+
+
+def beside(s: Learned, now: int, known: Disturbance | None) -> str:
+    """A torque that is there beside the vehicle, in words; empty where none is. See `why_frozen`."""
+    return "" if s.beside_since < 0 else said(s.beside_nm, max(now - s.beside_since, 0), known)
+
+
+def said(torque_nm: float, since_s: int, known: Disturbance | None) -> str:
+    """A disturbance in words, and whether it is as large as one that the vehicle file tells of."""
+    kind = ""
+    if isinstance(known, Spells):
+        size = abs(known.level - known.rest)
+        kind = f", of the kind seen before ({known.form})" if abs(abs(torque_nm) - size) < ALIKE_SHARE * size else ""
+    return f"a disturbance of {torque_nm:+.0f} Nm since {since_s} s{kind}"

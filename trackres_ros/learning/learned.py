@@ -1,0 +1,129 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""What is known of a vehicle while it is learned, as plain values: all of it is kept over a restart."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.estimator import columns as at
+from trackres_ros.learning.blocks import BLOCK_S, Block, Contest, Past, Wandering
+from trackres_ros.learning.parameters import SLOW, STATES, WANDERING_SHARE, Prior
+
+Array = NDArray[np.float64]
+
+SLOW_S = 180.0  # memory of what wanders
+SLOW_KEEPS = math.exp(-BLOCK_S / SLOW_S)  # of it from one block to the next
+FIRST_NOISE_SHARE = 0.03  # of what rolling takes, of the mean over a second
+LEAST_NOISE_SHARE = 0.005
+LEAST_WANDERING_SHARE = 0.003  # assumed: of what rolling takes; no model is better
+
+
+@dataclass
+class Learned:
+    """What is known, and what it is known by; all of it is kept over a restart.
+
+    Attributes
+    ----------
+    mean, covariance
+        Of the filter's states, shapes (STATES,) and (STATES, STATES).
+    recent_mean, recent_covariance, before_mean, before_covariance
+        The same at the end of the last block without a suspicion, and of the one before it: a step is found a block late, and may
+        have come within one.
+    aim, applied
+        Departures that are to act, and those that do or would, shape (LEARNABLE,).
+    """
+
+    mean: Array
+    covariance: Array
+    recent_mean: Array
+    recent_covariance: Array
+    before_mean: Array
+    before_covariance: Array
+    aim: Array
+    applied: Array
+    second: int = -1  # the filter is of this one
+    seconds: float = 0.0  # driven and learned from
+    rolling: float = 0.0  # size of the torque that rolling takes [Nm]
+    noise: float = 0.0  # variance of a second's mean [Nm^2]
+    last_left: float = math.nan  # what the last second left [Nm]
+    disagrees: float = 0.0  # share of samples of late that disagree with the others
+    suspect: float = 0.0  # a step that is not yet confirmed [Nm]
+    suspect_level: float = 0.0  # from which [Nm]
+    step_s: float = math.inf  # driving since a step
+    step_nm: float = 0.0
+    step_second: int = -1
+    beside_nm: float = 0.0  # torque beside the vehicle that is told of
+    beside_since: int = -1  # second; -1 where there is none
+    lasting_s: float = 0.0
+    lasting_nm: float = 0.0
+    blocks: int = 0  # since the estimate began: while belts warm up at first, what is left changes without a step
+    block: Block = field(default_factory=Block)
+    last_block: Block = field(default_factory=Block)
+    past: Past = field(default_factory=Past)
+    wandering: Wandering = field(default_factory=Wandering)
+    contest: Contest = field(default_factory=Contest)
+
+    def keep_before(self) -> None:
+        """What is known now is what a step that is found later goes back to."""
+        if self.suspect:
+            return
+        self.before_mean[:], self.before_covariance[:] = self.recent_mean, self.recent_covariance
+        self.recent_mean[:], self.recent_covariance[:] = self.mean, self.covariance
+
+    def begin_anew(self, prior: Prior) -> None:
+        """Belts and what wanders are as unknown as at the beginning, the vehicle stays known."""
+        self.second, self.last_left, self.suspect, self.disagrees, self.blocks = -1, math.nan, 0.0, 0.0, 0
+        self.lasting_s = self.lasting_nm = 0.0
+        self.beside_nm, self.beside_since = 0.0, -1
+        self.block.begin()
+        self.last_block.begin()
+        self.past.pause()
+        for state in (at.OF_BELT, SLOW):
+            self.mean[state] = 0.0
+            self.covariance[state, :] = self.covariance[:, state] = 0.0
+            self.covariance[state, state] = prior.covariance[state, state]
+        self.keep_before()
+        self.keep_before()
+
+    @property
+    def least_variance(self) -> float:
+        """No mean over a second or a block is known better [Nm^2]."""
+        return (LEAST_NOISE_SHARE * self.rolling) ** 2
+
+    @property
+    def slow_std(self) -> float:
+        """Standard deviation of what wanders [Nm]."""
+        if math.isnan(self.past.slow):
+            return WANDERING_SHARE * self.rolling
+        return min(max(math.sqrt(self.past.slow), LEAST_WANDERING_SHARE * self.rolling), 0.5 * self.rolling)
+
+    @property
+    def wanders_std(self) -> float:
+        """Standard deviation of what is left of a block, whether it comes and goes or goes on [Nm]."""
+        return 0.0 if math.isnan(self.past.slow) else math.sqrt(self.past.slow + self.past.white)
+
+    @property
+    def second_variance(self) -> float:
+        """Variance of a second's mean, as large as makes means over blocks as unsure as they are [Nm^2]."""
+        return self.noise if math.isnan(self.past.white) else max(BLOCK_S * self.past.white, self.least_variance)
+
+
+def nothing_learned(prior: Prior) -> Learned:
+    """What is known before anything was learned."""
+    mean, covariance, rolling, none = np.zeros(STATES), prior.covariance, prior.rolling_nm, np.zeros(at.LEARNABLE)
+    found = Learned(
+        *(mean, covariance.copy()),
+        *(mean.copy(), covariance.copy()),
+        *(mean.copy(), covariance.copy()),
+        none,
+        none.copy(),
+        rolling=rolling,
+    )
+    found.noise = (FIRST_NOISE_SHARE * rolling) ** 2
+    return found
