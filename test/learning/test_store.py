@@ -45,3 +45,11 @@ def test_a_departure_outside_of_the_ranges_is_refused(reference, learner):
     content["learned"]["mean"][at.OF_LOSS] = (5.0).hex()
     with pytest.raises(ValueError, match="range"):
         take(Learner(reference), content)
+
+
+@pytest.mark.parametrize("name", ["slow", "white"])
+def test_a_variance_below_zero_is_refused(reference, learner, name):
+    content = copy.deepcopy(stored(learner))
+    content["learned"]["past"][name] = (-1.0).hex()
+    with pytest.raises(ValueError, match="a size that is none"):
+        take(Learner(reference), content)

@@ -126,7 +126,7 @@ def _check(learner: Learner) -> None:
                 raise ValueError("a departure outside of the vehicle file's ranges")
     sizes = [s.seconds, s.rolling, s.noise, s.disagrees, s.lasting_s, s.step_s, learner.gate.samples.deviation]
     sizes += [s.wandering.variance, s.contest.variance]
-    if not all(size >= 0.0 for size in sizes):
+    if not all(size >= 0.0 for size in sizes) or s.past.slow < 0.0 or s.past.white < 0.0:
         raise ValueError("a size that is none")
     if not ((learner.buckets.seconds >= 0.0).all() and (learner.buckets.accelerating >= 0.0).all()):
         raise ValueError("seconds that are none")
