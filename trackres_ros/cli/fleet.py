@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -228,63 +227,18 @@ def compare_command(
     trackres compare xgd24d my_design.yaml --speed-kmh 10:50 --belt-degc -20:80
     """
     from trackres_ros.fleet.compare import compare, compare_text
+    from trackres_ros.fleet.designs import asked_of, compare_designs, designs_text, draw_designs
 
     found = compare(one, other)
-    designs = _designs((one, other), speed_kmh, belt_degc, cycle)
-    if designs is not None:
-        found["designs"] = designs
+    grid, designs = asked_of((one, other), speed_kmh, belt_degc, cycle), None
+    if grid is not None:
+        with progress("operating points", grid.points) as advance:
+            found["designs"] = designs = compare_designs(grid, advance)
     if output is not None:
         needs("a picture", "plots", "matplotlib")
         from trackres_ros.fleet.overlay import draw_overlay
-        from trackres_ros.offline.designs import draw_designs
 
         found["written"] = str(draw_overlay(found, output_folder(output) / "compare.png"))
         if designs is not None:
             found["written"] += f", {draw_designs(designs, output / 'designs.png')}"
-
-    def text() -> str:
-        from trackres_ros.offline.designs import designs_text
-
-        return "\n".join([compare_text(found), *([designs_text(designs)] if designs is not None else [])])
-
-    emit(found, as_json, text)
-
-
-def _designs(given: tuple[str, str], speed_kmh: str | None, belt_degc: str | None, cycle: Path | None) -> dict[str, Any] | None:
-    """Two vehicle files with tracks over a grid; None of anything else."""
-    from trackres_ros.files.resources import find_vehicle
-    from trackres_ros.files.yamls import read_yaml
-    from trackres_ros.offline import designs
-    from trackres_ros.units import KMH_PER_MPS
-    from trackres_ros.vehicle import load
-
-    try:
-        files = [find_vehicle(name) for name in given]
-    except InputError:
-        files = []
-    if not files or not all("tracks" in read_yaml(file) for file in files):
-        for option, value in (("--speed-kmh", speed_kmh), ("--belt-degc", belt_degc), ("--cycle", cycle)):
-            if value is not None:
-                raise InputError(option, value, "only with two vehicle files with tracks")
-        return None
-    vehicles = [load(file) for file in files]
-    fastest = min(v.chassis.max_speed for v in vehicles)
-    speeds = _span("--speed-kmh", speed_kmh, 0.1, 1.2 * KMH_PER_MPS * fastest, designs.SLOWEST_KMH, KMH_PER_MPS * fastest)
-    degc = _span("--belt-degc", belt_degc, -60.0, 150.0, designs.COLDEST_DEGC, designs.WARMEST_DEGC)
-    with progress("operating points", len(vehicles) * len(speeds) * len(degc)) as advance:
-        return designs.compare_designs(vehicles, speeds, degc, cycle, advance)
-
-
-def _span(option: str, given: str | None, low: float, high: float, first: float, last: float) -> list[float]:
-    """Evenly spaced values from A to B."""
-    from trackres_ros.offline.designs import POINTS
-
-    if given is not None:
-        begin, colon, end = given.partition(":")
-        try:
-            first, last = float(begin), float(end)
-            if not (colon and low <= first < last <= high):
-                raise ValueError
-        except ValueError:
-            raise InputError(option, given, f"A:B with {low:g} <= A < B <= {high:g}, as {first:g}:{last:g}") from None
-    return [round(first + i * (last - first) / (POINTS - 1), 1) for i in range(POINTS)]
+    emit(found, as_json, lambda: "\n".join([compare_text(found), *([designs_text(designs)] if designs is not None else [])]))

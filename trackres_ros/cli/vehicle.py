@@ -6,15 +6,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import click
 
 import trackres_ros as tr
 from trackres_ros.cli.common import Command, default_of, emit, json_option
-from trackres_ros.text.numbers import figures
-
-LONGEST = 24  # of a text beside numbers; --json has it whole
 
 
 @click.group("vehicle")
@@ -47,13 +43,10 @@ def check_command(file: str, points: int, as_json: bool) -> None:
 @json_option
 def list_command(as_json: bool) -> None:
     """List the vehicles that are shipped, which go by their names wherever a vehicle file does."""
-    from trackres_ros.offline.vehicle_files import shipped
-    from trackres_ros.text.table import table
+    from trackres_ros.offline.vehicle_files import shipped, shipped_text
 
     found = shipped()
-    runs = {"tracks": "live, replay, diagnose", "road_load": "diagnose"}
-    rows = [(v["name"], v["title"], runs[v["model"]]) for v in found]
-    emit({"vehicles": found}, as_json, lambda: table(rows, ("name", "what it is", "for"), numbers=False))
+    emit({"vehicles": found}, as_json, lambda: shipped_text(found))
 
 
 @vehicle_group.command("new", cls=Command)
@@ -96,25 +89,7 @@ def diff_command(one: str, other: str, as_json: bool) -> None:
     \b
     trackres vehicle diff xgd24d report/vehicle.yaml
     """
-    from trackres_ros.offline.vehicle_files import differences
-    from trackres_ros.text.table import table
+    from trackres_ros.offline.vehicle_files import differences, differences_text
 
     found = differences(one, other)
-
-    def cells(d: dict[str, Any]) -> tuple[str, ...]:
-        ratio = "" if d["ratio"] is None else f"{100.0 * (d['ratio'] - 1.0):+.1f} %"
-        spans = ["" if span is None else f"{figures(span[0])} to {figures(span[1])}" for span in d["ranges"] or (None, None)]
-        return d["path"], d["unit"], _shown(d["one"]), _shown(d["other"]), ratio, *spans
-
-    def text() -> str:
-        head = ("value", "unit", one, other, "change", f"range of {one}", f"range of {other}")
-        return table(map(cells, found), head, numbers=False) if found else "They have the same values."
-
-    emit({"differences": found}, as_json, text)
-
-
-def _shown(value: Any) -> str:
-    if isinstance(value, float | int) and not isinstance(value, bool):
-        return figures(value)
-    text = "-" if value is None else str(value)
-    return text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."
+    emit({"differences": found}, as_json, lambda: differences_text(one, other, found))

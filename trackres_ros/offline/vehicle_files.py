@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +16,12 @@ from trackres_ros.errors import InputError, nearest
 from trackres_ros.files.own_files import write
 from trackres_ros.files.resources import config_dir, find_vehicle, shipped_road_vehicles, shipped_vehicles
 from trackres_ros.files.yamls import read_yaml
+from trackres_ros.text.numbers import figures
+from trackres_ros.text.table import table
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,63}")
+SERVES = {"tracks": "live, replay, diagnose", "road_load": "diagnose"}
+LONGEST = 24  # of a text beside numbers
 UNSAID = ("reason", "flag")  # of a quantity: they are no part of what a vehicle is
 
 
@@ -28,6 +32,12 @@ def shipped() -> list[dict[str, str]]:
         for name, path in vehicles.items():
             found.append({"name": name, "title": str(read_yaml(path).get("title", "")), "model": model, "file": str(path)})
     return found
+
+
+def shipped_text(found: Iterable[Mapping[str, str]]) -> str:
+    """The same for people."""
+    rows = [(v["name"], v["title"], SERVES[v["model"]]) for v in found]
+    return table(rows, ("name", "what it is", "for"), numbers=False)
 
 
 def new_vehicle(name: str, folder: Path, like: str) -> list[Path]:
@@ -97,6 +107,25 @@ def differences(one: str, other: str) -> list[dict[str, Any]]:
             }
         )
     return found
+
+
+def differences_text(one: str, other: str, found: Sequence[Mapping[str, Any]]) -> str:
+    """The same for people."""
+
+    def cells(d: Mapping[str, Any]) -> tuple[str, ...]:
+        ratio = "" if d["ratio"] is None else f"{100.0 * (d['ratio'] - 1.0):+.1f} %"
+        spans = ["" if span is None else f"{figures(span[0])} to {figures(span[1])}" for span in d["ranges"] or (None, None)]
+        return d["path"], d["unit"], _shown(d["one"]), _shown(d["other"]), ratio, *spans
+
+    head = ("value", "unit", one, other, "change", f"range of {one}", f"range of {other}")
+    return table(map(cells, found), head, numbers=False) if found else "They have the same values."
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, float | int) and not isinstance(value, bool):
+        return figures(value)
+    text = "-" if value is None else str(value)
+    return text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."
 
 
 def _leaves(node: Any, path: str = "") -> Iterator[tuple[str, Any]]:

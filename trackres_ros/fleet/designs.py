@@ -6,44 +6,92 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from trackres_ros.errors import InputError
 from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.files.resources import find_vehicle
+from trackres_ros.files.yamls import read_yaml
 from trackres_ros.model.operating_point import explain
 from trackres_ros.model.vehicle_constants import vehicle_constants
 from trackres_ros.offline.profile import read_profile
 from trackres_ros.offline.simulate import Drive, run_drive, through_points
-from trackres_ros.text.numbers import decimals
+from trackres_ros.text.numbers import decimals, figures
 from trackres_ros.text.table import table
 from trackres_ros.units import GRAVITY, KMH_PER_MPS
-from trackres_ros.vehicle import Vehicle
+from trackres_ros.vehicle import Vehicle, load
 
 POINTS = 5  # of speed, and of temperature
 SLOWEST_KMH, COLDEST_DEGC, WARMEST_DEGC = 5.0, -20.0, 80.0
+BELTS_DEGC = -60.0, 150.0  # what a belt may have
 STAGES, HOLD_S, RAMP_S, STEP_S = (1 / 3, 2 / 3, 1.0), 600.0, 30.0, 0.5
 J_PER_KWH = 3.6e6
 TABLES = ("Resistance [Nm]", "torque_nm", 1.0, 0), ("Resistance over weight [%]", "coefficient", 100.0, 2)
 
 
-def compare_designs(
-    vehicles: Sequence[Vehicle],
-    speeds_kmh: Sequence[float],
-    belts_degc: Sequence[float],
-    cycle: Path | None = None,
-    advance: Callable[[float], None] = lambda _: None,
-) -> dict[str, Any]:
-    """Resistance of each vehicle at steady speeds and belt temperatures, and what a drive takes.
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """What two designs are compared over: speeds [km/h], belt temperatures [degC], and the speed profile of a drive."""
+
+    vehicles: tuple[Vehicle, ...]
+    speeds_kmh: tuple[float, ...]
+    belts_degc: tuple[float, ...]
+    cycle: Path | None
+
+    @property
+    def points(self) -> int:
+        """How many operating points there are, of all vehicles."""
+        return len(self.vehicles) * len(self.speeds_kmh) * len(self.belts_degc)
+
+
+def asked_of(given: Sequence[str], speed_kmh: str | None, belt_degc: str | None, cycle: Path | None) -> Grid | None:
+    """The grid for two vehicle files with tracks, of ranges as A:B; None of anything else.
+
+    Raises
+    ------
+    InputError
+        If a range is none, or is given for something else.
+    """
+    try:
+        files = [find_vehicle(name) for name in given]
+    except InputError:
+        files = []
+    if not files or not all("tracks" in read_yaml(file) for file in files):
+        for option, value in (("--speed-kmh", speed_kmh), ("--belt-degc", belt_degc), ("--cycle", cycle)):
+            if value is not None:
+                raise InputError(option, value, "only with two vehicle files with tracks")
+        return None
+    vehicles = tuple(load(file) for file in files)
+    fastest = KMH_PER_MPS * min(v.chassis.max_speed for v in vehicles)
+    speeds = _span("--speed-kmh", speed_kmh, (0.1, 1.2 * fastest), (SLOWEST_KMH, fastest))
+    return Grid(vehicles, speeds, _span("--belt-degc", belt_degc, BELTS_DEGC, (COLDEST_DEGC, WARMEST_DEGC)), cycle)
+
+
+def _span(option: str, given: str | None, limits: tuple[float, float], usual: tuple[float, float]) -> tuple[float, ...]:
+    """Evenly spaced values from A to B."""
+    (low, high), (first, last) = limits, usual
+    if given is not None:
+        begin, colon, end = given.partition(":")
+        try:
+            first, last = float(begin), float(end)
+            if not (colon and low <= first < last <= high):
+                raise ValueError
+        except ValueError:
+            allowed = f"A:B with {figures(low)} <= A < B <= {figures(high)}, as {figures(usual[0])}:{figures(usual[1])}"
+            raise InputError(option, given, allowed) from None
+    return tuple(round(first + i * (last - first) / (POINTS - 1), 1) for i in range(POINTS))
+
+
+def compare_designs(grid: Grid, advance: Callable[[float], None] = lambda _: None) -> dict[str, Any]:
+    """Resistance of each vehicle at steady speeds and belt temperatures, and what a drive takes: ten minutes each at a third, two
+    thirds and all of the slower one's speed, where no cycle is given.
 
     Parameters
     ----------
-    speeds_kmh, belts_degc
-        The grid [km/h], [degC].
-    cycle
-        Speed profile of the drive, as `trackres simulate --profile` takes it; ten minutes each at a third, two thirds and all of
-        the slower one's speed without.
     advance
         Takes that one more point is done.
 
@@ -53,13 +101,13 @@ def compare_designs(
         Ready for JSON: torque [Nm] and coefficient (resistance over weight) by vehicle, belt temperature and speed; kWh/km of the
         drive, and per tonne.
     """
-    drive = _driven(cycle, min(v.chassis.max_speed for v in vehicles))
+    drive = _driven(grid.cycle, min(v.chassis.max_speed for v in grid.vehicles))
     found = []
-    for vehicle in vehicles:
+    for vehicle in grid.vehicles:
         radius = vehicle_constants(vehicle).radius
-        torque = np.empty((len(belts_degc), len(speeds_kmh)))
-        for i, degc in enumerate(belts_degc):
-            for j, kmh in enumerate(speeds_kmh):
+        torque = np.empty((len(grid.belts_degc), len(grid.speeds_kmh)))
+        for i, degc in enumerate(grid.belts_degc):
+            for j, kmh in enumerate(grid.speeds_kmh):
                 torque[i, j] = explain(vehicle, kmh / KMH_PER_MPS, degc)["torque_nm"]["resistance"]
                 advance(1)
         estimator = Estimator(vehicle)
@@ -78,7 +126,7 @@ def compare_designs(
                 "drive": {"km": driven / 1000.0, "kwh_per_km": each_km, "wh_per_km_and_t": 1000.0 * each_km / tonnes},
             }
         )
-    return {"speeds_kmh": list(speeds_kmh), "belts_degc": list(belts_degc), "designs": found}
+    return {"speeds_kmh": list(grid.speeds_kmh), "belts_degc": list(grid.belts_degc), "designs": found}
 
 
 def designs_text(found: Mapping[str, Any]) -> str:
