@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from trackres_ros.diagnosis.base.base import Base
 from trackres_ros.diagnosis.base.loading import LoadedBase
 from trackres_ros.diagnosis.base.watched import ByPlace
-from trackres_ros.diagnosis.described.describe import Term, describe, drift
-from trackres_ros.diagnosis.described.routes import SLOPES, Route, beside_names, by_place, find_route, roads_of
+from trackres_ros.diagnosis.described.describe import Term, drift
+from trackres_ros.diagnosis.described.explain import explain
+from trackres_ros.diagnosis.described.routes import SLOPES, Route, find_route, roads_of
 from trackres_ros.diagnosis.described.terms import Described
 from trackres_ros.diagnosis.described.told import course, said
 from trackres_ros.diagnosis.described.watching import drift_on_held_out, drift_to_watch, spells_to_watch
@@ -49,7 +50,7 @@ from trackres_ros.diagnosis.prepare.torque_checks import (
 from trackres_ros.diagnosis.selection.confirm import Graded, confirm, keep, leave_unconfirmed
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, HeldOut, HeldOutLaps, Improvement, held_out
 from trackres_ros.diagnosis.selection.intervals import Interval, intervals
-from trackres_ros.diagnosis.selection.naming import Step, choose
+from trackres_ros.diagnosis.selection.naming import Step
 from trackres_ros.diagnosis.selection.screening import QUICK_REPLICATES, REPLICATES
 from trackres_ros.diagnosis.writing.kept import Kept, LearnedDisturbance
 from trackres_ros.effects import catalogue
@@ -213,12 +214,9 @@ def diagnose(
     allowed, refuted = dict(effects), list[Graded]()
     while True:
         possible = allowed if first is None else {name: effect for name, effect in allowed.items() if name not in SLOPES}
-        rounds, named = choose(tested if first is None else first.candidate.fit, possible, replicates, rng, on_stage)
-        route, named = beside_names(first, roads, named, kinds)
-        description = describe(named, rounds, possible, replicates, rng, on_stage, roads, route, kinds)
-        steps, best = description.steps, description.fit
-        if route is not None and route.told and route.candidate.name in best.effect_names:
-            steps = [by_place(route, rounds[0]), *steps]
+        explained = explain(tested, first, roads, possible, replicates, rng, on_stage, kinds)
+        route, steps, description = explained.route, explained.steps, explained.description
+        best = description.fit
         on_stage("what it is worth: laps held out")
         final, graded, left_out = confirm(with_levels(best), refitted, laps) if best.effects else (refitted, {}, ())
         refuted += left_out
