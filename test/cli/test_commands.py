@@ -11,6 +11,7 @@ import sys
 
 import numpy as np
 import pytest
+from scipy.integrate import trapezoid
 
 
 @pytest.fixture(scope="module")
@@ -217,6 +218,13 @@ def test_replay_of_a_bag_with_a_topics_file(folder, sample, repository, good):
     assert len(columns["time_s"]) == done["steps"] == done["counters"]["speed"]["accepted"]
     assert 2700 < done["resistance_torque_nm"]["largest"] < 3500
     assert columns["belt_degc/front_left"][-1] > columns["belt_degc/front_left"][0]
+    drive, speed, torque = done["drive"], columns["speed_mps"], columns["resistance_torque_nm"]
+    assert drive["distance_m"] == pytest.approx(trapezoid(np.abs(speed), columns["time_s"]), rel=0.02)
+    assert drive["largest_resistance_nm"] == pytest.approx(done["resistance_torque_nm"]["largest"])
+    assert drive["mean_resistance_nm"] == pytest.approx(np.mean(torque[np.abs(speed) > 0.1]), rel=0.05)
+    assert 0.0 < drive["under_way_s"] <= columns["time_s"][-1]
+    assert drive["coldest_belt_degc"] < drive["warmest_belt_degc"]
+    assert drive["kwh_per_km"] == pytest.approx(drive["energy_mj"] / 3.6 / (drive["distance_m"] / 1000.0))
     assert any("quantised" in finding["kind"] for finding in done["findings"])
     assert (folder / "estimate.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
 

@@ -68,7 +68,7 @@ def test_replay(vehicle, drive, tmp_path, good):
         each = sum(table[name] for name in table.dtype.names if name.startswith(f"{column}/"))
         np.testing.assert_allclose(each, table[column], atol=1e-9, rtol=0)
     assert np.any(table["effects_nm"]) == (vehicle != "xgd24d")
-    printed(next(line for line in said.splitlines() if "resistance" in line), "resistance", RESISTANCE_PARTS)
+    printed(next(line for line in said.splitlines() if line.startswith("At the end")), "resistance", RESISTANCE_PARTS)
     told = json.loads(good("replay", drive, "--vehicle", vehicle, "-o", tmp_path / "out.csv", "--json"))["last"]
     assert sum(told[column] for column in RESISTANCE_PARTS.values()) == pytest.approx(told["resistance_torque_nm"], abs=1e-9)
 

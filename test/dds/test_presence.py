@@ -20,7 +20,7 @@ from cyclonedds.idl import types as idl
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
-from waiting import PATIENCE_S, wait_for
+from waiting import exit_code, wait_for
 
 from trackres_ros.node.dds.participant import Participant, Publication
 from trackres_ros.node.dds.wire import type_hash
@@ -150,7 +150,7 @@ def test_it_comes_with_all_its_endpoints_and_goes_at_once(graph, command, start,
     assert speed.qos[Policy.Reliability] == Policy.Reliability.BestEffort
     node.send_signal(signal.SIGTERM)
     assert wait_for(lambda: not graph.endpoints(below), patience_s=5.0)  # a lease would take 10 s to run out
-    assert node.wait(PATIENCE_S) == 0
+    assert exit_code(node) == 0
     where = f"in domain {environment['ROS_DOMAIN_ID']}, on this machine only"
     assert f"Cyclone DDS {where}: topics and presence" in node.stderr.read()
 
@@ -228,7 +228,7 @@ def test_a_log_that_nobody_reads_any_more_ends_nothing(command, start, tmp_path)
     node.send_signal(signal.SIGUSR1)
     assert wait_for(state.exists)  # and then says so
     node.send_signal(signal.SIGTERM)
-    assert node.wait(PATIENCE_S) == 0
+    assert exit_code(node) == 0
 
 
 @pytest.mark.parametrize(
@@ -240,7 +240,7 @@ def test_a_log_that_nobody_reads_any_more_ends_nothing(command, start, tmp_path)
 )
 def test_an_environment_it_cannot_start_in_is_said_in_one_line(command, start, variables, said):
     node = start(command(), **variables)
-    assert node.wait(PATIENCE_S) == 2
+    assert exit_code(node) == 2
     log = node.stderr.read()
     assert said in log.splitlines()[-1]
     assert "Traceback" not in log
@@ -269,7 +269,7 @@ def test_in_the_last_domain_every_port_is_one(start, command):
         assert said[-1], "".join(said)
         said.append(node.stderr.readline())
     node.send_signal(signal.SIGTERM)
-    assert node.wait(PATIENCE_S) == 0
+    assert exit_code(node) == 0
     assert "failed" not in "".join(said) + node.stderr.read()
 
 

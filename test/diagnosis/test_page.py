@@ -11,22 +11,13 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from browser import BROWSER, IN_A_BROWSER, asked, opened
 
 from trackres_ros.diagnosis.report.page import GRADES, write_page
 from trackres_ros.diagnosis.report.picture import Picture
 
-BROWSER = next((path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), None)
-ALONE = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking"]
-ALONE += ["--disable-component-update", "--disable-sync", "--enable-logging=stderr", "--virtual-time-budget=3000"]
-IN_A_BROWSER = pytest.mark.skipif(BROWSER is None, reason="no chromium on this machine")
 ON_PAPER = pytest.mark.skipif(BROWSER is None or not shutil.which("pdftotext"), reason="no chromium or pdftotext on this machine")
 WHY = "over a thousand times less likely than drivetrain_efficiency, in words that take up their room"
-
-
-def opened(page, folder, *options):
-    """The browser after it has done something with a page."""
-    command = [BROWSER, *ALONE, f"--user-data-dir={folder / 'profile'}", *options, f"file://{page}"]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
 
 
 @pytest.fixture(scope="module")
@@ -76,17 +67,9 @@ def test_on_paper_nothing_is_cut_off(widest, tmp_path):
 @IN_A_BROWSER
 def test_on_a_phone_the_page_itself_does_not_scroll_sideways(widest, tmp_path):
     page, _ = widest
-    phone = tmp_path / "phone.html"
-    phone.write_text(
-        f"""<iframe src="file://{page}" style="width:390px;height:800px"></iframe><script>window.onload = () => {{
-        const seen = document.querySelector("iframe").contentDocument;
-        document.title = seen.documentElement.scrollWidth + ";" + seen.images.length;
-        }}</script>"""
-    )
-    title = opened(phone, tmp_path, "--allow-file-access-from-files", "--dump-dom").stdout.partition("<title>")[2]
-    wide, pictures = title.partition("</title>")[0].split(";")
-    assert int(pictures) > 4
-    assert 300 < int(wide) <= 390
+    wide, pictures = asked(page, tmp_path, 390, "seen.documentElement.scrollWidth", "seen.images.length")
+    assert pictures > 4
+    assert 300 < wide <= 390
 
 
 @pytest.mark.parametrize("grade", [None, *GRADES])

@@ -19,9 +19,12 @@ BETWEEN, WITHIN = np.array([0.3, 0.2, 0.1]), np.array([0.08, 0.05, 0.1])
 MEAN = np.array([-0.5, 0.4, 0.0])
 
 
-def drawn(vehicles=8, recordings=24, seed=3, moved=None):
-    """Vehicles whose bearing and loss look nearly alike; `moved(vehicle, recording)` is what changed, shape (p,)."""
+def drawn(vehicles=8, recordings=24, seed=3, moved=None, alike=0.0):
+    """Vehicles whose bearing and loss look nearly alike; `moved(vehicle, recording)` is what changed, shape (p,), and `alike` how
+    bearing and loss of a recording scatter together.
+    """
     rng, p = np.random.default_rng(seed), len(NAMES)
+    root = np.linalg.cholesky([[1.0, alike, 0.0], [alike, 1.0, 0.0], [0.0, 0.0, 1.0]])
     columns = {key: [] for key in ("vehicle", "time", "air", "precision", "linear")}
     for v in range(vehicles):
         own = MEAN + BETWEEN * rng.standard_normal(p)
@@ -29,7 +32,7 @@ def drawn(vehicles=8, recordings=24, seed=3, moved=None):
             slopes = rng.standard_normal((30, p)) * (8.0, 8.0, 3.0)
             slopes[:, 1] = slopes[:, 0] + 0.3 * slopes[:, 1]
             precision = slopes.T @ slopes
-            true = own + WITHIN * rng.standard_normal(p) + (0.0 if moved is None else moved(v, r))
+            true = own + WITHIN * (root @ rng.standard_normal(p)) + (0.0 if moved is None else moved(v, r))
             linear = precision @ true + np.linalg.cholesky(precision) @ rng.standard_normal(p)
             row = (f"v{v}", 1.7e9 + 2.0 * DAY_S * r, 0.5 * rng.standard_normal(), precision, linear)
             for key, value in zip(columns, row, strict=True):
@@ -51,12 +54,11 @@ def test_a_scatter_takes_information_away_and_no_scatter_none(seed, std):
     rng = np.random.default_rng(seed)
     slopes = rng.standard_normal((5, 3))
     precision, linear = slopes.T @ slopes, rng.standard_normal(3)
-    softer, moved, _ = softened(precision, linear, np.full(3, std**2))
+    softer, moved = softened(precision, linear, std**2 * np.eye(3))
     assert np.linalg.eigvalsh(precision - softer).min() > -1e-9
-    unchanged, same, log = softened(precision, linear, np.zeros(3))
+    unchanged, same = softened(precision, linear, np.zeros((3, 3)))
     assert np.allclose(unchanged, precision)
     assert np.allclose(same, linear)
-    assert log == 0.0
     # As a Gaussian with a known value and covariance: the two add.
     assert np.allclose(np.linalg.inv(softer), np.linalg.inv(precision) + std**2 * np.eye(3), rtol=1e-4)
     assert np.allclose(np.linalg.solve(softer, moved), np.linalg.solve(precision, linear), rtol=1e-4, atol=1e-6)
@@ -64,8 +66,33 @@ def test_a_scatter_takes_information_away_and_no_scatter_none(seed, std):
 
 def test_what_differs_among_vehicles_and_recordings_is_found(quiet):
     assert np.abs(quiet.mean - MEAN).max() < 0.35
-    assert np.all((quiet.within / WITHIN > 0.4) & (quiet.within / WITHIN < 2.5))
-    assert np.all((quiet.between / BETWEEN > 0.3) & (quiet.between / BETWEEN < 3.0))
+    within, between = (np.sqrt(np.diag(covariance)) for covariance in (quiet.within, quiet.between))
+    assert np.all((within / WITHIN > 0.6) & (within / WITHIN < 1.6))
+    assert np.all((between / BETWEEN > 0.4) & (between / BETWEEN < 2.5))
+
+
+def test_what_scatters_together_is_found_to():
+    def correlation(alike):
+        within = pool(drawn(vehicles=12, recordings=40, alike=alike)).within
+        assert np.linalg.eigvalsh(within).min() > 0.0
+        return within[0, 1] / np.sqrt(within[0, 0] * within[1, 1])
+
+    opposed, apart, together = (correlation(alike) for alike in (-0.9, 0.0, 0.9))
+    assert opposed < -0.6
+    assert abs(apart) < 0.4
+    assert together > apart + 0.2
+
+
+def test_a_day_of_rain_counts_little_and_hides_no_change():
+    def moved(v, r):
+        return np.array([0.5 * (v == 2 and r >= 12) + 2.0 * ((5 * v + r) % 12 == 0), 0.0, 0.0])
+
+    pooled = pool(drawn(moved=moved))
+    wet = np.array([(5 * v + r) % 12 == 0 for v in range(8) for r in range(24)])
+    assert pooled.weight[wet].max() < 0.2 * np.median(pooled.weight[~wet])
+    found = {v: vehicle_changes(pooled, v)[0] for v in pooled.by_vehicle}
+    assert [c.parameter for c in found.pop("v2")] == ["bearing_friction"]
+    assert not any(found.values())
 
 
 def test_a_vehicle_with_little_to_say_is_taken_to_be_as_its_type_is():

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 from contextlib import contextmanager
+from urllib.request import urlopen
 
 import pytest
 from waiting import wait_for
@@ -18,7 +19,7 @@ pytest.importorskip("fsspec")
 pytest.importorskip("pyarrow")
 
 from trackres_ros.fleet.dataset import FleetDataset
-from trackres_ros.fleet.engine import DEATHS, done, engine, why
+from trackres_ros.fleet.engine import DEATHS, dashboard, done, engine, why
 
 SIX = {f"truck-0{v}/drive_000{n}.csv" for v in (1, 2) for n in (1, 2, 3)}
 
@@ -134,6 +135,26 @@ def test_a_run_gives_a_row_for_each_and_a_second_does_only_what_is_new(recording
 
 
 @pytest.mark.long
+def test_each_vehicle_has_a_diagnosis_by_month_which_is_made_once(recordings, good):
+    by_month = [*words(recordings, "--period", "month"), "--workers", "2", "--json"]
+    good(*by_month)
+    places = {vehicle: recordings / "out" / "diagnosis" / vehicle / "2025-06" for vehicle in ("truck-01", "truck-02")}
+    for vehicle, place in places.items():
+        report = json.loads((place / "report.json").read_text())
+        assert len(report["recordings"]) == 3
+        page = (recordings / "out" / "vehicles" / f"{vehicle}.html").read_text()
+        assert f"diagnosis/{vehicle}/2025-06/report.html" in page
+        assert report["verdict"]["sentence"][:30] in page
+    before = {vehicle: (place / "report.json").stat().st_mtime_ns for vehicle, place in places.items()}
+    changed = recordings / "recordings" / "truck-02" / "drive_0002.csv"
+    changed.write_text("\n".join(changed.read_text().splitlines()[:-50]) + "\n")
+    good(*by_month)
+    after = {vehicle: (place / "report.json").stat().st_mtime_ns for vehicle, place in places.items()}
+    assert after["truck-01"] == before["truck-01"]
+    assert after["truck-02"] > before["truck-02"]
+
+
+@pytest.mark.long
 def test_a_worker_that_is_killed_loses_nothing_and_doubles_nothing(recordings):
     with scheduler(recordings, workers=2) as (address, (_, first, second)):
         run = begun("trackres_ros", *words(recordings, "--engine", address))
@@ -172,6 +193,13 @@ def test_work_that_kills_its_worker_each_time_ends_and_the_other_work_is_done():
     assert found["1 + 1"] == 2
     assert found["2 + 2"] == 4
     assert f"{DEATHS} workers died" in why(found[deadly])
+
+
+@pytest.mark.long
+def test_the_engines_own_page_answers_where_it_has_one():
+    pytest.importorskip("bokeh")
+    with engine("local", 1) as client, urlopen(dashboard(client)) as page:
+        assert page.status == 200
 
 
 @pytest.mark.parametrize(("address", "part"), [("tcp://127.0.0.1:1", "no scheduler answers"), ("somewhere", "tcp://HOST:PORT")])

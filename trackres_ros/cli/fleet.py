@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -105,7 +106,14 @@ def run_command(
     dataset = FleetDataset(output)
     with ExitStack() as bars:
         counts = run(
-            recordings, fleet, dataset, engine, workers, hide, lambda total: bars.enter_context(progress("recordings", total))
+            recordings,
+            fleet,
+            dataset,
+            engine,
+            workers,
+            hide,
+            lambda total: bars.enter_context(progress("recordings", total)),
+            lambda page: click.echo(f"the engine's own page: {page}", err=True),
         )
     asked.keep(output, fleet)
     if period != "none":
@@ -197,26 +205,86 @@ def _limit(given: str) -> tuple[str, float]:
 @click.command("compare", cls=Command)
 @click.argument("one")
 @click.argument("other")
+@click.option("--speed-kmh", metavar="A:B", help="Of two designs: from and to which speed; 5 to the slower one's most without.")
+@click.option("--belt-degc", metavar="A:B", help="Of two designs: belts from and to this temperature; -20:80 without.")
 @click.option(
-    "-o", "--output", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="Folder for a picture of both."
+    "--cycle", type=click.Path(path_type=Path), metavar="P.csv", help="Of two designs: the drive, as simulate --profile has it."
+)
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="Folder for pictures of both."
 )
 @json_option
-def compare_command(one: str, other: str, output: Path | None, as_json: bool) -> None:
+def compare_command(
+    one: str, other: str, speed_kmh: str | None, belt_degc: str | None, cycle: Path | None, output: Path | None, as_json: bool
+) -> None:
     """What differs beyond its uncertainty between two days, vehicles, reports or designs.
 
     ONE and OTHER are each a folder of trackres fleet, all of it or a part (results:truck-01, results:truck-01@2026-03,
-    results@2026-03-14), a folder of trackres diagnose, or a vehicle file.
+    results@2026-03-14), a folder of trackres diagnose, or a vehicle file. Of two vehicle files with tracks the resistance over
+    speed and belt temperature and the energy of a drive are compared too.
 
     \b
     trackres compare results:truck-01@2026-01 results:truck-01@2026-03
-    trackres compare xgd24d my_design.yaml
+    trackres compare xgd24d my_design.yaml --speed-kmh 10:50 --belt-degc -20:80
     """
     from trackres_ros.fleet.compare import compare, compare_text
 
     found = compare(one, other)
+    designs = _designs((one, other), speed_kmh, belt_degc, cycle)
+    if designs is not None:
+        found["designs"] = designs
     if output is not None:
         needs("a picture", "plots", "matplotlib")
         from trackres_ros.fleet.overlay import draw_overlay
+        from trackres_ros.offline.designs import draw_designs
 
         found["written"] = str(draw_overlay(found, output_folder(output) / "compare.png"))
-    emit(found, as_json, lambda: compare_text(found))
+        if designs is not None:
+            found["written"] += f", {draw_designs(designs, output / 'designs.png')}"
+
+    def text() -> str:
+        from trackres_ros.offline.designs import designs_text
+
+        return "\n".join([compare_text(found), *([designs_text(designs)] if designs is not None else [])])
+
+    emit(found, as_json, text)
+
+
+def _designs(given: tuple[str, str], speed_kmh: str | None, belt_degc: str | None, cycle: Path | None) -> dict[str, Any] | None:
+    """Two vehicle files with tracks over a grid; None of anything else."""
+    from trackres_ros.files.resources import find_vehicle
+    from trackres_ros.files.yamls import read_yaml
+    from trackres_ros.offline import designs
+    from trackres_ros.units import KMH_PER_MPS
+    from trackres_ros.vehicle import load
+
+    try:
+        files = [find_vehicle(name) for name in given]
+    except InputError:
+        files = []
+    if not files or not all("tracks" in read_yaml(file) for file in files):
+        for option, value in (("--speed-kmh", speed_kmh), ("--belt-degc", belt_degc), ("--cycle", cycle)):
+            if value is not None:
+                raise InputError(option, value, "only with two vehicle files with tracks")
+        return None
+    vehicles = [load(file) for file in files]
+    fastest = min(v.chassis.max_speed for v in vehicles)
+    speeds = _span("--speed-kmh", speed_kmh, 0.1, 1.2 * KMH_PER_MPS * fastest, designs.SLOWEST_KMH, KMH_PER_MPS * fastest)
+    degc = _span("--belt-degc", belt_degc, -60.0, 150.0, designs.COLDEST_DEGC, designs.WARMEST_DEGC)
+    with progress("operating points", len(vehicles) * len(speeds) * len(degc)) as advance:
+        return designs.compare_designs(vehicles, speeds, degc, cycle, advance)
+
+
+def _span(option: str, given: str | None, low: float, high: float, first: float, last: float) -> list[float]:
+    """Evenly spaced values from A to B."""
+    from trackres_ros.offline.designs import POINTS
+
+    if given is not None:
+        begin, colon, end = given.partition(":")
+        try:
+            first, last = float(begin), float(end)
+            if not (colon and low <= first < last <= high):
+                raise ValueError
+        except ValueError:
+            raise InputError(option, given, f"A:B with {low:g} <= A < B <= {high:g}, as {first:g}:{last:g}") from None
+    return [round(first + i * (last - first) / (POINTS - 1), 1) for i in range(POINTS)]

@@ -20,7 +20,7 @@ from trackres_ros.cli.common import emit, json_option, needs, number, output_fol
 
 MINUTES = 15.0
 QUICK_MINUTES = 12.0
-REPORTED_SEED = 20261123
+REPORTED_SEED = 20261124
 FOLLOWED, QUICK_FOLLOWED = 40, 8  # cases in which the advised manoeuvre is driven
 EXTRA = "proof", "numba", "matplotlib", "jinja2", "ruptures"
 FOLDERS = ("cases", "results", "results_earlier", "next", "results_next", "sealed")

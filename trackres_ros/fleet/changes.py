@@ -55,6 +55,8 @@ class VehicleChange:
         How many it took until then.
     before, size, size_std
         The value before, and by how much it changed to the last recording, in the parameter's unit.
+    relative
+        Its size over the value before; nan of what the vehicle file says is 0, as an error of an instrument.
     gain
         In log-likelihood.
     """
@@ -68,12 +70,8 @@ class VehicleChange:
     before: float
     size: float
     size_std: float
+    relative: float
     gain: float
-
-    @property
-    def relative(self) -> float:
-        """Its size over the value before."""
-        return self.size / self.before if self.before else float("nan")
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,11 +113,11 @@ class Best:
 
 def course(pooled: Pooled, vehicle: str) -> Course:
     """Of one vehicle of the pool."""
-    of = pooled.of.some(pooled.of.vehicle == vehicle)
-    p = len(of.names)
+    own = pooled.of.vehicle == vehicle
+    of = pooled.of.some(own)
     linear = of.linear - np.einsum("nij,j,n->ni", of.precision, pooled.follows, of.air)
-    precision, linear, _ = softened(of.precision, np.asarray(linear), pooled.within**2)
-    prior = np.asarray(np.linalg.inv(np.diag(pooled.between**2) + pooled.covariance[:p, :p]))
+    precision, linear = softened(of.precision, np.asarray(linear), pooled.scatter(own))
+    prior = np.asarray(np.linalg.inv(pooled.between + pooled.covariance))
     looked_for = tuple(of.names.index(name) for name in SUFFER_CHANGE if name in of.names)
     return Course(precision, linear, prior, prior @ pooled.mean, of.time_s, looked_for)
 
@@ -264,6 +262,7 @@ def vehicle_changes(pooled: Pooled, vehicle: str, rate: float = FALSE_ALARMS) ->
                 before=float(before),
                 size=float(best.size * reach),
                 size_std=float(best.std * reach),
+                relative=float(best.size * reach / before) if nominal[best.parameter] and before else float("nan"),
                 gain=best.gain,
             )
         )

@@ -100,7 +100,7 @@ def compare_text(found: Mapping[str, Any]) -> str:
             f"(chance {figures(found['chance_of_all'], 1)}): which of them cannot be told."
         )
     else:
-        end = "Nothing differs beyond its uncertainty."
+        end = "None of these parameters differs beyond its uncertainty."
     return "\n".join([f"one: {found['one']}", f"other: {found['other']}", table(rows, head), end])
 
 
@@ -158,10 +158,11 @@ def _of_fleet(folder: Path, vehicle: str, day: str, given: str) -> Side:
         raise InputError(given, "vehicles of several types", "those of one", "name a vehicle: DIR:VEHICLE")
     whole = pool(types[0])
     wanted = {row["url"] for row in chosen}
-    of = whole.of.some(np.array([url in wanted for url in whole.of.urls]))
+    own = np.array([url in wanted for url in whole.of.urls])
+    of = whole.of.some(own)
     # How recordings differ is learned of all; what the parameters are of those chosen alone, with the vehicle file's ranges.
     linear = of.linear - np.einsum("nij,j,n->ni", of.precision, whole.follows, of.air)
-    precision, linear, _ = softened(of.precision, linear, whole.within**2)
+    precision, linear = softened(of.precision, linear, whole.scatter(own))
     covariance = np.linalg.inv(np.eye(len(of.names)) + precision.sum(axis=0))
     mean = covariance @ linear.sum(axis=0)
     scale = np.outer(of.std, of.std)

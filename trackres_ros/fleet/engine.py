@@ -92,6 +92,13 @@ def engine(address: str, workers: int | None = None) -> Iterator[Client]:
             yield client
 
 
+def dashboard(client: Client) -> str:
+    """Address of the engine's own page, empty where it has none: it needs bokeh beside the scheduler."""
+    port = client.scheduler_info()["services"].get("dashboard")
+    host = client.scheduler.address.partition("://")[2].rpartition(":")[0] if client.scheduler else ""
+    return f"http://{host}:{port}/status" if port and host else ""
+
+
 def done(client: Client, function: Callable[[Work], Any], work: Iterable[Work]) -> Iterator[tuple[Work, Any]]:
     """Each piece of work with its result, or with the exception that ended it, as they come.
 
@@ -129,9 +136,9 @@ def _done(client: Client, function: Callable[[Work], Any], work: Iterable[Work],
     completed = as_completed(begun, loop=client.loop)
     del begun
     for future in completed:
-        if future.status in ("cancelled", "lost"):
+        if future.status == "cancelled":
             raise _gone(client)
-        try:
+        try:  # a result that went with its worker is waited for: it is computed anew
             result = future.exception() if future.status == "error" else future.result()
         except Exception as error:
             raise _gone(client) from error

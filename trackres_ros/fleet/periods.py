@@ -12,7 +12,7 @@ import tempfile
 import warnings
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -27,7 +27,7 @@ from trackres_ros.fleet.task import NO_DAY
 from trackres_ros.fleet.trends import without_overlaps
 from trackres_ros.fleet.vehicles import Fleet, FleetVehicle
 
-DIAGNOSES, INPUTS = "diagnosis", "inputs.txt"
+DIAGNOSES, INPUTS, REASON = "diagnosis", "inputs.txt", "reason.txt"
 RECORDINGS = 4  # of a period that are diagnosed: three are fitted, one is held out; evenly over it
 Bar = Callable[[str, float | None], AbstractContextManager[Callable[[float], None]]]
 
@@ -57,8 +57,10 @@ def diagnose_periods(
         return
     with bar("diagnoses", len(new)) as advance, engine(address, workers) as client:
         for period, result in done(client, diagnose_period, new):
-            files = {"reason.txt": one_line(why(result)).encode()} if isinstance(result, BaseException) else result
-            _put(dataset.folder, period, files)
+            if isinstance(result, BaseException):  # no fault of the recordings: it is tried again the next time
+                _put(dataset.folder, replace(period, inputs=""), {REASON: one_line(why(result)).encode()})
+            else:
+                _put(dataset.folder, period, result)
             advance(1)
 
 
@@ -78,7 +80,7 @@ def periods(dataset: FleetDataset, fleet: Fleet, hide: tuple[str, ...]) -> list[
 
 
 def diagnose_period(period: Period) -> dict[str, bytes]:
-    """The files of a report, or of the reason why there is none."""
+    """The files of a report by their places in its folder, or the reason why there is none."""
     import trackres_ros as tr
     from trackres_ros.fleet.task import fetched
 
@@ -87,11 +89,12 @@ def diagnose_period(period: Period) -> dict[str, bytes]:
             vehicle = period.vehicle
             found = tr.diagnose(paths, vehicle.file, topics=vehicle.topics, hide=period.hide, quick=True)
         except InputError as error:
-            return {"reason.txt": str(error).encode()}
+            return {REASON: str(error).encode()}
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of a page that cannot be drawn: the command asked before
             found.report(Path(folder) / "report")
-        return {path.name: path.read_bytes() for path in (Path(folder) / "report").iterdir()}
+        written = Path(folder) / "report"
+        return {path.relative_to(written).as_posix(): path.read_bytes() for path in written.rglob("*") if path.is_file()}
 
 
 def verdicts(folder: Path) -> dict[str, dict[str, dict[str, str]]]:
@@ -109,7 +112,7 @@ def verdicts(folder: Path) -> dict[str, dict[str, dict[str, str]]]:
                 "page": page.relative_to(folder).as_posix() if page.is_file() else "",
             }
         else:
-            told = {"status": "refused", "text": (place / "reason.txt").read_text(encoding="utf-8"), "page": ""}
+            told = {"status": "refused", "text": (place / REASON).read_text(encoding="utf-8"), "page": ""}
         found.setdefault(place.parent.name, {})[place.name] = told
     return found
 
@@ -126,6 +129,7 @@ def _put(folder: Path, period: Period, files: Mapping[str, bytes]) -> None:
     shutil.rmtree(part, ignore_errors=True)
     part.mkdir(parents=True)
     for name, content in {**files, INPUTS: period.inputs.encode()}.items():
+        (part / name).parent.mkdir(parents=True, exist_ok=True)
         (part / name).write_bytes(content)
     shutil.rmtree(place, ignore_errors=True)
     part.rename(place)

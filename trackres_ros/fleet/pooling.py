@@ -12,11 +12,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 
 from trackres_ros.errors import InputError
 
@@ -24,9 +23,12 @@ Array = NDArray[np.float64]
 
 AMBIENT_DEGC, AMBIENT_STEP_K = 15.0, 10.0  # about which, and over how much, parameters are said to follow the air's temperature
 FOLLOWS_STD = 0.3  # by how much they may, in standard deviations of the vehicle file [1/AMBIENT_STEP_K]
-VEHICLES_STD, RECORDINGS_STD = 0.5, 0.3  # half-normal scales: of how vehicles of a type differ, and recordings of one vehicle
-LEAST_STD = 1e-3
-MOST_ROWS = 20_000  # of which it is learned how vehicles and recordings differ; means are of all
+VEHICLES_STD, RECORDINGS_STD = 0.3, 0.1  # of how vehicles of a type differ, and recordings of one vehicle, before any is seen,
+WORTH = 3.0  # as if that many had been
+ROUNDS, SETTLED = 100, 1e-3  # of learning how they differ; relative change of a variance at which it ends
+DEGREES = 4.0  # of freedom: weather scatters as Student's t, most days little and some a lot
+TURNS = 10  # of weights and means, the covariances being known
+MOST_ROWS = 5_000  # of which it is learned; means are of all
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +115,9 @@ class Pooled:
     follows
         What `AMBIENT_STEP_K` more add, shape (p,).
     between, within
-        Standard deviations among vehicles, and among recordings of one, shape (p,).
+        Covariances among vehicles, and among recordings of one, shape (p, p).
+    weight
+        Of each recording, shape (n,): one that is far from its vehicle scatters as `within` over its weight.
     by_vehicle
         Mean and covariance of each vehicle.
     """
@@ -124,7 +128,12 @@ class Pooled:
     follows: Array
     between: Array
     within: Array
+    weight: Array
     by_vehicle: dict[str, tuple[Array, Array]]
+
+    def scatter(self, rows: NDArray[np.bool_]) -> Array:
+        """Covariance by which some recordings scatter, shape (n, p, p)."""
+        return _scatter(self.within, self.weight[rows])
 
     def value(self, vehicle: str | None, name: str) -> tuple[float, float]:
         """A parameter's value and standard deviation in its unit, of a vehicle or of the type."""
@@ -133,24 +142,25 @@ class Pooled:
         return float(self.of.nominal[i] + self.of.std[i] * mean[i]), float(self.of.std[i] * np.sqrt(covariance[i, i]))
 
 
-def softened(precision: Array, linear: Array, variance: Array) -> tuple[Array, Array, Array]:
-    """Likelihoods of a mean about which parameters scatter, and their logarithms at mean zero.
+def softened(precision: Array, linear: Array, spread: Array) -> tuple[Array, Array]:
+    """Likelihoods of a mean about which parameters scatter.
 
     Parameters
     ----------
     precision, linear
         Of what scatters, shapes (..., p, p) and (..., p).
-    variance
-        Of the scatter, shape (p,), or (p, p).
+    spread
+        Covariance of the scatter, shape (p, p), or of each (..., p, p).
     """
-    spread = np.diag(variance) if variance.ndim == 1 else variance
-    eye = np.eye(precision.shape[-1])
-    mixed = eye + precision @ spread
+    mixed = np.eye(precision.shape[-1]) + precision @ spread
     softer = np.asarray(np.linalg.solve(mixed, precision))
     softer = np.asarray(0.5 * (softer + np.swapaxes(softer, -1, -2)))
     moved = np.asarray(np.linalg.solve(mixed, linear[..., np.newaxis])[..., 0])
-    log = -0.5 * np.linalg.slogdet(mixed)[1] + 0.5 * np.einsum("...i,ij,...j->...", linear, spread, moved)
-    return softer, moved, np.asarray(log)
+    return softer, moved
+
+
+def _scatter(within: Array, weight: Array) -> Array:
+    return np.asarray(within / weight[:, np.newaxis, np.newaxis])
 
 
 def with_air(precision: Array, linear: Array, air: Array) -> tuple[Array, Array]:
@@ -162,7 +172,10 @@ def with_air(precision: Array, linear: Array, air: Array) -> tuple[Array, Array]
 
 
 def pool(data: Vehicles) -> Pooled:
-    """Fit type, vehicles and scatter together: the standard deviations by what is most probable, the means given those.
+    """Fit type, vehicles and scatter together: the covariances by what is most probable, the means given those.
+
+    Recordings of one vehicle scatter by weather and load, which move several parameters at once: what tells them apart least
+    scatters most. So the scatter has correlations.
 
     Raises
     ------
@@ -172,48 +185,98 @@ def pool(data: Vehicles) -> Pooled:
     if not len(data):
         raise InputError("recordings", "none that could be compared", "at least one")
     between, within = _spreads(data)
-    _, mean, covariance = _means(data, between, within)
-    p = len(data.names)
-    by_vehicle = {}
-    for name in np.unique(data.vehicle):
-        of = data.some(data.vehicle == name)
-        softer, moved, _ = softened(of.precision, of.linear - np.einsum("nij,j,n->ni", of.precision, mean[p:], of.air), within**2)
-        own = np.diag(between**2) + covariance[:p, :p]
-        posterior = np.linalg.inv(np.linalg.inv(own) + softer.sum(axis=0))
-        by_vehicle[str(name)] = posterior @ (np.linalg.solve(own, mean[:p]) + moved.sum(axis=0)), posterior
-    return Pooled(data, mean[:p], covariance[:p, :p], mean[p:], between, within, by_vehicle)
+    weight = np.ones(len(data))
+    for _ in range(TURNS):
+        weight = _off(data, between, within, weight).weight
+    p, (type_, vehicles) = len(data.names), _means(data, between, within, weight)
+    by_vehicle = {name: (v.itself.mean[:p], v.itself.covariance[:p, :p]) for name, v in vehicles.items()}
+    return Pooled(data, type_.mean[:p], type_.covariance[:p, :p], type_.mean[p:], between, within, weight, by_vehicle)
+
+
+class Known(NamedTuple):
+    """Mean and covariance of the parameters at `AMBIENT_DEGC` and of what they follow the air by, shapes (2p,) and (2p, 2p)."""
+
+    mean: Array
+    covariance: Array
+
+
+class KnownVehicle(NamedTuple):
+    """A vehicle, and how far it is from its type."""
+
+    itself: Known
+    off: Known
 
 
 def _spreads(data: Vehicles) -> tuple[Array, Array]:
+    """Covariances among vehicles and among recordings of one, by expectation and maximisation: Dempster, Laird and Rubin, Journal
+    of the Royal Statistical Society B 39 (1977) 1.
+    """
     p = len(data.names)
-    chosen = data
     if len(data) > MOST_ROWS:
-        chosen = data.some(np.sort(np.random.default_rng(0).choice(len(data), MOST_ROWS, replace=False)))
-    scales = np.concatenate((np.full(p, VEHICLES_STD), np.full(p, RECORDINGS_STD)))
+        data = data.some(np.sort(np.random.default_rng(0).choice(len(data), MOST_ROWS, replace=False)))
+    between, within = VEHICLES_STD**2 * np.eye(p), RECORDINGS_STD**2 * np.eye(p)
+    first_between, first_within = between, within
+    weight, count = np.ones(len(data)), len(np.unique(data.vehicle))
+    for _ in range(ROUNDS):
+        off, before = _off(data, between, within, weight), np.diag(within)
+        weight = off.weight
+        within = (np.einsum("n,nij->ij", weight, off.recordings) + WORTH * first_within) / (len(data) + WORTH)
+        between = (off.vehicles + WORTH * first_between) / (count + WORTH)
+        if np.abs(np.diag(within) / before - 1.0).max() < SETTLED:
+            break
+    return between, within
 
-    def cost(logs: Array) -> float:
-        stds = np.exp(logs)
-        return -_means(chosen, stds[:p], stds[p:])[0] + 0.5 * float(((stds / scales) ** 2).sum()) - 0.1 * float(logs.sum())
 
-    bounds = [(np.log(LEAST_STD), np.log(10.0))] * (2 * p)
-    found = minimize(cost, np.log(0.3 * scales), method="L-BFGS-B", bounds=bounds, options={"maxiter": 60})
-    stds = np.exp(found.x)
-    return stds[:p], stds[p:]
+class Off(NamedTuple):
+    """Expected squares of how far vehicles are from their type, their sum, shape (p, p), and recordings from their vehicle, shape
+    (n, p, p), each by all that is known; and the weights that follow, shape (n,).
+    """
+
+    vehicles: Array
+    recordings: Array
+    weight: Array
 
 
-def _means(data: Vehicles, between: Array, within: Array) -> tuple[float, Array, Array]:
-    """Log-likelihood of standard deviations; mean and covariance of the type, and of what it follows the air by."""
+def _off(data: Vehicles, between: Array, within: Array, weight: Array) -> Off:
     p = len(data.names)
-    softer, moved, log = softened(data.precision, data.linear, within**2)
-    total = float(log.sum())
+    names, of = np.unique(data.vehicle, return_inverse=True)
+    vehicles = _means(data, between, within, weight)[1]
+    known, apart = zip(*(vehicles[str(name)] for name in names), strict=True)
+    one = np.stack((np.ones_like(data.air), data.air), axis=1)
+    # Where the mean of each recording lies, by what is known of its vehicle, and how sure that is.
+    means, covariances = np.array([k.mean for k in known])[of], np.array([k.covariance for k in known])[of]
+    mean = np.einsum("na,nai->ni", one, means.reshape(-1, 2, p))
+    unsure = np.einsum("na,nb,naibj->nij", one, one, covariances.reshape(-1, 2, p, 2, p))
+    # What each recording is off that: its own likelihood, and the scatter as it is known so far.
+    spread = _scatter(within, weight)
+    narrowed = np.linalg.solve(np.eye(p) + spread @ data.precision, spread)
+    off = np.einsum("nij,nj->ni", narrowed, data.linear - np.einsum("nij,nj->ni", data.precision, mean))
+    pulled = narrowed @ data.precision
+    squares = narrowed + np.einsum("ni,nj->nij", off, off) + pulled @ unsure @ np.swapaxes(pulled, 1, 2)
+    distance = np.einsum("ij,nij->n", np.linalg.inv(within), squares)
+    among = np.sum([(np.outer(k.mean, k.mean) + k.covariance)[:p, :p] for k in apart], axis=0)
+    return Off(among, squares, (DEGREES + p) / (DEGREES + distance))
+
+
+def _means(data: Vehicles, between: Array, within: Array, weight: Array) -> tuple[Known, dict[str, KnownVehicle]]:
+    """What is known of the type, and of each vehicle by all, given how they scatter."""
+    p = len(data.names)
+    softer, moved = softened(data.precision, data.linear, _scatter(within, weight))
     both, linear = with_air(softer, moved, data.air)
     starts = np.concatenate(([0], np.flatnonzero(data.vehicle[1:] != data.vehicle[:-1]) + 1))
     both, linear = np.add.reduceat(both, starts), np.add.reduceat(linear, starts)
-    spread = np.concatenate((between**2, np.zeros(p)))
-    softer, moved, log = softened(both, linear, spread)
+    spread = np.zeros((2 * p, 2 * p))
+    spread[:p, :p] = between
+    softer, moved = softened(both, linear, spread)
     prior = np.diag(np.concatenate((np.ones(p), np.full(p, FOLLOWS_STD**-2.0))))
-    precision, right = prior + softer.sum(axis=0), moved.sum(axis=0)
-    covariance = np.linalg.inv(precision)
-    mean = covariance @ right
-    total += float(log.sum()) - 0.5 * float(np.linalg.slogdet(precision)[1]) + 0.5 * float(right @ mean)
-    return total, mean, covariance
+    covariance = np.linalg.inv(prior + softer.sum(axis=0))
+    type_ = Known(covariance @ moved.sum(axis=0), covariance)
+    vehicles = {}
+    for start, precision, right in zip(starts, both, linear, strict=True):
+        narrowed = np.linalg.solve(np.eye(2 * p) + spread @ precision, spread)
+        pulled = narrowed @ precision
+        off = Known(narrowed @ (right - precision @ type_.mean), narrowed + pulled @ covariance @ pulled.T)
+        kept = np.eye(2 * p) - pulled
+        itself = Known(type_.mean + off.mean, narrowed + kept @ covariance @ kept.T)
+        vehicles[str(data.vehicle[start])] = KnownVehicle(itself, off)
+    return type_, vehicles

@@ -13,7 +13,7 @@ from typing import Any
 from trackres_ros.checks import one_of
 from trackres_ros.errors import InputError
 from trackres_ros.fleet.dataset import FleetDataset, Kept
-from trackres_ros.fleet.engine import LOCAL, done, engine, why
+from trackres_ros.fleet.engine import LOCAL, dashboard, done, engine, why
 from trackres_ros.fleet.recordings import FoundRecording, find_recordings
 from trackres_ros.fleet.task import AGAIN, BROKEN, NO_VEHICLE, SAME, Task, analyse, broken
 from trackres_ros.fleet.vehicles import Fleet
@@ -49,6 +49,7 @@ def run(
     workers: int | None = None,
     hide: tuple[str, ...] = (),
     on_begin: Callable[[int], Callable[[float], None]] = lambda _: lambda _: None,
+    on_dashboard: Callable[[str], None] = lambda _: None,
 ) -> Counts:
     """Make a row of each recording that has none yet, or that changed.
 
@@ -62,6 +63,8 @@ def run(
         Roles that are not read.
     on_begin
         Takes how many are to be done, and gives what takes that one more is.
+    on_dashboard
+        Takes the address of the engine's own page, if it has one.
 
     Raises
     ------
@@ -110,6 +113,8 @@ def run(
     if first is not None:
         advance = on_begin(_how_many(recordings, fleet, hide, index))
         with engine(address, workers) as client:
+            if page := dashboard(client):
+                on_dashboard(page)
             for row in rows(done(client, analyse, chain([first], new))):
                 put(row)
                 advance(1)

@@ -128,8 +128,8 @@ def _type(of: Pooled) -> dict[str, Any]:
             "file": float(of.of.nominal[i]),
             "value": value,
             "std": std,
-            "between_vehicles": scale * float(of.between[i]),
-            "between_recordings": scale * float(of.within[i]),
+            "between_vehicles": scale * float(of.between[i, i] ** 0.5),
+            "between_recordings": scale * float(of.within[i, i] ** 0.5),
             "per_10_k_of_air": scale * float(of.follows[i]),
         }
     return {"vehicles": sorted(of.by_vehicle), "recordings": len(of.of), "parameters": parameters}
@@ -142,7 +142,7 @@ def _vehicle(
     for i, parameter in enumerate(of.of.names):
         value, std = of.value(name, parameter)
         typical = of.value(None, parameter)[0]
-        unusual = float((of.by_vehicle[name][0][i] - of.mean[i]) / max(float(of.between[i]), 1e-9))
+        unusual = float((of.by_vehicle[name][0][i] - of.mean[i]) / max(float(of.between[i, i] ** 0.5), 1e-9))
         values[parameter] = {"value": value, "std": std, "beyond_type": value - typical, "in_stds_of_type": unusual}
     changes, least = vehicle_changes(of, name, rate)
     starts = [row["start_s"] for row in rows]
@@ -180,7 +180,7 @@ def _change(found: VehicleChange, last_s: float, limit: float | None) -> dict[st
         "before": found.before,
         "size": found.size,
         "size_std": found.size_std,
-        "relative": found.relative,
+        "relative": found.relative if np.isfinite(found.relative) else None,
         "gain": found.gain,
     }
     return content | {"forecast": forecast(found, last_s, limit)}
@@ -226,7 +226,9 @@ def change_sentence(vehicle: str, c: Mapping[str, Any]) -> str:
         if c["kind"] == RAMP
         else (f"{c['parameter']} {'rose' if c['size'] > 0 else 'fell'} at once on {c['since']}")
     )
-    size = f"{figures(abs(c['size']))} +- {figures(TWO_SIDED_95 * c['size_std'], 2)} ({100.0 * c['relative']:+.0f} %)"
+    size = f"{figures(abs(c['size']))} +- {figures(TWO_SIDED_95 * c['size_std'], 2)}"
+    if c["relative"] is not None:
+        size += f" ({100.0 * c['relative']:+.0f} %)"
     text = f"{vehicle}: {what}, by {size}, known on {c['known']}"
     if c["alike"]:
         text += f"; {' or '.join(c['alike'])} would explain it as well"

@@ -18,14 +18,18 @@ from trackres_ros.learning.columns import lines as lines_of
 from trackres_ros.learning.columns import ranges_of, shown
 from trackres_ros.learning.learner import Learner
 from trackres_ros.model.resistance import RESISTANCE_PARTS
+from trackres_ros.model.vehicle_constants import vehicle_constants
 from trackres_ros.offline.replay import Replayed
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.samples import Block, Finding, Source
 from trackres_ros.text.numbers import decimals
+from trackres_ros.units import STANDSTILL_MPS
 
 Array = NDArray[np.float64]
 
 HEAD = 1  # columns of a picture row before the results: the time
+LONGEST_STEP_S, UNUSUAL = 10.0, 5.0  # or that many times the usual: over a longer step between two samples nothing is known
+MEGA, MJ_PER_KWH = 1e6, 3.6
 MOST_KEPT = 10_000_000
 """Samples kept to be looked at, a quarter of a gigabyte; ten hours of three channels at 50 Hz are half as many."""
 
@@ -103,10 +107,47 @@ def summary(result: Replayed, name: str, notes: Sequence[str], findings: Sequenc
             {"reason": (reason.name or "").lower(), "text": at.REASON_TEXT[reason], "steps": number}
             for reason, number in sorted(result.session.reason_counts().items())
         ],
+        "drive": drive(result),
         "resistance_torque_nm": {"first": float(torque[0]), "largest": float(np.max(torque)), "last": float(torque[-1])},
         "last": last,
         **learned,
     }
+
+
+def drive(result: Replayed) -> dict[str, float]:
+    """What the drive took, by the samples of the picture: way, time under way, mean and largest resistance, energy, belts."""
+    estimator = result.session.estimator
+    columns = picture_columns(estimator.columns, result.picture)
+    time, speed, torque = result.picture[:, 0], columns["speed_mps"], columns["resistance_torque_nm"]
+    belts = np.stack([series for name, series in columns.items() if name.startswith("belt_degc/")])
+    step = np.diff(time, prepend=time[:1])
+    step[step > max(LONGEST_STEP_S, UNUSUAL * float(np.median(step)))] = 0.0
+    under_way = np.where(np.abs(speed) > STANDSTILL_MPS, step, 0.0)
+    energy_mj = float(np.nansum(step * speed * torque)) / vehicle_constants(estimator.vehicle).radius / MEGA
+    driven = float(np.nansum(step * np.abs(speed)))
+    return {
+        "distance_m": driven,
+        "under_way_s": float(under_way.sum()),
+        "mean_resistance_nm": float(np.nansum(under_way * np.abs(torque))) / max(float(under_way.sum()), 1e-9),
+        "largest_resistance_nm": float(np.nanmax(np.abs(torque))),
+        "energy_mj": energy_mj,
+        "kwh_per_km": energy_mj / MJ_PER_KWH / max(driven / 1000.0, 1e-9) if driven > 0.0 else 0.0,
+        "coldest_belt_degc": float(np.nanmin(belts)),
+        "warmest_belt_degc": float(np.nanmax(belts)),
+    }
+
+
+def _drive_text(of: dict[str, float]) -> str:
+    if not of["under_way_s"]:
+        return "The vehicle stood all the time"
+    way, minutes = decimals(of["distance_m"] / 1000.0, 2), decimals(of["under_way_s"] / 60.0, 1)
+    mean, largest = decimals(of["mean_resistance_nm"]), decimals(of["largest_resistance_nm"])
+    energy, each_km = decimals(of["energy_mj"], 1), decimals(of["kwh_per_km"], 2)
+    belts = f"{decimals(of['coldest_belt_degc'], 1)} to {decimals(of['warmest_belt_degc'], 1)} degC"
+    return (
+        f"The drive: {way} km, {minutes} min under way; resistance {mean} Nm in the mean, {largest} Nm at most; {energy} MJ "
+        f"({each_km} kWh/km); belts {belts}"
+    )
 
 
 def text(report: dict[str, Any]) -> str:
@@ -121,11 +162,12 @@ def text(report: dict[str, Any]) -> str:
         if refused:
             lines.append(f"  counted: {channel}: " + ", ".join(f"{name} {number}" for name, number in refused.items()))
     lines += [f"  status: {item['text']} ({item['steps']} steps)" for item in report["reasons"]]
+    lines.append(_drive_text(report["drive"]))
     lines.append(
         f"At the end, at {decimals(last['speed_mps'] * 3.6, 1)} km/h: resistance "
         f"{decimals(last['resistance_torque_nm'])} +- {decimals(last['resistance_std_nm'])} Nm ("
         + ", ".join(f"{part} {decimals(last[column])}" for part, column in RESISTANCE_PARTS.items())
-        + f"), largest {decimals(report['resistance_torque_nm']['largest'])} Nm"
+        + ")"
     )
     if "learning" in report:
         lines.append(f"Learning ({report['learning']['mode']}): {report['learning']['text']}")

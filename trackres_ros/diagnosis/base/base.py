@@ -181,7 +181,7 @@ class Acting:
         if session.torque_course is None:  # nothing was measured: the middle of a step is where its mean is
             return np.interp(session.time - terms.sensor_delay, session.time, shown)
         # Within a step the torque may jump, which its mean does not show. So the measured one is taken later instead, exactly.
-        later = session.torque_course.means(session.time + terms.sensor_delay, session.step)
+        later = session.torque_course.later_means(session.time, session.step, terms.sensor_delay)
         return np.asarray(shown - (later - session.torque))
 
     def check(self, left_out: Array, session: Session, facts: VehicleConstants) -> None:

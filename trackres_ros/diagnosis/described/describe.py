@@ -49,6 +49,7 @@ Search = Callable[[Fit, Sequence[Array]], "Term | None"]
 MOST_DESCRIBED = 2
 SURE = 10.0  # in log-likelihood: spells over what only wanders, what wanders over what does not, a term over none
 LEAST_FOLLOWED = 8.0  # in log-likelihood, to first order: what gains less does not pay for its knots
+UNDECIDED = 3  # names that explain as much: none of them is known to be there
 FEWEST_SPELLS = 3
 FEWEST_REPLICATES = 19
 SLOWEST_WANDER_S = 60.0  # what wanders faster is noise that the autoregression knows
@@ -115,6 +116,12 @@ def describe(
         current, terms[PAYLOAD] = load.candidate.fit, load
     if route is not None and not route.told:
         terms[route.candidate.name] = Term(route.candidate, route=route)
+    for step in [s for s in steps if s.chosen is not None and len(s.members) >= UNDECIDED]:
+        on_stage(f"what has no name, instead of {', '.join(step.members)}")
+        instead = _instead(step, current, replicates, rng)
+        if instead is not None and instead.candidate.name not in terms:
+            terms[instead.candidate.name] = instead
+            current, kept = instead.candidate.fit, [s for s in kept if s is not step]
     searches = {name: search for name, search in BY_CLOCK.items() if roads is None or name != PLACE}
     searches[PAYLOAD] = partial(_payload, route=route)
     for round_ in range(MOST_DESCRIBED - (load is not None)):
@@ -155,6 +162,16 @@ def _followed(current: Fit, replicates: int, rng: np.random.Generator) -> Term |
         if tried.net_evidence > chosen.net_evidence + ALIKE_WITHIN:
             chosen = tried
     return Term(chosen, _tied(step, chosen, as_good))
+
+
+def _instead(step: Step, current: Fit, replicates: int, rng: np.random.Generator) -> Term | None:
+    """A term that explains more than a name that stands for several, between which nothing decides."""
+    assert step.chosen is not None
+    others = [a.effect for a in current.effects if a.effect.name != step.chosen.name]
+    term = _followed(fit(current.problem, others, current.at, current.noises), replicates, rng)
+    if term is None or term.candidate.fit.log_evidence < current.log_evidence + ALIKE_WITHIN:
+        return None
+    return term
 
 
 def _tied(step: Step, chosen: Candidate, as_good: Sequence[Candidate]) -> Step:

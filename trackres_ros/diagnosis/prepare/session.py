@@ -16,6 +16,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 AROUND = 5  # steps, odd
+MOST_KEPT = 8  # of what a course was asked for
 NOT_RECORDED = dict.fromkeys(("latitude", "longitude", "altitude", "steering_angle", "passengers"), np.nan) | {
     "payload": 0.0, "torque_by_place": 0.0,
 }  # fmt: skip
@@ -28,6 +29,7 @@ class Course:
 
     at: Array
     integral: Array
+    _asked: dict[tuple[float, ...], Array] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(cls, at: Array, value: Array) -> Course:
@@ -39,6 +41,17 @@ class Course:
         """Means over steps that begin at some times [s]."""
         edges = np.interp(np.stack([begin, begin + step]), self.at, self.integral)
         return np.asarray((edges[1] - edges[0]) / step)
+
+    def later_means(self, begin: Array, step: float, later: float) -> Array:
+        """The same so much later [s]; kept for the last few, as most derivatives of a fit leave a delay as it is."""
+        asked = len(begin), float(begin[0]), step, later
+        found = self._asked.get(asked)
+        if found is None:
+            found = self.means(begin + later, step)
+            if len(self._asked) >= MOST_KEPT:
+                self._asked.clear()
+            self._asked[asked] = found
+        return found
 
 
 @dataclass(frozen=True, eq=False)

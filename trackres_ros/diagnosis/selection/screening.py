@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,13 +118,26 @@ Lagged = Mapping[str, Array]
 
 @dataclass(frozen=True, eq=False)
 class _Mover:
-    """What may move to explain a residual: columns, bounds, and the weight of the priors and where they pull, per parameter."""
+    """What may move to explain a residual: columns, bounds, and the weight of the priors and where they pull, per parameter; and
+    the columns whitened by the noises that are begun with, as they are asked for.
+    """
 
     columns: Lagged
     low: Array
     high: Array
     prior: Array
     pull: Array
+    begun: dict[int, Lagged] = field(default_factory=dict)
+
+    def white(self, noises: Mapping[str, Noise]) -> Lagged:
+        """Columns whitened by noises."""
+        return {kind: _white(self.columns[kind], noise) for kind, noise in noises.items()}
+
+    def white_at_first(self, noises: Mapping[str, Noise]) -> Lagged:
+        """The same, kept: each draw begins with the same noises."""
+        if id(noises) not in self.begun:
+            self.begun[id(noises)] = self.white(noises)
+        return self.begun[id(noises)]
 
 
 class _Linear:
@@ -217,12 +230,13 @@ class _Linear:
         pull = np.zeros_like(mover.pull) if centred_on_fit else mover.pull
         noises, left = dict(begin), residual
         moved = np.zeros(len(mover.prior))
-        for _ in range(TURNS):
+        for turn in range(TURNS):
+            columns = mover.white(noises) if turn else mover.white_at_first(begin)
             parts_x, parts_e = [np.diag(mover.prior)], [pull]
             for kind, noise in noises.items():
                 weight = np.sqrt(noise.weights(_white(left[kind], noise)))
                 parts_e.append(weight * _white(residual[kind], noise))
-                parts_x.append(weight[:, np.newaxis] * _white(mover.columns[kind], noise))
+                parts_x.append(weight[:, np.newaxis] * columns[kind])
             moved = _bounded(np.concatenate(parts_x), np.concatenate(parts_e), mover.low, mover.high)
             left = {kind: rows - mover.columns[kind] @ moved for kind, rows in residual.items()}
             noises = {kind: improved(left[kind][1:].T, left[kind][0], noise) for kind, noise in noises.items()}

@@ -13,9 +13,11 @@ import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from scipy.stats import beta
 
 from trackres_ros.errors import InputError
@@ -34,6 +36,9 @@ from trackres_ros.evaluation.fleet.draw import (
     seal,
 )
 from trackres_ros.evaluation.fleet.sample import write_recordings
+from trackres_ros.fleet.dataset import FleetDataset
+from trackres_ros.fleet.pooling import Vehicles, pool
+from trackres_ros.fleet.trends import NUMBERS, TEXTS
 
 SEALED, OPEN, RESULTS = "sealed", "fleet", "results"
 KINDS = (
@@ -47,6 +52,7 @@ KINDS = (
 CHANGED_SHARE = 0.5  # of the vehicles
 TEN_PERCENT = 0.10
 SOON = 10  # recordings
+RECORDINGS_OF_EACH, SETTLED_STD, DRAWS = 2, 0.5, 8
 MONTH_S = 365.25 / 12.0 * DAY_S
 TARGETS = "targets: 95 % of changes of 10 % in bearing drag within 10 recordings; at most one false alarm in 50 vehicle-months"
 
@@ -100,7 +106,31 @@ def score(folder: Path) -> dict[str, Any]:
         raise InputError(str(folder / SEALED), "labels that are not those that were sealed", "those as drawn", "begin anew")
     found = json.loads((folder / "found.json").read_text(encoding="utf-8"))
     scored = [score_vehicle(v, found["vehicles"].get(v.name, {"changes": []})) for v in fleet]
-    return summary(scored, labels["seed"], (folder / "seal.txt").read_text(encoding="utf-8").strip())
+    counted = summary(scored, labels["seed"], (folder / "seal.txt").read_text(encoding="utf-8").strip())
+    return counted | {"known_of_the_type": known_of_the_type(FleetDataset(folder / RESULTS))}
+
+
+def known_of_the_type(dataset: FleetDataset) -> list[dict[str, Any]]:
+    """How sure the parameters of the type are by so many vehicles, of each `RECORDINGS_OF_EACH` recordings: standard deviations
+    over those of the vehicle file, and how many are below half of it; means over draws of the vehicles.
+    """
+    rows = [row for row in dataset.rows([*TEXTS, *NUMBERS]) if row["status"] == "good"]
+    whole = max(Vehicles.of(rows), key=len)
+    begins = np.concatenate(([0], np.flatnonzero(whole.vehicle[1:] != whole.vehicle[:-1]) + 1, [len(whole)]))
+    some = np.concatenate([np.arange(a, min(a + RECORDINGS_OF_EACH, b)) for a, b in pairwise(begins)])
+    few, rng = whole.some(some), np.random.default_rng(1)
+    names = np.unique(few.vehicle)
+    counts = [2**i for i in range(len(names).bit_length()) if 2**i < len(names)] + [len(names)]
+    found = []
+    for count in counts:
+        stds = []
+        for _ in range(DRAWS if count < len(names) else 1):
+            chosen = rng.choice(names, count, replace=False)
+            stds.append(np.sqrt(np.diag(pool(few.some(np.isin(few.vehicle, chosen))).covariance)))
+        mean = dict(zip(few.names, np.mean(stds, axis=0).tolist(), strict=True))
+        settled = float((np.array(stds) < SETTLED_STD).sum(axis=1).mean())
+        found.append({"vehicles": count, "settled": settled, "std": mean})
+    return found
 
 
 def score_vehicle(vehicle: DrawnVehicle, found: Mapping[str, Any]) -> ScoredVehicle:
@@ -157,8 +187,6 @@ def page(found: Mapping[str, Any]) -> str:
     tenth, changes, false = found["ten_percent_of_bearing"], found["changes"], found["false_alarms"]
     low, high = tenth["interval_95"]
     lines = [
-        "# Changes in a concealed fleet",
-        "",
         f"Seed {found['seed']}, SHA-256 of what is hidden {found['seal']}; {TARGETS}.",
         "",
         f"- changes of 10 % in bearing drag found within 10 recordings: {tenth['within_10_recordings']} of {tenth['hidden']} "
@@ -176,6 +204,16 @@ def page(found: Mapping[str, Any]) -> str:
         named = "" if not h or not s["found"] else "yes" if s["named"] else "among others" if s["one_of"] else "no"
         first, within = (h["first"] + 1, s["recordings"] or "not found") if h else ("", "")
         lines.append(f"| {s['name']} | {what} | {first} | {within} | {named} | {s['false']} |")
+    known = found["known_of_the_type"]
+    lines += [
+        "",
+        f"How sure the type is by so many vehicles with {RECORDINGS_OF_EACH} recordings each: standard deviations over those of "
+        f"the vehicle file, and how many of the parameters are below {SETTLED_STD:g}.",
+        "",
+        f"| vehicles | settled | {' | '.join(known[0]['std'])} |",
+        f"|---|---|{'---|' * len(known[0]['std'])}",
+        *(f"| {k['vehicles']} | {k['settled']:.1f} | {' | '.join(f'{x:.2f}' for x in k['std'].values())} |" for k in known),
+    ]
     return "\n".join(lines) + "\n"
 
 

@@ -1,0 +1,78 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Vehicle files to choose from, to begin with, and side by side."""
+
+import json
+
+import pytest
+import yaml
+
+import trackres_ros as tr
+from trackres_ros.files.resources import shipped_road_vehicles, shipped_vehicles
+
+ALL = [*shipped_vehicles(), *shipped_road_vehicles()]
+
+
+def test_all_shipped_vehicles_are_listed_with_what_they_are_for(good):
+    listed = {v["name"]: v for v in json.loads(good("vehicle", "list", "--json"))["vehicles"]}
+    assert sorted(listed) == sorted(ALL)
+    assert listed["xgd24d"]["model"] == "tracks"
+    assert listed["husky"]["model"] == "road_load"
+    text = good("vehicle", "list")
+    assert all(name in text and listed[name]["title"] in text for name in ALL)
+
+
+@pytest.mark.parametrize("like", ALL)
+def test_a_new_vehicle_is_its_model_under_another_name(good, tmp_path, like):
+    written = json.loads(good("vehicle", "new", "truck7", "--like", like, "-o", tmp_path / "mine", "--json"))["written"]
+    assert written[0] == str(tmp_path / "mine" / "truck7.yaml")
+    assert json.loads(good("vehicle", "diff", like, written[0], "--json"))["differences"] == [
+        {"path": "name", "unit": "", "one": like, "other": "truck7", "ratio": None, "ranges": None}
+    ]
+    if like in shipped_vehicles():
+        vehicle = tr.load_vehicle(written[0])
+        assert vehicle.name == "truck7"
+        assert str(vehicle.rubber_source) == written[1]
+
+
+def test_one_that_is_there_is_not_written_over(good, trackres, tmp_path):
+    good("vehicle", "new", "truck7", "-o", tmp_path)
+    (tmp_path / "truck7.yaml").write_text("mine")
+    refused = trackres("vehicle", "new", "truck7", "-o", tmp_path)
+    assert refused.returncode == 2
+    assert "there already" in refused.stderr
+    assert (tmp_path / "truck7.yaml").read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    ("words", "part"),
+    [
+        (("new", "../x"), "a letter and at most 63"),
+        (("new", "x", "--like", "xgd24"), "did you mean xgd24d"),
+        (("diff", "xgd24d", "nothing.yaml"), "nothing.yaml"),
+    ],
+)
+def test_what_cannot_be_is_one_line(trackres, tmp_path, words, part):
+    refused = trackres("vehicle", *words, *(("-o", tmp_path / "x") if words[0] == "new" else ()))
+    assert refused.returncode == 2
+    assert part in refused.stderr
+    assert len(refused.stderr.strip().splitlines()) == 1
+    assert not (tmp_path / "x").exists()
+
+
+def test_where_two_differ(good, tmp_path):
+    good("vehicle", "new", "stiffer", "-o", tmp_path)
+    file = tmp_path / "stiffer.yaml"
+    content = yaml.safe_load(file.read_text())
+    content["chassis"]["bearing_friction"].update(value=0.006, range=[0.005, 0.007])
+    content["chassis"]["axles"][1]["load"]["value"] = 120000.0
+    content["model"]["thermal"] = "core_surface"
+    file.write_text(yaml.safe_dump(content))
+    found = {d["path"]: d for d in json.loads(good("vehicle", "diff", "xgd24d", file, "--json"))["differences"]}
+    assert set(found) == {"name", "model.thermal", "chassis.bearing_friction", "chassis.axles.rear.load"}
+    assert found["chassis.bearing_friction"]["ratio"] == pytest.approx(0.8)
+    assert found["chassis.bearing_friction"]["ranges"] == [[0.004, 0.012], [0.005, 0.007]]
+    text = good("vehicle", "diff", "xgd24d", file)
+    assert "-20.0 %" in text
+    assert good("vehicle", "diff", "agri3t", "agri3t").strip() == "They have the same values."

@@ -1,0 +1,115 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Vehicle files to choose from, to begin with, and side by side."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from trackres_ros.diagnosis.writing.yaml_edit import Document
+from trackres_ros.errors import InputError, nearest
+from trackres_ros.files.own_files import write
+from trackres_ros.files.resources import config_dir, find_vehicle, shipped_road_vehicles, shipped_vehicles
+from trackres_ros.files.yamls import read_yaml
+
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,63}")
+UNSAID = ("reason", "flag")  # of a quantity: they are no part of what a vehicle is
+
+
+def shipped() -> list[dict[str, str]]:
+    """Name, title and model of each shipped vehicle: ``tracks`` run live, ``road_load`` serve the diagnosis."""
+    found = []
+    for model, vehicles in (("tracks", shipped_vehicles()), ("road_load", shipped_road_vehicles())):
+        for name, path in vehicles.items():
+            found.append({"name": name, "title": str(read_yaml(path).get("title", "")), "model": model, "file": str(path)})
+    return found
+
+
+def new_vehicle(name: str, folder: Path, like: str) -> list[Path]:
+    """Write a copy of a shipped vehicle under another name, with the files it needs, to be changed.
+
+    Returns
+    -------
+    list of Path
+        The vehicle file, and what it names.
+
+    Raises
+    ------
+    InputError
+        If the name is none, no such vehicle is shipped, or there is a file already.
+    """
+    if not NAME.fullmatch(name):
+        raise InputError("NAME", name, "a letter and at most 63 more letters, digits, _ and -")
+    known = shipped_vehicles() | shipped_road_vehicles()
+    if like not in known:
+        raise InputError("--like", like, f"one of {', '.join(known)}", nearest(like, list(known)))
+    target, source = folder / f"{name}.yaml", known[like]
+    if target.exists():
+        raise InputError(str(target), "a file that is there already", "another name or folder")
+    document, content = Document(source.read_text(encoding="utf-8")), read_yaml(source)
+    document.set(("name",), name)
+    written = [target]
+    rubber = content.get("rubber", {}).get("file")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if rubber:
+            written.append(folder / rubber)
+            written[-1].parent.mkdir(parents=True, exist_ok=True)
+            if not written[-1].exists():
+                shutil.copyfile(config_dir() / rubber, written[-1])
+        write(target, (document.text() or document.plain()).encode())
+    except OSError as error:
+        raise InputError("-o", f"{folder}: {error.strerror or error}", "a folder that can be written to") from error
+    return written
+
+
+def differences(one: str, other: str) -> list[dict[str, Any]]:
+    """Where two vehicle files differ: path, unit, both values, the second over the first where both are numbers, and ranges.
+
+    Raises
+    ------
+    InputError
+        If one is no vehicle file.
+    """
+    sides = [dict(_leaves(read_yaml(find_vehicle(given)))) for given in (one, other)]
+    found = []
+    for path in dict.fromkeys([*sides[0], *sides[1]]):
+        quantities = [side.get(path) for side in sides]
+        if quantities[0] == quantities[1]:
+            continue
+        values = [q.get("value") if isinstance(q, Mapping) else q for q in quantities]
+        ranges = [q.get("range") if isinstance(q, Mapping) else None for q in quantities]
+        units = [q["unit"] for q in quantities if isinstance(q, Mapping) and "unit" in q]
+        numbers = all(isinstance(v, float | int) and not isinstance(v, bool) for v in values)
+        found.append(
+            {
+                "path": path,
+                "unit": str(units[0]) if units else "",
+                "one": values[0],
+                "other": values[1],
+                "ratio": values[1] / values[0] if numbers and values[0] else None,
+                "ranges": ranges if ranges[0] != ranges[1] else None,
+            }
+        )
+    return found
+
+
+def _leaves(node: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    """Quantities and plain values by their paths; parts of a list by their names."""
+    if isinstance(node, Mapping) and "value" in node:
+        yield path, {key: value for key, value in node.items() if key not in UNSAID}
+    elif isinstance(node, Mapping):
+        for key, value in node.items():
+            if key != "name" or not path:
+                yield from _leaves(value, f"{path}.{key}" if path else str(key))
+    elif isinstance(node, list):
+        for i, value in enumerate(node):
+            name = value.get("name", i) if isinstance(value, Mapping) else i
+            yield from _leaves(value, f"{path}.{name}")
+    else:
+        yield path, node
