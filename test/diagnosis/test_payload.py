@@ -11,11 +11,13 @@ from scipy import sparse
 from scipy.signal import lfilter
 
 from trackres_ros.diagnosis import load_base
-from trackres_ros.diagnosis.described.describe import BY_CLOCK, PAYLOAD, residuals_without
-from trackres_ros.diagnosis.described.explain import explain
+from trackres_ros.diagnosis.described.describe import BY_CLOCK, PAYLOAD, Description, load_by_stretch, residuals_without
+from trackres_ros.diagnosis.described.explain import Explanation, explain, judged
 from trackres_ros.diagnosis.described.payload import STOP_S, Beside, find_payload, stretch_numbers
 from trackres_ros.diagnosis.described.told import said
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
+from trackres_ros.diagnosis.inference.levels import with_levels
+from trackres_ros.diagnosis.selection.held_out import HeldOutLaps
 from trackres_ros.effects import catalogue
 from trackres_ros.evaluation.synthetic import drives
 from trackres_ros.files.resources import config_dir
@@ -37,9 +39,9 @@ def track():
     return load_base("xgd24d").base
 
 
-def fitted(base, loaded_kg, seed=1, given=frozenset({"grade"}), mean_kg=0.0, gain=1.0):
-    """A fit to drives that stop every minute and a half, with another mass after each stop and a sensor with a gain; and the
-    masses.
+def fitted(base, loaded_kg, seed=1, given=frozenset({"grade"}), mean_kg=0.0, gain=1.0, later_kg=0.0):
+    """A fit to drives that stop every minute and a half, with another mass after each stop, more by so much on the laps that are
+    not fitted, and a sensor with a gain; and the masses.
     """
     rng, sessions, masses = np.random.default_rng(seed), [], []
     for drive in drives(base, 30.0, 2, MINUTES, rng, step=1.0):
@@ -48,6 +50,7 @@ def fitted(base, loaded_kg, seed=1, given=frozenset({"grade"}), mean_kg=0.0, gai
         speed = 10.0 * speed * (1.0 + 0.2 * np.sin(drive.time / 300.0))
         number = (drive.time // STRETCH_S).astype(int)
         mass = rng.normal(mean_kg, loaded_kg, number.max() + 1)
+        mass += np.where(np.arange(len(mass)) * STRETCH_S >= FITTED_S, later_kg, 0.0)
         weight = base.facts.weight + GRAVITY * mass[number]
         level = np.zeros(len(drive))
         known = frozenset({"grade", "load"})
@@ -142,7 +145,7 @@ def explained(found):
     facts = found.problem.base.facts
     whole = catalogue(None, facts.weight * facts.radius)
     effects = {name: whole[name] for name in ("torque_gain", "rotating_inertia")}
-    return explain(found, None, None, effects, 19, np.random.default_rng(1), lambda _: None, ())
+    return explain(found, None, None, effects, 19, np.random.default_rng(1), lambda _: None, ())[0]
 
 
 def test_loads_whose_mean_is_off_are_a_payload_and_not_the_scale_of_the_torque(track):
@@ -162,6 +165,32 @@ def test_a_torque_of_another_scale_is_named_and_no_payload(track):
     explanation = explained(fitted(track, 0.0, gain=1.06)[0])
     assert "torque_gain" in [s.chosen.name for s in explanation.steps if s.chosen]
     assert not explanation.description.terms
+
+
+def by_gain_and_by_payload(found):
+    """What a scale of the torque alone explains, and what a payload alone does; and the laps that were not fitted."""
+    problem = found.problem
+    facts, later = problem.base.facts, [s.used & ~m for s, m in zip(problem.sessions, problem.masks, strict=True)]
+    gain = fit(problem, [catalogue(None, facts.weight * facts.radius)["torque_gain"]])
+    term = load_by_stretch(found, None)
+    descriptions = Description(gain, [], {}), Description(term.candidate.fit, [], {PAYLOAD: term})
+    return [Explanation(None, [], d) for d in descriptions], HeldOutLaps(problem.sessions, later, np.random.default_rng(1))
+
+
+def test_what_held_out_laps_refute_gives_way_to_a_payload_that_they_confirm(track):
+    found, _ = fitted(track, 900.0, mean_kg=1800.0, later_kg=-3600.0)
+    (gain, payload), laps = by_gain_and_by_payload(found)
+    assert judged([gain], with_levels(found), laps).refuted
+    chosen = judged([gain, payload], with_levels(found), laps)
+    assert chosen.explanation is payload
+    assert not chosen.refuted
+    assert chosen.final.effect_names == (PAYLOAD,)
+
+
+def test_what_held_out_laps_bear_out_stands_whatever_else_explains_them(track):
+    found, _ = fitted(track, 300.0, gain=1.1)
+    (gain, payload), laps = by_gain_and_by_payload(found)
+    assert judged([gain, payload], with_levels(found), laps).explanation is gain
 
 
 def test_a_stop_belongs_to_the_stretch_before_and_a_short_one_begins_none(car):

@@ -3,12 +3,13 @@
 
 """Names and terms without a name for what a base leaves, one beside the other: names first, or first the mass that differs from
 one stretch to the next, whichever explains more. The mean of loads that are not recorded looks like a scale of the torque, which
-would have a name before anybody asked how it differs by stretch.
+would have a name before anybody asked how it differs by stretch. With few stretches the likelihood hardly tells them apart; laps
+that were not fitted do, as loads that were taken for friction are others there.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +18,9 @@ from trackres_ros.diagnosis.described.describe import PAYLOAD, Description, Term
 from trackres_ros.diagnosis.described.payload import may_differ
 from trackres_ros.diagnosis.described.routes import Roads, Route, beside_names, by_place
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
+from trackres_ros.diagnosis.inference.levels import with_levels
+from trackres_ros.diagnosis.selection.confirm import Graded, confirm
+from trackres_ros.diagnosis.selection.held_out import CONFIRMED, HeldOutLaps
 from trackres_ros.diagnosis.selection.naming import Step, choose, spurious_gain
 from trackres_ros.effects.effect import Effect
 
@@ -42,6 +46,16 @@ class Explanation:
         return self.description.fit.log_evidence - sum(c.form_error_gain for c in chosen)
 
 
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """An explanation, and what `confirm` leaves of it on held-out laps."""
+
+    explanation: Explanation
+    final: Fit
+    graded: dict[str, Graded]
+    refuted: tuple[Graded, ...]
+
+
 def explain(
     tested: Fit,
     first: Route | None,
@@ -51,8 +65,8 @@ def explain(
     rng: np.random.Generator,
     on_stage: Callable[[str], None],
     kinds: Collection[str],
-) -> Explanation:
-    """Look for names and for what has none.
+) -> list[Explanation]:
+    """Look for names and for what has none: one explanation, or two, that which explains more first.
 
     Parameters
     ----------
@@ -75,10 +89,10 @@ def explain(
     rounds, named = choose(begin, effects, replicates, rng, on_stage)
     found = described(*beside_names(first, roads, named, kinds), rounds)
     if named.effect_names == begin.effect_names or not may_differ(begin):
-        return found
+        return [found]
     load = load_by_stretch(begin, first)
     if load is None:
-        return found
+        return [found]
     on_stage("names beside a mass that differs by stretch")
     rounds, named = choose(load.candidate.fit, effects, replicates, rng, on_stage)
     others, route = [a.effect for a in named.effects if a.effect.name != PAYLOAD], first
@@ -86,10 +100,26 @@ def explain(
         route, named = beside_names(first, roads, fit(named.problem, others, named.at, named.noises), kinds)
         load = load_by_stretch(named, route)
     if load is None:
-        return found
+        return [found]
     other = described(route, named, rounds, load)
     # Names beside which a payload is there in any case must gain over it alone what any name must.
     names = [s for s in found.steps if s.chosen and s.chosen.name not in other.description.fit.effect_names]
     least = sum(max(s.threshold, spurious_gain(other.description.fit)) for s in names)
     sure = least if PAYLOAD in found.description.terms else 0.0
-    return found if found.evidence > other.evidence + sure else other
+    return [found, other] if found.evidence > other.evidence + sure else [other, found]
+
+
+def judged(explanations: Sequence[Explanation], refitted: Fit, laps: HeldOutLaps) -> Judged:
+    """The first explanation, unless held-out laps refute a part of it and none of the other, and confirm that this is better."""
+    chosen = _judged(explanations[0], refitted, laps)
+    for explanation in explanations[1:] if chosen.refuted else ():
+        other = _judged(explanation, refitted, laps)
+        if not other.refuted and laps.improvement_of(chosen.final, other.final).grade == CONFIRMED:
+            return other
+    return chosen
+
+
+def _judged(explanation: Explanation, refitted: Fit, laps: HeldOutLaps) -> Judged:
+    best = explanation.description.fit
+    final, graded, refuted = confirm(with_levels(best), refitted, laps) if best.effects else (refitted, {}, ())
+    return Judged(explanation, final, graded, refuted)
