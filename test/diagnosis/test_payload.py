@@ -7,13 +7,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import sparse
 from scipy.signal import lfilter
 
 from trackres_ros.diagnosis import load_base
-from trackres_ros.diagnosis.described.describe import BY_CLOCK, PAYLOAD, residuals_without
-from trackres_ros.diagnosis.described.payload import STOP_S, find_payload, stretch_numbers
+from trackres_ros.diagnosis.described.describe import BY_CLOCK, PAYLOAD, Description, load_by_stretch, residuals_without
+from trackres_ros.diagnosis.described.explain import Explanation, explain, judged
+from trackres_ros.diagnosis.described.payload import STOP_S, Beside, find_payload, stretch_numbers
 from trackres_ros.diagnosis.described.told import said
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
+from trackres_ros.diagnosis.inference.levels import with_levels
+from trackres_ros.diagnosis.selection.held_out import HeldOutLaps
+from trackres_ros.effects import catalogue
 from trackres_ros.evaluation.synthetic import drives
 from trackres_ros.files.resources import config_dir
 from trackres_ros.units import GRAVITY, STANDSTILL_MPS
@@ -21,6 +26,7 @@ from trackres_ros.units import GRAVITY, STANDSTILL_MPS
 STRETCH_S, STILL_S = 90, 15
 MINUTES, FITTED_S = 30.0, 1400.0
 NOISE_NM, NOISE_PHI = 40.0, 0.5
+SLOPE = 0.01
 
 
 @pytest.fixture(scope="module")
@@ -28,15 +34,23 @@ def car():
     return load_base(config_dir() / "bmw_i3.yaml").base
 
 
-def fitted(base, loaded_kg, seed=1, given=frozenset({"grade"})):
-    """A fit to drives that stop every minute and a half, with another mass after each stop; and the masses."""
+@pytest.fixture(scope="module")
+def track():
+    return load_base("xgd24d").base
+
+
+def fitted(base, loaded_kg, seed=1, given=frozenset({"grade"}), mean_kg=0.0, gain=1.0, later_kg=0.0):
+    """A fit to drives that stop every minute and a half, with another mass after each stop, more by so much on the laps that are
+    not fitted, and a sensor with a gain; and the masses.
+    """
     rng, sessions, masses = np.random.default_rng(seed), [], []
     for drive in drives(base, 30.0, 2, MINUTES, rng, step=1.0):
         phase = drive.time % STRETCH_S
         speed = np.clip(np.minimum(phase / 20.0, (STRETCH_S - STILL_S - phase) / 20.0), 0.0, 1.0)
         speed = 10.0 * speed * (1.0 + 0.2 * np.sin(drive.time / 300.0))
         number = (drive.time // STRETCH_S).astype(int)
-        mass = rng.normal(0.0, loaded_kg, number.max() + 1)
+        mass = rng.normal(mean_kg, loaded_kg, number.max() + 1)
+        mass += np.where(np.arange(len(mass)) * STRETCH_S >= FITTED_S, later_kg, 0.0)
         weight = base.facts.weight + GRAVITY * mass[number]
         level = np.zeros(len(drive))
         known = frozenset({"grade", "load"})
@@ -48,7 +62,7 @@ def fitted(base, loaded_kg, seed=1, given=frozenset({"grade"})):
         noise = lfilter([1.0], [1.0, -NOISE_PHI], rng.normal(0.0, NOISE_NM, len(torque)))
         moving = np.abs(session.speed) > 0.5
         of_file = np.full(len(torque), base.facts.weight)
-        shown.append(replace(session, torque=torque + noise, weight=of_file, given=given, used=moving))
+        shown.append(replace(session, torque=gain * torque + noise, weight=of_file, given=given, used=moving))
     problem = Problem(base, tuple(shown), tuple(s.used & (s.time < FITTED_S) for s in shown))
     return fit(problem), masses
 
@@ -98,6 +112,85 @@ def test_a_vehicle_that_stands_is_not_pushed(car):
     term = looked_for(fitted(car, 250.0)[0])
     for session, shape in zip(term.candidate.fit.problem.sessions, term.payload.shape, strict=True):
         assert not shape[np.abs(session.speed) < STANDSTILL_MPS].any()
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_masses_are_as_sure_as_is_said_beside_slopes_that_were_learned_with_loads_in_them(car, seed):
+    found, masses = fitted(car, 250.0, seed)
+    problem, rng = found.problem, np.random.default_rng(seed)
+    radius, places = car.facts.radius, STRETCH_S
+    slope = rng.normal(0.0, SLOPE, places)
+    at = [(s.time % STRETCH_S).astype(int) for s in problem.sessions]  # it speeds up at the same places, loaded or not
+    columns = tuple(
+        sparse.csr_matrix((s.weight * radius, (np.arange(len(s)), place)), (len(s), places))
+        for s, place in zip(problem.sessions, at, strict=True)
+    )
+    left = [s.torque - p.torque + z @ slope for s, p, z in zip(problem.sessions, found.predicted, columns, strict=True)]
+    count, total = np.zeros(places), np.zeros(places)
+    for residual, place, mask, session in zip(left, at, problem.masks, problem.sessions, strict=True):
+        np.add.at(total, place[mask], residual[mask] / (session.weight[mask] * radius))
+        np.add.at(count, place[mask], 1.0)
+    adds = tuple(z @ (total / np.maximum(count, 1.0)) for z in columns)
+    beside = Beside(adds, columns, (sparse.identity(places) / SLOPE**2).tocsc())
+    payload = find_payload(found, [r - x for r, x in zip(left, adds, strict=True)], beside)
+    true = np.concatenate([m[: int(FITTED_S // STRETCH_S) + 1] for m in masses])
+    mass, std = (np.array([getattr(s, name) for s in payload.stretches]) for name in ("mass", "std"))
+    off = (mass - mass.mean()) - (true - true.mean())
+    assert np.sqrt(np.mean((off / std) ** 2)) < 1.5
+    assert np.sqrt(np.mean(off**2)) < 0.4 * true.std()
+
+
+def explained(found):
+    """What is named of what a load may be taken for, and what is described."""
+    facts = found.problem.base.facts
+    whole = catalogue(None, facts.weight * facts.radius)
+    effects = {name: whole[name] for name in ("torque_gain", "rotating_inertia")}
+    return explain(found, None, None, effects, 19, np.random.default_rng(1), lambda _: None, ())[0]
+
+
+def test_loads_whose_mean_is_off_are_a_payload_and_not_the_scale_of_the_torque(track):
+    found, masses = fitted(track, 900.0, mean_kg=1800.0)
+    explanation = explained(found)
+    assert [s.chosen.name for s in explanation.steps if s.chosen] == []
+    (name,) = explanation.description.terms
+    assert name == PAYLOAD
+    told = said(explanation.description.terms[PAYLOAD], explanation.description.fit)
+    true = np.concatenate([m[: int(FITTED_S // STRETCH_S) + 1] for m in masses])
+    mass = np.array([s.mass for s in told.stretches])
+    assert mass.mean() == pytest.approx(true.mean(), rel=0.25)
+    assert np.corrcoef(mass, true)[0, 1] > 0.8
+
+
+def test_a_torque_of_another_scale_is_named_and_no_payload(track):
+    explanation = explained(fitted(track, 0.0, gain=1.06)[0])
+    assert "torque_gain" in [s.chosen.name for s in explanation.steps if s.chosen]
+    assert not explanation.description.terms
+
+
+def by_gain_and_by_payload(found):
+    """What a scale of the torque alone explains, and what a payload alone does; and the laps that were not fitted."""
+    problem = found.problem
+    facts, later = problem.base.facts, [s.used & ~m for s, m in zip(problem.sessions, problem.masks, strict=True)]
+    gain = fit(problem, [catalogue(None, facts.weight * facts.radius)["torque_gain"]])
+    term = load_by_stretch(found, None)
+    descriptions = Description(gain, [], {}), Description(term.candidate.fit, [], {PAYLOAD: term})
+    return [Explanation(None, [], d) for d in descriptions], HeldOutLaps(problem.sessions, later, np.random.default_rng(1))
+
+
+def test_what_held_out_laps_refute_gives_way_to_a_payload_that_they_confirm(track):
+    found, _ = fitted(track, 900.0, mean_kg=1800.0, later_kg=-3600.0)
+    (gain, payload), laps = by_gain_and_by_payload(found)
+    assert judged([gain], with_levels(found), laps).refuted
+    chosen = judged([gain, payload], with_levels(found), laps)
+    assert chosen.explanation is payload
+    assert not chosen.refuted
+    assert chosen.final.effect_names == (PAYLOAD,)
+
+
+def test_what_held_out_laps_bear_out_stands_whatever_else_explains_them(track):
+    found, _ = fitted(track, 300.0, gain=1.1)
+    (gain, payload), laps = by_gain_and_by_payload(found)
+    assert judged([gain, payload], with_levels(found), laps).explanation is gain
 
 
 def test_a_stop_belongs_to_the_stretch_before_and_a_short_one_begins_none(car):

@@ -114,6 +114,12 @@ def test_of_a_bus_it_is_said_what_altitude_brakes_passengers_and_wheels_are_wort
 
 
 @needs_bus
+def test_of_wheels_that_are_hidden_nothing_is_said(bus):
+    recording, loaded = bus
+    assert "wheel" not in " ".join(gate([recording], loaded.known, ["wheel_speed"]).notes)
+
+
+@needs_bus
 def test_the_bus_is_refitted_no_worse_than_its_file_and_than_robust_least_squares(bus, robust_least_squares):
     recording, loaded = bus
     gated, nominal = align_and_check(gate([recording], loaded.known), loaded)

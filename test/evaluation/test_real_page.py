@@ -10,8 +10,11 @@ import pytest
 
 from trackres_ros.diagnosis import diagnose, load_base, read_recordings
 from trackres_ros.evaluation.closed_loop import left_by_diagnosis
+from trackres_ros.evaluation.field.bus import LONG_STRETCH_S, TOPICS, VEHICLE, mass_of_joined, missions
 from trackres_ros.evaluation.field.data import car
 from trackres_ros.evaluation.field.run import NOTHING, TWICE, UPHILL, WARM, FieldTrial, start_state, twice
+from trackres_ros.files.resources import config_dir
+from trackres_ros.recording.bindings import Topics
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "real"
 
@@ -39,3 +42,25 @@ def test_a_route_driven_twice_repeats_its_residuals_but_not_as_the_slope(tmp_pat
     assert np.all(np.diff(repeated.distance) > 0.0)
     assert repeated.repeats > 0.8
     assert repeated.follows_slope < 0.5
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not missions(DATA), reason="no recording of the bus on this machine")
+def test_of_a_bus_without_its_altitude_the_slope_of_the_streets_is_named_and_nothing_else():
+    topics = Topics.load(config_dir() / "topics" / TOPICS)
+    recordings = read_recordings(missions(DATA), topics)
+    found = diagnose(recordings, load_base(VEHICLE, topics=topics), hide=["altitude"], quick=True)
+    assert found.verdict.status == "named"
+    assert [f.name for f in found.found] == ["grade"]
+    assert not found.described
+    held_out = found.held_out
+    assert held_out.mae["with_effects"] < 0.7 * held_out.mae["refitted"]
+    by_lap = held_out.by_lap["mae"]
+    assert np.mean(by_lap["with_effects"] > 1.01 * by_lap["refitted"]) < 0.2  # single laps may be worse
+
+
+def test_stretches_are_joined_until_they_are_long_and_what_is_left_is_none():
+    driven = np.array([200.0, 150.0, 350.0, 100.0, 150.0])
+    mass = np.array([0.0, 700.0, 40.0, 9.0, 9.0])
+    assert LONG_STRETCH_S < 350.0
+    assert mass_of_joined(mass, driven) == pytest.approx([300.0, 40.0])

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from trackres_ros.diagnosis.base.base import Base
 from trackres_ros.diagnosis.base.loading import LoadedBase
 from trackres_ros.diagnosis.base.watched import ByPlace
-from trackres_ros.diagnosis.described.describe import Term, describe, drift
-from trackres_ros.diagnosis.described.routes import SLOPES, Route, beside_names, by_place, find_route, roads_of
+from trackres_ros.diagnosis.described.describe import Term, drift
+from trackres_ros.diagnosis.described.explain import explain, judged
+from trackres_ros.diagnosis.described.routes import SLOPES, Route, find_route, roads_of
 from trackres_ros.diagnosis.described.terms import Described
 from trackres_ros.diagnosis.described.told import course, said
 from trackres_ros.diagnosis.described.watching import drift_on_held_out, drift_to_watch, spells_to_watch
@@ -46,10 +47,10 @@ from trackres_ros.diagnosis.prepare.torque_checks import (
     inconsistent_scale_notes,
     nothing_to_conclude,
 )
-from trackres_ros.diagnosis.selection.confirm import Graded, confirm, keep, leave_unconfirmed
+from trackres_ros.diagnosis.selection.confirm import Graded, keep, leave_unconfirmed
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, HeldOut, HeldOutLaps, Improvement, held_out
 from trackres_ros.diagnosis.selection.intervals import Interval, intervals
-from trackres_ros.diagnosis.selection.naming import Step, choose
+from trackres_ros.diagnosis.selection.naming import Step
 from trackres_ros.diagnosis.selection.screening import QUICK_REPLICATES, REPLICATES
 from trackres_ros.diagnosis.writing.kept import Kept, LearnedDisturbance
 from trackres_ros.effects import catalogue
@@ -213,20 +214,18 @@ def diagnose(
     allowed, refuted = dict(effects), list[Graded]()
     while True:
         possible = allowed if first is None else {name: effect for name, effect in allowed.items() if name not in SLOPES}
-        rounds, named = choose(tested if first is None else first.candidate.fit, possible, replicates, rng, on_stage)
-        route, named = beside_names(first, roads, named, kinds)
-        description = describe(named, rounds, possible, replicates, rng, on_stage, roads, route, kinds)
-        steps, best = description.steps, description.fit
-        if route is not None and route.told and route.candidate.name in best.effect_names:
-            steps = [by_place(route, rounds[0]), *steps]
+        explanations = explain(tested, first, roads, possible, replicates, rng, on_stage, kinds)
         on_stage("what it is worth: laps held out")
-        final, graded, left_out = confirm(with_levels(best), refitted, laps) if best.effects else (refitted, {}, ())
-        refuted += left_out
-        again = {g.name for g in left_out} & allowed.keys()
+        tried = judged(explanations, refitted, laps)
+        final, graded = tried.final, tried.graded
+        refuted += tried.refuted
+        again = {g.name for g in tried.refuted} & allowed.keys()
         if final.effects or not again or len(refuted) >= MOST_REFUTED:
             break
         # What stood in front of the others is gone, and they are looked at anew.
         allowed = {name: effect for name, effect in allowed.items() if name not in again}
+    explained = tried.explanation
+    route, steps, description = explained.route, explained.steps, explained.description
     final, graded, unconfirmed = leave_unconfirmed(final, graded, description.terms, refitted, laps)
     by_place_too = (route, *(term.route for term in description.terms.values()))
     routes = {r.candidate.name: r for r in by_place_too if r is not None and r.candidate.name in final.effect_names}

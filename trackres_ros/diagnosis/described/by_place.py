@@ -123,6 +123,18 @@ class Columns:
         every = zip(tracks, place, against, strict=True)
         return cls(tuple(_column(t, p, np.ones_like(t.share), a, both.count) for t, p, a in every), both)
 
+    @property
+    def whole(self) -> list[sparse.csr_matrix]:
+        """Of each session, what the places' values add, and then what the base adds that bends."""
+        if not self.base:
+            return list(self.of)
+        return [sparse.hstack([z, sparse.csr_matrix(b)]).tocsr() for z, b in zip(self.of, self.base, strict=True)]
+
+    @property
+    def bends(self) -> int:
+        """How many values the base bends by."""
+        return self.base[0].shape[1] if self.base else 0
+
     def expected(self, learned: Learned) -> list[Array]:
         """Torque of each session by the values of the places, without what the base bends."""
         return [np.asarray(z @ learned.value) for z in self.of]
@@ -171,8 +183,8 @@ class Learned:
 
     def again(self, columns: Columns, residuals: Sequence[Array], masks: Sequence[Mask]) -> Array:
         """Values from other samples, with this length, size and noise, beside a base that does not bend."""
-        rows = _Rows.of(replace(columns, base=()), residuals, masks, self.noise)
-        return _learned(rows, columns.streets, self.length_m, self.size).value
+        rows = Rows.of(columns.of, residuals, masks, self.noise)
+        return _learned(rows, columns.streets, 0, self.length_m, self.size).value
 
     def std(self, of: NDArray[np.int64]) -> Array:
         """Standard deviation of the values of some places."""
@@ -196,12 +208,12 @@ def learn(columns: Columns, residuals: Sequence[Array], masks: Sequence[Mask], n
     typical
         A value that makes as much torque as the residual has.
     """
-    rows = _Rows.of(columns, residuals, masks, noise)
+    rows = Rows.of(columns.whole, residuals, masks, noise)
     tried: dict[tuple[int, int], Learned] = {}
 
     def at(i: int, j: int) -> Learned:
         if (i, j) not in tried:
-            tried[i, j] = _learned(rows, columns.streets, LENGTHS_M[i], SIZES[j] * typical)
+            tried[i, j] = _learned(rows, columns.streets, columns.bends, LENGTHS_M[i], SIZES[j] * typical)
         return tried[i, j]
 
     i, j = len(LENGTHS_M) // 2, len(SIZES) // 2
@@ -213,35 +225,33 @@ def learn(columns: Columns, residuals: Sequence[Array], masks: Sequence[Mask], n
             break
         i, j = best
     choices = math.log(len(LENGTHS_M) * len(SIZES))
-    found = tried[i, j]
-    return replace(found, evidence=found.evidence - choices, cost=found.cost + choices)
+    found, (gain, cost) = tried[i, j], _of_bends(rows, columns.bends)
+    return replace(found, evidence=found.evidence - (gain - cost) - choices, cost=found.cost - cost + choices)
 
 
 def gains(columns: Columns, values: Array, residuals: Sequence[Array], masks: Sequence[Mask], noise: Noise) -> Array:
     """Gain in log-likelihood of values that were learned elsewhere, each a column; shape (columns,)."""
-    rows = _Rows.of(replace(columns, base=()), residuals, masks, noise)
+    rows = Rows.of(columns.of, residuals, masks, noise)
     left = rows.white[:, np.newaxis] - rows.columns @ values
     return np.asarray((noise.log_density(left) - noise.log_density(rows.white)[:, np.newaxis]).sum(axis=0))
 
 
 @dataclass(frozen=True, eq=False)
-class _Rows:
-    """Whitened residuals over their standard deviation, and what the values add to them. The first of a stretch, of which nothing
+class Rows:
+    """Whitened residuals over their standard deviation, and what values add to them. The first of a stretch, of which nothing
     is known before, counts by itself: on a street brakes leave stretches of some seconds.
     """
 
     white: Array
     columns: sparse.csr_matrix
     noise: Noise
-    bends: int
 
     @classmethod
-    def of(cls, columns: Columns, residuals: Sequence[Array], masks: Sequence[Mask], noise: Noise) -> _Rows:
+    def of(cls, columns: Sequence[sparse.csr_matrix], residuals: Sequence[Array], masks: Sequence[Mask], noise: Noise) -> Rows:
+        """Of the residual of each session, where it counts, and of what each value adds to it."""
         white, parts, lags = [], [], len(noise.phi)
         stationary = noise.std * _growth(noise.phi)
-        base = columns.base or [np.empty((len(r), 0)) for r in residuals]
-        for residual, mask, of_places, of_base in zip(residuals, masks, columns.of, base, strict=True):
-            column = sparse.hstack([of_places, sparse.csr_matrix(of_base)]).tocsr()
+        for residual, mask, column in zip(residuals, masks, columns, strict=True):
             used = mask & np.isfinite(residual)
             rows, begins = np.flatnonzero(whole_past(used, lags)), np.flatnonzero(used & ~np.concatenate(([False], used[:-1])))
             left, part = residual[rows], column[rows]
@@ -250,7 +260,7 @@ class _Rows:
             begins = begins if lags else begins[:0]
             white += [left / noise.std, residual[begins] / stationary]
             parts += [part / noise.std, column[begins] / stationary]
-        return cls(np.concatenate(white), sparse.vstack(parts).tocsr(), noise, base[0].shape[1])
+        return cls(np.concatenate(white), sparse.vstack(parts).tocsr(), noise)
 
 
 def _growth(phi: Array) -> float:
@@ -259,8 +269,19 @@ def _growth(phi: Array) -> float:
     return float(np.sqrt(np.sum(response**2)))
 
 
-def _learned(rows: _Rows, streets: Streets, length_m: float, size: float) -> Learned:
-    prior = sparse.block_diag([streets.precision(length_m, size), sparse.identity(rows.bends)]).tocsc()
+def _of_bends(rows: Rows, bends: int) -> tuple[float, float]:
+    """What a base gains that bends without anything by place, in log-likelihood, and what that costs."""
+    columns, noise, weight = rows.columns[:, rows.columns.shape[1] - bends :].toarray(), rows.noise, np.ones(len(rows.white))
+    for _ in range(TURNS):
+        normal = (columns.T * weight) @ columns + np.eye(bends)
+        value = np.linalg.solve(normal, (columns.T * weight) @ rows.white)
+        weight = noise.weights(rows.white - columns @ value)
+    gain = float((noise.log_density(rows.white - columns @ value) - noise.log_density(rows.white)).sum())
+    return gain, 0.5 * float(value @ value) + 0.5 * float(np.linalg.slogdet(normal)[1])
+
+
+def _learned(rows: Rows, streets: Streets, bends: int, length_m: float, size: float) -> Learned:
+    prior = sparse.block_diag([streets.precision(length_m, size), sparse.identity(bends)]).tocsc()
     noise, weight = rows.noise, np.ones(len(rows.white))  # without values all that is steep would look far out
     for _ in range(TURNS):
         weighted = rows.columns.multiply(weight[:, np.newaxis]).tocsr()

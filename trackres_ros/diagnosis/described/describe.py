@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,6 +94,7 @@ def describe(
     roads: Roads | None = None,
     route: Route | None = None,
     kinds: Collection[str] = (),
+    load: Term | None = None,
 ) -> Description:
     """Look for terms without a name in what a fit leaves.
 
@@ -106,8 +108,12 @@ def describe(
         Draws for the threshold of each round.
     roads, route, kinds
         Where positions say that the sessions are, what goes by place in the fit already, and what may.
+    load
+        A mass by stretch beside the names, where that was looked for already.
     """
     current, kept, terms = best, list(steps), dict[str, Term]()
+    if load is not None:
+        current, terms[PAYLOAD] = load.candidate.fit, load
     if route is not None and not route.told:
         terms[route.candidate.name] = Term(route.candidate, route=route)
     for step in [s for s in steps if s.chosen is not None and len(s.members) >= UNDECIDED]:
@@ -117,7 +123,8 @@ def describe(
             terms[instead.candidate.name] = instead
             current, kept = instead.candidate.fit, [s for s in kept if s is not step]
     searches = {name: search for name, search in BY_CLOCK.items() if roads is None or name != PLACE}
-    for round_ in range(MOST_DESCRIBED):
+    searches[PAYLOAD] = partial(_payload, route=route)
+    for round_ in range(MOST_DESCRIBED - (load is not None)):
         on_stage(f"what has no name, round {round_ + 1}")
         followed = _followed(current, replicates, rng)
         by_clock = (_watched(current, name, search) for name, search in searches.items())
@@ -338,9 +345,17 @@ def _place(current: Fit, residuals: Sequence[Array]) -> Term | None:
     return Term(candidate, place=place) if _counts(candidate, current) else None
 
 
-def _payload(current: Fit, residuals: Sequence[Array]) -> Term | None:
-    """A mass that differs from one stretch between stops to the next; on laps that are not fitted by what was measured before."""
-    payload = find_payload(current, residuals)
+def load_by_stretch(current: Fit, route: Route | None) -> Term | None:
+    """A mass that differs from one stretch to the next in what a fit leaves."""
+    return _watched(current, PAYLOAD, partial(_payload, route=route))
+
+
+def _payload(current: Fit, residuals: Sequence[Array], route: Route | None = None) -> Term | None:
+    """A mass that differs from one stretch between stops to the next, beside what goes by place; on laps that are not fitted by
+    what was measured before.
+    """
+    beside = route.beside(current) if route is not None and route.candidate.name in current.effect_names else None
+    payload = find_payload(current, residuals, beside)
     if payload is None:
         return None
     text = "another mass on each stretch between stops"

@@ -3,20 +3,24 @@
 
 """A mass that differs from one stretch between stops to the next: people get on and off, bulk is loaded and tipped.
 
-Each stretch has a mass of its own beside the model's, with a prior about none, and stretches that follow one another are alike
-(an autoregression of the first order; random effects, Laird and Ware 1982). Its torque is told from others by what a mass does:
-it takes more to speed up and gives it back, rolls harder and climbs harder.
+Each stretch has a mass of its own beside the model's, and stretches that follow one another are alike: an autoregression of the
+first order about a mean that all of them have (random effects, Laird and Ware 1982). Its
+torque is told from others by what a mass does: it takes more to speed up and gives it back, rolls harder and climbs harder. What
+was learned by place beside it is not taken as known: a vehicle speeds up at the same places, loaded or not.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.linalg import splu
 
+from trackres_ros.diagnosis.described.by_place import Rows
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.inference.noise import Noise, estimate_noise, whitened
 from trackres_ros.diagnosis.prepare.session import Session
@@ -29,8 +33,12 @@ Mask = NDArray[np.bool_]
 STOP_S = 5.0  # a shorter stop changes no load
 FEWEST_STRETCHES = 6
 SIZES = tuple(np.geomspace(0.003, 0.3, 9))  # standard deviation of what is loaded, over the vehicle's mass
+MEAN = 0.1  # a standard deviation of the mean of what is loaded, over the vehicle's mass
 ALIKE = (0.0, 0.5, 0.8, 0.95)  # correlation of the mass of a stretch with that of the one before
-TURNS = 3  # of masses and noise
+LOADED = 0.05  # of the vehicle's mass: a standard deviation of what is loaded, while other things are learned
+TURNS = 10  # of masses, weights and noise
+PROBES = 16  # for a trace (Hutchinson, 1990)
+LEAST_LEFT = 0.1  # of the samples, that were not settled by values
 SURE = 10.0  # in log-likelihood: of a mass by stretch over a torque by stretch
 MORE = 0.01  # of the weight, for the derivative
 
@@ -70,67 +78,103 @@ class Payload:
 
 
 @dataclass(frozen=True, eq=False)
-class _Whitened:
-    """Normal equations of the masses of one session, of whitened samples that are fitted."""
+class Beside:
+    """What was learned by place beside masses, and is as unsure as its prior and the samples leave it.
 
-    normal: Array  # (stretches, stretches)
+    Attributes
+    ----------
+    adds
+        To the torque of each session [Nm].
+    columns, precision
+        What each of its values adds to the torque of each session, and how close to none they are beforehand.
+    """
+
+    adds: tuple[Array, ...]
+    columns: tuple[sparse.csr_matrix, ...]
+    precision: sparse.csc_matrix
+
+    @classmethod
+    def nothing(cls, residuals: Sequence[Array]) -> Beside:
+        """Nothing beside masses in such residuals."""
+        columns = tuple(sparse.csr_matrix((len(r), 0)) for r in residuals)
+        return cls(tuple(map(np.zeros_like, residuals)), columns, sparse.csc_matrix((0, 0)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Normal:
+    """Normal equations of the masses of all stretches, whatever the values beside them are; and in which session each is."""
+
+    matrix: Array  # (stretches, stretches)
     right: Array  # (stretches,)
+    session: Indices  # (stretches,)
 
-    def solved(self, std: float, alike: float) -> tuple[float, float, Array, Array]:
-        """Log-evidence, what of it the masses cost, and the masses with their standard deviations [kg]."""
-        count = len(self.right)
-        prior = std**2 * alike ** np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
-        grown = np.eye(count) + prior @ self.normal
+    def solved(self, std: float, alike: float, mean: float) -> _Solution:
+        """The most likely masses, given how much is loaded [kg], how alike stretches are, and how large their mean is [kg]."""
+        count = np.arange(len(self.right))
+        together = np.equal.outer(self.session, self.session)
+        prior = mean**2 + std**2 * together * alike ** np.abs(np.subtract.outer(count, count))
+        grown = np.eye(len(count)) + prior @ self.matrix
         covariance = np.linalg.solve(grown, prior)
         masses = covariance @ self.right
+        pulls = self.right - self.matrix @ masses  # of the samples, against those of the prior
         cost = 0.5 * float(np.linalg.slogdet(grown)[1])
-        return 0.5 * float(self.right @ masses) - cost, cost, masses, np.sqrt(np.diag(covariance))
+        evidence = 0.5 * float(self.right @ masses) - cost
+        stds = np.sqrt(np.diag(covariance))
+        settled = float((self.matrix * covariance).sum())
+        of_mean, taken = mean**2 * float(pulls.sum()), cost + 0.5 * float(masses @ pulls)
+        return _Solution(std, alike, evidence, taken, of_mean, settled, self._split(masses), self._split(stds))
+
+    def _split(self, series: Array) -> list[Array]:
+        return np.split(series, np.flatnonzero(np.diff(self.session)) + 1)
 
 
 @dataclass(frozen=True, eq=False)
 class _Solution:
-    """Masses of the stretches of each session with their standard deviations [kg], given how much is loaded [kg] and how alike
-    stretches are; as likely as `evidence` says, of which they `cost` some.
+    """Masses of the stretches of each session with their standard deviations [kg], and the mean that they vary about, given how
+    much is loaded [kg] and how alike stretches are; as likely as `evidence` says, they `cost` so much of what they gain, and so
+    many of them the samples settle.
     """
 
     std: float
     alike: float
     evidence: float
     cost: float
-    masses: list[tuple[Array, Array]]
-
-    @classmethod
-    def of(cls, parts: Sequence[_Whitened], std: float, alike: float) -> _Solution:
-        solved = [part.solved(std, alike) for part in parts]
-        evidence, cost = (math.fsum(s[i] for s in solved) for i in (0, 1))
-        return cls(std, alike, evidence, cost, [(s[2], s[3]) for s in solved])
+    mean: float
+    settled: float
+    masses: list[Array]
+    stds: list[Array]
 
 
-def find_payload(current: Fit, residuals: Sequence[Array]) -> Payload | None:
+def may_differ(current: Fit) -> bool:
+    """Whether masses may differ by stretch: no load is recorded, and it stops often enough."""
+    sessions = current.problem.sessions
+    if any({"load", "passengers"} & s.given for s in sessions):
+        return False
+    return sum(int(stretch_numbers(s).max()) + 1 for s in sessions) >= FEWEST_STRETCHES
+
+
+def find_payload(current: Fit, residuals: Sequence[Array], beside: Beside | None = None) -> Payload | None:
     """The mass of each stretch; None where loads or passengers are recorded, or where there are too few stretches.
 
     Parameters
     ----------
     residuals
-        Of the torque of each session [Nm].
+        Of the torque of each session [Nm], without what is `beside`.
     """
+    if not may_differ(current):
+        return None
     sessions, masks = current.problem.sessions, current.problem.masks
-    if any({"load", "passengers"} & s.given for s in sessions):
-        return None
     numbers = [stretch_numbers(s) for s in sessions]
-    counts = [int(n.max()) + 1 for n in numbers]
-    if sum(counts) < FEWEST_STRETCHES:
-        return None
-    mass = current.base_values.get("mass", current.problem.base.facts.weight / GRAVITY)
+    mass = mass_of(current)
     per_kg = torque_of_a_kilogram(current, mass)
     typical = float(np.sqrt(np.mean(np.concatenate([m[use] for m, use in zip(per_kg, masks, strict=True)]) ** 2)))
     against = [typical * np.sign(s.speed) for s in sessions]
-    (best, noise), (of_level, _) = (_most_likely(by, numbers, counts, residuals, current, mass) for by in (per_kg, against))
+    (best, noise), (of_level, _) = (_most_likely(by, numbers, residuals, beside, current, mass) for by in (per_kg, against))
     if best.evidence < of_level.evidence + SURE:
         return None  # whatever it is that differs, it is not told by what a mass does
     torques, stretches = [], list[Stretch]()
-    for i, (session, number, by_mass, residual, (masses, stds)) in enumerate(
-        zip(sessions, numbers, per_kg, residuals, best.masses, strict=True)
+    for i, (session, number, by_mass, residual, masses, stds) in enumerate(
+        zip(sessions, numbers, per_kg, residuals, best.masses, best.stds, strict=True)
     ):
         smoothed = by_mass * masses[number]
         live = by_mass * followed(by_mass, residual, number, session.used, noise, best)
@@ -148,19 +192,71 @@ def find_payload(current: Fit, residuals: Sequence[Array]) -> Payload | None:
 
 
 def _most_likely(
-    by: Sequence[Array], numbers: Sequence[Indices], counts: Sequence[int], residuals: Sequence[Array], current: Fit, mass: float
+    by: Sequence[Array], numbers: Sequence[Indices], residuals: Sequence[Array], beside: Beside | None, current: Fit, mass: float
 ) -> tuple[_Solution, Noise]:
     """Sizes of a series by stretch that explain residuals best, and the noise beside them."""
-    masks = current.problem.masks
-    columns = [x[:, np.newaxis] * (n[:, np.newaxis] == np.arange(c)) for x, n, c in zip(by, numbers, counts, strict=True)]
+    masks, columns = current.problem.masks, by_stretch(by, numbers)
+    session = np.repeat(np.arange(len(numbers)), [int(n.max()) + 1 for n in numbers])
+    known = beside or Beside.nothing(residuals)
+    both = [sparse.hstack([x, z]).tocsr() for x, z in zip(columns, known.columns, strict=True)]
+    whole = [r + x for r, x in zip(residuals, known.adds, strict=True)]
     left, noise = list(residuals), current.noise
     for _ in range(TURNS):  # unless it is left out, noise is as large as the payload and counts the more it is loaded the less
-        parts = [_whitened(*of, noise) for of in zip(columns, residuals, left, masks, strict=True)]
-        tried = (_Solution.of(parts, size * mass, alike) for size in SIZES for alike in ALIKE)
+        rows = Rows.of(both, whole, masks, noise)
+        weights = noise.weights(Rows.of(both, left, masks, noise).white)
+        normal, others, settled = _normal(rows, weights, session, known.precision)
+        tried = (normal.solved(size * mass, alike, MEAN * mass) for size in SIZES for alike in ALIKE)
         best = max(tried, key=lambda one: one.evidence)
-        left = [r - x @ m for r, x, (m, _) in zip(residuals, columns, best.masses, strict=True)]
+        values = np.concatenate(best.masses)
+        values = np.concatenate([values, others(values)])
+        left = [r - x @ values for r, x in zip(whole, both, strict=True)]
         noise = estimate_noise(left, masks)
+        # So many values fitted to it make what is left smaller than the noise is.
+        shrinks = math.sqrt(max(1.0 - (best.settled + settled) / len(rows.white), LEAST_LEFT))
+        noise = replace(noise, scale=noise.scale / shrinks)
     return best, noise
+
+
+def _normal(
+    rows: Rows, weights: Array, session: Indices, precision: sparse.csc_matrix
+) -> tuple[_Normal, Callable[[Array], Array], float]:
+    """Normal equations of the masses, the values beside some masses, and how many of those the samples settle."""
+    count = len(session)
+    weighted = rows.columns.multiply(weights[:, np.newaxis]).tocsr()
+    matrix, right = (rows.columns.T @ weighted).tocsc(), np.asarray(weighted.T @ rows.white)
+    of_masses, across = matrix[:count, :count].toarray(), matrix[count:, :count].toarray()
+    if not len(across):
+        return _Normal(of_masses, right[:count], session), lambda _: right[count:], 0.0
+    solve = splu((matrix[count:, count:] + precision).tocsc()).solve
+    taken, of_others = solve(across), solve(right[count:])
+    normal = _Normal(of_masses - across.T @ taken, right[:count] - across.T @ of_others, session)
+    probes = np.random.default_rng(0).choice((-1.0, 1.0), (len(across), PROBES))
+    settled = float(np.mean((probes * solve(matrix[count:, count:] @ probes)).sum(axis=0)))
+    return normal, lambda masses: of_others - taken @ masses, settled
+
+
+def by_stretch(by: Sequence[Array], numbers: Sequence[Indices]) -> list[sparse.csr_matrix]:
+    """A series of each session, a column for each stretch of all of them: shape (samples, stretches)."""
+    counts = [int(n.max()) + 1 for n in numbers]
+    first = np.cumsum([0, *counts[:-1]])
+    return [
+        sparse.csr_matrix((x, (np.arange(len(x)), begin + n)), (len(x), sum(counts)))
+        for x, n, begin in zip(by, numbers, first, strict=True)
+    ]
+
+
+def loads(current: Fit) -> list[Array]:
+    """What another mass on each stretch adds to the torque of each session when it is off by a standard deviation, shape
+    (samples, stretches): for what is learned where masses may differ.
+    """
+    mass = mass_of(current)
+    columns = by_stretch(torque_of_a_kilogram(current, mass), [stretch_numbers(s) for s in current.problem.sessions])
+    return [LOADED * mass * x.toarray() for x in columns]
+
+
+def mass_of(current: Fit) -> float:
+    """Of the vehicle as a fit has it [kg]."""
+    return current.base_values.get("mass", current.problem.base.facts.weight / GRAVITY)
 
 
 def stretch_numbers(session: Session) -> Indices:
@@ -203,10 +299,10 @@ def followed(by_mass: Array, residual: Array, number: Indices, used: Mask, noise
     white = whitened(np.column_stack([by_mass, residual]), used, noise.phi) / noise.std
     begins = np.diff(number, prepend=-1) > 0
     known = np.empty(len(number))
-    mean, variance = 0.0, like.std**2
+    mean, variance = like.mean, like.std**2
     for t, ((slope, shown), first) in enumerate(zip(white.tolist(), begins.tolist(), strict=True)):
         if first and t:
-            mean = like.alike * mean
+            mean = like.mean + like.alike * (mean - like.mean)
             variance = like.alike**2 * variance + (1.0 - like.alike**2) * like.std**2
         known[t] = mean
         if math.isnan(shown):
@@ -216,13 +312,6 @@ def followed(by_mass: Array, residual: Array, number: Indices, used: Mask, noise
         gain = variance * slope / (by_payload + 1.0 / weight)
         mean, variance = mean + gain * off, variance * (1.0 - gain * slope)
     return known
-
-
-def _whitened(columns: Array, residual: Array, left: Array, mask: Mask, noise: Noise) -> _Whitened:
-    white = whitened(np.column_stack([columns, residual, left]), mask, noise.phi) / noise.std
-    white = white[np.isfinite(white[:, -1])]
-    weighted = white[:, :-2].T * noise.weights(white[:, -1])
-    return _Whitened(weighted @ white[:, :-2], weighted @ white[:, -2])
 
 
 def _span(session: Session, there: NDArray[np.bool_]) -> tuple[float, float]:

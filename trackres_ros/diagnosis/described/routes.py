@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.watched import STEEPEST, ByPlace, SlopeByPlace, TorqueByPlace
 from trackres_ros.diagnosis.described.by_place import Columns, Learned, Streets, gains, learn
+from trackres_ros.diagnosis.described.payload import Beside, loads, may_differ
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
 from trackres_ros.diagnosis.inference.noise import LARGEST_ROOT, SHORT_ROOT, Noise, estimate_noise
 from trackres_ros.diagnosis.prepare.on_route import way_of
@@ -61,6 +62,8 @@ class Route:
     course
         Matched distance at each sample of each session [m], along the places in the order in which they were first driven; nan
         where it is at none.
+    places, values
+        What each place adds, and what was learned of them.
     """
 
     candidate: Candidate
@@ -69,6 +72,8 @@ class Route:
     again_m: float
     passes: int
     course: tuple[Array, ...]
+    places: Columns
+    values: Learned
 
     @property
     def effect(self) -> ByPlace:
@@ -87,14 +92,20 @@ class Route:
         """Whether it is surely a slope."""
         return self.effect.route.kind == SLOPE
 
+    def beside(self, current: Fit) -> Beside:
+        """What it adds in a fit, and how unsure that is."""
+        prior = self.places.streets.precision(self.values.length_m, self.values.size)
+        return Beside(tuple(current.contribution(self.candidate.name)), self.places.of, prior)
+
 
 @dataclass(frozen=True, eq=False)
 class _Better:
-    """A slope, if it surely is one, or a torque: what was learned, the sine of the slope or the torque against travel of each
-    session, and `Route.apart`.
+    """A slope, if it surely is one, or a torque: what each place adds and what was learned of it, the sine of the slope or the
+    torque against travel of each session, and `Route.apart`.
     """
 
     kind: str
+    places: Columns
     learned: Learned
     expected: list[Array]
     apart: float
@@ -185,7 +196,8 @@ def find_route(current: Fit, roads: Roads, kinds: Collection[str] = (SLOPE, TORQ
         return None
     metres = SPACING_M * int((passes > 0).sum())
     course = tuple(np.where(m.known, SPACING_M * (m.place * m.share).sum(axis=1), np.nan) for m in roads.at)
-    return Route(found, best.apart, metres, again_m, int(np.median(passes[passes > 1])), course)
+    again = int(np.median(passes[passes > 1]))
+    return Route(found, best.apart, metres, again_m, again, course, best.places, best.learned)
 
 
 def beside_names(
@@ -238,15 +250,20 @@ def _better(
         shape = Columns.of_slope(roads.within, ways, roads.streets)
     else:
         shape = Columns.of_torque(roads.within, [np.ones(len(way)) for way in ways], roads.streets)
-    return _Better(kind, learned[kind], shape.expected(learned[kind]), apart)
+    return _Better(kind, columns[kind], learned[kind], shape.expected(learned[kind]), apart)
 
 
 def _bends(current: Fit) -> list[Array]:
-    """What the torque of each session does when a parameter of the base is off by a standard deviation."""
+    """What the torque of each session does when a parameter of the base is off by a standard deviation, and the mass of a
+    stretch where masses may differ: else what a load takes would be learned as a slope where a vehicle speeds up.
+    """
     own = [i for i, f in enumerate(current.free) if f.key[0] not in current.effect_names]
     columns = base_columns(current) * np.array([f.std if np.isfinite(f.std) else f.scale for f in current.free])
     parts = np.split(columns[:, own], np.cumsum([len(g.measured) for g in current.problem.segments])[:-1])
-    return [part for part, g in zip(parts, current.problem.segments, strict=True) if g.kind == "torque"]
+    of_base = [part for part, g in zip(parts, current.problem.segments, strict=True) if g.kind == "torque"]
+    if not may_differ(current):
+        return of_base
+    return [np.column_stack(both) for both in zip(of_base, loads(current), strict=True)]
 
 
 def _shows_on_others(columns: Columns, found: Learned, roads: Roads, residuals: Sequence[Array], masks: Sequence[Mask]) -> bool:

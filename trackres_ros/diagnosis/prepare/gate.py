@@ -15,12 +15,14 @@ from trackres_ros.diagnosis.prepare.altitude import with_slope
 from trackres_ros.diagnosis.prepare.brakes import motor_brakes_alone
 from trackres_ros.diagnosis.prepare.laps import lap_numbers
 from trackres_ros.diagnosis.prepare.refuse import check_speed, long_enough, refuse_overlaps
-from trackres_ros.diagnosis.prepare.resample import resample, step_for
+from trackres_ros.diagnosis.prepare.resample import is_hidden, resample, step_for
 from trackres_ros.diagnosis.prepare.session import Mask, Session
 from trackres_ros.diagnosis.prepare.settings import STEP_S, GateSettings
 from trackres_ros.diagnosis.prepare.usable import BRAKES_ON, is_slow, usable
 from trackres_ros.errors import InputError
 from trackres_ros.recording.recording import Recording
+from trackres_ros.recording.roles import base_role
+from trackres_ros.recording.wheels import wheel_notes
 
 Resampled = tuple[Session, Mapping[str, Mask]]
 
@@ -98,7 +100,7 @@ def gate(recordings: Sequence[Recording], settings: GateSettings, hide: Sequence
             notes.append(_of_brakes(session, unknown[BRAKES_ON], settings))
         session, of_slope = with_slope(session)
         notes += [of_slope] if of_slope else []
-        notes += [f"{session.name}: {note}" for note in recording.wheel_notes()]
+        notes += [f"{session.name}: {note}" for note in _of_wheels(recording, hide)]
         check_speed(session, settings.max_speed)
         begin_ns = recording.start_ns
         follows = end_ns is not None and 0 <= begin_ns - end_ns <= LONGEST_BREAK_S * 1e9 and begin_ns > 0
@@ -144,6 +146,15 @@ def _of_brakes(session: Session, on: Mask, settings: GateSettings) -> str:
         f"{session.name}: brakes on in {braked} s of {driven} s driven; {left} s are left to compare, {braking} of them with a "
         "torque that brakes"
     )
+
+
+def _of_wheels(recording: Recording, hide: Sequence[str]) -> list[str]:
+    """What wheel speeds show that are not hidden."""
+    shown = [role for role in recording.series if not is_hidden(role, hide)]
+    if not any(base_role(role) == "wheel_speed" for role in shown):
+        return []
+    held = recording.aligned()
+    return wheel_notes({role: series for role, series in held.items() if not is_hidden(role, hide)})
 
 
 def _stood(recording: Recording, hide: Sequence[str]) -> float:

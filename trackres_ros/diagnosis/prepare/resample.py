@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -46,6 +46,11 @@ def step_for(recordings: Sequence[Recording]) -> float:
     return STEP_S * max(1, math.ceil(LEAST_SAMPLES * round(slowest, 2) / STEP_S))
 
 
+def is_hidden(role: str, hide: Collection[str]) -> bool:
+    """Whether a role is not to be read: it is named itself, or all of its kind are."""
+    return role in hide or role.partition("/")[0] in hide
+
+
 def resample(
     recording: Recording, step: float, settings: GateSettings, hide: frozenset[str], notes: list[str]
 ) -> tuple[Session, dict[str, Mask]]:
@@ -76,7 +81,7 @@ def resample(
     InputError
         No torque, no speed, too short, or another unit.
     """
-    series = {role: s for role, s in recording.series.items() if role not in hide and role.partition("/")[0] not in hide}
+    series = {role: s for role, s in recording.series.items() if not is_hidden(role, hide)}
     check_compared(recording.name, series)
     torques = [role for role in series if role.partition("/")[0] == "torque" and np.isfinite(series[role].value).any()]
     start = recording.start_ns

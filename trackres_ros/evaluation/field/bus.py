@@ -56,7 +56,10 @@ class PayloadFound:
     correlation
         Of the masses found with the passengers', weighted by time.
     close, long
-        Of stretches with more than 5 minutes of driving, those within 8 % of the passengers' weight, and all.
+        Of stretches that follow one another, joined until they have more than 5 minutes of driving, those whose mean mass is
+        within 8 % of the passengers' weight, and all.
+    longest_s
+        Driving in the longest stretch [s].
     """
 
     begin_s: Array
@@ -67,6 +70,7 @@ class PayloadFound:
     correlation: float
     close: int
     long: int
+    longest_s: float
 
 
 def missions(data: Path) -> list[Path]:
@@ -148,7 +152,19 @@ def payload_found(tried: FieldTrial, given: FieldTrial) -> PayloadFound | None:
     weight = np.array(driven)
     mass, people = mass - np.average(mass, weights=weight), true - np.average(true, weights=weight)
     covariance = np.cov(np.stack([mass, people]), aweights=weight)
-    long = weight > LONG_STRETCH_S
-    close = long & (np.abs(mass - people) < CLOSE * true)
     correlation = float(covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1]))
-    return PayloadFound(begin, end, mass, std, people, correlation, int(close.sum()), int(long.sum()))
+    off, carried = (mass_of_joined(x, weight) for x in (mass - people, true))
+    close = int((np.abs(off) < CLOSE * carried).sum())
+    return PayloadFound(begin, end, mass, std, people, correlation, close, len(off), float(weight.max()))
+
+
+def mass_of_joined(mass: Array, driven: Array) -> Array:
+    """Means over stretches that follow one another, joined until they have more than `LONG_STRETCH_S` of driving [s]; what is
+    left at the end is too short.
+    """
+    joined, begin = list[float](), 0
+    for end in range(1, len(mass) + 1):
+        if driven[begin:end].sum() > LONG_STRETCH_S:
+            joined.append(float(np.average(mass[begin:end], weights=driven[begin:end])))
+            begin = end
+    return np.array(joined)

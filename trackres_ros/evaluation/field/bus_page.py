@@ -41,8 +41,9 @@ def bus_page(tried: Sequence[FieldTrial], folder: Path, of_pictures: str = "") -
         f"- Without passengers: the masses of {len(payload.mass)} stretches have a correlation of {payload.correlation:.2f} with "
         f"those of the passengers (70 kg each), which differ by {figures(float(payload.true.std()))} kg, and are "
         f"{figures(float(np.sqrt(np.mean((payload.mass - payload.true) ** 2))))} kg off; "
-        f"{figures(float(payload.std.mean()))} kg is what they are said to be off. Of {payload.long} stretches with more than "
-        f"{LONG_STRETCH_S:.0f} s of driving {payload.close} are within {CLOSE:.0%} of the passengers' weight."
+        f"{figures(float(payload.std.mean()))} kg is what they are said to be off. No stretch has more than "
+        f"{payload.longest_s:.0f} s of driving; joined until they have {LONG_STRETCH_S:.0f} s, {payload.close} of {payload.long} "
+        f"are within {CLOSE:.0%} of the passengers' weight."
     )
     _draw_payload(folder / "payload.png", payload)
     return [*lines, "", f"![Masses of stretches between stops, found and of passengers.]({of_pictures}payload.png)", ""]
