@@ -11,9 +11,12 @@ import logging
 import os
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from http import HTTPStatus
+from http.client import HTTPException
 from importlib.util import find_spec
 from itertools import islice
 from typing import TYPE_CHECKING, Any, TypeVar
+from urllib.request import urlopen
 
 from trackres_ros.errors import InputError, MissingExtraError, one_line
 
@@ -23,7 +26,7 @@ if TYPE_CHECKING:
 Work = TypeVar("Work")
 
 LOCAL = "local"
-CONNECT_S = 10.0
+CONNECT_S, PAGE_S = 10.0, 2.0
 DEATHS = 3  # of workers with a task, before it counts as the task's fault; with the engine's own meaning
 AHEAD = 4  # tasks for each thread of the workers that the engine has at a time: more would be in the client's memory for nothing
 LOUD = "distributed", "tornado", "asyncio"
@@ -93,10 +96,17 @@ def engine(address: str, workers: int | None = None) -> Iterator[Client]:
 
 
 def dashboard(client: Client) -> str:
-    """Address of the engine's own page, empty where it has none: it needs bokeh beside the scheduler."""
+    """Address of the engine's own page, empty where none answers: it needs bokeh beside the scheduler."""
     port = client.scheduler_info()["services"].get("dashboard")
     host = client.scheduler.address.partition("://")[2].rpartition(":")[0] if client.scheduler else ""
-    return f"http://{host}:{port}/status" if port and host else ""
+    if not (port and host):
+        return ""
+    page = f"http://{host}:{port}/status"
+    try:
+        with urlopen(page, timeout=PAGE_S) as answer:
+            return page if answer.status == HTTPStatus.OK else ""
+    except (OSError, HTTPException):
+        return ""
 
 
 def done(client: Client, function: Callable[[Work], Any], work: Iterable[Work]) -> Iterator[tuple[Work, Any]]:
