@@ -196,6 +196,12 @@ def test_work_that_kills_its_worker_each_time_ends_and_the_other_work_is_done():
 
 
 @pytest.mark.long
+def test_two_engines_run_on_one_machine():
+    with engine("local", 1) as one, engine("local", 1) as other:
+        assert [dict(done(client, eval, ["1 + 1"])) for client in (one, other)] == [{"1 + 1": 2}] * 2
+
+
+@pytest.mark.long
 def test_the_engines_own_page_answers_where_it_has_one():
     pytest.importorskip("bokeh")
     with engine("local", 1) as client, urlopen(dashboard(client)) as page:

@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from http import HTTPStatus
 from http.client import HTTPException
-from importlib.util import find_spec
 from itertools import islice
 from typing import TYPE_CHECKING, Any, TypeVar
 from urllib.request import urlopen
@@ -71,13 +70,12 @@ def engine(address: str, workers: int | None = None) -> Iterator[Client]:
     with dask.config.set(settings):
         if address == LOCAL:
             count = workers or len(os.sched_getaffinity(0))
-            dashboard = "127.0.0.1:0" if find_spec("bokeh") else None
             with (
                 LocalCluster(
                     n_workers=count,
                     threads_per_worker=1,
                     host="127.0.0.1",
-                    dashboard_address=dashboard,
+                    dashboard_address="127.0.0.1:0",  # a port of its own: there may be two runs
                     silence_logs=logging.CRITICAL,
                 ) as cluster,
                 Client(cluster, set_as_default=False) as client,
