@@ -54,6 +54,12 @@ def print_warnings() -> Iterator[None]:
         yield
 
 
+def folder_option(text: str) -> Callable[[Decorated], Decorated]:
+    """`-o`, `--output`: the folder that a command writes into."""
+    kind = click.Path(path_type=Path, file_okay=False)
+    return click.option("-o", "--output", type=kind, required=True, metavar="DIR", help=text)
+
+
 def vehicle_option(command: Decorated) -> Decorated:
     """`--vehicle`: a path or the name of a shipped vehicle."""
     return click.option(

@@ -14,6 +14,7 @@ from trackres_ros.cli.common import (
     Command,
     default_of,
     emit,
+    folder_option,
     json_option,
     method_options,
     print_warnings,
@@ -48,14 +49,7 @@ from trackres_ros.cli.written import watch
     metavar="DIR",
     help="Folder with effects of your own, a Python file each.",
 )
-@click.option(
-    "-o",
-    "--output",
-    type=click.Path(path_type=Path, file_okay=False),
-    required=True,
-    metavar="DIR",
-    help="Folder for the report; made if need be.",
-)
+@folder_option("Folder for the report; made if need be.")
 @json_option
 def diagnose_command(
     recordings: tuple[Path, ...],

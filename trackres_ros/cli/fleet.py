@@ -11,7 +11,7 @@ from pathlib import Path
 import click
 
 from trackres_ros import InputError
-from trackres_ros.cli.common import Command, emit, json_option, needs, number, output_folder, progress
+from trackres_ros.cli.common import Command, emit, folder_option, json_option, needs, number, output_folder, progress
 from trackres_ros.cli.written import watch
 
 EXTRA = "fsspec", "pyarrow", "distributed", "jinja2"
@@ -63,14 +63,7 @@ def fleet_group() -> None:
     show_default=True,
     help="Diagnose each vehicle by this period.",
 )
-@click.option(
-    "-o",
-    "--output",
-    type=click.Path(path_type=Path, file_okay=False),
-    required=True,
-    metavar="DIR",
-    help="Folder of all results.",
-)
+@folder_option("Folder of all results.")
 @json_option
 def run_command(
     recordings: tuple[str, ...],
@@ -134,9 +127,7 @@ def run_command(
 @click.option("--every", type=number(0.1, 365.0), default=3.0, show_default=True, help="Days between recordings of a vehicle.")
 @click.option("--minutes", type=number(3.0, 600.0), default=10.0, show_default=True, help="Length of a recording.")
 @click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Seed of all random draws.")
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path, file_okay=False), required=True, metavar="DIR", help="Folder to write into."
-)
+@folder_option("Folder to write into.")
 @json_option
 def sample_command(vehicles: int, days: int, every: float, minutes: float, seed: int, output: Path, as_json: bool) -> None:
     """A simulated fleet with three changes to be found; which they are stands in answers.json.

@@ -16,7 +16,7 @@ from typing import IO
 import click
 
 from trackres_ros import InputError
-from trackres_ros.cli.common import emit, json_option, needs, number, output_folder
+from trackres_ros.cli.common import emit, folder_option, json_option, needs, number, output_folder
 
 MINUTES = 15.0
 QUICK_MINUTES = 12.0
@@ -26,14 +26,7 @@ EXTRA = "proof", "numba", "matplotlib", "jinja2", "ruptures"
 FOLDERS = ("cases", "results", "results_earlier", "next", "results_next", "sealed")
 
 
-folder_option = click.option(
-    "-o",
-    "--output",
-    type=click.Path(path_type=Path, file_okay=False),
-    required=True,
-    metavar="DIR",
-    help="Folder for recordings and page.",
-)
+into_folder = folder_option("Folder for recordings and page.")
 
 
 @click.group("prove", invoke_without_command=True)
@@ -142,7 +135,7 @@ def _process(stream: IO[str] | None, module: str, *arguments: str, room: str = "
     metavar="DIR",
     help="Folder with bmw_i3, husky_warthog and ztbus, as far as they are there.",
 )
-@folder_option
+@into_folder
 @json_option
 def prove_real_command(data: Path, output: Path, as_json: bool) -> None:
     """Diagnose public recordings of real vehicles, with a measured channel concealed."""
@@ -161,7 +154,7 @@ def prove_real_command(data: Path, output: Path, as_json: bool) -> None:
 @click.option("--hostile", type=click.IntRange(0), default=40, show_default=True, help="Vehicles that something misleads.")
 @click.option("--first", type=click.IntRange(1), metavar="N", help="Only N of the sealed vehicles, by drawn names.")
 @click.option("--hours", type=click.FloatRange(0.0), default=200.0, show_default=True, help="Hours of an ageing run; 0: none.")
-@folder_option
+@into_folder
 @json_option
 def prove_learning_command(
     seed: int, vehicles: int, hostile: int, first: int | None, hours: float, output: Path, as_json: bool
@@ -190,7 +183,7 @@ def prove_learning_command(
 
 
 @prove_command.command("paper")
-@folder_option
+@into_folder
 @json_option
 def prove_paper_command(output: Path, as_json: bool) -> None:
     """Diagnose the paper's own test: laps of a circle on a tilted site, with torque computed from the engine's."""
@@ -202,7 +195,7 @@ def prove_paper_command(output: Path, as_json: bool) -> None:
 
 
 @prove_command.command("loop")
-@folder_option
+@into_folder
 @json_option
 def prove_loop_command(output: Path, as_json: bool) -> None:
     """Compare the feed-forward before and after a diagnosis, on a drive that the diagnosis never saw."""
@@ -221,7 +214,7 @@ def prove_loop_command(output: Path, as_json: bool) -> None:
 @click.option("--every", type=number(0.1, 365.0), default=3.0, show_default=True, help="Days between recordings of a vehicle.")
 @click.option("--minutes", type=number(3.0, 600.0), default=10.0, show_default=True, help="Length of a recording.")
 @click.option("--seed", type=click.IntRange(0), default=REPORTED_SEED, show_default=True, help="Seed of all random draws.")
-@folder_option
+@into_folder
 @json_option
 def prove_fleet_command(vehicles: int, days: int, every: float, minutes: float, seed: int, output: Path, as_json: bool) -> None:
     """Count how many changes in a simulated fleet are found, how soon, and how often chance is taken for one.

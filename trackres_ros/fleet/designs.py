@@ -18,6 +18,7 @@ from trackres_ros.files.resources import find_vehicle
 from trackres_ros.files.yamls import read_yaml
 from trackres_ros.model.operating_point import explain
 from trackres_ros.model.vehicle_constants import vehicle_constants
+from trackres_ros.offline.energy import energy_j, steps_of
 from trackres_ros.offline.profile import read_profile
 from trackres_ros.offline.simulate import Drive, run_drive, through_points
 from trackres_ros.text.numbers import decimals, figures
@@ -113,8 +114,8 @@ def compare_designs(grid: Grid, advance: Callable[[float], None] = lambda _: Non
         estimator = Estimator(vehicle)
         rows = run_drive(estimator, drive)
         resistance = rows[:, estimator.column_index["resistance_torque_nm"]]
-        driven = float(np.abs(drive.speed).sum() * STEP_S)
-        energy = float((resistance * drive.speed).sum() * STEP_S / radius)
+        step = steps_of(drive.time_s)
+        driven, energy = float((step * np.abs(drive.speed)).sum()), energy_j(step, drive.speed, resistance, radius)
         each_km = energy / J_PER_KWH / (driven / 1000.0)
         tonnes = vehicle.weight / GRAVITY / 1000.0
         found.append(

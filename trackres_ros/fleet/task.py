@@ -28,7 +28,6 @@ GOOD, BROKEN, SAME = "good", "broken", "same"
 AGAIN = "again"  # instead of a digest of what a row hangs on: what failed may be otherwise the next time
 NO_VEHICLE = NO_DAY = "none"
 ENERGIES = ("resistance", "hysteresis", "bearing", "wind", "effects", "drive")
-LONGEST_STEP_S = 1.0  # between two results of a replay: of longer ones no energy is known
 MEGA = 1e-6
 
 
@@ -116,14 +115,18 @@ def _replayed(recording: Any, vehicle: Any) -> dict[str, Any]:
     """Way, energies and the warmest belt, as the live node would have had them."""
     import trackres_ros as tr
     from trackres_ros.model.vehicle_constants import vehicle_constants
+    from trackres_ros.offline.energy import energy_j, steps_of
 
     result = tr.replay(recording, vehicle)
-    step = np.diff(result.time_s, prepend=result.time_s[0])
-    way = np.where((step > 0.0) & (step <= LONGEST_STEP_S), step, 0.0) * np.nan_to_num(result["speed_mps"])
-    turned = way / vehicle_constants(vehicle).radius
-    energies = {f"{part}_mj": MEGA * float(np.nansum(turned * result[_column(part)])) for part in ENERGIES}
+    step, speed, radius = steps_of(result.time_s), result["speed_mps"], vehicle_constants(vehicle).radius
+    energies = {f"{part}_mj": MEGA * energy_j(step, speed, result[_column(part)], radius) for part in ENERGIES}
     warmest = max(float(np.nanmax(result[name])) for name in result.columns if name.startswith("belt_degc/"))
-    return {"distance_m": float(np.abs(way).sum()), "messages": result.messages, "warmest_degc": warmest, **energies}
+    return {
+        "distance_m": float(np.nansum(step * np.abs(speed))),
+        "messages": result.messages,
+        "warmest_degc": warmest,
+        **energies,
+    }
 
 
 def _column(part: str) -> str:

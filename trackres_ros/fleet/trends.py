@@ -20,6 +20,7 @@ from trackres_ros.fleet.task import NO_DAY
 from trackres_ros.text.numbers import figures
 
 TWO_SIDED_95 = 1.96
+SHOWN = "bearing_friction", "loss_modulus_scale"  # over time, changed or not
 OVERLAP_S = 1.0  # by which a recording may begin before the one before it ends: clocks are read one after the other
 MOST_NAMES = 8  # in a message
 FARTHEST_YEARS = 20.0  # a forecast beyond is none
@@ -146,9 +147,7 @@ def _vehicle(
         values[parameter] = {"value": value, "std": std, "beyond_type": value - typical, "in_stds_of_type": unusual}
     changes, least = vehicle_changes(of, name, rate)
     starts = [row["start_s"] for row in rows]
-    watched = sorted(
-        {*(c.parameter for c in changes), *(set(limits) & set(of.of.names)), *of.of.names[3:4], *_present(of, "bearing_friction")}
-    )
+    watched = sorted({*(c.parameter for c in changes), *limits, *SHOWN} & set(of.of.names))
     return {
         "recordings": len(rows),
         "first_day": day_of(min(starts)),
@@ -161,10 +160,6 @@ def _vehicle(
         "least_gain": least if np.isfinite(least) else None,
         "levels": {parameter: [[float(x) for x in series] for series in levels(of, name, parameter)] for parameter in watched},
     }
-
-
-def _present(of: Pooled, name: str) -> tuple[str, ...]:
-    return (name,) if name in of.of.names else ()
 
 
 def _change(found: VehicleChange, last_s: float, limit: float | None) -> dict[str, Any]:

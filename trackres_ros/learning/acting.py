@@ -26,8 +26,13 @@ ACCEL_DOUBT = 0.04  # of an acceleration filtered out of a speed; of simulated d
 
 def std_of(s: Learned, state: int) -> float:
     """Standard deviation of a state as it is told; of a mass with what accelerations are off by themselves."""
+    return told_std(state, float(s.covariance[state, state]))
+
+
+def told_std(state: int, variance: float) -> float:
+    """The same of a variance of it."""
     doubt = ACCEL_DOUBT if state == at.OF_MASS else 0.0
-    return math.hypot(math.sqrt(max(float(s.covariance[state, state]), 0.0)), doubt)
+    return math.hypot(math.sqrt(max(variance, 0.0)), doubt)
 
 
 def sure(s: Learned, prior: Prior) -> Mask:
@@ -55,9 +60,7 @@ def follow(s: Learned) -> None:
 def move(s: Learned, acts: bool, learned: Array) -> None:
     """Write what acts into the memory of a session, see `estimator.columns`."""
     if not (acts and s.applied.any()):
-        learned[at.LEARNED_ON] = 0.0
-        learned[at.DEPARTURES : at.LEARNED_TORQUE] = 0.0
-        learned[at.LEARNED_TORQUE] = 0.0
+        learned[: at.LEARNED_SLOW] = 0.0
         return
     learned[at.LEARNED_ON] = 1.0
     learned[at.DEPARTURES : at.LEARNED_TORQUE] = s.applied

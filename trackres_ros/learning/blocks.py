@@ -43,11 +43,6 @@ class Block:
     sign: float = 0.0
     looks: Array = field(default_factory=lambda: np.zeros(STATES))
 
-    def begin(self) -> None:
-        """Begin anew."""
-        self.seconds, self.weight, self.residual, self.learned, self.sign = 0, 0.0, 0.0, 0.0, 0.0
-        self.looks[:] = 0.0
-
     def add(self, residual: float, learned: float, sign: float, looks: Array, weight: float) -> None:
         """Take in a second with a weight."""
         self.seconds += 1
@@ -57,12 +52,6 @@ class Block:
         self.learned += share * (learned - self.learned)
         self.sign += share * (sign - self.sign)
         self.looks += share * (looks - self.looks)
-
-    def take(self, other: Block) -> None:
-        """Be as another is."""
-        self.seconds, self.weight, self.residual = other.seconds, other.weight, other.residual
-        self.learned, self.sign = other.learned, other.sign
-        self.looks[:] = other.looks
 
 
 @dataclass

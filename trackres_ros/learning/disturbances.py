@@ -36,8 +36,7 @@ def close_block(s: Learned) -> None:
     s.past.see(_level(s, block) - float(s.mean[STEP]), SLOW_KEEPS)
     _tell(s)
     s.contest.see(abs(block.residual) - abs(block.residual - block.learned))
-    s.last_block.take(block)
-    block.begin()
+    s.last_block, s.block = block, Block()
     s.keep_before()
 
 

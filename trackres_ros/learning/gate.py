@@ -77,12 +77,6 @@ class Second:
     inertia: float = 0.0
     by: Array = field(default_factory=lambda: np.zeros(at.LEARNABLE))
 
-    def begin(self, number: int) -> None:
-        """Begin a second."""
-        self.number, self.taken = number, 0
-        self.residual = self.drive = self.resisting = self.speed = self.accel = self.belt_degc = self.weight = self.inertia = 0.0
-        self.refused[:], self.by[:] = 0.0, 0.0
-
     @property
     def counts(self) -> bool:
         """Whether enough samples count."""

@@ -81,8 +81,7 @@ class Learned:
         self.second, self.last_left, self.suspect, self.disagrees, self.blocks = -1, math.nan, 0.0, 0.0, 0
         self.lasting_s = self.lasting_nm = 0.0
         self.beside_nm, self.beside_since = 0.0, -1
-        self.block.begin()
-        self.last_block.begin()
+        self.block, self.last_block = Block(), Block()
         self.past.pause()
         for state in (at.OF_BELT, SLOW):
             self.mean[state] = 0.0

@@ -21,7 +21,7 @@ from trackres_ros.learning.blocks import BLOCK_S
 from trackres_ros.learning.buckets import ACCELERATES_MPS2, Buckets
 from trackres_ros.learning.disturbances import DISAGREES_S, beside, close_block, let_last, why_frozen
 from trackres_ros.learning.filter import aged, corrected, expected, spread
-from trackres_ros.learning.gate import AGAINST, OUTLYING, TEXTS, Gate, Row
+from trackres_ros.learning.gate import AGAINST, OUTLYING, TEXTS, Gate, Row, Second
 from trackres_ros.learning.learned import SLOW_S, nothing_learned
 from trackres_ros.learning.parameters import GAIN, OFFSET, SLOW, STATES, STEP, VEHICLES_OWN, learnables, make_prior
 from trackres_ros.units import SECOND_NS
@@ -92,7 +92,7 @@ class Learner:
         if number != second.number:
             if second.number >= 0:
                 self._close(session)
-            second.begin(number)
+            self.gate.second = Second(number)
         self.gate.take(stamp_ns, row, session)
 
     # Once a second

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,8 @@ from trackres_ros.diagnosis.writing.kept import Kept
 from trackres_ros.diagnosis.writing.vehicle_file import rubber_share, write_track_vehicle
 from trackres_ros.diagnosis.writing.yaml_edit import Document
 from trackres_ros.estimator import columns as at
-from trackres_ros.learning.acting import ACCEL_DOUBT
+from trackres_ros.files import own_files
+from trackres_ros.learning.acting import told_std
 from trackres_ros.learning.filter import known_of_others
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.parameters import VEHICLES_OWN
@@ -44,7 +44,7 @@ def write_learned(learner: Learner, vehicle: Vehicle, path: Path) -> list[str]:
     applied = learner.learned.applied.tolist()
     written = [name for state in counts for name in _set(document, vehicle, state, applied[state], stds[state])]
     if written:
-        path.write_text(document.text() or f"# {text}\n{document.plain()}", encoding="utf-8")
+        own_files.write(path, (document.text() or f"# {text}\n{document.plain()}").encode())
     return written
 
 
@@ -53,8 +53,7 @@ def _stds(learner: Learner, counts: list[int]) -> dict[int, float]:
     learned = np.zeros(at.LEARNABLE, dtype=bool)
     learned[counts] = True
     covariance = known_of_others(learner.learned.covariance[: at.LEARNABLE, : at.LEARNABLE], learned)
-    stds = {state: math.sqrt(max(float(covariance[state, state]), 0.0)) for state in counts}
-    return {state: math.hypot(std, ACCEL_DOUBT) if state == at.OF_MASS else std for state, std in stds.items()}
+    return {state: told_std(state, float(covariance[state, state])) for state in counts}
 
 
 def _set(document: Document, vehicle: Vehicle, state: int, departure: float, std: float) -> list[str]:

@@ -19,6 +19,7 @@ from trackres_ros.learning.columns import ranges_of, shown
 from trackres_ros.learning.learner import Learner
 from trackres_ros.model.resistance import RESISTANCE_PARTS
 from trackres_ros.model.vehicle_constants import vehicle_constants
+from trackres_ros.offline.energy import energy_j, steps_of
 from trackres_ros.offline.replay import Replayed
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.samples import Block, Finding, Source
@@ -28,7 +29,6 @@ from trackres_ros.units import STANDSTILL_MPS
 Array = NDArray[np.float64]
 
 HEAD = 1  # columns of a picture row before the results: the time
-LONGEST_STEP_S, UNUSUAL = 10.0, 5.0  # or that many times the usual: over a longer step between two samples nothing is known
 MEGA, MJ_PER_KWH = 1e6, 3.6
 MOST_KEPT = 10_000_000
 """Samples kept to be looked at, a quarter of a gigabyte; ten hours of three channels at 50 Hz are half as many."""
@@ -120,10 +120,9 @@ def drive(result: Replayed) -> dict[str, float]:
     columns = picture_columns(estimator.columns, result.picture)
     time, speed, torque = result.picture[:, 0], columns["speed_mps"], columns["resistance_torque_nm"]
     belts = np.stack([series for name, series in columns.items() if name.startswith("belt_degc/")])
-    step = np.diff(time, prepend=time[:1])
-    step[step > max(LONGEST_STEP_S, UNUSUAL * float(np.median(step)))] = 0.0
+    step = steps_of(time)
     under_way = np.where(np.abs(speed) > STANDSTILL_MPS, step, 0.0)
-    energy_mj = float(np.nansum(step * speed * torque)) / vehicle_constants(estimator.vehicle).radius / MEGA
+    energy_mj = energy_j(step, speed, torque, vehicle_constants(estimator.vehicle).radius) / MEGA
     driven = float(np.nansum(step * np.abs(speed)))
     return {
         "distance_m": driven,

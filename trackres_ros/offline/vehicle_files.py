@@ -6,15 +6,15 @@
 from __future__ import annotations
 
 import re
-import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from trackres_ros.diagnosis.writing.vehicle_file import copied
 from trackres_ros.diagnosis.writing.yaml_edit import Document
 from trackres_ros.errors import InputError, nearest
 from trackres_ros.files.own_files import write
-from trackres_ros.files.resources import config_dir, find_vehicle, shipped_road_vehicles, shipped_vehicles
+from trackres_ros.files.resources import find_vehicle, shipped_road_vehicles, shipped_vehicles
 from trackres_ros.files.yamls import read_yaml
 from trackres_ros.text.numbers import figures
 from trackres_ros.text.table import table
@@ -65,13 +65,10 @@ def new_vehicle(name: str, folder: Path, like: str) -> list[Path]:
     document.set(("name",), name)
     written = [target]
     rubber = content.get("rubber", {}).get("file")
+    if rubber:
+        written.append(folder / copied(source.parent / rubber, folder, Path(rubber)))
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        if rubber:
-            written.append(folder / rubber)
-            written[-1].parent.mkdir(parents=True, exist_ok=True)
-            if not written[-1].exists():
-                shutil.copyfile(config_dir() / rubber, written[-1])
         write(target, (document.text() or document.plain()).encode())
     except OSError as error:
         raise InputError("-o", f"{folder}: {error.strerror or error}", "a folder that can be written to") from error

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from trackres_ros.diagnosis.report.picture import Picture
-from trackres_ros.errors import MissingExtraError
 from trackres_ros.text.numbers import alike, decimals, figures
+from trackres_ros.text.templates import templates
 
 VERDICTS = {
     "none": "No physics missing",
@@ -36,13 +36,9 @@ def write_page(path: Path, report: dict[str, Any], pictures: Sequence[Picture], 
     MissingExtraError
         Without jinja2.
     """
-    try:
-        from jinja2 import Environment, PackageLoader, StrictUndefined
-    except ImportError:
-        raise MissingExtraError("report.html", "jinja2", "diagnosis") from None
-    loader = PackageLoader("trackres_ros.diagnosis.report", ".")
-    environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined)
-    environment.filters.update(figures=figures, interval=interval, r2=r2)
+    environment = templates(
+        "trackres_ros.diagnosis.report", "report.html", "diagnosis", figures=figures, interval=interval, r2=r2
+    )
     page = environment.get_template("page.html").render(
         r=report,
         title=title,

@@ -42,7 +42,7 @@ def write_track_vehicle(vehicle: Vehicle, path: Path, kept: Kept, text: str) -> 
     `text` says in comments where they are from.
     """
     document = opened(vehicle.source)
-    document.set(("rubber", "file"), _copied(vehicle.rubber_source, path.parent, Path("rubber") / vehicle.rubber_source.name))
+    document.set(("rubber", "file"), copied(vehicle.rubber_source, path.parent, Path("rubber") / vehicle.rubber_source.name))
     for key, method in (("hysteresis", vehicle.hysteresis), ("thermal", vehicle.thermal)):
         document.set(("model", key), method)
     if kept.values is not None:
@@ -204,14 +204,15 @@ def _copied_effects(effects: Iterable[Active], folder: Path) -> dict[Path, str]:
             count += 1
             name = f"{source.stem}_{count}{source.suffix}"
         copies[name] = source
-    return {source: _copied(source, folder, Path("effects") / name) for name, source in copies.items()}
+    return {source: copied(source, folder, Path("effects") / name) for name, source in copies.items()}
 
 
 def _files_of(effects: Iterable[Active], copied: Mapping[Path, str]) -> list[str]:
     return list(dict.fromkeys(copied[active.effect.source] for active in effects if active.effect.source is not None))
 
 
-def _copied(source: Path, folder: Path, relative: Path) -> str:
+def copied(source: Path, folder: Path, relative: Path) -> str:
+    """Copy a file to its place in a folder; that place, as a vehicle file has it."""
     target = folder / relative
     if not (target.exists() and target.samefile(source)):
         try:

@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from trackres_ros.errors import MissingExtraError
 from trackres_ros.files.own_files import write
 from trackres_ros.fleet.dataset import FleetDataset
 from trackres_ros.fleet.page.drawing import drawn
 from trackres_ros.fleet.periods import verdicts
 from trackres_ros.fleet.trends import change_sentence, sentences
 from trackres_ros.text.numbers import figures
+from trackres_ros.text.templates import templates
 
 INDEX, VEHICLES = "index.html", "vehicles"
 COLOURS = 6  # of mismatch, from none to the fleet's worst
@@ -49,12 +49,7 @@ def write_pages(folder: Path, found: Mapping[str, Any], dataset: FleetDataset) -
     MissingExtraError
         Without jinja2.
     """
-    try:
-        from jinja2 import Environment, PackageLoader, StrictUndefined
-    except ImportError:
-        raise MissingExtraError("the pages of a fleet", "jinja2", "fleet") from None
-    environment = Environment(loader=PackageLoader("trackres_ros.fleet.page", "."), autoescape=True, undefined=StrictUndefined)
-    environment.filters.update(figures=figures, percent=percent)
+    environment = templates("trackres_ros.fleet.page", "the pages of a fleet", "fleet", figures=figures, percent=percent)
     style = environment.get_template("style.css").render()
     told = verdicts(folder)
     names = sorted({*found["vehicles"], *found["months"]})
