@@ -77,11 +77,14 @@ class Term:
 
 @dataclass(frozen=True, eq=False)
 class Description:
-    """A fit with all terms, the rounds of names that are left, and the terms by name."""
+    """A fit with all terms, the rounds of names that are left, the terms by name, and whether one of them stands instead of a
+    name.
+    """
 
     fit: Fit
     steps: list[Step]
     terms: Mapping[str, Term]
+    instead: bool = False
 
 
 def describe(
@@ -95,6 +98,7 @@ def describe(
     route: Route | None = None,
     kinds: Collection[str] = (),
     load: Term | None = None,
+    undecided_may_go: bool = True,
 ) -> Description:
     """Look for terms without a name in what a fit leaves.
 
@@ -110,17 +114,20 @@ def describe(
         Where positions say that the sessions are, what goes by place in the fit already, and what may.
     load
         A mass by stretch beside the names, where that was looked for already.
+    undecided_may_go
+        Whether a term may stand instead of names between which nothing decides.
     """
     current, kept, terms = best, list(steps), dict[str, Term]()
     if load is not None:
         current, terms[PAYLOAD] = load.candidate.fit, load
     if route is not None and not route.told:
         terms[route.candidate.name] = Term(route.candidate, route=route)
-    for step in [s for s in steps if s.chosen is not None and len(s.members) >= UNDECIDED]:
+    replaced = False
+    for step in [s for s in steps if undecided_may_go and s.chosen is not None and len(s.members) >= UNDECIDED]:
         on_stage(f"what has no name, instead of {', '.join(step.members)}")
         instead = _instead(step, current, replicates, rng)
         if instead is not None and instead.candidate.name not in terms:
-            terms[instead.candidate.name] = instead
+            terms[instead.candidate.name], replaced = instead, True
             current, kept = instead.candidate.fit, [s for s in kept if s is not step]
     searches = {name: search for name, search in BY_CLOCK.items() if roads is None or name != PLACE}
     searches[PAYLOAD] = partial(_payload, route=route)
@@ -144,7 +151,7 @@ def describe(
         step = one_round(current, effects, replicates, rng)
         if step.chosen is not None and len(current.effects) - len(terms) < MOST_DESCRIBED:
             current, kept = step.chosen.fit, [*kept, step]
-    return Description(current, kept, terms)
+    return Description(current, kept, terms, replaced)
 
 
 def _followed(current: Fit, replicates: int, rng: np.random.Generator) -> Term | None:

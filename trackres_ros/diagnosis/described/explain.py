@@ -66,7 +66,7 @@ def explain(
     on_stage: Callable[[str], None],
     kinds: Collection[str],
 ) -> list[Explanation]:
-    """Look for names and for what has none: one explanation, or two, that which explains more first.
+    """Look for names and for what has none: one explanation, or several, that which explains more first.
 
     Parameters
     ----------
@@ -78,8 +78,10 @@ def explain(
         Those that may be named.
     """
 
-    def described(route: Route | None, named: Fit, rounds: list[Step], load: Term | None = None) -> Explanation:
-        description = describe(named, rounds, effects, replicates, rng, on_stage, roads, route, kinds, load)
+    def described(
+        route: Route | None, named: Fit, rounds: list[Step], load: Term | None = None, undecided_may_go: bool = True
+    ) -> Explanation:
+        description = describe(named, rounds, effects, replicates, rng, on_stage, roads, route, kinds, load, undecided_may_go)
         steps = description.steps
         if route is not None and route.told and route.candidate.name in description.fit.effect_names:
             steps = [by_place(route, rounds[0]), *steps]
@@ -87,12 +89,15 @@ def explain(
 
     begin = tested if first is None else first.candidate.fit
     rounds, named = choose(begin, effects, replicates, rng, on_stage)
-    found = described(*beside_names(first, roads, named, kinds), rounds)
+    beside = beside_names(first, roads, named, kinds)
+    found = [described(*beside, rounds)]
+    if found[0].description.instead:
+        found.append(described(*beside, rounds, undecided_may_go=False))
     if named.effect_names == begin.effect_names or not may_differ(begin):
-        return [found]
+        return found
     load = load_by_stretch(begin, first)
     if load is None:
-        return [found]
+        return found
     on_stage("names beside a mass that differs by stretch")
     rounds, named = choose(load.candidate.fit, effects, replicates, rng, on_stage)
     others, route = [a.effect for a in named.effects if a.effect.name != PAYLOAD], first
@@ -100,13 +105,13 @@ def explain(
         route, named = beside_names(first, roads, fit(named.problem, others, named.at, named.noises), kinds)
         load = load_by_stretch(named, route)
     if load is None:
-        return [found]
+        return found
     other = described(route, named, rounds, load)
     # Names beside which a payload is there in any case must gain over it alone what any name must.
-    names = [s for s in found.steps if s.chosen and s.chosen.name not in other.description.fit.effect_names]
+    names = [s for s in found[0].steps if s.chosen and s.chosen.name not in other.description.fit.effect_names]
     least = sum(max(s.threshold, spurious_gain(other.description.fit)) for s in names)
-    sure = least if PAYLOAD in found.description.terms else 0.0
-    return [found, other] if found.evidence > other.evidence + sure else [other, found]
+    sure = least if PAYLOAD in found[0].description.terms else 0.0
+    return [*found, other] if found[0].evidence > other.evidence + sure else [other, *found]
 
 
 def judged(explanations: Sequence[Explanation], refitted: Fit, laps: HeldOutLaps) -> Judged:
