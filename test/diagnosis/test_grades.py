@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from trackres_ros.diagnosis.base.base import BaseParameter
 from trackres_ros.diagnosis.base.watched import WATCHED
 from trackres_ros.diagnosis.selection import confirm as confirming
 from trackres_ros.diagnosis.selection.confirm import Graded, confirm, keep, leave_unconfirmed
@@ -31,7 +32,9 @@ class Fitted:
 
     def __init__(self, laps, effects):
         self.laps, self.effects = laps, tuple(effects)
-        self.base_values = {"bearing": float(len(self.effects))}
+        bearing = float(len(self.effects))
+        self.base_values = {"bearing": bearing, "rolling": self.laps.rolling.get(frozenset(a.effect.name for a in effects), 1.0)}
+        self.problem = SimpleNamespace(base=SimpleNamespace(parameters=(BaseParameter("rolling", "1", 1.0, 0.5, 0.0, 2.0),)))
 
     @property
     def error(self):
@@ -42,10 +45,11 @@ class Fitted:
 
 
 class Laps:
-    """Held-out laps on which the mean error of a model is said by the effects in it [Nm]."""
+    """Held-out laps on which the mean error of a model is said by the effects in it [Nm], and how it rolls beside them."""
 
-    def __init__(self, errors, spread=0.5):
+    def __init__(self, errors, spread=0.5, rolling=None):
         self.errors, self.spread = {frozenset(names): error for names, error in errors.items()}, spread
+        self.rolling = {frozenset(names): value for names, value in (rolling or {}).items()}
         self.measured = np.zeros(4)
 
     def of(self, error):
@@ -165,6 +169,21 @@ def test_of_two_that_are_refuted_only_the_worse_goes_if_the_other_is_sound_witho
     assert ([a.effect.name for a in kept.effects], list(graded), [g.name for g in refuted]) == (["a"], ["a"], ["b"])
 
 
+@pytest.mark.parametrize(("beside", "without", "goes"), [
+    (0.0, 1.0, True), (2.0, 1.0, True), (0.001, 1.0, True), (1.999, 1.0, True),
+    (0.003, 1.0, False), (1.997, 1.0, False), (0.0, 0.0, False), (0.0, 0.002, False),
+])  # fmt: skip
+def test_what_takes_the_place_of_what_the_vehicle_has_goes_however_much_better_laps_are_with_it(beside, without, goes):
+    errors = {(): 100.0, ("a",): 60.0, ("b",): 90.0, ("a", "b"): 50.0}
+    rolling = {("a", "b"): beside, ("a",): beside, ("b",): without, (): without}
+    final, refitted, laps = fits(errors, effect("a"), effect("b"), rolling=rolling)
+    kept, graded, refuted = confirm(final, refitted, laps)
+    assert [g.name for g in refuted] == (["a"] if goes else [])
+    assert [a.effect.name for a in kept.effects] == (["b"] if goes else ["a", "b"])
+    assert {g.grade for g in graded.values()} == {CONFIRMED}
+    assert all((g.displaces, g.grade) == (("rolling",), REFUTED) for g in refuted)
+
+
 def test_effects_that_are_worse_together_than_none_go_though_each_helps_the_other():
     errors = {(): 100.0, ("a",): 150.0, ("b",): 140.0, ("a", "b"): 120.0}
     final, refitted, laps = fits(errors, effect("a"), effect("b"))
@@ -225,12 +244,12 @@ def names(kept):
 def test_the_re_fit_with_what_is_believed_is_written_if_it_is_no_worse_than_the_file():
     for error in (90.0, FILE_NM):
         kept = kept_of({(): 95.0, ("a",): error}, ["a"], effect("a"))
-        assert (names(kept), kept.values, kept.intervals) == (["a"], {"bearing": 1.0}, {"of": "final"})
+        assert (names(kept), kept.values, kept.intervals) == (["a"], {"bearing": 1.0, "rolling": 1.0}, {"of": "final"})
 
 
 def test_else_the_re_fit_of_the_base_and_else_the_files_own_values():
     base = kept_of({(): 95.0, ("a",): 100.1}, ["a"], effect("a"))
-    assert (names(base), base.values, base.intervals) == ([], {"bearing": 0.0}, {"of": 95.0})
+    assert (names(base), base.values, base.intervals) == ([], {"bearing": 0.0, "rolling": 1.0}, {"of": 95.0})
     own = kept_of({(): 100.1, ("a",): 100.2}, ["a"], effect("a"))
     assert (names(own), own.values, own.intervals) == ([], None, {})
 
@@ -241,7 +260,7 @@ def test_what_is_not_believed_is_not_written_and_said():
     assert (names(some), some.intervals) == (["a"], {"of": 90.0})
     assert some.text.endswith("; not written: b")
     none = kept_of(errors, [], effect("a"), effect("b"))
-    assert (names(none), none.values) == ([], {"bearing": 0.0})
+    assert (names(none), none.values) == ([], {"bearing": 0.0, "rolling": 1.0})
     assert none.text.endswith("; not written: a, b")
     assert "not written" not in kept_of(errors, ["a", "b"], effect("a"), effect("b")).text
 

@@ -24,12 +24,11 @@ from trackres_ros.diagnosis.findings.verdict import (
     Verdict,
     judge,
     likelier,
-    moved_parameters,
 )
 from trackres_ros.diagnosis.pipeline import believed_in
 from trackres_ros.diagnosis.prepare.session import Session
 from trackres_ros.diagnosis.selection import confirm as confirming
-from trackres_ros.diagnosis.selection.confirm import Graded, confirm, keep, leave_unconfirmed
+from trackres_ros.diagnosis.selection.confirm import Graded, confirm, keep, leave_unconfirmed, moved_parameters
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, HeldOut, HeldOutLaps, Improvement, held_out
 from trackres_ros.diagnosis.selection.naming import Candidate, Step
 from trackres_ros.effects.effect import Parameter
@@ -149,6 +148,12 @@ def test_what_laps_refuted_is_told_and_then_the_unexplained_is_refuted(left):
     none = said(refuted=refuted)
     assert (none.status, none.grade) == ("none", CONFIRMED)
     assert "payne" in none.sentence
+
+
+def test_what_takes_the_place_of_what_the_vehicle_has_is_told_with_what_it_takes():
+    sentence = said(refuted=[Graded("torque_offset", BETTER, (), ("rolling_coefficient",))]).sentence
+    assert "beside it a value of the vehicle file goes to a bound of what is possible: torque_offset (rolling_coefficient)." in sentence
+    assert "makes the others worse" not in sentence
 
 
 # Something found
@@ -276,6 +281,7 @@ class Fitted:
         self.names = frozenset(names)
         self.torque = torque
         self.base_values = {"bearing": 0.01 * len(names)}
+        self.problem = refitted().problem
 
     def of_file(self):
         return [np.full(10, self.torque)]

@@ -65,7 +65,7 @@ def test_an_hour_of_age_is_an_hour_whose_error_is_small():
 
 def hostile_case(kind, said):
     return {"hostile": kind, "worse": [0.0, 0.01, -0.01], "outside": False,
-            "said": {str(i + 1): {"frozen_s": {said: 20} if said and i else {}, "left_out_s": {}} for i in range(3)}}  # fmt: skip
+            "said": {str(i + 1): {"said_s": {said: 20} if said and i else {}} for i in range(3)}}  # fmt: skip
 
 
 def test_the_page_tells_on_which_drives_nothing_was_said():

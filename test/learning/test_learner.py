@@ -139,6 +139,30 @@ def test_a_sensor_that_is_broken_is_not_learned_from(road, shown, name):
     assert driven.learner.learned.applied[VEHICLES_OWN,] == pytest.approx(before[VEHICLES_OWN,], abs=0.03)
 
 
+@pytest.mark.parametrize(
+    ("shown", "words"),
+    [
+        (lambda _torque, _i: 2500.0, "the measured torque is stuck"),
+        (lambda torque, _i: -torque, "the measured torque has the sense that it cannot have"),
+        (lambda torque, i: torque if i % 40 < 10 else None, "no torque is measured"),
+        (lambda torque, i: torque + (3000.0 if i % 4 == 0 else 0.0), "the measured torque jumps about"),
+    ],
+)
+def test_what_is_wrong_with_the_torque_is_told_while_it_is(road, shown, words):
+    driven = road("watch").drive(16.0)
+    assert driven.learner.left_out == ""
+    driven.drive(2.0, shown, noise=0.0)
+    assert driven.learner.left_out.startswith(f"{words} in ")
+    assert driven.learner.text.endswith(driven.learner.left_out)
+    driven.drive(6.0)
+    assert driven.learner.left_out == ""
+
+
+def test_nothing_is_wrong_with_a_torque_while_it_stands(road):
+    driven = road("watch").drive(2.0, lambda _torque, _i: 0.0, speed=lambda _t: 0.0, noise=0.0)
+    assert driven.learner.left_out == ""
+
+
 def test_outliers_freeze_it(road):
     driven = road("on", {at.OF_LOSS: 0.1})
     random = np.random.default_rng(5)

@@ -58,6 +58,8 @@ TEXTS = (
     "the estimate itself is in doubt",
 )
 COUNTED, TAKEN = len(TEXTS), -1
+OF_SENSOR = (NO_TORQUE, STUCK, AGAINST, OUTLYING)  # what is wrong with a measured torque, whatever is driven
+LATE_S = 60.0  # for which it is remembered
 
 
 @dataclass
@@ -116,11 +118,25 @@ class Gate:
     def __init__(self, belts: list[int], rolling_nm: float) -> None:
         self._belts = belts
         self.rolling_nm = rolling_nm
-        self.second, self.samples = Second(), Samples()
+        self.restart()
 
     def restart(self) -> None:
         """Forget what passed: the estimate was started anew."""
         self.second, self.samples = Second(), Samples()
+        self.of_late = np.zeros(COUNTED)  # share of the samples of each reason
+
+    def next_second(self, number: int) -> None:
+        """Begin another second; what was left out of the last, while it rolled, is remembered for a while."""
+        refused = self.second.refused
+        everything = self.second.taken + float(refused.sum())
+        if everything > 0.0 and not refused[SLOW]:
+            self.of_late += (refused / everything - self.of_late) / LATE_S
+        self.second = Second(number)
+
+    def wrong_of_late(self) -> tuple[str, float]:
+        """What is wrong with most of the torques that cannot be learned from, and in which share of late."""
+        worst = max(OF_SENSOR, key=lambda why: self.of_late[why])
+        return TEXTS[worst], float(self.of_late[worst])
 
     def take(self, stamp_ns: int, row: Row, session: Session) -> None:
         """Take a step into the second that is open; of steps that come fast, some are enough for its mean."""

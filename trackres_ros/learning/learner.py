@@ -21,7 +21,7 @@ from trackres_ros.learning.blocks import BLOCK_S
 from trackres_ros.learning.buckets import ACCELERATES_MPS2, Buckets
 from trackres_ros.learning.disturbances import DISAGREES_S, beside, close_block, let_last, why_frozen
 from trackres_ros.learning.filter import aged, corrected, expected, spread
-from trackres_ros.learning.gate import AGAINST, OUTLYING, TEXTS, Gate, Row, Second
+from trackres_ros.learning.gate import AGAINST, OUTLYING, TEXTS, Gate, Row
 from trackres_ros.learning.learned import SLOW_S, nothing_learned
 from trackres_ros.learning.parameters import GAIN, OFFSET, SLOW, STATES, STEP, VEHICLES_OWN, learnables, make_prior
 from trackres_ros.units import SECOND_NS
@@ -39,6 +39,7 @@ DEGREES_OF_FREEDOM = 4.0  # of Student's t
 NOISE_MEMORY_S = 120.0
 INERTIA_SHARE = 0.2  # of the inertia: an acceleration that is filtered from a speed lags
 ROLLING_MEMORY_S = 600.0
+LEFT_OUT_SHARE = 0.1  # of the samples of a minute that cannot be learned from, by what is wrong with the torque: more is said
 
 
 class Learner:
@@ -92,7 +93,7 @@ class Learner:
         if number != second.number:
             if second.number >= 0:
                 self._close(session)
-            self.gate.second = Second(number)
+            self.gate.next_second(number)
         self.gate.take(stamp_ns, row, session)
 
     # Once a second
@@ -184,6 +185,12 @@ class Learner:
         """A torque that is there beside the vehicle, in words; empty where none is."""
         return beside(self.learned, self.gate.second.number, self._known)
 
+    @property
+    def left_out(self) -> str:
+        """What is wrong with the measured torque of late, in words; empty where little is."""
+        why, share = self.gate.wrong_of_late()
+        return f"{why} in {100.0 * share:.0f} % of the last minute" if share > LEFT_OUT_SHARE else ""
+
     def _free(self, accel: float) -> Mask:
         free = np.ones(STATES, dtype=bool)
         if self.frozen:
@@ -219,6 +226,10 @@ class Learner:
     @property
     def text(self) -> str:
         """What is going on, in a sentence."""
+        return f"{self._stage}; {self.left_out}" if self.left_out else self._stage
+
+    @property
+    def _stage(self) -> str:
         s = self.learned
         if self.frozen:
             return f"frozen: {self.frozen}"

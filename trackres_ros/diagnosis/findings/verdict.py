@@ -18,7 +18,7 @@ from trackres_ros.diagnosis.described.terms import Described
 from trackres_ros.diagnosis.findings.locate import STRAY_S, Acts, SlowResidual, Span
 from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
 from trackres_ros.diagnosis.inference.fitting import Fit
-from trackres_ros.diagnosis.selection.confirm import Graded
+from trackres_ros.diagnosis.selection.confirm import Graded, moved_parameters
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, HeldOut
 from trackres_ros.diagnosis.selection.intervals import Interval
 from trackres_ros.diagnosis.selection.naming import Candidate, Step
@@ -32,7 +32,6 @@ MOST_STRAY = 0.015  # of the torque, in means over half a minute
 LEFT_SHARE = 0.5  # of what the effects explain: more left over, and the names explain little
 MOST_CERTAIN = 20.0  # in log-likelihood: more is no more certain
 FINE_R2 = 0.995  # above it R2 says nothing that the mean error does not
-MOVED = 1.5  # standard deviations of the file's own range
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -206,13 +205,6 @@ def judge(
     )
 
 
-def moved_parameters(refitted: Fit) -> list[tuple[BaseParameter, float]]:
-    """Parameters of the base that moved further than their range says, furthest first."""
-    found = [(q, refitted.base_values[q.name]) for q in refitted.problem.base.parameters if np.isfinite(q.std)]
-    far = [(q, value) for q, value in found if abs(value - q.nominal) > MOVED * q.std]
-    return sorted(far, key=lambda pair: -abs(pair[1] - pair[0].nominal) / pair[0].std)
-
-
 def _of_effect(f: Found) -> str:
     where = f.acts.text
     measured = f"{where[0].upper() + where[1:] if where else 'Everywhere'} {f.acts.size} than the model has"
@@ -249,11 +241,13 @@ def _refuted(refuted: Sequence[Graded]) -> str:
     worse = "; ".join(
         f"{g.name}, {figures(g.improvement.before)} to {figures(g.improvement.after)} Nm of mean error"
         for g in refuted
-        if g.grade == REFUTED
+        if g.grade == REFUTED and not g.displaces
     )
+    instead = "; ".join(f"{g.name} ({', '.join(g.displaces)})" for g in refuted if g.displaces)
     unsure = ", ".join(g.name for g in refuted if g.grade != REFUTED)
     return " ".join(
         ([f"Refuted, as it fits the laps that were used and makes the others worse: {worse}."] if worse else [])
+        + ([f"Left out, as beside it a value of the vehicle file goes to a bound of what is possible: {instead}."] if instead else [])
         + ([f"Not confirmed beside it, and left out: {unsure}."] if unsure else [])
     )
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.diagnosis.base.base import BaseParameter
 from trackres_ros.diagnosis.base.watched import WATCHED, ByPlace
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.inference.levels import with_levels
@@ -23,6 +24,7 @@ from trackres_ros.text.numbers import figures
 Array = NDArray[np.float64]
 
 ON_BOUND = 1e-3  # of the span between the bounds
+MOVED = 1.5  # standard deviations of the file's own range
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,17 +37,23 @@ class Graded:
         Of the model with it over the one without, each fitted by itself.
     on_bounds
         Parameters that lie on a bound other than the value without effect.
+    displaces
+        Parameters of the base that lie on an implausible bound beside it, and not without it: it takes the place of what the
+        base has, as an offset of the sensor does of a vehicle that rolls without resistance.
     grade
-        `confirmed`, `suspected` or `refuted`; what lies on a bound is at best suspected.
+        `confirmed`, `suspected` or `refuted`; what lies on a bound is at best suspected, what displaces is refuted.
     """
 
     name: str
     improvement: Improvement
     on_bounds: tuple[str, ...]
+    displaces: tuple[str, ...] = ()
 
     @property
     def grade(self) -> str:
         """See above."""
+        if self.displaces:
+            return REFUTED
         return SUSPECTED if self.on_bounds and self.improvement.grade == CONFIRMED else self.improvement.grade
 
 
@@ -65,7 +73,7 @@ def confirm(final: Fit, refitted: Fit, laps: HeldOutLaps) -> tuple[Fit, dict[str
     refuted: list[Graded] = []
     while final.effects:
         graded = {a.effect.name: _graded(a, final, refitted, laps) for a in final.effects}
-        worst = max(graded.values(), key=lambda g: g.improvement.after - g.improvement.before)
+        worst = max(graded.values(), key=lambda g: (bool(g.displaces), g.improvement.after - g.improvement.before))
         together = laps.improvement_of(refitted, final).grade
         if worst.grade != REFUTED and together != REFUTED:
             return final, graded, tuple(refuted)
@@ -139,4 +147,21 @@ def _graded(active: Active, final: Fit, refitted: Fit, laps: HeldOutLaps) -> Gra
         for bound in (q.low, q.high)
         if q.fitted and bound != q.off and abs(active.values[q.name] - bound) <= ON_BOUND * (q.high - q.low)
     )
-    return Graded(name, laps.improvement_of(without, final), on_bounds)
+    gone = set(at_implausible_bounds(final)) - set(at_implausible_bounds(without))
+    return Graded(name, laps.improvement_of(without, final), on_bounds, tuple(sorted(gone)))
+
+
+def at_implausible_bounds(found: Fit) -> tuple[str, ...]:
+    """Parameters of the base on a bound that is further from the vehicle file's value than its range says."""
+    return tuple(
+        q.name
+        for q, value in moved_parameters(found)
+        if min(value - q.low, q.high - value) <= ON_BOUND * (q.high - q.low)
+    )
+
+
+def moved_parameters(found: Fit) -> list[tuple[BaseParameter, float]]:
+    """Parameters of the base that moved further than their range says, furthest first."""
+    moved = [(q, found.base_values[q.name]) for q in found.problem.base.parameters if np.isfinite(q.std)]
+    far = [(q, value) for q, value in moved if abs(value - q.nominal) > MOVED * q.std]
+    return sorted(far, key=lambda pair: -abs(pair[1] - pair[0].nominal) / pair[0].std)

@@ -31,7 +31,6 @@ from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.snapshot import read_beside, save
 from trackres_ros.evaluation.learned.generate import REFIT
 from trackres_ros.evaluation.sealed.generate import APART_S
-from trackres_ros.learning.gate import COUNTED, TEXTS
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.parameters import VEHICLES_OWN
 from trackres_ros.learning.store import stored, take
@@ -46,20 +45,16 @@ SHOWN = [at.OUT_SPEED, at.OUT_FEEDFORWARD, at.OUT_RESISTANCE, at.OUT_STD]
 
 
 class Listening(Learner):
-    """A learner that keeps what it says: why it was frozen, why seconds were left out, and whether it left its ranges."""
+    """A learner that keeps what its status says, for how many seconds, and whether it left its ranges."""
 
     def __init__(self, estimator: Estimator, mode: str) -> None:
         super().__init__(estimator, mode)
         self.said: dict[str, int] = {}
-        self.left_out = np.zeros(COUNTED)
         self.outside = False
 
     def _close(self, session: Any) -> None:
-        second = self.gate.second
-        if not second.counts and second.refused.any():
-            self.left_out[second.mostly] += 1.0
         super()._close(session)
-        for text in (self.frozen, self.disturbance and BESIDE):
+        for text in (self.frozen, self.disturbance and BESIDE, self.left_out.partition(" in ")[0]):
             if text:
                 key = KEY.sub("", text.split(":")[0]).strip()
                 self.said[key] = self.said.get(key, 0) + 1
@@ -129,8 +124,7 @@ def _learned(case: Path, drives: Sequence[Path], vehicle: Path, rows: dict[str, 
         rows[f"{name}_{number}"] = _shown(kept)
         said[number] = {
             "text": learner.text,
-            "frozen_s": learner.said,
-            "left_out_s": {text: float(n) for text, n in zip(TEXTS, learner.left_out, strict=True) if n},
+            "said_s": learner.said,
             "outside": learner.outside,
             "seconds": learner.learned.seconds,
             "applied": learner.learned.applied.tolist(),

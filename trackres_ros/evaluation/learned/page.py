@@ -125,7 +125,7 @@ def _of_hostile(hostile: list[Any]) -> list[str]:
         )
     drives = [float(x) for case in hostile for x in case["worse"]]
     bad = sum(x > MOST_WORSE for x in drives)
-    silent = [(case["hostile"], i + 1) for case in hostile for i in range(DRIVES) if not case["said"][str(i + 1)]["frozen_s"]]
+    silent = [(case["hostile"], i + 1) for case in hostile for i in range(DRIVES) if not case["said"][str(i + 1)]["said_s"]]
     which = ", ".join(f"{kind} on drive {drive}" for kind, drive in sorted(silent))
     return [
         *lines,
@@ -141,11 +141,10 @@ def _said(cases: list[Any]) -> str:
     seconds: dict[str, float] = {}
     for case in cases:
         for i in range(DRIVES):
-            for text, s in {**case["said"][str(i + 1)]["frozen_s"], **case["said"][str(i + 1)]["left_out_s"]}.items():
+            for text, s in case["said"][str(i + 1)]["said_s"].items():
                 short = next((said for words, said in SHORT.items() if words in text), text)
                 seconds[short] = seconds.get(short, 0.0) + s
-    ordinary = ("it stands or crawls", "it turns", "it brakes", "it accelerates hard", "the estimate itself is in doubt")
-    found = sorted(((s, text) for text, s in seconds.items() if text not in ordinary), reverse=True)
+    found = sorted(((s, text) for text, s in seconds.items()), reverse=True)
     return (
         "; ".join(f"{text} ({s / len(cases) / DRIVES:.0f} s a drive)" for s, text in found[:3] if s >= 0.5 * len(cases) * DRIVES)
         or "nothing"
