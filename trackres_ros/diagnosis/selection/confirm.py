@@ -154,9 +154,7 @@ def _graded(active: Active, final: Fit, refitted: Fit, laps: HeldOutLaps) -> Gra
 def at_implausible_bounds(found: Fit) -> tuple[str, ...]:
     """Parameters of the base on a bound that is further from the vehicle file's value than its range says."""
     return tuple(
-        q.name
-        for q, value in moved_parameters(found)
-        if min(value - q.low, q.high - value) <= ON_BOUND * (q.high - q.low)
+        q.name for q, value in moved_parameters(found) if min(value - q.low, q.high - value) <= ON_BOUND * (q.high - q.low)
     )
 
 
