@@ -18,7 +18,7 @@ from pathlib import Path
 from measuring import at_most
 
 from trackres_ros.node.application import Application
-from trackres_ros.node.edge import Level, Peer, Status
+from trackres_ros.node.edge import Level, Peer, Reasons, Status
 from trackres_ros.node.parameters import make_parameters
 from trackres_ros.units import SECOND_NS
 
@@ -43,6 +43,9 @@ class Nobody:
         return START_NS + self.steady_ns
 
     def publish(self, output: int, stamp_ns: int, values: Sequence[float]) -> None:
+        """Nowhere."""
+
+    def publish_estimate(self, output: int, stamp_ns: int, values: Sequence[float], reasons: Reasons) -> None:
         """Nowhere."""
 
     def publish_status(self, output: int, stamp_ns: int, statuses: Sequence[Status]) -> None:

@@ -47,6 +47,10 @@ class Peer:
     compatible: bool
 
 
+Reasons = tuple[tuple[str, Level], ...]
+"""Names of all remarks that hold, each once, heaviest first, with the level of each."""
+
+
 class Edge(Protocol):
     """What the application needs of a middleware. All calls come from one thread, the one that calls the application.
 
@@ -58,6 +62,9 @@ class Edge(Protocol):
 
     def publish(self, output: int, stamp_ns: int, values: Sequence[float]) -> None:
         """Publish a message of numbers: those of `OutputTopic.columns` in their order, as they stand in the message."""
+
+    def publish_estimate(self, output: int, stamp_ns: int, values: Sequence[float], reasons: Reasons) -> None:
+        """Publish the message of `topics.ESTIMATE_TOPIC`: numbers of its names in their order, and all reasons."""
 
     def publish_status(self, output: int, stamp_ns: int, statuses: Sequence[Status]) -> None:
         """Publish a DiagnosticArray."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from trackres_ros.estimator.columns import CHANNELS
 from trackres_ros.node.parameters import Parameters
-from trackres_ros.output.topics import PARAMETERS_TOPIC, OutputTopic, output_topics
+from trackres_ros.output.topics import ESTIMATE_TOPIC, PARAMETERS_TOPIC, OutputTopic, output_topics
 from trackres_ros.recording.bindings import TopicBinding, Topics
 from trackres_ros.recording.roles import POSITION, base_role
 from trackres_ros.vehicle import Vehicle
@@ -75,9 +75,10 @@ def _last_speed(role: str) -> bool:
 
 def live_topics(vehicle: Vehicle, topics: Topics) -> tuple[OutputTopic, ...]:
     """All topics to publish, most urgent first; the residual and what is learned only where a torque is measured."""
-    given = (topic for topic in output_topics(vehicle) if topic.name != "torque_residual" or "torque" in topics)
+    feedforward, number, *others = output_topics(vehicle)
+    given = (topic for topic in others if topic.name != "torque_residual" or "torque" in topics)
     learned = (PARAMETERS_TOPIC,) if any(base_role(role) == "torque" for role in topics) else ()
-    return (*given, *learned, DIAGNOSTICS)
+    return (feedforward, number, ESTIMATE_TOPIC, *given, *learned, DIAGNOSTICS)
 
 
 def input_quality(parameters: Parameters) -> Quality:

@@ -14,9 +14,9 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 
 from trackres_ros.node.application import Application
-from trackres_ros.node.dds.messages import InputReader, Prepared, clock_ns, diagnostic_array
+from trackres_ros.node.dds.messages import InputReader, Prepared, PreparedEstimate, clock_ns, diagnostic_array, prepared
 from trackres_ros.node.dds.participant import Participant, Reader
-from trackres_ros.node.edge import Level, Peer, Status
+from trackres_ros.node.edge import Level, Peer, Reasons, Status
 from trackres_ros.node.endpoints import Quality, full_name, input_name, input_quality, output_quality
 from trackres_ros.node.inbox import Arrival, Inbox
 from trackres_ros.node.parameters import Parameters
@@ -50,7 +50,8 @@ class DdsNode:
         for topic in application.outputs:
             name = full_name(topic.name, node, namespace)
             self._writers.append(self._participant.writer(name, topic.type, output_quality(parameters, topic)))
-            self._prepared.append(None if topic.kind == "status" else Prepared(topic, self._frame_id))
+            self._prepared.append(None if topic.kind in ("status", "estimate") else prepared(topic, self._frame_id))
+        self._estimate = PreparedEstimate(self._frame_id)
         self._input_names = [input_name(given.name, namespace) for given in application.inputs]
         self._quality = input_quality(parameters)
         self._readers = [
@@ -79,9 +80,13 @@ class DdsNode:
 
     def publish(self, output: int, stamp_ns: int, values: Sequence[float]) -> None:
         """Publish a message of numbers."""
-        prepared = self._prepared[output]
-        assert prepared is not None
-        self._writers[output].write(prepared.filled(stamp_ns, values))
+        message = self._prepared[output]
+        assert message is not None
+        self._writers[output].write(message.filled(stamp_ns, values))
+
+    def publish_estimate(self, output: int, stamp_ns: int, values: Sequence[float], reasons: Reasons) -> None:
+        """Publish the message of `topics.ESTIMATE_TOPIC`."""
+        self._writers[output].write(self._estimate.filled(stamp_ns, values, reasons))
 
     def publish_status(self, output: int, stamp_ns: int, statuses: Sequence[Status]) -> None:
         """Publish a DiagnosticArray."""

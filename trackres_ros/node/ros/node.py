@@ -23,12 +23,12 @@ from std_srvs.srv import Trigger
 
 from trackres_ros.errors import InputError
 from trackres_ros.node.application import Application
-from trackres_ros.node.edge import Level, Peer, Status
+from trackres_ros.node.edge import Level, Peer, Reasons, Status
 from trackres_ros.node.endpoints import Quality, input_quality, output_quality
 from trackres_ros.node.inbox import Arrival, Inbox
 from trackres_ros.node.parameters import Parameters, make_parameters
 from trackres_ros.node.ros import parameters as ros_parameters
-from trackres_ros.node.ros.messages import Fill, diagnostic_array, input_type, prepared
+from trackres_ros.node.ros.messages import Fill, PreparedEstimate, diagnostic_array, input_type, installed_type, prepared
 from trackres_ros.output.topics import DEFAULT_NODE
 from trackres_ros.units import SECOND_NS
 
@@ -147,16 +147,15 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         self.application = application
         self._fills: list[Fill | None] = []
         self._outputs = []
+        self._estimate = PreparedEstimate(self._frame_id)
         for topic in application.outputs:
             name = topic.name if topic.name.startswith("/") else f"~/{topic.name}"
             profile = _profile(output_quality(parameters, topic))
             events = PublisherEventCallbacks(
                 incompatible_qos=self._reporter(f"a subscriber of {name}"), use_default_callbacks=False
             )
-            kind = type(diagnostic_array(0, [], "")) if topic.kind == "status" else None
-            fill = None if kind else prepared(topic, self._frame_id)
-            self._fills.append(fill)
-            kind = kind or type(fill(0, [0.0] * max(len(topic.columns), 1)))  # type: ignore[misc]
+            self._fills.append(None if topic.kind in ("status", "estimate") else prepared(topic, self._frame_id))
+            kind = installed_type(topic.type, f"topic {name}")
             self._outputs.append(self.create_lifecycle_publisher(kind, name, profile, event_callbacks=events))
         self._input_profile = _profile(input_quality(parameters))
         self._gate = Gate()
@@ -232,6 +231,10 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         fill = self._fills[output]
         assert fill
         self._outputs[output].publish(fill(stamp_ns, values))
+
+    def publish_estimate(self, output: int, stamp_ns: int, values: Sequence[float], reasons: Reasons) -> None:
+        """Publish the message of `topics.ESTIMATE_TOPIC`."""
+        self._outputs[output].publish(self._estimate.filled(stamp_ns, values, reasons))
 
     def publish_status(self, output: int, stamp_ns: int, statuses: Sequence[Status]) -> None:
         """Publish a DiagnosticArray."""
