@@ -88,10 +88,6 @@ class Node:
         self.log_path = folder / f"{name}-{time.monotonic_ns()}.log"
         command = [sys.executable, "-m", "trackres_ros", "live", "--edge", "dds" if edge == "dds" else "ros", "--quiet"]
         command += ["--params", str(params), "--name", name, "--namespace", namespace]
-        with self.log_path.open("w") as log:
-            self.process = subprocess.Popen(
-                command, env=environment(edge, folder), stdout=log, stderr=log, stdin=subprocess.DEVNULL, preexec_fn=preexec
-            )
         self.out = {
             "feedforward": wire.subscribe(f"{self.base}/feedforward_torque", WRENCH),
             "resistance": wire.subscribe(f"{self.base}/resistance_torque", JOINTS),
@@ -106,6 +102,11 @@ class Node:
             "load": wire.publisher(f"{prefix}/load", FLOAT),
             "ambient": wire.publisher(f"{prefix}/ambient", TEMPERATURE),
         }
+        # Last: what fails above leaves no process behind.
+        with self.log_path.open("w") as log:
+            self.process = subprocess.Popen(
+                command, env=environment(edge, folder), stdout=log, stderr=log, stdin=subprocess.DEVNULL, preexec_fn=preexec
+            )
 
     @property
     def log(self):
