@@ -19,6 +19,7 @@ from measuring import at_most
 
 from trackres_ros.node.application import Application
 from trackres_ros.node.edge import Level, Peer, Reasons, Status
+from trackres_ros.node.endpoints import InputTopic
 from trackres_ros.node.parameters import make_parameters
 from trackres_ros.units import SECOND_NS
 
@@ -54,6 +55,10 @@ class Nobody:
     def peers(self, index: int) -> Sequence[Peer]:  # noqa: ARG002
         """None."""
         return ()
+
+    def record(self, others: Sequence[InputTopic]) -> Sequence[str | None]:
+        """Nothing is recorded."""
+        return [None for _ in others]
 
     def log(self, level: Level, text: str) -> None:
         """To nobody."""

@@ -47,6 +47,9 @@ class Desk:
     def peers(self, index):
         return self.found_peers.get(self.app.inputs[index].name, ())
 
+    def record(self, others):
+        return [f"# {given.type}" for given in (*self.app.inputs, *others)]
+
     def log(self, level, text):
         self.logged.append((level, text))
 

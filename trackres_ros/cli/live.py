@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     "--record",
     type=click.Path(path_type=Path),
     metavar="OUT.mcap",
-    help="Write every estimate as topics, and a picture, at the end.",
+    help="Write every message of the topics file and every estimate, to be replayed and diagnosed, and a picture, at the end.",
 )
 @click.option("--quiet", is_flag=True, help="No table in the terminal.")
 @click.option("--json", "as_json", is_flag=True, help="Instead of the table a line of JSON a second, and one at the end.")
@@ -84,7 +84,7 @@ def live_command(
 
     def started(application: Application) -> None:
         if recorder:
-            application.on_estimate = recorder.begin(application.estimator, application.learning.learner)
+            recorder.begin(application)
         if as_json:
             shown.append(LiveJson(application.overview))
         elif not quiet:

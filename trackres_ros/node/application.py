@@ -21,8 +21,8 @@ from trackres_ros.estimator.estimate import Estimate
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.topic_settings import settings_for
 from trackres_ros.node.comparison import Comparison
-from trackres_ros.node.edge import Edge, Level, Peer, Reasons, Status
-from trackres_ros.node.endpoints import input_topics, live_topics
+from trackres_ros.node.edge import Edge, KeepMessage, Level, Peer, Reasons, Status
+from trackres_ros.node.endpoints import InputTopic, input_topics, live_topics, other_topics
 from trackres_ros.node.inbox import Arrival
 from trackres_ros.node.intake import Intake
 from trackres_ros.node.live_learning import LiveLearning
@@ -89,6 +89,7 @@ class Application:
         )
         self.active = False
         self.on_estimate: Callable[[list[float], int, int], None] | None = None  # row, stamp, arrival
+        self._keep: KeepMessage | None = None
         self._edge, self._steady_ns = edge, steady_ns
         self._is_speed = ["speed" in given.roles for given in self.inputs]
         self._order = SendingOrder()
@@ -124,6 +125,28 @@ class Application:
     def arrival(self) -> Arrival:
         """The arrival of a message that comes now."""
         return self._steady_ns(), self._edge.now_ns()
+
+    def record(self, keep: KeepMessage) -> list[tuple[InputTopic, str]]:
+        """Have every message kept that comes, of all topics of the topics file; which, and the texts that define their types.
+
+        Messages come with their place in that list.
+        """
+        others = other_topics(self.topics, self.inputs)
+        texts = self._edge.record(others)
+        listed = [(given, text) for given, text in zip((*self.inputs, *others), texts, strict=True)]
+        for given, text in listed:
+            if text is None:
+                self._log(Level.WARN, f"{given.name} is not recorded: {given.type} is not known here")
+        known = [(given, text) for given, text in listed if text is not None]
+        place = {index: known.index((given, text)) for index, (given, text) in enumerate(listed) if text is not None}
+        self._keep = lambda index, raw, arrival_ns: keep(place[index], raw, arrival_ns) if index in place else None
+        return known
+
+    def keep(self, index: int, raw: bytes, arrived: Arrival) -> None:
+        """Take note of a message as it came, where all are recorded."""
+        if self._keep:
+            steady, now = arrived
+            self._keep(index, raw, now if self.parameters.sim_time else steady + self._arrival_offset_ns)
 
     def dropped(self, index: int) -> None:
         """Take note of a message of an input topic that had to make way for later ones."""

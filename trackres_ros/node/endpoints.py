@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from trackres_ros.estimator.columns import CHANNELS
@@ -59,14 +60,21 @@ def input_topics(topics: Topics, on_route: bool = False) -> tuple[InputTopic, ..
     Where messages wait on several topics, an edge hands them over in this order: what a speed is to be computed with comes
     first.
     """
+    needed = [role for role in topics if base_role(role) in CHANNELS and (on_route or role not in POSITION)]
+    return tuple(sorted(_by_topic(topics, needed), key=lambda given: "speed" in given.roles))
+
+
+def other_topics(topics: Topics, inputs: Sequence[InputTopic]) -> tuple[InputTopic, ...]:
+    """The topics of a topics file that the estimate does not need: of use to who replays or diagnoses a recording."""
+    needed = {given.name for given in inputs}
+    return tuple(_by_topic(topics, [role for role in topics if topics[role].topic and topics[role].topic not in needed]))
+
+
+def _by_topic(topics: Topics, roles: Sequence[str]) -> list[InputTopic]:
     by_name: dict[tuple[str, str], list[str]] = {}
-    for role in (role for role in topics if base_role(role) in CHANNELS and (on_route or role not in POSITION)):
+    for role in sorted(roles, key=_last_speed):
         by_name.setdefault((topics[role].topic, topics[role].type), []).append(role)
-    inputs = [
-        InputTopic(name, kind, tuple(sorted(roles, key=_last_speed)), tuple(topics[r] for r in sorted(roles, key=_last_speed)))
-        for (name, kind), roles in by_name.items()
-    ]
-    return tuple(sorted(inputs, key=lambda given: "speed" in given.roles))
+    return [InputTopic(name, kind, tuple(fed), tuple(topics[r] for r in fed)) for (name, kind), fed in by_name.items()]
 
 
 def _last_speed(role: str) -> bool:

@@ -16,8 +16,9 @@ from contextlib import suppress
 from trackres_ros.node.application import Application
 from trackres_ros.node.dds.messages import InputReader, Prepared, PreparedEstimate, clock_ns, diagnostic_array, prepared
 from trackres_ros.node.dds.participant import Participant, Reader
+from trackres_ros.node.dds.wire import typestore
 from trackres_ros.node.edge import Level, Peer, Reasons, Status
-from trackres_ros.node.endpoints import Quality, full_name, input_name, input_quality, output_quality
+from trackres_ros.node.endpoints import InputTopic, Quality, full_name, input_name, input_quality, output_quality
 from trackres_ros.node.inbox import Arrival, Inbox
 from trackres_ros.node.parameters import Parameters
 from trackres_ros.node.signals import SignalRequests
@@ -52,12 +53,14 @@ class DdsNode:
             self._writers.append(self._participant.writer(name, topic.type, output_quality(parameters, topic)))
             self._prepared.append(None if topic.kind in ("status", "estimate") else prepared(topic, self._frame_id))
         self._estimate = PreparedEstimate(self._frame_id)
+        self._namespace = namespace
         self._input_names = [input_name(given.name, namespace) for given in application.inputs]
         self._quality = input_quality(parameters)
         self._readers = [
             self._participant.reader(name, given.type, self._quality)
             for name, given in zip(self._input_names, application.inputs, strict=True)
         ]
+        self._kept: list[tuple[int, Reader]] = []
         self._clock: Reader | None = None
         self._sim_ns = 0
         if parameters.sim_time:
@@ -106,6 +109,17 @@ class DdsNode:
             if found.topic == self._input_names[index]
         ]
 
+    def record(self, others: Sequence[InputTopic]) -> Sequence[str | None]:
+        """Have every message kept, of other topics besides."""
+        store = typestore()
+        for index, given in enumerate(others, len(self._readers)):
+            if given.type in store.types:
+                name = input_name(given.name, self._namespace)
+                self._kept.append((index, self._participant.reader(name, given.type, self._quality)))
+        self._participant.announce()
+        kinds = [given.type for given in (*self.application.inputs, *others)]
+        return [store.generate_msgdef(kind, ros_version=2)[0] if kind in store.types else None for kind in kinds]
+
     def log(self, level: Level, text: str) -> None:
         """One line on standard error, as ROS 2 writes it."""
         severity = {Level.OK: "INFO", Level.ERROR: "ERROR"}.get(level, "WARN")
@@ -136,6 +150,9 @@ class DdsNode:
                     with suppress(MalformedError):
                         self._set_clock(clock_ns(raw))
             self._inbox.collect()
+            for index, kept in self._kept:
+                for raw, _ in kept.take():
+                    application.keep(index, raw, application.arrival())
             # A simulated clock stands while messages are worked off, and none comes between it and them.
             self._inbox.work_off(self._tick_if_due, collecting=self._clock is None)
             self._tick_if_due()
@@ -144,6 +161,7 @@ class DdsNode:
 
     def _hand(self, index: int, message: tuple[bytes, int], arrived: Arrival) -> None:
         raw, sent_ns = message
+        self.application.keep(index, raw, arrived)
         try:
             stamp, values = self._input_readers[index].read(raw)
         except Exception:  # whatever the bytes are, they end nothing

@@ -8,8 +8,10 @@ from __future__ import annotations
 import re
 from array import array
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
+from ament_index_python.packages import get_package_share_directory
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rosidl_runtime_py.utilities import get_message
@@ -137,6 +139,26 @@ def installed_type(name: str, where: str) -> Any:
         raise InputError(
             f"{where}: type", name, "an installed message type", f"install it: sudo apt install ros-jazzy-{package}"
         ) from None
+
+
+def type_text(msgtype: str) -> str | None:
+    """The text that defines a message type and all it contains, as a bag keeps it; None where its definition is not installed."""
+    found: dict[str, str] = {}
+    wanted = [msgtype]
+    while wanted:
+        name = wanted.pop(0)
+        if name in found:
+            continue
+        package, kind, short = name.split("/")
+        try:
+            path = Path(get_package_share_directory(package)) / kind / f"{short}.msg"
+            found[name] = path.read_text(encoding="utf-8")
+            wanted += [field.type for field in definitions(name)[name] if "/" in field.type]
+        except (LookupError, OSError, AttributeError, ImportError, ValueError):
+            return None
+    first, *others = found
+    parts = [f"MSG: {name.replace('/msg/', '/')}\n{found[name]}" for name in others]
+    return f"\n{'=' * 80}\n".join([found[first], *parts])
 
 
 def definitions(msgtype: str) -> Definitions:

@@ -18,17 +18,26 @@ from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallba
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible
+from rclpy.serialization import serialize_message
 from rclpy.subscription import Subscription
 from std_srvs.srv import Trigger
 
 from trackres_ros.errors import InputError
 from trackres_ros.node.application import Application
 from trackres_ros.node.edge import Level, Peer, Reasons, Status
-from trackres_ros.node.endpoints import Quality, input_quality, output_quality
+from trackres_ros.node.endpoints import InputTopic, Quality, input_quality, output_quality
 from trackres_ros.node.inbox import Arrival, Inbox
 from trackres_ros.node.parameters import Parameters, make_parameters
 from trackres_ros.node.ros import parameters as ros_parameters
-from trackres_ros.node.ros.messages import Fill, PreparedEstimate, diagnostic_array, input_type, installed_type, prepared
+from trackres_ros.node.ros.messages import (
+    Fill,
+    PreparedEstimate,
+    diagnostic_array,
+    input_type,
+    installed_type,
+    prepared,
+    type_text,
+)
 from trackres_ros.output.topics import DEFAULT_NODE
 from trackres_ros.units import SECOND_NS
 
@@ -172,6 +181,8 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
             )
             for index, (given, kind) in enumerate(zip(application.inputs, kinds, strict=True))
         ]
+        self._recording = False
+        self._kept: list[Any] = []
         self._inbox = Inbox(
             [partial(_come, given) for given in self._inputs],
             self._hand,
@@ -213,7 +224,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         self.get_logger().info(application.close())
         self._jumps.unregister()
         self.destroy_timer(self._ticker)
-        for given in self._inputs:
+        for given in (*self._inputs, *self._kept):
             self.destroy_subscription(given)
         for output in self._outputs:
             self.destroy_lifecycle_publisher(output)
@@ -249,6 +260,20 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
             )
             for found in self.get_publishers_info_by_topic(self._inputs[index].topic_name)
         ]
+
+    def record(self, others: Sequence[InputTopic]) -> Sequence[str | None]:
+        """Have every message kept, of other topics besides."""
+        assert self.application
+        self._recording = True
+        texts = [type_text(given.type) for given in (*self.application.inputs, *others)]
+        for index, given in enumerate(others, len(self.application.inputs)):
+            if texts[index] is not None:
+                kind = installed_type(given.type, given.name)
+                take = partial(self._keep, index)
+                self._kept.append(
+                    self.create_subscription(kind, given.name, take, self._input_profile, callback_group=Gate(), raw=True)
+                )
+        return texts
 
     def log(self, level: Level, text: str) -> None:
         """Say something in the log of the node."""
@@ -294,7 +319,13 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
 
     def _hand(self, index: int, message: Taken, arrived: Arrival) -> None:
         if self.application:
+            if self._recording:
+                self.application.keep(index, serialize_message(message[0]), arrived)
             self.application.receive(index, message[0], message[1]["source_timestamp"], arrived)
+
+    def _keep(self, index: int, raw: bytes) -> None:
+        if self.application:
+            self.application.keep(index, raw, self.application.arrival())
 
     def _wait_or_collect(self, application: Application) -> None:
         """Wait for messages where they are answered, or where simulated time stamps their arrival and runs fast.
