@@ -71,7 +71,7 @@ def live_command(
     from trackres_ros.node.record import Recorder
     from trackres_ros.node.signals import REQUESTS
 
-    _check_names(name, namespace)
+    check_names(name, namespace)
     recorder = Recorder(output_file(record, (BAG_SUFFIX,), "--record")) if record else None
     watch(*([record] if record else []))
     given = read_parameters(params_file, name, namespace)
@@ -125,7 +125,8 @@ def _single(text: str) -> tuple[str, object]:
     return name, parse_yaml(value, f"-p {name}")
 
 
-def _check_names(name: str, namespace: str) -> None:
+def check_names(name: str, namespace: str) -> None:
+    """Refuse what is no name of a node or no namespace."""
     import re
 
     if not re.fullmatch(r"[A-Za-z_]\w*", name):
