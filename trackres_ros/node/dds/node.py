@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 
+from trackres_ros.errors import InputError
 from trackres_ros.node.application import Application
 from trackres_ros.node.dds.messages import InputReader, Prepared, PreparedEstimate, clock_ns, diagnostic_array, prepared
 from trackres_ros.node.dds.participant import Participant, Reader
@@ -20,6 +21,7 @@ from trackres_ros.node.dds.wire import typestore
 from trackres_ros.node.edge import Level, Peer, Reasons, Status
 from trackres_ros.node.endpoints import InputTopic, Quality, full_name, input_name, input_quality, output_quality
 from trackres_ros.node.inbox import Arrival, Inbox
+from trackres_ros.node.parameter_file import LOOK_EVERY_S, ParameterFile
 from trackres_ros.node.parameters import Parameters
 from trackres_ros.node.signals import SignalRequests
 from trackres_ros.recording.cdr import MalformedError
@@ -130,16 +132,17 @@ class DdsNode:
 
     # Running
 
-    def spin(self, requests: SignalRequests) -> None:
-        """Run until a signal asks to stop, and do what others ask for."""
+    def spin(self, requests: SignalRequests, watched: ParameterFile | None = None) -> None:
+        """Run until a signal asks to stop, and do what others ask for; a parameter file may be watched."""
         application = self.application
         why = "without rclpy" if importlib.util.find_spec("rclpy") else "rclpy is not there"
         reach = self._participant.reach
-        self.log(Level.OK, f"{why}: on Cyclone DDS {reach}: topics and presence, no parameter or lifecycle services")
+        instead = f"; {watched.path} is watched for changes" if watched else ""
+        self.log(Level.OK, f"{why}: on Cyclone DDS {reach}: topics and presence, no parameter or lifecycle services{instead}")
         self.log(Level.OK, f"{application.vehicle.title}; {application.began_with}")
         application.activate()
         wait = self._participant.waiter()
-        self._next_tick = time.monotonic_ns()
+        self._next_tick = next_look = time.monotonic_ns()
         requests.started()
         while not requests.to_stop:
             left = self._next_tick - time.monotonic_ns()
@@ -158,6 +161,19 @@ class DdsNode:
             self._tick_if_due()
             for level, text in requests.carry_out(application):
                 self.log(level, text)
+            if watched and time.monotonic_ns() >= next_look:
+                next_look = time.monotonic_ns() + int(LOOK_EVERY_S * SECOND_NS)
+                self._follow(watched)
+
+    def _follow(self, watched: ParameterFile) -> None:
+        """Change what a parameter file has changed: all of it, or nothing."""
+        try:
+            changed = watched.look()
+            if changed:
+                self.application.change(changed)
+                self.log(Level.OK, watched.applied(changed))
+        except InputError as error:
+            self.log(Level.WARN, watched.refused(error))
 
     def _hand(self, index: int, message: tuple[bytes, int], arrived: Arrival) -> None:
         raw, sent_ns = message
@@ -193,6 +209,7 @@ def run(
     namespace: str,
     requests: SignalRequests,
     started: Callable[[Application], None] | None = None,
+    watched: ParameterFile | None = None,
 ) -> int:
     """Run the node until a signal asks to stop.
 
@@ -206,7 +223,7 @@ def run(
     try:
         if started:
             started(running.application)
-        running.spin(requests)
+        running.spin(requests, watched)
     finally:
         running.close()
     return 0
