@@ -457,7 +457,7 @@ def test_without_ros_its_parameter_file_is_watched(tmp_path, wire):
             file.write_text(json.dumps({**n.parameters, "feedforward_share": share, "stuck_s": 60.0}))
             n.until(lambda share=share: f"-> {share:g}" in n.log, "the change", meanwhile=lambda: n.drive(0.3))
             if bound:
-                n.until(lambda: n.torques()[-1] <= bound + 1e-6, "the bound", meanwhile=lambda: n.drive(0.3))
+                n.until(lambda bound=bound: n.torques()[-1] <= bound + 1e-6, "the bound", meanwhile=lambda: n.drive(0.3))
                 count = len(n.torques())
                 n.drive(0.5)
                 assert all(torque <= bound + 1e-6 for torque in n.torques()[count:])
