@@ -160,7 +160,7 @@ def sample_command(vehicles: int, days: int, every: float, minutes: float, seed:
 @click.option(
     "--false-alarms",
     type=number(1e-4, 10.0),
-    default=0.1,
+    default=0.2,
     show_default=True,
     help="How often chance may raise one, per vehicle and year.",
 )

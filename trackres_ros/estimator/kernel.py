@@ -157,8 +157,7 @@ def advance(k: Constants, carried: Carried, inputs: Inputs, dt: float, out: Arra
     fed_effects = (work[TERM_FED] + lasting) * abs(direction(speed))
     wanted, of_feedforward = feedforward(k, motion, total, fed_effects, given_grade, given_accel, dt)
     variance = (
-        total[at.PART_CONSIDER_AMBIENT] ** 2
-        + work[TERM_VARIANCE]
+        work[TERM_VARIANCE]
         + work[TERM_LOSS_VARIANCE] * total[at.PART_HYSTERESIS] ** 2
         + work[TERM_GAIN_VARIANCE] * driving**2
         + torque_of_place(inputs.torque_by_place_std, speed) ** 2
@@ -168,6 +167,7 @@ def advance(k: Constants, carried: Carried, inputs: Inputs, dt: float, out: Arra
     else:
         variance += (
             total[at.PART_NOISE]
+            + total[at.PART_CONSIDER_AMBIENT] ** 2
             + (total[at.PART_ARM] * road.rolling_bearing * number.bearing_relative_std) ** 2
             + (total[at.PART_WIND] * number.drag_relative_std) ** 2
         )

@@ -20,7 +20,7 @@ from trackres_ros.fleet.pooling import Pooled, softened
 Array = NDArray[np.float64]
 
 STEP, RAMP = "step", "ramp"
-FALSE_ALARMS = 0.1  # per vehicle and year: at what rate chance alone raises one
+FALSE_ALARMS = 0.2  # per vehicle and year, one in 60 vehicle-months: at what rate chance alone raises one
 DRAWS = 400
 MOST_DRAWN_FOR = 120  # recordings of a vehicle that chance is drawn for; of more, thresholds are those of so many
 FEWEST = 2  # recordings on either side of a change

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 """What one recording says of the base's parameters, in a form that adds up over recordings: a quadratic log-likelihood without
-the vehicle file's ranges, which would count once for each recording.
+the vehicle file's ranges, which would count once for each recording, and whatever wind there was.
 """
 
 from __future__ import annotations
@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.diagnosis.base.base import Base
+from trackres_ros.diagnosis.base.instrument import narrowed
 from trackres_ros.diagnosis.base.loading import LoadedBase
 from trackres_ros.diagnosis.inference.fitting import Fit, Problem, fit, jacobian, of_rows, valid_rows
 from trackres_ros.diagnosis.inference.levels import LARGEST_ROOT
@@ -19,9 +21,13 @@ from trackres_ros.diagnosis.inference.noise import Noise
 from trackres_ros.diagnosis.prepare.gate import gate
 from trackres_ros.diagnosis.prepare.session import Session
 from trackres_ros.diagnosis.prepare.split import split
+from trackres_ros.effects.effect import Effect
+from trackres_ros.effects.surroundings.headwind import Headwind
 from trackres_ros.recording.recording import Recording
 
 Array = NDArray[np.float64]
+
+WIND_MPS, STRONGEST_WIND_MPS = 3.0, 12.0  # standard deviation of either part of a day's wind before it is seen, and its bound
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,9 +91,11 @@ def evidence(recording: Recording, loaded: LoadedBase, hide: tuple[str, ...] = (
     (session,) = gated.sessions
     whole = Problem(loaded.base, gated.sessions, (session.used,))
     training = _training(session)
-    fitted = fit(Problem(loaded.base, gated.sessions, (training,)), largest_root=LARGEST_ROOT)
+    fitted = fit(Problem(loaded.base, gated.sessions, (training,)), weather(session, loaded.base), largest_root=LARGEST_ROOT)
+    own = np.array([f.key[0] != Headwind.name for f in fitted.free])
     precision, linear, std = quadratic(whole, fitted)
-    free = fitted.free
+    precision, linear, std = *whatever_others(precision, linear, own), std[own]
+    free = [f for f, kept in zip(fitted.free, own, strict=True) if kept]
     by_file = loaded.base.predict(gated.sessions, {q.name: q.nominal for q in loaded.base.parameters}, ())[0].torque
     refit, used, held = fitted.predicted[0].torque, session.used, session.used & ~training
     torque = float(np.abs(session.torque[used]).mean())
@@ -102,8 +110,8 @@ def evidence(recording: Recording, loaded: LoadedBase, hide: tuple[str, ...] = (
         units=tuple(f.unit for f in free),
         nominal=np.array([f.nominal for f in free]),
         std=std,
-        point=fitted.point,
-        covariance=fitted.covariance,
+        point=fitted.point[own],
+        covariance=fitted.covariance[np.ix_(own, own)],
         precision=precision,
         linear=linear,
         compared_s=float(used.sum() * session.step),
@@ -118,6 +126,28 @@ def evidence(recording: Recording, loaded: LoadedBase, hide: tuple[str, ...] = (
         mean_ambient=ambient,
         notes=gated.notes,
     )
+
+
+def weather(session: Session, base: Base) -> list[Effect]:
+    """What differs from day to day and says nothing of the vehicle: wind, where headings show which way it blows."""
+    if "heading" not in session.given or Headwind.name in base.includes:
+        return []
+    return [narrowed(Headwind(), WIND_MPS, STRONGEST_WIND_MPS)]
+
+
+def whatever_others(precision: Array, linear: Array, kept: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """A quadratic log-likelihood of some parameters, whatever the others are, each with a standard deviation of 1 beforehand.
+
+    Parameters
+    ----------
+    precision, linear
+        Of all p parameters, shapes (p, p) and (p,).
+    kept
+        Which are asked for, shape (p,).
+    """
+    across = precision[np.ix_(kept, ~kept)]
+    by = np.linalg.solve(precision[np.ix_(~kept, ~kept)] + np.eye(int((~kept).sum())), across.T).T
+    return precision[np.ix_(kept, kept)] - by @ across.T, linear[kept] - by @ linear[~kept]
 
 
 def quadratic(problem: Problem, fitted: Fit) -> tuple[Array, Array, Array]:

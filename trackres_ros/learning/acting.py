@@ -21,6 +21,7 @@ Mask = NDArray[np.bool_]
 RATE_PER_HOUR = 1.0  # of the file's value: what acts follows no faster
 FASTEST = np.full(at.LEARNABLE, RATE_PER_HOUR / 3600.0)  # in a second
 FASTEST[at.OF_BELT] = 1.0  # K
+BELT_S = 900.0  # of a belt's temperature: its heat capacity over what cools it
 ACCEL_DOUBT = 0.04  # of an acceleration filtered out of a speed; of simulated drives a right mass comes out by so much too large
 
 
@@ -57,8 +58,16 @@ def follow(s: Learned) -> None:
     s.applied += np.minimum(np.maximum(s.aim - s.applied, -FASTEST), FASTEST)
 
 
-def move(s: Learned, acts: bool, learned: Array) -> None:
-    """Write what acts into the memory of a session, see `estimator.columns`."""
+def move(s: Learned, acts: bool, learned: Array, now: int, belt_variance: float) -> None:
+    """Write what acts into the memory of a session, see `estimator.columns`.
+
+    Parameters
+    ----------
+    now
+        The second it is: since the last that was learned from, belts have become less sure.
+    belt_variance
+        Of the belts' temperature where no torque tells of it [K^2].
+    """
     if not (acts and s.applied.any()):
         learned[: at.LEARNED_SLOW] = 0.0
         return
@@ -67,12 +76,19 @@ def move(s: Learned, acts: bool, learned: Array) -> None:
     learned[at.LEARNED_TORQUE] = s.lasting_nm
     unexplained = s.mean[STEP] - s.lasting_nm if s.step_s < math.inf else 0.0
     learned[at.LEARNED_SLOW] = math.sqrt(s.slow_std**2 + unexplained**2)
-    learned[at.LEARNED_FACTOR : at.SENSITIVITIES] = factor(s).ravel()
+    learned[at.LEARNED_FACTOR : at.SENSITIVITIES] = factor(s, max(now - s.second, 0), belt_variance).ravel()
 
 
-def factor(s: Learned) -> Array:
-    """Lower factor of the covariance about what acts, shape (LEARNABLE, LEARNABLE)."""
+def belt_keeps(seconds: float) -> float:
+    """What is left of a belt's departure after so long."""
+    return math.exp(-seconds / BELT_S)
+
+
+def factor(s: Learned, unseen_s: float, belt_variance: float) -> Array:
+    """Lower factor of the covariance about what acts, shape (LEARNABLE, LEARNABLE); see `move`."""
     off = s.mean[: at.LEARNABLE] - s.applied
     covariance = s.covariance[: at.LEARNABLE, : at.LEARNABLE] + off[:, None] * off[None, :]
     covariance[np.diag_indices_from(covariance)] += 1e-12
+    forgotten = 1.0 - belt_keeps(unseen_s) ** 2
+    covariance[at.OF_BELT, at.OF_BELT] += forgotten * max(belt_variance - covariance[at.OF_BELT, at.OF_BELT], 0.0)
     return np.asarray(np.linalg.cholesky(covariance))

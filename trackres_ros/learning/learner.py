@@ -31,7 +31,7 @@ Mask = NDArray[np.bool_]
 MODES = ("off", "watch", "on")
 STEP_S = 4 * 3600.0  # memory of what came at once, in driving
 LEAST_BELT_STD_K = 0.1
-BELT_S = 900.0  # of a belt's temperature: its heat capacity over what cools it
+AIR_S = 3600.0  # in which what a thermometer of the air is off by changes: sun, exhaust
 WALK_PER_HOUR = 0.01  # of a prior standard deviation, per root of an hour of driving: rubber wears
 AGES_S = 365 * 86400.0  # assumed: time off in which what was learned is half forgotten
 AIMS_EVERY_S = 5.0
@@ -40,6 +40,16 @@ NOISE_MEMORY_S = 120.0
 INERTIA_SHARE = 0.2  # of the inertia: an acceleration that is filtered from a speed lags
 ROLLING_MEMORY_S = 600.0
 LEFT_OUT_SHARE = 0.1  # of the samples of a minute that cannot be learned from, by what is wrong with the torque: more is said
+
+
+def belt_variances(session: Session) -> tuple[float, float]:
+    """Of the belts' temperature as the estimate has it: by the air's alone, and in all [K^2].
+
+    The torque tells of it, whatever it is that makes a belt warmer or colder, so it counts as one thing that is learned.
+    """
+    by_air = float((session.belts[:, 0, at.CONSIDER_AMBIENT] ** 2).mean())
+    noise = session.belts[:, 0, at.NOISE_1] ** 2 + session.belts[:, 0, at.NOISE_2] ** 2
+    return by_air, max(float(noise.mean()) + by_air, LEAST_BELT_STD_K**2)
 
 
 class Learner:
@@ -111,7 +121,7 @@ class Learner:
             acting.aim(s, self.prior, self.counted)
         acting.follow(s)
         if self.mode == "on":
-            acting.move(s, self.acts, session.learned)
+            acting.move(s, self.acts, session.learned, second.number, belt_variances(session)[1])
 
     def _learn(self, session: Session) -> None:
         s, second = self.learned, self.gate.second
@@ -151,12 +161,11 @@ class Learner:
         prior = np.diag(self.prior.covariance)
         for state in VEHICLES_OWN:
             gained[state] = WALK_PER_HOUR**2 * prior[state] * min(seconds, 1.0) / 3600.0
+        keep[at.OF_BELT] = acting.belt_keeps(seconds)
+        by_air, known = belt_variances(session)
         gained[at.OF_BELT] = session.estimator.constants.number.process_noise**2 * seconds
-        noise = session.belts[:, 0, at.NOISE_1] ** 2 + session.belts[:, 0, at.NOISE_2] ** 2
-        belt = math.exp(-seconds / BELT_S)
-        keep[at.OF_BELT] = belt
+        gained[at.OF_BELT] += (1.0 - math.exp(-2.0 * seconds / AIR_S)) * by_air
         aged(s.mean, s.covariance, keep, gained)
-        known = max(float(noise.mean()), LEAST_BELT_STD_K**2)
         over = s.covariance[at.OF_BELT, at.OF_BELT]
         if over > known:  # what was measured of a belt is in the estimate already
             share = math.sqrt(known / over)

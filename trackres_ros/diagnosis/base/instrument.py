@@ -33,10 +33,11 @@ def instrument(base: Base) -> tuple[Effect, ...]:
         (TorqueGain(), GAIN, MOST_GAIN),
         (TorqueOffset(), OFFSET_NM * size, MOST_OFFSET_NM * size),
     )
-    return tuple(_narrowed(effect, std, most) for effect, std, most in within if effect.name not in base.includes)
+    return tuple(narrowed(effect, std, most) for effect, std, most in within if effect.name not in base.includes)
 
 
-def _narrowed(effect: Effect, std: float, most: float) -> Effect:
+def narrowed(effect: Effect, std: float, most: float) -> Effect:
+    """An effect whose parameters have a standard deviation beforehand and a bound, both of its unit, about none."""
     found = copy.copy(effect)
     found.parameters = tuple(replace(q, low=-most, high=most, start=std / PRIOR_STDS) for q in effect.parameters)
     return found

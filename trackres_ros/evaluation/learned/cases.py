@@ -22,6 +22,7 @@ OFF = (0.05, 0.20)  # by which the loss of a file is off
 OTHERS_OFF = 0.10  # at most, of bearings, drag, cooling and heat capacity
 DRIVES = 3
 LOADS, AIRS_DEGC = (1.0, 0.85, 1.15), (5.0, 15.0, 25.0)
+AIR_OFF_K = 1.5  # standard deviation, from drive to drive: a thermometer on a vehicle sees sun and exhaust
 NONE = ""
 # On sensors: what is driven stays as it is. On the vehicle or the ground: the torque that it truly takes is another.
 SENSORS = ("gain_step", "stuck", "half_missing", "outliers", "sign_flips")

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from trackres_ros.evaluation.learned.cases import (
+    AIR_OFF_K,
     AIRS_DEGC,
     LOADS,
     REAL,
@@ -89,7 +90,7 @@ def make_case(task: tuple[Path, Case, float]) -> None:
             path,
             told,
             replace(run, torque=run.torque + added, shown=run.shown + added),
-            sensors,
+            replace(sensors, ambient_off_k=float(rng.normal(0.0, AIR_OFF_K))),
             radius,
             START_S + i * APART_S,
             rng,

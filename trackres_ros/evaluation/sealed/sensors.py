@@ -40,6 +40,7 @@ class Sensors:
     speed_mps: float = 0.01
     speed_step_mps: float = 0.02
     dropouts: float = 0.002  # share of samples, in bursts
+    ambient_off_k: float = 0.0  # of the air's temperature: sun, exhaust
     belt_measured: bool = True
     load_measured: bool = True
     every_s: float = 0.0  # between rows; as often as is simulated where it is less than that
@@ -66,7 +67,7 @@ def record(
         "time_s": np.asarray(start_s + np.arange(n) * drive.step),
         "speed_mps": speed,
         "weight_n": drive.weight,
-        "ambient_degc": np.round(drive.ambient, 1),
+        "ambient_degc": np.round(drive.ambient + sensors.ambient_off_k, 1),
         "yaw_rate_radps": drive.yaw_rate + rng.normal(0.0, 0.003, n),
         "heading_rad": drive.heading,
         "torque_nm": np.where(_bursts(n, sensors.dropouts, rng), np.nan, torque),
