@@ -41,7 +41,7 @@ from trackres_ros.units import SECOND_NS
 ACCEPTED = int(at.Count.ACCEPTED)
 LONGEST_PERIOD_S = 0.1  # between two looks at the age of the speed, and between two outputs
 MOST_BEFORE_CLOCK = 10000
-REASONS_KEPT_NS = 20_000_000  # looking at all of them takes longer than a step; an old speed and a new reason are seen at once
+REASONS_KEPT_NS = 200_000_000  # looking at all takes longer than publishing; an old speed and what is new are seen at once
 MUST_BE_FINITE = (at.OUT_RESISTANCE, at.OUT_STD, at.OUT_FEEDFORWARD)
 
 
@@ -229,6 +229,7 @@ class Application:
         self._state_at = time.time()
         news = self.comparison.take(stamp, values)
         if news:
+            self._reasons_seen = None
             self._log(Level.OK, news)
         if new_reasons and self.active:
             self._publish_status(self._steady_ns())
@@ -327,6 +328,7 @@ class Application:
             peers = [self._edge.peers(i) for i in range(len(self.inputs))]
         finally:  # rates and refusals are of interest without peers too
             self._watch.every_second(self.session, self._intake, peers, steady)
+            self._reasons_seen = None
 
     def _log_remarks(self, steady: int) -> None:
         entry = self._watch.to_log(self.remarks(steady))
