@@ -18,6 +18,7 @@ from trackres_ros.cli.diagnose import diagnose_command, effects_command
 from trackres_ros.cli.entry import INTERRUPTED, interrupt_handled
 from trackres_ros.cli.explain import explain_command
 from trackres_ros.cli.fleet import compare_command, fleet_group, trend_command
+from trackres_ros.cli.layouts import layouts_command
 from trackres_ros.cli.live import live_command
 from trackres_ros.cli.play import play_command
 from trackres_ros.cli.prove import prove_command
@@ -50,6 +51,7 @@ for command in (
     live_command,
     replay_command,
     play_command,
+    layouts_command,
     simulate_command,
     explain_command,
     diagnose_command,
