@@ -9,6 +9,7 @@ import re
 import shlex
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -21,7 +22,7 @@ NAMED = {"first-tester": "warmup", "own-effect": "side_guard", "first-controller
 def test_a_page_leads_where_it_says(page, repository, tmp_path):
     for module in ("rosbags", "jinja2", "matplotlib"):
         pytest.importorskip(module)
-    path = f"{os.path.dirname(sys.executable)}:{os.environ['PATH']}"
+    path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
     environment = {**os.environ, "PYTHONPATH": str(repository), "PATH": path}
     trackres = f"{shlex.quote(sys.executable)} -m trackres_ros"
     ran = 0

@@ -155,7 +155,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         kinds = [input_type(given, application.topics.origin) for given in application.inputs]
         self.application = application
         self._fills: list[Fill | None] = []
-        self._outputs = []
+        self._outputs: list[Any] = []  # None where the type of a topic is not installed
         self._estimate = self._prepared_estimate()
         for topic in application.outputs:
             if topic is ESTIMATE_TOPIC and self._estimate is None:
