@@ -115,8 +115,8 @@ def packed(text: str) -> str:
     return base64.b64encode(gzip.compress(text.encode(), 9, mtime=0)).decode()
 
 
-def _figure(title: str, height: int, **more: Any) -> Any:
-    from bokeh.models import ResetTool, WheelZoomTool
+def _figure(title: str, height: int, zoom: bool = True, **more: Any) -> Any:
+    from bokeh.models import WheelZoomTool
     from bokeh.models.annotations import Title
     from bokeh.plotting import figure
 
@@ -124,11 +124,12 @@ def _figure(title: str, height: int, **more: Any) -> Any:
         title=Title(text=title, text_font_size="12px"),
         height=height,
         sizing_mode="stretch_width",
-        tools="xbox_zoom,xpan,save",
-        toolbar_location="right",
+        tools="xbox_zoom,reset" if zoom else "",
+        toolbar_location="right" if zoom else None,
         **more,
     )
-    drawn.add_tools(WheelZoomTool(dimensions="width", modifiers={"ctrl": True}), ResetTool())
+    if zoom:
+        drawn.add_tools(WheelZoomTool(dimensions="width", modifiers={"ctrl": True}))
     drawn.toolbar.logo = None
     drawn.min_border_right = 4
     drawn.background_fill_color = None
@@ -223,14 +224,14 @@ def _lap(d: Diagnosis) -> list[tuple[str, Any]]:
 
 def _bars(d: Diagnosis) -> list[tuple[str, Any]]:
     """Mean residual by bins, with 95 % intervals; a bar that is pressed lights up its times."""
-    from bokeh.models import ColumnDataSource, CustomJS, DataRange1d, FixedTicker, HoverTool, TapTool
+    from bokeh.models import ColumnDataSource, CustomJS, FixedTicker, HoverTool, Range1d, TapTool
     from bokeh.models.annotations import Whisker
 
-    up, found = DataRange1d(only_visible=False), []
+    up, found, ends = Range1d(), [], [0.0]
     at_end = bins_by_variable(d.at_end.bins)
     for name, of_base in bins_by_variable(d.at_base.bins).items():
         edges = sorted({edge for b in of_base for edge in (b.low, b.high)})
-        figure = _figure(f"{name} [{of_base[0].unit}]", BARS_HEIGHT, y_range=up)
+        figure = _figure(f"{name} [{of_base[0].unit}]", BARS_HEIGHT, False, y_range=up)
         kinds = [("refitted", "base re-fitted", of_base)]
         if d.modelled:
             kinds.append(("with_effects", "with the effects", at_end.get(name, [])))
@@ -241,6 +242,7 @@ def _bars(d: Diagnosis) -> list[tuple[str, Any]]:
             half = np.array([uncertainty(d, b, expected) for b in bins])
             mean = np.array([b.mean_residual for b in bins])
             middle = np.interp([0.5 * (b.low + b.high) for b in bins], edges, np.arange(len(edges)) - 0.5)
+            ends += [*(mean + np.nan_to_num(half)), *(mean - np.nan_to_num(half))]
             ranges = [" to ".join(alike((b.low, b.high), b.high - b.low)) for b in bins]
             source = ColumnDataSource(
                 {
@@ -276,4 +278,6 @@ def _bars(d: Diagnosis) -> list[tuple[str, Any]]:
         )
         figure.yaxis.ticker.desired_num_ticks = 4
         found.append(("bars", figure))
+    rim = 0.05 * (max(ends) - min(ends)) + 1e-9
+    up.start, up.end = float(min(ends) - rim), float(max(ends) + rim)
     return found

@@ -17,6 +17,7 @@ async function start() {
   script.textContent = library;
   document.head.append(script);
   const data = JSON.parse(text);
+  Bokeh.set_log_level("warn");
   root.classList.add("interactive");
   try {
     await Bokeh.embed.embed_items(data.documents, data.items);

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -13,6 +14,8 @@ from trackres_ros.text.numbers import alike, decimals, figures
 
 MOST_WORDS = 40  # of the sentence: fewer than these
 STANDS_OUT_P = 0.05
+FEW = 3  # names that a sentence holds
+LEAST_SHARE = 0.01  # of the mean error, that is worth a new file
 SURE = {
     "confirmed": "confirmed on laps not seen",
     "suspected": "suspected: laps not seen do not settle it",
@@ -48,13 +51,15 @@ def headline(report: dict[str, Any]) -> str:
     elif status == "unexplained":
         parts = [f"Simulation and recording part {_lower(where.answer)}, and nothing in the catalogue explains it", where.detail]
     else:
-        parts = [f"{where.answer}: {what.answer}, {_short_grade(report)}", f"on laps not seen {_errors(report)}", where.detail]
+        named = "it takes" in _lower(where.detail)
+        placed = f"{where.answer} {_lower(where.detail)}" if named else where.answer
+        parts = [f"{placed}: {_names(report) or what.answer}, {_short_grade(report)}", f"on laps not seen {_errors(report)}"]
     said = parts[0]
     for part in parts[1:]:
         if part and len(f"{said}; {part}".split()) < MOST_WORDS:
             said = f"{said}; {part}"
     words = said.split()
-    return f"{said}." if len(words) < MOST_WORDS else f"{' '.join(words[: MOST_WORDS - 1])} ..."
+    return f"{said}." if len(words) < MOST_WORDS else f"{' '.join(words[: MOST_WORDS - 2])} ..."
 
 
 def stage_of(report: dict[str, Any]) -> str:
@@ -95,7 +100,7 @@ def _where(r: dict[str, Any]) -> Tile:
         acts = r["effects"][0].get("acts")
         if acts:
             size = f"{acts['size'].rstrip(',')} than the model has"
-            return Tile(name, _upper(acts["text"]) or "Everywhere", _upper(size))
+            return Tile(name, _upper(_of_curves(acts["text"])) or "Everywhere", _upper(size))
         for b in r["effects"][0]["where"]["regime"]:
             return Tile(name, _upper(range_of(b)), f"{decimals(b['mean_residual'], signed=True)} Nm on average")
     if r["verdict"]["status"] == "none":
@@ -107,6 +112,12 @@ def _where(r: dict[str, Any]) -> Tile:
     for b in standing_out(r, "end"):
         return Tile(name, f"At {range_of(b)}", f"{decimals(b['mean_residual'], signed=True)} Nm on average")
     return Tile(name, "At times that follow nothing recorded", "it strays slowly, over half-minutes")
+
+
+def _of_curves(text: str) -> str:
+    """A range in words; a curvature as the radius that one drives."""
+    above = re.fullmatch(r"above (\S+) 1/m of curvature", text)
+    return f"in curves tighter than {figures(1.0 / float(above[1]), 2)} m" if above and float(above[1]) > 0.0 else text
 
 
 def _what(r: dict[str, Any]) -> Tile:
@@ -131,14 +142,20 @@ def _what(r: dict[str, Any]) -> Tile:
 
 def _better(r: dict[str, Any]) -> Tile:
     name, mae = "How much better", r["heldout"]["mae"]
-    before, after = mae["nominal"], mae[stage_of(r)]
-    if not before or after is None:
-        return Tile(name, "Cannot be told", "no laps were held out")
-    share = 100.0 * (before - after) / before
-    answer = f"{share:.0f} % less error" if share >= 1.0 else f"{-share:.0f} % more error" if share <= -1.0 else "No better"
+    if not mae["nominal"] or mae[stage_of(r)] is None:
+        return Tile(name, "Cannot be told", "of the held-out laps nothing is known")
+    share = 100.0 * _share(r)
+    same = "Nothing to gain" if r["verdict"]["status"] == "none" else "No better"
+    answer = (
+        f"{share:.0f} % less error"
+        if share >= 100.0 * LEAST_SHARE
+        else f"{-share:.0f} % more error"
+        if share <= -100.0 * LEAST_SHARE
+        else same
+    )
     written = r.get("written")
     kept = "" if written is None or written["base"] or written["effects"] else "; the file keeps its values"
-    return Tile(name, answer, f"mean error {_errors(r)}, laps not seen{kept}")
+    return Tile(name, answer, f"laps not seen: mean error {_errors(r)}{kept}")
 
 
 def _next(r: dict[str, Any]) -> Tile:
@@ -156,14 +173,27 @@ def _next(r: dict[str, Any]) -> Tile:
         return Tile(name, "Look where it is largest", "record what varies there: slope, wind, load, brakes")
     if r["effects"]:
         return Tile(name, "Record more laps", "what was found is not sure enough to be written")
-    if written["base"]:
+    if written["base"] and _share(r) >= LEAST_SHARE:
         return Tile(name, "Use vehicle.yaml", "it has the re-fitted parameters")
     return Tile(name, "Nothing to do", "keep the vehicle file as it is")
 
 
 def _errors(r: dict[str, Any]) -> str:
     mae = r["heldout"]["mae"]
-    return f"{figures(mae['nominal'])} → {figures(mae[stage_of(r)])} Nm"
+    with_it = f" → {figures(mae['with_effects'])} with it" if stage_of(r) == "with_effects" else ""
+    return f"{figures(mae['nominal'])} → {figures(mae['refitted'])} re-fitted{with_it} [Nm]"
+
+
+def _share(r: dict[str, Any]) -> float:
+    """Share of the mean error on held-out laps that the last stage takes away; 0 where it is not known."""
+    before, after = r["heldout"]["mae"]["nominal"], r["heldout"]["mae"][stage_of(r)]
+    return 0.0 if not before or after is None else float((before - after) / before)
+
+
+def _names(r: dict[str, Any]) -> str:
+    """What was named, without shares; of many that look alike how many they are."""
+    said = [" or ".join(map(_plain, e["class"])) if len(e["class"]) <= FEW else f"one of {len(e['class'])}" for e in r["effects"]]
+    return " and ".join(said)
 
 
 def _short_grade(r: dict[str, Any]) -> str:
