@@ -39,6 +39,12 @@ def test_whatever_is_wrong_in_a_line_is_refused_with_all_that_a_user_must_know(d
     assert found["ours: refused with all of it named"] > found["attrs: refused with all of it named"]
 
 
+def test_the_library_of_the_page_is_smaller_packed(decisions):
+    pytest.importorskip("bokeh")
+    found = decisions.page()
+    assert found["Bokeh, without widgets, packed [kB]"] < 0.5 * found["Bokeh, without widgets [kB]"] < 1000.0
+
+
 def test_each_decision_is_listed_and_names_its_measurement(repository, decisions):
     folder = repository / "docs" / "decisions"
     pages = {path.name for path in folder.glob("*.md")} - {"README.md"}

@@ -176,17 +176,19 @@ const settled = async () => {
   const tiles = [...document.querySelectorAll(".tiles li")].map(box);
   const over = (a, b) => a.left < b.right - 1 && b.left < a.right - 1 && a.top < b.bottom - 1 && b.top < a.bottom - 1;
   const parts = [...document.querySelectorAll("main > *, header > *")].map(box).filter((r) => r.height > 0);
-  const found = { wide: document.documentElement.scrollWidth, tiles: tiles.length, 
-    lowest: Math.max(...tiles.map((r) => r.bottom)), overlaps: parts.filter((a, i) => parts.some((b, j) => i < j && over(a, b))).length,
+  const found = { wide: document.documentElement.scrollWidth, tiles: tiles.length,
+    lowest: Math.max(...tiles.map((r) => r.bottom)),
+    overlaps: parts.filter((a, i) => parts.some((b, j) => i < j && over(a, b))).length,
     ready: document.documentElement.dataset.ready ?? "no", drawn: document.querySelectorAll(".plots > div > *").length,
     plots: document.querySelectorAll(".plots > div").length };
   const button = document.querySelector("button[data-light]");
   if (button && window.trackresLight) {
+    const sources = [...Bokeh.documents[0].all_models].filter((model) => model.name === "lit");
     button.click();
-    found.lit = Bokeh.documents[0].select({ name: "lit" }).map((source) => source.data.x0.length);
+    found.lit = sources.map((source) => source.data.x0.length);
     found.pressed = button.getAttribute("aria-pressed"); found.said = document.getElementById("lit").textContent;
     button.click();
-    found.out = Bokeh.documents[0].select({ name: "lit" }).reduce((sum, source) => sum + source.data.x0.length, 0);
+    found.out = sources.reduce((sum, source) => sum + source.data.x0.length, 0);
   }
   if (window.axe) found.axe = (await axe.run(document, { resultTypes: ["violations"] })).violations
     .map((v) => v.id + ": " + v.nodes.map((n) => n.target.join(" ") + " " + n.html.slice(0, 90)).slice(0, 3).join(" | "));

@@ -29,13 +29,14 @@ async function start() {
     // A finger on a plot scrolls the page; what it zooms is chosen in the toolbar.
     if (matchMedia("(pointer: coarse)").matches) plot.toolbar.active_drag = null;
   }
+  const sources = [...Bokeh.documents[0].all_models].filter((model) => model.name === "lit");
   const buttons = [...document.querySelectorAll("button[data-light]")];
   window.trackresLight = (key) => {
     const cut = key === null ? -1 : key.lastIndexOf(":");
     const effect = key !== null && key.startsWith("effect:");
     const [of, letter] = key === null ? [null, ""] : effect ? [key, "0"] : [key.slice(0, cut), key.slice(cut + 1)];
     let seconds = 0;
-    for (const source of Bokeh.documents[0].select({ name: "lit" })) {
+    for (const source of sources) {
       const [session, unit] = source.tags;
       const steps = data.steps[session];
       const letters = (of === null ? null : steps[of]) ?? "";
