@@ -27,6 +27,7 @@ PLOTS = ["matplotlib>=3.6"]
 FAST = ["numba>=0.57"]
 NOTEBOOK = ["pandas>=2.0", "xarray>=2023.1", *PLOTS]
 CYCLONE = "cyclonedds>=11.0.1"
+INTERACTIVE = ["bokeh>=3.4"]
 DIAGNOSIS = ["jinja2>=3.1", "ruptures>=1.1.8", *PLOTS, *FAST]
 PROOF = [*DIAGNOSIS, "scikit-learn>=1.3", "pysindy>=1.7.5"]
 FLEET = [*DIAGNOSIS, *PARQUET, "dask>=2024.1", "distributed>=2024.1", "fsspec>=2023.12"]
@@ -36,6 +37,7 @@ DDS = [*BAGS, CYCLONE]
 DDS_TESTED = [f"{CYCLONE}; platform_machine == 'x86_64' and python_version < '3.14'"]
 TEST = ["pytest>=7.4", "pytest-xdist>=3.4", "hypothesis>=6.98", "rainflow>=3.1", "mcap>=1.1", "setuptools>=70.1"]
 TEST += ["jsonschema>=4.10", "ruff>=0.4", "mypy>=1.8", "types-PyYAML"]
+TEST += ["axe-playwright-python>=0.1.4"]  # axe-core, for what a page must have for everyone to use it
 TEST += ["colcon-common-extensions>=0.3", "lark>=1.1"]  # where ROS 2 is, the package is built into a workspace and launched there
 DOCS = ["mkdocs>=1.6,<2", "mkdocs-material>=9.5,<10", "latex2mathml>=3.77"]  # for make site
 COVERAGE = ["pytest-cov>=5.0"]  # for make coverage
@@ -51,7 +53,7 @@ setup(
     packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
     package_data={
         PACKAGE: ["py.typed"],
-        f"{PACKAGE}.diagnosis.report": ["page.html", "report.schema.json"],
+        f"{PACKAGE}.diagnosis.report": ["page.html", "page.js", "report.schema.json"],
         f"{PACKAGE}.fleet.page": ["*.html", "*.css"],
     },
     data_files=[
@@ -70,10 +72,11 @@ setup(
         "notebook": NOTEBOOK,
         "dds": DDS,
         "diagnosis": DIAGNOSIS,
+        "interactive": [*DIAGNOSIS, *INTERACTIVE],
         "proof": PROOF,
         "fleet": FLEET,
-        "all": BAGS + PARQUET + NOTEBOOK + PROOF + FLEET,
-        "test": BAGS + PARQUET + NOTEBOOK + PROOF + FLEET_TESTED + DDS_TESTED + TEST,
+        "all": BAGS + PARQUET + NOTEBOOK + PROOF + FLEET + INTERACTIVE,
+        "test": BAGS + PARQUET + NOTEBOOK + PROOF + FLEET_TESTED + INTERACTIVE + DDS_TESTED + TEST,
         "mutation": MUTATION,
         "docs": DOCS,
         "coverage": COVERAGE,

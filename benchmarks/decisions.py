@@ -8,6 +8,7 @@ statsmodels serves this comparison alone and is in none of the extras: `pip inst
 
 from __future__ import annotations
 
+import importlib.util
 import statistics
 import sys
 import tempfile
@@ -253,7 +254,25 @@ def estimate(messages: int = 2000, repeats: int = 5) -> dict[str, float]:
     return found
 
 
-DECISIONS = {"cdr": cdr, "mcap": mcap, "noise": noise, "checks": checks, "estimate": estimate}
+def page() -> dict[str, float]:
+    """What a library that draws in the browser adds to a page, as it is and packed [kB]."""
+    from bokeh.resources import Resources
+
+    from trackres_ros.diagnosis.report.interactive import packed
+
+    libraries = {"Bokeh, without widgets": "\n".join(Resources(mode="inline", components=["bokeh"]).js_raw)}
+    if importlib.util.find_spec("plotly"):
+        from plotly.offline import get_plotlyjs
+
+        libraries["Plotly"] = get_plotlyjs()
+    sizes = {}
+    for name, text in libraries.items():
+        sizes[f"{name} [kB]"] = len(text.encode()) / 1e3
+        sizes[f"{name}, packed [kB]"] = len(packed(text)) / 1e3
+    return sizes
+
+
+DECISIONS = {"cdr": cdr, "mcap": mcap, "noise": noise, "checks": checks, "estimate": estimate, "page": page}
 
 if __name__ == "__main__":
     for chosen in sys.argv[1:] or DECISIONS:

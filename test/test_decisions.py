@@ -46,6 +46,12 @@ def test_no_torque_is_rounded_on_its_way_to_a_controller(decisions):
     assert found["DiagnosticArray: a torque is off by [Nm]"] > 0.0
 
 
+def test_the_library_of_the_page_is_smaller_packed(decisions):
+    pytest.importorskip("bokeh")
+    found = decisions.page()
+    assert found["Bokeh, without widgets, packed [kB]"] < 0.5 * found["Bokeh, without widgets [kB]"] < 1000.0
+
+
 def test_each_decision_is_listed_and_names_its_measurement(repository, decisions):
     folder = repository / "docs" / "decisions"
     pages = {path.name for path in folder.glob("*.md")} - {"README.md"}

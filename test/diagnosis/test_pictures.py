@@ -41,7 +41,7 @@ def test_every_picture_can_be_read(drawn, diagnosed, tmp_path):
     pictures = draw_all(diagnosed, tmp_path)
     names = [p.path.name for p in pictures]
     assert len(drawn.figures) == len(pictures) >= 5
-    assert names.index("where_time.png") < names.index("where_regime.png")
+    assert names.index("where_time.svg") < names.index("where_regime.svg")
     for picture, figure in zip(pictures, drawn.figures, strict=True):
         assert not drawn.faults(figure), picture.path.name
         assert "-0 " not in picture.alternative

@@ -184,7 +184,7 @@ def test_the_diagnosis_names_it_and_draws_it(diagnosed, check_form):
     assert report["heldout"]["mae"]["with_effects"] < 0.5 * report["heldout"]["mae"]["refitted"]
     assert report["route"]["kind"] == "slope"
     assert report["route"]["passes"] > 2
-    assert (diagnosed / "route.png").is_file()
+    assert (diagnosed / "route.svg").is_file()
     assert "By place" in (diagnosed / "report.html").read_text()
 
 

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from os import PathLike
 from pathlib import Path
@@ -93,6 +94,7 @@ def diagnose(
     from trackres_ros.recording.roles import ROLES, base_role
     from trackres_ros.results.diagnosis import DiagnosisResult
 
+    begun = time.monotonic()
     for channel in hide:
         one_of(base_role(channel), "hide", ROLES)
     listed: Sequence[Any] = [recordings] if isinstance(recordings, str | PathLike | Recording) else recordings
@@ -106,4 +108,4 @@ def diagnose(
     folder = None if effects is None else Path(effects)
     found = diagnose(in_order(sessions), loaded, hide, holdout, seed, quick, folder, keep_suspected, on_stage=on_stage)
     paths = [path for session in sessions for path in (session.paths or (Path(session.name),))]
-    return DiagnosisResult(found, loaded, paths, sessions[0].bindings)
+    return DiagnosisResult(found, loaded, paths, sessions[0].bindings, time.monotonic() - begun)

@@ -17,7 +17,7 @@ from functools import cached_property
 from html import escape
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from trackres_ros.diagnosis.base.loading import LoadedBase
 from trackres_ros.diagnosis.base.road_load import RoadVehicle, load_road_vehicle
@@ -31,6 +31,9 @@ from trackres_ros.recording.bindings import TopicBinding
 from trackres_ros.text.html import listed, panel, paragraph, table
 from trackres_ros.text.numbers import alike, figures
 from trackres_ros.vehicle import Vehicle, load
+
+if TYPE_CHECKING:
+    from trackres_ros.diagnosis.report.interactive import Interactive
 
 STAGES = {"nominal": "vehicle file as it is", "refitted": "base re-fitted", "with_effects": "with the effects"}
 VEHICLE_FILE = "vehicle.yaml"
@@ -55,11 +58,13 @@ class DiagnosisResult:
         loaded: LoadedBase,
         recordings: Sequence[Path],
         bindings: Mapping[str, TopicBinding],
+        seconds: float | None = None,
     ) -> None:
         self.diagnosis = found
         self.recordings = tuple(recordings)
         self.written: tuple[Path, ...] = ()
         self._loaded = loaded
+        self._seconds = seconds
         self._content = report(found, self.recordings, bindings)
 
     @property
@@ -137,9 +142,18 @@ class DiagnosisResult:
         try:
             from trackres_ros.diagnosis.report.page import write_page
             from trackres_ros.diagnosis.report.pictures import draw_all
+            from trackres_ros.diagnosis.report.provenance import provenance
 
             pictures = draw_all(self.diagnosis, place)
-            write_page(place / "report.html", self._content, pictures, f"Diagnosis of {self._loaded.title}")
+            made_of = provenance(self.recordings, [self._loaded.source] if self._loaded.source else [], self._seconds)
+            write_page(
+                place / "report.html",
+                self._content,
+                pictures,
+                f"Diagnosis of {self._loaded.title}",
+                _plots(self.diagnosis),
+                made_of,
+            )
             written += [place / "report.html", *(p.path for p in pictures)]
         except MissingExtraError as error:
             warnings.warn(f"no page: {error}", stacklevel=2)
@@ -198,3 +212,13 @@ class DiagnosisResult:
         except MissingExtraError:
             return ""
         return f'<img src="data:image/png;base64,{data}" alt="{escape(picture.alternative)}" style="max-width: 100%">'
+
+
+def _plots(found: Diagnosis) -> Interactive | str:
+    """What the page has to zoom into, or why it has nothing."""
+    from trackres_ros.diagnosis.report.interactive import interactive
+
+    try:
+        return interactive(found)
+    except MissingExtraError as error:
+        return str(error)

@@ -28,7 +28,7 @@ from trackres_ros.vehicle import Vehicle, load, with_surroundings
 @dataclass(frozen=True, eq=False)
 class LoadedBase:
     """A base model, the vehicle's title, what the gate needs to know of it, and the surroundings that it is in: effects, and
-    what is known of its ground by place.
+    what is known of its ground by place, and its file.
     """
 
     base: Base
@@ -36,6 +36,7 @@ class LoadedBase:
     known: GateSettings
     surroundings: tuple[Active, ...] = ()
     route: tuple[RouteMap, ...] = ()
+    source: Path | None = None
 
 
 def load_base(
@@ -77,7 +78,7 @@ def load_base(
         track.chassis.motor_ratio,
         passenger_kg=settings.passenger_kg,
     )
-    return LoadedBase(TrackBase(track), track.title, known, track.surroundings, track.route)
+    return LoadedBase(TrackBase(track), track.title, known, track.surroundings, track.route, track.source)
 
 
 def _road(road: RoadVehicle, settings: Settings) -> LoadedBase:
@@ -91,7 +92,7 @@ def _road(road: RoadVehicle, settings: Settings) -> LoadedBase:
         passenger_kg=settings.passenger_kg,
         track_width=road.values.get("track_width"),
     )
-    return LoadedBase(base, road.title, known, road.surroundings, road.route)
+    return LoadedBase(base, road.title, known, road.surroundings, road.route, road.source)
 
 
 def _check_as_in_its_file(vehicle: Vehicle) -> None:

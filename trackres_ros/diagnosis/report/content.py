@@ -21,6 +21,7 @@ from trackres_ros.diagnosis.findings.residual_sources import ResidualSources, re
 from trackres_ros.diagnosis.findings.verdict import Found, Told, likelier
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.pipeline import Diagnosis
+from trackres_ros.diagnosis.report.inputs import inputs
 from trackres_ros.diagnosis.selection.held_out import Improvement
 from trackres_ros.diagnosis.selection.intervals import Interval
 from trackres_ros.diagnosis.selection.naming import STABLE_SHARE, Candidate, Step
@@ -137,6 +138,7 @@ def report(d: Diagnosis, paths: Sequence[Path], bindings: Mapping[str, TopicBind
         "residual_sources": _sources(residual_sources(d.final)),
         "split": d.split.text,
         "notes": list(d.gated.notes),
+        "inputs": inputs(d),
         "kept": {kind: d.kept.names_of(kind) for kind in BELONGS_TO},
         "topics_lines": lines,
         "to_do": _to_do(d, lines),
@@ -187,6 +189,7 @@ def _effect(f: Found, belongs_to: str) -> dict[str, Any]:
         "class": list(f.step.members),
         "weights": _numbers(dict(f.step.weights)),
         "acts_on": f.acts_on,
+        "acts": {"text": f.acts.text, "size": f.acts.size},
         "grade": f.graded.grade,
         "heldout": _improvement(f.graded.improvement),
         "on_bounds": list(f.graded.on_bounds),

@@ -10,10 +10,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from trackres_ros.diagnosis.report.interactive import Interactive
 from trackres_ros.diagnosis.report.picture import Picture
+from trackres_ros.diagnosis.report.tiles import headline, lights, stage_of, tiles
 from trackres_ros.text.numbers import alike, decimals, figures
 from trackres_ros.text.templates import templates
 
+KINDS = {".svg": "image/svg+xml", ".png": "image/png"}
 VERDICTS = {
     "none": "No physics missing",
     "named": "Named",
@@ -28,8 +31,22 @@ GRADES = {
 }
 
 
-def write_page(path: Path, report: dict[str, Any], pictures: Sequence[Picture], title: str) -> None:
+def write_page(
+    path: Path,
+    report: dict[str, Any],
+    pictures: Sequence[Picture],
+    title: str,
+    plots: Interactive | str = "",
+    provenance: Sequence[tuple[str, str]] = (),
+) -> None:
     """Write the page of a report with its pictures in it.
+
+    Parameters
+    ----------
+    plots
+        What one can zoom into, or why there is none.
+    provenance
+        What it is made of: names and texts.
 
     Raises
     ------
@@ -44,9 +61,22 @@ def write_page(path: Path, report: dict[str, Any], pictures: Sequence[Picture], 
         title=title,
         verdict=VERDICTS[report["verdict"]["status"]],
         grades=GRADES,
-        pictures=[(p, base64.b64encode(p.path.read_bytes()).decode()) for p in pictures],
+        headline=headline(report),
+        tiles=tiles(report),
+        lights=list(lights(report)),
+        stage=stage_of(report),
+        plots=plots if isinstance(plots, Interactive) else None,
+        no_plots=plots if isinstance(plots, str) else "",
+        script=script(),
+        provenance=provenance,
+        pictures=[(p, KINDS[p.path.suffix], base64.b64encode(p.path.read_bytes()).decode()) for p in pictures],
     )
     path.write_text(page, encoding="utf-8")
+
+
+def script() -> str:
+    """The script of the page."""
+    return Path(__file__).with_name("page.js").read_text(encoding="utf-8")
 
 
 def r2(value: float | None) -> str:

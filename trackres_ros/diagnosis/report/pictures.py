@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,50 +18,56 @@ from trackres_ros.diagnosis.findings.locate import against_travel, evenly_filled
 from trackres_ros.diagnosis.findings.residual_bins import Bin
 from trackres_ros.diagnosis.findings.verdict import Found, Told
 from trackres_ros.diagnosis.pipeline import Diagnosis
-from trackres_ros.diagnosis.prepare.session import Mask, Session
+from trackres_ros.diagnosis.report.noise_pictures import draw_noise
 from trackres_ros.diagnosis.report.picture import WIDTH, Picture
 from trackres_ros.diagnosis.report.route_pictures import draw_route
+from trackres_ros.diagnosis.report.series import (
+    SMOOTHED_S,
+    bins_by_variable,
+    half_interval,
+    runs,
+    shown_lap,
+    smoothed,
+    stages,
+    uncertainty,
+)
 from trackres_ros.output.plots import BLUE, GREY, ORANGE, VERMILION, picture, picture_with_legend, shortened, thinned
 from trackres_ros.text.numbers import alike, decimals, figures
 
 Array = NDArray[np.float64]
 
 TITLE_LETTERS = 88  # that a title over the whole width holds
-SMOOTHED_S = 20.0
-BROKEN_S = 2.0  # a longer time without a sample that counts breaks the line
 LONGEST_SHOWN_S = 400.0
+MOST_POINTS = 1500  # of a line: all that paper shows
+PIECE_S = 30.0  # mean errors of longer pieces hardly hang together
 SHOWN_BINS = 24
-ROUTE_PICTURES = "route.png", "route_beside.png"
+ROUTE_PICTURES = "route.svg", "route_beside.svg"
+DARK = "#333333"
 IN_ONE_COLUMN, MOST_RECORDINGS = 8, 24
 
 
 def draw_all(d: Diagnosis, folder: Path) -> list[Picture]:
     """Draw all pictures of a diagnosis into a folder."""
     found = [
-        draw_before_after(d, folder / "before_after.png"),
-        draw_times(d, folder / "where_time.png"),
-        draw_regimes(d, folder / "where_regime.png"),
+        draw_before_after(d, folder / "before_after.svg"),
+        draw_times(d, folder / "where_time.svg"),
+        draw_regimes(d, folder / "where_regime.svg"),
     ]
-    found += [_partial(d, f, folder / f"effect_{f.name}.png") for f in d.found]
+    found += [_partial(d, f, folder / f"effect_{f.name}.svg") for f in d.found]
     by_place = [route.candidate.name for route in d.routes]
-    found += [_term(d, t, folder / f"term_{t.described.name}.png") for t in d.described if t.described.name not in by_place]
+    found += [_term(d, t, folder / f"term_{t.described.name}.svg") for t in d.described if t.described.name not in by_place]
     found += [draw_route(route, d.final, folder / name) for name, route in zip(ROUTE_PICTURES, d.routes, strict=False)]
-    found.append(_laps(d, folder / "held_out.png"))
+    found.append(_laps(d, folder / "held_out.svg"))
+    found.append(draw_noise(d, folder / "noise.svg"))
     if len(d.steps[-1].separability.names) > 1:
-        found.append(_matrix(d, folder / "separability.png"))
+        found.append(_matrix(d, folder / "separability.svg"))
     return found
 
 
 def draw_before_after(d: Diagnosis, path: Path) -> Picture:
     """Draw the held-out lap on which the model gained most, over all its samples."""
-    mae = d.held_out.by_lap["mae"]
-    gained = mae["refitted"] - mae["with_effects"] if d.modelled else mae["refitted"]
-    laps = [lap for lap in d.split.held_out if any((s.block[s.used] == lap).any() for s in d.sessions)]
-    samples = [sum(int((s.block[s.used] == lap).sum()) for s in d.sessions) for lap in laps]
-    lap = laps[int(np.argmax(gained * samples))]
-    index = next(i for i, s in enumerate(d.sessions) if (s.block == lap).any())
+    index, rows = shown_lap(d)
     session = d.sessions[index]
-    rows = np.flatnonzero(session.block == lap)
     rows = rows[: int(LONGEST_SHOWN_S / session.step)]
     time = session.time[rows] - session.time[rows[0]]
     measured = np.where(session.used[rows], session.torque[rows], np.nan)
@@ -91,10 +96,9 @@ def draw_before_after(d: Diagnosis, path: Path) -> Picture:
 
 def draw_times(d: Diagnosis, path: Path) -> Picture:
     """The residual over the time of each recording, whether or not anything was named; of very many, the worst."""
-    torques = [d.nominal, [p.torque for p in d.refitted.predicted], [p.torque for p in d.final.predicted]]
-    stages = [("vehicle file as it is", GREY, 0.7), ("base re-fitted", BLUE, 1.1), ("with the effects", VERMILION, 1.1)]
-    stages = stages if d.modelled else stages[:2]
-    residuals = [[_smooth(s, s.torque - of[i]) for i, s in enumerate(d.sessions)] for of in torques[: len(stages)]]
+    shown_as = {"nominal": (GREY, 0.7), "refitted": (BLUE, 1.1), "with_effects": (VERMILION, 1.1)}
+    kinds = [(label, *shown_as[key]) for key, label, _ in stages(d)]
+    residuals = [[smoothed(s, s.torque - of[i]) for i, s in enumerate(d.sessions)] for _, _, of in stages(d)]
     sizes = [float(np.sqrt(np.nanmean(r**2))) if np.isfinite(r).any() else 0.0 for r in residuals[1]]
     shown = sorted(np.argsort(sizes)[::-1][:MOST_RECORDINGS].tolist())
     columns = 1 if len(shown) <= IN_ONE_COLUMN else 2
@@ -104,10 +108,10 @@ def draw_times(d: Diagnosis, path: Path) -> Picture:
         axes = grid.T.ravel()
         for axis, i in zip(axes, shown, strict=False):
             session = d.sessions[i]
-            for begin, end in _runs(session, np.isin(session.block, d.split.held_out)):
+            for begin, end in runs(session, np.isin(session.block, d.split.held_out)):
                 axis.axvspan(begin / 60.0, end / 60.0, color=GREY, alpha=0.18, linewidth=0, label="held out")
-            for (label, color, linewidth), of in zip(stages, residuals, strict=True):
-                axis.plot(*thinned(session.time / 60.0, of[i]), color=color, label=label, linewidth=linewidth)
+            for (label, color, linewidth), of in zip(kinds, residuals, strict=True):
+                axis.plot(*thinned(session.time / 60.0, of[i], MOST_POINTS), color=color, label=label, linewidth=linewidth)
             for found in d.found[:1]:
                 for span in found.where:
                     if span.recording == session.name:
@@ -135,19 +139,10 @@ def draw_times(d: Diagnosis, path: Path) -> Picture:
     )
 
 
-def _runs(session: Session, inside: Mask) -> Iterator[tuple[float, float]]:
-    """Begin and end [s] of each stretch of a session that is inside."""
-    edges = np.flatnonzero(np.diff(inside.astype(np.int8), prepend=0, append=0))
-    for begin, end in zip(edges[::2], edges[1::2], strict=True):
-        yield float(session.time[begin]), float(session.time[end - 1] + session.step)
-
-
 def draw_regimes(d: Diagnosis, path: Path) -> Picture:
     """The mean residual by bins of each variable that varies, between the edges of the bins."""
-    by_variable: dict[str, list[Bin]] = {}
-    for b in d.at_base.bins:
-        by_variable.setdefault(b.variable, []).append(b)
-    by_variable = {name: bins for name, bins in by_variable.items() if len(bins) > 1}  # one alone tells nothing of where
+    by_variable, at_end = bins_by_variable(d.at_base.bins), bins_by_variable(d.at_end.bins)
+    expected = {key: of for key, _, of in stages(d)}
     columns = 2
     rows = max(1, -(-len(by_variable) // columns))
     with picture_with_legend(path, WIDTH, 1.55 * rows + 0.4) as body:
@@ -155,18 +150,20 @@ def draw_regimes(d: Diagnosis, path: Path) -> Picture:
         for axis, (name, of_base) in zip(axes, by_variable.items(), strict=False):
             edges = sorted({edge for b in of_base for edge in (b.low, b.high)})
             places = np.arange(len(edges)) - 0.5
-            kinds = [(-0.2, BLUE, "base re-fitted", of_base)]
+            kinds = [(-0.2, BLUE, "base re-fitted", "refitted", of_base)]
             if d.modelled:
-                kinds.append((0.2, VERMILION, "with the effects", [b for b in d.at_end.bins if b.variable == name]))
-            for shift, color, label, bins in kinds:
+                kinds.append((0.2, VERMILION, "with the effects", "with_effects", at_end.get(name, [])))
+            for shift, color, label, stage, bins in kinds:
                 at = np.interp([0.5 * (b.low + b.high) for b in bins], edges, places) + (shift if d.modelled else 0.0)
-                axis.bar(at, [b.mean_residual for b in bins], 0.38 if d.modelled else 0.7, color=color, label=label)
+                mean, half = [b.mean_residual for b in bins], [uncertainty(d, b, expected[stage]) for b in bins]
+                axis.bar(at, mean, 0.38 if d.modelled else 0.7, color=color, label=label)
+                axis.errorbar(at, mean, half, fmt="none", ecolor=DARK, elinewidth=0.8, capsize=1.5)
                 for x, b in zip(at, bins, strict=True):
                     if b.p < 0.05:
                         above = b.mean_residual > 0
                         axis.annotate(
-                            "*", (x, b.mean_residual), (0, 1 if above else -1), textcoords="offset points", ha="center",
-                            va="bottom" if above else "top", color=color,
+                            "*", (x, 0.0), (0, -1 if above else 1), textcoords="offset points", ha="center",
+                            va="top" if above else "bottom", color=color,
                         )  # fmt: skip
             axis.set_xticks(places, alike(edges, 0.1 * (edges[-1] - edges[0])), fontsize=7)
             axis.margins(y=0.15)
@@ -185,8 +182,8 @@ def draw_regimes(d: Diagnosis, path: Path) -> Picture:
     return Picture(
         path,
         "Where: by regime",
-        "Mean residual by bins of each variable, each with as many samples; the numbers are the edges of the bins, and a star "
-        f"is on what stands out of noise. With the base re-fitted: {text}.",
+        "Mean residual by bins of each variable, each with as many samples; the numbers are the edges of the bins, lines "
+        f"are 95 % intervals over laps, and a star is on what stands out of noise. With the base re-fitted: {text}.",
     )
 
 
@@ -237,8 +234,10 @@ def _over_recordings(d: Diagnosis, adds: list[Array], left_over: list[Array], na
         axis = body.subplots()
         for session, begin, left, term in zip(d.sessions, begins[:-1], left_over, adds, strict=True):
             time = begin + session.time / 60.0
-            without = _smooth(session, left + term)
-            axis.plot(*thinned(time, without), color=BLUE, label=f"left without the term, means over {SMOOTHED_S:.0f} s")
+            without = smoothed(session, left + term)
+            axis.plot(
+                *thinned(time, without, MOST_POINTS), color=BLUE, label=f"left without the term, means over {SMOOTHED_S:.0f} s"
+            )
             axis.plot(time, np.where(session.used, term, np.nan), color=VERMILION, label=f"{name} as found")
             axis.axvline(begin, color=GREY, linestyle="--", linewidth=0.8, label="a recording begins")
         axis.axhline(0.0, color=GREY, linewidth=0.8)
@@ -281,7 +280,7 @@ def _over_time(d: Diagnosis, adds: list[Array], left_over: list[Array], name: st
     acts = [float(np.abs(x[s.used]).sum()) for x, s in zip(adds, d.sessions, strict=True)]
     i = int(np.argmax(acts))
     session = d.sessions[i]
-    left = _smooth(session, left_over[i] + adds[i])
+    left = smoothed(session, left_over[i] + adds[i])
     with picture_with_legend(path, WIDTH, 3.0) as body:
         axis = body.subplots()
         axis.plot(session.time, left, color=BLUE, label=f"left without the term, means over {SMOOTHED_S:.0f} s")
@@ -341,12 +340,14 @@ def _laps(d: Diagnosis, path: Path) -> Picture:
     h = d.held_out
     with picture_with_legend(path, WIDTH, 2.2) as body:
         axis = body.subplots()
-        stages = [("nominal", GREY, "vehicle file as it is"), ("refitted", BLUE, "base re-fitted")]
-        stages += [("with_effects", VERMILION, "with the effects")] if d.modelled else []
-        wide = 0.8 / len(stages)
-        for i, (stage, color, label) in enumerate(stages):
-            place = np.arange(len(h.laps)) + (i - 0.5 * (len(stages) - 1)) * wide
+        colours = {"nominal": GREY, "refitted": BLUE, "with_effects": VERMILION}
+        kinds = [(key, colours[key], label) for key, label, _ in stages(d)]
+        wide = 0.8 / len(kinds)
+        for i, (stage, color, label) in enumerate(kinds):
+            place = np.arange(len(h.laps)) + (i - 0.5 * (len(kinds) - 1)) * wide
             axis.bar(place, h.by_lap["mae"][stage], wide, color=color, label=label)
+            half = _uncertainty_of_laps(d, stage)
+            axis.errorbar(place, h.by_lap["mae"][stage], half, fmt="none", ecolor=DARK, elinewidth=0.8, capsize=1.5)
         every = -(-len(h.laps) // 30)
         axis.set_xticks(np.arange(0, len(h.laps), every), [str(i + 1) for i in range(0, len(h.laps), every)])
         axis.set_xlabel("held-out lap")
@@ -355,10 +356,25 @@ def _laps(d: Diagnosis, path: Path) -> Picture:
     return Picture(
         path,
         "What it is worth",
-        "Mean absolute error by held-out lap; over all: "
-        + ", ".join(f"{label} {figures(h.mae[stage])} Nm" for stage, _, label in stages)
+        f"Mean absolute error by held-out lap, with 95 % intervals over pieces of {PIECE_S:.0f} s; over all: "
+        + ", ".join(f"{label} {figures(h.mae[stage])} Nm" for stage, _, label in kinds)
         + ".",
     )
+
+
+def _uncertainty_of_laps(d: Diagnosis, stage: str) -> list[float]:
+    """Half of the 95 % interval of the mean error of each held-out lap [Nm], over its pieces; nan for a lap of one piece."""
+    expected = next(of for key, _, of in stages(d) if key == stage)
+    found = []
+    masks = [d.split.held_out_mask(s) for s in d.sessions]
+    for lap in sorted({int(b) for s, m in zip(d.sessions, masks, strict=True) for b in np.unique(s.block[m])}):
+        errors, pieces = [], []
+        for i, (s, m) in enumerate(zip(d.sessions, masks, strict=True)):
+            inside = m & (s.block == lap)
+            errors.append(np.abs(s.torque - expected[i])[inside])
+            pieces.append((s.time[inside] // PIECE_S).astype(np.int64))
+        found.append(half_interval(np.concatenate(errors), np.concatenate(pieces)))
+    return found
 
 
 def _matrix(d: Diagnosis, path: Path) -> Picture:
@@ -376,18 +392,6 @@ def _matrix(d: Diagnosis, path: Path) -> Picture:
     pairs = [(abs(s.cosines[i, j]), s.names[i], s.names[j]) for i in range(n) for j in range(i)]
     alike = ", ".join(f"{a} and {b}" for c, a, b in sorted(pairs, reverse=True)[:6] if c > 0.95) or "none"
     return Picture(path, "What looks alike", f"Cosines between the visible effects; alike to more than 0.95: {alike}.")
-
-
-def _smooth(session: Session, residual: Array) -> Array:
-    """Means of a residual over `SMOOTHED_S`; nan in gaps."""
-
-    def summed(values: Array, seconds: float) -> Array:
-        window = np.ones(min(max(1, int(seconds / session.step)), len(values)))
-        return np.convolve(values, window, mode="same")
-
-    weight = summed(session.used.astype(float), SMOOTHED_S)
-    mean = summed(np.where(session.used, residual, 0.0), SMOOTHED_S) / np.maximum(weight, 1.0)
-    return np.where(summed(session.used.astype(float), BROKEN_S) > 0.5, mean, np.nan)
 
 
 def _listed(d: Diagnosis) -> str:

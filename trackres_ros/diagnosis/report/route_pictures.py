@@ -42,7 +42,7 @@ def draw_route(route: Route, final: Fit, path: Path) -> Picture:
         mean = np.nansum(learned.value, axis=1) / np.where(ways_known > 0, ways_known, np.nan)
         shown = factor * (learned.value[:, 0] if slope else mean)
         most = float(np.nanmax(np.abs(shown)))
-        dots = seen.scatter(x, y, c=shown, cmap="coolwarm", vmin=-most, vmax=most, s=8.0)
+        dots = seen.scatter(x, y, c=shown, cmap="coolwarm", vmin=-most, vmax=most, s=8.0, rasterized=True)
         body.colorbar(dots, ax=seen, label=f"{unit}, the way first driven" if slope else unit)
         seen.set_aspect("equal")
         seen.set_xlabel("east [km]")

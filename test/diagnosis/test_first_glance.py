@@ -1,0 +1,277 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The page at a first glance: four tiles, one sentence, and the laws of its layout in a real browser.
+
+Pictures of a page hang on the fonts of the machine that draws it. So its layout is held to laws instead: what lies in the first
+view, that nothing overlaps or scrolls sideways, how many sheets it prints on and how far down each is filled.
+"""
+
+import copy
+import json
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from urllib.parse import unquote
+
+import numpy as np
+import pytest
+from browser import BROWSER, IN_A_BROWSER, opened
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trackres_ros.diagnosis.findings.residual_bins import Bin
+from trackres_ros.diagnosis.report.inputs import inputs
+from trackres_ros.diagnosis.report.noise_pictures import autocorrelation, cumulative_power
+from trackres_ros.diagnosis.report.page import write_page
+from trackres_ros.diagnosis.report.provenance import provenance, sha256
+from trackres_ros.diagnosis.report.series import bins_by_variable, half_interval, uncertainty, where_each_step_is
+from trackres_ros.diagnosis.report.tiles import MOST_WORDS, headline, lights, stage_of, tiles
+
+ON_PAPER = pytest.mark.skipif(BROWSER is None or not shutil.which("pdftoppm"), reason="no chromium or pdftoppm on this machine")
+HALF = 0.5
+
+
+def report_of(status, grade, names=(), **more):
+    """As much of a report as a first glance takes."""
+    effects = [
+        {
+            "name": n[0], "class": list(n), "weights": dict.fromkeys(n, 1.0 / len(n)), "where": {"time": [], "regime": []},
+            "acts": {"text": "above 0.01 1/m of curvature", "size": "it takes about 133 Nm more"},
+        }
+        for n in names
+    ]  # fmt: skip
+    content = {
+        "verdict": {"status": status, "grade": grade, "sentence": "."}, "effects": effects, "advice": [],
+        "residual_by_regime": {"base": [], "end": []}, "written": {"base": True, "effects": [n[0] for n in names]},
+        "heldout": {"mae": {"nominal": 67.1, "refitted": 62.6, "with_effects": 22.6}},
+    }  # fmt: skip
+    return {**content, **more}
+
+
+words = st.text("abcdefgh _", min_size=1, max_size=30).filter(str.strip)
+
+
+@given(
+    st.sampled_from(["none", "named", "one_of", "unexplained"]), st.sampled_from(["confirmed", "suspected", "refuted"]),
+    st.lists(st.lists(words, min_size=1, max_size=6, unique=True), max_size=3), st.floats(1e-9, 1e9), st.floats(1e-9, 1e9),
+)  # fmt: skip
+def test_the_sentence_is_short_whatever_was_found(status, grade, names, before, after):
+    names = names if status in ("named", "one_of") else ()
+    mae = {"nominal": before, "refitted": after, "with_effects": after}
+    r = report_of(status, grade, names, heldout={"mae": mae})
+    assert 4 < len(headline(r).split()) < MOST_WORDS
+    assert [t.name for t in tiles(r)] == ["Where", "What", "How much better", "Next"]
+    assert all(t.answer and t.detail for t in tiles(r))
+
+
+def test_the_tiles_say_what_the_report_does():
+    where, what, better, following = tiles(report_of("named", "confirmed", [["turning_scrub"]]))
+    assert where.answer == "In curves tighter than 100 m"
+    assert (what.answer, what.detail) == ("turning scrub", "confirmed on laps not seen")
+    assert better.answer == "66 % less error"
+    assert "67.1 → 62.6 re-fitted → 22.6 with it" in better.detail  # what the re-fit did is not the effect's
+    assert following.answer == "Use vehicle.yaml"
+    tied = tiles(report_of("one_of", "suspected", [["rain", "convection"]]))[1]
+    assert "rain (50 %) or convection (50 %)" in tied.answer
+
+
+def test_where_nothing_is_gained_nothing_is_to_be_done():
+    mae = {"nominal": 20.3, "refitted": 20.25, "with_effects": 20.25}
+    _, what, better, following = tiles(report_of("none", "confirmed", heldout={"mae": mae}))
+    assert (what.answer, better.answer, following.answer) == ("No physics is missing", "Nothing to gain", "Nothing to do")
+
+
+def test_worse_is_said_to_be_worse():
+    mae = {"nominal": 10.0, "refitted": 12.0, "with_effects": 12.0}
+    assert tiles(report_of("unexplained", "suspected", heldout={"mae": mae}))[2].answer == "20 % more error"
+
+
+def test_each_step_lies_in_the_bin_it_is_said_to(diagnosed):
+    for session, letters in zip(diagnosed.sessions, where_each_step_is(diagnosed), strict=True):
+        for name in bins_by_variable(diagnosed.at_base.bins):
+            assert len(letters[name]) == len(session)
+            assert {n for n, letter in enumerate(letters[name]) if letter == "."} >= set(np.flatnonzero(~session.used))
+        for n, b in enumerate(bins_by_variable(diagnosed.at_base.bins)["speed"]):
+            inside = [letter == str(n) for letter in letters["speed"]]
+            assert np.all((session.speed[inside] >= b.low) & (session.speed[inside] <= b.high))
+    assert any("0" in of["effect:turning_scrub"] for of in where_each_step_is(diagnosed))
+
+
+def test_what_can_be_lit_is_there(diagnosed, scrubbed):
+    _, found, _ = scrubbed
+    letters = where_each_step_is(diagnosed)
+    for key, _ in lights(found):
+        name, number = ("effect:turning_scrub", "0") if key.startswith("effect:") else key.rsplit(":", 1)
+        assert any(number in of[name] for of in letters), key
+
+
+def test_an_interval_over_laps_covers_the_mean_as_often_as_it_says():
+    rng, covered = np.random.default_rng(1), 0
+    for _ in range(400):
+        laps = np.repeat(np.arange(20), 30)
+        values = rng.normal(0.0, 1.0, 20)[laps] + rng.normal(0.0, 1.0, 600)
+        covered += abs(values.mean()) < half_interval(values, laps)
+    assert 0.90 < covered / 400 < 0.98
+    assert np.isnan(half_interval(np.ones(5), np.zeros(5, int)))
+
+
+def test_bars_have_intervals(diagnosed):
+    expected = [p.torque for p in diagnosed.refitted.predicted]
+    halves = [uncertainty(diagnosed, b, expected) for b in diagnosed.at_base.bins if isinstance(b, Bin)]
+    assert np.isfinite(halves).sum() > 0.8 * len(halves)
+
+
+def test_white_noise_is_white_and_a_wandering_one_is_not():
+    rng = np.random.default_rng(2)
+    white = [rng.standard_normal(3000), rng.standard_normal(2000)]
+    white[0][500:520] = np.nan
+    found, pairs = autocorrelation(white)
+    assert (np.abs(found) < 1.96 / np.sqrt(pairs)).mean() > 0.8
+    assert np.abs(cumulative_power(white) - np.linspace(0.0, 1.0, len(cumulative_power(white)))).max() < 0.05
+    wandering = [np.convolve(rng.standard_normal(3000), np.ones(20) / 20.0, "same")]
+    assert autocorrelation(wandering)[0][0] > 0.9
+    assert cumulative_power(wandering)[150] > 0.8
+
+
+def test_gaps_and_ranges_are_those_of_the_recordings(diagnosed):
+    d = diagnosed
+    found = inputs(d)
+    for said, session in zip(found["recordings"], d.sessions, strict=True):
+        assert said["compared_s"] == pytest.approx(session.used.sum() * session.step)
+        assert said["longest_gap_s"] <= said["seconds"] - said["compared_s"]
+    total = sum(s.used.sum() * s.step for s in d.sessions)
+    assert all(sum(x["histogram_s"]) == pytest.approx(total) for x in found["ranges"])
+    assert sum(map(sum, found["coverage"]["seconds"])) == pytest.approx(total)
+    assert all(x["low"] <= x["median"] <= x["high"] for x in found["ranges"])
+
+
+def test_the_page_says_where_it_comes_from(scrubbed, recorded, tmp_path):
+    page = (scrubbed[0] / "report.html").read_text()
+    for path in recorded("turning_scrub"):
+        assert sha256(path) in page
+    assert re.search(r"made</th><td>\d{4}-\d\d-\d\d \d\d:\d\d UTC", page)
+    assert {name for name, _ in provenance([], [], 1.0)} == {"made", "version", "command", "duration"}
+    assert sha256(tmp_path / "nowhere") == ""
+
+
+def test_without_bokeh_the_page_has_its_pictures_and_says_how_to_install_it(diagnoses, scrubbed, tmp_path, monkeypatch):
+    from trackres_ros.results.diagnosis import _plots
+
+    monkeypatch.setitem(sys.modules, "bokeh", None)
+    why = _plots(diagnoses("turning_scrub"))
+    assert "[interactive]" in why
+    write_page(tmp_path / "report.html", scrubbed[1], [], "Diagnosis", why)
+    page = (tmp_path / "report.html").read_text()
+    assert why in page.replace("&#39;", "'")
+    assert "<script" not in page
+
+
+PROBE = """<script>
+const settled = async () => {
+  for (let i = 0; i < 100 && !document.documentElement.dataset.ready; i++) await new Promise((done) => setTimeout(done, 50));
+  const box = (e) => e.getBoundingClientRect();
+  const tiles = [...document.querySelectorAll(".tiles li")].map(box);
+  const over = (a, b) => a.left < b.right - 1 && b.left < a.right - 1 && a.top < b.bottom - 1 && b.top < a.bottom - 1;
+  const parts = [...document.querySelectorAll("main > *, header > *")].map(box).filter((r) => r.height > 0);
+  const found = { wide: document.documentElement.scrollWidth, tiles: tiles.length,
+    lowest: Math.max(...tiles.map((r) => r.bottom)),
+    overlaps: parts.filter((a, i) => parts.some((b, j) => i < j && over(a, b))).length,
+    ready: document.documentElement.dataset.ready ?? "no", drawn: document.querySelectorAll(".plots > div > *").length,
+    plots: document.querySelectorAll(".plots > div").length };
+  const button = document.querySelector("button[data-light]");
+  if (button && window.trackresLight) {
+    const sources = [...Bokeh.documents[0].all_models].filter((model) => model.name === "lit");
+    button.click();
+    found.lit = sources.map((source) => source.data.x0.length);
+    found.pressed = button.getAttribute("aria-pressed"); found.said = document.getElementById("lit").textContent;
+    button.click();
+    found.out = sources.reduce((sum, source) => sum + source.data.x0.length, 0);
+  }
+  if (window.axe) found.axe = (await axe.run(document, { resultTypes: ["violations"] })).violations
+    .map((v) => v.id + ": " + v.nodes.map((n) => n.target.join(" ") + " " + n.html.slice(0, 90)).slice(0, 3).join(" | "));
+  document.title = "found " + encodeURIComponent(JSON.stringify(found));
+};
+window.addEventListener("load", settled);
+</script>"""
+
+
+def probed(page, folder, width, height=900, script=""):
+    """What a browser finds on a page of a width, and what it says on its console."""
+    copied = folder / f"probed{width}.html"
+    copied.write_text(page.read_text().replace("</body>", f"{script}{PROBE}</body>"))
+    frame = folder / f"frame{width}.html"
+    frame.write_text(
+        f"""<title>frame</title><iframe src="{copied.name}" style="width:{width}px;height:{height}px;border:0"></iframe><script>
+        setInterval(() => {{ const t = document.querySelector("iframe").contentDocument.title;
+        if (t.startsWith("found ")) document.title = t; }}, 50);</script>"""
+    )
+    done = opened(
+        frame, folder, "--allow-file-access-from-files", "--dump-dom", "--virtual-time-budget=20000", "--window-size=1300,1000"
+    )
+    said = re.search(r"<title>found (.*?)</title>", done.stdout)
+    assert said, done.stderr[-2000:]
+    return json.loads(unquote(said[1])), done.stderr
+
+
+@IN_A_BROWSER
+@pytest.mark.parametrize(("width", "height"), [(1200, 800), (400, 800)])
+def test_in_a_browser_the_tiles_come_first_and_nothing_overlaps(scrubbed, tmp_path, width, height):
+    pytest.importorskip("bokeh")
+    found, console = probed(scrubbed[0] / "report.html", tmp_path, width, height)
+    assert found["tiles"] == 4
+    assert found["lowest"] < height
+    assert found["wide"] <= width
+    assert found["overlaps"] == 0
+    assert found["ready"] == "yes"
+    assert found["drawn"] >= found["plots"] > 5
+    assert not re.findall(r"(?:ERROR|WARNING):CONSOLE.*|CONSOLE.*(?:rror|Uncaught).*", console)
+
+
+@IN_A_BROWSER
+def test_a_press_lights_up_times_on_every_series_and_another_puts_them_out(scrubbed, tmp_path):
+    pytest.importorskip("bokeh")
+    found, _ = probed(scrubbed[0] / "report.html", tmp_path, 1200)
+    assert len(found["lit"]) == 4  # two drives, the lap's torque and its speed
+    assert sum(n > 0 for n in found["lit"]) >= 2
+    assert found["pressed"] == "true"
+    assert re.fullmatch(r"\d+ s are lit up\.", found["said"])
+    assert found["out"] == 0
+
+
+@IN_A_BROWSER
+def test_everyone_can_use_it(scrubbed, tmp_path):
+    axe = pytest.importorskip("axe_playwright_python")
+    library = (Path(axe.__file__).parent / "axe.min.js").read_text()
+    found, _ = probed(scrubbed[0] / "report.html", tmp_path, 1200, script=f"<script>{library}</script>")
+    assert found["axe"] == []
+
+
+@ON_PAPER
+def test_on_paper_few_sheets_are_left_half_empty(scrubbed, tmp_path):
+    pdf = tmp_path / "page.pdf"
+    opened(scrubbed[0] / "report.html", tmp_path, f"--print-to-pdf={pdf}", "--no-pdf-header-footer")
+    subprocess.run(["pdftoppm", "-r", "30", "-gray", str(pdf), str(tmp_path / "sheet")], check=True, timeout=60)
+    filled = [last_ink(path) for path in sorted(tmp_path.glob("sheet*.pgm"))]
+    assert 3 <= len(filled) <= 10
+    assert all(share > HALF for share in filled[:-1]), filled
+
+
+def last_ink(path):
+    """How far down a sheet there is ink, as a share of its height; a PGM of one byte a pixel."""
+    head, width, height, most, rest = re.match(rb"(P5)\s+(\d+)\s+(\d+)\s+(\d+)\s(.*)", path.read_bytes(), re.DOTALL).groups()
+    assert (head, most) == (b"P5", b"255")
+    grey = np.frombuffer(rest, np.uint8).reshape(int(height), int(width))
+    rows = np.flatnonzero((grey < 200).any(axis=1))
+    return rows[-1] / int(height) if len(rows) else 0.0
+
+
+def test_a_page_of_any_verdict_can_be_written(scrubbed, tmp_path):
+    r = copy.deepcopy(scrubbed[1])
+    for status in ("none", "unexplained"):
+        r["verdict"]["status"], r["effects"] = status, []
+        write_page(tmp_path / "report.html", r, [], "Diagnosis")
+        assert stage_of(r) == "refitted"
+        assert 'class="tiles ' + status in (tmp_path / "report.html").read_text()

@@ -1,0 +1,283 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The plots of the page that one can zoom into and press on, by Bokeh; without it the page has its pictures alone.
+
+The library and the data lie in the page packed, and the browser unpacks them: one file, no network.
+"""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.pipeline import Diagnosis
+from trackres_ros.diagnosis.report.series import (
+    SMOOTHED_S,
+    bins_by_variable,
+    runs,
+    shown_lap,
+    smoothed,
+    stages,
+    uncertainty,
+    where_each_step_is,
+)
+from trackres_ros.errors import MissingExtraError
+from trackres_ros.output.plots import BLUE, GREY, ORANGE, VERMILION, shortened
+from trackres_ros.text.numbers import alike
+
+Array = NDArray[np.float64]
+
+COLOURS = {"nominal": GREY, "refitted": BLUE, "with_effects": VERMILION}
+MOST_RECORDINGS = 24
+SHOWN_EACH_S = 4.0  # of means over `SMOOTHED_S`
+LONGEST_LAP_S = 1200.0
+TITLE_LETTERS = 60
+RESIDUAL_HEIGHT, LAP_HEIGHT, BARS_HEIGHT = 150, 170, 190  # pixels
+
+
+@dataclass(frozen=True, slots=True)
+class Plot:
+    """Where a plot goes: the part of the page, and the element and root that belong together."""
+
+    part: str
+    element: str
+    title: str
+
+
+@dataclass(frozen=True, slots=True)
+class Interactive:
+    """Plots of a page: their places, and what the browser needs to draw them, packed (gzip, base64).
+
+    Attributes
+    ----------
+    library, version
+        Of Bokeh.
+    data
+        Its documents, and which step is in which bin.
+    """
+
+    plots: tuple[Plot, ...]
+    library: str
+    version: str
+    data: str
+
+    def of(self, part: str) -> list[Plot]:
+        """The plots of a part of the page."""
+        return [plot for plot in self.plots if plot.part == part]
+
+
+def interactive(d: Diagnosis) -> Interactive:
+    """Plots of a diagnosis.
+
+    Raises
+    ------
+    MissingExtraError
+        Without Bokeh.
+    """
+    try:
+        import bokeh
+        from bokeh.document import Document
+        from bokeh.embed.util import standalone_docs_json_and_render_items
+        from bokeh.resources import Resources
+    except ImportError:
+        raise MissingExtraError("zoom and hover on the page", "bokeh", "interactive") from None
+    sizes = [float(np.nanmean(np.square(s.torque - d.refitted.predicted[i].torque)[s.used])) for i, s in enumerate(d.sessions)]
+    shown = sorted(np.argsort(sizes)[::-1][:MOST_RECORDINGS].tolist())
+    document = Document()
+    drawn: list[tuple[str, Any]] = [*_over_time(d, shown), *_lap(d), *_bars(d)]
+    for _, figure in drawn:
+        document.add_root(figure)
+    documents, (item,) = standalone_docs_json_and_render_items([figure for _, figure in drawn])
+    places = item.to_json()
+    elements = {str(root): str(element) for root, element in places["roots"].items()}
+    steps = [{"begin": float(s.time[0]), "step": s.step, **of} for s, of in zip(d.sessions, where_each_step_is(d), strict=True)]
+    data = {
+        "documents": documents,
+        "items": [places],
+        "steps": dict(enumerate(steps)),
+    }  # fmt: skip
+    library = "\n".join(Resources(mode="inline", components=["bokeh"]).js_raw)
+    plots = tuple(Plot(part, elements[str(figure.id)], figure.title.text) for part, figure in drawn)
+    return Interactive(plots, packed(library), bokeh.__version__, packed(json.dumps(data)))
+
+
+def packed(text: str) -> str:
+    """A text as the page holds it; the same text gives the same."""
+    return base64.b64encode(gzip.compress(text.encode(), 9, mtime=0)).decode()
+
+
+def _figure(title: str, height: int, zoom: bool = True, **more: Any) -> Any:
+    from bokeh.models import WheelZoomTool
+    from bokeh.models.annotations import Title
+    from bokeh.plotting import figure
+
+    drawn: Any = figure(
+        title=Title(text=title, text_font_size="12px"),
+        height=height,
+        sizing_mode="stretch_width",
+        tools="xbox_zoom,reset" if zoom else "",
+        toolbar_location="right" if zoom else None,
+        **more,
+    )
+    if zoom:
+        drawn.add_tools(WheelZoomTool(dimensions="width", modifiers={"ctrl": True}))
+    drawn.toolbar.logo = None
+    drawn.min_border_right = 4
+    drawn.background_fill_color = None
+    drawn.grid.grid_line_color = "#E3E3E3"
+    for axis in drawn.axis:
+        axis.axis_label_text_font_style = "normal"
+        axis.major_label_text_color = axis.axis_label_text_color = "#333333"
+    return drawn
+
+
+def _strips(figure: Any, session: int, unit: float) -> None:
+    """Strips that light up: where is written into their source, by the script of the page."""
+    from bokeh.models import ColumnDataSource
+
+    source = ColumnDataSource({"x0": [], "x1": []}, name="lit", tags=[session, unit])
+    figure.vstrip("x0", "x1", source=source, fill_color=ORANGE, fill_alpha=0.45, line_color=None, level="underlay")
+
+
+def _numbers(values: Array, places: int = 1) -> list[float]:
+    return [float(v) for v in np.round(values, places)]
+
+
+def _over_time(d: Diagnosis, shown: Sequence[int]) -> list[tuple[str, Any]]:
+    """The residual of each recording over its time; axes move together."""
+    from bokeh.models import ColumnDataSource, HoverTool, Range1d
+    from bokeh.models.annotations import BoxAnnotation, Span
+
+    every = {key: [smoothed(s, s.torque - expected[i]) for i, s in enumerate(d.sessions)] for key, _, expected in stages(d)}
+    values = np.concatenate([np.concatenate(of) for of in every.values()])
+    values = values[np.isfinite(values)]
+    low, high = (float(q) for q in np.quantile(values, (0.001, 0.999))) if len(values) else (-1.0, 1.0)
+    rim = 0.1 * (max(high, 0.0) - min(low, 0.0)) + 1e-9
+    across = Range1d(start=0.0, end=max(d.sessions[i].time[-1] for i in shown) / 60.0, bounds="auto")
+    up = Range1d(start=min(low, 0.0) - rim, end=max(high, 0.0) + rim)
+    found = []
+    for i in shown:
+        session = d.sessions[i]
+        rows = slice(0, None, max(1, int(SHOWN_EACH_S / session.step)))
+        columns = {key: _numbers(of[i][rows]) for key, of in every.items()}
+        source = ColumnDataSource({"t": _numbers(session.time[rows] / 60.0, 3), **columns})
+        figure = _figure(shortened(Path(session.name).name, TITLE_LETTERS), RESIDUAL_HEIGHT, x_range=across, y_range=up)
+        for begin, end in runs(session, np.isin(session.block, d.split.held_out)):
+            figure.add_layout(
+                BoxAnnotation(left=begin / 60.0, right=end / 60.0, fill_color=GREY, fill_alpha=0.15, line_color=None)
+            )
+        _strips(figure, i, 60.0)
+        figure.add_layout(Span(location=0.0, dimension="width", line_color=GREY, line_width=1))
+        lines = [
+            figure.line("t", key, source=source, color=COLOURS[key], line_width=1.0 if key == "nominal" else 1.6)
+            for key in columns
+        ]
+        for change in d.changes or ():
+            if change.recording == session.name:
+                figure.add_layout(Span(location=change.time / 60.0, dimension="height", line_color=GREY, line_dash="dashed"))
+        texts = [("time", "@t{0.0} min"), *((text, f"@{key}{{0}} Nm") for key, text, _ in stages(d))]
+        figure.add_tools(HoverTool(renderers=lines[1:2], tooltips=texts, mode="vline"))
+        figure.yaxis.ticker.desired_num_ticks = 4
+        figure.yaxis.axis_label = "residual [Nm]"
+        if i == shown[-1]:
+            figure.xaxis.axis_label = f"time [min]; means over {SMOOTHED_S:.0f} s"
+        found.append(("time", figure))
+    return found
+
+
+def _lap(d: Diagnosis) -> list[tuple[str, Any]]:
+    """Measured and simulated torque on a held-out lap, and the speed, over one time."""
+    from bokeh.models import ColumnDataSource, HoverTool
+
+    index, rows = shown_lap(d)
+    session = d.sessions[index]
+    rows = rows[: int(LONGEST_LAP_S / session.step)]
+    columns = {"measured": np.where(session.used, session.torque, np.nan)[rows], "speed": session.speed[rows]}
+    columns |= {key: expected[index][rows] for key, _, expected in stages(d)}
+    places = {"speed": 2}
+    source = ColumnDataSource(
+        {"t": _numbers(session.time[rows]), **{k: _numbers(v, places.get(k, 1)) for k, v in columns.items()}}
+    )
+    torque = _figure(f"{shortened(Path(session.name).name, TITLE_LETTERS - 20)}: measured and simulated", LAP_HEIGHT + 50)
+    speed = _figure("speed", LAP_HEIGHT - 30, x_range=torque.x_range)
+    for figure in (torque, speed):
+        _strips(figure, index, 1.0)
+    measured = torque.line("t", "measured", source=source, color="#555555", line_width=3, line_alpha=0.6)
+    for key, _, _ in stages(d)[1:]:
+        torque.line("t", key, source=source, color=COLOURS[key], line_width=1.4)
+    line = speed.line("t", "speed", source=source, color="#555555")
+    texts = [("time", "@t{0} s"), ("measured", "@measured{0} Nm"), *((t, f"@{k}{{0}} Nm") for k, t, _ in stages(d))]
+    torque.add_tools(HoverTool(renderers=[measured], tooltips=texts, mode="vline"))
+    speed.add_tools(HoverTool(renderers=[line], tooltips=[("time", "@t{0} s"), ("speed", "@speed{0.00} m/s")], mode="vline"))
+    torque.yaxis.axis_label, speed.yaxis.axis_label, speed.xaxis.axis_label = "torque [Nm]", "speed [m/s]", "time [s]"
+    return [("lap", torque), ("lap", speed)]
+
+
+def _bars(d: Diagnosis) -> list[tuple[str, Any]]:
+    """Mean residual by bins, with 95 % intervals; a bar that is pressed lights up its times."""
+    from bokeh.models import ColumnDataSource, CustomJS, FixedTicker, HoverTool, Range1d, TapTool
+    from bokeh.models.annotations import Whisker
+
+    up, found, ends = Range1d(), [], [0.0]
+    at_end = bins_by_variable(d.at_end.bins)
+    for name, of_base in bins_by_variable(d.at_base.bins).items():
+        edges = sorted({edge for b in of_base for edge in (b.low, b.high)})
+        figure = _figure(f"{name} [{of_base[0].unit}]", BARS_HEIGHT, False, y_range=up)
+        kinds = [("refitted", "base re-fitted", of_base)]
+        if d.modelled:
+            kinds.append(("with_effects", "with the effects", at_end.get(name, [])))
+        bars = []
+        for place, (key, label, bins) in enumerate(kinds):
+            expected = next(of for stage, _, of in stages(d) if stage == key)
+            shift = 0.4 * (place - 0.5) if d.modelled else 0.0
+            half = np.array([uncertainty(d, b, expected) for b in bins])
+            mean = np.array([b.mean_residual for b in bins])
+            middle = np.interp([0.5 * (b.low + b.high) for b in bins], edges, np.arange(len(edges)) - 0.5)
+            ends += [*(mean + np.nan_to_num(half)), *(mean - np.nan_to_num(half))]
+            ranges = [" to ".join(alike((b.low, b.high), b.high - b.low)) for b in bins]
+            source = ColumnDataSource(
+                {
+                    "x": (middle + shift).tolist(), "mean": _numbers(mean),
+                    "low": _numbers(mean - half), "high": _numbers(mean + half),
+                    "range": ranges, "seconds": [b.samples for b in bins], "p": [b.p for b in bins],
+                    "key": [f"{name}:{n}" for n in range(len(bins))], "of": [label] * len(bins),
+                }
+            )  # fmt: skip
+            bars.append(
+                figure.vbar(
+                    "x", 0.38 if d.modelled else 0.7, "mean", source=source, color=COLOURS[key],
+                    nonselection_fill_alpha=1.0, nonselection_line_alpha=1.0,
+                    selection_line_color="#000000", selection_line_width=2,
+                )
+            )  # fmt: skip
+            whisker: Any = Whisker(base="x", lower="low", upper="high", source=source, line_color="#333333")
+            whisker.upper_head.size = whisker.lower_head.size = 5
+            figure.add_layout(whisker)
+            code = "const i = source.selected.indices[0]; window.trackresLight(i === undefined ? null : source.data.key[i])"
+            source.selected.js_on_change("indices", CustomJS(args={"source": source}, code=code))
+        texts = [
+            ("", "@of"),
+            (name, f"@range {of_base[0].unit}"),
+            ("mean", "@mean Nm (@low to @high)"),
+            ("of", "@seconds s"),
+            ("p", "@p{0.000}"),
+        ]
+        figure.add_tools(HoverTool(renderers=bars, tooltips=texts), TapTool(renderers=bars))
+        figure.xaxis.ticker = FixedTicker(ticks=(np.arange(len(edges)) - 0.5).tolist())
+        figure.xaxis.major_label_overrides = dict(
+            zip((np.arange(len(edges)) - 0.5).tolist(), alike(edges, 0.1 * (edges[-1] - edges[0])), strict=True)
+        )
+        figure.yaxis.ticker.desired_num_ticks = 4
+        found.append(("bars", figure))
+    rim = 0.05 * (max(ends) - min(ends)) + 1e-9
+    up.start, up.end = float(min(ends) - rim), float(max(ends) + rim)
+    return found

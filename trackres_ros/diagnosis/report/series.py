@@ -1,0 +1,119 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Series that the page shows: residuals over time, and in which bin or effect each step of them is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.base.variables import BY_NAME
+from trackres_ros.diagnosis.findings.residual_bins import Bin
+from trackres_ros.diagnosis.pipeline import Diagnosis
+from trackres_ros.diagnosis.prepare.session import Mask, Session
+
+Array = NDArray[np.float64]
+
+SMOOTHED_S = 20.0
+BROKEN_S = 2.0  # a longer time without a sample that counts breaks the line
+NOWHERE = "."
+INTERVAL = 1.96  # standard deviations, of 95 %
+
+
+def smoothed(session: Session, residual: Array) -> Array:
+    """Means of a residual over `SMOOTHED_S`; nan in gaps."""
+
+    def summed(values: Array, seconds: float) -> Array:
+        window = np.ones(min(max(1, int(seconds / session.step)), len(values)))
+        return np.convolve(values, window, mode="same")
+
+    weight = summed(session.used.astype(float), SMOOTHED_S)
+    mean = summed(np.where(session.used, residual, 0.0), SMOOTHED_S) / np.maximum(weight, 1.0)
+    return np.where(summed(session.used.astype(float), BROKEN_S) > 0.5, mean, np.nan)
+
+
+def stages(d: Diagnosis) -> list[tuple[str, str, Sequence[Array]]]:
+    """Key, words and expected torque of each session [Nm] of each stage that was reached."""
+    found: list[tuple[str, str, Sequence[Array]]] = [
+        ("nominal", "vehicle file as it is", d.nominal),
+        ("refitted", "base re-fitted", [p.torque for p in d.refitted.predicted]),
+        ("with_effects", "with the effects", [p.torque for p in d.final.predicted]),
+    ]
+    return found if d.modelled else found[:2]
+
+
+def shown_lap(d: Diagnosis) -> tuple[int, NDArray[np.intp]]:
+    """The session and the steps of the held-out lap on which the model gained most."""
+    mae = d.held_out.by_lap["mae"]
+    gained = mae["refitted"] - mae["with_effects"] if d.modelled else mae["refitted"]
+    laps = [lap for lap in d.split.held_out if any((s.block[s.used] == lap).any() for s in d.sessions)]
+    samples = [sum(int((s.block[s.used] == lap).sum()) for s in d.sessions) for lap in laps]
+    lap = laps[int(np.argmax(gained * samples))]
+    index = next(i for i, s in enumerate(d.sessions) if (s.block == lap).any())
+    return index, np.flatnonzero(d.sessions[index].block == lap)
+
+
+def runs(session: Session, inside: Mask) -> Iterator[tuple[float, float]]:
+    """Begin and end [s] of each stretch of a session that is inside."""
+    edges = np.flatnonzero(np.diff(inside.astype(np.int8), prepend=0, append=0))
+    for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        yield float(session.time[begin]), float(session.time[end - 1] + session.step)
+
+
+def bins_by_variable(bins: Sequence[Bin]) -> dict[str, list[Bin]]:
+    """Bins of each variable that has more than one: one alone tells nothing of where."""
+    found: dict[str, list[Bin]] = {}
+    for b in bins:
+        found.setdefault(b.variable, []).append(b)
+    return {name: of for name, of in found.items() if len(of) > 1}
+
+
+def where_each_step_is(d: Diagnosis) -> list[dict[str, str]]:
+    """Of each session by variable, a letter a step: the number of the bin that it is in, `NOWHERE` where none or not compared.
+
+    An effect has an entry too, ``effect:NAME``: 0 where it acts most.
+    """
+    found = []
+    for i, session in enumerate(d.sessions):
+        letters = {}
+        for name, bins in bins_by_variable(d.at_base.bins).items():
+            series = BY_NAME[name].of(session, d.refitted.predicted[i])
+            letters[name] = _letters(len(session), [session.used & (series >= b.low) & (series <= b.high) for b in bins])
+        for effect in d.found:
+            inside = np.zeros(len(session), bool)
+            for span in effect.where:
+                if span.recording == session.name:
+                    inside |= (session.time >= span.begin) & (session.time < span.end)
+            letters[f"effect:{effect.name}"] = _letters(len(session), [inside])
+        found.append(letters)
+    return found
+
+
+def _letters(length: int, inside: Sequence[Mask]) -> str:
+    codes = np.full(length, ord(NOWHERE), np.uint8)
+    for number, mask in enumerate(inside):
+        codes[mask] = ord("0") + number
+    return codes.tobytes().decode()
+
+
+def uncertainty(d: Diagnosis, b: Bin, expected: Sequence[Array]) -> float:
+    """Half of the 95 % interval of the mean residual of a bin [Nm], over laps; nan where it lies in one lap alone."""
+    off, laps = [], []
+    for i, session in enumerate(d.sessions):
+        series = BY_NAME[b.variable].of(session, d.refitted.predicted[i])
+        inside = session.used & (series >= b.low) & (series <= b.high)
+        off.append((session.torque - expected[i])[inside])
+        laps.append(session.block[inside])
+    return half_interval(np.concatenate(off), np.concatenate(laps))
+
+
+def half_interval(values: Array, pieces: NDArray[np.int64]) -> float:
+    """Half of the 95 % interval of a mean whose values hang together within pieces; nan where there is one piece alone."""
+    numbers, place = np.unique(pieces, return_inverse=True)
+    if len(numbers) < 2:
+        return float("nan")
+    sums = np.bincount(place, weights=values - values.mean())
+    return INTERVAL * float(np.sqrt((sums**2).sum() * len(numbers) / (len(numbers) - 1)) / len(values))

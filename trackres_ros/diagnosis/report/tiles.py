@@ -1,0 +1,216 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The four tiles of the page and the sentence over them: where, what, how much better, what to do next."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from trackres_ros.text.numbers import alike, decimals, figures
+
+MOST_WORDS = 40  # of the sentence: fewer than these
+STANDS_OUT_P = 0.05
+FEW = 3  # names that a sentence holds
+LEAST_SHARE = 0.01  # of the mean error, that is worth a new file
+SURE = {
+    "confirmed": "confirmed on laps not seen",
+    "suspected": "suspected: laps not seen do not settle it",
+    "refuted": "refuted on laps not seen",
+}
+SURE_OF_NONE = {
+    "confirmed": "laps not seen agree",
+    "suspected": "laps not seen do not settle the re-fit",
+    "refuted": "laps not seen refute the re-fit",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Tile:
+    """A question, its answer in a few words, and what stands behind it."""
+
+    name: str
+    answer: str
+    detail: str
+
+
+def tiles(report: dict[str, Any]) -> tuple[Tile, ...]:
+    """The four tiles of a report, in the order in which one asks."""
+    return _where(report), _what(report), _better(report), _next(report)
+
+
+def headline(report: dict[str, Any]) -> str:
+    """The verdict in one sentence of fewer than `MOST_WORDS` words; what stands in the tiles anyway gives way first."""
+    where, what, *_ = tiles(report)
+    status = report["verdict"]["status"]
+    if status == "none":
+        parts = [f"{what.answer}: on laps not seen {_errors(report)}", what.detail]
+    elif status == "unexplained":
+        parts = [f"Simulation and recording part {_lower(where.answer)}, and nothing in the catalogue explains it", where.detail]
+    else:
+        named = "it takes" in _lower(where.detail)
+        placed = f"{where.answer} {_lower(where.detail)}" if named else where.answer
+        parts = [f"{placed}: {_names(report) or what.answer}, {_short_grade(report)}", f"on laps not seen {_errors(report)}"]
+    said = parts[0]
+    for part in parts[1:]:
+        if part and len(f"{said}; {part}".split()) < MOST_WORDS:
+            said = f"{said}; {part}"
+    words = said.split()
+    return f"{said}." if len(words) < MOST_WORDS else f"{' '.join(words[: MOST_WORDS - 2])} ..."
+
+
+def stage_of(report: dict[str, Any]) -> str:
+    """The last stage that was reached: the base re-fitted, or what was found on it."""
+    modelled = report["effects"] or [t for t in report.get("described", ()) if t["heldout"]]
+    return "with_effects" if modelled else "refitted"
+
+
+def standing_out(report: dict[str, Any], stage: str = "base") -> list[dict[str, Any]]:
+    """Bins that stand out of noise, the clearest first."""
+    bins = [b for b in report["residual_by_regime"][stage] if b["p"] is not None and b["p"] < STANDS_OUT_P]
+    return sorted(bins, key=lambda b: (b["p"], -abs(b["mean_residual"] or 0.0)))
+
+
+def range_of(b: dict[str, Any]) -> str:
+    """The range of a bin in words."""
+    low, high = alike((b["lo"], b["hi"]), (b["hi"] or 0.0) - (b["lo"] or 0.0))
+    return f"{b['variable']} {low} to {high} {b['unit']}"
+
+
+def lights(report: dict[str, Any], most: int = 6) -> Iterator[tuple[str, str]]:
+    """Key and words of what can be lit up with a press: effects where they act most, and bins that stand out."""
+    for e in report["effects"]:
+        if e["where"]["time"]:
+            yield f"effect:{e['name']}", f"{_plain(e['name'])} acts most"
+    numbers: dict[str, int] = {}
+    keys = {}
+    for b in report["residual_by_regime"]["base"]:
+        numbers[b["variable"]] = numbers.get(b["variable"], -1) + 1
+        keys[id(b)] = f"{b['variable']}:{numbers[b['variable']]}"
+    for b in standing_out(report)[:most]:
+        yield keys[id(b)], f"{range_of(b)}: {decimals(b['mean_residual'], signed=True)} Nm"
+
+
+def _where(r: dict[str, Any]) -> Tile:
+    name = "Where"
+    if r["effects"]:
+        acts = r["effects"][0].get("acts")
+        if acts:
+            size = f"{acts['size'].rstrip(',')} than the model has"
+            return Tile(name, _upper(_of_curves(acts["text"])) or "Everywhere", _upper(size))
+        for b in r["effects"][0]["where"]["regime"]:
+            return Tile(name, _upper(range_of(b)), f"{decimals(b['mean_residual'], signed=True)} Nm on average")
+    if r["verdict"]["status"] == "none":
+        return Tile(name, "Nowhere beyond noise", f"{_count(r['residual_by_regime']['end'], 'range')} of what varied looked at")
+    if r.get("described"):
+        t = r["described"][0]
+        answer = {"place": "By place on the route", "drift": "Over time, slowly", "level_change": "From a time on"}.get(t["form"])
+        return Tile(name, answer or f"By {t['variable'] or t['gate'] or 'time'}", f"About {figures(t['size_nm'], 2)} Nm")
+    for b in standing_out(r, "end"):
+        return Tile(name, f"At {range_of(b)}", f"{decimals(b['mean_residual'], signed=True)} Nm on average")
+    return Tile(name, "At times that follow nothing recorded", "it strays slowly, over half-minutes")
+
+
+def _of_curves(text: str) -> str:
+    """A range in words; a curvature as the radius that one drives."""
+    above = re.fullmatch(r"above (\S+) 1/m of curvature", text)
+    return f"in curves tighter than {figures(1.0 / float(above[1]), 2)} m" if above and float(above[1]) > 0.0 else text
+
+
+def _what(r: dict[str, Any]) -> Tile:
+    name, verdict = "What", r["verdict"]
+    grade = verdict.get("grade")
+    if r["effects"]:
+        answers = []
+        for e in r["effects"]:
+            shares = [f"{_plain(n)} ({100 * (e['weights'].get(n) or 0.0):.0f} %)" for n in e["class"]]
+            answers.append(_plain(e["name"]) if len(e["class"]) <= 1 else f"{', '.join(shares[:-1])} or {shares[-1]}")
+        tied = any(len(e["class"]) > 1 for e in r["effects"])
+        detail = SURE.get(grade, "")
+        return Tile(name, " and ".join(answers), f"{detail}; cannot be told apart here".lstrip("; ") if tied else detail)
+    if verdict["status"] == "none":
+        moved = "parameters were off" in verdict["sentence"]
+        answer = "Only parameters of the file were off" if moved else "No physics is missing"
+        return Tile(name, answer, SURE_OF_NONE.get(grade, ""))
+    if r.get("described"):
+        return Tile(name, f"no name, a form: {_plain(r['described'][0]['form'])}", SURE.get(grade, ""))
+    return Tile(name, "Unexplained", "no effect of the catalogue does it")
+
+
+def _better(r: dict[str, Any]) -> Tile:
+    name, mae = "How much better", r["heldout"]["mae"]
+    if not mae["nominal"] or mae[stage_of(r)] is None:
+        return Tile(name, "Cannot be told", "of the held-out laps nothing is known")
+    share = 100.0 * _share(r)
+    same = "Nothing to gain" if r["verdict"]["status"] == "none" else "No better"
+    answer = (
+        f"{share:.0f} % less error"
+        if share >= 100.0 * LEAST_SHARE
+        else f"{-share:.0f} % more error"
+        if share <= -100.0 * LEAST_SHARE
+        else same
+    )
+    written = r.get("written")
+    kept = "" if written is None or written["base"] or written["effects"] else "; the file keeps its values"
+    return Tile(name, answer, f"laps not seen: mean error {_errors(r)}{kept}")
+
+
+def _next(r: dict[str, Any]) -> Tile:
+    name = "Next"
+    for a in r["advice"]:
+        return Tile(name, "Drive once more", f"{_upper(a['manoeuvre'])} ({figures(a['minutes'], 2)} min)")
+    if r.get("topics_lines"):
+        return Tile(name, "Mend the sensor's reading", f"put into the topics file: {', '.join(r['topics_lines'])}")
+    written = r.get("written") or {"base": False, "effects": []}
+    if r["effects"] and written["effects"]:
+        return Tile(name, "Use vehicle.yaml", f"it has {' and '.join(_plain(n) for n in written['effects'])}")
+    if r.get("described"):
+        return Tile(name, "Look at the vehicle", " or ".join(r["described"][0]["mechanisms"][:2]))
+    if r["verdict"]["status"] == "unexplained":
+        return Tile(name, "Look where it is largest", "record what varies there: slope, wind, load, brakes")
+    if r["effects"]:
+        return Tile(name, "Record more laps", "what was found is not sure enough to be written")
+    if written["base"] and _share(r) >= LEAST_SHARE:
+        return Tile(name, "Use vehicle.yaml", "it has the re-fitted parameters")
+    return Tile(name, "Nothing to do", "keep the vehicle file as it is")
+
+
+def _errors(r: dict[str, Any]) -> str:
+    mae = r["heldout"]["mae"]
+    with_it = f" → {figures(mae['with_effects'])} with it" if stage_of(r) == "with_effects" else ""
+    return f"{figures(mae['nominal'])} → {figures(mae['refitted'])} re-fitted{with_it} [Nm]"
+
+
+def _share(r: dict[str, Any]) -> float:
+    """Share of the mean error on held-out laps that the last stage takes away; 0 where it is not known."""
+    before, after = r["heldout"]["mae"]["nominal"], r["heldout"]["mae"][stage_of(r)]
+    return 0.0 if not before or after is None else float((before - after) / before)
+
+
+def _names(r: dict[str, Any]) -> str:
+    """What was named, without shares; of many that look alike how many they are."""
+    said = [" or ".join(map(_plain, e["class"])) if len(e["class"]) <= FEW else f"one of {len(e['class'])}" for e in r["effects"]]
+    return " and ".join(said)
+
+
+def _short_grade(r: dict[str, Any]) -> str:
+    return r["verdict"].get("grade") or "not judged"
+
+
+def _plain(name: str) -> str:
+    return name.replace("_", " ")
+
+
+def _count(of: list[Any], what: str) -> str:
+    return f"{len(of)} {what}{'' if len(of) == 1 else 's'}"
+
+
+def _upper(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def _lower(text: str) -> str:
+    return text[:1].lower() + text[1:]
