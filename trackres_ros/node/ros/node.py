@@ -38,7 +38,7 @@ from trackres_ros.node.ros.messages import (
     prepared,
     type_text,
 )
-from trackres_ros.output.topics import DEFAULT_NODE
+from trackres_ros.output.topics import DEFAULT_NODE, ESTIMATE_TOPIC
 from trackres_ros.units import SECOND_NS
 
 COLLECTED_FROM_HZ = 20.0  # of the outputs: the inputs' queues hold what comes between two of them, at 1 kHz too
@@ -155,9 +155,13 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         kinds = [input_type(given, application.topics.origin) for given in application.inputs]
         self.application = application
         self._fills: list[Fill | None] = []
-        self._outputs = []
-        self._estimate = PreparedEstimate(self._frame_id)
+        self._outputs: list[Any] = []  # None where the type of a topic is not installed
+        self._estimate = self._prepared_estimate()
         for topic in application.outputs:
+            if topic is ESTIMATE_TOPIC and self._estimate is None:
+                self._fills.append(None)
+                self._outputs.append(None)
+                continue
             name = topic.name if topic.name.startswith("/") else f"~/{topic.name}"
             profile = _profile(output_quality(parameters, topic))
             events = PublisherEventCallbacks(
@@ -226,12 +230,20 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         self.destroy_timer(self._ticker)
         for given in (*self._inputs, *self._kept):
             self.destroy_subscription(given)
-        for output in self._outputs:
+        for output in filter(None, self._outputs):
             self.destroy_lifecycle_publisher(output)
         for service in self._offered:
             self.destroy_service(service)
 
     # What the application asks of its edge
+
+    def _prepared_estimate(self) -> PreparedEstimate | None:
+        """None where its type is not installed: it is the only topic whose type is not among the common interfaces."""
+        try:
+            return PreparedEstimate(self._frame_id)
+        except InputError as error:
+            self.get_logger().warning(f"~/{ESTIMATE_TOPIC.name} is not published, all other topics are: {error}")
+            return None
 
     def now_ns(self) -> int:
         """The node's time, simulated where use_sim_time is set."""
@@ -244,8 +256,9 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         self._outputs[output].publish(fill(stamp_ns, values))
 
     def publish_estimate(self, output: int, stamp_ns: int, values: Sequence[float], reasons: Reasons) -> None:
-        """Publish the message of `topics.ESTIMATE_TOPIC`."""
-        self._outputs[output].publish(self._estimate.filled(stamp_ns, values, reasons))
+        """Publish the message of `topics.ESTIMATE_TOPIC`, where its type is installed."""
+        if self._estimate is not None:
+            self._outputs[output].publish(self._estimate.filled(stamp_ns, values, reasons))
 
     def publish_status(self, output: int, stamp_ns: int, statuses: Sequence[Status]) -> None:
         """Publish a DiagnosticArray."""
