@@ -29,7 +29,7 @@ EXPORTED = {
 }  # fmt: skip
 
 PRINTING = {
-    "trackres_ros.errors": "one_line, for what is printed",
+    "trackres_ros.errors": "one_line and nearest, for what is printed",
     "trackres_ros.text.numbers": "numbers as people are shown them",
     "trackres_ros.files.resources": "names of the shipped vehicles, for help",
     "trackres_ros.units": "units as people read them",

@@ -14,6 +14,7 @@ import click
 
 from trackres_ros import InputError, __version__
 from trackres_ros.cli import written
+from trackres_ros.cli.common import Commands
 from trackres_ros.cli.diagnose import diagnose_command, effects_command
 from trackres_ros.cli.entry import INTERRUPTED, interrupt_handled
 from trackres_ros.cli.explain import explain_command
@@ -32,7 +33,7 @@ from trackres_ros.errors import one_line
 BAD_INPUT = 2
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
 @click.version_option(__version__, package_name="trackres_ros")
 def cli() -> None:
     """Rolling-resistance torque and temperature of rubber tracks.
