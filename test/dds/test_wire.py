@@ -36,6 +36,8 @@ HASHES = {  # as ROS 2 Jazzy has installed them, share/*/msg/*.json
     "diagnostic_msgs/msg/DiagnosticArray": "5a8a36efb05fb25070fa0fb3810290c0e6cd4862b54a8fb975a1ee8dc55a333e",
     "rmw_dds_common/msg/ParticipantEntitiesInfo": "91a0593bacdcc50ea9bdcf849a938b128412cc1ea821245c663bcd26f83c295e",
     "rosgraph_msgs/msg/Clock": "692f7a66e93a3c83e71765d033b60349ba68023a8c689a79e48078bcb5c58564",
+    "control_msgs/msg/InterfaceValue": "74a12144ef6b7af67533195cb30f7f607d3301b66950208a72d280695f3e190c",
+    "control_msgs/msg/DynamicInterfaceGroupValues": "0ebef56c55cdde46b4622f7e0a4dbf26fefbf0296205463e955047252b434cbc",
 }
 
 

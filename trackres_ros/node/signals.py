@@ -14,6 +14,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -76,7 +77,8 @@ class SignalRequests:
             self._waiting.append(number)
         if self._starting:  # written past any buffer, as the main program may be writing right now
             text = f"trackres: {signal.Signals(number).name} while starting: {WHAT[number]} as soon as it has started\n"
-            os.write(sys.__stderr__.fileno() if sys.__stderr__ else 2, text.encode())
+            with suppress(OSError):  # nobody reads the log any more: that ends nothing
+                os.write(sys.__stderr__.fileno() if sys.__stderr__ else 2, text.encode())
 
 
 REQUESTS = SignalRequests()

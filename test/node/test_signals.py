@@ -1,0 +1,22 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""What a signal requests is kept, whether or not anybody reads the log any more."""
+
+import os
+import signal
+import sys
+
+from trackres_ros.node.signals import SAVE, SignalRequests
+
+
+def test_a_signal_while_starting_is_kept_though_nobody_reads_the_log(monkeypatch):
+    read, write = os.pipe()
+    os.close(read)
+    with os.fdopen(write, "w") as nobody:
+        monkeypatch.setattr(sys, "__stderr__", nobody)
+        requests = SignalRequests()
+        requests._take(SAVE, None)
+        requests._take(signal.SIGTERM, None)
+    assert requests._waiting == [SAVE]
+    assert requests.to_stop
