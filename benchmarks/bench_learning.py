@@ -18,7 +18,8 @@ from pathlib import Path
 from measuring import at_most
 
 from trackres_ros.node.application import Application
-from trackres_ros.node.edge import Level, Peer, Status
+from trackres_ros.node.edge import Level, Peer, Reasons, Status
+from trackres_ros.node.endpoints import InputTopic
 from trackres_ros.node.parameters import make_parameters
 from trackres_ros.units import SECOND_NS
 
@@ -45,12 +46,19 @@ class Nobody:
     def publish(self, output: int, stamp_ns: int, values: Sequence[float]) -> None:
         """Nowhere."""
 
+    def publish_estimate(self, output: int, stamp_ns: int, values: Sequence[float], reasons: Reasons) -> None:
+        """Nowhere."""
+
     def publish_status(self, output: int, stamp_ns: int, statuses: Sequence[Status]) -> None:
         """Nowhere."""
 
     def peers(self, index: int) -> Sequence[Peer]:  # noqa: ARG002
         """None."""
         return ()
+
+    def record(self, others: Sequence[InputTopic]) -> Sequence[str | None]:
+        """Nothing is recorded."""
+        return [None for _ in others]
 
     def log(self, level: Level, text: str) -> None:
         """To nobody."""

@@ -19,7 +19,7 @@ import attrs
 import numpy as np
 from mcap.writer import CompressionType, Writer
 from measuring import alternated, median_ratio
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from trackres_ros.diagnosis.inference.noise import Noise, estimate_noise
 from trackres_ros.errors import InputError
@@ -202,6 +202,58 @@ def checks() -> dict[str, float]:
     return counts
 
 
+OWN_ESTIMATE = "trackres_msgs/msg/Estimate"
+OWN_FIELDS = "std_msgs/Header header\nfloat64 feedforward\nfloat64 resistance\nfloat64 std\nuint8 level\nstring[] reasons"
+
+
+def estimate(messages: int = 2000, repeats: int = 5) -> dict[str, float]:
+    """`~/estimate` in the types that it could have: time to fill and its bytes, on the edge without ROS, and what a number loses.
+
+    Three reasons hold in each. What is of our own is made whole each time by rosbags, as a DiagnosticArray is; what is published
+    is prepared, and made anew where the reasons are others.
+    """
+    from trackres_ros.node.dds.messages import PreparedEstimate, diagnostic_array
+    from trackres_ros.node.dds.wire import typestore
+    from trackres_ros.node.edge import Level, Status
+
+    store = typestore()
+    if OWN_ESTIMATE not in store.types:
+        store.register(get_types_from_msg(OWN_FIELDS, OWN_ESTIMATE))
+    reasons = (("LOAD_NOMINAL", Level.WARN), ("AMBIENT_NOMINAL", Level.WARN), ("NO_PUBLISHER", Level.WARN))
+    names = ("feedforward_torque_nm", "resistance_torque_nm", "resistance_std_nm")
+    torques = [1000.0 + 0.1 * count / 3.0 for count in range(messages)]
+    ready, types = PreparedEstimate("base_link"), store.types
+
+    def groups() -> list[bytes]:
+        return [ready.filled(START_NS, [nm, -nm, 0.1 * nm, 1.0], reasons) for nm in torques]
+
+    def texts() -> list[bytes]:
+        found = []
+        for nm in torques:
+            values = tuple((name, f"{value:.3f}") for name, value in zip(names, (nm, -nm, 0.1 * nm), strict=True))
+            status = Status(Level.WARN, "trackres: estimate", " ".join(name for name, _ in reasons), "xgd24d", values)
+            found.append(diagnostic_array(START_NS, [status], "base_link"))
+        return found
+
+    def own() -> list[bytes]:
+        found = []
+        for nm in torques:
+            header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](*divmod(START_NS, 10**9)), "base_link")
+            message = types[OWN_ESTIMATE](header, nm, -nm, 0.1 * nm, 1, [name for name, _ in reasons])
+            found.append(bytes(store.serialize_cdr(message, OWN_ESTIMATE)))
+        return found
+
+    ways = {"DynamicInterfaceGroupValues": groups, "DiagnosticArray": texts, "a type of our own": own}
+    times, last = alternated(ways, repeats), {name: way()[-1] for name, way in ways.items()}
+    read = store.deserialize_cdr(last["DiagnosticArray"], "diagnostic_msgs/msg/DiagnosticArray").status[0].values[0].value
+    sent = store.deserialize_cdr(last["DynamicInterfaceGroupValues"], "control_msgs/msg/DynamicInterfaceGroupValues")
+    found = {f"{name} [us a message]": statistics.median(times[name]) / messages * 1e6 for name in ways}
+    found |= {f"{name} [bytes]": float(len(raw)) for name, raw in last.items()}
+    found["DiagnosticArray: a torque is off by [Nm]"] = abs(float(read) - torques[-1])
+    found["DynamicInterfaceGroupValues: a torque is off by [Nm]"] = abs(sent.interface_values[0].values[0] - torques[-1])
+    return found
+
+
 def page() -> dict[str, float]:
     """What a library that draws in the browser adds to a page, as it is and packed [kB]."""
     from bokeh.resources import Resources
@@ -220,7 +272,7 @@ def page() -> dict[str, float]:
     return sizes
 
 
-DECISIONS = {"cdr": cdr, "mcap": mcap, "noise": noise, "checks": checks, "page": page}
+DECISIONS = {"cdr": cdr, "mcap": mcap, "noise": noise, "checks": checks, "estimate": estimate, "page": page}
 
 if __name__ == "__main__":
     for chosen in sys.argv[1:] or DECISIONS:

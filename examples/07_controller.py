@@ -3,14 +3,13 @@
 
 """A drive controller adds the feed-forward: fresh stamps only, only while the status allows it, and never by a jump.
 
-`Drive` knows no middleware: `on_feedforward` and `on_status` are called with each message, `torque` in each
-control step. How it is connected on ROS 2 stands below it; here it is fed by hand.
+`Drive` knows no middleware: `on_estimate` is called with each message, `torque` in each control step. How it is connected on
+ROS 2 stands below it; here it is fed by hand.
 """
 
 OK, WARN, ERROR, STALE = range(4)
 OLDEST_S = 0.5
 FARTHEST_AHEAD_S = 0.05  # of a stamp before this clock: more is another clock, of which no age can be told
-STATUS_WITHIN_S = 2.5  # the status comes once a second
 
 
 class Drive:
@@ -18,25 +17,20 @@ class Drive:
 
     def __init__(self, gain=8000.0, integral_gain=2000.0, limit_nm=20000.0, ramp_nm_per_s=5000.0):
         self.gain, self.integral_gain, self.limit_nm, self.ramp_nm_per_s = gain, integral_gain, limit_nm, ramp_nm_per_s
-        self.feedforward, self.stamp_s = 0.0, None
-        self.level, self.status_s = STALE, None
+        self.stamp_s, self.feedforward, self.level = None, 0.0, STALE
         self.used, self.integral, self.last_s = 0.0, 0.0, None
 
-    def on_feedforward(self, stamp_s, torque_nm):
-        """A message of ~/feedforward_torque."""
-        self.stamp_s, self.feedforward = stamp_s, torque_nm
-
-    def on_status(self, now_s, level):
-        """A message of ~/status."""
-        self.status_s, self.level = now_s, level
+    def on_estimate(self, stamp_s, torque_nm, level):
+        """A message of ~/estimate: torque and level of one moment."""
+        self.stamp_s, self.feedforward, self.level = stamp_s, torque_nm, level
 
     def usable(self, now_s):
         """Whether the feed-forward may be added now."""
-        if self.stamp_s is None or self.status_s is None:
-            return False
-        fresh = -FARTHEST_AHEAD_S <= now_s - self.stamp_s <= OLDEST_S
-        status_fresh = 0.0 <= now_s - self.status_s <= STATUS_WITHIN_S
-        return fresh and status_fresh and self.level in (OK, WARN)
+        return (
+            self.stamp_s is not None
+            and -FARTHEST_AHEAD_S <= now_s - self.stamp_s <= OLDEST_S  # the watchdog: of what comes no more the stamp grows old
+            and self.level in (OK, WARN)
+        )
 
     def torque(self, now_s, set_speed, speed):
         """Torque at the sprockets [Nm]; to be called in each control step."""
@@ -59,19 +53,14 @@ class Drive:
 #         def __init__(self):
 #             super().__init__("drive")
 #             self.drive = Drive()
-#             self.create_subscription(WrenchStamped, "/trackres/feedforward_torque", self.on_feedforward, 10)
-#             self.create_subscription(DiagnosticArray, "/trackres/status", self.on_status, 10)
+#             self.create_subscription(DynamicInterfaceGroupValues, "/trackres/estimate", self.on_estimate, 10)
 #
-#         def now_s(self):
-#             return self.get_clock().now().nanoseconds * 1e-9
-#
-#         def on_feedforward(self, message):
-#             stamp = message.header.stamp
-#             self.drive.on_feedforward(stamp.sec + stamp.nanosec * 1e-9, message.wrench.torque.y)
-#
-#         def on_status(self, message):
-#             level = message.status[0].level  # rclpy gives a byte
-#             self.drive.on_status(self.now_s(), level[0] if isinstance(level, bytes) else level)
+#         def on_estimate(self, message):
+#             group = message.interface_values[list(message.interface_groups).index("vehicle")]
+#             found = dict(zip(group.interface_names, group.values))
+#             stamp_s = message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
+#             self.drive.on_estimate(stamp_s, found["feedforward_torque_nm"], found["level"])
+
 
 if __name__ == "__main__":
     drive, now = Drive(), 1_700_000_000.0
@@ -86,7 +75,6 @@ if __name__ == "__main__":
         for _ in range(round(seconds / 0.02)):
             now += 0.02
             if level is not None:
-                drive.on_feedforward(now - age_s, 3000.0)
-                drive.on_status(now, level)
+                drive.on_estimate(now - age_s, 3000.0, level)
             drive.torque(now, set_speed=5.0, speed=5.0)
         print(f"{what:24} {drive.used:6.0f} Nm of 3000 Nm are added")

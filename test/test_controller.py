@@ -29,9 +29,7 @@ def run(drive, seconds, stamp_age_s, level, start_s=1000.0, torque=3000.0):
     for step in range(round(seconds / 0.02)):
         now = start_s + 0.02 * step
         if stamp_age_s is not None:
-            drive.on_feedforward(now - stamp_age_s, torque)
-        if level is not None:
-            drive.on_status(now, level)
+            drive.on_estimate(now - stamp_age_s, torque, level)
         drive.torque(now, 5.0, 5.0)
         used.append(drive.used)
     return used
@@ -45,11 +43,13 @@ def test_only_fresh_stamps_and_a_good_status_count(example, age_s, level):
     assert used[-1] == (3000.0 if good else 0.0)
 
 
-def test_nothing_is_used_before_a_status_nor_long_after_the_last(example):
-    assert run(example.Drive(), 2.0, 0.01, None)[-1] == 0.0
+def test_nothing_is_used_before_the_first_message_nor_long_after_the_last(example):
+    assert run(example.Drive(), 2.0, None, 0)[-1] == 0.0
     drive = example.Drive()
     assert run(drive, 2.0, 0.01, 0)[-1] == 3000.0
-    assert run(drive, 6.0, 0.01, None, start_s=1002.0)[-1] == 0.0
+    used = run(drive, 3.0, None, 0, start_s=1002.0)
+    assert used[round(0.4 / 0.02)] == 3000.0
+    assert used[round(1.5 / 0.02)] == 0.0
 
 
 def test_it_comes_and_goes_by_its_ramp(example):

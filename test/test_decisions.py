@@ -39,6 +39,13 @@ def test_whatever_is_wrong_in_a_line_is_refused_with_all_that_a_user_must_know(d
     assert found["ours: refused with all of it named"] > found["attrs: refused with all of it named"]
 
 
+def test_no_torque_is_rounded_on_its_way_to_a_controller(decisions):
+    pytest.importorskip("cyclonedds", reason="cyclonedds is not installed")
+    found = decisions.estimate(messages=50, repeats=1)
+    assert found["DynamicInterfaceGroupValues: a torque is off by [Nm]"] == 0.0
+    assert found["DiagnosticArray: a torque is off by [Nm]"] > 0.0
+
+
 def test_the_library_of_the_page_is_smaller_packed(decisions):
     pytest.importorskip("bokeh")
     found = decisions.page()

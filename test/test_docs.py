@@ -4,10 +4,8 @@
 """What is generated in docs/ is what the program says now, and the links in the pages lead somewhere."""
 
 import doctest
-import json
 import re
 import runpy
-import xml.etree.ElementTree as ET
 
 import pytest
 
@@ -15,10 +13,8 @@ import trackres_ros as tr
 from trackres_ros.estimator.columns import REASON_TEXT, Count
 from trackres_ros.node.remarks import LIVE_KINDS
 from trackres_ros.node.report import COMPARISON_KEYS, ESTIMATE_KEYS, INPUT_KEYS, STATE_KEYS
-from trackres_ros.output.topics import output_topics
-from trackres_ros.vehicle import load
 
-GENERATED = ["docs/api.md", "docs/settings.md", "docs/node.md", "docs/effects.md"]
+GENERATED = ["docs/api.md", "docs/settings.md", "docs/node.md", "docs/effects.md", "docs/controller.md"]
 GENERATED += ["config/trackres.yaml", "config/plotjuggler.xml", "config/foxglove.json"]
 
 
@@ -49,21 +45,6 @@ def test_the_page_of_the_interface_has_all_of_it(repository):
     page = (repository / "docs" / "api.md").read_text()
     told = set(re.findall(r"^### `(\w+)`", page, re.MULTILINE))
     assert told == {*tr.__all__} - {"__version__", "MissingExtraError"}
-
-
-def test_layouts_name_only_what_is_published(repository):
-    topics = {f"/trackres/{topic.name}": topic for topic in output_topics(load("xgd24d"))}
-    root = ET.parse(repository / "config" / "plotjuggler.xml").getroot()
-    curves = [curve.attrib["name"] for curve in root.iter("curve")]
-    layout = json.loads((repository / "config" / "foxglove.json").read_text())
-    paths = [path["value"] for panel in layout["configById"].values() for path in panel.get("paths", ())]
-    assert len(curves) == len(paths) > 15
-    for curve, path in zip(curves, paths, strict=True):
-        topic = max((name for name in topics if curve.startswith(f"{name}/")), key=len)
-        assert path.startswith(f"{topic}.")
-        if topics[topic].kind == "joints":
-            joint = curve.removeprefix(f"{topic}/").removesuffix("/effort")
-            assert path == f"{topic}.effort[{topics[topic].names.index(joint)}]"
 
 
 def test_every_remark_of_the_live_node_is_explained(repository):

@@ -29,7 +29,7 @@ EXPORTED = {
 }  # fmt: skip
 
 PRINTING = {
-    "trackres_ros.errors": "one_line, for what is printed",
+    "trackres_ros.errors": "one_line and nearest, for what is printed",
     "trackres_ros.text.numbers": "numbers as people are shown them",
     "trackres_ros.files.resources": "names of the shipped vehicles, for help",
     "trackres_ros.units": "units as people read them",
@@ -38,9 +38,10 @@ PRINTING = {
 STARTED_BY = {  # commands that start an application of their own, and import it
     "entry.py": {"trackres_ros.node.signals"},
     "fleet.py": {"trackres_ros.fleet", "trackres_ros.evaluation.fleet"},
+    "layouts.py": {"trackres_ros.output.layouts"},
     "live.py": {
         "trackres_ros.node", "trackres_ros.node.ros.main", "trackres_ros.node.dds.node", "trackres_ros.node.parameters",
-        "trackres_ros.files.yamls", "trackres_ros.files.output_files",
+        "trackres_ros.node.parameter_file", "trackres_ros.files.yamls", "trackres_ros.files.output_files",
     },
     "live_json.py": {"trackres_ros.node.report"},
     "live_table.py": {"trackres_ros.node.edge", "trackres_ros.node.report", "trackres_ros.recording.roles"},

@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 from scipy.integrate import trapezoid
 
+from trackres_ros.cli.common import vehicles_to_complete
+
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
@@ -310,6 +312,26 @@ def test_bad_input_is_one_line_and_exit_code_2(tmp_path, repository, trackres, a
     assert done.stderr.count("\n") == 1
     assert named in done.stderr
     assert sorted(tmp_path.iterdir()) == before
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("repaly",), "did you mean replay?"),
+        (("vehicle", "chek"), "did you mean check?"),
+        (("prove", "lerning"), "did you mean learning?"),
+        (("xyz",), "record-sample"),
+    ],
+)
+def test_a_command_that_is_none_is_told_with_what_may_have_been_meant(trackres, words, said):
+    done = trackres(*words)
+    assert done.returncode == 2
+    assert said in done.stderr
+
+
+def test_a_shell_completes_vehicles_and_files():
+    found = vehicles_to_complete(None, None, "xg")
+    assert [(item.type, item.value) for item in found] == [("plain", "xgd24d"), ("file", "xg")]
 
 
 def test_bad_input_ends_a_process_with_exit_code_2_and_one_line_on_its_error_output(tmp_path):

@@ -13,10 +13,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from trackres_ros.errors import InputError
-from trackres_ros.node.dds.messages import InputReader, Prepared, clock_ns, diagnostic_array
+from trackres_ros.node.dds.messages import InputReader, PreparedEstimate, clock_ns, diagnostic_array, prepared
 from trackres_ros.node.dds.wire import typestore
 from trackres_ros.node.edge import Level, Status
 from trackres_ros.node.endpoints import InputTopic, live_topics
+from trackres_ros.output.topics import ESTIMATE_TOPIC
 from trackres_ros.recording.bindings import TopicBinding, Topics
 from trackres_ros.recording.cdr import MalformedError
 from trackres_ros.vehicle import load
@@ -46,13 +47,13 @@ def numbers_of(message, kind):
 def test_filled_outputs_decode_to_stamp_and_numbers(tmp_path):
     kinds = set()
     for topic in all_outputs(tmp_path):
-        if topic.kind == "status":
+        if topic.kind in ("status", "estimate"):
             continue
         kinds.add(topic.kind)
-        prepared = Prepared(topic, "hull")
-        prepared.filled(1, [9.0] * len(topic.columns))
+        message = prepared(topic, "hull")
+        message.filled(1, [9.0] * len(topic.columns))
         values = [1.5 * i - 2.0 for i in range(len(topic.columns))]
-        raw = prepared.filled(STAMP_NS, values)
+        raw = message.filled(STAMP_NS, values)
         assert len(raw) % 4 == 0
         message = typestore().deserialize_cdr(raw, topic.type)
         assert numbers_of(message, topic.kind) == values
@@ -62,6 +63,25 @@ def test_filled_outputs_decode_to_stamp_and_numbers(tmp_path):
         if topic.kind == "joints":
             assert tuple(message.name) == topic.names
     assert kinds == {"joints", "wrench", "temperature", "number"}
+
+
+REASONS = [(), (("SPEED_OLD", Level.STALE),), (("SPEED_OLD", Level.STALE), ("LOAD_NOMINAL", Level.WARN)), ()]
+
+
+def test_an_estimate_has_its_numbers_and_reasons_whatever_was_before():
+    estimate = PreparedEstimate("hull")
+    for count, reasons in enumerate(REASONS):
+        values = [count + 0.5, -2.0, 3.0, float(max((level for _, level in reasons), default=0))]
+        raw = estimate.filled(STAMP_NS + count, values, reasons)
+        assert len(raw) % 4 == 0
+        message = typestore().deserialize_cdr(raw, ESTIMATE_TOPIC.type)
+        assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == STAMP_NS + count
+        assert message.interface_groups == ["vehicle", "reasons"]
+        vehicle, why = message.interface_values
+        assert dict(zip(vehicle.interface_names, vehicle.values, strict=True)) == dict(
+            zip(ESTIMATE_TOPIC.names, values, strict=True)
+        )
+        assert list(zip(why.interface_names, why.values, strict=True)) == list(reasons)
 
 
 def test_a_diagnostic_array():

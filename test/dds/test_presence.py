@@ -132,8 +132,8 @@ def start(environment):
 def test_it_comes_with_all_its_endpoints_and_goes_at_once(graph, command, start, environment):
     node = start(command("--namespace", "/left"))
     below = "left/trackres/"
-    assert wait_for(lambda: len(graph.endpoints(below)) == 8)
-    assert wait_for(lambda: len(graph.keys_of("/left", "trackres")[1]) == 9)  # its own and /diagnostics
+    assert wait_for(lambda: len(graph.endpoints(below)) == 9)
+    assert wait_for(lambda: len(graph.keys_of("/left", "trackres")[1]) == 10)  # its own and /diagnostics
     said_readers, said_writers = graph.keys_of("/left", "trackres")
     endpoints = graph.endpoints()
     assert {found.key.bytes for (_, writes), found in endpoints.items() if writes} == said_writers

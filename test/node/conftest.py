@@ -22,6 +22,7 @@ class Desk:
         self.time_s, self.steady_s = 0.0, 0.0
         self.clock_offset_s = 0.0  # of the machine's clock against steady time
         self.published, self.statuses, self.logged = [], [], []
+        self.reasons, self.left = [], []  # of each estimate: why, and how much of the feed-forward is left then
         self.found_peers = {}
         self.sim_time = given.get("use_sim_time", False)
         parameters = {"vehicle": "xgd24d", "state_file": "none", "output_rate_hz": 0.0, **given}
@@ -35,11 +36,19 @@ class Desk:
     def publish(self, output, stamp_ns, values):
         self.published.append((self.app.outputs[output].name, stamp_ns, list(values)))
 
+    def publish_estimate(self, output, stamp_ns, values, reasons):
+        self.publish(output, stamp_ns, values)
+        self.reasons.append(dict(reasons))
+        self.left.append(self.app._outlet.left(self.app._steady_ns()))
+
     def publish_status(self, output, stamp_ns, statuses):
         self.statuses.append((self.app.outputs[output].name, list(statuses)))
 
     def peers(self, index):
         return self.found_peers.get(self.app.inputs[index].name, ())
+
+    def record(self, others):
+        return [f"# {given.type}" for given in (*self.app.inputs, *others)]
 
     def log(self, level, text):
         self.logged.append((level, text))

@@ -26,6 +26,7 @@ else:
 FEEDFORWARD_LIMIT_NM = 0.1 * 272000 * 0.4
 WRENCH, JOINTS = "geometry_msgs/msg/WrenchStamped", "sensor_msgs/msg/JointState"
 TWIST, FLOAT, TEMPERATURE = "geometry_msgs/msg/TwistStamped", "std_msgs/msg/Float64", "sensor_msgs/msg/Temperature"
+ESTIMATE = "control_msgs/msg/DynamicInterfaceGroupValues"
 ARRAY = "diagnostic_msgs/msg/DiagnosticArray"
 FAST_PROFILE = """<?xml version="1.0" encoding="UTF-8"?>
 <dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"><profiles>
@@ -87,13 +88,10 @@ class Node:
         self.log_path = folder / f"{name}-{time.monotonic_ns()}.log"
         command = [sys.executable, "-m", "trackres_ros", "live", "--edge", "dds" if edge == "dds" else "ros", "--quiet"]
         command += ["--params", str(params), "--name", name, "--namespace", namespace]
-        with self.log_path.open("w") as log:
-            self.process = subprocess.Popen(
-                command, env=environment(edge, folder), stdout=log, stderr=log, stdin=subprocess.DEVNULL, preexec_fn=preexec
-            )
         self.out = {
             "feedforward": wire.subscribe(f"{self.base}/feedforward_torque", WRENCH),
             "resistance": wire.subscribe(f"{self.base}/resistance_torque", JOINTS),
+            "estimate": wire.subscribe(f"{self.base}/estimate", ESTIMATE),
             "belt": wire.subscribe(f"{self.base}/track_temperature/front_left", TEMPERATURE),
             "status": wire.subscribe(f"{self.base}/status", ARRAY),
             "diagnostics": wire.subscribe("/diagnostics", ARRAY),
@@ -104,6 +102,11 @@ class Node:
             "load": wire.publisher(f"{prefix}/load", FLOAT),
             "ambient": wire.publisher(f"{prefix}/ambient", TEMPERATURE),
         }
+        # Last: what fails above leaves no process behind.
+        with self.log_path.open("w") as log:
+            self.process = subprocess.Popen(
+                command, env=environment(edge, folder), stdout=log, stderr=log, stdin=subprocess.DEVNULL, preexec_fn=preexec
+            )
 
     @property
     def log(self):
@@ -210,6 +213,13 @@ class Node:
         for torque in self.torques():
             assert math.isfinite(torque), "the feed-forward is not finite"
             assert abs(torque) <= FEEDFORWARD_LIMIT_NM, f"the feed-forward is {torque}"
+        for heard in self.out["estimate"].update():
+            vehicle, reasons = (
+                dict(zip(group.interface_names, group.values, strict=True)) for group in heard.message.interface_values
+            )
+            assert abs(vehicle["feedforward_torque_nm"]) <= FEEDFORWARD_LIMIT_NM
+            assert vehicle["resistance_std_nm"] > 0.0
+            assert vehicle["level"] == max(reasons.values(), default=0.0)
         for heard in self.out["resistance"].update():
             assert all(math.isfinite(effort) for effort in heard.message.effort)
             assert abs(heard.message.effort[0]) < 20000.0

@@ -26,7 +26,7 @@ from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from waiting import PATIENCE_S, wait_for
 
 LOOPBACK = (
@@ -36,6 +36,11 @@ LOOPBACK = (
     "</CycloneDDS>"
 )
 STORE = get_typestore(Stores.ROS2_JAZZY)
+for name, text in (  # as control_msgs of Jazzy has them
+    ("InterfaceValue", "string[] interface_names\nfloat64[] values\n"),
+    ("DynamicInterfaceGroupValues", "std_msgs/Header header\nstring[] interface_groups\nInterfaceValue[] interface_values\n"),
+):
+    STORE.register(get_types_from_msg(text, f"control_msgs/msg/{name}"))
 FIELDS = getattr(STORE, "fielddefs", None) or STORE.FIELDDEFS
 PLAIN = {"byte": types.uint8, "char": types.uint8, "bool": bool}
 ANY = SampleState.Any | ViewState.Any | InstanceState.Any

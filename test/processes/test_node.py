@@ -445,6 +445,31 @@ def test_signals_save_and_reset_without_ros(tmp_path, wire):
     n.close()
 
 
+def test_without_ros_its_parameter_file_is_watched(tmp_path, wire):
+    from conftest import Node
+
+    n = Node("dds", tmp_path, wire).started()
+    try:
+        n.drive(0.3)
+        n.until(lambda: n.torques()[-1] > 1000.0, "the feed-forward", meanwhile=lambda: n.drive(0.3))
+        file = tmp_path / "trackres.json"
+        for share, bound in ((0.001, 0.001 * 272e3 * 0.36), (0.1, None)):
+            file.write_text(json.dumps({**n.parameters, "feedforward_share": share, "stuck_s": 60.0}))
+            n.until(lambda share=share: f"-> {share:g}" in n.log, "the change", meanwhile=lambda: n.drive(0.3))
+            if bound:
+                n.until(lambda bound=bound: n.torques()[-1] <= bound + 1e-6, "the bound", meanwhile=lambda: n.drive(0.3))
+                count = len(n.torques())
+                n.drive(0.5)
+                assert all(torque <= bound + 1e-6 for torque in n.torques()[count:])
+        file.write_text(json.dumps({**n.parameters, "vehicle": "agri3t", "feedforward_share": 0.002}))
+        n.until(lambda: "no parameter was changed" in n.log, "the refusal", meanwhile=lambda: n.drive(0.3))
+        assert "0.002" not in n.log
+        n.check_outputs()
+        assert n.stop() == 0
+    finally:
+        n.close()
+
+
 @pytest.fixture(scope="module")
 def diagnosed(tmp_path_factory):
     """Vehicle file without and with what a diagnosis found missing, and a drive that it never saw: a belt that swings."""

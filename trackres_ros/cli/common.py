@@ -15,9 +15,11 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import click
+from click.shell_completion import CompletionItem
 
 from trackres_ros import InputError, MissingExtraError
 from trackres_ros.cli.written import watch
+from trackres_ros.errors import nearest
 from trackres_ros.files.resources import shipped_vehicles
 
 Decorated = TypeVar("Decorated", bound=Callable[..., Any])
@@ -38,6 +40,23 @@ class Command(click.Command):
             if not all(name in option_of for name in names):
                 raise
             raise InputError(", ".join(option_of[n] for n in names), error.given, error.allowed, error.remedy) from error
+
+
+class Commands(click.Group):
+    """A group of commands that says which one may have been meant."""
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
+        """See `click.Group`; newer versions of it guess too, and older ones do not."""
+        name = args[0]
+        if self.get_command(ctx, name) is None and not name.startswith("-"):
+            guess = nearest(name, self.list_commands(ctx)) or f"one of {', '.join(self.list_commands(ctx))}"
+            raise click.UsageError(f"No such command {name!r}: {guess}", ctx)
+        return super().resolve_command(ctx, args)
+
+
+def vehicles_to_complete(_context: click.Context, _option: click.Parameter, begun: str) -> list[CompletionItem]:
+    """Shipped vehicles and files, for the shell."""
+    return [*(CompletionItem(name) for name in shipped_vehicles() if name.startswith(begun)), CompletionItem(begun, type="file")]
 
 
 def default_of(function: Callable[..., Any], argument: str) -> Any:
@@ -66,6 +85,7 @@ def vehicle_option(command: Decorated) -> Decorated:
         "--vehicle",
         required=True,
         metavar="FILE|NAME",
+        shell_complete=vehicles_to_complete,
         help=f"Vehicle file, or the name of a shipped one: {', '.join(shipped_vehicles())}.",
     )(command)
 

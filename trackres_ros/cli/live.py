@@ -23,7 +23,11 @@ if TYPE_CHECKING:
 @click.option("--surroundings", metavar="S.yaml", help="Effects of site, weather and ground that hold here and now.")
 @click.option("--topics", metavar="T.yaml", help="Which topic feeds which role; by default config/topics/default.yaml.")
 @click.option(
-    "--params", "params_file", type=click.Path(path_type=Path), metavar="P.yaml", help="Parameter file, flat or as ROS has it."
+    "--params",
+    "params_file",
+    type=click.Path(path_type=Path),
+    metavar="P.yaml",
+    help="Parameter file, flat or as ROS has it; without ROS it is watched while the node runs.",
 )
 @click.option("-p", "single", multiple=True, metavar="NAME:=VALUE", help="One parameter; may be given several times.")
 @click.option("--name", default="trackres", show_default=True, help="Name of the node.")
@@ -39,7 +43,7 @@ if TYPE_CHECKING:
     "--record",
     type=click.Path(path_type=Path),
     metavar="OUT.mcap",
-    help="Write every estimate as topics, and a picture, at the end.",
+    help="Write every message of the topics file and every estimate, to be replayed and diagnosed, and a picture, at the end.",
 )
 @click.option("--quiet", is_flag=True, help="No table in the terminal.")
 @click.option("--json", "as_json", is_flag=True, help="Instead of the table a line of JSON a second, and one at the end.")
@@ -67,24 +71,24 @@ def live_command(
     from trackres_ros.cli.live_json import LiveJson
     from trackres_ros.cli.live_table import LiveTable
     from trackres_ros.files.output_files import BAG_SUFFIX, output_file
+    from trackres_ros.node.parameter_file import ParameterFile
     from trackres_ros.node.parameters import make_parameters, read_parameters
     from trackres_ros.node.record import Recorder
     from trackres_ros.node.signals import REQUESTS
 
-    _check_names(name, namespace)
+    check_names(name, namespace)
     recorder = Recorder(output_file(record, (BAG_SUFFIX,), "--record")) if record else None
     watch(*([record] if record else []))
     given = read_parameters(params_file, name, namespace)
-    given.update(dict(_single(text) for text in single))
     named = {"vehicle": vehicle, "surroundings": surroundings, "topics": topics}
-    given.update({key: value for key, value in named.items() if value is not None})
-    parameters = make_parameters(given)
+    overruled = dict(_single(text) for text in single) | {key: value for key, value in named.items() if value is not None}
+    parameters = make_parameters(given | overruled)
     REQUESTS.listen()
     shown: list[LiveTable | LiveJson] = []
 
     def started(application: Application) -> None:
         if recorder:
-            application.on_estimate = recorder.begin(application.estimator, application.learning.learner)
+            recorder.begin(application)
         if as_json:
             shown.append(LiveJson(application.overview))
         elif not quiet:
@@ -99,7 +103,8 @@ def live_command(
             return run_on_ros(parameters, name, namespace, REQUESTS, started)
         from trackres_ros.node.dds.node import run as run_on_dds
 
-        return run_on_dds(parameters, name, namespace, REQUESTS, started)
+        watched = ParameterFile(params_file, name, namespace, parameters, overruled) if params_file else None
+        return run_on_dds(parameters, name, namespace, REQUESTS, started, watched)
     finally:
         for display in shown:
             display.stop()
@@ -125,7 +130,8 @@ def _single(text: str) -> tuple[str, object]:
     return name, parse_yaml(value, f"-p {name}")
 
 
-def _check_names(name: str, namespace: str) -> None:
+def check_names(name: str, namespace: str) -> None:
+    """Refuse what is no name of a node or no namespace."""
     import re
 
     if not re.fullmatch(r"[A-Za-z_]\w*", name):

@@ -14,10 +14,12 @@ import click
 
 from trackres_ros import InputError, __version__
 from trackres_ros.cli import written
+from trackres_ros.cli.common import Commands
 from trackres_ros.cli.diagnose import diagnose_command, effects_command
 from trackres_ros.cli.entry import INTERRUPTED, interrupt_handled
 from trackres_ros.cli.explain import explain_command
 from trackres_ros.cli.fleet import compare_command, fleet_group, trend_command
+from trackres_ros.cli.layouts import layouts_command
 from trackres_ros.cli.live import live_command
 from trackres_ros.cli.play import play_command
 from trackres_ros.cli.prove import prove_command
@@ -31,7 +33,7 @@ from trackres_ros.errors import one_line
 BAD_INPUT = 2
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
 @click.version_option(__version__, package_name="trackres_ros")
 def cli() -> None:
     """Rolling-resistance torque and temperature of rubber tracks.
@@ -50,6 +52,7 @@ for command in (
     live_command,
     replay_command,
     play_command,
+    layouts_command,
     simulate_command,
     explain_command,
     diagnose_command,

@@ -16,7 +16,7 @@ from typing import IO
 import click
 
 from trackres_ros import InputError
-from trackres_ros.cli.common import emit, folder_option, json_option, needs, number, output_folder
+from trackres_ros.cli.common import Commands, emit, folder_option, json_option, needs, number, output_folder
 
 MINUTES = 15.0
 QUICK_MINUTES = 12.0
@@ -29,7 +29,7 @@ FOLDERS = ("cases", "results", "results_earlier", "next", "results_next", "seale
 into_folder = folder_option("Folder for recordings and page.")
 
 
-@click.group("prove", invoke_without_command=True)
+@click.group("prove", cls=Commands, invoke_without_command=True)
 @click.pass_context
 @click.option("--level", "levels", multiple=True, metavar="L[=N]", help="Only N cases of this level; may be repeated.")
 @click.option("--cases", "count", type=click.IntRange(1), metavar="N", help="Number of cases of each level given without one.")

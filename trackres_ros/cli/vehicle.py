@@ -10,10 +10,10 @@ from pathlib import Path
 import click
 
 import trackres_ros as tr
-from trackres_ros.cli.common import Command, default_of, emit, json_option
+from trackres_ros.cli.common import Command, Commands, default_of, emit, json_option
 
 
-@click.group("vehicle")
+@click.group("vehicle", cls=Commands)
 def vehicle_group() -> None:
     """Vehicle files."""
 

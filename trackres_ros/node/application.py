@@ -21,8 +21,8 @@ from trackres_ros.estimator.estimate import Estimate
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.topic_settings import settings_for
 from trackres_ros.node.comparison import Comparison
-from trackres_ros.node.edge import Edge, Level, Peer, Status
-from trackres_ros.node.endpoints import input_topics, live_topics
+from trackres_ros.node.edge import Edge, KeepMessage, Level, Peer, Reasons, Status
+from trackres_ros.node.endpoints import InputTopic, input_topics, live_topics, other_topics
 from trackres_ros.node.inbox import Arrival
 from trackres_ros.node.intake import Intake
 from trackres_ros.node.live_learning import LiveLearning
@@ -41,6 +41,7 @@ from trackres_ros.units import SECOND_NS
 ACCEPTED = int(at.Count.ACCEPTED)
 LONGEST_PERIOD_S = 0.1  # between two looks at the age of the speed, and between two outputs
 MOST_BEFORE_CLOCK = 10000
+REASONS_KEPT_NS = 200_000_000  # looking at all takes longer than publishing; an old speed and what is new are seen at once
 MUST_BE_FINITE = (at.OUT_RESISTANCE, at.OUT_STD, at.OUT_FEEDFORWARD)
 
 
@@ -88,6 +89,7 @@ class Application:
         )
         self.active = False
         self.on_estimate: Callable[[list[float], int, int], None] | None = None  # row, stamp, arrival
+        self._keep: KeepMessage | None = None
         self._edge, self._steady_ns = edge, steady_ns
         self._is_speed = ["speed" in given.roles for given in self.inputs]
         self._order = SendingOrder()
@@ -99,6 +101,7 @@ class Application:
         self.session, self.began_with = self.keeper.load(self.estimator, self.learning.learner)
         self._state_at = self._rested_at = time.time()
         self._watch = Watch(self.estimator, self.inputs)
+        self._reasons_seen: tuple[int, bool, Reasons] | None = None  # when, whether the speed was old, what held
         now = steady_ns()
         self._next_second_ns, self._next_output_ns, self._next_save_ns = now, now, now + self._save_period_ns()
 
@@ -122,6 +125,28 @@ class Application:
     def arrival(self) -> Arrival:
         """The arrival of a message that comes now."""
         return self._steady_ns(), self._edge.now_ns()
+
+    def record(self, keep: KeepMessage) -> list[tuple[InputTopic, str]]:
+        """Have every message kept that comes, of all topics of the topics file; which, and the texts that define their types.
+
+        Messages come with their place in that list.
+        """
+        others = other_topics(self.topics, self.inputs)
+        texts = self._edge.record(others)
+        listed = [(given, text) for given, text in zip((*self.inputs, *others), texts, strict=True)]
+        for given, text in listed:
+            if text is None:
+                self._log(Level.WARN, f"{given.name} is not recorded: {given.type} is not known here")
+        known = [(given, text) for given, text in listed if text is not None]
+        place = {index: known.index((given, text)) for index, (given, text) in enumerate(listed) if text is not None}
+        self._keep = lambda index, raw, arrival_ns: keep(place[index], raw, arrival_ns) if index in place else None
+        return known
+
+    def keep(self, index: int, raw: bytes, arrived: Arrival) -> None:
+        """Take note of a message as it came, where all are recorded."""
+        if self._keep:
+            steady, now = arrived
+            self._keep(index, raw, now if self.parameters.sim_time else steady + self._arrival_offset_ns)
 
     def dropped(self, index: int) -> None:
         """Take note of a message of an input topic that had to make way for later ones."""
@@ -195,21 +220,25 @@ class Application:
             raise ArithmeticError(f"the estimate is not finite: {values}")
         stamp = int(self.session.memory.times[at.SPEED, at.LAST_STAMP])
         self._outlet.take(values, float(self.session.motion[at.FEEDFORWARD_TARGET]), stamp, steady, self._pace(steady))
+        new_reasons = self._watch.accepted(int(values[at.OUT_REASONS]), now - stamp)
+        if new_reasons:
+            self._reasons_seen = None
         if self.active and self._on_speed:
             self._next_output_ns = steady + int(LONGEST_PERIOD_S * SECOND_NS)
             self._publish(self._steady_ns())
         self._state_at = time.time()
-        reasons = int(values[at.OUT_REASONS])
         news = self.comparison.take(stamp, values)
         if news:
+            self._reasons_seen = None
             self._log(Level.OK, news)
-        if self._watch.accepted(reasons, now - stamp) and self.active:
+        if new_reasons and self.active:
             self._publish_status(self._steady_ns())
         self.learning.take(stamp, values, self.session)  # after the outputs were sent: it acts from the next step on
         if self.on_estimate:
             self.on_estimate([*values, *self.learning.columns(values, self.session)], stamp, arrival)
 
     def _fault(self, error: Exception) -> None:
+        self._reasons_seen = None
         if self._watch.fault(error, self._steady_ns()):
             self._log(Level.ERROR, f"a fault of this program: {''.join(traceback.format_exception(error))}")
 
@@ -222,7 +251,16 @@ class Application:
         return nearest_usable(self._edge.now_ns()) if self.parameters.sim_time else steady
 
     def _publish(self, steady: int) -> None:
-        self._outlet.publish(steady, self._pace(steady))
+        self._outlet.publish(steady, self._pace(steady), self._reasons)
+
+    def _reasons(self, steady: int) -> Reasons:
+        """All that is to be remarked now, each name once."""
+        old = self._outlet.age_s(steady) > self.estimator.settings.speed_max_age_s
+        seen = self._reasons_seen
+        if seen is None or old is not seen[1] or not 0 <= steady - seen[0] < REASONS_KEPT_NS:
+            hold = tuple({remark.name: remark.level for remark in self.remarks(steady)}.items())
+            self._reasons_seen = seen = steady, old, hold
+        return seen[2]
 
     # What leaves
 
@@ -290,6 +328,7 @@ class Application:
             peers = [self._edge.peers(i) for i in range(len(self.inputs))]
         finally:  # rates and refusals are of interest without peers too
             self._watch.every_second(self.session, self._intake, peers, steady)
+            self._reasons_seen = None
 
     def _log_remarks(self, steady: int) -> None:
         entry = self._watch.to_log(self.remarks(steady))

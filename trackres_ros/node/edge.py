@@ -5,10 +5,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
+
+if TYPE_CHECKING:
+    from trackres_ros.node.endpoints import InputTopic
 
 
 class Level(IntEnum):
@@ -47,6 +50,14 @@ class Peer:
     compatible: bool
 
 
+Reasons = tuple[tuple[str, Level], ...]
+"""Names of all remarks that hold, each once, heaviest first, with the level of each."""
+
+
+KeepMessage = Callable[[int, bytes, int], None]
+"""Takes a message to be recorded: which of the topics of `Application.to_record`, its bytes as CDR, its time of arrival [ns]."""
+
+
 class Edge(Protocol):
     """What the application needs of a middleware. All calls come from one thread, the one that calls the application.
 
@@ -59,11 +70,20 @@ class Edge(Protocol):
     def publish(self, output: int, stamp_ns: int, values: Sequence[float]) -> None:
         """Publish a message of numbers: those of `OutputTopic.columns` in their order, as they stand in the message."""
 
+    def publish_estimate(self, output: int, stamp_ns: int, values: Sequence[float], reasons: Reasons) -> None:
+        """Publish the message of `topics.ESTIMATE_TOPIC`: numbers of its names in their order, and all reasons."""
+
     def publish_status(self, output: int, stamp_ns: int, statuses: Sequence[Status]) -> None:
         """Publish a DiagnosticArray."""
 
     def peers(self, index: int) -> Sequence[Peer]:
         """The publishers that are there now on the topic of an input, whatever their type and quality of service."""
+
+    def record(self, others: Sequence[InputTopic]) -> Sequence[str | None]:
+        """Hand every message that comes to `Application.keep` too, those of other topics besides.
+
+        The texts that define the types of all inputs and of the other topics; None where a type is not known here.
+        """
 
     def log(self, level: Level, text: str) -> None:
         """Say something to who watches the log."""

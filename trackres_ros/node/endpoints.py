@@ -5,11 +5,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from trackres_ros.estimator.columns import CHANNELS
 from trackres_ros.node.parameters import Parameters
-from trackres_ros.output.topics import PARAMETERS_TOPIC, OutputTopic, output_topics
+from trackres_ros.output.topics import ESTIMATE_TOPIC, PARAMETERS_TOPIC, OutputTopic, output_topics
 from trackres_ros.recording.bindings import TopicBinding, Topics
 from trackres_ros.recording.roles import POSITION, base_role
 from trackres_ros.vehicle import Vehicle
@@ -59,14 +60,21 @@ def input_topics(topics: Topics, on_route: bool = False) -> tuple[InputTopic, ..
     Where messages wait on several topics, an edge hands them over in this order: what a speed is to be computed with comes
     first.
     """
+    needed = [role for role in topics if base_role(role) in CHANNELS and (on_route or role not in POSITION)]
+    return tuple(sorted(_by_topic(topics, needed), key=lambda given: "speed" in given.roles))
+
+
+def other_topics(topics: Topics, inputs: Sequence[InputTopic]) -> tuple[InputTopic, ...]:
+    """The topics of a topics file that the estimate does not need: of use to who replays or diagnoses a recording."""
+    needed = {given.name for given in inputs}
+    return tuple(_by_topic(topics, [role for role in topics if topics[role].topic and topics[role].topic not in needed]))
+
+
+def _by_topic(topics: Topics, roles: Sequence[str]) -> list[InputTopic]:
     by_name: dict[tuple[str, str], list[str]] = {}
-    for role in (role for role in topics if base_role(role) in CHANNELS and (on_route or role not in POSITION)):
+    for role in sorted(roles, key=_last_speed):
         by_name.setdefault((topics[role].topic, topics[role].type), []).append(role)
-    inputs = [
-        InputTopic(name, kind, tuple(sorted(roles, key=_last_speed)), tuple(topics[r] for r in sorted(roles, key=_last_speed)))
-        for (name, kind), roles in by_name.items()
-    ]
-    return tuple(sorted(inputs, key=lambda given: "speed" in given.roles))
+    return [InputTopic(name, kind, tuple(fed), tuple(topics[r] for r in fed)) for (name, kind), fed in by_name.items()]
 
 
 def _last_speed(role: str) -> bool:
@@ -75,9 +83,10 @@ def _last_speed(role: str) -> bool:
 
 def live_topics(vehicle: Vehicle, topics: Topics) -> tuple[OutputTopic, ...]:
     """All topics to publish, most urgent first; the residual and what is learned only where a torque is measured."""
-    given = (topic for topic in output_topics(vehicle) if topic.name != "torque_residual" or "torque" in topics)
+    feedforward, number, *others = output_topics(vehicle)
+    given = (topic for topic in others if topic.name != "torque_residual" or "torque" in topics)
     learned = (PARAMETERS_TOPIC,) if any(base_role(role) == "torque" for role in topics) else ()
-    return (*given, *learned, DIAGNOSTICS)
+    return (feedforward, number, ESTIMATE_TOPIC, *given, *learned, DIAGNOSTICS)
 
 
 def input_quality(parameters: Parameters) -> Quality:

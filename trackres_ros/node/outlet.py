@@ -12,10 +12,10 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.feedforward import fade, followed, towards
 from trackres_ros.jit.compiled import interpreted
-from trackres_ros.node.edge import Edge, Status
+from trackres_ros.node.edge import Edge, Level, Reasons, Status
 from trackres_ros.node.remarks import Remark
 from trackres_ros.node.stamps import nearest_usable
-from trackres_ros.output.topics import PARAMETERS_TOPIC, OutputTopic
+from trackres_ros.output.topics import ESTIMATE_TOPIC, PARAMETERS_TOPIC, OutputTopic
 from trackres_ros.units import NANOSECOND
 
 FADE, FOLLOWED, TOWARDS = interpreted(fade), interpreted(followed), interpreted(towards)  # not worth compiling at a first start
@@ -70,8 +70,8 @@ class Outlet:
         age_s = self.age_s(steady)
         return 0.0 if math.isinf(age_s) else FADE(age_s, settings.speed_max_age_s, settings.feedforward_fade_s)
 
-    def publish(self, steady: int, pace: int) -> None:
-        """Publish the last estimate on all topics of numbers; nothing before the first one."""
+    def publish(self, steady: int, pace: int, reasons: Callable[[int], Reasons]) -> None:
+        """Publish the last estimate on all topics of numbers, with the reasons that hold then; nothing before the first one."""
         if self.stamp_ns is None:
             return
         rate = self.estimator.settings.feedforward_rate
@@ -84,7 +84,13 @@ class Outlet:
         row[at.OUT_FEEDFORWARD] = self.feedforward
         for output, values in self._values:
             numbers = values(row)
-            if all(map(math.isfinite, numbers)):
+            if not all(map(math.isfinite, numbers)):
+                continue
+            if self.outputs[output] is ESTIMATE_TOPIC:
+                hold = reasons(steady)
+                level = max((level for _, level in hold), default=Level.OK)
+                self._send(output, self._edge.publish_estimate, self.stamp_ns, [*numbers, float(level)], hold)
+            else:
                 self._send(output, self._edge.publish, self.stamp_ns, numbers)
         self.published += 1
 
@@ -104,10 +110,10 @@ class Outlet:
         """The topics that cannot be published."""
         return [Remark("OUTPUT_FAILED", f"{topic} cannot be published: {error}") for topic, error in self.failed.items()]
 
-    def _send(self, output: int, publish: Callable[..., None], stamp_ns: int, content: object) -> None:
+    def _send(self, output: int, publish: Callable[..., None], stamp_ns: int, *content: object) -> None:
         name = self.outputs[output].name
         try:
-            publish(output, stamp_ns, content)
+            publish(output, stamp_ns, *content)
         except Exception as error:  # whatever a middleware may raise
             self.failed[name] = f"{type(error).__name__}: {error}"
         else:

@@ -59,6 +59,14 @@ class OutputBag:
         """Finish the file."""
         self._writer.__exit__(kind, error, trace)
 
+    def raw_topic(self, name: str, msgtype: str, text: str) -> BagTopic:
+        """Announce a topic besides, for `write_raw`; see `BagWriter.raw_topic`."""
+        return self._writer.raw_topic(name, msgtype, text)
+
+    def write_raw(self, topic: BagTopic, raw: bytes, log_ns: int) -> None:
+        """Write a serialised message of such a topic."""
+        self._writer.write_raw(topic, raw, log_ns)
+
     def write(self, steps: Steps) -> None:
         """Write the results of a block of messages on all topics."""
         for topic, bag_topic in self._topics:

@@ -38,6 +38,7 @@ class BagTopic:
     msgtype: str
     types: Definitions
     template: Template | None
+    text: str
     count: int = 0
 
 
@@ -119,11 +120,17 @@ class BagWriter:
             types = definitions(message_fields(self.typestore), msgtype)
         except KeyError:
             raise InputError(f"{self.path}: {name}", msgtype, "a common message type") from None
-        number = len(self._topics) + 1
         ready = None
         if template is not None:
             ready = Template(bytes(self.typestore.serialize_cdr(template, msgtype)), types, msgtype, fields)
-        topic = BagTopic(number, name, msgtype, types, ready)
+        text, _ = self.typestore.generate_msgdef(msgtype, ros_version=2)
+        return self._announced(BagTopic(len(self._topics) + 1, name, msgtype, types, ready, text))
+
+    def raw_topic(self, name: str, msgtype: str, text: str) -> BagTopic:
+        """Announce a topic whose messages come serialised, for `write_raw`, with the text that defines its type and all in it."""
+        return self._announced(BagTopic(len(self._topics) + 1, name, msgtype, {}, None, text))
+
+    def _announced(self, topic: BagTopic) -> BagTopic:
         self._topics.append(topic)
         self._new += self._schema(topic) + self._channel(topic)
         return topic
@@ -150,6 +157,11 @@ class BagWriter:
         one = Template(raw, topic.types, topic.msgtype, ())
         self._write(topic, one, np.array([stamp_ns]), np.array([log_ns]), np.empty((1, 0)))
 
+    def write_raw(self, topic: BagTopic, raw: bytes, log_ns: int) -> None:
+        """Write one serialised message as it is."""
+        head = RECORD.pack(0x05, RECORD.size + len(raw) - 9, topic.number, 0, log_ns, log_ns)
+        self._hold(topic, np.array([log_ns]), np.frombuffer(head + raw, np.uint8)[np.newaxis])
+
     def _write(self, topic: BagTopic, template: Template, stamp_ns: IntArray, log_ns: IntArray, values: FloatArray) -> None:
         if not len(log_ns):
             return
@@ -161,14 +173,18 @@ class BagWriter:
             )
         if int(log_ns.min()) < 0:
             raise InputError(f"{self.path}: {topic.name}: log time", int(log_ns.min()), "0 ns or later")
-        if topic.number in self._waiting and self._held > CHUNK_BYTES:
-            self._flush()
         size = RECORD.size + len(template.raw)
         rows = np.empty((len(log_ns), size), np.uint8)
         rows[:, : RECORD.size] = np.frombuffer(RECORD.pack(0x05, size - 9, topic.number, 0, 0, 0), np.uint8)
         for at in (RECORD.size - 16, RECORD.size - 8):
             np.ndarray((len(rows),), "<u8", rows, at, rows.strides[:1])[:] = log_ns
         template.fill(rows, RECORD.size, stamp_ns, values)
+        self._hold(topic, log_ns, rows)
+
+    def _hold(self, topic: BagTopic, log_ns: IntArray, rows: NDArray[np.uint8]) -> None:
+        """Keep records of a topic until a chunk is full."""
+        if topic.number in self._waiting and self._held > CHUNK_BYTES:
+            self._flush()
         topic.count += len(rows)
         self._pending.append((topic.number, log_ns, rows))
         self._waiting.add(topic.number)
@@ -218,8 +234,7 @@ class BagWriter:
         self._chunks.append(_record(0x08, where + sizes))
 
     def _schema(self, topic: BagTopic) -> bytes:
-        text, _ = self.typestore.generate_msgdef(topic.msgtype, ros_version=2)
-        return _record(0x03, struct.pack("<H", topic.number) + _text(topic.msgtype) + _text("ros2msg") + _text(text))
+        return _record(0x03, struct.pack("<H", topic.number) + _text(topic.msgtype) + _text("ros2msg") + _text(topic.text))
 
     def _channel(self, topic: BagTopic) -> bytes:
         numbers = struct.pack("<HH", topic.number, topic.number)

@@ -47,16 +47,17 @@ class OutputTopic:
     ----------
     kind
         How the numbers stand in the message: `joints` (JointState: names and efforts), `wrench` (WrenchStamped: torque
-        about y), `number` (Float64), `temperature` (Temperature: value and standard deviation), `status` (DiagnosticArray).
+        about y), `number` (Float64), `temperature` (Temperature: value and standard deviation), `status` (DiagnosticArray),
+        `estimate` (DynamicInterfaceGroupValues: the numbers and the level under their names, and every reason with its level).
     columns
         Columns of a row of results, see `estimator.layout.columns`.
     names
-        Names of the joints.
+        Names of the joints, or of the interfaces of an estimate.
     """
 
     name: str
     type: str
-    kind: Literal["joints", "wrench", "number", "temperature", "status"]
+    kind: Literal["joints", "wrench", "number", "temperature", "status", "estimate"]
     meaning: str
     columns: tuple[str, ...] = ()
     names: tuple[str, ...] = ()
@@ -73,6 +74,22 @@ PARAMETERS_TOPIC = OutputTopic(
     "status",
     "what is learned of the vehicle, once a second while a torque is measured: value, standard deviation, range, coverage, state",
 )
+
+
+VEHICLE_GROUP, REASONS_GROUP = "vehicle", "reasons"
+LEVEL = "level"
+ESTIMATE_TOPIC = OutputTopic(
+    "estimate",
+    "control_msgs/msg/DynamicInterfaceGroupValues",
+    "estimate",
+    f"what a controller needs in one stamped message. Group `{VEHICLE_GROUP}`: `feedforward_torque_nm` as published above, "
+    "`resistance_torque_nm` (negative what resists forward travel), its standard deviation `resistance_std_nm`, and `level`: "
+    f"0 ok, 1 warn, 2 error, 3 stale, as the status says. Group `{REASONS_GROUP}`: every remark that holds, by name, with its "
+    "level",
+    ("feedforward_torque_nm", "resistance_torque_nm", "resistance_std_nm"),
+    ("feedforward_torque_nm", "resistance_torque_nm", "resistance_std_nm", LEVEL),
+)
+"""Live alone: in the bag of a replay these numbers stand in the topics they have of their own, and the reasons in its status."""
 
 
 def sign_of(column: str) -> float:

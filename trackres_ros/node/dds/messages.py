@@ -10,13 +10,15 @@ import struct
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from trackres_ros.node.dds.participant import serialized
 from trackres_ros.node.dds.wire import known_type, typestore
-from trackres_ros.node.edge import Status
+from trackres_ros.node.edge import Reasons, Status
 from trackres_ros.node.endpoints import InputTopic
 from trackres_ros.node.stamps import UNUSABLE, stamp_ns
 from trackres_ros.output.bag import FIELDS, template_message
-from trackres_ros.output.topics import OutputTopic
+from trackres_ros.output.topics import ESTIMATE_TOPIC, REASONS_GROUP, VEHICLE_GROUP, OutputTopic
 from trackres_ros.recording.bindings import FIX, NO_FIX, FieldStep, field_steps
 from trackres_ros.recording.cdr import MalformedError, layout_of
 from trackres_ros.recording.message_types import TIME, check_field, definitions, message_fields, stamp_path
@@ -28,16 +30,15 @@ STRUCTS = {order + kind: struct.Struct(order + code) for order in "<>" for kind,
 
 
 class Prepared:
-    """The message of one output topic: only stamp and numbers are written into its bytes each time."""
+    """A message of one output topic: only stamp and numbers are written into its bytes each time."""
 
-    def __init__(self, topic: OutputTopic, frame_id: str) -> None:
-        store = typestore()
-        types = definitions(message_fields(store), topic.type)
-        paths = [field_steps(path) for path in FIELDS.get(topic.kind, [f"effort[{i}]" for i in range(len(topic.names))])]
+    def __init__(self, topic: OutputTopic, message: object, numbers: Sequence[str]) -> None:
+        types = definitions(message_fields(typestore()), topic.type)
+        paths = [field_steps(path) for path in numbers]
         stamp = stamp_path(types, topic.type)
         if stamp:
             paths += [(*stamp, FieldStep(field.name)) for field in types[TIME]]
-        self._bytes = bytearray(serialized(template_message(topic, store, frame_id), topic.type))
+        self._bytes = bytearray(serialized(message, topic.type))
         spots = layout_of(bytes(self._bytes), types, topic.type, paths).spots
         places = [place for place in spots if place is not None]
         self._stamp = [offset for offset, _ in places[-2:]] if stamp else []
@@ -54,13 +55,42 @@ class Prepared:
         return bytes(self._bytes)
 
 
+def prepared(topic: OutputTopic, frame_id: str) -> Prepared:
+    """The message of a topic whose strings never change."""
+    numbers = FIELDS.get(topic.kind, [f"effort[{i}]" for i in range(len(topic.names))])
+    return Prepared(topic, template_message(topic, typestore(), frame_id), numbers)
+
+
+class PreparedEstimate:
+    """The message of `topics.ESTIMATE_TOPIC`, prepared anew when the reasons are others."""
+
+    def __init__(self, frame_id: str) -> None:
+        self._frame_id = frame_id
+        self._reasons: Reasons | None = None
+
+    def filled(self, stamp: int, values: Sequence[float], reasons: Reasons) -> bytes:
+        """The message with a stamp [ns], its numbers and the reasons that hold."""
+        if reasons != self._reasons:
+            self._prepared, self._reasons = self._with(reasons), reasons
+        return self._prepared.filled(stamp, values)
+
+    def _with(self, reasons: Reasons) -> Prepared:
+        types, topic = typestore().types, ESTIMATE_TOPIC
+        group = types["control_msgs/msg/InterfaceValue"]
+        message = types[topic.type](
+            header=_header(0, self._frame_id),
+            interface_groups=[VEHICLE_GROUP, REASONS_GROUP],
+            interface_values=[
+                group(interface_names=list(topic.names), values=np.zeros(len(topic.names))),
+                group(interface_names=[name for name, _ in reasons], values=np.array([float(level) for _, level in reasons])),
+            ],
+        )
+        return Prepared(topic, message, [f"interface_values[0].values[{i}]" for i in range(len(topic.names))])
+
+
 def diagnostic_array(stamp: int, statuses: Sequence[Status], frame_id: str) -> bytes:
     """A DiagnosticArray."""
     types = typestore().types
-    seconds, nanoseconds = divmod(stamp, SECOND_NS)
-    header = types["std_msgs/msg/Header"](
-        stamp=types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds), frame_id=frame_id
-    )
     key_value, status = types["diagnostic_msgs/msg/KeyValue"], types["diagnostic_msgs/msg/DiagnosticStatus"]
     listed = [
         status(
@@ -73,7 +103,14 @@ def diagnostic_array(stamp: int, statuses: Sequence[Status], frame_id: str) -> b
         for given in statuses
     ]
     kind = "diagnostic_msgs/msg/DiagnosticArray"
-    return serialized(types[kind](header=header, status=listed), kind)
+    return serialized(types[kind](header=_header(stamp, frame_id), status=listed), kind)
+
+
+def _header(stamp: int, frame_id: str) -> Any:
+    types = typestore().types
+    seconds, nanoseconds = divmod(stamp, SECOND_NS)
+    time = types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds)
+    return types["std_msgs/msg/Header"](stamp=time, frame_id=frame_id)
 
 
 class InputReader:

@@ -13,12 +13,15 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 
+from trackres_ros.errors import InputError
 from trackres_ros.node.application import Application
-from trackres_ros.node.dds.messages import InputReader, Prepared, clock_ns, diagnostic_array
+from trackres_ros.node.dds.messages import InputReader, Prepared, PreparedEstimate, clock_ns, diagnostic_array, prepared
 from trackres_ros.node.dds.participant import Participant, Reader
-from trackres_ros.node.edge import Level, Peer, Status
-from trackres_ros.node.endpoints import Quality, full_name, input_name, input_quality, output_quality
+from trackres_ros.node.dds.wire import typestore
+from trackres_ros.node.edge import Level, Peer, Reasons, Status
+from trackres_ros.node.endpoints import InputTopic, Quality, full_name, input_name, input_quality, output_quality
 from trackres_ros.node.inbox import Arrival, Inbox
+from trackres_ros.node.parameter_file import LOOK_EVERY_S, ParameterFile
 from trackres_ros.node.parameters import Parameters
 from trackres_ros.node.signals import SignalRequests
 from trackres_ros.recording.cdr import MalformedError
@@ -50,13 +53,16 @@ class DdsNode:
         for topic in application.outputs:
             name = full_name(topic.name, node, namespace)
             self._writers.append(self._participant.writer(name, topic.type, output_quality(parameters, topic)))
-            self._prepared.append(None if topic.kind == "status" else Prepared(topic, self._frame_id))
+            self._prepared.append(None if topic.kind in ("status", "estimate") else prepared(topic, self._frame_id))
+        self._estimate = PreparedEstimate(self._frame_id)
+        self._namespace = namespace
         self._input_names = [input_name(given.name, namespace) for given in application.inputs]
         self._quality = input_quality(parameters)
         self._readers = [
             self._participant.reader(name, given.type, self._quality)
             for name, given in zip(self._input_names, application.inputs, strict=True)
         ]
+        self._kept: list[tuple[int, Reader]] = []
         self._clock: Reader | None = None
         self._sim_ns = 0
         if parameters.sim_time:
@@ -79,9 +85,13 @@ class DdsNode:
 
     def publish(self, output: int, stamp_ns: int, values: Sequence[float]) -> None:
         """Publish a message of numbers."""
-        prepared = self._prepared[output]
-        assert prepared is not None
-        self._writers[output].write(prepared.filled(stamp_ns, values))
+        message = self._prepared[output]
+        assert message is not None
+        self._writers[output].write(message.filled(stamp_ns, values))
+
+    def publish_estimate(self, output: int, stamp_ns: int, values: Sequence[float], reasons: Reasons) -> None:
+        """Publish the message of `topics.ESTIMATE_TOPIC`."""
+        self._writers[output].write(self._estimate.filled(stamp_ns, values, reasons))
 
     def publish_status(self, output: int, stamp_ns: int, statuses: Sequence[Status]) -> None:
         """Publish a DiagnosticArray."""
@@ -101,6 +111,17 @@ class DdsNode:
             if found.topic == self._input_names[index]
         ]
 
+    def record(self, others: Sequence[InputTopic]) -> Sequence[str | None]:
+        """Have every message kept, of other topics besides."""
+        store = typestore()
+        for index, given in enumerate(others, len(self._readers)):
+            if given.type in store.types:
+                name = input_name(given.name, self._namespace)
+                self._kept.append((index, self._participant.reader(name, given.type, self._quality)))
+        self._participant.announce()
+        kinds = [given.type for given in (*self.application.inputs, *others)]
+        return [store.generate_msgdef(kind, ros_version=2)[0] if kind in store.types else None for kind in kinds]
+
     def log(self, level: Level, text: str) -> None:
         """One line on standard error, as ROS 2 writes it."""
         severity = {Level.OK: "INFO", Level.ERROR: "ERROR"}.get(level, "WARN")
@@ -111,16 +132,17 @@ class DdsNode:
 
     # Running
 
-    def spin(self, requests: SignalRequests) -> None:
-        """Run until a signal asks to stop, and do what others ask for."""
+    def spin(self, requests: SignalRequests, watched: ParameterFile | None = None) -> None:
+        """Run until a signal asks to stop, and do what others ask for; a parameter file may be watched."""
         application = self.application
         why = "without rclpy" if importlib.util.find_spec("rclpy") else "rclpy is not there"
         reach = self._participant.reach
-        self.log(Level.OK, f"{why}: on Cyclone DDS {reach}: topics and presence, no parameter or lifecycle services")
+        instead = f"; {watched.path} is watched for changes" if watched else ""
+        self.log(Level.OK, f"{why}: on Cyclone DDS {reach}: topics and presence, no parameter or lifecycle services{instead}")
         self.log(Level.OK, f"{application.vehicle.title}; {application.began_with}")
         application.activate()
         wait = self._participant.waiter()
-        self._next_tick = time.monotonic_ns()
+        self._next_tick = next_look = time.monotonic_ns()
         requests.started()
         while not requests.to_stop:
             left = self._next_tick - time.monotonic_ns()
@@ -131,14 +153,31 @@ class DdsNode:
                     with suppress(MalformedError):
                         self._set_clock(clock_ns(raw))
             self._inbox.collect()
+            for index, kept in self._kept:
+                for raw, _ in kept.take():
+                    application.keep(index, raw, application.arrival())
             # A simulated clock stands while messages are worked off, and none comes between it and them.
             self._inbox.work_off(self._tick_if_due, collecting=self._clock is None)
             self._tick_if_due()
             for level, text in requests.carry_out(application):
                 self.log(level, text)
+            if watched and time.monotonic_ns() >= next_look:
+                next_look = time.monotonic_ns() + int(LOOK_EVERY_S * SECOND_NS)
+                self._follow(watched)
+
+    def _follow(self, watched: ParameterFile) -> None:
+        """Change what a parameter file has changed: all of it, or nothing."""
+        try:
+            changed = watched.look()
+            if changed:
+                self.application.change(changed)
+                self.log(Level.OK, watched.applied(changed))
+        except InputError as error:
+            self.log(Level.WARN, watched.refused(error))
 
     def _hand(self, index: int, message: tuple[bytes, int], arrived: Arrival) -> None:
         raw, sent_ns = message
+        self.application.keep(index, raw, arrived)
         try:
             stamp, values = self._input_readers[index].read(raw)
         except Exception:  # whatever the bytes are, they end nothing
@@ -170,6 +209,7 @@ def run(
     namespace: str,
     requests: SignalRequests,
     started: Callable[[Application], None] | None = None,
+    watched: ParameterFile | None = None,
 ) -> int:
     """Run the node until a signal asks to stop.
 
@@ -183,7 +223,7 @@ def run(
     try:
         if started:
             started(running.application)
-        running.spin(requests)
+        running.spin(requests, watched)
     finally:
         running.close()
     return 0

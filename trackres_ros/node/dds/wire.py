@@ -18,7 +18,7 @@ from cyclonedds.domain import Domain
 from cyclonedds.idl import make_idl_struct
 from cyclonedds.idl import types as idl
 from cyclonedds.util import duration
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from trackres_ros.errors import InputError
 from trackres_ros.node.endpoints import Quality
@@ -45,6 +45,12 @@ NUMBERS = {
     "float32": idl.float32,
     "float64": idl.float64,
 }
+CONTROL_MSGS = {
+    "control_msgs/msg/InterfaceValue": "string[] interface_names\nfloat64[] values",
+    "control_msgs/msg/DynamicInterfaceGroupValues": "std_msgs/Header header\nstring[] interface_groups\n"
+    "InterfaceValue[] interface_values",
+}
+"""Fields of the messages of control_msgs, which rosbags does not bring."""
 LOOPBACK = """<CycloneDDS><Domain>
 <General><AllowMulticast>false</AllowMulticast><Interfaces><NetworkInterface name="lo" multicast="false"/></Interfaces></General>
 <Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>{most}</MaxAutoParticipantIndex>
@@ -56,11 +62,13 @@ MOST_PORT = 65535
 
 @cache
 def typestore() -> Typestore:
-    """All common message types of ROS 2 Jazzy.
+    """All common message types of ROS 2 Jazzy, and those of ros2_control that the node publishes.
 
     rosidl hashes a `char` of a .msg file as uint8, rosbags as char: so it is made uint8 here, which is the same on the wire.
     """
     store = get_typestore(Stores.ROS2_JAZZY)
+    for name, text in CONTROL_MSGS.items():
+        store.register(get_types_from_msg(text, name))
     fields: Any = message_fields(store)
     for name, (constants, described) in list(fields.items()):
         fields[name] = (constants, [(field, _without_char(kind)) for field, kind in described])

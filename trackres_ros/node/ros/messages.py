@@ -8,17 +8,19 @@ from __future__ import annotations
 import re
 from array import array
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
+from ament_index_python.packages import get_package_share_directory
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rosidl_runtime_py.utilities import get_message
 from std_msgs.msg import Header
 
 from trackres_ros.errors import InputError
-from trackres_ros.node.edge import Status
+from trackres_ros.node.edge import Reasons, Status
 from trackres_ros.node.endpoints import InputTopic
-from trackres_ros.output.topics import OutputTopic
+from trackres_ros.output.topics import ESTIMATE_TOPIC, REASONS_GROUP, VEHICLE_GROUP, OutputTopic
 from trackres_ros.recording.message_types import NUMBERS, Definitions, Field, check_field
 from trackres_ros.units import SECOND_NS
 
@@ -64,6 +66,30 @@ def prepared(topic: OutputTopic, frame_id: str) -> Fill:
     return {"joints": joints, "wrench": wrench, "temperature": temperature}[topic.kind]
 
 
+class PreparedEstimate:
+    """The message of `topics.ESTIMATE_TOPIC`, filled anew; its reasons only when they are others."""
+
+    def __init__(self, frame_id: str) -> None:
+        self._message = installed_type(ESTIMATE_TOPIC.type, f"topic ~/{ESTIMATE_TOPIC.name}")()
+        self._message.header.frame_id = frame_id
+        self._message.interface_groups = [VEHICLE_GROUP, REASONS_GROUP]
+        group = get_message("control_msgs/msg/InterfaceValue")
+        self._vehicle, self._remarked = group(interface_names=list(ESTIMATE_TOPIC.names)), group()
+        self._message.interface_values = [self._vehicle, self._remarked]
+        self._reasons: Reasons = ()
+
+    def filled(self, stamp_ns: int, values: Sequence[float], reasons: Reasons) -> Any:
+        """The message with a stamp [ns], its numbers and the reasons that hold."""
+        stamp = self._message.header.stamp
+        stamp.sec, stamp.nanosec = divmod(stamp_ns, SECOND_NS)
+        self._vehicle.values = array("d", values)
+        if reasons != self._reasons:
+            self._remarked.interface_names = [name for name, _ in reasons]
+            self._remarked.values = array("d", [float(level) for _, level in reasons])
+            self._reasons = reasons
+        return self._message
+
+
 def diagnostic_array(stamp_ns: int, statuses: Sequence[Status], frame_id: str) -> DiagnosticArray:
     """A DiagnosticArray."""
     seconds, nanoseconds = divmod(stamp_ns, SECOND_NS)
@@ -91,17 +117,48 @@ def input_type(given: InputTopic, origin: str) -> Any:
         For a type that is not installed, or a field path that does not lead to a number.
     """
     where = f"{origin}: {', '.join(given.roles)}"
-    try:
-        message = get_message(given.type)
-    except (AttributeError, ImportError, ValueError):
-        package = given.type.split("/")[0].replace("_", "-")
-        raise InputError(
-            f"{where}: type", given.type, "an installed message type", f"install it: sudo apt install ros-jazzy-{package}"
-        ) from None
+    message = installed_type(given.type, where)
     types = definitions(given.type)
     for binding in given.bindings:
         check_field(types, given.type, binding.field, f"{where}: field")
     return message
+
+
+def installed_type(name: str, where: str) -> Any:
+    """The class of a message type.
+
+    Raises
+    ------
+    InputError
+        If it is not installed.
+    """
+    try:
+        return get_message(name)
+    except (AttributeError, ImportError, ValueError):
+        package = name.split("/")[0].replace("_", "-")
+        raise InputError(
+            f"{where}: type", name, "an installed message type", f"install it: sudo apt install ros-jazzy-{package}"
+        ) from None
+
+
+def type_text(msgtype: str) -> str | None:
+    """The text that defines a message type and all it contains, as a bag keeps it; None where its definition is not installed."""
+    found: dict[str, str] = {}
+    wanted = [msgtype]
+    while wanted:
+        name = wanted.pop(0)
+        if name in found:
+            continue
+        package, kind, short = name.split("/")
+        try:
+            path = Path(get_package_share_directory(package)) / kind / f"{short}.msg"
+            found[name] = path.read_text(encoding="utf-8")
+            wanted += [field.type for field in definitions(name)[name] if "/" in field.type]
+        except (LookupError, OSError, AttributeError, ImportError, ValueError):
+            return None
+    first, *others = found
+    parts = [f"MSG: {name.replace('/msg/', '/')}\n{found[name]}" for name in others]
+    return f"\n{'=' * 80}\n".join([found[first], *parts])
 
 
 def definitions(msgtype: str) -> Definitions:

@@ -18,18 +18,27 @@ from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallba
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible
+from rclpy.serialization import serialize_message
 from rclpy.subscription import Subscription
 from std_srvs.srv import Trigger
 
 from trackres_ros.errors import InputError
 from trackres_ros.node.application import Application
-from trackres_ros.node.edge import Level, Peer, Status
-from trackres_ros.node.endpoints import Quality, input_quality, output_quality
+from trackres_ros.node.edge import Level, Peer, Reasons, Status
+from trackres_ros.node.endpoints import InputTopic, Quality, input_quality, output_quality
 from trackres_ros.node.inbox import Arrival, Inbox
 from trackres_ros.node.parameters import Parameters, make_parameters
 from trackres_ros.node.ros import parameters as ros_parameters
-from trackres_ros.node.ros.messages import Fill, diagnostic_array, input_type, prepared
-from trackres_ros.output.topics import DEFAULT_NODE
+from trackres_ros.node.ros.messages import (
+    Fill,
+    PreparedEstimate,
+    diagnostic_array,
+    input_type,
+    installed_type,
+    prepared,
+    type_text,
+)
+from trackres_ros.output.topics import DEFAULT_NODE, ESTIMATE_TOPIC
 from trackres_ros.units import SECOND_NS
 
 COLLECTED_FROM_HZ = 20.0  # of the outputs: the inputs' queues hold what comes between two of them, at 1 kHz too
@@ -146,17 +155,20 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         kinds = [input_type(given, application.topics.origin) for given in application.inputs]
         self.application = application
         self._fills: list[Fill | None] = []
-        self._outputs = []
+        self._outputs: list[Any] = []  # None where the type of a topic is not installed
+        self._estimate = self._prepared_estimate()
         for topic in application.outputs:
+            if topic is ESTIMATE_TOPIC and self._estimate is None:
+                self._fills.append(None)
+                self._outputs.append(None)
+                continue
             name = topic.name if topic.name.startswith("/") else f"~/{topic.name}"
             profile = _profile(output_quality(parameters, topic))
             events = PublisherEventCallbacks(
                 incompatible_qos=self._reporter(f"a subscriber of {name}"), use_default_callbacks=False
             )
-            kind = type(diagnostic_array(0, [], "")) if topic.kind == "status" else None
-            fill = None if kind else prepared(topic, self._frame_id)
-            self._fills.append(fill)
-            kind = kind or type(fill(0, [0.0] * max(len(topic.columns), 1)))  # type: ignore[misc]
+            self._fills.append(None if topic.kind in ("status", "estimate") else prepared(topic, self._frame_id))
+            kind = installed_type(topic.type, f"topic {name}")
             self._outputs.append(self.create_lifecycle_publisher(kind, name, profile, event_callbacks=events))
         self._input_profile = _profile(input_quality(parameters))
         self._gate = Gate()
@@ -173,6 +185,8 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
             )
             for index, (given, kind) in enumerate(zip(application.inputs, kinds, strict=True))
         ]
+        self._recording = False
+        self._kept: list[Any] = []
         self._inbox = Inbox(
             [partial(_come, given) for given in self._inputs],
             self._hand,
@@ -214,14 +228,22 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         self.get_logger().info(application.close())
         self._jumps.unregister()
         self.destroy_timer(self._ticker)
-        for given in self._inputs:
+        for given in (*self._inputs, *self._kept):
             self.destroy_subscription(given)
-        for output in self._outputs:
+        for output in filter(None, self._outputs):
             self.destroy_lifecycle_publisher(output)
         for service in self._offered:
             self.destroy_service(service)
 
     # What the application asks of its edge
+
+    def _prepared_estimate(self) -> PreparedEstimate | None:
+        """None where its type is not installed: it is the only topic whose type is not among the common interfaces."""
+        try:
+            return PreparedEstimate(self._frame_id)
+        except InputError as error:
+            self.get_logger().warning(f"~/{ESTIMATE_TOPIC.name} is not published, all other topics are: {error}")
+            return None
 
     def now_ns(self) -> int:
         """The node's time, simulated where use_sim_time is set."""
@@ -232,6 +254,11 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         fill = self._fills[output]
         assert fill
         self._outputs[output].publish(fill(stamp_ns, values))
+
+    def publish_estimate(self, output: int, stamp_ns: int, values: Sequence[float], reasons: Reasons) -> None:
+        """Publish the message of `topics.ESTIMATE_TOPIC`, where its type is installed."""
+        if self._estimate is not None:
+            self._outputs[output].publish(self._estimate.filled(stamp_ns, values, reasons))
 
     def publish_status(self, output: int, stamp_ns: int, statuses: Sequence[Status]) -> None:
         """Publish a DiagnosticArray."""
@@ -246,6 +273,20 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
             )
             for found in self.get_publishers_info_by_topic(self._inputs[index].topic_name)
         ]
+
+    def record(self, others: Sequence[InputTopic]) -> Sequence[str | None]:
+        """Have every message kept, of other topics besides."""
+        assert self.application
+        self._recording = True
+        texts = [type_text(given.type) for given in (*self.application.inputs, *others)]
+        for index, given in enumerate(others, len(self.application.inputs)):
+            if texts[index] is not None:
+                kind = installed_type(given.type, given.name)
+                take = partial(self._keep, index)
+                self._kept.append(
+                    self.create_subscription(kind, given.name, take, self._input_profile, callback_group=Gate(), raw=True)
+                )
+        return texts
 
     def log(self, level: Level, text: str) -> None:
         """Say something in the log of the node."""
@@ -291,7 +332,13 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
 
     def _hand(self, index: int, message: Taken, arrived: Arrival) -> None:
         if self.application:
+            if self._recording:
+                self.application.keep(index, serialize_message(message[0]), arrived)
             self.application.receive(index, message[0], message[1]["source_timestamp"], arrived)
+
+    def _keep(self, index: int, raw: bytes) -> None:
+        if self.application:
+            self.application.keep(index, raw, self.application.arrival())
 
     def _wait_or_collect(self, application: Application) -> None:
         """Wait for messages where they are answered, or where simulated time stamps their arrival and runs fast.

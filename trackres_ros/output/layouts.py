@@ -1,17 +1,25 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Layouts of PlotJuggler and Foxglove for the node's topics, made from the table of topics."""
+"""Layouts of PlotJuggler and Foxglove for the topics of a node or of a replay's bag, made from the table of topics."""
+
+from __future__ import annotations
 
 import json
 import xml.etree.ElementTree as ET
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
+from trackres_ros.files.output_files import output_folder
+from trackres_ros.files.own_files import write
 from trackres_ros.output.topics import DEFAULT_NODE, TOTALS, OutputTopic, output_topics
 from trackres_ros.vehicle import Vehicle
 
 COLOURS = ("#1f77b4", "#d62728", "#2ca02c", "#ff7f0e", "#9467bd", "#8c564b", "#17becf", "#bcbd22")
 SHOWN_S = 600.0
+DEFAULT_BASE = f"/{DEFAULT_NODE}"
+"""Full name of the node; topics in the bag of a replay stand below it too."""
 
 
 @dataclass(frozen=True)
@@ -31,38 +39,54 @@ class Plot:
     curves: tuple[Curve, ...]
 
 
-def plots(vehicle: Vehicle) -> tuple[Plot, ...]:
+def write_layouts(vehicle: Vehicle, folder: Path, base: str = DEFAULT_BASE) -> list[Path]:
+    """Write `plotjuggler.xml` and `foxglove.json` for a vehicle's topics below a node's full name.
+
+    Raises
+    ------
+    InputError
+        If the folder cannot be made or written to.
+    """
+    folder = output_folder(folder, "--output")
+    folder.mkdir(parents=True, exist_ok=True)
+    texts = {folder / "plotjuggler.xml": plotjuggler(vehicle, base), folder / "foxglove.json": foxglove(vehicle, base)}
+    for path, text in texts.items():
+        write(path, text.encode())
+    return list(texts)
+
+
+def plots(vehicle: Vehicle, base: str = DEFAULT_BASE) -> tuple[Plot, ...]:
     """Torque by part, feed-forward, belts, and measured against expected torque."""
     topics = {topic.name: topic for topic in output_topics(vehicle)}
     resistance, residual = topics["resistance_torque"], topics["torque_residual"]
     assemblies = [assembly.name for assembly in vehicle.assemblies]
-    wrench = f"/{DEFAULT_NODE}/feedforward_torque"
+    wrench = f"{base}/feedforward_torque"
+
+    def joints(topic: OutputTopic, names: Sequence[str]) -> tuple[Curve, ...]:
+        full = f"{base}/{topic.name}"
+        return tuple(Curve(name, f"{full}/{name}/effort", f"{full}.effort[{topic.names.index(name)}]") for name in names)
+
     return (
-        Plot("Torque about y that resists, by part [Nm]", tuple(_joint(resistance, name) for name in TOTALS if name != "drive")),
+        Plot("Torque about y that resists, by part [Nm]", joints(resistance, [name for name in TOTALS if name != "drive"])),
         Plot("Feed-forward torque [Nm]", (Curve("feed-forward", f"{wrench}/wrench/torque/y", f"{wrench}.wrench.torque.y"),)),
         Plot(
             "Belt temperature [degC]",
             tuple(
                 Curve(name, f"{topic}/temperature", f"{topic}.temperature")
                 for name in assemblies
-                for topic in (f"/{DEFAULT_NODE}/track_temperature/{name}",)
+                for topic in (f"{base}/track_temperature/{name}",)
             ),
         ),
-        Plot("Torque about y that resists, by assembly [Nm]", tuple(_joint(resistance, f"total/{name}") for name in assemblies)),
-        Plot("Measured and expected torque [Nm]", tuple(_joint(residual, name) for name in residual.names)),
+        Plot("Torque about y that resists, by assembly [Nm]", joints(resistance, [f"total/{name}" for name in assemblies])),
+        Plot("Measured and expected torque [Nm]", joints(residual, residual.names)),
     )
 
 
-def _joint(topic: OutputTopic, name: str) -> Curve:
-    base = f"/{DEFAULT_NODE}/{topic.name}"
-    return Curve(name, f"{base}/{name}/effort", f"{base}.effort[{topic.names.index(name)}]")
-
-
-def plotjuggler(vehicle: Vehicle) -> str:
+def plotjuggler(vehicle: Vehicle, base: str = DEFAULT_BASE) -> str:
     """A layout file of PlotJuggler 3: a tab for the torque, one for the assemblies."""
     root = ET.Element("root")
-    widget = ET.SubElement(root, "tabbed_widget", name="Main Window", parent="main_window")
-    everything = plots(vehicle)
+    widget = ET.SubElement(root, "tabbed_widget", {"name": "Main Window", "parent": "main_window"})
+    everything = plots(vehicle, base)
     for title, shown in (("torque and temperature", everything[:3]), ("assemblies, measured", everything[3:])):
         tab = ET.SubElement(widget, "Tab", tab_name=title, containers="1")
         share = ";".join(f"{1 / len(shown):.6f}" for _ in shown)
@@ -82,7 +106,7 @@ def plotjuggler(vehicle: Vehicle) -> str:
     return f"<?xml version='1.0' encoding='UTF-8'?>\n{ET.tostring(root, encoding='unicode')}\n"
 
 
-def foxglove(vehicle: Vehicle) -> str:
+def foxglove(vehicle: Vehicle, base: str = DEFAULT_BASE) -> str:
     """A layout file of Foxglove: the plots one below the other, the diagnostics at their side."""
     panels: dict[str, object] = {
         f"Plot!trackres{number}": {
@@ -105,7 +129,7 @@ def foxglove(vehicle: Vehicle) -> str:
             "xAxisVal": "timestamp",
             "followingViewWidth": SHOWN_S,
         }
-        for number, plot in enumerate(plots(vehicle))
+        for number, plot in enumerate(plots(vehicle, base))
     }
     column = _column(list(panels))
     panels["DiagnosticSummary!trackres"] = {

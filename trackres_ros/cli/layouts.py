@@ -1,0 +1,43 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""`trackres layouts` writes what PlotJuggler and Foxglove open to show a vehicle's topics."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+import trackres_ros as tr
+from trackres_ros.cli.common import Command, emit, folder_option, json_option, vehicle_option
+from trackres_ros.cli.live import check_names
+
+
+@click.command("layouts", cls=Command)
+@vehicle_option
+@click.option("--name", default="trackres", show_default=True, help="Name of the node.")
+@click.option("--namespace", default="/", show_default=True, help="Namespace of the node.")
+@folder_option("Folder to write into.")
+@json_option
+def layouts_command(vehicle: str, name: str, namespace: str, output: Path, as_json: bool) -> None:
+    """Write layouts of PlotJuggler and Foxglove for a vehicle: torque by part and assembly, feed-forward, belts, residual.
+
+    They show the topics of a live node, and those in the bag of a replay (`-o out.mcap`), which stand below /trackres.
+
+    \b
+    trackres layouts --vehicle my_vehicle.yaml -o layouts
+    plotjuggler --layout layouts/plotjuggler.xml
+    """
+    from trackres_ros.output.layouts import write_layouts
+
+    check_names(name, namespace)
+    written = write_layouts(tr.load_vehicle(vehicle), output, f"{namespace.rstrip('/')}/{name}")
+
+    def text() -> str:
+        return (
+            f"Written: {', '.join(map(str, written))}\n"
+            f"Next: plotjuggler --layout {written[0]}; in Foxglove: Layouts, import from file, {written[1]}"
+        )
+
+    emit({"written": [str(path) for path in written]}, as_json, text)
