@@ -84,6 +84,8 @@ def drawn(monkeypatch):
 
     def saved(figure, *args, **kwargs):
         save(figure, *args, **kwargs)
+        if kwargs.get("format") == "svg":  # laid out for its own resolution
+            figure.draw_without_rendering()
         figures.append(figure)
 
     monkeypatch.setattr(Figure, "savefig", saved)

@@ -94,9 +94,11 @@ def test_each_step_lies_in_the_bin_it_is_said_to(diagnosed):
         for name in bins_by_variable(diagnosed.at_base.bins):
             assert len(letters[name]) == len(session)
             assert {n for n, letter in enumerate(letters[name]) if letter == "."} >= set(np.flatnonzero(~session.used))
-        for n, b in enumerate(bins_by_variable(diagnosed.at_base.bins)["speed"]):
-            inside = [letter == str(n) for letter in letters["speed"]]
-            assert np.all((session.speed[inside] >= b.low) & (session.speed[inside] <= b.high))
+        for name, series in (("speed", session.speed), ("yaw rate to the left", session.yaw_rate)):  # often just 0, an edge
+            for n, b in enumerate(bins_by_variable(diagnosed.at_base.bins)[name]):
+                of = {str(n), chr(ord("a") + n), *([chr(ord("a") + n - 1)] if n else [])}
+                inside = [letter in of for letter in letters[name]]
+                np.testing.assert_array_equal(inside, session.used & (series >= b.low) & (series <= b.high))
     assert any("0" in of["effect:turning_scrub"] for of in where_each_step_is(diagnosed))
 
 

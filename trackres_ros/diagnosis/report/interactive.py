@@ -11,6 +11,7 @@ from __future__ import annotations
 import base64
 import gzip
 import json
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,6 +39,7 @@ Array = NDArray[np.float64]
 
 COLOURS = {"nominal": GREY, "refitted": BLUE, "with_effects": VERMILION}
 MOST_RECORDINGS = 24
+DOCUMENT = "diagnosis"
 SHOWN_EACH_S = 4.0  # of means over `SMOOTHED_S`
 LONGEST_LAP_S = 1200.0
 TITLE_LETTERS = 60
@@ -96,23 +98,33 @@ def interactive(d: Diagnosis) -> Interactive:
     drawn: list[tuple[str, Any]] = [*_over_time(d, shown), *_lap(d), *_bars(d)]
     for _, figure in drawn:
         document.add_root(figure)
-    documents, (item,) = standalone_docs_json_and_render_items([figure for _, figure in drawn])
-    places = item.to_json()
-    elements = {str(root): str(element) for root, element in places["roots"].items()}
+    (content,) = standalone_docs_json_and_render_items([figure for _, figure in drawn])[0].values()
+    text, name = _named_in_order(json.dumps(content))
+    roots = [name[str(figure.id)] for _, figure in drawn]
     steps = [{"begin": float(s.time[0]), "step": s.step, **of} for s, of in zip(d.sessions, where_each_step_is(d), strict=True)]
     data = {
-        "documents": documents,
-        "items": [places],
+        "documents": {DOCUMENT: json.loads(text)},
+        "items": [{"docid": DOCUMENT, "roots": {root: f"plot-{root}" for root in roots}, "root_ids": roots}],
         "steps": dict(enumerate(steps)),
-    }  # fmt: skip
+    }
     library = "\n".join(Resources(mode="inline", components=["bokeh"]).js_raw)
-    plots = tuple(Plot(part, elements[str(figure.id)], figure.title.text) for part, figure in drawn)
+    plots = tuple(Plot(part, f"plot-{root}", figure.title.text) for root, (part, figure) in zip(roots, drawn, strict=True))
     return Interactive(plots, packed(library), bokeh.__version__, packed(json.dumps(data)))
 
 
 def packed(text: str) -> str:
     """A text as the page holds it; the same text gives the same."""
     return base64.b64encode(gzip.compress(text.encode(), 9, mtime=0)).decode()
+
+
+def _named_in_order(text: str) -> tuple[str, dict[str, str]]:
+    """A document whose models are numbered from one, whatever was drawn before in this process, and the number of each."""
+    names: dict[str, str] = {}
+
+    def numbered(found: re.Match[str]) -> str:
+        return f'"id": "{names.setdefault(found[1], f"p{len(names) + 1}")}"'
+
+    return re.sub(r'"id": "(p\d+)"', numbered, text), names
 
 
 def _figure(title: str, height: int, zoom: bool = True, **more: Any) -> Any:

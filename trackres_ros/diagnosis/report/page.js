@@ -40,11 +40,14 @@ async function start() {
       const [session, unit] = source.tags;
       const steps = data.steps[session];
       const letters = (of === null ? null : steps[of]) ?? "";
+      const number = Number(letter);
+      // On an edge a step is in two bins: "a" in 0 and 1, "b" in 1 and 2, and so on.
+      const lit = new Set([letter, String.fromCharCode(97 + number), ...(number > 0 ? [String.fromCharCode(96 + number)] : [])]);
       const x0 = [], x1 = [];
       for (let i = 0; i < letters.length; i++) {
-        if (letters[i] !== letter) continue;
+        if (!lit.has(letters[i])) continue;
         const first = i;
-        while (letters[i + 1] === letter) i++;
+        while (lit.has(letters[i + 1])) i++;
         x0.push((steps.begin + steps.step * first) / unit);
         x1.push((steps.begin + steps.step * (i + 1)) / unit);
         if (unit === 60) seconds += steps.step * (i + 1 - first);

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 SMOOTHED_S = 20.0
 BROKEN_S = 2.0  # a longer time without a sample that counts breaks the line
-NOWHERE = "."
+NOWHERE, IN_TWO = ".", "a"
 INTERVAL = 1.96  # standard deviations, of 95 %
 
 
@@ -72,7 +72,8 @@ def bins_by_variable(bins: Sequence[Bin]) -> dict[str, list[Bin]]:
 
 
 def where_each_step_is(d: Diagnosis) -> list[dict[str, str]]:
-    """Of each session by variable, a letter a step: the number of the bin that it is in, `NOWHERE` where none or not compared.
+    """Of each session by variable, a letter a step: the number of the bin that it is in, `NOWHERE` where none or not compared;
+    on an edge, where two bins share it, letters from `IN_TWO` on, of which the first is of bins 0 and 1.
 
     An effect has an entry too, ``effect:NAME``: 0 where it acts most.
     """
@@ -95,7 +96,9 @@ def where_each_step_is(d: Diagnosis) -> list[dict[str, str]]:
 def _letters(length: int, inside: Sequence[Mask]) -> str:
     codes = np.full(length, ord(NOWHERE), np.uint8)
     for number, mask in enumerate(inside):
+        shared = mask & (codes != ord(NOWHERE))
         codes[mask] = ord("0") + number
+        codes[shared] = ord(IN_TWO) + number - 1
     return codes.tobytes().decode()
 
 
