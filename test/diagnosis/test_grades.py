@@ -173,8 +173,8 @@ def test_of_two_that_are_refuted_only_the_worse_goes_if_the_other_is_sound_witho
     (0.0, 1.0, True), (2.0, 1.0, True), (0.001, 1.0, True), (1.999, 1.0, True),
     (0.003, 1.0, False), (1.997, 1.0, False), (0.0, 0.0, False), (0.0, 0.002, False),
 ])  # fmt: skip
-def test_what_takes_the_place_of_what_the_vehicle_has_goes_however_much_better_laps_are_with_it(beside, without, goes):
-    errors = {(): 100.0, ("a",): 60.0, ("b",): 90.0, ("a", "b"): 50.0}
+def test_what_takes_the_place_of_what_the_vehicle_has_goes_though_laps_are_a_little_better_with_it(beside, without, goes):
+    errors = {(): 100.0, ("a",): 92.0, ("b",): 60.0, ("a", "b"): 56.0}
     rolling = {("a", "b"): beside, ("a",): beside, ("b",): without, (): without}
     final, refitted, laps = fits(errors, effect("a"), effect("b"), rolling=rolling)
     kept, graded, refuted = confirm(final, refitted, laps)
@@ -182,6 +182,14 @@ def test_what_takes_the_place_of_what_the_vehicle_has_goes_however_much_better_l
     assert [a.effect.name for a in kept.effects] == (["b"] if goes else ["a", "b"])
     assert {g.grade for g in graded.values()} == {CONFIRMED}
     assert all((g.displaces, g.grade) == (("rolling",), REFUTED) for g in refuted)
+
+
+@pytest.mark.parametrize(("error", "goes"), [(90.1, True), (89.9, False), (50.0, False)])
+def test_what_makes_laps_much_better_stays_wherever_the_base_goes(error, goes):
+    final, refitted, laps = fits({(): 100.0, ("a",): error}, effect("a"), rolling={("a",): 0.0})
+    kept, _, refuted = confirm(final, refitted, laps)
+    assert [g.name for g in refuted] == (["a"] if goes else [])
+    assert (kept is final) == (not goes)
 
 
 def test_effects_that_are_worse_together_than_none_go_though_each_helps_the_other():

@@ -24,6 +24,7 @@ from trackres_ros.text.numbers import figures
 Array = NDArray[np.float64]
 
 ON_BOUND = 1e-3  # of the span between the bounds
+LITTLE = 0.1  # of the mean error: what takes the place of a value of the base makes no more than that better
 MOVED = 1.5  # standard deviations of the file's own range
 
 
@@ -38,8 +39,8 @@ class Graded:
     on_bounds
         Parameters that lie on a bound other than the value without effect.
     displaces
-        Parameters of the base that lie on an implausible bound beside it, and not without it: it takes the place of what the
-        base has, as an offset of the sensor does of a vehicle that rolls without resistance.
+        Parameters of the base that lie on an implausible bound beside it, and not without it, where it makes held-out laps
+        little better: it takes the place of what the base has, as an offset of the sensor does of all that rolling resists.
     grade
         `confirmed`, `suspected` or `refuted`; what lies on a bound is at best suspected, what displaces is refuted.
     """
@@ -147,8 +148,10 @@ def _graded(active: Active, final: Fit, refitted: Fit, laps: HeldOutLaps) -> Gra
         for bound in (q.low, q.high)
         if q.fitted and bound != q.off and abs(active.values[q.name] - bound) <= ON_BOUND * (q.high - q.low)
     )
-    gone = set(at_implausible_bounds(final)) - set(at_implausible_bounds(without))
-    return Graded(name, laps.improvement_of(without, final), on_bounds, tuple(sorted(gone)))
+    improvement = laps.improvement_of(without, final)
+    little = improvement.before - improvement.after < LITTLE * improvement.before
+    gone = set(at_implausible_bounds(final)) - set(at_implausible_bounds(without)) if little else ()
+    return Graded(name, improvement, on_bounds, tuple(sorted(gone)))
 
 
 def at_implausible_bounds(found: Fit) -> tuple[str, ...]:
