@@ -238,7 +238,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
     # What the application asks of its edge
 
     def _prepared_estimate(self) -> PreparedEstimate | None:
-        """None where its type is not installed, or is another: it is the only topic whose type is not among the common interfaces."""
+        """None where its type is not installed, or is another: it alone is not among the common interfaces."""
         try:
             return PreparedEstimate(self._frame_id)
         except (InputError, AttributeError, AssertionError, TypeError) as error:  # not there, or of another version
