@@ -28,7 +28,7 @@ from trackres_ros.diagnosis.report.noise_pictures import autocorrelation, cumula
 from trackres_ros.diagnosis.report.page import write_page
 from trackres_ros.diagnosis.report.provenance import provenance, sha256
 from trackres_ros.diagnosis.report.series import bins_by_variable, half_interval, uncertainty, where_each_step_is
-from trackres_ros.diagnosis.report.tiles import MOST_WORDS, headline, lights, stage_of, tiles
+from trackres_ros.diagnosis.report.tiles import MOST_WORDS, by_file, headline, lights, stage_of, tiles
 
 ON_PAPER = pytest.mark.skipif(BROWSER is None or not shutil.which("pdftoppm"), reason="no chromium or pdftoppm on this machine")
 HALF = 0.5
@@ -65,6 +65,25 @@ def test_the_sentence_is_short_whatever_was_found(status, grade, names, before, 
     assert 4 < len(headline(r).split()) < MOST_WORDS
     assert [t.name for t in tiles(r)] == ["Where", "What", "How much better", "Next"]
     assert all(t.answer and t.detail for t in tiles(r))
+
+
+def test_what_is_of_the_surroundings_is_not_said_to_be_in_the_vehicle_file():
+    r = report_of("named", "confirmed", [["grade"], ["warmup"]])
+    r["effects"][0]["belongs_to"] = "surroundings"
+    last = tiles(r)[-1]
+    assert last.answer == "Use vehicle.yaml and surroundings.yaml"
+    assert last.detail == "the first has warmup; surroundings.yaml has grade, for where it holds"
+    assert by_file(r) == (["warmup"], ["grade"])
+    r["written"]["effects"] = ["grade"]
+    assert tiles(r)[-1].detail == "surroundings.yaml has grade, for where it holds"
+
+
+def test_what_has_no_name_stands_beside_the_names():
+    described = [{"form": "payload", "grade": grade} for grade in ("confirmed", "suspected")]
+    assert (
+        tiles(report_of("named", "confirmed", [["grade"]], described=described[:1]))[1].answer == "grade and a payload (no name)"
+    )
+    assert tiles(report_of("named", "confirmed", [["grade"]], described=described[1:]))[1].answer == "grade"
 
 
 def test_the_tiles_say_what_the_report_does():

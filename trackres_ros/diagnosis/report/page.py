@@ -12,7 +12,7 @@ from typing import Any
 
 from trackres_ros.diagnosis.report.interactive import Interactive
 from trackres_ros.diagnosis.report.picture import Picture
-from trackres_ros.diagnosis.report.tiles import headline, lights, stage_of, tiles
+from trackres_ros.diagnosis.report.tiles import by_file, headline, lights, stage_of, tiles
 from trackres_ros.text.numbers import alike, decimals, figures
 from trackres_ros.text.templates import templates
 
@@ -63,6 +63,7 @@ def write_page(
         grades=GRADES,
         headline=headline(report),
         tiles=tiles(report),
+        by_file=by_file(report) if "written" in report else ([], []),
         lights=list(lights(report)),
         stage=stage_of(report),
         plots=plots if isinstance(plots, Interactive) else None,

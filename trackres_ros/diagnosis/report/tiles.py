@@ -128,6 +128,7 @@ def _what(r: dict[str, Any]) -> Tile:
         for e in r["effects"]:
             shares = [f"{_plain(n)} ({100 * (e['weights'].get(n) or 0.0):.0f} %)" for n in e["class"]]
             answers.append(_plain(e["name"]) if len(e["class"]) <= 1 else f"{', '.join(shares[:-1])} or {shares[-1]}")
+        answers += [f"a {_plain(t['form'])} (no name)" for t in r.get("described", ()) if t.get("grade") == "confirmed"]
         tied = any(len(e["class"]) > 1 for e in r["effects"])
         detail = SURE.get(grade, "")
         return Tile(name, " and ".join(answers), f"{detail}; cannot be told apart here".lstrip("; ") if tied else detail)
@@ -138,6 +139,13 @@ def _what(r: dict[str, Any]) -> Tile:
     if r.get("described"):
         return Tile(name, f"no name, a form: {_plain(r['described'][0]['form'])}", SURE.get(grade, ""))
     return Tile(name, "Unexplained", "no effect of the catalogue does it")
+
+
+def by_file(r: dict[str, Any]) -> tuple[list[str], list[str]]:
+    """Names of the effects that were written: to vehicle.yaml, and to surroundings.yaml."""
+    around = {e["name"] for e in r["effects"] if e.get("belongs_to") == "surroundings"}
+    written = r["written"]["effects"]
+    return [n for n in written if n not in around], [n for n in written if n in around]
 
 
 def _better(r: dict[str, Any]) -> Tile:
@@ -166,7 +174,11 @@ def _next(r: dict[str, Any]) -> Tile:
         return Tile(name, "Mend the sensor's reading", f"put into the topics file: {', '.join(r['topics_lines'])}")
     written = r.get("written") or {"base": False, "effects": []}
     if r["effects"] and written["effects"]:
-        return Tile(name, "Use vehicle.yaml", f"it has {' and '.join(_plain(n) for n in written['effects'])}")
+        here, elsewhere = (" and ".join(map(_plain, names)) for names in by_file(r))
+        if not elsewhere:
+            return Tile(name, "Use vehicle.yaml", f"it has {here}")
+        of_place = f"surroundings.yaml has {elsewhere}, for where it holds"
+        return Tile(name, "Use vehicle.yaml and surroundings.yaml", f"the first has {here}; {of_place}" if here else of_place)
     if r.get("described"):
         return Tile(name, "Look at the vehicle", " or ".join(r["described"][0]["mechanisms"][:2]))
     if r["verdict"]["status"] == "unexplained":
