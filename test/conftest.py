@@ -12,7 +12,7 @@ import pytest
 from hypothesis import settings
 
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.node.warm_up import exercise
+from trackres_ros.estimator.warm_up import exercise
 from trackres_ros.vehicle import load
 
 settings.register_profile("steady", deadline=None, derandomize=True)

@@ -30,7 +30,7 @@ def test_a_circle_is_found_and_named(rooms):
 
 def test_nothing_but_the_front_door_and_what_all_use_lies_at_the_root(repository):
     files = {path.name for path in (repository / "trackres_ros").glob("*.py")}
-    assert files == {"__init__.py", "__main__.py", "errors.py", "units.py", "checks.py"}
+    assert files == {"__init__.py", "__main__.py", "errors.py", "units.py", "checks.py", "progress.py"}
 
 
 def test_each_room_says_what_it_is_for(rooms):

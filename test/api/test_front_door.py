@@ -32,6 +32,7 @@ PRINTING = {
     "trackres_ros.errors": "one_line and nearest, for what is printed",
     "trackres_ros.text.numbers": "numbers as people are shown them",
     "trackres_ros.files.resources": "names of the shipped vehicles, for help",
+    "trackres_ros.progress": "how far work is",
     "trackres_ros.units": "units as people read them",
     "trackres_ros.model.resistance": "the parts of a torque, by name",
 }

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Without numba the same numbers come out."""
+"""In plain Python the same bits come out: without numba, and of a first run, which changes over to compiled code on the way."""
 
 import json
 import os
@@ -12,8 +12,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from trackres_ros.effects import Active, catalogue, stepping
-from trackres_ros.estimator.entry_points import interpreted_entries
+import trackres_ros as tr
+from trackres_ros.effects import Active, Effect, catalogue, stepping
+from trackres_ros.estimator import warm_up
+from trackres_ros.estimator.entry_points import COMPILED, interpreted_entries
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.jit.compiled import HAVE_NUMBA
 from trackres_ros.vehicle import load
@@ -50,8 +52,98 @@ def run(interpreted):
 def test_interpreted_equals_compiled():
     compiled, interpreted = run(False), run(True)
     assert (compiled[0], interpreted[0]) == (True, False)
-    for fast, slow in zip(compiled[1], interpreted[1], strict=True):
-        np.testing.assert_allclose(fast, slow, rtol=1e-9, atol=1e-9)
+    np.testing.assert_array_equal(np.array(compiled[1]), np.array(interpreted[1]))
+
+
+def a_drive(steps):
+    """Through standstill, forward and backward, up and down, in curves, with gaps."""
+    random = np.random.default_rng(8)
+    time = np.cumsum(random.choice([0.02, 0.1, 0.5, 40.0], steps, p=[0.3, 0.5, 0.19, 0.01]))
+    speed = 9.0 * np.sin(time / 31.0) + random.normal(0.0, 0.05, steps)
+    load, air = 272e3 + 2e4 * np.sin(time / 200.0), 15.0 + 20.0 * np.sin(time / 500.0)
+    accel, grade = np.cos(time / 31.0), 0.05 * np.sin(time / 90.0)
+    return time, speed, load, air, accel, grade, 0.2 * np.sin(time / 7.0), np.mod(time / 60.0, 6.0), np.nancumsum(abs(speed))
+
+
+def interpreted_and_compiled(vehicle):
+    for entries in (interpreted_entries(), COMPILED):
+        estimator = Estimator(vehicle, entries=entries)
+        yield estimator.run(estimator.cold_start(estimator.inputs(0.0)), *a_drive(250))[1]
+
+
+@pytest.mark.parametrize("names", [list(catalogue())[i::4] for i in range(4)])
+def test_every_effect_gives_the_same_bits(names):
+    base = load("xgd24d")
+    for name in names:
+        effect = catalogue()[name]
+        away = {q.name: q.start + 0.1371 * (q.high - q.start) for q in effect.parameters}
+        active = (Active(effect, away),)
+        own = {"surroundings": active} if effect.belongs_to == "surroundings" else {"effects": active}
+        plain, machine = interpreted_and_compiled(replace(base, **own))
+        np.testing.assert_array_equal(plain, machine, err_msg=name)
+        assert np.isfinite(machine[:, 0]).all()
+
+
+def test_a_replay_that_changes_over_gives_the_same_bits(tmp_path, monkeypatch):
+    time, speed = a_drive(20000)[:2]
+    drive = tmp_path / "drive.csv"
+    np.savetxt(drive, np.column_stack([time, speed]), delimiter=",", header="time_s,speed_mps", comments="", fmt="%.3f")
+    at_once = tr.replay(drive, "xgd24d")
+    made = []
+
+    class HalfWarm(warm_up.WarmUp):
+        """As on a machine where compiling takes two blocks."""
+
+        def __init__(self, work, **_):
+            super().__init__(work, meanwhile=False)
+            self.first = interpreted_entries()
+            self.asked = 0
+            made.append(self)
+
+        def finished(self):
+            self.asked += 1
+            return COMPILED if self.asked == 3 else None
+
+    monkeypatch.setattr(warm_up, "WarmUp", HalfWarm)
+    changed = tr.replay(drive, "xgd24d")
+    assert made[0].asked >= 3
+    assert changed.estimator.entries.compiled
+    for name in at_once:
+        np.testing.assert_array_equal(at_once[name], changed[name], err_msg=name)
+
+
+def test_the_first_simulation_is_the_second(monkeypatch):
+    second = tr.simulate("agri3t", speed_kmh=12, duration_s=120)
+    monkeypatch.setattr(warm_up, "is_warm", lambda _work: False)
+    monkeypatch.setattr(warm_up.subprocess, "Popen", Never)
+    first = tr.simulate("agri3t", speed_kmh=12, duration_s=120)
+    assert not first.estimator.entries.compiled
+    for name in second:
+        np.testing.assert_array_equal(first[name], second[name], err_msg=name)
+
+
+class Never:
+    """A compiling process that does not get there."""
+
+    def __init__(self, command, **_):
+        self.command = command
+
+    def wait(self):
+        return 1
+
+    def poll(self):
+        return None
+
+
+def test_an_effect_of_a_users_own_waits_for_compiled_steps():
+    class Own(Effect):
+        name = "own"
+
+    ours = catalogue()["drivetrain_drag"]
+    vehicle = load("xgd24d")
+    assert warm_up.same_in_python(vehicle)
+    assert warm_up.same_in_python(replace(vehicle, effects=(Active(ours, ours.values()),)))
+    assert not warm_up.same_in_python(replace(vehicle, effects=(Active(Own(), {}),)))
 
 
 def test_where_nothing_is_to_be_compiled_effects_are_not_either(monkeypatch):

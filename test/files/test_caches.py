@@ -8,6 +8,7 @@ import pickle
 import shutil
 import subprocess
 import sys
+import time
 from itertools import cycle
 from pathlib import Path
 
@@ -227,10 +228,17 @@ def test_code_in_a_folder_open_to_others_is_not_loaded(code, tmp_path, monkeypat
 # Through the command line
 
 
-def simulate(folder, out, repository, **environment):
+SHORT_S, LONG_S = 20, 30000  # a long one waits for compiled steps, a short first one does not
+
+
+def simulation(out, seconds):
     command = [sys.executable, "-m", "trackres_ros.cli.main", "simulate", "--vehicle", "agri3t", "--speed-kmh", "10"]
-    command += ["--duration-s", "20", "--dt", "0.5", "-o", str(out)]
+    return [*command, "--duration-s", str(seconds), "--dt", "0.5", "-o", str(out)]
+
+
+def simulate(folder, out, repository, seconds=SHORT_S, **environment):
     given = {**os.environ, "XDG_CACHE_HOME": str(folder), **environment}
+    command = simulation(out, seconds)
     done = subprocess.run(command, env=given, capture_output=True, text=True, timeout=300, cwd=repository, check=False)
     assert done.returncode == 0, done.stderr
     return out.read_bytes(), done.stderr
@@ -271,21 +279,38 @@ def test_a_simulation_with_damaged_code_gives_the_same(tmp_path, repository, ref
     kept = tmp_path / "trackres"
     kept.mkdir(mode=0o700)
     shutil.copytree(compiling.code_folder(), kept / compiling.code_folder().name)
-    whole, _ = simulate(tmp_path, tmp_path / "whole.csv", repository)
+    whole, _ = simulate(tmp_path, tmp_path / "whole.csv", repository, LONG_S)
     files = sorted(kept.rglob("*.code"))
     assert files
     for file, damage in zip(files, cycle(("empty", "cut", "other bytes")), strict=False):
         file.write_bytes(DAMAGES[damage](file.read_bytes()))
-    assert simulate(tmp_path, tmp_path / "again.csv", repository) == (whole, "")
+    assert simulate(tmp_path, tmp_path / "again.csv", repository, LONG_S) == (whole, "")
+
+
+@needs_numba
+@pytest.mark.long
+def test_a_first_simulation_waits_for_no_compiler_and_leaves_code_for_the_next(tmp_path, repository):
+    first, _ = simulate(tmp_path, tmp_path / "first.csv", repository)
+
+    def series():
+        return list(tmp_path.rglob("*advance_along.entry*.code"))
+
+    assert not series()
+    deadline = time.monotonic() + 500.0
+    while not series() and time.monotonic() < deadline:
+        time.sleep(0.2)
+    assert series()
+    assert simulate(tmp_path, tmp_path / "second.csv", repository)[0] == first
 
 
 @needs_numba
 @pytest.mark.long
 def test_two_processes_at_once_leave_a_cache_that_is_whole(tmp_path, repository):
-    command = [sys.executable, "-m", "trackres_ros.cli.main", "simulate", "--vehicle", "agri3t", "--speed-kmh", "10"]
-    command += ["--duration-s", "20", "--dt", "0.5", "-o"]
     given = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
-    both = [subprocess.Popen([*command, str(tmp_path / f"{i}.csv")], env=given, cwd=repository) for i in range(2)]
+    both = [
+        subprocess.Popen(simulation(tmp_path / f"{i}.csv", LONG_S), env=given, cwd=repository, stderr=subprocess.DEVNULL)
+        for i in range(2)
+    ]
     assert [process.wait(timeout=300) for process in both] == [0, 0]
     files = [path for path in (tmp_path / "trackres").rglob("*") if path.is_file()]
     assert files

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -88,6 +89,7 @@ def replay(
     from trackres_ros.estimator.snapshot import read_beside, save
     from trackres_ros.estimator.snapshot import resume as resumed
     from trackres_ros.estimator.topic_settings import settings_for
+    from trackres_ros.estimator.warm_up import BLOCKS, LIVE, first_run
     from trackres_ros.files.output_files import BAG_SUFFIX, output_file, state_file
     from trackres_ros.learning.learner import MODES, Learner
     from trackres_ros.learning.store import stored, take_learned
@@ -113,20 +115,21 @@ def replay(
     given = params if isinstance(params, Mapping) else read_parameters(None if params is None else Path(params))
     settings = settings_for(make_parameters(given).settings(), mapping)
     source = in_memory or KeptSource(open_source(paths, mapping), keep=file is None or file.suffix.lower() != BAG_SUFFIX)
-    estimator = Estimator(as_vehicle(vehicle), settings)
-    learner = None if one_of(learning, "learning", MODES) == "off" else Learner(estimator, learning)
     learned_file = None if save_vehicle is None else output_file(save_vehicle, (".yaml",), "save_vehicle")
-    if learned_file is not None and learner is None:
+    learns = one_of(learning, "learning", MODES) != "off"
+    if learned_file is not None and not learns:
         raise InputError("save_vehicle", str(save_vehicle), "a replay that learns", "give learning='watch' too")
-    session = None if resume is None else resumed(estimator, Path(resume))
-    if resume is not None and learner is not None and (kept_before := read_beside(estimator, Path(resume))) is not None:
-        take_learned(learner, kept_before, Path(resume))
+    described = as_vehicle(vehicle)
     kept: list[Steps] = []
-    if file is None:
-        done = run(source, estimator, kept.append, session, progress, learner)
-    else:
-        with result_writer(file, estimator, learner) as write:
-            done = run(source, estimator, write, session, progress, learner)
+    with ExitStack() as stack:
+        warm_up = stack.enter_context(first_run(LIVE if learns else BLOCKS, described))
+        estimator = Estimator(described, settings, entries=warm_up.first)
+        learner = Learner(estimator, learning) if learns else None
+        session = None if resume is None else resumed(estimator, Path(resume))
+        if resume is not None and learner is not None and (kept_before := read_beside(estimator, Path(resume))) is not None:
+            take_learned(learner, kept_before, Path(resume))
+        write = kept.append if file is None else stack.enter_context(result_writer(file, estimator, learner))
+        done = run(source, estimator, write, session, progress, learner, warm_up.finished)
     if state is not None:
         saved_at = int(done.session.memory.times[at.SPEED, at.LAST_ARRIVAL]) * NANOSECOND
         save(done.session, state, saved_at, None if learner is None else stored(learner))

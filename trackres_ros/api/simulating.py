@@ -77,6 +77,7 @@ def simulate(
     import numpy as np
 
     from trackres_ros.estimator.estimator import Estimator
+    from trackres_ros.estimator.warm_up import SERIES, first_run
     from trackres_ros.files.output_files import output_file
     from trackres_ros.offline.profile import conditions, read_profile
     from trackres_ros.offline.simulate import ramp_and_hold, run_drive, through_points
@@ -89,7 +90,6 @@ def simulate(
         raise InputError("duration_s", duration_s, "only with speed_kmh: a profile says itself how long it is")
     file = None if output is None else output_file(output)
     described = as_vehicle(vehicle)
-    estimator = Estimator(described)
     known = (("load", None if weight_kn is None else weight_kn * 1e3), ("ambient", ambient_degc))
     given: dict[str, Any] = {role: value for role, value in known if value is not None}
     notes: tuple[str, ...] = ()
@@ -104,9 +104,11 @@ def simulate(
         _check_speed(float(np.abs(drive.speed).max()), described.chassis.max_speed)
         given |= conditions(recording, drive.time_s, given, described.weight)
     position = [given[role] for role in POSITION if role in given]
-    ground = estimator.along_route(drive.time_s, drive.speed, *position) if len(position) == len(POSITION) else None
     grade = given.get("grade", np.nan)
-    rows = run_drive(estimator, drive, given.get("load"), given.get("ambient"), initial_degc, grade, ground)
+    with first_run(SERIES, described, len(drive.time_s)) as warm_up:
+        estimator = Estimator(described, entries=warm_up.first)
+        ground = estimator.along_route(drive.time_s, drive.speed, *position) if len(position) == len(POSITION) else None
+        rows = run_drive(estimator, drive, given.get("load"), given.get("ambient"), initial_degc, grade, ground)
     result = SimulationResult(estimator, drive, rows, "grade" in given or ground is not None, notes)
     if file is not None:
         result.save(file)

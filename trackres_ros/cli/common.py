@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import inspect
 import json
+import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -21,6 +22,7 @@ from trackres_ros import InputError, MissingExtraError
 from trackres_ros.cli.written import watch
 from trackres_ros.errors import nearest
 from trackres_ros.files.resources import shipped_vehicles
+from trackres_ros.progress import listening
 
 Decorated = TypeVar("Decorated", bound=Callable[..., Any])
 
@@ -165,8 +167,51 @@ def progress(label: str, total: float | None) -> Iterator[Callable[[float], None
     if not console.is_terminal:
         yield lambda _: None
         return
-    time = TimeElapsedColumn() if total is None else TimeRemainingColumn()
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), time)
+    clock = TimeElapsedColumn() if total is None else TimeRemainingColumn()
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), clock)
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task(label, total=total)
-        yield lambda done: bar.update(task, advance=done)
+
+        def tell(what: str, _done: int, _total: int) -> None:
+            bar.update(task, description=f"{label}: {what}")
+
+        with listening(tell):
+            yield lambda done: bar.update(task, advance=done)
+
+
+@contextmanager
+def stages() -> Iterator[Callable[[str], None]]:
+    """One line on standard error for each stage of long work; in a terminal with how far it is, and how long it took."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield lambda stage: click.echo(f"  {stage}", err=True)
+        return
+    left = TimeRemainingColumn(compact=True)
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(20), TaskProgressColumn(), left)
+    with Progress(*columns, console=console, transient=True) as bar:
+        now: dict[str, Any] = {"stage": "", "since": 0.0, "task": None, "part": None}
+
+        def over() -> None:
+            if now["stage"]:
+                console.print(f"  {now['stage']} ({time.monotonic() - now['since']:.0f} s)", highlight=False, markup=False)
+
+        def begin(stage: str) -> None:
+            over()
+            if now["task"] is not None:
+                bar.remove_task(now["task"])
+            now.update(stage=stage, since=time.monotonic(), task=bar.add_task(stage, total=None), part=None)
+
+        def tell(what: str, done: int, total: int) -> None:
+            if now["task"] is None:
+                begin("begins")
+            if what != now["part"]:
+                bar.reset(now["task"], total=total or None, description=f"{now['stage']}: {what}")
+                now["part"] = what
+            bar.update(now["task"], completed=done)
+
+        with listening(tell):
+            yield begin
+        over()

@@ -18,6 +18,7 @@ from trackres_ros.cli.common import (
     json_option,
     method_options,
     print_warnings,
+    stages,
     surroundings_option,
     vehicle_option,
 )
@@ -80,23 +81,25 @@ def diagnose_command(
     """
     watch(output)
     held = None if holdout is None else int(holdout) if holdout.isdecimal() else [name.strip() for name in holdout.split(",")]
-    found = tr.diagnose(
-        recordings,
-        vehicle,
-        topics=topics,
-        surroundings=surroundings,
-        hide=hide,
-        holdout=held,
-        method=method,
-        thermal=thermal,
-        seed=seed,
-        quick=quick,
-        keep_suspected=keep_suspected,
-        effects=effects,
-        on_stage=lambda stage: click.echo(f"  {stage}", err=True),
-    )
-    with print_warnings():
-        found.report(output)
+    with stages() as on_stage:
+        found = tr.diagnose(
+            recordings,
+            vehicle,
+            topics=topics,
+            surroundings=surroundings,
+            hide=hide,
+            holdout=held,
+            method=method,
+            thermal=thermal,
+            seed=seed,
+            quick=quick,
+            keep_suspected=keep_suspected,
+            effects=effects,
+            on_stage=on_stage,
+        )
+        on_stage("report")
+        with print_warnings():
+            found.report(output)
     emit(found.as_dict(), as_json, lambda: f"{found!r}\n{output}: {', '.join(path.name for path in found.written)}")
 
 

@@ -17,6 +17,7 @@ from trackres_ros.cli.common import (
     json_option,
     method_options,
     number,
+    progress,
     surroundings_option,
     vehicle_option,
 )
@@ -78,18 +79,19 @@ def simulate_command(
     """
     watch(output)
     described = tr.load_vehicle(vehicle, method=method, thermal=thermal, surroundings=surroundings)
-    result = tr.simulate(
-        described,
-        speed_kmh=speed_kmh,
-        ramp_s=ramp_s,
-        duration_s=duration_s,
-        profile=profile,
-        ambient_degc=ambient_degc,
-        initial_degc=initial_degc,
-        weight_kn=weight_kn,
-        dt=dt,
-        output=output,
-    )
+    with progress("simulating", None):
+        result = tr.simulate(
+            described,
+            speed_kmh=speed_kmh,
+            ramp_s=ramp_s,
+            duration_s=duration_s,
+            profile=profile,
+            ambient_degc=ambient_degc,
+            initial_degc=initial_degc,
+            weight_kn=weight_kn,
+            dt=dt,
+            output=output,
+        )
     for note in result.notes:
         click.echo(f"trackres: {note}", err=True)
     report = {**result.as_dict(), "output": str(output)}

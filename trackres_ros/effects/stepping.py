@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.effects.effect import Active, Conditions, Effect, Lag, Terms, VehicleConstants, values_type
+from trackres_ros.jit.arithmetic import length, squared
 from trackres_ros.jit.code_cache import CodeCache
 from trackres_ros.jit.compiled import HAVE_NUMBA, code_folder, compiled, compiled_anew, inlined
 from trackres_ros.units import STANDSTILL_MPS
@@ -197,7 +198,7 @@ def look(
     looked_at[AT_YAW_RATE], looked_at[AT_HEADING], looked_at[AT_DISTANCE] = yaw_rate, heading, distance
     looked_at[AT_DRIVE_TORQUE], looked_at[AT_DIRECTION] = drive_torque, math.tanh(speed / STANDSTILL_MPS)
     turning = abs(yaw_rate)
-    looked_at[AT_CURVATURE] = turning / math.hypot(speed, looked_at[CONTACT_LENGTH] * turning + STANDSTILL_MPS)
+    looked_at[AT_CURVATURE] = turning / length(speed, looked_at[CONTACT_LENGTH] * turning + STANDSTILL_MPS)
 
 
 @compiled
@@ -278,9 +279,9 @@ def step_effects(rows: IntArray, values: Array, memory: Array, work: Array, dt: 
             call_terms(rows[row, TERMS_AT], looked_at, values[row], answer)
             if usable(answer, most_torque):
                 of_loss = answer[TERM_LOSS_FACTOR] / loss_factor - 1.0 + (answer[TERM_SOFTENING] - softening) * SOFTENED_OVER_K
-                work[TERM_VARIANCE] += (answer[TERM_TORQUE] - torque) ** 2
-                work[TERM_LOSS_VARIANCE] += of_loss**2
-                work[TERM_GAIN_VARIANCE] += (answer[TERM_DRIVE_GAIN] / drive_gain - 1.0) ** 2
+                work[TERM_VARIANCE] += squared(answer[TERM_TORQUE] - torque)
+                work[TERM_LOSS_VARIANCE] += of_loss * of_loss
+                work[TERM_GAIN_VARIANCE] += squared(answer[TERM_DRIVE_GAIN] / drive_gain - 1.0)
             continue
         left_out = True
         for need in range(1, LOOKED_AT - FACTS):

@@ -18,6 +18,7 @@ from trackres_ros.estimator.constants import Constants
 from trackres_ros.estimator.learned_step import learned_elsewhere, learned_hysteresis
 from trackres_ros.estimator.records import Inputs
 from trackres_ros.estimator.road import Road
+from trackres_ros.jit.arithmetic import squared
 from trackres_ros.jit.compiled import compiled, inlined
 from trackres_ros.model.rubber import log_shift_factor
 
@@ -39,7 +40,7 @@ def measure(k: Constants, i: int, belt: Array, measured: float, ambient: float, 
     if k.number.belt_shows_surface:
         shown, of_mean, of_surface = surface(k, i, belt, ambient, speed)
     expected_variance = belt_variance(belt, of_mean, of_surface) + k.number.belt_measured_variance
-    if (measured - shown) ** 2 > DISAGREES * DISAGREES * expected_variance:
+    if squared(measured - shown) > DISAGREES * DISAGREES * expected_variance:
         return DISAGREEING
     correct_belt(belt, measured, k.number.belt_measured_variance, shown, of_mean, of_surface)
     return 0
@@ -95,7 +96,7 @@ def advance_assembly(
         )
     part[at.PART_CONSIDER + 3] = size * k.assembly[i, at.CONSIDER_RADIUS + 3]
     part[at.PART_CONSIDER_AMBIENT] = by_temperature * belt[0, at.CONSIDER_AMBIENT]
-    part[at.PART_NOISE] = by_temperature * by_temperature * (belt[0, at.NOISE_1] ** 2 + belt[0, at.NOISE_2] ** 2)
+    part[at.PART_NOISE] = by_temperature * by_temperature * (squared(belt[0, at.NOISE_1]) + squared(belt[0, at.NOISE_2]))
     # What a loss, cooling or capacity that is larger by its whole makes of the belt's temperature, the departures by cause tell.
     warmer = learned[at.DEPARTURES + at.OF_BELT]
     for which in range(3):

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.estimator.columns import BELT_COLUMNS, CONSIDER_1, NOISE_1, NOISE_2, TEMPERATURE
+from trackres_ros.jit.arithmetic import squared
 from trackres_ros.jit.compiled import compiled, inlined
 
 Array = NDArray[np.float64]
@@ -34,13 +35,13 @@ def belt_variance(belt: Array, of_mean: float, of_surface: float) -> float:
 @compiled
 def add_noise(belt: Array, first: float, second: float) -> None:
     """Fold one more independent departure [K] of the two nodes into the noise columns, as a lower 2 x 2 factor."""
-    c11 = belt[0, NOISE_1] ** 2 + belt[0, NOISE_2] ** 2 + first * first
+    c11 = squared(belt[0, NOISE_1]) + squared(belt[0, NOISE_2]) + first * first
     c21 = belt[0, NOISE_1] * belt[1, NOISE_1] + belt[0, NOISE_2] * belt[1, NOISE_2] + first * second
-    c22 = belt[1, NOISE_1] ** 2 + belt[1, NOISE_2] ** 2 + second * second
+    c22 = squared(belt[1, NOISE_1]) + squared(belt[1, NOISE_2]) + second * second
     belt[0, NOISE_1] = math.sqrt(c11)
     belt[0, NOISE_2] = 0.0
     belt[1, NOISE_1] = c21 / belt[0, NOISE_1] if c11 > 0.0 else 0.0
-    belt[1, NOISE_2] = math.sqrt(max(c22 - belt[1, NOISE_1] ** 2, 0.0))
+    belt[1, NOISE_2] = math.sqrt(max(c22 - squared(belt[1, NOISE_1]), 0.0))
 
 
 @compiled

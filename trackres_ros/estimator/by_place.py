@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.constants import Constants
+from trackres_ros.jit.arithmetic import length
 from trackres_ros.jit.compiled import inlined
 from trackres_ros.route.follower import PLACE_KNOWN, SLOPE, TORQUE, TORQUE_STD, drive_on, look, take_position
 from trackres_ros.route.track import FARTHEST_M, flat_now
@@ -42,7 +43,7 @@ def position_came(k: Constants, times: IntArray, values: Array, followed: Array)
 def position_at(k: Constants, followed: Array, latitude: float, longitude: float) -> None:
     """It is at a position [rad]."""
     x, y = flat_now(k.number.route_latitude, k.number.route_longitude, latitude, longitude)
-    if not math.hypot(x, y) < FARTHEST_M:
+    if not length(x, y) < FARTHEST_M:
         x = y = math.nan
     take_position(followed, x, y)
 

@@ -326,18 +326,19 @@ class Session:
         self.motion = np.zeros(at.MOTION_COLUMNS)
         self.effects = new_effects_memory(len(estimator.vehicle.active))
         self.learned = np.zeros(at.LEARNED_COLUMNS)
-        self._loads = np.zeros(assemblies)
-        self._arguments = (
-            *estimator.own_arguments(),
-            *self.memory,
-            self.belts,
-            self.motion,
-            self.effects,
-            self.learned,
-            self._loads,
-            np.zeros(assemblies),
-        )
+        self._loads, self._belt_measured = np.zeros((2, assemblies))
         self._channel = {name: i for i, name in enumerate(estimator.channels)}
+        self._arguments = self._gathered()
+
+    def _gathered(self) -> tuple[Any, ...]:
+        """What the entry points take before a message."""
+        of_session = self.belts, self.motion, self.effects, self.learned, self._loads, self._belt_measured
+        return (*self.estimator.own_arguments(), *self.memory, *of_session)
+
+    def change_over(self, entries: Entries) -> None:
+        """Go on with other entry points, from the same state."""
+        self.estimator = Estimator(self.estimator.vehicle, self.estimator.settings, entries=entries)
+        self._arguments = self._gathered()
 
     @property
     def started(self) -> bool:

@@ -35,6 +35,7 @@ from trackres_ros.estimator.learned_step import learn_from, learned_variance
 from trackres_ros.estimator.motion_step import advance_motion, rolls, start_motion
 from trackres_ros.estimator.records import Carried, Inputs
 from trackres_ros.estimator.road import driving_torque, road_now, torque_of_place
+from trackres_ros.jit.arithmetic import squared
 from trackres_ros.jit.compiled import inlined
 from trackres_ros.model.resistance import direction
 
@@ -158,21 +159,21 @@ def advance(k: Constants, carried: Carried, inputs: Inputs, dt: float, out: Arra
     wanted, of_feedforward = feedforward(k, motion, total, fed_effects, given_grade, given_accel, dt)
     variance = (
         work[TERM_VARIANCE]
-        + work[TERM_LOSS_VARIANCE] * total[at.PART_HYSTERESIS] ** 2
-        + work[TERM_GAIN_VARIANCE] * driving**2
-        + torque_of_place(inputs.torque_by_place_std, speed) ** 2
+        + work[TERM_LOSS_VARIANCE] * squared(total[at.PART_HYSTERESIS])
+        + work[TERM_GAIN_VARIANCE] * squared(driving)
+        + squared(torque_of_place(inputs.torque_by_place_std, speed))
     )
     if learned[at.LEARNED_ON] > 0.0:
         variance += learned_variance(learned)
     else:
         variance += (
             total[at.PART_NOISE]
-            + total[at.PART_CONSIDER_AMBIENT] ** 2
-            + (total[at.PART_ARM] * road.rolling_bearing * number.bearing_relative_std) ** 2
-            + (total[at.PART_WIND] * number.drag_relative_std) ** 2
+            + squared(total[at.PART_CONSIDER_AMBIENT])
+            + squared(total[at.PART_ARM] * road.rolling_bearing * number.bearing_relative_std)
+            + squared(total[at.PART_WIND] * number.drag_relative_std)
         )
         for cause in range(4):
-            variance += total[at.PART_CONSIDER + cause] ** 2
+            variance += squared(total[at.PART_CONSIDER + cause])
     motion[at.FEEDFORWARD] = wanted
     motion[at.LAST_SPEED] = speed
     motion[at.LAST_DRIVE] = driving

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.estimator import columns as at
+from trackres_ros.jit.arithmetic import squared
 from trackres_ros.jit.compiled import inlined
 
 Array = NDArray[np.float64]
@@ -72,7 +73,7 @@ def learned_variance(learned: Array) -> float:
 
     Inertia is no resistance, so its sensitivity does not count.
     """
-    variance = learned[at.LEARNED_SLOW] ** 2
+    variance = squared(learned[at.LEARNED_SLOW])
     for column in range(at.LEARNABLE):
         moved = 0.0
         for row in range(column, at.LEARNABLE):

@@ -18,7 +18,9 @@ from types import FunctionType
 from typing import Any
 
 from trackres_ros.files.cache import drop, fetched, keep
+from trackres_ros.progress import tell
 
+COMPILING = "compiling, once"
 LARGEST = 64 << 20  # bytes; the largest of ours has less than one million
 
 
@@ -59,6 +61,7 @@ class CodeCache:
         folder, name = self._folder(), self._name(signature, target.codegen())
         payload = fetched(folder, name, LARGEST)
         if payload is None or folder is None:
+            tell(COMPILING)
             return None
         try:
             rebuild: Callable[..., Any] = compiler.CompileResult._rebuild

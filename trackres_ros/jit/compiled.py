@@ -34,12 +34,22 @@ try:
         raise ImportError("left out on request")
     import numba
     from llvmlite.binding import get_host_cpu_name
+    from numba.core.registry import CPUDispatcher
 except ImportError:
     HAVE_NUMBA = False
     _library: Any = None
 else:
     HAVE_NUMBA = True
     _library = numba
+
+    class _Part(CPUDispatcher):
+        """A function that only compiled code calls as compiled: from Python it runs as Python.
+
+        So it needs no entry from Python or C, which took a third of the time to compile.
+        """
+
+        def __call__(self, *args: Any) -> Any:
+            return self.py_func(*args)
 
 
 def _sources_digest() -> str:
@@ -105,7 +115,13 @@ def _compile(function: Function, into_callers: bool) -> Function:
     if not HAVE_NUMBA:
         return function
     # No kernel makes an array, so nothing has to count who holds one: that cost a third of a step.
-    dispatcher = _library.njit(nogil=True, error_model="numpy", forceinline=into_callers, _nrt=False)(function)
+    options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "_nrt": False}
+    dispatcher: Any
+    if into_callers:
+        options |= {"nopython": True, "boundscheck": None, "forceinline": True}
+        dispatcher = _Part(function, {}, {**options, "no_cpython_wrapper": True, "no_cfunc_wrapper": True})
+    else:
+        dispatcher = _library.njit(**options)(function)
     dispatcher._cache = CodeCache(cast(FunctionType, function), code_folder)
     return cast(Function, dispatcher)
 

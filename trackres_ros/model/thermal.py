@@ -107,11 +107,13 @@ def phi_matrix(z11: float, z12: float, z21: float, z22: float, order: int) -> tu
     is used.
     """
     middle = 0.5 * (z11 + z22)
-    squared = 0.25 * (z11 - z22) ** 2 + z12 * z21
+    half = 0.5 * (z11 - z22)
+    squared = half * half + z12 * z21
     size = abs(z11) + abs(z12) + abs(z21) + abs(z22)
-    if size < 2.0 and squared <= (SERIES_BELOW * size) ** 2:
+    close, least = SERIES_BELOW * size, 1e-5 * size
+    if size < 2.0 and squared <= close * close:
         return phi_series(z11, z12, z21, z22, order)
-    spread = math.sqrt(max(squared, (1e-5 * size) ** 2))
+    spread = math.sqrt(max(squared, least * least))
     first, second = middle + spread, middle - spread
     if order == 1:
         at_first, at_second = phi_1(first), phi_1(second)

@@ -20,6 +20,7 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimate import Estimate
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.topic_settings import settings_for
+from trackres_ros.estimator.warm_up import LIVE, WarmUp, exercise
 from trackres_ros.node.comparison import Comparison
 from trackres_ros.node.edge import Edge, KeepMessage, Level, Peer, Reasons, Status
 from trackres_ros.node.endpoints import InputTopic, input_topics, live_topics, other_topics
@@ -34,7 +35,6 @@ from trackres_ros.node.sending_order import Arrived, SendingOrder
 from trackres_ros.node.setup import changed_parameters, read_setup
 from trackres_ros.node.stamps import nearest_usable
 from trackres_ros.node.state_keeper import StateKeeper, state_path
-from trackres_ros.node.warm_up import WarmUp, exercise
 from trackres_ros.node.watch import Watch
 from trackres_ros.units import SECOND_NS
 
@@ -77,7 +77,7 @@ class Application:
         self.node, self.namespace = node, namespace
         setup = read_setup(parameters)
         self.topics, self.vehicle = setup.topics, setup.vehicle
-        self._warm_up = WarmUp(str(setup.vehicle_file), setup.surroundings_file)
+        self._warm_up = WarmUp(LIVE, str(setup.vehicle_file), setup.surroundings_file)
         self.estimator = Estimator(self.vehicle, setup.settings, entries=self._warm_up.first)
         exercise(self.estimator)  # loading what is compiled takes a third of a second, which the first message need not wait
         self.inputs = input_topics(self.topics, bool(self.vehicle.route))
@@ -365,9 +365,14 @@ class Application:
             *self.learning.remarks(),
             *self._outlet.remarks(),
             *self.keeper.remarks(),
-            *self._warm_up.remarks(self.estimator.entries),
+            *self._compiling(),
         ]
         return sorted(found, key=lambda remark: -remark.level)
+
+    def _compiling(self) -> list[Remark]:
+        if self.estimator.entries is self._warm_up.first and not self.estimator.entries.compiled and self._warm_up.running:
+            return [Remark("COMPILING", "steps run in plain Python until they are compiled")]
+        return []
 
     def diagnose_command(self) -> str:
         """The command that finds out where measured and expected torque differ, and why."""

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.entry_points import Entries
 from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.files.output_files import BAG_SUFFIX
@@ -74,6 +75,7 @@ def replay(
     session: Session | None = None,
     progress: Callable[[float], None] | None = None,
     learner: Learner | None = None,
+    finished: Callable[[], Entries | None] = lambda: None,
 ) -> Replayed:
     """Feed a source through a session, block by block: memory does not grow with the recording.
 
@@ -87,6 +89,8 @@ def replay(
         Takes the number of messages of each block.
     learner
         Learns from each step, as live; its columns then stand behind those of the estimate.
+    finished
+        Asked before each block for entry points to change over to; they give the same bits.
 
     Raises
     ------
@@ -98,7 +102,13 @@ def replay(
     not_needed = bool((channel_of < 0).any())
     names = () if learner is None else column_names(learner.learnables)
     seen = ResultPreview(len(estimator.columns) + len(names))
-    handle = session.handle_block if learner is None else LearningSteps(session, learner).handle_block
+    handle_block = session.handle_block if learner is None else LearningSteps(session, learner).handle_block
+
+    def handle(channel: NDArray[np.int16], stamp_ns: NDArray[np.int64], arrival_ns: NDArray[np.int64], value: Array) -> Steps:
+        if entries := finished():
+            session.change_over(entries)
+        return handle_block(channel, stamp_ns, arrival_ns, value)
+
     messages = 0
     with ThreadPoolExecutor(max_workers=1) as worker:  # the kernel lets go of the interpreter: reading goes on meanwhile
         running: Future[Steps] | None = None

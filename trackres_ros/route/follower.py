@@ -12,6 +12,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.jit.arithmetic import length
 from trackres_ros.jit.compiled import compiled, inlined
 from trackres_ros.route.lookup import learned_at
 
@@ -59,7 +60,7 @@ def forget(followed: Array) -> None:
 @inlined
 def take_position(followed: Array, x: float, y: float) -> None:
     """A position came, east and north of the frame [m]; nan of one beyond it."""
-    moved = math.hypot(x - followed[FROM_X], y - followed[FROM_Y])
+    moved = length(x - followed[FROM_X], y - followed[FROM_Y])
     if math.isnan(moved) or moved > FARTHEST_M:
         followed[EAST] = followed[NORTH] = math.nan
         followed[FROM_X], followed[FROM_Y], followed[SINCE_M] = x, y, 0.0

@@ -6,15 +6,17 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
+
+from trackres_ros.progress import counted
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
-def side_by_side(function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
-    """Results of a function of each item, in their order; the same as one after the other."""
+def side_by_side(function: Callable[[Item], Result], items: Sequence[Item], what: str) -> list[Result]:
+    """Results of a function of each item, in their order, the same as one after the other; who listens is told `what` it does."""
     with ThreadPoolExecutor(os.cpu_count()) as threads:
-        return list(threads.map(function, items))
+        return list(counted(threads.map(function, items), what, len(items)))

@@ -60,7 +60,7 @@ def intervals(found: Fit) -> dict[tuple[str, str], Interval]:
         return Interval(max(f.low, at - below), min(f.high, at + above), low_open or high_open)
 
     of = free_parameters(found.problem.base, [a.effect for a in found.effects])
-    return {f.key: one for f, one in zip(of, side_by_side(interval, of), strict=True)}
+    return {f.key: one for f, one in zip(of, side_by_side(interval, of, "intervals"), strict=True)}
 
 
 def lap_std(found: Fit) -> dict[tuple[str, str], float]:

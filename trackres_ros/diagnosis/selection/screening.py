@@ -27,6 +27,7 @@ TURNS = 3  # of coefficients and noise
 FLIPPED_TOGETHER = 20  # samples whose sign the bootstrap flips as one: what whitening left of their likeness stays
 REPLICATES, QUICK_REPLICATES = 99, 39
 NEARLY_LARGEST = 4
+DRAWS = "what noise alone would reach"
 FIRST_SHARE, PLAINLY = 0.4, 3.0  # of the draws; that many times the threshold, or less by as much, is plain
 GUMBEL_95 = (-np.log(-np.log(0.95)) - np.euler_gamma) * np.sqrt(6.0) / np.pi  # standard deviations from mean to 95th percentile
 MOST_DRAWN_ROWS = 7200  # two hours of driving
@@ -91,9 +92,9 @@ def screen(
         return max((few.likelihood(drawn, m, centred_on_fit=True) - before for m in nearly), default=0.0)
 
     first = math.ceil(FIRST_SHARE * replicates)
-    reached = np.array(side_by_side(largest, [few.lagged(few.drawn(rng)) for _ in range(first)]))
+    reached = np.array(side_by_side(largest, [few.lagged(few.drawn(rng)) for _ in range(first)], DRAWS))
     if 1.0 / PLAINLY < gains[0][1] / largest_by_noise(reached) < PLAINLY:
-        more = side_by_side(largest, [few.lagged(few.drawn(rng)) for _ in range(replicates - first)])
+        more = side_by_side(largest, [few.lagged(few.drawn(rng)) for _ in range(replicates - first)], DRAWS)
         reached = np.concatenate((reached, more))
     return Screened(tuple(gains), form_error_gain, largest_by_noise(reached), reached)
 

@@ -16,6 +16,7 @@ from trackres_ros.diagnosis.base.base import Predicted
 from trackres_ros.diagnosis.inference.fitting import LARGE, Fit, jacobian, valid_rows
 from trackres_ros.diagnosis.inference.noise import shortened
 from trackres_ros.effects.effect import Active, Effect
+from trackres_ros.progress import counted
 
 Array = NDArray[np.float64]
 Projector = Callable[[Array], tuple[Array, Array]]
@@ -136,7 +137,7 @@ def separability(effects: Mapping[str, Effect], fit: Fit) -> Separability:
     beside_short = None if short is None else replace(fit, noises={**fit.noises, "torque": short})
     project_short = None if beside_short is None else _projector(_white(own, beside_short), beside_short)
     visible = []
-    for effect in possible:
+    for effect in counted(possible, "what each effect would show", len(possible)):
         columns = [(start, _columns(effect, start, fit)) for start in starts(effect)]
         found, best = _strongest(effect, columns, fit, project)
         if best and LARGE * best.d_prime < LEAST_D_PRIME and beside_short and project_short:

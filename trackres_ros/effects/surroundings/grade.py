@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import math
+
 from trackres_ros.effects.effect import Conditions, Effect, Parameter, Terms, Values
 
 
@@ -16,5 +18,5 @@ class Grade(Effect):
     parameters = (Parameter("grade", "1", -0.3, 0.3, 0.01, "rise over run the way the vehicle points", off=0.0),)
 
     def terms(self, at: Conditions, p: Values) -> Terms:
-        rise = p.grade / (1.0 + p.grade**2) ** 0.5
+        rise = p.grade / math.sqrt(1.0 + p.grade * p.grade)
         return Terms(torque=at.weight * at.facts.radius * rise)

@@ -21,5 +21,6 @@ class StillAir(Effect):
     parameters = (Parameter("share", "1", 0.0, 0.9, 0.7, "of the film coefficient that is missing at rest", off=0.0),)
 
     def terms(self, at: Conditions, p: Values) -> Terms:
-        left = 1.0 - p.share * math.exp(-((at.speed / WALKING_MPS) ** 2))
+        walking = at.speed / WALKING_MPS
+        left = 1.0 - p.share * math.exp(-walking * walking)
         return Terms(film_offset_factor=left)

@@ -22,5 +22,6 @@ class Stribeck(Effect):
     )
 
     def terms(self, at: Conditions, p: Values) -> Terms:
-        crawling = math.exp(-((at.speed / p.speed) ** 2))
+        relative = at.speed / p.speed
+        crawling = math.exp(-relative * relative)
         return Terms(torque=(p.constant + p.breakaway * crawling) * at.direction)

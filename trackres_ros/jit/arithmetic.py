@@ -1,0 +1,25 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Operations that Python and machine code round each in its own way, written so that both give the same bits.
+
+Python takes `x ** 2` to the C library's `pow` and has a `hypot` of its own; compiled code multiplies, and takes the C library's.
+"""
+
+from __future__ import annotations
+
+import math
+
+from trackres_ros.jit.compiled import inlined
+
+
+@inlined
+def squared(x: float) -> float:
+    """X times x."""
+    return x * x
+
+
+@inlined
+def length(x: float, y: float) -> float:
+    """Length of a vector, for components whose squares neither overflow nor vanish."""
+    return math.sqrt(x * x + y * y)

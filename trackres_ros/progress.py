@@ -1,0 +1,38 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Tells who listens how far long work is; imports nothing. A terminal listens, a library and a node do not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from typing import TypeVar
+
+Item = TypeVar("Item")
+Listener = Callable[[str, int, int], None]  # what is done, how much of it is, of how much (0 where that is not known)
+
+_listeners: list[Listener] = []
+
+
+@contextmanager
+def listening(listener: Listener) -> Iterator[None]:
+    """Tell a function of what is done meanwhile, from whatever thread it is done in."""
+    _listeners.append(listener)
+    try:
+        yield
+    finally:
+        _listeners.remove(listener)
+
+
+def tell(what: str, done: int = 0, total: int = 0) -> None:
+    """That so much of something is done; without a total, that it began."""
+    for listener in list(_listeners):
+        listener(what, done, total)
+
+
+def counted(items: Iterable[Item], what: str, total: int) -> Iterator[Item]:
+    """The items, one after the other; told of each as the next is asked for."""
+    for done, item in enumerate(items):
+        tell(what, done, total)
+        yield item
