@@ -51,6 +51,13 @@ def test_help_teaches_every_command(good):
     assert "trackres vehicle check" in good("vehicle", "check", "--help")
 
 
+def test_a_replay_without_a_name_writes_a_table_no_larger_than_the_bag(folder, good, sample, monkeypatch):
+    monkeypatch.chdir(folder)
+    shown = good("replay", sample, "--vehicle", "xgd24d")
+    assert "Written: lap_replay.parquet, lap_replay.png" in shown
+    assert (folder / "lap_replay.parquet").stat().st_size < sample.stat().st_size
+
+
 def test_simulate_writes_the_columns_of_the_issue(folder, good):
     done = json.loads(
         good(

@@ -199,6 +199,20 @@ def test_what_is_written_reads_back(
         np.testing.assert_allclose([time for time, _ in here], columns["time_s"][given_rows], atol=6e-10)
 
 
+@with_pyarrow
+def test_of_estimates_parquet_keeps_seven_digits_and_all_of_the_time(tmp_path: Path) -> None:
+    time, torque = 1.7e9 + np.arange(50) / 3.0, np.geomspace(1e-3, 1e6, 50) * np.pi
+    stamp = np.arange(50) + 1_700_000_000_123_456_789
+    columns = {"time_s": time, "stamp_ns": stamp, "torque_nm": torque, "belt_degc": np.full(50, np.nan)}
+    write_table(tmp_path / "run.parquet", columns, estimates=True)
+    got = parquet.read_table(tmp_path / "run.parquet")
+    np.testing.assert_array_equal(got["time_s"].to_numpy(), time)
+    np.testing.assert_array_equal(got["stamp_ns"].to_numpy(), stamp)
+    np.testing.assert_allclose(got["torque_nm"].to_numpy(), torque, rtol=6e-8)
+    assert got["torque_nm"].type == pa.float32()
+    assert got["belt_degc"].null_count == 50
+
+
 def test_the_text_of_a_table(tmp_path: Path) -> None:
     path = tmp_path / "out.csv"
     write_table(

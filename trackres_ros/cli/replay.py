@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -61,8 +62,8 @@ from trackres_ros.errors import one_line
     "-o",
     "--output",
     type=click.Path(path_type=Path),
-    required=True,
-    help="Result: .csv, .csv.gz or .parquet as a table, .mcap as topics. A picture .png goes beside it.",
+    help="Result: .parquet, .csv or .csv.gz as a table, .mcap as topics. A picture .png goes beside it. By default a table here, "
+    "named after the recording: Parquet, or .csv.gz without pyarrow.",
 )
 @json_option
 def replay_command(
@@ -77,7 +78,7 @@ def replay_command(
     save_state: Path | None,
     learning: str,
     save_vehicle: Path | None,
-    output: Path,
+    output: Path | None,
     as_json: bool,
 ) -> None:
     """Resistance torque and belt temperature over the time of a recording.
@@ -87,11 +88,12 @@ def replay_command(
 
     \b
     trackres replay lap.mcap --vehicle xgd24d --topics topics.yaml -o out.mcap
-    trackres replay drive.csv --vehicle xgd24d -o out.csv
+    trackres replay drive.csv --vehicle xgd24d
 
     Messages are processed in the order they were logged and by their own stamps, so the same recording always gives the same
     bits.
     """
+    output = output or _table_of(recording[0])
     picture = picture_beside(output)
     watch(output, picture, *(path for path in (save_state, save_vehicle) if path))
     described = tr.load_vehicle(vehicle, method=method, thermal=thermal, surroundings=surroundings)
@@ -116,3 +118,8 @@ def replay_command(
         click.echo(f"trackres: no picture: {error}", err=True)
     report: dict[str, Any] = {**result.as_dict(), "written": written}
     emit(report, as_json, lambda: "\n".join([repr(result), one_line(f"Written: {', '.join(written)}")]))
+
+
+def _table_of(recording: Path) -> Path:
+    """The table that a replay writes where none is named."""
+    return Path(f"{recording.name.split('.')[0] or 'recording'}_replay{'.parquet' if find_spec('pyarrow') else '.csv.gz'}")

@@ -176,9 +176,8 @@ def result_writer(path: Path, estimator: Estimator, learner: Learner | None = No
             yield bag.write
         return
     added = DisturbanceColumns(estimator.vehicle)
-    with TableWriter(
-        path, ["time_s", "stamp_ns", *estimator.columns, *(() if learned is None else learned.names), *added.names]
-    ) as table:
+    names = ["time_s", "stamp_ns", *estimator.columns, *(() if learned is None else learned.names), *added.names]
+    with TableWriter(path, names, estimates=True) as table:
         first: list[int] = []
 
         def write(steps: Steps) -> None:

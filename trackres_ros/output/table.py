@@ -22,6 +22,8 @@ from trackres_ros.errors import InputError, MissingExtraError
 from trackres_ros.recording.opening import TABLE_SUFFIXES
 from trackres_ros.recording.samples import FloatArray
 
+EXACT = ("time_s",)
+"""Of estimates: columns that keep double precision in Parquet."""
 CHUNK_ROWS = 8192
 """Rows of a CSV that are put together at once."""
 
@@ -29,8 +31,8 @@ CHUNK_ROWS = 8192
 class TableWriter:
     """Writes a table block by block; it takes its place only when the `with` block ends without an exception.
 
-    A NaN becomes an empty cell, every other number the shortest text that reads back as the same number. Equal
-    numbers give equal bytes.
+    In CSV a NaN becomes an empty cell, every other number the shortest text that reads back as the same number. Equal numbers
+    give equal bytes.
 
     Parameters
     ----------
@@ -38,6 +40,9 @@ class TableWriter:
         ``.csv``, ``.csv.gz`` or ``.parquet``; replaced if it is there.
     names : sequence of str
         Names of the k columns.
+    estimates : bool
+        Whether numbers but times are estimates, of which Parquet keeps single precision: seven digits, a thousand times finer
+        than any of them is known.
 
     Raises
     ------
@@ -47,13 +52,14 @@ class TableWriter:
         Parquet, and pyarrow is not installed.
     """
 
-    def __init__(self, path: Path, names: Sequence[str]) -> None:
+    def __init__(self, path: Path, names: Sequence[str], estimates: bool = False) -> None:
         if not path.name.lower().endswith(TABLE_SUFFIXES):
             raise InputError(str(path), path.suffix or "no suffix", ", ".join(TABLE_SUFFIXES))
         if not path.parent.is_dir():
             raise InputError(str(path), f"no folder {path.parent}", "a file in a folder that is there")
         self.path, self.names = path, tuple(names)
         self._part = path.with_name(f".{path.name}.{os.getpid()}.part")
+        self._estimates = estimates
         self._parquet = path.name.lower().endswith(".parquet")
         if self._parquet:
             try:
@@ -101,13 +107,23 @@ class TableWriter:
         import pyarrow as pa
         from pyarrow import parquet
 
-        table = pa.table([pa.array(column, from_pandas=True) for column in columns], names=list(self.names))
+        real = [name for name, column in zip(self.names, columns, strict=True) if column.dtype.kind == "f"]
+        single = set(real).difference(EXACT) if self._estimates else set[str]()
+        named = zip(self.names, columns, strict=True)
+        arrays = [pa.array(c.astype(np.float32) if name in single else c, from_pandas=True) for name, c in named]
+        table = pa.table(arrays, names=list(self.names))
         if self._out is None:
-            self._out = self._files.enter_context(parquet.ParquetWriter(str(self._part), table.schema, write_page_checksum=True))
+            # Bytes of equal weight side by side: what is smooth differs in the last ones alone.
+            others: Any = [name for name in self.names if name not in real]
+            writer = parquet.ParquetWriter(
+                str(self._part), table.schema, write_page_checksum=True, compression="zstd", use_dictionary=others,
+                use_byte_stream_split=real,
+            )  # fmt: skip
+            self._out = self._files.enter_context(writer)
         self._out.write_table(table)
 
 
-def write_table(path: Path, columns: Mapping[str, NDArray[Any]]) -> None:
+def write_table(path: Path, columns: Mapping[str, NDArray[Any]], estimates: bool = False) -> None:
     """Write a whole table; see `TableWriter`.
 
     Parameters
@@ -116,6 +132,8 @@ def write_table(path: Path, columns: Mapping[str, NDArray[Any]]) -> None:
         ``.csv``, ``.csv.gz`` or ``.parquet``.
     columns : mapping of str to ndarray, each of shape (n,)
         Numbers or texts by name.
+    estimates : bool
+        As there.
 
     Raises
     ------
@@ -125,7 +143,7 @@ def write_table(path: Path, columns: Mapping[str, NDArray[Any]]) -> None:
     lengths = {name: len(column) for name, column in columns.items()}
     if len(set(lengths.values())) != 1:
         raise InputError(str(path), lengths, "columns of one length")
-    with TableWriter(path, list(columns)) as writer:
+    with TableWriter(path, list(columns), estimates) as writer:
         writer.write_columns([np.asarray(column) for column in columns.values()])
 
 

@@ -94,7 +94,7 @@ class SimulationResult(SeriesResult):
             with OutputBag(file, self.estimator) as bag:
                 bag.write(Steps(stamps, stamps, self._rows))
         else:
-            write_table(file, self._series)
+            write_table(file, self._series, estimates=True)
         return file
 
     def points(self) -> list[dict[str, float]]:
