@@ -89,13 +89,14 @@ def _field(about):
     return types.array[_field(inner[0]), inner[1]] if node == 3 else types.sequence[_field(inner[0])]
 
 
-def _qos(reliable, depth, deadline_s):
+def _qos(reliable, depth, deadline_s, latched=False):
     policies = [
         Policy.Reliability.Reliable(duration(seconds=1)) if reliable else Policy.Reliability.BestEffort,
         Policy.History.KeepLast(depth),
         Policy.DataRepresentation(use_cdrv0_representation=True),
     ]
-    return Qos(*policies, *([Policy.Deadline(duration(seconds=deadline_s))] if deadline_s else []))
+    policies += [Policy.Deadline(duration(seconds=deadline_s))] if deadline_s else []
+    return Qos(*policies, *([Policy.Durability.TransientLocal] if latched else []))
 
 
 def build(kind, **given):
@@ -157,11 +158,11 @@ class Subscription:
 class Publisher:
     """Publishes messages of a topic, or bytes that are none."""
 
-    def __init__(self, wire, topic, kind, reliable, depth, struct):
+    def __init__(self, wire, topic, kind, reliable, depth, struct, latched):
         self.kind = kind
         self.sent = 0
         topic = Topic(wire.participant, f"rt{topic}", struct or struct_of(kind))
-        self._writer = DataWriter(wire.participant, topic, qos=_qos(reliable, depth, 0.0))
+        self._writer = DataWriter(wire.participant, topic, qos=_qos(reliable, depth, 0.0, latched))
 
     def publish(self, **fields):
         """Publish a message with these fields."""
@@ -200,9 +201,9 @@ class Wire:
         """A subscription by full topic name."""
         return Subscription(self, topic, kind, reliable, depth, deadline_s)
 
-    def publisher(self, topic, kind, reliable=True, depth=1000, struct=None):
-        """A publisher by full topic name."""
-        return Publisher(self, topic, kind, reliable, depth, struct)
+    def publisher(self, topic, kind, reliable=True, depth=1000, struct=None, latched=False):
+        """A publisher by full topic name; what is latched comes to those too who join later."""
+        return Publisher(self, topic, kind, reliable, depth, struct, latched)
 
     def close(self):
         """Leave."""
