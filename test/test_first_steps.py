@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 BLOCK = re.compile(r'^```(\w+)(?: title="(\S+)")?\n(.*?)^```$', re.MULTILINE | re.DOTALL)
-NAMED = {"first-tester": "warmup", "own-effect": "side_guard", "first-controller": None}
+NAMED = {"first-tester": "warmup", "own-effect": "side_guard", "first-controller": None, "first-designer": None}
 
 
 @pytest.mark.long

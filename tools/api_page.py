@@ -11,9 +11,10 @@ from typing import Any
 
 import trackres_ros as tr
 
-FUNCTIONS = ("load_vehicle", "check_vehicle", "record_sample", "read", "replay", "simulate", "explain", "diagnose")
+FUNCTIONS = ("load_vehicle", "check_vehicle", "record_sample", "read", "replay", "simulate", "explain", "diagnose", "coastdown")
 CLASSES = (
-    "Recording", "ReplayResult", "SimulationResult", "OperatingPoint", "VehicleCheck", "DiagnosisResult", "Estimator", "Vehicle",
+    "Recording", "ReplayResult", "SimulationResult", "OperatingPoint", "VehicleCheck", "DiagnosisResult", "CoastdownResult",
+    "Estimator", "Vehicle",
     "Sample", "InputError",
 )  # fmt: skip
 MEMBERS = {  # of classes whose other members are for the inside of the package

@@ -18,6 +18,7 @@ from importlib import import_module
 TYPE_CHECKING = False  # as in typing, which takes longer to import than all else here
 if TYPE_CHECKING:
     from trackres_ros import effects
+    from trackres_ros.api.coasting import coastdown
     from trackres_ros.api.diagnosing import diagnose
     from trackres_ros.api.recordings import read, record_sample
     from trackres_ros.api.replaying import replay
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from trackres_ros.estimator.estimator import Estimator
     from trackres_ros.offline.sample import Sample
     from trackres_ros.recording.recording import Recording
+    from trackres_ros.results.coastdown import CoastdownResult
     from trackres_ros.results.diagnosis import DiagnosisResult
     from trackres_ros.results.operating_point import OperatingPoint
     from trackres_ros.results.replay import ReplayResult
@@ -37,6 +39,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 __all__ = [
+    "CoastdownResult",
     "DiagnosisResult",
     "Estimator",
     "InputError",
@@ -50,6 +53,7 @@ __all__ = [
     "VehicleCheck",
     "__version__",
     "check_vehicle",
+    "coastdown",
     "diagnose",
     "effects",
     "explain",
@@ -61,6 +65,7 @@ __all__ = [
 ]
 
 _HOMES = {
+    "CoastdownResult": "results.coastdown",
     "DiagnosisResult": "results.diagnosis",
     "Estimator": "estimator.estimator",
     "InputError": "errors",
@@ -73,6 +78,7 @@ _HOMES = {
     "Vehicle": "vehicle",
     "VehicleCheck": "results.vehicle_check",
     "check_vehicle": "api.vehicles",
+    "coastdown": "api.coasting",
     "diagnose": "api.diagnosing",
     "explain": "api.simulating",
     "load_vehicle": "api.vehicles",

@@ -47,6 +47,14 @@ def test_the_table_and_the_picture(good, softer, tmp_path):
     assert (tmp_path / "out" / "designs.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
 
 
+def test_two_versions_of_one_name_go_by_their_files(good, softer):
+    other = softer.with_name("wider.yaml")
+    other.write_text(softer.read_text())
+    text = good("compare", softer, other, *GRID)
+    assert "Resistance [Nm] of softer" in text
+    assert "Resistance [Nm] of wider" in text
+
+
 def test_the_same_design_twice_is_the_same(good):
     one, other = json.loads(good("compare", "agri3t", "agri3t", "--json"))["designs"]["designs"]
     assert one == other

@@ -366,7 +366,7 @@ def test_both_edges_offer_the_same(cyclone):
     cyclone.environment["PYTHONPATH"] = os.pathsep.join([str(Path(__file__).parent), cyclone.environment.get("PYTHONPATH", "")])
 
     def offered(process):
-        looked = cyclone.start(sys.executable, "-c", OFFERED, "11")
+        looked = cyclone.start(sys.executable, "-c", OFFERED, "12")
         assert exit_code(looked) == 0, looked.said()
         assert process.poll() is None
         return json.loads(looked.said().splitlines()[-1])
@@ -379,7 +379,7 @@ def test_both_edges_offer_the_same(cyclone):
     )
     wait(lambda: "24 t chassis" in dds.said(), dds)
     assert offered(dds) == on_ros
-    assert len(on_ros) == 11
+    assert len(on_ros) == 12
     assert all("RIHS01" in said for ends in on_ros.values() for said in ends)
 
 

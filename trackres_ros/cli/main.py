@@ -14,6 +14,7 @@ import click
 
 from trackres_ros import InputError, __version__
 from trackres_ros.cli import written
+from trackres_ros.cli.coastdown import coastdown_command
 from trackres_ros.cli.common import Commands
 from trackres_ros.cli.diagnose import diagnose_command, effects_command
 from trackres_ros.cli.entry import INTERRUPTED, interrupt_handled
@@ -56,6 +57,7 @@ for command in (
     simulate_command,
     explain_command,
     diagnose_command,
+    coastdown_command,
     prove_command,
     effects_command,
     fleet_group,

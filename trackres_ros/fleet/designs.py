@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from trackres_ros.errors import InputError
+from trackres_ros.errors import InputError, one_line
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.files.yamls import read_yaml
@@ -104,7 +104,10 @@ def compare_designs(grid: Grid, advance: Callable[[float], None] = lambda _: Non
     """
     drive = _driven(grid.cycle, min(v.chassis.max_speed for v in grid.vehicles))
     found = []
-    for vehicle in grid.vehicles:
+    named = [v.name for v in grid.vehicles]
+    # Two versions of one vehicle bear one name: their files tell them apart.
+    shown = named if len(set(named)) == len(named) else [one_line(v.source.stem) for v in grid.vehicles]
+    for vehicle, name in zip(grid.vehicles, shown, strict=True):
         radius = vehicle_constants(vehicle).radius
         torque = np.empty((len(grid.belts_degc), len(grid.speeds_kmh)))
         for i, degc in enumerate(grid.belts_degc):
@@ -120,7 +123,7 @@ def compare_designs(grid: Grid, advance: Callable[[float], None] = lambda _: Non
         tonnes = vehicle.weight / GRAVITY / 1000.0
         found.append(
             {
-                "vehicle": vehicle.name,
+                "vehicle": name,
                 "weight_n": vehicle.weight,
                 "torque_nm": torque.tolist(),
                 "coefficient": (torque / radius / vehicle.weight).tolist(),

@@ -97,6 +97,10 @@ class Base(Protocol):
     def parameters(self) -> tuple[BaseParameter, ...]:
         """What may be re-fitted."""
 
+    @property
+    def held(self) -> Values:
+        """What else may be, and is not, by name."""
+
     def predict(self, sessions: Sequence[Session], values: Values, effects: Sequence[Active]) -> list[Predicted]:
         """Simulate sessions one after the other.
 

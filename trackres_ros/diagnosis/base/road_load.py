@@ -116,6 +116,7 @@ class RoadBase:
         self.vehicle = vehicle
         self._active = (*vehicle.effects, *vehicle.surroundings)
         self._simulated = Remembered()
+        self.held: Values = {}
         v = vehicle.values
         self.torque_scale, self.rotating_mass_factor = v["torque_scale"], v["rotating_mass_factor"]
         self.facts = VehicleConstants(
@@ -143,7 +144,7 @@ class RoadBase:
 
     def predict(self, sessions: Sequence[Session], values: Values, effects: Sequence[Active]) -> list[Predicted]:
         """See `base.Base`."""
-        values = {**self.vehicle.values, **values}
+        values = {**self.vehicle.values, **self.held, **values}
         chain = (
             Active(DrivetrainEfficiency(), {"efficiency": values["efficiency"]}),
             Active(Delay(), {"time": values["torque_delay"]}),
@@ -204,5 +205,7 @@ class RoadBase:
         if kept.values is not None:
             for name in kept.values:
                 old = vehicle.parameters[name]
-                set_quantity(document, ("road_load", name), old, kept.values[name], kept.range_of(name), QUANTITIES[name])
+                set_quantity(
+                    document, ("road_load", name), old, kept.values[name], kept.range_of(name), QUANTITIES[name], kept.by
+                )
         return finish(document, vehicle.name, vehicle.effects, vehicle.surroundings, path, kept, text, vehicle.route)

@@ -70,6 +70,7 @@ class TrackBase:
         }
         self._firsts, self._count = _kinds(self._constants)
         self._simulated = Remembered()
+        self.held: Values = {}
         self.includes = tuple(active.effect.name for active in vehicle.active)
         self.facts = vehicle_constants(vehicle)
         first = vehicle.track_of(vehicle.assemblies[0])
@@ -109,6 +110,7 @@ class TrackBase:
 
     def predict(self, sessions: Sequence[Session], values: Values, effects: Sequence[Active]) -> list[Predicted]:
         """See `base.Base`."""
+        values = {**self.held, **values}
         acting = Acting.of([*self.vehicle.active, *effects], self.facts)
         rows = self._simulated.rows(sessions, values, acting, lambda: self._simulate(sessions, values, acting))
         found = []

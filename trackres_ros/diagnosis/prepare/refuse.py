@@ -61,8 +61,8 @@ def refuse_overlaps(recordings: Sequence[Recording], notes: list[str]) -> None:
                 notes.append(f"{name}, {other}: their clocks overlap by {both:.0f} s; taken for one after the other")
 
 
-def check_compared(name: str, series: Mapping[str, Series]) -> None:
-    """Refuse a recording without a torque, without a speed, or shorter than `SHORTEST_S`.
+def check_compared(name: str, series: Mapping[str, Series], shortest_s: float = SHORTEST_S) -> None:
+    """Refuse a recording without a torque, without a speed, or too short.
 
     Raises
     ------
@@ -78,8 +78,8 @@ def check_compared(name: str, series: Mapping[str, Series]) -> None:
     if "speed" not in series or not np.isfinite(series["speed"].value).any():
         raise InputError(name, "no finite speed", "a speed")
     seconds = _duration_s(series)
-    if seconds < SHORTEST_S:
-        raise InputError(name, f"{seconds:.0f} s", f"at least {SHORTEST_S:.0f} s of recording")
+    if seconds < shortest_s:
+        raise InputError(name, f"{seconds:.0f} s", f"at least {shortest_s:.0f} s of recording")
 
 
 def check_speed(session: Session, max_speed: float) -> None:

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from trackres_ros.diagnosis.prepare.gaps import steps_within, steps_without_value, straight_spans
-from trackres_ros.diagnosis.prepare.refuse import EARLIEST_CLOCK_S, check_compared
+from trackres_ros.diagnosis.prepare.refuse import EARLIEST_CLOCK_S, SHORTEST_S, check_compared
 from trackres_ros.diagnosis.prepare.sample_noise import noise_of_means
 from trackres_ros.diagnosis.prepare.sampling import LONGEST_HOLD_S, any_from, carried, held, means, middles, ordered, read_off
 from trackres_ros.diagnosis.prepare.session import Array, Course, Mask, Session, Way
@@ -52,7 +52,12 @@ def is_hidden(role: str, hide: Collection[str]) -> bool:
 
 
 def resample(
-    recording: Recording, step: float, settings: GateSettings, hide: frozenset[str], notes: list[str]
+    recording: Recording,
+    step: float,
+    settings: GateSettings,
+    hide: frozenset[str],
+    notes: list[str],
+    shortest_s: float = SHORTEST_S,
 ) -> tuple[Session, dict[str, Mask]]:
     """Put a recording on an even grid.
 
@@ -68,6 +73,8 @@ def resample(
         Roles that are not read.
     notes
         What was assumed is added to them.
+    shortest_s
+        How long it has to be [s].
 
     Returns
     -------
@@ -82,7 +89,7 @@ def resample(
         No torque, no speed, too short, or another unit.
     """
     series = {role: s for role, s in recording.series.items() if not is_hidden(role, hide)}
-    check_compared(recording.name, series)
+    check_compared(recording.name, series, shortest_s)
     torques = [role for role in series if role.partition("/")[0] == "torque" and np.isfinite(series[role].value).any()]
     start = recording.start_ns
     speed_at, raw_speed = ordered(series["speed"], start)

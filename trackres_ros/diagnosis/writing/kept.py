@@ -45,6 +45,8 @@ class Kept:
         What is to be watched for live; None where there is none, and then that of the file stays.
     route
         A slope, or a torque, by place; what of these was given with the surroundings stays beside it.
+    by
+        The command that found it.
     """
 
     values: Mapping[str, float] | None
@@ -53,6 +55,7 @@ class Kept:
     text: str = ""
     disturbance: LearnedDisturbance | None = None
     route: tuple[RouteMap, ...] = ()
+    by: str = "trackres diagnose"
 
     def with_disturbance(self, learned: LearnedDisturbance | None) -> Kept:
         """The same, with what is to be watched for."""

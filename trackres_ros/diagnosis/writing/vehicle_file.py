@@ -26,9 +26,9 @@ from trackres_ros.vehicle.reading import FITTED
 from trackres_ros.vehicle.schema import BELT, CHASSIS, DISTURBANCES, RUBBER, Limits
 from trackres_ros.vehicle.surroundings import SCHEMA
 
-REASON = "re-fitted by trackres diagnose"
+REFITTED = "re-fitted by"
 FOUND = "found by trackres diagnose"
-WRITTEN = "Written by trackres diagnose"
+WRITTEN = "Written by trackres"
 SURROUNDINGS_FILE = "surroundings.yaml"
 ROUTE_FILE = "route.csv"
 FIGURES = 6
@@ -61,20 +61,24 @@ def _set_values(document: Document, vehicle: Vehicle, kept: Kept) -> None:
         ("rubber", "conductivity", RUBBER),
     ):
         if name in values:
-            set_quantity(document, (section, name), q[f"{section}.{name}"], values[name], kept.range_of(name), limits[name])
+            set_quantity(
+                document, (section, name), q[f"{section}.{name}"], values[name], kept.range_of(name), limits[name], kept.by
+            )
     capacity = [_heat_capacity(vehicle, scale) for scale in (values["capacity_scale"], *(kept.range_of("capacity_scale") or ()))]
     path = ("rubber", "heat_capacity")
-    set_quantity(document, path, q[".".join(path)], capacity[0], _range(capacity[1:]), RUBBER["heat_capacity"])
+    set_quantity(document, path, q[".".join(path)], capacity[0], _range(capacity[1:]), RUBBER["heat_capacity"], kept.by)
     for track in vehicle.tracks:
         belt = ("tracks", track, "belt")
         for name in ("film_offset", "film_slope"):
             old = q[".".join((*belt, name))]
             assert isinstance(old.value, float)
             film = [old.value * scale for scale in (values["film_scale"], *(kept.range_of("film_scale") or ()))]
-            set_quantity(document, (*belt, name), old, film[0], _range(film[1:]), BELT[name])
+            set_quantity(document, (*belt, name), old, film[0], _range(film[1:]), BELT[name], kept.by)
         if "surface_share" in values:
             old, share = q[".".join((*belt, "surface_share"))], values["surface_share"]
-            set_quantity(document, (*belt, "surface_share"), old, share, kept.range_of("surface_share"), BELT["surface_share"])
+            set_quantity(
+                document, (*belt, "surface_share"), old, share, kept.range_of("surface_share"), BELT["surface_share"], kept.by
+            )
 
 
 def _set_disturbance(document: Document, learned: LearnedDisturbance) -> None:
@@ -117,12 +121,22 @@ def opened(source: Path) -> Document:
     return Document("".join(lines[written + 1 :]))
 
 
-def set_quantity(document: Document, path: Sequence[str], old: Quantity, value: float, learned: Range, limits: Limits) -> None:
-    """A fitted value with its interval as the range, which is read as +-2 standard deviations; without one the old range."""
+def set_quantity(
+    document: Document, path: Sequence[str], old: Quantity, value: float, learned: Range, limits: Limits, by: str
+) -> None:
+    """A fitted value with its interval as the range, which is read as +-2 standard deviations; without one the old range, and
+    what is the same as before stays as it is written.
+
+    `by` is the command that found it.
+    """
+    if learned is None and isinstance(old.value, float) and _figures(value) == _figures(old.value):
+        return
     low, high = (old.low, old.high) if learned is None else learned
     low, high = (min(max(x, limits.low), limits.high) for x in (low, high))
     span = [_figures(min(low, value)), _figures(max(high, value))]
-    reason = old.reason if old.reason.startswith(REASON) else f"{REASON}; before it {old.value:g} ({old.flag}): {old.reason}"
+    again = old.reason.startswith(REFITTED) and "; before it " in old.reason
+    before = old.reason.partition("; before it ")[2] if again else f"{old.value:g} ({old.flag}): {old.reason}"
+    reason = f"{REFITTED} {by}; before it {before}"
     given = {"value": _figures(value), "range": span, "flag": "A" if learned is None else FITTED, "reason": reason}
     for key, new in given.items():
         document.set((*path, key), new)

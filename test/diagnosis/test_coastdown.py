@@ -1,0 +1,192 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""A vehicle that rolls out: what is found is what was there, within its ranges, and only what is better is written."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import trackres_ros as tr
+from trackres_ros.diagnosis.coastdown.stretches import NO_TORQUE_SHARE
+from trackres_ros.units import GRAVITY
+
+DT_S, FROM_MPS, ACCELERATION = 0.05, 12.0, 0.3
+HEADER = "time_s,speed_mps,torque_nm,grade"
+
+
+def drive(vehicle, times=4, noise=0.01, slope=0.0, seed=1):
+    """It is driven up to a speed and rolls out, there and back; time [s], speed [m/s], torque [Nm], slope."""
+    estimator = tr.Estimator(vehicle)
+    state = estimator.cold_start(estimator.inputs(0.0))
+    inertia = estimator.step(state, estimator.inputs(1.0, acceleration=1.0), DT_S)[1]["inertia_nm"]
+    rows, speed = [], 0.0
+
+    def step(acceleration):
+        nonlocal state
+        state, estimate = estimator.step(state, estimator.inputs(speed, acceleration=acceleration, grade=grade), DT_S)
+        return estimate
+
+    for number in range(times):
+        grade = slope if number % 2 else -slope
+        while speed < FROM_MPS:
+            speed += ACCELERATION * DT_S
+            rows.append((speed, step(ACCELERATION)["drive_torque_nm"], grade))
+        while speed > 0.1:
+            now = step(0.0)
+            speed -= (now["resistance_torque_nm"] + now["grade_nm"]) / inertia * DT_S
+            rows.append((speed, 0.0, grade))
+        speed = 0.0
+        rows += [(0.0, step(0.0)["drive_torque_nm"], grade)] * 200
+    table = np.column_stack([np.arange(len(rows)) * DT_S, rows])
+    table[:, 1] += noise * np.random.default_rng(seed).normal(size=len(rows))
+    return table
+
+
+def heavier_bearings(vehicle, factor=1.4):
+    chassis = vehicle.chassis
+    return replace(vehicle, chassis=replace(chassis, bearing_friction=factor * chassis.bearing_friction))
+
+
+def written(path, table, columns=HEADER):
+    of = [HEADER.split(",").index(name) for name in columns.split(",")]
+    np.savetxt(path, table[:, of], delimiter=",", header=columns, comments="", fmt="%.4f")
+    return path
+
+
+@pytest.fixture(scope="module")
+def reference_vehicle():
+    return tr.load_vehicle("xgd24d")
+
+
+@pytest.fixture(scope="module")
+def rolled(reference_vehicle):
+    return drive(heavier_bearings(reference_vehicle))
+
+
+def resistance(vehicle, found, speed_kmh):
+    """With the values found; at one temperature [Nm]."""
+    values = {p.name: p.value for p in found.coastdown.parameters}
+    chassis = replace(vehicle.chassis, bearing_friction=values["bearing_friction"], drag_coefficient=values["drag_coefficient"])
+    rubber = replace(vehicle.rubber, loss_modulus_scale=values["loss_modulus_scale"])
+    return tr.explain(replace(vehicle, chassis=chassis, rubber=rubber), speed_kmh=speed_kmh, belt_degc=20)["torque_nm"][
+        "resistance"
+    ]
+
+
+@pytest.mark.parametrize("columns", ["time_s,speed_mps", "time_s,speed_mps,torque_nm"])
+def test_what_resists_is_found_within_its_ranges(tmp_path, reference_vehicle, rolled, columns):
+    found = tr.coastdown(written(tmp_path / "roll.csv", rolled, columns), "xgd24d")
+    true = heavier_bearings(reference_vehicle)
+    by_name = {p.name: p for p in found.coastdown.parameters}
+    of = by_name["bearing_friction"]
+    assert of.told
+    assert of.interval.low < true.chassis.bearing_friction < of.interval.high
+    for name in ("loss_modulus_scale", "drag_coefficient"):
+        assert by_name[name].interval.low < by_name[name].before < by_name[name].interval.high
+    assert "loss_modulus_scale" in of.with_others  # a force that hardly varies: only both together are told
+    for speed_kmh in (10.0, 25.0, 40.0):
+        expected = tr.explain(true, speed_kmh=speed_kmh, belt_degc=20)["torque_nm"]["resistance"]
+        assert resistance(reference_vehicle, found, speed_kmh) == pytest.approx(expected, rel=0.01)
+    assert found.better
+    assert found.coastdown.improvement.after < 0.1 * found.coastdown.improvement.before
+
+
+def test_what_the_file_says_already_is_not_written_anew(tmp_path, reference_vehicle):
+    found = tr.coastdown(written(tmp_path / "roll.csv", drive(reference_vehicle)), "xgd24d")
+    for speed_kmh in (10.0, 40.0):
+        expected = tr.explain(reference_vehicle, speed_kmh=speed_kmh, belt_degc=20)["torque_nm"]["resistance"]
+        assert resistance(reference_vehicle, found, speed_kmh) == pytest.approx(expected, rel=0.01)
+    if not found.better:
+        with pytest.raises(tr.InputError, match="save_vehicle"):
+            found.save_vehicle(tmp_path / "new.yaml")
+    assert not (tmp_path / "new.yaml").exists()
+
+
+def test_all_scales_with_the_mass(tmp_path, rolled):
+    """Of a vehicle on tyres: of one that is twice as heavy it takes twice the force, at the same decay of speed."""
+    roll = written(tmp_path / "roll.csv", rolled, "time_s,speed_mps")
+
+    def force(mass, speed):
+        text = (
+            "schema: 1\nname: cart\ntitle: a cart\nfriction_brakes: false\nroad_load:\n"
+            "  rolling_coefficient: {value: 0.02, unit: '1', flag: A, range: [0.0, 0.1], reason: not known}\n"
+            "  rolling_rise: {value: 0.0, unit: s/m, flag: A, range: [-0.002, 0.002], reason: not known}\n"
+            "  drag_area: {value: 4.0, unit: m^2, flag: A, range: [0.0, 20.0], reason: not known}\n"
+        )
+        held = {
+            "air_density": (1.2, "kg/m^3"), "mass": (mass, "kg"), "rotating_mass_factor": (1.1, "1"), "wheel_radius": (0.4, "m"),
+            "torque_scale": (1.0, "1"), "efficiency": (1.0, "1"), "torque_delay": (0.0, "s"), "contact_length": (3.0, "m"),
+            "max_speed": (15.0, "m/s"), "ambient": (15.0, "degC"),
+        }  # fmt: skip
+        text += "".join(
+            f"  {name}: {{value: {value}, unit: '{unit}', flag: A, range: [{value}, {value}], reason: held}}\n"
+            for name, (value, unit) in held.items()
+        )
+        file = tmp_path / "cart.yaml"
+        file.write_text(text)
+        found = tr.coastdown(roll, file)
+        assert found.better
+        v = {p.name: p.value for p in found.coastdown.parameters}
+        rolling = (v["rolling_coefficient"] + v["rolling_rise"] * speed) * mass * GRAVITY
+        return rolling + 0.5 * 1.2 * v["drag_area"] * speed**2
+
+    for speed in (3.0, 10.0):
+        assert force(20000.0, speed) == pytest.approx(2.0 * force(10000.0, speed), rel=0.02)
+
+
+def test_a_slope_that_is_known_does_not_matter(tmp_path, reference_vehicle):
+    sloped = drive(heavier_bearings(reference_vehicle), slope=0.004)
+    true = tr.explain(heavier_bearings(reference_vehicle), speed_kmh=25, belt_degc=20)["torque_nm"]["resistance"]
+    known = tr.coastdown(written(tmp_path / "known.csv", sloped), "xgd24d")
+    assert known.better
+    assert resistance(reference_vehicle, known, 25.0) == pytest.approx(true, rel=0.01)
+    hidden = tr.coastdown(written(tmp_path / "hidden.csv", sloped, "time_s,speed_mps"), "xgd24d")
+    assert hidden.better or "record it, or an altitude" in hidden.why_not
+    # There and back: what it does to one takes from the other.
+    assert resistance(reference_vehicle, hidden, 25.0) == pytest.approx(true, rel=0.1)
+
+
+def test_each_rolling_out_may_be_a_recording_of_its_own(tmp_path, reference_vehicle, rolled):
+    speed, torque = rolled[:, 1], rolled[:, 2]
+    begins = np.flatnonzero((torque[1:] == 0.0) & (torque[:-1] > 0.0)) + 1
+    files = []
+    for number, begin in enumerate(begins):
+        piece = rolled[begin : begin + int(np.argmax(speed[begin:] < 0.05))].copy()
+        piece[:, 0] -= piece[0, 0]
+        files.append(written(tmp_path / f"roll_{number}.csv", piece, "time_s,speed_mps"))
+    assert len(files) == 4
+    found = tr.coastdown(files, "xgd24d")
+    assert [s.session for s in found.coastdown.rolled.stretches] == [0, 1, 2, 3]
+    true = tr.explain(heavier_bearings(reference_vehicle), speed_kmh=25, belt_degc=20)["torque_nm"]["resistance"]
+    assert resistance(reference_vehicle, found, 25.0) == pytest.approx(true, rel=0.05)  # how warm it was before is not known
+
+
+def test_what_is_driven_or_braked_is_not_taken(tmp_path, reference_vehicle, rolled):
+    driven = rolled.copy()
+    driven[:, 2] += 3.0 * NO_TORQUE_SHARE * reference_vehicle.weight * 0.4  # somebody keeps his foot on it
+    with pytest.raises(tr.InputError, match="rolls out") as error:
+        tr.coastdown(written(tmp_path / "driven.csv", driven), "xgd24d")
+    assert "both directions" in error.value.remedy
+    time = np.arange(0.0, 200.0, DT_S)
+    saw = np.interp(time % 50.0, [0.0, 30.0, 45.0, 50.0], [0.0, 14.0, 0.0, 0.0])
+    braked = np.column_stack([time, saw, 0.0 * time, 0.0 * time])
+    with pytest.raises(tr.InputError, match="brakes"):
+        tr.coastdown(written(tmp_path / "braked.csv", braked, "time_s,speed_mps"), "xgd24d")
+
+
+def test_the_command_writes_what_is_better_and_says_what_is_not(tmp_path, rolled, good, monkeypatch):
+    pytest.importorskip("matplotlib")
+    monkeypatch.chdir(tmp_path)
+    written(tmp_path / "roll.csv", rolled, "time_s,speed_mps")
+    shown = good("coastdown", "roll.csv", "--vehicle", "xgd24d", "--save-vehicle", "new.yaml", "--picture", "roll.png")
+    assert "It rolls out 4 times" in shown
+    assert "Written: new.yaml, roll.png" in shown
+    assert (tmp_path / "roll.png").stat().st_size > 10000
+    again = json.loads(good("coastdown", "roll.csv", "--vehicle", "new.yaml", "--save-vehicle", "newer.yaml", "--json"))
+    assert again["held_out_nm"]["file"] < 10.0
+    assert again["better"] == (tmp_path / "newer.yaml").exists()
+    reason = tr.load_vehicle("new.yaml").parameters["chassis.bearing_friction"].reason
+    assert reason.startswith("re-fitted by trackres coastdown; before it 0.0075 (")

@@ -1,0 +1,85 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Finds what resists a vehicle that rolls out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from trackres_ros.api.arguments import StrPath, TopicsGiven, as_topics
+from trackres_ros.api.recordings import read
+from trackres_ros.errors import InputError
+
+if TYPE_CHECKING:
+    from trackres_ros.diagnosis.base.road_load import RoadVehicle
+    from trackres_ros.recording.recording import Recording
+    from trackres_ros.results.coastdown import CoastdownResult
+    from trackres_ros.vehicle import Vehicle
+
+
+def coastdown(
+    recordings: Recording | StrPath | Sequence[Recording | StrPath],
+    vehicle: StrPath | Vehicle | RoadVehicle,
+    *,
+    topics: TopicsGiven | None = None,
+    surroundings: StrPath | None = None,
+    method: str | None = None,
+    thermal: str | None = None,
+    seed: int = 1,
+) -> CoastdownResult:
+    """Parameters of a vehicle file from recordings in which it rolls out, with intervals.
+
+    Parameters
+    ----------
+    recordings
+        With a speed. Where a torque was recorded, pieces without any are used; else all in which it slows down by itself.
+    vehicle
+        A vehicle, the path of its file, or the name of a shipped one; one with a `road_load` section too. Its mass is held.
+    topics
+        As in `read`, where paths are given.
+    surroundings
+        File of what holds where it was driven.
+    method, thermal
+        Other methods than the vehicle file has.
+    seed
+        Of all that is drawn.
+
+    Returns
+    -------
+    CoastdownResult
+        With `as_dict`, `plot` and `save_vehicle`.
+
+    Raises
+    ------
+    InputError
+        If it rolls out nowhere, or something else cannot be used.
+
+    Examples
+    --------
+    >>> import trackres_ros as tr
+    >>> from pathlib import Path
+    >>> _ = Path("drive.csv").write_text("time_s,speed_kmh\\n0,0\\n10,36\\n200,36\\n")
+    >>> try:
+    ...     tr.coastdown("drive.csv", "xgd24d")
+    ... except tr.InputError as error:
+    ...     print(error.remedy)
+    let it roll out from its greatest speed, in both directions
+    """
+    from trackres_ros.diagnosis.base.loading import load_base
+    from trackres_ros.diagnosis.coastdown.fitted import coastdown as run
+    from trackres_ros.diagnosis.pipeline import in_order
+    from trackres_ros.recording.recording import Recording
+    from trackres_ros.results.coastdown import CoastdownResult
+
+    listed: Sequence[Any] = [recordings] if isinstance(recordings, str | PathLike | Recording) else recordings
+    if not listed:
+        raise InputError("recordings", "none", "at least one")
+    mapping = as_topics(topics)
+    loaded = load_base(vehicle, method, thermal, mapping, surroundings)
+    read_in = in_order([r if isinstance(r, Recording) else read(r, topics=mapping) for r in listed])
+    paths = [path for one in read_in for path in (one.paths or (Path(one.name),))]
+    return CoastdownResult(run(read_in, loaded, seed), paths)

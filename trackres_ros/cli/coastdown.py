@@ -1,0 +1,81 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""`trackres coastdown` finds parameters of a vehicle file from recordings in which it rolls out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+import trackres_ros as tr
+from trackres_ros.cli.common import (
+    Command,
+    default_of,
+    emit,
+    json_option,
+    method_options,
+    progress,
+    surroundings_option,
+    vehicle_option,
+)
+from trackres_ros.cli.written import watch
+
+
+@click.command("coastdown", cls=Command)
+@click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path))
+@vehicle_option
+@surroundings_option
+@click.option("--topics", type=click.Path(path_type=Path), metavar="T.yaml", help="Which topics or columns hold what.")
+@method_options
+@click.option("--seed", type=int, default=default_of(tr.coastdown, "seed"), show_default=True, help="Of all that is drawn.")
+@click.option(
+    "--save-vehicle",
+    type=click.Path(path_type=Path),
+    metavar="NEW.yaml",
+    help="Vehicle file with what was found; written only where that is better on rollings out that were not fitted.",
+)
+@click.option("--picture", type=click.Path(path_type=Path), metavar="P.png", help="Speeds as measured and by both.")
+@json_option
+def coastdown_command(
+    recordings: tuple[Path, ...],
+    vehicle: str,
+    surroundings: Path | None,
+    topics: Path | None,
+    method: str | None,
+    thermal: str | None,
+    seed: int,
+    save_vehicle: Path | None,
+    picture: Path | None,
+    as_json: bool,
+) -> None:
+    """Parameters of a vehicle file from recordings in which it rolls out, with ranges.
+
+    Where a torque was recorded, pieces without any are used; else all in which it slows down by itself. All that is found scales
+    with the mass, which is held. Without a recorded slope or altitude let it roll in both directions.
+
+    \b
+    trackres coastdown roll_1.csv roll_2.csv --vehicle xgd24d --picture rolls.png
+    trackres coastdown roll.mcap --vehicle my.yaml --topics topics.yaml --save-vehicle rolled.yaml
+    """
+    watch(*(path for path in (save_vehicle, picture) if path))
+    with progress("rolling out", None):
+        found = tr.coastdown(
+            recordings, vehicle, topics=topics, surroundings=surroundings, method=method, thermal=thermal, seed=seed
+        )
+    written = []
+    if save_vehicle is not None and found.better:
+        written += [str(path) for path in found.save_vehicle(save_vehicle)]
+    if picture is not None:
+        written.append(str(found.plot(picture)))
+
+    def text() -> str:
+        lines = [repr(found)]
+        if save_vehicle is not None and not found.better:
+            lines.append(f"Not written: {save_vehicle}")
+        if written:
+            lines.append(f"Written: {', '.join(written)}")
+        return "\n".join(lines)
+
+    emit({**found.as_dict(), "written": written}, as_json, text)

@@ -1,0 +1,218 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Fits a base model to rollings out: the forces that slow it down are what its mass loses in speed.
+
+Nothing is measured but the speed, so all that is found scales with the mass and what turns with it, which are held: how well
+these are known widens every interval.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.base.base import Base
+from trackres_ros.diagnosis.base.instrument import instrument
+from trackres_ros.diagnosis.base.loading import LoadedBase
+from trackres_ros.diagnosis.base.road_load import RoadBase
+from trackres_ros.diagnosis.base.track import TrackBase
+from trackres_ros.diagnosis.coastdown.stretches import Rollouts, rollouts
+from trackres_ros.diagnosis.inference.fitting import Fit, Problem, fit
+from trackres_ros.diagnosis.inference.levels import LARGEST_ROOT
+from trackres_ros.diagnosis.prepare.refuse import check_speed
+from trackres_ros.diagnosis.prepare.resample import step_for
+from trackres_ros.diagnosis.selection.held_out import HeldOutLaps, Improvement
+from trackres_ros.diagnosis.selection.intervals import NORMAL_95, Interval, intervals
+from trackres_ros.diagnosis.writing.kept import Kept
+from trackres_ros.errors import InputError
+from trackres_ros.progress import counted
+from trackres_ros.recording.recording import Recording
+
+Array = NDArray[np.float64]
+
+SCALES = ("mass", "rotating_mass_factor", "torque_scale", "efficiency", "torque_delay")
+"""Of these, and of a torque sensor, a rolling out tells nothing."""
+FORCES = ("loss_modulus_scale", "bearing_friction", "drag_coefficient", "rolling_coefficient", "rolling_rise", "drag_area")
+"""Parameters in proportion to which a force grows, so that they scale with the mass."""
+MOST_FOLDS = 6
+UNTOLD = 0.7  # of the standard deviation beforehand: what is left so wide was not found
+TOGETHER = 0.9  # correlation of two errors from which only both together are told
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """A parameter.
+
+    Attributes
+    ----------
+    name, unit, before, before_std
+        As the vehicle file has it; the standard deviation is infinite where nothing is known.
+    value, interval
+        After the fit, with what is not known of the mass.
+    told
+        Whether the rolling out tells it; else it is what the file said.
+    with_others
+        Parameters from which it cannot be told apart.
+    """
+
+    name: str
+    unit: str
+    before: float
+    before_std: float
+    value: float
+    interval: Interval
+    told: bool
+    with_others: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Coastdown:
+    """What rollings out say.
+
+    Attributes
+    ----------
+    loaded, rolled
+        Vehicle, and where it rolls out.
+    nominal, fitted
+        Torque that the vehicle file, and the values found, need for what was measured, of each session [Nm]: where it rolls out
+        there was none.
+    parameters
+        What was found, and what was not told and stays.
+    mass_std
+        Relative standard deviation of mass and rotating masses, in all intervals.
+    improvement
+        Of the error on rollings out that were not fitted; None of a single one.
+    """
+
+    loaded: LoadedBase
+    rolled: Rollouts
+    nominal: tuple[Array, ...]
+    fitted: tuple[Array, ...]
+    parameters: tuple[Found, ...]
+    mass_std: float
+    improvement: Improvement | None
+
+    @property
+    def better(self) -> bool:
+        """Whether the values are better on rollings out that were not fitted, beyond chance."""
+        return self.improvement is not None and self.improvement.after < self.improvement.before and self.improvement.low > 0.0
+
+    @property
+    def kept(self) -> Kept:
+        """What may be written."""
+        values = {p.name: p.value for p in self.parameters}
+        spans = {("", p.name): p.interval for p in self.parameters if p.told}
+        told = ", ".join(p.name for p in self.parameters if p.told) or "none"
+        return Kept(values, (), spans, f"found in {len(self.rolled.stretches)} rollings out: {told}", by="trackres coastdown")
+
+
+def coastdown(recordings: Sequence[Recording], loaded: LoadedBase, seed: int = 1) -> Coastdown:
+    """Find what resists a vehicle that rolls out.
+
+    Parameters
+    ----------
+    recordings
+        With a speed, in the order of their times.
+    loaded
+        Vehicle, and what it is known to be.
+    seed
+        Of the bootstrap over rollings out.
+
+    Raises
+    ------
+    InputError
+        If it rolls out nowhere; says why pieces in which it slows down were not used.
+    """
+    base = _told_by_rolling(loaded.base)
+    rolled = rollouts(list(recordings), loaded.known, base.facts.radius, step_for(recordings))
+    for session in rolled.sessions:
+        check_speed(session, loaded.known.max_speed)
+    if not rolled.stretches:
+        why = "; ".join(f"{count} {reason}" for reason, count in rolled.left_out.items()) or "it slows down nowhere"
+        raise InputError(
+            ", ".join(r.name for r in recordings),
+            f"no piece in which it rolls out ({why})",
+            "at least one of 10 s or more, with no torque and no brake",
+            "let it roll out from its greatest speed, in both directions",
+        )
+    problem = Problem(base, rolled.sessions, tuple(s.used for s in rolled.sessions))
+    all_free = fit(problem, largest_root=LARGEST_ROOT)
+    told = [f.key[1] for f in all_free.free if all_free.std_of(*f.key) < UNTOLD * f.std]
+    problem = replace(problem, base=_with_free(base, told))
+    found = fit(problem, start=all_free.at, largest_root=LARGEST_ROOT) if told else None
+    nominal = tuple(p.torque for p in problem.predict({q.name: q.nominal for q in base.parameters}, ()))
+    mass_std = _mass_std(loaded.base, rolled)
+    rng = np.random.default_rng(seed)
+    return Coastdown(
+        loaded, rolled, nominal, nominal if found is None else tuple(p.torque for p in found.predicted),
+        _parameters(base, all_free, found, mass_std), mass_std, _improvement(problem, rolled, nominal, rng) if told else None,
+    )  # fmt: skip
+
+
+def _told_by_rolling(base: Base) -> Base:
+    """The base with those parameters free that a rolling out can tell of."""
+    return _with_free(base, [q.name for q in base.parameters if q.name not in SCALES])
+
+
+def _with_free(base: Base, names: Collection[str]) -> Base:
+    """The base with these parameters free, and no torque sensor that might be off."""
+    found = copy.copy(base)
+    assert isinstance(found, TrackBase | RoadBase)
+    found.parameters = tuple(q for q in base.parameters if q.name in names)
+    found.held = {**base.held, **{q.name: q.nominal for q in base.parameters if q.name not in names}}
+    found.includes = (*base.includes, *(effect.name for effect in instrument(base)))
+    return found
+
+
+def _mass_std(base: Base, rolled: Rollouts) -> float:
+    """Relative standard deviation of all that has to be slowed down, as far as the file says it."""
+    assert isinstance(base, TrackBase | RoadBase)
+    known = base.vehicle.parameters
+    names = ["chassis.rotating_mass_factor" if isinstance(base, TrackBase) else "rotating_mass_factor"]
+    if isinstance(base, RoadBase) and not all("load" in s.given for s in rolled.sessions):
+        names.append("mass")
+    return float(np.sqrt(sum((known[n].standard_deviation / float(np.mean(known[n].value))) ** 2 for n in names)))
+
+
+def _parameters(base: Base, all_free: Fit, found: Fit | None, mass_std: float) -> tuple[Found, ...]:
+    spans = intervals(all_free)
+    std = np.sqrt(np.diag(all_free.covariance))
+    correlation = all_free.covariance / np.outer(std, std)
+    values = {} if found is None else found.at
+    listed = []
+    for i, (q, f) in enumerate(zip(base.parameters, all_free.free, strict=True)):
+        told, at, span = f.key in values, all_free.at[f.key], spans[f.key]
+        value = values.get(f.key, q.nominal)
+        of_mass = NORMAL_95 * mass_std * abs(value) if q.name in FORCES else 0.0
+        below, above = np.hypot(at - span.low, of_mass), np.hypot(span.high - at, of_mass)
+        span = Interval(max(f.low, value - float(below)), min(f.high, value + float(above)), span.bound_only)
+        others = [g.key[1] for j, g in enumerate(all_free.free) if j != i and abs(correlation[i, j]) > TOGETHER]
+        listed.append(Found(q.name, q.unit, q.nominal, q.std, value, span, told, tuple(others)))
+    return tuple(listed)
+
+
+def _improvement(problem: Problem, rolled: Rollouts, nominal: Sequence[Array], rng: np.random.Generator) -> Improvement | None:
+    """Of the error where it was not fitted: each part of the rollings out by a fit to the others. Without a known slope two that
+    follow one another stay together: one there and one back.
+    """
+    known = all("grade" in s.given for s in rolled.sessions)
+    together = 1 if known or len(rolled.stretches) < 4 else 2
+    parts = math.ceil(len(rolled.stretches) / together)
+    if parts < 2:
+        return None
+    expected = [np.array(x) for x in nominal]
+    folds = min(parts, MOST_FOLDS)
+    for fold in counted(range(folds), "what is not fitted", folds):
+        held = [(s.block // together % folds == fold) & s.used for s in rolled.sessions]
+        others = replace(problem, masks=tuple(s.used & ~h for s, h in zip(rolled.sessions, held, strict=True)))
+        found = fit(others, largest_root=LARGEST_ROOT)
+        for series, of, mask in zip(expected, found.predicted, held, strict=True):
+            series[mask] = of.torque[mask]
+    masks = [s.used for s in rolled.sessions]
+    return HeldOutLaps(rolled.sessions, masks, rng).improvement(nominal, expected)

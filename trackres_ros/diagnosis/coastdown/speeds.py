@@ -1,0 +1,56 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Rollings out as people look at them: speeds over time, as measured and as a model has them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.coastdown.fitted import Coastdown
+from trackres_ros.units import GRAVITY
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Rollout:
+    """One of them; series of shape (n,).
+
+    Attributes
+    ----------
+    name
+        Of the recording.
+    time, measured
+        Since the start of the recording [s]; speed [m/s].
+    by_file, by_found
+        Speed that the vehicle file, and the values found, have from the first measured one on [m/s].
+    over_file, over_found
+        Torque by which they resist too much [Nm].
+    """
+
+    name: str
+    time: Array
+    measured: Array
+    by_file: Array
+    by_found: Array
+    over_file: Array
+    over_found: Array
+
+
+def rollouts_of(found: Coastdown) -> list[Rollout]:
+    """All of a coast-down, in their order."""
+    base, listed = found.loaded.base, []
+    for stretch in found.rolled.stretches:
+        session, at = found.rolled.sessions[stretch.session], slice(stretch.begin, stretch.end)
+        sense = np.sign(session.speed[at])
+        per_acceleration = session.weight[at] / GRAVITY * base.rotating_mass_factor * base.facts.radius
+        over = [sense * (torque[stretch.session][at] - session.torque[at]) for torque in (found.nominal, found.fitted)]
+        # A torque that a model has too much slows it down by as much more; that its speed then is another is left aside.
+        behind = [np.concatenate(([0.0], np.cumsum(x / per_acceleration)[:-1])) * session.step for x in over]
+        measured = np.abs(session.speed[at])
+        listed.append(Rollout(session.name, session.time[at], measured, *(measured - b for b in behind), *over))
+    return listed

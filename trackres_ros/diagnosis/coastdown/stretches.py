@@ -1,0 +1,150 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Finds where a vehicle rolls out: nothing drives, nothing brakes, and it slows down."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from trackres_ros.diagnosis.prepare.altitude import with_slope
+from trackres_ros.diagnosis.prepare.resample import resample
+from trackres_ros.diagnosis.prepare.session import Array, Mask, Session
+from trackres_ros.diagnosis.prepare.settings import GateSettings
+from trackres_ros.diagnosis.prepare.usable import BRAKES_ON
+from trackres_ros.recording.recording import Recording
+from trackres_ros.recording.samples import Series
+
+NO_TORQUE_SHARE = 1e-3  # of weight times radius: a tenth of what rolling takes
+SHORTEST_S, LEAST_FALL_MPS = 10.0, 0.5
+SHORTEST_RECORDING_S = SHORTEST_S + 5.0
+LEAST_FALL_SHARE = 0.2  # of the speed at the start, where nothing says that nothing drives
+HARDEST_MPS2 = 0.8  # slower than this no vehicle becomes without brakes, on the flat
+AROUND_S, END_S = 5.0, 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """A rolling out: which session, from which sample to before which."""
+
+    session: int
+    begin: int
+    end: int
+
+
+@dataclass(frozen=True, eq=False)
+class Rollouts:
+    """Sessions in which only rolling out counts, each a lap of its own.
+
+    Attributes
+    ----------
+    sessions
+        On an even grid. Where no torque was recorded it is zero.
+    stretches
+        In the order in which they were driven.
+    left_out
+        Why other pieces in which it slows down are not used, and how many.
+    notes
+        What was assumed, one sentence each.
+    """
+
+    sessions: tuple[Session, ...]
+    stretches: tuple[Stretch, ...]
+    left_out: Mapping[str, int]
+    notes: tuple[str, ...]
+
+
+def rollouts(recordings: list[Recording], settings: GateSettings, radius: float, step: float) -> Rollouts:
+    """Find them.
+
+    Parameters
+    ----------
+    recordings
+        With a speed; with a torque those pieces are used in which there is none.
+    settings
+        Of the vehicle.
+    radius
+        Of the sprocket, or of the wheel [m].
+    step
+        Of the grid [s].
+
+    Raises
+    ------
+    InputError
+        A recording without a speed, too short, or in another unit.
+    """
+    sessions: list[Session] = []
+    stretches: list[Stretch] = []
+    left_out: Counter[str] = Counter()
+    notes: list[str] = []
+    for recording in recordings:
+        measured = any(r.partition("/")[0] == "torque" and np.isfinite(s.value).any() for r, s in recording.series.items())
+        if not measured:
+            notes.append(f"{recording.name}: no torque was recorded; where it slows down nothing is taken to drive or brake")
+        rolling = recording if measured else _without_torque(recording)
+        session, unknown = resample(rolling, step, settings, frozenset(), notes, SHORTEST_RECORDING_S)
+        session, of_slope = with_slope(session)
+        notes += [of_slope] if of_slope else []
+        used = np.zeros(len(session), dtype=bool)
+        block = np.full(len(session), -1, dtype=np.int64)
+        for begin, end in _falls(session, unknown, settings, measured, radius, left_out):
+            block[begin:end] = len(stretches)
+            used[begin:end] = True
+            stretches.append(Stretch(len(sessions), begin, end))
+        sessions.append(replace(session, used=used, block=block))
+    return Rollouts(tuple(sessions), tuple(stretches), dict(left_out), tuple(notes))
+
+
+def _without_torque(recording: Recording) -> Recording:
+    """The same with a torque of zero."""
+    if "speed" not in recording.series:
+        return recording
+    speed = recording.series["speed"]
+    zero = Series(speed.stamp_ns, speed.arrival_ns, np.zeros(len(speed.value)))
+    return replace(recording, series={**recording.series, "torque": zero}, order=None)
+
+
+def _falls(
+    session: Session, unknown: Mapping[str, Mask], settings: GateSettings, measured: bool, radius: float, left_out: Counter[str]
+) -> list[tuple[int, int]]:
+    """Pieces in which it slows down by itself: first sample, and the one after the last."""
+    slows = np.sign(session.speed) * _smooth(session.accel, session.step)
+    falls = (slows < 0.0) & (np.abs(session.speed) >= max(settings.slowest, LEAST_FALL_MPS))
+    for bad in unknown.values():
+        falls &= ~bad
+    if measured:
+        falls &= np.abs(session.torque) <= NO_TORQUE_SHARE * settings.weight * radius
+    found = []
+    ends = math.ceil(END_S / session.step)  # steps in which it may have been driven, or stopped, for a part
+    for begin, end in ((a + ends, b - ends) for a, b in _runs(falls)):
+        if end <= begin:
+            continue
+        speed = np.abs(session.speed[begin:end])
+        fall, seconds = float(speed[0] - speed[-1]), (end - begin) * session.step
+        if seconds < SHORTEST_S or fall < LEAST_FALL_MPS:
+            left_out[f"shorter than {SHORTEST_S:g} s, or by less than {LEAST_FALL_MPS:g} m/s"] += 1
+        elif not measured and fall < LEAST_FALL_SHARE * speed[0]:
+            left_out[f"by less than {LEAST_FALL_SHARE:.0%} of the speed, with no torque recorded"] += 1
+        elif "brake" not in session.given and float(np.min(slows[begin:end])) < -HARDEST_MPS2:
+            left_out[f"harder than {HARDEST_MPS2:g} m/s^2: brakes"] += 1
+        else:
+            found.append((begin, end))
+    if BRAKES_ON in unknown and unknown[BRAKES_ON].any():
+        left_out[f"{session.name}: brakes on, seconds"] += round(float(unknown[BRAKES_ON].sum()) * session.step)
+    return found
+
+
+def _smooth(values: Array, step: float) -> Array:
+    """Means of a few seconds around each sample."""
+    count = max(1, round(AROUND_S / step))
+    return np.asarray(np.convolve(values, np.ones(count), "same") / np.convolve(np.ones(len(values)), np.ones(count), "same"))
+
+
+def _runs(mask: Mask) -> list[tuple[int, int]]:
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(int)))
+    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]

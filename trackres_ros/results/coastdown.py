@@ -1,0 +1,184 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Defines the result of a coast-down."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from trackres_ros.diagnosis.coastdown.fitted import Coastdown
+from trackres_ros.diagnosis.coastdown.speeds import rollouts_of
+from trackres_ros.errors import InputError, one_line
+from trackres_ros.files.output_files import output_file
+from trackres_ros.text.numbers import alike, figures
+from trackres_ros.units import KMH_PER_MPS
+
+
+class CoastdownResult:
+    """What resists a vehicle that rolls out; see `trackres_ros.coastdown`.
+
+    Attributes
+    ----------
+    recordings
+        Paths of the recordings.
+    coastdown
+        All that was found, step by step.
+    """
+
+    def __init__(self, found: Coastdown, recordings: Sequence[Path]) -> None:
+        self.coastdown, self.recordings = found, tuple(recordings)
+
+    @property
+    def better(self) -> bool:
+        """Whether the values are better on rollings out that were not fitted, beyond chance: only then they are written."""
+        return self.coastdown.better
+
+    @property
+    def why_not(self) -> str:
+        """Why the values are not better; empty where they are."""
+        improvement = self.coastdown.improvement
+        if self.better:
+            return ""
+        if not any(p.told for p in self.coastdown.parameters):
+            return "nothing was told that the vehicle file does not say as well"
+        if improvement is None:
+            return "it rolls out too seldom to hold a part out: roll out twice or more, without a known slope in both directions"
+        hidden = not all("grade" in session.given for session in self.coastdown.rolled.sessions)
+        remedy = "; a slope that was not recorded may hide it: record it, or an altitude" if hidden else ""
+        return (
+            f"on rollings out that were not fitted the mean error is {figures(improvement.after, 3)} Nm with them and "
+            f"{figures(improvement.before, 3)} Nm with the vehicle file as it is"
+            f"{remedy}"
+        )
+
+    def __repr__(self) -> str:
+        rolled, found = self.coastdown.rolled, self.coastdown
+        seconds = sum((s.end - s.begin) * rolled.sessions[s.session].step for s in rolled.stretches)
+        lines = [f"It rolls out {len(rolled.stretches)} times, {seconds:.0f} s in all"]
+        rows = [("parameter", "file", "+-", "found", "low", "high", "unit", "")]
+        for p in found.parameters:
+            at = alike([p.before, p.value, p.interval.low, p.interval.high], p.interval.high - p.interval.low)
+            std = "" if math.isinf(p.before_std) else figures(2.0 * p.before_std, 2)
+            beside = f"with {', '.join(p.with_others)} only" if p.with_others and p.told else ""
+            told = (at[1], at[2], at[3]) if p.told else ("not told", "", "")
+            rows.append((p.name, at[0], std, *told, "" if p.unit == "1" else p.unit, beside))
+        widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+        align = ("<", ">", ">", ">", ">", ">", "<", "<")
+        lines += ["  ".join(f"{c:{a}{w}}" for c, a, w in zip(row, align, widths, strict=True)).rstrip() for row in rows]
+        lines.append(
+            f"All scales with the mass and what turns with it, held as in the file, +-{200 * found.mass_std:.0f} % in the ranges"
+        )
+        if found.improvement is not None and self.better:
+            before, after = figures(found.improvement.before, 3), figures(found.improvement.after, 3)
+            lines.append(f"On rollings out that were not fitted the mean error falls from {before} to {after} Nm")
+        else:
+            lines.append(f"The vehicle file stays as it is: {self.why_not}")
+        lines += [f"  note: {note}" for note in rolled.notes]
+        lines += [f"  left out: {count} {reason}" for reason, count in rolled.left_out.items()]
+        return "\n".join(map(one_line, lines))
+
+    def as_dict(self) -> dict[str, Any]:
+        """All numbers, for JSON."""
+        found = self.coastdown
+        improvement = found.improvement
+        return {
+            "recordings": [str(path) for path in self.recordings],
+            "vehicle": found.loaded.title,
+            "rollouts": [
+                {
+                    "recording": one.name, "begin_s": float(one.time[0]), "seconds": float(one.time[-1] - one.time[0]),
+                    "from_mps": float(one.measured[0]), "to_mps": float(one.measured[-1]),
+                    "too_fast_at_the_end_mps": {
+                        "file": float(one.by_file[-1] - one.measured[-1]), "found": float(one.by_found[-1] - one.measured[-1]),
+                    },
+                }
+                for one in rollouts_of(found)
+            ],
+            "parameters": {
+                p.name: {
+                    "unit": p.unit, "file": p.before, "file_std": None if math.isinf(p.before_std) else p.before_std,
+                    "value": p.value, "low": p.interval.low, "high": p.interval.high, "told": p.told,
+                    "only_with": list(p.with_others),
+                }
+                for p in found.parameters
+            },
+            "mass_relative_std": found.mass_std,
+            "held_out_nm": None if improvement is None else {
+                "file": improvement.before, "found": improvement.after, "better_low": improvement.low,
+                "better_high": improvement.high,
+            },
+            "better": self.better,
+            "why_not": self.why_not,
+            "notes": list(found.rolled.notes),
+            "left_out": dict(found.rolled.left_out),
+        }  # fmt: skip
+
+    def save_vehicle(self, path: str | PathLike[str]) -> list[Path]:
+        """Write a vehicle file with the values found and their ranges.
+
+        Parameters
+        ----------
+        path
+            ``.yaml``.
+
+        Returns
+        -------
+        list of Path
+            The files written.
+
+        Raises
+        ------
+        InputError
+            Where they are not better than those of the file on rollings out that were not fitted.
+        """
+        file = output_file(path, (".yaml",), "save_vehicle")
+        if not self.better:
+            raise InputError("save_vehicle", str(path), "values that are better than the file's", self.why_not)
+        names = ", ".join(one_line(each.name) for each in self.recordings)
+        text = f"{self.coastdown.kept.text}.\nWritten by trackres coastdown from {names}."
+        return self.coastdown.loaded.base.write(file, self.coastdown.kept, text)
+
+    def plot(self, path: str | PathLike[str]) -> Path:
+        """Draw the speed as measured, by the vehicle file and by the values found.
+
+        Parameters
+        ----------
+        path
+            ``.png`` or ``.svg``.
+
+        Returns
+        -------
+        Path
+            The picture.
+
+        Raises
+        ------
+        MissingExtraError
+            Matplotlib is not installed.
+        """
+        from trackres_ros.output.plots import BLACK, BLUE, VERMILION, picture, shortened
+
+        file = Path(path)
+        looks: tuple[tuple[str, str, str], ...] = (
+            ("measured", BLACK, "-"), ("by the vehicle file", VERMILION, "--"), ("as found", BLUE, "-"),
+        )  # fmt: skip
+        with picture(file, 9.0, 6.4) as drawn:
+            top, bottom = drawn.subplots(2)
+            for number, one in enumerate(rollouts_of(self.coastdown)):
+                since = one.time - one.time[0]
+                for (label, colour, line), speed in zip(looks, (one.measured, one.by_file, one.by_found), strict=True):
+                    top.plot(since, KMH_PER_MPS * speed, line, color=colour, lw=1.2, label=label if number == 0 else None)
+                for (label, colour, line), over in zip(looks[1:], (one.over_file, one.over_found), strict=True):
+                    kmh = KMH_PER_MPS * one.measured
+                    bottom.plot(kmh, over, line, color=colour, lw=1.0, label=label if number == 0 else None)
+            top.set(xlabel="since it rolls out [s]", ylabel="speed [km/h]", title=shortened(self.coastdown.loaded.title, 90))
+            bottom.axhline(0.0, color=BLACK, lw=0.8)
+            bottom.set(xlabel="speed [km/h]", ylabel="resists too much [Nm]")
+            top.legend()
+            bottom.legend()
+        return file
