@@ -32,6 +32,7 @@ DIAGNOSIS = ["jinja2>=3.1", "ruptures>=1.1.8", *PLOTS, *FAST]
 PROOF = [*DIAGNOSIS, "scikit-learn>=1.3", "pysindy>=1.7.5"]
 FLEET = [*DIAGNOSIS, *PARQUET, "dask>=2024.1", "distributed>=2024.1", "fsspec>=2023.12"]
 FLEET_TESTED = [*FLEET, "s3fs>=2023.12", "moto[server]>=5.0"]  # a bucket that is there, on loopback
+DESIGN = ["SALib>=1.4.7", *PLOTS]
 DDS = [*BAGS, CYCLONE]
 # No wheels elsewhere, and its source needs the C library: there the tests of that edge are skipped.
 DDS_TESTED = [f"{CYCLONE}; platform_machine == 'x86_64' and python_version < '3.14'"]
@@ -75,8 +76,9 @@ setup(
         "interactive": [*DIAGNOSIS, *INTERACTIVE],
         "proof": PROOF,
         "fleet": FLEET,
-        "all": BAGS + PARQUET + NOTEBOOK + PROOF + FLEET + INTERACTIVE,
-        "test": BAGS + PARQUET + NOTEBOOK + PROOF + FLEET_TESTED + INTERACTIVE + DDS_TESTED + TEST,
+        "design": DESIGN,
+        "all": BAGS + PARQUET + NOTEBOOK + PROOF + FLEET + DESIGN + INTERACTIVE,
+        "test": BAGS + PARQUET + NOTEBOOK + PROOF + FLEET_TESTED + DESIGN + INTERACTIVE + DDS_TESTED + TEST,
         "mutation": MUTATION,
         "docs": DOCS,
         "coverage": COVERAGE,

@@ -39,6 +39,7 @@ OPTIONAL = (
     "pysindy",
     "cyclonedds",
     "distributed",
+    "SALib",
     "fsspec",
 )
 
@@ -59,6 +60,7 @@ NEEDED = [
     (("trend", "here"), ("pyarrow",)),
     (("prove", "fleet", "-o", "out"), ("distributed",)),
     (("reproduce", "-o", "out"), ("matplotlib",)),
+    (("sensitivity", "agri3t"), ("SALib",)),
     (("record-sample", "-o", "out.mcap"), ("rosbags",)),
     (("simulate", "--vehicle", "agri3t", "--speed-kmh", "5", "-o", "out.parquet"), ("pyarrow",)),
     (("simulate", "--vehicle", "agri3t", "--speed-kmh", "5", "-o", "out.mcap"), ("rosbags",)),

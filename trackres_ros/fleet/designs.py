@@ -102,7 +102,7 @@ def compare_designs(grid: Grid, advance: Callable[[float], None] = lambda _: Non
         Ready for JSON: torque [Nm] and coefficient (resistance over weight) by vehicle, belt temperature and speed; kWh/km of the
         drive, and per tonne.
     """
-    drive = _driven(grid.cycle, min(v.chassis.max_speed for v in grid.vehicles))
+    drive = driven(grid.cycle, min(v.chassis.max_speed for v in grid.vehicles))
     found = []
     named = [v.name for v in grid.vehicles]
     # Two versions of one vehicle bear one name: their files tell them apart.
@@ -118,8 +118,8 @@ def compare_designs(grid: Grid, advance: Callable[[float], None] = lambda _: Non
         rows = run_drive(estimator, drive)
         resistance = rows[:, estimator.column_index["resistance_torque_nm"]]
         step = steps_of(drive.time_s)
-        driven, energy = float((step * np.abs(drive.speed)).sum()), energy_j(step, drive.speed, resistance, radius)
-        each_km = energy / J_PER_KWH / (driven / 1000.0)
+        metres, energy = float((step * np.abs(drive.speed)).sum()), energy_j(step, drive.speed, resistance, radius)
+        each_km = energy / J_PER_KWH / (metres / 1000.0)
         tonnes = vehicle.weight / GRAVITY / 1000.0
         found.append(
             {
@@ -127,7 +127,7 @@ def compare_designs(grid: Grid, advance: Callable[[float], None] = lambda _: Non
                 "weight_n": vehicle.weight,
                 "torque_nm": torque.tolist(),
                 "coefficient": (torque / radius / vehicle.weight).tolist(),
-                "drive": {"km": driven / 1000.0, "kwh_per_km": each_km, "wh_per_km_and_t": 1000.0 * each_km / tonnes},
+                "drive": {"km": metres / 1000.0, "kwh_per_km": each_km, "wh_per_km_and_t": 1000.0 * each_km / tonnes},
             }
         )
     return {"speeds_kmh": list(grid.speeds_kmh), "belts_degc": list(grid.belts_degc), "designs": found}
@@ -176,7 +176,8 @@ def draw_designs(found: Mapping[str, Any], path: Path) -> Path:
     return path
 
 
-def _driven(cycle: Path | None, fastest_mps: float) -> Drive:
+def driven(cycle: Path | None, fastest_mps: float) -> Drive:
+    """A drive by its speed profile, or ten minutes each at a third, two thirds and all of a greatest speed."""
     if cycle is not None:
         recording = read_profile(cycle)
         return through_points(recording.time_s("speed"), recording.series["speed"].value, STEP_S)

@@ -1,0 +1,156 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The designer's desk: steady states balance, a sweep is what it says of each vehicle, indices are those that can be computed."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import trackres_ros as tr
+from trackres_ros.design import sensitivity as sensing
+from trackres_ros.design.steady import WARMEST_K, steady
+from trackres_ros.design.sweep import Asked, sweep
+from trackres_ros.design.values import meant, scalars, varied
+from trackres_ros.effects import Active, catalogue
+from trackres_ros.model.operating_point import explain
+from trackres_ros.vehicle import load
+
+SPEED, AIR = 25.0 / 3.6, 10.0
+
+
+@pytest.mark.parametrize("with_effect", [False, True])
+@pytest.mark.parametrize(("name", "speed"), [("xgd24d", SPEED), ("agri3t", 2.5)])
+def test_what_heats_a_steady_belt_cools_it(name, speed, with_effect):
+    vehicle = load(name)
+    if with_effect:
+        effect = catalogue()["drivetrain_drag"]
+        vehicle = replace(vehicle, effects=(Active(effect, effect.values()),))
+    found = steady(vehicle, speed, AIR)
+    at = explain(vehicle, speed, found.belt_degc, AIR)
+    assert at["heat_w"] == pytest.approx(at["cooling_w"], rel=2e-3)
+    assert found.warm_nm == pytest.approx(at["torque_nm"]["resistance"], rel=1e-3)
+    assert found.cold_nm == pytest.approx(explain(vehicle, speed, AIR, AIR)["torque_nm"]["resistance"], rel=1e-9)
+    assert found.cold_nm > found.warm_nm
+    radius = vehicle.track_of(vehicle.assemblies[0]).sprocket_radius
+    assert found.kwh_per_km == pytest.approx(found.warm_nm / radius / 3600.0, rel=1e-9)
+
+
+def test_a_belt_that_finds_no_balance_has_no_steady_state():
+    vehicle = load("xgd24d", {"tracks.triangular.belt.film_offset": 1.0, "tracks.triangular.belt.film_slope": 0.0})
+    found = steady(vehicle, SPEED, AIR)
+    assert math.isnan(found.belt_degc)
+    assert math.isnan(found.warm_nm)
+    assert found.cold_nm > 0.0
+    assert explain(vehicle, SPEED, AIR + WARMEST_K, AIR)["heat_w"] > explain(vehicle, SPEED, AIR + WARMEST_K, AIR)["cooling_w"]
+
+
+def test_more_load_takes_more_and_a_sweep_is_the_vehicles_one_by_one():
+    vehicle = load("agri3t")
+    loads = next(path for path in scalars(vehicle) if path.endswith(".load"))
+    asked = Asked("agri3t", (varied(vehicle, f"{loads}"), varied(vehicle, "loss_modulus_scale=0.8,1.2")), 2.5, AIR)
+    found = sweep(asked)
+    cold = found.columns["cold_nm"].reshape(9, 2)
+    assert np.all(np.diff(cold, axis=0) > 0.0)
+    assert np.all(np.diff(cold, axis=1) > 0.0)
+    one = load("agri3t", {path: float(found.columns[path][5]) for path in (loads, "rubber.loss_modulus_scale")})
+    assert found.columns["cold_nm"][5] == explain(one, 2.5, AIR, AIR)["torque_nm"]["resistance"]
+
+
+@pytest.mark.long
+def test_the_engine_gives_what_one_process_gives(tmp_path):
+    pytest.importorskip("distributed")
+    profile = tmp_path / "p.csv"
+    profile.write_text("time_s,speed_kmh\n0,0\n20,8\n120,8\n")
+    asked = Asked("agri3t", (varied(load("agri3t"), "loss_modulus_scale=0.8,1.2"),), 2.5, AIR)
+    alone, engine = sweep(asked), sweep(replace(asked, cycle=profile), workers=2)
+    for name in alone.columns:
+        np.testing.assert_array_equal(alone.columns[name], engine.columns[name])
+    driven = engine.columns["drive_kwh_per_km"]
+    assert driven[0] < driven[1]
+    assert np.all(driven > engine.columns["kwh_per_km"])  # cold, and faster than where it is steady
+
+
+def test_indices_of_a_sum_are_the_shares_of_its_terms():
+    pytest.importorskip("SALib")
+    factors, bounds = np.array([3.0, 2.0, 1.0, 0.0]), [(-1.0, 1.0)] * 4
+    found, drawn = sensing.sobol(["a", "b", "c", "none"], bounds, lambda rows: (rows @ factors)[:, np.newaxis], 1024, 3)
+    assert drawn == 1024 * 6
+    shares = factors**2 / (factors**2).sum()
+    assert found.std[0] == pytest.approx(math.sqrt((factors**2).sum() / 3.0), rel=0.01)
+    for name, share in zip(["a", "b", "c", "none"], shares, strict=True):
+        first, first_pm, total, total_pm = found.of[0][name]
+        assert abs(first - share) <= max(first_pm, 1e-3)
+        assert abs(total - share) <= max(total_pm, 1e-3)
+    assert found.of[0]["none"][2] == 0.0
+
+
+def test_a_product_counts_with_others():
+    pytest.importorskip("SALib")
+    found, _ = sensing.sobol(["a", "b"], [(-1.0, 1.0)] * 2, lambda rows: rows.prod(axis=1, keepdims=True), 512, 1)
+    for name in ("a", "b"):
+        first, first_pm, total, total_pm = found.of[0][name]
+        assert abs(first) <= first_pm
+        assert abs(total - 1.0) <= total_pm
+
+
+@pytest.mark.parametrize(
+    ("given", "path"),
+    [
+        ("tracks.triangular.belt.thickness", "tracks.triangular.belt.thickness"),
+        ("track.belt_thickness", "tracks.triangular.belt.thickness"),
+        ("thickness", "tracks.triangular.belt.thickness"),
+        ("wheels.radius.road", None),
+        ("road_wheels.radius", "tracks.triangular.road_wheels.radius"),
+        ("load", None),
+        ("thicknes", None),
+        ("", None),
+    ],
+)
+def test_a_value_is_named_by_as_many_words_as_it_takes(given, path):
+    vehicle = load("xgd24d")
+    if path:
+        assert meant(vehicle, given, "--vary") == path
+        return
+    with pytest.raises(tr.InputError, match="--vary"):
+        meant(vehicle, given, "--vary")
+
+
+@pytest.mark.parametrize("values", ["1:2:1", "1:2:2001", "1:x:3", "nan", "inf:2:3", "", "1,,2", "1:2:3:4"])
+def test_values_that_are_none_are_refused(values):
+    with pytest.raises(tr.InputError, match="PATH=A:B:N"):
+        varied(load("xgd24d"), f"thickness={values}")
+
+
+def test_the_command_sweeps_says_what_cannot_be_and_draws(good, tmp_path, monkeypatch):
+    pytest.importorskip("matplotlib")
+    monkeypatch.chdir(tmp_path)
+    shown = good("sweep", "xgd24d", "--vary", "belt.thickness=0.03,0.04,5.0", "-o", "sweep.csv")
+    assert "not so: belt.thickness 5" in shown
+    assert "Written: sweep.csv, sweep.png" in shown
+    assert (tmp_path / "sweep.png").stat().st_size > 10000
+    lines = (tmp_path / "sweep.csv").read_text().splitlines()
+    assert lines[0] == "tracks.triangular.belt.thickness,cold_nm,warm_nm,belt_degc,kwh_per_km"
+    assert lines[3] == "5.0,,,,"
+
+
+def test_the_command_says_what_to_measure_first(good, tmp_path, monkeypatch):
+    pytest.importorskip("SALib")
+    pytest.importorskip("matplotlib")
+    monkeypatch.setattr(sensing, "find_spec", lambda _name: None)  # an engine takes longer to begin
+    monkeypatch.setattr(sensing, "scalars", lambda _: ["rubber.loss_modulus_scale", "chassis.bearing_friction", "rubber.density"])
+    found = sensing.sensitivity("agri3t", 2.5, AIR, 16, 2)
+    text = found.text("warm_nm")
+    of = found.indices["warm_nm"]
+    first, second = sorted(of, key=lambda path: -abs(of[path].high - of[path].low))
+    assert f"Measure {first} first, then {second}." in text
+    assert "rubber.density: it moves nothing" in text
+    assert json.loads(json.dumps(found.as_dict()))["drawn"] == 16 * 4
+    assert sensing.draw_tornado(found, "warm_nm", tmp_path / "t.png").stat().st_size > 10000
+    again = sensing.sensitivity("agri3t", 2.5, AIR, 16, 2)
+    assert again.as_dict() == found.as_dict()
+    with pytest.raises(tr.InputError, match="power of two"):
+        sensing.sensitivity("agri3t", 2.5, AIR, 12)

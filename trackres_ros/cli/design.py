@@ -1,0 +1,140 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Runs `trackres sweep` and `trackres sensitivity`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+
+import click
+
+from trackres_ros.cli.common import Command, emit, json_option, needs, picture_beside, progress, vehicles_to_complete
+from trackres_ros.cli.written import watch
+from trackres_ros.files.output_files import output_file
+from trackres_ros.units import KMH_PER_MPS
+
+TABLES = (".csv", ".csv.gz", ".parquet")
+OUTCOMES = ("warm_nm", "cold_nm", "belt_degc", "kwh_per_km")
+
+speed_option = click.option(
+    "--speed-kmh", type=click.FloatRange(0.1, 150.0), default=30.0, show_default=True, help="Speed that is held [km/h]."
+)
+ambient_option = click.option("--ambient-degc", type=click.FloatRange(-60.0, 60.0), help="Air [degC]; else the vehicle file's.")
+
+
+@click.command("sweep", cls=Command)
+@click.argument("vehicle", shell_complete=vehicles_to_complete)
+@click.option(
+    "--vary",
+    multiple=True,
+    required=True,
+    metavar="PATH=A:B:N",
+    help="Which value, and from where to where in how many steps; PATH=A,B,C; or PATH alone for the file's range. May be "
+    "repeated: then every one with every other.",
+)
+@speed_option
+@ambient_option
+@click.option(
+    "--cycle", type=click.Path(path_type=Path), metavar="P.csv", help="Energy of a drive, as simulate --profile has it."
+)
+@click.option("--engine", default="local", show_default=True, help="tcp://HOST:PORT of a dask scheduler that runs, or local.")
+@click.option("--workers", type=click.IntRange(1, 1024), help="Processes of a local engine.")
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="Table, .csv, .csv.gz or .parquet; a .png goes beside it.")
+@json_option
+def sweep_command(
+    vehicle: str,
+    vary: tuple[str, ...],
+    speed_kmh: float,
+    ambient_degc: float | None,
+    cycle: Path | None,
+    engine: str,
+    workers: int | None,
+    output: Path | None,
+    as_json: bool,
+) -> None:
+    """What a vehicle takes with other values: resistance cold and warm, belt temperature, energy.
+
+    A PATH is that of vehicle check and of the file, or enough of its words in their order.
+
+    \b
+    trackres sweep my.yaml --vary belt.thickness=0.025:0.045:9
+    trackres sweep xgd24d --vary loss_modulus_scale=0.6:1.2:7 --vary road_wheels.radius=0.12,0.13,0.14 -o sweep.csv
+    """
+    from trackres_ros.design.sweep import Asked, draw, sweep
+    from trackres_ros.design.values import varied
+    from trackres_ros.files.resources import find_vehicle
+    from trackres_ros.output.table import write_table
+    from trackres_ros.vehicle import load
+
+    file = None if output is None else output_file(output, TABLES)
+    picture = None if file is None else picture_beside(file)
+    watch(*(path for path in (file, picture) if path))
+    described = load(find_vehicle(vehicle))
+    air = described.chassis.ambient if ambient_degc is None else ambient_degc
+    asked = Asked(vehicle, tuple(varied(described, one) for one in vary), speed_kmh / KMH_PER_MPS, air, cycle)
+    with progress("points", len(asked.points)) as advance:
+        found = sweep(asked, engine, workers, advance)
+    written = []
+    if file is not None and picture is not None:
+        write_table(file, found.columns)
+        written.append(str(file))
+        needs("a picture", "plots", "matplotlib")
+        written.append(str(draw(found, picture)))
+    emit(
+        {**found.as_dict(), "written": written},
+        as_json,
+        lambda: "\n".join([found.text(), *([f"Written: {', '.join(written)}"] if written else [])]),
+    )
+
+
+@click.command("sensitivity", cls=Command)
+@click.argument("vehicle", shell_complete=vehicles_to_complete)
+@speed_option
+@ambient_option
+@click.option("--of", "outcome", type=click.Choice(OUTCOMES), default=OUTCOMES[0], show_default=True, help="What is shown.")
+@click.option("--samples", type=int, default=64, show_default=True, help="Of each value; a power of two.")
+@click.option("--seed", type=int, default=1, show_default=True, help="Of all that is drawn.")
+@click.option("-o", "--output", type=click.Path(path_type=Path), metavar="P.png", help="Picture, .png or .svg.")
+@json_option
+def sensitivity_command(
+    vehicle: str,
+    speed_kmh: float,
+    ambient_degc: float | None,
+    outcome: str,
+    samples: int,
+    seed: int,
+    output: Path | None,
+    as_json: bool,
+) -> None:
+    """Which value of a vehicle file to measure first: what each leaves open of the torque.
+
+    All values lie anywhere in their ranges; "alone" is the share of the variance that would go if one were known, "with others"
+    what would stay if all others were (Sobol's indices, with 95 % intervals).
+
+    \b
+    trackres sensitivity xgd24d --speed-kmh 30 -o tornado.png
+    trackres sensitivity my.yaml --of belt_degc --samples 128
+    """
+    from trackres_ros.design.sensitivity import draw_tornado, sensitivity
+
+    needs("trackres sensitivity", "design", "SALib")
+    picture = None if output is None else output_file(output, (".png", ".svg"))
+    if picture is not None:
+        needs("a picture", "plots", "matplotlib")
+        watch(picture)
+    with ExitStack() as bars:
+
+        def shown(what: str, total: int) -> Callable[[float], None]:
+            bars.close()
+            return bars.enter_context(progress(what, total))
+
+        found = sensitivity(vehicle, speed_kmh / KMH_PER_MPS, ambient_degc, samples, seed, shown)
+    written = [] if picture is None else [str(draw_tornado(found, outcome, picture))]
+    emit(
+        {**found.as_dict(), "written": written},
+        as_json,
+        lambda: "\n".join([found.text(outcome), *([f"Written: {', '.join(written)}"] if written else [])]),
+    )

@@ -1,0 +1,349 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Which value of a vehicle file is worth measuring first: what each leaves open, by Sobol's indices over the file's ranges."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import astuple, dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.design.steady import steady
+from trackres_ros.design.sweep import OUTCOMES
+from trackres_ros.design.values import scalars, short
+from trackres_ros.errors import InputError, MissingExtraError
+from trackres_ros.files.resources import find_vehicle
+from trackres_ros.fleet.engine import LOCAL, done, engine
+from trackres_ros.text.numbers import decimals, figures
+from trackres_ros.text.table import table
+from trackres_ros.units import KMH_PER_MPS
+from trackres_ros.vehicle import Vehicle, load
+from trackres_ros.vehicle.loading import variants
+
+Array = NDArray[np.float64]
+Model = Callable[[Array], Array]
+
+NOT_OF_THE_VEHICLE = ("chassis.ambient", "chassis.max_speed")
+NAMES = {"cold_nm": "cold resistance", "warm_nm": "warm resistance", "belt_degc": "belt temperature", "kwh_per_km": "warm energy"}
+UNITS = {"cold_nm": "Nm", "warm_nm": "Nm", "belt_degc": "K", "kwh_per_km": "kWh/km"}
+SURE = 0.95
+RESAMPLES = 200
+MOST_FAILED = 0.02  # of all vehicles drawn: more and the ranges do not go together
+MOST_SHOWN = 12
+LEAST_SAMPLES = 8
+LITTLE = 0.01
+PIECE = 32  # vehicles that a worker takes at a time
+
+
+@dataclass(frozen=True, slots=True)
+class Index:
+    """Sobol's indices of one value, each with the half-width of its 95 % interval.
+
+    Attributes
+    ----------
+    first
+        Share of the variance that would go if this value were known.
+    total
+        Share that would stay if all others were known.
+    low, high
+        The outcome with this value at either end of its range, the others as the file has them.
+    """
+
+    first: float
+    first_pm: float
+    total: float
+    total_pm: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivity:
+    """What was found.
+
+    Attributes
+    ----------
+    vehicle, speed, ambient
+        Of which it is: name, [m/s], [degC].
+    nominal, std
+        Each outcome by the file, and the standard deviation that its ranges leave.
+    indices
+        By outcome and path.
+    held
+        Why some values were not varied, by path.
+    samples, drawn, failed
+        Of each value; vehicles computed, and how many of them cannot be.
+    """
+
+    vehicle: str
+    speed: float
+    ambient: float
+    nominal: Mapping[str, float]
+    std: Mapping[str, float]
+    indices: Mapping[str, Mapping[str, Index]]
+    held: Mapping[str, str]
+    samples: int
+    drawn: int
+    failed: int
+
+    def ranked(self, outcome: str) -> list[str]:
+        """Paths, that which leaves most open first."""
+        of = self.indices[outcome]
+        return sorted(of, key=lambda path: -of[path].total)
+
+    def text(self, outcome: str) -> str:
+        """The table of one outcome, and which value to measure first."""
+        of, unit, ranked = self.indices[outcome], UNITS[outcome], self.ranked(outcome)
+        paths = list(of)
+        rows = [
+            (
+                short(path, paths), decimals(100.0 * of[path].first), f"+- {decimals(100.0 * of[path].first_pm)}",
+                decimals(100.0 * of[path].total), f"+- {decimals(100.0 * of[path].total_pm)}",
+                figures(of[path].low - self.nominal[outcome], 3), figures(of[path].high - self.nominal[outcome], 3),
+            )
+            for path in ranked[:MOST_SHOWN]
+        ]  # fmt: skip
+        head = ("value", "alone\n%", "", "with others\n%", "", f"at its low\n{unit}", f"at its high\n{unit}")
+        first, second = (short(path, paths) for path in ranked[:2])
+        kmh = KMH_PER_MPS * self.speed
+        lines = [
+            f"{NAMES[outcome]} of {self.vehicle} at {kmh:g} km/h, air {self.ambient:g} degC: {figures(self.nominal[outcome], 4)} "
+            f"+- {figures(self.std[outcome], 2)} {unit.replace('K', 'degC')} (one standard deviation, by the ranges of the file)",
+            table(rows, head),
+        ]
+        rest = [path for path in ranked[MOST_SHOWN:] if of[path].total > 0.0]
+        lines += [f"and {len(rest)} more, each with less"] if rest else []
+        lines.append(f"Measure {first} first, then {second}.")
+        for why in dict.fromkeys(self.held.values()):
+            lines.append(f"Held: {', '.join(short(p, list(self.held)) for p, of_it in self.held.items() if of_it == why)}: {why}")
+        if self.failed:
+            lines.append(f"{self.failed} of {self.drawn} vehicles drawn cannot be so; the mean of the others stands for them")
+        return "\n".join(lines)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Ready for JSON."""
+        return {
+            "vehicle": self.vehicle, "speed_mps": self.speed, "ambient_degc": self.ambient, "samples": self.samples,
+            "drawn": self.drawn, "failed": self.failed, "nominal": dict(self.nominal), "std": dict(self.std),
+            "indices": {
+                outcome: {
+                    path: {
+                        "first": i.first, "first_pm": i.first_pm, "total": i.total, "total_pm": i.total_pm, "low": i.low,
+                        "high": i.high,
+                    }
+                    for path, i in of.items()
+                }
+                for outcome, of in self.indices.items()
+            },
+            "held": dict(self.held),
+        }  # fmt: skip
+
+
+def sensitivity(
+    file: str, speed: float, ambient: float | None = None, samples: int = 64, seed: int = 1,
+    progress: Callable[[str, int], Callable[[float], None]] = lambda _what, _total: lambda _: None,
+) -> Sensitivity:  # fmt: skip
+    """Which of a vehicle file's values leaves how much of each outcome open, if all may lie anywhere in their ranges.
+
+    Parameters
+    ----------
+    file
+        Vehicle file, or the name of a shipped one.
+    speed, ambient
+        [m/s]; air [degC], the file's without.
+    samples
+        Of each value, a power of two: samples times (values + 2) vehicles are computed.
+    seed
+        Of what is drawn.
+    progress
+        Takes what is done and how often, and gives what takes how much more is done.
+
+    Raises
+    ------
+    InputError
+        On a number of samples that is none, or ranges that do not go together.
+    MissingExtraError
+        SALib is not installed.
+    """
+    if samples < LEAST_SAMPLES or samples & (samples - 1):
+        raise InputError("--samples", samples, f"a power of two, {LEAST_SAMPLES} or more")
+    vehicle = load(find_vehicle(file))
+    source, air = str(vehicle.source), vehicle.chassis.ambient if ambient is None else ambient
+    nominal = _outcomes(variants(vehicle), {}, speed, air)
+    ends, held = _ends(vehicle, speed, air, progress)
+    reach = {path: np.abs(np.array(both) - nominal).max(axis=0) for path, both in ends.items()}
+    most = np.nanmax(list(reach.values()), axis=0)
+    little = [path for path, moved in reach.items() if not np.any(moved > LITTLE * most)]
+    held |= dict.fromkeys(little, f"it moves nothing by {LITTLE:.0%} of what others do")
+    paths = [path for path in ends if path not in little]
+    bounds = [(vehicle.parameters[path].low, vehicle.parameters[path].high) for path in paths]
+    failed = 0
+
+    def model(rows: Array) -> Array:
+        nonlocal failed
+        pieces = [Drawn(source, tuple(paths), rows[i : i + PIECE], speed, air) for i in range(0, len(rows), PIECE)]
+        advance = progress("vehicles", len(rows))
+        found = np.concatenate(_computed(pieces, advance))
+        failed = int(np.isnan(found[:, 0]).sum())
+        if failed > MOST_FAILED * len(rows):
+            given = f"ranges of which {failed} of {len(rows)} vehicles drawn cannot be"
+            raise InputError(file, given, f"at most {MOST_FAILED:.0%}", "narrow those that have to go together")
+        return np.where(np.isfinite(found), found, np.nanmean(found, axis=0))
+
+    of_all, drawn = sobol(paths, bounds, model, samples, seed)
+    indices = {
+        outcome: {
+            path: Index(*of_all.of[i][path], ends[path][0][i], ends[path][1][i]) for path in paths
+        }
+        for i, outcome in enumerate(OUTCOMES)
+    }  # fmt: skip
+    std = dict(zip(OUTCOMES, of_all.std, strict=True))
+    return Sensitivity(
+        vehicle.name, speed, air, dict(zip(OUTCOMES, nominal, strict=True)), std, indices, held, samples, drawn, failed
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Indices:
+    """First and total indices with half-widths, for each outcome by name; and the standard deviation of each outcome."""
+
+    of: list[dict[str, tuple[float, float, float, float]]]
+    std: list[float]
+
+
+def sobol(
+    names: Sequence[str], bounds: Sequence[tuple[float, float]], model: Model, samples: int, seed: int
+) -> tuple[Indices, int]:
+    """Sobol's indices of a model whose arguments lie anywhere between their bounds, by SALib.
+
+    Parameters
+    ----------
+    names, bounds
+        Of its arguments.
+    model
+        From rows of arguments, shape (n, arguments), to rows of outcomes, shape (n, outcomes).
+    samples
+        A power of two.
+    seed
+        Of what is drawn.
+
+    Returns
+    -------
+    indices, drawn
+        See `Indices`; and how many rows there were.
+    """
+    try:
+        from SALib.analyze import sobol as analysis
+        from SALib.sample import sobol as sampling
+    except ImportError:
+        raise MissingExtraError("trackres sensitivity", "SALib", "design") from None
+    problem = {"num_vars": len(names), "names": list(names), "bounds": [list(pair) for pair in bounds]}
+    rows = np.asarray(sampling.sample(problem, samples, calc_second_order=False, seed=seed))
+    outcomes = model(rows)
+    found, std = [], []
+    for column in outcomes.T:
+        std.append(float(column.std()))
+        if not np.ptp(column) > 1e-12 * max(1.0, float(np.abs(column).max())):
+            found.append(dict.fromkeys(names, (0.0, 0.0, 0.0, 0.0)))
+            continue
+        of = analysis.analyze(problem, column, calc_second_order=False, num_resamples=RESAMPLES, conf_level=SURE, seed=seed)
+        each = zip(of["S1"], of["S1_conf"], of["ST"], of["ST_conf"], strict=True)
+        found.append({name: tuple(map(float, four)) for name, four in zip(names, each, strict=True)})  # type: ignore[misc]
+    return Indices(found, std), len(rows)
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """Vehicles as a worker takes them: file, paths, values of each vehicle of shape (n, paths), speed [m/s], air [degC]."""
+
+    file: str
+    paths: tuple[str, ...]
+    rows: Array
+    speed: float
+    ambient: float
+
+
+def outcomes_of(piece: Drawn) -> Array:
+    """Outcomes of vehicles, shape (n, outcomes); nan where one cannot be."""
+    make, found = variants(load(piece.file)), np.full((len(piece.rows), len(OUTCOMES)), np.nan)
+    for row, into in zip(piece.rows, found, strict=True):
+        with suppress(InputError):
+            into[:] = _outcomes(make, dict(zip(piece.paths, map(float, row), strict=True)), piece.speed, piece.ambient)
+    return found
+
+
+def _outcomes(
+    make: Callable[[Mapping[str, float]], Vehicle], values: Mapping[str, float], speed: float, ambient: float
+) -> tuple[float, ...]:
+    return astuple(steady(make(values), speed, ambient))
+
+
+def _computed(pieces: Sequence[Drawn], advance: Callable[[float], None]) -> list[Array]:
+    """By the fleet's engine where it is installed."""
+    found: dict[int, Array] = {}
+    if find_spec("distributed") is None:
+        for number, piece in enumerate(pieces):
+            found[number] = outcomes_of(piece)
+            advance(len(piece.rows))
+        return [found[number] for number in range(len(pieces))]
+    place = {id(piece): number for number, piece in enumerate(pieces)}
+    with engine(LOCAL) as client:
+        for piece, result in done(client, outcomes_of, pieces):
+            if isinstance(result, BaseException):
+                raise result
+            found[place[id(piece)]] = result
+            advance(len(piece.rows))
+    return [found[number] for number in range(len(pieces))]
+
+
+def _ends(
+    vehicle: Vehicle, speed: float, ambient: float, progress: Callable[[str, int], Callable[[float], None]]
+) -> tuple[dict[str, tuple[tuple[float, ...], tuple[float, ...]]], dict[str, str]]:
+    """Outcomes with each value at either end of its range; and why some are held."""
+    ends, held, make = {}, {}, variants(vehicle)
+    paths = [path for path in scalars(vehicle) if path not in NOT_OF_THE_VEHICLE]
+    advance = progress("each value by itself", len(paths))
+    for path in paths:
+        quantity = vehicle.parameters[path]
+        advance(1)
+        if quantity.high <= quantity.low:
+            continue
+        try:
+            low, high = (_outcomes(make, {path: value}, speed, ambient) for value in (quantity.low, quantity.high))
+            ends[path] = low, high
+        except InputError as error:
+            held[path] = f"it cannot change by itself: {error.given}; allowed: {error.allowed}"
+    return ends, held
+
+
+def draw_tornado(found: Sensitivity, outcome: str, path: Path) -> Path:
+    """What each value moves, and how much of the variance it leaves open."""
+    from trackres_ros.output.plots import BLUE, GREY, ORANGE, picture
+
+    of, ranked = found.indices[outcome], found.ranked(outcome)[:MOST_SHOWN]
+    names, middle = [short(p, list(of)) for p in ranked], found.nominal[outcome]
+    places = np.arange(len(ranked))[::-1]
+    with picture(path, 9.5, 0.8 + 0.36 * len(ranked)) as figure:
+        left, right = figure.subplots(1, 2, sharey=True)
+        left.barh(places, [of[p].low - middle for p in ranked], color=BLUE, label="at its low")
+        left.barh(places, [of[p].high - middle for p in ranked], color=ORANGE, label="at its high")
+        left.set_yticks(places, names)
+        left.set(xlabel=f"change of {NAMES[outcome]} [{UNITS[outcome]}]")
+        left.axvline(0.0, color=GREY, lw=0.8)
+        left.legend(loc="lower right")
+        first = np.array([(of[p].first, of[p].first_pm) for p in ranked])
+        total = np.array([(of[p].total, of[p].total_pm) for p in ranked])
+        for shift, name, index, colour in ((0.15, "alone", first, BLUE), (-0.15, "with others", total, ORANGE)):
+            value, half = 100.0 * index.T
+            right.errorbar(value, places + shift, xerr=half, fmt="o", ms=4, color=colour, label=name, capsize=2)
+        right.set(xlabel="share of the variance [%]", xlim=(min(0.0, right.get_xlim()[0]), None))
+        right.axvline(0.0, color=GREY, lw=0.8)
+        right.legend(loc="lower right")
+    return path

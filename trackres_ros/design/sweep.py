@@ -1,0 +1,227 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""A vehicle with other values, one after the other: what each does to resistance, temperature and energy."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import astuple, dataclass, fields
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.design.steady import J_PER_KWH, Steady, steady
+from trackres_ros.design.values import Varied, short
+from trackres_ros.errors import InputError, one_line
+from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.files.resources import find_vehicle
+from trackres_ros.fleet.designs import driven
+from trackres_ros.fleet.engine import LOCAL, done, engine
+from trackres_ros.model.vehicle_constants import vehicle_constants
+from trackres_ros.offline.energy import energy_j, steps_of
+from trackres_ros.offline.simulate import run_drive
+from trackres_ros.text.numbers import decimals, figures
+from trackres_ros.text.table import table
+from trackres_ros.units import KMH_PER_MPS
+from trackres_ros.vehicle import load
+
+Array = NDArray[np.float64]
+
+MOST_POINTS = 100_000
+ALONE = 200  # points without a drive that this process makes itself: an engine takes longer to begin
+OUTCOMES = tuple(field.name for field in fields(Steady))
+MOST_LINES, MANY = 8, 40  # lines of a picture, and points of one that are no longer marked
+DRIVE = "drive_kwh_per_km"
+HEADS = {
+    "cold_nm": "cold\nNm",
+    "warm_nm": "warm\nNm",
+    "belt_degc": "belt\ndegC",
+    "kwh_per_km": "warm\nkWh/km",
+    DRIVE: "drive\nkWh/km",
+}
+PLACES = {"cold_nm": 0, "warm_nm": 0, "belt_degc": 1, "kwh_per_km": 3, DRIVE: 3}
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What is swept: vehicle file, values by path, speed [m/s], air [degC], and the speed profile of a drive if there is one."""
+
+    file: str
+    varied: tuple[Varied, ...]
+    speed: float
+    ambient: float
+    cycle: Path | None = None
+
+    @property
+    def points(self) -> list[dict[str, float]]:
+        """Values of each point by path."""
+        every = itertools.product(*(one.values for one in self.varied))
+        return [dict(zip((one.path for one in self.varied), values, strict=True)) for values in every]
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """One point as a worker takes it."""
+
+    number: int
+    file: str
+    values: tuple[tuple[str, float], ...]
+    speed: float
+    ambient: float
+    cycle: Path | None
+
+
+@dataclass(frozen=True, eq=False)
+class Swept:
+    """What came of it.
+
+    Attributes
+    ----------
+    asked
+        What was swept.
+    columns
+        By name, shape (points,): the values by path, then outcomes; nan where a vehicle cannot be so.
+    refused
+        Why not, by the number of the point.
+    """
+
+    asked: Asked
+    columns: dict[str, Array]
+    refused: dict[int, str]
+
+    @property
+    def outcomes(self) -> list[str]:
+        """Names of what was computed."""
+        return [name for name in (*OUTCOMES, DRIVE) if name in self.columns]
+
+    def text(self, most: int = 60) -> str:
+        """The table; of a long one its first rows."""
+        paths = [one.path for one in self.asked.varied]
+        head = [f"{short(p, paths)}\n{one.unit}" for p, one in zip(paths, self.asked.varied, strict=True)]
+        head += [HEADS[name] for name in self.outcomes]
+        count = len(self.columns[paths[0]])
+        rows = [
+            [*(figures(self.columns[p][i], 5) for p in paths), *(decimals(self.columns[o][i], PLACES[o]) for o in self.outcomes)]
+            for i in range(min(count, most))
+        ]
+        lines = [table(rows, head)]
+        if count > most:
+            lines.append(f"and {count - most} more")
+        for number, why in self.refused.items():
+            at = ", ".join(f"{short(p, paths)} {figures(self.columns[p][number], 5)}" for p in paths)
+            lines.append(f"not so: {at}: {why}")
+        kmh = KMH_PER_MPS * self.asked.speed
+        lines.append(
+            f"Steady at {kmh:g} km/h, air {self.asked.ambient:g} degC; cold: belts are so too, warm: as warm as they become"
+        )
+        return "\n".join(lines)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Ready for JSON."""
+        plain = {name: [None if np.isnan(x) else float(x) for x in values] for name, values in self.columns.items()}
+        return {
+            "vehicle": self.asked.file, "speed_mps": self.asked.speed, "ambient_degc": self.asked.ambient,
+            "columns": plain, "refused": {str(number): why for number, why in self.refused.items()},
+        }  # fmt: skip
+
+
+def sweep(
+    asked: Asked, address: str = LOCAL, workers: int | None = None, advance: Callable[[float], None] = lambda _: None
+) -> Swept:
+    """Compute all points, on the fleet's engine where there are many.
+
+    Parameters
+    ----------
+    asked
+        What to sweep.
+    address, workers
+        See `fleet.engine.engine`.
+    advance
+        Takes that one more point is done.
+
+    Raises
+    ------
+    InputError
+        If there are too many points, or the vehicle can be none of them.
+    """
+    points = asked.points
+    if len(points) > MOST_POINTS:
+        raise InputError("--vary", f"{len(points)} points", f"at most {MOST_POINTS} in all")
+    pieces = [
+        Piece(number, str(find_vehicle(asked.file)), tuple(values.items()), asked.speed, asked.ambient, asked.cycle)
+        for number, values in enumerate(points)
+    ]
+    found: list[tuple[float, ...] | str] = [""] * len(pieces)
+    few = asked.cycle is None and len(pieces) <= ALONE
+    if address == LOCAL and workers is None and (few or find_spec("distributed") is None):
+        for piece in pieces:
+            found[piece.number] = point(piece)
+            advance(1)
+    else:
+        with engine(address, workers) as client:
+            for piece, result in done(client, point, pieces):
+                if isinstance(result, BaseException):
+                    raise result
+                found[piece.number] = result
+                advance(1)
+    names = [*OUTCOMES, *([DRIVE] if asked.cycle is not None else [])]
+    refused = {number: result for number, result in enumerate(found) if isinstance(result, str)}
+    if len(refused) == len(found):
+        raise InputError("--vary", f"{len(found)} points", "at least one that the vehicle can have", next(iter(refused.values())))
+    rows = np.array([[np.nan] * len(names) if isinstance(result, str) else result for result in found])
+    columns = {one.path: np.array([values[one.path] for values in points]) for one in asked.varied}
+    return Swept(asked, {**columns, **dict(zip(names, rows.T, strict=True))}, refused)
+
+
+def point(piece: Piece) -> tuple[float, ...] | str:
+    """Outcomes of one point, or why a vehicle cannot be so."""
+    try:
+        vehicle = load(piece.file, dict(piece.values))
+        found = astuple(steady(vehicle, piece.speed, piece.ambient))
+        if piece.cycle is None:
+            return found
+        estimator, drive = Estimator(vehicle), driven(piece.cycle, vehicle.chassis.max_speed)
+        rows = run_drive(estimator, drive, ambient_degc=piece.ambient)
+        torque, step = rows[:, estimator.column_index["resistance_torque_nm"]], steps_of(drive.time_s)
+        metres = float((step * np.abs(drive.speed)).sum())
+        energy = energy_j(step, drive.speed, torque, vehicle_constants(vehicle).radius)
+        return (*found, energy / J_PER_KWH / (metres / 1000.0))
+    except InputError as error:
+        return one_line(str(error))
+
+
+def draw(found: Swept, path: Path) -> Path:
+    """Outcomes over the first value, a line for each of the others'; of two with many values a map of the warm resistance."""
+    from trackres_ros.output.plots import picture
+
+    first, *others = found.asked.varied
+    paths = [one.path for one in found.asked.varied]
+    shape = tuple(len(one.values) for one in found.asked.varied)
+    label = f"{short(first.path, paths)} [{first.unit}]"
+    if len(others) == 1 and min(shape) > MOST_LINES:
+        with picture(path, 7.5, 5.0) as figure:
+            axes = figure.subplots()
+            grid = found.columns["warm_nm"].reshape(shape)
+            shades = axes.pcolormesh(others[0].values, first.values, grid, shading="nearest", cmap="viridis")
+            axes.set(xlabel=f"{short(others[0].path, paths)} [{others[0].unit}]", ylabel=label)
+            figure.colorbar(shades, ax=axes, label="warm resistance [Nm]")
+        return path
+    shown = [("cold_nm", "cold resistance [Nm]"), ("warm_nm", "warm resistance [Nm]"), ("belt_degc", "belt [degC]")]
+    shown.append((DRIVE, "drive [kWh/km]") if DRIVE in found.columns else ("kwh_per_km", "warm [kWh/km]"))
+    with picture(path, 9.0, 6.0) as figure:
+        for axes, (name, title) in zip(figure.subplots(2, 2).flat, shown, strict=True):
+            lines = found.columns[name].reshape(shape[0], -1)
+            for place, of in enumerate(itertools.product(*(one.values for one in others))):
+                if place >= MOST_LINES:
+                    break
+                named = ", ".join(f"{short(o.path, paths)} {figures(v, 4)}" for o, v in zip(others, of, strict=True))
+                axes.plot(first.values, lines[:, place], marker="." if shape[0] <= MANY else "", label=named or None)
+            axes.set(xlabel=label, ylabel=title)
+        if others:
+            axes.legend(fontsize=7)
+    return path
