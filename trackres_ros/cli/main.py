@@ -15,6 +15,7 @@ import click
 from trackres_ros import InputError, __version__
 from trackres_ros.cli import written
 from trackres_ros.cli.common import Commands
+from trackres_ros.cli.compound import compound_group
 from trackres_ros.cli.diagnose import diagnose_command, effects_command
 from trackres_ros.cli.entry import INTERRUPTED, interrupt_handled
 from trackres_ros.cli.explain import explain_command
@@ -64,6 +65,7 @@ for command in (
     reproduce_command,
     record_sample_command,
     vehicle_group,
+    compound_group,
 ):
     cli.add_command(command)
 

@@ -42,11 +42,13 @@ FREQUENCY_IN_NAME = re.compile(r"(?:^|[\s_@,(\[])(\d+(?:[.,p]\d+)?(?:e[+-]?\d+)?
 # Unit, as it is compared: (factor to SI or degC, offset).
 UNITS: dict[str, dict[str, tuple[float, float]]] = {
     TEMPERATURE: {
-        "degC": (1.0, 0.0), "\u00b0C": (1.0, 0.0), "\u2103": (1.0, 0.0), "C": (1.0, 0.0), "Celsius": (1.0, 0.0), "K": (1.0, -ZERO_DEGC_K),
-        "Kelvin": (1.0, -ZERO_DEGC_K), "degF": (5.0 / 9.0, -160.0 / 9.0), "\u00b0F": (5.0 / 9.0, -160.0 / 9.0),
+        "degC": (1.0, 0.0), "\u00b0C": (1.0, 0.0), "\u2103": (1.0, 0.0), "C": (1.0, 0.0), "Celsius": (1.0, 0.0),
+        "K": (1.0, -ZERO_DEGC_K), "Kelvin": (1.0, -ZERO_DEGC_K),
+        "degF": (5.0 / 9.0, -160.0 / 9.0), "\u00b0F": (5.0 / 9.0, -160.0 / 9.0),
     },
     FREQUENCY: {
-        "Hz": (1.0, 0.0), "1/s": (1.0, 0.0), "kHz": (1e3, 0.0), "mHz": (1e-3, 0.0), "rad/s": (0.5 / pi, 0.0), "rad/sec": (0.5 / pi, 0.0),
+        "Hz": (1.0, 0.0), "1/s": (1.0, 0.0), "kHz": (1e3, 0.0), "mHz": (1e-3, 0.0),
+        "rad/s": (0.5 / pi, 0.0), "rad/sec": (0.5 / pi, 0.0),
         "rad s-1": (0.5 / pi, 0.0), "rad*s-1": (0.5 / pi, 0.0), "rad s^-1": (0.5 / pi, 0.0),
     },
     STORAGE: {
@@ -141,7 +143,10 @@ def columns_of(names: Sequence[str], units: Sequence[str] | None, where: str) ->
         twice = [c.name for c in found if c.role == role and c.frequency == frequency]
         if twice:
             raise InputError(
-                f"{where}, column {place + 1}", name, f"one column of {role}: {twice[0]} is one already", "delete or rename the other"
+                f"{where}, column {place + 1}",
+                name,
+                f"one column of {role}: {twice[0]} is one already",
+                "delete or rename the other",
             )
         found.append(Column(place, name, role, scale * (SHEAR_TO_TENSION if shear else 1.0), offset, shear, frequency))
     return found

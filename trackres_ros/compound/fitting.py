@@ -41,6 +41,8 @@ FIRST_PENALTY = np.array([0.3, 0.3])
 START_BELOW_K = (15.0, 50.0, 110.0)  # of the pole below the coldest row
 START_STRENGTHS = (200.0, 450.0, 900.0, 1600.0, 3000.0, 6000.0)
 ISOTHERM_K = 2.5  # rows nearer than that may share an error: their temperature, their clamping
+BOTH_SIDES = 3  # isotherms on each side of a bend
+WIDEST_GLASS_K = 20.0  # an interval of the glass transition that is wider says nothing
 UNDERSMOOTHED = 0.1  # of the penalty of the master curve: bends of the curve that are smoothed away are laid to the shift
 NO_BEND_K = 1.0  # above the pole: a glass transition that lies below all data
 
@@ -89,7 +91,8 @@ class CompoundFit:
     @property
     def rms(self) -> tuple[float, float]:
         """Of the natural logarithms of storage and loss modulus about the master curve."""
-        return tuple(np.sqrt((self.master.residuals**2).mean(axis=0)))  # type: ignore[return-value]
+        storage, loss = np.sqrt((self.master.residuals**2).mean(axis=0))
+        return float(storage), float(loss)
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,17 +157,22 @@ def fit_compound(sweep: Sweep, vehicle: Vehicle) -> CompoundFit:
             f"Arrhenius' would be at 0 K; BIC better by {decimals(gain)}"
         )  # fmt: skip
     else:
-        best, why = arrhenius, f"WLF, with a number more, betters BIC by {decimals(gain)} alone, where {figures(CLEAR_BIC)} is strong evidence"
+        best, why = (
+            arrhenius,
+            f"WLF, with a number more, betters BIC by {decimals(gain)} alone, where {figures(CLEAR_BIC)} is strong evidence",
+        )
         if gain > CLEAR_BIC:
             why = f"the pole of a WLF shift is not told from 0 K ({decimals(pole.low)} to {decimals(pole.high)} degC)"
     glass = bent.value(lambda theta: theta[2])
     bend_gain = best.bic - bent.bic
-    seen = bend_gain > CLEAR_BIC and sweep.temp_degc.min() < glass.low and glass.high < sweep.temp_degc.max()
+    isotherms = np.unique(np.round(sweep.temp_degc / ISOTHERM_K)) * ISOTHERM_K
+    below, above = (isotherms < glass.value).sum(), (isotherms > glass.value).sum()
+    seen = bend_gain > CLEAR_BIC and min(below, above) >= BOTH_SIDES and np.ptp([glass.low, glass.high]) < WIDEST_GLASS_K
     if seen:
         best = bent
         why = (
-            f"the shift steepens as WLF's down to {decimals(glass.value)} degC, and is straight below: BIC better by {decimals(bend_gain)} "
-            f"than without the bend, by {decimals(arrhenius.bic - bent.bic)} than Arrhenius'"
+            f"the shift steepens as WLF's down to {decimals(glass.value)} degC and is straight below: BIC better by "
+            f"{decimals(bend_gain)} than without the bend, by {decimals(arrhenius.bic - bent.bic)} than Arrhenius'"
         )  # fmt: skip
     if float(np.sqrt(best.covariance[0, 0])) > WIDEST_LOG_STD:
         return _kept(sweep, vehicle, at, "the frequencies tell the shift too little: that of the vehicle file is kept")
@@ -222,7 +230,12 @@ def _fitted(sweep: Sweep, law: _Law, at: float) -> _Found:
     theta = min(inner, key=lambda start: float((residuals(start, penalty, scale) ** 2).sum()))
     for _ in range(2):
         theta = least_squares(
-            residuals, theta, bounds=(law.low, law.high), x_scale=np.maximum(np.abs(theta), 0.1), args=(penalty, scale), max_nfev=60
+            residuals,
+            theta,
+            bounds=(law.low, law.high),
+            x_scale=np.maximum(np.abs(theta), 0.1),
+            args=(penalty, scale),
+            max_nfev=60,
         ).x
         shift = law.shift(theta)
         penalty = UNDERSMOOTHED * chosen_penalty(sweep, shift, at)
@@ -234,20 +247,18 @@ def _fitted(sweep: Sweep, law: _Law, at: float) -> _Found:
     scores = len(last) * np.log((last**2).mean(axis=0)).sum()
     independent = np.linalg.pinv(found.jac.T @ found.jac) * float((last / scale).ravel() @ (last / scale).ravel())
     independent /= max(last.size - len(found.x), 1)
-    shared, groups = _jackknife(sweep, law, at, found.x, np.asarray(found.jac), penalty, scale)
+    shared, groups = _jackknife(sweep, law, at, found.x, penalty, scale)
     wider = np.sqrt(np.maximum(np.diag(shared) / np.maximum(np.diag(independent), 1e-300), 1.0))
     dof = float(max(groups - len(found.x), 2))
     return _Found(law, found.x, independent * np.outer(wider, wider), dof, float(scores + len(found.x) * np.log(last.size)))
 
 
-def _jackknife(
-    sweep: Sweep, law: _Law, at: float, theta: Array, jacobian: Array, penalty: Array, scale: Array
-) -> tuple[Array, int]:
+def _jackknife(sweep: Sweep, law: _Law, at: float, theta: Array, penalty: Array, scale: Array) -> tuple[Array, int]:
     """Covariance of the numbers, and of how many isotherms: each is left out once.
 
-    Rows of one isotherm may share an error (of temperature, of clamping), which the splines follow where isotherms lie apart; leaving
-    them out whole shows what that does to the shift (Efron, The Jackknife, the Bootstrap and Other Resampling Plans, 1982, ch. 3).
-    One Gauss-Newton step from the fit to all is taken for the fit to the others.
+    Rows of one isotherm may share an error (of temperature, of clamping), which the splines follow where isotherms lie apart;
+    leaving them out whole shows what that does to the shift (Efron, The Jackknife, the Bootstrap and Other Resampling Plans,
+    1982, ch. 3). One Gauss-Newton step from the fit to all is taken for the fit to the others.
     """
     isotherm = np.unique(np.round(sweep.temp_degc / ISOTHERM_K), return_inverse=True)[1].ravel()
     groups = int(isotherm.max()) + 1
@@ -315,4 +326,4 @@ def _finished(
     sweep: Sweep, law: str, why: str, shift: Shift, values: dict[str, Value], seen: bool, energy: Value | None, at: float
 ) -> CompoundFit:
     master = master_curve(sweep, shift, at)
-    return CompoundFit(sweep, law, why, shift, values, seen, energy, master, fit_prony(sweep, shift, master.scale))
+    return CompoundFit(sweep, law, why, shift, values, seen, energy, master, fit_prony(sweep, shift, master))

@@ -44,7 +44,7 @@ class Basis:
         low, high = float(equivalent.min()), float(equivalent.max())
         pieces = int(np.clip(np.ceil(np.ptp(sweep.temp_degc) / KNOTS_K), 8, MOST_KNOTS))
         step = (high - low) / pieces
-        return cls(low + step * np.arange(-DEGREE, pieces + DEGREE + 1))
+        return cls(low + step * np.arange(-DEGREE, pieces + DEGREE + 1, dtype=np.float64))
 
     def at(self, degc: ArrayLike) -> Array:
         """Values, shape (temperatures, splines); beyond the ends those of the ends."""
@@ -82,9 +82,7 @@ def smooth(sweep: Sweep, shift: Shift, at_frequency: float, penalty: Array) -> S
     basis = Basis.over(sweep, equivalent)
     design, values = basis.at(equivalent), logs(sweep)
     gram, right, roughness = design.T @ design, design.T @ values, basis.bends.T @ basis.bends
-    found = np.column_stack(
-        [np.linalg.solve(gram + weight * roughness, right[:, k]) for k, weight in enumerate(penalty)]
-    )
+    found = np.column_stack([np.linalg.solve(gram + weight * roughness, right[:, k]) for k, weight in enumerate(penalty)])
     residuals = values - design @ found
     return Smooth(basis, design, found, residuals, np.vstack([residuals, np.sqrt(penalty) * (basis.bends @ found)]))
 
@@ -137,8 +135,8 @@ class MasterCurve:
     def log_std(self, degc: ArrayLike) -> Array:
         """Standard deviation of both natural logarithms, shape (temperatures, 2).
 
-        That of the smoothing prior, which holds over the whole curve (Nychka, J. Am. Stat. Assoc. 83 (1988) 1134); its scale is that
-        of the residuals.
+        That of the smoothing prior, which holds over the whole curve (Nychka, J. Am. Stat. Assoc. 83 (1988) 1134); its scale is
+        that of the residuals.
         """
         at = self._basis.at(degc)
         return np.column_stack(

@@ -4,8 +4,10 @@
 r"""The Prony series that both moduli have in common: relaxation strengths of no negative sign, by bounded least squares.
 
 $E'(\omega) = E_\infty + \sum_i E_i \frac{\omega^2 \tau_i^2}{1 + \omega^2 \tau_i^2}$ and
-$E''(\omega) = \sum_i E_i \frac{\omega \tau_i}{1 + \omega^2 \tau_i^2}$ (Ferry, Viscoelastic Properties of Polymers, 3rd ed., ch. 3) are
-Kramers-Kronig's relation for a linear solid. What they leave says whether storage modulus, loss modulus and shift belong together.
+$E''(\omega) = \sum_i E_i \frac{\omega \tau_i}{1 + \omega^2 \tau_i^2}$ (Ferry, Viscoelastic Properties of
+Polymers, 3rd ed., ch. 3) are Kramers-Kronig's relation for a linear solid. What they leave says whether storage
+modulus, loss modulus and shift belong
+together.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import nnls
 
+from trackres_ros.compound.master import MasterCurve
 from trackres_ros.compound.reading import Sweep
 from trackres_ros.compound.shift import Shift
 
@@ -25,6 +28,8 @@ EACH_DECADE = 1.5  # terms: more are not told apart (Baumgaertel and Winter, Rhe
 BEYOND = 1.0  # decades on both sides of the data, whose tails reach in
 MOST_TERMS = 60
 REFERENCE_DEGC = 20.0
+GUIDE_EACH_DECADE = 5
+GUIDE_WEIGHT = 0.3  # of the master curve beside the data: between isotherms far apart a series would swing freely
 LEAST_WEIGHT = 0.01  # relative error below which no modulus is held to be known
 
 
@@ -58,31 +63,40 @@ class Prony:
     @property
     def rms(self) -> tuple[float, float]:
         """Of both moduli, relative."""
-        return tuple(np.sqrt((self.residuals**2).mean(axis=0)))  # type: ignore[return-value]
+        storage, loss = np.sqrt((self.residuals**2).mean(axis=0))
+        return float(storage), float(loss)
 
 
-def fit_prony(sweep: Sweep, shift: Shift, scale: Array) -> Prony:
-    """Fit both moduli of a shifted sweep at once; `scale` is the relative error of each."""
+def fit_prony(sweep: Sweep, shift: Shift, master: MasterCurve) -> Prony:
+    """Fit both moduli of a shifted sweep at once, each relative to its value and error."""
     reference = float(np.clip(REFERENCE_DEGC, sweep.temp_degc.min(), sweep.temp_degc.max()))
     moved = shift.log_shift(sweep.temp_degc) - shift.log_shift(reference)
     log_f = np.log10(sweep.frequency) + moved
     low, high = -log_f.max() - BEYOND - np.log10(2.0 * np.pi), -log_f.min() + BEYOND - np.log10(2.0 * np.pi)
     count = int(np.clip(round(EACH_DECADE * (high - low)), 3, MOST_TERMS))
     tau = np.logspace(low, high, count)
-    storage, loss = _terms(10.0**log_f, tau)
-    weight = 1.0 / np.maximum(scale, LEAST_WEIGHT)
-    rows = np.vstack([storage * (weight[0] / sweep.storage)[:, None], loss * (weight[1] / sweep.loss)[:, None]])
-    size = np.linalg.norm(rows, axis=0)
+    weight = 1.0 / np.maximum(master.scale, LEAST_WEIGHT)
+    rows = _rows(log_f, tau, (sweep.storage, sweep.loss), weight)
     target = np.repeat(weight, len(log_f))
-    found = nnls(rows / size, target)[0] / size
-    std = np.zeros_like(found)
-    used = found > 0.0
+    at = np.linspace(master.low_degc, master.high_degc, int(GUIDE_EACH_DECADE * (high - low)))
+    along = np.log10(master.at_frequency) + shift.log_shift(at) - shift.log_shift(reference)
+    guide = GUIDE_WEIGHT * _rows(along, tau, master.moduli(at), weight)
+    stacked = np.vstack([rows, guide])
+    size = np.linalg.norm(stacked, axis=0)
+    found = nnls(stacked / size, np.concatenate([target, GUIDE_WEIGHT * np.repeat(weight, len(at))]))[0] / size
+    std, used = np.zeros_like(found), found > 0.0
     left = target - rows @ found
     free = max(len(left) - int(used.sum()), 1)
-    scaled = rows[:, used] / size[used]
+    scaled = stacked[:, used] / size[used]
     std[used] = np.sqrt(np.diag(np.linalg.pinv(scaled.T @ scaled)) * float(left @ left) / free) / size[used]
     residuals = (left / target).reshape(2, -1).T
     return Prony(reference, tau, found, std, residuals)
+
+
+def _rows(log_f: Array, tau: Array, moduli: tuple[Array, Array], weight: Array) -> Array:
+    """Rows of least squares: what each strength adds to both moduli, over their values and errors."""
+    terms = _terms(10.0**log_f, tau)
+    return np.vstack([part * (w / modulus)[:, None] for part, w, modulus in zip(terms, weight, moduli, strict=True)])
 
 
 def _terms(frequency: Array, tau: Array) -> tuple[Array, Array]:

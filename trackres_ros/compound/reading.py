@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from trackres_ros.compound.columns import (
     FREQUENCY,
     LOSS,
-    MODULI,
     STORAGE,
     TANGENT,
     TEMPERATURE,
@@ -68,7 +67,7 @@ class Sweep:
     def frequencies(self) -> Array:
         """Each frequency once, rising; those within 2 % count as one."""
         rising = np.sort(self.frequency)
-        return rising[np.concatenate([[True], np.diff(np.log(rising)) > 0.02])]
+        return np.asarray(rising[np.concatenate([[True], np.diff(np.log(rising)) > 0.02])])
 
 
 def read_sweep(path: Path, frequency_hz: float | None = None) -> Sweep:
@@ -164,13 +163,19 @@ def _named(separators: str) -> str:
 def _complete(columns: Sequence[Column], cells: Sequence[str], where: str, frequency_hz: float | None) -> None:
     """See that all is there that a sweep needs."""
     roles, names = {c.role for c in columns}, ", ".join(cells)
-    for wanted, text in (({TEMPERATURE}, "a temperature"), ({STORAGE}, "a storage modulus"), ({LOSS, TANGENT}, "a loss modulus or tan delta")):
+    for wanted, text in (
+        ({TEMPERATURE}, "a temperature"),
+        ({STORAGE}, "a storage modulus"),
+        ({LOSS, TANGENT}, "a loss modulus or tan delta"),
+    ):
         if not roles & wanted:
             raise InputError(where, f"columns {names}", f"a column with {text}")
     in_names = [c.frequency for c in columns if c.role == STORAGE]
     if FREQUENCY in roles or frequency_hz is not None:
         if len(in_names) > 1:
-            raise InputError(where, f"columns {names}", "one storage modulus, or several with their frequency in the name and no other")
+            raise InputError(
+                where, f"columns {names}", "one storage modulus, or several with their frequency in the name and no other"
+            )
     elif None in in_names:
         remedy = "add such a column, write the frequency into the names as E'_10Hz [MPa], or give --frequency-hz"
         raise InputError(where, f"columns {names}", "a column with the frequency", remedy)
@@ -180,7 +185,11 @@ def _rows(
     lines: Sequence[str], first: int, separator: str, width: int, repeated: set[str], columns: Sequence[Column], name: str
 ) -> tuple[list[tuple[int, list[float]]], int]:
     """Numbers of the wanted columns with their line, and how many rows were left out as one of their cells is empty."""
-    wanted = [(i, _cells(lines[i], separator)) for i in range(first, len(lines)) if not _is_comment(lines[i]) and lines[i].strip() not in repeated]
+    wanted = [
+        (i, _cells(lines[i], separator))
+        for i in range(first, len(lines))
+        if not _is_comment(lines[i]) and lines[i].strip() not in repeated
+    ]
     if len(wanted) > MOST_ROWS:
         raise InputError(name, f"{len(wanted)} rows", f"at most {MOST_ROWS}", "average or thin the sweep")
     texts = [cells[c.place] for _, cells in wanted for c in columns if c.place < len(cells)]
@@ -213,7 +222,12 @@ def _number(text: str, comma: bool, where: str) -> float:
 
 
 def _assembled(
-    path: Path, name: str, columns: Sequence[Column], rows: Sequence[tuple[int, list[float]]], frequency_hz: float | None, notes: list[str]
+    path: Path,
+    name: str,
+    columns: Sequence[Column],
+    rows: Sequence[tuple[int, list[float]]],
+    frequency_hz: float | None,
+    notes: list[str],
 ) -> Sweep:
     """SI, a row for each frequency and temperature, within what rubber can have."""
     by_role: dict[str, list[tuple[int, Column]]] = {}
@@ -244,7 +258,7 @@ def _assembled(
     parts = []
     for k, column in by_role[STORAGE]:
         storage = checked(k, si[:, k], SWEEP_STORAGE, 1e6, unit)
-        others = {role: _of_frequency(by_role.get(role, []), column, name) for role in (LOSS, TANGENT)}
+        others = {role: _of_frequency(by_role.get(role, []), column) for role in (LOSS, TANGENT)}
         k_loss, k_tan = others[LOSS], others[TANGENT]
         if k_loss is None and k_tan is None:
             raise InputError(name, column.name, "a loss modulus or tan delta of the same frequency beside each storage modulus")
@@ -260,7 +274,8 @@ def _assembled(
             apart = float(np.median(np.abs(np.log(loss / storage / si[:, k_tan]))))
             if apart > TANGENT_DIFFERS:
                 raise InputError(
-                    name, f"{columns[k_tan].name} that is {100 * apart:.0f} % off loss over storage modulus", f"within {100 * TANGENT_DIFFERS:g} %",
+                    name, f"{columns[k_tan].name} that is {100 * apart:.0f} % off loss over storage modulus",
+                    f"within {100 * TANGENT_DIFFERS:g} %",
                     "check the units of both moduli, or delete one of the columns",
                 )  # fmt: skip
         if FREQUENCY in by_role:
@@ -276,7 +291,7 @@ def _assembled(
     return Sweep(path, f, t, e1, e2, tuple(notes))
 
 
-def _of_frequency(listed: Sequence[tuple[int, Column]], storage: Column, name: str) -> int | None:
+def _of_frequency(listed: Sequence[tuple[int, Column]], storage: Column) -> int | None:
     """Place of the column of the storage modulus' frequency; one that says none is of the only storage modulus there is."""
     same = [k for k, column in listed if column.frequency == storage.frequency]
     if not same and len(listed) == 1 and None in (listed[0][1].frequency, storage.frequency):

@@ -3,9 +3,9 @@
 
 r"""The shift function of a compound, as the model has it: WLF above the glass transition, its tangent below.
 
-About any reference, $-C_1 (T - T_r) / (C_2 + T - T_r)$ is $B / (T - T_\infty)$ but for a constant, with $T_\infty = T_r - C_2$ and
-$B = C_1 C_2$. So data above the glass transition tell two numbers, and not three. With $T_\infty$ at 0 K this is Arrhenius' law, of
-activation energy $R B \ln 10$: a vehicle file can hold either.
+About any reference, $-C_1 (T - T_r) / (C_2 + T - T_r)$ is $B / (T - T_\infty)$ but for a constant, with $T_\infty = T_r - C_2$
+and $B = C_1 C_2$. So data above the glass transition tell two numbers, and not three. With $T_\infty$ at 0 K this is Arrhenius'
+law, of activation energy $R B \ln 10$: a vehicle file can hold either.
 """
 
 from __future__ import annotations
