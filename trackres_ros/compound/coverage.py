@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import floor
 from typing import Any
 
 import numpy as np
@@ -65,7 +66,7 @@ class Covered:
     def sentence(self, need: Need) -> str:
         """What is covered and what is not, in words."""
         belts = f"{need.coldest:.0f} to {need.hottest:.0f} degC, {need.slowest:.1f} to {need.fastest:.0f} Hz"
-        text = f"The data cover {100.0 * self.share:.0f} % of what the vehicle's belts need ({belts})"
+        text = f"The data cover {floor(100.0 * self.share)} % of what the vehicle's belts need ({belts})"
         beyond = []
         if self.coldest_slow > need.coldest:
             beyond.append(f"colder than {self.coldest_slow:.0f} degC at any frequency")

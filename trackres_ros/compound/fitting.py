@@ -147,7 +147,7 @@ def fit_compound(sweep: Sweep, vehicle: Vehicle) -> CompoundFit:
     at = float(np.clip(sweep.frequencies[0], SWEEP_FREQUENCY.low, SWEEP_FREQUENCY.high))
     decades = float(np.log10(sweep.frequency.max() / sweep.frequency.min()))
     if decades < FEWEST_DECADES:
-        return _kept(sweep, vehicle, at, "one frequency shows no shift: that of the vehicle file is kept")
+        return _kept(sweep, vehicle, at, "one frequency shows none, so that of the vehicle file stays")
     arrhenius, wlf, bent = (_fitted(sweep, law, at) for law in _laws(sweep, vehicle))
     pole = wlf.value(lambda theta: theta[1])
     gain = arrhenius.bic - wlf.bic
@@ -175,7 +175,7 @@ def fit_compound(sweep: Sweep, vehicle: Vehicle) -> CompoundFit:
             f"{decimals(bend_gain)} than without the bend, by {decimals(arrhenius.bic - bent.bic)} than Arrhenius'"
         )  # fmt: skip
     if float(np.sqrt(best.covariance[0, 0])) > WIDEST_LOG_STD:
-        return _kept(sweep, vehicle, at, "the frequencies tell the shift too little: that of the vehicle file is kept")
+        return _kept(sweep, vehicle, at, "these frequencies tell it too little, so that of the vehicle file stays")
     return _of_law(sweep, vehicle, at, best, seen, why)
 
 

@@ -5,9 +5,8 @@ r"""The Prony series that both moduli have in common: relaxation strengths of no
 
 $E'(\omega) = E_\infty + \sum_i E_i \frac{\omega^2 \tau_i^2}{1 + \omega^2 \tau_i^2}$ and
 $E''(\omega) = \sum_i E_i \frac{\omega \tau_i}{1 + \omega^2 \tau_i^2}$ (Ferry, Viscoelastic Properties of
-Polymers, 3rd ed., ch. 3) are Kramers-Kronig's relation for a linear solid. What they leave says whether storage
-modulus, loss modulus and shift belong
-together.
+Polymers, 3rd ed., ch. 3) are Kramers-Kronig's relation for a linear solid. What they leave says whether storage modulus, loss
+modulus and shift belong together.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import nnls
+from scipy.optimize import lsq_linear
 
 from trackres_ros.compound.master import MasterCurve
 from trackres_ros.compound.reading import Sweep
@@ -83,7 +82,8 @@ def fit_prony(sweep: Sweep, shift: Shift, master: MasterCurve) -> Prony:
     guide = GUIDE_WEIGHT * _rows(along, tau, master.moduli(at), weight)
     stacked = np.vstack([rows, guide])
     size = np.linalg.norm(stacked, axis=0)
-    found = nnls(stacked / size, np.concatenate([target, GUIDE_WEIGHT * np.repeat(weight, len(at))]))[0] / size
+    wanted = np.concatenate([target, GUIDE_WEIGHT * np.repeat(weight, len(at))])
+    found = lsq_linear(stacked / size, wanted, (0.0, np.inf), method="bvls", max_iter=10 * len(size)).x / size
     std, used = np.zeros_like(found), found > 0.0
     left = target - rows @ found
     free = max(len(left) - int(used.sum()), 1)

@@ -22,7 +22,7 @@ from trackres_ros.files.own_files import write
 from trackres_ros.text.numbers import figures
 from trackres_ros.vehicle import Vehicle, load
 from trackres_ros.vehicle.reading import FITTED
-from trackres_ros.vehicle.schema import RUBBER, SWEEP_DEGC, WARM_STORAGE
+from trackres_ros.vehicle.schema import RUBBER, SWEEP_DEGC, SWEEP_TAN_DELTA, WARM_STORAGE
 
 Array = NDArray[np.float64]
 
@@ -33,6 +33,7 @@ TWO_SIDED_95 = 1.96
 SCATTER = [0.8, 1.2]  # of the loss modulus, as the reference vehicle has it
 SCATTER_REASON = "batch scatter and strain amplitude, of which a sweep of one specimen says nothing"
 LONGEST_STEM = 40
+INSIDE = 1.0001  # of a limit, so that a value rounded to six figures stays inside
 MODULI_HEAD = "T_degC,E_storage_MPa,E_loss_MPa,tan_delta,E_storage_low_MPa,E_storage_high_MPa,E_loss_low_MPa,E_loss_high_MPa"
 
 
@@ -142,6 +143,7 @@ def _comments(lines: Iterable[str]) -> str:
 def _rubber_text(fit: CompoundFit) -> str:
     degc = table_degc(fit)
     storage, loss = (modulus / 1e6 for modulus in fit.master.moduli(degc))
+    loss = np.clip(loss, INSIDE * SWEEP_TAN_DELTA.low * storage, SWEEP_TAN_DELTA.high / INSIDE * storage)
     spread = np.exp(TWO_SIDED_95 * fit.master.log_std(degc))
     rows = np.column_stack(
         [
