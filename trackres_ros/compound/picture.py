@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from trackres_ros.compound.coverage import Need, is_covered
-from trackres_ros.compound.fitting import CompoundFit
-from trackres_ros.output.plots import BLACK, BLUE, GREEN, GREY, VERMILION, picture, shortened
+from trackres_ros.compound.fitting import KEPT, CompoundFit
+from trackres_ros.output.plots import BLACK, BLUE, GREEN, GREY, PURPLE, VERMILION, picture_with_legend, shortened
+from trackres_ros.text.numbers import decimals
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 INCHES = 10.0, 8.0
 GRID = 300
-LEGEND_ROOM = 0.4  # of the axis
 MARGIN_K, MARGIN_DECADES = 8.0, 0.5
 PALE = "#DCE9F5"
 DOTS: dict[str, Any] = {"linestyle": "none", "marker": ".", "markersize": 4.0, "markeredgewidth": 0.0}
@@ -27,13 +27,12 @@ DOTS: dict[str, Any] = {"linestyle": "none", "marker": ".", "markersize": 4.0, "
 
 def draw_compound(fit: CompoundFit, need: Need, path: Path) -> Path:
     """The picture of a fit."""
-    with picture(path, *INCHES) as drawn:
+    with picture_with_legend(path, *INCHES) as drawn:
         (cover, curve), (shift, left) = drawn.subplots(2, 2)
         _coverage(cover, fit, need)
         _master(curve, fit)
         _shift(shift, fit)
         _residuals(left, fit)
-        drawn.suptitle(f"{shortened(fit.sweep.path.name, 50)}: shift {fit.law}", x=0.01, ha="left", fontsize=11)
     return path
 
 
@@ -44,24 +43,21 @@ def _coverage(axes: Axes, fit: CompoundFit, need: Need) -> None:
     )
     low = np.log10(min(sweep.frequency.min(), need.slowest)) - MARGIN_DECADES
     high = np.log10(max(sweep.frequency.max(), need.fastest)) + MARGIN_DECADES
-    high += LEGEND_ROOM * (high - low)
     log_f = np.linspace(low, high, GRID)
     grid_t, grid_f = np.meshgrid(temps, log_f)
     inside = is_covered(fit, 10.0**grid_f, grid_t)
     axes.contourf(temps, 10.0**log_f, inside.astype(float), levels=[0.5, 1.5], colors=[PALE], zorder=0)
-    axes.plot(sweep.temp_degc, sweep.frequency, color=BLUE, label="measured", **DOTS)
+    axes.plot(sweep.temp_degc, sweep.frequency, color=BLACK, label="measured", **DOTS)
     axes.fill([], [], color=PALE, label="covered by superposition")
     box_t = [need.coldest, need.hottest, need.hottest, need.coldest, need.coldest]
     box_f = [need.slowest, need.slowest, need.fastest, need.fastest, need.slowest]
-    axes.plot(box_t, box_f, color=VERMILION, label="what the vehicle's belts need")
-    axes.fill([], [], facecolor="white", edgecolor=GREY, label="extrapolated: last values held")
+    axes.plot(box_t, box_f, color=PURPLE, label="what the belts need")
     axes.set_yscale("log")
     axes.set_ylim(10.0**low, 10.0**high)
     axes.set_xlim(temps[0], temps[-1])
-    axes.set_title("what the data cover")
+    axes.set_title(f"what {shortened(sweep.path.name, 30)} covers; white is extrapolated")
     axes.set_xlabel("temperature [°C]")
     axes.set_ylabel("frequency [Hz]")
-    axes.legend(loc="upper left", ncols=2, frameon=True, framealpha=1.0, edgecolor="none")
 
 
 def _master(axes: Axes, fit: CompoundFit) -> None:
@@ -88,7 +84,6 @@ def _master(axes: Axes, fit: CompoundFit) -> None:
     axes.set_title(f"master curve at {reference:.0f} °C")
     axes.set_xlabel("reduced frequency [Hz]")
     axes.set_ylabel("modulus [MPa]")
-    axes.legend(loc="upper left")
 
 
 def _shift(axes: Axes, fit: CompoundFit) -> None:
@@ -100,19 +95,17 @@ def _shift(axes: Axes, fit: CompoundFit) -> None:
         axes.annotate(
             "Tg", (shift.glass_transition, 0.95), xycoords=("data", "axes fraction"), xytext=(3, 0), textcoords="offset points"
         )
-    axes.set_title(f"shift, {fit.law}")
+    axes.set_title("shift of the vehicle file" if fit.law == KEPT else f"shift: {fit.law}")
     axes.set_xlabel("temperature [°C]")
     axes.set_ylabel(f"log10 of a_T about {reference:.0f} °C")
 
 
 def _residuals(axes: Axes, fit: CompoundFit) -> None:
     percent = 100.0 * np.expm1(fit.master.residuals)
-    for k, (colour, label) in enumerate(((BLUE, "storage E′"), (VERMILION, "loss E″"))):
-        axes.plot(fit.sweep.temp_degc, percent[:, k], color=colour, label=f"{label}, rms {100.0 * fit.rms[k]:.2f} %", **DOTS)
+    for k, colour in enumerate((BLUE, VERMILION)):
+        axes.plot(fit.sweep.temp_degc, percent[:, k], color=colour, **DOTS)
     axes.axhline(0.0, color=GREY, linewidth=0.9)
-    top = max(float(np.abs(percent).max()), 1e-3)
-    axes.set_ylim(-1.1 * top, 1.5 * top)
-    axes.set_title("measured over master curve")
+    storage, loss = (decimals(100.0 * x, 2) for x in fit.rms)
+    axes.set_title(f"measured over master curve: rms {storage} % of E′, {loss} % of E″")
     axes.set_xlabel("temperature [°C]")
     axes.set_ylabel("difference [%]")
-    axes.legend(loc="upper left", ncols=2)

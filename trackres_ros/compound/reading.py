@@ -237,7 +237,8 @@ def _assembled(
         raise InputError(name, "no row of numbers", f"at least {FEWEST_ROWS}")
     table = np.array([row for _, row in rows])
     lines = np.array([line for line, _ in rows])
-    si = table * np.array([c.scale for c in columns]) + np.array([c.offset for c in columns])
+    with np.errstate(over="ignore"):  # infinite is out of limits
+        si = table * np.array([c.scale for c in columns]) + np.array([c.offset for c in columns])
 
     def checked(k: int, values: Array, limits: Limits, to_limits: float, remedy: str) -> Array:
         shown = values / to_limits

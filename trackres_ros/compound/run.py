@@ -102,8 +102,8 @@ def found_text(found: dict[str, Any]) -> str:
     rows, kept = [], found["shift"]["law"] == KEPT
     for name, q in found["values"].items():
         numbers = [q["value"], *q["range"]]
-        shown = list(map(figures, numbers)) if kept else alike(numbers, numbers[2] - numbers[1])
-        rows.append((name, q["unit"], *shown, figures(found["before"].get(name))))
+        shown = [figures(x, 4) for x in numbers] if kept else alike(numbers, numbers[2] - numbers[1])
+        rows.append((name, q["unit"], *shown, figures(found["before"].get(name), 4)))
     rms = found["rms"], found["prony"]
     lines.append(
         table(
