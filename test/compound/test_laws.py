@@ -112,6 +112,25 @@ def test_errors_of_isotherms_widen_the_intervals(vehicle):
     assert widths[1] > 1.5 * widths[0]
 
 
+def test_elasticity_that_rises_with_temperature_is_said_and_the_intervals_hold_the_shift(vehicle):
+    shift = published("SBR")
+    plain = sweep(shift, np.arange(-50.0, 96.0, 5.0))
+    assert fit_compound(plain, vehicle).power is None
+    factor = (plain.temp_degc - ABSOLUTE_ZERO_DEGC) / 300.0
+    found = fit_compound(replace(plain, storage=factor * plain.storage, loss=factor * plain.loss), vehicle)
+    assert found.power.low <= 1.0 <= found.power.high
+    assert max(found.with_power) < 0.5 * max(found.rms)
+    c1, c2 = replace(shift, glass_transition=found.shift.glass_transition).wlf()
+    for value, true in ((found.values["wlf_c1"], c1), (found.values["wlf_c2"], c2)):
+        assert value.low <= true <= value.high
+
+
+def test_isotherms_that_do_not_overlap_tell_no_shift(vehicle):
+    found = fit_compound(sweep(published("SBR"), np.arange(-50.0, 96.0, 30.0)), vehicle)
+    assert found.law == KEPT
+    assert "too far apart" in found.why
+
+
 def test_the_master_curve_is_that_of_the_moduli_within_its_intervals(natural_rubber):
     shift, master = published("natural rubber"), natural_rubber.master
     degc = np.linspace(-85.0, 55.0, 29)
@@ -166,3 +185,5 @@ def test_the_vehicle_that_is_written_has_the_moduli_that_were_measured(vehicle, 
     assert written.rubber.density == vehicle.rubber.density
     assert written.name == "xgd24d_NR_7"
     assert "# Written by trackres compound fit from made.csv" in written.rubber_source.read_text()
+    again = write_compound(natural_rubber, written, files_of(tmp_path / "NR 7.csv", tmp_path / "again"))
+    assert again.source.read_text() == written.source.read_text()

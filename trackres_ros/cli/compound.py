@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 
-from trackres_ros.cli.common import Command, Commands, emit, json_option, needs, output_folder, vehicles_to_complete
+from trackres_ros.cli.common import Command, Commands, emit, json_option, needs, output_folder, progress, vehicles_to_complete
 
 
 @click.group("compound", cls=Commands)
@@ -53,5 +53,6 @@ def fit_command(sweep: Path, vehicle: str, frequency_hz: float | None, output: P
     from trackres_ros.compound.run import fit_and_write, found_text
 
     needs("pictures", "plots", "matplotlib")
-    found = fit_and_write(sweep, vehicle, output_folder(output), frequency_hz)
+    with progress("Fitting", None):
+        found = fit_and_write(sweep, vehicle, output_folder(output), frequency_hz)
     emit(found, as_json, lambda: found_text(found))

@@ -171,6 +171,8 @@ def _complete(columns: Sequence[Column], cells: Sequence[str], where: str, frequ
         if not roles & wanted:
             raise InputError(where, f"columns {names}", f"a column with {text}")
     in_names = [c.frequency for c in columns if c.role == STORAGE]
+    if frequency_hz is not None and (FREQUENCY in roles or any(in_names)):
+        raise InputError("frequency_hz", figures(frequency_hz, 6), f"nothing, as {where} says the frequency")
     if FREQUENCY in roles or frequency_hz is not None:
         if len(in_names) > 1:
             raise InputError(

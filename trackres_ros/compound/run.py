@@ -10,9 +10,10 @@ from typing import Any
 
 from trackres_ros.checks import number
 from trackres_ros.compound.coverage import covered, need_of
-from trackres_ros.compound.fitting import ARRHENIUS, KEPT, CompoundFit, Value, fit_compound
+from trackres_ros.compound.fitting import ARRHENIUS, KEPT, CompoundFit, fit_compound
 from trackres_ros.compound.picture import draw_compound
 from trackres_ros.compound.reading import FREQUENCIES, read_sweep
+from trackres_ros.compound.superposition import Value
 from trackres_ros.compound.writing import files_of, write_compound
 from trackres_ros.errors import one_line
 from trackres_ros.text.numbers import alike, decimals, figures
@@ -82,6 +83,14 @@ def _remarks(fit: CompoundFit) -> list[str]:
     if fit.law == KEPT:
         remarks.append(
             "for a shift of its own a compound needs several frequencies, over a factor of 10 or more, at each temperature"
+        )
+    if fit.power is not None and fit.with_power is not None:
+        power = alike([fit.power.value, fit.power.low, fit.power.high], fit.power.high - fit.power.low)
+        rms = " and ".join(f"{decimals(100.0 * x, 2)} %" for x in fit.with_power)
+        remarks.append(
+            f"beside the shift moduli go with absolute temperature to the power {power[0]} ({power[1]} to {power[2]}; rubber "
+            f"elasticity alone: 1), of which the model has nothing: with it rms would be {rms}; the ranges hold the shift "
+            "with it and without"
         )
     if fit.law == ARRHENIUS:
         remarks.append("Arrhenius' law is written as WLF with C2 = Tg + 50 K in kelvin, which is the same above Tg")

@@ -33,6 +33,8 @@ TWO_SIDED_95 = 1.96
 SCATTER = [0.8, 1.2]  # of the loss modulus, as the reference vehicle has it
 SCATTER_REASON = "batch scatter and strain amplitude, of which a sweep of one specimen says nothing"
 LONGEST_STEM = 40
+# What an earlier fit has put on top of the vehicle file, below what this one has.
+EARLIER = re.compile(r"(?<=\n)# Written by trackres compound fit .*\n(# (Of the file|Shift|Master curve).*\n)*")
 INSIDE = 1.0001  # of a limit, so that a value rounded to six figures stays inside
 MODULI_HEAD = "T_degC,E_storage_MPa,E_loss_MPa,tan_delta,E_storage_low_MPa,E_storage_high_MPa,E_loss_low_MPa,E_loss_high_MPa"
 
@@ -186,7 +188,7 @@ def _prony_text(fit: CompoundFit) -> str:
 
 def _set_rubber(path: Path, vehicle: Vehicle, fit: CompoundFit) -> None:
     """Put the values of the compound into a vehicle file."""
-    document = Document(path.read_text(encoding="utf-8"))
+    document = Document(EARLIER.sub("", path.read_text(encoding="utf-8"), count=1))
     document.set(("name",), vehicle.name)
     at = float(f"{fit.master.at_frequency:.6g}")
     _set(document, "sweep_frequency", at, [at, at], FITTED, f"of the rubber file, the lowest of {one_line(fit.sweep.path.name)}")

@@ -9,7 +9,7 @@ import csv
 import logging
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -188,25 +188,25 @@ def read_rubber_sweep(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             try:
                 table[i, j] = float(row[name])
             except (TypeError, ValueError):
-                raise InputError(f"{path}: line {numbered[i + 1][0]}, {name}", row[name], "a number") from None
+                raise InputError(f"{path}: row {numbered[i + 1][0]}, {name}", row[name], "a number") from None
     if not np.isfinite(table).all() or (np.diff(table[:, 0]) <= 0).any():
         raise InputError(
             f"{path}",
             "temperatures that do not rise, or values that are not finite",
             "finite numbers with T_degC rising from row to row",
         )
-    _check_sweep(path, table)
+    _check_sweep(path, table, columns)
     return table[:, 0].copy(), table[:, 1] * 1e6, table[:, 2] * 1e6
 
 
-def _check_sweep(path: Path, table: np.ndarray) -> None:
+def _check_sweep(path: Path, table: np.ndarray, names: Sequence[str]) -> None:
     """Refuse moduli that no rubber has, as values in Pa below a header in MPa."""
     degc, storage, loss = table.T
     moduli = "the columns are in MPa: divide values in Pa by 1e6, multiply values in GPa by 1000"
     for what, values, limits, remedy in (
-        ("T_degC", degc, schema.SWEEP_DEGC, "subtract 273.15 from values in kelvin"),
-        (RUBBER_COLUMNS[1], storage, schema.SWEEP_STORAGE, moduli),
-        (RUBBER_COLUMNS[2], loss, schema.SWEEP_LOSS, moduli),
+        (names[0], degc, schema.SWEEP_DEGC, "subtract 273.15 from values in kelvin"),
+        (names[1], storage, schema.SWEEP_STORAGE, moduli),
+        (names[2], loss, schema.SWEEP_LOSS, moduli),
     ):
         _within(path, what, values, limits, remedy)
     columns = "check that both columns are of one test and in one unit"
