@@ -85,13 +85,17 @@ def test_published_shifts_come_back_within_their_intervals(vehicle, name):
     assert sum(inside) >= 5  # of 6, at 95 %
 
 
-def test_a_glass_transition_that_is_measured_comes_back(natural_rubber):
-    shift = published("natural rubber")
-    assert natural_rubber.law == WLF
-    assert natural_rubber.glass_is_seen
-    for value, true in zip(natural_rubber.values.values(), (shift.glass_transition, *shift.wlf()), strict=True):
-        assert value.low <= true <= value.high
-        assert value.high - value.low < 0.1 * abs(true)
+def test_a_glass_transition_that_is_measured_comes_back(vehicle, natural_rubber):
+    """Near that of SBR isotherms hardly overlap, so steep is its shift: what is known of it less well is said so."""
+    sbr = published("SBR")
+    temps = np.arange(sbr.glass_transition - 11.0, 61.0, 5.0)
+    steep = [fit_compound(sweep(sbr, temps, shared=0.02, seed=seed), vehicle) for seed in range(3)]
+    for shift, found, width in ((published("natural rubber"), natural_rubber, 0.1), *((sbr, each, 0.3) for each in steep)):
+        assert found.law == WLF
+        assert found.glass_is_seen
+        for value, true in zip(found.values.values(), (shift.glass_transition, *shift.wlf()), strict=True):
+            assert value.low <= true <= value.high
+            assert value.high - value.low < width * abs(true)
 
 
 def test_arrhenius_comes_back_as_such_with_its_energy(vehicle):

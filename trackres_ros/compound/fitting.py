@@ -38,6 +38,7 @@ START_STRENGTHS = (200.0, 450.0, 900.0, 1600.0, 3000.0, 6000.0)
 BOTH_SIDES = 3  # isotherms on each side of a bend
 WIDEST_GLASS_K = 20.0  # an interval of the glass transition that is wider says nothing
 MOST_ROWS = 2000  # that the shift is fitted to; of a longer sweep some are drawn
+BETTER_RMS = 0.1  # a vertical shift that betters rms by less is not worth a remark
 OVERLAPPING = 0.5  # of neighbouring isotherms: where fewer overlap, only the splines between them tell the shift
 NO_BEND_K = 1.0  # above the pole: a glass transition that lies below all data
 
@@ -132,13 +133,14 @@ def fit_compound(sweep: Sweep, vehicle: Vehicle) -> CompoundFit:
             f"the shift steepens as WLF's down to {decimals(glass.value)} degC and is straight below: BIC better by "
             f"{decimals(bend_gain)} than without the bend, by {decimals(arrhenius.bic - bent.bic)} than Arrhenius'"
         )  # fmt: skip
-    if float(np.sqrt(best.covariance[0, 0])) > WIDEST_LOG_STD:
+    if max(float(np.sqrt(c[0, 0])) for c in best.covariances) > WIDEST_LOG_STD:
         return _kept(sweep, vehicle, at, "these frequencies tell it too little, so that of the vehicle file stays")
     if _overlapping(rows, best.shift, decades) < OVERLAPPING:
         return _kept(sweep, vehicle, at, "isotherms lie too far apart to overlap, so that of the vehicle file stays")
     raised = fitted(rows, with_power(best), at)
     power = raised.value(lambda theta: theta[-1])
-    clear = best.bic - raised.bic > CLEAR_BIC and (power.low > 0.0 or power.high < 0.0)
+    better = max(1.0 - after / before for after, before in zip(raised.rms, best.rms, strict=True)) > BETTER_RMS
+    clear = better and best.bic - raised.bic > CLEAR_BIC and (power.low > 0.0 or power.high < 0.0)
     return _of_law(sweep, vehicle, at, best, raised if clear else None, seen, why)
 
 

@@ -72,11 +72,14 @@ class Law:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """A law as fitted: its numbers, their covariance, -2 ln likelihood with the price of the numbers, and rms of both moduli."""
+    """A law as fitted: its numbers, -2 ln likelihood with their price, and rms of both moduli.
+
+    Their covariances are of independent errors, of such as isotherms share, and of both; the widest counts.
+    """
 
     law: Law
     theta: Array
-    covariance: Array
+    covariances: tuple[Array, Array, Array]
     dof: float
     bic: float
     rms: tuple[float, float]
@@ -89,9 +92,9 @@ class Found:
     def value(self, of: Callable[[Array], float], limits: tuple[float, float] = (-np.inf, np.inf)) -> Value:
         """A function of the numbers, with its interval by the delta method."""
         centre = of(self.theta)
-        step = 1e-4 * np.maximum(np.sqrt(np.diag(self.covariance)), 1e-6)
+        step = 1e-4 * np.maximum(np.sqrt(np.diag(self.covariances[0])), 1e-6)
         slope = np.array([(of(self.theta + s) - of(self.theta - s)) / (2.0 * s.sum()) for s in np.diag(step)])
-        wide = float(student.ppf(0.5 + 0.5 * SURE, self.dof)) * float(np.sqrt(slope @ self.covariance @ slope))
+        wide = float(student.ppf(0.5 + 0.5 * SURE, self.dof)) * float(np.sqrt(max(slope @ c @ slope for c in self.covariances)))
         return Value(centre, max(centre - wide, min(limits[0], centre)), min(centre + wide, max(limits[1], centre)))
 
 
@@ -132,7 +135,8 @@ def fitted(sweep: Sweep, law: Law, at: float) -> Found:
     dof = float(max(groups - len(found.x), 2))
     bic = float(scores + len(found.x) * np.log(last.size))
     storage, loss = np.sqrt((last**2).mean(axis=0))
-    return Found(law, found.x, independent * np.outer(wider, wider), dof, bic, (float(storage), float(loss)))
+    covariances = independent, shared, independent * np.outer(wider, wider)
+    return Found(law, found.x, covariances, dof, bic, (float(storage), float(loss)))
 
 
 def _jackknife(sweep: Sweep, law: Law, at: float, theta: Array, penalty: Array, scale: Array) -> tuple[Array, int]:
