@@ -7,6 +7,7 @@ from __future__ import annotations
 
 GRAVITY = 9.80665  # m/s^2, ISO 80000-3
 KMH_PER_MPS = 3.6
+ZERO_DEGC_K = 273.15  # K
 NANOSECOND = 1e-9  # s
 SECOND_NS = 1_000_000_000
 STANDSTILL_MPS = 0.05  # m/s, assumed: over it friction changes its sign smoothly; a fifth of 1 km/h

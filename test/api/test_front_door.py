@@ -38,6 +38,7 @@ PRINTING = {
     "trackres_ros.model.resistance": "the parts of a torque, by name",
 }
 STARTED_BY = {  # commands that start an application of their own, and import it
+    "compound.py": {"trackres_ros.compound.run"},
     "entry.py": {"trackres_ros.node.signals"},
     "fleet.py": {"trackres_ros.fleet", "trackres_ros.evaluation.fleet"},
     "layouts.py": {"trackres_ros.output.layouts"},

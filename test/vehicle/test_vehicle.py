@@ -132,6 +132,18 @@ def test_variants_are_the_vehicle_with_its_methods() -> None:
 SWEEP = "T_degC,E_storage_MPa_10Hz,E_loss_MPa_10Hz\n-50,700,300\n0,14,2.5\n50,8,1\n100,7,0.6\n"
 
 
+def test_a_sweep_may_have_comments_and_plain_names(tmp_path: Path) -> None:
+    path = tmp_path / "sweep.csv"
+    path.write_text(f"# of a test\n{SWEEP}", encoding="utf-8")
+    plain = tmp_path / "plain.csv"
+    plain.write_text(SWEEP.replace("_10Hz", "").replace("\n0,", "\n# between\n\n0,"), encoding="utf-8")
+    for one, other in zip(read_rubber_sweep(path), read_rubber_sweep(plain), strict=True):
+        assert np.array_equal(one, other)
+    path.write_text(f"# of a test\n{SWEEP}".replace("2.5", "x"), encoding="utf-8")
+    with pytest.raises(InputError, match=r"row 4, E_loss_MPa_10Hz"):
+        read_rubber_sweep(path)
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [

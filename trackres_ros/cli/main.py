@@ -16,6 +16,7 @@ from trackres_ros import InputError, __version__
 from trackres_ros.cli import written
 from trackres_ros.cli.coastdown import coastdown_command
 from trackres_ros.cli.common import Commands
+from trackres_ros.cli.compound import compound_group
 from trackres_ros.cli.design import sensitivity_command, sweep_command
 from trackres_ros.cli.diagnose import diagnose_command, effects_command
 from trackres_ros.cli.entry import INTERRUPTED, interrupt_handled
@@ -69,6 +70,7 @@ for command in (
     reproduce_command,
     record_sample_command,
     vehicle_group,
+    compound_group,
 ):
     cli.add_command(command)
 

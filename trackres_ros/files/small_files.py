@@ -13,7 +13,7 @@ from trackres_ros.errors import InputError
 
 
 def read_text(path: Path, what: str, most_bytes: int) -> str:
-    """The text of a file.
+    """The text of a file in UTF-8.
 
     Parameters
     ----------
@@ -28,6 +28,14 @@ def read_text(path: Path, what: str, most_bytes: int) -> str:
         There is no such file, it is a folder, pipe or device, too long, or no UTF-8.
     """
     try:
+        return read_bytes(path, what, most_bytes).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise InputError(str(path), f"byte {error.start} is no UTF-8", f"a {what} in UTF-8") from None
+
+
+def read_bytes(path: Path, what: str, most_bytes: int) -> bytes:
+    """The bytes of a file; see `read_text`."""
+    try:
         # Without blocking: a pipe in place of a file would be waited for until someone writes.
         with open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as file:
             mode = os.fstat(file.fileno()).st_mode
@@ -38,7 +46,4 @@ def read_text(path: Path, what: str, most_bytes: int) -> str:
         raise InputError(str(path), "a pipe" if stat.S_ISFIFO(mode) else "a device", f"a {what}")
     if len(content) > most_bytes:
         raise InputError(str(path), f"more than {most_bytes} bytes", f"a {what} of at most so many")
-    try:
-        return content.decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise InputError(str(path), f"byte {error.start} is no UTF-8", f"a {what} in UTF-8") from None
+    return content

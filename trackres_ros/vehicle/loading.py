@@ -6,11 +6,10 @@
 from __future__ import annotations
 
 import csv
-import io
 import logging
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -45,7 +44,8 @@ from trackres_ros.vehicle.reading import Reader
 TOP_KEYS = ("schema", "name", "title", "model", "rubber", "chassis", "assemblies", "tracks")
 EFFECT_KEYS = ("effects", "effect_files")
 DISTURBANCE = "disturbance"
-RUBBER_COLUMNS = ("T_degC", "E_storage_MPa_10Hz", "E_loss_MPa_10Hz")
+RUBBER_COLUMNS = ("T_degC", "E_storage_MPa", "E_loss_MPa")
+AT_10_HZ = "_10Hz"  # what the names of moduli may end in, as in the shipped file; the frequency stands in the vehicle file
 MOST_RUBBER_BYTES = 1 << 20  # a sweep has some tens of rows
 CLOSED_LOOP_TOLERANCE_RAD = 0.05
 
@@ -165,45 +165,48 @@ def _say_shipped(path: Path, shipped: Path) -> None:
 def read_rubber_sweep(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Read a temperature sweep: T [degC], storage and loss modulus [Pa], each of shape (temperatures,).
 
-    The file is a CSV with the columns T_degC, E_storage_MPa_10Hz and E_loss_MPa_10Hz; the sweep's frequency stands in the
-    vehicle file. Further columns are allowed.
+    The file is a CSV with the columns T_degC, E_storage_MPa and E_loss_MPa, or E_storage_MPa_10Hz and E_loss_MPa_10Hz; the
+    sweep's frequency stands in the vehicle file. Further columns are allowed, and lines that begin with # are comments.
     """
     text = read_text(path, "CSV with a temperature sweep", MOST_RUBBER_BYTES)
+    numbered = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip() and line[0] != "#"]
     try:
-        rows = list(csv.DictReader(io.StringIO(text, newline="")))
+        rows = list(csv.DictReader(line for _, line in numbered))
     except csv.Error as error:
         raise InputError(f"{path}", str(error), "a CSV with a temperature sweep") from None
-    if len(rows) < 4 or any(name not in rows[0] for name in RUBBER_COLUMNS):
+    given = list(rows[0]) if rows else []
+    columns = [name if name in given else f"{name}{AT_10_HZ}" for name in RUBBER_COLUMNS]
+    if len(rows) < 4 or any(name not in given for name in columns):
         raise InputError(
             f"{path}",
-            f"{len(rows)} rows with columns {', '.join(map(str, rows[0])) if rows else 'none'}",
-            f"at least four rows with the columns {', '.join(RUBBER_COLUMNS)}",
+            f"{len(rows)} rows with columns {', '.join(map(str, given)) or 'none'}",
+            f"at least four rows with the columns {', '.join(RUBBER_COLUMNS)} (or with {AT_10_HZ} behind the last two)",
         )
     table = np.empty((len(rows), 3))
     for i, row in enumerate(rows):
-        for j, name in enumerate(RUBBER_COLUMNS):
+        for j, name in enumerate(columns):
             try:
                 table[i, j] = float(row[name])
             except (TypeError, ValueError):
-                raise InputError(f"{path}: row {i + 2}, {name}", row[name], "a number") from None
+                raise InputError(f"{path}: row {numbered[i + 1][0]}, {name}", row[name], "a number") from None
     if not np.isfinite(table).all() or (np.diff(table[:, 0]) <= 0).any():
         raise InputError(
             f"{path}",
             "temperatures that do not rise, or values that are not finite",
             "finite numbers with T_degC rising from row to row",
         )
-    _check_sweep(path, table)
+    _check_sweep(path, table, columns)
     return table[:, 0].copy(), table[:, 1] * 1e6, table[:, 2] * 1e6
 
 
-def _check_sweep(path: Path, table: np.ndarray) -> None:
+def _check_sweep(path: Path, table: np.ndarray, names: Sequence[str]) -> None:
     """Refuse moduli that no rubber has, as values in Pa below a header in MPa."""
     degc, storage, loss = table.T
     moduli = "the columns are in MPa: divide values in Pa by 1e6, multiply values in GPa by 1000"
     for what, values, limits, remedy in (
-        ("T_degC", degc, schema.SWEEP_DEGC, "subtract 273.15 from values in kelvin"),
-        (RUBBER_COLUMNS[1], storage, schema.SWEEP_STORAGE, moduli),
-        (RUBBER_COLUMNS[2], loss, schema.SWEEP_LOSS, moduli),
+        (names[0], degc, schema.SWEEP_DEGC, "subtract 273.15 from values in kelvin"),
+        (names[1], storage, schema.SWEEP_STORAGE, moduli),
+        (names[2], loss, schema.SWEEP_LOSS, moduli),
     ):
         _within(path, what, values, limits, remedy)
     columns = "check that both columns are of one test and in one unit"

@@ -1,0 +1,58 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""`trackres compound`: a rubber file from the sweep of a DMA instrument."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from trackres_ros.cli.common import Command, Commands, emit, json_option, needs, output_folder, progress, vehicles_to_complete
+
+
+@click.group("compound", cls=Commands)
+def compound_group() -> None:
+    """Rubber compounds."""
+
+
+@compound_group.command("fit", cls=Command)
+@click.argument("sweep", metavar="SWEEP.csv", type=click.Path(path_type=Path))
+@click.option(
+    "--vehicle",
+    default="xgd24d",
+    show_default=True,
+    metavar="FILE|NAME",
+    shell_complete=vehicles_to_complete,
+    help="The vehicle that is to drive on it; all but the compound stays as it is there.",
+)
+@click.option("--frequency-hz", type=float, metavar="HZ", help="Frequency of the sweep, where its file does not say it.")
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("compound"),
+    show_default=True,
+    metavar="DIR",
+    help="Folder to write into.",
+)
+@json_option
+def fit_command(sweep: Path, vehicle: str, frequency_hz: float | None, output: Path, as_json: bool) -> None:
+    """Fit a compound to a DMA sweep: master curve, shift, rubber file, and a vehicle file that drives on it.
+
+    SWEEP.csv is text as instruments write it: names of columns with units (behind the name or on a line below) for temperature,
+    frequency, storage modulus (E' or G'), loss modulus or tan delta; tab, semicolon or comma between cells,
+    decimal points or commas. What is known of a shift and what not, what the data cover and what is extrapolated:
+    docs/compound.md.
+
+    \b
+    trackres compound fit sweep.csv
+    trackres compound fit sweep.txt --vehicle my_vehicle.yaml -o my_compound
+    """
+    from trackres_ros.compound.run import fit_and_write, found_text
+
+    needs("pictures", "plots", "matplotlib")
+    with progress("Fitting", None):
+        found = fit_and_write(sweep, vehicle, output_folder(output), frequency_hz)
+    emit(found, as_json, lambda: found_text(found))

@@ -1,0 +1,173 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Knows the columns of a DMA file by what instruments call them, and their units."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import pi
+
+from trackres_ros.errors import InputError, nearest
+from trackres_ros.units import ZERO_DEGC_K
+
+TEMPERATURE, FREQUENCY, STORAGE, LOSS, TANGENT = "temperature", "frequency", "storage modulus", "loss modulus", "tan delta"
+MODULI = STORAGE, LOSS
+SHEAR_TO_TENSION = 3.0  # E = 2 (1 + nu) G with nu = 1/2: rubber keeps its volume
+
+# By what they are called, in lower case and with one kind of each quotation mark; the first that fits.
+NAMES = (
+    (TANGENT, re.compile(r"tan\b|tan[_ (]*(d|\u03b4)|loss[ _]*(factor|tangent)|verlustfaktor|d\u00e4mpfung|damping")),
+    (LOSS, re.compile(r"""^[eg]\s*(''|")|^[eg]2\b|loss|verlustmodul|module de perte""")),
+    (STORAGE, re.compile(r"^[eg]\s*'|^[eg]1\b|storage|speichermodul|module de conservation")),
+    (FREQUENCY, re.compile(r"freq|fr\u00e9q|^f\b|^f_|omega|\u03c9|kreisfrequenz")),
+    (TEMPERATURE, re.compile(r"temp|^t\s*([\[(/,]|$)|^t[ _]*(deg|\u00b0|[kcf]\b)")),
+)
+SHEAR = re.compile(r"^g\b|^g['\"12_]|shear|schub|\bg['\"]")
+ANGULAR = re.compile(r"omega|\u03c9|angular|kreis|puls", re.IGNORECASE)
+UNLIKE = re.compile(r"complex|\|?[eg]\*|beta\b|viscos|complian|stiffness|strain|stress|force")
+OF_OTHERS = re.compile(r"[tTfF]\s*[\[(/_ ]\s*[\[(]?(s|sec|min|h|N|mN)\b")  # a time, a force
+QUOTES = str.maketrans(
+    {"\u2032": "'", "\u2019": "'", "\u2018": "'", "\u00b4": "'", "`": "'", "\u2033": '"', "\u201d": '"', "\u201c": '"'}
+)
+PLACES_OF_UNITS = (  # "E' [MPa]", "E' (MPa)", "E' / MPa", "E_storage_MPa", "E' MPa"
+    re.compile(r"\[([^\[\]]*)\]"),
+    re.compile(r"\(([^()]*)\)"),
+    re.compile(r"/\s*(.+)$"),
+)
+FREQUENCY_IN_NAME = re.compile(r"(?:^|[\s_@,(\[])(\d+(?:[.,p]\d+)?(?:e[+-]?\d+)?)\s*_?(hz|rad/s)\b", re.IGNORECASE)
+
+# Unit, as it is compared: (factor to SI or degC, offset).
+UNITS: dict[str, dict[str, tuple[float, float]]] = {
+    TEMPERATURE: {
+        "degC": (1.0, 0.0), "\u00b0C": (1.0, 0.0), "\u2103": (1.0, 0.0), "C": (1.0, 0.0), "Celsius": (1.0, 0.0),
+        "K": (1.0, -ZERO_DEGC_K), "Kelvin": (1.0, -ZERO_DEGC_K),
+        "degF": (5.0 / 9.0, -160.0 / 9.0), "\u00b0F": (5.0 / 9.0, -160.0 / 9.0),
+    },
+    FREQUENCY: {
+        "Hz": (1.0, 0.0), "1/s": (1.0, 0.0), "kHz": (1e3, 0.0), "mHz": (1e-3, 0.0),
+        "rad/s": (0.5 / pi, 0.0), "rad/sec": (0.5 / pi, 0.0),
+        "rad s-1": (0.5 / pi, 0.0), "rad*s-1": (0.5 / pi, 0.0), "rad s^-1": (0.5 / pi, 0.0),
+    },
+    STORAGE: {
+        "Pa": (1.0, 0.0), "kPa": (1e3, 0.0), "MPa": (1e6, 0.0), "GPa": (1e9, 0.0), "N/mm^2": (1e6, 0.0), "N/mm2": (1e6, 0.0),
+        "N/mm\u00b2": (1e6, 0.0), "dyn/cm^2": (0.1, 0.0), "dyn/cm2": (0.1, 0.0), "psi": (6894.757, 0.0),
+    },
+    TANGENT: {"1": (1.0, 0.0), "-": (1.0, 0.0), "%": (0.01, 0.0)},
+}  # fmt: skip
+UNITS[LOSS] = UNITS[STORAGE]
+SHOWN_UNITS = {
+    TEMPERATURE: "degC, K or degF", FREQUENCY: "Hz, kHz, mHz or rad/s", STORAGE: "Pa, kPa, MPa, GPa, N/mm^2 or psi",
+    LOSS: "Pa, kPa, MPa, GPa, N/mm^2 or psi", TANGENT: "none, 1 or %",
+}  # fmt: skip
+DISTINCT = {"mhz"}  # units that differ by upper and lower case alone from another one
+
+
+@dataclass(frozen=True)
+class Column:
+    """What a column holds: its place, name and role, the factor and offset to SI (degC), whether in shear, and at which
+    frequency [Hz] if its name says so.
+    """
+
+    place: int
+    name: str
+    role: str
+    scale: float
+    offset: float
+    shear: bool = False
+    frequency: float | None = None
+
+
+def role_of(name: str) -> str | None:
+    """What a column of a name holds."""
+    plain = name.translate(QUOTES).replace("''", '"').strip().lower()
+    if UNLIKE.search(plain):
+        return None
+    return next((role for role, pattern in NAMES if pattern.search(plain)), None)
+
+
+def unit_of(text: str, role: str) -> tuple[float, float] | None:
+    """Factor and offset of a unit; None of what is none of that role."""
+    wanted = text.strip().replace("\u00b7", "*").strip("[]() ")
+    known = UNITS[role]
+    if wanted in known:
+        return known[wanted]
+    if wanted.lower() in DISTINCT:
+        return None
+    return next((value for unit, value in known.items() if unit.lower() == wanted.lower()), None)
+
+
+def is_unit(text: str) -> bool:
+    """Whether a cell holds a unit, of whatever."""
+    cell = text.strip()
+    return bool(cell) and any(unit_of(cell, role) is not None for role in UNITS)
+
+
+def frequency_in(name: str) -> float | None:
+    """The frequency [Hz] that a column's name ends with."""
+    found = FREQUENCY_IN_NAME.search(name)
+    if found is None:
+        return None
+    value = float(re.sub("[,p]", ".", found[1]))
+    return value if found[2].lower() == "hz" else value / (2.0 * pi)
+
+
+def columns_of(names: Sequence[str], units: Sequence[str] | None, where: str) -> list[Column]:
+    """The columns that are used, by their names and the line of units below them where there is one.
+
+    Parameters
+    ----------
+    names, units
+        The cells of both lines.
+    where
+        File and line of the names, for messages.
+
+    Raises
+    ------
+    InputError
+        A unit that is missing or none of its quantity; a column that is there twice.
+    """
+    found: list[Column] = []
+    for place, name in enumerate(names):
+        role = role_of(name)
+        below = units[place] if units and place < len(units) else ""
+        if role is None or OF_OTHERS.match(f"{name} {below}"):
+            continue
+        frequency = frequency_in(name) if role in (*MODULI, TANGENT) else None
+        scale, offset = _unit(name, below, role, where)
+        if role == FREQUENCY and ANGULAR.search(name) and re.search(r"1\s*/\s*s", f"{name} {below}"):
+            scale = UNITS[FREQUENCY]["rad/s"][0]
+        shear = role in MODULI and bool(SHEAR.search(name.translate(QUOTES).lower()))
+        twice = [c.name for c in found if c.role == role and c.frequency == frequency]
+        if twice:
+            raise InputError(
+                f"{where}, column {place + 1}",
+                name,
+                f"one column of {role}: {twice[0]} is one already",
+                "delete or rename the other",
+            )
+        found.append(Column(place, name, role, scale * (SHEAR_TO_TENSION if shear else 1.0), offset, shear, frequency))
+    return found
+
+
+def _unit(name: str, below: str, role: str, where: str) -> tuple[float, float]:
+    """Factor and offset of a column."""
+    if below.strip():
+        found = unit_of(below, role)
+        if found is None:
+            raise InputError(f"{where}, unit of {name}", below.strip(), SHOWN_UNITS[role], nearest(below.strip(), UNITS[role]))
+        return found
+    bare = FREQUENCY_IN_NAME.sub("", name)
+    texts = [text for pattern in PLACES_OF_UNITS for text in pattern.findall(bare)]
+    words = [word for word in reversed(re.split(r"[_\s,]+", bare)) if word != bare.strip()]
+    for text in filter(None, [*texts, *words]):
+        if (found := unit_of(text, role)) is not None:
+            return found
+    if role == TANGENT:
+        return 1.0, 0.0
+    if texts:
+        raise InputError(f"{where}, unit of {name}", texts[0], SHOWN_UNITS[role], nearest(texts[0], UNITS[role]))
+    remedy = f"write it into the name, as {name.strip()} [{SHOWN_UNITS[role].split(',')[0]}], or on a line of units below"
+    raise InputError(f"{where}, unit of {name}", "none", SHOWN_UNITS[role], remedy)

@@ -1,0 +1,268 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Fits a compound: chooses the law of its shift, and says what is known of it.
+
+The laws are Arrhenius', WLF, and WLF with the bend at the glass transition. A number more is taken where it gains evidence and
+its interval excludes that it is not needed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import exp, log
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.compound.master import MasterCurve, master_curve
+from trackres_ros.compound.prony import Prony, fit_prony
+from trackres_ros.compound.reading import Sweep
+from trackres_ros.compound.shift import ABSOLUTE_ZERO_DEGC, Shift
+from trackres_ros.compound.superposition import ISOTHERM_K, Found, Law, Value, fitted, with_power
+from trackres_ros.errors import InputError
+from trackres_ros.model.rubber import REFERENCE_ABOVE_TG
+from trackres_ros.text.numbers import decimals, figures
+from trackres_ros.vehicle import Vehicle
+from trackres_ros.vehicle.schema import RUBBER
+
+Array = NDArray[np.float64]
+
+WLF, ARRHENIUS, KEPT = "WLF", "Arrhenius", "kept"
+SWEEP_FREQUENCY = RUBBER["sweep_frequency"]
+WIDEST_LOG_STD = 0.35  # of the strength of the shift: known less than that, it is not known
+CLEAR_BIC = 6.0  # "strong" evidence: Kass and Raftery, J. Am. Stat. Assoc. 90 (1995) 773
+FEWEST_DECADES = 0.3  # of frequency, for a shift to be seen
+START_BELOW_K = (15.0, 50.0, 110.0)  # of the pole below the coldest row
+START_STRENGTHS = (200.0, 450.0, 900.0, 1600.0, 3000.0, 6000.0)
+BOTH_SIDES = 3  # isotherms on each side of a bend
+WIDEST_GLASS_K = 20.0  # an interval of the glass transition that is wider says nothing
+MOST_ROWS = 2000  # that the shift is fitted to; of a longer sweep some are drawn
+BETTER_RMS = 0.1  # a vertical shift that betters rms by less is not worth a remark
+OVERLAPPING = 0.5  # of neighbouring isotherms: where fewer overlap, only the splines between them tell the shift
+NO_BEND_K = 1.0  # above the pole: a glass transition that lies below all data
+
+
+@dataclass(frozen=True, eq=False)
+class CompoundFit:
+    """A fitted compound.
+
+    Parameters
+    ----------
+    sweep
+        The data.
+    law, why
+        Law of the shift, and why that.
+    shift
+        The shift.
+    values
+        ``glass_transition``, ``wlf_c1``, ``wlf_c2`` as the vehicle file takes them.
+    glass_is_seen
+        Whether the glass transition is a result; else it is a reference by convention.
+    energy
+        Activation energy [J/mol] where the law is Arrhenius'.
+    power, with_power
+        Power of absolute temperature by which moduli rise beside the shift, and rms of both moduli with it; None where that is
+        not clear. The model has no such vertical shift, and the moduli of the fit are without.
+    master, prony
+        Master curve, and the Prony series that both moduli have in common.
+    """
+
+    sweep: Sweep
+    law: str
+    why: str
+    shift: Shift
+    values: dict[str, Value]
+    glass_is_seen: bool
+    energy: Value | None
+    power: Value | None
+    with_power: tuple[float, float] | None
+    master: MasterCurve
+    prony: Prony
+
+    @property
+    def rms(self) -> tuple[float, float]:
+        """Of the natural logarithms of storage and loss modulus about the master curve."""
+        storage, loss = np.sqrt((self.master.residuals**2).mean(axis=0))
+        return float(storage), float(loss)
+
+
+def fit_compound(sweep: Sweep, vehicle: Vehicle) -> CompoundFit:
+    """Fit what a rubber file and the shift of a vehicle file hold.
+
+    Parameters
+    ----------
+    sweep
+        Of one frequency or several.
+    vehicle
+        Whose shift is kept where the data do not show one.
+
+    Raises
+    ------
+    InputError
+        If the shift found is none that a vehicle file may hold.
+    """
+    at = float(np.clip(sweep.frequencies[0], SWEEP_FREQUENCY.low, SWEEP_FREQUENCY.high))
+    decades = float(np.log10(sweep.frequency.max() / sweep.frequency.min()))
+    if decades < FEWEST_DECADES:
+        return _kept(sweep, vehicle, at, "one frequency shows none, so that of the vehicle file stays")
+    rows = _some(sweep)
+    arrhenius, wlf, bent = (fitted(rows, law, at) for law in _laws(rows, vehicle))
+    pole = wlf.value(lambda theta: theta[1])
+    gain = arrhenius.bic - wlf.bic
+    if gain > CLEAR_BIC and pole.low > ABSOLUTE_ZERO_DEGC:
+        best, why = wlf, (
+            f"the shift steepens towards a pole at {decimals(pole.value)} degC ({decimals(pole.low)} to {decimals(pole.high)}), "
+            f"Arrhenius' would be at 0 K; BIC better by {decimals(gain)}"
+        )  # fmt: skip
+    else:
+        best, why = (
+            arrhenius,
+            f"WLF, with a number more, betters BIC by {decimals(gain)} alone, where {figures(CLEAR_BIC)} is strong evidence",
+        )
+        if gain > CLEAR_BIC:
+            why = f"the pole of a WLF shift is not told from 0 K ({decimals(pole.low)} to {decimals(pole.high)} degC)"
+    glass = bent.value(lambda theta: theta[2])
+    bend_gain = best.bic - bent.bic
+    isotherms = np.unique(np.round(sweep.temp_degc / ISOTHERM_K)) * ISOTHERM_K
+    below, above = (isotherms < glass.value).sum(), (isotherms > glass.value).sum()
+    seen = bend_gain > CLEAR_BIC and min(below, above) >= BOTH_SIDES and np.ptp([glass.low, glass.high]) < WIDEST_GLASS_K
+    if seen:
+        best = bent
+        why = (
+            f"the shift steepens as WLF's down to {decimals(glass.value)} degC and is straight below: BIC better by "
+            f"{decimals(bend_gain)} than without the bend, by {decimals(arrhenius.bic - bent.bic)} than Arrhenius'"
+        )  # fmt: skip
+    if max(float(np.sqrt(c[0, 0])) for c in best.covariances) > WIDEST_LOG_STD:
+        return _kept(sweep, vehicle, at, "these frequencies tell it too little, so that of the vehicle file stays")
+    if _overlapping(rows, best.shift, decades) < OVERLAPPING:
+        return _kept(sweep, vehicle, at, "isotherms lie too far apart to overlap, so that of the vehicle file stays")
+    raised = fitted(rows, with_power(best), at)
+    power = raised.value(lambda theta: theta[-1])
+    better = max(1.0 - after / before for after, before in zip(raised.rms, best.rms, strict=True)) > BETTER_RMS
+    clear = better and best.bic - raised.bic > CLEAR_BIC and (power.low > 0.0 or power.high < 0.0)
+    return _of_law(sweep, vehicle, at, best, raised if clear else None, seen, why)
+
+
+def _some(sweep: Sweep) -> Sweep:
+    """At most `MOST_ROWS` rows, the same each time."""
+    count = len(sweep.storage)
+    if count <= MOST_ROWS:
+        return sweep
+    drawn = np.zeros(count, dtype=bool)
+    drawn[np.random.default_rng(0).choice(count, MOST_ROWS, replace=False)] = True
+    return sweep.some(drawn)
+
+
+def _overlapping(sweep: Sweep, shift: Shift, decades: float) -> float:
+    """Share of neighbouring isotherms that overlap on the master curve."""
+    isotherms = np.unique(np.round(sweep.temp_degc / ISOTHERM_K)) * ISOTHERM_K
+    return float((np.abs(np.diff(shift.log_shift(isotherms))) < decades).mean())
+
+
+def _laws(sweep: Sweep, vehicle: Vehicle) -> tuple[Law, Law, Law]:
+    """Arrhenius, WLF, and WLF with the bend at the glass transition."""
+    coldest, warmest = float(sweep.temp_degc.min()), float(sweep.temp_degc.max())
+    strengths = [log(s) for s in START_STRENGTHS]
+    weakest, strongest = log(20.0), log(5e4)
+    poles = [coldest - below for below in START_BELOW_K]
+    rubber = vehicle.rubber
+    first = Shift.of_wlf(rubber.glass_transition, rubber.wlf_c1, rubber.wlf_c2)
+    spans = (1.0, 250.0)  # of Tg above the pole, with which C2 is what the file may hold
+
+    def free(pole: float) -> float:
+        return pole + NO_BEND_K
+
+    arrhenius = Law(
+        ARRHENIUS,
+        lambda th: Shift(exp(th[0]), ABSOLUTE_ZERO_DEGC, free(ABSOLUTE_ZERO_DEGC)),
+        np.array([weakest]),
+        np.array([strongest]),
+        tuple(np.array([s]) for s in strengths),
+    )
+    wlf = Law(
+        WLF,
+        lambda th: Shift(exp(th[0]), th[1], free(th[1])),
+        np.array([weakest, ABSOLUTE_ZERO_DEGC]),
+        np.array([strongest, coldest - 2.0 * NO_BEND_K]),
+        tuple(np.array([s, max(p, ABSOLUTE_ZERO_DEGC + 1.0)]) for s in strengths for p in poles),
+    )
+    glasses = [coldest + share * (warmest - coldest) for share in (0.15, 0.3, 0.5)]
+    if coldest < first.glass_transition < warmest:
+        glasses.append(first.glass_transition)
+    bent = Law(
+        WLF,
+        lambda th: Shift(exp(th[0]), th[2] - th[1], th[2]),
+        np.array([weakest, spans[0], max(coldest - 20.0, RUBBER["glass_transition"].low)]),
+        np.array([strongest, spans[1], min(warmest, RUBBER["glass_transition"].high)]),
+        tuple(np.array([s, span, glass]) for s in strengths[1:5] for span in (30.0, 60.0) for glass in glasses),
+    )
+    return arrhenius, wlf, bent
+
+
+def _of_law(sweep: Sweep, vehicle: Vehicle, at: float, found: Found, raised: Found | None, seen: bool, why: str) -> CompoundFit:
+    """The fit in the terms of the vehicle file: a glass transition that is not seen is a reference below the data.
+
+    Intervals hold the shift of `raised` too, where moduli rise beside the shift: which of both is meant nobody knows.
+    """
+    free = found.shift
+    coldest = float(sweep.temp_degc.min())
+    glass = free.glass_transition
+    if not seen:
+        limits = RUBBER["glass_transition"]
+        glass = min(vehicle.rubber.glass_transition, coldest, free.pole + RUBBER["wlf_c2"].high - REFERENCE_ABOVE_TG)
+        glass = max(glass, free.pole + RUBBER["wlf_c2"].low - REFERENCE_ABOVE_TG, limits.low)
+
+    def glass_of(theta: Array) -> float:
+        return found.law.shift(theta).glass_transition if seen else glass
+
+    def c2_of(theta: Array) -> float:
+        return glass_of(theta) + REFERENCE_ABOVE_TG - found.law.shift(theta).pole
+
+    def c1_of(theta: Array) -> float:
+        return found.law.shift(theta).strength / c2_of(theta)
+
+    values = {}
+    for name, of in (("glass_transition", glass_of), ("wlf_c1", c1_of), ("wlf_c2", c2_of)):
+        limits = RUBBER[name]
+        values[name] = found.value(of, (limits.low, limits.high))
+        if raised is not None:
+            other = raised.value(lambda theta, of=of: of(theta[:-1]), (limits.low, limits.high))  # type: ignore[misc]
+            values[name] = values[name].joined(other)
+        if not limits.low <= values[name].value <= limits.high:
+            given = f"data whose shift has {name} = {figures(values[name].value)} {limits.unit} ({found.law.name})"
+            remedy = "check units of frequency and temperature; leave out what was measured in the glass"
+            raise InputError(str(sweep.path), given, f"{limits.low:g} to {limits.high:g} {limits.unit}", remedy)
+    shift = Shift(free.strength, free.pole, glass)
+    energy = None
+    if found.law.name == ARRHENIUS:
+        energy = found.value(lambda theta: found.law.shift(theta).activation_energy)
+    power = None if raised is None else (raised.value(lambda theta: theta[-1]), raised.rms)
+    return _finished(sweep, found.law.name, why, shift, values, seen, energy, power, at)
+
+
+def _kept(sweep: Sweep, vehicle: Vehicle, at: float, why: str) -> CompoundFit:
+    """With the shift of the vehicle file, and its ranges."""
+    rubber = vehicle.rubber
+    values = {}
+    for name in ("glass_transition", "wlf_c1", "wlf_c2"):
+        q = vehicle.parameters[f"rubber.{name}"]
+        values[name] = Value(getattr(rubber, name), q.low, q.high)
+    shift = Shift.of_wlf(rubber.glass_transition, rubber.wlf_c1, rubber.wlf_c2)
+    return _finished(sweep, KEPT, why, shift, values, False, None, None, at)
+
+
+def _finished(
+    sweep: Sweep,
+    law: str,
+    why: str,
+    shift: Shift,
+    values: dict[str, Value],
+    seen: bool,
+    energy: Value | None,
+    power: tuple[Value, tuple[float, float]] | None,
+    at: float,
+) -> CompoundFit:
+    master = master_curve(sweep, shift, at)
+    found, rms = power or (None, None)
+    return CompoundFit(sweep, law, why, shift, values, seen, energy, found, rms, master, fit_prony(sweep, shift, master))

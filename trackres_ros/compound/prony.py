@@ -1,0 +1,107 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+r"""The Prony series that both moduli have in common: relaxation strengths of no negative sign, by bounded least squares.
+
+$E'(\omega) = E_\infty + \sum_i E_i \frac{\omega^2 \tau_i^2}{1 + \omega^2 \tau_i^2}$ and
+$E''(\omega) = \sum_i E_i \frac{\omega \tau_i}{1 + \omega^2 \tau_i^2}$ (Ferry, Viscoelastic Properties of
+Polymers, 3rd ed., ch. 3) are Kramers-Kronig's relation for a linear solid. What they leave says whether storage modulus, loss
+modulus and shift belong together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import lsq_linear
+
+from trackres_ros.compound.master import MasterCurve
+from trackres_ros.compound.reading import Sweep
+from trackres_ros.compound.shift import Shift
+
+Array = NDArray[np.float64]
+
+EACH_DECADE = 1.5  # terms: more are not told apart (Baumgaertel and Winter, Rheol. Acta 28 (1989) 511)
+BEYOND = 1.0  # decades on both sides of the data, whose tails reach in
+MOST_TERMS = 60
+REFERENCE_DEGC = 20.0
+GUIDE_EACH_DECADE = 5
+GUIDE_WEIGHT = 0.3  # of the master curve beside the data: between isotherms far apart a series would swing freely
+LEAST_WEIGHT = 0.01  # relative error below which no modulus is held to be known
+
+
+@dataclass(frozen=True, eq=False)
+class Prony:
+    """A Prony series.
+
+    Parameters
+    ----------
+    reference_degc
+        Temperature [degC] of the relaxation times.
+    tau
+        Relaxation times [s], rising, shape (terms,).
+    strength, std
+        Relaxation strengths [Pa] and their standard deviations, shape (terms,); first that of infinite time, E_inf.
+    residuals
+        Of storage and loss modulus over their values, shape (n, 2).
+    """
+
+    reference_degc: float
+    tau: Array
+    strength: Array
+    std: Array
+    residuals: Array
+
+    def moduli(self, frequency: ArrayLike) -> tuple[Array, Array]:
+        """Storage and loss modulus [Pa] at frequencies [Hz] at the reference temperature."""
+        storage, loss = _terms(np.atleast_1d(np.asarray(frequency, dtype=float)), self.tau)
+        return storage @ self.strength, loss @ self.strength
+
+    @property
+    def rms(self) -> tuple[float, float]:
+        """Of both moduli, relative."""
+        storage, loss = np.sqrt((self.residuals**2).mean(axis=0))
+        return float(storage), float(loss)
+
+
+def fit_prony(sweep: Sweep, shift: Shift, master: MasterCurve) -> Prony:
+    """Fit both moduli of a shifted sweep at once, each relative to its value and error."""
+    reference = float(np.clip(REFERENCE_DEGC, sweep.temp_degc.min(), sweep.temp_degc.max()))
+    moved = shift.log_shift(sweep.temp_degc) - shift.log_shift(reference)
+    log_f = np.log10(sweep.frequency) + moved
+    low, high = -log_f.max() - BEYOND - np.log10(2.0 * np.pi), -log_f.min() + BEYOND - np.log10(2.0 * np.pi)
+    count = int(np.clip(round(EACH_DECADE * (high - low)), 3, MOST_TERMS))
+    tau = np.logspace(low, high, count)
+    weight = 1.0 / np.maximum(master.scale, LEAST_WEIGHT)
+    rows = _rows(log_f, tau, (sweep.storage, sweep.loss), weight)
+    target = np.repeat(weight, len(log_f))
+    at = np.linspace(master.low_degc, master.high_degc, int(GUIDE_EACH_DECADE * (high - low)))
+    along = np.log10(master.at_frequency) + shift.log_shift(at) - shift.log_shift(reference)
+    guide = GUIDE_WEIGHT * _rows(along, tau, master.moduli(at), weight)
+    stacked = np.vstack([rows, guide])
+    size = np.linalg.norm(stacked, axis=0)
+    wanted = np.concatenate([target, GUIDE_WEIGHT * np.repeat(weight, len(at))])
+    found = lsq_linear(stacked / size, wanted, (0.0, np.inf), method="bvls", max_iter=10 * len(size)).x / size
+    std, used = np.zeros_like(found), found > 0.0
+    left = target - rows @ found
+    free = max(len(left) - int(used.sum()), 1)
+    scaled = stacked[:, used] / size[used]
+    std[used] = np.sqrt(np.diag(np.linalg.pinv(scaled.T @ scaled)) * float(left @ left) / free) / size[used]
+    residuals = (left / target).reshape(2, -1).T
+    return Prony(reference, tau, found, std, residuals)
+
+
+def _rows(log_f: Array, tau: Array, moduli: tuple[Array, Array], weight: Array) -> Array:
+    """Rows of least squares: what each strength adds to both moduli, over their values and errors."""
+    terms = _terms(10.0**log_f, tau)
+    return np.vstack([part * (w / modulus)[:, None] for part, w, modulus in zip(terms, weight, moduli, strict=True)])
+
+
+def _terms(frequency: Array, tau: Array) -> tuple[Array, Array]:
+    """What each strength adds to both moduli, shape (frequencies, 1 + terms); first that of infinite time."""
+    x = 2.0 * np.pi * frequency[:, None] * tau
+    x2 = np.minimum(x, 1e100) ** 2
+    rubber, none = np.ones((len(frequency), 1)), np.zeros((len(frequency), 1))
+    return np.hstack([rubber, x2 / (1.0 + x2)]), np.hstack([none, x / (1.0 + x2)])

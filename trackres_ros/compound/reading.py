@@ -1,0 +1,313 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Reads a DMA sweep as instruments write it: names and units of columns, separators, decimal commas, lines about the test."""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.compound.columns import (
+    FREQUENCY,
+    LOSS,
+    STORAGE,
+    TANGENT,
+    TEMPERATURE,
+    Column,
+    columns_of,
+    is_unit,
+    role_of,
+)
+from trackres_ros.errors import InputError, one_line
+from trackres_ros.files.small_files import read_bytes
+from trackres_ros.text.numbers import figures
+from trackres_ros.vehicle.schema import SWEEP_DEGC, SWEEP_LOSS, SWEEP_STORAGE, SWEEP_TAN_DELTA, Limits
+
+Array = NDArray[np.float64]
+
+MOST_BYTES = 4 << 20
+MOST_ROWS = 20_000
+SEPARATORS = "\t;,"
+COMMENTS = ("#", "%", "//", "!")
+EMPTY = ("", "-", "--", "---", "nan", "n/a", "na", "none")
+PLAIN = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+FREQUENCIES = Limits("Hz", 1e-6, 1e6, "frequency of a row")
+FEWEST_ROWS, FEWEST_DEGC, NARROWEST_K = 8, 4, 10.0
+TANGENT_DIFFERS = 0.02  # of loss over storage modulus, in the median: both are there, and cannot be of one test
+WHAT = "table of a DMA sweep as text"
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """A sweep: frequency [Hz], temperature [degC], storage and loss modulus in tension [Pa], each of shape (n,)."""
+
+    path: Path
+    frequency: Array
+    temp_degc: Array
+    storage: Array
+    loss: Array
+    notes: tuple[str, ...] = field(default=())
+
+    def some(self, rows: NDArray[np.bool_]) -> Sweep:
+        """Some rows of it."""
+        return replace(
+            self, frequency=self.frequency[rows], temp_degc=self.temp_degc[rows], storage=self.storage[rows], loss=self.loss[rows]
+        )
+
+    @property
+    def frequencies(self) -> Array:
+        """Each frequency once, rising; those within 2 % count as one."""
+        rising = np.sort(self.frequency)
+        return np.asarray(rising[np.concatenate([[True], np.diff(np.log(rising)) > 0.02])])
+
+
+def read_sweep(path: Path, frequency_hz: float | None = None) -> Sweep:
+    """Read a DMA sweep.
+
+    Parameters
+    ----------
+    path
+        Text with one line of column names (and perhaps one of units below), rows of numbers, and lines about the test above it or
+        marked as comments. Separators are tab, semicolon or comma, decimals have a point or a comma.
+    frequency_hz
+        Of the whole sweep [Hz], where the file does not say it.
+
+    Raises
+    ------
+    InputError
+        With file, line and column: what was given and what is allowed.
+    """
+    text, coding = _decoded(read_bytes(path, WHAT, MOST_BYTES))
+    lines = text.splitlines()
+    name = one_line(str(path))
+    notes = [] if coding == "utf-8" else [f"the file is not UTF-8; read as {coding}"]
+    at, separator, cells = _header(lines, name)
+    below = _next_line(lines, at)
+    units = None
+    if below is not None:
+        found = _cells(lines[below], separator)
+        if any(map(is_unit, found)) and not any(map(_looks_like_number, found)):
+            units = found
+    columns = columns_of(cells, units, f"{name}: line {at + 1}")
+    _complete(columns, cells, f"{name}: line {at + 1}", frequency_hz)
+    if any(c.shear for c in columns):
+        notes.append("moduli in shear were multiplied by 3, as rubber keeps its volume")
+    repeated = {lines[at].strip(), lines[below].strip() if units is not None and below is not None else lines[at].strip()}
+    rows, left_out = _rows(lines, at + 1, separator, len(cells), repeated, columns, name)
+    if left_out:
+        notes.append(f"{left_out} rows with an empty cell were left out")
+    return _assembled(path, name, columns, rows, frequency_hz, notes)
+
+
+def _decoded(content: bytes) -> tuple[str, str]:
+    for mark, coding in ((codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"), (codecs.BOM_UTF8, "utf-8-sig")):
+        if content.startswith(mark):
+            return content.decode(coding, errors="replace"), coding.removesuffix("-sig")
+    try:
+        return content.decode("utf-8"), "utf-8"
+    except UnicodeDecodeError:
+        return content.decode("latin-1"), "Latin-1"
+
+
+def _is_comment(line: str) -> bool:
+    return not line.strip() or line.lstrip().startswith(COMMENTS)
+
+
+def _next_line(lines: Sequence[str], after: int) -> int | None:
+    return next((i for i in range(after + 1, len(lines)) if not _is_comment(lines[i])), None)
+
+
+def _cells(line: str, separator: str) -> list[str]:
+    try:
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=separator), [])]
+    except csv.Error:  # a null byte, an endless cell
+        return [cell.strip() for cell in line.split(separator)]
+
+
+def _looks_like_number(cell: str) -> bool:
+    return bool(re.fullmatch(r"[+-]?[\d.,]*\d[\d.,]*([eE][+-]?\d+)?", cell.strip()))
+
+
+def _header(lines: Sequence[str], name: str) -> tuple[int, str, list[str]]:
+    """Line of the column names, the separator, and the names: the first line that names a temperature and a storage modulus."""
+    nearly: tuple[int, list[str]] | None = None
+    for i, line in enumerate(lines):
+        text = line.lstrip("#%! ") if _is_comment(line) else line
+        for separator in sorted(SEPARATORS, key=lambda one: -text.count(one)):
+            cells = _cells(text, separator)
+            roles = [role_of(cell) for cell in cells]
+            if len(cells) > 2 and not any(map(_looks_like_number, cells)):
+                if TEMPERATURE in roles and STORAGE in roles:
+                    return i, separator, cells
+                if nearly is None and (TEMPERATURE in roles or STORAGE in roles) and sum(map(bool, roles)) > 1:
+                    nearly = i, cells
+    needed = "a line of column names with a temperature, a storage modulus (E' or G') and a loss modulus or tan delta"
+    if nearly is not None:
+        raise InputError(f"{name}: line {nearly[0] + 1}", ", ".join(nearly[1]), needed)
+    raise InputError(name, f"{len(lines)} lines without column names", f"{needed}, between {_named(SEPARATORS)}")
+
+
+def _named(separators: str) -> str:
+    return " or ".join({"\t": "tabs", ";": "semicolons", ",": "commas"}[s] for s in separators)
+
+
+def _complete(columns: Sequence[Column], cells: Sequence[str], where: str, frequency_hz: float | None) -> None:
+    """See that all is there that a sweep needs."""
+    roles, names = {c.role for c in columns}, ", ".join(cells)
+    for wanted, text in (
+        ({TEMPERATURE}, "a temperature"),
+        ({STORAGE}, "a storage modulus"),
+        ({LOSS, TANGENT}, "a loss modulus or tan delta"),
+    ):
+        if not roles & wanted:
+            raise InputError(where, f"columns {names}", f"a column with {text}")
+    in_names = [c.frequency for c in columns if c.role == STORAGE]
+    if frequency_hz is not None and (FREQUENCY in roles or any(in_names)):
+        raise InputError("frequency_hz", figures(frequency_hz, 6), f"nothing, as {where} says the frequency")
+    if FREQUENCY in roles or frequency_hz is not None:
+        if len(in_names) > 1:
+            raise InputError(
+                where, f"columns {names}", "one storage modulus, or several with their frequency in the name and no other"
+            )
+    elif None in in_names:
+        remedy = "add such a column, write the frequency into the names as E'_10Hz [MPa], or give --frequency-hz"
+        raise InputError(where, f"columns {names}", "a column with the frequency", remedy)
+
+
+def _rows(
+    lines: Sequence[str], first: int, separator: str, width: int, repeated: set[str], columns: Sequence[Column], name: str
+) -> tuple[list[tuple[int, list[float]]], int]:
+    """Numbers of the wanted columns with their line, and how many rows were left out as one of their cells is empty."""
+    wanted = [
+        (i, _cells(lines[i], separator))
+        for i in range(first, len(lines))
+        if not _is_comment(lines[i]) and lines[i].strip() not in repeated
+    ]
+    if len(wanted) > MOST_ROWS:
+        raise InputError(name, f"{len(wanted)} rows", f"at most {MOST_ROWS}", "average or thin the sweep")
+    texts = [cells[c.place] for _, cells in wanted for c in columns if c.place < len(cells)]
+    comma = any("," in text for text in texts) and not any("." in text for text in texts)
+    rows, left_out = [], 0
+    for i, cells in wanted:
+        where = f"{name}: line {i + 1}"
+        if len(cells) != width and any(cells[width:]):
+            remedy = "decimal commas need semicolons or tabs between cells" if separator == "," else ""
+            raise InputError(where, f"{len(cells)} cells", f"{width} cells, as in the line of names", remedy)
+        padded = cells + [""] * (width - len(cells))
+        if not any(padded[c.place] for c in columns):
+            raise InputError(where, lines[i].strip(), "a row of numbers, or a comment after #")
+        if any(padded[c.place].lower() in EMPTY for c in columns):
+            left_out += 1
+            continue
+        rows.append((i + 1, [_number(padded[c.place], comma, f"{where}, column {c.name}") for c in columns]))
+    return rows, left_out
+
+
+def _number(text: str, comma: bool, where: str) -> float:
+    """A number as it stands; where a comma and a point are mixed, nobody knows which is which."""
+    plain = text.replace(",", ".") if comma else text
+    if not PLAIN.fullmatch(plain):
+        allowed = "a number with a decimal comma" if comma else "a number with a decimal point"
+        if not comma and "," in text:
+            raise InputError(where, text, "decimal points or decimal commas, not both in one file, and no mark between thousands")
+        raise InputError(where, text, allowed)
+    return float(plain)
+
+
+def _assembled(
+    path: Path,
+    name: str,
+    columns: Sequence[Column],
+    rows: Sequence[tuple[int, list[float]]],
+    frequency_hz: float | None,
+    notes: list[str],
+) -> Sweep:
+    """SI, a row for each frequency and temperature, within what rubber can have."""
+    by_role: dict[str, list[tuple[int, Column]]] = {}
+    for k, column in enumerate(columns):
+        by_role.setdefault(column.role, []).append((k, column))
+    if not rows:
+        raise InputError(name, "no row of numbers", f"at least {FEWEST_ROWS}")
+    table = np.array([row for _, row in rows])
+    lines = np.array([line for line, _ in rows])
+    with np.errstate(over="ignore"):  # infinite is out of limits
+        si = table * np.array([c.scale for c in columns]) + np.array([c.offset for c in columns])
+
+    def checked(k: int, values: Array, limits: Limits, to_limits: float, remedy: str) -> Array:
+        shown = values / to_limits
+        bad = ~((shown >= limits.low) & (shown <= limits.high))
+        if bad.any():
+            at = int(np.argmax(bad))
+            given = figures(float(table[at, k])) if math.isfinite(table[at, k]) else str(table[at, k])
+            of = columns[k].name
+            raise InputError(
+                f"{name}: line {lines[at]}, column {of}", f"{given} ({figures(float(shown[at]), 4)} {limits.unit})",
+                f"{limits.meaning} of {limits.low:g} to {limits.high:g} {limits.unit}", remedy,
+            )  # fmt: skip
+        return values
+
+    unit = "check its unit; a row that the instrument could not measure may be deleted"
+    (k_temp, _), *_ = by_role[TEMPERATURE]
+    temp_degc = checked(k_temp, si[:, k_temp], SWEEP_DEGC, 1.0, unit)
+    parts = []
+    for k, column in by_role[STORAGE]:
+        storage = checked(k, si[:, k], SWEEP_STORAGE, 1e6, unit)
+        others = {role: _of_frequency(by_role.get(role, []), column) for role in (LOSS, TANGENT)}
+        k_loss, k_tan = others[LOSS], others[TANGENT]
+        if k_loss is None and k_tan is None:
+            raise InputError(name, column.name, "a loss modulus or tan delta of the same frequency beside each storage modulus")
+        if k_tan is not None:
+            checked(k_tan, si[:, k_tan], SWEEP_TAN_DELTA, 1.0, unit)
+        loss = storage * si[:, k_tan] if k_tan is not None else si[:, 0]
+        if k_loss is not None:
+            loss = checked(k_loss, si[:, k_loss], SWEEP_LOSS, 1e6, unit)
+            checked(k_loss, loss / storage, SWEEP_TAN_DELTA, 1.0, "loss over storage modulus: check that both have the same unit")
+        elif k_tan is not None:
+            checked(k_tan, loss, SWEEP_LOSS, 1e6, unit)
+        if k_loss is not None and k_tan is not None:
+            apart = float(np.median(np.abs(np.log(loss / storage / si[:, k_tan]))))
+            if apart > TANGENT_DIFFERS:
+                raise InputError(
+                    name, f"{columns[k_tan].name} that is {100 * apart:.0f} % off loss over storage modulus",
+                    f"within {100 * TANGENT_DIFFERS:g} %",
+                    "check the units of both moduli, or delete one of the columns",
+                )  # fmt: skip
+        if FREQUENCY in by_role:
+            k_frequency = by_role[FREQUENCY][0][0]
+            frequency = checked(k_frequency, si[:, k_frequency], FREQUENCIES, 1.0, unit)
+        else:
+            frequency = np.full(len(rows), frequency_hz if frequency_hz is not None else column.frequency)
+            if not (FREQUENCIES.low <= frequency[0] <= FREQUENCIES.high):
+                raise InputError(f"{name}: {column.name}", frequency[0], f"{FREQUENCIES.low:g} to {FREQUENCIES.high:g} Hz")
+        parts.append((frequency, temp_degc, storage, loss))
+    f, t, e1, e2 = (np.concatenate(each) for each in zip(*parts, strict=True))
+    _enough(name, f, t)
+    return Sweep(path, f, t, e1, e2, tuple(notes))
+
+
+def _of_frequency(listed: Sequence[tuple[int, Column]], storage: Column) -> int | None:
+    """Place of the column of the storage modulus' frequency; one that says none is of the only storage modulus there is."""
+    same = [k for k, column in listed if column.frequency == storage.frequency]
+    if not same and len(listed) == 1 and None in (listed[0][1].frequency, storage.frequency):
+        same = [listed[0][0]]
+    return same[0] if same else None
+
+
+def _enough(name: str, frequency: Array, temp_degc: Array) -> None:
+    apart, rows = len(np.unique(np.round(temp_degc))), len(frequency)
+    width = float(temp_degc.max() - temp_degc.min())
+    if rows < FEWEST_ROWS or apart < FEWEST_DEGC or width < NARROWEST_K:
+        raise InputError(
+            name,
+            f"{rows} rows at {apart} temperatures over {width:.0f} K",
+            f"at least {FEWEST_ROWS} rows at {FEWEST_DEGC} temperatures over {NARROWEST_K:g} K",
+        )
