@@ -39,6 +39,9 @@ PRINTING = {
 }
 STARTED_BY = {  # commands that start an application of their own, and import it
     "compound.py": {"trackres_ros.compound.run"},
+    "design.py": {
+        "trackres_ros.design", "trackres_ros.files.output_files", "trackres_ros.output.table", "trackres_ros.vehicle",
+    },
     "entry.py": {"trackres_ros.node.signals"},
     "fleet.py": {"trackres_ros.fleet", "trackres_ros.evaluation.fleet"},
     "layouts.py": {"trackres_ros.output.layouts"},

@@ -28,7 +28,7 @@ from trackres_ros.vehicle.surroundings import SCHEMA
 
 REFITTED = "re-fitted by"
 FOUND = "found by trackres diagnose"
-WRITTEN = "Written by trackres"
+WRITTEN = "# Written by trackres diagnose", "# Written by trackres coastdown"
 SURROUNDINGS_FILE = "surroundings.yaml"
 ROUTE_FILE = "route.csv"
 FIGURES = 6
@@ -114,10 +114,10 @@ def rubber_share(vehicle: Vehicle) -> float:
 
 
 def opened(source: Path) -> Document:
-    """A vehicle file to be changed, without the comment that an earlier diagnosis has put on top."""
+    """A vehicle file to be changed, without the comment that an earlier fit has put on top."""
     lines = source.read_text(encoding="utf-8").splitlines(keepends=True)
     comments = next((i for i, line in enumerate(lines) if not line.startswith("#")), len(lines))
-    written = next((i for i in range(comments) if lines[i].startswith(f"# {WRITTEN}")), -1)
+    written = next((i for i in range(comments) if lines[i].startswith(WRITTEN)), -1)
     return Document("".join(lines[written + 1 :]))
 
 
@@ -168,7 +168,7 @@ def finish(
     learned = {one.kind for one in kept.route}
     route = [*kept.route, *(one for one in route if one.kind not in learned)]
     if not around and not route:
-        if beside.is_file() and f"# {WRITTEN}" in beside.read_text(encoding="utf-8"):
+        if beside.is_file() and any(line in beside.read_text(encoding="utf-8") for line in WRITTEN):
             beside.unlink()  # of an earlier diagnosis: it would be taken for this one's
         return [path]
     lines = [f"schema: {SCHEMA}", f"vehicle: {flow(name)}"]
