@@ -27,7 +27,7 @@ test-rest: $(VENV)/.ready
 
 # Once, before several tests would do so at a time.
 compiled: $(VENV)/.ready
-	@$(RUN)/python -m trackres_ros.node.warm_up config/xgd24d.yaml
+	@$(RUN)/python -m trackres_ros.estimator.warm_up
 
 # Small faults put into a module one at a time: how many of them its tests find. By hand: it takes half an hour.
 mutants: $(VENV)/.ready

@@ -196,10 +196,11 @@ def one_at_a_time() -> Iterator[None]:
 
 
 def main() -> None:
-    """Compile what some work runs, for a vehicle file and one of its surroundings if given, as the other process."""
+    """Compile, as the other process, what some work runs, for a vehicle file and one of its surroundings; all work without."""
     os.nice(NICENESS)
     with one_at_a_time():
-        _exercise(*sys.argv[1:])
+        for given in [sys.argv[1:]] if sys.argv[1:] else [[work, ANY_VEHICLE, ""] for work in WORK]:
+            _exercise(*given)
 
 
 if __name__ == "__main__":
