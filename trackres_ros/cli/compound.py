@@ -53,6 +53,6 @@ def fit_command(sweep: Path, vehicle: str, frequency_hz: float | None, output: P
     from trackres_ros.compound.run import fit_and_write, found_text
 
     needs("pictures", "plots", "matplotlib")
-    with progress("Fitting", None):
+    with progress("fitting", None):
         found = fit_and_write(sweep, vehicle, output_folder(output), frequency_hz)
     emit(found, as_json, lambda: found_text(found))
