@@ -13,6 +13,7 @@ import os
 import shutil
 import statistics
 import tempfile
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -26,12 +27,13 @@ from measuring import ROOT, alternated, child, median_ratio, seconds
 from rivals import limit, plain
 from rosbags.rosbag2 import Reader, StoragePlugin
 
+from trackres_ros.estimator import warm_up
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.jit.compiled import compiled
 from trackres_ros.vehicle import load
 
 PACKAGE = "trackres_ros"
-STEP, READING = "step", "reading"
+STEP, READING, COMPILING = "step", "reading", "compiling"
 DURATION_S, REPEATS, MESSAGES, CALLS = 600.0, 40, 100_000, 20_000
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
@@ -123,8 +125,8 @@ WAYS = (
         (
             (
                 "jit/compiled.py",
-                'error_model="numpy", forceinline',
-                'error_model="numpy", fastmath={"contract", "reassoc", "arcp", "nsz"}, forceinline',
+                '"error_model": "numpy", "_nrt"',
+                '"error_model": "numpy", "fastmath": {"contract", "reassoc", "arcp", "nsz"}, "_nrt"',
             ),
         ),
     ),
@@ -157,6 +159,36 @@ WAYS = (
         False,
         READING,
         (("recording/rosbag.py", "BATCH_ROWS, BATCH_BYTES = 2048,", "BATCH_ROWS, BATCH_BYTES = 8192,"),),
+    ),
+    Way(
+        "no entry from Python for what compiled code alone calls",
+        True,
+        COMPILING,
+        (("jit/compiled.py", '{**options, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}', "options"),),
+    ),
+    Way(
+        "LLVM optimising less (level 1)",
+        False,
+        COMPILING,
+        (("jit/compiled.py", "    _library = numba\n", "    _library = numba\n    numba.config.OPT = 1\n"),),
+    ),
+    Way(
+        "loops not vectorised",
+        False,
+        COMPILING,
+        (("jit/compiled.py", "    _library = numba\n", "    _library = numba\n    numba.config.LOOP_VECTORIZE = 0\n"),),
+    ),
+    Way(
+        "only whole entries kept, not what they are made of",
+        False,
+        COMPILING,
+        (
+            (
+                "jit/compiled.py",
+                "    dispatcher._cache = CodeCache(cast(FunctionType, function), code_folder)\n",
+                "    if not into_callers:\n        dispatcher._cache = CodeCache(cast(FunctionType, function), code_folder)\n",
+            ),
+        ),
     ),
 )
 
@@ -197,6 +229,13 @@ def of_steps(duration_s: float, repeats: int) -> dict[str, float]:
         rival()
     times = alternated(rivals, repeats)
     return {f"{name} over the limit": median_ratio(times[name], times["limit"]) for name in ("run", "session")}
+
+
+def of_compiling(work: str) -> dict[str, float]:
+    """Compiling for one kind of work with an empty cache, the package that is imported."""
+    began = time.process_time()
+    warm_up.WORK[work][0](Estimator(load("xgd24d")))
+    return {f"compiling for {work}, computing [s]": time.process_time() - began}
 
 
 def of_reading(messages: int, repeats: int) -> dict[str, float]:
@@ -301,6 +340,7 @@ def run(
     sizes: dict[str, dict[str, Any]] = {
         STEP: {"duration_s": duration_s, "repeats": repeats},
         READING: {"messages": messages, "repeats": max(1, repeats // 2)},
+        COMPILING: {"work": warm_up.BLOCKS},
     }
     found: dict[str, float] = {}
     for of, size in sizes.items():
@@ -316,10 +356,11 @@ TARGETS: dict[str, Any] = {}
 def main() -> None:
     """Measure one kind of ratio of the package that is imported; print it as JSON."""
     parser = argparse.ArgumentParser(description=main.__doc__)
-    parser.add_argument("of", choices=(STEP, READING))
+    measures = {STEP: of_steps, READING: of_reading, COMPILING: of_compiling}
+    parser.add_argument("of", choices=tuple(measures))
     parser.add_argument("sizes", type=json.loads)
     given = parser.parse_args()
-    print(json.dumps((of_steps if given.of == STEP else of_reading)(**given.sizes)))
+    print(json.dumps(measures[given.of](**given.sizes)))
 
 
 if __name__ == "__main__":
