@@ -54,7 +54,7 @@ def test_it_finds_what_the_command_finds(found, scrubbed, stages):
     assert found.sentence == of_command["verdict"]["sentence"]
     assert (found.status, found.grade) == ("named", "confirmed")
     assert done.stdout.startswith(repr(found))
-    assert [f"  {stage}" for stage in stages] == done.stderr.splitlines()
+    assert [f"  {stage}" for stage in (*stages, "report")] == done.stderr.splitlines()
 
 
 def test_the_report_is_the_commands(written, found, scrubbed):
