@@ -3,7 +3,8 @@
 
 """Sweeps of compounds whose shift is known.
 
-Shifts, as quoted from J. D. Ferry, Viscoelastic Properties of Polymers, 3rd ed., Wiley 1980, Table 11-II (not held against the book):
+Shifts, as quoted from J. D. Ferry, Viscoelastic Properties of Polymers, 3rd ed., Wiley 1980, Table 11-II (not held against the
+book):
 reference temperature, C1, C2, Tg.
 Moduli: a Prony series of our own, in the shape of a rubber's: glass, softening, rubber.
 """

@@ -4,6 +4,7 @@
 """A vehicle that rolls out: what is found is what was there, within its ranges, and only what is better is written."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -135,6 +136,14 @@ def test_all_scales_with_the_mass(tmp_path, rolled):
 
     for speed in (3.0, 10.0):
         assert force(20000.0, speed) == pytest.approx(2.0 * force(10000.0, speed), rel=0.02)
+
+
+def test_a_vehicle_of_which_all_is_known_is_refused(tmp_path, rolled, repository):
+    text = (repository / "config" / "bmw_i3.yaml").read_text()
+    text = re.sub(r"value: ([-0-9.e]+)(.*?)range: \[[^\]]*\]", r"value: \1\2range: [\1, \1]", text)
+    (tmp_path / "known.yaml").write_text(text)
+    with pytest.raises(tr.InputError, match="widen"):
+        tr.coastdown(written(tmp_path / "roll.csv", rolled), tmp_path / "known.yaml")
 
 
 def test_a_slope_that_is_known_does_not_matter(tmp_path, reference_vehicle):

@@ -127,9 +127,12 @@ def coastdown(recordings: Sequence[Recording], loaded: LoadedBase, seed: int = 1
     Raises
     ------
     InputError
-        If it rolls out nowhere; says why pieces in which it slows down were not used.
+        If it rolls out nowhere, and says why pieces in which it slows down were not used; or if nothing of the vehicle is open.
     """
     base = _told_by_rolling(loaded.base)
+    if not base.parameters:
+        given = "a vehicle file in which everything that rolling out could tell has a range without a width"
+        raise InputError("vehicle", given, "ranges in which its values may lie", "widen the ranges of what is not known well")
     rolled = rollouts(list(recordings), loaded.known, base.facts.radius, step_for(recordings))
     for session in rolled.sessions:
         check_speed(session, loaded.known.max_speed)
