@@ -88,6 +88,17 @@ def test_indices_of_a_sum_are_the_shares_of_its_terms():
     assert found.of[0]["none"][2] == 0.0
 
 
+def test_what_cannot_be_gives_no_value_an_effect():
+    pytest.importorskip("SALib")
+
+    def model(rows):
+        return np.where(rows[:, 1] + rows[:, 2] > 1.95, np.nan, 100.0 + rows[:, 0])[:, np.newaxis]
+
+    found, _ = sensing.sobol(["a", "b", "c"], [(-1.0, 1.0)] * 3, model, 1024, 1)
+    assert found.of[0]["a"][2] == pytest.approx(1.0, abs=found.of[0]["a"][3])
+    assert found.of[0]["b"][2] == found.of[0]["c"][2] == 0.0
+
+
 def test_a_product_counts_with_others():
     pytest.importorskip("SALib")
     found, _ = sensing.sobol(["a", "b"], [(-1.0, 1.0)] * 2, lambda rows: rows.prod(axis=1, keepdims=True), 512, 1)

@@ -124,7 +124,7 @@ class Sensitivity:
         for why in dict.fromkeys(self.held.values()):
             lines.append(f"Held: {', '.join(short(p, list(self.held)) for p, of_it in self.held.items() if of_it == why)}: {why}")
         if self.failed:
-            lines.append(f"{self.failed} of {self.drawn} vehicles drawn cannot be so; the mean of the others stands for them")
+            lines.append(f"{self.failed} of {self.drawn} vehicles drawn cannot be so; left out, with all of the same draw")
         return "\n".join(lines)
 
     def as_dict(self) -> dict[str, Any]:
@@ -195,7 +195,7 @@ def sensitivity(
         if failed > MOST_FAILED * len(rows):
             given = f"ranges of which {failed} of {len(rows)} vehicles drawn cannot be"
             raise InputError(file, given, f"at most {MOST_FAILED:.0%}", "narrow those that have to go together")
-        return np.where(np.isfinite(found), found, np.nanmean(found, axis=0))
+        return found
 
     of_all, drawn = sobol(paths, bounds, model, samples, seed)
     indices = {
@@ -228,7 +228,7 @@ def sobol(
     names, bounds
         Of its arguments.
     model
-        From rows of arguments, shape (n, arguments), to rows of outcomes, shape (n, outcomes).
+        From rows of arguments, shape (n, arguments), to rows of outcomes, shape (n, outcomes); nan where there is none.
     samples
         A power of two.
     seed
@@ -247,6 +247,10 @@ def sobol(
     problem = {"num_vars": len(names), "names": list(names), "bounds": [list(pair) for pair in bounds]}
     rows = np.asarray(sampling.sample(problem, samples, calc_second_order=False, seed=seed))
     outcomes = model(rows)
+    # Rows of one point are compared with each other: a number put in for one would count as what the changed value does.
+    size = len(names) + 2
+    whole = np.isfinite(outcomes).all(axis=1).reshape(-1, size).all(axis=1)
+    outcomes = outcomes[np.repeat(whole, size)]
     found, std = [], []
     for column in outcomes.T:
         std.append(float(column.std()))
