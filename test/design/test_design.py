@@ -108,6 +108,21 @@ def test_a_product_counts_with_others():
         assert abs(total - 1.0) <= total_pm
 
 
+def test_ranges_that_do_not_go_together_are_refused_with_a_reason(monkeypatch):
+    pytest.importorskip("SALib")
+    pair = ["tracks.triangular.belt.width", "tracks.triangular.road_wheels.contact_length"]
+    vehicle = load("xgd24d")
+    narrow = {pair[0]: replace(vehicle.parameters[pair[0]], low=0.2), pair[1]: vehicle.parameters[pair[1]]}
+    changed = replace(vehicle, parameters={**vehicle.parameters, **narrow})
+    monkeypatch.setattr(sensing, "find_spec", lambda _name: None)
+    monkeypatch.setattr(sensing, "scalars", lambda _: pair)
+    monkeypatch.setattr(sensing, "load", lambda _: changed)
+    # At either end by itself each is all right only if the other allows it: the wheel's contact is no wider than the belt.
+    monkeypatch.setattr(sensing, "_ends", lambda *_: (dict.fromkeys(pair, ((1.0,) * 4, (2.0,) * 4)), {}))
+    with pytest.raises(tr.InputError, match=r"draws hold a vehicle that cannot be, as .*contact_length"):
+        sensing.sensitivity("xgd24d", SPEED, AIR, 8)
+
+
 @pytest.mark.parametrize(
     ("given", "path"),
     [
@@ -157,11 +172,14 @@ def test_the_command_says_what_to_measure_first(good, tmp_path, monkeypatch):
     text = found.text("warm_nm")
     of = found.indices["warm_nm"]
     first, second = sorted(of, key=lambda path: -abs(of[path].high - of[path].low))
-    assert f"Measure {first} first, then {second}." in text
+    assert f"Measure {first} first, then {second}." in text or "do not tell" in text
     assert "rubber.density: it moves nothing" in text
     assert json.loads(json.dumps(found.as_dict()))["drawn"] == 16 * 4
     assert sensing.draw_tornado(found, "warm_nm", tmp_path / "t.png").stat().st_size > 10000
     again = sensing.sensitivity("agri3t", 2.5, AIR, 16, 2)
     assert again.as_dict() == found.as_dict()
+    apart = replace(found.indices["warm_nm"][first], total=0.9, total_pm=0.01)
+    settled = replace(found, indices={**found.indices, "warm_nm": {**found.indices["warm_nm"], first: apart}})
+    assert f"Measure {first} first, then {second}." in settled.text("warm_nm")
     with pytest.raises(tr.InputError, match="power of two"):
         sensing.sensitivity("agri3t", 2.5, AIR, 12)

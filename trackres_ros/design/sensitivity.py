@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import astuple, dataclass
@@ -15,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.design.steady import steady
+from trackres_ros.design.steady import WARMEST_K, steady
 from trackres_ros.design.sweep import OUTCOMES
 from trackres_ros.design.values import scalars, short
 from trackres_ros.errors import InputError, MissingExtraError
@@ -35,7 +36,7 @@ NAMES = {"cold_nm": "cold resistance", "warm_nm": "warm resistance", "belt_degc"
 UNITS = {"cold_nm": "Nm", "warm_nm": "Nm", "belt_degc": "K", "kwh_per_km": "kWh/km"}
 SURE = 0.95
 RESAMPLES = 200
-MOST_FAILED = 0.02  # of all vehicles drawn: more and the ranges do not go together
+MOST_LOST = 0.25  # of the draws: with more of them the ranges do not go together
 MOST_SHOWN = 12
 LEAST_SAMPLES = 8
 LITTLE = 0.01
@@ -78,8 +79,10 @@ class Sensitivity:
         By outcome and path.
     held
         Why some values were not varied, by path.
-    samples, drawn, failed
-        Of each value; vehicles computed, and how many of them cannot be.
+    samples, drawn
+        Draws, of each of which every value is changed in turn; vehicles that were computed for them.
+    lost, why_lost
+        Draws left out, as one of their vehicles cannot be; and why the first cannot.
     """
 
     vehicle: str
@@ -91,7 +94,8 @@ class Sensitivity:
     held: Mapping[str, str]
     samples: int
     drawn: int
-    failed: int
+    lost: int
+    why_lost: str
 
     def ranked(self, outcome: str) -> list[str]:
         """Paths, that which leaves most open first."""
@@ -120,18 +124,21 @@ class Sensitivity:
         ]
         rest = [path for path in ranked[MOST_SHOWN:] if of[path].total > 0.0]
         lines += [f"and {len(rest)} more, each with less"] if rest else []
-        lines.append(f"Measure {first} first, then {second}.")
+        apart = of[ranked[0]].total - of[ranked[1]].total > math.hypot(of[ranked[0]].total_pm, of[ranked[1]].total_pm)
+        open_ = f"Measure {first} or {second} first: which leaves more open, {self.samples} samples do not tell."
+        lines.append(f"Measure {first} first, then {second}." if apart else open_)
         for why in dict.fromkeys(self.held.values()):
             lines.append(f"Held: {', '.join(short(p, list(self.held)) for p, of_it in self.held.items() if of_it == why)}: {why}")
-        if self.failed:
-            lines.append(f"{self.failed} of {self.drawn} vehicles drawn cannot be so; left out, with all of the same draw")
+        if self.lost:
+            lines.append(f"{self.lost} of {self.samples} draws are left out, as a vehicle in each cannot be: {self.why_lost}")
         return "\n".join(lines)
 
     def as_dict(self) -> dict[str, Any]:
         """Ready for JSON."""
         return {
             "vehicle": self.vehicle, "speed_mps": self.speed, "ambient_degc": self.ambient, "samples": self.samples,
-            "drawn": self.drawn, "failed": self.failed, "nominal": dict(self.nominal), "std": dict(self.std),
+            "drawn": self.drawn, "lost": self.lost, "why_lost": self.why_lost,
+            "nominal": dict(self.nominal), "std": dict(self.std),
             "indices": {
                 outcome: {
                     path: {
@@ -184,17 +191,20 @@ def sensitivity(
     held |= dict.fromkeys(little, f"it moves nothing by {LITTLE:.0%} of what others do")
     paths = [path for path in ends if path not in little]
     bounds = [(vehicle.parameters[path].low, vehicle.parameters[path].high) for path in paths]
-    failed = 0
+    lost, why = 0, ""
 
     def model(rows: Array) -> Array:
-        nonlocal failed
+        nonlocal lost, why
         pieces = [Drawn(source, tuple(paths), rows[i : i + PIECE], speed, air) for i in range(0, len(rows), PIECE)]
         advance = progress("vehicles", len(rows))
         found = np.concatenate(_computed(pieces, advance))
-        failed = int(np.isnan(found[:, 0]).sum())
-        if failed > MOST_FAILED * len(rows):
-            given = f"ranges of which {failed} of {len(rows)} vehicles drawn cannot be"
-            raise InputError(file, given, f"at most {MOST_FAILED:.0%}", "narrow those that have to go together")
+        bad = ~np.isfinite(found).all(axis=1)
+        lost = int(bad.reshape(-1, len(paths) + 2).any(axis=1).sum())
+        if lost:
+            why = _why_not(vehicle, dict(zip(paths, map(float, rows[int(np.argmax(bad))]), strict=True)), speed, air)
+        if lost > MOST_LOST * samples:
+            given = f"ranges of which {lost} of {samples} draws hold a vehicle that cannot be, as {why}"
+            raise InputError(file, given, f"at most {MOST_LOST:.0%}", "narrow those that have to go together")
         return found
 
     of_all, drawn = sobol(paths, bounds, model, samples, seed)
@@ -206,7 +216,7 @@ def sensitivity(
     }  # fmt: skip
     std = dict(zip(OUTCOMES, of_all.std, strict=True))
     return Sensitivity(
-        vehicle.name, speed, air, dict(zip(OUTCOMES, nominal, strict=True)), std, indices, held, samples, drawn, failed
+        vehicle.name, speed, air, dict(zip(OUTCOMES, nominal, strict=True)), std, indices, held, samples, drawn, lost, why
     )
 
 
@@ -281,6 +291,15 @@ def outcomes_of(piece: Drawn) -> Array:
         with suppress(InputError):
             into[:] = _outcomes(make, dict(zip(piece.paths, map(float, row), strict=True)), piece.speed, piece.ambient)
     return found
+
+
+def _why_not(vehicle: Vehicle, values: Mapping[str, float], speed: float, ambient: float) -> str:
+    """Why a vehicle cannot be."""
+    try:
+        _outcomes(variants(vehicle), values, speed, ambient)
+    except InputError as error:
+        return f"{error.where.rpartition(': ')[2]}: given {error.given}; allowed: {error.allowed}"
+    return f"its belts find no balance below {WARMEST_K:.0f} K over the air"
 
 
 def _outcomes(
