@@ -22,7 +22,6 @@ from trackres_ros.vehicle import load
 
 REPEATS = 3
 POINTS = 400
-SPEED_KMH = 10.0
 FIRST_ESTIMATE = """
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.vehicle import load
@@ -32,7 +31,7 @@ assert session.handle(session.channel("speed"), 1, 1, 10.0) is not None
 SAMPLE = """
 import sys
 import trackres_ros as tr
-tr.record_sample(sys.argv[1], speed_kmh=float(sys.argv[2]))
+tr.record_sample(sys.argv[1])
 """
 WAITED = "a first replay over the same in plain Python alone: waited for the compiler [s]"
 TARGETS = {
@@ -44,7 +43,7 @@ TARGETS = {
 }
 
 
-def run(repeats: int = REPEATS, points: int = POINTS, speed_kmh: float = SPEED_KMH) -> dict[str, float]:
+def run(repeats: int = REPEATS, points: int = POINTS, replays: int = REPEATS) -> dict[str, float]:
     """Measure.
 
     Parameters
@@ -53,8 +52,8 @@ def run(repeats: int = REPEATS, points: int = POINTS, speed_kmh: float = SPEED_K
         Builds and starts; the median counts, and the cold start is done once.
     points
         Random points over the whole range at which the table is held against the exact method.
-    speed_kmh
-        On the laps that are replayed: the faster, the shorter they are.
+    replays
+        How often a first replay is made.
     """
     result = {}
     for method in ("spectral", "rainflow"):
@@ -76,14 +75,14 @@ def run(repeats: int = REPEATS, points: int = POINTS, speed_kmh: float = SPEED_K
         result["process to first estimate, empty cache [s]"] = child(["-c", FIRST_ESTIMATE], environment).wall_s
         warm = [child(["-c", FIRST_ESTIMATE], environment).wall_s for _ in range(repeats)]
         result["process to first estimate, filled cache [s]"] = statistics.median(warm)
-    return {**result, **first_replay(repeats, speed_kmh)}
+    return {**result, **(first_replay(replays) if replays else {})}
 
 
-def first_replay(repeats: int, speed_kmh: float) -> dict[str, float]:
-    """The command on a recording (13 minutes at the usual speed): with nothing in the cache, with all, and in plain Python."""
+def first_replay(repeats: int) -> dict[str, float]:
+    """The command on a recording of 13 minutes: with nothing in the cache, with all, and in plain Python."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        child(["-c", SAMPLE, str(folder / "sample.mcap"), str(speed_kmh)])
+        child(["-c", SAMPLE, str(folder / "sample.mcap")])
         replay = ["-m", "trackres_ros", "replay", str(folder / "sample.mcap"), "--vehicle", "xgd24d"]
 
         def took(cache: str, **more: str) -> float:

@@ -17,13 +17,13 @@ SIZES = {
     "bench_route": {"steps": 200},
     "bench_recording": {"duration_s": 40.0, "repeats": 1, "exact_samples": 2, "restarted": 20},
     "bench_reading": {"messages": 2000, "repeats": 1},
-    "bench_table": {"repeats": 1, "points": 5, "speed_kmh": 50.0},
+    "bench_table": {"repeats": 1, "points": 5, "replays": 0},
     "bench_ways": {"duration_s": 20.0, "repeats": 1, "messages": 500, "calls": 10, "ways": 0},
     "bench_learning": {"seconds": 2.0, "rounds": 1},
     "bench_fleet": {"recordings": 20, "minutes": 4.0, "analysed": 2},
     "bench_diagnosis": {"minutes": 4.0, "step_s": 0.2, "quick": True},
 }
-SIGNED = ("growth", "on top of reading", "saved", "waited for")  # these may be zero or negative
+SIGNED = ("growth", "on top of reading", "saved")  # these may be zero or negative
 
 
 @pytest.fixture
