@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mutator import mutations
-from test_reading import FORMS
+from test_reading import FORMS, PLAIN, F, T, text
 
 from trackres_ros.compound.fitting import fit_compound
 from trackres_ros.compound.reading import read_sweep
@@ -86,6 +86,17 @@ def test_what_cannot_be_is_refused(trackres, tmp_path, words, said):
     assert done.returncode == 2
     assert said in done.stderr
     assert len(done.stderr.splitlines()) == 1
+
+
+def test_of_a_compound_whose_belts_would_burn_nothing_is_written(trackres, tmp_path):
+    """As soft as a polymer that is not cured, or a sweep in another unit than it says."""
+    soft = 10.0 ** np.linspace(0.5, -1.2, len(T))
+    (tmp_path / "sweep.csv").write_text(text(PLAIN, [np.sort(T), F, soft, 0.9 * soft]), encoding="utf-8")
+    done = trackres("compound", "fit", "sweep.csv", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "sweep.csv: tracks.triangular: given 'a belt that settles at" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == ["sweep.csv"]
 
 
 def test_a_damaged_sweep_is_read_or_refused_in_one_line(tmp_path):

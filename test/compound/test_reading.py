@@ -49,6 +49,20 @@ FORMS = {
     "omega in 1/s, N/mm2, quotes": text(
         ['"T, degC"', "omega (1/s)", "E1 (N/mm2)", "E2 (N/mm2)"], [T, 2 * pi * F, E1 / 1e6, E2 / 1e6], ","
     ),
+    "spaces, a line of prose": text(
+        ["T[degC]", "f[Hz]", "E'[MPa]", "E''[MPa]"], [T, F, E1 / 1e6, E2 / 1e6], "   ", False,
+        "storage modulus over temperature\n",
+    ),
+    "names between tabs, numbers between spaces": "freq\tG'\tG\"\tTemp\nrad/s\tPa\tPa\tC\n"
+    + text(["# rows"], [2 * pi * F, E1 / 3, E2 / 3, T], "  "),
+    "other names, units below, a number for each set": text(
+        ["f", "E_stor", "E_loss", "T", "Set"], [F, E1 / 1e6, E2 / 1e6, T, T * 0], ",", False, "",
+        ["Hz", " MPa", " MPa", " C", " -"],
+    ),
+    "a column twice": text(
+        ["Temp [C]", "f [Hz]", "E_prime [Pa]", "E_double_prime [Pa]", "Temp [C]"], [T, F, E1, E2, T], "\t"
+    ),
+    "a column without numbers": text([*PLAIN, "tan delta"], [T, F, E1 / 1e6, E2 / 1e6, T * np.nan]),
 }  # fmt: skip
 
 
@@ -118,6 +132,8 @@ BAD = {
     "both marks": (text(PLAIN, [T, F, E1 / 1e6, E2 / 1e6]).replace("0.5;", "0,5;"), "line 2, column f"),
     "tan delta of another test": (text([*PLAIN, "tan delta"], [T, F, E1 / 1e6, E2 / 1e6, 2 * E2 / E1]), "% off"),
     "twice": (GOOD.replace("Loss Modulus", "Storage Modulus"), "line 1, column 4: .*one column of storage modulus"),
+    "an empty cell between spaces": (FORMS["spaces, a line of prose"].replace("   5   ", "   ", 1), "line 4: .*4 cells"),
+    "two of a kind": (GOOD.replace("Loss Modulus", "E'"), "line 1, column 4: .*one column of storage modulus"),
     "too few": ("\n".join(GOOD.splitlines()[:5]), "4 rows at 2 temperatures over 15 K"),
 }  # fmt: skip
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import pi
 
 from trackres_ros.errors import InputError, nearest
@@ -20,8 +20,8 @@ SHEAR_TO_TENSION = 3.0  # E = 2 (1 + nu) G with nu = 1/2: rubber keeps its volum
 # By what they are called, in lower case and with one kind of each quotation mark; the first that fits.
 NAMES = (
     (TANGENT, re.compile(r"tan\b|tan[_ (]*(d|\u03b4)|loss[ _]*(factor|tangent)|verlustfaktor|d\u00e4mpfung|damping")),
-    (LOSS, re.compile(r"""^[eg]\s*(''|")|^[eg]2\b|loss|verlustmodul|module de perte""")),
-    (STORAGE, re.compile(r"^[eg]\s*'|^[eg]1\b|storage|speichermodul|module de conservation")),
+    (LOSS, re.compile(r"""^[eg]\s*(''|")|^[eg]2\b|^[eg][ _]?d(ouble)?[ _]?prime|loss|verlustmodul|module de perte""")),
+    (STORAGE, re.compile(r"^[eg]\s*'|^[eg]1\b|^[eg][ _]?prime|storage|^[eg][ _]?stor\b|speichermodul|module de conservation")),
     (FREQUENCY, re.compile(r"freq|fr\u00e9q|^f\b|^f_|omega|\u03c9|kreisfrequenz")),
     (TEMPERATURE, re.compile(r"temp|^t\s*([\[(/,]|$)|^t[ _]*(deg|\u00b0|[kcf]\b)")),
 )
@@ -67,8 +67,8 @@ DISTINCT = {"mhz"}  # units that differ by upper and lower case alone from anoth
 
 @dataclass(frozen=True)
 class Column:
-    """What a column holds: its place, name and role, the factor and offset to SI (degC), whether in shear, and at which
-    frequency [Hz] if its name says so.
+    """What a column holds: its place, name and role, the factor and offset to SI (degC), whether in shear, at which
+    frequency [Hz] if its name says so, and whether a column before it has the same name and unit.
     """
 
     place: int
@@ -78,6 +78,7 @@ class Column:
     offset: float
     shear: bool = False
     frequency: float | None = None
+    again: bool = False
 
 
 def role_of(name: str) -> str | None:
@@ -127,7 +128,7 @@ def columns_of(names: Sequence[str], units: Sequence[str] | None, where: str) ->
     Raises
     ------
     InputError
-        A unit that is missing or none of its quantity; a column that is there twice.
+        A unit that is missing or none of its quantity; a second column of a quantity that has another name or unit.
     """
     found: list[Column] = []
     for place, name in enumerate(names):
@@ -140,16 +141,22 @@ def columns_of(names: Sequence[str], units: Sequence[str] | None, where: str) ->
         if role == FREQUENCY and ANGULAR.search(name) and re.search(r"1\s*/\s*s", f"{name} {below}"):
             scale = UNITS[FREQUENCY]["rad/s"][0]
         shear = role in MODULI and bool(SHEAR.search(name.translate(QUOTES).lower()))
-        twice = [c.name for c in found if c.role == role and c.frequency == frequency]
-        if twice:
-            raise InputError(
-                f"{where}, column {place + 1}",
-                name,
-                f"one column of {role}: {twice[0]} is one already",
-                "delete or rename the other",
-            )
-        found.append(Column(place, name, role, scale * (SHEAR_TO_TENSION if shear else 1.0), offset, shear, frequency))
+        column = Column(place, name, role, scale * (SHEAR_TO_TENSION if shear else 1.0), offset, shear, frequency)
+        first = next((c for c in found if c.role == role and c.frequency == frequency), None)
+        if first is not None and replace(first, place=place) != column:
+            raise another_column(column, first, where)
+        found.append(column if first is None else replace(column, again=True))
     return found
+
+
+def another_column(column: Column, first: Column, where: str) -> InputError:
+    """What is wrong with a second column of a quantity that is not the first once more."""
+    return InputError(
+        f"{where}, column {column.place + 1}",
+        column.name,
+        f"one column of {column.role}: column {first.place + 1}, {first.name}, is one already",
+        "delete or rename the other",
+    )
 
 
 def _unit(name: str, below: str, role: str, where: str) -> tuple[float, float]:

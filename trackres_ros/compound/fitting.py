@@ -63,7 +63,7 @@ class CompoundFit:
         Activation energy [J/mol] where the law is Arrhenius'.
     power, with_power
         Power of absolute temperature by which moduli rise beside the shift, and rms of both moduli with it; None where that is
-        not clear. The model has no such vertical shift, and the moduli of the fit are without.
+        not clear. The shift is that beside it; the model has no such vertical shift, and the moduli of the fit are without.
     master, prony
         Master curve, and the Prony series that both moduli have in common.
     """
@@ -111,10 +111,7 @@ def fit_compound(sweep: Sweep, vehicle: Vehicle) -> CompoundFit:
     pole = wlf.value(lambda theta: theta[1])
     gain = arrhenius.bic - wlf.bic
     if gain > CLEAR_BIC and pole.low > ABSOLUTE_ZERO_DEGC:
-        best, why = wlf, (
-            f"the shift steepens towards a pole at {decimals(pole.value)} degC ({decimals(pole.low)} to {decimals(pole.high)}), "
-            f"Arrhenius' would be at 0 K; BIC better by {decimals(gain)}"
-        )  # fmt: skip
+        best, why = wlf, ""
     else:
         best, why = (
             arrhenius,
@@ -141,6 +138,12 @@ def fit_compound(sweep: Sweep, vehicle: Vehicle) -> CompoundFit:
     power = raised.value(lambda theta: theta[-1])
     better = max(1.0 - after / before for after, before in zip(raised.rms, best.rms, strict=True)) > BETTER_RMS
     clear = better and best.bic - raised.bic > CLEAR_BIC and (power.low > 0.0 or power.high < 0.0)
+    if best is wlf:
+        pole = (raised if clear else wlf).value(lambda theta: theta[1])
+        why = (
+            f"the shift steepens towards a pole at {decimals(pole.value)} degC ({decimals(pole.low)} to {decimals(pole.high)}), "
+            f"Arrhenius' would be at 0 K; BIC better by {decimals(gain)}"
+        )  # fmt: skip
     return _of_law(sweep, vehicle, at, best, raised if clear else None, seen, why)
 
 
@@ -203,9 +206,15 @@ def _laws(sweep: Sweep, vehicle: Vehicle) -> tuple[Law, Law, Law]:
 def _of_law(sweep: Sweep, vehicle: Vehicle, at: float, found: Found, raised: Found | None, seen: bool, why: str) -> CompoundFit:
     """The fit in the terms of the vehicle file: a glass transition that is not seen is a reference below the data.
 
-    Intervals hold the shift of `raised` too, where moduli rise beside the shift: which of both is meant nobody knows.
+    Where moduli clearly rise beside the shift, the shift is that of `raised`: the other one follows which rows there are. The
+    model has nothing that rises so, and intervals hold both.
     """
-    free = found.shift
+
+    def inner(theta: Array) -> Array:
+        return theta if raised is None else theta[:-1]
+
+    best = raised or found
+    free = found.law.shift(inner(best.theta))
     coldest = float(sweep.temp_degc.min())
     glass = free.glass_transition
     if not seen:
@@ -225,10 +234,9 @@ def _of_law(sweep: Sweep, vehicle: Vehicle, at: float, found: Found, raised: Fou
     values = {}
     for name, of in (("glass_transition", glass_of), ("wlf_c1", c1_of), ("wlf_c2", c2_of)):
         limits = RUBBER[name]
-        values[name] = found.value(of, (limits.low, limits.high))
+        values[name] = best.value(lambda theta, of=of: of(inner(theta)), (limits.low, limits.high))  # type: ignore[misc]
         if raised is not None:
-            other = raised.value(lambda theta, of=of: of(theta[:-1]), (limits.low, limits.high))  # type: ignore[misc]
-            values[name] = values[name].joined(other)
+            values[name] = values[name].joined(found.value(of, (limits.low, limits.high)))
         if not limits.low <= values[name].value <= limits.high:
             given = f"data whose shift has {name} = {figures(values[name].value)} {limits.unit} ({found.law.name})"
             remedy = "check units of frequency and temperature; leave out what was measured in the glass"
@@ -236,7 +244,7 @@ def _of_law(sweep: Sweep, vehicle: Vehicle, at: float, found: Found, raised: Fou
     shift = Shift(free.strength, free.pole, glass)
     energy = None
     if found.law.name == ARRHENIUS:
-        energy = found.value(lambda theta: found.law.shift(theta).activation_energy)
+        energy = best.value(lambda theta: found.law.shift(inner(theta)).activation_energy)
     power = None if raised is None else (raised.value(lambda theta: theta[-1]), raised.rms)
     return _finished(sweep, found.law.name, why, shift, values, seen, energy, power, at)
 

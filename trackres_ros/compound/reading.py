@@ -23,6 +23,7 @@ from trackres_ros.compound.columns import (
     TANGENT,
     TEMPERATURE,
     Column,
+    another_column,
     columns_of,
     is_unit,
     role_of,
@@ -37,6 +38,7 @@ Array = NDArray[np.float64]
 MOST_BYTES = 4 << 20
 MOST_ROWS = 20_000
 SEPARATORS = "\t;,"
+SPACES = " "  # one or several; not for a line of prose
 COMMENTS = ("#", "%", "//", "!")
 EMPTY = ("", "-", "--", "---", "nan", "n/a", "na", "none")
 PLAIN = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
@@ -97,12 +99,15 @@ def read_sweep(path: Path, frequency_hz: float | None = None) -> Sweep:
         found = _cells(lines[below], separator)
         if any(map(is_unit, found)) and not any(map(_looks_like_number, found)):
             units = found
-    columns = columns_of(cells, units, f"{name}: line {at + 1}")
-    _complete(columns, cells, f"{name}: line {at + 1}", frequency_hz)
+    repeated = {lines[at].strip(), lines[below].strip() if units is not None and below is not None else lines[at].strip()}
+    wanted = _lines_of_numbers(lines, at + 1, separator, len(cells), repeated, name)
+    where = f"{name}: line {at + 1}"
+    columns = _not_empty(columns_of(cells, units, where), wanted)
+    rows, left_out = _rows(wanted, columns, name)
+    columns, rows = _each_once(columns, rows, where)
+    _complete(columns, cells, where, frequency_hz)
     if any(c.shear for c in columns):
         notes.append("moduli in shear were multiplied by 3, as rubber keeps its volume")
-    repeated = {lines[at].strip(), lines[below].strip() if units is not None and below is not None else lines[at].strip()}
-    rows, left_out = _rows(lines, at + 1, separator, len(cells), repeated, columns, name)
     if left_out:
         notes.append(f"{left_out} rows with an empty cell were left out")
     return _assembled(path, name, columns, rows, frequency_hz, notes)
@@ -127,6 +132,8 @@ def _next_line(lines: Sequence[str], after: int) -> int | None:
 
 
 def _cells(line: str, separator: str) -> list[str]:
+    if separator == SPACES:
+        return line.split()
     try:
         return [cell.strip() for cell in next(csv.reader([line], delimiter=separator), [])]
     except csv.Error:  # a null byte, an endless cell
@@ -150,14 +157,22 @@ def _header(lines: Sequence[str], name: str) -> tuple[int, str, list[str]]:
                     return i, separator, cells
                 if nearly is None and (TEMPERATURE in roles or STORAGE in roles) and sum(map(bool, roles)) > 1:
                     nearly = i, cells
+    for i, line in enumerate(lines):
+        cells = line.lstrip("#%!").split()
+        if {TEMPERATURE, STORAGE} <= {role_of(cell) for cell in cells} and _stand_over_numbers(lines, i, len(cells)):
+            return i, SPACES, cells
     needed = "a line of column names with a temperature, a storage modulus (E' or G') and a loss modulus or tan delta"
     if nearly is not None:
         raise InputError(f"{name}: line {nearly[0] + 1}", ", ".join(nearly[1]), needed)
-    raise InputError(name, f"{len(lines)} lines without column names", f"{needed}, between {_named(SEPARATORS)}")
+    raise InputError(name, f"{len(lines)} lines without column names", f"{needed}, between tabs, semicolons, commas or spaces")
 
 
-def _named(separators: str) -> str:
-    return " or ".join({"\t": "tabs", ";": "semicolons", ",": "commas"}[s] for s in separators)
+def _stand_over_numbers(lines: Sequence[str], at: int, width: int) -> bool:
+    """Whether as many numbers between spaces follow, at once or after a line of units."""
+    following = [line.split() for line in lines[at + 1 :] if not _is_comment(line)][:2]
+    if following and any(map(is_unit, following[0])):
+        del following[0]
+    return bool(following) and len(following[0]) == width and all(map(_looks_like_number, following[0]))
 
 
 def _complete(columns: Sequence[Column], cells: Sequence[str], where: str, frequency_hz: float | None) -> None:
@@ -170,7 +185,7 @@ def _complete(columns: Sequence[Column], cells: Sequence[str], where: str, frequ
     ):
         if not roles & wanted:
             raise InputError(where, f"columns {names}", f"a column with {text}")
-    in_names = [c.frequency for c in columns if c.role == STORAGE]
+    in_names = [c.frequency for c in columns if c.role == STORAGE and not c.again]
     if frequency_hz is not None and (FREQUENCY in roles or any(in_names)):
         raise InputError("frequency_hz", figures(frequency_hz, 6), f"nothing, as {where} says the frequency")
     if FREQUENCY in roles or frequency_hz is not None:
@@ -183,33 +198,63 @@ def _complete(columns: Sequence[Column], cells: Sequence[str], where: str, frequ
         raise InputError(where, f"columns {names}", "a column with the frequency", remedy)
 
 
+def _lines_of_numbers(
+    lines: Sequence[str], first: int, separator: str, width: int, repeated: set[str], name: str
+) -> list[tuple[int, list[str]]]:
+    """Place and cells of each line that is no comment and none of the lines of names and units.
+
+    Some programs write names between tabs and numbers between spaces.
+    """
+    at = [i for i in range(first, len(lines)) if not _is_comment(lines[i]) and lines[i].strip() not in repeated]
+    if len(at) > MOST_ROWS:
+        raise InputError(name, f"{len(at)} rows", f"at most {MOST_ROWS}", "average or thin the sweep")
+    if separator == "\t" and not any("\t" in lines[i].strip() for i in at):
+        separator = SPACES
+    remedies = {",": "decimal commas need semicolons or tabs between cells", SPACES: "an empty cell is not seen between spaces"}
+    wanted = []
+    for i in at:
+        cells = _cells(lines[i], separator)
+        if len(cells) != width and (separator == SPACES or any(cells[width:])):
+            remedy = remedies.get(separator, "")
+            raise InputError(f"{name}: line {i + 1}", f"{len(cells)} cells", f"{width} cells, as in the line of names", remedy)
+        wanted.append((i, cells + [""] * (width - len(cells))))
+    return wanted
+
+
+def _not_empty(columns: Sequence[Column], wanted: Sequence[tuple[int, list[str]]]) -> list[Column]:
+    """Without those that have a name and no number: an instrument that did not compute tan delta may still name it."""
+    return [c for c in columns if not wanted or any(cells[c.place].lower() not in EMPTY for _, cells in wanted)]
+
+
 def _rows(
-    lines: Sequence[str], first: int, separator: str, width: int, repeated: set[str], columns: Sequence[Column], name: str
+    wanted: Sequence[tuple[int, list[str]]], columns: Sequence[Column], name: str
 ) -> tuple[list[tuple[int, list[float]]], int]:
     """Numbers of the wanted columns with their line, and how many rows were left out as one of their cells is empty."""
-    wanted = [
-        (i, _cells(lines[i], separator))
-        for i in range(first, len(lines))
-        if not _is_comment(lines[i]) and lines[i].strip() not in repeated
-    ]
-    if len(wanted) > MOST_ROWS:
-        raise InputError(name, f"{len(wanted)} rows", f"at most {MOST_ROWS}", "average or thin the sweep")
-    texts = [cells[c.place] for _, cells in wanted for c in columns if c.place < len(cells)]
+    texts = [cells[c.place] for _, cells in wanted for c in columns]
     comma = any("," in text for text in texts) and not any("." in text for text in texts)
     rows, left_out = [], 0
     for i, cells in wanted:
         where = f"{name}: line {i + 1}"
-        if len(cells) != width and any(cells[width:]):
-            remedy = "decimal commas need semicolons or tabs between cells" if separator == "," else ""
-            raise InputError(where, f"{len(cells)} cells", f"{width} cells, as in the line of names", remedy)
-        padded = cells + [""] * (width - len(cells))
-        if not any(padded[c.place] for c in columns):
-            raise InputError(where, lines[i].strip(), "a row of numbers, or a comment after #")
-        if any(padded[c.place].lower() in EMPTY for c in columns):
+        if not any(cells[c.place] for c in columns):
+            raise InputError(where, " ".join(cells).strip(), "a row of numbers, or a comment after #")
+        if any(cells[c.place].lower() in EMPTY for c in columns):
             left_out += 1
             continue
-        rows.append((i + 1, [_number(padded[c.place], comma, f"{where}, column {c.name}") for c in columns]))
+        rows.append((i + 1, [_number(cells[c.place], comma, f"{where}, column {c.name}") for c in columns]))
     return rows, left_out
+
+
+def _each_once(
+    columns: Sequence[Column], rows: Sequence[tuple[int, list[float]]], where: str
+) -> tuple[list[Column], list[tuple[int, list[float]]]]:
+    """Without the columns that some instruments write twice; a second one with other numbers is another quantity."""
+    for k, column in enumerate(columns):
+        if column.again:
+            first = next(i for i, c in enumerate(columns) if c.role == column.role and c.frequency == column.frequency)
+            if any(values[k] != values[first] for _, values in rows):
+                raise another_column(column, columns[first], where)
+    kept = [k for k, column in enumerate(columns) if not column.again]
+    return [columns[k] for k in kept], [(line, [values[k] for k in kept]) for line, values in rows]
 
 
 def _number(text: str, comma: bool, where: str) -> float:

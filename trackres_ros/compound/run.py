@@ -5,7 +5,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from trackres_ros.checks import number
@@ -16,9 +18,11 @@ from trackres_ros.compound.reading import FREQUENCIES, read_sweep
 from trackres_ros.compound.superposition import Value
 from trackres_ros.compound.writing import files_of, write_compound
 from trackres_ros.errors import one_line
+from trackres_ros.model.coverage import check_heat
+from trackres_ros.model.loss_table import loss_table
 from trackres_ros.text.numbers import alike, decimals, figures
 from trackres_ros.text.table import table
-from trackres_ros.vehicle import load
+from trackres_ros.vehicle import Vehicle, load
 from trackres_ros.vehicle.schema import RUBBER
 
 BADLY_APART = 0.1  # of a Prony series from either modulus: a tenth of both is more than instruments are off
@@ -38,6 +42,8 @@ def fit_and_write(sweep_file: Path, vehicle_given: str, folder: Path, frequency_
     sweep = read_sweep(sweep_file, frequency_hz)
     files = files_of(sweep_file, folder)
     fit = fit_compound(sweep, before)
+    with TemporaryDirectory() as trial:
+        _check_belts(write_compound(fit, before, files_of(sweep_file, Path(trial))), sweep_file)
     vehicle = write_compound(fit, before, files)
     need = need_of(vehicle)
     draw_compound(fit, need, files["picture"])
@@ -69,6 +75,12 @@ def fit_and_write(sweep_file: Path, vehicle_given: str, folder: Path, frequency_
     }
 
 
+def _check_belts(vehicle: Vehicle, sweep_file: Path) -> None:
+    """See, before anything is written, that each command takes the vehicle with this compound."""
+    for name in vehicle.tracks:
+        check_heat(replace(vehicle, source=sweep_file), name, loss_table(vehicle, name))
+
+
 def _quantity(found: Value, unit: str) -> dict[str, Any]:
     return {"value": float(found.value), "range": [float(found.low), float(found.high)], "unit": unit}
 
@@ -89,8 +101,8 @@ def _remarks(fit: CompoundFit) -> list[str]:
         rms = " and ".join(f"{decimals(100.0 * x, 2)} %" for x in fit.with_power)
         remarks.append(
             f"beside the shift moduli go with absolute temperature to the power {power[0]} ({power[1]} to {power[2]}; rubber "
-            f"elasticity alone: 1), of which the model has nothing: with it rms would be {rms}; the ranges hold the shift "
-            "with it and without"
+            f"elasticity alone: 1), of which the model has nothing: with it rms would be {rms}; the shift is that beside it, its "
+            "ranges hold the shift without it too"
         )
     if fit.law == ARRHENIUS:
         remarks.append("Arrhenius' law is written as WLF with C2 = Tg + 50 K in kelvin, which is the same above Tg")
