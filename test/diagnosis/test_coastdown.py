@@ -186,6 +186,23 @@ def test_what_is_driven_or_braked_is_not_taken(tmp_path, reference_vehicle, roll
         tr.coastdown(written(tmp_path / "braked.csv", braked, "time_s,speed_mps"), "xgd24d")
 
 
+@pytest.mark.parametrize("every", [4, 20, 40])
+def test_a_speed_that_comes_slowly_will_do(tmp_path, reference_vehicle, rolled, every):
+    found = tr.coastdown(written(tmp_path / "slow.csv", rolled[::every], "time_s,speed_mps"), "xgd24d")
+    expected = tr.explain(heavier_bearings(reference_vehicle), speed_kmh=25, belt_degc=20)["torque_nm"]["resistance"]
+    assert resistance(reference_vehicle, found, 25) == pytest.approx(expected, rel=0.01)
+    assert found.coastdown.better
+
+
+def test_too_little_of_it_is_refused_with_what_there_is(tmp_path, rolled):
+    with pytest.raises(tr.InputError, match=r"s of .*: ") as error:
+        tr.coastdown(written(tmp_path / "slow.csv", rolled[::100], "time_s,speed_mps"), "xgd24d")
+    assert "no piece in which it rolls out" in str(error.value)
+    begin = int(np.argmax(rolled[:, 1])) - 200
+    with pytest.raises(tr.InputError, match=r"1 rollings out, .* s in all, in steps of 1 s"):
+        tr.coastdown(written(tmp_path / "short.csv", rolled[begin : begin + 600], "time_s,speed_mps"), "xgd24d")
+
+
 def test_the_command_writes_what_is_better_and_says_what_is_not(tmp_path, rolled, good, monkeypatch):
     pytest.importorskip("matplotlib")
     monkeypatch.chdir(tmp_path)

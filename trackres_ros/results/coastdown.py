@@ -44,12 +44,12 @@ class CoastdownResult:
         improvement = self.coastdown.improvement
         if self.better:
             return ""
-        if not any(p.told for p in self.coastdown.parameters):
-            return "nothing was told that the vehicle file does not say as well"
-        if improvement is None:
-            return "it rolls out too seldom to hold a part out: roll out twice or more, without a known slope in both directions"
         hidden = not all("grade" in session.given for session in self.coastdown.rolled.sessions)
         remedy = "; a slope that was not recorded may hide it: record it, or an altitude" if hidden else ""
+        if not any(p.told for p in self.coastdown.parameters):
+            return f"nothing was told that the vehicle file does not say as well{remedy}"
+        if improvement is None:
+            return "it rolls out too seldom to hold a part out: roll out twice or more, without a known slope in both directions"
         return (
             f"on rollings out that were not fitted the mean error is {figures(improvement.after, 3)} Nm with them and "
             f"{figures(improvement.before, 3)} Nm with the vehicle file as it is"
@@ -60,7 +60,7 @@ class CoastdownResult:
         rolled, found = self.coastdown.rolled, self.coastdown
         seconds = sum((s.end - s.begin) * rolled.sessions[s.session].step for s in rolled.stretches)
         lines = [f"It rolls out {len(rolled.stretches)} times, {seconds:.0f} s in all"]
-        rows = [("parameter", "file", "+-", "found", "low", "high", "unit", "")]
+        rows = [("parameter", "file", "+-", "found" if self.better else "not confirmed", "low", "high", "unit", "")]
         for p in found.parameters:
             at = alike([p.before, p.value, p.interval.low, p.interval.high], p.interval.high - p.interval.low)
             std = "" if math.isinf(p.before_std) else figures(2.0 * p.before_std, 2)

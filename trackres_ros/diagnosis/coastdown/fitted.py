@@ -11,11 +11,12 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import t as student
 
 from trackres_ros.diagnosis.base.base import Base
 from trackres_ros.diagnosis.base.instrument import instrument
@@ -25,14 +26,16 @@ from trackres_ros.diagnosis.base.track import TrackBase
 from trackres_ros.diagnosis.coastdown.stretches import Rollouts, rollouts
 from trackres_ros.diagnosis.inference.fitting import Fit, Problem, fit
 from trackres_ros.diagnosis.inference.levels import LARGEST_ROOT
+from trackres_ros.diagnosis.inference.noise import MOST_LAGS, whole_past
 from trackres_ros.diagnosis.prepare.refuse import check_speed
 from trackres_ros.diagnosis.prepare.resample import step_for
 from trackres_ros.diagnosis.selection.held_out import HeldOutLaps, Improvement
-from trackres_ros.diagnosis.selection.intervals import NORMAL_95, Interval, intervals
+from trackres_ros.diagnosis.selection.intervals import NORMAL_95, Interval, intervals, lap_std
 from trackres_ros.diagnosis.writing.kept import Kept
 from trackres_ros.errors import InputError
 from trackres_ros.progress import counted
 from trackres_ros.recording.recording import Recording
+from trackres_ros.text.numbers import figures
 
 Array = NDArray[np.float64]
 
@@ -40,6 +43,9 @@ SCALES = ("mass", "rotating_mass_factor", "torque_scale", "efficiency", "torque_
 """Of these, and of a torque sensor, a rolling out tells nothing."""
 FORCES = ("loss_modulus_scale", "bearing_friction", "drag_coefficient", "rolling_coefficient", "rolling_rise", "drag_area")
 """Parameters in proportion to which a force grows, so that they scale with the mass."""
+SAMPLES_A_STEP = 1  # what slows it down hardly changes within a step, so that nothing hides between samples
+FEWEST_GROUPS = 3  # of rollings out, from which a scatter is told
+FEWEST_ROWS = 20  # with what came before them, from which noise and values can be told
 MOST_FOLDS = 6
 UNTOLD = 0.7  # of the standard deviation beforehand: what is left so wide was not found
 TOGETHER = 0.9  # correlation of two errors from which only both together are told
@@ -133,29 +139,46 @@ def coastdown(recordings: Sequence[Recording], loaded: LoadedBase, seed: int = 1
     if not base.parameters:
         given = "a vehicle file in which everything that rolling out could tell has a range without a width"
         raise InputError("vehicle", given, "ranges in which its values may lie", "widen the ranges of what is not known well")
-    rolled = rollouts(list(recordings), loaded.known, base.facts.radius, step_for(recordings))
+    step = step_for(recordings, SAMPLES_A_STEP)
+    rolled = rollouts(list(recordings), loaded.known, base.facts.radius, step)
     for session in rolled.sessions:
         check_speed(session, loaded.known.max_speed)
     if not rolled.stretches:
-        why = "; ".join(f"{count} {reason}" for reason, count in rolled.left_out.items()) or "it slows down nowhere"
+        counts = "; ".join(f"{count} {reason}" for reason, count in rolled.left_out.items())
+        why = counts or "nowhere does it slow down for some seconds with neither"
         raise InputError(
             ", ".join(r.name for r in recordings),
             f"no piece in which it rolls out ({why})",
             "at least one of 10 s or more, with no torque and no brake",
             "let it roll out from its greatest speed, in both directions",
         )
+    rows = sum(int(whole_past(s.used, MOST_LAGS).sum()) for s in rolled.sessions)
+    if rows < FEWEST_ROWS:
+        seconds = sum(float(s.used.sum()) * s.step for s in rolled.sessions)
+        raise InputError(
+            ", ".join(r.name for r in recordings),
+            f"{len(rolled.stretches)} rollings out, {figures(seconds, 3)} s in all, in steps of {figures(step, 3)} s",
+            f"{FEWEST_ROWS} steps or more, without the first {MOST_LAGS} of each",
+            "record more of them, from a greater speed, or the speed more often",
+        )
     problem = Problem(base, rolled.sessions, tuple(s.used for s in rolled.sessions))
     all_free = fit(problem, largest_root=LARGEST_ROOT)
-    told = [f.key[1] for f in all_free.free if all_free.std_of(*f.key) < UNTOLD * f.std]
+    scatter = _scatter(all_free, rolled)
+    told = [f.key[1] for f in all_free.free if max(all_free.std_of(*f.key), scatter.get(f.key, 0.0)) < UNTOLD * f.std]
     problem = replace(problem, base=_with_free(base, told))
     found = fit(problem, start=all_free.at, largest_root=LARGEST_ROOT) if told else None
     nominal = tuple(p.torque for p in problem.predict({q.name: q.nominal for q in base.parameters}, ()))
     mass_std = _mass_std(loaded.base, rolled)
     rng = np.random.default_rng(seed)
     return Coastdown(
-        loaded, rolled, nominal, nominal if found is None else tuple(p.torque for p in found.predicted),
-        _parameters(base, all_free, found, mass_std), mass_std, _improvement(problem, rolled, nominal, rng) if told else None,
-    )  # fmt: skip
+        loaded,
+        rolled,
+        nominal,
+        nominal if found is None else tuple(p.torque for p in found.predicted),
+        _parameters(base, all_free, found, scatter, mass_std),
+        mass_std,
+        _improvement(problem, rolled, nominal, rng) if told else None,
+    )
 
 
 def _told_by_rolling(base: Base) -> Base:
@@ -183,7 +206,27 @@ def _mass_std(base: Base, rolled: Rollouts) -> float:
     return float(np.sqrt(sum((known[n].standard_deviation / float(np.mean(known[n].value))) ** 2 for n in names)))
 
 
-def _parameters(base: Base, all_free: Fit, found: Fit | None, mass_std: float) -> tuple[Found, ...]:
+def _scatter(all_free: Fit, rolled: Rollouts) -> dict[tuple[str, str], float]:
+    """Standard deviations by leaving out rollings out, as much wider as Student's law is of so few: slopes and winds that nobody
+    measured are in it.
+    """
+    together = _together(rolled, FEWEST_GROUPS)
+    groups = math.ceil(len(rolled.stretches) / together)
+    wider = float(student.ppf(0.975, groups - 1)) / NORMAL_95 if groups > 1 else 1.0
+    return {key: wider * std for key, std in lap_std(all_free, together).items()}
+
+
+def _together(rolled: Rollouts, fewest: int) -> int:
+    """How many rollings out that follow one another are left out at once: without a known slope one there and one back, if there
+    are enough of such pairs.
+    """
+    known = all("grade" in s.given for s in rolled.sessions)
+    return 1 if known or len(rolled.stretches) < 2 * fewest else 2
+
+
+def _parameters(
+    base: Base, all_free: Fit, found: Fit | None, scatter: Mapping[tuple[str, str], float], mass_std: float
+) -> tuple[Found, ...]:
     spans = intervals(all_free)
     std = np.sqrt(np.diag(all_free.covariance))
     correlation = all_free.covariance / np.outer(std, std)
@@ -193,7 +236,8 @@ def _parameters(base: Base, all_free: Fit, found: Fit | None, mass_std: float) -
         told, at, span = f.key in values, all_free.at[f.key], spans[f.key]
         value = values.get(f.key, q.nominal)
         of_mass = NORMAL_95 * mass_std * abs(value) if q.name in FORCES else 0.0
-        below, above = np.hypot(at - span.low, of_mass), np.hypot(span.high - at, of_mass)
+        by_rollings = NORMAL_95 * scatter.get(f.key, 0.0)
+        below, above = (np.hypot(max(reach, by_rollings), of_mass) for reach in (at - span.low, span.high - at))
         span = Interval(max(f.low, value - float(below)), min(f.high, value + float(above)), span.bound_only)
         others = [g.key[1] for j, g in enumerate(all_free.free) if j != i and abs(correlation[i, j]) > TOGETHER]
         listed.append(Found(q.name, q.unit, q.nominal, q.std, value, span, told, tuple(others)))
@@ -201,11 +245,8 @@ def _parameters(base: Base, all_free: Fit, found: Fit | None, mass_std: float) -
 
 
 def _improvement(problem: Problem, rolled: Rollouts, nominal: Sequence[Array], rng: np.random.Generator) -> Improvement | None:
-    """Of the error where it was not fitted: each part of the rollings out by a fit to the others. Without a known slope two that
-    follow one another stay together: one there and one back.
-    """
-    known = all("grade" in s.given for s in rolled.sessions)
-    together = 1 if known or len(rolled.stretches) < 4 else 2
+    """Of the error where it was not fitted: each part of the rollings out by a fit to the others."""
+    together = _together(rolled, 2)
     parts = math.ceil(len(rolled.stretches) / together)
     if parts < 2:
         return None

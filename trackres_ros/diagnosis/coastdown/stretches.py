@@ -16,7 +16,6 @@ from trackres_ros.diagnosis.prepare.altitude import with_slope
 from trackres_ros.diagnosis.prepare.resample import resample
 from trackres_ros.diagnosis.prepare.session import Array, Mask, Session
 from trackres_ros.diagnosis.prepare.settings import GateSettings
-from trackres_ros.diagnosis.prepare.usable import BRAKES_ON
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.samples import Series
 
@@ -115,6 +114,10 @@ def _falls(
     """Pieces in which it slows down by itself: first sample, and the one after the last."""
     slows = np.sign(session.speed) * _smooth(session.accel, session.step)
     falls = (slows < 0.0) & (np.abs(session.speed) >= max(settings.slowest, LEAST_FALL_MPS))
+    for reason, bad in unknown.items():
+        lost = float((falls & bad).sum()) * session.step
+        if lost >= SHORTEST_S:
+            left_out[f"s of {session.name}: {reason}"] += round(lost)
     for bad in unknown.values():
         falls &= ~bad
     if measured:
@@ -134,8 +137,6 @@ def _falls(
             left_out[f"harder than {HARDEST_MPS2:g} m/s^2: brakes"] += 1
         else:
             found.append((begin, end))
-    if BRAKES_ON in unknown and unknown[BRAKES_ON].any():
-        left_out[f"{session.name}: brakes on, seconds"] += round(float(unknown[BRAKES_ON].sum()) * session.step)
     return found
 
 

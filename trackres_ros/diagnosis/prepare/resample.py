@@ -31,8 +31,9 @@ MOST_UNKNOWN = 0.5  # of a recording
 CHANNELS = ("ambient", "grade", "yaw_rate", "heading", "accel")
 
 
-def step_for(recordings: Sequence[Recording]) -> float:
-    """Step in which recordings are compared [s]: the usual one, or longer where speed or torque come slowly.
+def step_for(recordings: Sequence[Recording], samples: int = LEAST_SAMPLES) -> float:
+    """Step in which recordings are compared [s]: the usual one, or longer where speed or torque come slowly, so that some samples
+    are in each.
 
     Of a bus that recorded once in a second, steps of 1 s made a mass of 12.5 t of one of 19 t, and steps from 3 to 8 s one of
     18.1 to 18.9 t: what happens between two samples hides a part of the inertia.
@@ -43,7 +44,7 @@ def step_for(recordings: Sequence[Recording]) -> float:
             at = series.stamp_ns[np.isfinite(series.value)]
             if role.partition("/")[0] in ("speed", "torque") and len(at) > LEAST_SAMPLES:
                 slowest = max(slowest, float(np.median(np.diff(np.sort(at)))) * 1e-9)
-    return STEP_S * max(1, math.ceil(LEAST_SAMPLES * round(slowest, 2) / STEP_S))
+    return STEP_S * max(1, math.ceil(samples * round(slowest, 2) / STEP_S))
 
 
 def is_hidden(role: str, hide: Collection[str]) -> bool:

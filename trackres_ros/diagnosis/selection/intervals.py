@@ -63,12 +63,12 @@ def intervals(found: Fit) -> dict[tuple[str, str], Interval]:
     return {f.key: one for f, one in zip(of, side_by_side(interval, of, "intervals"), strict=True)}
 
 
-def lap_std(found: Fit) -> dict[tuple[str, str], float]:
-    """Standard deviations by leaving out one lap at a time, to first order."""
+def lap_std(found: Fit, together: int = 1) -> dict[tuple[str, str], float]:
+    """Standard deviations by leaving out one lap at a time, or so many that follow one another, to first order."""
     scale = np.array([f.scale for f in found.free])
     prior = np.array([f.scale / f.std for f in found.free])
     columns = found.problem.white(found.problem.split(base_columns(found) * scale), found.noises)
-    blocks = np.concatenate([g.block for g in found.problem.segments])
+    blocks = np.concatenate([g.block for g in found.problem.segments]) // together
     x, e = np.concatenate(columns), np.concatenate(found.white)
     weight = np.concatenate([found.noises[g.kind].weights(w) for w, g in zip(found.white, found.problem.segments, strict=True)])
     valid = np.isfinite(e) & np.isfinite(x).all(axis=1)
