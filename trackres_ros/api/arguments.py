@@ -31,7 +31,9 @@ def as_vehicle(vehicle: VehicleGiven) -> Vehicle:
         return load(vehicle)
 
     if not isinstance(vehicle, Vehicle):
-        raise InputError("vehicle", vehicle, "a track vehicle, its file, or its name", "road_load serves diagnose and coastdown alone")
+        raise InputError(
+            "vehicle", vehicle, "a track vehicle, its file, or its name", "road_load serves diagnose and coastdown alone"
+        )
     return vehicle
 
 

@@ -79,6 +79,7 @@ def simulate(
     from trackres_ros.estimator.estimator import Estimator
     from trackres_ros.estimator.warm_up import SERIES, first_run
     from trackres_ros.files.output_files import output_file
+    from trackres_ros.model.coverage import check_speed
     from trackres_ros.offline.profile import conditions, read_profile
     from trackres_ros.offline.simulate import ramp_and_hold, run_drive, through_points
     from trackres_ros.recording.roles import POSITION
@@ -94,14 +95,14 @@ def simulate(
     given: dict[str, Any] = {role: value for role, value in known if value is not None}
     notes: tuple[str, ...] = ()
     if speed_kmh is not None:
-        _check_speed(speed_kmh / KMH_PER_MPS, described.chassis.max_speed)
+        check_speed(described, speed_kmh / KMH_PER_MPS)
         drive = ramp_and_hold(speed_kmh / KMH_PER_MPS, ramp_s, 2500.0 if duration_s is None else duration_s, dt)
     else:
         assert profile is not None
         recording = read_profile(profile, bool(described.route))
         notes = tuple(f"{recording.name}: {note}" for note in recording.notes if note.startswith("ignored"))
         drive = through_points(recording.time_s("speed"), recording.series["speed"].value, dt)
-        _check_speed(float(np.abs(drive.speed).max()), described.chassis.max_speed)
+        check_speed(described, float(np.abs(drive.speed).max()))
         given |= conditions(recording, drive.time_s, given, described.weight)
     position = [given[role] for role in POSITION if role in given]
     grade = given.get("grade", np.nan)
@@ -113,13 +114,6 @@ def simulate(
     if file is not None:
         result.save(file)
     return result
-
-
-def _check_speed(speed: float, most: float) -> None:
-    if not abs(speed) <= 1.2 * most:
-        raise InputError(
-            "speed", f"{abs(speed) * 3.6:g} km/h", f"up to 1.2 times the vehicle file's max_speed, {1.2 * most * 3.6:.0f} km/h"
-        )
 
 
 def explain(
@@ -151,7 +145,7 @@ def explain(
     Raises
     ------
     InputError
-        For a weight that the vehicle cannot have.
+        For a weight or a speed that the vehicle cannot have.
 
     Examples
     --------

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -16,11 +17,18 @@ from trackres_ros.cli.written import watch
 from trackres_ros.files.output_files import output_file
 from trackres_ros.units import KMH_PER_MPS
 
+if TYPE_CHECKING:
+    from trackres_ros.vehicle import Vehicle
+
 TABLES = (".csv", ".csv.gz", ".parquet")
 OUTCOMES = ("warm_nm", "cold_nm", "belt_degc", "kwh_per_km")
 
+USUAL_KMH = 30.0
+
 speed_option = click.option(
-    "--speed-kmh", type=click.FloatRange(0.1, 150.0), default=30.0, show_default=True, help="Speed that is held [km/h]."
+    "--speed-kmh",
+    type=click.FloatRange(0.1, 150.0),
+    help=f"Speed that is held [km/h]; {USUAL_KMH:g} without, or the vehicle's greatest if that is less.",
 )
 ambient_option = click.option("--ambient-degc", type=click.FloatRange(-60.0, 60.0), help="Air [degC]; else the vehicle file's.")
 
@@ -47,7 +55,7 @@ ambient_option = click.option("--ambient-degc", type=click.FloatRange(-60.0, 60.
 def sweep_command(
     vehicle: str,
     vary: tuple[str, ...],
-    speed_kmh: float,
+    speed_kmh: float | None,
     ambient_degc: float | None,
     cycle: Path | None,
     engine: str,
@@ -74,7 +82,7 @@ def sweep_command(
     watch(*(path for path in (file, picture) if path))
     described = load(find_vehicle(vehicle))
     air = described.chassis.ambient if ambient_degc is None else ambient_degc
-    asked = Asked(vehicle, tuple(varied(described, one) for one in vary), speed_kmh / KMH_PER_MPS, air, cycle)
+    asked = Asked(vehicle, tuple(varied(described, one) for one in vary), _held(described, speed_kmh), air, cycle)
     with progress("points", len(asked.points)) as advance:
         found = sweep(asked, engine, workers, advance)
     written = []
@@ -101,7 +109,7 @@ def sweep_command(
 @json_option
 def sensitivity_command(
     vehicle: str,
-    speed_kmh: float,
+    speed_kmh: float | None,
     ambient_degc: float | None,
     outcome: str,
     samples: int,
@@ -119,22 +127,30 @@ def sensitivity_command(
     trackres sensitivity my.yaml --of belt_degc --samples 128
     """
     from trackres_ros.design.sensitivity import draw_tornado, sensitivity
+    from trackres_ros.files.resources import find_vehicle
+    from trackres_ros.vehicle import load
 
     needs("trackres sensitivity", "design", "SALib")
     picture = None if output is None else output_file(output, (".png", ".svg"))
     if picture is not None:
         needs("a picture", "plots", "matplotlib")
         watch(picture)
+    speed = _held(load(find_vehicle(vehicle)), speed_kmh)
     with ExitStack() as bars:
 
         def shown(what: str, total: int) -> Callable[[float], None]:
             bars.close()
             return bars.enter_context(progress(what, total))
 
-        found = sensitivity(vehicle, speed_kmh / KMH_PER_MPS, ambient_degc, samples, seed, shown)
+        found = sensitivity(vehicle, speed, ambient_degc, samples, seed, shown)
     written = [] if picture is None else [str(draw_tornado(found, outcome, picture))]
     emit(
         {**found.as_dict(), "written": written},
         as_json,
         lambda: "\n".join([found.text(outcome), *([f"Written: {', '.join(written)}"] if written else [])]),
     )
+
+
+def _held(vehicle: Vehicle, speed_kmh: float | None) -> float:
+    """The speed that is asked for, or the usual one [m/s]."""
+    return min(USUAL_KMH / KMH_PER_MPS, vehicle.chassis.max_speed) if speed_kmh is None else speed_kmh / KMH_PER_MPS

@@ -13,6 +13,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.optimize import brentq
 
 from trackres_ros.model import resistance
+from trackres_ros.model.coverage import check_speed
 from trackres_ros.model.operating_point import DRIVE_PASSES, explain
 from trackres_ros.model.thermal import film_coefficient
 from trackres_ros.model.track import track_model
@@ -61,7 +62,13 @@ def steady(vehicle: Vehicle, speed: float, ambient: float) -> Steady:
     -------
     Steady
         See there.
+
+    Raises
+    ------
+    InputError
+        Beyond the speeds of the vehicle.
     """
+    check_speed(vehicle, speed)
     return _with_effects(vehicle, speed, ambient) if vehicle.active else _plain(vehicle, speed, ambient)
 
 

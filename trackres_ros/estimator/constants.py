@@ -21,7 +21,7 @@ from trackres_ros.effects.stepping import LIMITS, effect_table, new_work
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.settings import PARTS, Settings
 from trackres_ros.estimator.uncertainty import spread
-from trackres_ros.model.coverage import check_heat, coverage
+from trackres_ros.model.coverage import OVERSPEED, check_heat, coverage
 from trackres_ros.model.loss_table import loss_table
 from trackres_ros.model.thermal import ThermalNetwork, thermal_network
 from trackres_ros.model.vehicle_constants import vehicle_constants
@@ -50,7 +50,6 @@ PLAUSIBLE = {
 LEAST_LOAD_SHARE = 0.1  # of nominal weight: less is not a driving vehicle
 LARGEST_LOAD_SHARE = 2.5
 LEAST_RESISTANCE = 1e-6  # K/W: below it mean and surface of a belt are one
-OVERSPEED = 1.2  # of the vehicle file's greatest speed
 
 
 class Numbers(NamedTuple):

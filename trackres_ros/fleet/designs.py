@@ -16,6 +16,7 @@ from trackres_ros.errors import InputError, one_line
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.files.yamls import read_yaml
+from trackres_ros.model.coverage import OVERSPEED
 from trackres_ros.model.operating_point import explain
 from trackres_ros.model.vehicle_constants import vehicle_constants
 from trackres_ros.offline.energy import energy_j, steps_of
@@ -68,7 +69,7 @@ def asked_of(given: Sequence[str], speed_kmh: str | None, belt_degc: str | None,
         return None
     vehicles = tuple(load(file) for file in files)
     fastest = KMH_PER_MPS * min(v.chassis.max_speed for v in vehicles)
-    speeds = _span("--speed-kmh", speed_kmh, (0.1, 1.2 * fastest), (SLOWEST_KMH, fastest))
+    speeds = _span("--speed-kmh", speed_kmh, (0.1, OVERSPEED * fastest), (SLOWEST_KMH, fastest))
     return Grid(vehicles, speeds, _span("--belt-degc", belt_degc, BELTS_DEGC, (COLDEST_DEGC, WARMEST_DEGC)), cycle)
 
 

@@ -22,11 +22,13 @@ from trackres_ros.model.loss_table import LOG_SPEED, LossTable
 from trackres_ros.model.rubber import RubberModel
 from trackres_ros.model.thermal import film_coefficient, thermal_network
 from trackres_ros.model.track import load_range
+from trackres_ros.units import KMH_PER_MPS
 from trackres_ros.vehicle import Vehicle
 
 LIVES_DEGC = 150.0  # natural rubber and SBR revert and crack above it (Mark, Erman, Roland, 4th ed., ch. 7)
 DESTROYED_DEGC = 300.0  # and decompose by here: no vehicle has driven so
 COLDEST_DEGC, PASSES = -150.0, 60
+OVERSPEED = 1.2  # of the vehicle file's greatest speed
 
 
 @dataclass(frozen=True)
@@ -57,6 +59,20 @@ def coverage(vehicle: Vehicle, track_name: str) -> Coverage:
     half_length = half_length_for_force(loads.mean(), modulus, wheels.radius, wheels.contact_length, track.belt.thickness)
     reach = float(rubber.log_shift(sweep[0]) + np.log10(2.0 * half_length * vehicle.rubber.sweep_frequency))
     return Coverage(min(float(sweep[-1]), LIVES_DEGC), min(reach, LOG_SPEED[1]))
+
+
+def check_speed(vehicle: Vehicle, speed: float) -> None:
+    """See that a vehicle may be that fast [m/s], either way.
+
+    Raises
+    ------
+    InputError
+        Beyond what a live estimate takes for a speed.
+    """
+    most = OVERSPEED * vehicle.chassis.max_speed
+    if not abs(speed) <= most:
+        allowed = f"up to {OVERSPEED:g} times the vehicle file's max_speed, {most * KMH_PER_MPS:.0f} km/h"
+        raise InputError("speed", f"{abs(speed) * KMH_PER_MPS:g} km/h", allowed)
 
 
 def balance_degc(vehicle: Vehicle, track_name: str, table: LossTable, speed: float, ambient: float) -> float:

@@ -14,6 +14,7 @@ import numpy as np
 from trackres_ros.effects.effect import SOFTENING_FROM_DEGC, Active, Conditions, Terms, conditions, together
 from trackres_ros.model import resistance
 from trackres_ros.model.belt import axial_stiffness
+from trackres_ros.model.coverage import check_speed
 from trackres_ros.model.hysteresis import RainflowCount
 from trackres_ros.model.loads import wheel_loads
 from trackres_ros.model.resistance import RESISTANCE_PARTS
@@ -46,7 +47,13 @@ def explain(
         Ready for JSON. Torques, heat and cooling are for the whole vehicle; contacts, tension, loss forces and the rainflow
         matrix for the first assembly, with the loss forces of the others beside it. The effects of the vehicle file are part
         of it all but for those that need more than this state (`effects_left_out`): turning, a heading, a distance.
+
+    Raises
+    ------
+    InputError
+        Beyond the speeds of the vehicle.
     """
+    check_speed(vehicle, speed)
     ambient = vehicle.chassis.ambient if ambient_degc is None else ambient_degc
     weight = vehicle.weight if weight_n is None else weight_n
     nominal = vehicle.nominal_loads()

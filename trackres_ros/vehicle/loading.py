@@ -87,7 +87,9 @@ def build(path: Path, content: Mapping[str, Any], overrides: Mapping[str, float]
     reader = Reader(path, overrides)
     if isinstance(content.get("road_load"), dict):
         given = "a vehicle of the base model road_load"
-        raise InputError(str(path), given, "a track vehicle", "road_load serves trackres diagnose, coastdown and vehicle diff alone")
+        raise InputError(
+            str(path), given, "a track vehicle", "road_load serves trackres diagnose, coastdown and vehicle diff alone"
+        )
     reader.keys(content, "", TOP_KEYS, (*EFFECT_KEYS, DISTURBANCE))
     if content["schema"] != 1:
         raise InputError(reader.where("schema"), content["schema"], "1")
