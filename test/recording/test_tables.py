@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from trackres_ros.errors import InputError, MissingExtraError
 from trackres_ros.output.table import TableWriter, write_table
 from trackres_ros.recording.bindings import Topics
+from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.table import TableSource
 
@@ -269,3 +270,10 @@ def test_parquet_needs_pyarrow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         TableSource(tmp_path / "run.parquet")
     with pytest.raises(MissingExtraError, match="pip install pyarrow"):
         TableWriter(tmp_path / "run.parquet", ["a"])
+
+
+def test_a_folder_of_tables_names_them(tmp_path: Path) -> None:
+    for number in range(5):
+        (tmp_path / f"drive_{number}.csv.gz").touch()
+    with pytest.raises(InputError, match=r"drive_0.csv.gz, drive_1.csv.gz, drive_2.csv.gz and 2 more.*name what is in it"):
+        open_source([tmp_path])

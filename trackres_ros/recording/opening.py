@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 BAG_SUFFIXES = (".mcap", ".db3", ".bag")
 TABLE_SUFFIXES = (".csv", ".csv.gz", ".parquet")
+MOST_NAMED = 3
 ALLOWED = "a rosbag2 directory, .mcap, .db3, .bag, .csv, .csv.gz or .parquet"
 
 
@@ -60,9 +61,10 @@ def _is_table(path: Path) -> bool:
     if path.is_dir():
         if (path / "metadata.yaml").is_file():
             return False
-        inside = sorted(file.name for file in path.iterdir() if file.suffix in BAG_SUFFIXES)
-        remedy = "name the file in it" if inside else "a rosbag2 directory has one; ros2 bag reindex writes it"
-        given = f"no metadata.yaml, but {', '.join(inside)}" if inside else "a directory without metadata.yaml"
+        inside = sorted(file.name for file in path.iterdir() if file.name.lower().endswith((*BAG_SUFFIXES, *TABLE_SUFFIXES)))
+        remedy = "name what is in it" if inside else "a rosbag2 directory has one; ros2 bag reindex writes it"
+        more = f" and {len(inside) - MOST_NAMED} more" if len(inside) > MOST_NAMED else ""
+        given = f"no metadata.yaml, but {', '.join(inside[:MOST_NAMED])}{more}" if inside else "a directory without metadata.yaml"
         raise InputError(str(path), given, ALLOWED, remedy)
     name = path.name.lower()
     if name.endswith(BAG_SUFFIXES):
