@@ -178,7 +178,7 @@ def test_a_tilted_plane_takes_more_one_way_and_less_the_other(diagnoses, loaded)
     assert 0.5 * most < effect.acts.largest < 1.5 * most
     assert 0.5 * most < -effect.acts.smallest < 1.5 * most
     assert "less to" in found.verdict.sentence
-    assert "by the heading" in found.verdict.sentence
+    assert "depending on the heading" in found.verdict.sentence
 
 
 @pytest.mark.long

@@ -3,6 +3,7 @@
 
 """A torque that the catalogue does not know, added to simulated recordings: described, and written where it is known ahead."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -111,9 +112,12 @@ def runs(changes, times):
 
 @pytest.mark.long
 def test_spells_are_described_and_written_to_be_watched_for_alone(pumped, tmp_path):
-    _, found, _ = pumped
+    _, found, changes = pumped
     (told,) = [t for t in found.described if t.described.form == "spells"]
     assert not told.described.predictable
+    runs_of = [np.sum(of[::2][:100] < s.time[s.used][-1]) for of, s in zip(changes, found.sessions, strict=False)]
+    counted = int(re.search(r"(\d+) times in these recordings", told.described.sentence)[1])
+    assert abs(counted - sum(runs_of)) <= 2  # on all laps, over stops
     assert told.described.size_nm == pytest.approx(PUMP_NM, rel=0.2)
     assert 0.5 * ON_S < told.described.memory < 2.0 * ON_S
     assert told.described.name not in {a.effect.name for a in found.kept.effects}

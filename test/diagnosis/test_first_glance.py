@@ -32,6 +32,7 @@ from trackres_ros.diagnosis.report.tiles import MOST_WORDS, by_file, headline, l
 
 ON_PAPER = pytest.mark.skipif(BROWSER is None or not shutil.which("pdftoppm"), reason="no chromium or pdftoppm on this machine")
 HALF = 0.5
+SEEN = "the vehicle needs about 133 Nm more than the re-fitted model"
 
 
 def report_of(status, grade, names=(), **more):
@@ -39,7 +40,7 @@ def report_of(status, grade, names=(), **more):
     effects = [
         {
             "name": n[0], "class": list(n), "weights": dict.fromkeys(n, 1.0 / len(n)), "where": {"time": [], "regime": []},
-            "acts": {"text": "above 0.01 1/m of curvature", "size": "it takes about 133 Nm more"},
+            "acts": {"text": "above 0.01 1/m of curvature", "size": SEEN},
         }
         for n in names
     ]  # fmt: skip
@@ -79,7 +80,8 @@ def test_what_is_of_the_surroundings_is_not_said_to_be_in_the_vehicle_file():
 
 
 def test_what_has_no_name_stands_beside_the_names():
-    described = [{"form": "payload", "grade": grade} for grade in ("confirmed", "suspected")]
+    of = {"form": "payload", "variable": "mass", "gate": "", "size_nm": 50.0, "mechanisms": ["people"]}
+    described = [{**of, "grade": grade} for grade in ("confirmed", "suspected")]
     assert (
         tiles(report_of("named", "confirmed", [["grade"]], described=described[:1]))[1].answer == "grade and a payload (no name)"
     )
@@ -89,12 +91,51 @@ def test_what_has_no_name_stands_beside_the_names():
 def test_the_tiles_say_what_the_report_does():
     where, what, better, following = tiles(report_of("named", "confirmed", [["turning_scrub"]]))
     assert where.answer == "In curves tighter than 100 m"
-    assert (what.answer, what.detail) == ("turning scrub", "confirmed on laps not seen")
+    assert (what.answer, what.detail) == ("turning scrub", "the hold-out laps confirm it")
     assert better.answer == "66 % less error"
     assert "67.1 → 62.6 re-fitted → 22.6 with it" in better.detail  # what the re-fit did is not the effect's
     assert following.answer == "Use vehicle.yaml"
     tied = tiles(report_of("one_of", "suspected", [["rain", "convection"]]))[1]
     assert "rain (50 %) or convection (50 %)" in tied.answer
+
+
+def graded(term, grade, before, after):
+    return {**term, "grade": grade, "heldout": {"mae": [before, after], "ci95": [0.0, 1.0], "grade": grade}}
+
+
+def test_the_headline_and_next_follow_the_confirmed_term_that_removes_most():
+    r = report_of("named", "confirmed", [["viscous_bearing"], ["grade"]])
+    small, large = r["effects"]
+    large["acts"] = {"text": "", "size": "the vehicle needs at times more and at times less than the re-fitted model"}
+    r["effects"] = [graded(small, "confirmed", 216.0, 214.0), graded(large, "confirmed", 1311.0, 214.0)]
+    r["written"]["effects"] = ["grade"]
+    r["advice"] = [{"separates": ["viscous_bearing", "stribeck"], "manoeuvre": "coast down", "minutes": 5.0}]
+    assert headline(r).startswith("Everywhere the vehicle needs at times more and at times less")
+    assert tiles(r)[-1].answer.startswith("Use")
+    r["effects"] = [graded(small, "confirmed", 216.0, 210.0), graded(large, "suspected", 1311.0, 214.0)]
+    assert tiles(r)[-1].answer == "Drive once more"
+    assert tiles(r)[0].answer == "In curves tighter than 100 m"
+
+
+def test_what_is_only_suspected_asks_for_more_laps():
+    curve = {
+        "form": "curve",
+        "name": "c",
+        "variable": "speed",
+        "gate": "",
+        "size_nm": 384.0,
+        "seen_nm": 60.0,
+        "mechanisms": ["m"],
+    }
+    r = report_of(
+        "described", "suspected", described=[graded(curve, "suspected", 149.0, 145.0)], written={"base": True, "effects": []}
+    )
+    where, _, _, following = tiles(r)
+    assert "60 Nm" in where.detail
+    assert "384" not in where.detail
+    assert following.answer == "Record more laps"
+    r["described"] = [graded(curve, "confirmed", 149.0, 45.0)]
+    assert tiles(r)[-1].answer == "Look at the vehicle"
 
 
 def test_where_nothing_is_gained_nothing_is_to_be_done():

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from trackres_ros.diagnosis.described.describe import SURE, expected_there
+from trackres_ros.diagnosis.described.describe import SURE, beginnings, expected_there
 from trackres_ros.diagnosis.described.spells import (
     Blocks,
     Chain,
@@ -131,3 +131,16 @@ def test_blocks_are_means_of_what_may_be_compared():
     assert b.first.tolist() == [True, False, False, True]
     assert b.count.tolist() == [25.0, 24.0, 25.0, 25.0]
     assert b.mean.tolist() == pytest.approx([12.0, np.nanmean(residual[50:75]), 87.0, 12.0])
+
+
+def test_a_spell_goes_on_over_a_stop_and_ends_with_its_recording():
+    rng, n = np.random.default_rng(5), 60 * COUNT
+    time = np.arange(n)
+    there = ((time > 10 * COUNT) & (time < 30 * COUNT)) | (time > 50 * COUNT)
+    residual = 3.0 * LEVEL_NM * there + rng.normal(0.0, NOISE_NM, n)
+    moves = (time < 18 * COUNT) | (time > 24 * COUNT)  # it stops within the first spell
+    b = blocks([residual, residual], [moves, moves], BLOCK_S / COUNT)
+    on, _ = there_given(b, Chain(3.0 * LEVEL_NM, 0.0, COMES, GOES, NOISE_NM))
+    begins, ends = np.flatnonzero(beginnings(b, on)), np.flatnonzero(beginnings(b, on, backwards=True))
+    assert b.session[begins].tolist() == b.session[ends].tolist() == [0, 0, 1, 1]
+    assert b.end[ends[0]] - b.begin[begins[0]] == pytest.approx(20 * COUNT, abs=COUNT)

@@ -19,9 +19,11 @@ from trackres_ros.diagnosis.findings.verdict import (
     FINE_R2,
     LEFT_SHARE,
     MOST_STRAY,
+    Changed,
     Found,
     Told,
     Verdict,
+    by_weight,
     judge,
     likelier,
 )
@@ -36,7 +38,8 @@ from trackres_ros.effects.effect import Parameter
 BETTER = Improvement(100.0, 80.0, 15.0, 25.0)
 UNSURE = Improvement(100.0, 95.0, -5.0, 15.0)
 WORSE = Improvement(100.0, 120.0, -30.0, -10.0)
-EVERYWHERE = Acts("speed", "m/s", 0.0, 10.0, 0.0, 10.0, 0.0, 100.0, 100.0, 1.0)
+EVERYWHERE = Acts("speed", "m/s", 0.0, 10.0, 0.0, 10.0, 0.0, 100.0, 1.0)
+SEEN = "the vehicle needs about 90 Nm more than the re-fitted model"
 SIZE = Parameter("size", "Nm", 0.0, 500.0, 100.0, "of it", off=0.0)
 QUIET, NOISY = SlowResidual(1.0, MOST_STRAY / 2, math.nan), SlowResidual(40.0, 0.08, 0.012)
 
@@ -53,7 +56,7 @@ def found(name="scrub", members=None, improvement=BETTER, on_bounds=(), adds=100
     graded = Graded(name, improvement, on_bounds)
     series = [np.full(100, adds)]
     return Found(
-        name, f"{name} is missing", "torque", (SIZE,), step, {"size": 120.0}, {}, series, series, (), EVERYWHERE, (), graded
+        name, f"{name} is missing", "torque", (SIZE,), step, {"size": 120.0}, {}, series, series, (), EVERYWHERE, (), SEEN, graded
     )
 
 
@@ -73,15 +76,15 @@ def refitted(*moved, std=0.1):
     return SimpleNamespace(base_values=values, problem=SimpleNamespace(base=SimpleNamespace(parameters=parameters)))
 
 
-def said(found=(), terms=(), refuted=(), base=None, at_end=None, stray=QUIET, hint="", held=None, drift=None):
-    return judge(found, terms, refuted, base or refitted(), at_end or regimes(), stray, hint, held or worth(), drift)
+def said(found=(), terms=(), refuted=(), base=None, at_end=None, stray=QUIET, hint="", held=None, drift=None, changed=()):
+    return judge(found, terms, refuted, base or refitted(), at_end or regimes(), stray, hint, held or worth(), drift, changed)
 
 
 # Nothing found
 
 
 def test_nothing_beyond_noise():
-    verdict = said()
+    verdict = said(held=worth(UNSURE))
     assert (verdict.status, verdict.grade) == ("none", CONFIRMED)
     assert "No mismatch beyond noise" in verdict.sentence
     assert "100 Nm" in verdict.sentence
@@ -98,8 +101,29 @@ def test_parameters_that_moved_are_no_physics_and_are_graded_by_the_refit(improv
     assert (verdict.status, verdict.grade) == ("none", grade)
     assert "No physics is missing" in verdict.sentence
     assert word in verdict.sentence
-    assert "q0 1 -> 1.2" in verdict.sentence
-    assert "q1" not in verdict.sentence
+    if grade != CONFIRMED:
+        assert "q0 1 -> 1.2" in verdict.sentence
+        assert "q1" not in verdict.sentence
+
+
+BEARING = Changed("bearing_friction", "1", 0.01, 0.0114, 0.0111, 0.0117, 80.0)
+OFFSET = Changed("grade", "1", 0.0, -0.002, -0.003, -0.001, 12.0)
+
+
+def test_a_refit_that_gains_names_the_changed_values():
+    verdict = said(changed=(BEARING, OFFSET))
+    assert (verdict.status, verdict.grade, verdict.changed) == ("none", CONFIRMED, (BEARING, OFFSET))
+    assert "bearing_friction is 14% higher, 0.01140 [0.01110, 0.01170] instead of 0.01000" in verdict.sentence
+    assert "grade is 0.002 lower" in verdict.sentence
+    assert "falls from 100 to 80 Nm" in verdict.sentence
+    assert "several values of the vehicle file were off together" in said().sentence
+
+
+@pytest.mark.parametrize("gain", [0.0, 0.5])
+def test_a_refit_that_hardly_gains_changes_no_verdict(gain):
+    verdict = said(held=worth(Improvement(100.0, 100.0 - gain, 0.0, 1.0, likelier=5.0)), changed=(BEARING,))
+    assert verdict.changed == ()
+    assert "No mismatch beyond noise" in verdict.sentence
 
 
 def test_a_parameter_has_moved_if_it_left_its_range_furthest_first():
@@ -162,10 +186,30 @@ def test_what_takes_the_place_of_what_the_vehicle_has_is_told_with_what_it_takes
 def test_a_name_that_laps_confirm_is_named():
     verdict = said([found()])
     assert (verdict.status, verdict.grade, verdict.names) == ("named", CONFIRMED, True)
-    where = "Everywhere it takes about 100 Nm more than the model has"
-    assert verdict.sentence.startswith(f"{where}: scrub is missing (scrub: size 120 Nm")
+    assert verdict.sentence.startswith(f"Everywhere {SEEN}: scrub is missing (scrub: size 120 Nm")
     assert "falls from 80 to 60 Nm, R2 from 0.910 to 0.920" in verdict.sentence
     assert "R2" not in said([found()], held=worth(r2=FINE_R2)).sentence
+
+
+def test_the_term_that_removes_most_error_comes_first():
+    much = Improvement(400.0, 60.0, 300.0, 380.0)
+    sentence = said([found("scrub"), found("grade", improvement=much)]).sentence
+    assert sentence.index("grade is missing") < sentence.index("scrub is missing")
+    assert [f.name for f in by_weight([found("a", improvement=UNSURE), found("b", improvement=BETTER)])] == ["b", "a"]
+
+
+def test_the_size_in_the_sentence_is_the_residual_of_the_pictures():
+    here, bins = Bin("speed", 4.0, 10.0, 63.0, "m/s", 50, 0.001), regimes(-40.0, 5.0, 63.0)
+    one_way = Acts("speed", "m/s", 4.0, 10.0, 0.0, 10.0, 0.0, 384.0, 1.0)
+    assert "about 63 Nm more" in one_way.residual(here, bins, 20.0)
+    both = replace(one_way, smallest=-384.0)
+    assert "from 40 Nm less to 63 Nm more" in both.residual(here, bins, 20.0)
+    assert "20 Nm root mean square" in replace(one_way, follows=0.0).residual(here, bins, 20.0)
+    assert "about 63 Nm more" in both.residual(here, regimes(), 20.0)
+
+
+def test_an_edge_that_is_nothing_on_its_scale_is_zero():
+    assert Acts("acceleration", "m/s^2", 1.91e-7, 1.2, -1.1, 1.2, 0.0, 1.0, 1.0).text == "above 0 m/s^2 of acceleration"
 
 
 def test_names_that_cannot_be_told_apart_are_one_of_a_class():
@@ -214,7 +258,7 @@ def test_what_strays_and_can_be_followed_is_described_as_a_drift():
     of = Described("drift", "", "", "", None, 300.0, "It wanders by 40 Nm", ("a zero that drifts",), 40.0, False)
 
     def drift(improvement):
-        return Told(of, [], [], {}, Graded("drift", improvement, ()))
+        return Told(of, [], [], {}, 0.0, Graded("drift", improvement, ()))
 
     verdict = said(stray=NOISY, drift=drift(BETTER))
     assert (verdict.status, verdict.grade) == ("described", CONFIRMED)
@@ -469,7 +513,7 @@ def test_errors_are_counted_by_stage_and_by_lap():
 
 def term(name="curve_of_speed", improvement=BETTER, adds=100.0, predictable=True):
     described = Described("curve", name, "speed", "", None, None, f"{name} it takes", ("a fan",), abs(adds), predictable)
-    return Told(described, [np.full(100, adds)], [], {}, Graded(name, improvement, ()))
+    return Told(described, [np.full(100, adds)], [], {}, adds, Graded(name, improvement, ()))
 
 
 def test_what_has_no_name_is_described_with_what_to_look_for():

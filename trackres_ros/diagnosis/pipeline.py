@@ -27,13 +27,16 @@ from trackres_ros.diagnosis.findings.locate import (
     acts,
     against_travel,
     regime_of,
+    seen_where_it_acts,
     slow_residual,
+    smoothed,
     spans,
+    swings_of,
     thermal_check,
 )
 from trackres_ros.diagnosis.findings.next_drives import Advice, advise
 from trackres_ros.diagnosis.findings.residual_bins import RegimeMap, cumulative_periodogram, regime_map
-from trackres_ros.diagnosis.findings.verdict import MOST_STRAY, Found, Told, Verdict, judge
+from trackres_ros.diagnosis.findings.verdict import MOST_STRAY, Found, Told, Verdict, by_weight, changed_values, judge
 from trackres_ros.diagnosis.inference.fitting import Fit, Problem, fit
 from trackres_ros.diagnosis.inference.levels import for_tests, with_levels
 from trackres_ros.diagnosis.inference.noise import Noise
@@ -246,6 +249,8 @@ def diagnose(
     on_stage("how sure: intervals")
     bounds = intervals(final)
     by_name = {s.chosen.name: s for s in steps if s.chosen}
+    of_base = [s.torque - p.torque for s, p in zip(gated.sessions, refitted.predicted, strict=True)]
+    swings = swings_of([smoothed(s, r) for s, r in zip(gated.sessions, of_base, strict=True)])[1]
     found = []
     for active in final.effects:
         if active.effect.name in description.terms:
@@ -255,6 +260,7 @@ def diagnose(
         where = acts(final, resists)
         if isinstance(active.effect, ByPlace):
             where = replace(where, low=where.least, high=where.most)  # by the place, and by nothing that is looked over
+        regime = regime_of(refitted, at_base, where)
         found.append(
             Found(
                 active.effect.name,
@@ -268,7 +274,8 @@ def diagnose(
                 resists,
                 spans(final.problem.sessions, adds),
                 where,
-                regime_of(refitted, at_base, where),
+                regime,
+                where.residual(regime[0], at_base, swings),
                 graded[active.effect.name],
             )
         )
@@ -277,13 +284,17 @@ def diagnose(
     told += [term.tied for name, term in description.terms.items() if term.tied is not None and name in final.effect_names]
     advice = [a for s in told for a in advise(s, vehicle.known.max_speed)]
     terms = [
-        _told(description.terms[name], final, bounds, graded[name]) for name in final.effect_names if name in description.terms
+        _told(description.terms[name], final, bounds, graded[name], of_base)
+        for name in final.effect_names
+        if name in description.terms
     ]
+    found, terms = [f for f in by_weight(found) if isinstance(f, Found)], [t for t in by_weight(terms) if isinstance(t, Told)]
     left_over = slow_residual(final)
     wanders = drift(final) if left_over.share > MOST_STRAY and not terms else None
     tracked = drift_on_held_out(final, laps) if wanders is not None else None
-    wandering = None if wanders is None or tracked is None else Told(wanders, [], [], {}, Graded(wanders.form, tracked, ()))
-    verdict = judge(found, terms, tuple(refuted), refitted, at_end, left_over, steps[-1].hint, worth, wandering)
+    wandering = None if wanders is None or tracked is None else Told(wanders, [], [], {}, 0.0, Graded(wanders.form, tracked, ()))
+    changed = () if final.effects else changed_values(refitted, bounds)
+    verdict = judge(found, terms, tuple(refuted), refitted, at_end, left_over, steps[-1].hint, worth, wandering, changed)
     belong_to = {name: effect.belongs_to for name, effect in effects.items()}
     believed = believed_in(found, terms, verdict, belong_to, keep_suspected)
     kept = keep(believed, final, refitted, worth, laps, bounds)
@@ -300,9 +311,11 @@ def diagnose(
     )  # fmt: skip
 
 
-def _told(term: Term, final: Fit, bounds: Mapping[tuple[str, str], Interval], graded: Graded) -> Told:
+def _told(term: Term, final: Fit, bounds: Mapping[tuple[str, str], Interval], graded: Graded, of_base: Sequence[Array]) -> Told:
     name = term.candidate.name
-    return Told(said(term, final), final.contribution(name), course(term, final), bounds_of(name, bounds), graded)
+    adds = final.contribution(name)
+    seen_nm = seen_where_it_acts(final.problem.sessions, adds, of_base)
+    return Told(said(term, final), adds, course(term, final), bounds_of(name, bounds), seen_nm, graded)
 
 
 def bounds_of(name: str, bounds: Mapping[tuple[str, str], Interval]) -> dict[str, Interval]:

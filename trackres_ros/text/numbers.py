@@ -33,6 +33,14 @@ def decimals(value: float | None, places: int = 0, signed: bool = False) -> str:
     return f"{0.0:.{places}f}" if float(text) == 0.0 else text
 
 
+def on_scale(value: float, span: float, count: int = 3) -> str:
+    """A number as finely as matters on a scale of a `span`: of 1.9e-7 on a scale from -1 to 1 that is ``0``."""
+    if not (math.isfinite(value) and math.isfinite(span) and span > 0.0):
+        return figures(value, count)
+    step = 10.0 ** (_exponent(span) + 1 - count)
+    return figures(round(value / step) * step, MOST_FIGURES)
+
+
 def alike(values: Sequence[float | None], difference: float, count: int = 2) -> list[str]:
     """Numbers to one and the same step, so that a `difference` of them shows with `count` figures.
 

@@ -228,12 +228,13 @@ def _counts(candidate: Candidate, current: Fit) -> bool:
     return candidate.counts(spurious_gain(current)) and candidate.net_evidence > SURE
 
 
-def torque_blocks(current: Fit, residuals: Sequence[Array], held_out: bool = False, seconds: float = BLOCK_S) -> Blocks:
-    """Blocks of the torque's residual against travel: of the laps that are fitted, or of the others that can be compared."""
+def torque_blocks(
+    current: Fit, residuals: Sequence[Array], masks: Sequence[NDArray[np.bool_]] | None = None, seconds: float = BLOCK_S
+) -> Blocks:
+    """Blocks of the torque's residual against travel, of the given samples or of those that are fitted."""
     problem = current.problem
     against = [r * np.sign(s.speed) for r, s in zip(residuals, problem.sessions, strict=True)]
-    masks = [s.used & ~m if held_out else m for s, m in zip(problem.sessions, problem.masks, strict=True)]
-    return blocks(against, masks, problem.sessions[0].step, seconds)
+    return blocks(against, problem.masks if masks is None else masks, problem.sessions[0].step, seconds)
 
 
 def _residuals(current: Fit) -> list[Array]:
@@ -274,8 +275,9 @@ def _shape(current: Fit, chain: Chain, residuals: Sequence[Array]) -> tuple[list
     quick = chain.for_blocks(step)
     there = there_given(by_step, quick)[0]
     fill(shape, by_step, there)
-    if any((s.used & ~m).any() for s, m in zip(problem.sessions, problem.masks, strict=True)):
-        other = torque_blocks(current, residuals, held_out=True)
+    held_out = [s.used & ~m for s, m in zip(problem.sessions, problem.masks, strict=True)]
+    if any(m.any() for m in held_out):
+        other = torque_blocks(current, residuals, held_out)
         fill(shape, other, expected_there(other, chain))
     against = [np.asarray(x * np.sign(s.speed)) for x, s in zip(shape, problem.sessions, strict=True)]
     return against, path_cost(by_step, quick, there)
@@ -298,10 +300,11 @@ def fill(shape: Sequence[Array], b: Blocks, value: Array) -> None:
         shape[session][begin:end] = x
 
 
-def beginnings(b: Blocks, there: Array) -> NDArray[np.bool_]:
-    """Blocks in which a spell begins."""
+def beginnings(b: Blocks, there: Array, backwards: bool = False) -> NDArray[np.bool_]:
+    """Blocks in which a spell begins, or ends if looked at backwards."""
     on = there > LIKELY
-    return np.asarray(on & ~np.concatenate(([False], on[:-1] & ~b.first[1:])))
+    goes_on = on[:-1] & on[1:] & ~b.first[1:]
+    return np.asarray(on & ~np.concatenate((goes_on, [False]) if backwards else ([False], goes_on)))
 
 
 def _ground(current: Fit, roads: Roads | None) -> Term | None:

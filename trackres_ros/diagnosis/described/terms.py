@@ -48,7 +48,7 @@ from trackres_ros.effects.learned import (
     Learned,
 )
 from trackres_ros.estimator.disturbance import BLOCK_S
-from trackres_ros.text.numbers import figures
+from trackres_ros.text.numbers import figures, on_scale
 
 Array = NDArray[np.float64]
 
@@ -153,9 +153,10 @@ def of_learned(effect: Learned, values: Mapping[str, float]) -> Described:
     else:
         low, high = min(range(len(y)), key=y.__getitem__), max(range(len(y)), key=y.__getitem__)
         unit = "" if follows.unit == "1" else f" {follows.unit}"
+        at = [on_scale(one, max(x) - min(x)) for one in x]
         text = (
-            f"It takes {figures(y[high] - y[low])} Nm more with the {follows.text} at {figures(x[high])}{unit} than at "
-            f"{figures(x[low])}{unit}{where} (from {figures(y[low])} to {figures(y[high])} Nm)"
+            f"It takes {figures(y[high] - y[low])} Nm more with the {follows.text} at {at[high]}{unit} than at "
+            f"{at[low]}{unit}{where} (from {figures(y[low])} to {figures(y[high])} Nm)"
         )
     looked = OF_GATES.get(effect.gate, ()) + (() if effect.variable == ALWAYS else MECHANISMS[effect.variable][:1])
     return Described(

@@ -10,9 +10,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.base.watched import Watched
 from trackres_ros.diagnosis.described.candidates import series
-from trackres_ros.diagnosis.described.describe import LIKELY, Term
+from trackres_ros.diagnosis.described.describe import Term, beginnings, residuals_without, torque_blocks
+from trackres_ros.diagnosis.described.spells import Chain, there_given
 from trackres_ros.diagnosis.described.terms import (
     Described,
     of_learned,
@@ -56,31 +56,18 @@ def said(term: Term, final: Fit) -> Described:
         least, most = (float(q) for q in np.quantile(used, MOST_OF_IT))
         return of_route(name, float(np.sqrt(np.mean(used**2))), least, most, term.route)
     assert term.chain is not None
-    assert isinstance(active.effect, Watched)
-    spells = _spells_of(active.effect.shape, final)
+    spells = _spells_of(term.chain, name, final)
     lengths = np.array([(end - begin) * final.problem.sessions[i].step for i, begin, end in spells])
     return of_spells(name, term.chain, level, len(spells), lengths, _begins_with(spells, final))
 
 
-def _spells_of(shape: Sequence[Array], final: Fit) -> list[tuple[int, int, int]]:
-    """Spells on the laps that are fitted: session, and its samples from and up to."""
-    found = []
-    for i, (x, mask) in enumerate(zip(shape, final.problem.masks, strict=True)):
-        turns = np.flatnonzero(np.diff(np.concatenate(([0], ((np.abs(x) > LIKELY) & mask).astype(int), [0]))))
-        joined = _joined(turns.reshape(-1, 2), round(BLOCK_S / final.problem.sessions[i].step))
-        found += [(i, begin, end) for begin, end in joined]
-    return found
-
-
-def _joined(turns: NDArray[np.int64], within: int) -> list[tuple[int, int]]:
-    """Stretches, those that lie within so many samples of each other as one."""
-    found: list[tuple[int, int]] = []
-    for begin, end in turns.tolist():
-        if found and begin - found[-1][1] <= within:
-            found[-1] = found[-1][0], end
-        else:
-            found.append((begin, end))
-    return found
+def _spells_of(chain: Chain, name: str, final: Fit) -> list[tuple[int, int, int]]:
+    """Spells on all laps: session, and its samples from and up to. A spell goes on over a stop, where no torque shows it."""
+    b = torque_blocks(final, residuals_without(final, name), [s.used for s in final.problem.sessions])
+    there, _ = there_given(b, chain)
+    begins = np.flatnonzero(beginnings(b, there))
+    ends = np.flatnonzero(beginnings(b, there, backwards=True))
+    return [(int(b.session[i]), int(b.begin[i]), int(b.end[j])) for i, j in zip(begins, ends, strict=True)]
 
 
 def course(term: Term, final: Fit) -> list[Array]:

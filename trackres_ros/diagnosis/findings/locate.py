@@ -15,7 +15,7 @@ from trackres_ros.diagnosis.base.variables import BY_NAME, varying
 from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.prepare.session import Session
-from trackres_ros.text.numbers import figures
+from trackres_ros.text.numbers import on_scale
 
 Array = NDArray[np.float64]
 
@@ -24,6 +24,8 @@ BOTH_WAYS_SHARE = 0.25  # of the larger side: what adds as much as this on the o
 FOLLOWS_LEAST = 0.3  # of the mean square: less goes with no variable that is looked at
 JOINED_S, SHORTEST_S = 10.0, 5.0
 STRAY_S = 30.0
+SMOOTHED_S = 20.0  # of the residual over time, as pictures show it
+BROKEN_S = 2.0  # a longer time without a compared sample breaks the line
 MOST_SPANS = 60
 BINS = 12
 
@@ -44,6 +46,14 @@ class ThermalCheck:
     mean_k: float
     mean_abs_k: float
     text: str
+
+
+def seen_where_it_acts(sessions: Sequence[Session], adds: Sequence[Array], residuals: Sequence[Array]) -> float:
+    """Mean residual in the direction of a term, where the term is at least `ACTING_SHARE` of what it hardly ever exceeds [Nm]."""
+    used = np.concatenate([s.used for s in sessions])
+    term, residual = np.concatenate(adds)[used], np.concatenate(residuals)[used]
+    acting = np.abs(term) >= ACTING_SHARE * np.percentile(np.abs(term), 95.0)
+    return float(np.mean((residual * np.sign(term))[acting])) if acting.any() else 0.0
 
 
 def spans(sessions: tuple[Session, ...], series: list[Array]) -> list[Span]:
@@ -88,8 +98,6 @@ class Acts:
         The range of it anywhere.
     smallest, largest
         Least and greatest mean of what the effect adds, over bins of the variable [Nm].
-    rms
-        Root mean square of what it adds where it is large [Nm].
     follows
         Share of the size of what it adds that goes with the variable.
     """
@@ -102,35 +110,48 @@ class Acts:
     most: float
     smallest: float
     largest: float
-    rms: float
     follows: float
 
     @property
     def text(self) -> str:
-        """The range in words; empty where it is everywhere."""
+        """The range in words; empty where it is everywhere, or of another sign in another part of the range."""
         whole = self.most - self.least
         from_start, to_end = self.low - self.least < 0.1 * whole, self.most - self.high < 0.1 * whole
-        if from_start and to_end:
+        if (from_start and to_end) or self.both_ways:
             return ""
+        low, high = (on_scale(edge, whole) for edge in (self.low, self.high))
         if to_end:
-            return f"above {figures(self.low)} {self.unit} of {self.variable}"
+            return f"above {low} {self.unit} of {self.variable}"
         if from_start:
-            return f"below {figures(self.high)} {self.unit} of {self.variable}"
-        return f"from {figures(self.low)} to {figures(self.high)} {self.unit} of {self.variable}"
+            return f"below {high} {self.unit} of {self.variable}"
+        return f"from {low} to {high} {self.unit} of {self.variable}"
 
     @property
     def both_ways(self) -> bool:
         """Whether it takes more in one part of the range and less in another."""
         return min(self.largest, -self.smallest) >= BOTH_WAYS_SHARE * max(self.largest, -self.smallest)
 
-    @property
-    def size(self) -> str:
-        """How much more or less it takes there, in words."""
+    def residual(self, here: Bin, at_base: RegimeMap, swings: float) -> str:
+        """The residual of the re-fitted base where the effect acts, in words and with the numbers that the pictures show.
+
+        Parameters
+        ----------
+        here
+            The mean residual over the range of the variable in which the effect acts.
+        at_base
+            The residual by bins of each variable.
+        swings
+            Root mean square of the residual over time, see `swings_of` [Nm].
+        """
         if self.follows < FOLLOWS_LEAST:
-            return f"it takes more at times and less at others, {self.rms:.0f} Nm root mean square,"
-        if self.both_ways:
-            return f"it takes from {-self.smallest:.0f} Nm less to {self.largest:.0f} Nm more, by the {self.variable},"
-        return f"it takes about {self.rms:.0f} Nm {'more' if self.largest > -self.smallest else 'less'}"
+            return f"the vehicle needs at times more and at times less than the re-fitted model, {swings:.0f} Nm root mean square"
+        means = [b.mean_residual for b in at_base.bins if b.variable == self.variable]
+        if self.both_ways and means and min(means) < 0.0 < max(means):
+            low, high = -min(means), max(means)
+            between = f"from {low:.0f} Nm less to {high:.0f} Nm more"
+            return f"the vehicle needs {between} than the re-fitted model, depending on the {self.variable}"
+        way = "more" if here.mean_residual > 0.0 else "less"
+        return f"the vehicle needs about {abs(here.mean_residual):.0f} Nm {way} than the re-fitted model"
 
 
 def against_travel(sessions: Sequence[Session], adds: Sequence[Array]) -> list[Array]:
@@ -144,7 +165,7 @@ def acts(found: Fit, adds: Sequence[Array]) -> Acts:
     used = np.concatenate([s.used for s in sessions])
     series = np.concatenate(adds)[used]
     square = float(np.mean(series**2))
-    best, result = -1.0, Acts("speed", "m/s", -np.inf, np.inf, -np.inf, np.inf, 0.0, 0.0, float(np.sqrt(square)), 0.0)
+    best, result = -1.0, Acts("speed", "m/s", -np.inf, np.inf, -np.inf, np.inf, 0.0, 0.0, 0.0)
     for name, everywhere in varying(sessions, found.predicted).items():
         x = everywhere[used]
         if np.ptp(x) == 0.0:
@@ -158,13 +179,30 @@ def acts(found: Fit, adds: Sequence[Array]) -> Acts:
             size = np.bincount(place, weights=np.abs(series)) / count
             large = np.flatnonzero(size >= ACTING_SHARE * size.max())
             high = edges[min(large[-1] + 1, len(edges) - 1)]
-            there = series[np.isin(place, large)]
             result = Acts(
                 name, BY_NAME[name].unit, float(edges[large[0]]), float(high), float(edges[0]), float(edges[-1]),
-                min(0.0, float(means.min())), max(0.0, float(means.max())), float(np.sqrt(np.mean(there**2))),
+                min(0.0, float(means.min())), max(0.0, float(means.max())),
                 float(np.mean(means[place] ** 2)) / max(square, 1e-300),
             )  # fmt: skip
     return result
+
+
+def smoothed(session: Session, residual: Array) -> Array:
+    """Means of a residual over `SMOOTHED_S`; nan in gaps."""
+
+    def summed(values: Array, seconds: float) -> Array:
+        window = np.ones(min(max(1, int(seconds / session.step)), len(values)))
+        return np.convolve(values, window, mode="same")
+
+    weight = summed(session.used.astype(float), SMOOTHED_S)
+    mean = summed(np.where(session.used, residual, 0.0), SMOOTHED_S) / np.maximum(weight, 1.0)
+    return np.where(summed(session.used.astype(float), BROKEN_S) > 0.5, mean, np.nan)
+
+
+def swings_of(means: Sequence[Array]) -> tuple[list[float], float]:
+    """Root mean square of a `smoothed` residual, of each session and of all [Nm]."""
+    sizes = [float(np.sqrt(np.nanmean(r**2))) if np.isfinite(r).any() else 0.0 for r in means]
+    return sizes, float(np.sqrt(np.mean(np.square(sizes))))
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,7 @@ from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPEC
 from trackres_ros.diagnosis.selection.intervals import Interval
 from trackres_ros.diagnosis.selection.naming import Candidate, Step
 from trackres_ros.effects.effect import Parameter
-from trackres_ros.text.numbers import figures
+from trackres_ros.text.numbers import alike, figures, on_scale
 
 Array = NDArray[np.float64]
 
@@ -31,6 +31,8 @@ LACK_OF_FIT_P = 0.01
 MOST_STRAY = 0.015  # of the torque, in means over half a minute
 LEFT_SHARE = 0.5  # of what the effects explain: more left over, and the names explain little
 MOST_CERTAIN = 20.0  # in log-likelihood: more is no more certain
+LEAST_GAIN = 0.01  # of the mean error on hold-out laps: a re-fit that gains more says which values were off
+MOST_CHANGED = 3  # values that a sentence lists
 FINE_R2 = 0.995  # above it R2 says nothing that the mean error does not
 
 
@@ -51,6 +53,8 @@ class Found:
         if a sensor adds it.
     where, acts, regime
         Spans of time, the variable that it follows best, and the residual of the base where it acts.
+    seen
+        The residual of the re-fitted base where it acts, in words, see `locate.Acts.residual`.
     graded
         What laps not used for fitting say of it (`graded.grade`).
     """
@@ -67,6 +71,7 @@ class Found:
     where: Sequence[Span]
     acts: Acts
     regime: Sequence[Bin]
+    seen: str
     graded: Graded
 
     def __repr__(self) -> str:
@@ -89,6 +94,8 @@ class Told:
         What it follows in each session; empty where that is the clock alone.
     intervals
         Of its parameters.
+    seen_nm
+        Mean residual of the re-fitted base, in the direction of the term, where the term acts [Nm].
     graded
         What laps not used for fitting say of it.
     """
@@ -97,7 +104,55 @@ class Told:
     adds: list[Array]
     course: list[Array]
     intervals: Mapping[str, Interval]
+    seen_nm: float
     graded: Graded
+
+
+@dataclass(frozen=True, slots=True)
+class Changed:
+    """A value of the vehicle file that a re-fit changes.
+
+    Attributes
+    ----------
+    nominal, value, low, high
+        In the file, re-fitted, and the 95 % interval of the latter.
+    torque_nm
+        Root mean square of the torque that the change makes [Nm].
+    """
+
+    name: str
+    unit: str
+    nominal: float
+    value: float
+    low: float
+    high: float
+    torque_nm: float
+
+    @property
+    def text(self) -> str:
+        """What was off, by how much and how surely."""
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        off = self.value - self.nominal
+        share = f"{abs(off / self.nominal):.0%}" if self.nominal else f"{figures(abs(off))}{unit}"
+        value, low, high, nominal = alike((self.value, self.low, self.high, self.nominal), self.high - self.low)
+        return f"{self.name} is {share} {'higher' if off > 0.0 else 'lower'}, {value} [{low}, {high}]{unit} instead of {nominal}"
+
+
+def changed_values(refitted: Fit, bounds: Mapping[tuple[str, str], Interval]) -> tuple[Changed, ...]:
+    """Values whose 95 % interval excludes the file's, those that change the torque most first."""
+    found = []
+    for q in refitted.problem.base.parameters:
+        value, interval = refitted.base_values[q.name], bounds.get(("", q.name))
+        if interval is None or interval.low <= q.nominal <= interval.high:
+            continue
+        as_in_file = refitted.problem.predict({**refitted.base_values, q.name: q.nominal}, refitted.acting)
+        change = [
+            (p.torque - other.torque)[mask]
+            for p, other, mask in zip(refitted.predicted, as_in_file, refitted.problem.masks, strict=True)
+        ]
+        size = float(np.sqrt(np.mean(np.concatenate(change) ** 2)))
+        found.append(Changed(q.name, q.unit, q.nominal, value, interval.low, interval.high, size))
+    return tuple(sorted(found, key=lambda c: -c.torque_nm))
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,11 +167,14 @@ class Verdict:
         Whether laps not used for fitting confirm it: ``confirmed``, ``suspected`` or ``refuted``.
     sentence
         In words.
+    changed
+        Values of the vehicle file that were off, where that is the verdict, the weightiest first.
     """
 
     status: str
     grade: str
     sentence: str
+    changed: tuple[Changed, ...] = ()
 
     @property
     def names(self) -> bool:
@@ -134,6 +192,7 @@ def judge(
     hint: str,
     held_out: HeldOut,
     drift: Told | None = None,
+    changed: Sequence[Changed] = (),
 ) -> Verdict:
     """The verdict.
 
@@ -146,6 +205,8 @@ def judge(
         Effects and terms without a name that fit, and those that fit and that held-out laps refute.
     drift
         What strays, as a level that wanders, if it does. Where a regime other than of time or distance is left, there is more.
+    changed
+        Values of the vehicle file that the re-fit surely changes, see `changed_values`.
     """
     left = [b for b in at_end.bins if b.p < LACK_OF_FIT_P]
     besides = f" {_refuted(refuted)}" if refuted else ""
@@ -163,8 +224,9 @@ def judge(
             besides += f" And {_strays(left_over)}."
         grades = [*(f.graded for f in found), *(t.graded for t in terms)]
         doubted = [g for g in grades if g.grade != CONFIRMED]
-        beside = ["No effect of the catalogue does this"] if terms else []
-        said = ". ".join([*map(_of_effect, found), *map(_of_term, terms), *beside])
+        unnamed = ["No effect of the catalogue does this"] if terms else []
+        both = by_weight([*found, *terms])
+        said = ". ".join([*(_of_effect(x) if isinstance(x, Found) else _of_term(x) for x in both), *unnamed])
         if not doubted:
             return Verdict(status, CONFIRMED, f"{said}. Confirmed {_gain(held_out, 'with_effects')}.{besides}")
         why = ". ".join(map(_doubt, doubted))
@@ -183,12 +245,14 @@ def judge(
     moved = moved_parameters(refitted)
     listed = ", ".join(_moved(q, value) for q, value in moved)
     of_refit = held_out.of_refit
-    if moved and of_refit.grade == CONFIRMED:
+    if of_refit.grade == CONFIRMED and (moved or of_refit.after < (1.0 - LEAST_GAIN) * of_refit.before):
+        off = "; ".join(c.text for c in changed[:MOST_CHANGED])
+        off = f"values of the vehicle file were off: {off}" if off else "several values of the vehicle file were off together"
         return Verdict(
             "none",
             CONFIRMED,
-            "No physics is missing, but parameters of the vehicle file were off: "
-            f"{listed}; confirmed {_gain(held_out, 'refitted')}.{besides}",
+            f"No physics is missing, but {off}. Confirmed {_gain(held_out, 'refitted')}.{besides}",
+            tuple(changed),
         )
     if moved:
         return Verdict(
@@ -205,9 +269,14 @@ def judge(
     )
 
 
+def by_weight(terms: Sequence[Found | Told]) -> list[Found | Told]:
+    """The confirmed ones first, and of these those that take most off the error of the hold-out laps."""
+    return sorted(terms, key=lambda t: (t.graded.grade != CONFIRMED, t.graded.improvement.after - t.graded.improvement.before))
+
+
 def _of_effect(f: Found) -> str:
     where = f.acts.text
-    measured = f"{where[0].upper() + where[1:] if where else 'Everywhere'} {f.acts.size} than the model has"
+    measured = f"{where[0].upper() + where[1:] if where else 'Everywhere'} {f.seen}"
     units = {q.name: "" if q.unit == "1" else f" {q.unit}" for q in f.parameters}
     values = ", ".join(f"{name} {_with_interval(value, f.intervals.get(name))}{units[name]}" for name, value in f.values.items())
     members = f.step.members
@@ -292,7 +361,8 @@ def _gain(h: HeldOut, stage: str) -> str:
 
 
 def _range(b: Bin) -> str:
-    return f"at {b.variable} {figures(b.low)} to {figures(b.high)} {b.unit}"
+    low, high = (on_scale(edge, b.high - b.low) for edge in (b.low, b.high))
+    return f"at {b.variable} {low} to {high} {b.unit}"
 
 
 def _unexplained(left: Sequence[Bin]) -> str:

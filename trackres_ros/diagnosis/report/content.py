@@ -66,6 +66,18 @@ def report(d: Diagnosis, paths: Sequence[Path], bindings: Mapping[str, TopicBind
             "grade": d.verdict.grade,
             "sentence": d.verdict.sentence,
             "hint": d.steps[-1].hint or None,
+            "changed": [
+                {
+                    "name": c.name,
+                    "unit": c.unit,
+                    "nominal": _number(c.nominal),
+                    "value": _number(c.value),
+                    "ci95": [_number(c.low), _number(c.high)],
+                    "torque_nm": _number(c.torque_nm),
+                    "text": c.text,
+                }
+                for c in d.verdict.changed
+            ],
         },
         "effects": [_effect(f, belongs_to[f.name]) for f in d.found],
         "described": [_described(t) for t in d.described] + ([_drift(d.wanders, d.tracked)] if d.wanders and d.tracked else []),
@@ -189,7 +201,7 @@ def _effect(f: Found, belongs_to: str) -> dict[str, Any]:
         "class": list(f.step.members),
         "weights": _numbers(dict(f.step.weights)),
         "acts_on": f.acts_on,
-        "acts": {"text": f.acts.text, "size": f.acts.size},
+        "acts": {"text": f.acts.text, "size": f.seen},
         "grade": f.graded.grade,
         "heldout": _improvement(f.graded.improvement),
         "on_bounds": list(f.graded.on_bounds),
@@ -245,6 +257,7 @@ def _described(t: Told) -> dict[str, Any]:
     return {
         **_term(of),
         **_worth(t.graded.improvement, t.graded.grade),
+        "seen_nm": _number(t.seen_nm),
         "parameters": {name: _pair(interval) for name, interval in t.intervals.items()},
     }
 

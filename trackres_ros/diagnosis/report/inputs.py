@@ -38,7 +38,7 @@ def inputs(d: Diagnosis) -> dict[str, Any]:
         unit = "Nm" if name == "torque" else BY_NAME[name].unit
         seconds = (np.histogram(of, BINS)[0] * d.sessions[0].step).tolist()
         ranges.append({"variable": name, "unit": unit, "low": low, "median": middle, "high": high, "histogram_s": seconds})
-    return {"recordings": recordings, "ranges": ranges, "coverage": _coverage(d)}
+    return {"step_s": d.sessions[0].step, "recordings": recordings, "ranges": ranges, "coverage": _coverage(d)}
 
 
 def _coverage(d: Diagnosis) -> dict[str, Any]:

@@ -20,13 +20,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.diagnosis.findings.locate import SMOOTHED_S, smoothed
 from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.report.series import (
-    SMOOTHED_S,
     bins_by_variable,
     runs,
     shown_lap,
-    smoothed,
     stages,
     uncertainty,
     where_each_step_is,

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.variables import BY_NAME
 from trackres_ros.diagnosis.described.terms import Described
-from trackres_ros.diagnosis.findings.locate import against_travel, evenly_filled
+from trackres_ros.diagnosis.findings.locate import SMOOTHED_S, against_travel, evenly_filled, smoothed, swings_of
 from trackres_ros.diagnosis.findings.residual_bins import Bin
 from trackres_ros.diagnosis.findings.verdict import Found, Told
 from trackres_ros.diagnosis.pipeline import Diagnosis
@@ -22,12 +22,10 @@ from trackres_ros.diagnosis.report.noise_pictures import draw_noise
 from trackres_ros.diagnosis.report.picture import WIDTH, Picture
 from trackres_ros.diagnosis.report.route_pictures import draw_route
 from trackres_ros.diagnosis.report.series import (
-    SMOOTHED_S,
     bins_by_variable,
     half_interval,
     runs,
     shown_lap,
-    smoothed,
     stages,
     uncertainty,
 )
@@ -99,7 +97,7 @@ def draw_times(d: Diagnosis, path: Path) -> Picture:
     shown_as = {"nominal": (GREY, 0.7), "refitted": (BLUE, 1.1), "with_effects": (VERMILION, 1.1)}
     kinds = [(label, *shown_as[key]) for key, label, _ in stages(d)]
     residuals = [[smoothed(s, s.torque - of[i]) for i, s in enumerate(d.sessions)] for _, _, of in stages(d)]
-    sizes = [float(np.sqrt(np.nanmean(r**2))) if np.isfinite(r).any() else 0.0 for r in residuals[1]]
+    sizes, swings = swings_of(residuals[1])
     shown = sorted(np.argsort(sizes)[::-1][:MOST_RECORDINGS].tolist())
     columns = 1 if len(shown) <= IN_ONE_COLUMN else 2
     rows = -(-len(shown) // columns)
@@ -130,12 +128,11 @@ def draw_times(d: Diagnosis, path: Path) -> Picture:
         body.supylabel("measured less simulated [Nm]", fontsize=9)
     left_out = len(d.sessions) - len(shown)
     worst = f" Of {len(d.sessions)} recordings the {len(shown)} furthest off; {left_out} are not drawn." if left_out else ""
-    size = decimals(float(np.sqrt(np.mean(np.square(sizes)))))
     return Picture(
         path,
         "Where: over time",
         f"Measured less simulated torque over the time of each recording, means over {SMOOTHED_S:.0f} s; broken where nothing "
-        f"could be compared. With the base re-fitted it strays by {size} Nm (root mean square).{worst}",
+        f"could be compared. With the base re-fitted the root mean square is {decimals(swings)} Nm.{worst}",
     )
 
 

@@ -17,22 +17,8 @@ from trackres_ros.diagnosis.prepare.session import Mask, Session
 
 Array = NDArray[np.float64]
 
-SMOOTHED_S = 20.0
-BROKEN_S = 2.0  # a longer time without a sample that counts breaks the line
 NOWHERE, IN_TWO = ".", "a"
 INTERVAL = 1.96  # standard deviations, of 95 %
-
-
-def smoothed(session: Session, residual: Array) -> Array:
-    """Means of a residual over `SMOOTHED_S`; nan in gaps."""
-
-    def summed(values: Array, seconds: float) -> Array:
-        window = np.ones(min(max(1, int(seconds / session.step)), len(values)))
-        return np.convolve(values, window, mode="same")
-
-    weight = summed(session.used.astype(float), SMOOTHED_S)
-    mean = summed(np.where(session.used, residual, 0.0), SMOOTHED_S) / np.maximum(weight, 1.0)
-    return np.where(summed(session.used.astype(float), BROKEN_S) > 0.5, mean, np.nan)
 
 
 def stages(d: Diagnosis) -> list[tuple[str, str, Sequence[Array]]]:

@@ -17,14 +17,14 @@ STANDS_OUT_P = 0.05
 FEW = 3  # names that a sentence holds
 LEAST_SHARE = 0.01  # of the mean error, that is worth a new file
 SURE = {
-    "confirmed": "confirmed on laps not seen",
-    "suspected": "suspected: laps not seen do not settle it",
-    "refuted": "refuted on laps not seen",
+    "confirmed": "the hold-out laps confirm it",
+    "suspected": "suspected: the hold-out laps neither confirm nor reject it",
+    "refuted": "the hold-out laps reject it",
 }
 SURE_OF_NONE = {
-    "confirmed": "laps not seen agree",
-    "suspected": "laps not seen do not settle the re-fit",
-    "refuted": "laps not seen refute the re-fit",
+    "confirmed": "the hold-out laps agree",
+    "suspected": "the hold-out laps neither confirm nor reject the re-fit",
+    "refuted": "the hold-out laps reject the re-fit",
 }
 
 
@@ -47,13 +47,16 @@ def headline(report: dict[str, Any]) -> str:
     where, what, *_ = tiles(report)
     status = report["verdict"]["status"]
     if status == "none":
-        parts = [f"{what.answer}: on laps not seen {_errors(report)}", what.detail]
+        changed = report["verdict"].get("changed")
+        parts = [f"{what.answer}: hold-out error {_errors(report)}", *([changed[0]["text"]] if changed else []), what.detail]
     elif status == "unexplained":
-        parts = [f"Simulation and recording part {_lower(where.answer)}, and nothing in the catalogue explains it", where.detail]
+        parts = [
+            f"Measurement and simulation differ {_lower(where.answer)}, and no effect of the catalogue explains it",
+            where.detail,
+        ]
     else:
-        named = "it takes" in _lower(where.detail)
-        placed = f"{where.answer} {_lower(where.detail)}" if named else where.answer
-        parts = [f"{placed}: {_names(report) or what.answer}, {_short_grade(report)}", f"on laps not seen {_errors(report)}"]
+        placed = f"{where.answer} {_lower(where.detail)}" if "the vehicle needs" in _lower(where.detail) else where.answer
+        parts = [f"{placed}: {_names(report) or what.answer}, {_short_grade(report)}", f"hold-out error {_errors(report)}"]
     said = parts[0]
     for part in parts[1:]:
         if part and len(f"{said}; {part}".split()) < MOST_WORDS:
@@ -94,24 +97,35 @@ def lights(report: dict[str, Any], most: int = 6) -> Iterator[tuple[str, str]]:
         yield keys[id(b)], f"{range_of(b)}: {decimals(b['mean_residual'], signed=True)} Nm"
 
 
+def leading(r: dict[str, Any]) -> dict[str, Any] | None:
+    """The confirmed term, named or not, that takes most off the error of the hold-out laps; one not confirmed where none is."""
+
+    def weight(term: dict[str, Any]) -> tuple[bool, float]:
+        before, after = (term.get("heldout") or {}).get("mae") or (0.0, 0.0)
+        return term.get("grade") == "confirmed", (before or 0.0) - (after or 0.0)
+
+    return max([*r["effects"], *r.get("described", ())], key=weight, default=None)
+
+
 def _where(r: dict[str, Any]) -> Tile:
-    name = "Where"
-    if r["effects"]:
-        acts = r["effects"][0].get("acts")
+    name, lead = "Where", leading(r)
+    if lead is not None and "form" not in lead:
+        acts = lead.get("acts")
         if acts:
-            size = f"{acts['size'].rstrip(',')} than the model has"
-            return Tile(name, _upper(_of_curves(acts["text"])) or "Everywhere", _upper(size))
-        for b in r["effects"][0]["where"]["regime"]:
+            return Tile(name, _upper(_of_curves(acts["text"])) or "Everywhere", _upper(acts["size"]))
+        for b in lead["where"]["regime"]:
             return Tile(name, _upper(range_of(b)), f"{decimals(b['mean_residual'], signed=True)} Nm on average")
     if r["verdict"]["status"] == "none":
-        return Tile(name, "Nowhere beyond noise", f"{_count(r['residual_by_regime']['end'], 'range')} of what varied looked at")
-    if r.get("described"):
-        t = r["described"][0]
-        answer = {"place": "By place on the route", "drift": "Over time, slowly", "level_change": "From a time on"}.get(t["form"])
-        return Tile(name, answer or f"By {t['variable'] or t['gate'] or 'time'}", f"About {figures(t['size_nm'], 2)} Nm")
+        ranges = f"{_count(r['residual_by_regime']['end'], 'range')} of speed, load, temperature and more were compared"
+        return Tile(name, "Nowhere beyond noise", ranges)
+    if lead is not None and "form" in lead:
+        answers = {"place": "By place on the route", "drift": "Over time, slowly", "level_change": "From a time on"}
+        answer = answers.get(lead["form"]) or f"By {lead['variable'] or lead['gate'] or 'time'}"
+        seen = lead.get("seen_nm") or lead["size_nm"]
+        return Tile(name, answer, f"The residual there is about {figures(seen, 2)} Nm")
     for b in standing_out(r, "end"):
         return Tile(name, f"At {range_of(b)}", f"{decimals(b['mean_residual'], signed=True)} Nm on average")
-    return Tile(name, "At times that follow nothing recorded", "it strays slowly, over half-minutes")
+    return Tile(name, "At times that follow nothing recorded", "the residual changes slowly, over half-minutes")
 
 
 def _of_curves(text: str) -> str:
@@ -133,8 +147,7 @@ def _what(r: dict[str, Any]) -> Tile:
         detail = SURE.get(grade, "")
         return Tile(name, " and ".join(answers), f"{detail}; cannot be told apart here".lstrip("; ") if tied else detail)
     if verdict["status"] == "none":
-        moved = "parameters were off" in verdict["sentence"]
-        answer = "Only parameters of the file were off" if moved else "No physics is missing"
+        answer = "Only values of the file were off" if verdict.get("changed") else "No physics is missing"
         return Tile(name, answer, SURE_OF_NONE.get(grade, ""))
     if r.get("described"):
         return Tile(name, f"no name, a form: {_plain(r['described'][0]['form'])}", SURE.get(grade, ""))
@@ -151,7 +164,7 @@ def by_file(r: dict[str, Any]) -> tuple[list[str], list[str]]:
 def _better(r: dict[str, Any]) -> Tile:
     name, mae = "How much better", r["heldout"]["mae"]
     if not mae["nominal"] or mae[stage_of(r)] is None:
-        return Tile(name, "Cannot be told", "of the held-out laps nothing is known")
+        return Tile(name, "Unknown", "the hold-out laps have no error to compare")
     share = 100.0 * _share(r)
     same = "Nothing to gain" if r["verdict"]["status"] == "none" else "No better"
     answer = (
@@ -163,15 +176,16 @@ def _better(r: dict[str, Any]) -> Tile:
     )
     written = r.get("written")
     kept = "" if written is None or written["base"] or written["effects"] else "; the file keeps its values"
-    return Tile(name, answer, f"laps not seen: mean error {_errors(r)}{kept}")
+    return Tile(name, answer, f"mean error of the hold-out laps: {_errors(r)}{kept}")
 
 
 def _next(r: dict[str, Any]) -> Tile:
-    name = "Next"
+    name, lead = "Next", leading(r)
     for a in r["advice"]:
-        return Tile(name, "Drive once more", f"{_upper(a['manoeuvre'])} ({figures(a['minutes'], 2)} min)")
+        if lead is None or lead.get("name") in a["separates"]:
+            return Tile(name, "Drive once more", f"{_upper(a['manoeuvre'])} ({figures(a['minutes'], 2)} min)")
     if r.get("topics_lines"):
-        return Tile(name, "Mend the sensor's reading", f"put into the topics file: {', '.join(r['topics_lines'])}")
+        return Tile(name, "Correct the sensor", f"put into the topics file: {', '.join(r['topics_lines'])}")
     written = r.get("written") or {"base": False, "effects": []}
     if r["effects"] and written["effects"]:
         here, elsewhere = (" and ".join(map(_plain, names)) for names in by_file(r))
@@ -179,12 +193,12 @@ def _next(r: dict[str, Any]) -> Tile:
             return Tile(name, "Use vehicle.yaml", f"it has {here}")
         of_place = f"surroundings.yaml has {elsewhere}, for where it holds"
         return Tile(name, "Use vehicle.yaml and surroundings.yaml", f"the first has {here}; {of_place}" if here else of_place)
-    if r.get("described"):
-        return Tile(name, "Look at the vehicle", " or ".join(r["described"][0]["mechanisms"][:2]))
+    if lead is not None and "form" in lead and lead.get("grade") == "confirmed":
+        return Tile(name, "Look at the vehicle", " or ".join(lead["mechanisms"][:2]))
+    if lead is not None:
+        return Tile(name, "Record more laps", "the hold-out laps do not confirm enough to write it")
     if r["verdict"]["status"] == "unexplained":
         return Tile(name, "Look where it is largest", "record what varies there: slope, wind, load, brakes")
-    if r["effects"]:
-        return Tile(name, "Record more laps", "what was found is not sure enough to be written")
     if written["base"] and _share(r) >= LEAST_SHARE:
         return Tile(name, "Use vehicle.yaml", "it has the re-fitted parameters")
     return Tile(name, "Nothing to do", "keep the vehicle file as it is")
@@ -204,8 +218,13 @@ def _share(r: dict[str, Any]) -> float:
 
 def _names(r: dict[str, Any]) -> str:
     """What was named, without shares; of many that look alike how many they are."""
-    said = [" or ".join(map(_plain, e["class"])) if len(e["class"]) <= FEW else f"one of {len(e['class'])}" for e in r["effects"]]
-    return " and ".join(said)
+    lead = leading(r)
+    names = [
+        " or ".join(map(_plain, e["class"])) if len(e["class"]) <= FEW else f"one of {len(e['class'])}" for e in r["effects"]
+    ]
+    if names and lead is not None and "form" in lead:
+        names.insert(0, f"a {_plain(lead['form'])} without a name")
+    return " and ".join(names)
 
 
 def _short_grade(r: dict[str, Any]) -> str:
