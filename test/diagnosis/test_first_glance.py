@@ -111,6 +111,7 @@ def test_the_headline_and_next_follow_the_confirmed_term_that_removes_most():
     r["written"]["effects"] = ["grade"]
     r["advice"] = [{"separates": ["viscous_bearing", "stribeck"], "manoeuvre": "coast down", "minutes": 5.0}]
     assert headline(r).startswith("Everywhere the vehicle needs at times more and at times less")
+    assert "confirmed" in headline({**r, "verdict": {**r["verdict"], "grade": "suspected"}})
     assert tiles(r)[-1].answer.startswith("Use")
     r["effects"] = [graded(small, "confirmed", 216.0, 210.0), graded(large, "suspected", 1311.0, 214.0)]
     assert tiles(r)[-1].answer == "Drive once more"

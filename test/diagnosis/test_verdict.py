@@ -219,11 +219,15 @@ def test_names_that_cannot_be_told_apart_are_one_of_a_class():
     assert said([found(), found("payne")]).status == "named"
 
 
-def test_one_that_laps_do_not_confirm_makes_all_of_it_suspected():
+def test_a_suspected_term_never_stands_before_a_confirmed_one():
     verdict = said([found(), found("payne", improvement=UNSURE)])
     assert (verdict.status, verdict.grade) == ("named", SUSPECTED)
-    assert verdict.sentence.startswith("Suspected: ")
+    sure, _, unsure = verdict.sentence.partition("Only suspected: ")
+    assert "scrub is missing" in sure
+    assert "payne is missing" not in sure
+    assert "payne is missing" in unsure
     assert "do not confirm payne" in verdict.sentence
+    assert said([found(improvement=UNSURE)]).sentence.startswith("Suspected: ")
     assert "do not confirm scrub" not in verdict.sentence
 
 

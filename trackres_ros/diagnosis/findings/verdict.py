@@ -224,13 +224,14 @@ def judge(
             besides += f" And {_strays(left_over)}."
         grades = [*(f.graded for f in found), *(t.graded for t in terms)]
         doubted = [g for g in grades if g.grade != CONFIRMED]
-        unnamed = ["No effect of the catalogue does this"] if terms else []
         both = by_weight([*found, *terms])
-        said = ". ".join([*(_of_effect(x) if isinstance(x, Found) else _of_term(x) for x in both), *unnamed])
+        sure = _sentences([x for x in both if x.graded.grade == CONFIRMED])
+        gain = f"{sure}. Confirmed {_gain(held_out, 'with_effects')}."
         if not doubted:
-            return Verdict(status, CONFIRMED, f"{said}. Confirmed {_gain(held_out, 'with_effects')}.{besides}")
-        why = ". ".join(map(_doubt, doubted))
-        return Verdict(status, SUSPECTED, f"Suspected: {said}. {why}.{besides}")
+            return Verdict(status, CONFIRMED, f"{gain}{besides}")
+        unsure, why = _sentences([x for x in both if x.graded.grade != CONFIRMED]), ". ".join(map(_doubt, doubted))
+        also = f"{gain} Only suspected" if sure else "Suspected"
+        return Verdict(status, SUSPECTED, f"{also}: {unsure}. {why}.{besides}")
     drifts = left_over.share > MOST_STRAY and all(BY_NAME[b.variable].as_clock for b in left)
     if drift is not None and drifts and drift.graded.grade == CONFIRMED:
         return Verdict("described", CONFIRMED, f"{_of_term(drift)}. {_followed(drift.graded)}.{besides}")
@@ -272,6 +273,12 @@ def judge(
 def by_weight(terms: Sequence[Found | Told]) -> list[Found | Told]:
     """The confirmed ones first, and of these those that take most off the error of the hold-out laps."""
     return sorted(terms, key=lambda t: (t.graded.grade != CONFIRMED, t.graded.improvement.after - t.graded.improvement.before))
+
+
+def _sentences(terms: Sequence[Found | Told]) -> str:
+    """What was found, a sentence each; empty where that is nothing."""
+    said = [_of_effect(x) if isinstance(x, Found) else _of_term(x) for x in terms]
+    return ". ".join([*said, *(["No effect of the catalogue does this"] if any(isinstance(x, Told) for x in terms) else [])])
 
 
 def _of_effect(f: Found) -> str:

@@ -56,7 +56,7 @@ def headline(report: dict[str, Any]) -> str:
         ]
     else:
         placed = f"{where.answer} {_lower(where.detail)}" if "the vehicle needs" in _lower(where.detail) else where.answer
-        parts = [f"{placed}: {_names(report) or what.answer}, {_short_grade(report)}", f"hold-out error {_errors(report)}"]
+        parts = [f"{placed}: {_names(report) or what.answer}, {_grade(report)}", f"hold-out error {_errors(report)}"]
     said = parts[0]
     for part in parts[1:]:
         if part and len(f"{said}; {part}".split()) < MOST_WORDS:
@@ -135,22 +135,25 @@ def _of_curves(text: str) -> str:
 
 
 def _what(r: dict[str, Any]) -> Tile:
-    name, verdict = "What", r["verdict"]
-    grade = verdict.get("grade")
+    name, verdict, lead = "What", r["verdict"], leading(r)
     if r["effects"]:
+        named, unsure = _by_grade(r)
         answers = []
-        for e in r["effects"]:
+        for e in named:
             shares = [f"{_plain(n)} ({100 * (e['weights'].get(n) or 0.0):.0f} %)" for n in e["class"]]
             answers.append(_plain(e["name"]) if len(e["class"]) <= 1 else f"{', '.join(shares[:-1])} or {shares[-1]}")
         answers += [f"a {_plain(t['form'])} (no name)" for t in r.get("described", ()) if t.get("grade") == "confirmed"]
-        tied = any(len(e["class"]) > 1 for e in r["effects"])
-        detail = SURE.get(grade, "")
-        return Tile(name, " and ".join(answers), f"{detail}; cannot be told apart here".lstrip("; ") if tied else detail)
+        detail = [SURE.get(_grade(r), "")]
+        if any(len(e["class"]) > 1 for e in named):
+            detail.append("cannot be told apart here")
+        if unsure:
+            detail.append(f"only suspected: {', '.join(_plain(e['name']) for e in unsure)}")
+        return Tile(name, " and ".join(answers), "; ".join(filter(None, detail)))
     if verdict["status"] == "none":
         answer = "Only values of the file were off" if verdict.get("changed") else "No physics is missing"
-        return Tile(name, answer, SURE_OF_NONE.get(grade, ""))
-    if r.get("described"):
-        return Tile(name, f"no name, a form: {_plain(r['described'][0]['form'])}", SURE.get(grade, ""))
+        return Tile(name, answer, SURE_OF_NONE.get(verdict.get("grade"), ""))
+    if lead is not None:
+        return Tile(name, f"no name, a form: {_plain(lead['form'])}", SURE.get(_grade(r), ""))
     return Tile(name, "Unexplained", "no effect of the catalogue does it")
 
 
@@ -216,19 +219,31 @@ def _share(r: dict[str, Any]) -> float:
     return 0.0 if not before or after is None else float((before - after) / before)
 
 
-def _names(r: dict[str, Any]) -> str:
-    """What was named, without shares; of many that look alike how many they are."""
+def _by_grade(r: dict[str, Any]) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Effects to name, and those that are only suspected beside them: where something is confirmed, only that is named."""
+    of: dict[bool, list[dict[str, Any]]] = {True: [], False: []}
+    for e in r["effects"]:
+        of[_is_sure(e, r)].append(e)
     lead = leading(r)
-    names = [
-        " or ".join(map(_plain, e["class"])) if len(e["class"]) <= FEW else f"one of {len(e['class'])}" for e in r["effects"]
-    ]
+    return (of[True], of[False]) if lead is not None and _is_sure(lead, r) else (of[False], [])
+
+
+def _is_sure(term: dict[str, Any], r: dict[str, Any]) -> bool:
+    return (term.get("grade") or r["verdict"].get("grade")) == "confirmed"
+
+
+def _names(r: dict[str, Any]) -> str:
+    """The names; of many that look alike, how many they are."""
+    named, lead = _by_grade(r)[0], leading(r)
+    names = [" or ".join(map(_plain, e["class"])) if len(e["class"]) <= FEW else f"one of {len(e['class'])}" for e in named]
     if names and lead is not None and "form" in lead:
         names.insert(0, f"a {_plain(lead['form'])} without a name")
     return " and ".join(names)
 
 
-def _short_grade(r: dict[str, Any]) -> str:
-    return r["verdict"].get("grade") or "not judged"
+def _grade(r: dict[str, Any]) -> str:
+    lead = leading(r)
+    return (lead.get("grade") if lead is not None else None) or r["verdict"].get("grade") or "not judged"
 
 
 def _plain(name: str) -> str:
