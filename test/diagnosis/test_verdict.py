@@ -4,12 +4,14 @@
 """From what was found to one of five verdicts, its grade, and what may be written: on constructed findings."""
 
 import math
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+import trackres_ros as tr
 from trackres_ros.diagnosis.base.base import BaseParameter
 from trackres_ros.diagnosis.base.watched import WATCHED
 from trackres_ros.diagnosis.described.terms import Described
@@ -557,3 +559,23 @@ def test_a_name_that_is_only_suspected_goes_beside_a_term_that_is_confirmed(leav
     unsure = {**both, "t": Graded("t", UNSURE, ())}
     final = Fitted("n", "t")
     assert leave_unconfirmed(final, unsure, ["t"], Fitted(), laps) == (final, unsure, ())
+
+
+def test_a_wrong_value_of_the_file_is_named_with_its_interval(recorded, tmp_path, repository):
+    """Through the command's own function: the belts of the file have another bearing than those that were driven."""
+    text = (
+        (repository / "config" / "xgd24d.yaml").read_text(encoding="utf-8").replace("rubber/nr", f"{repository}/config/rubber/nr")
+    )
+    value = re.search(r"friction: \{value: ([\d.]+)", text)
+    assert value
+    true = float(value[1])
+    wrong = tmp_path / "wrong.yaml"
+    wrong.write_text(text.replace(value[0], f"friction: {{value: {0.86 * true:.5f}"), encoding="utf-8")
+    found = tr.diagnose(recorded(), wrong, quick=True).as_dict()
+    assert found["verdict"]["status"] == "none"
+    (changed, *_) = found["verdict"]["changed"]
+    assert changed["name"] == "bearing_friction"
+    low, high = changed["ci95"]
+    assert low < true < high
+    assert changed["text"] in found["verdict"]["sentence"]
+    assert "No mismatch beyond noise" not in found["verdict"]["sentence"]
