@@ -16,8 +16,7 @@ from click.testing import CliRunner
 
 from trackres_ros.cli.main import cli
 from trackres_ros.diagnosis import read_recordings
-from trackres_ros.diagnosis.pipeline import align_and_check
-from trackres_ros.diagnosis.prepare.gate import gate
+from trackres_ros.diagnosis.prepared import prepared
 from trackres_ros.diagnosis.report.content import report
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.estimator import Estimator
@@ -195,8 +194,8 @@ def test_a_channel_without_values_or_life_is_as_if_not_recorded(run, recorded, t
 
 def test_recordings_of_two_vehicles_are_told(recorded, loaded, tmp_path):
     one, *others = recorded(count=3)
-    recordings = read_recordings([changed(one, tmp_path, torque_nm=lambda x: 0.5 * x), *others], None)
-    checked, _ = align_and_check(gate(recordings, loaded.known), loaded)
+    recordings = read_recordings([changed(one, tmp_path, torque_nm=lambda x: x + 6000.0), *others], None)
+    checked, _ = prepared(recordings, loaded)
     (told,) = (note for note in checked.notes if "same vehicle" in note)
     assert told.startswith(f"{tmp_path / one.name}: ")
 
@@ -207,12 +206,58 @@ def test_what_is_noted_of_recordings_is_in_the_report(diagnosed):
 
 
 def test_where_nothing_is_explained_nothing_is_concluded(run, recorded, tmp_path):
-    one, other = recorded()
-    done = run([one, changed(other, tmp_path, torque_nm=lambda x: 0.4 * x)], tmp_path / "out")
+    rng = np.random.default_rng(2)
+    (path,) = recorded(count=1, minutes=5.0)
+    done = run([changed(path, tmp_path, torque_nm=lambda x: rng.normal(4000.0, 3000.0, len(x)))], tmp_path / "out")
     assert isinstance(done.exception, InputError)
     assert "nothing can be concluded" in str(done.exception)
-    assert "same vehicle" in str(done.exception)
     assert not (tmp_path / "out").exists()
+
+
+def bad_files(good, folder):
+    """Files that cannot be used, by the reason that is to be given."""
+    lines = good[0].read_text().splitlines()
+    (folder / "copy").mkdir()
+    standing = changed(good[1], folder / "copy", speed_mps=lambda v: 0.0 * v).rename(folder / "standing.csv")
+    contents = {
+        "at least 120 s": ("short.csv", lines[:50]),
+        "no torque": ("no_torque.csv", [",".join(line.split(",")[:-2]) for line in lines]),
+        "line 901": ("cut.csv", [*lines[:900], lines[900][:20]]),
+        "a rosbag2 directory": ("notes.txt", ["rain"]),
+    }
+    for name, content in contents.values():
+        (folder / name).write_text("\n".join(content))
+    return {"a vehicle that moves": standing, **{reason: folder / name for reason, (name, _) in contents.items()}}
+
+
+def test_order_names_and_bad_files_change_nothing(run, recorded, tmp_path):
+    texts = []
+    for folder, names, order in ((tmp_path / "a", "123", (0, 1, 2)), (tmp_path / "b", "312", (2, 0, 1))):
+        folder.mkdir()
+        good = []
+        for name, path in zip(names, recorded(count=3, minutes=4.0), strict=True):
+            good.append(changed(path, folder, time_s=lambda t: t - t[0]).rename(folder / f"{name}.csv"))
+        bad = bad_files(good, folder) if texts else {}
+        found = found_in(run, [*bad.values(), *(good[i] for i in order)], folder / "out")
+        for reason, path in bad.items():
+            (note,) = (n for n in found["notes"] if n.startswith(f"{path}: left out: "))
+            assert reason in note
+        found["notes"] = [n for n in found["notes"] if "left out: " not in n]
+        found["rejected"] = [x for x in found["rejected"] if "left out" not in x["reason"]]
+        text = json.dumps(found)
+        for i, path in enumerate(good):
+            text = text.replace(str(path), f"drive {i}")
+        texts.append(text)
+    assert texts[0] == texts[1]
+    done = run(list(bad.values()), tmp_path / "out")
+    assert isinstance(done.exception, InputError)
+    assert all(path.name in str(done.exception) and reason in str(done.exception) for reason, path in bad.items())
+
+
+def test_a_recording_that_is_not_there_is_refused(run, recorded, tmp_path):
+    done = run([*recorded(), tmp_path / "nothing.csv"], tmp_path / "out")
+    assert isinstance(done.exception, InputError)
+    assert "nothing at this path" in str(done.exception)
 
 
 def test_one_speed_alone_shows_little_and_says_so(run, loaded, tmp_path):

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from trackres_ros.diagnosis import load_base, read_recordings
-from trackres_ros.diagnosis.pipeline import align_and_check
-from trackres_ros.diagnosis.prepare.gate import gate
 from trackres_ros.diagnosis.prepare.torque_checks import nothing_to_conclude
+from trackres_ros.diagnosis.prepared import prepared
 from trackres_ros.errors import InputError
 from trackres_ros.evaluation.sealed.cases import CATALOGUE, OUTSIDE, Case
 from trackres_ros.evaluation.sealed.generate import make_case
@@ -96,7 +95,7 @@ def test_a_slow_vehicle_in_kmh_is_told_by_what_changes_of_speed_take(run, loaded
 
 
 def judged(paths, loaded):
-    return align_and_check(gate(read_recordings(paths, None), loaded.known), loaded)[0]
+    return prepared(read_recordings(paths, None), loaded)[0]
 
 
 @pytest.mark.parametrize("name", sorted({**CATALOGUE, **OUTSIDE}))
@@ -143,13 +142,51 @@ def test_a_gap_filled_by_straight_lines_is_left_out_and_counted(recorded, loaded
     assert not any("filled" in x.reason for x in healthy.left_out)
 
 
-def test_standing_still_and_steady_cruising_are_no_filled_gap(recorded, loaded, tmp_path):
-    def steady(columns):
-        columns["speed_mps"][1000:1400] = 5.0
-        columns["torque_nm"][1000:1120] = 5500.0
+SENSORS = {"fine": (0.01 / 3.6, 1.0), "usual": (0.1 / 3.6, 5.0), "coarse": (1.0 / 3.6, 50.0)}  # resolution [m/s], [Nm]
 
-    found = judged([rewritten(path, tmp_path, steady) for path in recorded()], loaded)
-    assert not any("filled" in x.reason for x in found.left_out)
+
+def shown(columns, sensors):
+    """Rounds speed and torque as a bus does."""
+    for name, step in zip(("speed_mps", "torque_nm"), SENSORS[sensors], strict=True):
+        columns[name] = np.round(columns[name] / step) * step
+
+
+@pytest.mark.parametrize("sensors", ["fine", "usual"])
+@pytest.mark.parametrize("of", [("speed_mps", "torque_nm"), ("speed_mps",), ("torque_nm",)])
+def test_lines_in_a_gap_show_within_the_resolution_of_a_sensor(recorded, loaded, tmp_path, sensors, of):
+    def fill(columns):
+        columns["speed_mps"] += np.random.default_rng(4).normal(0.0, 0.05, len(columns["speed_mps"]))  # as of wheels on a road
+        inside = np.zeros(len(columns["time_s"]), dtype=bool)
+        inside[gap] = True
+        for name in of:
+            columns[name][inside] = np.linspace(columns[name][gap.start], columns[name][gap.stop], inside.sum())
+        shown(columns, sensors)
+
+    one, other = recorded()
+    speed, torque = np.loadtxt(one, delimiter=",", skiprows=1)[:, [1, 7]].T
+    rises = np.abs((speed[300:] - speed[:-300]) * (torque[300:] - torque[:-300]))
+    gap = slice(int(np.argmax(rises)), int(np.argmax(rises)) + 300)
+    found = judged([rewritten(one, tmp_path, fill), other], loaded)
+    (count,) = [x.seconds for x in found.left_out if "filled" in x.reason]
+    assert 56 <= count <= 62
+    assert not found.sessions[0].used[gap.start // 5 + 2 : gap.stop // 5 - 2].any()
+
+
+@pytest.mark.parametrize("sensors", SENSORS)
+def test_no_sensor_that_rounds_shows_a_filled_gap(recorded, loaded, tmp_path, sensors):
+    found = judged([rewritten(path, tmp_path, lambda c: shown(c, sensors)) for path in recorded()], loaded)
+    assert not any("filled" in x.reason or "repeated" in x.reason for x in found.left_out)
+
+
+def test_a_last_value_that_is_repeated_is_left_out_and_counted(recorded, loaded, tmp_path):
+    def hold(columns):
+        for name in ("speed_mps", "torque_nm"):
+            columns[name][1000:1200] = columns[name][1000]
+
+    one, other = recorded()
+    found = judged([rewritten(one, tmp_path, hold), other], loaded)
+    assert [x.seconds for x in found.left_out if "repeated" in x.reason] == [pytest.approx(40, abs=1)]
+    assert not found.sessions[0].used[201:239].any()
 
 
 def test_two_recordings_of_one_time_are_refused_by_name(run, recorded, tmp_path):
@@ -181,7 +218,7 @@ def test_a_short_recording_among_others_is_left_out_with_a_note(recorded, loaded
     found = judged([one, short], loaded)
     assert [s.name for s in found.sessions] == [str(one)]
     assert any("short.csv" in note and "left out" in note for note in found.notes)
-    assert [x.seconds for x in found.left_out if "less than 120 s" in x.reason] == [79]
+    assert [x.seconds for x in found.left_out if "left out" in x.reason] == [79]
     with pytest.raises(InputError, match="at least 120 s"):
         judged([short], loaded)
 
@@ -199,6 +236,211 @@ def test_start_of_a_recording_that_counts_from_zero():
     made = Recording.from_source(Table())
     assert made.time_s("speed").tolist() == [0.0, 10.0, 20.0]
     assert replace(made, zero_is_unset=True).time_s("speed").tolist() == [-10.0, 0.0, 10.0]
+
+
+# One recording among others
+
+
+@pytest.mark.parametrize("what", WRONG)
+def test_one_wrong_recording_is_left_out_with_the_line(recorded, loaded, tmp_path, what):
+    change, said = WRONG[what]
+    one, *others = recorded(count=3)
+    wrong = rewritten(one, tmp_path, change)
+    found = judged([wrong, *others], loaded)
+    assert [s.name for s in found.sessions] == [str(path) for path in others]
+    (note,) = [n for n in found.notes if n.startswith(f"{wrong}: left out: ")]
+    assert said in note
+    assert [x.seconds for x in found.left_out if "left out" in x.reason] == [pytest.approx(600, abs=1)]
+
+
+def without_torque(columns):
+    del columns["torque_nm"]
+
+
+def standing(columns):
+    columns["speed_mps"] *= 0.0
+
+
+def mostly_standing(columns):
+    columns["speed_mps"][150:] = 0.0
+
+
+def stuck(columns):
+    columns["torque_nm"] = columns["torque_nm"] * 0.0 + 500.0
+
+
+def every_minute(columns):
+    columns.update({name: values[::300] for name, values in columns.items()})
+
+
+def every_ten_seconds(columns):
+    columns.update({name: values[::50] for name, values in columns.items()})
+
+
+UNUSABLE = {
+    without_torque: "no torque",
+    standing: "a vehicle that moves",
+    mostly_standing: "s of driving with a torque",
+    stuck: "s torque stuck",
+    every_minute: "record speed and torque more often",
+    every_ten_seconds: "diagnose it without the others",
+}
+
+
+@pytest.mark.parametrize("change", UNUSABLE, ids=lambda change: change.__name__)
+def test_one_unusable_recording_is_left_out_with_a_reason(recorded, loaded, tmp_path, change):
+    one, *others = recorded(count=3)
+    wrong = rewritten(one, tmp_path, change)
+    found = judged([wrong, *others], loaded)
+    assert [s.name for s in found.sessions] == [str(path) for path in others]
+    assert {s.step for s in found.sessions} == {1.0}
+    (note,) = [n for n in found.notes if n.startswith(f"{wrong}: left out: ")]
+    assert UNUSABLE[change] in note
+
+
+def test_where_no_recording_is_usable_the_error_has_each_reason(recorded, loaded, tmp_path):
+    wrong = [rewritten(path, tmp_path, change) for path, change in zip(recorded(count=3), UNUSABLE, strict=False)]
+    with pytest.raises(InputError) as error:
+        judged(wrong, loaded)
+    for path, said in zip(wrong, UNUSABLE.values(), strict=False):
+        assert path.name in str(error.value)
+        assert said in str(error.value)
+
+
+def test_a_drive_that_is_left_out_has_warmed_the_next_one(recorded, loaded, tmp_path):
+    one, other, last = recorded(count=3)
+    begins = [float(path.read_text().splitlines()[1].split(",")[0]) for path in (one, other, last)]
+
+    def close_behind(columns):
+        columns["time_s"] += begins[0] - begins[1] + 900.0
+
+    def left_out(columns):
+        close_behind(columns)
+        without_torque(columns)
+
+    def at_last(columns):
+        columns["time_s"] += begins[0] - begins[2] + 1800.0
+
+    warmed = judged([one, rewritten(other, tmp_path, left_out), rewritten(last, tmp_path, at_last)], loaded).sessions[1]
+    assert warmed.after_unseen
+    assert warmed.gap == pytest.approx(300.0, abs=1.0)
+
+
+# Clocks
+
+
+HOUR_S = 3600.0
+
+
+def late(*names, by=HOUR_S):
+    """A change: what a merge of two tables gives where the clock of some columns is late; nothing stands where one has no row."""
+
+    def change(columns):
+        empty = np.full(round(by / 0.2), np.nan)
+        for name, values in columns.items():
+            columns[name] = np.concatenate((empty, values) if name in names else (values, empty))
+        columns["time_s"] = columns["time_s"][0] + 0.2 * np.arange(len(columns["time_s"]))
+
+    return change
+
+
+def noted(gated, path):
+    return [n.removeprefix(f"{path}: ") for n in gated.notes if n.startswith(f"{path}: ")]
+
+
+def test_a_torque_an_hour_late_is_moved_and_all_of_it_compared(recorded, loaded, tmp_path):
+    one, other = recorded()
+    healthy = judged([one, other], loaded)
+    path = rewritten(one, tmp_path, late("torque_nm", "weight_n"))
+    found = judged([path, other], loaded)
+    assert abs(int(found.sessions[0].used.sum()) - int(healthy.sessions[0].used.sum())) <= 2
+    assert np.corrcoef(found.sessions[0].torque[20:580], healthy.sessions[0].torque[20:580])[0, 1] > 0.99
+    said = " ".join(noted(found, path))
+    assert "torque: its clock is +3600 s off against the speed's; moved by that" in said
+    assert "load: its clock is +3600 s off against the speed's; moved by that, as the torque" in said
+
+
+def test_a_load_an_hour_late_is_not_used_and_noted(recorded, loaded, tmp_path):
+    one, other = recorded()
+    path = rewritten(one, tmp_path, late("weight_n", "ambient_degc"))
+    found = judged([path, other], loaded)
+    assert "load" not in found.sessions[0].given
+    assert "ambient" in found.sessions[0].given
+    said = " ".join(noted(found, path))
+    assert "load is recorded from 3600 s to 4200 s, the speed from 0 s to 600 s: its clock seems to be +3600 s off" in said
+
+
+def test_header_stamps_an_hour_late_are_moved_by_the_log(recorded, loaded):
+    (recording, other) = read_recordings(recorded(), None)
+    load = recording.series["load"]
+    off = replace(load, stamp_ns=load.stamp_ns + 3_600_000_000_000)
+    found, _ = prepared([replace(recording, series={**recording.series, "load": off}), other], loaded)
+    assert any("load: its clock is +3600 s off" in note and "time of logging" in note for note in found.notes)
+    healthy, _ = prepared([recording, other], loaded)
+    np.testing.assert_array_equal(found.sessions[0].weight, healthy.sessions[0].weight)
+
+
+def test_an_unlike_torque_an_hour_late_is_left_out(recorded, loaded, tmp_path):
+    def change(columns):
+        columns["torque_nm"] = np.roll(columns["torque_nm"], 1111)
+        late("torque_nm")(columns)
+
+    one, other = recorded()
+    path = rewritten(one, tmp_path, change)
+    found = judged([path, other], loaded)
+    (said,) = noted(found, path)
+    for part in ("left out: torque", "from 3600 s to 4200 s", "a clock that is +3600 s off?", "correct the times"):
+        assert part in said
+
+
+def test_a_torque_that_was_recorded_longer_is_noted_and_not_moved(recorded, loaded, tmp_path):
+    def change(columns):
+        columns["torque_nm"][:1000] = np.nan
+        columns["speed_mps"][-500:] = np.nan
+
+    one, other = recorded()
+    path = rewritten(one, tmp_path, change)
+    found = judged([path, other], loaded)
+    assert any("torque is recorded from 200 s to 600 s" in note for note in noted(found, path))
+    assert not any("moved" in note for note in found.notes)
+
+
+def set_back(columns):
+    columns["time_s"][1500:] -= HOUR_S
+
+
+def set_back_into_what_was(columns):
+    columns["time_s"][1500:] -= 100.0
+
+
+def set_from_1970(columns):
+    columns["time_s"][:100] -= columns["time_s"][0] - 5.0
+
+
+@pytest.mark.parametrize("change", [set_back, set_back_into_what_was, set_from_1970])
+def test_a_clock_that_was_set_is_left_out_with_the_place(recorded, loaded, tmp_path, change):
+    one, other = recorded()
+    path = rewritten(one, tmp_path, change)
+    found = judged([path, other], loaded)
+    (said,) = noted(found, path)
+    assert "left out: speed" in said
+    assert "correct the times" in said
+    assert f"{19.8 if change is set_from_1970 else 299.8:.0f} s after its beginning" in said
+
+
+def test_a_clock_set_forward_an_hour_is_noted(recorded, loaded, tmp_path):
+    one, other = recorded()
+    path = rewritten(one, tmp_path, lambda c: c.update(time_s=c["time_s"] + HOUR_S * (np.arange(len(c["time_s"])) > 1500)))
+    assert "no speed for 3600 s, 300 s after its beginning; taken for a pause" in noted(judged([path, other], loaded), path)
+
+
+def test_rows_in_any_order_are_the_same_recording(recorded, loaded, tmp_path):
+    def backwards(columns):
+        columns.update({name: values[::-1] for name, values in columns.items()})
+
+    one, other = recorded()
+    healthy, found = (judged([path, other], loaded) for path in (one, rewritten(one, tmp_path, backwards)))
+    np.testing.assert_array_equal(found.sessions[0].torque, healthy.sessions[0].torque)
 
 
 # A slope by the altitude

@@ -15,9 +15,9 @@ from trackres_ros.cli.main import cli
 from trackres_ros.diagnosis.base.loading import load_base
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.inference.levels import with_levels
-from trackres_ros.diagnosis.pipeline import align_and_check
 from trackres_ros.diagnosis.prepare.gate import gate
 from trackres_ros.diagnosis.prepare.split import split
+from trackres_ros.diagnosis.prepared import prepared
 from trackres_ros.errors import InputError
 from trackres_ros.evaluation.field.data import car, robot, trips
 from trackres_ros.evaluation.field.run import BUT_WHEELS, SHOWS_TURNING
@@ -122,7 +122,7 @@ def test_of_wheels_that_are_hidden_nothing_is_said(bus):
 @needs_bus
 def test_the_bus_is_refitted_no_worse_than_its_file_and_than_robust_least_squares(bus, robust_least_squares):
     recording, loaded = bus
-    gated, nominal = align_and_check(gate([recording], loaded.known), loaded)
+    gated, nominal = prepared([recording], loaded)
     chosen = split(gated.sessions)
     (session,) = gated.sessions
     problem = Problem(loaded.base, gated.sessions, (chosen.training_mask(session),))

@@ -11,7 +11,7 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from trackres_ros.api.arguments import StrPath, TopicsGiven, VehicleGiven, as_topics
+from trackres_ros.api.arguments import StrPath, TopicsGiven, VehicleGiven, as_paths, as_topics
 from trackres_ros.api.recordings import read
 from trackres_ros.errors import InputError
 
@@ -89,7 +89,10 @@ def diagnose(
     """
     from trackres_ros.checks import one_of
     from trackres_ros.diagnosis.base.loading import load_base
-    from trackres_ros.diagnosis.pipeline import diagnose, in_order
+    from trackres_ros.diagnosis.pipeline import diagnose
+    from trackres_ros.diagnosis.prepare.order import in_order
+    from trackres_ros.diagnosis.prepare.refuse import Refusal, each_usable
+    from trackres_ros.recording.reading import check_there
     from trackres_ros.recording.recording import Recording
     from trackres_ros.recording.roles import ROLES, base_role
     from trackres_ros.results.diagnosis import DiagnosisResult
@@ -104,8 +107,17 @@ def diagnose(
     if mapping is None:  # what a belt temperature shows is of the vehicle: any of the recordings says it for all
         mapping = next((r.topics for r in listed if isinstance(r, Recording) and r.topics), None)
     loaded = load_base(vehicle, method, thermal, mapping, surroundings)
-    sessions = [r if isinstance(r, Recording) else read(r, topics=mapping) for r in listed]
+    for path in (path for r in listed if not isinstance(r, Recording) for path in as_paths(r)):
+        check_there(path)
+    refused: list[Refusal] = []
+    sessions = in_order(each_usable(listed, lambda r: r if isinstance(r, Recording) else read(r, topics=mapping), refused, _name))
     folder = None if effects is None else Path(effects)
-    found = diagnose(in_order(sessions), loaded, hide, holdout, seed, quick, folder, keep_suspected, on_stage=on_stage)
-    paths = [path for session in sessions for path in (session.paths or (Path(session.name),))]
+    found = diagnose(sessions, loaded, hide, holdout, seed, quick, folder, keep_suspected, on_stage, refused)
+    used = {session.name for session in found.sessions}
+    paths = [path for session in sessions if session.name in used for path in (session.paths or (Path(session.name),))]
     return DiagnosisResult(found, loaded, paths, sessions[0].bindings, time.monotonic() - begun)
+
+
+def _name(recording: StrPath | Recording) -> str:
+    """Of a recording, or its path."""
+    return str(recording) if isinstance(recording, str | PathLike) else recording.name

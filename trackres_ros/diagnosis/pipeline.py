@@ -40,16 +40,13 @@ from trackres_ros.diagnosis.findings.verdict import MOST_STRAY, Found, Told, Ver
 from trackres_ros.diagnosis.inference.fitting import Fit, Problem, fit
 from trackres_ros.diagnosis.inference.levels import for_tests, with_levels
 from trackres_ros.diagnosis.inference.noise import Noise
-from trackres_ros.diagnosis.prepare.gate import Gated, gate
-from trackres_ros.diagnosis.prepare.on_route import on_route
+from trackres_ros.diagnosis.prepare.gate import Gated
+from trackres_ros.diagnosis.prepare.order import in_order
+from trackres_ros.diagnosis.prepare.refuse import Refusal
 from trackres_ros.diagnosis.prepare.session import Session, Split
 from trackres_ros.diagnosis.prepare.split import split
-from trackres_ros.diagnosis.prepare.torque_checks import (
-    aligned_clock,
-    check_torque,
-    inconsistent_scale_notes,
-    nothing_to_conclude,
-)
+from trackres_ros.diagnosis.prepare.torque_checks import inconsistent_scale_notes, nothing_to_conclude
+from trackres_ros.diagnosis.prepared import prepared
 from trackres_ros.diagnosis.selection.confirm import Graded, keep, leave_unconfirmed
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, HeldOut, HeldOutLaps, Improvement, held_out
 from trackres_ros.diagnosis.selection.intervals import Interval, intervals
@@ -145,14 +142,8 @@ class Diagnosis:
 
 
 def read_recordings(paths: Sequence[Path], topics: Topics | None) -> list[Recording]:
-    """Read recordings, each one session; see `in_order`."""
+    """Read recordings, each one session, in their order."""
     return in_order([Recording.from_source(open_source([path], topics)) for path in paths])
-
-
-def in_order(recordings: Sequence[Recording]) -> list[Recording]:
-    """Recordings in the order of their clocks where all have one, else as they were given."""
-    timed = all(r.start_ns for r in recordings)
-    return sorted(recordings, key=lambda r: r.start_ns) if timed else list(recordings)
 
 
 def diagnose(
@@ -165,6 +156,7 @@ def diagnose(
     effects_dir: Path | None = None,
     keep_suspected: bool = False,
     on_stage: Callable[[str], None] = lambda _: None,
+    unread: Sequence[Refusal] = (),
 ) -> Diagnosis:
     """Find where recordings part from a base model, which effect is left out, and what a model with it is worth.
 
@@ -186,6 +178,8 @@ def diagnose(
         Whether effects that fit and that held-out laps do not confirm are kept too.
     on_stage
         Takes the name of each stage.
+    unread
+        Recordings that could not be read.
 
     Raises
     ------
@@ -198,8 +192,7 @@ def diagnose(
         for name, effect in catalogue(effects_dir, base.facts.weight * base.facts.radius, on_tyres=not base.has_belt).items()
     }
     on_stage("gate: units, clocks, gaps")
-    gated = on_route(gate(recordings, vehicle.known, hide), vehicle.route)
-    gated, nominal = align_and_check(gated, vehicle)
+    gated, nominal = prepared(recordings, vehicle, hide, unread)
     chosen = split(gated.sessions, holdout)
     masks = tuple(chosen.training_mask(s) for s in gated.sessions)
     on_stage("re-fit of the base")
@@ -362,19 +355,3 @@ def to_watch(terms: Sequence[Term], drifts: bool, final: Fit, expected: Sequence
     if spells is not None:
         return spells_to_watch(spells, final, expected)
     return drift_to_watch(final, expected) if drifts else None
-
-
-def align_and_check(gated: Gated, vehicle: LoadedBase) -> tuple[Gated, tuple[Array, ...]]:
-    """Clocks put right, sign and unit checked, by the torque that the vehicle file expects; and that torque."""
-    values = {q.name: q.nominal for q in vehicle.base.parameters}
-
-    def by_file(sessions: Sequence[Session]) -> list[Array]:
-        return [p.torque for p in vehicle.base.predict(sessions, values, ())]
-
-    expected = by_file(gated.sessions)
-    moved = [aligned_clock(s, e) for s, e in zip(gated.sessions, expected, strict=True)]
-    sessions = tuple(s for s, _ in moved)
-    notes = (*gated.notes, *(note for _, note in moved if note))
-    check_torque(sessions, expected, by_file([replace(s, accel=np.zeros(len(s))) for s in sessions]), vehicle.known)
-    notes = (*notes, *inconsistent_scale_notes(sessions, expected))
-    return replace(gated, sessions=sessions, notes=notes), tuple(expected)

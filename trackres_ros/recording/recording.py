@@ -140,7 +140,7 @@ class Recording:
 
     @property
     def start_ns(self) -> int:
-        """Stamp of time 0: the first of speed that is set, or of the first role with samples [ns]."""
+        """Stamp of time 0: the earliest of speed that is set, or of the first role with samples [ns]."""
         return _start_ns(self.series, self.zero_is_unset)
 
     def time_s(self, role: str) -> FloatArray:
@@ -237,7 +237,7 @@ def _start_ns(series: Mapping[str, Series], zero_is_unset: bool) -> int:
     for role in sorted(series, key=lambda role: role != "speed"):
         stamp_ns = series[role].stamp_ns
         if stamp_ns.size:
-            return int(stamp_ns[np.argmax(stamp_ns != 0) if zero_is_unset else 0])
+            return int(stamp_ns.min(where=stamp_ns != 0, initial=stamp_ns.max()) if zero_is_unset else stamp_ns.min())
     return 0
 
 

@@ -45,7 +45,7 @@ class DiagnosisResult:
     Attributes
     ----------
     recordings
-        Paths of the recordings, in the order in which they were given.
+        Paths of the recordings that were used, in the order in which they were driven; see `in_order`.
     diagnosis
         All that was found, step by step, for who wants to look further.
     written

@@ -13,19 +13,32 @@ import numpy as np
 
 from trackres_ros.diagnosis.prepare.altitude import with_slope
 from trackres_ros.diagnosis.prepare.brakes import motor_brakes_alone
+from trackres_ros.diagnosis.prepare.clocks import on_one_clock
 from trackres_ros.diagnosis.prepare.laps import lap_numbers
-from trackres_ros.diagnosis.prepare.refuse import check_speed, long_enough, refuse_overlaps
+from trackres_ros.diagnosis.prepare.order import in_order
+from trackres_ros.diagnosis.prepare.refuse import (
+    EARLIEST_CLOCK_S,
+    SHORTEST_S,
+    Refusal,
+    check_compared,
+    check_speed,
+    duration_s,
+    each_usable,
+    nothing_left,
+    refuse_overlaps,
+)
 from trackres_ros.diagnosis.prepare.resample import is_hidden, resample, step_for
 from trackres_ros.diagnosis.prepare.session import Mask, Session
-from trackres_ros.diagnosis.prepare.settings import STEP_S, GateSettings
+from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS, STEP_S, GateSettings
 from trackres_ros.diagnosis.prepare.usable import BRAKES_ON, is_slow, usable
 from trackres_ros.errors import InputError
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.roles import base_role
 from trackres_ros.recording.wheels import wheel_notes
 
-Resampled = tuple[Session, Mapping[str, Mask]]
-
+LEFT_OUT = "in recordings that are left out"
+SLOWER = 5.0  # times the step that half of the driving suits: slower recordings would blur the others
+LONGEST_STEP_S = 60.0  # speed and torque vary within it, and their means hardly tell what a change of speed takes
 SHORTEST_MOVING_S = 60.0
 LONGEST_BREAK_S = 7 * 86400.0  # between recordings whose clocks run on
 CLOCK_OFF_S = 60.0  # by which a standing time that is given may be shorter than clocks say, and still be the same
@@ -58,17 +71,21 @@ class Gated:
     notes: tuple[str, ...]
 
 
-def gate(recordings: Sequence[Recording], settings: GateSettings, hide: Sequence[str] = ()) -> Gated:
-    """Check recordings and put them on an even grid.
+def gate(
+    recordings: Sequence[Recording], settings: GateSettings, hide: Sequence[str] = (), refused: Sequence[Refusal] = ()
+) -> Gated:
+    """Check recordings and put them on an even grid; those that cannot be used are left out, and the notes say why.
 
     Parameters
     ----------
     recordings
-        In the order of their times.
+        In any order; see `in_order`.
     settings
         Of the vehicle.
     hide
         Roles that are not read.
+    refused
+        Recordings that cannot be used for reasons that were found elsewhere.
 
     Returns
     -------
@@ -78,34 +95,128 @@ def gate(recordings: Sequence[Recording], settings: GateSettings, hide: Sequence
     Raises
     ------
     InputError
-        If there is no torque, or too little that can be used; says what to do.
+        If no recording can be used, or too little of all of them; says why of each, and what to do.
     """
-    left_out: Counter[str] = Counter()
-    notes: list[str] = []
-    sessions: list[Session] = []
-    block = 0
-    end_ns: int | None = None
-    end_m = 0.0
-    refuse_overlaps(recordings, notes)
-    admitted = long_enough(recordings, left_out, notes)
-    step = step_for(admitted)
+    refused, given, overlaps = list(refused), in_order(recordings), list[str]()
+    known = {one.name for one in refused}
+    admitted = each_usable((r for r in given if r.name not in known), lambda recording: _admitted(recording, hide), refused)
+    step, admitted = _of_one_step(admitted, refused)
+    resampled = each_usable(admitted, lambda one: _resampled(one, step, settings), refused)
+    refuse_overlaps([one.recording for one in resampled], overlaps)
+    not_recorded = settings.friction_brakes and not all("brake" in one.session.given for one in resampled)
+    alone = _motor_brakes_alone(resampled, settings, overlaps) if not_recorded and resampled else 0.0
+    checked = [_checked(one, settings, alone) for one in resampled]
+    seconds = [one.compared_s for one in checked]
+    if max(seconds, default=0.0) >= SHORTEST_MOVING_S or sum(seconds) < SHORTEST_MOVING_S:
+        checked = each_usable(checked, _enough, refused)
+    if not checked:
+        raise nothing_left(refused)
+    left_out = sum((one.left_out for one in checked), Counter[str]())
+    unused = [r for r in given if r.name in {one.name for one in refused}]
+    left_out[LEFT_OUT] = sum(int(duration_s(r.series)) for r in unused)
+    notes = [f"{one.name}: left out: {one.reason}" for one in refused] + overlaps
     if step > STEP_S:
         notes.append(f"samples come so slowly that torques are compared as means over {step:.0f} s")
-    resampled = [resample(recording, step, settings, frozenset(hide), notes) for recording in admitted]
-    not_recorded = settings.friction_brakes and not all("brake" in session.given for session, _ in resampled)
-    alone = _motor_brakes_alone(resampled, settings, notes) if not_recorded else 0.0
-    for recording, (session, unknown) in zip(admitted, resampled, strict=True):
-        session = replace(session, used=usable(session, unknown, settings, left_out, alone))
-        if "brake" in session.given:
-            notes.append(_of_brakes(session, unknown[BRAKES_ON], settings))
-        session, of_slope = with_slope(session)
-        notes += [of_slope] if of_slope else []
-        notes += [f"{session.name}: {note}" for note in _of_wheels(recording, hide)]
-        check_speed(session, settings.max_speed)
-        begin_ns = recording.start_ns
+    sessions = _one_after_another(checked, [r for r in unused if _drove(r)], notes)
+    return Gated(tuple(sessions), tuple(LeftOut(reason, n) for reason, n in left_out.items() if n), tuple(notes))
+
+
+@dataclass(frozen=True, eq=False)
+class _Admitted:
+    """A recording on one clock without what is hidden, how long it had stood before [s], and what to say of it."""
+
+    recording: Recording
+    stood: float
+    notes: list[str]
+
+    @property
+    def name(self) -> str:
+        return self.recording.name
+
+
+@dataclass(frozen=True, eq=False)
+class _Resampled(_Admitted):
+    """The same on an even grid, and what of it is not compared."""
+
+    session: Session
+    unknown: Mapping[str, Mask]
+    left_out: Counter[str]
+
+    @property
+    def compared_s(self) -> float:
+        return float(self.session.used.sum()) * self.session.step
+
+
+def _admitted(recording: Recording, hide: Sequence[str]) -> _Admitted:
+    shown = {role: series for role, series in recording.series.items() if not is_hidden(role, hide)}
+    check_compared(recording.name, shown)
+    recording, notes = on_one_clock(replace(recording, series=shown))
+    check_compared(recording.name, recording.series)
+    return _Admitted(recording, _stood(recording), notes)
+
+
+def _of_one_step(admitted: Sequence[_Admitted], refused: list[Refusal]) -> tuple[float, list[_Admitted]]:
+    """The step to compare them in [s], and those it suits: one that comes far more slowly than the others is left out."""
+    steps = sorted((step_for([one.recording]), duration_s(one.recording.series)) for one in admitted)
+    half, so_far = 0.5 * sum(seconds for _, seconds in steps), 0.0
+    longest = 0.0
+    for step, seconds in steps:
+        so_far += seconds
+        longest = SLOWER * step
+        if so_far > half:
+            break
+
+    def suits(one: _Admitted) -> _Admitted:
+        step = step_for([one.recording])
+        given = f"samples so slow that torques would be compared as means over {step:.0f} s"
+        if step > LONGEST_STEP_S:
+            raise InputError(one.name, given, f"at most {LONGEST_STEP_S:.0f} s", "record speed and torque more often")
+        if step > longest:
+            allowed = f"at most {longest:.0f} s together with the others"
+            raise InputError(one.name, given, allowed, "diagnose it without the others")
+        return one
+
+    suited = each_usable(admitted, suits, refused)
+    return step_for([one.recording for one in suited]), suited
+
+
+def _resampled(one: _Admitted, step: float, settings: GateSettings) -> _Resampled:
+    session, unknown = resample(one.recording, step, settings, frozenset(), one.notes)
+    check_speed(session, settings.max_speed)
+    return _Resampled(one.recording, one.stood, one.notes, session, unknown, Counter())
+
+
+def _checked(one: _Resampled, settings: GateSettings, alone: float) -> _Resampled:
+    """The same with what may be compared, and a slope of its altitude."""
+    session = replace(one.session, used=usable(one.session, one.unknown, settings, one.left_out, alone))
+    if "brake" in session.given:
+        one.notes.append(_of_brakes(session, one.unknown[BRAKES_ON], settings))
+    session, of_slope = with_slope(session)
+    one.notes.extend([of_slope] if of_slope else [])
+    one.notes.extend(f"{session.name}: {note}" for note in _of_wheels(one.recording))
+    return replace(one, session=session)
+
+
+def _enough(one: _Resampled) -> _Resampled:
+    if one.compared_s < SHORTEST_MOVING_S:
+        given = f"{one.compared_s:.0f} s of driving with a torque; left out: {_listed(one.left_out) or 'nothing'}"
+        remedy = "give a longer recording, or look at units and topics"
+        raise InputError(one.name, given, f"at least {SHORTEST_MOVING_S:.0f} s", remedy)
+    return one
+
+
+def _one_after_another(checked: Sequence[_Resampled], unused: Sequence[Recording], notes: list[str]) -> list[Session]:
+    """Sessions with their laps counted through, and how long each vehicle stood before; `unused` are drives in between."""
+    ends_ns = [r.start_ns + int(duration_s(r.series) * 1e9) for r in unused]
+    sessions: list[Session] = []
+    block, end_ns, end_m = 0, None, 0.0
+    for one in checked:
+        session, begin_ns = one.session, one.recording.start_ns
+        notes += one.notes
         follows = end_ns is not None and 0 <= begin_ns - end_ns <= LONGEST_BREAK_S * 1e9 and begin_ns > 0
         off = (begin_ns - end_ns) * 1e-9 if end_ns is not None and follows else np.inf
-        stood = _stood(recording, hide)
+        since = [(begin_ns - end) * 1e-9 for end in ends_ns if 0 <= begin_ns - end <= LONGEST_BREAK_S * 1e9]
+        stood = min(one.stood, *since, np.inf)
         if stood < off - CLOCK_OFF_S:
             session = replace(session, gap=stood, after_unseen=True)
             notes.append(
@@ -120,19 +231,18 @@ def gate(recordings: Sequence[Recording], settings: GateSettings, hide: Sequence
         else:
             notes.append(f"{session.name}: starts soaked at the ambient temperature")
         end_ns = begin_ns + int(session.time[-1] * 1e9)
-        laps = lap_numbers(session)
-        session = replace(session, block=laps + block, distance=session.distance + end_m)
+        session = replace(session, block=lap_numbers(session) + block, distance=session.distance + end_m)
         block, end_m = int(session.block[-1]) + 1, float(session.distance[-1])
         sessions.append(session)
-    seconds = sum(int(s.used.sum()) for s in sessions) * step
-    if seconds < SHORTEST_MOVING_S:
-        raise InputError(
-            ", ".join(r.name for r in recordings),
-            f"{seconds:.0f} s of driving with a torque; left out: {_listed(left_out) or 'nothing'}",
-            f"at least {SHORTEST_MOVING_S:.0f} s",
-            "give a longer recording, or look at units and topics",
-        )
-    return Gated(tuple(sessions), tuple(LeftOut(reason, n) for reason, n in left_out.items() if n), tuple(notes))
+    return sessions
+
+
+def _drove(recording: Recording) -> bool:
+    """Whether a recording that is not used shows when the vehicle was driven before another one."""
+    if recording.start_ns * 1e-9 < EARLIEST_CLOCK_S or duration_s(recording.series) < SHORTEST_S:
+        return False
+    speed = recording.series["speed"].value
+    return float(np.nanpercentile(np.abs(speed), 99.0)) > SLOWEST_MPS
 
 
 def _of_brakes(session: Session, on: Mask, settings: GateSettings) -> str:
@@ -148,16 +258,12 @@ def _of_brakes(session: Session, on: Mask, settings: GateSettings) -> str:
     )
 
 
-def _of_wheels(recording: Recording, hide: Sequence[str]) -> list[str]:
-    """What wheel speeds show that are not hidden."""
-    shown = [role for role in recording.series if not is_hidden(role, hide)]
-    if not any(base_role(role) == "wheel_speed" for role in shown):
-        return []
-    held = recording.aligned()
-    return wheel_notes({role: series for role, series in held.items() if not is_hidden(role, hide)})
+def _of_wheels(recording: Recording) -> list[str]:
+    """What wheel speeds show."""
+    return wheel_notes(recording.aligned()) if any(base_role(role) == "wheel_speed" for role in recording.series) else []
 
 
-def _stood(recording: Recording, hide: Sequence[str]) -> float:
+def _stood(recording: Recording) -> float:
     """How long it had stood before, as far as that was recorded [s]; infinite where it was not, or longer than counts.
 
     Raises
@@ -166,7 +272,7 @@ def _stood(recording: Recording, hide: Sequence[str]) -> float:
         If it is negative.
     """
     series = recording.series.get("stood")
-    given = series.value[np.isfinite(series.value)] if series is not None and "stood" not in hide else np.empty(0)
+    given = series.value[np.isfinite(series.value)] if series is not None else np.empty(0)
     if not len(given):
         return np.inf
     if given[0] < 0.0:
@@ -176,10 +282,10 @@ def _stood(recording: Recording, hide: Sequence[str]) -> float:
     return float(given[0]) if given[0] <= LONGEST_BREAK_S else np.inf
 
 
-def _motor_brakes_alone(resampled: Sequence[Resampled], settings: GateSettings, notes: list[str]) -> float:
+def _motor_brakes_alone(resampled: Sequence[_Resampled], settings: GateSettings, notes: list[str]) -> float:
     """The torque down to which nothing but the motor brakes [Nm]; adds what was found to the notes."""
-    compared = [~is_slow(session, settings) & ~np.any(list(unknown.values()), axis=0) for session, unknown in resampled]
-    alone = motor_brakes_alone([session for session, _ in resampled], compared)
+    compared = [~is_slow(one.session, settings) & ~np.any(list(one.unknown.values()), axis=0) for one in resampled]
+    alone = motor_brakes_alone([one.session for one in resampled], compared)
     if alone < 0.0:
         notes.append(
             f"down to {alone:.0f} Nm the motor brakes alone, as changes of speed show; below it friction brakes may help"

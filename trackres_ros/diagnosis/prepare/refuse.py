@@ -1,19 +1,21 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Refuses recordings in which nothing can be compared: too short, of one time, without torque or speed, or too fast."""
+"""Refuses recordings in which nothing can be compared: too short, of one time, without torque or speed, too fast or too slow."""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from operator import attrgetter
+from typing import TypeVar
 
 import numpy as np
 
 from trackres_ros.diagnosis.prepare.session import Session
 from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS, STEP_S
 from trackres_ros.diagnosis.prepare.unit_checks import Conversion
-from trackres_ros.errors import InputError
+from trackres_ros.errors import InputError, MissingExtraError, one_line
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.samples import Series
 from trackres_ros.units import KMH_PER_MPS
@@ -22,31 +24,69 @@ SHORTEST_S = 120.0
 EARLIEST_CLOCK_S = 6e8  # 1989: a recording that begins before it counts from its own start
 MOST_OVERLAP = 0.1  # of the shorter: more is no clock that is a little off
 
+Given = TypeVar("Given")
+Used = TypeVar("Used")
 
-def _duration_s(series: Mapping[str, Series]) -> float:
+
+def duration_s(series: Mapping[str, Series]) -> float:
     """From the first speed to the last [s]."""
     speed = series.get("speed")
     at = speed.stamp_ns[np.isfinite(speed.value)] if speed else np.empty(0)
     return float(at.max() - at.min()) * 1e-9 if len(at) else 0.0
 
 
-def long_enough(recordings: Sequence[Recording], left_out: Counter[str], notes: list[str]) -> list[Recording]:
-    """Leave out recordings that are too short, unless all are: then `check_compared` says what each lacks."""
-    short = [r for r in recordings if "speed" in r.series and _duration_s(r.series) < SHORTEST_S]
-    if len(short) == len(recordings):
-        return list(recordings)
-    for recording in short:
-        seconds = _duration_s(recording.series)
-        notes.append(f"{recording.name}: left out, it has {seconds:.0f} s of {SHORTEST_S:.0f} s at least")
-        reason = f"in recordings of less than {SHORTEST_S:.0f} s"
-        left_out[reason] += int(seconds)
-    return [r for r in recordings if r not in short]
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """A recording that cannot be used: its name, and why."""
+
+    name: str
+    error: InputError
+
+    @property
+    def reason(self) -> str:
+        """Why, without its name."""
+        return str(self.error).removeprefix(one_line(self.name)).lstrip(": ")
+
+
+def each_usable(
+    given: Iterable[Given],
+    use: Callable[[Given], Used],
+    refused: list[Refusal],
+    name: Callable[[Given], str] = attrgetter("name"),
+) -> list[Used]:
+    """What can be made of each recording; those that cannot be used go to `refused`."""
+    made = []
+    for one in given:
+        try:
+            made.append(use(one))
+        except MissingExtraError:
+            raise
+        except InputError as error:
+            refused.append(Refusal(name(one), error))
+    return made
+
+
+def nothing_left(refused: Sequence[Refusal]) -> InputError:
+    """The error of recordings none of which can be used: the reason of each, and equal reasons once."""
+    alike: dict[tuple[str, str, str], list[Refusal]] = {}
+    for one in sorted(refused, key=lambda one: one.name):
+        where = one.error.where
+        part = where.removeprefix(one.name) if where.startswith(one.name) else f": {where}"
+        alike.setdefault((part, one.error.allowed, one.error.remedy), []).append(one)
+    errors = [
+        InputError(", ".join(one.name for one in ones) + part, ones[0].error.given, allowed, remedy)
+        for (part, allowed, remedy), ones in alike.items()
+    ]
+    if len(errors) == 1:
+        return errors[0]
+    reasons = "; ".join(f"{error.where}: {error.given}, {error.remedy or error.allowed}" for error in errors)
+    return InputError("recordings", f"{len(refused)}, none of which can be used", "at least one that can be used", reasons)
 
 
 def refuse_overlaps(recordings: Sequence[Recording], notes: list[str]) -> None:
     """Refuse two recordings of one time: they show the same drive twice. Without a clock of the day none is refused."""
     clocked = [(r.start_ns * 1e-9, r) for r in recordings if r.start_ns * 1e-9 > EARLIEST_CLOCK_S]
-    spans = sorted((begin, begin + _duration_s(r.series), r.name) for begin, r in clocked)
+    spans = sorted((begin, begin + duration_s(r.series), r.name) for begin, r in clocked)
     for i, (begin, end, name) in enumerate(spans):
         for other_begin, other_end, other in spans[i + 1 :]:
             both = min(end, other_end) - other_begin
@@ -55,7 +95,7 @@ def refuse_overlaps(recordings: Sequence[Recording], notes: list[str]) -> None:
                     f"{name}, {other}",
                     f"{both:.0f} s of one time in both",
                     "recordings of different times",
-                    "give one of them, or join what each has in one recording",
+                    "give one of them, or join what each has in one recording; of different drives one clock is off: correct it",
                 )
             if both > STEP_S:
                 notes.append(f"{name}, {other}: their clocks overlap by {both:.0f} s; taken for one after the other")
@@ -77,7 +117,7 @@ def check_compared(name: str, series: Mapping[str, Series], shortest_s: float = 
         )
     if "speed" not in series or not np.isfinite(series["speed"].value).any():
         raise InputError(name, "no finite speed", "a speed")
-    seconds = _duration_s(series)
+    seconds = duration_s(series)
     if seconds < shortest_s:
         raise InputError(name, f"{seconds:.0f} s", f"at least {shortest_s:.0f} s of recording")
 

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from trackres_ros.diagnosis.prepare.gaps import steps_within, steps_without_value, straight_spans
+from trackres_ros.diagnosis.prepare.gaps import filled_steps, steps_without_value
 from trackres_ros.diagnosis.prepare.refuse import EARLIEST_CLOCK_S, SHORTEST_S, check_compared
 from trackres_ros.diagnosis.prepare.sample_noise import noise_of_means
 from trackres_ros.diagnosis.prepare.sampling import LONGEST_HOLD_S, any_from, carried, held, means, middles, ordered, read_off
@@ -103,13 +103,11 @@ def resample(
     if "torque" in torques:
         torques = ["torque"]
     torque, measured = np.zeros(count), ~_nowhere(count)
-    filled, torque_noise = _nowhere(count), 0.0
-    for role in torques:
-        part, there = means(*ordered(series[role], start), edges)
+    torque_noise, torque_samples = 0.0, [ordered(series[role], start) for role in torques]
+    for samples in torque_samples:
+        part, there = means(*samples, edges)
         torque, measured = torque + part, measured & there
-        torque_noise = float(np.hypot(torque_noise, noise_of_means(*ordered(series[role], start), step)))
-        filled |= steps_within(straight_spans(*ordered(series[role], start)), edges)
-    filled &= steps_within(straight_spans(speed_at, raw_speed), edges)
+        torque_noise = float(np.hypot(torque_noise, noise_of_means(*samples, step)))
 
     def held_on(role: str, default: float) -> Array:
         return held(series[role], start, edges, default) if role in series else np.full(count, default)
@@ -190,7 +188,7 @@ def resample(
         used=~_nowhere(count),
         block=np.zeros(count, dtype=np.int64),
         given=given,
-        torque_course=_course([ordered(series[role], start) for role in torques]),
+        torque_course=_course(torque_samples),
         accel_noise=accel_noise,
         torque_noise=torque_noise,
         belt_shows_surface=settings.belt_shows_surface,
@@ -206,7 +204,7 @@ def resample(
     return session, {
         "no speed": ~known,
         "no torque": ~measured,
-        "gap filled by straight lines": filled,
+        **filled_steps((speed_at, raw_speed), torque_samples, edges, settings.slowest),
         "slope not known": no_slope,
         BRAKES_ON: braked,
     }

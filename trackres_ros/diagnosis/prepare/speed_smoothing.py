@@ -133,11 +133,16 @@ def without_repeats(shown: Array) -> Mask:
 
 
 def rounding_step(shown: Array) -> float:
-    """What a sensor rounds to: the smallest difference of values that all others are multiples of; 0 where there is none."""
+    """What a sensor rounds to, where it shows the same few values again and again; 0 where it does not."""
+    return resolution(shown) if len(np.unique(shown)) <= 0.5 * len(shown) else 0.0
+
+
+def resolution(shown: Array) -> float:
+    """The smallest difference of values that all others are multiples of; 0 where there is none."""
     values = np.unique(shown)
     apart = np.diff(values)
     apart = apart[apart > SAME * float(np.abs(values).max(initial=0.0))]
-    if len(apart) < 2 or len(values) > 0.5 * len(shown):
+    if len(apart) < 2:
         return 0.0
     least = float(np.percentile(apart, 1.0))
     step = float(np.median(apart[apart < 1.5 * least]))

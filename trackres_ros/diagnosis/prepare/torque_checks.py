@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.diagnosis.prepare.refuse import Refusal, each_usable
 from trackres_ros.diagnosis.prepare.session import Course, Session
 from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS, GateSettings
 from trackres_ros.diagnosis.prepare.unit_checks import Conversion
@@ -91,6 +92,20 @@ def check_torque(sessions: Sequence[Session], expected: Sequence[Array], resisti
     if not FAR_OFF[0] * known.torque_scale[0] < slope < FAR_OFF[1] * known.torque_scale[1]:
         allowed = "the torque at the sprockets or wheels, of the whole vehicle, in Nm"
         raise InputError(where, f"about {slope:.2g} of the expected", allowed, _remedy(slope, sessions, known))
+
+
+def faulty_torques(
+    sessions: Sequence[Session], expected: Sequence[Array], resisting: Sequence[Array], known: GateSettings
+) -> list[Refusal]:
+    """Sessions that `check_torque` refuses by themselves; none where it refuses each of them."""
+    refused: list[Refusal] = []
+
+    def check(one: tuple[Session, Array, Array]) -> None:
+        session, its, without_inertia = one
+        check_torque([session], [its], [without_inertia], known)
+
+    passed = each_usable(zip(sessions, expected, resisting, strict=True), check, refused, lambda one: one[0].name)
+    return refused if passed else []
 
 
 def _share_of_inertia(measured: Array, inertia: Array, resisting: Array) -> tuple[float, float]:
