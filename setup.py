@@ -8,7 +8,7 @@ from pathlib import Path
 from setuptools import find_packages, setup
 
 PACKAGE = "trackres_ros"
-ROOT = Path(__file__).parent
+ROOT = Path(__file__).resolve().parent  # colcon build --symlink-install runs a link to this file, in another folder
 
 
 def shared_files(folder: str) -> list[tuple[str, list[str]]]:

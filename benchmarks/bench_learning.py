@@ -60,6 +60,10 @@ class Nobody:
         """Nothing is recorded."""
         return [None for _ in others]
 
+    def topic_name(self, name: str) -> str:
+        """As it is."""
+        return name
+
     def log(self, level: Level, text: str) -> None:
         """To nobody."""
 

@@ -22,6 +22,16 @@ def number(given: object, where: str, low: float, high: float, unit: str = "", i
     return float(given)
 
 
+def whole(given: object, where: str, low: int, high: int, unit: str = "") -> int:
+    """A whole number from `low` to `high`; 3.0 is one, 2.5 is none, nor are true and false."""
+    allowed = f"a whole number from {low} to {high} {unit}".rstrip()
+    if isinstance(given, float) and given.is_integer():
+        given = int(given)
+    if isinstance(given, bool) or not isinstance(given, int) or not low <= given <= high:
+        raise InputError(where, given, allowed)
+    return given
+
+
 def span(given: object, where: str, low: float, high: float, unit: str = "") -> tuple[float, float]:
     """Two numbers in their order, ``[low, high]``, each as `number` takes it."""
     if not isinstance(given, list) or len(given) != 2:

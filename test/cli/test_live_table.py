@@ -43,7 +43,7 @@ def overview(assemblies=ASSEMBLIES, remarks=()):
     state = "/home/somebody/.local/state/trackres/x.json"
     return Overview(
         Level.WARN, told, 1_700_000_000 * 10**9, 0.02, 1000.0, 5, 1.0, -98765.0, values, tuple(assemblies), tuple(inputs),
-        compared, None, "", state, 3.0, "",
+        compared, None, "", state, 3.0, "", "",
     )  # fmt: skip
 
 

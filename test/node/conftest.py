@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import pytest
 
 from trackres_ros.node.application import Application
+from trackres_ros.node.endpoints import input_name
 from trackres_ros.node.parameters import make_parameters
 
 START_NS = 1_700_000_000_000_000_000
@@ -18,7 +19,8 @@ SECOND_NS = 1_000_000_000
 class Desk:
     """One application, with its time in our hands [s since the start]."""
 
-    def __init__(self, **given):
+    def __init__(self, remapped=(), **given):
+        self.remapped = dict(remapped)
         self.time_s, self.steady_s = 0.0, 0.0
         self.clock_offset_s = 0.0  # of the machine's clock against steady time
         self.published, self.statuses, self.logged = [], [], []
@@ -49,6 +51,9 @@ class Desk:
 
     def record(self, others):
         return [f"# {given.type}" for given in (*self.app.inputs, *others)]
+
+    def topic_name(self, name):
+        return self.remapped.get(name, input_name(name, "/"))
 
     def log(self, level, text):
         self.logged.append((level, text))

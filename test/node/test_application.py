@@ -134,6 +134,56 @@ def test_peers_are_remarked(desk):
     assert d.names() <= {"COMPILING"}
 
 
+def all_there(d):
+    d.found_peers = {given.name: (Peer(given.type, True),) for given in d.app.inputs}
+
+
+def test_a_healthy_start_logs_no_warning(desk):
+    d = desk()
+    d.forward(0.4)  # publishers are found, then their messages come, the ambient last
+    all_there(d)
+    d.drive(1.0)
+    d.drive(0.6, load=270e3)
+    d.drive(8.0, load=270e3, ambient=10.0)
+    assert d.logged, "what it waits for is logged"
+    assert {level for level, _ in d.logged} == {Level.OK}
+    assert d.logged[0][1].startswith("waits for inputs: no speed yet; ")
+    assert "all is well" in d.logged[-1][1]
+
+
+def test_an_input_that_stays_away_is_a_warning(desk):
+    d = desk()
+    d.drive(4.5)
+    assert {level for level, _ in d.logged} == {Level.OK}
+    d.drive(2.0)
+    level, text = d.logged[-1]
+    assert level is Level.WARN
+    assert "nobody publishes std_msgs/msg/Float64 on /load" in text
+    assert len([text for level, text in d.logged if level is Level.WARN]) == 1
+    assert d.statuses[0][1][0].level is Level.STALE  # the status says it from the first second on
+
+
+def test_a_fault_just_after_the_start_is_a_warning_at_once(desk):
+    d = desk()
+    d.found_peers = {"speed": (Peer("std_msgs/msg/Float32", True),)}
+    d.drive(1.2)
+    assert [text for level, text in d.logged if level is Level.WARN and "std_msgs/msg/Float32" in text]
+
+
+def test_topics_are_shown_under_their_remapped_names(desk):
+    d = desk(remapped={"speed": "/car/odometry/speed", "load": "/scale"})
+    d.found_peers = {"speed": (Peer(TWIST, True), Peer(TWIST, True))}
+    d.drive(7.0, ambient=10.0)
+    shown = {dict(s.values)["topic"] for name, found in d.statuses for s in found if name == "/diagnostics" and "input" in s.name}
+    assert shown == {"/car/odometry/speed", "/scale", "/ambient"}
+    logged = "; ".join(text for _, text in d.logged)
+    assert "speed: 2 publishers on /car/odometry/speed" in logged
+    assert "on /scale" in logged
+    d.app.dropped(0)
+    d.app.close()
+    assert f"{d.topic_name(d.app.inputs[0].name)} dropped 1" in d.logged[-1][1]
+
+
 def test_parameters_change_without_losing_the_temperature(desk):
     d = desk()
     d.drive(60.0, dt=0.1)

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A watched parameter file: what it changes is what stands in it, all or nothing, and never what is half written."""
+"""A watched parameter file: each line that is not refused is applied, and never one that is half written."""
 
 import json
 import os
@@ -10,16 +10,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trackres_ros.errors import InputError
 from trackres_ros.node.parameter_file import ParameterFile
 from trackres_ros.node.parameters import PARAMETERS, make_parameters, read_parameters
 
 RUNS = {name: p for name, p in PARAMETERS.items() if not p.fixed_because}
-NUMBERS = {name: p for name, p in RUNS.items() if isinstance(p.default, float) and not name.startswith("output")}
+NUMBERS = {name: p for name, p in RUNS.items() if p.is_number and not name.startswith("output")}
+BAD = {"gap_s": -1.0, "learning": "perhaps", "vehicle": "agri3t", "gap": 2.0, "jumps_to_accept": 2.5, "belt_sensor": True, "3": 1}
 
 
 def values(parameter):
-    return st.floats(parameter.low, parameter.high)
+    return (st.integers if isinstance(parameter.default, int) else st.floats)(parameter.low, parameter.high)
 
 
 CONTENT = st.lists(st.sampled_from(sorted(NUMBERS)), unique=True, max_size=4).flatmap(
@@ -43,7 +43,7 @@ def watched(path, content, overruled=()):
 def looked(file, parameters):
     """The parameters after two looks, applied as the node does."""
     for _ in range(2):
-        changed = file.look()
+        changed, _ = file.look(parameters.changed)
         if changed:
             parameters = parameters.changed(changed)
             file.applied(changed)
@@ -60,27 +60,48 @@ def test_after_any_edits_the_parameters_are_those_of_a_start_with_the_last_file(
         write(path, content)
         parameters = looked(file, parameters)
     assert parameters == make_parameters(read_parameters(path) | overruled)
-    assert not file.look()
+    assert file.look(parameters.changed) == ({}, [])
 
 
 def test_what_is_just_being_written_is_not_read(tmp_path):
-    file, _ = watched(tmp_path / "p.yaml", {"gap_s": 2.0})
+    file, parameters = watched(tmp_path / "p.yaml", {"gap_s": 2.0})
     for half in ("", "gap", "gap_s: ", "gap_s: 3"):
         write(tmp_path / "p.yaml", half)
-        assert file.look() == {}
-    assert file.look() == {"gap_s": 3.0}
+        assert file.look(parameters.changed) == ({}, [])
+    assert file.look(parameters.changed) == ({"gap_s": 3.0}, [])
 
 
-@pytest.mark.parametrize("content", [{"gap_s": -1.0, "stuck_s": 100.0}, {"gap": 1.0}, "gap_s: [", "just text"])
-def test_a_bad_file_is_refused_whole_and_once(tmp_path, content):
+@pytest.mark.parametrize("content", ["gap_s: [", "just text", "/other: {ros__parameters: {gap_s: 3.0}}"])
+def test_a_file_that_cannot_be_read_is_refused_once(tmp_path, content):
     file, parameters = watched(tmp_path / "p.yaml", {"gap_s": 2.0})
     write(tmp_path / "p.yaml", content)
-    assert file.look() == {}
-    with pytest.raises(InputError):
-        file.look()
-    assert file.look() == {}
+    looks = [file.look(parameters.changed) for _ in range(3)]
+    assert [changed for changed, _ in looks] == [{}, {}, {}]
+    assert [len(refused) for _, refused in looks] == [0, 1, 0]
     write(tmp_path / "p.yaml", {"gap_s": 4.0})
     assert looked(file, parameters).number("gap_s") == 4.0
+
+
+@settings(max_examples=60)
+@given(CONTENT, st.sets(st.sampled_from(sorted(BAD)), min_size=1), st.sampled_from([None, "on", True, False]))
+def test_a_refused_line_stops_no_other_line(tmp_path_factory, content, bad, learning):
+    path = tmp_path_factory.mktemp("p") / "p.yaml"
+    file, parameters = watched(path, {"vehicle": "xgd24d"})
+    good = {"vehicle": "xgd24d"} | {name: value for name, value in content.items() if name not in bad}
+    good |= {"learning": learning} if learning is not None and "learning" not in bad else {}
+    write(path, good | {name: BAD[name] for name in bad})
+    file.look(parameters.changed)
+    changed, refused = file.look(parameters.changed)
+    assert parameters.changed(changed) == make_parameters(good)
+    assert {error.where for error in refused} == {f"parameter {name}" if name in PARAMETERS else "parameter" for name in bad}
+    assert file.look(parameters.changed) == ({}, [])
+
+
+def test_two_changes_that_need_each_other_are_made_in_any_order(tmp_path):
+    for content in ("output_rate_hz: 2.0\noutput_deadline_s: 1.0\n", "output_rate_hz: 200.0\ngap_s: -1\n"):
+        file, parameters = watched(tmp_path / "p.yaml", {"output_deadline_s": 1.0 if "2.0" in content else 0.2})
+        write(tmp_path / "p.yaml", content)
+        assert looked(file, parameters).number("output_rate_hz") == float(content.split()[1])
 
 
 def test_a_file_that_is_gone_changes_nothing_and_counts_again_when_it_is_back(tmp_path):
@@ -93,10 +114,12 @@ def test_a_file_that_is_gone_changes_nothing_and_counts_again_when_it_is_back(tm
 
 def test_what_was_refused_is_asked_again_with_the_next_file(tmp_path):
     file, parameters = watched(tmp_path / "p.yaml", {"vehicle": "xgd24d"})
-    write(tmp_path / "p.yaml", {"vehicle": "agri3t", "gap_s": 3.0})
-    file.look()
-    changed = file.look()
-    with pytest.raises(InputError, match="read once"):
-        parameters.changed(changed)
+    for share in (0.01, 0.02):
+        write(tmp_path / "p.yaml", {"vehicle": "agri3t", "feedforward_share": share})
+        file.look(parameters.changed)
+        changed, (refused,) = file.look(parameters.changed)
+        assert changed == {"feedforward_share": share}
+        assert "read once" in str(refused)
+        assert str(tmp_path / "p.yaml") in file.refused(refused)
     write(tmp_path / "p.yaml", {"vehicle": "xgd24d", "gap_s": 3.0})
     assert looked(file, parameters).number("gap_s") == 3.0

@@ -16,7 +16,7 @@ from trackres_ros.estimator.topic_settings import AGE_LIMITS, settings_for
 from trackres_ros.node.parameters import PARAMETERS, Parameters, make_parameters, read_parameters
 from trackres_ros.recording.bindings import Topics
 
-NUMBERS = [p for p in PARAMETERS.values() if isinstance(p.default, float)]
+NUMBERS = [p for p in PARAMETERS.values() if p.is_number]
 
 
 def test_defaults_are_within_their_own_limits():
@@ -30,9 +30,43 @@ def test_every_setting_of_the_estimator_is_a_parameter():
     assert make_parameters({}).settings() == Settings()
 
 
+@pytest.mark.parametrize("parameter", NUMBERS, ids=lambda p: p.name)
+def test_a_number_and_its_limits_are_of_one_type(parameter):
+    kind = type(parameter.default)
+    assert kind in (int, float)
+    for value in (parameter.low, parameter.high):
+        assert type(value) is kind
+        for given_ in {value, float(value), int(value) if float(value).is_integer() else value}:
+            assert type(parameter.checked(given_)) is kind
+    assert kind is int or parameter.unit, "a count is a whole number"
+    assert make_parameters({}).values[parameter.name] == parameter.default
+
+
+def test_counts_are_whole_numbers():
+    assert {p.name for p in NUMBERS if isinstance(p.default, int)} >= {"jumps_to_accept", "input_depth", "output_depth"}
+    assert isinstance(make_parameters({"input_depth": 20.0}).count("input_depth"), int)
+    with pytest.raises(InputError, match="a whole number from 2 to 100"):
+        make_parameters({"jumps_to_accept": 2.5})
+    with pytest.raises(InputError, match="a whole number from 2 to 100"):
+        Settings(jumps_to_accept=2.5)
+
+
+@pytest.mark.parametrize(
+    ("text", "mode"), [("on", "on"), ("off", "off"), ("true", "on"), ("'on'", "on"), ("watch", "watch"), ("No", "off")]
+)
+def test_learning_takes_what_yaml_makes_of_on_and_off(tmp_path, text, mode):
+    path = tmp_path / "p.yaml"
+    for form in (f"learning: {text}\n", f"/**:\n  ros__parameters:\n    learning: {text}\n"):
+        path.write_text(form)
+        assert make_parameters(read_parameters(path)).text("learning") == mode
+    with pytest.raises(InputError, match="belt_sensor: given True"):
+        make_parameters({"belt_sensor": True})
+
+
 @given(st.sampled_from(NUMBERS), st.floats() | st.integers(-(10**6), 10**6))
 def test_a_number_passes_just_when_it_is_in_range(parameter, value):
-    if math.isfinite(value) and parameter.low <= value <= parameter.high:
+    fits = isinstance(parameter.default, float) or float(value).is_integer()
+    if math.isfinite(value) and parameter.low <= value <= parameter.high and fits:
         assert parameter.checked(value) == value
     else:
         with pytest.raises(InputError, match=f"{parameter.name}.*given.*allowed"):

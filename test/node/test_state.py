@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.snapshot import seal
 from trackres_ros.files.resources import cache_dir
+from trackres_ros.node.edge import Level
 from trackres_ros.node.state_keeper import state_name, state_path
 
 
@@ -89,6 +90,22 @@ def test_a_file_of_no_use_is_a_cold_start_that_says_why(desk, warm, spoil, said)
     remark = next(remark for remark in d.app.remarks() if remark.name == "STATE_NOT_USED")
     assert said in remark.text
     assert str(path) in remark.text
+
+
+def test_the_reason_of_a_cold_start_is_given_once(desk, warm):
+    path, _ = warm
+    path.write_text("spoilt")
+    d = desk(state_file=str(path))
+    d.drive(12.0)
+    d.forward(2.0)
+    assert "damaged" in d.app.began_with  # the edge logs it
+    warnings = [text for level, text in d.logged if level is not Level.OK]
+    assert len(warnings) > 1
+    assert not any("damaged" in text for _, text in d.logged)
+    last = {s.name.rpartition(": ")[2]: s for s in next(found for name, found in reversed(d.statuses) if name == "/diagnostics")}
+    assert "damaged" not in last["estimate"].message
+    assert "damaged" in last["state"].message
+    assert "STATE_NOT_USED" in dict(last["estimate"].values)["remarks"]
 
 
 def test_a_state_of_another_vehicle_is_refused(desk, warm):

@@ -38,7 +38,7 @@ class Settings:
     clock_jump_s: float = _setting(
         1.0, "s", 0.05, 3600.0, "a stamp further than this from the time expected by its arrival is not accepted at once"
     )
-    jumps_to_accept: float = _setting(3, "1", 2, 100, "as many stamps in a row that agree with each other make a clock jump")
+    jumps_to_accept: int = _setting(3, "1", 2, 100, "as many stamps in a row that agree with each other make a clock jump")
     load_hold_s: float = _setting(60.0, "s", 0.1, 1e6, "how long the last load holds before the nominal one is used")
     passengers_hold_s: float = _setting(
         3600.0, "s", 1.0, 1e6, "how long the last count of passengers holds, as counts come at stops"
@@ -76,7 +76,7 @@ class Settings:
         for item in dataclasses.fields(self):
             value = getattr(self, item.name)
             if "unit" in item.metadata:
-                of = item.metadata
-                checks.number(value, f"setting {item.name}", of["low"], of["high"], of["unit"])
+                of, check = item.metadata, checks.whole if item.type == "int" else checks.number
+                check(value, f"setting {item.name}", of["low"], of["high"], of["unit"])
         checks.each_of(self.feedforward_parts, "feedforward_parts", PARTS)
         checks.one_of(self.belt_sensor, "belt_sensor", BELT_SENSORS)

@@ -14,6 +14,7 @@ import time
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
@@ -53,7 +54,7 @@ class Application:
     parameters
         Checked parameters; `vehicle` must be given.
     edge
-        The middleware; nothing is asked of it before the first call of `tick` or `receive`.
+        The middleware; nothing but names of topics is asked of it before the first call of `tick` or `receive`.
     node, namespace
         Name of the node, for the state file and the statuses.
     steady_ns
@@ -100,7 +101,12 @@ class Application:
         self.learning = LiveLearning(self.estimator, parameters.text("learning"), measured)
         self.session, self.began_with = self.keeper.load(self.estimator, self.learning.learner)
         self._state_at = self._rested_at = time.time()
-        self._watch = Watch(self.estimator, self.inputs)
+        self._topic_names = [edge.topic_name(given.name) for given in self.inputs]
+        self._watch = Watch(
+            self.estimator,
+            [replace(given, name=name) for given, name in zip(self.inputs, self._topic_names, strict=True)],
+            steady_ns(),
+        )
         self._reasons_seen: tuple[int, bool, Reasons] | None = None  # when, whether the speed was old, what held
         now = steady_ns()
         self._next_second_ns, self._next_output_ns, self._next_save_ns = now, now, now + self._save_period_ns()
@@ -136,7 +142,8 @@ class Application:
         listed = [(given, text) for given, text in zip((*self.inputs, *others), texts, strict=True)]
         for given, text in listed:
             if text is None:
-                self._log(Level.WARN, f"{given.name} is not recorded: {given.type} is not known here")
+                name = self._edge.topic_name(given.name)
+                self._log(Level.WARN, f"{name} is not recorded: {given.type} is not known here")
         known = [(given, text) for given, text in listed if text is not None]
         place = {index: known.index((given, text)) for index, (given, text) in enumerate(listed) if text is not None}
         self._keep = lambda index, raw, arrival_ns: keep(place[index], raw, arrival_ns) if index in place else None
@@ -331,7 +338,7 @@ class Application:
             self._reasons_seen = None
 
     def _log_remarks(self, steady: int) -> None:
-        entry = self._watch.to_log(self.remarks(steady))
+        entry = self._watch.to_log(self.remarks(steady), steady)
         if entry:
             self._log(*entry)
 
@@ -452,7 +459,7 @@ class Application:
         self._warm_up.close()
         counted = [f"{name} {count.name.lower()} {number}" for name, count, number in self.session.counts()]
         counted += [f"{name} bad_stamp {n}" for name, n in zip(self.estimator.channels, self._intake.bad_stamp, strict=True) if n]
-        counted += [f"{i.name} dropped {n}" for i, n in zip(self.inputs, self._intake.dropped, strict=True) if n]
+        counted += [f"{name} dropped {n}" for name, n in zip(self._topic_names, self._intake.dropped, strict=True) if n]
         self._log(Level.OK, f"messages: {', '.join(counted) or 'none'}")
         try:
             return "no state is kept" if self.keeper.path is None else self.save_state()

@@ -85,5 +85,8 @@ class Edge(Protocol):
         The texts that define the types of all inputs and of the other topics; None where a type is not known here.
         """
 
+    def topic_name(self, name: str) -> str:
+        """The full name under which an input topic of the topics file is on the wire, remapped where that is possible."""
+
     def log(self, level: Level, text: str) -> None:
         """Say something to who watches the log."""

@@ -93,7 +93,7 @@ def input_quality(parameters: Parameters) -> Quality:
     """Quality of service of every input; `input_depth` bounds what waits in this process, where it is counted."""
     return Quality(
         parameters.text("input_reliability") == "reliable",
-        max(int(parameters.number("input_depth")), WIRE_DEPTH),
+        max(parameters.count("input_depth"), WIRE_DEPTH),
         parameters.number("input_deadline_s"),
     )
 
@@ -103,7 +103,7 @@ def output_quality(parameters: Parameters, topic: OutputTopic) -> Quality:
     steady = topic.kind != "status" and topic.name != "torque_residual"
     return Quality(
         parameters.text("output_reliability") == "reliable",
-        int(parameters.number("output_depth")),
+        parameters.count("output_depth"),
         parameters.number("output_deadline_s") if steady else 0.0,
     )
 

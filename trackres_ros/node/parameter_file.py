@@ -5,11 +5,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 
 from trackres_ros.errors import InputError
-from trackres_ros.node.parameters import PARAMETERS, Parameters, Value, known, read_parameters
+from trackres_ros.node.parameters import PARAMETERS, Parameters, Value, known, read_entries
 
 LOOK_EVERY_S = 1.0
 Stamp = tuple[int, int, int]
@@ -20,12 +20,13 @@ class ParameterFile:
     """A parameter file that is looked at every `LOOK_EVERY_S`.
 
     It is read when it has stood unchanged from one look to the next, so that what an editor is just writing is not taken for what
-    is meant. What the command line gave besides stays as it was given there. A file that is gone changes nothing.
+    is meant. A line that is refused leaves its parameter as it was, and the other lines count. What the command line gave besides
+    stays as it was given there. A file that is gone changes nothing.
 
     Parameters
     ----------
     path, node, namespace
-        As `read_parameters` takes them.
+        As `read_entries` takes them.
     parameters
         What the node began with.
     overruled
@@ -38,22 +39,30 @@ class ParameterFile:
         self._applied: dict[str, Value] = dict(parameters.values)
         self._read = self._seen = _stamp(path)
 
-    def look(self) -> Mapping[str, Value]:
-        """Names and values that the file has changed since the last that were applied; mostly none.
+    def look(self, check: Callable[[Mapping[str, Value]], object]) -> tuple[Mapping[str, Value], list[InputError]]:
+        """Names and values that the file has changed since the last that were applied, and why others are refused.
 
-        Raises
-        ------
-        InputError
-            For a file that cannot be read, or an entry that is unknown or bad; once for each file.
+        Mostly neither. `check` raises InputError for a change that the node refuses.
         """
         stamp = _stamp(self.path)
         settled, self._seen = stamp == self._seen, stamp
         if stamp is None or stamp == self._read or not settled:
-            return {}
+            return {}, []
         self._read = stamp
-        given = read_parameters(self.path, self._node, self._namespace)
-        meant = {name: known(name).checked(given[name]) if name in given else p.default for name, p in PARAMETERS.items()}
-        return {name: value for name, value in meant.items() if name not in self._overruled and value != self._applied[name]}
+        try:
+            given = read_entries(self.path, self._node, self._namespace)
+        except InputError as error:
+            return {}, [error]
+        meant, refused = {name: parameter.default for name, parameter in PARAMETERS.items()}, []
+        for name, value in given.items():
+            try:
+                meant[name] = known(name).checked(value)
+            except InputError as error:
+                meant.pop(name, None)
+                refused.append(error)
+        changed = {name: value for name, value in meant.items() if name not in self._overruled and value != self._applied[name]}
+        accepted, errors = _accepted(changed, check)
+        return accepted, refused + errors
 
     def applied(self, changed: Mapping[str, Value]) -> str:
         """Take note that a change was made; what it was, in words."""
@@ -62,8 +71,30 @@ class ParameterFile:
         return f"{self.path}: {said}"
 
     def refused(self, error: InputError) -> str:
-        """Why nothing was changed, in words."""
-        return f"{self.path}: no parameter was changed: {error}"
+        """What was not changed and why, in words."""
+        return f"{self.path}: refused, and left as it was: {error}"
+
+
+def _accepted(
+    changed: Mapping[str, Value], check: Callable[[Mapping[str, Value]], object]
+) -> tuple[dict[str, Value], list[InputError]]:
+    """As many changes as a check lets pass, and the errors of the others. Two that need each other pass, in whichever order."""
+    accepted: dict[str, Value] = {}
+    errors: dict[str, InputError] = {}
+    waiting = dict(changed)
+    while waiting:
+        errors = {}
+        for name, value in waiting.items():
+            try:
+                check({**accepted, name: value})
+            except InputError as error:
+                errors[name] = error
+            else:
+                accepted[name] = value
+        if len(errors) == len(waiting):
+            break
+        waiting = {name: waiting[name] for name in errors}
+    return accepted, list(errors.values())
 
 
 def _stamp(path: Path) -> Stamp | None:

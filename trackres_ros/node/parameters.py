@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, cast
+from typing import Any, get_type_hints
 
 from trackres_ros import checks
 from trackres_ros.errors import InputError
@@ -25,12 +25,14 @@ from trackres_ros.files.yamls import read_yaml
 from trackres_ros.learning.learner import MODES
 from trackres_ros.node.mismatch import MismatchSettings
 
-Value = float | bool | str | tuple[str, ...]
+Value = int | float | bool | str | tuple[str, ...]
 
 AT_START = "it is read once, when the node is configured"
 CONNECTED = "connections are made with it when the node is configured"
 RELIABILITIES = ("best_effort", "reliable")
 ROS_KEY = "ros__parameters"
+SWITCH = MappingProxyType({True: "on", False: "off"})
+"""What YAML makes of the words on and off, and the words themselves."""
 
 
 @dataclass(frozen=True)
@@ -40,9 +42,9 @@ class Parameter:
     Attributes
     ----------
     name, default, meaning, unit
-        What it is called, its value where none is given, what it does and its unit.
+        What it is called, its value where none is given, what it does and its unit. All values have the type of the default.
     low, high
-        Limits of a number, nan for other kinds.
+        Limits of a number, whole where the number is; nan for other kinds.
     choices
         Allowed texts; of a list, allowed elements. Empty: any text.
     fixed_because
@@ -58,8 +60,19 @@ class Parameter:
     choices: tuple[str, ...] = ()
     fixed_because: str = ""
 
+    def __post_init__(self) -> None:
+        if self.is_number:
+            kind = int if isinstance(self.default, int) else float
+            object.__setattr__(self, "low", kind(self.low))
+            object.__setattr__(self, "high", kind(self.high))
+
+    @property
+    def is_number(self) -> bool:
+        """Whether it is a number, whole or not."""
+        return isinstance(self.default, int | float) and not isinstance(self.default, bool)
+
     def checked(self, given: object) -> Value:
-        """The value as this parameter's kind.
+        """The value as this parameter's kind: 2 for a float is 2.0, 2.0 for a count is 2, and true is the word on.
 
         Raises
         ------
@@ -73,22 +86,27 @@ class Parameter:
             return given
         if isinstance(self.default, str):
             if self.choices:
-                return checks.one_of(given, where, self.choices)
+                word = SWITCH.get(given) if isinstance(given, bool) else given
+                return checks.one_of(word if word in self.choices else given, where, self.choices)
             if not isinstance(given, str):
                 raise InputError(where, given, "a text")
             return given
         if isinstance(self.default, tuple):
             return checks.each_of(given, where, self.choices)
-        return checks.number(given, where, self.low, self.high, self.unit)
+        unit = "" if self.unit == "1" else self.unit
+        if isinstance(self.default, int):
+            return checks.whole(given, where, int(self.low), int(self.high), unit)
+        return checks.number(given, where, self.low, self.high, unit)
 
 
 def _of(settings: type[Settings | MismatchSettings]) -> tuple[Parameter, ...]:
     """Parameters out of a dataclass of settings, by its metadata."""
     choices = {"feedforward_parts": PARTS, "belt_sensor": BELT_SENSORS}
+    kinds = get_type_hints(settings)
     return tuple(
         Parameter(
             item.name,
-            item.default if isinstance(item.default, str | tuple) else float(cast(float, item.default)),
+            kinds[item.name](item.default) if kinds[item.name] in (int, float) else item.default,  # type: ignore[arg-type]
             item.metadata["meaning"],
             item.metadata.get("unit", ""),
             item.metadata.get("low", math.nan),
@@ -123,6 +141,12 @@ NODE_PARAMETERS = (
     ),
     Parameter("save_period_s", 30.0, "time between two savings of the state", "s", 1.0, 3600.0),
     Parameter("output_rate_hz", 50.0, "rate of the outputs; 0: once on each accepted speed", "Hz", 0.0, 1000.0),
+    Parameter(
+        "autostart",
+        True,
+        "configure and activate at the start; false: wait for a lifecycle manager; without ROS 2 it always starts",
+        fixed_because=AT_START,
+    ),
     Parameter("use_sim_time", False, "take the time from /clock, as in a simulation or a replay", fixed_because=AT_START),
     Parameter("frame_id", "base_link", "frame of the stamped outputs", fixed_because=AT_START),
     Parameter(
@@ -134,11 +158,11 @@ NODE_PARAMETERS = (
     ),
     Parameter(
         "input_depth",
-        100.0,
+        100,
         "messages of one topic that may wait to be worked off; the oldest of more are dropped, and counted",
         "1",
-        1.0,
-        10000.0,
+        1,
+        10000,
         fixed_because=CONNECTED,
     ),
     Parameter(
@@ -153,9 +177,7 @@ NODE_PARAMETERS = (
     Parameter(
         "output_reliability", "reliable", "reliability offered to subscribers", choices=RELIABILITIES, fixed_because=CONNECTED
     ),
-    Parameter(
-        "output_depth", 10.0, "messages kept for a reliable subscriber that lags", "1", 1.0, 10000.0, fixed_because=CONNECTED
-    ),
+    Parameter("output_depth", 10, "messages kept for a reliable subscriber that lags", "1", 1, 10000, fixed_because=CONNECTED),
     Parameter(
         "output_deadline_s",
         0.2,
@@ -186,6 +208,12 @@ class Parameters:
         """Value of a numeric parameter."""
         value = self.values[name]
         assert isinstance(value, float)
+        return value
+
+    def count(self, name: str) -> int:
+        """Value of a whole-number parameter."""
+        value = self.values[name]
+        assert isinstance(value, int)
         return value
 
     def text(self, name: str) -> str:
@@ -251,7 +279,7 @@ def make_parameters(given: Mapping[str, object]) -> Parameters:
 
 
 def read_parameters(path: Path | None, node: str = "trackres", namespace: str = "/") -> dict[str, object]:
-    """Names and values out of a parameter file: flat, or in the form that ROS reads, of which what fits the node counts.
+    """Names and values out of a parameter file, see `read_entries`, each of them checked.
 
     Raises
     ------
@@ -260,6 +288,22 @@ def read_parameters(path: Path | None, node: str = "trackres", namespace: str = 
     """
     if path is None:
         return {}
+    given = read_entries(path, node, namespace)
+    try:
+        make_parameters(given)
+    except InputError as error:
+        raise InputError(f"{path}: {error.where}", error.given, error.allowed, error.remedy) from None
+    return given
+
+
+def read_entries(path: Path, node: str, namespace: str) -> dict[str, object]:
+    """Names and values as they stand in a parameter file: flat, or the sections that fit the node in the form that ROS reads.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or no section fits the node.
+    """
     content = read_yaml(path)
     full = f"{namespace.rstrip('/')}/{node}"
     given: dict[str, object] = {}
@@ -273,10 +317,6 @@ def read_parameters(path: Path | None, node: str = "trackres", namespace: str = 
             given.update(values)
     else:
         given = dict(content)
-    try:
-        make_parameters(given)
-    except InputError as error:
-        raise InputError(f"{path}: {error.where}", error.given, error.allowed, error.remedy) from None
     return given
 
 

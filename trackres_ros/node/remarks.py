@@ -15,10 +15,22 @@ from trackres_ros.node.edge import Level
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """A kind of remark: its level, and what it means."""
+    """A kind of remark.
+
+    Attributes
+    ----------
+    level, meaning
+        How heavy it is, and what it means.
+    awaited
+        Whether it holds at every start until the inputs have come.
+    of_start
+        Whether it says how the node began: the log has it once, and the diagnostics in the entry of the state.
+    """
 
     level: Level
     meaning: str
+    awaited: bool = False
+    of_start: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,20 +47,20 @@ class Remark:
 
 
 LIVE_KINDS = {
-    "NO_SPEED": Kind(Level.STALE, "no speed was accepted since the start: nothing but the status is published"),
+    "NO_SPEED": Kind(Level.STALE, "no speed was accepted since the start: nothing but the status is published", awaited=True),
     "SPEED_OLD": Kind(
         Level.STALE,
         "no speed was accepted for longer than `speed_max_age_s`: the outputs keep the stamp and values of the last state, "
         "and the feed-forward fades to zero",
     ),
-    "NO_CLOCK": Kind(Level.STALE, "`use_sim_time` is set and no /clock has come"),
+    "NO_CLOCK": Kind(Level.STALE, "`use_sim_time` is set and no /clock has come", awaited=True),
     "INTERNAL_ERROR": Kind(Level.ERROR, "something could not be done by a fault of this program; the log has it"),
     "OUTPUT_FAILED": Kind(Level.ERROR, "the middleware did not take a message of an output topic; the others go on"),
     "REFUSED": Kind(Level.WARN, "more than a tenth of the messages of an input were refused in the last second"),
     "OVERRUN": Kind(
         Level.WARN, "messages came faster than they could be worked off: the oldest were dropped, and are counted as `dropped`"
     ),
-    "NO_PUBLISHER": Kind(Level.WARN, "nobody publishes on the topic of an input"),
+    "NO_PUBLISHER": Kind(Level.WARN, "nobody publishes on the topic of an input", awaited=True),
     "WRONG_TYPE": Kind(Level.WARN, "somebody publishes another message type on the topic of an input; it never arrives"),
     "INCOMPATIBLE_QOS": Kind(Level.WARN, "a publisher's quality of service is less than the input asks for; it never connects"),
     "SEVERAL_PUBLISHERS": Kind(Level.WARN, "more than one publisher on the topic of an input: their values are mixed"),
@@ -61,14 +73,15 @@ LIVE_KINDS = {
         Level.OK, "a measured torque is there and nothing is learned from it now; what was learned before goes on as it was"
     ),
     "STATE_NOT_SAVED": Kind(Level.WARN, "the state file could not be written: a restart would begin with an older state or cold"),
-    "STATE_NOT_USED": Kind(Level.OK, "there was a state file and it could not be used: cold start"),
+    "STATE_NOT_USED": Kind(Level.OK, "there was a state file and it could not be used: cold start", of_start=True),
     "COMPILING": Kind(Level.OK, "first start on a machine: steps run in plain Python until they are compiled; same numbers"),
 }
+AWAITED = at.Reason.LOAD_NOMINAL | at.Reason.AMBIENT_NOMINAL | at.Reason.EFFECT_LEFT_OUT | at.Reason.PLACE_UNKNOWN
 KINDS: Mapping[str, Kind] = MappingProxyType(
     {
         **LIVE_KINDS,
         **{
-            str(reason.name): Kind(Level.OK if reason & at.HARMLESS else Level.WARN, text)
+            str(reason.name): Kind(Level.OK if reason & at.HARMLESS else Level.WARN, text, bool(reason & AWAITED))
             for reason, text in at.REASON_TEXT.items()
         },
     }

@@ -16,7 +16,7 @@ from trackres_ros.node.edge import Level, Status
 from trackres_ros.node.live_learning import LiveLearning
 from trackres_ros.node.mismatch import Mismatch
 from trackres_ros.node.outlet import Outlet
-from trackres_ros.node.remarks import Remark
+from trackres_ros.node.remarks import KINDS, Remark
 from trackres_ros.node.state_keeper import StateKeeper
 from trackres_ros.node.watch import InputState, Watch
 from trackres_ros.output.topics import TOTALS, sign_of
@@ -40,7 +40,7 @@ ESTIMATE_KEYS = {
     "belt_std_k/<assembly>": "its standard deviation [K]",
 }
 INPUT_KEYS = {
-    "topic": "the topic",
+    "topic": "the full name of the topic, remapped",
     "rate_hz": "messages [1/s] over the last second, refused ones too",
     "age_s": "time since the last accepted one came, by a clock that never jumps [s]",
     "value": "last accepted value in the unit of the role",
@@ -88,11 +88,12 @@ class Overview:
     state_file: str
     saved_s_ago: float
     state_error: str
+    state_unused: str  # why the state file that was there could not be used
 
     @property
     def message(self) -> str:
-        """All remarks in one line."""
-        return "; ".join(remark.text for remark in self.remarks) or "ok"
+        """All remarks in one line, but those of how the node began."""
+        return "; ".join(remark.text for remark in self.remarks if not KINDS[remark.name].of_start) or "ok"
 
 
 def overview(
@@ -125,6 +126,7 @@ def overview(
         str(keeper.path or ""),
         math.nan if keeper.saved_at is None else time.time() - keeper.saved_at,
         keeper.error,
+        keeper.unused,
     )
 
 
@@ -169,7 +171,7 @@ def statuses(seen: Overview, node: str, vehicle: str) -> list[Status]:
     if seen.disturbance is not None:
         found.append(_of_disturbance(seen.disturbance, node, vehicle))
     kept = (("file", seen.state_file), ("saved_s_ago", _text(seen.saved_s_ago)), ("error", seen.state_error))
-    text = seen.state_error or ("kept" if seen.state_file else "not kept")
+    text = "; ".join(filter(None, (seen.state_error, seen.state_unused))) or ("kept" if seen.state_file else "not kept")
     found.append(Status(Level.WARN if seen.state_error else Level.OK, f"{node}: state", text, vehicle, kept))
     return found
 

@@ -58,7 +58,7 @@ class StateKeeper:
         self.path = path
         self.saved_at: float | None = None
         self.error = why_none
-        self._unused = ""  # why the state file that was there could not be used
+        self.unused = ""  # why the state file that was there could not be used
         self._writer = ThreadPoolExecutor(max_workers=1, thread_name_prefix="state")
         self._writing: Future[None] | None = None
 
@@ -75,13 +75,13 @@ class StateKeeper:
             if not self.path.exists():
                 return estimator.session(), f"no state file {self.path} yet: cold start"
         except (OSError, ValueError) as error:
-            self._unused = f"cold start, as the state file {self.path} is out of reach: {error}"
-            return estimator.session(), self._unused
+            self.unused = f"cold start, as the state file {self.path} is out of reach: {error}"
+            return estimator.session(), self.unused
         try:
             session, off_s = after_time_off(estimator, self.path, time.time())
         except InputError as error:
-            self._unused = f"cold start, as the state file is of no use: {error}"
-            return estimator.session(), self._unused
+            self.unused = f"cold start, as the state file is of no use: {error}"
+            return estimator.session(), self.unused
         text = f"belts taken from {self.path}, cooled over {off_s / 60.0:.1f} min off"
         session.learned[:] = 0.0  # it acts again once the learner says so
         beside = read_beside(estimator, self.path)
@@ -90,7 +90,7 @@ class StateKeeper:
         try:
             take(learner, beside)
         except ValueError as error:
-            self._unused = f"nothing is learned yet, as in the state file {error}"
+            self.unused = f"nothing is learned yet, as in the state file {error}"
             return session, text
         learner.age(off_s)
         return session, f"{text}; {learner.learned.seconds / 60.0:.0f} min of driving were learned from"
@@ -101,8 +101,8 @@ class StateKeeper:
         if self.error:
             where = f" in {self.path}" if self.path else ""
             found.append(Remark("STATE_NOT_SAVED", f"the state cannot be saved{where}: {self.error}"))
-        if self._unused:
-            found.append(Remark("STATE_NOT_USED", self._unused))
+        if self.unused:
+            found.append(Remark("STATE_NOT_USED", self.unused))
         return found
 
     def save_soon(self, session: Session, state_at: float, learner: Learner | None = None) -> None:

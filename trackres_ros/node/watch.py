@@ -16,11 +16,12 @@ from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.node.edge import Level, Peer
 from trackres_ros.node.endpoints import InputTopic
 from trackres_ros.node.intake import Intake
-from trackres_ros.node.remarks import Remark, level_of, of_reasons
+from trackres_ros.node.remarks import KINDS, Remark, level_of, of_reasons
 
 FAULT_SHOWN_NS = 5_000_000_000
 REFUSED_SHARE = 0.1  # of the messages of a second: more is not the odd late one
 CLOCK_OFFSET_NS = 1_000_000_000
+STARTING_NS = 5_000_000_000  # assumed: publishers are found within 2 s, and the slowest usual input comes at 1 Hz
 REFUSALS = [int(count) for count in at.REFUSALS]
 
 
@@ -31,7 +32,7 @@ class InputState:
     Attributes
     ----------
     role, topic
-        What it is and where it comes from.
+        What it is, and the full name of the topic that it comes from, remapped.
     rate_hz
         Messages taken in, refused ones too [1/s].
     age_s
@@ -51,9 +52,17 @@ class InputState:
 
 
 class Watch:
-    """Bookkeeping of the application; it remarks, and changes nothing."""
+    """Bookkeeping of the application; it remarks, and changes nothing.
 
-    def __init__(self, estimator: Estimator, inputs: Sequence[InputTopic]) -> None:
+    Parameters
+    ----------
+    inputs
+        The input topics by their full names, as they are on the wire.
+    began_ns
+        When the node began, by a steady clock.
+    """
+
+    def __init__(self, estimator: Estimator, inputs: Sequence[InputTopic], began_ns: int) -> None:
         self.accepted_ns: list[int | None] = [None] * len(estimator.channels)  # by a steady clock
         self._inputs: tuple[InputState, ...] = ()
         self.steps_hz = 0.0
@@ -72,6 +81,7 @@ class Watch:
         self._old: bool | None = None
         self._offset_ns = 0
         self._fault_text, self._fault_ns = "", -FAULT_SHOWN_NS
+        self._began_ns = began_ns
         self._logged: frozenset[str] | None = None
 
     def accepted(self, reasons: int, offset_ns: int) -> bool:
@@ -162,13 +172,21 @@ class Watch:
             found.append(Remark("CLOCK_OFFSET", text))
         return found + of_reasons(at.Reason(self._shown_reasons))
 
-    def to_log(self, remarks: Sequence[Remark]) -> tuple[Level, str] | None:
-        """What to log, when there is other than harmless to remark than at the last call."""
-        names = frozenset(remark.name for remark in remarks if remark.level > Level.OK)
-        if names == self._logged or self._looked_ns is None:
+    def to_log(self, remarks: Sequence[Remark], steady: int) -> tuple[Level, str] | None:
+        """What to log, when there is other than harmless to remark than at the last call.
+
+        Just after the start an input that has not come yet is waited for, which is no warning.
+        """
+        if self._looked_ns is None:
+            return None
+        heavy = [remark for remark in remarks if remark.level > Level.OK]
+        starting = steady - self._began_ns < STARTING_NS and all(KINDS[remark.name].awaited for remark in heavy)
+        names = frozenset({"STARTING"}) if heavy and starting else frozenset(remark.name for remark in heavy)
+        if names == self._logged:
             return None
         self._logged = names
-        return level_of(list(remarks)), "; ".join(remark.text for remark in remarks) or "all is well"
+        text = "; ".join(remark.text for remark in heavy) or "all is well"
+        return (Level.OK, f"waits for inputs: {text}") if heavy and starting else (level_of(heavy), text)
 
 
 def _of_peers(given: InputTopic, peers: Sequence[Peer]) -> list[Remark]:

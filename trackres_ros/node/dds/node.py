@@ -13,7 +13,6 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 
-from trackres_ros.errors import InputError
 from trackres_ros.node.application import Application
 from trackres_ros.node.dds.messages import InputReader, Prepared, PreparedEstimate, clock_ns, diagnostic_array, prepared
 from trackres_ros.node.dds.participant import Participant, Reader
@@ -44,7 +43,7 @@ class DdsNode:
 
     def __init__(self, parameters: Parameters, node: str, namespace: str) -> None:
         self._name = full_name(node, "", namespace).replace("//", "/").strip("/").replace("/", ".")
-        self._frame_id = parameters.text("frame_id")
+        self._frame_id, self._namespace = parameters.text("frame_id"), namespace
         self.application = application = Application(parameters, self, node, namespace)
         self._input_readers = [InputReader(given, application.topics.origin) for given in application.inputs]
         self._participant = Participant(node, namespace)
@@ -55,8 +54,7 @@ class DdsNode:
             self._writers.append(self._participant.writer(name, topic.type, output_quality(parameters, topic)))
             self._prepared.append(None if topic.kind in ("status", "estimate") else prepared(topic, self._frame_id))
         self._estimate = PreparedEstimate(self._frame_id)
-        self._namespace = namespace
-        self._input_names = [input_name(given.name, namespace) for given in application.inputs]
+        self._input_names = [self.topic_name(given.name) for given in application.inputs]
         self._quality = input_quality(parameters)
         self._readers = [
             self._participant.reader(name, given.type, self._quality)
@@ -73,7 +71,7 @@ class DdsNode:
             self._hand,
             application.arrival,
             application.dropped,
-            int(parameters.number("input_depth")),
+            parameters.count("input_depth"),
         )
         self._next_tick = 0
 
@@ -116,11 +114,14 @@ class DdsNode:
         store = typestore()
         for index, given in enumerate(others, len(self._readers)):
             if given.type in store.types:
-                name = input_name(given.name, self._namespace)
-                self._kept.append((index, self._participant.reader(name, given.type, self._quality)))
+                self._kept.append((index, self._participant.reader(self.topic_name(given.name), given.type, self._quality)))
         self._participant.announce()
         kinds = [given.type for given in (*self.application.inputs, *others)]
         return [store.generate_msgdef(kind, ros_version=2)[0] if kind in store.types else None for kind in kinds]
+
+    def topic_name(self, name: str) -> str:
+        """The full name of a topic; without ROS nothing is remapped."""
+        return input_name(name, self._namespace)
 
     def log(self, level: Level, text: str) -> None:
         """One line on standard error, as ROS 2 writes it."""
@@ -166,14 +167,13 @@ class DdsNode:
                 self._follow(watched)
 
     def _follow(self, watched: ParameterFile) -> None:
-        """Change what a parameter file has changed: all of it, or nothing."""
-        try:
-            changed = watched.look()
-            if changed:
-                self.application.change(changed)
-                self.log(Level.OK, watched.applied(changed))
-        except InputError as error:
+        """Change what a parameter file has changed; what is refused is reported line by line."""
+        changed, refused = watched.look(self.application.checked_change)
+        for error in refused:
             self.log(Level.WARN, watched.refused(error))
+        if changed:
+            self.application.change(changed)
+            self.log(Level.OK, watched.applied(changed))
 
     def _hand(self, index: int, message: tuple[bytes, int], arrived: Arrival) -> None:
         raw, sent_ns = message

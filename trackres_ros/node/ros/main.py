@@ -22,7 +22,6 @@ LONGEST_WAIT_S = 0.1  # so that a signal is seen soon
 
 try:
     import rclpy
-    from rclpy.exceptions import InvalidParameterException, InvalidParameterTypeException, InvalidParameterValueException
     from rclpy.executors import SingleThreadedExecutor
     from rclpy.lifecycle import TransitionCallbackReturn
     from rclpy.signals import SignalHandlerOptions
@@ -73,7 +72,9 @@ def _run(
     try:
         try:
             node = make()
-        except (InvalidParameterException, InvalidParameterTypeException, InvalidParameterValueException) as error:
+        except InputError as error:
+            if of_command:
+                raise
             print(f"estimator: error: {error}", file=sys.stderr)
             return BAD_INPUT
         executor = SingleThreadedExecutor()

@@ -11,15 +11,17 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any
 
-from rclpy.callback_groups import CallbackGroup
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock, ClockType, JumpThreshold
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible
+from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.serialization import serialize_message
 from rclpy.subscription import Subscription
+from rclpy.timer import Timer
 from std_srvs.srv import Trigger
 
 from trackres_ros.errors import InputError
@@ -44,41 +46,40 @@ from trackres_ros.units import SECOND_NS
 COLLECTED_FROM_HZ = 20.0  # of the outputs: the inputs' queues hold what comes between two of them, at 1 kHz too
 
 MOST_COLLECTED = 1000  # of a topic at a time
+OVERRIDABLE = QoSOverridingOptions.with_default_policies()
 
 Taken = tuple[Any, dict[str, int]]
 """A message and what the middleware says about it."""
 
 
-class Gate(CallbackGroup):  # type: ignore[misc]
-    """What is behind it runs while it is open; with one thread an executor need know no more."""
+class OneAtATime(MutuallyExclusiveCallbackGroup):  # type: ignore[misc]
+    """The group of all callbacks of a node: in any executor one runs at a time, in the order in which messages are taken.
+
+    Some wait while a door is closed. rclpy builds its wait set anew for each message, out of every entity that may run: with
+    dozens of services and event handlers in it that takes longer than the estimate itself.
+
+    Attributes
+    ----------
+    inputs
+        Topics that feed the estimate.
+    waits_for_inputs
+        Whether each of their messages is answered as it comes; else the next tick collects them.
+    serves
+        Whether services and events are served: not while messages pass, until the next tick.
+    """
 
     def __init__(self) -> None:
         super().__init__()
-        self.open = True
-
-    def can_execute(self, entity: Any) -> bool:  # noqa: ARG002 - alike for all
-        """Whether the executor is to wait for it, or run it."""
-        return self.open
-
-    def beginning_execution(self, entity: Any) -> bool:  # noqa: ARG002
-        """Nothing else runs meanwhile."""
-        return True
-
-    def ending_execution(self, entity: Any) -> None:
-        """Nothing is held."""
-
-
-class Counter(Gate):
-    """Services and events wait here while messages pass, and are served after the next tick.
-
-    rclpy builds its wait set anew for each message, out of every entity that may run: with dozens of services and event
-    handlers in it that takes longer than the estimate itself. The one subscription here is rclpy's own, of /clock, and passes
-    with the messages: it is their time.
-    """
+        self.inputs: Sequence[Any] = ()
+        self.waits_for_inputs = self.serves = True
 
     def can_execute(self, entity: Any) -> bool:
-        """Whether it is open, or need not be."""
-        return self.open or isinstance(entity, Subscription)
+        """Whether the executor is to wait for it, or run it."""
+        if isinstance(entity, Subscription):  # any other is rclpy's own, of /clock, or one that is only recorded
+            opened = self.waits_for_inputs or entity not in self.inputs
+        else:
+            opened = self.serves or isinstance(entity, Timer)
+        return opened and bool(super().can_execute(entity))
 
 
 class EstimatorNode(LifecycleNode):  # type: ignore[misc]
@@ -93,19 +94,21 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
     """
 
     def __init__(self, values: Parameters | None = None, node: str = DEFAULT_NODE, **arguments: Any) -> None:
-        self._counter = Counter()
+        self._callbacks = OneAtATime()
         self.application: Application | None = None
         self.failure = ""
         self.refused: InputError | None = None  # what a transition refused last
         super().__init__(node, **arguments)
+        self.add_pre_set_parameters_callback(ros_parameters.in_own_type)
         self.add_on_set_parameters_callback(self._check)
         ros_parameters.declare(self, values or make_parameters({}))
         self.add_post_set_parameters_callback(self._apply)
+        self._warn(ros_parameters.unknown(self, of_topics=False))
 
     @property
-    def default_callback_group(self) -> CallbackGroup:
-        """Where services and events wait."""
-        return self._counter
+    def default_callback_group(self) -> OneAtATime:
+        """The group of all callbacks."""
+        return self._callbacks
 
     # Lifecycle
 
@@ -165,23 +168,24 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
             name = topic.name if topic.name.startswith("/") else f"~/{topic.name}"
             profile = _profile(output_quality(parameters, topic))
             events = PublisherEventCallbacks(
-                incompatible_qos=self._reporter(f"a subscriber of {name}"), use_default_callbacks=False
+                incompatible_qos=self._reporter(f"a subscriber of {self.resolve_topic_name(name)}"), use_default_callbacks=False
             )
             self._fills.append(None if topic.kind in ("status", "estimate") else prepared(topic, self._frame_id))
             kind = installed_type(topic.type, f"topic {name}")
-            self._outputs.append(self.create_lifecycle_publisher(kind, name, profile, event_callbacks=events))
+            self._outputs.append(
+                self.create_lifecycle_publisher(kind, name, profile, event_callbacks=events, qos_overriding_options=OVERRIDABLE)
+            )
         self._input_profile = _profile(input_quality(parameters))
-        self._gate = Gate()
-        self._inputs = [
+        self._callbacks.inputs = self._inputs = [
             self.create_subscription(
                 kind,
                 given.name,
                 self._taker(index),
-                self._input_profile,
-                callback_group=self._gate,
+                _profile(input_quality(parameters)),
                 event_callbacks=SubscriptionEventCallbacks(
-                    incompatible_qos=self._reporter(f"a publisher of {given.name}"), use_default_callbacks=False
+                    incompatible_qos=self._reporter(f"a publisher of {self.topic_name(given.name)}"), use_default_callbacks=False
                 ),
+                qos_overriding_options=OVERRIDABLE,
             )
             for index, (given, kind) in enumerate(zip(application.inputs, kinds, strict=True))
         ]
@@ -192,7 +196,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
             self._hand,
             application.arrival,
             application.dropped,
-            int(parameters.number("input_depth")),
+            parameters.count("input_depth"),
         )
         self._next_tick = 0
         self._offered = [
@@ -206,8 +210,9 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
             post_callback=lambda _: application.time_went_back(),
         )
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._ticker = self.create_timer(application.period_s, self._tick, callback_group=Gate(), clock=self._steady)
+        self._ticker = self.create_timer(application.period_s, self._tick, clock=self._steady)
         self._wait_or_collect(application)
+        self._warn(ros_parameters.unknown(self, of_topics=True))
         self.get_logger().info(f"{application.vehicle.title}; {application.began_with}")
 
     def _activate(self, state: LifecycleState) -> None:
@@ -266,12 +271,10 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
 
     def peers(self, index: int) -> Sequence[Peer]:
         """The publishers on the topic of an input."""
+        given = self._inputs[index]
         return [
-            Peer(
-                found.topic_type,
-                qos_check_compatible(found.qos_profile, self._input_profile)[0] != QoSCompatibility.ERROR,
-            )
-            for found in self.get_publishers_info_by_topic(self._inputs[index].topic_name)
+            Peer(found.topic_type, qos_check_compatible(found.qos_profile, given.qos_profile)[0] != QoSCompatibility.ERROR)
+            for found in self.get_publishers_info_by_topic(given.topic_name)
         ]
 
     def record(self, others: Sequence[InputTopic]) -> Sequence[str | None]:
@@ -283,10 +286,12 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
             if texts[index] is not None:
                 kind = installed_type(given.type, given.name)
                 take = partial(self._keep, index)
-                self._kept.append(
-                    self.create_subscription(kind, given.name, take, self._input_profile, callback_group=Gate(), raw=True)
-                )
+                self._kept.append(self.create_subscription(kind, given.name, take, self._input_profile, raw=True))
         return texts
+
+    def topic_name(self, name: str) -> str:
+        """The full name of a topic, remapped."""
+        return str(self.resolve_topic_name(name))
 
     def log(self, level: Level, text: str) -> None:
         """Say something in the log of the node."""
@@ -302,7 +307,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
 
     def _taker(self, index: int) -> Callable[[Any, dict[str, int]], None]:
         def take(message: Any, about: dict[str, int]) -> None:
-            self._counter.open = False
+            self._callbacks.serves = False
             if self.application:
                 self._inbox.put(index, (message, about))
                 self._collect()
@@ -310,9 +315,9 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         return take
 
     def _tick(self) -> None:
-        if self.application and not self._gate.open:
+        if self.application and not self._callbacks.waits_for_inputs:
             self._collect()
-        self._counter.open = True
+        self._callbacks.serves = True
         self._tick_now()
 
     def _tick_now(self) -> None:
@@ -347,7 +352,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         rclpy, for which waiting for one message is half the work of it all, waits half as often.
         """
         rate_hz = application.parameters.number("output_rate_hz")
-        self._gate.open = rate_hz < COLLECTED_FROM_HZ or application.parameters.sim_time
+        self._callbacks.waits_for_inputs = rate_hz < COLLECTED_FROM_HZ or application.parameters.sim_time
 
     def _server(self, what: Callable[[], str]) -> Callable[[Any, Any], Any]:
         def serve(_request: Any, response: Any) -> Any:
@@ -365,6 +370,10 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
             self.get_logger().warning(f"{who} does not connect: its quality of service does not fit in {policy}")
 
         return report
+
+    def _warn(self, text: str) -> None:
+        if text:
+            self.get_logger().warning(text)
 
     def _check(self, changes: list[RosParameter]) -> Any:
         check = self.application.checked_change if self.application else ros_parameters.check_values

@@ -8,25 +8,43 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
-from trackres_ros.errors import InputError
-from trackres_ros.node.parameters import PARAMETERS, Parameter, Parameters, known, make_parameters
+from trackres_ros.errors import InputError, nearest
+from trackres_ros.node.parameters import PARAMETERS, Parameter, Parameters, Value, known, make_parameters
 
 SIM_TIME = "use_sim_time"  # declared by rclpy itself
-AUTOSTART = "autostart"
+QOS_OVERRIDES = "qos_overrides."  # declared by rclpy with the topic that each is of
 
 
 def declare(node: Node, values: Parameters) -> None:
-    """Declare all parameters; what the command line or a parameter file gives overrides `values`."""
+    """Declare all parameters; what the command line or a parameter file gives overrides `values`.
+
+    Raises
+    ------
+    InputError
+        For a bad value.
+    """
+    overrides = node._parameter_overrides
     for name, parameter in PARAMETERS.items():
         if name != SIM_TIME:
-            default = values.values[name]
-            node.declare_parameter(name, list(default) if isinstance(default, tuple) else default, descriptor(parameter))
-    text = "configure and activate at the start; else wait for a lifecycle manager"
-    node.declare_parameter(AUTOSTART, True, ParameterDescriptor(description=text, read_only=True))
+            value = parameter.checked(overrides[name].value) if name in overrides else values.values[name]
+            node.declare_parameter(name, _on_ros(value), descriptor(parameter), ignore_override=True)
+
+
+def unknown(node: Node, of_topics: bool) -> str:
+    """What a parameter file or the command line gives under names that nobody has declared, in words; empty if nothing.
+
+    `of_topics`: the overrides of a topic's quality of service, declared when the node is configured; else all others.
+    """
+    found = [
+        f"{name} ({nearest(name, node._parameters) or 'no parameter has a similar name'})"
+        for name in node._parameter_overrides
+        if not node.has_parameter(name) and name.startswith(QOS_OVERRIDES) is of_topics
+    ]
+    return f"given, but not parameters of this node, so without effect: {', '.join(found)}" if found else ""
 
 
 def descriptor(parameter: Parameter) -> ParameterDescriptor:
@@ -36,14 +54,33 @@ def descriptor(parameter: Parameter) -> ParameterDescriptor:
         text += f" [{parameter.unit}]"
     if parameter.choices:
         text += f"; of {', '.join(parameter.choices)}"
-    number = isinstance(parameter.default, float)
+    whole = parameter.is_number and isinstance(parameter.default, int)
     return ParameterDescriptor(
         description=text,
         additional_constraints=f"fixed while configured: {parameter.fixed_because}" if parameter.fixed_because else "",
-        # A whole number given for a floating-point one is taken too; the check is this package's own.
-        dynamic_typing=number or isinstance(parameter.default, tuple),
-        floating_point_range=[FloatingPointRange(from_value=parameter.low, to_value=parameter.high, step=0.0)] if number else [],
+        # `in_own_type` sees to the type, and this package's own check says what is allowed instead of another.
+        dynamic_typing=True,
+        integer_range=[IntegerRange(from_value=parameter.low, to_value=parameter.high, step=1)] if whole else [],
+        floating_point_range=[FloatingPointRange(from_value=parameter.low, to_value=parameter.high, step=0.0)]
+        if parameter.is_number and not whole
+        else [],
     )
+
+
+def in_own_type(given: Iterable[RosParameter]) -> list[RosParameter]:
+    """Values as the table has them: 2 for a float is 2.0, and true is the word on. What is refused stays as it is."""
+    found = []
+    for parameter in given:
+        try:
+            value = _on_ros(known(parameter.name).checked(parameter.value))
+            found.append(RosParameter(parameter.name, value=value))
+        except InputError:
+            found.append(parameter)
+    return found
+
+
+def _on_ros(value: Value) -> Any:
+    return list(value) if isinstance(value, tuple) else value
 
 
 def read(node: Node) -> Parameters:
