@@ -1,31 +1,45 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The live node: ros2 launch trackres_ros trackres.launch.py vehicle:=xgd24d [topics:=t.yaml] [params_file:=p.yaml] [...]."""
+"""The live node: ros2 launch trackres_ros trackres.launch.py vehicle:=xgd24d [topics:=t.yaml] [params_file:=p.yaml] [...].
+
+An argument that is given overrides the parameter file; one that is not given leaves the file's value, or the node's default.
+"""
 
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import LifecycleNode
 
-ARGUMENTS = {
-    "vehicle": (None, "Vehicle file, or the name of a shipped one"),
-    "surroundings": ("", "File of effects of site, weather and ground that hold here and now"),
-    "topics": ("", "Topics file: which topic feeds which role; config/topics/default.yaml without"),
+TEXTS = {
+    "vehicle": "Vehicle file, or the name of a shipped one; may stand in the parameter file instead",
+    "surroundings": "File of effects of site, weather and ground that hold here and now",
+    "topics": "Topics file: which topic feeds which role; config/topics/default.yaml without",
+}
+SWITCHES = {
+    "use_sim_time": "Take the time from /clock: true or false",
+    "autostart": "Configure and activate at the start: true, or false to wait for a lifecycle manager",
+}
+OTHERS = {
     "params_file": ("", "Parameter file; config/trackres.yaml lists all parameters"),
     "name": ("trackres", "Name of the node"),
     "namespace": ("", "Namespace of the node"),
-    "use_sim_time": ("false", "Take the time from /clock"),
-    "autostart": ("true", "Configure and activate at the start; else wait for a lifecycle manager"),
-    "respawn": ("false", "Start the node again should it end"),
+    "respawn": ("false", "Start the node again should it end: true or false"),
     "log_level": ("info", "Level of the log"),
 }
+ARGUMENTS = {**{name: ("", text) for name, text in {**TEXTS, **SWITCHES}.items()}, **OTHERS}
+
+
+def _switch(name: str, given: str) -> bool:
+    if given.lower() not in ("true", "false"):
+        raise ValueError(f"launch argument {name}: given {given!r}; allowed: true or false")
+    return given.lower() == "true"
 
 
 def _node(context: LaunchContext) -> list[LifecycleNode]:
     given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
-    single = {name: given[name] for name in ("vehicle", "surroundings", "topics") if given[name]}
-    flags = {name: given[name].lower() == "true" for name in ("use_sim_time", "autostart")}
+    explicit = {name: given[name] for name in TEXTS if given[name]}
+    explicit |= {name: _switch(name, given[name]) for name in SWITCHES if given[name]}
     files = [given["params_file"]] if given["params_file"] else []
     return [
         LifecycleNode(
@@ -33,9 +47,9 @@ def _node(context: LaunchContext) -> list[LifecycleNode]:
             executable="estimator",
             name=given["name"],
             namespace=given["namespace"],
-            parameters=[*files, single, flags],
+            parameters=[*files, *([explicit] if explicit else [])],
             arguments=["--ros-args", "--log-level", given["log_level"]],
-            respawn=given["respawn"].lower() == "true",
+            respawn=_switch("respawn", given["respawn"]),
             respawn_delay=1.0,
             output="screen",
         )

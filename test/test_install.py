@@ -3,6 +3,7 @@
 
 """The package as pip installs it, away from the checkout."""
 
+import importlib.util
 import json
 import os
 import shutil
@@ -50,3 +51,22 @@ def test_the_ament_files_are_in_place(installed, repository):
     assert (share / "trackres_ros" / "config" / "topics" / "sample.yaml").exists()
     assert (share / "trackres_ros" / "launch" / "replay.launch.py").exists()
     assert trackres_ros.__version__ in (repository / "CHANGELOG.rst").read_text()
+
+
+@pytest.mark.parametrize("links", [(), ("--symlink-install",)], ids=["copied", "linked"])
+def test_colcon_builds_it_and_its_commands_run(tmp_path, repository, links):
+    if not importlib.util.find_spec("colcon_ros"):
+        pytest.skip("colcon is not installed for this Python: pip install colcon-common-extensions")
+    ignored = shutil.ignore_patterns("[.]*", "build", "install", "log", "out", "docs", "*.egg-info", "__pycache__")
+    shutil.copytree(repository, tmp_path / "src" / "trackres_ros", ignore=ignored)
+    program = "import sys; from colcon_core.command import main; sys.exit(main())"
+    build = [sys.executable, "-W", "ignore", "-c", program, "build", "--packages-select", "trackres_ros", *links]
+    done = subprocess.run(build, cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    installed = tmp_path / "install" / "trackres_ros"
+    for file in ("lib/trackres_ros/estimator", "share/trackres_ros/launch/trackres.launch.py", "share/trackres_ros/package.xml"):
+        assert (installed / file).exists(), file
+    run = f"source install/setup.bash && cd / && {installed}/lib/trackres_ros/trackres vehicle list"
+    listed = subprocess.run(["bash", "-c", run], cwd=tmp_path, capture_output=True, text=True)
+    assert listed.returncode == 0, listed.stderr
+    assert "xgd24d" in listed.stdout

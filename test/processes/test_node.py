@@ -29,6 +29,7 @@ from trackres_ros.estimator.settings import Settings
 from trackres_ros.estimator.snapshot import after_time_off
 from trackres_ros.estimator.topic_settings import settings_for
 from trackres_ros.evaluation.closed_loop import left_by_diagnosis
+from trackres_ros.node.parameters import PARAMETERS
 from trackres_ros.offline.replay import replay
 from trackres_ros.output.topics import output_topics, values_of
 from trackres_ros.recording.bindings import Topics
@@ -461,10 +462,24 @@ def test_without_ros_its_parameter_file_is_watched(tmp_path, wire):
                 count = len(n.torques())
                 n.drive(0.5)
                 assert all(torque <= bound + 1e-6 for torque in n.torques()[count:])
-        file.write_text(json.dumps({**n.parameters, "vehicle": "agri3t", "feedforward_share": 0.002}))
-        n.until(lambda: "no parameter was changed" in n.log, "the refusal", meanwhile=lambda: n.drive(0.3))
-        assert "0.002" not in n.log
         n.check_outputs()
+        # On and off are true and false in YAML. A line that is refused is reported and stops no other.
+        refused = {"vehicle": "agri3t", "gap_s": -1.0, "gap": 2.0}
+        file.write_text(json.dumps({**n.parameters, **refused, "learning": True, "feedforward_share": 0.002}))
+        n.until(lambda: "-> 0.002" in n.log, "the change")
+        assert "learning watch -> on" in n.log
+        assert all(f"refused, and left as it was: parameter {name}" in n.log for name in ("vehicle", "gap_s"))
+        assert "did you mean gap_s?" in n.log
+        numbers = {name: p for name, p in PARAMETERS.items() if p.is_number and not p.fixed_because}
+        for end in ("low", "high"):
+            limits = {name: getattr(p, end) for name, p in numbers.items()}
+            file.write_text(json.dumps({**n.parameters, **limits}))
+            n.until(lambda limits=limits: f"-> {limits['stuck_s']:g}, " in n.log, "the change to all limits")
+            changed = n.log.splitlines()[-1]
+            assert all(f"{name} " in changed and f"-> {value:g}" in changed for name, value in limits.items())
+        file.write_text(json.dumps({**n.parameters, **limits, **{name: 2 * p.high + 1 for name, p in numbers.items()}}))
+        n.until(lambda: f"parameter {[*numbers][-1]}: given" in n.log, "the refusals")
+        assert all(f"left as it was: parameter {name}: given {2 * p.high + 1!r}" in n.log for name, p in numbers.items())
         assert n.stop() == 0
     finally:
         n.close()
