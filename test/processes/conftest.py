@@ -7,6 +7,7 @@ import importlib.util
 import json
 import math
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -20,6 +21,7 @@ if not importlib.util.find_spec("cyclonedds"):
     collect_ignore_glob = ["test_*.py"]
 else:
     import peer
+    from ros_shell import Shell
 
     DOMAIN = peer.domain_of_worker(71)
 
@@ -320,6 +322,46 @@ def standing(request, standing_nodes):
 def anywhere(request, standing_nodes):
     """As `standing`, and on Fast DDS too, for what the middleware plays a part in."""
     return standing_nodes(request.param)
+
+
+@pytest.fixture(params=["ros", FAST])
+def shell(request, tmp_path):
+    """Commands of ROS 2, on each middleware that is there."""
+    made = Shell(tmp_path, environment(request.param, tmp_path))
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def cyclone(tmp_path):
+    """Commands of ROS 2 on Cyclone DDS."""
+    made = Shell(tmp_path, environment("ros", tmp_path))
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def launcher(cyclone, workspace):
+    """The same in a workspace that the package is built into."""
+    cyclone.environment = {**workspace, **{k: v for k, v in cyclone.environment.items() if os.environ.get(k) != v}}
+    return cyclone
+
+
+@pytest.fixture(scope="session")
+def workspace(tmp_path_factory, repository):
+    """Environment of a workspace that the package is built into as a user builds it."""
+    if not importlib.util.find_spec("colcon_ros"):
+        pytest.skip("colcon is not installed for this Python: pip install colcon-common-extensions")
+    folder = tmp_path_factory.mktemp("workspace")
+    left = ("[.]*", "build", "install", "log", "out", "docs", "*.egg-info", "__pycache__")
+    shutil.copytree(repository, folder / "src" / "trackres_ros", ignore=shutil.ignore_patterns(*left))
+    program = "import sys; from colcon_core.command import main; sys.exit(main())"
+    build = [sys.executable, "-W", "ignore", "-c", program, "build", "--packages-select", "trackres_ros"]
+    done = subprocess.run(build, cwd=folder, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stdout + done.stderr
+    sourced = f"source {folder}/install/setup.bash && env -0"
+    said = subprocess.run(["bash", "-c", sourced], capture_output=True, text=True, check=True).stdout
+    return dict(line.split("=", 1) for line in said.split("\0") if "=" in line)
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -3,113 +3,23 @@
 
 """The node as a person on ROS 2 meets it: by `ros2 run`'s executable, the command line, launch, lifecycle, bags."""
 
-import importlib.util
 import json
 import os
-import shutil
 import signal
-import subprocess
 import sys
-from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from conftest import environment, why_not
-from peer import Wire, domain_of_worker
+from conftest import why_not
+from peer import Wire
+from ros_shell import DOMAIN, ROS2, wait
 from waiting import exit_code, wait_for
 
 if why_not("ros"):
     pytest.skip(why_not("ros"), allow_module_level=True)
-ROS2 = shutil.which("ros2")
 if not ROS2:
     pytest.skip("the command ros2 is not on the PATH", allow_module_level=True)
 PLAYER = "/rosbag2_player"
-DOMAIN = str(domain_of_worker(72))
-
-
-class Shell:
-    """Runs commands in one environment and ends what it started."""
-
-    def __init__(self, folder, rmw):
-        self.folder, self.running = folder, []
-        self.environment = {**environment(rmw, folder), "ROS_DOMAIN_ID": DOMAIN, "ROS_LOG_DIR": str(folder / "log")}
-
-    def ros2(self, *arguments, within_s=30.0, check=True):
-        """Output of a `ros2` command."""
-        done = subprocess.run(
-            [ROS2, *arguments], env=self.environment, capture_output=True, text=True, timeout=within_s, cwd=self.folder
-        )
-        assert not check or done.returncode == 0, done.stderr
-        return done.stdout + ("" if check else done.stderr)
-
-    def start(self, *command):
-        """A process in the background; its output goes to a file."""
-        path = self.folder / f"out-{len(self.running)}.log"
-        with path.open("w") as out:
-            process = subprocess.Popen(
-                command, env=self.environment, stdout=out, stderr=out, stdin=subprocess.DEVNULL, cwd=self.folder,
-                start_new_session=True,
-            )  # fmt: skip
-        process.said = path.read_text
-        self.running.append(process)
-        return process
-
-    def estimator(self, *arguments, ready="24 t chassis"):
-        """The executable `estimator`, once it is there."""
-        process = self.start(
-            sys.executable,
-            "-m",
-            "trackres_ros.node.ros.estimator",
-            "--ros-args",
-            "-p",
-            "vehicle:=xgd24d",
-            "-p",
-            "state_file:=none",
-            *arguments,
-        )
-        wait(lambda: ready in process.said(), process)
-        return process
-
-    def end(self, process, how=signal.SIGINT):
-        """End a process; its exit code."""
-        if process.poll() is None:
-            process.send_signal(how)
-            if exit_code(process) is None:
-                process.kill()
-                process.wait()
-        with suppress(ProcessLookupError):  # what a launch that had to be killed has left
-            os.killpg(process.pid, signal.SIGKILL)
-        return process.returncode
-
-    def close(self):
-        """End everything."""
-        for process in self.running:
-            self.end(process)
-        subprocess.run([ROS2, "daemon", "stop"], env=self.environment, capture_output=True, timeout=30)
-
-
-def wait(holds, process=None):
-    """Wait until something holds; if a process is to bring it about, as long as it computes."""
-    found = wait_for(lambda: holds() or (process and process.poll() is not None), working=process and process.pid)
-    assert found, process and process.said()
-    assert process is None or process.poll() is None, process.said()
-
-
-RMWS = ["ros", *([] if why_not("fast") else ["fast"])]
-
-
-@pytest.fixture(params=RMWS)
-def shell(request, tmp_path):
-    made = Shell(tmp_path, request.param)
-    yield made
-    made.close()
-
-
-@pytest.fixture
-def cyclone(tmp_path):
-    made = Shell(tmp_path, "ros")
-    yield made
-    made.close()
 
 
 def stamp_of(message):
@@ -273,41 +183,21 @@ def recorded(bag):
     return found.items()
 
 
-@pytest.fixture(scope="module")
-def workspace(tmp_path_factory, repository):
-    """Environment of a workspace that the package is built into as a user builds it."""
-    if not importlib.util.find_spec("colcon_ros"):
-        pytest.skip("colcon is not installed for this Python: pip install colcon-common-extensions")
-    folder = tmp_path_factory.mktemp("workspace")
-    source = folder / "src" / "trackres_ros"
-    left = ("[.]*", "build", "install", "log", "out", "docs", "*.egg-info", "__pycache__")
-    shutil.copytree(repository, source, ignore=shutil.ignore_patterns(*left))
-    program = "import sys; from colcon_core.command import main; sys.exit(main())"
-    build = [sys.executable, "-W", "ignore", "-c", program, "build", "--packages-select", "trackres_ros"]
-    done = subprocess.run(build, cwd=folder, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stdout + done.stderr
-    sourced = f"source {folder}/install/setup.bash && env -0"
-    said = subprocess.run(["bash", "-c", sourced], capture_output=True, text=True, check=True).stdout
-    return dict(line.split("=", 1) for line in said.split("\0") if "=" in line)
-
-
-def test_launch_starts_it(cyclone, workspace):
-    cyclone.environment = {**workspace, **{k: v for k, v in cyclone.environment.items() if os.environ.get(k) != v}}
-    assert "trackres_ros" in cyclone.ros2("pkg", "list")
-    assert {"estimator", "trackres"} <= set(cyclone.ros2("pkg", "executables", "trackres_ros").split())
-    launch = cyclone.start(
+def test_launch_starts_it(launcher):
+    assert "trackres_ros" in launcher.ros2("pkg", "list")
+    assert {"estimator", "trackres"} <= set(launcher.ros2("pkg", "executables", "trackres_ros").split())
+    launch = launcher.start(
         ROS2, "launch", "trackres_ros", "trackres.launch.py", "vehicle:=xgd24d", "namespace:=left", "use_sim_time:=true"
     )
     wait(lambda: "24 t chassis" in launch.said(), launch)
-    assert "/left/trackres" in cyclone.ros2("node", "list", "--no-daemon")
+    assert "/left/trackres" in launcher.ros2("node", "list", "--no-daemon")
 
 
-def test_launch_testing_finds_it_well_while_it_runs_and_after(cyclone, workspace):
+def test_launch_testing_finds_it_well_while_it_runs_and_after(launcher):
     pytest.importorskip("launch_testing", reason="ros-jazzy-launch-testing or lark is not installed")
-    cyclone.environment = {**workspace, **{k: v for k, v in cyclone.environment.items() if os.environ.get(k) != v}}
     tests = Path(__file__).with_name("launched.py")
     program = "import sys; from launch_testing.launch_test import main; sys.exit(main())"
-    run = cyclone.start(sys.executable, "-c", program, str(tests))
+    run = launcher.start(sys.executable, "-c", program, str(tests))
     assert exit_code(run, 400.0) == 0, run.said()
     assert "OK" in run.said()
 

@@ -70,7 +70,7 @@ class OneAtATime(MutuallyExclusiveCallbackGroup):  # type: ignore[misc]
 
     def __init__(self) -> None:
         super().__init__()
-        self.inputs: Sequence[Any] = ()
+        self.inputs: list[Any] = []
         self.waits_for_inputs = self.serves = True
 
     def can_execute(self, entity: Any) -> bool:
@@ -94,10 +94,11 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
     """
 
     def __init__(self, values: Parameters | None = None, node: str = DEFAULT_NODE, **arguments: Any) -> None:
-        self._callbacks = OneAtATime()
+        self._group = OneAtATime()
         self.application: Application | None = None
         self.failure = ""
         self.refused: InputError | None = None  # what a transition refused last
+        self._clear()
         super().__init__(node, **arguments)
         self.add_pre_set_parameters_callback(ros_parameters.in_own_type)
         self.add_on_set_parameters_callback(self._check)
@@ -108,7 +109,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
     @property
     def default_callback_group(self) -> OneAtATime:
         """The group of all callbacks."""
-        return self._callbacks
+        return self._group
 
     # Lifecycle
 
@@ -157,8 +158,6 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         application = Application(parameters, self, self.get_name(), self.get_namespace())
         kinds = [input_type(given, application.topics.origin) for given in application.inputs]
         self.application = application
-        self._fills: list[Fill | None] = []
-        self._outputs: list[Any] = []  # None where the type of a topic is not installed
         self._estimate = self._prepared_estimate()
         for topic in application.outputs:
             if topic is ESTIMATE_TOPIC and self._estimate is None:
@@ -176,7 +175,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
                 self.create_lifecycle_publisher(kind, name, profile, event_callbacks=events, qos_overriding_options=OVERRIDABLE)
             )
         self._input_profile = _profile(input_quality(parameters))
-        self._callbacks.inputs = self._inputs = [
+        self._inputs[:] = [
             self.create_subscription(
                 kind,
                 given.name,
@@ -189,8 +188,6 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
             )
             for index, (given, kind) in enumerate(zip(application.inputs, kinds, strict=True))
         ]
-        self._recording = False
-        self._kept: list[Any] = []
         self._inbox = Inbox(
             [partial(_come, given) for given in self._inputs],
             self._hand,
@@ -215,6 +212,17 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         self._warn(ros_parameters.unknown(self, of_topics=True))
         self.get_logger().info(f"{application.vehicle.title}; {application.began_with}")
 
+    def _clear(self) -> None:
+        """Nothing is made yet, or any more."""
+        self._fills: list[Fill | None] = []
+        self._outputs: list[Any] = []  # None where the type of a topic is not installed
+        self._group.inputs = self._inputs = []
+        self._kept: list[Any] = []
+        self._offered: list[Any] = []
+        self._jumps: Any = None
+        self._ticker: Any = None
+        self._recording = False
+
     def _activate(self, state: LifecycleState) -> None:
         super().on_activate(state)
         assert self.application
@@ -231,14 +239,17 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         if application is None:
             return
         self.get_logger().info(application.close())
-        self._jumps.unregister()
-        self.destroy_timer(self._ticker)
+        if self._jumps:
+            self._jumps.unregister()
+        if self._ticker:
+            self.destroy_timer(self._ticker)
         for given in (*self._inputs, *self._kept):
             self.destroy_subscription(given)
         for output in filter(None, self._outputs):
             self.destroy_lifecycle_publisher(output)
         for service in self._offered:
             self.destroy_service(service)
+        self._clear()
 
     # What the application asks of its edge
 
@@ -247,7 +258,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         try:
             return PreparedEstimate(self._frame_id)
         except (InputError, AttributeError, AssertionError, TypeError) as error:  # not there, or of another version
-            self.get_logger().warning(f"~/{ESTIMATE_TOPIC.name} is not published, all other topics are: {error}")
+            self.get_logger().info(f"~/{ESTIMATE_TOPIC.name} is not published, all other topics are: {error}")
             return None
 
     def now_ns(self) -> int:
@@ -307,7 +318,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
 
     def _taker(self, index: int) -> Callable[[Any, dict[str, int]], None]:
         def take(message: Any, about: dict[str, int]) -> None:
-            self._callbacks.serves = False
+            self._group.serves = False
             if self.application:
                 self._inbox.put(index, (message, about))
                 self._collect()
@@ -315,9 +326,9 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         return take
 
     def _tick(self) -> None:
-        if self.application and not self._callbacks.waits_for_inputs:
+        if self.application and not self._group.waits_for_inputs:
             self._collect()
-        self._callbacks.serves = True
+        self._group.serves = True
         self._tick_now()
 
     def _tick_now(self) -> None:
@@ -352,7 +363,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         rclpy, for which waiting for one message is half the work of it all, waits half as often.
         """
         rate_hz = application.parameters.number("output_rate_hz")
-        self._callbacks.waits_for_inputs = rate_hz < COLLECTED_FROM_HZ or application.parameters.sim_time
+        self._group.waits_for_inputs = rate_hz < COLLECTED_FROM_HZ or application.parameters.sim_time
 
     def _server(self, what: Callable[[], str]) -> Callable[[Any, Any], Any]:
         def serve(_request: Any, response: Any) -> Any:
@@ -380,8 +391,9 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         return ros_parameters.verdict(check, ros_parameters.named(changes))
 
     def _apply(self, changes: list[RosParameter]) -> None:
-        if self.application:
-            self.application.change(ros_parameters.named(changes))
+        ours = ros_parameters.named(changes)
+        if self.application and ours:
+            self.application.change(ours)
             self._wait_or_collect(self.application)
             period_ns = int(self.application.period_s * SECOND_NS)
             if self._ticker.timer_period_ns != period_ns:
