@@ -88,7 +88,7 @@ def test_two_publishers_and_a_wrong_type_are_seen(shell):
     shell.start(ROS2, "topic", "pub", *SPEED)
     shell.start(ROS2, "topic", "pub", *SPEED)
     shell.start(ROS2, "topic", "pub", "/load", "std_msgs/msg/Float32", "{data: 1.0}", "-r", "5")
-    wait(lambda: "2 publishers on speed" in node.said(), node)
+    wait(lambda: "2 publishers on /speed" in node.said(), node)
     wait(lambda: "std_msgs/msg/Float32" in node.said(), node)
 
 

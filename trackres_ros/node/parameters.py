@@ -144,7 +144,7 @@ NODE_PARAMETERS = (
     Parameter(
         "autostart",
         True,
-        "configure and activate at the start; false: wait for a lifecycle manager; without ROS 2 it always starts",
+        "configure and activate at the start; false: wait for a lifecycle manager; trackres live always starts",
         fixed_because=AT_START,
     ),
     Parameter("use_sim_time", False, "take the time from /clock, as in a simulation or a replay", fixed_because=AT_START),

@@ -79,7 +79,7 @@ def _run(
             return BAD_INPUT
         executor = SingleThreadedExecutor()
         executor.add_node(node)
-        if node.get_parameter("autostart").value:
+        if of_command or node.get_parameter("autostart").value:
             if node.trigger_configure() != TransitionCallbackReturn.SUCCESS:
                 if of_command and node.refused:
                     raise node.refused

@@ -106,6 +106,18 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         self.add_post_set_parameters_callback(self._apply)
         self._warn(ros_parameters.unknown(self, of_topics=False))
 
+    def _clear(self) -> None:
+        """Nothing is made yet, or any more."""
+        self._fills: list[Fill | None] = []
+        self._outputs: list[Any] = []  # None where the type of a topic is not installed
+        self._inputs: list[Any] = []
+        self._group.inputs = self._inputs
+        self._kept: list[Any] = []
+        self._offered: list[Any] = []
+        self._jumps: Any = None
+        self._ticker: Any = None
+        self._recording = False
+
     @property
     def default_callback_group(self) -> OneAtATime:
         """The group of all callbacks."""
@@ -211,17 +223,6 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         self._wait_or_collect(application)
         self._warn(ros_parameters.unknown(self, of_topics=True))
         self.get_logger().info(f"{application.vehicle.title}; {application.began_with}")
-
-    def _clear(self) -> None:
-        """Nothing is made yet, or any more."""
-        self._fills: list[Fill | None] = []
-        self._outputs: list[Any] = []  # None where the type of a topic is not installed
-        self._group.inputs = self._inputs = []
-        self._kept: list[Any] = []
-        self._offered: list[Any] = []
-        self._jumps: Any = None
-        self._ticker: Any = None
-        self._recording = False
 
     def _activate(self, state: LifecycleState) -> None:
         super().on_activate(state)
