@@ -97,11 +97,13 @@ def test_a_bad_start_ends_with_code_2_or_waits_to_be_configured(cyclone):
     assert exit_code(bad) == 2
     assert "one of agri3t, xgd24d" in bad.said() or "xgd24d" in bad.said()
     assert "Traceback" not in bad.said()
-    given = ["--ros-args", "-p", "vehicle:=xgd24d", "-p", "gap_s:=1e9"]
-    bad = cyclone.start(sys.executable, "-m", "trackres_ros.node.ros.estimator", *given)
-    assert exit_code(bad) == 2
-    assert "gap_s" in bad.said()
-    assert "Traceback" not in bad.said()
+    for name, value in (("gap_s", "1e9"), ("qos_overrides./speed.subscription.reliability", "perhaps")):
+        given = ["--ros-args", "-p", "vehicle:=xgd24d", "-p", f"{name}:={value}"]
+        bad = cyclone.start(sys.executable, "-m", "trackres_ros.node.ros.estimator", *given)
+        assert exit_code(bad) == 2
+        assert name in bad.said()
+        assert "allowed: " in bad.said()
+        assert "Traceback" not in bad.said()
     waiting = cyclone.start(
         sys.executable,
         "-m",

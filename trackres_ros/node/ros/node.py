@@ -11,26 +11,23 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any
 
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock, ClockType, JumpThreshold
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter as RosParameter
-from rclpy.qos import QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible
-from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.qos import QoSCompatibility, qos_check_compatible
 from rclpy.serialization import serialize_message
-from rclpy.subscription import Subscription
-from rclpy.timer import Timer
 from std_srvs.srv import Trigger
 
 from trackres_ros.errors import InputError
 from trackres_ros.node.application import Application
 from trackres_ros.node.edge import Level, Peer, Reasons, Status
-from trackres_ros.node.endpoints import InputTopic, Quality, input_quality, output_quality
+from trackres_ros.node.endpoints import InputTopic, input_quality, output_quality
 from trackres_ros.node.inbox import Arrival, Inbox
 from trackres_ros.node.parameters import Parameters, make_parameters
 from trackres_ros.node.ros import parameters as ros_parameters
+from trackres_ros.node.ros.callback_group import OneAtATime
 from trackres_ros.node.ros.messages import (
     Fill,
     PreparedEstimate,
@@ -40,46 +37,16 @@ from trackres_ros.node.ros.messages import (
     prepared,
     type_text,
 )
+from trackres_ros.node.ros.qos import OVERRIDABLE, overridden, profile_of
 from trackres_ros.output.topics import DEFAULT_NODE, ESTIMATE_TOPIC
 from trackres_ros.units import SECOND_NS
 
 COLLECTED_FROM_HZ = 20.0  # of the outputs: the inputs' queues hold what comes between two of them, at 1 kHz too
 
 MOST_COLLECTED = 1000  # of a topic at a time
-OVERRIDABLE = QoSOverridingOptions.with_default_policies()
 
 Taken = tuple[Any, dict[str, int]]
 """A message and what the middleware says about it."""
-
-
-class OneAtATime(MutuallyExclusiveCallbackGroup):  # type: ignore[misc]
-    """The group of all callbacks of a node: in any executor one runs at a time, in the order in which messages are taken.
-
-    Some wait while a door is closed. rclpy builds its wait set anew for each message, out of every entity that may run: with
-    dozens of services and event handlers in it that takes longer than the estimate itself.
-
-    Attributes
-    ----------
-    inputs
-        Topics that feed the estimate.
-    waits_for_inputs
-        Whether each of their messages is answered as it comes; else the next tick collects them.
-    serves
-        Whether services and events are served: not while messages pass, until the next tick.
-    """
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.inputs: list[Any] = []
-        self.waits_for_inputs = self.serves = True
-
-    def can_execute(self, entity: Any) -> bool:
-        """Whether the executor is to wait for it, or run it."""
-        if isinstance(entity, Subscription):  # any other is rclpy's own, of /clock, or one that is only recorded
-            opened = self.waits_for_inputs or entity not in self.inputs
-        else:
-            opened = self.serves or isinstance(entity, Timer)
-        return opened and bool(super().can_execute(entity))
 
 
 class EstimatorNode(LifecycleNode):  # type: ignore[misc]
@@ -177,29 +144,33 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
                 self._outputs.append(None)
                 continue
             name = topic.name if topic.name.startswith("/") else f"~/{topic.name}"
-            profile = _profile(output_quality(parameters, topic))
+            profile = profile_of(output_quality(parameters, topic))
             events = PublisherEventCallbacks(
                 incompatible_qos=self._reporter(f"a subscriber of {self.resolve_topic_name(name)}"), use_default_callbacks=False
             )
             self._fills.append(None if topic.kind in ("status", "estimate") else prepared(topic, self._frame_id))
             kind = installed_type(topic.type, f"topic {name}")
-            self._outputs.append(
-                self.create_lifecycle_publisher(kind, name, profile, event_callbacks=events, qos_overriding_options=OVERRIDABLE)
+            with overridden(self, name):
+                made = self.create_lifecycle_publisher(
+                    kind, name, profile, event_callbacks=events, qos_overriding_options=OVERRIDABLE
+                )
+            self._outputs.append(made)
+        self._input_profile = profile_of(input_quality(parameters))
+        for index, (given, kind) in enumerate(zip(application.inputs, kinds, strict=True)):
+            events = SubscriptionEventCallbacks(
+                incompatible_qos=self._reporter(f"a publisher of {self.topic_name(given.name)}"), use_default_callbacks=False
             )
-        self._input_profile = _profile(input_quality(parameters))
-        self._inputs[:] = [
-            self.create_subscription(
-                kind,
-                given.name,
-                self._taker(index),
-                _profile(input_quality(parameters)),
-                event_callbacks=SubscriptionEventCallbacks(
-                    incompatible_qos=self._reporter(f"a publisher of {self.topic_name(given.name)}"), use_default_callbacks=False
-                ),
-                qos_overriding_options=OVERRIDABLE,
-            )
-            for index, (given, kind) in enumerate(zip(application.inputs, kinds, strict=True))
-        ]
+            profile = profile_of(input_quality(parameters))
+            with overridden(self, given.name):
+                made = self.create_subscription(
+                    kind,
+                    given.name,
+                    self._taker(index),
+                    profile,
+                    event_callbacks=events,
+                    qos_overriding_options=OVERRIDABLE,
+                )
+            self._inputs.append(made)
         self._inbox = Inbox(
             [partial(_come, given) for given in self._inputs],
             self._hand,
@@ -409,12 +380,3 @@ def _come(given: Any) -> Iterator[Taken]:
             if taken is None:
                 return
             yield taken
-
-
-def _profile(quality: Quality) -> QoSProfile:
-    """Quality of service as ROS 2 has it."""
-    reliability = ReliabilityPolicy.RELIABLE if quality.reliable else ReliabilityPolicy.BEST_EFFORT
-    profile = QoSProfile(depth=quality.depth, reliability=reliability)
-    if quality.deadline_s > 0.0:
-        profile.deadline = Duration(seconds=quality.deadline_s)
-    return profile

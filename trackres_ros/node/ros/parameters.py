@@ -14,9 +14,9 @@ from rclpy.parameter import Parameter as RosParameter
 
 from trackres_ros.errors import InputError, nearest
 from trackres_ros.node.parameters import PARAMETERS, Parameter, Parameters, Value, known, make_parameters
+from trackres_ros.node.ros.qos import OVERRIDES
 
 SIM_TIME = "use_sim_time"  # declared by rclpy itself
-QOS_OVERRIDES = "qos_overrides."  # declared by rclpy with the topic that each is of
 
 
 def declare(node: Node, values: Parameters) -> None:
@@ -42,7 +42,7 @@ def unknown(node: Node, of_topics: bool) -> str:
     found = [
         f"{name} ({nearest(name, node._parameters) or 'no parameter has a similar name'})"
         for name in node._parameter_overrides
-        if not node.has_parameter(name) and name.startswith(QOS_OVERRIDES) is of_topics
+        if not node.has_parameter(name) and name.startswith(OVERRIDES) is of_topics
     ]
     return f"given, but not parameters of this node, so without effect: {', '.join(found)}" if found else ""
 
