@@ -102,11 +102,8 @@ class Application:
         self.session, self.began_with = self.keeper.load(self.estimator, self.learning.learner)
         self._state_at = self._rested_at = time.time()
         self._topic_names = [edge.topic_name(given.name) for given in self.inputs]
-        self._watch = Watch(
-            self.estimator,
-            [replace(given, name=name) for given, name in zip(self.inputs, self._topic_names, strict=True)],
-            steady_ns(),
-        )
+        named = [replace(given, name=name) for given, name in zip(self.inputs, self._topic_names, strict=True)]
+        self._watch = Watch(self.estimator, named)
         self._reasons_seen: tuple[int, bool, Reasons] | None = None  # when, whether the speed was old, what held
         now = steady_ns()
         self._next_second_ns, self._next_output_ns, self._next_save_ns = now, now, now + self._save_period_ns()

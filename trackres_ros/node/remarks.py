@@ -24,7 +24,7 @@ class Kind:
     awaited
         Whether it holds at every start until the inputs have come.
     of_start
-        Whether it says how the node began: the log has it once, and the diagnostics in the entry of the state.
+        Whether it is about how the node began: the log has it once, the diagnostics in the entry of the state.
     """
 
     level: Level

@@ -58,11 +58,9 @@ class Watch:
     ----------
     inputs
         The input topics by their full names, as they are on the wire.
-    began_ns
-        When the node began, by a steady clock.
     """
 
-    def __init__(self, estimator: Estimator, inputs: Sequence[InputTopic], began_ns: int) -> None:
+    def __init__(self, estimator: Estimator, inputs: Sequence[InputTopic]) -> None:
         self.accepted_ns: list[int | None] = [None] * len(estimator.channels)  # by a steady clock
         self._inputs: tuple[InputState, ...] = ()
         self.steps_hz = 0.0
@@ -81,7 +79,7 @@ class Watch:
         self._old: bool | None = None
         self._offset_ns = 0
         self._fault_text, self._fault_ns = "", -FAULT_SHOWN_NS
-        self._began_ns = began_ns
+        self._began_ns: int | None = None
         self._logged: frozenset[str] | None = None
 
     def accepted(self, reasons: int, offset_ns: int) -> bool:
@@ -145,6 +143,7 @@ class Watch:
         self._inputs = tuple(states)
         self.steps_hz, self._steps = self._steps / elapsed_s, 0
         self._peers, self._looked_ns = peers, steady
+        self._began_ns = steady if self._began_ns is None else self._began_ns
         self._shown_reasons, self._second_reasons = self._second_reasons, 0
 
     def remarks(self, age_s: float, max_age_s: float, clock_runs: bool, steady: int) -> list[Remark]:
@@ -173,11 +172,11 @@ class Watch:
         return found + of_reasons(at.Reason(self._shown_reasons))
 
     def to_log(self, remarks: Sequence[Remark], steady: int) -> tuple[Level, str] | None:
-        """What to log, when there is other than harmless to remark than at the last call.
+        """The level and text to log, if the remarks above OK have changed since the last call.
 
-        Just after the start an input that has not come yet is waited for, which is no warning.
+        Just after the start an input that has not come yet is no warning.
         """
-        if self._looked_ns is None:
+        if self._began_ns is None:
             return None
         heavy = [remark for remark in remarks if remark.level > Level.OK]
         starting = steady - self._began_ns < STARTING_NS and all(KINDS[remark.name].awaited for remark in heavy)

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The one group of all callbacks of a node."""
+"""The group of all callbacks of a node."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from rclpy.timer import Timer
 
 
 class OneAtATime(MutuallyExclusiveCallbackGroup):  # type: ignore[misc]
-    """The group of all callbacks of a node: in any executor one runs at a time, in the order in which messages are taken.
+    """The group of all callbacks of a node: any executor runs one at a time, so messages keep the order in which they are taken.
 
-    Some wait while a door is closed. rclpy builds its wait set anew for each message, out of every entity that may run: with
-    dozens of services and event handlers in it that takes longer than the estimate itself.
+    At times the executor does not wait for some of them. rclpy builds its wait set anew for each message, out of every entity
+    that may run. With dozens of services and event handlers in it that takes longer than the estimate itself.
 
     Attributes
     ----------
     inputs
-        Topics that feed the estimate.
+        Subscriptions that feed the estimate.
     waits_for_inputs
-        Whether each of their messages is answered as it comes; else the next tick collects them.
+        Whether the executor waits for their messages; else the next tick collects them.
     serves
-        Whether services and events are served: not while messages pass, until the next tick.
+        Whether services and events are served; not from a message until the next tick.
     """
 
     def __init__(self) -> None:

@@ -35,9 +35,10 @@ def declare(node: Node, values: Parameters) -> None:
 
 
 def unknown(node: Node, of_topics: bool) -> str:
-    """What a parameter file or the command line gives under names that nobody has declared, in words; empty if nothing.
+    """Names from a parameter file or the command line that are not declared, with the closest ones; empty if there are none.
 
-    `of_topics`: the overrides of a topic's quality of service, declared when the node is configured; else all others.
+    With `of_topics` only overrides of a topic's quality of service, which are declared when the node is configured; else all
+    others.
     """
     found = [
         f"{name} ({nearest(name, node._parameters) or 'no parameter has a similar name'})"
@@ -58,7 +59,7 @@ def descriptor(parameter: Parameter) -> ParameterDescriptor:
     return ParameterDescriptor(
         description=text,
         additional_constraints=f"fixed while configured: {parameter.fixed_because}" if parameter.fixed_because else "",
-        # `in_own_type` sees to the type, and this package's own check says what is allowed instead of another.
+        # `in_own_type` keeps the type. For a value of another type this package's own check names what is allowed.
         dynamic_typing=True,
         integer_range=[IntegerRange(from_value=parameter.low, to_value=parameter.high, step=1)] if whole else [],
         floating_point_range=[FloatingPointRange(from_value=parameter.low, to_value=parameter.high, step=0.0)]
@@ -68,7 +69,7 @@ def descriptor(parameter: Parameter) -> ParameterDescriptor:
 
 
 def in_own_type(given: Iterable[RosParameter]) -> list[RosParameter]:
-    """Values as the table has them: 2 for a float is 2.0, and true is the word on. What is refused stays as it is."""
+    """Convert values to the types of the table: 2 for a float to 2.0, true to the word on. A refused value stays as it is."""
     found = []
     for parameter in given:
         try:

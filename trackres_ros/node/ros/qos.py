@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Quality of service on ROS 2: profiles, and what rclpy's `qos_overrides` make of them."""
+"""Quality of service on ROS 2: profiles, and rclpy's `qos_overrides` of them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ OVERRIDABLE = QoSOverridingOptions.with_default_policies()
 
 @contextmanager
 def overridden(node: Node, topic: str) -> Iterator[None]:
-    """Whatever fails in making an endpoint whose profile is overridden is put down to what overrides it.
+    """Report a failure to make an endpoint with an overridden profile as a bad override.
 
     Raises
     ------
