@@ -40,9 +40,9 @@ class ParameterFile:
         self._read = self._seen = _stamp(path)
 
     def look(self, check: Callable[[Mapping[str, Value]], object]) -> tuple[Mapping[str, Value], list[InputError]]:
-        """Names and values that the file has changed since the last that were applied, and why others are refused.
+        """Names and values that differ from those applied last, and an error for each refused line; mostly neither.
 
-        Mostly neither. `check` raises InputError for a change that the node refuses.
+        `check` raises InputError for a change that the node refuses.
         """
         stamp = _stamp(self.path)
         settled, self._seen = stamp == self._seen, stamp
@@ -78,7 +78,7 @@ class ParameterFile:
 def _accepted(
     changed: Mapping[str, Value], check: Callable[[Mapping[str, Value]], object]
 ) -> tuple[dict[str, Value], list[InputError]]:
-    """As many changes as a check lets pass, and the errors of the others. Two that need each other pass, in whichever order."""
+    """All changes that pass a check, and the errors of the others. Two that need each other pass in either order."""
     accepted: dict[str, Value] = {}
     errors: dict[str, InputError] = {}
     waiting = dict(changed)
