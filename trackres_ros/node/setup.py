@@ -12,7 +12,7 @@ from pathlib import Path
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.estimator.topic_settings import settings_for
-from trackres_ros.files.resources import config_dir, find_vehicle
+from trackres_ros.files.resources import find_vehicle
 from trackres_ros.node.parameters import Parameters
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.roles import POSITION
@@ -55,7 +55,7 @@ def read_setup(parameters: Parameters) -> Setup:
     if not parameters.text("vehicle"):
         raise InputError("parameter vehicle", "", "a vehicle file, or the name of a shipped one", "for example xgd24d")
     topics_file = parameters.text("topics")
-    topics = Topics.load(Path(topics_file) if topics_file else config_dir() / "topics" / "default.yaml")
+    topics = Topics.load(topics_file or "default")
     _check_live(topics)
     vehicle_file, surroundings_file = find_vehicle(parameters.text("vehicle")), parameters.text("surroundings")
     vehicle = with_surroundings(load(vehicle_file), surroundings_file)

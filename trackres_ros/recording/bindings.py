@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from operator import attrgetter
-from pathlib import Path
+from os import PathLike
 from types import MappingProxyType
 from typing import Literal, cast
 
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from trackres_ros import checks
 from trackres_ros.errors import InputError, nearest
+from trackres_ros.files.resources import find_topics
 from trackres_ros.files.yamls import read_yaml
 from trackres_ros.recording.roles import ANGLES, BRAKE_ON_PA, PASSENGER_KG, POSITION, ROLES, base_role
 from trackres_ros.units import DEGREE
@@ -185,18 +186,22 @@ class Topics:
     def __len__(self) -> int:
         return len(self.bindings)
 
+    def __bool__(self) -> bool:
+        return True  # one with a line for the time alone is given too
+
     def __contains__(self, role: object) -> bool:
         return role in self.bindings
 
     @classmethod
-    def load(cls, path: Path) -> Topics:
-        """Read a topics file.
+    def load(cls, path_or_name: str | PathLike[str]) -> Topics:
+        """Read a topics file, given by its path or by the name of a shipped one.
 
         Raises
         ------
         InputError
             The file is not there, no YAML, or says something that is not allowed: which role and key.
         """
+        path = find_topics(path_or_name)
         return cls.parse(read_yaml(path, "a mapping with one line a role", f"write for example: {EXAMPLE}"), str(path))
 
     @classmethod
