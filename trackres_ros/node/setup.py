@@ -86,7 +86,7 @@ def changed_parameters(before: Parameters, given: Mapping[str, object], topics: 
 def _check_live(topics: Topics) -> None:
     """Refuse topics of which a live node can make nothing: a column of a table, or no speed among them."""
     for role in topics:
-        if not topics[role].topic:
+        if not topics[role].of_topics:
             raise InputError(f"{topics.origin}: {role}", "a column of a table", "a topic with type and field")
         if role in POSITION and not topics[role].unit:
             raise InputError(f"{topics.origin}: {role}: unit", "none", "deg or rad", "live there are no values yet to tell it by")
