@@ -79,8 +79,8 @@ def replay_command(
 ) -> None:
     """Resistance torque and belt temperature over the time of a recording.
 
-    RECORDING is a rosbag2 folder, .mcap, .db3, ROS 1 .bag (several are read one after the other), or one .csv, .csv.gz or
-    .parquet with time_s and speed_mps (or speed_kmh).
+    RECORDING is a rosbag2 folder, .mcap, .db3, ROS 1 .bag (several are read one after the other), or one .csv, .csv.gz,
+    .parquet or .xlsx with time_s and speed_mps (or speed_kmh), or with columns that the topics file names.
 
     \b
     trackres replay lap.mcap --vehicle xgd24d --topics topics.yaml -o out.mcap

@@ -31,6 +31,8 @@ MAX_ROW_BYTES = 2**24
 """Longest line, and longest row of quoted lines, that is read: one of 200,000 columns is a fifth of it."""
 HEAD_BYTES = 2**16
 BLOCK_BYTES = 2**20
+SEEN_ROWS = 512
+"""Held as text at once, of the columns that are read; a cell has at most 128 KiB."""
 SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}
 
 
@@ -89,10 +91,9 @@ class CsvTable:
         check_dates(time, self.name, self._dates is not None)
         marks = {column.name: ColumnMarks(column.binding.decimal) for column in self._read[bool(self._dates) :]}
         if self._separator != "," or (self._dates and self._dates.is_open) or self._has_quotes():
-            rows = self._whole_rows()
-            while chunk := list(itertools.islice(rows, CHUNK_ROWS)):
-                for column in self._read:
-                    cells = [row[column.place].strip() for row in chunk]
+            rows = ([row[place].strip() for place in self._places] for row in self._whole_rows())
+            while chunk := list(itertools.islice(rows, SEEN_ROWS)):
+                for column, cells in zip(self._read, zip(*chunk, strict=True), strict=True):
                     if column.name in marks:
                         marks[column.name].see(cells)
                     elif self._dates and self._dates.is_open:
