@@ -68,8 +68,8 @@ def read(recording: StrPath | Sequence[StrPath], *, topics: TopicsGiven | None =
     Parameters
     ----------
     recording
-        A rosbag2 folder, `.mcap`, `.db3`, `.bag`, `.csv`, `.csv.gz`, `.parquet` or `.xlsx`; of bags several, which are read one after
-        another as one recording.
+        A rosbag2 folder, `.mcap`, `.db3`, `.bag`, `.csv`, `.csv.gz`, `.parquet` or `.xlsx`; of bags several, which are read one
+        after another as one recording.
     topics
         Which topic and field, or which column, feeds which role: a topics file, or what stands in one. Without it topics are
         guessed by message type, and columns known by name.
