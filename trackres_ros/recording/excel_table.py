@@ -26,10 +26,11 @@ from trackres_ros.recording.table_file import Rows, check_dates, time_note
 if TYPE_CHECKING:
     from openpyxl.workbook import Workbook
 
-MOST_BYTES = 2**26
-"""Of the file, and of each part of it unpacked but the texts and formats, which are held in memory as a whole: two million
-cells of numbers. Excel itself takes longer over such a sheet than it takes to save it as CSV."""
+MOST_BYTES = 2**25
+"""Of the file, and of each sheet unpacked: a million cells of numbers. openpyxl keeps what it does not know, and takes up to 1 GB
+for a sheet that was made to fill memories."""
 MOST_HELD_BYTES = 2**24
+"""Of the other parts, such as texts and formats, which are held as a whole."""
 MOST_RATIO, RATIO_FROM_BYTES = 200, 2**20
 """Sheets shrink to a tenth or a thirtieth; what shrinks to less than this was made to fill memories."""
 MOST_ROWS = 2**20
