@@ -23,6 +23,7 @@ def shared_files(folder: str) -> list[tuple[str, list[str]]]:
 
 BAGS = ["rosbags>=0.11"]
 PARQUET = ["pyarrow>=14"]
+EXCEL = ["openpyxl>=3.1"]
 PLOTS = ["matplotlib>=3.6"]
 FAST = ["numba>=0.57"]
 NOTEBOOK = ["pandas>=2.0", "xarray>=2023.1", *PLOTS]
@@ -37,7 +38,7 @@ DDS = [*BAGS, CYCLONE]
 # No wheels elsewhere, and its source needs the C library: there the tests of that edge are skipped.
 DDS_TESTED = [f"{CYCLONE}; platform_machine == 'x86_64' and python_version < '3.14'"]
 TEST = ["pytest>=7.4", "pytest-xdist>=3.4", "hypothesis>=6.98", "rainflow>=3.1", "mcap>=1.1", "setuptools>=70.1"]
-TEST += ["jsonschema>=4.10", "ruff>=0.4", "mypy>=1.8", "types-PyYAML"]
+TEST += ["jsonschema>=4.10", "ruff>=0.4", "mypy>=1.8", "types-PyYAML", "types-openpyxl"]
 TEST += ["axe-playwright-python>=0.1.4"]  # axe-core, for what a page must have for everyone to use it
 TEST += ["colcon-common-extensions>=0.3", "lark>=1.1"]  # where ROS 2 is, the package is built into a workspace and launched there
 DOCS = ["mkdocs>=1.6,<2", "mkdocs-material>=9.5,<10", "latex2mathml>=3.77"]  # for make site
@@ -68,6 +69,7 @@ setup(
     extras_require={
         "bags": BAGS,
         "parquet": PARQUET,
+        "excel": EXCEL,
         "plots": PLOTS,
         "fast": FAST,
         "notebook": NOTEBOOK,
@@ -77,8 +79,8 @@ setup(
         "proof": PROOF,
         "fleet": FLEET,
         "design": DESIGN,
-        "all": BAGS + PARQUET + NOTEBOOK + PROOF + FLEET + DESIGN + INTERACTIVE,
-        "test": BAGS + PARQUET + NOTEBOOK + PROOF + FLEET_TESTED + DESIGN + INTERACTIVE + DDS_TESTED + TEST,
+        "all": BAGS + PARQUET + EXCEL + NOTEBOOK + PROOF + FLEET + DESIGN + INTERACTIVE,
+        "test": BAGS + PARQUET + EXCEL + NOTEBOOK + PROOF + FLEET_TESTED + DESIGN + INTERACTIVE + DDS_TESTED + TEST,
         "mutation": MUTATION,
         "docs": DOCS,
         "coverage": COVERAGE,

@@ -54,6 +54,7 @@ STARTED_BY = {  # commands that start an application of their own, and import it
     "play.py": {"trackres_ros.node.dds.player"},
     "prove.py": {"trackres_ros.evaluation"},
     "reproduce.py": {"trackres_ros.evaluation.reproduce"},
+    "topics.py": {"trackres_ros.recording.shipped_topics"},
     "vehicle.py": {"trackres_ros.offline.vehicle_files"},
 }  # fmt: skip
 

@@ -18,7 +18,8 @@ from trackres_ros.node.dds.wire import typestore
 from trackres_ros.node.edge import Level, Status
 from trackres_ros.node.endpoints import InputTopic, live_topics
 from trackres_ros.output.topics import ESTIMATE_TOPIC
-from trackres_ros.recording.bindings import TopicBinding, Topics
+from trackres_ros.recording.binding import TopicBinding
+from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.cdr import MalformedError
 from trackres_ros.vehicle import load
 
@@ -101,7 +102,7 @@ def test_a_diagnostic_array():
 def reader(kind, *fields, scale=1.0, offset=0.0):
     roles = tuple(["speed", "torque"][: len(fields)])
     bindings = tuple(TopicBinding("/t", kind, field, scale=scale, offset=offset) for field in fields)
-    return InputReader(InputTopic("/t", kind, roles, bindings), "topics.yaml")
+    return InputReader(InputTopic("/t", kind, roles, bindings, (None,) * len(roles)), "topics.yaml")
 
 
 def raw_of(kind, big=False, **fields):

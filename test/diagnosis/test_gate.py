@@ -225,7 +225,7 @@ def test_a_short_recording_among_others_is_left_out_with_a_note(recorded, loaded
 
 def test_start_of_a_recording_that_counts_from_zero():
     class Table:
-        name, roles, notes, findings, zero_is_unset = "t", ("speed",), (), (), False
+        name, roles, notes, findings, zero_is_unset, torque_candidates = "t", ("speed",), (), (), False, ()
 
         def blocks(self, max_rows=0):
             from trackres_ros.recording.samples import Block

@@ -12,6 +12,7 @@ import shutil
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -163,6 +164,42 @@ def _table(suffix: str) -> Callable[[Path], None]:
     return write
 
 
+def _clock(row: int) -> datetime:
+    return datetime(2026, 11, 23, 10) + timedelta(milliseconds=20 * row)
+
+
+def _german(folder: Path) -> None:
+    """Semicolons, decimal commas, day first, CRLF, a byte order mark."""
+    lines = ["timestamp;speed_mps;weight_n;note"]
+    for row in range(ROWS):
+        load = f"{2e5 + row:.1f}" if row % LOAD_EVERY == 0 else ""
+        numbers = f"{5.0 + row / 10:.2f};{load}".replace(".", ",")
+        lines.append(f"{_clock(row):%d.%m.%Y %H:%M:%S,%f};{numbers};lap {row}")
+    (folder / "run.csv").write_bytes(b"\xef\xbb\xbf" + "\r\n".join([*lines, ""]).encode())
+
+
+def _american(folder: Path) -> None:
+    """Tabs, month first, which the whole column has to show, CR, numbers in quotes with commas between thousands."""
+    lines = ["timestamp\tspeed_mps\tweight_n\tnote"]
+    for row in range(ROWS):
+        load = f'"{2e5 + row:,.1f}"' if row % LOAD_EVERY == 0 else ""
+        lines.append(f"{_clock(row):%m/%d/%Y %H:%M:%S.%f}\t{5.0 + row / 10}\t{load}\tlap {row}")
+    (folder / "run.csv").write_bytes("\r".join([*lines, ""]).encode())
+
+
+def _excel(folder: Path) -> None:
+    from openpyxl import Workbook
+
+    book = Workbook()
+    book.active.append(["a drive"])
+    sheet = book.create_sheet("drive")
+    sheet.append(["timestamp", "speed_mps", "weight_n", "note"])
+    for row in range(ROWS):
+        load = f"{2e5 + row:.1f}".replace(".", ",") if row % LOAD_EVERY == 0 else None
+        sheet.append([_clock(row), 5.0 + row / 10, load, f"lap {row}"])
+    book.save(folder / "run.xlsx")
+
+
 FORMATS = {one.name: one for one in (
     Format("mcap, not chunked", _mcap(chunked=False), "run.mcap"),
     Format("mcap", _mcap(), "run.mcap"),
@@ -179,6 +216,9 @@ FORMATS = {one.name: one for one in (
     Format("ROS 1 lz4", _ros1("LZ4"), "run.bag"),
     Format("csv", _table(".csv"), "run.csv"),
     Format("csv.gz", _table(".csv.gz"), "run.csv.gz"),
+    Format("csv, German", _german, "run.csv"),
+    Format("csv, American", _american, "run.csv"),
+    Format("xlsx", _excel, "run.xlsx"),
     Format("parquet", _table(".parquet"), "run.parquet"),
 )}  # fmt: skip
 
@@ -212,7 +252,7 @@ def damaged(form: Format, folder: Path, count: int, seed: int, start: int = 0) -
 def outcome_of(one: Damaged) -> dict[str, Any]:
     """Read a damaged file as the commands do, and say what became of it."""
     try:
-        source = open_source([one.path], None if one.path.suffix in (".csv", ".gz", ".parquet") else TOPICS)
+        source = open_source([one.path], None if one.path.suffix in (".csv", ".gz", ".parquet", ".xlsx") else TOPICS)
         recording = Recording.from_source(source)
         recording.aligned()
         recording.report()
@@ -250,11 +290,12 @@ def _expected(one: Damaged) -> Counter[str]:
         except Exception:
             return EXPECTED
     header, *lines = [line for line in data.replace(b"\r", b"\n").split(b"\n") if line]
-    names = [name.strip() for name in header.split(b",")]
+    separator = max((b",", b";", b"\t"), key=header.count)
+    names = [name.strip() for name in header.removeprefix(b"\xef\xbb\xbf").split(separator)]
     found: Counter[str] = Counter()
     for role, column in (("speed", b"speed_mps"), ("load", b"weight_n")):
         with contextlib.suppress(ValueError):
             place = names.index(column)
-            cells = [line.split(b",") for line in lines]
+            cells = [line.split(separator) for line in lines]
             found[role] = sum(len(cell) > place and bool(cell[place].strip()) for cell in cells)
     return found

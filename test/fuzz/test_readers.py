@@ -15,6 +15,7 @@ import pytest
 pytest.importorskip("rosbags")
 pytest.importorskip("mcap")
 pytest.importorskip("pyarrow")
+pytest.importorskip("openpyxl")
 
 import run
 from formats import EXPECTED, FORMATS, Damaged, outcome_of

@@ -18,8 +18,9 @@ JOINTS = {"topic": "/drive", "type": "sensor_msgs/msg/JointState"}
 
 
 def intake(**roles):
-    inputs = input_topics(Topics.parse(roles))
-    return Intake(inputs, CHANNELS), inputs
+    topics = Topics.parse(roles)
+    inputs = input_topics(topics)
+    return Intake(inputs, CHANNELS, topics.bindings), inputs
 
 
 def stamp(ns):

@@ -26,10 +26,11 @@ from trackres_ros.offline.summary import KeptSource
 from trackres_ros.output.table import write_table
 from trackres_ros.recording import unpacking
 from trackres_ros.recording.bindings import Topics
+from trackres_ros.recording.csv_table import MAX_ROW_BYTES, CsvTable
 from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.reading import OWN_FAULT, reading
 from trackres_ros.recording.recording import Recording
-from trackres_ros.recording.table import MAX_ROW_BYTES, TableSource
+from trackres_ros.recording.table import TableSource
 
 TWIST = "geometry_msgs/msg/TwistStamped"
 FLOATS = "std_msgs/msg/Float64MultiArray"
@@ -184,8 +185,8 @@ def test_a_fault_of_our_own_is_said_to_be_one(tmp_path, monkeypatch):
     monkeypatch.setattr("trackres_ros.recording.table.choose_columns", lambda *_: 1 // 0)
     with pytest.raises(ZeroDivisionError):  # outside of reading a fault stays what it is
         TableSource(path)
-    monkeypatch.setattr("trackres_ros.recording.table.re.split", lambda *_, **__: [])
-    with pytest.raises(InputError, match=r"IndexError: .* at table\.py:\d+") as caught:
+    monkeypatch.setattr("trackres_ros.recording.csv_table.re.split", lambda *_, **__: [])
+    with pytest.raises(InputError, match=r"ValueError: .* at csv_table\.py:\d+") as caught:
         TableSource(path)
     assert OWN_FAULT in str(caught.value)
 
@@ -245,7 +246,7 @@ def test_every_damage_of_an_archive_is_said(tmp_path):
 @pytest.mark.parametrize("fast", [True, False])
 def test_lines_that_are_no_rows_are_counted(tmp_path, monkeypatch, text, rows, kind, count, fast):
     if not fast:
-        monkeypatch.setattr(TableSource, "_fast_chunks", lambda *_: iter(()))
+        monkeypatch.setattr(CsvTable, "_fast_chunks", lambda *_: iter(()))
     path = tmp_path / "run.csv"
     path.write_text(text)
     recording = speeds(path, None)

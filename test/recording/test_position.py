@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 
 import trackres_ros as tr
 from trackres_ros.errors import InputError
-from trackres_ros.recording.bindings import TopicBinding, Topics
+from trackres_ros.recording.binding import TopicBinding
+from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.guess import guess
 from trackres_ros.recording.position_units import PositionUnits
 from trackres_ros.recording.samples import Block
@@ -99,7 +100,7 @@ def test_a_fix_is_in_degrees() -> None:
         ({"load": {"column": "a", "kg_each": 70}}, ["kg_each only for passengers"]),
         ({"passengers": {"column": "a", "kg_each": 0}}, ["passengers: kg_each", "1"]),
         ({"brake": {"column": "a", "threshold": -1}}, ["brake: threshold", "a positive number"]),
-        ({"time": {"topic": "/clock"}}, ["time", "column, scale and offset"]),
+        ({"time": {"topic": "/clock"}}, ["time", "column, and if need be scale"]),
         ({"time": {"column": "a", "scale": -1}}, ["time: scale", "positive"]),
     ],
 )
@@ -207,7 +208,7 @@ def test_without_a_fix_there_is_no_position_live_nor_in_a_bag(tmp_path: Path) ->
     there = np.array([status != NO_FIX for status in STATES])
     want = {"latitude": np.radians(47.0 + 0.001 * np.arange(6)), "longitude": np.radians(8.0 + 0.002 * np.arange(6))}
     read = tr.read(tmp_path / "bag", topics=topics)
-    intake = Intake(input_topics(topics, on_route=True)[:1], CHANNELS)
+    intake = Intake(input_topics(topics, on_route=True)[:1], CHANNELS, topics.bindings)
     live = np.array([intake.read(0, fix)[1] for fix in fixes(store)])
     for column, (role, values) in enumerate(want.items()):
         shown = np.where(there, values, np.nan)

@@ -29,6 +29,7 @@ class Given:
     def __init__(self, series: Mapping[str, tuple[object, ...]], zero_is_unset: bool = True) -> None:
         self.roles = tuple(series)
         self.zero_is_unset = zero_is_unset
+        self.torque_candidates = ()
         self.rows: list[tuple[int, int, int, float]] = []
         for index, (stamps, values, *logged) in enumerate(series.values()):
             stamp_ns = np.rint(np.multiply(stamps, S)).astype(np.int64)

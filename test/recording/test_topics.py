@@ -11,7 +11,8 @@ from types import SimpleNamespace
 import pytest
 
 from trackres_ros.errors import InputError
-from trackres_ros.recording.bindings import FieldStep, TopicBinding, Topics, field_steps
+from trackres_ros.recording.binding import FieldStep, TopicBinding, field_steps
+from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.guess import guess
 
 SPEED = {"topic": "/vehicle/speed", "type": "geometry_msgs/msg/TwistStamped", "field": "twist.linear.x"}

@@ -54,4 +54,4 @@ def as_topics(topics: TopicsGiven | None) -> Topics | None:
 
     if isinstance(topics, Topics):
         return topics
-    return Topics.load(Path(topics)) if isinstance(topics, str | PathLike) else Topics.parse(topics)
+    return Topics.load(topics) if isinstance(topics, str | PathLike) else Topics.parse(topics)

@@ -53,13 +53,13 @@ def record_sample(
     ('load', 'ambient', 'speed')
     """
     from trackres_ros.files.output_files import BAG_SUFFIX, output_file
-    from trackres_ros.files.resources import config_dir
+    from trackres_ros.files.resources import find_topics
     from trackres_ros.offline.sample import Sample, write_sample
 
     file = output_file(path, (BAG_SUFFIX,), "path")
     drive = write_sample(file, as_vehicle(vehicle), speed_kmh, laps, ambient_degc)
     distance = float((drive.speed[1:] * (drive.time_s[1] - drive.time_s[0])).sum())
-    return Sample(file, config_dir() / "topics" / "sample.yaml", float(drive.time_s[-1]), distance)
+    return Sample(file, find_topics("sample"), float(drive.time_s[-1]), distance)
 
 
 def read(recording: StrPath | Sequence[StrPath], *, topics: TopicsGiven | None = None) -> Recording:
@@ -68,8 +68,8 @@ def read(recording: StrPath | Sequence[StrPath], *, topics: TopicsGiven | None =
     Parameters
     ----------
     recording
-        A rosbag2 folder, `.mcap`, `.db3`, `.bag`, `.csv`, `.csv.gz` or `.parquet`; of bags several, which are read one after
-        another as one recording.
+        A rosbag2 folder, `.mcap`, `.db3`, `.bag`, `.csv`, `.csv.gz`, `.parquet` or `.xlsx`; of bags several, which are read one
+        after another as one recording.
     topics
         Which topic and field, or which column, feeds which role: a topics file, or what stands in one. Without it topics are
         guessed by message type, and columns known by name.

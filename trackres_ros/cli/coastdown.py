@@ -12,22 +12,23 @@ import click
 import trackres_ros as tr
 from trackres_ros.cli.common import (
     Command,
+    any_vehicle_option,
     default_of,
     emit,
     json_option,
     method_options,
     progress,
     surroundings_option,
-    vehicle_option,
+    topics_option,
 )
 from trackres_ros.cli.written import watch
 
 
 @click.command("coastdown", cls=Command)
 @click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path))
-@vehicle_option
+@any_vehicle_option
 @surroundings_option
-@click.option("--topics", type=click.Path(path_type=Path), metavar="T.yaml", help="Which topics or columns hold what.")
+@topics_option("which topic or column feeds which role.")
 @method_options
 @click.option("--seed", type=int, default=default_of(tr.coastdown, "seed"), show_default=True, help="Of all that is drawn.")
 @click.option(
@@ -42,7 +43,7 @@ def coastdown_command(
     recordings: tuple[Path, ...],
     vehicle: str,
     surroundings: Path | None,
-    topics: Path | None,
+    topics: str | None,
     method: str | None,
     thermal: str | None,
     seed: int,

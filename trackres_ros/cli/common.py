@@ -9,7 +9,7 @@ import inspect
 import json
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
@@ -21,7 +21,7 @@ from click.shell_completion import CompletionItem
 from trackres_ros import InputError, MissingExtraError
 from trackres_ros.cli.written import watch
 from trackres_ros.errors import nearest
-from trackres_ros.files.resources import shipped_vehicles
+from trackres_ros.files.resources import shipped_road_vehicles, shipped_topics, shipped_vehicles
 from trackres_ros.progress import listening
 
 Decorated = TypeVar("Decorated", bound=Callable[..., Any])
@@ -58,7 +58,16 @@ class Commands(click.Group):
 
 def vehicles_to_complete(_context: click.Context, _option: click.Parameter, begun: str) -> list[CompletionItem]:
     """Shipped vehicles and files, for the shell."""
-    return [*(CompletionItem(name) for name in shipped_vehicles() if name.startswith(begun)), CompletionItem(begun, type="file")]
+    return _to_complete(shipped_vehicles(), begun)
+
+
+def topics_to_complete(_context: click.Context, _option: click.Parameter, begun: str) -> list[CompletionItem]:
+    """Shipped topics files and files, for the shell."""
+    return _to_complete(shipped_topics(), begun)
+
+
+def _to_complete(names: Iterable[str], begun: str) -> list[CompletionItem]:
+    return [*(CompletionItem(name) for name in names if name.startswith(begun)), CompletionItem(begun, type="file")]
 
 
 def default_of(function: Callable[..., Any], argument: str) -> Any:
@@ -90,6 +99,29 @@ def vehicle_option(command: Decorated) -> Decorated:
         shell_complete=vehicles_to_complete,
         help=f"Vehicle file, or the name of a shipped one: {', '.join(shipped_vehicles())}.",
     )(command)
+
+
+def any_vehicle_option(command: Decorated) -> Decorated:
+    """`--vehicle` of a command that takes road_load vehicles too."""
+    names = [*shipped_vehicles(), *shipped_road_vehicles()]
+    return click.option(
+        "--vehicle",
+        required=True,
+        metavar="FILE|NAME",
+        shell_complete=lambda _context, _option, begun: _to_complete(names, begun),
+        help=f"Vehicle file, or the name of a shipped one: {', '.join(names)}.",
+    )(command)
+
+
+def topics_option(text: str) -> Callable[[Decorated], Decorated]:
+    """`--topics`: a path or the name of a shipped topics file."""
+    names = ", ".join(shipped_topics())
+    return click.option(
+        "--topics",
+        metavar="FILE|NAME",
+        shell_complete=topics_to_complete,
+        help=f"Topics file, or the name of a shipped one ({names}): {text}",
+    )
 
 
 def surroundings_option(command: Decorated) -> Decorated:

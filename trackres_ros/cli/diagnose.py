@@ -12,6 +12,7 @@ import click
 import trackres_ros as tr
 from trackres_ros.cli.common import (
     Command,
+    any_vehicle_option,
     default_of,
     emit,
     folder_option,
@@ -20,16 +21,16 @@ from trackres_ros.cli.common import (
     print_warnings,
     stages,
     surroundings_option,
-    vehicle_option,
+    topics_option,
 )
 from trackres_ros.cli.written import watch
 
 
 @click.command("diagnose", cls=Command)
 @click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path))
-@vehicle_option
+@any_vehicle_option
 @surroundings_option
-@click.option("--topics", type=click.Path(path_type=Path), metavar="T.yaml", help="Which topic or column feeds which role.")
+@topics_option("which topic or column feeds which role.")
 @click.option(
     "--hide", multiple=True, metavar="CHANNEL", help="Leave a channel unread, such as grade or yaw_rate; may be repeated."
 )
@@ -56,7 +57,7 @@ def diagnose_command(
     recordings: tuple[Path, ...],
     vehicle: str,
     surroundings: Path | None,
-    topics: Path | None,
+    topics: str | None,
     hide: tuple[str, ...],
     holdout: str | None,
     method: str | None,
@@ -70,7 +71,7 @@ def diagnose_command(
 ) -> None:
     """Where recordings and simulation part, which physics is missing, and a vehicle file that has it.
 
-    Each RECORDING with a measured torque is a session: a rosbag2 folder, .mcap, .db3, .bag, .csv, .csv.gz or .parquet.
+    Each RECORDING with a measured torque is a session: a rosbag2 folder, .mcap, .db3, .bag, .csv, .csv.gz, .parquet or .xlsx.
 
     \b
     trackres diagnose day1.mcap day2.mcap --vehicle xgd24d --topics topics.yaml -o report

@@ -11,7 +11,17 @@ from pathlib import Path
 import click
 
 from trackres_ros import InputError
-from trackres_ros.cli.common import Command, emit, folder_option, json_option, needs, number, output_folder, progress
+from trackres_ros.cli.common import (
+    Command,
+    emit,
+    folder_option,
+    json_option,
+    needs,
+    number,
+    output_folder,
+    progress,
+    topics_option,
+)
 from trackres_ros.cli.written import watch
 
 EXTRA = "fsspec", "pyarrow", "distributed", "jinja2"
@@ -46,9 +56,7 @@ def fleet_group() -> None:
 @click.option(
     "--vehicles", type=click.Path(path_type=Path), metavar="fleet.yaml", help="Vehicles, each with its file and recordings."
 )
-@click.option(
-    "--topics", type=click.Path(path_type=Path), metavar="T.yaml", help="With --vehicle: which topic or column feeds which role."
-)
+@topics_option("with --vehicle, which topic or column feeds which role.")
 @click.option(
     "--engine", default="local", show_default=True, metavar="local|tcp://HOST:PORT", help="Where it runs: a Dask scheduler."
 )
@@ -69,7 +77,7 @@ def run_command(
     recordings: tuple[str, ...],
     vehicle: str | None,
     vehicles: Path | None,
-    topics: Path | None,
+    topics: str | None,
     engine: str,
     workers: int | None,
     hide: tuple[str, ...],

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import click
 
 from trackres_ros import InputError
+from trackres_ros.cli.common import topics_option
 from trackres_ros.cli.written import watch
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 @click.command("live")
 @click.option("--vehicle", metavar="FILE|NAME", help="Vehicle file or shipped name; may stand in the parameter file instead.")
 @click.option("--surroundings", metavar="S.yaml", help="Effects of site, weather and ground that hold here and now.")
-@click.option("--topics", metavar="T.yaml", help="Which topic feeds which role; by default config/topics/default.yaml.")
+@topics_option("which topic feeds which role; default without.")
 @click.option(
     "--params",
     "params_file",

@@ -30,6 +30,7 @@ from trackres_ros.cli.record_sample import record_sample_command
 from trackres_ros.cli.replay import replay_command
 from trackres_ros.cli.reproduce import reproduce_command
 from trackres_ros.cli.simulate import simulate_command
+from trackres_ros.cli.topics import topics_group
 from trackres_ros.cli.vehicle import vehicle_group
 from trackres_ros.errors import one_line
 
@@ -70,6 +71,7 @@ for command in (
     reproduce_command,
     record_sample_command,
     vehicle_group,
+    topics_group,
     compound_group,
 ):
     cli.add_command(command)

@@ -20,6 +20,7 @@ from trackres_ros.cli.common import (
     picture_beside,
     progress,
     surroundings_option,
+    topics_option,
     vehicle_option,
 )
 from trackres_ros.cli.written import watch
@@ -30,12 +31,7 @@ from trackres_ros.errors import one_line
 @click.argument("recording", nargs=-1, required=True, type=click.Path(path_type=Path))
 @vehicle_option
 @surroundings_option
-@click.option(
-    "--topics",
-    type=click.Path(path_type=Path),
-    metavar="T.yaml",
-    help="Which topic, field or column feeds which role; guessed by message type without.",
-)
+@topics_option("which topic, field or column feeds which role; guessed by message type without.")
 @click.option(
     "--params",
     type=click.Path(path_type=Path),
@@ -70,7 +66,7 @@ def replay_command(
     recording: tuple[Path, ...],
     vehicle: str,
     surroundings: Path | None,
-    topics: Path | None,
+    topics: str | None,
     params: Path | None,
     method: str | None,
     thermal: str | None,
@@ -83,8 +79,8 @@ def replay_command(
 ) -> None:
     """Resistance torque and belt temperature over the time of a recording.
 
-    RECORDING is a rosbag2 folder, .mcap, .db3, ROS 1 .bag (several are read one after the other), or one .csv, .csv.gz or
-    .parquet with time_s and speed_mps (or speed_kmh).
+    RECORDING is a rosbag2 folder, .mcap, .db3, ROS 1 .bag (several are read one after the other), or one .csv, .csv.gz,
+    .parquet or .xlsx with time_s and speed_mps (or speed_kmh), or with columns that the topics file names.
 
     \b
     trackres replay lap.mcap --vehicle xgd24d --topics topics.yaml -o out.mcap

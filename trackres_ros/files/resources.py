@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from trackres_ros.errors import InputError
+from trackres_ros.errors import InputError, nearest
 
 PACKAGE = "trackres_ros"
 
@@ -41,6 +41,11 @@ def shipped_road_vehicles() -> dict[str, Path]:
     return _with_section("road_load:")
 
 
+def shipped_topics() -> dict[str, Path]:
+    """Names of the shipped topics files, and the files."""
+    return {path.stem: path for path in sorted((config_dir() / "topics").glob("*.yaml"))}
+
+
 def find_vehicle(path_or_name: str | os.PathLike[str]) -> Path:
     """Path of a vehicle file given as a path or as the name of a shipped vehicle.
 
@@ -49,13 +54,18 @@ def find_vehicle(path_or_name: str | os.PathLike[str]) -> Path:
     InputError
         If it is neither.
     """
-    path = Path(path_or_name)
-    if path.is_file():
-        return path
-    shipped = shipped_vehicles() | shipped_road_vehicles()
-    if str(path_or_name) in shipped:
-        return shipped[str(path_or_name)]
-    raise InputError("vehicle", str(path_or_name), f"the path of a vehicle file, or one of {', '.join(shipped)}")
+    return _find("vehicle", path_or_name, shipped_vehicles() | shipped_road_vehicles())
+
+
+def find_topics(path_or_name: str | os.PathLike[str]) -> Path:
+    """Path of a topics file given as a path or as the name of a shipped one.
+
+    Raises
+    ------
+    InputError
+        If it is neither.
+    """
+    return _find("topics", path_or_name, shipped_topics())
 
 
 def cache_dir() -> Path | None:
@@ -65,6 +75,19 @@ def cache_dir() -> Path | None:
         return (Path(base) if base else Path.home() / ".cache") / "trackres"
     except RuntimeError:  # no HOME, and a user the system does not know
         return None
+
+
+def _find(what: str, path_or_name: str | os.PathLike[str], shipped: dict[str, Path]) -> Path:
+    """A path where a file is, else the shipped file of that name."""
+    path, name = Path(path_or_name), str(path_or_name)
+    try:
+        if path.is_file():
+            return path
+    except ValueError:  # a null byte
+        pass
+    if name in shipped:
+        return shipped[name]
+    raise InputError(what, name, f"the path of a {what} file, or one of {', '.join(shipped)}", nearest(name, shipped))
 
 
 def _with_section(section: str) -> dict[str, Path]:

@@ -13,7 +13,7 @@ from trackres_ros.errors import InputError
 
 
 def read_text(path: Path, what: str, most_bytes: int) -> str:
-    """The text of a file in UTF-8.
+    """The text of a file in UTF-8, whatever editor wrote it: without a byte order mark, each line ended by a line feed.
 
     Parameters
     ----------
@@ -28,9 +28,10 @@ def read_text(path: Path, what: str, most_bytes: int) -> str:
         There is no such file, it is a folder, pipe or device, too long, or no UTF-8.
     """
     try:
-        return read_bytes(path, what, most_bytes).decode("utf-8")
+        text = read_bytes(path, what, most_bytes).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(str(path), f"byte {error.start} is no UTF-8", f"a {what} in UTF-8") from None
+    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def read_bytes(path: Path, what: str, most_bytes: int) -> bytes:

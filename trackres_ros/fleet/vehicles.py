@@ -14,7 +14,7 @@ from typing import Any
 
 from trackres_ros.checks import number
 from trackres_ros.errors import InputError, nearest
-from trackres_ros.files.resources import find_vehicle
+from trackres_ros.files.resources import find_topics, find_vehicle
 from trackres_ros.files.yamls import read_yaml
 
 KEYS = ("file", "recordings", "topics", "limits")
@@ -89,9 +89,10 @@ class Fleet:
         )
 
 
-def one_vehicle(path_or_name: str, topics: Path | None) -> Fleet:
+def one_vehicle(path_or_name: str, topics_path_or_name: str | None) -> Fleet:
     """A fleet of one vehicle, of which all recordings are."""
     file = find_vehicle(path_or_name)
+    topics = None if topics_path_or_name is None else find_topics(topics_path_or_name)
     return Fleet({file.stem: FleetVehicle(file.stem, file, digest(file), ("*",), topics, digest(topics) if topics else "")})
 
 
@@ -146,9 +147,7 @@ def _beside(path: Path, given: object, where: str) -> Path:
     beside = path.parent / given
     if beside.is_file():
         return beside.resolve()
-    if where.endswith(".file"):
-        return find_vehicle(given).resolve()
-    raise InputError(where, given, "the path of a file")
+    return (find_vehicle if where.endswith(".file") else find_topics)(given).resolve()
 
 
 def digest(path: Path) -> str:

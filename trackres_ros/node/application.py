@@ -95,7 +95,7 @@ class Application:
         self._is_speed = ["speed" in given.roles for given in self.inputs]
         self._order = SendingOrder()
         self._before_clock: list[tuple[int, int | None, Sequence[float | None], int, Arrival]] = []
-        self._intake = Intake(self.inputs, self.estimator.channels)
+        self._intake = Intake(self.inputs, self.estimator.channels, self.topics.bindings)
         self._outlet = Outlet(self.outputs, self.estimator, edge)
         self._arrival_offset_ns = time.time_ns() - steady_ns()
         self.learning = LiveLearning(self.estimator, parameters.text("learning"), measured)

@@ -11,8 +11,10 @@ from dataclasses import dataclass
 from trackres_ros.estimator.columns import CHANNELS
 from trackres_ros.node.parameters import Parameters
 from trackres_ros.output.topics import ESTIMATE_TOPIC, PARAMETERS_TOPIC, OutputTopic, output_topics
-from trackres_ros.recording.bindings import TopicBinding, Topics
+from trackres_ros.recording.binding import TopicBinding
+from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.roles import POSITION, base_role
+from trackres_ros.recording.sums import Reading, readings_of
 from trackres_ros.vehicle import Vehicle
 
 DIAGNOSTICS = OutputTopic(
@@ -45,12 +47,15 @@ class InputTopic:
         ``package/msg/Name``.
     roles, bindings
         Which roles, and which field gives each.
+    parts
+        Of a role that is a sum the place of the field among its parts; else None.
     """
 
     name: str
     type: str
     roles: tuple[str, ...]
     bindings: tuple[TopicBinding, ...]
+    parts: tuple[int | None, ...]
 
 
 def input_topics(topics: Topics, on_route: bool = False) -> tuple[InputTopic, ...]:
@@ -67,14 +72,18 @@ def input_topics(topics: Topics, on_route: bool = False) -> tuple[InputTopic, ..
 def other_topics(topics: Topics, inputs: Sequence[InputTopic]) -> tuple[InputTopic, ...]:
     """The topics of a topics file that the estimate does not need: of use to who replays or diagnoses a recording."""
     needed = {given.name for given in inputs}
-    return tuple(_by_topic(topics, [role for role in topics if topics[role].topic and topics[role].topic not in needed]))
+    others = [role for role in topics if topics[role].of_topics]
+    return tuple(given for given in _by_topic(topics, others) if given.name not in needed)
 
 
 def _by_topic(topics: Topics, roles: Sequence[str]) -> list[InputTopic]:
-    by_name: dict[tuple[str, str], list[str]] = {}
-    for role in sorted(roles, key=_last_speed):
-        by_name.setdefault((topics[role].topic, topics[role].type), []).append(role)
-    return [InputTopic(name, kind, tuple(fed), tuple(topics[r] for r in fed)) for (name, kind), fed in by_name.items()]
+    by_name: dict[tuple[str, str], list[Reading]] = {}
+    for reading in readings_of(sorted(roles, key=_last_speed), topics.bindings):
+        by_name.setdefault((reading.binding.topic, reading.binding.type), []).append(reading)
+    return [
+        InputTopic(name, kind, tuple(one.role for one in fed), tuple(one.binding for one in fed), tuple(one.part for one in fed))
+        for (name, kind), fed in by_name.items()
+    ]
 
 
 def _last_speed(role: str) -> bool:

@@ -6,14 +6,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from operator import attrgetter
 from typing import Any
 
 from trackres_ros.errors import InputError
 from trackres_ros.node.endpoints import InputTopic
 from trackres_ros.node.stamps import is_usable, stamp_ns
-from trackres_ros.recording.bindings import TopicBinding
+from trackres_ros.recording.binding import TopicBinding
+from trackres_ros.recording.sums import Sum
 
 Sample = tuple[int, int, float]
 """Channel, stamp [ns] and value."""
@@ -28,6 +29,8 @@ class Intake:
         The topics.
     channels
         Names of the estimator's channels, in their order.
+    bindings
+        By role; of those that are sums, how the parts are added.
 
     Raises
     ------
@@ -35,15 +38,16 @@ class Intake:
         For a role of an axle or assembly that the vehicle does not have.
     """
 
-    def __init__(self, inputs: Sequence[InputTopic], channels: Sequence[str]) -> None:
+    def __init__(self, inputs: Sequence[InputTopic], channels: Sequence[str], bindings: Mapping[str, TopicBinding]) -> None:
         self.received = [0] * len(inputs)
         self.dropped = [0] * len(inputs)
         self.absent = [0] * len(channels)
         self.bad_stamp = [0] * len(channels)
+        sums = {role: Sum(role, bindings[role]) for i in inputs for role in i.roles if bindings[role].parts}
         self._readers = [
             [
-                (_channel(role, channels), _getter(b), b.stamp != "log", b.delay_ns)
-                for role, b in zip(i.roles, i.bindings, strict=True)
+                (_channel(role, channels), _getter(b), b.stamp != "log", b.delay_ns, sums.get(role), part)
+                for role, b, part in zip(i.roles, i.bindings, i.parts, strict=True)
             ]
             for i in inputs
         ]
@@ -52,7 +56,7 @@ class Intake:
 
     def read(self, index: int, message: object) -> tuple[int | None, list[float | None]]:
         """Stamp and values in a message whose attributes are its fields, as `samples` takes them."""
-        return _stamp(message), [_value(read, message) for _, read, _, _ in self._readers[index]]
+        return _stamp(message), [_value(read, message) for _, read, *_ in self._readers[index]]
 
     def samples(self, index: int, stamp_ns: int | None, values: Sequence[float | None], now_ns: int) -> list[Sample]:
         """Samples out of what was read from a message.
@@ -72,16 +76,22 @@ class Intake:
         """
         self.received[index] += 1
         found = []
-        for (channel, _, by_header, delay_ns), value in zip(self._readers[index], values, strict=True):
+        own_ns: dict[int, int] = {}
+        for (channel, _, by_header, delay_ns, total, part), value in zip(self._readers[index], values, strict=True):
             if value is None:
                 self.absent[channel] += 1
+                continue
+            if by_header and stamp_ns is not None:
+                stamp = stamp_ns
+            else:  # one stamp for all parts of a sum in this message
+                stamp = own_ns[channel] = own_ns.get(channel) or self._own_stamp(channel, now_ns)
+            stamp = stamp - delay_ns if stamp else 0
+            if not is_usable(stamp):
+                self.bad_stamp[channel] += 1
+            elif total is None or part is None:
+                found.append((channel, stamp, value))
             else:
-                stamp = stamp_ns if by_header and stamp_ns is not None else self._own_stamp(channel, now_ns)
-                stamp = stamp - delay_ns if stamp else 0
-                if is_usable(stamp):
-                    found.append((channel, stamp, value))
-                else:
-                    self.bad_stamp[channel] += 1
+                found += [(channel, *sample) for sample in total.add(part, stamp, now_ns, value)]
         return found
 
     def _own_stamp(self, channel: int, now_ns: int) -> int:

@@ -125,7 +125,7 @@ NODE_PARAMETERS = (
         "file of effects of site, weather and ground that hold here and now, as trackres diagnose writes it; empty: none",
         fixed_because=AT_START,
     ),
-    Parameter("topics", "", "topics file; empty: config/topics/default.yaml", fixed_because=AT_START),
+    Parameter("topics", "", "topics file, or the name of a shipped one; empty: default", fixed_because=AT_START),
     Parameter(
         "state_file",
         "auto",

@@ -12,7 +12,7 @@ from pathlib import Path
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.estimator.topic_settings import settings_for
-from trackres_ros.files.resources import config_dir, find_vehicle
+from trackres_ros.files.resources import find_vehicle
 from trackres_ros.node.parameters import Parameters
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.roles import POSITION
@@ -55,7 +55,7 @@ def read_setup(parameters: Parameters) -> Setup:
     if not parameters.text("vehicle"):
         raise InputError("parameter vehicle", "", "a vehicle file, or the name of a shipped one", "for example xgd24d")
     topics_file = parameters.text("topics")
-    topics = Topics.load(Path(topics_file) if topics_file else config_dir() / "topics" / "default.yaml")
+    topics = Topics.load(topics_file or "default")
     _check_live(topics)
     vehicle_file, surroundings_file = find_vehicle(parameters.text("vehicle")), parameters.text("surroundings")
     vehicle = with_surroundings(load(vehicle_file), surroundings_file)
@@ -86,7 +86,7 @@ def changed_parameters(before: Parameters, given: Mapping[str, object], topics: 
 def _check_live(topics: Topics) -> None:
     """Refuse topics of which a live node can make nothing: a column of a table, or no speed among them."""
     for role in topics:
-        if not topics[role].topic:
+        if not topics[role].of_topics:
             raise InputError(f"{topics.origin}: {role}", "a column of a table", "a topic with type and field")
         if role in POSITION and not topics[role].unit:
             raise InputError(f"{topics.origin}: {role}: unit", "none", "deg or rad", "live there are no values yet to tell it by")

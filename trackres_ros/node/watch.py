@@ -64,7 +64,7 @@ class Watch:
         self.accepted_ns: list[int | None] = [None] * len(estimator.channels)  # by a steady clock
         self._inputs: tuple[InputState, ...] = ()
         self.steps_hz = 0.0
-        self._roles = [(role, i) for i, given in enumerate(inputs) for role in given.roles]
+        self._roles = [(role, i) for i, given in enumerate(inputs) for role in dict.fromkeys(given.roles)]
         self._channel = {role: estimator.channels.index(role) for role, _ in self._roles}
         self._topics = inputs
         self._peers: Sequence[Sequence[Peer]] = [()] * len(inputs)

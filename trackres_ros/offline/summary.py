@@ -43,6 +43,7 @@ class KeptSource:
         self._dropped = False
         self.name, self.roles = source.name, source.roles
         self.zero_is_unset = source.zero_is_unset
+        self.torque_candidates = source.torque_candidates
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -5,27 +5,24 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from operator import attrgetter
-from pathlib import Path
+from os import PathLike
 from types import MappingProxyType
 from typing import Literal, cast
 
-import numpy as np
-from numpy.typing import NDArray
-
 from trackres_ros import checks
 from trackres_ros.errors import InputError, nearest
+from trackres_ros.files.resources import find_topics
 from trackres_ros.files.yamls import read_yaml
-from trackres_ros.recording.roles import ANGLES, BRAKE_ON_PA, PASSENGER_KG, POSITION, ROLES, base_role
+from trackres_ros.recording.binding import IN_DEGREES, TopicBinding, field_steps, message_type
+from trackres_ros.recording.roles import ANGLES, PASSENGER_KG, POSITION, ROLES, base_role
 from trackres_ros.units import DEGREE
 
 KEYS = (
     "topic", "type", "field", "column", "scale", "offset", "stamp", "max_age_s", "sensor", "std_k", "delay_s",
-    "unit", "kg_each", "threshold",
+    "unit", "kg_each", "threshold", "decimal", "sum",
 )  # fmt: skip
 ONLY_FOR = {
     "sensor": ("belt",),
@@ -36,126 +33,23 @@ ONLY_FOR = {
     "threshold": ("brake",),
 }
 """Keys that have a meaning for some roles alone."""
+OF_A_PART = ("topic", "type", "field", "stamp", "column", "scale", "offset", "decimal")
+"""Keys of a part of a sum."""
+NOT_OF_A_SUM = ("topic", "type", "field", "stamp", "column", "decimal")
+MOST_PARTS = 16
+SUM_EXAMPLE = "torque: {sum: [{column: left_nm}, {column: right_knm, scale: 1000.0}]}"
+OF_TIME = ("column", "scale", "offset", "decimal", "order")
 TIME = "time"
 """The line that names the column of the time in a table; no role, as every sample has its time."""
 BOTH = "position"
 """The line that stands for latitude and longitude of one message."""
 OF_BOTH = ("topic", "type", "field", "stamp", "max_age_s", "unit")
 """Its keys: the field is that which holds the two."""
-IN_DEGREES = "sensor_msgs/msg/NavSatFix"
-"""The message type whose latitude and longitude are in degrees by its definition."""
-FIX, NO_FIX = "status.status", -1
-"""Where such a message says whether there is a fix, and that there is none."""
-STEP = re.compile(r"([A-Za-z_]\w*)(?:\[([^\[\]]+)\])?")
-MESSAGE_TYPE = re.compile(r"([A-Za-z]\w*)/(?:msg/)?([A-Za-z]\w*)")
 PART = re.compile(r"[A-Za-z0-9_\-]+")
 MOST_DELAY_S = 10.0
 MOST_KG_EACH = 500.0  # with what somebody may carry
 LARGEST = 1e300  # a whole number may be larger than any float
 EXAMPLE = "speed: {topic: /vehicle/speed, type: geometry_msgs/msg/TwistStamped, field: twist.linear.x}"
-
-
-@dataclass(frozen=True, slots=True)
-class FieldStep:
-    """One step of a field path: a field, and for an array the index or the name of the element.
-
-    A name is looked up in the string array ``name`` beside the field, as in ``sensor_msgs/msg/JointState``.
-    """
-
-    name: str
-    index: int | None = None
-    element: str | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class TopicBinding:
-    """Where one role comes from: a field of a topic, or a column of a table.
-
-    Attributes
-    ----------
-    topic, type, field : str
-        Topic, message type as ``package/msg/Name``, and dotted field path; empty for a column.
-    column : str
-        Column of a table; empty for a topic.
-    scale, offset : float
-        The value in the unit of the role is ``scale * raw + offset``; of an angle given in degrees they turn it into rad.
-    stamp : str
-        ``header``, ``log``, or empty: the header's where the type has one, else log time.
-    max_age_s : float or None
-        Live: an older sample is not used [s].
-    sensor : str
-        Of a belt temperature: what is measured, ``surface`` or ``mean``.
-    std_k : float
-        Standard deviation of a belt temperature [K].
-    delay_s : float
-        By how much a torque comes late [s]: what is shown was so that long before its stamp.
-    unit : str
-        Of an angle: ``deg``, ``rad``, or empty; then a position is told by its values, and any other angle is in rad.
-    kg_each : float
-        Of passengers: mass of one [kg].
-    threshold : float or None
-        Of a brake: from which value on it brakes; None where nobody says.
-    """
-
-    topic: str = ""
-    type: str = ""
-    field: str = ""
-    column: str = ""
-    scale: float = 1.0
-    offset: float = 0.0
-    stamp: Literal["header", "log", ""] = ""
-    max_age_s: float | None = None
-    sensor: Literal["surface", "mean"] = "surface"
-    std_k: float = 3.0
-    delay_s: float = 0.0
-    unit: Literal["deg", "rad", ""] = ""
-    kg_each: float = PASSENGER_KG
-    threshold: float | None = None
-
-    def brakes_from(self, values: NDArray[np.float64]) -> float:
-        """The value from which a brake is on: the threshold, else half of a switch's 0 and 1, else `BRAKE_ON_PA`."""
-        if self.threshold is not None:
-            return self.threshold
-        return 0.5 if np.isin(values, (0.0, 1.0)).all() else BRAKE_ON_PA
-
-    @property
-    def delay_ns(self) -> int:
-        """The delay [ns]."""
-        return round(self.delay_s * 1e9)
-
-    @property
-    def steps(self) -> tuple[FieldStep, ...]:
-        """The steps of the field path."""
-        return field_steps(self.field)
-
-    @property
-    def fix(self) -> str:
-        """The field path of what says whether the message holds a fix; empty where its type has none."""
-        return FIX if self.type == IN_DEGREES else ""
-
-    def read(self, message: object) -> float:
-        """Return the value of this role in a decoded message, in the unit of the role; nan of a receiver without a fix.
-
-        Raises
-        ------
-        LookupError
-            The message has no such element (of a joint that is not in it, for one).
-        AttributeError
-            The type of the message has no such field.
-        """
-        if self.fix and attrgetter(self.fix)(message) == NO_FIX:
-            return math.nan
-        value = message
-        for step in self.steps:
-            parent, value = value, getattr(value, step.name)
-            if step.element is not None:
-                names = list(getattr(parent, "name"))  # noqa: B009 - of any message type
-                if step.element not in names:
-                    raise LookupError(step.element)
-                value = cast("list[object]", value)[names.index(step.element)]
-            elif step.index is not None:
-                value = cast("list[object]", value)[step.index]
-        return self.scale * float(cast("float", value)) + self.offset
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,18 +79,22 @@ class Topics:
     def __len__(self) -> int:
         return len(self.bindings)
 
+    def __bool__(self) -> bool:
+        return True  # one with a line for the time alone is given too
+
     def __contains__(self, role: object) -> bool:
         return role in self.bindings
 
     @classmethod
-    def load(cls, path: Path) -> Topics:
-        """Read a topics file.
+    def load(cls, path_or_name: str | PathLike[str]) -> Topics:
+        """Read a topics file, given by its path or by the name of a shipped one.
 
         Raises
         ------
         InputError
             The file is not there, no YAML, or says something that is not allowed: which role and key.
         """
+        path = find_topics(path_or_name)
         return cls.parse(read_yaml(path, "a mapping with one line a role", f"write for example: {EXAMPLE}"), str(path))
 
     @classmethod
@@ -228,48 +126,6 @@ class Topics:
         return cls(MappingProxyType(bindings), origin, time)
 
 
-def field_steps(path: str) -> tuple[FieldStep, ...]:
-    """Split a field path into its steps: ``twist.linear.x``, ``effort[NAME]``, ``data[3]``.
-
-    Raises
-    ------
-    ValueError
-        It is no field path.
-    """
-    steps, rest = [], path
-    while True:
-        match = STEP.match(rest)
-        if not match:
-            raise ValueError(f"no field path: {path!r}")
-        name, element = match.group(1), match.group(2)
-        if element is None:
-            steps.append(FieldStep(name))
-        elif element.isdecimal():
-            steps.append(FieldStep(name, index=int(element)))
-        else:
-            steps.append(FieldStep(name, element=element))
-        rest = rest[match.end() :]
-        if not rest:
-            return tuple(steps)
-        if rest[0] != ".":
-            raise ValueError(f"no field path: {path!r}")
-        rest = rest[1:]
-
-
-def message_type(name: str) -> str:
-    """Return a message type as ``package/msg/Name``, also from the ``package/Name`` of ROS 1.
-
-    Raises
-    ------
-    ValueError
-        It is no message type.
-    """
-    match = MESSAGE_TYPE.fullmatch(name)
-    if not match:
-        raise ValueError(f"no message type: {name!r}")
-    return f"{match.group(1)}/msg/{match.group(2)}"
-
-
 def _check_role(role: object, origin: str) -> None:
     allowed = ", ".join((*ROLES, BOTH, TIME))
     if not isinstance(role, str) or base_role(role) not in ROLES:
@@ -284,7 +140,9 @@ def _check_role(role: object, origin: str) -> None:
 
 def _binding(role: str, line: object, where: str) -> TopicBinding:
     if not isinstance(line, Mapping):
-        raise InputError(where, line, "a mapping with topic, type and field, or with column", f"for example: {EXAMPLE}")
+        raise InputError(
+            where, line, "a mapping with topic, type and field, or with column, or with sum", f"for example: {EXAMPLE}"
+        )
     for key in line:
         checks.one_of(key, f"{where}: key", KEYS)
         meant = ONLY_FOR.get(key)
@@ -292,27 +150,22 @@ def _binding(role: str, line: object, where: str) -> TopicBinding:
             raise InputError(f"{where}: key", key, f"{key} only for {', '.join(meant)}")
         if "column" in line and key in ("topic", "type", "field", "stamp", "max_age_s"):
             raise InputError(f"{where}: key", key, "either column, or topic with type and field")
-    texts = {key: _text(line, key, where) for key in ("topic", "type", "field", "column")}
-    if not texts["column"]:
-        missing = [key for key in ("topic", "type", "field") if not texts[key]]
-        if missing:
-            raise InputError(where, f"no {missing[0]}", "topic, type and field, or column", f"for example: {EXAMPLE}")
-        try:
-            texts["type"] = message_type(texts["type"])
-        except ValueError:
-            raise InputError(f"{where}: type", texts["type"], "package/msg/Name") from None
-        try:
-            field_steps(texts["field"])
-        except ValueError:
-            allowed = "a path such as twist.linear.x, effort[NAME] or data[3]"
-            raise InputError(f"{where}: field", texts["field"], allowed) from None
+        if "column" not in line and key == "decimal":
+            raise InputError(f"{where}: key", key, "decimal only beside column")
+        if "sum" in line and key in NOT_OF_A_SUM:
+            raise InputError(f"{where}: key", key, f"{key} in a part of the sum", f"write for example: {SUM_EXAMPLE}")
+    parts = _parts(role, line["sum"], f"{where}: sum") if "sum" in line else ()
+    texts = dict.fromkeys(("topic", "type", "field", "column"), "") if parts else _source(line, where)
     max_age_s = _number(line, "max_age_s", 0.0, where) if "max_age_s" in line else None
     unit = _choice(line, "unit", ("deg", "rad"), "", where)
     if not unit and role in POSITION and texts["type"] == IN_DEGREES:
         unit = "deg"
     turned = DEGREE if unit == "deg" else 1.0
     binding = TopicBinding(
-        **texts,
+        topic=texts["topic"],
+        type=texts["type"],
+        field=texts["field"],
+        column=texts["column"],
         scale=turned * _number(line, "scale", 1.0, where),
         offset=turned * _number(line, "offset", 0.0, where),
         stamp=cast("Literal['header', 'log', '']", _choice(line, "stamp", ("header", "log"), "", where)),
@@ -323,6 +176,8 @@ def _binding(role: str, line: object, where: str) -> TopicBinding:
         unit=cast("Literal['deg', 'rad', '']", unit),
         kg_each=checks.number(line.get("kg_each", PASSENGER_KG), f"{where}: kg_each", 1.0, MOST_KG_EACH, "kg"),
         threshold=_number(line, "threshold", 0.0, where) if "threshold" in line else None,
+        decimal=_decimal(line, where),
+        parts=parts,
     )
     if binding.scale == 0.0:
         raise InputError(f"{where}: scale", 0.0, "a finite number that is not 0")
@@ -330,6 +185,46 @@ def _binding(role: str, line: object, where: str) -> TopicBinding:
         if number is not None and number <= 0.0:
             raise InputError(f"{where}: {key}", number, "a positive number")
     return binding
+
+
+def _source(line: Mapping[object, object], where: str) -> dict[str, str]:
+    """The topic, type and field of a line, or its column."""
+    texts = {key: _text(line, key, where) for key in ("topic", "type", "field", "column")}
+    if texts["column"]:
+        return texts
+    missing = [key for key in ("topic", "type", "field") if not texts[key]]
+    if missing:
+        raise InputError(where, f"no {missing[0]}", "topic, type and field, or column", f"for example: {EXAMPLE}")
+    try:
+        texts["type"] = message_type(texts["type"])
+    except ValueError:
+        raise InputError(f"{where}: type", texts["type"], "package/msg/Name") from None
+    try:
+        field_steps(texts["field"])
+    except ValueError:
+        raise InputError(f"{where}: field", texts["field"], "a path such as twist.linear.x, effort[NAME] or data[3]") from None
+    return texts
+
+
+def _parts(role: str, given: object, where: str) -> tuple[TopicBinding, ...]:
+    """The parts of a sum: all of them columns, or all of them fields of topics."""
+    if base_role(role) in ANGLES:
+        raise InputError(where, role, "a role that is no angle")
+    if not isinstance(given, list) or not 2 <= len(given) <= MOST_PARTS:
+        raise InputError(where, given, f"a list of 2 to {MOST_PARTS} parts", f"write for example: {SUM_EXAMPLE}")
+    for number, line in enumerate(given, 1):
+        if not isinstance(line, Mapping):
+            raise InputError(f"{where}: part {number}", line, "a mapping", f"write for example: {SUM_EXAMPLE}")
+        for key in line:
+            checks.one_of(key, f"{where}: part {number}: key", OF_A_PART)
+    parts = tuple(_binding(role, line, f"{where}: part {number}") for number, line in enumerate(given, 1))
+    if len({part.of_topics for part in parts}) > 1:
+        raise InputError(where, "columns and topics", "parts that are all columns, or all fields of topics")
+    if len({(part.topic, part.field, part.column) for part in parts}) < len(parts):
+        raise InputError(where, "the same part twice", "each part once", "double it with scale: 2.0")
+    if len({(part.topic, part.stamp) for part in parts}) > len({part.topic for part in parts}):
+        raise InputError(where, "header and log for one topic", "one stamp for all parts of a topic")
+    return parts
 
 
 def _position(line: object, content: Mapping[object, object], where: str) -> dict[str, TopicBinding]:
@@ -347,12 +242,24 @@ def _position(line: object, content: Mapping[object, object], where: str) -> dic
 
 def _time(line: object, where: str) -> TopicBinding:
     """The column of the time; a bag has stamps instead."""
-    if not isinstance(line, Mapping) or not set(line) <= {"column", "scale", "offset"} or "column" not in line:
-        raise InputError(where, line, "column, scale and offset", "write for example: time: {column: seconds}")
+    if not isinstance(line, Mapping) or not set(line) <= set(OF_TIME) or "column" not in line:
+        raise InputError(
+            where, line, f"column, and if need be {', '.join(OF_TIME[1:])}", "write for example: time: {column: seconds}"
+        )
     scale = _number(line, "scale", 1.0, where)
     if scale <= 0.0:
         raise InputError(f"{where}: scale", scale, "a positive number: seconds in a unit of the column")
-    return TopicBinding(column=_text(line, "column", where), scale=scale, offset=_number(line, "offset", 0.0, where))
+    return TopicBinding(
+        column=_text(line, "column", where),
+        scale=scale,
+        offset=_number(line, "offset", 0.0, where),
+        decimal=_decimal(line, where),
+        order=cast("Literal['dmy', 'mdy', '']", _choice(line, "order", ("dmy", "mdy"), "", where)),
+    )
+
+
+def _decimal(line: Mapping[object, object], where: str) -> Literal[".", ",", ""]:
+    return cast("Literal['.', ',', '']", _choice(line, "decimal", (".", ","), "", where))
 
 
 def _text(line: Mapping[object, object], key: str, where: str) -> str:

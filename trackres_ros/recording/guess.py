@@ -12,7 +12,8 @@ from types import MappingProxyType
 from typing import Literal
 
 from trackres_ros.errors import InputError
-from trackres_ros.recording.bindings import EXAMPLE, IN_DEGREES, TopicBinding, Topics
+from trackres_ros.recording.binding import IN_DEGREES, TopicBinding
+from trackres_ros.recording.bindings import EXAMPLE, Topics
 from trackres_ros.recording.roles import POSITION, ROLES
 from trackres_ros.units import DEGREE
 
@@ -94,11 +95,11 @@ def guess(available: Mapping[str, str]) -> tuple[Topics, list[str]]:
     found: dict[str, list[tuple[TopicBinding, str]]] = {}
     for rule in RULES:
         for topic in sorted(available, key=lambda topic: (len(topic), topic)):
-            words = _words(topic)
-            if available[topic] not in rule.types or not re.search(rule.words, words):
+            spoken = words(topic)
+            if available[topic] not in rule.types or not re.search(rule.words, spoken):
                 continue
-            if not re.search(rule.not_words, words) and not NOT_MEASURED.search(words):
-                unit, scale = _unit_of(rule, words)
+            if not re.search(rule.not_words, spoken) and not NOT_MEASURED.search(spoken):
+                unit, scale = _unit_of(rule, spoken)
                 angle: Literal["deg", ""] = "deg" if rule.role in POSITION else ""
                 binding = TopicBinding(topic, available[topic], rule.field, scale=scale, unit=angle)
                 found.setdefault(rule.role, []).append((binding, unit))
@@ -118,7 +119,7 @@ def guess(available: Mapping[str, str]) -> tuple[Topics, list[str]]:
     return Topics(MappingProxyType({role: options[0][0] for role, options in found.items()}), "guessed"), notes
 
 
-def _words(topic: str) -> str:
+def words(topic: str) -> str:
     """Return the words of a topic name, lower case with spaces: of ``/vehicleSpeed_kmh`` "vehicle speed kmh"."""
     spaced = re.sub(r"([a-z0-9])([A-Z])", r"\1 \2", topic).lower()
     return " ".join(re.split(r"[^a-z0-9]+", spaced))

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from trackres_ros.recording.table import TableSource
 
 BAG_SUFFIXES = (".mcap", ".db3", ".bag")
-TABLE_SUFFIXES = (".csv", ".csv.gz", ".parquet")
+TABLE_SUFFIXES = (".csv", ".csv.gz", ".parquet", ".xlsx")
 MOST_NAMED = 3
-ALLOWED = "a rosbag2 directory, .mcap, .db3, .bag, .csv, .csv.gz or .parquet"
+ALLOWED = "a rosbag2 directory, .mcap, .db3, .bag, .csv, .csv.gz, .parquet or .xlsx"
 
 
 def open_source(paths: Sequence[Path], topics: Topics | None = None) -> BagSource | TableSource:
@@ -38,7 +38,7 @@ def open_source(paths: Sequence[Path], topics: Topics | None = None) -> BagSourc
     InputError
         Nothing there, a suffix or directory that is no recording, bags and tables mixed, or several tables.
     MissingExtraError
-        The library for bags or Parquet is not installed.
+        The library for bags, Parquet or Excel is not installed.
     """
     if not paths:
         raise InputError("recording", "no path", ALLOWED)

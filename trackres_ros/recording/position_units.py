@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from trackres_ros.recording.bindings import TopicBinding
+from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.recording.roles import POSITION
 from trackres_ros.recording.samples import Block
 from trackres_ros.units import DEGREE

@@ -22,7 +22,8 @@ from trackres_ros.text.html import listed, panel, table
 from trackres_ros.text.numbers import figures
 
 if TYPE_CHECKING:
-    from trackres_ros.recording.bindings import TopicBinding, Topics
+    from trackres_ros.recording.binding import TopicBinding
+    from trackres_ros.recording.bindings import Topics
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -49,6 +50,8 @@ class Recording:
         Which topic or column each role was read from.
     topics : Topics, optional
         The topics file that was named.
+    torque_candidates : tuple of str
+        Columns or topics that were not read and may hold a torque.
     """
 
     name: str
@@ -60,6 +63,7 @@ class Recording:
     paths: tuple[Path, ...] = ()
     bindings: Mapping[str, TopicBinding] = field(default_factory=dict)
     topics: Topics | None = None
+    torque_candidates: tuple[str, ...] = ()
 
     @classmethod
     def from_source(cls, source: Source) -> Recording:
@@ -96,7 +100,15 @@ class Recording:
         for role, samples in series.items():
             found += findings_of(role, samples, start_ns, source.zero_is_unset)
         read = MappingProxyType(series)
-        return cls(source.name, read, source.notes, tuple(found), source.zero_is_unset, np.concatenate(order))
+        return cls(
+            source.name,
+            read,
+            source.notes,
+            tuple(found),
+            source.zero_is_unset,
+            np.concatenate(order),
+            torque_candidates=source.torque_candidates,
+        )
 
     @property
     def roles(self) -> tuple[str, ...]:

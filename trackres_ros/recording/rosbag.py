@@ -20,13 +20,16 @@ from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError, MissingExtraError, nearest, one_line
 from trackres_ros.recording.bag_counts import counts_of, storages_of
-from trackres_ros.recording.bindings import NO_FIX, TopicBinding, Topics
+from trackres_ros.recording.binding import NO_FIX, TopicBinding
+from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.cdr import Encoding, FieldReader
 from trackres_ros.recording.guess import guess
 from trackres_ros.recording.message_types import Definitions, check_field, check_size, definitions, message_fields, stamp_path
 from trackres_ros.recording.position_units import PositionUnits
 from trackres_ros.recording.reading import check_file, check_there, reading
 from trackres_ros.recording.samples import Block, Finding, IntArray
+from trackres_ros.recording.sums import Sums, readings_of
+from trackres_ros.recording.torque_candidates import note_of, of_topics
 from trackres_ros.recording.unpacking import (
     MAX_CHUNK_BYTES,
     MAX_MESSAGE_BYTES,
@@ -56,7 +59,7 @@ TOPICS_SHOWN = 50
 
 @dataclass(frozen=True, slots=True)
 class _Topic:
-    """One topic to read: indices of the roles it feeds, their bindings, whose stamp each takes, and the decoder."""
+    """One topic to read: indices of the readings it feeds, their bindings, whose stamp each takes, and the decoder."""
 
     name: str
     msgtype: str
@@ -120,39 +123,41 @@ class BagSource:
             found.append((path, list(reader.connections)))
             if path not in self._kept:
                 reader.close()
+        self.torque_candidates = tuple(of_topics({one.topic: one.msgtype for _, ones in found for one in ones}))
         guesses: list[str] = []
         if topics is None:
             filled = {one.topic: one.msgtype for _, ones in found for one in ones if one.msgcount}
             topics, guesses = guess(filled)
-        bindings = self.bindings = {role: topics[role] for role in topics if topics[role].topic}
+        bindings = self.bindings = {role: topics[role] for role in topics if topics[role].of_topics}
         if "speed" not in bindings:
             raise InputError(f"{topics.origin}: speed", "no topic", "a topic for speed", "add a line for it")
         self.roles = tuple(sorted(bindings, key=lambda role: role == "speed"))
+        self._readings = readings_of(self.roles, bindings)
         self._origin = topics.origin
-        self._topics = self._bound(found, bindings, topics.origin)
+        self._topics = self._bound(found)
         self._position = PositionUnits(bindings)
-        self._notes = tuple(map(one_line, (*guesses, *self._stamp_notes())))
+        candidates = note_of(self.torque_candidates, self.roles)
+        self._notes = tuple(map(one_line, (*guesses, *self._stamp_notes(), *Sums(self._readings, bindings).notes, *candidates)))
         self.findings: tuple[Finding, ...] = ()
 
-    def _bound(
-        self, found: Sequence[tuple[Path, list[Connection]]], bindings: Mapping[str, TopicBinding], origin: str
-    ) -> dict[tuple[Path, str], _Topic]:
-        """Return what to read, by path and topic; roles of one topic are decoded together."""
+    def _bound(self, found: Sequence[tuple[Path, list[Connection]]]) -> dict[tuple[Path, str], _Topic]:
+        """Return what to read, by path and topic; readings of one topic are decoded together."""
         there = {one.topic: one.msgtype for _, ones in found for one in ones}
-        by_topic: dict[str, list[str]] = {}
-        for role in self.roles:
-            named = bindings[role].topic
+        by_topic: dict[str, list[int]] = {}
+        for index, reading_ in enumerate(self._readings):
+            named = reading_.binding.topic
             name = named if named in there or named.startswith("/") else f"/{named}"
             if name not in there:
                 listed = "; ".join(f"{topic} ({kind})" for topic, kind in sorted(there.items())[:TOPICS_SHOWN])
-                raise InputError(f"{origin}: {role}: topic", named, f"a topic of {self.name}: {listed}", nearest(named, there))
-            by_topic.setdefault(name, []).append(role)
+                where = f"{self._origin}: {reading_.name}: topic"
+                raise InputError(where, named, f"a topic of {self.name}: {listed}", nearest(named, there))
+            by_topic.setdefault(name, []).append(index)
         bound: dict[tuple[Path, str], _Topic] = {}
         readers: dict[tuple[str, str, str, Encoding], FieldReader] = {}
         for path, connections in found:
             for one in connections:
-                roles = by_topic.get(one.topic, [])
-                if not roles:
+                indices = by_topic.get(one.topic, [])
+                if not indices:
                     continue
                 if (path, one.topic) in bound:
                     if one.msgtype != bound[path, one.topic].msgtype:
@@ -162,9 +167,9 @@ class BagSource:
                 encoding = Encoding.ROS1 if is_ros1(path) else Encoding.CDR
                 key = (one.topic, one.msgtype, str(one.msgdef), encoding)
                 types = readers[key].types if key in readers else _types(one, path, encoding)
-                chosen = tuple(bindings[role] for role in roles)
-                for role, binding in zip(roles, chosen, strict=True):
-                    _check_binding(binding, one, types, f"{origin}: {role}")
+                chosen = tuple(self._readings[index].binding for index in indices)
+                for index, binding in zip(indices, chosen, strict=True):
+                    _check_binding(binding, one, types, f"{self._origin}: {self._readings[index].name}")
                 if key not in readers:
                     fields = [*(binding.field for binding in chosen), *filter(None, [chosen[0].fix])]
                     readers[key] = FieldReader(types, one.msgtype, fields, encoding)
@@ -172,7 +177,7 @@ class BagSource:
                 bound[path, one.topic] = _Topic(
                     one.topic,
                     one.msgtype,
-                    tuple(self.roles.index(role) for role in roles),
+                    tuple(indices),
                     chosen,
                     tuple(stamped and binding.stamp != "log" for binding in chosen),
                     readers[key],
@@ -187,7 +192,7 @@ class BagSource:
                     noted.add(role)
                     why = "as the topics file says" if binding.stamp else f"{topic.msgtype} has no stamp"
                     stamps = "header stamps" if header else f"log time, {why}"
-                    yield f"{self.roles[role]}: {topic.name} ({topic.msgtype}, {binding.field}), {stamps}"
+                    yield f"{self._readings[role].name}: {topic.name} ({topic.msgtype}, {binding.field}), {stamps}"
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -202,18 +207,18 @@ class BagSource:
         InputError
             A bag that breaks off or is damaged.
         """
-        tally = _Tally()
+        tally, sums = _Tally(), Sums(self._readings, self.bindings)
         held: list[Block] = []
         for path in self._paths:
             for block in self._batches(path, max_rows, tally):
                 if sum(map(len, held)) + len(block) > max_rows:
-                    yield self._position.in_radians(_joined(held), self.roles)
+                    yield self._position.in_radians(sums.added(_joined(held)), self.roles)
                     held.clear()
                 held.append(block)
         if held:
-            yield self._position.in_radians(_joined(held), self.roles)
-        self.findings = tuple(self._found(tally))
-        speed = len(self.roles) - 1
+            yield self._position.in_radians(sums.added(_joined(held)), self.roles)
+        self.findings = (*self._found(tally), *sums.findings)
+        speed = len(self._readings) - 1
         if not tally.speeds and speed in tally.absent:
             where, given = f"{self._origin}: speed: field", f"{self._field(speed)}, {self._lack(speed)}"
             raise InputError(where, given, f"an element that the messages of {self.name} have")
@@ -296,7 +301,7 @@ class BagSource:
                 keep[to] = ~decoded.absent[:, slot]
                 tally.add(tally.malformed, role, arrived[decoded.malformed])
                 tally.add(tally.absent, role, arrived[decoded.absent[:, slot]])
-        tally.speeds += int(np.count_nonzero(keep & (block.role == len(self.roles) - 1)))
+        tally.speeds += int(np.count_nonzero(keep & (block.role == len(self._readings) - 1)))
         if keep.all():
             return block
         return Block(block.role[keep], block.stamp_ns[keep], block.arrival_ns[keep], block.value[keep])
@@ -305,20 +310,22 @@ class BagSource:
         start = tally.first_ns or 0
         for role, (count, first) in tally.malformed.items():
             text = f"{count} messages cannot be decoded; each counts as a value that is not a number"
-            yield Finding(self.roles[role], "malformed", count, (first - start) / 1e9, text)
+            yield Finding(self._readings[role].role, "malformed", count, (first - start) / 1e9, text)
         for role, (count, first) in tally.absent.items():
             yield Finding(
-                self.roles[role],
+                self._readings[role].role,
                 "absent",
                 count,
                 (first - start) / 1e9,
                 f"{count} messages do not have {self._field(role)}: {self._lack(role)}; they give no sample",
             )
         for role, count in tally.missing.items():
-            yield Finding(self.roles[role], "missing", count, float("nan"), f"{count} messages fewer than the bag says it holds")
+            yield Finding(
+                self._readings[role].role, "missing", count, float("nan"), f"{count} messages fewer than the bag says it holds"
+            )
         for role, count in tally.unusable.items():
             text = f"{count} messages left out: they hold no bytes, or no log time between 1970 and 2116"
-            yield Finding(self.roles[role], "unusable", count, float("nan"), text)
+            yield Finding(self._readings[role].role, "unusable", count, float("nan"), text)
         if tally.unknown:
             text = f"{tally.unknown} messages of topics that the bag does not describe are left out"
             yield Finding("", "unknown_topic", tally.unknown, float("nan"), text)

@@ -82,6 +82,10 @@ class Source(Protocol):
         """What reading itself met, of the last `blocks` run: malformed messages, for one."""
 
     @property
+    def torque_candidates(self) -> tuple[str, ...]:
+        """Columns or topics that are not read and may hold a torque."""
+
+    @property
     def zero_is_unset(self) -> bool:
         """Whether stamp 0 means "never set" (bags); in a table it is the time 0 s."""
 

@@ -12,11 +12,14 @@ from types import MappingProxyType
 from typing import Literal
 
 from trackres_ros.errors import InputError, nearest
-from trackres_ros.recording.bindings import TIME, TopicBinding, Topics
+from trackres_ros.recording.binding import TopicBinding
+from trackres_ros.recording.bindings import TIME, Topics
 from trackres_ros.recording.roles import ANGLES, ROLES, base_role
 from trackres_ros.units import DEGREE
 
 TIME_S = "time_s"
+DATE_NAMES = ("time", "timestamp", "datetime")
+"""Names of a column of dates with times, in any case; of numbers nobody would know the unit."""
 COLUMNS: Mapping[str, tuple[str, float]] = MappingProxyType(
     {
         "speed_mps": ("speed", 1.0),
@@ -50,12 +53,16 @@ NAMES_SHOWN = 20
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column to read: its place among all columns, its name, and the role it feeds, with the conversion in its binding."""
+    """A column to read: its place among all columns, its name, and the role it feeds, with the conversion in its binding.
+
+    `dates_only`: a time whose name does not say the unit of a number.
+    """
 
     place: int
     name: str
     role: str
     binding: TopicBinding
+    dates_only: bool = False
 
 
 def choose_columns(names: Sequence[str], topics: Topics | None, origin: str) -> tuple[Column, list[Column]]:
@@ -70,8 +77,10 @@ def choose_columns(names: Sequence[str], topics: Topics | None, origin: str) -> 
             raise InputError(where, binding.column, listed_names(names), nearest(binding.column, names))
         return Column(places[binding.column], binding.column, role, binding)
 
-    columns = {role: named(role, b) for role, b in topics.bindings.items() if b.column} if topics else {}
-    by_file = frozenset(columns)
+    listed = topics.bindings.items() if topics else ()
+    of_file = [named(role, part) for role, binding in listed if not binding.of_topics for part in binding.sources]
+    by_file = frozenset(column.role for column in of_file)
+    columns: dict[str, Column] = {}
     for name, place in places.items():
         base, slash, part = name.partition("/")
         if base in COLUMNS:
@@ -91,11 +100,15 @@ def choose_columns(names: Sequence[str], topics: Topics | None, origin: str) -> 
         time = named(TIME, topics.time)
     elif TIME_S in places:
         time = Column(places[TIME_S], TIME_S, TIME, TopicBinding(column=TIME_S))
+    elif len(dated := [name for name in places if name.lower() in DATE_NAMES]) == 1:
+        time = Column(places[dated[0]], dated[0], TIME, TopicBinding(column=dated[0]), dates_only=True)
     else:
         near = nearest(TIME_S, names)
         name_it = "or name it in a topics file: time: {column: NAME, scale: 1.0}"
-        raise InputError(origin, f"columns {listed_names(names)}", f"a column {TIME_S}, in seconds", near or name_it)
-    if "speed" not in columns:
+        allowed = f"a column {TIME_S}, in seconds, or timestamp, of dates with times"
+        raise InputError(origin, f"columns {listed_names(names)}", allowed, near or name_it)
+    chosen = [*of_file, *columns.values()]
+    if not any(column.role == "speed" for column in chosen):
         raise InputError(
             origin,
             f"columns {listed_names(names)}",
@@ -103,10 +116,10 @@ def choose_columns(names: Sequence[str], topics: Topics | None, origin: str) -> 
             "or name it in a topics file: speed: {column: NAME, scale: 1.0}",
         )
     count = Counter(names)
-    for name in (time.name, *(column.name for column in columns.values())):
+    for name in (time.name, *(column.name for column in chosen)):
         if count[name] > 1:
             raise InputError(origin, f"{count[name]} columns {name}", "each column once")
-    return time, list(columns.values())
+    return time, chosen
 
 
 def listed_names(names: Sequence[str]) -> str:

@@ -27,7 +27,7 @@ from trackres_ros.diagnosis.report.content import report
 from trackres_ros.errors import MissingExtraError
 from trackres_ros.files.output_files import output_folder
 from trackres_ros.files.yamls import read_yaml
-from trackres_ros.recording.bindings import TopicBinding
+from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.text.html import listed, panel, paragraph, table
 from trackres_ros.text.numbers import alike, figures
 from trackres_ros.vehicle import Vehicle, load

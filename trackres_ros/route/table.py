@@ -83,14 +83,19 @@ def read_route(path: Path) -> tuple[RouteMap, ...]:
     InputError
         If it is no such table, a value is beyond all reason, or its places lie too far apart or too near to one another.
     """
-    rows = list(csv.reader(io.StringIO(read_text(path, "table of a route", MOST_BYTES))))
+    reader = csv.reader(io.StringIO(read_text(path, "table of a route", MOST_BYTES)))
+    try:
+        numbered = [(reader.line_num, row) for row in reader if row]
+    except csv.Error as error:
+        raise InputError(f"{path}, line {reader.line_num}", str(error), "a row of numbers between commas") from None
+    rows = [row for _, row in numbered]
     known = next((header for header in HEADERS if rows and rows[0] == list(header)), None)
     if known is None:
         allowed = f"a first line {' or '.join(','.join(header) for header in HEADERS)}"
         raise InputError(str(path), ",".join(rows[0])[:80] if rows else "nothing", allowed)
     if len(rows) < 2:
         raise InputError(str(path), "no place", "at least one row")
-    table = np.array([_row(row, known, f"{path}, line {line}") for line, row in enumerate(rows[1:], 2)])
+    table = np.array([_row(row, known, f"{path}, line {line}") for line, row in numbered[1:]])
     columns = dict(zip(known, table.T, strict=True))
     route = tuple(_map(kind, columns) for kind in LEARNED if set(LEARNED[kind]) <= set(known))
     route = tuple(one for one in route if len(one))

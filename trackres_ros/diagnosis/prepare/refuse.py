@@ -18,6 +18,7 @@ from trackres_ros.diagnosis.prepare.unit_checks import Conversion
 from trackres_ros.errors import InputError, MissingExtraError, one_line
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.samples import Series
+from trackres_ros.recording.torque_candidates import remedy_of
 from trackres_ros.units import KMH_PER_MPS
 
 SHORTEST_S = 120.0
@@ -101,8 +102,10 @@ def refuse_overlaps(recordings: Sequence[Recording], notes: list[str]) -> None:
                 notes.append(f"{name}, {other}: their clocks overlap by {both:.0f} s; taken for one after the other")
 
 
-def check_compared(name: str, series: Mapping[str, Series], shortest_s: float = SHORTEST_S) -> None:
-    """Refuse a recording without a torque, without a speed, or too short.
+def check_compared(
+    name: str, series: Mapping[str, Series], shortest_s: float = SHORTEST_S, candidates: Sequence[str] = ()
+) -> None:
+    """Refuse a recording without a torque, without a speed, or too short; `candidates` may hold its torque.
 
     Raises
     ------
@@ -114,6 +117,7 @@ def check_compared(name: str, series: Mapping[str, Series], shortest_s: float = 
             name,
             f"no torque; roles: {', '.join(series) or 'none'}",
             "a measured torque: without it there is nothing to compare",
+            remedy_of(candidates),
         )
     if "speed" not in series or not np.isfinite(series["speed"].value).any():
         raise InputError(name, "no finite speed", "a speed")

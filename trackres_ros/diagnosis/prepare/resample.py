@@ -21,7 +21,7 @@ from trackres_ros.diagnosis.prepare.speed_smoothing import smooth_speed
 from trackres_ros.diagnosis.prepare.turning import turning
 from trackres_ros.diagnosis.prepare.unit_checks import check_speed_unit, check_units
 from trackres_ros.diagnosis.prepare.usable import BRAKES_ON
-from trackres_ros.recording.bindings import TopicBinding
+from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.roles import POSITION
 from trackres_ros.recording.samples import Series
@@ -90,7 +90,7 @@ def resample(
         No torque, no speed, too short, or another unit.
     """
     series = {role: s for role, s in recording.series.items() if not is_hidden(role, hide)}
-    check_compared(recording.name, series, shortest_s)
+    check_compared(recording.name, series, shortest_s, recording.torque_candidates)
     torques = [role for role in series if role.partition("/")[0] == "torque" and np.isfinite(series[role].value).any()]
     start = recording.start_ns
     speed_at, raw_speed = ordered(series["speed"], start)

@@ -28,7 +28,7 @@ from trackres_ros.diagnosis.selection.naming import STABLE_SHARE, Candidate, Ste
 from trackres_ros.diagnosis.writing.sensor_lines import sensor_lines
 from trackres_ros.diagnosis.writing.vehicle_file import SURROUNDINGS_FILE
 from trackres_ros.effects.effect import BELONGS_TO
-from trackres_ros.recording.bindings import TopicBinding
+from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.route.learned import SLOPE
 
 SCHEMA = 1

@@ -11,7 +11,7 @@ from typing import Any
 
 from trackres_ros.diagnosis.writing.yaml_edit import flow
 from trackres_ros.effects.effect import Active, VehicleConstants, conditions, together
-from trackres_ros.recording.bindings import TopicBinding
+from trackres_ros.recording.binding import TopicBinding
 
 FIGURES = 6
 NOTHING_KNOWN = conditions(VehicleConstants(1.0, 1.0, 0.0, 0.0, 1.0, 1, 0.0, 0.0))  # a sensor's error hangs on nothing
@@ -51,9 +51,9 @@ def sensor_lines(sensors: Sequence[Active], bindings: Mapping[str, TopicBinding]
 
 def _said(binding: TopicBinding) -> dict[str, Any]:
     """What a line says: all that is not as by default."""
-    found = {}
+    found: dict[str, Any] = {"sum": [_said(part) for part in binding.parts]} if binding.parts else {}
     for item in fields(TopicBinding):
         value = getattr(binding, item.name)
-        if value != item.default:
+        if value != item.default and item.name != "parts":
             found[item.name] = float(f"{value:.{FIGURES}g}") if isinstance(value, float) else value
     return found

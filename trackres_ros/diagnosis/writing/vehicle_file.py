@@ -18,6 +18,8 @@ from trackres_ros.diagnosis.writing.kept import Kept, LearnedDisturbance
 from trackres_ros.diagnosis.writing.yaml_edit import Document, flow
 from trackres_ros.effects.effect import Active
 from trackres_ros.errors import InputError
+from trackres_ros.files.small_files import read_text
+from trackres_ros.files.yamls import MOST_BYTES
 from trackres_ros.model.belt import heat_capacity
 from trackres_ros.route.learned import RouteMap
 from trackres_ros.route.table import write_route
@@ -115,7 +117,7 @@ def rubber_share(vehicle: Vehicle) -> float:
 
 def opened(source: Path) -> Document:
     """A vehicle file to be changed, without the comment that an earlier fit has put on top."""
-    lines = source.read_text(encoding="utf-8").splitlines(keepends=True)
+    lines = read_text(source, "YAML file", MOST_BYTES).splitlines(keepends=True)
     comments = next((i for i, line in enumerate(lines) if not line.startswith("#")), len(lines))
     written = next((i for i in range(comments) if lines[i].startswith(WRITTEN)), -1)
     return Document("".join(lines[written + 1 :]))

@@ -17,14 +17,13 @@ from scipy.spatial import cKDTree
 
 from trackres_ros.diagnosis import Diagnosis, diagnose, load_base, read_recordings
 from trackres_ros.evaluation.field.run import NOTHING, UPHILL, WARM, FieldTrial
-from trackres_ros.files.resources import config_dir
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.route.track import Frame
 from trackres_ros.units import GRAVITY
 
 Array = NDArray[np.float64]
 
-FOLDER, VEHICLE, TOPICS = "ztbus", "ztbus_hess19", "ztbus.yaml"
+FOLDER, VEHICLE, TOPICS = "ztbus", "ztbus_hess19", "ztbus"
 SAME_PLACE_M = 15.0
 SLOPE_OVER_M = 300.0
 LONG_STRETCH_S = 300.0  # of driving
@@ -83,7 +82,7 @@ def try_bus(data: Path) -> list[FieldTrial]:
     paths = missions(data)
     if not paths:
         return []
-    topics = Topics.load(config_dir() / "topics" / TOPICS)
+    topics = Topics.load(TOPICS)
 
     def without(*hide: str) -> Diagnosis:
         return diagnose(read_recordings(paths, topics), load_base(VEHICLE, topics=topics), hide=hide)

@@ -19,7 +19,7 @@ from trackres_ros.node.endpoints import InputTopic
 from trackres_ros.node.stamps import UNUSABLE, stamp_ns
 from trackres_ros.output.bag import FIELDS, template_message
 from trackres_ros.output.topics import ESTIMATE_TOPIC, REASONS_GROUP, VEHICLE_GROUP, OutputTopic
-from trackres_ros.recording.bindings import FIX, NO_FIX, FieldStep, field_steps
+from trackres_ros.recording.binding import FIX, NO_FIX, FieldStep, field_steps
 from trackres_ros.recording.cdr import MalformedError, layout_of
 from trackres_ros.recording.message_types import TIME, check_field, definitions, message_fields, stamp_path
 from trackres_ros.units import SECOND_NS

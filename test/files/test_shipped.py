@@ -1,0 +1,75 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Shipped vehicles and topics files: listed, and taken by their names wherever a path is."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+import pytest
+
+import trackres_ros as tr
+from trackres_ros.cli.main import cli
+from trackres_ros.errors import InputError
+from trackres_ros.files.resources import config_dir, shipped_road_vehicles, shipped_topics, shipped_vehicles
+from trackres_ros.fleet.vehicles import one_vehicle, read_fleet
+from trackres_ros.node.parameters import make_parameters
+from trackres_ros.node.setup import read_setup
+from trackres_ros.recording.bindings import Topics
+
+NAMES = {"topics": shipped_topics(), "vehicle": shipped_vehicles() | shipped_road_vehicles()}
+
+
+def options(command: click.Command, path: str = "trackres"):
+    """Every option of every command, with the path of the command."""
+    if isinstance(command, click.Group):
+        for name, below in command.commands.items():
+            yield from options(below, f"{path} {name}")
+    yield from ((path, one) for one in command.params if isinstance(one, click.Option))
+
+
+@pytest.mark.parametrize("what", NAMES)
+def test_every_option_says_that_it_takes_names(what):
+    found = [(path, one) for path, one in options(cli) if f"--{what}" in one.opts]
+    assert len(found) >= 5
+    for path, option in found:
+        assert option.metavar == "FILE|NAME", path
+        assert not isinstance(option.type, click.Path) or not option.type.exists, path
+
+
+def test_the_lists_name_every_shipped_file(good):
+    assert {one["name"] for one in json.loads(good("vehicle", "list", "--json"))["vehicles"]} == set(NAMES["vehicle"])
+    listed = json.loads(good("topics", "list", "--json"))["topics"]
+    assert {one["name"]: Path(one["file"]) for one in listed} == NAMES["topics"]
+    assert all(name in good("topics", "list") for name in NAMES["topics"])
+
+
+def test_commands_functions_node_and_fleet_take_a_topics_file_by_name(tmp_path, good):
+    sample = tr.record_sample(tmp_path / "lap.mcap", laps=1)
+    by_name = tr.read(sample.path, topics="sample")
+    assert by_name.roles == tr.read(sample.path, topics=sample.topics).roles
+    good("replay", sample.path, "--vehicle", "xgd24d", "--topics", "sample", "-o", tmp_path / "o.csv")
+    live = read_setup(make_parameters({"vehicle": "xgd24d", "topics": "sample"})).topics
+    assert dict(live.bindings) == dict(by_name.topics.bindings)
+    (tmp_path / "fleet.yaml").write_text("vehicles: {one: {file: ztbus_hess19, topics: ztbus}}")
+    (one,) = read_fleet(tmp_path / "fleet.yaml").vehicles.values()
+    (other,) = one_vehicle("ztbus_hess19", "ztbus").vehicles.values()
+    assert one.topics == other.topics == (config_dir() / "topics" / "ztbus.yaml").resolve()
+    assert one.topics_sha == other.topics_sha != ""
+
+
+def test_a_file_of_that_name_comes_first(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("sample").write_text("speed: {column: v}")
+    assert Topics.load("sample")["speed"].column == "v"
+
+
+def test_another_name_is_refused_with_the_nearest(tmp_path, trackres):
+    with pytest.raises(InputError, match=r"topics: given 'smple'.*one of default, sample, ztbus; did you mean sample\?"):
+        Topics.load("smple")
+    done = trackres("replay", tmp_path / "x.csv", "--vehicle", "xgd24", "-o", tmp_path / "o.csv")
+    assert done.returncode == 2
+    assert "did you mean xgd24d?" in done.stderr

@@ -1,0 +1,308 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Tables as other programs write them: separators, decimal marks, dates with times, line ends, Excel."""
+
+from __future__ import annotations
+
+import sys
+import zipfile
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import trackres_ros as tr
+from trackres_ros.errors import InputError, MissingExtraError
+
+WHEN = datetime(2026, 11, 23, 10, tzinfo=UTC)
+ENDS = ("\n", "\r\n", "\r")
+
+
+@pytest.fixture(params=["pyarrow", "plain"])
+def reader(request, monkeypatch):
+    if request.param == "plain":
+        monkeypatch.setattr("trackres_ros.recording.csv_table.CsvTable._fast_chunks", lambda *_: iter(()))
+    else:
+        pytest.importorskip("pyarrow")
+
+
+def written(folder: Path, text: str, name: str = "run.csv") -> Path:
+    path = folder / name
+    path.write_bytes(text.encode())
+    return path
+
+
+def table(names: str, *rows: str) -> str:
+    return "\n".join([names, *rows, ""])
+
+
+def test_a_german_export_reads_as_its_author_means_it(tmp_path, reader):
+    rows = [f"23.11.2026 10:00:0{i},25;{i},5;1.23{i},5;{i}" for i in range(6)]
+    path = written(tmp_path, table("Zeit;Geschw [km/h];Drehmoment [Nm];Nr", *rows))
+    topics = {"time": {"column": "Zeit"}, "speed": {"column": "Geschw [km/h]"}, "torque": {"column": "Drehmoment [Nm]"}}
+    found = tr.read(path, topics=topics)
+    assert found.series["torque"].value.tolist() == [1230.5 + i for i in range(6)]
+    assert found.series["speed"].value.tolist() == [i + 0.5 for i in range(6)]
+    assert found.start_ns == round(WHEN.timestamp()) * 10**9 + 250_000_000
+    assert found.notes[:3] == (
+        "cells are separated by semicolons",
+        "decimal comma in Drehmoment [Nm], Geschw [km/h]",
+        "time: column Zeit, dd.mm.yyyy hh:mm:ss, without a time zone: taken for UTC",
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("1,234", "1,234, a number with a decimal mark or with one between thousands"),
+        ("1.234", "1.234, a number with a decimal mark or with one between thousands"),
+        ("0,5|0.5", "0.5 with a decimal point and 0,5 with a decimal comma"),
+        ("1.23,4", "a number, or an empty cell"),
+        ("0,5|1.5.6", "a number, or an empty cell"),
+    ],
+)
+def test_a_number_with_two_readings_is_refused(tmp_path, reader, text, says):
+    path = written(tmp_path, table("time_s;speed_mps", *(f"{i};{cell}" for i, cell in enumerate(text.split("|")))))
+    with pytest.raises(InputError) as refused:
+        tr.read(path)
+    assert says in str(refused.value)
+
+
+def test_other_columns_or_the_topics_file_decide_a_mark(tmp_path, reader):
+    path = written(tmp_path, table("time_s;speed_mps", "0,5;1,234", "1,5;2,345"))
+    assert tr.read(path).series["speed"].value.tolist() == [1.234, 2.345]
+    path = written(tmp_path, table("time_s;speed_mps", "1;1,234", "2;2,345"))
+    for mark, value in ((",", 1.234), (".", 1234.0)):
+        given_mark = {"speed": {"column": "speed_mps", "decimal": mark}}
+        assert tr.read(path, topics=given_mark).series["speed"].value[0] == value
+
+
+def test_the_mark_may_show_late(tmp_path, reader):
+    rows = [f"{i};0" for i in range(20_000)]
+    path = written(tmp_path, table("time_s;speed_mps", *rows, "20000;1,234", "20001;0,5"))
+    assert tr.read(path).series["speed"].value[-2:].tolist() == [1.234, 0.5]
+
+
+@given(
+    numbers=st.lists(st.integers(-9_999_999, 9_999_999), min_size=1, max_size=4),
+    places=st.integers(0, 4),
+    comma=st.booleans(),
+    grouped=st.booleans(),
+    separator=st.sampled_from(",;\t"),
+)
+def test_a_number_is_read_as_written_or_refused(tmp_path_factory, numbers, places, comma, grouped, separator):
+    values = [number / 10**places for number in numbers]
+    cells = [f"{value:{',' if grouped else ''}.{places}f}" for value in values]
+    cells = [cell.translate(str.maketrans(",.", ".,")) if comma else cell for cell in cells]
+    if separator == ",":
+        cells = [f'"{cell}"' if "," in cell else cell for cell in cells]
+    text = table(f"time_s{separator}speed_mps", *(f"{i}{separator}{c}" for i, c in enumerate(cells)))
+    path = written(tmp_path_factory.mktemp("t"), text)
+    try:
+        found = tr.read(path).series["speed"].value
+    except InputError as refused:
+        assert "thousands" in str(refused)  # noqa: PT017
+    else:
+        if not (separator == "," and comma and grouped and not places):  # points between thousands, commas between cells
+            np.testing.assert_array_equal(found, values)
+
+
+FORMS = (
+    ("%Y-%m-%dT%H:%M:%S.%f", True), ("%Y-%m-%d %H:%M:%S,%f", True), ("%Y%m%dT%H%M%S.%f", True), ("%Y/%m/%d %H:%M:%S.%f", True),
+    ("%d.%m.%Y %H:%M:%S.%f", True), ("%d/%m/%Y %H:%M:%S.%f", False), ("%m/%d/%Y %H:%M:%S.%f", False),
+    ("%d-%m-%Y %H:%M:%S.%f", False),
+)  # fmt: skip
+ZONES = {"": 0, "Z": 0, "+01:00": 60, "-0330": -210, "+05": 300}
+
+
+@given(
+    begin=st.datetimes(datetime(1980, 1, 1), datetime(2100, 1, 1)),
+    steps=st.lists(st.integers(1, 10**13), max_size=4),
+    form=st.sampled_from(FORMS),
+    zone=st.sampled_from(list(ZONES)),
+)
+def test_a_time_is_read_as_written_or_refused(tmp_path_factory, begin, steps, form, zone):
+    times = [begin]
+    for step in steps:
+        if times[-1].year < 2110:
+            times.append(times[-1] + timedelta(microseconds=step))
+    pattern, sure = form
+    path = written(tmp_path_factory.mktemp("t"), table("timestamp;speed_mps", *(f"{t.strftime(pattern)}{zone};1" for t in times)))
+    try:
+        found = tr.read(path).series["speed"].stamp_ns
+    except InputError as refused:
+        assert not sure
+        assert "day and month may be either way" in str(refused)  # noqa: PT017
+        assert all(t.day <= 12 for t in times)
+        order = "dmy" if pattern[1] == "d" else "mdy"
+        found = tr.read(path, topics={"time": {"column": "timestamp", "order": order}}).series["speed"].stamp_ns
+    epoch = datetime(1970, 1, 1) + timedelta(minutes=ZONES[zone])
+    assert found.tolist() == [(t - epoch) // timedelta(microseconds=1) * 1000 for t in times]
+
+
+@pytest.mark.parametrize(
+    ("rows", "says"),
+    [
+        (["2026-11-23T10:00:00Z;1", "2026-11-23T10:00:01;1"], "a time as in the rows before"),
+        (["2026-02-29T10:00:00;1"], "a time as in the rows before"),
+        (["2026-11-23T24:00:01;1"], "a time as in the rows before"),
+        (["13/11/2026 10:00;1", "11/14/2026 10:00;1"], "dates in one order"),
+        (["2026-11-23;1"], "numbers of an unknown unit"),
+        (["0;1", "1;1"], "timestamp: given 'numbers of an unknown unit'"),
+        (["2026-11-23T10:00:00;1", ";1"], "a time in seconds"),
+    ],
+)
+def test_a_time_that_is_none_is_refused(tmp_path, reader, rows, says):
+    with pytest.raises(InputError) as refused:
+        tr.read(written(tmp_path, table("timestamp;speed_mps", *rows)))
+    assert says in str(refused.value)
+
+
+def test_an_offset_moves_dates_and_a_scale_is_refused(tmp_path, reader):
+    path = written(tmp_path, table("t,speed_mps", "2026-11-23 11:00:00,1", "2026-11-23 11:00:01,1"))
+    assert tr.read(path, topics={"time": {"column": "t", "offset": -3600}}).start_ns == round(WHEN.timestamp()) * 10**9
+    with pytest.raises(InputError, match="no scale for dates"):
+        tr.read(path, topics={"time": {"column": "t", "scale": 0.001}})
+
+
+@given(st.sampled_from(ENDS), st.booleans(), st.booleans(), st.sampled_from([",", ";", "\t"]), st.booleans())
+def test_line_ends_and_marks_of_editors_change_nothing(tmp_path_factory, end, mark, last, separator, quoted):
+    cell = '"{}"' if quoted else "{}"
+    lines = [separator.join(cell.format(x) for x in row) for row in (["time_s", "speed_mps"], [0.5, 1.25], [1.5, 2.5])]
+    text = ("\ufeff" if mark else "") + end.join(lines) + (end if last else "")
+    recording = tr.read(written(tmp_path_factory.mktemp("t"), text))
+    assert recording.series["speed"].value.tolist() == [1.25, 2.5]
+    assert [one.kind for one in recording.findings] == ([] if last else ["cut"])
+
+
+def test_a_topics_file_with_only_a_time_is_used(tmp_path, good):
+    written(tmp_path, "time: {column: seconds}\n", "topics.yaml")
+    written(tmp_path, table("seconds,speed_mps", *(f"{i},{i / 10}" for i in range(20))))
+    assert "20 messages" in good(
+        "replay", "run.csv", "--vehicle", "xgd24d", "--topics", "topics.yaml", "-o", "o.csv", cwd=tmp_path
+    )
+
+
+def test_timestamps_of_parquet_are_times(tmp_path):
+    pa = pytest.importorskip("pyarrow")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    for zone, note in ((None, "without a time zone"), ("Europe/Berlin", "with a time zone")):
+        stamps = pa.array([WHEN.replace(tzinfo=None) + timedelta(milliseconds=i) for i in range(3)], pa.timestamp("us", zone))
+        parquet.write_table(pa.table({"timestamp": stamps, "speed_mps": [1.0, 2.0, 3.0]}), tmp_path / "run.parquet")
+        found = tr.read(tmp_path / "run.parquet")
+        assert (found.series["speed"].stamp_ns - round(WHEN.timestamp()) * 10**9).tolist() == [0, 10**6, 2 * 10**6]
+        assert any(note in one for one in found.notes)
+
+
+# --- sums
+
+
+SUM = {"torque": {"sum": [{"column": "left_nm"}, {"column": "right_knm", "scale": 1000.0}], "offset": 1.0}}
+
+
+def test_left_and_right_are_added_where_both_are_there(tmp_path, reader):
+    path = written(
+        tmp_path, table("time_s,speed_mps,left_nm,right_knm", "0,1,100,0.2", "1,1,,0.2", "2,1,50,", "3,1,100,0.3", "4,1,,")
+    )
+    found = tr.read(path, topics=SUM)
+    assert found.series["torque"].value.tolist() == [301.0, 401.0]
+    assert found.time_s("torque").tolist() == [0.0, 3.0]
+    assert [(one.role, one.kind, one.count) for one in found.findings] == [("torque", "part", 2)]
+    assert "torque: sum of the columns left_nm, right_knm, where a row has them all" in found.notes
+
+
+# --- what may be the torque
+
+
+def test_no_torque_names_what_may_hold_it(tmp_path, trackres):
+    names = "time_s;speed_mps;M links [Nm];M rechts [Nm];torque_note;cmd_torque;Drehzahl"
+    path = written(tmp_path, table(names, *(f"{i};5,5;1,5;2,5;x;1;3" for i in range(300))))
+    likely = "M links [Nm], M rechts [Nm]"
+    assert f"no torque is read; it may be in: {likely}" in tr.read(path).notes
+    done = trackres("diagnose", path, "--vehicle", "xgd24d", "-o", tmp_path / "report")
+    assert done.returncode == 2
+    assert f"it may be in {likely}: name it in a topics file: torque: {{column: NAME, scale: 1.0}}" in done.stderr
+    assert "sum of left and right" in done.stderr
+
+
+# --- Excel
+
+
+def workbook(path: Path, *sheets: tuple[str, list[list[object]]]) -> Path:
+    from openpyxl import Workbook
+
+    book = Workbook()
+    book.remove(book.active)
+    for title, rows in sheets:
+        sheet = book.create_sheet(title)
+        for row in rows:
+            sheet.append(row)
+    book.save(path)
+    return path
+
+
+def test_a_workbook_reads_like_the_table_it_shows(tmp_path, good):
+    pytest.importorskip("openpyxl")
+    begin = WHEN.replace(tzinfo=None)
+    rows = [[begin + timedelta(milliseconds=500 * i), 18.0 + i, "1.234,5" if i else None, "x"] for i in range(9)]
+    cover = ("cover", [["a drive"], ["of November"]])
+    path = workbook(tmp_path / "run.xlsx", cover, ("drive", [[], ["Zeit", "speed_kmh", "torque_nm", "note"], *rows, [None] * 4]))
+    found = tr.read(path, topics={"time": {"column": "Zeit"}})
+    assert found.series["speed"].value.tolist() == [(18.0 + i) * (1 / 3.6) for i in range(9)]
+    assert found.series["torque"].value.tolist() == [1234.5] * 8
+    assert found.start_ns == round(WHEN.timestamp()) * 10**9
+    for note in ("sheet drive", "time: column Zeit, dates of Excel, without a time zone", "decimal comma in torque_nm"):
+        assert any(one.startswith(note) for one in found.notes)
+    written(tmp_path, "time: {column: Zeit}\n", "topics.yaml")
+    assert "sheet drive" in good(
+        "replay", path, "--vehicle", "xgd24d", "--topics", tmp_path / "topics.yaml", "-o", tmp_path / "o.csv"
+    )
+
+
+@pytest.mark.parametrize(
+    ("rows", "says"),
+    [
+        ([[0, 1], ["x", 2]], "row 3, time_s"),
+        ([[0, 1], [1, "fast"]], "row 3, speed_mps"),
+        ([[0, 1], [None, 2]], "a time in seconds"),
+        ([[datetime(2026, 1, 1), 1], [5, 2]], "row 3, time_s: given '5'; allowed: a date with a time"),
+        ([[datetime(9999, 1, 1), 1]], "a date with a time"),
+        ([["1/2/2026 10:00", 1]], "day and month may be either way"),
+        ([], "at least one row"),
+    ],
+)
+def test_a_cell_of_a_workbook_that_is_none_is_refused(tmp_path, rows, says):
+    pytest.importorskip("openpyxl")
+    with pytest.raises(InputError) as refused:
+        tr.read(workbook(tmp_path / "run.xlsx", ("s", [["time_s", "speed_mps"], *rows])))
+    assert says in str(refused.value)
+
+
+def test_two_sheets_that_fit_are_both_named(tmp_path):
+    pytest.importorskip("openpyxl")
+    rows = [["time_s", "speed_mps"], [0, 1], [1, 2]]
+    found = tr.read(workbook(tmp_path / "run.xlsx", ("a", rows), ("b", rows)))
+    assert any(note.startswith("also possible: ") and note.endswith("sheet b") for note in found.notes)
+
+
+def test_a_workbook_that_unpacks_to_too_much_is_refused(tmp_path):
+    pytest.importorskip("openpyxl")
+    path = workbook(tmp_path / "run.xlsx", ("s", [["time_s", "speed_mps"], [0, 1]]))
+    for part, size in (("xl/worksheets/sheet1.xml", 30_000_000), ("xl/styles.xml", 17_000_000)):
+        bomb = tmp_path / "bomb.xlsx"
+        with zipfile.ZipFile(path) as whole, zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as packed:
+            for name in whole.namelist():
+                packed.writestr(name, b"<a/>" * (size // 4) if name == part else whole.read(name))
+        with pytest.raises(InputError, match=f"{part}.*save the sheet as CSV"):
+            tr.read(bomb)
+
+
+def test_excel_needs_openpyxl(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "openpyxl", None)
+    written(tmp_path, "PK\x03\x04", "run.xlsx")
+    with pytest.raises(MissingExtraError, match=r"pip install openpyxl \(or this package with its extra \[excel\]\)"):
+        tr.read(tmp_path / "run.xlsx")

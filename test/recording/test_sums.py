@@ -1,0 +1,172 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""A role that is the sum of several fields: aligned in time, never half, the same out of a bag and live."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import trackres_ros as tr
+from trackres_ros.diagnosis.writing.sensor_lines import _said
+from trackres_ros.errors import InputError
+from trackres_ros.node.endpoints import input_topics
+from trackres_ros.node.intake import Intake
+from trackres_ros.recording.bindings import Topics
+
+pytest.importorskip("rosbags")
+
+START, MS = 1_700_000_000 * 10**9, 10**6
+JOINTS = "sensor_msgs/msg/JointState"
+SPEED = {"topic": "/speed", "type": "geometry_msgs/msg/TwistStamped", "field": "twist.linear.x"}
+LEFT = {"topic": "/left", "type": JOINTS, "field": "effort[s]"}
+RIGHT = {"topic": "/right", "type": JOINTS, "field": "effort[s]", "scale": 1000.0, "offset": 5.0}
+TWO = Topics.parse({"speed": SPEED, "torque": {"sum": [LEFT, RIGHT], "scale": -1.0, "delay_s": 0.1}})
+
+
+def write(path: Path, sides: list[tuple[str, int, dict[str, float]]]) -> Path:
+    """A bag with a message of joints for each of some topics, stamps [ns] and efforts, and two speeds."""
+    from trackres_ros.output.mcap import BagWriter
+
+    with BagWriter(path) as bag:
+        types = bag.typestore.types
+        vector = types["geometry_msgs/msg/Vector3"]
+
+        def header(ns: int) -> object:
+            return types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](*divmod(ns, 10**9)), "base")
+
+        speed = bag.topic("/speed", SPEED["type"])
+        joints = {topic: bag.topic(topic, JOINTS) for topic in dict.fromkeys(topic for topic, *_ in sides)}
+        twist = types["geometry_msgs/msg/Twist"](vector(5.0, 0.0, 0.0), vector(0.0, 0.0, 0.0))
+        for ns in (START, START + 10**9):
+            bag.write(speed, types[SPEED["type"]](header(ns), twist), ns, ns)
+        for number, (topic, stamp, efforts) in enumerate(sides):
+            none = np.empty(0)
+            message = types[JOINTS](header(stamp), list(efforts), none, none, np.array(list(efforts.values())))
+            bag.write(joints[topic], message, stamp, START + number)
+    return path
+
+
+def live(topics: Topics, sides: list[tuple[str, int, dict[str, float]]]) -> list[tuple[int, float]]:
+    """Torques that the live node makes of these messages: stamps [ns] and values."""
+    inputs = input_topics(topics)
+    taken = Intake(inputs, ("speed", "torque"), topics.bindings)
+    index = {given.name: number for number, given in enumerate(inputs)}
+    found = []
+    for number, (topic, stamp, efforts) in enumerate(sides):
+        at = SimpleNamespace(sec=stamp // 10**9, nanosec=stamp % 10**9)
+        message = SimpleNamespace(header=SimpleNamespace(stamp=at), name=list(efforts), effort=list(efforts.values()))
+        found += taken.samples(index[topic], *taken.read(index[topic], message), START + number)
+    return [(stamp, value) for _, stamp, value in found]
+
+
+def test_sides_are_added_at_the_times_of_the_first(tmp_path):
+    left = [("/left", START + 100 * i * MS, {"s": 10.0 * i}) for i in range(8)]
+    right = [("/right", START + (100 * i + 50) * MS, {"s": 1.0 * i}) for i in range(8) if i not in (5, 6, 7)]
+    found = tr.read(write(tmp_path / "run.mcap", sorted(left + right, key=lambda one: one[1])), topics=TWO)
+    torque = found.series["torque"]
+    assert ((torque.stamp_ns - START) / MS).tolist() == [
+        0.0,
+        100.0,
+        200.0,
+        300.0,
+    ]  # late by 100 ms
+    np.testing.assert_allclose(torque.value, [-(10.0 * i + 1000.0 * (i - 0.5) + 5.0) for i in range(1, 5)])
+    assert [(one.role, one.kind) for one in found.findings if one.kind == "part"] == [("torque", "part")]
+    assert "torque: sum at the times of /left; /right on a line between samples at most 0.5 s apart" in found.notes
+
+
+def test_a_gap_of_one_side_is_a_gap_of_the_sum(tmp_path):
+    left = [("/left", START + 100 * i * MS, {"s": 1.0}) for i in range(31)]
+    right = [("/right", START + 100 * i * MS, {"s": 1.0}) for i in range(31) if not 10 < i < 20]
+    found = tr.read(write(tmp_path / "run.mcap", sorted(left + right, key=lambda one: one[1])), topics=TWO)
+    given_at = ((found.series["torque"].stamp_ns - START) / MS / 100 + 1).round().astype(int).tolist()
+    assert given_at == [i for i in range(31) if not 10 < i < 20]
+    assert set(found.series["torque"].value.tolist()) == {-1006.0}
+
+
+def test_fields_of_one_message_belong_together(tmp_path):
+    topics = {"speed": SPEED, "torque": {"sum": [{**LEFT, "field": "effort[l]"}, {**LEFT, "field": "effort[r]", "scale": 2.0}]}}
+    sides = [("/left", START + i * MS, {"l": 1.0 * i, "r": 10.0} if i % 3 else {"l": 7.0}) for i in range(1, 9)]
+    found = tr.read(write(tmp_path / "run.mcap", sides), topics=topics)
+    assert found.series["torque"].value.tolist() == [20.0 + i for i in range(1, 9) if i % 3]
+    assert any(one.kind == "part" and one.count == 2 for one in found.findings)
+    assert live(Topics.parse(topics), sides) == [(START + i * MS, 20.0 + i) for i in range(1, 9) if i % 3]
+
+
+STEPS = st.lists(st.tuples(st.booleans(), st.integers(-20, 700), st.floats(-1e3, 1e3)), min_size=1, max_size=25)
+
+
+def messages(steps: list[tuple[bool, int, float]]) -> list[tuple[str, int, dict[str, float]]]:
+    sides, at = [], START
+    for left, step, value in steps:
+        at += step * MS
+        sides.append(("/left" if left else "/right", at, {"s": 1e6 if left else value}))
+    return sides
+
+
+@given(STEPS)
+def test_a_sum_is_never_half_and_at_a_time_of_the_first(steps):
+    sides = messages(steps)
+    sums = live(TWO, sides)
+    assert all(abs(value + 1e6 + 5.0) <= 1e6 + 1.0 and value != -1e6 for _, value in sums)
+    assert {stamp + 100 * MS for stamp, _ in sums} <= {stamp for topic, stamp, _ in sides if topic == "/left"}
+
+
+@settings(max_examples=20)
+@given(STEPS)
+def test_live_adds_as_a_bag_does(tmp_path_factory, steps):
+    sides = messages([(True, 0, 1.0), (False, 0, 1.0), *steps])
+    found = tr.read(write(tmp_path_factory.mktemp("t") / "run.mcap", sides), topics=TWO).series["torque"]
+    assert list(zip(found.stamp_ns.tolist(), found.value.tolist(), strict=True)) == live(TWO, sides)
+
+
+def test_a_bag_without_a_torque_names_the_topics_that_may_hold_it(tmp_path, trackres):
+    path = write(tmp_path / "run.mcap", [("/left", START, {"s": 1.0}), ("/right", START, {"s": 1.0})])
+    assert "no torque is read; it may be in: /left, /right" in tr.read(path, topics={"speed": SPEED}).notes
+    done = trackres("diagnose", path, "--vehicle", "xgd24d", "-o", tmp_path / "report")
+    assert done.returncode == 2
+    assert "it may be in /left, /right: name it in a topics file: torque: {topic: NAME, type: TYPE, field: FIELD}" in done.stderr
+
+
+def test_what_a_diagnosis_writes_of_a_sum_is_a_line_of_a_topics_file():
+    line = yaml.safe_load(yaml.safe_dump(_said(TWO["torque"])))
+    assert Topics.parse({"torque": line})["torque"] == TWO["torque"]
+
+
+PART = {"column": "a"}
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ({"sum": [PART]}, "a list of 2 to 16 parts"),
+        ({"sum": PART}, "a list of 2 to 16 parts"),
+        ({"sum": [PART, 3]}, "part 2: given 3"),
+        ({"sum": [PART, PART]}, "the same part twice"),
+        ({"sum": [PART, {"column": "b", "delay_s": 0.1}]}, "part 2: key: given 'delay_s'"),
+        ({"sum": [PART, {"sum": [PART, PART]}]}, "part 2: key: given 'sum'"),
+        ({"sum": [PART, LEFT]}, "columns and topics"),
+        ({"sum": [PART, {"column": "b", "scale": 0}]}, "part 2: scale"),
+        ({"sum": [PART, {"column": "b"}], "column": "c"}, "column in a part of the sum"),
+        ({"sum": [LEFT, {**LEFT, "field": "effort[t]", "stamp": "log"}]}, "one stamp for all parts of a topic"),
+        ({"sum": [LEFT, {**LEFT, "topic": ""}]}, "part 2: topic"),
+    ],
+)
+def test_a_sum_that_is_none_is_refused(line, says):
+    with pytest.raises(InputError) as refused:
+        Topics.parse({"torque": line}, "topics.yaml")
+    assert says in str(refused.value)
+    assert "topics.yaml: torque" in str(refused.value)
+
+
+def test_no_sum_of_angles():
+    with pytest.raises(InputError, match="no angle"):
+        Topics.parse({"heading": {"sum": [PART, {"column": "b"}]}})

@@ -1,0 +1,188 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Defines where a role comes from: a field of a topic, a column of a table, or the sum of several."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from operator import attrgetter
+from typing import Literal, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.recording.roles import BRAKE_ON_PA, PASSENGER_KG
+
+IN_DEGREES = "sensor_msgs/msg/NavSatFix"
+"""The message type whose latitude and longitude are in degrees by its definition."""
+FIX, NO_FIX = "status.status", -1
+"""Where such a message says whether there is a fix, and that there is none."""
+STEP = re.compile(r"([A-Za-z_]\w*)(?:\[([^\[\]]+)\])?")
+MESSAGE_TYPE = re.compile(r"([A-Za-z]\w*)/(?:msg/)?([A-Za-z]\w*)")
+
+
+@dataclass(frozen=True, slots=True)
+class FieldStep:
+    """One step of a field path: a field, and for an array the index or the name of the element.
+
+    A name is looked up in the string array ``name`` beside the field, as in ``sensor_msgs/msg/JointState``.
+    """
+
+    name: str
+    index: int | None = None
+    element: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class TopicBinding:
+    """Where one role comes from: a field of a topic, or a column of a table.
+
+    Attributes
+    ----------
+    topic, type, field : str
+        Topic, message type as ``package/msg/Name``, and dotted field path; empty for a column.
+    column : str
+        Column of a table; empty for a topic.
+    scale, offset : float
+        The value in the unit of the role is ``scale * raw + offset``; of an angle given in degrees they turn it into rad.
+    stamp : str
+        ``header``, ``log``, or empty: the header's where the type has one, else log time.
+    max_age_s : float or None
+        Live: an older sample is not used [s].
+    sensor : str
+        Of a belt temperature: what is measured, ``surface`` or ``mean``.
+    std_k : float
+        Standard deviation of a belt temperature [K].
+    delay_s : float
+        By how much a torque comes late [s]: what is shown was so that long before its stamp.
+    unit : str
+        Of an angle: ``deg``, ``rad``, or empty; then a position is told by its values, and any other angle is in rad.
+    kg_each : float
+        Of passengers: mass of one [kg].
+    threshold : float or None
+        Of a brake: from which value on it brakes; None where nobody says.
+    decimal : str
+        Of a column in text: its decimal mark; empty where its cells decide.
+    order : str
+        Of dates between slashes or dashes: ``dmy`` or ``mdy``; empty where the whole column decides.
+    parts : tuple of TopicBinding
+        What a sum is made of: columns, or fields of topics; `scale` and `offset` then apply to the sum.
+    """
+
+    topic: str = ""
+    type: str = ""
+    field: str = ""
+    column: str = ""
+    scale: float = 1.0
+    offset: float = 0.0
+    stamp: Literal["header", "log", ""] = ""
+    max_age_s: float | None = None
+    sensor: Literal["surface", "mean"] = "surface"
+    std_k: float = 3.0
+    delay_s: float = 0.0
+    unit: Literal["deg", "rad", ""] = ""
+    kg_each: float = PASSENGER_KG
+    threshold: float | None = None
+    decimal: Literal[".", ",", ""] = ""
+    order: Literal["dmy", "mdy", ""] = ""
+    parts: tuple[TopicBinding, ...] = ()
+
+    @property
+    def sources(self) -> tuple[TopicBinding, ...]:
+        """The parts of a sum, else this one."""
+        return self.parts or (self,)
+
+    @property
+    def of_topics(self) -> bool:
+        """Whether it names topics; else it names columns."""
+        return bool(self.sources[0].topic)
+
+    def brakes_from(self, values: NDArray[np.float64]) -> float:
+        """The value from which a brake is on: the threshold, else half of a switch's 0 and 1, else `BRAKE_ON_PA`."""
+        if self.threshold is not None:
+            return self.threshold
+        return 0.5 if np.isin(values, (0.0, 1.0)).all() else BRAKE_ON_PA
+
+    @property
+    def delay_ns(self) -> int:
+        """The delay [ns]."""
+        return round(self.delay_s * 1e9)
+
+    @property
+    def steps(self) -> tuple[FieldStep, ...]:
+        """The steps of the field path."""
+        return field_steps(self.field)
+
+    @property
+    def fix(self) -> str:
+        """The field path of what says whether the message holds a fix; empty where its type has none."""
+        return FIX if self.type == IN_DEGREES else ""
+
+    def read(self, message: object) -> float:
+        """Return the value of this role in a decoded message, in the unit of the role; nan of a receiver without a fix.
+
+        Raises
+        ------
+        LookupError
+            The message has no such element (of a joint that is not in it, for one).
+        AttributeError
+            The type of the message has no such field.
+        """
+        if self.fix and attrgetter(self.fix)(message) == NO_FIX:
+            return math.nan
+        value = message
+        for step in self.steps:
+            parent, value = value, getattr(value, step.name)
+            if step.element is not None:
+                names = list(getattr(parent, "name"))  # noqa: B009 - of any message type
+                if step.element not in names:
+                    raise LookupError(step.element)
+                value = cast("list[object]", value)[names.index(step.element)]
+            elif step.index is not None:
+                value = cast("list[object]", value)[step.index]
+        return self.scale * float(cast("float", value)) + self.offset
+
+
+def field_steps(path: str) -> tuple[FieldStep, ...]:
+    """Split a field path into its steps: ``twist.linear.x``, ``effort[NAME]``, ``data[3]``.
+
+    Raises
+    ------
+    ValueError
+        It is no field path.
+    """
+    steps, rest = [], path
+    while True:
+        match = STEP.match(rest)
+        if not match:
+            raise ValueError(f"no field path: {path!r}")
+        name, element = match.group(1), match.group(2)
+        if element is None:
+            steps.append(FieldStep(name))
+        elif element.isdecimal():
+            steps.append(FieldStep(name, index=int(element)))
+        else:
+            steps.append(FieldStep(name, element=element))
+        rest = rest[match.end() :]
+        if not rest:
+            return tuple(steps)
+        if rest[0] != ".":
+            raise ValueError(f"no field path: {path!r}")
+        rest = rest[1:]
+
+
+def message_type(name: str) -> str:
+    """Return a message type as ``package/msg/Name``, also from the ``package/Name`` of ROS 1.
+
+    Raises
+    ------
+    ValueError
+        It is no message type.
+    """
+    match = MESSAGE_TYPE.fullmatch(name)
+    if not match:
+        raise ValueError(f"no message type: {name!r}")
+    return f"{match.group(1)}/msg/{match.group(2)}"

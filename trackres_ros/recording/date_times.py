@@ -1,0 +1,140 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Reads dates with times in text: ISO 8601, and day, month and year in the order that the whole column shows."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from datetime import date
+from functools import lru_cache
+from typing import Literal
+
+from trackres_ros.errors import InputError
+
+ZONE = r"(?P<zone>Z|UTC|[+-]\d\d(?::?\d\d)?)?"
+CLOCK = rf"(?P<hour>\d{{1,2}}):?(?P<minute>\d\d)(?::?(?P<second>\d\d)(?:[.,](?P<part>\d+))?)?\s*{ZONE}"
+FIRST = r"(?P<year>\d{4})(?P<mark>[-/]?)(?P<month>\d\d)(?P=mark)(?P<day>\d\d)[T ] *"
+LAST = r"(?P<one>\d{1,2})(?P<mark>[./-])(?P<two>\d{1,2})(?P=mark)(?P<year>\d{4})[T ,] *"
+YEAR_FIRST, YEAR_LAST = (re.compile(day + CLOCK, re.IGNORECASE | re.ASCII) for day in (FIRST, LAST))
+UNIX_DAY = date(1970, 1, 1).toordinal()
+SECOND_NS = 1_000_000_000
+MOST_S = 2**63 // SECOND_NS - 1
+"""Of what fits in 64 bits as nanoseconds: the years from 1678 to 2262."""
+MOST_MONTHS = 12
+EXAMPLES = "2026-11-23T10:00:00.5Z or 23.11.2026 10:00:00"
+
+Order = Literal["dmy", "mdy", ""]
+
+
+def is_date_time(text: str) -> bool:
+    """Whether a cell holds a date with a time."""
+    text = text.strip()
+    return bool(YEAR_FIRST.fullmatch(text) or YEAR_LAST.fullmatch(text))
+
+
+class DateTimes:
+    """The dates and times of one column, all written as the first one.
+
+    Parameters
+    ----------
+    first
+        The first cell; `is_date_time` holds of it.
+    order
+        Of day and month where the year comes last, if the topics file names it. Between points the day comes first.
+    """
+
+    def __init__(self, first: str, order: Order = "") -> None:
+        match = YEAR_FIRST.fullmatch(first.strip()) or YEAR_LAST.fullmatch(first.strip())
+        assert match
+        self._pattern = match.re
+        self._mark = match["mark"]
+        self._has_zone = bool(match["zone"])
+        self._order: Order = order or ("dmy" if self._mark == "." else "")
+        self._first = first.strip()
+        self._more: dict[Order, str] = {}
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the other cells have to show which is the day and which the month."""
+        return self._pattern is YEAR_LAST and not self._order
+
+    def see(self, cells: Iterable[str]) -> None:
+        """Look for a day above 12 in some more cells."""
+        for text in cells:
+            if match := YEAR_LAST.fullmatch(text.strip()):
+                if int(match["one"]) > MOST_MONTHS:
+                    self._more.setdefault("dmy", text)
+                if int(match["two"]) > MOST_MONTHS:
+                    self._more.setdefault("mdy", text)
+
+    def decide(self, where: str) -> None:
+        """Settle the order of day and month by what was seen.
+
+        Raises
+        ------
+        InputError
+            The column does not show it, or shows both.
+        """
+        if not self.is_open:
+            return
+        if len(self._more) > 1:
+            raise InputError(where, " and ".join(self._more.values()), "dates in one order of day and month")
+        if not self._more:
+            remedy = "name the order in a topics file: time: {column: NAME, order: dmy}, or mdy; or write dates as 2026-11-23"
+            given = f"{self._first}: day and month may be either way in the whole column"
+            raise InputError(where, given, "dates of which one has a day above 12", remedy)
+        self._order = next(iter(self._more))
+
+    def ns(self, text: str) -> int:
+        """Time since 1970 in UTC [ns]; digits below a nanosecond are cut off.
+
+        Raises
+        ------
+        ValueError
+            Another notation than that of the first cell, or no such date or time.
+        """
+        match = self._pattern.fullmatch(text.strip())
+        if not match or match["mark"] != self._mark or bool(match["zone"]) is not self._has_zone:
+            raise ValueError(text)
+        if self._pattern is YEAR_FIRST:
+            month, day = match["month"], match["day"]
+        else:
+            month, day = (match["two"], match["one"]) if self._order == "dmy" else (match["one"], match["two"])
+        hour, minute, second = int(match["hour"]), int(match["minute"]), int(match["second"] or 0)
+        if hour > 23 or minute > 59 or second > 60:  # a leap second has the number 60
+            raise ValueError(text)
+        seconds = _day_s(match["year"], month, day) + 3600 * hour + 60 * minute + second - _zone_s(match["zone"])
+        if abs(seconds) > MOST_S:
+            raise ValueError(text)
+        return seconds * SECOND_NS + int((match["part"] or "0")[:9].ljust(9, "0"))
+
+    @property
+    def text(self) -> str:
+        """How the column was read, for people."""
+        if self._pattern is YEAR_FIRST:
+            form = "yyyy/mm/dd hh:mm:ss" if self._mark == "/" else "ISO 8601"
+        else:
+            form = f"{self._mark.join(('dd', 'mm') if self._order == 'dmy' else ('mm', 'dd'))}{self._mark}yyyy hh:mm:ss"
+        return f"{form}, {'with a time zone' if self._has_zone else NO_ZONE}"
+
+
+NO_ZONE = "without a time zone: taken for UTC"
+
+
+@lru_cache(maxsize=64)
+def _day_s(year: str, month: str, day: str) -> int:
+    return (date(int(year), int(month), int(day)).toordinal() - UNIX_DAY) * 86400
+
+
+@lru_cache(maxsize=64)
+def _zone_s(zone: str | None) -> int:
+    """Seconds by which a zone is ahead of UTC."""
+    if not zone or zone.upper() in ("Z", "UTC"):
+        return 0
+    digits = zone[1:].replace(":", "").ljust(4, "0")
+    hours, minutes = int(digits[:2]), int(digits[2:])
+    if hours > 23 or minutes > 59:
+        raise ValueError(zone)
+    return (3600 * hours + 60 * minutes) * (-1 if zone[0] == "-" else 1)

@@ -1,0 +1,222 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Reads sheets of Excel workbooks."""
+
+from __future__ import annotations
+
+import itertools
+import warnings
+import zipfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from trackres_ros.errors import InputError, MissingExtraError, one_line
+from trackres_ros.recording.date_times import MOST_S, NO_ZONE, SECOND_NS, DateTimes, is_date_time
+from trackres_ros.recording.number_marks import COMMA, ColumnMarks, Mark, decide, is_number, number_of
+from trackres_ros.recording.samples import Finding
+from trackres_ros.recording.table_columns import Column
+from trackres_ros.recording.table_file import Rows, check_dates, time_note
+
+if TYPE_CHECKING:
+    from openpyxl.workbook import Workbook
+
+MOST_BYTES = 2**25
+"""Of the file, and of each sheet unpacked: a million cells of numbers. openpyxl keeps what it does not know, and takes up to 1 GB
+for a sheet that was made to fill memories."""
+MOST_HELD_BYTES = 2**24
+"""Of the other parts, such as texts and formats, which are held as a whole."""
+MOST_RATIO, RATIO_FROM_BYTES = 200, 2**20
+"""Sheets shrink to a tenth or a thirtieth; what shrinks to less than this was made to fill memories."""
+MOST_ROWS = 2**20
+"""Of a sheet, by the format."""
+HEADER_WITHIN = 100  # rows
+SHEETS = "xl/worksheets/"
+EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+
+
+def excel_tables(path: Path, name: str) -> list[ExcelTable]:
+    """The visible sheets of a workbook that have a row of names.
+
+    Raises
+    ------
+    InputError
+        None has, or the file unpacks to more than is read.
+    MissingExtraError
+        openpyxl is not installed.
+    """
+    with _workbook(path) as book:
+        sheets = [sheet for sheet in book.worksheets if sheet.sheet_state == "visible"]
+        tables = [ExcelTable(path, name, sheet.title, *header) for sheet in sheets if (header := _header(sheet))]
+    if not tables:
+        raise InputError(name, "no visible sheet with a row of names", "a workbook with a table")
+    return tables
+
+
+class ExcelTable:
+    """A sheet of a workbook; see `TableFile`. Row numbers are those of Excel."""
+
+    def __init__(self, path: Path, name: str, sheet: str, header_row: int, names: Sequence[str]) -> None:
+        self._path, self._sheet, self._header_row = path, sheet, header_row
+        self.name = f"{name}: sheet {one_line(sheet)}"
+        self.names = names
+        self.notes: tuple[str, ...] = ()
+        self.findings: tuple[Finding, ...] = ()
+
+    def is_number(self, place: int) -> bool:
+        """Whether the first filled cell of a column holds a number."""
+        with _workbook(self._path) as book:
+            rows = self._below_header(book)
+            first = next((row[place] for row in rows if place < len(row) and _filled(row[place]) is not None), "")
+        return is_number(first) if isinstance(first, str) else isinstance(first, int | float)
+
+    def _below_header(self, book: Workbook) -> Iterator[Sequence[Any]]:
+        sheet: Any = book[self._sheet]
+        sheet.reset_dimensions()
+        rows: Iterator[Sequence[Any]] = sheet.iter_rows(min_row=self._header_row + 1, max_row=MOST_ROWS, values_only=True)
+        return rows
+
+    def settle(self, time: Column, columns: Sequence[Column]) -> None:
+        """Read the sheet, and see how numbers and times in text are written."""
+        self._columns = (time, *columns)
+        self._numbers, cells = self._cells()
+        values = [value for value in cells[0] if value is not None]
+        first = values[0] if values else 0.0
+        in_text = isinstance(first, str) and is_date_time(first)
+        check_dates(time, self.name, in_text or isinstance(first, datetime))
+        notes = [f"sheet {one_line(self._sheet)}"]
+        if isinstance(first, datetime):
+            stamps = [self._stamp(value, number) for value, number in zip(cells[0], self._numbers, strict=True)]
+            notes.append(time_note(time.name, f"dates of Excel, {NO_ZONE}"))
+        elif in_text:
+            dates = DateTimes(str(first), time.binding.order)
+            dates.see(str(value) for value in values)
+            dates.decide(f"{self.name}: {time.name}")
+            stamps = [self._text_stamp(value, dates, number) for value, number in zip(cells[0], self._numbers, strict=True)]
+            notes.append(time_note(time.name, dates.text))
+        dated = in_text or isinstance(first, datetime)
+        marks = {column.name: ColumnMarks(column.binding.decimal) for column in self._columns[dated:]}
+        for column, found in zip(self._columns, cells, strict=True):
+            if column.name in marks:
+                marks[column.name].see([value for value in found if isinstance(value, str)])
+        decided = decide(marks, self.name)
+        numbers = [
+            [self._number(value, decided[column.name], row, column.name) for value, row in zip(found, self._numbers, strict=True)]
+            for column, found in list(zip(self._columns, cells, strict=True))[dated:]
+        ]
+        of_comma = [column for column, mark in decided.items() if mark == COMMA]
+        notes += [f"decimal comma in {', '.join(of_comma)}"] if of_comma else []
+        self.notes = tuple(notes)
+        whole = np.array([[np.nan if value is None else value for value in row] for row in numbers]).reshape(len(numbers), -1).T
+        given = np.array([[value is not None for value in row] for row in numbers], np.bool_).reshape(len(numbers), -1).T
+        if dated:
+            timed = np.array([value is not None for value in stamps], np.bool_)
+            self._rows = Rows(np.array([value or 0 for value in stamps], np.int64), timed, whole, given)
+        else:
+            self._rows = Rows(whole[:, 0], given[:, 0], whole[:, 1:], given[:, 1:])
+
+    def rows(self) -> Iterator[Rows]:
+        """The rows that `settle` has read."""
+        if len(self._rows.time):
+            yield self._rows
+
+    def _cells(self) -> tuple[list[int], list[list[Any]]]:
+        """Numbers of the rows in which any wanted cell is filled, and these cells by column: None where empty."""
+        numbers: list[int] = []
+        cells: list[list[Any]] = [[] for _ in self._columns]
+        with _workbook(self._path) as book:
+            for number, row in enumerate(self._below_header(book), self._header_row + 1):
+                found = [_filled(row[column.place]) if column.place < len(row) else None for column in self._columns]
+                if any(value is not None for value in found):
+                    numbers.append(number)
+                    for values, value in zip(cells, found, strict=True):
+                        values.append(value)
+        return numbers, cells
+
+    def _number(self, value: Any, mark: Mark, row: int, column: str) -> float | None:
+        if value is None or isinstance(value, int | float):
+            return None if value is None else float(value)
+        try:
+            if isinstance(value, str):
+                return number_of(value, mark)
+        except ValueError:
+            pass
+        raise InputError(f"{self.name}: row {row}, {column}", str(value), "a number, or an empty cell")
+
+    def _stamp(self, value: Any, row: int) -> int | None:
+        if value is None:
+            return None
+        if isinstance(value, datetime):
+            since = value.replace(tzinfo=UTC) - EPOCH
+            seconds = since.days * 86400 + since.seconds
+            if abs(seconds) <= MOST_S:
+                return seconds * SECOND_NS + since.microseconds * 1000
+        where = f"{self.name}: row {row}, {self._columns[0].name}"
+        raise InputError(where, str(value), "a date with a time, as in the rows before")
+
+    def _text_stamp(self, value: Any, dates: DateTimes, row: int) -> int | None:
+        try:
+            return None if value is None else dates.ns(str(value))
+        except ValueError:
+            where = f"{self.name}: row {row}, {self._columns[0].name}"
+            raise InputError(where, str(value), f"a time as in the rows before ({dates.text})") from None
+
+
+@contextmanager
+def _workbook(path: Path) -> Iterator[Workbook]:
+    """Open a workbook to read the values of its cells, not their formulas."""
+    try:
+        from openpyxl import load_workbook
+    except ImportError:
+        raise MissingExtraError("reading Excel files", "openpyxl", "excel") from None
+    _check_size(path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of styles and extensions that are of no use here
+        book = load_workbook(path, read_only=True, data_only=True, keep_links=False)
+        try:
+            yield book
+        finally:
+            book.close()
+
+
+def _check_size(path: Path) -> None:
+    """Refuse a workbook that unpacks to more than is read; no part unpacks to more than it says.
+
+    Raises
+    ------
+    InputError
+        With the part.
+    """
+    size = path.stat().st_size
+    if size > MOST_BYTES:
+        raise InputError(str(path), f"{size} bytes", f"a workbook of at most {MOST_BYTES}", "save the sheet as CSV")
+    with zipfile.ZipFile(path) as packed:
+        parts = packed.infolist()
+    for part in parts:
+        most = MOST_BYTES if part.filename.startswith(SHEETS) else MOST_HELD_BYTES
+        if part.file_size > RATIO_FROM_BYTES:
+            most = min(most, MOST_RATIO * part.compress_size)
+        if part.file_size > most:
+            given = f"{part.file_size} bytes, packed into {part.compress_size}"
+            raise InputError(f"{path}: {one_line(part.filename)}", given, f"at most {most}", "save the sheet as CSV")
+
+
+def _header(sheet: Any) -> tuple[int, list[str]] | None:
+    """Number and names of the first row that is not empty."""
+    sheet.reset_dimensions()
+    rows = sheet.iter_rows(max_row=HEADER_WITHIN, values_only=True)
+    for number, row in enumerate(itertools.islice(rows, HEADER_WITHIN), 1):
+        names = ["" if value is None else str(value).strip() for value in row]
+        if any(names):
+            return number, names
+    return None
+
+
+def _filled(value: Any) -> Any:
+    """The value of a cell, None of an empty one."""
+    return None if isinstance(value, str) and not value.strip() else value

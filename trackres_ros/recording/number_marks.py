@@ -1,0 +1,141 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Reads numbers in text. The whole column decides which mark is the decimal one; where it does not, it is refused."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Literal
+
+from trackres_ros.errors import InputError
+
+Mark = Literal[".", ","]
+POINT: Mark = "."
+COMMA: Mark = ","
+MARKS: tuple[tuple[Mark, Mark], ...] = ((POINT, COMMA), (COMMA, POINT))
+"""Each mark, and the other one."""
+EXPONENT = r"(?:[eE][+-]?\d+)?"
+HEAD = r"[+-]?[1-9]\d{0,2}"
+
+
+def _either(mark: Mark) -> str:
+    """1,234: one and a bit, or one thousand and more."""
+    return rf"{HEAD}[{mark}]\d{{3}}"
+
+
+def _surely(mark: Mark, other: Mark) -> str:
+    """Numbers of which a mark is surely the decimal one: 0,5 and 12,34 and 1.234,5 and 1.234.567."""
+    plain = rf"(?!{_either(mark)}$)[+-]?(?:\d+[{mark}]\d*|[{mark}]\d+){EXPONENT}"
+    grouped = rf"{HEAD}(?:[{other}]\d{{3}})+[{mark}]\d*{EXPONENT}|{HEAD}(?:[{other}]\d{{3}}){{2,}}"
+    return rf"(?:{plain}|{grouped})"
+
+
+SURELY = {mark: re.compile(rf"^{_surely(mark, other)}$", re.MULTILINE) for mark, other in MARKS}
+EITHER = {mark: re.compile(rf"^{_either(mark)}$", re.MULTILINE) for mark, _ in MARKS}
+GROUPED = {mark: re.compile(rf"{HEAD}(?:[{other}]\d{{3}})+(?:[{mark}]\d*)?{EXPONENT}", re.ASCII) for mark, other in MARKS}
+"""A number with a mark between thousands, by its decimal mark."""
+
+
+@dataclass(slots=True)
+class ColumnMarks:
+    """What the cells of one column show of their marks.
+
+    Attributes
+    ----------
+    given
+        The decimal mark that the topics file names; empty without one.
+    surely, either
+        By mark: the first cell in which it is surely the decimal mark, and in which it may as well be between thousands.
+    marks
+        Those that stand in any cell.
+    """
+
+    given: Mark | Literal[""] = ""
+    surely: dict[Mark, str] = field(default_factory=dict)
+    either: dict[Mark, str] = field(default_factory=dict)
+    marks: set[Mark] = field(default_factory=set)
+
+    def see(self, cells: Sequence[str]) -> None:
+        """Look at some more cells."""
+        text = "\n".join(cells)
+        for mark in (POINT, COMMA):
+            self.marks |= {mark} if mark in text else set()
+        for found, patterns in ((self.surely, SURELY), (self.either, EITHER)):
+            for mark, pattern in patterns.items():
+                if mark not in found and self.marks and (match := pattern.search(text)):
+                    found[mark] = match.group()
+
+
+def decide(columns: Mapping[str, ColumnMarks], name: str, commas_separate: bool = False) -> dict[str, Mark]:
+    """The decimal mark of each column.
+
+    A column decides for itself. In one that does not, a mark is the decimal one if it surely is in other columns of the table and
+    the other mark is in none; or if it is a point and commas separate the cells.
+
+    Parameters
+    ----------
+    columns
+        By name.
+    name
+        Of the table, for messages.
+    commas_separate
+        The cells of the table.
+
+    Raises
+    ------
+    InputError
+        Neither the column nor the others decide, or a column shows both.
+    """
+    sure = {mark for marks in columns.values() for mark in ((marks.given,) if marks.given else marks.surely)}
+    shown = sure or ({POINT} if commas_separate else set())
+    return {column: _mark_of(marks, shown, f"{name}: {column}") for column, marks in columns.items()}
+
+
+def _mark_of(marks: ColumnMarks, shown: set[Mark], where: str) -> Mark:
+    if marks.given:
+        return marks.given
+    if len(marks.surely) > 1:
+        given = f"{marks.surely[POINT]} with a decimal point and {marks.surely[COMMA]} with a decimal comma"
+        raise InputError(where, given, "one decimal mark in a column")
+    if marks.surely:
+        return next(iter(marks.surely))
+    if not marks.either:
+        return POINT
+    if set(marks.either) == shown:
+        return next(iter(shown))
+    given = f"{next(iter(marks.either.values()))}, a number with a decimal mark or with one between thousands"
+    remedy = "name the decimal mark in a topics file, in the line of the column: decimal: ',' or decimal: '.'"
+    raise InputError(where, given, "a column or table that shows which mark is the decimal one, as 0,5 does", remedy)
+
+
+def is_number(text: str) -> bool:
+    """Whether a cell holds a number, whatever its decimal mark is."""
+    for mark in (POINT, COMMA):
+        with suppress(ValueError):
+            return number_of(text, mark) is not None
+    return False
+
+
+def number_of(text: str, mark: Mark) -> float | None:
+    """The number in a cell, None where it is empty.
+
+    Raises
+    ------
+    ValueError
+        It is no number.
+    """
+    text = text.strip()
+    if not text:
+        return None
+    if "_" in text:  # Python's own notation, not that of a table
+        raise ValueError(text)
+    other = COMMA if mark == POINT else POINT
+    if other in text:
+        if not GROUPED[mark].fullmatch(text):
+            raise ValueError(text)
+        text = text.replace(other, "")
+    return float(text if mark == POINT else text.replace(COMMA, POINT))

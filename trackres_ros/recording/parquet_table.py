@@ -1,0 +1,109 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Reads Parquet tables in blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.errors import InputError, MissingExtraError
+from trackres_ros.recording.date_times import NO_ZONE
+from trackres_ros.recording.samples import Finding
+from trackres_ros.recording.table_columns import Column
+from trackres_ros.recording.table_file import CHUNK_ROWS, Rows, check_dates, time_note
+
+BUFFER_BYTES = 2**20
+"""Read at once of a column; without it, and with buffering ahead, pyarrow holds a whole row group: that may be the whole file."""
+
+
+class ParquetTable:
+    """A Parquet file; see `TableFile`."""
+
+    def __init__(self, path: Path, name: str) -> None:
+        self.name, self._path = name, path
+        self.notes: tuple[str, ...] = ()
+        self.findings: tuple[Finding, ...] = ()
+        with self._file() as file:
+            self.names = list(file.schema_arrow.names)
+
+    def _file(self) -> Any:
+        """Open the file with pyarrow, which has no types of its own."""
+        try:
+            from pyarrow import parquet
+        except ImportError:
+            raise MissingExtraError("reading Parquet", "pyarrow", "parquet") from None
+        return parquet.ParquetFile(self._path, buffer_size=BUFFER_BYTES, pre_buffer=False, page_checksum_verification=True)
+
+    def is_number(self, place: int) -> bool:
+        """Whether a column is one of numbers."""
+        import pyarrow as pa
+
+        with self._file() as file:
+            kind = file.schema_arrow.field(place).type
+        return bool(pa.types.is_floating(kind) or pa.types.is_integer(kind))
+
+    def settle(self, time: Column, columns: Sequence[Column]) -> None:
+        """Choose what to read; the types of the columns say how."""
+        import pyarrow as pa
+
+        with self._file() as file:
+            schema = file.schema_arrow
+        self._read = [schema.names[place] for place in (time.place, *(column.place for column in columns))]
+        kinds = [schema.field(column.place).type for column in (time, *columns)]
+        self._dates = pa.types.is_timestamp(kinds[0])
+        for name, kind in list(zip(self._read, kinds, strict=True))[self._dates :]:
+            if not (pa.types.is_floating(kind) or pa.types.is_integer(kind)):
+                raise InputError(f"{self.name}: {name}", str(kind), "a column of numbers")
+        check_dates(time, self.name, self._dates)
+        if self._dates:
+            self.notes = (time_note(time.name, f"timestamps {'with a time zone' if kinds[0].tz else NO_ZONE}"),)
+
+    def rows(self) -> Iterator[Rows]:
+        """Read the file."""
+        import pyarrow as pa
+
+        with self._file() as file:
+            count, empty = 0, np.zeros(len(self._read), np.int64)
+            for batch in file.iter_batches(batch_size=CHUNK_ROWS, columns=self._read, use_threads=False):
+                rows = rows_of(batch, self._read, pa.timestamp("ns", "UTC") if self._dates else pa.float64())
+                count += len(rows.time)
+                empty += [np.count_nonzero(~rows.timed), *np.count_nonzero(~rows.given, axis=0)]
+                yield rows
+            self.findings = tuple(_look_at_counts(file.metadata, self._read, count, empty))
+
+
+def rows_of(batch: Any, names: Sequence[str], time_type: Any) -> Rows:
+    """Rows of an Arrow batch, time first."""
+    import pyarrow as pa
+
+    first, *others = (batch.column(name) for name in names)
+    timed = first.is_valid().to_numpy(zero_copy_only=False)
+    if pa.types.is_timestamp(time_type):
+        time = first.cast(time_type).cast(pa.int64()).fill_null(0).to_numpy(zero_copy_only=False)
+    else:
+        time = first.cast(time_type).to_numpy(zero_copy_only=False)
+    cells = [column.cast(pa.float64()).to_numpy(zero_copy_only=False) for column in others]
+    given = [column.is_valid().to_numpy(zero_copy_only=False) for column in others]
+    return Rows(time, timed, np.stack(cells, axis=1), np.stack(given, axis=1))
+
+
+def _look_at_counts(metadata: Any, names: Sequence[str], rows: int, empty: NDArray[np.int64]) -> Iterator[Finding]:
+    """Hold what was read of a Parquet file against what the file says it holds."""
+    groups = [metadata.row_group(number) for number in range(metadata.num_row_groups)]
+    stated = max(metadata.num_rows, sum(group.num_rows for group in groups))
+    if stated > rows:
+        yield Finding("", "missing", stated - rows, float("nan"), f"{stated - rows} rows fewer than the file says it holds")
+    for name, found in zip(names, empty.tolist(), strict=True):
+        chunks = [group.column(place) for group in groups for place in range(group.num_columns)]
+        counts = [chunk.statistics for chunk in chunks if chunk.path_in_schema == name]
+        if all(count is not None and count.has_null_count for count in counts):
+            more = found - sum(count.null_count for count in counts)
+            if more > 0:
+                text = f"{more} cells of {name} are empty and should not be, as the file counts them"
+                yield Finding("", "missing", more, float("nan"), text)

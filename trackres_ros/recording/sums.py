@@ -1,0 +1,225 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Adds the parts of a role that come in messages, each at its own times; alike live and out of a bag."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from trackres_ros.recording.binding import TopicBinding
+from trackres_ros.recording.roles import ROLES, base_role
+from trackres_ros.recording.samples import Block, Finding
+
+APART_S, SLOW_APART_S = 0.5, 60.0
+"""Longest time between two samples of a part that a line is drawn across [s], for what a moving vehicle changes all the time
+and for the rest; assumed, as a measured torque holds for 0.5 s. `max_age_s` of the role replaces it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What is read for a role: all of it, or a part of a sum."""
+
+    role: str
+    part: int | None
+    binding: TopicBinding
+
+    @property
+    def name(self) -> str:
+        """For messages and notes."""
+        return self.role if self.part is None else f"{self.role}: sum: part {self.part + 1}"
+
+
+def readings_of(roles: Sequence[str], bindings: Mapping[str, TopicBinding]) -> tuple[Reading, ...]:
+    """What is read for some roles, in their order."""
+    return tuple(
+        Reading(role, number if bindings[role].parts else None, part)
+        for role in roles
+        for number, part in enumerate(bindings[role].sources)
+    )
+
+
+class Sums:
+    """All sums of a bag.
+
+    Parameters
+    ----------
+    readings
+        What is read, by `readings_of`.
+    bindings
+        By role.
+    """
+
+    def __init__(self, readings: Sequence[Reading], bindings: Mapping[str, TopicBinding]) -> None:
+        roles = list(dict.fromkeys(one.role for one in readings))
+        self._sums = {role: Sum(role, bindings[role]) for role in roles if bindings[role].parts}
+        self._readings = readings
+        self._role_of = np.array([roles.index(one.role) for one in readings], np.int16)
+        self._is_part = np.array([one.part is not None for one in readings], np.bool_)
+
+    @property
+    def notes(self) -> list[str]:
+        """How roles are added, for people."""
+        return [one.note for one in self._sums.values()]
+
+    @property
+    def findings(self) -> Iterator[Finding]:
+        """Messages that gave no sum."""
+        for role, one in self._sums.items():
+            if one.alone:
+                text = f"{one.alone} messages have no sum, as another part is missing: they give no sample"
+                yield Finding(role, "part", one.alone, float("nan"), text)
+
+    def added(self, block: Block) -> Block:
+        """A block of readings as one of roles: sums stand in the place of the part that completes them."""
+        if not self._sums:
+            return block
+        parts = np.flatnonzero(self._is_part[block.role])
+        columns = (parts, block.role[parts], block.stamp_ns[parts], block.arrival_ns[parts], block.value[parts])
+        rows, stamps, values = list[int](), list[int](), list[float]()
+        for row, index, stamp_ns, arrival_ns, value in zip(*(column.tolist() for column in columns), strict=True):
+            one = self._readings[index]
+            assert one.part is not None
+            for stamp, total in self._sums[one.role].add(one.part, stamp_ns, arrival_ns, value):
+                rows.append(row)
+                stamps.append(stamp)
+                values.append(total)
+        others = np.flatnonzero(~self._is_part[block.role])
+        at = np.concatenate([others, np.array(rows, np.intp)])
+        order = np.argsort(at, kind="stable")
+        at = at[order]
+        return Block(
+            self._role_of[block.role[at]],
+            np.concatenate([block.stamp_ns[others], np.array(stamps, np.int64)])[order],
+            block.arrival_ns[at],
+            np.concatenate([block.value[others], np.array(values, np.float64)])[order],
+        )
+
+
+class Sum:
+    """The sum of parts, at the times of the first topic.
+
+    Parts of one message belong together: where one is missing there is no sum. Those of other topics are taken at the time of
+    the first one, on a line between the samples before and after; where these are too far apart, there is no sum.
+
+    Parameters
+    ----------
+    role
+        What is summed.
+    binding
+        Its parts are fields of topics.
+    """
+
+    def __init__(self, role: str, binding: TopicBinding) -> None:
+        topics = list(dict.fromkeys(part.topic for part in binding.parts))
+        self._role, self._topics = role, topics
+        self._binding = binding
+        self._topic_of = [topics.index(part.topic) for part in binding.parts]
+        self._parts_of = [self._topic_of.count(index) for index in range(len(topics))]
+        default_s = APART_S if ROLES[base_role(role)].lively else SLOW_APART_S
+        self._apart_s = binding.max_age_s or default_s
+        self._apart_ns = round(self._apart_s * 1e9)
+        self._message: list[tuple[tuple[int, int], int, float]] = [((0, 0), 0, 0.0)] * len(topics)
+        self._waiting: deque[tuple[int, int, float]] = deque()  # clock, stamp and value of the first topic
+        self._others: list[deque[tuple[int, float]]] = [deque() for _ in topics[1:]]
+        self.alone = 0
+
+    @property
+    def note(self) -> str:
+        """How it is added, for people."""
+        if len(self._topics) == 1:
+            return f"{self._role}: sum of {len(self._topic_of)} fields of {self._topics[0]}"
+        others = ", ".join(self._topics[1:])
+        between = f"on a line between samples at most {self._apart_s:g} s apart"
+        return f"{self._role}: sum at the times of {self._topics[0]}; {others} {between}"
+
+    def add(self, part: int, stamp_ns: int, arrival_ns: int, value: float) -> list[tuple[int, float]]:
+        """Take a part of a message, and return the sums that it completes.
+
+        Parameters
+        ----------
+        part
+            Its place among the parts.
+        stamp_ns, arrival_ns
+            Of its message [ns]; where the stamp is 0, never set, the arrival counts.
+        value
+            Scaled as its line of the topics file says.
+
+        Returns
+        -------
+        list of tuple
+            Stamp [ns], and the sum in the unit of the role.
+        """
+        index = self._topic_of[part]
+        message, count, total = self._message[index]
+        if count and message != (stamp_ns, arrival_ns):
+            self.alone += 1
+            count, total = 0, 0.0
+        count, total = count + 1, total + value
+        whole = count == self._parts_of[index]
+        self._message[index] = ((stamp_ns, arrival_ns), 0 if whole else count, 0.0 if whole else total)
+        if not whole:
+            return []
+        clock = stamp_ns or arrival_ns
+        if index == 0:
+            self._wait(clock, stamp_ns, total)
+        else:
+            self._keep(self._others[index - 1], clock, total)
+        return self._complete()
+
+    def _wait(self, clock: int, stamp_ns: int, value: float) -> None:
+        if self._waiting and clock < self._waiting[-1][0]:  # a bag that loops
+            self.alone += len(self._waiting)
+            self._waiting.clear()
+        self._waiting.append((clock, stamp_ns, value))
+        while clock - self._waiting[0][0] > self._apart_ns:
+            self._waiting.popleft()
+            self.alone += 1
+
+    def _keep(self, samples: deque[tuple[int, float]], clock: int, value: float) -> None:
+        if samples and clock < samples[-1][0]:
+            samples.clear()
+        samples.append((clock, value))
+        while len(samples) > 2 and clock - samples[1][0] > 2 * self._apart_ns:
+            samples.popleft()
+
+    def _complete(self) -> list[tuple[int, float]]:
+        done = []
+        while self._waiting:
+            clock, stamp_ns, total = self._waiting[0]
+            found = [_at(samples, clock, self._apart_ns) for samples in self._others]
+            if "later" in found:
+                break
+            self._waiting.popleft()
+            values = [value for value in found if isinstance(value, float)]
+            if len(values) < len(found):
+                self.alone += 1
+                continue
+            done.append((stamp_ns - self._binding.delay_ns if stamp_ns else 0, self._of_role(total + sum(values))))
+        return done
+
+    def _of_role(self, total: float) -> float:
+        return self._binding.scale * total + self._binding.offset
+
+
+def _at(samples: deque[tuple[int, float]], clock: int, apart_ns: int) -> float | str:
+    """The value at a time: "later" while the sample after it is not there, "never" where there is none near enough."""
+    while len(samples) > 1 and samples[1][0] <= clock:
+        samples.popleft()
+    if not samples:
+        return "later"
+    before, value = samples[0]
+    if before == clock:
+        return value
+    if before > clock:
+        return "never"
+    if len(samples) < 2:
+        return "later"
+    after, next_value = samples[1]
+    if after - before > apart_ns:
+        return "never"
+    return value + (next_value - value) * ((clock - before) / (after - before))

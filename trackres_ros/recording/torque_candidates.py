@@ -1,0 +1,62 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Names the columns or topics that may hold the torque, where none was read."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+
+from trackres_ros.recording.guess import NOT_MEASURED, SCALARS, words
+from trackres_ros.recording.roles import base_role
+from trackres_ros.recording.table_columns import listed_names
+
+TORQUE_LIKE = re.compile(r"torque|moment|effort|couple|\bk?n ?m\b|tractive|traction force|zugkraft")
+"""Words and units in the name of a column or topic that may hold a torque, or a force that is one by a radius."""
+FIELDS: Mapping[str, str] = {
+    "geometry_msgs/msg/WrenchStamped": "wrench.torque.y",
+    "geometry_msgs/msg/Wrench": "torque.y",
+    "sensor_msgs/msg/JointState": '"effort[NAME]"',
+    **dict.fromkeys(SCALARS, "data"),
+}
+"""Types of messages that may hold a torque, and the field; of plain numbers if the topic sounds like one."""
+NAME_IT = "name it in a topics file: torque: {column: NAME, scale: 1.0}"
+
+
+def of_columns(names: Iterable[str]) -> list[str]:
+    """Those of some columns that may hold a torque."""
+    return [name for name in names if _sounds_like_torque(name)]
+
+
+def of_topics(types: Mapping[str, str]) -> list[str]:
+    """Those of some topics that may hold a torque, of which the message types are given."""
+    return [
+        topic
+        for topic, kind in sorted(types.items())
+        if kind in FIELDS and (_sounds_like_torque(topic) or kind not in SCALARS) and not NOT_MEASURED.search(words(topic))
+    ]
+
+
+def note_of(candidates: Sequence[str], roles: Iterable[str]) -> list[str]:
+    """What the notes of a recording say of candidates; nothing where a torque was read."""
+    if not candidates or any(base_role(role) == "torque" for role in roles):
+        return []
+    return [f"no torque is read; it may be in: {listed_names(candidates)}"]
+
+
+def remedy_of(candidates: Sequence[str]) -> str:
+    """What to do about a recording without a torque."""
+    if not candidates:
+        return NAME_IT
+    if candidates[0].startswith("/"):
+        line, more = "torque: {topic: NAME, type: TYPE, field: FIELD}", "{topic: ...}, {topic: ...}"
+    else:
+        line, more = "torque: {column: NAME, scale: 1.0}", "{column: ...}, {column: ...}"
+    several = f", or the sum of left and right: torque: {{sum: [{more}]}}" if len(candidates) > 1 else ""
+    return f"it may be in {listed_names(candidates)}: name it in a topics file: {line}{several}"
+
+
+def _sounds_like_torque(name: str) -> bool:
+    spoken = words(name)
+    return bool(TORQUE_LIKE.search(spoken)) and not NOT_MEASURED.search(spoken)
