@@ -11,6 +11,7 @@ import click
 
 import trackres_ros as tr
 from trackres_ros.cli.common import (
+    SEEDS,
     Command,
     default_of,
     emit,
@@ -29,7 +30,7 @@ from trackres_ros.cli.written import watch
 @surroundings_option
 @click.option("--topics", type=click.Path(path_type=Path), metavar="T.yaml", help="Which topics or columns hold what.")
 @method_options
-@click.option("--seed", type=int, default=default_of(tr.coastdown, "seed"), show_default=True, help="Of all that is drawn.")
+@click.option("--seed", type=SEEDS, default=default_of(tr.coastdown, "seed"), show_default=True, help="Of all that is drawn.")
 @click.option(
     "--save-vehicle",
     type=click.Path(path_type=Path),

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import csv
-import io
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -83,7 +82,10 @@ def read_route(path: Path) -> tuple[RouteMap, ...]:
     InputError
         If it is no such table, a value is beyond all reason, or its places lie too far apart or too near to one another.
     """
-    rows = list(csv.reader(io.StringIO(read_text(path, "table of a route", MOST_BYTES))))
+    try:
+        rows = list(csv.reader(read_text(path, "table of a route", MOST_BYTES).splitlines()))
+    except csv.Error as error:  # a cell without end
+        raise InputError(str(path), str(error), "a table of comma-separated values") from None
     known = next((header for header in HEADERS if rows and rows[0] == list(header)), None)
     if known is None:
         allowed = f"a first line {' or '.join(','.join(header) for header in HEADERS)}"
