@@ -6,27 +6,20 @@
 OPTION_DRAWS=200 draws so many calls of each command.
 """
 
-import json
 import math
 import os
-import resource
-import select
-import signal
-import traceback
-import warnings
 
 import click
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
+from interrupted import interrupted
 
 import trackres_ros as tr
 from trackres_ros.cli.main import cli
 
 DRAWS, LONGEST_S = int(os.environ.get("OPTION_DRAWS", "2")), 0.4  # calls of each command; how long each may take
 ENDS = (0, 2, 130)
-HANGS_S = 60.0
-MOST_BYTES = 16 << 30  # of the address space, of which libraries take some
 HOSTILE = ("", " ", "nan", "inf", "-inf", "1e999", "1e23", "-1", "0", str(2**40), str(2**70), "9" * 400, "abc", "/dev/null/x",
            "a:b", "=", "x=nan", "x=1:nan:3", "1:2:1e9", "\u2603", "..", "/", "--", "-")  # fmt: skip
 ENDED = {"live": ["-p", "output_rate_hz:=nan"], "play": ["--rate", "nan"]}
@@ -102,48 +95,13 @@ def words(draw, command):
     return drawn
 
 
-def outcome(trackres, call, folder):
-    """Exit code and standard error of a call, made in a fork and interrupted after a while, as by Ctrl-C."""
-
-    def interrupt(*_):
-        raise KeyboardInterrupt
-
-    read, write = os.pipe()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # a fork of a process that has threads, of pytest's own
-        child = os.fork()
-    if child == 0:
-        found = [130, ""]
-        try:
-            resource.setrlimit(resource.RLIMIT_AS, (MOST_BYTES, MOST_BYTES))
-            signal.signal(signal.SIGALRM, interrupt)
-            signal.setitimer(signal.ITIMER_REAL, LONGEST_S, LONGEST_S)
-            done = trackres(*call, cwd=folder)
-            found = [done.returncode, done.stderr]
-        except KeyboardInterrupt:  # in the moment in which the command ends or begins
-            pass
-        except BaseException:
-            found = [1, traceback.format_exc()]
-        finally:
-            signal.setitimer(signal.ITIMER_REAL, 0.0)
-            os.write(write, json.dumps(found).encode()[-60_000:])
-            os._exit(0)
-    os.close(write)
-    with os.fdopen(read) as said:
-        if not select.select([said], [], [], HANGS_S)[0]:
-            os.kill(child, signal.SIGKILL)
-        found = said.read()
-    os.waitpid(child, 0)
-    return json.loads(found) if found.startswith("[") else (1, found or "it hangs")
-
-
 @pytest.mark.parametrize("name", COMMANDS)
 def test_whatever_is_typed_ends_in_one_line(name, trackres, folder):
     @settings(max_examples=DRAWS, phases=[Phase.generate])
     @given(words(COMMANDS[name]))
     def check(call):
         call = [*name.split(), *call, *ENDED.get(name, [])]
-        code, said = outcome(trackres, call, folder)
+        code, said = interrupted(trackres, call, folder, LONGEST_S)
         assert code in ENDS, (call, said)
         if code == 2 and "--json" not in call:
             assert sum(line.startswith("trackres: error: ") for line in said.splitlines()) == 1 or not call[1:], (call, said)

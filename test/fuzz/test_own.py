@@ -16,6 +16,7 @@ import pytest
 
 pytest.importorskip("pyarrow")
 
+from fleet_rows import row
 from mutator import mutations
 
 from trackres_ros.errors import InputError
@@ -33,29 +34,11 @@ from trackres_ros.vehicle.loading import read_rubber_sweep
 
 MUTATIONS = int(os.environ.get("OWN_MUTATIONS", "40"))  # more of them by hand
 DAMAGED = [b"", b"\0" * 100, b"[" * 100_000, b"{" * 100_000, b"null", b"1e999", b"9" * 5000, b"PAR1PAR1", b"\xff\xfe\x00"]
-NAMES, DAY_S = ("bearing_friction", "loss_modulus_scale"), 86400.0
 ROUTE = "latitude_deg,longitude_deg,course_deg,slope,std,passes\n" + "".join(
     f"{47.0 + 1e-4 * i:.7f},8.0000000,0.0,0.01,0.002,3\n" for i in range(20)
 )
 FLEET = "vehicles: {truck-01: {file: xgd24d, limits: {bearing_friction: 0.012}, recordings: ['*01*']}}\n"
 PROFILE = "time_s,speed_kmh,weight_n,ambient_degc\n" + "".join(f"{i},{min(i, 30)},240000,15\n" for i in range(60))
-
-
-def row(number: int) -> dict[str, object]:
-    """A row of a recording, as an analysis makes it."""
-    drawn = np.random.default_rng(number).standard_normal((40, 2)) * 5.0
-    precision = drawn.T @ drawn
-    upper = np.triu_indices(2)
-    finite = {"duration_s": 600.0, "mismatch": 0.1, "mean_torque": 900.0, "mean_speed": 5.0, "mean_weight": 2e5,
-              "mean_ambient": 15.0, "compared_s": 500.0, "residual_mean": 0.0, "residual_std": 20.0}  # fmt: skip
-    return {
-        "url": f"r{number}.mcap", "stamp": str(number), "inputs": "i", "content": "c", "status": "good", "reason": "",
-        "vehicle": "truck-01", "day": f"2026-03-{number + 1:02d}", "start_s": 1.77e9 + number * DAY_S, "distance_m": 3000.0,
-        "resistance_mj": 3.0, "drive_mj": 3.0, "held_out_file": 20.0, "held_out_refit": 15.0, "names": list(NAMES),
-        "units": ["1", "1"], "findings": [], "notes": [], "nominal": [0.01, 1.0], "std": [0.002, 0.1], "point": [0.01, 1.0],
-        "covariance": [1e-6, 0.0, 1e-4], "precision": precision[upper].tolist(), "linear": (precision @ [0.1, 0.2]).tolist(),
-        **finite,
-    }  # fmt: skip
 
 
 @pytest.fixture
