@@ -11,6 +11,8 @@ from collections.abc import Iterable
 
 from trackres_ros.errors import InputError, nearest
 
+LARGEST_SEED = 2**32 - 1
+
 
 def number(given: object, where: str, low: float, high: float, unit: str = "", if_outside: str = "") -> float:
     """A number from `low` to `high`; nan is none, nor are true and false. `if_outside`: what to do about one out of the range."""
@@ -30,6 +32,11 @@ def whole(given: object, where: str, low: int, high: int, unit: str = "") -> int
     if isinstance(given, bool) or not isinstance(given, int) or not low <= given <= high:
         raise InputError(where, given, allowed)
     return given
+
+
+def seed(given: object) -> int:
+    """The seed of random draws."""
+    return whole(given, "seed", 0, LARGEST_SEED)
 
 
 def span(given: object, where: str, low: float, high: float, unit: str = "") -> tuple[float, float]:

@@ -69,6 +69,7 @@ def coastdown(
     ...     print(error.remedy)
     let it roll out from its greatest speed, in both directions
     """
+    from trackres_ros import checks
     from trackres_ros.diagnosis.base.loading import load_base
     from trackres_ros.diagnosis.coastdown.fitted import coastdown as run
     from trackres_ros.diagnosis.prepare.order import in_order
@@ -78,6 +79,7 @@ def coastdown(
     listed: Sequence[Any] = [recordings] if isinstance(recordings, str | PathLike | Recording) else recordings
     if not listed:
         raise InputError("recordings", "none", "at least one")
+    checks.seed(seed)
     mapping = as_topics(topics)
     loaded = load_base(vehicle, method, thermal, mapping, surroundings)
     read_in = in_order([r if isinstance(r, Recording) else read(r, topics=mapping) for r in listed])

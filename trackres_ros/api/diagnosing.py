@@ -87,7 +87,7 @@ def diagnose(
     ...     print(error.allowed)
     a measured torque: without it there is nothing to compare
     """
-    from trackres_ros.checks import one_of
+    from trackres_ros import checks
     from trackres_ros.diagnosis.base.loading import load_base
     from trackres_ros.diagnosis.pipeline import diagnose
     from trackres_ros.diagnosis.prepare.order import in_order
@@ -99,7 +99,8 @@ def diagnose(
 
     begun = time.monotonic()
     for channel in hide:
-        one_of(base_role(channel), "hide", ROLES)
+        checks.one_of(base_role(channel), "hide", ROLES)
+    checks.seed(seed)
     listed: Sequence[Any] = [recordings] if isinstance(recordings, str | PathLike | Recording) else recordings
     if not listed:
         raise InputError("recordings", "none", "at least one")

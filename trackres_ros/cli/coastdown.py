@@ -11,6 +11,7 @@ import click
 
 import trackres_ros as tr
 from trackres_ros.cli.common import (
+    SEEDS,
     Command,
     any_vehicle_option,
     default_of,
@@ -30,7 +31,7 @@ from trackres_ros.cli.written import watch
 @surroundings_option
 @topics_option("which topic or column feeds which role.")
 @method_options
-@click.option("--seed", type=int, default=default_of(tr.coastdown, "seed"), show_default=True, help="Of all that is drawn.")
+@click.option("--seed", type=SEEDS, default=default_of(tr.coastdown, "seed"), show_default=True, help="Of all that is drawn.")
 @click.option(
     "--save-vehicle",
     type=click.Path(path_type=Path),

@@ -19,6 +19,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from trackres_ros import InputError, MissingExtraError
+from trackres_ros.checks import LARGEST_SEED
 from trackres_ros.cli.written import watch
 from trackres_ros.errors import nearest
 from trackres_ros.files.resources import shipped_road_vehicles, shipped_topics, shipped_vehicles
@@ -45,7 +46,18 @@ class Command(click.Command):
 
 
 class Commands(click.Group):
-    """A group of commands that says which one may have been meant."""
+    """A group of commands that suggests the closest one for an unknown name, and refuses empty words."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """See `click.Group`. An empty word, say of an unset shell variable, would be the current folder as a path."""
+        for before, word in zip(["", *args], args, strict=False):
+            option, equals, value = word.partition("=")
+            named = bool(equals) and option.startswith("--")
+            name = option if named else before if before.startswith("-") else "an argument"
+            text = value if named else word
+            if not text.strip() or "\0" in text:
+                raise click.UsageError(f"{name} is {text!r}: give a value, or leave it out", ctx)
+        return super().parse_args(ctx, args)
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
         """See `click.Group`; newer versions of it guess too, and older ones do not."""
@@ -154,6 +166,15 @@ def method_options(command: Decorated) -> Decorated:
 def number(low: float, high: float) -> click.FloatRange:
     """A finite number in a range; click's own accepts nan."""
     return _Finite(low, high)
+
+
+def whole(low: int, high: int) -> click.IntRange:
+    """A whole number in a range."""
+    return click.IntRange(low, high)
+
+
+SEEDS = whole(0, LARGEST_SEED)
+WORKERS = whole(1, 1024)
 
 
 class _Finite(click.FloatRange):

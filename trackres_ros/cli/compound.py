@@ -9,7 +9,17 @@ from pathlib import Path
 
 import click
 
-from trackres_ros.cli.common import Command, Commands, emit, json_option, needs, output_folder, progress, vehicles_to_complete
+from trackres_ros.cli.common import (
+    Command,
+    Commands,
+    emit,
+    json_option,
+    needs,
+    number,
+    output_folder,
+    progress,
+    vehicles_to_complete,
+)
 
 
 @click.group("compound", cls=Commands)
@@ -27,7 +37,9 @@ def compound_group() -> None:
     shell_complete=vehicles_to_complete,
     help="The vehicle that is to drive on it; all but the compound stays as it is there.",
 )
-@click.option("--frequency-hz", type=float, metavar="HZ", help="Frequency of the sweep, where its file does not say it.")
+@click.option(
+    "--frequency-hz", type=number(1e-9, 1e9), metavar="HZ", help="Frequency of the sweep, where its file does not say it."
+)
 @click.option(
     "-o",
     "--output",

@@ -12,7 +12,19 @@ from typing import TYPE_CHECKING
 
 import click
 
-from trackres_ros.cli.common import Command, emit, json_option, needs, picture_beside, progress, vehicles_to_complete
+from trackres_ros.cli.common import (
+    SEEDS,
+    WORKERS,
+    Command,
+    emit,
+    json_option,
+    needs,
+    number,
+    picture_beside,
+    progress,
+    vehicles_to_complete,
+    whole,
+)
 from trackres_ros.cli.written import watch
 from trackres_ros.files.output_files import output_file
 from trackres_ros.units import KMH_PER_MPS
@@ -27,10 +39,10 @@ USUAL_KMH = 30.0
 
 speed_option = click.option(
     "--speed-kmh",
-    type=click.FloatRange(0.1, 150.0),
+    type=number(0.1, 150.0),
     help=f"Speed that is held [km/h]; {USUAL_KMH:g} without, or the vehicle's greatest if that is less.",
 )
-ambient_option = click.option("--ambient-degc", type=click.FloatRange(-60.0, 60.0), help="Air [degC]; else the vehicle file's.")
+ambient_option = click.option("--ambient-degc", type=number(-60.0, 60.0), help="Air [degC]; else the vehicle file's.")
 
 
 @click.command("sweep", cls=Command)
@@ -49,7 +61,7 @@ ambient_option = click.option("--ambient-degc", type=click.FloatRange(-60.0, 60.
     "--cycle", type=click.Path(path_type=Path), metavar="P.csv", help="Energy of a drive, as simulate --profile has it."
 )
 @click.option("--engine", default="local", show_default=True, help="tcp://HOST:PORT of a dask scheduler that runs, or local.")
-@click.option("--workers", type=click.IntRange(1, 1024), help="Processes of a local engine.")
+@click.option("--workers", type=WORKERS, help="Processes of a local engine.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="Table, .csv, .csv.gz or .parquet; a .png goes beside it.")
 @json_option
 def sweep_command(
@@ -103,8 +115,8 @@ def sweep_command(
 @speed_option
 @ambient_option
 @click.option("--of", "outcome", type=click.Choice(OUTCOMES), default=OUTCOMES[0], show_default=True, help="What is shown.")
-@click.option("--samples", type=int, default=64, show_default=True, help="Of each value; a power of two.")
-@click.option("--seed", type=int, default=1, show_default=True, help="Of all that is drawn.")
+@click.option("--samples", type=whole(8, 1 << 16), default=64, show_default=True, help="Of each value; a power of two.")
+@click.option("--seed", type=SEEDS, default=1, show_default=True, help="Of all that is drawn.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), metavar="P.png", help="Picture, .png or .svg.")
 @json_option
 def sensitivity_command(

@@ -11,6 +11,7 @@ import click
 
 import trackres_ros as tr
 from trackres_ros.cli.common import (
+    SEEDS,
     Command,
     any_vehicle_option,
     default_of,
@@ -40,7 +41,7 @@ from trackres_ros.cli.written import watch
     help="How many of the last recordings or laps to hold out, or names of recordings or laps (day2.mcap: 5) with commas.",
 )
 @method_options
-@click.option("--seed", type=int, default=default_of(tr.diagnose, "seed"), show_default=True, help="Seed of all random draws.")
+@click.option("--seed", type=SEEDS, default=default_of(tr.diagnose, "seed"), show_default=True, help="Seed of all random draws.")
 @click.option("--quick", is_flag=True, help="Fewer draws for thresholds.")
 @click.option(
     "--keep-suspected", is_flag=True, help="Also write effects that fit but that laps not used for fitting do not confirm."

@@ -12,6 +12,8 @@ import click
 
 from trackres_ros import InputError
 from trackres_ros.cli.common import (
+    SEEDS,
+    WORKERS,
     Command,
     emit,
     folder_option,
@@ -19,8 +21,10 @@ from trackres_ros.cli.common import (
     needs,
     number,
     output_folder,
+    print_warnings,
     progress,
     topics_option,
+    whole,
 )
 from trackres_ros.cli.written import watch
 
@@ -60,9 +64,7 @@ def fleet_group() -> None:
 @click.option(
     "--engine", default="local", show_default=True, metavar="local|tcp://HOST:PORT", help="Where it runs: a Dask scheduler."
 )
-@click.option(
-    "--workers", type=click.IntRange(1), metavar="N", help="Processes of a local engine; as many as processors without."
-)
+@click.option("--workers", type=WORKERS, metavar="N", help="Processes of a local engine; as many as processors without.")
 @click.option("--hide", multiple=True, metavar="CHANNEL", help="Leave a channel unread; may be repeated.")
 @click.option(
     "--period",
@@ -118,8 +120,9 @@ def run_command(
     asked.keep(output, fleet)
     if period != "none":
         diagnose_periods(dataset, fleet, engine, workers, hide, progress)
-    found = trends(dataset, asked.limits_of(output, {}))
-    pages = write_pages(output, found, dataset)
+    with print_warnings():
+        found = trends(dataset, asked.limits_of(output, {}))
+        pages = write_pages(output, found, dataset)
     done = {"found": counts.found, "kept": counts.kept, "good": counts.good, "broken": counts.broken}
 
     def text() -> str:
@@ -130,11 +133,11 @@ def run_command(
 
 
 @fleet_group.command("sample", cls=Command)
-@click.option("--vehicles", type=click.IntRange(1, 10_000), default=20, show_default=True, help="How many.")
-@click.option("--days", type=click.IntRange(1, 3650), default=90, show_default=True, help="Over how many days they drive.")
+@click.option("--vehicles", type=whole(1, 10_000), default=20, show_default=True, help="How many.")
+@click.option("--days", type=whole(1, 3650), default=90, show_default=True, help="Over how many days they drive.")
 @click.option("--every", type=number(0.1, 365.0), default=3.0, show_default=True, help="Days between recordings of a vehicle.")
 @click.option("--minutes", type=number(3.0, 600.0), default=10.0, show_default=True, help="Length of a recording.")
-@click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Seed of all random draws.")
+@click.option("--seed", type=SEEDS, default=1, show_default=True, help="Seed of all random draws.")
 @folder_option("Folder to write into.")
 @json_option
 def sample_command(vehicles: int, days: int, every: float, minutes: float, seed: int, output: Path, as_json: bool) -> None:
@@ -186,7 +189,8 @@ def trend_command(folder: Path, name: str | None, limits: tuple[str, ...], false
     from trackres_ros.fleet.dataset import FleetDataset
     from trackres_ros.fleet.trends import sentences, trends
 
-    found = trends(FleetDataset.existing(folder), asked.limits_of(folder, dict(map(_limit, limits))), false_alarms, name)
+    with print_warnings():
+        found = trends(FleetDataset.existing(folder), asked.limits_of(folder, dict(map(_limit, limits))), false_alarms, name)
     emit(found, as_json, lambda: "\n".join(sentences(found)))
 
 
@@ -228,7 +232,8 @@ def compare_command(
     from trackres_ros.fleet.compare import compare, compare_text
     from trackres_ros.fleet.designs import asked_of, compare_designs, designs_text, draw_designs
 
-    found = compare(one, other)
+    with print_warnings():
+        found = compare(one, other)
     grid, designs = asked_of((one, other), speed_kmh, belt_degc, cycle), None
     if grid is not None:
         with progress("operating points", grid.points) as advance:

@@ -16,7 +16,7 @@ from typing import IO
 import click
 
 from trackres_ros import InputError
-from trackres_ros.cli.common import Commands, emit, folder_option, json_option, needs, number, output_folder
+from trackres_ros.cli.common import SEEDS, Commands, emit, folder_option, json_option, needs, number, output_folder, whole
 
 MINUTES = 15.0
 QUICK_MINUTES = 12.0
@@ -32,10 +32,10 @@ into_folder = folder_option("Folder for recordings and page.")
 @click.group("prove", cls=Commands, invoke_without_command=True)
 @click.pass_context
 @click.option("--level", "levels", multiple=True, metavar="L[=N]", help="Only N cases of this level; may be repeated.")
-@click.option("--cases", "count", type=click.IntRange(1), metavar="N", help="Number of cases of each level given without one.")
-@click.option("--seed", type=click.IntRange(0), default=REPORTED_SEED, show_default=True, help="Seed of all random draws.")
+@click.option("--cases", "count", type=whole(1, 100_000), metavar="N", help="Number of cases of each level given without one.")
+@click.option("--seed", type=SEEDS, default=REPORTED_SEED, show_default=True, help="Seed of all random draws.")
 @click.option("--quick", is_flag=True, help="81 cases of shorter drives.")
-@click.option("--first", type=click.IntRange(1), metavar="N", help="Diagnose and score N of the sealed cases, by drawn names.")
+@click.option("--first", type=whole(1, 100_000), metavar="N", help="Diagnose and score N of the sealed cases, by drawn names.")
 @click.option(
     "--earlier",
     type=click.Path(path_type=Path, file_okay=False),
@@ -149,11 +149,11 @@ def prove_real_command(data: Path, output: Path, as_json: bool) -> None:
 
 
 @prove_command.command("learning")
-@click.option("--seed", type=click.IntRange(0), default=REPORTED_SEED, show_default=True, help="Seed of all random draws.")
-@click.option("--vehicles", type=click.IntRange(0), default=60, show_default=True, help="Vehicles whose files are off.")
-@click.option("--hostile", type=click.IntRange(0), default=40, show_default=True, help="Vehicles that something misleads.")
-@click.option("--first", type=click.IntRange(1), metavar="N", help="Only N of the sealed vehicles, by drawn names.")
-@click.option("--hours", type=click.FloatRange(0.0), default=200.0, show_default=True, help="Hours of an ageing run; 0: none.")
+@click.option("--seed", type=SEEDS, default=REPORTED_SEED, show_default=True, help="Seed of all random draws.")
+@click.option("--vehicles", type=whole(0, 10_000), default=60, show_default=True, help="Vehicles whose files are off.")
+@click.option("--hostile", type=whole(0, 10_000), default=40, show_default=True, help="Vehicles that something misleads.")
+@click.option("--first", type=whole(1, 100_000), metavar="N", help="Only N of the sealed vehicles, by drawn names.")
+@click.option("--hours", type=number(0.0, 1e6), default=200.0, show_default=True, help="Hours of an ageing run; 0: none.")
 @into_folder
 @json_option
 def prove_learning_command(
@@ -209,11 +209,11 @@ def prove_loop_command(output: Path, as_json: bool) -> None:
 
 
 @prove_command.command("fleet")
-@click.option("--vehicles", type=click.IntRange(2, 10_000), default=24, show_default=True, help="How many; half of them change.")
-@click.option("--days", type=click.IntRange(3, 3650), default=75, show_default=True, help="Over how many days they drive.")
+@click.option("--vehicles", type=whole(2, 10_000), default=24, show_default=True, help="How many; half of them change.")
+@click.option("--days", type=whole(3, 3650), default=75, show_default=True, help="Over how many days they drive.")
 @click.option("--every", type=number(0.1, 365.0), default=3.0, show_default=True, help="Days between recordings of a vehicle.")
 @click.option("--minutes", type=number(3.0, 600.0), default=10.0, show_default=True, help="Length of a recording.")
-@click.option("--seed", type=click.IntRange(0), default=REPORTED_SEED, show_default=True, help="Seed of all random draws.")
+@click.option("--seed", type=SEEDS, default=REPORTED_SEED, show_default=True, help="Seed of all random draws.")
 @into_folder
 @json_option
 def prove_fleet_command(vehicles: int, days: int, every: float, minutes: float, seed: int, output: Path, as_json: bool) -> None:

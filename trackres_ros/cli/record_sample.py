@@ -10,7 +10,7 @@ from pathlib import Path
 import click
 
 import trackres_ros as tr
-from trackres_ros.cli.common import Command, default_of, emit, json_option, number
+from trackres_ros.cli.common import Command, default_of, emit, json_option, number, whole
 from trackres_ros.cli.written import watch
 
 
@@ -31,7 +31,7 @@ from trackres_ros.cli.written import watch
 )
 @click.option(
     "--laps",
-    type=click.IntRange(1, 1000),
+    type=whole(1, 1000),
     default=default_of(tr.record_sample, "laps"),
     show_default=True,
     help="Laps of a circle of 100 m radius, with a stop after each.",

@@ -10,7 +10,7 @@ from pathlib import Path
 import click
 
 import trackres_ros as tr
-from trackres_ros.cli.common import Command, Commands, default_of, emit, json_option
+from trackres_ros.cli.common import Command, Commands, default_of, emit, json_option, whole
 
 
 @click.group("vehicle", cls=Commands)
@@ -22,7 +22,7 @@ def vehicle_group() -> None:
 @click.argument("file", metavar="FILE|NAME")
 @click.option(
     "--points",
-    type=click.IntRange(10, 100_000),
+    type=whole(10, 100_000),
     default=default_of(tr.check_vehicle, "points"),
     show_default=True,
     help="Random points at which the loss table is held against the exact method.",

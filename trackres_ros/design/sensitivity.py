@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros import checks
 from trackres_ros.design.steady import WARMEST_K, steady
 from trackres_ros.design.sweep import OUTCOMES
 from trackres_ros.design.values import scalars, short
@@ -38,7 +39,7 @@ SURE = 0.95
 RESAMPLES = 200
 MOST_LOST = 0.25  # of the draws: with more of them the ranges do not go together
 MOST_SHOWN = 12
-LEAST_SAMPLES = 8
+LEAST_SAMPLES, MOST_SAMPLES = 8, 1 << 16
 LITTLE = 0.01
 PIECE = 32  # vehicles that a worker takes at a time
 
@@ -179,8 +180,10 @@ def sensitivity(
     MissingExtraError
         SALib is not installed.
     """
-    if samples < LEAST_SAMPLES or samples & (samples - 1):
-        raise InputError("--samples", samples, f"a power of two, {LEAST_SAMPLES} or more")
+    checks.whole(samples, "samples", LEAST_SAMPLES, MOST_SAMPLES)
+    if samples & (samples - 1):
+        raise InputError("samples", samples, "a power of two, as 64 or 128")
+    checks.seed(seed)
     vehicle = load(find_vehicle(file))
     source, air = str(vehicle.source), vehicle.chassis.ambient if ambient is None else ambient
     nominal = _outcomes(variants(vehicle), {}, speed, air)

@@ -27,6 +27,7 @@ from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.estimator.plausible_state import check_effects, check_learned, check_memory, check_state
 from trackres_ros.estimator.state import State
 from trackres_ros.files import own_files
+from trackres_ros.files.jsons import parse_json
 
 FORMAT = "trackres-state"
 VERSION = 6
@@ -210,8 +211,8 @@ def _read(estimator: Estimator, path: Path) -> dict[str, Any]:
     found = SEAL.search(data)
     intact = found is not None and hashlib.sha256(data[: found.start()]).hexdigest().encode() == found.group(1)
     try:
-        content = json.loads(data.decode("utf-8"), parse_constant=_no_constant)
-    except (ValueError, RecursionError) as error:
+        content = parse_json(data)
+    except ValueError as error:
         raise InputError(where, "a damaged file", whole, REMEDY) from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise InputError(where, "another kind of file", f"a file of format {FORMAT}", REMEDY)
@@ -229,7 +230,3 @@ def _read(estimator: Estimator, path: Path) -> dict[str, Any]:
             REMEDY,
         )
     return content
-
-
-def _no_constant(text: str) -> float:
-    raise ValueError(f"{text} in a file that writes it otherwise")

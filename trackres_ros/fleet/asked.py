@@ -9,6 +9,7 @@ import json
 from collections.abc import Mapping
 from pathlib import Path
 
+from trackres_ros.files.jsons import parse_json
 from trackres_ros.files.own_files import read, write
 from trackres_ros.fleet.vehicles import Fleet
 
@@ -26,7 +27,7 @@ def keep(folder: Path, fleet: Fleet) -> None:
 def limits_of(folder: Path, given: Mapping[str, float]) -> dict[str, float]:
     """Those of the last run, and those given instead."""
     try:
-        kept = json.loads(read(folder / FILE, MOST_BYTES))
+        kept = parse_json(read(folder / FILE, MOST_BYTES))
         return {**{str(name): float(value) for name, value in kept["limits"].items()}, **given}
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return dict(given)

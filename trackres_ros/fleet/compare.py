@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 
 from trackres_ros.errors import InputError, nearest
+from trackres_ros.files.jsons import parse_json
 from trackres_ros.files.own_files import read
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.fleet.dataset import ROWS, FleetDataset
@@ -171,7 +171,7 @@ def _of_fleet(folder: Path, vehicle: str, day: str, given: str) -> Side:
 
 def _of_report(path: Path) -> Side:
     try:
-        content = json.loads(read(path, MOST_BYTES))
+        content = parse_json(read(path, MOST_BYTES))
         parameters = dict(content["base"]["refitted"])
         for effect in content["effects"]:
             parameters |= {f"{effect['name']}.{name}": q for name, q in effect["parameters"].items()}
@@ -180,6 +180,8 @@ def _of_report(path: Path) -> Side:
             for name, q in parameters.items()
             if q["ci95"] and None not in q["ci95"]
         ]
+        if not all(std >= 0.0 for *_, std in listed):
+            raise ValueError("an interval that ends before it begins")
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(str(path), f"{type(error).__name__}: {error}", "report.json of trackres diagnose") from None
     return _uncorrelated(str(path.parent), listed)

@@ -11,15 +11,17 @@ from __future__ import annotations
 
 import hashlib
 import io
+import math
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
-from trackres_ros.errors import InputError, MissingExtraError
+from trackres_ros.errors import InputError, MissingExtraError, one_line
 from trackres_ros.files.own_files import PART, write
-from trackres_ros.fleet.task import ENERGIES, NO_DAY
+from trackres_ros.fleet.task import END_OF_DAYS_S, ENERGIES, GOOD, NO_DAY
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -31,6 +33,10 @@ NUMBERS = (
     "start_s", "duration_s", "distance_m", "warmest_degc", *(f"{part}_mj" for part in ENERGIES), "compared_s", "residual_mean",
     "residual_std", "mismatch", "held_out_file", "held_out_refit", "mean_torque", "mean_speed", "mean_weight", "mean_ambient",
     "took_s",
+)  # fmt: skip
+FINITE = (
+    "start_s", "duration_s", "mismatch", "mean_torque", "mean_speed", "mean_weight", "mean_ambient", "compared_s",
+    "residual_mean", "residual_std",
 )  # fmt: skip
 LISTS_OF_TEXT = ("names", "units", "findings", "notes")
 LISTS_OF_NUMBERS = ("nominal", "std", "point", "covariance", "precision", "linear")
@@ -85,7 +91,7 @@ class FleetDataset:
         """
         found: dict[str, Kept] = {}
         for file in sorted(self._files(), key=lambda path: path.stat().st_mtime_ns):
-            row = self._one(file, ["url", "stamp", "inputs", "content", "status"])
+            row = self._whole(file)
             if row is None:
                 file.unlink(missing_ok=True)
                 continue
@@ -114,8 +120,18 @@ class FleetDataset:
 
     def of(self, kept: Kept) -> dict[str, Any]:
         """One whole row."""
-        (row,) = (row for row in self._read([kept.file]))
+        row = self._whole(kept.file)
+        if row is None:
+            raise InputError(str(kept.file), "a damaged row", "one that trackres fleet wrote", "run trackres fleet again")
         return row
+
+    def _whole(self, file: Path) -> dict[str, Any] | None:
+        """The row of a file; None where the file is damaged."""
+        try:
+            rows = self._table([file])
+        except _unreadable():
+            return None
+        return rows[0] if len(rows) == 1 and not unsound(rows[0]) else None
 
     def batches(self, columns: Sequence[str] | None = None) -> Iterator[list[dict[str, Any]]]:
         """All rows, some thousand at a time, with `vehicle` and `day`."""
@@ -124,6 +140,16 @@ class FleetDataset:
             yield self._read(files[first : first + BATCH], columns)
 
     def _read(self, files: Sequence[Path], columns: Sequence[str] | None = None) -> list[dict[str, Any]]:
+        """Rows of files. What a damaged file or row is left out for is a warning."""
+        try:
+            found = self._table(files, columns)
+        except _unreadable() as error:
+            if len(files) > 1:
+                return [row for file in files for row in self._read([file], columns)]
+            return _left_out(str(files[0]), str(error))
+        return [row for row in found if not (why := unsound(row)) or _left_out(row["__filename"], why)]
+
+    def _table(self, files: Sequence[Path], columns: Sequence[str] | None = None) -> list[dict[str, Any]]:
         import pyarrow as pa
         from pyarrow import dataset
 
@@ -135,7 +161,7 @@ class FleetDataset:
             partitioning=dataset.partitioning(of_path, flavor="hive"),
             partition_base_dir=str(self.folder / ROWS),
         )
-        found = rows.to_table(columns=None if columns is None else list(columns)).to_pylist()
+        found = rows.to_table(columns=[*(rows.schema.names if columns is None else columns), "__filename"]).to_pylist()
         return [dict(row) for row in found]
 
     def rows(self, columns: Sequence[str] | None = None) -> list[dict[str, Any]]:
@@ -145,15 +171,40 @@ class FleetDataset:
     def _files(self) -> Iterator[Path]:
         return (self.folder / ROWS).glob(f"vehicle=*/day=*/*{SUFFIX}")
 
-    def _one(self, file: Path, columns: list[str]) -> dict[str, Any] | None:
-        """Of one file some columns; None where it is none of ours."""
-        from pyarrow import ArrowException, parquet
 
-        try:
-            rows = parquet.read_table(file, columns=columns, partitioning=None).to_pylist()
-        except (ArrowException, OSError):
-            return None
-        return dict(rows[0]) if len(rows) == 1 and set(rows[0]) == set(columns) else None
+def unsound(row: Mapping[str, Any]) -> str:
+    """What is wrong with a row, of the columns that were read; empty where nothing is."""
+    for name in ("url", "status", *OF_PATH):
+        if name in row and not isinstance(row[name], str):
+            return f"it has no {name}"
+    if row.get("status") != GOOD:
+        return ""
+    if not all(math.isfinite(row[name] if row[name] is not None else math.nan) for name in FINITE if name in row):
+        return "a number is missing"
+    if not 0.0 <= row.get("start_s", 0.0) < END_OF_DAYS_S:
+        return f"it began at {row['start_s']:g} s"
+    if "names" not in row:
+        return ""
+    count = len(row["names"] or ())
+    upper = count * (count + 1) // 2
+    for name in (name for name in ("names", "units", *LISTS_OF_NUMBERS) if name in row):
+        values = row[name] or ()
+        if not count or len(values) != (upper if name in ("covariance", "precision") else count) or None in values:
+            return f"{name} is not as long as it has to be"
+        if name in LISTS_OF_NUMBERS and not all(map(math.isfinite, values)):
+            return f"{name} is not finite"
+    return ""
+
+
+def _left_out(file: str, why: str) -> list[dict[str, Any]]:
+    warnings.warn(f"{file} is damaged ({one_line(why)}) and left out; trackres fleet makes it anew", stacklevel=2)
+    return []
+
+
+def _unreadable() -> tuple[type[Exception], ...]:
+    from pyarrow import ArrowException
+
+    return ArrowException, OSError, UnicodeDecodeError
 
 
 def _schema() -> pa.Schema:

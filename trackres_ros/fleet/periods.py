@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import shutil
 import tempfile
 import warnings
@@ -20,7 +19,8 @@ from urllib.parse import quote
 import numpy as np
 
 from trackres_ros.errors import InputError, one_line
-from trackres_ros.files.own_files import PART
+from trackres_ros.files.jsons import parse_json
+from trackres_ros.files.own_files import PART, read
 from trackres_ros.fleet.dataset import FleetDataset
 from trackres_ros.fleet.engine import done, engine, why
 from trackres_ros.fleet.task import NO_DAY
@@ -28,6 +28,7 @@ from trackres_ros.fleet.trends import without_overlaps
 from trackres_ros.fleet.vehicles import Fleet, FleetVehicle
 
 DIAGNOSES, INPUTS, REASON = "diagnosis", "inputs.txt", "reason.txt"
+MOST_BYTES = 1 << 26  # of a report
 RECORDINGS = 4  # of a period that are diagnosed: three are fitted, one is held out; evenly over it
 Bar = Callable[[str, float | None], AbstractContextManager[Callable[[float], None]]]
 
@@ -104,22 +105,26 @@ def verdicts(folder: Path) -> dict[str, dict[str, dict[str, str]]]:
         place = inputs.parent
         report = place / "report.json"
         if report.is_file():
-            verdict = json.loads(report.read_text(encoding="utf-8"))["verdict"]
             page = place / "report.html"
-            told = {
-                "status": verdict["status"],
-                "text": verdict["sentence"],
-                "page": page.relative_to(folder).as_posix() if page.is_file() else "",
-            }
+            told = {**_verdict(report), "page": page.relative_to(folder).as_posix() if page.is_file() else ""}
         else:
-            told = {"status": "refused", "text": (place / REASON).read_text(encoding="utf-8"), "page": ""}
+            told = {"status": "refused", "text": (place / REASON).read_text(encoding="utf-8", errors="replace"), "page": ""}
         found.setdefault(place.parent.name, {})[place.name] = told
     return found
 
 
+def _verdict(report: Path) -> dict[str, str]:
+    try:
+        verdict = parse_json(read(report, MOST_BYTES))["verdict"]
+        return {"status": str(verdict["status"]), "text": str(verdict["sentence"])}
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        text = f"{report} is damaged ({type(error).__name__}: {error}); without {report.parent} it is diagnosed again"
+        return {"status": "refused", "text": text}
+
+
 def _is_kept(folder: Path, period: Period) -> bool:
     file = folder / DIAGNOSES / period.place / INPUTS
-    return file.is_file() and file.read_text(encoding="utf-8") == period.inputs
+    return file.is_file() and file.read_bytes() == period.inputs.encode()
 
 
 def _put(folder: Path, period: Period, files: Mapping[str, bytes]) -> None:

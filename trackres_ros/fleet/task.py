@@ -27,6 +27,7 @@ ROW_VERSION = 1  # raised with any change of what a row holds or how it is compu
 GOOD, BROKEN, SAME = "good", "broken", "same"
 AGAIN = "again"  # instead of a digest of what a row hangs on: what failed may be otherwise the next time
 NO_VEHICLE = NO_DAY = "none"
+END_OF_DAYS_S = 253402300800.0  # the year 10000, which dates do not reach
 ENERGIES = ("resistance", "hysteresis", "bearing", "wind", "effects", "drive")
 MEGA = 1e-6
 
@@ -135,7 +136,7 @@ def _column(part: str) -> str:
 
 def _day(start_s: float) -> str:
     """The day it began [UTC]; `NO_DAY` where its clock does not say."""
-    return datetime.fromtimestamp(start_s, UTC).strftime("%Y-%m-%d") if start_s > 86400.0 * 365.0 else NO_DAY
+    return datetime.fromtimestamp(start_s, UTC).strftime("%Y-%m-%d") if 86400.0 * 365.0 < start_s < END_OF_DAYS_S else NO_DAY
 
 
 @contextmanager

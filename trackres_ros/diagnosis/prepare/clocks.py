@@ -52,12 +52,10 @@ def on_one_clock(recording: Recording) -> tuple[Recording, list[str]]:
     """
     series = {role: _set(samples) if recording.zero_is_unset else samples for role, samples in recording.series.items()}
     torques = [role for role in series if base_role(role) == "torque"]
-    several = len(recording.paths) > 1  # bags, which may be given in any order
-    for role in ("speed", *torques):
-        _refuse_set_back(f"{recording.name}: {role}", series[role], several)
+    notes = [note for role in ("speed", *torques) if (note := _set_back(f"{recording.name}: {role}", series[role]))]
     start = recording.start_ns
     at, speed = ordered(series["speed"], start)
-    notes = _pauses(recording.name, at)
+    notes += _pauses(recording.name, at)
     moved: set[int] = set()
     for role in (*torques, *(role for role in series if role not in torques and role != "speed")):
         its = ordered(series[role], start)
@@ -87,15 +85,15 @@ def on_one_clock(recording: Recording) -> tuple[Recording, list[str]]:
     return replace(recording, series=series), notes
 
 
-def _refuse_set_back(where: str, series: Series, several: bool) -> None:
-    """Refuse a clock that goes back, unless parts that do not overlap were given in another order."""
+def _set_back(where: str, series: Series) -> str:
+    """Refuse a clock that goes back. Parts that do not overlap may be in another order; then this says so."""
     stamps = series.stamp_ns[np.isfinite(series.value)]
     back = np.flatnonzero(np.diff(stamps) < -SET_BACK_S * SECOND_NS)
     if not len(back):
-        return
+        return ""
     parts = sorted((int(part.min()), int(part.max())) for part in np.split(stamps, back + 1))
-    if several and all(begin >= end for (_, end), (begin, _) in pairwise(parts)):
-        return
+    if all(begin >= end for (_, end), (begin, _) in pairwise(parts)):
+        return f"{where}: {len(parts)} parts that are not in the order of their times; they were sorted by them"
     by, after = (stamps[back[0]] - stamps[back[0] + 1]) / SECOND_NS, (stamps[back[0]] - stamps[0]) / SECOND_NS
     raise InputError(
         where,

@@ -229,7 +229,7 @@ def _by_grade(r: dict[str, Any]) -> tuple[list[dict[str, Any]], list[dict[str, A
 
 
 def _is_sure(term: dict[str, Any], r: dict[str, Any]) -> bool:
-    return (term.get("grade") or r["verdict"].get("grade")) == "confirmed"
+    return bool((term.get("grade") or r["verdict"].get("grade")) == "confirmed")
 
 
 def _names(r: dict[str, Any]) -> str:

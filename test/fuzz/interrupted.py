@@ -1,0 +1,51 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Makes a call of the command line in a process of its own and interrupts it: long enough to see whether it is refused."""
+
+import json
+import os
+import resource
+import select
+import signal
+import traceback
+import warnings
+
+HANGS_S = 60.0
+MOST_BYTES = 16 << 30  # of the address space, of which libraries take some
+
+
+def interrupted(trackres, call, folder, longest_s, environment=None):
+    """Exit code and standard error of a call, made in a fork and interrupted after a while, as by Ctrl-C."""
+
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    read, write = os.pipe()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # a fork of a process that has threads, of pytest's own
+        child = os.fork()
+    if child == 0:
+        found = [130, ""]
+        try:
+            resource.setrlimit(resource.RLIMIT_AS, (MOST_BYTES, MOST_BYTES))
+            os.environ.update(environment or {})
+            signal.signal(signal.SIGALRM, interrupt)
+            signal.setitimer(signal.ITIMER_REAL, longest_s, longest_s)
+            done = trackres(*call, cwd=folder)
+            found = [done.returncode, done.stderr]
+        except KeyboardInterrupt:  # in the moment in which the command ends or begins
+            pass
+        except BaseException:
+            found = [1, traceback.format_exc()]
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+            os.write(write, json.dumps(found).encode()[-60_000:])
+            os._exit(0)
+    os.close(write)
+    with os.fdopen(read) as said:
+        if not select.select([said], [], [], HANGS_S)[0]:
+            os.kill(child, signal.SIGKILL)
+        found = said.read()
+    os.waitpid(child, 0)
+    return json.loads(found) if found.startswith("[") else (1, found or "it hangs")

@@ -1,0 +1,161 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Every file that the program makes for itself and reads again, damaged: it is read, or one line says why not."""
+
+from __future__ import annotations
+
+import json
+import os
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pyarrow")
+
+from fleet_rows import row
+from mutator import mutations
+
+from trackres_ros.errors import InputError
+from trackres_ros.files.jsons import parse_json
+from trackres_ros.files.resources import config_dir
+from trackres_ros.fleet.asked import limits_of
+from trackres_ros.fleet.compare import compare, compare_text
+from trackres_ros.fleet.dataset import FleetDataset
+from trackres_ros.fleet.periods import DIAGNOSES, INPUTS, verdicts
+from trackres_ros.fleet.trends import sentences, trends
+from trackres_ros.fleet.vehicles import read_fleet
+from trackres_ros.offline.profile import read_profile
+from trackres_ros.route.table import read_route
+from trackres_ros.vehicle.loading import read_rubber_sweep
+
+MUTATIONS = int(os.environ.get("OWN_MUTATIONS", "40"))  # more of them by hand
+DAMAGED = [b"", b"\0" * 100, b"[" * 100_000, b"{" * 100_000, b"null", b"1e999", b"9" * 5000, b"PAR1PAR1", b"\xff\xfe\x00"]
+ROUTE = "latitude_deg,longitude_deg,course_deg,slope,std,passes\n" + "".join(
+    f"{47.0 + 1e-4 * i:.7f},8.0000000,0.0,0.01,0.002,3\n" for i in range(20)
+)
+FLEET = "vehicles: {truck-01: {file: xgd24d, limits: {bearing_friction: 0.012}, recordings: ['*01*']}}\n"
+PROFILE = "time_s,speed_kmh,weight_n,ambient_degc\n" + "".join(f"{i},{min(i, 30)},240000,15\n" for i in range(60))
+
+
+@pytest.fixture
+def results(tmp_path):
+    """The folder of a fleet with six rows, limits and a report."""
+    dataset = FleetDataset(tmp_path / "results")
+    for number in range(6):
+        dataset.put(row(number), None)
+    (tmp_path / "results" / "fleet.json").write_text(json.dumps({"limits": {"bearing_friction": 0.012}}))
+    period = tmp_path / "results" / DIAGNOSES / "truck-01" / "2026-03"
+    period.mkdir(parents=True)
+    (period / INPUTS).write_text("x")
+    (period / "report.json").write_text(json.dumps(REPORT))
+    return tmp_path / "results"
+
+
+REPORT = {
+    "verdict": {"status": "none", "sentence": "No mismatch"}, "effects": [],
+    "base": {"refitted": {"bearing_friction": {"value": 0.01, "unit": "1", "ci95": [0.009, 0.011]}}},
+}  # fmt: skip
+
+
+def of_rows(folder: Path) -> object:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # a damaged row is left out with a warning
+        found = trends(FleetDataset.existing(folder), limits_of(folder, {}))
+    json.dumps(found, allow_nan=False)
+    return sentences(found)
+
+
+def of_report(folder: Path) -> object:
+    report = folder / DIAGNOSES / "truck-01" / "2026-03"
+    found = compare(str(report), str(report))
+    json.dumps(found, allow_nan=False)
+    return compare_text(found), verdicts(folder)
+
+
+KINDS: dict[str, tuple[str, Callable[[Path], object]]] = {
+    "row": ("rows/*/*/*.parquet", of_rows),
+    "limits": ("fleet.json", of_rows),
+    "report": (f"{DIAGNOSES}/*/*/report.json", of_report),
+}
+
+
+FILES: dict[str, tuple[str, bytes, Callable[[Path], object]]] = {
+    "route": ("route.csv", ROUTE.encode(), read_route),
+    "rubber": ("rubber.csv", (config_dir() / "rubber" / "nr_sbr_10hz.csv").read_bytes(), read_rubber_sweep),
+    "fleet": ("fleet.yaml", FLEET.encode(), read_fleet),
+    "profile": ("profile.csv", PROFILE.encode(), read_profile),
+}
+"""What reads it, and one that is right; vehicle files and the like are in test_yaml, DMA sweeps in test/compound."""
+
+
+def taken(read: Callable[[Path], object], folder: Path) -> str:
+    try:
+        read(folder)
+    except InputError as refused:
+        return "refused" if str(refused).isprintable() else str(refused)
+    return "read"
+
+
+def spoil(results: Path, kind: str, count: int) -> set[str]:
+    """Read a kind of file as it is damaged in so many ways."""
+    pattern, read = KINDS[kind]
+    file = sorted(results.glob(pattern))[0]
+    right = file.read_bytes()
+    assert taken(read, results) == "read"
+    outcomes = set()
+    for damaged in [*DAMAGED, *mutations(right, count, seed=1)]:
+        file.write_bytes(damaged)
+        outcomes.add(taken(read, results))
+    return outcomes
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_damaged_file_of_ours_ends_in_one_line(results, kind):
+    assert spoil(results, kind, MUTATIONS) <= {"read", "refused"}
+
+
+@pytest.mark.parametrize("kind", FILES)
+def test_a_damaged_file_of_the_user_ends_in_one_line(tmp_path, kind):
+    name, right, read = FILES[kind]
+    path = tmp_path / name
+    outcomes = []
+    for damaged in [right, *DAMAGED, *mutations(right, 5 * MUTATIONS, seed=2)]:
+        path.write_bytes(damaged)
+        outcomes.append(taken(read, path))
+    assert outcomes[0] == "read"
+    assert set(outcomes) == {"read", "refused"}
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [{"start_s": np.nan}, {"start_s": np.inf}, {"start_s": 1e18}, {"start_s": -1.0}, {"start_s": None}, {"names": ["one"]},
+     {"names": None}, {"precision": [1.0]}, {"linear": [np.nan, 0.0]}, {"mismatch": np.inf}, {"url": None}],
+    ids=str,
+)  # fmt: skip
+def test_a_row_with_a_wrong_value_is_left_out_and_named(results, trackres, changed):
+    dataset = FleetDataset(results)
+    bad = dataset.put({**row(9), **{k: v for k, v in changed.items() if k != "url"}}, None)
+    if "url" in changed:
+        import pyarrow.parquet as parquet
+
+        table = parquet.read_table(bad, partitioning=None)
+        parquet.write_table(table.set_column(0, "url", [[None]]), bad)
+    for words in (("trend", results), ("compare", results, results)):
+        done = trackres(*words)
+        assert done.returncode == 0
+        assert str(bad) in done.stderr
+        assert "left out; trackres fleet makes it anew" in done.stderr
+    assert "6 of 6 recordings" in trackres("trend", results).stdout
+    assert bad not in {kept.file for kept in dataset.index().values()}
+    assert not bad.exists()
+
+
+def test_json_holds_finite_numbers_of_bounded_size():
+    assert parse_json(b'{"a": [1, 2.5, -3e2, null, true]}') == {"a": [1, 2.5, -300.0, None, True]}
+    for text in [*DAMAGED[2:4], b"NaN", b"-Infinity", b"1e999", b"9" * 400, b"\xff"]:
+        with pytest.raises(ValueError, match=r"\S"):
+            parse_json(text)

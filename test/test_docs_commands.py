@@ -1,0 +1,169 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Every command that a page shows is taken: it runs, in a folder with the files that it names, until it ends or is interrupted.
+
+The pages of first steps and the examples are run to their end by other tests.
+"""
+
+import re
+import shlex
+import shutil
+from itertools import pairwise
+from pathlib import Path
+
+import click
+import numpy as np
+import pytest
+import yaml
+from fleet_rows import row
+from interrupted import interrupted
+
+import trackres_ros as tr
+from trackres_ros.cli.main import cli
+from trackres_ros.files.resources import config_dir
+from trackres_ros.fleet.dataset import FleetDataset
+from trackres_ros.node.parameters import make_parameters
+from trackres_ros.recording.bindings import Topics
+
+ROOT = Path(__file__).resolve().parents[1]
+pytest.importorskip("distributed")
+pytest.importorskip("rosbags")
+
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+SHOWN = re.compile(r"`((?:trackres|ros2) [^`\n]+)`|^\s*((?:trackres|ros2) [^`|\n]+)$", re.MULTILINE)
+BINDING = re.compile(r"^ +(\w+: \{topic: .*\})$", re.MULTILINE)
+RUN_ELSEWHERE = ("first-controller", "first-designer", "first-tester", "own-effect")
+LONGEST_S = 1.0
+ELSEWHERE = ("s3://", "tcp://", "CHECKOUT")
+"""What only another machine or an earlier version has."""
+
+
+def shown():
+    """Page and command of all that pages show; a comment behind it is not part of it."""
+    for page in PAGES:
+        for match in SHOWN.finditer(page.read_text(encoding="utf-8")):
+            words = shlex.split((match[1] or match[2]).strip(), comments=True)
+            if words[-1] != "..." and not any(word[-1:] == "=" for word in words):
+                yield page.stem, words
+
+
+def is_whole(words):
+    """Whether a person may type a command as it stands; else a page only mentions it."""
+    command, path, rest = command_of(words)
+    if path == ["live"] and "--vehicle" not in rest:  # it may stand in a parameter file
+        return False
+    try:
+        command.make_context(" ".join(path), list(rest))
+    except (click.MissingParameter, click.BadOptionUsage):  # `replay -o` is a mention
+        return False
+    return not any(part in word for word in words for part in ELSEWHERE)
+
+
+def command_of(words):
+    """The click command of words, its path, and the words behind."""
+    command, path = cli, []
+    for word in words[1:]:
+        if not isinstance(command, click.Group) or word not in command.commands:
+            break
+        command = command.commands[word]
+        path.append(word)
+    if isinstance(command, click.Group) and "run" in command.commands:  # `fleet` is short for `fleet run`
+        command = command.commands["run"]
+    return command, path, words[1 + len(path) :]
+
+
+COMMANDS = sorted({tuple(words) for _, words in shown() if words[0] == "trackres" and len(words) > 1})
+RUN_HERE = {tuple(words) for page, words in shown() if page not in RUN_ELSEWHERE}
+
+
+@pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
+def test_each_option_shown_is_one_of_its_command(words):
+    command, path, rest = command_of(words)
+    assert path, words
+    known = {name for parameter in command.params for name in (*parameter.opts, *parameter.secondary_opts)} | {"--help"}
+    assert {word.split("=")[0] for word in rest if re.match(r"--?[a-z]", word)} <= known
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """A folder with a file of each name that pages use."""
+    folder = tmp_path_factory.mktemp("files")
+    for name in ("my_vehicle", "mine", "my", "bus", "my_design", "report/vehicle", "compound/sweep"):
+        path = folder / f"{name}.yaml"
+        path.parent.mkdir(exist_ok=True)
+        text = (config_dir() / "xgd24d.yaml").read_text(encoding="utf-8")
+        path.write_text(text.replace("rubber/nr", f"{config_dir()}/rubber/nr"), encoding="utf-8")
+    shutil.copy(folder / "mine.yaml", folder / "FILE")
+    (folder / "report" / "surroundings.yaml").write_text("schema: 1\nvehicle: xgd24d\neffects: {grade: {grade: 0.01}}\n")
+    shutil.copy(config_dir() / "topics" / "sample.yaml", folder / "topics.yaml")
+    shutil.copy(config_dir() / "trackres.yaml", folder / "P.yaml")
+    for name in ("sweep.csv", "sweep.txt"):
+        shutil.copy(config_dir() / "rubber" / "nr_sbr_10hz.csv", folder / name)
+    shutil.copytree(config_dir(), folder / "config")
+    time = np.arange(0.0, 400.0, 0.1)
+    speed = 3.0 + 2.0 * np.sin(time / 15.0)
+    torque = 1500.0 + 30.0 * np.random.default_rng(1).standard_normal(len(time))
+    rows = "".join(f"{t:.1f},{v:.4f},{q:.1f}\n" for t, v, q in zip(time, speed, torque, strict=True))
+    for name in ("drive.csv", "roll_1.csv", "roll_2.csv"):
+        (folder / name).write_text("time_s,speed_mps,torque_nm\n" + rows)
+    (folder / "tour.csv").write_text(
+        "time_s,speed_mps\n" + "".join(f"{t:.1f},{v:.4f}\n" for t, v in zip(time, speed, strict=True))
+    )
+    for number in (1, 2):
+        (folder / "try" / "recordings").mkdir(parents=True, exist_ok=True)
+        shutil.copy(folder / "drive.csv", folder / "try" / "recordings" / f"{number}.csv")
+    (folder / "try" / "fleet.yaml").write_text("vehicles: {truck-03: xgd24d}\n")
+    for month in ("2025-06", "2025-08"):
+        for number in range(3):
+            FleetDataset(folder / "results").put(row(number, "truck-03", month), None)
+    tr.record_sample(folder / "lap.mcap", laps=1)
+    for name in ("drive", "day1", "day2", "monday", "tuesday", "wednesday", "out"):
+        shutil.copy(folder / "lap.mcap", folder / f"{name}.mcap")
+    return folder
+
+
+NEW = {("vehicle", "new"), ("reproduce",), ("prove",), ("fleet", "sample")}
+"""What makes its files itself, and wants no others in its folder."""
+NO_TORQUE = "a measured torque"  # a sample recording has none: so far a diagnosis of one comes
+
+
+@pytest.mark.parametrize("words", [words for words in COMMANDS if words in RUN_HERE and is_whole(words)], ids=" ".join)
+def test_a_command_shown_is_not_refused(words, files, trackres, tmp_path):
+    _, path, _ = command_of(words)
+    if path[0] in ("live", "play"):
+        peer = pytest.importorskip("peer")
+        pytest.importorskip("cyclonedds")
+    folder = tmp_path
+    (folder / "docs").mkdir()
+    if not any(tuple(path[: len(new)]) == new for new in NEW):
+        folder = tmp_path / "files"
+        shutil.copytree(files, folder)
+    environment = {"XDG_STATE_HOME": str(tmp_path / "state")}
+    if path[0] in ("live", "play"):
+        environment |= {"CYCLONEDDS_URI": peer.LOOPBACK, "ROS_DOMAIN_ID": str(peer.domain_of_worker(73))}
+    code, said = interrupted(trackres, words[1:], folder, LONGEST_S, environment)
+    assert code in (0, 130) or (path[0] == "diagnose" and NO_TORQUE in said), said
+
+
+def test_each_parameter_of_a_command_of_ros_is_one_of_the_node():
+    launch = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "launch").glob("*.py"))
+    named = set()
+    for _, words in shown():
+        parameters = {}
+        for before, word in pairwise(words):
+            name, is_parameter, value = word.partition(":=")
+            if is_parameter and words[:2] == ["ros2", "launch"]:
+                assert f'"{name}"' in launch, words
+            elif is_parameter and before == "-p":
+                parameters[name] = yaml.safe_load(value)
+        make_parameters(parameters)
+        named |= parameters.keys()
+    assert {"vehicle", "learning"} <= named
+
+
+def test_each_binding_of_a_topic_shown_is_read():
+    found = [line for page in PAGES for line in BINDING.findall(page.read_text(encoding="utf-8"))]
+    assert len(found) > 3
+    for line in found:
+        assert len(Topics.parse(yaml.safe_load(line), "a page")) >= 1

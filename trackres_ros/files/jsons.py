@@ -1,0 +1,39 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Reads all JSON: whatever a file holds, it is plain data with finite numbers, or a `ValueError` says why not."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+MOST_DIGITS = 300  # of a whole number: a longer one fits into no float
+
+
+def parse_json(data: bytes | str) -> Any:
+    """Plain data of JSON in UTF-8.
+
+    Raises
+    ------
+    ValueError
+        If it is no JSON, has a number that is not finite, or nests too deep.
+    """
+    try:
+        return json.loads(data, parse_constant=_finite, parse_float=_finite, parse_int=_whole)
+    except RecursionError:
+        raise ValueError("lists and mappings in each other without end") from None
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"{text[:20]} is no finite number")
+    return value
+
+
+def _whole(text: str) -> int:
+    if len(text) > MOST_DIGITS:
+        raise ValueError(f"a number of {len(text)} digits")
+    return int(text)
