@@ -5,10 +5,12 @@
 
 from __future__ import annotations
 
+import copy
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +36,7 @@ from trackres_ros.estimator.records import Carried, Series
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.model.thermal import thermal_network
 from trackres_ros.model.vehicle_constants import vehicle_constants
-from trackres_ros.vehicle import Vehicle
+from trackres_ros.vehicle import Vehicle, load
 from trackres_ros.vehicle.reading import FITTED
 from trackres_ros.vehicle.schema import BELT, CHASSIS, RUBBER
 
@@ -87,7 +89,7 @@ class TrackBase:
             q, limit, (low, high) = vehicle.parameters[path], limits[name], PLAUSIBLE[name]
             assert isinstance(q.value, float)
             low, high = max(limit.low, min(low, 0.2 * q.low)), min(limit.high, max(high, 3.0 * q.high))
-            return BaseParameter(name, q.unit, q.value, q.standard_deviation, low, high)
+            return BaseParameter(name, q.unit, q.value, q.standard_deviation, low, high, (q.low, q.high))
 
         film, capacity = vehicle.parameters[f"tracks.{first.name}.belt.film_offset"], vehicle.parameters["rubber.heat_capacity"]
         assert isinstance(film.value, float)
@@ -95,18 +97,37 @@ class TrackBase:
         share = rubber_share(vehicle)
         learned = capacity.flag == FITTED
         capacity_std = share * capacity.standard_deviation / capacity.value if learned else CAPACITY_STD
+        film_std = film.standard_deviation / film.value
         self.parameters: tuple[BaseParameter, ...] = (
             known(LOSS, "rubber.loss_modulus_scale"),
             known(BEARING, "chassis.bearing_friction"),
             known(DRAG, "chassis.drag_coefficient"),
-            BaseParameter(FILM, "1", 1.0, film.standard_deviation / film.value, *_film_factors(vehicle)),
-            BaseParameter(CAPACITY, "1", 1.0, capacity_std, *_capacity_factors(capacity.value, share)),
+            BaseParameter(FILM, "1", 1.0, film_std, *_film_factors(vehicle), _film_by_file(vehicle)),
+            BaseParameter(
+                CAPACITY,
+                "1",
+                1.0,
+                capacity_std,
+                *_capacity_factors(capacity.value, share),
+                _capacity_scales((capacity.low, capacity.high), capacity.value, share),
+            ),
         )
         if vehicle.thermal == "core_surface":
             # Two nodes stand for a belt in which the temperature changes throughout: where they are to be is not known well.
             of_surface = known(SURFACE_SHARE, f"tracks.{first.name}.belt.surface_share")
             of_surface = replace(of_surface, high=min(of_surface.high, MOST_AT_SURFACE))
             self.parameters += (known(CONDUCTIVITY, "rubber.conductivity"), of_surface)
+
+    @property
+    def alone(self) -> TrackBase:
+        """See `base.Base`."""
+        return TrackBase(replace(self.vehicle, surroundings=(), route=())) if self.vehicle.surroundings else self
+
+    def inside_ranges(self, free: Collection[str]) -> TrackBase:
+        """See `base.Base`."""
+        found = copy.copy(self)
+        found.parameters = tuple(q if q.name in free else q.inside() for q in self.parameters)
+        return found
 
     def predict(self, sessions: Sequence[Session], values: Values, effects: Sequence[Active]) -> list[Predicted]:
         """See `base.Base`."""
@@ -154,6 +175,14 @@ class TrackBase:
             else:
                 found.append(rows)
         return found
+
+    def as_written(self, values: Values) -> TrackBase:
+        """See `base.Base`."""
+        now = self.vehicle
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / "vehicle.yaml"
+            self.write(path, Kept(values, (), {}), "")
+            return TrackBase(replace(load(path), effects=now.effects, surroundings=now.surroundings, route=now.route))
 
     def write(self, path: Path, kept: Kept, text: str) -> list[Path]:
         """See `base.Base`."""
@@ -211,8 +240,26 @@ def _film_factors(vehicle: Vehicle) -> tuple[float, float]:
     return low, high
 
 
+def _film_by_file(vehicle: Vehicle) -> tuple[float, float]:
+    """The factors with which every film value stays inside its range of the vehicle file."""
+    low, high = 0.0, np.inf
+    for name in vehicle.tracks:
+        for key in ("film_offset", "film_slope"):
+            q = vehicle.parameters[f"tracks.{name}.belt.{key}"]
+            assert isinstance(q.value, float)
+            if q.value > 0.0:
+                low, high = max(low, q.low / q.value), min(high, q.high / q.value)
+    return low, high
+
+
 def _capacity_factors(heat_capacity: float, share: float) -> tuple[float, float]:
     """The same for the heat that a belt holds, of which the rubber has a share."""
     (low, high), limit = PLAUSIBLE_CAPACITY, RUBBER["heat_capacity"]
-    least, most = (1.0 + share * (end / heat_capacity - 1.0) for end in (limit.low, limit.high))
+    least, most = _capacity_scales((limit.low, limit.high), heat_capacity, share)
     return max(low, least), min(high, most)
+
+
+def _capacity_scales(ends: tuple[float, float], heat_capacity: float, share: float) -> tuple[float, float]:
+    """Factors on the heat that a belt holds, of which the rubber has a share, for two heat capacities of the rubber."""
+    low, high = (1.0 + share * (end / heat_capacity - 1.0) for end in ends)
+    return low, high
