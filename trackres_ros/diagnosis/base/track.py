@@ -9,6 +9,7 @@ import copy
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -34,6 +35,7 @@ from trackres_ros.estimator.entry_points import COMPILED
 from trackres_ros.estimator.kernel import PREDICTED, PREDICTED_BELT, PREDICTED_DRIVE, PREDICTED_OUTCOME, PREDICTED_SKIN
 from trackres_ros.estimator.records import Carried, Series
 from trackres_ros.estimator.settings import Settings
+from trackres_ros.model.loss_table import loss_table
 from trackres_ros.model.thermal import thermal_network
 from trackres_ros.model.vehicle_constants import vehicle_constants
 from trackres_ros.vehicle import Vehicle, load
@@ -55,6 +57,7 @@ PLAUSIBLE = {
     SURFACE_SHARE: (0.02, MOST_AT_SURFACE),
 }
 PLAUSIBLE_FILM, PLAUSIBLE_CAPACITY = (0.2, 5.0), (0.3, 3.0)  # factors on the file's
+LESS_LOSS = 0.8  # times the scale of the loss modulus of the file: from there its powers are taken
 CAPACITY_STD = 0.15  # relative: thickness, section of lugs and specific heat of the file's ranges together
 
 
@@ -184,6 +187,16 @@ class TrackBase:
             self.write(path, Kept(values, (), {}), "")
             return TrackBase(replace(load(path), effects=now.effects, surroundings=now.surroundings, route=now.route))
 
+    @cached_property
+    def _loss_power(self) -> Array:
+        """By which power of the scale of the loss modulus each value of the loss table grows: what loses more is stiffer too,
+        and the wheels sink in less.
+        """
+        now = self.vehicle.rubber
+        less = replace(self.vehicle, rubber=replace(now, loss_modulus_scale=LESS_LOSS * now.loss_modulus_scale))
+        then = np.stack([loss_table(less, name).loss for name in less.tracks])
+        return np.asarray(np.log(then / self._constants.loss) / math.log(LESS_LOSS))
+
     def write(self, path: Path, kept: Kept, text: str) -> list[Path]:
         """See `base.Base`."""
         return write_track_vehicle(self.vehicle, path, kept, text)
@@ -212,7 +225,7 @@ class TrackBase:
         return k._replace(
             number=number,
             assembly=assembly,
-            loss=loss * k.loss,
+            loss=k.loss * loss**self._loss_power,
             drive=loss * k.drive,
             effects=acting.table.rows,
             effect_values=acting.table.values,
