@@ -15,7 +15,7 @@ from click.testing import CliRunner
 from trackres_ros.cli.main import cli
 from trackres_ros.diagnosis import load_base
 from trackres_ros.diagnosis.base.base import BaseParameter
-from trackres_ros.diagnosis.base.instrument import most_offset
+from trackres_ros.diagnosis.base.instrument import usual_offset
 from trackres_ros.diagnosis.base.watched import WATCHED
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.inference.levels import with_levels
@@ -225,7 +225,7 @@ def resting(session, torque, seconds):
 
 @pytest.mark.parametrize(
     ("reading", "seconds", "contradicted"),
-    [(0.0, 200.0, True), (-30.0, 200.0, True), (150.0, 200.0, False), (-150.0, 200.0, False), (0.0, LEAST_S - 5.0, False)],
+    [(0.0, 200.0, True), (-10.0, 200.0, True), (60.0, 200.0, False), (-150.0, 200.0, False), (0.0, LEAST_S - 5.0, False)],
 )
 def test_a_sensor_that_reads_none_at_rest_for_long_has_no_offset(loaded, effects, reading, seconds, contradicted):
     (session,) = drives(loaded.base, 10.0, 1, 6.0, np.random.default_rng(1), step=1.0)
@@ -236,13 +236,20 @@ def test_a_sensor_that_reads_none_at_rest_for_long_has_no_offset(loaded, effects
     assert effects.keys() - may_be_found.keys() <= {"torque_offset"}
 
 
+def test_stops_at_which_the_vehicle_is_held_on_a_slope_hide_no_others(loaded, effects):
+    (session,) = drives(loaded.base, 10.0, 1, 12.0, np.random.default_rng(1), step=1.0)
+    stopped = [resting(session, torque, 200.0) for torque in (0.0, 900.0, -900.0)]
+    assert seconds_without_torque(stopped, 15.0) == pytest.approx(200.0, abs=5.0)
+    assert not seconds_without_torque(stopped[1:], 15.0)
+
+
 def test_where_no_torque_is_measured_at_rest_nothing_is_known_of_an_offset(loaded):
     (session,) = drives(loaded.base, 10.0, 1, 6.0, np.random.default_rng(1), step=1.0)
     stood = resting(session, 0.0, 200.0)
     only_driven = Course.of(stood.time[200:] + 0.5, stood.torque[200:])
-    assert seconds_without_torque([stood], most_offset(loaded.base)) > 190.0
+    assert seconds_without_torque([stood], usual_offset(loaded.base)) > 190.0
     for course in (only_driven, None):
-        assert not seconds_without_torque([replace(stood, torque_course=course)], most_offset(loaded.base))
+        assert not seconds_without_torque([replace(stood, torque_course=course)], usual_offset(loaded.base))
 
 
 # The law, through the public command

@@ -177,7 +177,7 @@ def test_what_laps_refuted_is_told_and_then_the_unexplained_is_refuted(left):
 
 def test_what_takes_the_place_of_what_the_vehicle_has_is_told_with_what_it_takes():
     sentence = said(refuted=[Graded("torque_offset", BETTER, (), ("rolling_coefficient",))]).sentence
-    assert "beside it a value of the file goes to a bound of what is possible: torque_offset (rolling_coefficient)." in sentence
+    assert "beside it a value of the file goes to the end of its range: torque_offset (rolling_coefficient)." in sentence
     assert "makes the others worse" not in sentence
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.base import Base
-from trackres_ros.diagnosis.base.instrument import most_offset
+from trackres_ros.diagnosis.base.instrument import usual_offset
 from trackres_ros.diagnosis.base.loading import LoadedBase
 from trackres_ros.diagnosis.base.watched import ByPlace
 from trackres_ros.diagnosis.described.describe import Term, drift
@@ -376,7 +376,8 @@ def to_watch(terms: Sequence[Term], drifts: bool, final: Fit, expected: Sequence
 
 def without_an_offset(gated: Gated, base: Base, effects: Mapping[str, Effect]) -> tuple[Gated, dict[str, Effect]]:
     """The effects that may be found: no offset of a torque sensor that reads none at rest for long; and a note that says so."""
-    seconds = seconds_without_torque(gated.sessions, most_offset(base))
+    none = usual_offset(base)
+    seconds = seconds_without_torque(gated.sessions, none)
     if not seconds or TorqueOffset.name not in effects:
         return gated, dict(effects)
     note = (

@@ -328,7 +328,7 @@ def _refuted(refuted: Sequence[Graded]) -> str:
     unsure = ", ".join(g.name for g in refuted if g.grade != REFUTED)
     return " ".join(
         ([f"Refuted, as it fits the laps that were used and makes the others worse: {worse}."] if worse else [])
-        + ([f"Left out, as beside it a value of the file goes to a bound of what is possible: {instead}."] if instead else [])
+        + ([f"Left out, as beside it a value of the file goes to the end of its range: {instead}."] if instead else [])
         + ([f"Not confirmed beside it, and left out: {unsure}."] if unsure else [])
     )
 

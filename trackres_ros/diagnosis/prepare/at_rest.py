@@ -12,27 +12,29 @@ import numpy as np
 from trackres_ros.diagnosis.prepare.session import Session
 from trackres_ros.units import STANDSTILL_MPS
 
-LEAST_S = 60.0  # of rest in all
+LEAST_S = 60.0  # of stops in which it reads none
 
 
 def seconds_without_torque(sessions: Sequence[Session], most: float) -> float:
-    """How long the vehicles rest with a measured torque of none [s]; 0 where that is too short to tell, or a torque is shown.
+    """How long in all the vehicle rests with a measured torque of none [s]; 0 where that is too short to tell.
 
-    A step rests if the steps before and after it rest too, so that nothing of a start or a stop is in it.
+    A stop counts if the median of its readings is none: at others the vehicle may be held on a slope, or be about to start.
 
     Parameters
     ----------
     most
-        Torque that is taken for none [Nm]: the median at rest lies within it.
+        Torque that is taken for none [Nm].
     """
-    found, seconds = list[float](), 0.0
+    seconds = 0.0
     for session in sessions:
         slow = np.abs(session.speed) < STANDSTILL_MPS
-        rests = slow & np.roll(slow, 1) & np.roll(slow, -1) & _measured(session)
+        rests = slow & np.roll(slow, 1) & np.roll(slow, -1) & _measured(session)  # nothing of a start is in a step between
         rests[[0, -1]] = False
-        found += session.torque[rests].tolist()
-        seconds += session.step * float(rests.sum())
-    return seconds if seconds >= LEAST_S and abs(float(np.median(found))) <= most else 0.0
+        ends = np.flatnonzero(np.diff(rests.astype(np.int8)))
+        for begin, end in ends.reshape(-1, 2) + 1:
+            if abs(float(np.median(session.torque[begin:end]))) <= most:
+                seconds += session.step * float(end - begin)
+    return seconds if seconds >= LEAST_S else 0.0
 
 
 def _measured(session: Session) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
