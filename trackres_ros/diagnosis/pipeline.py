@@ -380,9 +380,7 @@ def without_an_offset(gated: Gated, base: Base, effects: Mapping[str, Effect]) -
     seconds = seconds_without_torque(gated.sessions, none)
     if not seconds or TorqueOffset.name not in effects:
         return gated, dict(effects)
-    note = (
-        f"the torque reads 0 Nm at rest, within {figures(most_offset(base))} Nm, over {seconds:.0f} s: its sensor has no offset"
-    )
+    note = f"the torque reads 0 Nm at rest, within {figures(none)} Nm, over {seconds:.0f} s: its sensor has no offset"
     return replace(gated, notes=(*gated.notes, note)), {n: e for n, e in effects.items() if n != TorqueOffset.name}
 
 

@@ -33,8 +33,9 @@ class Graded:
     together
         Of the model with all that was found over the re-fitted base; None where that was not asked.
     displaces
-        Parameters of the base that lie on a bound far from the file's value beside it, and not without it, where it makes held-out
-        laps little better: it takes the place of what the base has, as an offset of the sensor does of all that rolling resists.
+        Parameters of the base that lie on a bound, far from the file's value, beside it and not without it, where it makes
+        held-out laps little better: it takes the place of what the base has, as an offset of the sensor does of all that rolling
+        resists.
     grade
         `confirmed`, `suspected` or `refuted`. What lies on a bound is at best suspected, and so is what helps only beside others
         while all of it together is not confirmed. What displaces is refuted.
