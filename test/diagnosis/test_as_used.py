@@ -23,9 +23,9 @@ from trackres_ros.diagnosis.pipeline import without_an_offset
 from trackres_ros.diagnosis.prepare.at_rest import LEAST_S, seconds_without_torque
 from trackres_ros.diagnosis.prepare.gate import Gated
 from trackres_ros.diagnosis.prepare.session import Course
+from trackres_ros.diagnosis.selection import as_used
+from trackres_ros.diagnosis.selection.as_used import AsUsed, choose_written, inside_ranges
 from trackres_ros.diagnosis.selection.held_out import HeldOutLaps
-from trackres_ros.diagnosis.writing import as_used
-from trackres_ros.diagnosis.writing.as_used import AsUsed, choose_written, inside_ranges
 from trackres_ros.effects import Active, catalogue
 from trackres_ros.effects.effect import Parameter
 from trackres_ros.evaluation.synthetic import drives, write_recordings

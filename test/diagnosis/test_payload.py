@@ -17,8 +17,8 @@ from trackres_ros.diagnosis.described.payload import STOP_S, Beside, find_payloa
 from trackres_ros.diagnosis.described.told import said
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.inference.levels import with_levels
+from trackres_ros.diagnosis.selection.as_used import AsUsed
 from trackres_ros.diagnosis.selection.held_out import HeldOutLaps
-from trackres_ros.diagnosis.writing.as_used import AsUsed
 from trackres_ros.effects import catalogue
 from trackres_ros.evaluation.synthetic import drives
 from trackres_ros.files.resources import config_dir

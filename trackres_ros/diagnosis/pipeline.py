@@ -52,12 +52,12 @@ from trackres_ros.diagnosis.prepare.torque_checks import (
     inconsistent_scale_notes,
     nothing_to_conclude,
 )
+from trackres_ros.diagnosis.selection.as_used import AsUsed, choose_written, inside_ranges
 from trackres_ros.diagnosis.selection.confirm import Graded, leave_unconfirmed
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, HeldOut, HeldOutLaps, Improvement, held_out
 from trackres_ros.diagnosis.selection.intervals import Interval, intervals
 from trackres_ros.diagnosis.selection.naming import Step
 from trackres_ros.diagnosis.selection.screening import QUICK_REPLICATES, REPLICATES
-from trackres_ros.diagnosis.writing.as_used import AsUsed, choose_written, inside_ranges
 from trackres_ros.diagnosis.writing.kept import Kept, LearnedDisturbance
 from trackres_ros.effects import catalogue
 from trackres_ros.effects.effect import Effect

@@ -19,10 +19,10 @@ from trackres_ros.diagnosis.described.payload import may_differ
 from trackres_ros.diagnosis.described.routes import Roads, Route, beside_names, by_place
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
 from trackres_ros.diagnosis.inference.levels import with_levels
+from trackres_ros.diagnosis.selection.as_used import AsUsed, inside_ranges
 from trackres_ros.diagnosis.selection.confirm import Graded, confirm
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, HeldOutLaps
 from trackres_ros.diagnosis.selection.naming import Step, choose, spurious_gain
-from trackres_ros.diagnosis.writing.as_used import AsUsed, inside_ranges
 from trackres_ros.effects.effect import Effect
 
 
