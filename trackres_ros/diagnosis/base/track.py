@@ -75,6 +75,7 @@ class TrackBase:
         }
         self._firsts, self._count = _kinds(self._constants)
         self._simulated = Remembered()
+        self._last_loss = 1.0, self._constants.loss
         self.held: Values = {}
         self.includes = tuple(active.effect.name for active in vehicle.active)
         self.facts = vehicle_constants(vehicle)
@@ -179,6 +180,13 @@ class TrackBase:
                 found.append(rows)
         return found
 
+    def _scaled(self, loss: float) -> Array:
+        """The loss table for so many times the loss modulus of the file; the last is kept, as most steps of a fit leave it."""
+        last = self._last_loss
+        if last[0] != loss:
+            self._last_loss = last = loss, self._constants.loss * loss**self._loss_power
+        return last[1]
+
     def as_written(self, values: Values) -> TrackBase:
         """See `base.Base`."""
         now = self.vehicle
@@ -225,7 +233,7 @@ class TrackBase:
         return k._replace(
             number=number,
             assembly=assembly,
-            loss=k.loss * loss**self._loss_power,
+            loss=self._scaled(loss),
             drive=loss * k.drive,
             effects=acting.table.rows,
             effect_values=acting.table.values,
