@@ -195,7 +195,7 @@ def test_a_channel_without_values_or_life_is_as_if_not_recorded(run, recorded, t
 def test_recordings_of_two_vehicles_are_told(recorded, loaded, tmp_path):
     one, *others = recorded(count=3)
     recordings = read_recordings([changed(one, tmp_path, torque_nm=lambda x: x + 6000.0), *others], None)
-    checked, _ = prepared(recordings, loaded)
+    checked, *_ = prepared(recordings, loaded)
     (told,) = (note for note in checked.notes if "same vehicle" in note)
     assert told.startswith(f"{tmp_path / one.name}: ")
 

@@ -374,9 +374,9 @@ def test_header_stamps_an_hour_late_are_moved_by_the_log(recorded, loaded):
     (recording, other) = read_recordings(recorded(), None)
     load = recording.series["load"]
     off = replace(load, stamp_ns=load.stamp_ns + 3_600_000_000_000)
-    found, _ = prepared([replace(recording, series={**recording.series, "load": off}), other], loaded)
+    found, *_ = prepared([replace(recording, series={**recording.series, "load": off}), other], loaded)
     assert any("load: its clock is +3600 s off" in note and "time of logging" in note for note in found.notes)
-    healthy, _ = prepared([recording, other], loaded)
+    healthy, *_ = prepared([recording, other], loaded)
     np.testing.assert_array_equal(found.sessions[0].weight, healthy.sessions[0].weight)
 
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What held-out laps say of each effect and what may be written, on fits whose errors are given: nothing is simulated."""
+"""What held-out laps say of each effect, on fits whose errors are given: nothing is simulated."""
 
 from types import SimpleNamespace
 
@@ -9,22 +9,20 @@ import numpy as np
 import pytest
 
 from trackres_ros.diagnosis.base.base import BaseParameter
-from trackres_ros.diagnosis.base.watched import WATCHED
 from trackres_ros.diagnosis.selection import confirm as confirming
-from trackres_ros.diagnosis.selection.confirm import Graded, confirm, keep, leave_unconfirmed
+from trackres_ros.diagnosis.selection.confirm import Graded, confirm, leave_unconfirmed
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, Improvement
 from trackres_ros.effects.effect import Parameter
 
-FILE_NM = 100.0  # mean error of the vehicle file on held-out laps
 SURE = Improvement(100.0, 90.0, 5.0, 15.0)
 UNSURE = Improvement(100.0, 95.0, -5.0, 15.0)
 WORSE = Improvement(100.0, 110.0, -15.0, -5.0)
 
 
-def effect(name, value=5.0, acts_on="torque", **given):
+def effect(name, value=5.0, **given):
     """An effect of one parameter between -10 and 10, or of such as are given, and the value it was fitted to."""
     size = Parameter("size", "Nm", **{"low": -10.0, "high": 10.0, "start": 3.0, "text": "of it", "off": 0.0, **given})
-    return SimpleNamespace(effect=SimpleNamespace(name=name, acts_on=acts_on, parameters=(size,)), values={"size": value})
+    return SimpleNamespace(effect=SimpleNamespace(name=name, parameters=(size,)), values={"size": value})
 
 
 class Fitted:
@@ -40,9 +38,6 @@ class Fitted:
     def error(self):
         return self.laps.errors[frozenset(a.effect.name for a in self.effects)]
 
-    def of_file(self):
-        return self.error
-
 
 class Laps:
     """Held-out laps on which the mean error of a model is said by the effects in it [Nm], and how it rolls beside them."""
@@ -50,10 +45,6 @@ class Laps:
     def __init__(self, errors, spread=0.5, rolling=None):
         self.errors, self.spread = {frozenset(names): error for names, error in errors.items()}, spread
         self.rolling = {frozenset(names): value for names, value in (rolling or {}).items()}
-        self.measured = np.zeros(4)
-
-    def of(self, error):
-        return error * np.array([1.0, -1.0, 1.0, -1.0])
 
     def improvement_of(self, before, after):
         gain = before.error - after.error
@@ -62,13 +53,12 @@ class Laps:
 
 @pytest.fixture(autouse=True)
 def fitted_again(monkeypatch):
-    """Fits without some effects are those of the same laps, and intervals tell whose they are."""
+    """Fits without some effects are those of the same laps."""
 
     def without(fit, names):
         return Fitted(fit.laps, [a for a in fit.effects if a.effect.name not in names])
 
     monkeypatch.setattr(confirming, "with_levels", without)
-    monkeypatch.setattr(confirming, "intervals", lambda fit: {"of": fit.error})
 
 
 def fits(errors, *effects, **given):
@@ -206,74 +196,38 @@ def test_without_an_effect_there_is_nothing_to_grade():
     assert confirm(final, refitted, laps) == (final, {}, ())
 
 
-def graded(**improvements):
-    return {name: Graded(name, improvement, ()) for name, improvement in improvements.items()}
+def test_what_helps_only_beside_others_is_suspected_while_all_of_it_gains_nothing():
+    errors = {(): 100.0, ("a",): 150.0, ("b",): 140.0, ("a", "b"): 99.8}  # two terms that cancel each other
+    final, refitted, laps = fits(errors, effect("a"), effect("b"))
+    kept, graded, refuted = confirm(final, refitted, laps)
+    assert (kept, refuted) == (final, ())
+    assert {(g.improvement.grade, g.together.grade, g.grade) for g in graded.values()} == {(CONFIRMED, SUSPECTED, SUSPECTED)}
 
 
 @pytest.mark.parametrize(
-    ("of", "left"),
+    ("errors", "stay", "left"),
     [
-        ({"name": UNSURE, "curve": SURE}, ["name"]),
-        ({"name": SURE, "curve": SURE}, []),
-        ({"name": UNSURE, "curve": UNSURE}, []),
-        ({"name": UNSURE}, []),
-        ({"name": UNSURE, "curve": SURE, "wave": UNSURE}, ["name"]),  # terms stay, suspected or not
-        ({"name": UNSURE, "other": SURE}, []),
+        ({(): 100.0, ("a",): 60.0, ("b",): 99.9, ("a", "b"): 59.9}, ["a"], ["b"]),
+        ({(): 100.0, ("a",): 60.0, ("b",): 70.0, ("a", "b"): 50.0}, ["a", "b"], []),
+        ({(): 100.0, ("a",): 99.9, ("b",): 99.9, ("a", "b"): 99.8}, ["a", "b"], []),  # nothing is confirmed
+        ({(): 100.0, ("a",): 99.9}, ["a"], []),
     ],
 )
-def test_a_suspected_name_goes_only_beside_a_term_that_is_confirmed(of, left):
-    errors = {(): 100.0, ("name",): 99.0, tuple(of): 60.0, tuple(set(of) - {"name"}): 65.0, ("curve",): 65.0, ("wave",): 90.0}
-    final, refitted, laps = fits(errors, *map(effect, of))
-    before = graded(**of)
-    kept, after, gone = leave_unconfirmed(final, before, {"curve", "wave"}, refitted, laps)
-    assert [g.name for g in gone] == left
-    assert [a.effect.name for a in kept.effects] == [name for name in of if name not in left]
-    if left:
-        assert {g.improvement.after for g in after.values()} == {65.0}
-        assert list(after) == [name for name in of if name not in left]
-    else:
-        assert kept is final
-        assert after is before
+def test_what_is_only_suspected_goes_beside_what_is_confirmed(errors, stay, left):
+    final, refitted, laps = fits(errors, *map(effect, max(errors, key=len)))
+    final, graded, _ = confirm(final, refitted, laps)
+    kept, after, gone = leave_unconfirmed(final, graded, refitted, laps)
+    assert ([a.effect.name for a in kept.effects], list(after), [g.name for g in gone]) == (stay, stay, left)
+    assert len({g.grade for g in after.values()}) == 1
+    assert {g.improvement.after for g in after.values()} == {errors[tuple(stay)]}  # of the fit that is left
+    assert (kept is final) == (not left)
 
 
-# What is written
-
-
-def kept_of(errors, believed, *effects):
-    final, refitted, laps = fits(errors, *effects)
-    held_out = SimpleNamespace(mae={"nominal": FILE_NM, "refitted": 1.0, "with_effects": 1.0})
-    return keep(believed, final, refitted, held_out, laps, {"of": "final"})
-
-
-def names(kept):
-    return [a.effect.name for a in kept.effects]
-
-
-def test_the_re_fit_with_what_is_believed_is_written_if_it_is_no_worse_than_the_file():
-    for error in (90.0, FILE_NM):
-        kept = kept_of({(): 95.0, ("a",): error}, ["a"], effect("a"))
-        assert (names(kept), kept.values, kept.intervals) == (["a"], {"bearing": 1.0, "rolling": 1.0}, {"of": "final"})
-
-
-def test_else_the_re_fit_of_the_base_and_else_the_files_own_values():
-    base = kept_of({(): 95.0, ("a",): 100.1}, ["a"], effect("a"))
-    assert (names(base), base.values, base.intervals) == ([], {"bearing": 0.0, "rolling": 1.0}, {"of": 95.0})
-    own = kept_of({(): 100.1, ("a",): 100.2}, ["a"], effect("a"))
-    assert (names(own), own.values, own.intervals) == ([], None, {})
-
-
-def test_what_is_not_believed_is_not_written_and_said():
-    errors = {(): 95.0, ("a",): 90.0, ("b",): 70.0, ("a", "b"): 60.0}
-    some = kept_of(errors, ["a"], effect("a"), effect("b"))
-    assert (names(some), some.intervals) == (["a"], {"of": 90.0})
-    assert some.text.endswith("; not written: b")
-    none = kept_of(errors, [], effect("a"), effect("b"))
-    assert (names(none), none.values) == ([], {"bearing": 0.0, "rolling": 1.0})
-    assert none.text.endswith("; not written: a, b")
-    assert "not written" not in kept_of(errors, ["a", "b"], effect("a"), effect("b")).text
-
-
-def test_what_follows_the_clock_alone_is_neither_written_nor_doubted():
-    kept = kept_of({(): 95.0, ("a", "spells"): 80.0}, ["a"], effect("a"), effect("spells", acts_on=WATCHED))
-    assert (names(kept), kept.intervals) == (["a"], {"of": "final"})
-    assert "spells" not in kept.text
+def test_of_several_that_are_suspected_the_one_that_gains_least_goes_first():
+    errors = {
+        (): 100.0, ("a",): 60.0, ("b",): 99.0, ("c",): 99.0, ("b", "c"): 90.0,
+        ("a", "b"): 58.0, ("a", "c"): 59.9, ("a", "b", "c"): 57.9,
+    }  # fmt: skip
+    final, refitted, laps = fits(errors, *map(effect, "abc"))
+    kept, _, gone = leave_unconfirmed(final, confirm(final, refitted, laps)[1], refitted, laps)
+    assert ([a.effect.name for a in kept.effects], [g.name for g in gone]) == (["a", "b"], ["c"])

@@ -17,6 +17,7 @@ from trackres_ros.diagnosis.described.payload import STOP_S, Beside, find_payloa
 from trackres_ros.diagnosis.described.told import said
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.inference.levels import with_levels
+from trackres_ros.diagnosis.selection.as_used import AsUsed
 from trackres_ros.diagnosis.selection.held_out import HeldOutLaps
 from trackres_ros.effects import catalogue
 from trackres_ros.evaluation.synthetic import drives
@@ -174,14 +175,15 @@ def by_gain_and_by_payload(found):
     gain = fit(problem, [catalogue(None, facts.weight * facts.radius)["torque_gain"]])
     term = load_by_stretch(found, None)
     descriptions = Description(gain, [], {}), Description(term.candidate.fit, [], {PAYLOAD: term})
-    return [Explanation(None, [], d) for d in descriptions], HeldOutLaps(problem.sessions, later, np.random.default_rng(1))
+    laps = HeldOutLaps(problem.sessions, later, np.random.default_rng(1))
+    return [Explanation(None, [], d) for d in descriptions], laps, AsUsed(problem.base, problem.sessions, problem.sessions, laps)
 
 
 def test_what_held_out_laps_refute_gives_way_to_a_payload_that_they_confirm(track):
     found, _ = fitted(track, 900.0, mean_kg=1800.0, later_kg=-3600.0)
-    (gain, payload), laps = by_gain_and_by_payload(found)
-    assert judged([gain], with_levels(found), laps).refuted
-    chosen = judged([gain, payload], with_levels(found), laps)
+    (gain, payload), *by = by_gain_and_by_payload(found)
+    assert judged([gain], with_levels(found), *by).refuted
+    chosen = judged([gain, payload], with_levels(found), *by)
     assert chosen.explanation is payload
     assert not chosen.refuted
     assert chosen.final.effect_names == (PAYLOAD,)
@@ -189,8 +191,8 @@ def test_what_held_out_laps_refute_gives_way_to_a_payload_that_they_confirm(trac
 
 def test_what_held_out_laps_bear_out_stands_whatever_else_explains_them(track):
     found, _ = fitted(track, 300.0, gain=1.1)
-    (gain, payload), laps = by_gain_and_by_payload(found)
-    assert judged([gain, payload], with_levels(found), laps).explanation is gain
+    (gain, payload), *by = by_gain_and_by_payload(found)
+    assert judged([gain, payload], with_levels(found), *by).explanation is gain
 
 
 def test_a_stop_belongs_to_the_stretch_before_and_a_short_one_begins_none(car):

@@ -122,7 +122,7 @@ def test_of_wheels_that_are_hidden_nothing_is_said(bus):
 @needs_bus
 def test_the_bus_is_refitted_no_worse_than_its_file_and_than_robust_least_squares(bus, robust_least_squares):
     recording, loaded = bus
-    gated, nominal = prepared([recording], loaded)
+    gated, nominal, _ = prepared([recording], loaded)
     chosen = split(gated.sessions)
     (session,) = gated.sessions
     problem = Problem(loaded.base, gated.sessions, (chosen.training_mask(session),))

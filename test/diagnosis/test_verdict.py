@@ -13,7 +13,6 @@ import pytest
 
 import trackres_ros as tr
 from trackres_ros.diagnosis.base.base import BaseParameter
-from trackres_ros.diagnosis.base.watched import WATCHED
 from trackres_ros.diagnosis.described.terms import Described
 from trackres_ros.diagnosis.findings.locate import Acts, SlowResidual
 from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
@@ -32,7 +31,7 @@ from trackres_ros.diagnosis.findings.verdict import (
 from trackres_ros.diagnosis.pipeline import believed_in
 from trackres_ros.diagnosis.prepare.session import Session
 from trackres_ros.diagnosis.selection import confirm as confirming
-from trackres_ros.diagnosis.selection.confirm import Graded, confirm, keep, leave_unconfirmed, moved_parameters
+from trackres_ros.diagnosis.selection.confirm import Graded, confirm, moved_parameters
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, HeldOut, HeldOutLaps, Improvement, held_out
 from trackres_ros.diagnosis.selection.naming import Candidate, Step
 from trackres_ros.effects.effect import Parameter
@@ -178,7 +177,7 @@ def test_what_laps_refuted_is_told_and_then_the_unexplained_is_refuted(left):
 
 def test_what_takes_the_place_of_what_the_vehicle_has_is_told_with_what_it_takes():
     sentence = said(refuted=[Graded("torque_offset", BETTER, (), ("rolling_coefficient",))]).sentence
-    assert "beside it a value of the file goes to a bound of what is possible: torque_offset (rolling_coefficient)." in sentence
+    assert "beside it a value of the file goes to the end of its range: torque_offset (rolling_coefficient)." in sentence
     assert "makes the others worse" not in sentence
 
 
@@ -323,18 +322,14 @@ def test_who_asks_for_it_keeps_what_is_suspected_too():
 
 
 class Fitted:
-    """A fit as `confirm` and `keep` see it: effects, a torque, and what it leaves out again."""
+    """A fit as `confirm` sees it: its effects."""
 
-    def __init__(self, *names, torque=0.0, value=50.0, watched=()):
-        effects = [SimpleNamespace(name=n, parameters=(SIZE,), acts_on=WATCHED if n in watched else "torque") for n in names]
+    def __init__(self, *names, value=50.0):
+        effects = [SimpleNamespace(name=n, parameters=(SIZE,)) for n in names]
         self.effects = tuple(SimpleNamespace(effect=e, values={"size": value}) for e in effects)
         self.names = frozenset(names)
-        self.torque = torque
         self.base_values = {"bearing": 0.01 * len(names)}
         self.problem = refitted().problem
-
-    def of_file(self):
-        return [np.full(10, self.torque)]
 
 
 class Laps:
@@ -342,13 +337,9 @@ class Laps:
 
     def __init__(self, says):
         self.says = {(frozenset(a), frozenset(b)): x for (a, b), x in says.items()}
-        self.measured = np.zeros(10)
 
     def improvement_of(self, before, after):
         return self.says[before.names, after.names]
-
-    def of(self, series):
-        return series[0]
 
 
 @pytest.fixture
@@ -403,41 +394,13 @@ def test_what_is_refuted_stays_so_on_a_bound():
     assert Graded("a", UNSURE, ("size",)).grade == SUSPECTED
 
 
-@pytest.mark.parametrize(
-    ("errors", "believed", "written"),
-    [
-        ((90.0, 80.0), ["a", "b"], {"a", "b"}),
-        ((90.0, 100.0), ["a", "b"], {"a", "b"}),  # no worse than the file
-        ((90.0, 100.1), ["a", "b"], set()),  # then the base alone
-        ((100.1, 100.1), ["a", "b"], None),  # then the file as it is
-        ((90.0, 80.0), [], set()),
-        ((100.1, 80.0), [], None),
-    ],
-)
-def test_what_is_written_is_never_worse_than_the_file_on_held_out_laps(monkeypatch, errors, believed, written):
-    monkeypatch.setattr(confirming, "intervals", lambda fit: {"of": fit.names})
-    base, final = (Fitted(*names, torque=error) for names, error in zip(((), ("a", "b")), errors, strict=True))
-    bounds = {"of": "final"}
-    kept = keep(believed, final, base, worth(), Laps({}), bounds)
-    if written is None:
-        assert (kept.values, kept.effects, kept.intervals) == (None, (), {})
-        assert "the file's own values" in kept.text
-        return
-    model = final if written else base
-    assert kept.values == model.base_values
-    assert kept.effects == model.effects
-    assert kept.intervals == (bounds if written else {"of": frozenset()})
-    assert ("a, b" in kept.text.split(";")[0]) == bool(written)
-    assert ("not written: a, b" in kept.text) == (not believed)
-
-
-def test_only_what_is_believed_is_written_fitted_without_the_rest(monkeypatch, leave_out):
-    monkeypatch.setattr(confirming, "intervals", lambda fit: {"of": fit.names})
-    kept = keep(["b"], Fitted("a", "b", torque=500.0), Fitted(torque=500.0), worth(), Laps({}), {})
-    assert [active.effect.name for active in kept.effects] == ["b"]
-    assert kept.intervals == {"of": {"b"}}
-    assert kept.text.startswith("written: the base's values and b; the mean error on laps not used for fitting is 0 Nm, 100 Nm")
-    assert kept.text.endswith("; not written: a")
+def test_all_of_it_unconfirmed_together_is_said_once():
+    nothing = Improvement(39.4, 39.5, -1.0, 0.8)
+    several = [replace(f, graded=replace(f.graded, together=nothing)) for f in (found(), found("payne"))]
+    verdict = said(several)
+    assert (verdict.status, verdict.grade) == ("named", SUSPECTED)
+    assert verdict.sentence.count("do not confirm all of it together: with it their mean error goes from 39.4 to 39.5 Nm") == 1
+    assert believed_in(several, [], verdict, KINDS, False) == []
 
 
 # Held-out laps
@@ -542,23 +505,6 @@ def test_of_terms_those_are_written_that_follow_what_is_known_ahead():
     terms = [term(), term("spells", predictable=False), term("constant_when_left", UNSURE)]
     assert believed_in([], terms, described, KINDS, False) == ["curve_of_speed"]
     assert believed_in([], terms, described, KINDS, True) == ["curve_of_speed", "constant_when_left"]
-
-
-def test_what_follows_the_clock_alone_is_never_written(monkeypatch):
-    monkeypatch.setattr(confirming, "intervals", lambda fit: {})
-    kept = keep(["a"], Fitted("a", "spells", torque=90.0, watched=("spells",)), Fitted(), worth(), Laps({}), {})
-    assert [active.effect.name for active in kept.effects] == ["a"]
-    assert "spells" not in kept.text
-
-
-def test_a_name_that_is_only_suspected_goes_beside_a_term_that_is_confirmed(leave_out):
-    laps = Laps({("", "t"): BETTER})
-    both = {"n": Graded("n", UNSURE, ()), "t": Graded("t", BETTER, ())}
-    kept, graded, left = leave_unconfirmed(Fitted("n", "t"), both, ["t"], Fitted(), laps)
-    assert (kept.names, set(graded), [g.name for g in left]) == ({"t"}, {"t"}, ["n"])
-    unsure = {**both, "t": Graded("t", UNSURE, ())}
-    final = Fitted("n", "t")
-    assert leave_unconfirmed(final, unsure, ["t"], Fitted(), laps) == (final, unsure, ())
 
 
 def test_a_wrong_value_of_the_file_is_named_with_its_interval(recorded, tmp_path, repository):

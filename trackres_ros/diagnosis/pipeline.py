@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.base import Base
+from trackres_ros.diagnosis.base.instrument import usual_offset
 from trackres_ros.diagnosis.base.loading import LoadedBase
 from trackres_ros.diagnosis.base.watched import ByPlace
 from trackres_ros.diagnosis.described.describe import Term, drift
@@ -40,6 +41,7 @@ from trackres_ros.diagnosis.findings.verdict import MOST_STRAY, Found, Told, Ver
 from trackres_ros.diagnosis.inference.fitting import Fit, Problem, fit
 from trackres_ros.diagnosis.inference.levels import for_tests, with_levels
 from trackres_ros.diagnosis.inference.noise import Noise
+from trackres_ros.diagnosis.prepare.at_rest import seconds_without_torque
 from trackres_ros.diagnosis.prepare.gate import Gated
 from trackres_ros.diagnosis.prepare.order import in_order
 from trackres_ros.diagnosis.prepare.refuse import Refusal
@@ -47,18 +49,22 @@ from trackres_ros.diagnosis.prepare.session import Session, Split
 from trackres_ros.diagnosis.prepare.split import split
 from trackres_ros.diagnosis.prepare.torque_checks import inconsistent_scale_notes, nothing_to_conclude
 from trackres_ros.diagnosis.prepared import prepared
-from trackres_ros.diagnosis.selection.confirm import Graded, keep, leave_unconfirmed
+from trackres_ros.diagnosis.selection.as_used import AsUsed, choose_written, inside_ranges
+from trackres_ros.diagnosis.selection.confirm import Graded, leave_unconfirmed
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, HeldOut, HeldOutLaps, Improvement, held_out
 from trackres_ros.diagnosis.selection.intervals import Interval, intervals
 from trackres_ros.diagnosis.selection.naming import Step
 from trackres_ros.diagnosis.selection.screening import QUICK_REPLICATES, REPLICATES
 from trackres_ros.diagnosis.writing.kept import Kept, LearnedDisturbance
 from trackres_ros.effects import catalogue
+from trackres_ros.effects.effect import Effect
+from trackres_ros.effects.sensor.torque_offset import TorqueOffset
 from trackres_ros.effects.vehicle.rotating_inertia import RotatingInertia
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.recording import Recording
 from trackres_ros.route.learned import SLOPE, TORQUE, of_kind
+from trackres_ros.text.numbers import figures
 
 Array = NDArray[np.float64]
 
@@ -192,17 +198,19 @@ def diagnose(
         for name, effect in catalogue(effects_dir, base.facts.weight * base.facts.radius, on_tyres=not base.has_belt).items()
     }
     on_stage("gate: units, clocks, gaps")
-    gated, nominal = prepared(recordings, vehicle, hide, unread)
+    gated, nominal, recorded = prepared(recordings, vehicle, hide, unread)
+    gated, effects = without_an_offset(gated, base, effects)
     chosen = split(gated.sessions, holdout)
     masks = tuple(chosen.training_mask(s) for s in gated.sessions)
     on_stage("re-fit of the base")
     tested = fit(Problem(base, gated.sessions, masks))
+    laps = HeldOutLaps(gated.sessions, [chosen.held_out_mask(s) for s in gated.sessions], rng)
+    use = AsUsed(base, gated.sessions, recorded, laps)
+    refitted = inside_ranges(with_levels(tested), use)
     on_stage("where: residual by regime")
-    refitted = with_levels(tested)
     tested_base = for_tests(refitted)
     at_base = regime_map(tested_base, rng)
     replicates = QUICK_REPLICATES if quick else REPLICATES
-    laps = HeldOutLaps(gated.sessions, [chosen.held_out_mask(s) for s in gated.sessions], rng)
     on_stage("places: passes of the same streets")
     kinds = [kind for kind in (SLOPE, TORQUE) if of_kind(vehicle.route, kind) is None]
     roads = roads_of(gated.sessions) if kinds else None
@@ -212,7 +220,7 @@ def diagnose(
         possible = allowed if first is None else {name: effect for name, effect in allowed.items() if name not in SLOPES}
         explanations = explain(tested, first, roads, possible, replicates, rng, on_stage, kinds)
         on_stage("what it is worth: laps held out")
-        tried = judged(explanations, refitted, laps)
+        tried = judged(explanations, refitted, laps, use)
         final, graded = tried.final, tried.graded
         refuted += tried.refuted
         again = {g.name for g in tried.refuted} & allowed.keys()
@@ -222,7 +230,9 @@ def diagnose(
         allowed = {name: effect for name, effect in allowed.items() if name not in again}
     explained = tried.explanation
     route, steps, description = explained.route, explained.steps, explained.description
-    final, graded, unconfirmed = leave_unconfirmed(final, graded, description.terms, refitted, laps)
+    unconfirmed: tuple[Graded, ...] = ()
+    if not keep_suspected:
+        final, graded, unconfirmed = leave_unconfirmed(final, graded, refitted, laps)
     by_place_too = (route, *(term.route for term in description.terms.values()))
     routes = {r.candidate.name: r for r in by_place_too if r is not None and r.candidate.name in final.effect_names}
     refuted += unconfirmed
@@ -290,9 +300,9 @@ def diagnose(
     verdict = judge(found, terms, tuple(refuted), refitted, at_end, left_over, steps[-1].hint, worth, wandering, changed)
     belong_to = {name: effect.belongs_to for name, effect in effects.items()}
     believed = believed_in(found, terms, verdict, belong_to, keep_suspected)
-    kept = keep(believed, final, refitted, worth, laps, bounds)
+    kept = choose_written(believed, [g.name for g in graded.values() if g.grade == CONFIRMED], final, refitted, use, bounds)
     if base.has_belt:  # a road_load vehicle does not run live
-        expected = nominal if kept.values is None else [p.torque for p in final.problem.predict(kept.values, kept.effects)]
+        expected = use.expected(kept.values, kept.effects, alone=False)
         watched = [description.terms[t.described.name] for t in terms if may_be_kept(t, verdict, keep_suspected)]
         drifts = tracked is not None and (keep_suspected or tracked.grade == CONFIRMED)
         kept = kept.with_disturbance(to_watch(watched, drifts, final, expected))
@@ -355,3 +365,13 @@ def to_watch(terms: Sequence[Term], drifts: bool, final: Fit, expected: Sequence
     if spells is not None:
         return spells_to_watch(spells, final, expected)
     return drift_to_watch(final, expected) if drifts else None
+
+
+def without_an_offset(gated: Gated, base: Base, effects: Mapping[str, Effect]) -> tuple[Gated, dict[str, Effect]]:
+    """The effects that may be found: no offset of a torque sensor that reads none at rest for long; and a note that says so."""
+    none = usual_offset(base)
+    seconds = seconds_without_torque(gated.sessions, none)
+    if not seconds or TorqueOffset.name not in effects:
+        return gated, dict(effects)
+    note = f"the torque reads 0 Nm at rest, within {figures(none)} Nm, over {seconds:.0f} s: its sensor has no offset"
+    return replace(gated, notes=(*gated.notes, note)), {n: e for n, e in effects.items() if n != TorqueOffset.name}

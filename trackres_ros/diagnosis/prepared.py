@@ -21,8 +21,9 @@ from trackres_ros.recording.recording import Recording
 
 def prepared(
     recordings: Sequence[Recording], vehicle: LoadedBase, hide: Sequence[str] = (), refused: Sequence[Refusal] = ()
-) -> tuple[Gated, tuple[Array, ...]]:
-    """What passed the gate and the checks of the torque, and the torque that the vehicle file expects of it [Nm].
+) -> tuple[Gated, tuple[Array, ...], tuple[Session, ...]]:
+    """What passed the gate and the checks of the torque, the torque that the vehicle file expects of it [Nm], and the sessions as
+    recorded, without what a route says of their places.
 
     A recording whose torque is plainly wrong where that of others is not is left out. The gate then looks at the rest anew, as
     a recording also says how warm the next one begins.
@@ -39,7 +40,8 @@ def prepared(
 
     refused = list(refused)
     while True:
-        gated = on_route(gate(recordings, vehicle.known, hide, refused), vehicle.route)
+        passed = gate(recordings, vehicle.known, hide, refused)
+        gated = on_route(passed, vehicle.route)
         expected = by_file(gated.sessions)
         moved = [aligned_clock(s, e) for s, e in zip(gated.sessions, expected, strict=True)]
         sessions = tuple(s for s, _ in moved)
@@ -50,4 +52,4 @@ def prepared(
         refused += faulty
     check_torque(sessions, expected, resisting, vehicle.known)
     notes = (*gated.notes, *(note for _, note in moved if note), *inconsistent_scale_notes(sessions, expected))
-    return replace(gated, sessions=sessions, notes=notes), tuple(expected)
+    return replace(gated, sessions=sessions, notes=notes), tuple(expected), passed.sessions

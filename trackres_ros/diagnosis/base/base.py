@@ -6,8 +6,8 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 Values = Mapping[str, float]
 
 USABLE = "finite terms within reason, with all values of its parameters within their bounds"
+ROUNDING = 1e-6  # of the span between the bounds of a fit
 MOST_CHECKED = 20  # steps looked at to find why an effect was left out
 
 
@@ -39,7 +40,9 @@ class BaseParameter:
     nominal, std
         The value of the vehicle file, and how well it is known: a Gaussian prior. Infinite where nothing is known.
     low, high
-        Bounds.
+        Bounds of a fit.
+    by_file
+        The range that the vehicle file gives; bounds of a fit are wider.
     """
 
     name: str
@@ -48,6 +51,18 @@ class BaseParameter:
     std: float
     low: float
     high: float
+    by_file: tuple[float, float] = (-np.inf, np.inf)
+
+    def outside(self, value: float) -> bool:
+        """Whether a value leaves the range of the vehicle file."""
+        low, high = self.by_file
+        rounding = ROUNDING * (self.high - self.low)
+        return not low - rounding <= value <= high + rounding
+
+    def inside(self) -> BaseParameter:
+        """The same parameter with the range of the vehicle file as bounds; a range without width is no bound."""
+        low, high = max(self.low, self.by_file[0]), min(self.high, self.by_file[1])
+        return replace(self, low=low, high=high) if low < high else self
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,6 +116,13 @@ class Base(Protocol):
     def held(self) -> Values:
         """What else may be, and is not, by name."""
 
+    @property
+    def alone(self) -> Base:
+        """The same vehicle without the surroundings that were given: what a controller runs."""
+
+    def inside_ranges(self, free: Collection[str]) -> Base:
+        """The same base, its parameters bound to the ranges of the vehicle file, except those in `free`."""
+
     def predict(self, sessions: Sequence[Session], values: Values, effects: Sequence[Active]) -> list[Predicted]:
         """Simulate sessions one after the other.
 
@@ -111,6 +133,9 @@ class Base(Protocol):
         effects
             What is added.
         """
+
+    def as_written(self, values: Values) -> Base:
+        """The base of the file that `write` makes of these values, in the same surroundings: what runs is what is read again."""
 
     def write(self, path: Path, kept: Kept, text: str) -> list[Path]:
         """Write a vehicle file with what was kept, surroundings beside it; returns the files that are for use."""

@@ -27,13 +27,18 @@ OFFSET_NM, MOST_OFFSET_NM = 15.0, 45.0  # of a vehicle of `REFERENCE_NM`
 
 def instrument(base: Base) -> tuple[Effect, ...]:
     """The effects of an instrument's size that the base does not have among its own parameters."""
-    size = base.facts.weight * base.facts.radius / REFERENCE_NM
+    offset = usual_offset(base)
     within = (
         (Delay(), DELAY_S, MOST_DELAY_S),
         (TorqueGain(), GAIN, MOST_GAIN),
-        (TorqueOffset(), OFFSET_NM * size, MOST_OFFSET_NM * size),
+        (TorqueOffset(), offset, offset * MOST_OFFSET_NM / OFFSET_NM),
     )
     return tuple(narrowed(effect, std, most) for effect, std, most in within if effect.name not in base.includes)
+
+
+def usual_offset(base: Base) -> float:
+    """Standard deviation of the offset that any torque sensor of a vehicle has [Nm]."""
+    return OFFSET_NM * base.facts.weight * base.facts.radius / REFERENCE_NM
 
 
 def narrowed(effect: Effect, std: float, most: float) -> Effect:

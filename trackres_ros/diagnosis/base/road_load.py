@@ -5,10 +5,12 @@
 
 from __future__ import annotations
 
+import copy
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -27,6 +29,7 @@ from trackres_ros.effects.vehicle.rotating_inertia import RotatingInertia
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.records import Series
 from trackres_ros.estimator.road_series import RoadLoad, run_road_load
+from trackres_ros.files.yamls import read_yaml
 from trackres_ros.route.learned import RouteMap
 from trackres_ros.units import GRAVITY
 from trackres_ros.vehicle import Quantity
@@ -135,12 +138,24 @@ class RoadBase:
                 vehicle.parameters[name].standard_deviation,
                 QUANTITIES[name].low,
                 QUANTITIES[name].high,
+                (vehicle.parameters[name].low, vehicle.parameters[name].high),
             )
             for name in free
         )
         same = {"torque_scale": TorqueGain.name, "rotating_mass_factor": RotatingInertia.name}
         refitted = (effect for parameter, effect in same.items() if parameter in free)
         self.includes = (DrivetrainEfficiency.name, Delay.name, *refitted, *(active.effect.name for active in self._active))
+
+    @property
+    def alone(self) -> RoadBase:
+        """See `base.Base`."""
+        return RoadBase(replace(self.vehicle, surroundings=(), route=())) if self.vehicle.surroundings else self
+
+    def inside_ranges(self, free: Collection[str]) -> RoadBase:
+        """See `base.Base`."""
+        found = copy.copy(self)
+        found.parameters = tuple(q if q.name in free else q.inside() for q in self.parameters)
+        return found
 
     def predict(self, sessions: Sequence[Session], values: Values, effects: Sequence[Active]) -> list[Predicted]:
         """See `base.Base`."""
@@ -198,6 +213,15 @@ class RoadBase:
             else:
                 found.append(torque)
         return found
+
+    def as_written(self, values: Values) -> RoadBase:
+        """See `base.Base`."""
+        now = self.vehicle
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / "vehicle.yaml"
+            self.write(path, Kept(values, (), {}), "")
+            written = load_road_vehicle(path, read_yaml(path))
+        return RoadBase(replace(written, effects=now.effects, surroundings=now.surroundings, route=now.route))
 
     def write(self, path: Path, kept: Kept, text: str) -> list[Path]:
         """See `base.Base`."""

@@ -5,10 +5,13 @@
 
 from __future__ import annotations
 
+import copy
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,9 +35,10 @@ from trackres_ros.estimator.entry_points import COMPILED
 from trackres_ros.estimator.kernel import PREDICTED, PREDICTED_BELT, PREDICTED_DRIVE, PREDICTED_OUTCOME, PREDICTED_SKIN
 from trackres_ros.estimator.records import Carried, Series
 from trackres_ros.estimator.settings import Settings
+from trackres_ros.model.loss_table import loss_table
 from trackres_ros.model.thermal import thermal_network
 from trackres_ros.model.vehicle_constants import vehicle_constants
-from trackres_ros.vehicle import Vehicle
+from trackres_ros.vehicle import Vehicle, load
 from trackres_ros.vehicle.reading import FITTED
 from trackres_ros.vehicle.schema import BELT, CHASSIS, RUBBER
 
@@ -53,6 +57,7 @@ PLAUSIBLE = {
     SURFACE_SHARE: (0.02, MOST_AT_SURFACE),
 }
 PLAUSIBLE_FILM, PLAUSIBLE_CAPACITY = (0.2, 5.0), (0.3, 3.0)  # factors on the file's
+LESS_LOSS = 0.8  # times the scale of the loss modulus of the file: from there its powers are taken
 CAPACITY_STD = 0.15  # relative: thickness, section of lugs and specific heat of the file's ranges together
 
 
@@ -70,6 +75,7 @@ class TrackBase:
         }
         self._firsts, self._count = _kinds(self._constants)
         self._simulated = Remembered()
+        self._last_loss = 1.0, self._constants.loss
         self.held: Values = {}
         self.includes = tuple(active.effect.name for active in vehicle.active)
         self.facts = vehicle_constants(vehicle)
@@ -87,7 +93,7 @@ class TrackBase:
             q, limit, (low, high) = vehicle.parameters[path], limits[name], PLAUSIBLE[name]
             assert isinstance(q.value, float)
             low, high = max(limit.low, min(low, 0.2 * q.low)), min(limit.high, max(high, 3.0 * q.high))
-            return BaseParameter(name, q.unit, q.value, q.standard_deviation, low, high)
+            return BaseParameter(name, q.unit, q.value, q.standard_deviation, low, high, (q.low, q.high))
 
         film, capacity = vehicle.parameters[f"tracks.{first.name}.belt.film_offset"], vehicle.parameters["rubber.heat_capacity"]
         assert isinstance(film.value, float)
@@ -95,18 +101,37 @@ class TrackBase:
         share = rubber_share(vehicle)
         learned = capacity.flag == FITTED
         capacity_std = share * capacity.standard_deviation / capacity.value if learned else CAPACITY_STD
+        film_std = film.standard_deviation / film.value
         self.parameters: tuple[BaseParameter, ...] = (
             known(LOSS, "rubber.loss_modulus_scale"),
             known(BEARING, "chassis.bearing_friction"),
             known(DRAG, "chassis.drag_coefficient"),
-            BaseParameter(FILM, "1", 1.0, film.standard_deviation / film.value, *_film_factors(vehicle)),
-            BaseParameter(CAPACITY, "1", 1.0, capacity_std, *_capacity_factors(capacity.value, share)),
+            BaseParameter(FILM, "1", 1.0, film_std, *_film_factors(vehicle), _film_by_file(vehicle)),
+            BaseParameter(
+                CAPACITY,
+                "1",
+                1.0,
+                capacity_std,
+                *_capacity_factors(capacity.value, share),
+                _capacity_scales((capacity.low, capacity.high), capacity.value, share),
+            ),
         )
         if vehicle.thermal == "core_surface":
             # Two nodes stand for a belt in which the temperature changes throughout: where they are to be is not known well.
             of_surface = known(SURFACE_SHARE, f"tracks.{first.name}.belt.surface_share")
             of_surface = replace(of_surface, high=min(of_surface.high, MOST_AT_SURFACE))
             self.parameters += (known(CONDUCTIVITY, "rubber.conductivity"), of_surface)
+
+    @property
+    def alone(self) -> TrackBase:
+        """See `base.Base`."""
+        return TrackBase(replace(self.vehicle, surroundings=(), route=())) if self.vehicle.surroundings else self
+
+    def inside_ranges(self, free: Collection[str]) -> TrackBase:
+        """See `base.Base`."""
+        found = copy.copy(self)
+        found.parameters = tuple(q if q.name in free else q.inside() for q in self.parameters)
+        return found
 
     def predict(self, sessions: Sequence[Session], values: Values, effects: Sequence[Active]) -> list[Predicted]:
         """See `base.Base`."""
@@ -155,6 +180,31 @@ class TrackBase:
                 found.append(rows)
         return found
 
+    def _scaled(self, loss: float) -> Array:
+        """The loss table for so many times the loss modulus of the file; the last is kept, as most steps of a fit leave it."""
+        last = self._last_loss
+        if last[0] != loss:
+            self._last_loss = last = loss, self._constants.loss * loss**self._loss_power
+        return last[1]
+
+    def as_written(self, values: Values) -> TrackBase:
+        """See `base.Base`."""
+        now = self.vehicle
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / "vehicle.yaml"
+            self.write(path, Kept(values, (), {}), "")
+            return TrackBase(replace(load(path), effects=now.effects, surroundings=now.surroundings, route=now.route))
+
+    @cached_property
+    def _loss_power(self) -> Array:
+        """By which power of the scale of the loss modulus each value of the loss table grows: what loses more is stiffer too,
+        and the wheels sink in less.
+        """
+        now = self.vehicle.rubber
+        less = replace(self.vehicle, rubber=replace(now, loss_modulus_scale=LESS_LOSS * now.loss_modulus_scale))
+        then = np.stack([loss_table(less, name).loss for name in less.tracks])
+        return np.asarray(np.log(then / self._constants.loss) / math.log(LESS_LOSS))
+
     def write(self, path: Path, kept: Kept, text: str) -> list[Path]:
         """See `base.Base`."""
         return write_track_vehicle(self.vehicle, path, kept, text)
@@ -183,7 +233,7 @@ class TrackBase:
         return k._replace(
             number=number,
             assembly=assembly,
-            loss=loss * k.loss,
+            loss=self._scaled(loss),
             drive=loss * k.drive,
             effects=acting.table.rows,
             effect_values=acting.table.values,
@@ -211,8 +261,26 @@ def _film_factors(vehicle: Vehicle) -> tuple[float, float]:
     return low, high
 
 
+def _film_by_file(vehicle: Vehicle) -> tuple[float, float]:
+    """The factors with which every film value stays inside its range of the vehicle file."""
+    low, high = 0.0, np.inf
+    for name in vehicle.tracks:
+        for key in ("film_offset", "film_slope"):
+            q = vehicle.parameters[f"tracks.{name}.belt.{key}"]
+            assert isinstance(q.value, float)
+            if q.value > 0.0:
+                low, high = max(low, q.low / q.value), min(high, q.high / q.value)
+    return low, high
+
+
 def _capacity_factors(heat_capacity: float, share: float) -> tuple[float, float]:
     """The same for the heat that a belt holds, of which the rubber has a share."""
     (low, high), limit = PLAUSIBLE_CAPACITY, RUBBER["heat_capacity"]
-    least, most = (1.0 + share * (end / heat_capacity - 1.0) for end in (limit.low, limit.high))
+    least, most = _capacity_scales((limit.low, limit.high), heat_capacity, share)
     return max(low, least), min(high, most)
+
+
+def _capacity_scales(ends: tuple[float, float], heat_capacity: float, share: float) -> tuple[float, float]:
+    """Factors on the heat that a belt holds, of which the rubber has a share, for two heat capacities of the rubber."""
+    low, high = (1.0 + share * (end / heat_capacity - 1.0) for end in ends)
+    return low, high

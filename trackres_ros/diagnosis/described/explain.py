@@ -19,6 +19,7 @@ from trackres_ros.diagnosis.described.payload import may_differ
 from trackres_ros.diagnosis.described.routes import Roads, Route, beside_names, by_place
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
 from trackres_ros.diagnosis.inference.levels import with_levels
+from trackres_ros.diagnosis.selection.as_used import AsUsed, inside_ranges
 from trackres_ros.diagnosis.selection.confirm import Graded, confirm
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, HeldOutLaps
 from trackres_ros.diagnosis.selection.naming import Step, choose, spurious_gain
@@ -114,17 +115,18 @@ def explain(
     return [*found, other] if found[0].evidence > other.evidence + sure else [other, *found]
 
 
-def judged(explanations: Sequence[Explanation], refitted: Fit, laps: HeldOutLaps) -> Judged:
+def judged(explanations: Sequence[Explanation], refitted: Fit, laps: HeldOutLaps, use: AsUsed) -> Judged:
     """The first explanation, unless held-out laps refute a part of it and none of the other, and confirm that this is better."""
-    chosen = _judged(explanations[0], refitted, laps)
+    chosen = _judged(explanations[0], refitted, laps, use)
     for explanation in explanations[1:] if chosen.refuted else ():
-        other = _judged(explanation, refitted, laps)
+        other = _judged(explanation, refitted, laps, use)
         if not other.refuted and laps.improvement_of(chosen.final, other.final).grade == CONFIRMED:
             return other
     return chosen
 
 
-def _judged(explanation: Explanation, refitted: Fit, laps: HeldOutLaps) -> Judged:
+def _judged(explanation: Explanation, refitted: Fit, laps: HeldOutLaps, use: AsUsed) -> Judged:
     best = explanation.description.fit
-    final, graded, refuted = confirm(with_levels(best), refitted, laps) if best.effects else (refitted, {}, ())
-    return Judged(explanation, final, graded, refuted)
+    if not best.effects:
+        return Judged(explanation, refitted, {}, ())
+    return Judged(explanation, *confirm(inside_ranges(with_levels(best), use), refitted, laps))

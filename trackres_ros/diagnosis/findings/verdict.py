@@ -19,7 +19,7 @@ from trackres_ros.diagnosis.findings.locate import STRAY_S, Acts, SlowResidual, 
 from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.selection.confirm import Graded, moved_parameters
-from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, HeldOut
+from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, HeldOut, Improvement
 from trackres_ros.diagnosis.selection.intervals import Interval
 from trackres_ros.diagnosis.selection.naming import Candidate, Step
 from trackres_ros.effects.effect import Parameter
@@ -229,7 +229,7 @@ def judge(
         gain = f"{sure}. Confirmed {_gain(held_out, 'with_effects')}."
         if not doubted:
             return Verdict(status, CONFIRMED, f"{gain}{besides}")
-        unsure, why = _sentences([x for x in both if x.graded.grade != CONFIRMED]), ". ".join(map(_doubt, doubted))
+        unsure, why = _sentences([x for x in both if x.graded.grade != CONFIRMED]), ". ".join(dict.fromkeys(map(_doubt, doubted)))
         also = f"{gain} Only suspected" if sure else "Suspected"
         return Verdict(status, SUSPECTED, f"{also}: {unsure}. {why}.{besides}")
     drifts = left_over.share > MOST_STRAY and all(BY_NAME[b.variable].as_clock for b in left)
@@ -306,11 +306,16 @@ def _followed(drift: Graded) -> str:
 
 def _doubt(graded: Graded) -> str:
     """Why an effect is only suspected."""
-    i, bounds = graded.improvement, graded.on_bounds
-    if i.grade == CONFIRMED:
-        return f"{graded.name} lies on a bound of what is plausible ({', '.join(bounds)})"
-    error = f"from {figures(i.before)} to {figures(i.after)} Nm ({figures(i.low, 2)} to {figures(i.high, 2)} Nm better, 95 %)"
-    return f"Laps not used for fitting do not confirm {graded.name}: with it their mean error goes {error}"
+    i, together = graded.improvement, graded.together
+    if i.grade == CONFIRMED and graded.on_bounds:
+        return f"{graded.name} lies on a bound of what is plausible ({', '.join(graded.on_bounds)})"
+    if together is not None and graded.confirmed_only_beside_others:
+        return f"Laps not used for fitting do not confirm all of it together: with it their mean error goes {_from_to(together)}"
+    return f"Laps not used for fitting do not confirm {graded.name}: with it their mean error goes {_from_to(i)}"
+
+
+def _from_to(i: Improvement) -> str:
+    return f"from {figures(i.before)} to {figures(i.after)} Nm ({figures(i.low, 2)} to {figures(i.high, 2)} Nm better, 95 %)"
 
 
 def _refuted(refuted: Sequence[Graded]) -> str:
@@ -323,7 +328,7 @@ def _refuted(refuted: Sequence[Graded]) -> str:
     unsure = ", ".join(g.name for g in refuted if g.grade != REFUTED)
     return " ".join(
         ([f"Refuted, as it fits the laps that were used and makes the others worse: {worse}."] if worse else [])
-        + ([f"Left out, as beside it a value of the file goes to a bound of what is possible: {instead}."] if instead else [])
+        + ([f"Left out, as beside it a value of the file goes to the end of its range: {instead}."] if instead else [])
         + ([f"Not confirmed beside it, and left out: {unsure}."] if unsure else [])
     )
 

@@ -15,7 +15,6 @@ from scipy.optimize import least_squares
 
 from trackres_ros.diagnosis.base.base import Base, BaseParameter, Predicted
 from trackres_ros.diagnosis.base.instrument import instrument
-from trackres_ros.diagnosis.base.watched import WATCHED
 from trackres_ros.diagnosis.inference.noise import LARGEST_ROOT, Noise, estimate_noise, whitened
 from trackres_ros.diagnosis.prepare.session import Session
 from trackres_ros.effects.effect import Active, Effect
@@ -205,13 +204,6 @@ class Fit:
         """What one effect adds to the expected torque of each session [Nm]."""
         without = self.problem.predict(self.base_values, [a for a in self.acting if a.effect.name != name])
         return [p.torque - w.torque for p, w in zip(self.predicted, without, strict=True)]
-
-    def of_file(self) -> list[Array]:
-        """The torque of each session that a vehicle file with these values expects [Nm]: no file has what the instrument does,
-        nor what follows the clock alone.
-        """
-        ahead = [a for a in self.effects if a.effect.acts_on != WATCHED]
-        return [p.torque for p in self.problem.predict(self.base_values, ahead)]
 
     @cached_property
     def white(self) -> list[Array]:

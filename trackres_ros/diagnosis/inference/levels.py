@@ -11,7 +11,7 @@ values that predict, the roots of the autoregression are held further inside; do
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
@@ -19,10 +19,10 @@ from trackres_ros.diagnosis.inference.fitting import Fit, fit
 LARGEST_ROOT = 0.7
 
 
-def with_levels(found: Fit, without: Collection[str] = ()) -> Fit:
-    """The same model, `without` some of its effects, with values that predict."""
+def with_levels(found: Fit, without: Collection[str] = (), fixed: Mapping[tuple[str, str], float] | None = None) -> Fit:
+    """The same model, `without` some of its effects and with parameters `fixed` at a value, with values that predict."""
     effects = [a.effect for a in found.effects if a.effect.name not in without]
-    return fit(found.problem, effects, found.at, largest_root=LARGEST_ROOT)
+    return fit(found.problem, effects, found.at, fixed=fixed, largest_root=LARGEST_ROOT)
 
 
 def for_tests(found: Fit) -> Fit:

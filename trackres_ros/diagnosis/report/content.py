@@ -86,6 +86,7 @@ def report(d: Diagnosis, paths: Sequence[Path], bindings: Mapping[str, TopicBind
         "refuted": [{"name": g.name, "heldout": _improvement(g.improvement)} for g in d.refuted],
         "written": {
             "base": d.kept.values is not None,
+            "values": None if d.kept.values is None else _numbers(dict(d.kept.values)),
             "effects": [name for kind in BELONGS_TO for name in d.kept.names_of(kind)],
             "disturbance": None if d.kept.disturbance is None else d.kept.disturbance.disturbance.form,
             "why": d.kept.text,

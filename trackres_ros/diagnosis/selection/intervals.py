@@ -39,8 +39,8 @@ class Interval:
 
 
 def intervals(found: Fit) -> dict[tuple[str, str], Interval]:
-    """Intervals of all parameters of a fit by `levels.with_levels`: the base's by the curvature, those of effects by their
-    profile; both by laps where wider.
+    """Intervals of all parameters that a fit by `levels.with_levels` was free to move: the base's by the
+    curvature, those of effects by their profile; both by laps where wider.
 
     How large an effect is depends on its function too, which is nature's to `FORM_ERROR` only.
     """
@@ -59,7 +59,7 @@ def intervals(found: Fit) -> dict[tuple[str, str], Interval]:
         below, above = (float(np.hypot(max(reach, lap), form)) for reach in (at - low, high - at))
         return Interval(max(f.low, at - below), min(f.high, at + above), low_open or high_open)
 
-    of = free_parameters(found.problem.base, [a.effect for a in found.effects])
+    of = [f for f in free_parameters(found.problem.base, [a.effect for a in found.effects]) if f.key in found.at]
     return {f.key: one for f, one in zip(of, side_by_side(interval, of, "intervals"), strict=True)}
 
 

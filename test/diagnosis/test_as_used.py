@@ -1,0 +1,325 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""What a diagnosis writes is judged as it is used: vehicle.yaml alone, and what else it writes beside that."""
+
+import re
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import trackres_ros as tr
+from trackres_ros.diagnosis import load_base
+from trackres_ros.diagnosis.base.base import BaseParameter
+from trackres_ros.diagnosis.base.instrument import usual_offset
+from trackres_ros.diagnosis.base.watched import WATCHED
+from trackres_ros.diagnosis.inference.fitting import Problem, fit
+from trackres_ros.diagnosis.inference.levels import with_levels
+from trackres_ros.diagnosis.pipeline import without_an_offset
+from trackres_ros.diagnosis.prepare.at_rest import LEAST_S, seconds_without_torque
+from trackres_ros.diagnosis.prepare.gate import Gated
+from trackres_ros.diagnosis.prepare.session import Course
+from trackres_ros.diagnosis.selection import as_used
+from trackres_ros.diagnosis.selection.as_used import AsUsed, choose_written, inside_ranges
+from trackres_ros.diagnosis.selection.held_out import HeldOutLaps
+from trackres_ros.effects import Active, catalogue
+from trackres_ros.effects.effect import Parameter
+from trackres_ros.evaluation.synthetic import drives, write_recordings
+from trackres_ros.files.resources import config_dir
+
+# The choice, on errors that are given: nothing is simulated
+
+FILE = {"rolling": 0.0}  # the value of the file
+
+
+def effect(name, belongs_to="vehicle", acts_on="torque"):
+    size = Parameter("size", "Nm", -10.0, 10.0, 1.0, "of it", off=0.0)
+    return Active(SimpleNamespace(name=name, belongs_to=belongs_to, acts_on=acts_on, parameters=(size,)), {"size": 5.0})
+
+
+class Fitted:
+    """A fit of a base of one value, with some effects."""
+
+    def __init__(self, rolling, *effects, held=()):
+        self.effects, self.base_values, self.held = effects, {"rolling": rolling}, held
+        parameter = BaseParameter("rolling", "1", 0.0, 1.0, -9.0, 9.0, (-2.0, 2.0))
+        self.problem = SimpleNamespace(base=SimpleNamespace(parameters=(parameter,)))
+
+
+class Errors:
+    """The error of each file, by its value and the names of the effects beside it; alone the same but for what is given."""
+
+    def __init__(self, together, alone=None, confirms=False):
+        self.together, self.alone, self.confirms = together, {**together, **(alone or {})}, confirms
+
+    def error(self, values, effects=(), alone=False):
+        of = self.alone if alone else self.together
+        return of[(FILE if values is None else values)["rolling"], "".join(sorted(a.effect.name for a in effects))]
+
+    def surely_better(self, after, before):
+        return self.confirms
+
+
+@pytest.fixture
+def fitted_again(monkeypatch):
+    """Fits without some effects roll with 1, and intervals tell whose they are."""
+
+    def without(found, names=(), fixed=None):
+        return Fitted(1.0, *(a for a in found.effects if a.effect.name not in names), held=tuple(fixed or ()))
+
+    monkeypatch.setattr(as_used, "with_levels", without)
+    monkeypatch.setattr(as_used, "_within", lambda found, free: found)
+    monkeypatch.setattr(as_used, "intervals", lambda found: {("", "rolling"): found.base_values["rolling"]})
+
+
+def written(believed, final, errors, confirmed=None, refitted=3.0, **given):
+    bounds = {("", "rolling"): "final", **{(a.effect.name, "size"): "final" for a in final.effects}}
+    confirmed = believed if confirmed is None else confirmed
+    kept = choose_written(believed, confirmed, final, Fitted(refitted), Errors(errors, **given), bounds)
+    return (kept.values or FILE)["rolling"], "".join(sorted(a.effect.name for a in kept.effects)), kept
+
+
+V, S, X = effect("v"), effect("s", "surroundings"), effect("x", "sensor", "sensor")
+
+
+def test_what_was_found_is_written_as_it_was_fitted_if_it_is_no_worse(fitted_again):
+    for error in (90.0, 100.0):
+        of = written(["v"], Fitted(2.0, V), {(2.0, "v"): error, (0.0, ""): 100.0})
+        assert of[:2] == (2.0, "v")
+        assert of[2].intervals == {("", "rolling"): "final", ("v", "size"): "final"}
+        assert "not written" not in of[2].text
+
+
+def test_a_vehicle_that_only_surroundings_make_right_is_not_written(fitted_again):
+    """The loss of the issue: 2165 Nm off alone, where the file was 121 Nm off; beside the file's values the slope is no good."""
+    errors = {(2.0, "s"): 20.0, (2.0, ""): 2165.0, (0.0, ""): 121.0, (0.0, "s"): 1900.0, (3.0, ""): 110.0}
+    rolling, names, kept = written(["s"], Fitted(2.0, S), errors)
+    assert (rolling, names) == (3.0, "")
+    assert "not the base's values and s, as vehicle.yaml alone would be 2160 Nm off, 121 Nm with the old one" in kept.text
+    assert written(["s"], Fitted(2.0, S), {**errors, (3.0, ""): 122.0})[:2] == (0.0, "")
+
+
+def test_surroundings_go_beside_the_files_values_where_the_re_fit_is_no_better(fitted_again):
+    errors = {(2.0, "s"): 20.0, (2.0, ""): 1065.3, (0.0, ""): 1065.0, (0.0, "s"): 21.0}
+    rolling, names, kept = written(["s"], Fitted(2.0, S), errors)
+    assert (rolling, names, kept.values) == (0.0, "s", None)
+    assert kept.intervals == {("s", "size"): "final"}
+    assert "21 Nm with surroundings.yaml" in kept.text
+
+
+def test_of_vehicle_and_surroundings_the_vehicle_may_be_written_by_itself(fitted_again):
+    errors = {
+        (2.0, "sv"): 20.0, (2.0, "v"): 150.0, (0.0, ""): 100.0, (0.0, "v"): 120.0,
+        (1.0, "v"): 60.0, (3.0, ""): 90.0,
+    }  # fmt: skip
+    rolling, names, kept = written(["v", "s"], Fitted(2.0, V, S), errors)
+    assert (rolling, names) == (1.0, "v")
+    assert kept.effects[0].values == V.values  # as the report shows it
+    assert "not written: s" in kept.text
+
+
+def test_the_measured_torque_is_corrected_only_by_a_sensors_line_that_is_confirmed(fitted_again):
+    errors = {(2.0, "x"): 20.0, (2.0, ""): 140.0, (0.0, "x"): 160.0, (0.0, ""): 100.0, (3.0, ""): 95.0}
+    assert written(["x"], Fitted(2.0, X), errors)[:2] == (2.0, "x")
+    assert written(["x"], Fitted(2.0, X), errors, confirmed=[])[:2] == (3.0, "")
+
+
+def test_a_line_of_a_sensor_that_makes_it_worse_beside_what_is_written_is_not(fitted_again):
+    errors = {(2.0, "x"): 99.0, (2.0, ""): 98.0, (0.0, "x"): 120.0, (0.0, ""): 100.0, (3.0, ""): 95.0}
+    assert written(["x"], Fitted(2.0, X), errors)[:2] == (3.0, "")
+
+
+@pytest.mark.parametrize(("confirms", "rolling"), [(True, 2.5), (False, 0.0)])
+def test_a_value_outside_the_files_range_needs_its_own_confirmation(fitted_again, confirms, rolling):
+    errors = {(2.5, "v"): 20.0, (0.0, "v"): 30.0, (0.0, ""): 100.0}
+    assert written(["v"], Fitted(2.5, V), errors, confirms=confirms)[0] == rolling
+
+
+def test_what_is_not_believed_moves_nothing(fitted_again):
+    errors = {(2.0, "v"): 20.0, (0.0, ""): 100.0, (1.0, "v"): 70.0, (3.0, ""): 95.0}
+    some = written(["v"], Fitted(2.0, V, X), errors)
+    assert some[:2] == (1.0, "v")  # the base is fitted again without it, beside the effect as it is
+    assert some[2].intervals == {("", "rolling"): 1.0, ("v", "size"): "final"}
+    assert some[2].text.endswith("; not written: x")
+    assert written([], Fitted(2.0, V, X), errors)[:2] == (3.0, "")
+    assert written([], Fitted(2.0, V, X), {**errors, (3.0, ""): 101.0})[:2] == (0.0, "")
+
+
+def test_what_follows_the_clock_alone_is_neither_written_nor_doubted(fitted_again):
+    kept = written(["v"], Fitted(2.0, V, effect("spells", acts_on=WATCHED)), {(2.0, "v"): 20.0, (0.0, ""): 100.0})[2]
+    assert [a.effect.name for a in kept.effects] == ["v"]
+    assert "spells" not in kept.text
+
+
+# Ranges of the vehicle file, by fits
+
+
+@pytest.fixture(scope="module")
+def driven(loaded):
+    """Makes the fit of a base to two drives of one that has other values or an effect, and what judges it on the second."""
+
+    def make(values, *effects):
+        rng = np.random.default_rng(3)
+        sessions = drives(loaded.base, loaded.known.max_speed, 2, 4.0, rng, step=1.0)
+        nominal = {q.name: q.nominal for q in loaded.base.parameters}
+        true = loaded.base.predict(sessions, {**nominal, **values}, effects)
+        noisy = [replace(s, torque=p.torque + rng.normal(0.0, 20.0, len(s))) for s, p in zip(sessions, true, strict=True)]
+        moving = [replace(s, used=np.abs(s.speed) > 0.3, block=np.full(len(s), i)) for i, s in enumerate(noisy)]
+        masks = [s.used & (i == 0) for i, s in enumerate(moving)]
+        laps = HeldOutLaps(moving, [s.used & ~m for s, m in zip(moving, masks, strict=True)], rng)
+        found = with_levels(fit(Problem(loaded.base, tuple(moving), tuple(masks))))
+        return found, AsUsed(loaded.base, moving, moving, laps)
+
+    return make
+
+
+def leaves(found):
+    return {q.name for q in found.problem.base.parameters if q.outside(found.base_values[q.name])}
+
+
+def test_a_value_that_held_out_laps_confirm_outside_its_range_stays_there(driven):
+    found, use = driven({"loss_modulus_scale": 1.6})
+    assert "loss_modulus_scale" in leaves(found)
+    assert inside_ranges(found, use).base_values["loss_modulus_scale"] == pytest.approx(1.6, abs=0.15)
+
+
+def test_a_value_that_nothing_confirms_outside_its_range_goes_back_to_its_end(driven):
+    found, use = driven({"loss_modulus_scale": 1.0})
+    spoilt = replace(found, base_values={**found.base_values, "drag_coefficient": 1.9})
+    inside = inside_ranges(spoilt, use)
+    assert not leaves(inside)
+    again = with_levels(inside)
+    assert all(not q.outside(again.base_values[q.name]) for q in again.problem.base.parameters)
+    assert all(q.low >= q.by_file[0] and q.high <= q.by_file[1] for q in again.problem.base.parameters)
+
+
+def test_alone_is_without_the_surroundings_and_the_route_that_were_given(driven, loaded, effects):
+    found, _ = driven({})
+    sessions = found.problem.sessions
+    site = Active(effects["grade"], {"grade": 0.02})
+    around = type(loaded.base)(replace(loaded.base.vehicle, surroundings=(site,)))
+    raised = [replace(s, torque_by_place=np.full(len(s), 300.0), given=s.given | {"grade"}) for s in sessions]
+    laps = HeldOutLaps(sessions, [s.used for s in sessions], np.random.default_rng(1))
+    use = AsUsed(around, raised, sessions, laps)
+    plain = loaded.base.predict(sessions, {q.name: q.nominal for q in loaded.base.parameters}, ())
+    for alone, more in ((True, 0.0), (False, 300.0)):
+        apart = use.expected(None, (), alone)[0] - plain[0].torque
+        assert (np.median(apart[sessions[0].used]) > more) == (not alone)
+        assert np.allclose(apart, 0.0) == alone
+
+
+# At rest
+
+
+def resting(session, torque, seconds):
+    """A session that stands for its first seconds, with a reading there."""
+    stands = session.time < seconds
+    shown = np.where(stands, torque, 1000.0)
+    course = Course.of(session.time + 0.5 * session.step, shown)
+    return replace(session, speed=np.where(stands, 0.0, 5.0), torque=shown, torque_course=course)
+
+
+@pytest.mark.parametrize(
+    ("reading", "seconds", "contradicted"),
+    [(0.0, 200.0, True), (-10.0, 200.0, True), (60.0, 200.0, False), (-150.0, 200.0, False), (0.0, LEAST_S - 5.0, False)],
+)
+def test_a_sensor_that_reads_none_at_rest_for_long_has_no_offset(loaded, effects, reading, seconds, contradicted):
+    (session,) = drives(loaded.base, 10.0, 1, 6.0, np.random.default_rng(1), step=1.0)
+    gated = Gated((resting(session, reading, seconds),), (), ())
+    after, may_be_found = without_an_offset(gated, loaded.base, effects)
+    assert ("torque_offset" not in may_be_found) == contradicted
+    assert ("its sensor has no offset" in " ".join(after.notes)) == contradicted
+    assert effects.keys() - may_be_found.keys() <= {"torque_offset"}
+
+
+def test_stops_at_which_the_vehicle_is_held_on_a_slope_hide_no_others(loaded, effects):
+    (session,) = drives(loaded.base, 10.0, 1, 12.0, np.random.default_rng(1), step=1.0)
+    stopped = [resting(session, torque, 200.0) for torque in (0.0, 900.0, -900.0)]
+    assert seconds_without_torque(stopped, 15.0) == pytest.approx(200.0, abs=5.0)
+    assert not seconds_without_torque(stopped[1:], 15.0)
+
+
+def test_where_no_torque_is_measured_at_rest_nothing_is_known_of_an_offset(loaded):
+    (session,) = drives(loaded.base, 10.0, 1, 6.0, np.random.default_rng(1), step=1.0)
+    stood = resting(session, 0.0, 200.0)
+    only_driven = Course.of(stood.time[200:] + 0.5, stood.torque[200:])
+    assert seconds_without_torque([stood], usual_offset(loaded.base)) > 190.0
+    for course in (only_driven, None):
+        assert not seconds_without_torque([replace(stood, torque_course=course)], usual_offset(loaded.base))
+
+
+# The law, on simulated drives
+
+
+def file_with(folder, factors, warmer=0.0):
+    """The reference vehicle's file with other values, and a compound whose loss rises by a share per kelvin."""
+    (folder / "rubber").mkdir(parents=True)
+    source = config_dir() / "xgd24d.yaml"
+    text = source.read_text()
+    for name, factor in factors.items():
+        text, count = re.subn(
+            rf"(\b{name}: {{value: )([0-9.]+)", lambda m, by=factor: f"{m[1]}{float(m[2]) * by:.6g}", text, count=1
+        )
+        assert count == 1
+    header, *rows = (config_dir() / "rubber" / "nr_sbr_10hz.csv").read_text().splitlines()
+    table = np.array([[float(x) for x in row.split(",")] for row in rows])
+    table[:, 2] *= np.exp(warmer * (table[:, 0] - 20.0))
+    table[:, 3] = table[:, 2] / table[:, 1]
+    lines = [",".join(f"{x:.6g}" for x in row) for row in table]
+    (folder / "rubber" / "nr_sbr_10hz.csv").write_text("\n".join([header, *lines]) + "\n")
+    (folder / "vehicle.yaml").write_text(text)
+    return folder / "vehicle.yaml"
+
+
+def check_law(tmp_path, loaded, names, factors, warmer, count=2, minutes=6.0, seed=1):
+    """The vehicle that a diagnosis leaves, alone, is no worse on held-out laps than the file it was given, and what is
+    written has the values that the report shows.
+    """
+    rng, known = np.random.default_rng(seed), catalogue()
+    sessions = drives(loaded.base, loaded.known.max_speed, count, minutes, rng)
+    hidden = [Active(known[name], known[name].values()) for name in names]
+    paths = write_recordings(loaded.base, tmp_path, sessions, hidden, rng)
+    file = file_with(tmp_path / "given", factors, warmer)
+    diagnosed = tr.diagnose(paths, file, quick=True)
+    report = diagnosed.as_dict()
+    found = {e["name"]: {q: p["value"] for q, p in e["parameters"].items()} for e in report["effects"]}
+    assert all(e["grade"] == "confirmed" for e in report["effects"] if e["name"] in report["written"]["effects"])
+    sensors = [Active(known[name], found[name]) for name in report["kept"]["sensor"]]
+    held, errors = held_out_of(paths, file, report), []
+    for vehicle in (file, diagnosed.vehicle.source):
+        base = load_base(vehicle).base
+        expected = base.predict([s for s, _ in held], {q.name: q.nominal for q in base.parameters}, sensors)
+        errors.append(np.concatenate([np.abs(s.torque - p.torque)[m] for (s, m), p in zip(held, expected, strict=True)]).mean())
+    assert {a.effect.name for a in diagnosed.vehicle.effects} == set(report["kept"]["vehicle"])
+    for active in diagnosed.vehicle.effects:
+        if active.effect.name in found:  # terms without a name have no single value
+            assert active.values == pytest.approx(found[active.effect.name], rel=1e-4)
+    assert errors[1] <= errors[0] * (1.0 + 1e-6), (report["verdict"]["sentence"], report["written"])
+
+
+def held_out_of(paths, file, report):
+    """The recordings as the diagnosis prepares them, and their held-out samples."""
+    from trackres_ros.diagnosis import read_recordings
+    from trackres_ros.diagnosis.prepare.split import lap_name
+    from trackres_ros.diagnosis.prepared import prepared
+
+    loaded = load_base(file)
+    sessions = prepared(read_recordings(paths, None), loaded)[0].sessions
+    laps = set(report["heldout"]["laps"])
+    return [(s, s.used & np.array([lap_name(s, b) in laps for b in s.block])) for s in sessions]
+
+
+def test_vehicle_yaml_alone_is_no_worse_than_the_file_with_another_compound(tmp_path, loaded):
+    check_law(tmp_path, loaded, [], {"loss_modulus_scale": 1.15}, -0.008)
+
+
+EVERY_EFFECT = sorted(catalogue())
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("factors", [{}, {"loss_modulus_scale": 0.8, "bearing_friction": 1.5, "drag_coefficient": 1.2}], ids=str)
+@pytest.mark.parametrize("name", EVERY_EFFECT)
+def test_vehicle_yaml_alone_is_no_worse_than_the_file_whatever_is_hidden(tmp_path, loaded, name, factors):
+    check_law(tmp_path, loaded, [name], factors, 0.0, count=3, minutes=10.0)

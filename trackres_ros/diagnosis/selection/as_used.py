@@ -1,0 +1,252 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Decides what may be written: each file is judged on held-out laps the way it is used.
+
+A controller runs vehicle.yaml alone, without surroundings and without what a sensor adds. So vehicle.yaml is compared alone with
+the file it came from. The surroundings and the lines for a sensor are compared beside the vehicle.yaml that is written.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.base.base import Base, BaseParameter
+from trackres_ros.diagnosis.base.watched import WATCHED, ByPlace
+from trackres_ros.diagnosis.inference.fitting import Fit
+from trackres_ros.diagnosis.inference.levels import with_levels
+from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.diagnosis.selection.held_out import CONFIRMED, HeldOutLaps
+from trackres_ros.diagnosis.selection.intervals import Interval, intervals
+from trackres_ros.diagnosis.writing.kept import Kept
+from trackres_ros.effects.effect import Active
+from trackres_ros.text.numbers import figures
+
+Array = NDArray[np.float64]
+Values = Mapping[str, float]
+Bounds = Mapping[tuple[str, str], Interval]
+
+VEHICLE, SURROUNDINGS, SENSOR = "vehicle", "surroundings", "sensor"
+
+
+def of_kind(effects: Sequence[Active], *kinds: str) -> tuple[Active, ...]:
+    """The effects that belong to one of some kinds; what follows the clock alone is in no file."""
+    return tuple(a for a in effects if a.effect.belongs_to in kinds and a.effect.acts_on != WATCHED)
+
+
+class AsUsed:
+    """The errors of files on held-out laps, each file as it is used.
+
+    Parameters
+    ----------
+    base, sessions
+        The vehicle in the surroundings that were given, and the recordings there.
+    recorded
+        The recordings without what the surroundings say of their places.
+    laps
+        The held-out laps.
+    """
+
+    def __init__(self, base: Base, sessions: Sequence[Session], recorded: Sequence[Session], laps: HeldOutLaps) -> None:
+        self._around = base, tuple(sessions)
+        self._alone = self._around
+        if base.alone is not base or any(s.given != r.given for s, r in zip(sessions, recorded, strict=True)):
+            pairs = zip(sessions, recorded, strict=True)
+            plain = (replace(s, grade=r.grade, given=r.given, torque_by_place=r.torque_by_place) for s, r in pairs)
+            self._alone = base.alone, tuple(plain)
+        self._laps = laps
+        self._read = dict[tuple[bool, tuple[float, ...]], Base]()
+
+    def expected(self, values: Values | None, effects: Sequence[Active], alone: bool) -> list[Array]:
+        """The torque that a sensor would show [Nm], of each session, by a file with other values, or with its own."""
+        base, sessions = self._alone if alone else self._around
+        if values is not None:
+            key = alone, tuple(values.values())
+            if key not in self._read:
+                self._read[key] = base.as_written(values)
+            base = self._read[key]
+        return [p.torque for p in base.predict(sessions, {q.name: q.nominal for q in base.parameters}, effects)]
+
+    def error(self, values: Values | None, effects: Sequence[Active] = (), alone: bool = False) -> float:
+        """Mean absolute error on held-out laps [Nm]."""
+        return float(np.abs(self._laps.measured - self._laps.of(self.expected(values, effects, alone))).mean())
+
+    def surely_better(self, after: Fit, before: Fit) -> bool:
+        """Whether one fit has a surely smaller error than another without surroundings."""
+        base, sessions = self._alone
+        both = (base.predict(sessions, f.base_values, of_kind(f.effects, VEHICLE, SENSOR)) for f in (before, after))
+        return self._laps.improvement(*([p.torque for p in one] for one in both)).grade == CONFIRMED
+
+
+def inside_ranges(found: Fit, use: AsUsed) -> Fit:
+    """A fit whose base values lie inside the ranges of the vehicle file, except values that held-out laps confirm outside.
+
+    A value outside is confirmed if vehicle.yaml alone is surely better with it than with that value at the end of its range, the
+    others fitted again. Further fits of the same problem keep to these ranges.
+    """
+    names = {q.name for q in found.problem.base.parameters}
+    held, confirmed = set[str](), set[str]()
+    while True:
+        outside = [q for q in _outside(found) if q.name not in confirmed]
+        if not outside:
+            break
+        name = outside[0].name
+        inside = with_levels(_within(found, names - held - {name}))
+        if use.surely_better(found, inside):
+            confirmed.add(name)
+        else:
+            found = inside
+            held.add(name)
+    return _within(found, confirmed)
+
+
+def _outside(found: Fit) -> list[BaseParameter]:
+    """Parameters of the base outside the ranges of the vehicle file, furthest first."""
+    base, values = found.problem.base, found.base_values
+    outside = [q for q in base.parameters if q.outside(values[q.name])]
+    return sorted(outside, key=lambda q: -abs(values[q.name] - q.nominal) / q.std)
+
+
+def _within(found: Fit, free: Collection[str]) -> Fit:
+    """The same values of a problem whose base is bound to the ranges of the vehicle file, except the parameters in `free`."""
+    base = found.problem.base.inside_ranges(free)
+    bounds = {("", q.name): (q.low, q.high) for q in base.parameters}
+    limits = ((f, *bounds.get(f.key, (f.low, f.high))) for f in found.free)
+    return replace(
+        found,
+        problem=replace(found.problem, base=base),
+        free=tuple(replace(f, low=low, high=high) for f, low, high in limits),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Option:
+    """What may be written together; `fitted` is where the values of the base are from, None for the file's own."""
+
+    fitted: Fit | None
+    effects: tuple[Active, ...]
+
+    @property
+    def values(self) -> Values | None:
+        return None if self.fitted is None else self.fitted.base_values
+
+    @property
+    def text(self) -> str:
+        of = "the file's own values" if self.fitted is None else "the base's values"
+        return " and ".join([of, *([", ".join(a.effect.name for a in self.effects)] if self.effects else [])])
+
+
+def choose_written(
+    believed: Collection[str], confirmed: Collection[str], final: Fit, refitted: Fit, use: AsUsed, bounds: Bounds
+) -> Kept:
+    """What may be written, the first of `_options` that is no worse as it is used than the vehicle file.
+
+    Parameters
+    ----------
+    believed
+        Names of the effects that may be written.
+    confirmed
+        Those that held-out laps confirm. A sensor's among them corrects the torque that vehicle.yaml is compared with.
+    final, refitted
+        Fits with all that was found, and with nothing.
+    bounds
+        Intervals of `final`.
+    """
+    written = tuple(a for a in final.effects if a.effect.name in believed and a.effect.acts_on != WATCHED)
+    first = ""
+    for option in _options(written, final, refitted):
+        why = _refused(option, confirmed, refitted, use)
+        if not why:
+            return _kept(option, final, confirmed, use, bounds, first)
+        first = first or f"; not {option.text}, as {why}"
+    return _kept(_Option(None, ()), final, confirmed, use, bounds, first)
+
+
+def _options(written: tuple[Active, ...], final: Fit, refitted: Fit) -> Iterator[_Option]:
+    """What may be written, best first: what was found as it was fitted; the same with the file's own values; what is the
+    vehicle's alone; a re-fit with nothing found.
+
+    The parameters of effects are those of `final` in each, which the report shows. Where effects of `final` are not written, the
+    base is fitted again without them.
+    """
+    if written:
+        yield _Option(_beside(written, final), written)
+        yield _Option(None, written)
+    of_vehicle = of_kind(written, VEHICLE)
+    if of_vehicle and len(of_vehicle) < len(written):
+        yield _Option(_beside(of_vehicle, final), of_vehicle)
+    yield _Option(refitted, ())
+
+
+def _beside(written: Sequence[Active], final: Fit) -> Fit:
+    """The base beside some effects with the parameters that they have in the final fit."""
+    names = {a.effect.name for a in written}
+    without = [a.effect.name for a in final.effects if a.effect.name not in names and a.effect.acts_on != WATCHED]
+    if not without:
+        return final
+    held = {(a.effect.name, q.name): a.values[q.name] for a in written for q in a.effect.parameters if q.fitted}
+    return with_levels(final, without, held)
+
+
+def _refused(option: _Option, confirmed: Collection[str], refitted: Fit, use: AsUsed) -> str:
+    """Why an option is not written; empty if it may be."""
+    values, effects = option.values, option.effects
+    if option.fitted is not None and option.fitted is not refitted:
+        for q in _outside(option.fitted):
+            free = {p.name for p in option.fitted.problem.base.parameters} - {q.name}
+            if not use.surely_better(option.fitted, with_levels(_within(option.fitted, free))):
+                return f"{q.name} would leave the range of the file unconfirmed"
+    alone, before = _alone(option, confirmed, use)
+    if alone > before:
+        return f"vehicle.yaml alone would be {figures(alone)} Nm off, {figures(before)} Nm with the old one"
+    together = use.error(values, effects)
+    for kind, what in ((SURROUNDINGS, "surroundings.yaml"), (SENSOR, "the topics file")):
+        of = of_kind(effects, kind)
+        without = use.error(values, [a for a in effects if a not in of]) if of else together
+        if together > without:
+            return f"with {what} it would be {figures(together)} Nm off, {figures(without)} Nm without"
+    nominal = use.error(None)
+    if together > nominal:
+        return f"it would be {figures(together)} Nm off, {figures(nominal)} Nm with the old one"
+    return ""
+
+
+def _alone(option: _Option, confirmed: Collection[str], use: AsUsed) -> tuple[float, float]:
+    """Errors of vehicle.yaml alone and of the file it came from, both against the torque as confirmed lines of a sensor correct
+    it [Nm].
+    """
+    sensors = _correcting(option, confirmed)
+    after = use.error(option.values, [*of_kind(option.effects, VEHICLE), *sensors], alone=True)
+    return after, use.error(None, sensors, alone=True)
+
+
+def _correcting(option: _Option, confirmed: Collection[str]) -> list[Active]:
+    return [a for a in of_kind(option.effects, SENSOR) if a.effect.name in confirmed]
+
+
+def _kept(option: _Option, final: Fit, confirmed: Collection[str], use: AsUsed, bounds: Bounds, not_first: str) -> Kept:
+    """An option with its intervals and in words."""
+    names = {a.effect.name for a in option.effects}
+    spans = {key: one for key, one in bounds.items() if key[0] in names}
+    if option.fitted is not None:
+        of_base = bounds if option.fitted is final else intervals(option.fitted)
+        spans |= {key: one for key, one in of_base.items() if not key[0]}
+    alone, before = _alone(option, confirmed, use)
+    error = f"the mean error on laps not used for fitting is {figures(alone)} Nm with vehicle.yaml alone"
+    error += f", {figures(before)} Nm with the old one" if option.fitted is not None or option.effects else ""
+    error += ", against the torque as the topics file corrects it" if _correcting(option, confirmed) else ""
+    if of_kind(option.effects, SURROUNDINGS):
+        error += f", {figures(use.error(option.values, option.effects))} Nm with surroundings.yaml"
+    doubted = [a.effect.name for a in final.effects if a.effect.acts_on != WATCHED and a.effect.name not in names]
+    but = f"; not written: {', '.join(doubted)}" if doubted else ""
+    return Kept(
+        None if option.values is None else dict(option.values),
+        tuple(a for a in option.effects if not isinstance(a.effect, ByPlace)),
+        spans,
+        f"written: {option.text}; {error}{but}{not_first}",
+        route=tuple(a.effect.learned(a.numbers[0]) for a in option.effects if isinstance(a.effect, ByPlace)),
+    )
