@@ -11,11 +11,13 @@ from typing import Any
 
 import trackres_ros as tr
 
-FUNCTIONS = ("load_vehicle", "check_vehicle", "record_sample", "read", "replay", "simulate", "explain", "diagnose", "coastdown")
+FUNCTIONS = (
+    "load_vehicle", "check_vehicle", "record_sample", "read", "recover", "replay", "simulate", "explain", "diagnose", "coastdown",
+)  # fmt: skip
 CLASSES = (
     "Recording", "ReplayResult", "SimulationResult", "OperatingPoint", "VehicleCheck", "DiagnosisResult", "CoastdownResult",
     "Estimator", "Vehicle",
-    "Sample", "InputError",
+    "Sample", "Recovered", "InputError",
 )  # fmt: skip
 MEMBERS = {  # of classes whose other members are for the inside of the package
     "Recording": ("start_ns", "roles", "time_s", "aligned", "report"),

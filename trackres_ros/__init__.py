@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from trackres_ros import effects
     from trackres_ros.api.coasting import coastdown
     from trackres_ros.api.diagnosing import diagnose
-    from trackres_ros.api.recordings import read, record_sample
+    from trackres_ros.api.recordings import read, record_sample, recover
     from trackres_ros.api.replaying import replay
     from trackres_ros.api.simulating import explain, simulate
     from trackres_ros.api.vehicles import check_vehicle, load_vehicle
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from trackres_ros.estimator.estimator import Estimator
     from trackres_ros.offline.sample import Sample
     from trackres_ros.recording.recording import Recording
+    from trackres_ros.recording.unfinished import Recovered
     from trackres_ros.results.coastdown import CoastdownResult
     from trackres_ros.results.diagnosis import DiagnosisResult
     from trackres_ros.results.operating_point import OperatingPoint
@@ -46,6 +47,7 @@ __all__ = [
     "MissingExtraError",
     "OperatingPoint",
     "Recording",
+    "Recovered",
     "ReplayResult",
     "Sample",
     "SimulationResult",
@@ -60,6 +62,7 @@ __all__ = [
     "load_vehicle",
     "read",
     "record_sample",
+    "recover",
     "replay",
     "simulate",
 ]
@@ -72,6 +75,7 @@ _HOMES = {
     "MissingExtraError": "errors",
     "OperatingPoint": "results.operating_point",
     "Recording": "recording.recording",
+    "Recovered": "recording.unfinished",
     "ReplayResult": "results.replay",
     "Sample": "offline.sample",
     "SimulationResult": "results.simulation",
@@ -84,6 +88,7 @@ _HOMES = {
     "load_vehicle": "api.vehicles",
     "read": "api.recordings",
     "record_sample": "api.recordings",
+    "recover": "api.recordings",
     "replay": "api.replaying",
     "simulate": "api.simulating",
 }

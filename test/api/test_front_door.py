@@ -23,8 +23,9 @@ PACKAGE = Path(tr.__file__).parent
 DRIVE = "time_s,speed_kmh,ambient_degc\n" + "".join(f"{i * 0.1:.1f},{min(i, 100) * 0.2:.2f},10\n" for i in range(400))
 
 EXPORTED = {
-    "load_vehicle", "check_vehicle", "record_sample", "read", "replay", "simulate", "explain", "diagnose", "coastdown", "effects",
-    "Estimator", "Vehicle", "Recording", "InputError", "MissingExtraError",
+    "load_vehicle", "check_vehicle", "record_sample", "read", "recover", "replay", "simulate", "explain", "diagnose", "coastdown",
+    "effects",
+    "Estimator", "Vehicle", "Recording", "Recovered", "InputError", "MissingExtraError",
     "Sample", "ReplayResult", "SimulationResult", "OperatingPoint", "VehicleCheck", "DiagnosisResult", "CoastdownResult",
     "__version__",
 }  # fmt: skip

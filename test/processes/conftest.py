@@ -78,7 +78,9 @@ def environment(edge, folder):
 class Node:
     """The node under test, and our side of the wire."""
 
-    def __init__(self, edge, folder, wire, name="trackres", namespace="/", preexec=None, topics=None, **given):
+    def __init__(
+        self, edge, folder, wire, name="trackres", namespace="/", preexec=None, topics=None, program=None, options=(), **given
+    ):
         self.edge, self.folder, self.wire, self.name = edge, folder, wire, name
         self.base = f"{namespace.rstrip('/')}/{name}"
         self.parameters = {"vehicle": "xgd24d", "state_file": "none", **given}
@@ -88,8 +90,23 @@ class Node:
         params = folder / f"{name}.json"
         params.write_text(json.dumps({"/**": {"ros__parameters": self.parameters}}))  # JSON is YAML
         self.log_path = folder / f"{name}-{time.monotonic_ns()}.log"
-        command = [sys.executable, "-m", "trackres_ros", "live", "--edge", "dds" if edge == "dds" else "ros", "--quiet"]
-        command += ["--params", str(params), "--name", name, "--namespace", namespace]
+        command = [
+            sys.executable,
+            *(["-c", program] if program else ["-m", "trackres_ros"]),
+            "live",
+            "--quiet",
+            *map(str, options),
+        ]
+        command += [
+            "--edge",
+            "dds" if edge == "dds" else "ros",
+            "--params",
+            str(params),
+            "--name",
+            name,
+            "--namespace",
+            namespace,
+        ]
         self.out = {
             "feedforward": wire.subscribe(f"{self.base}/feedforward_torque", WRENCH),
             "resistance": wire.subscribe(f"{self.base}/resistance_torque", JOINTS),

@@ -1,18 +1,21 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Makes sample recordings, and reads recordings."""
+"""Makes sample recordings, reads recordings, and finishes those that were broken off."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from trackres_ros.api.arguments import StrPath, TopicsGiven, VehicleGiven, as_paths, as_topics, as_vehicle
+from trackres_ros.errors import InputError
 
 if TYPE_CHECKING:
     from trackres_ros.offline.sample import Sample
     from trackres_ros.recording.recording import Recording
+    from trackres_ros.recording.unfinished import Recovered
 
 
 def record_sample(
@@ -69,7 +72,8 @@ def read(recording: StrPath | Sequence[StrPath], *, topics: TopicsGiven | None =
     ----------
     recording
         A rosbag2 folder, `.mcap`, `.db3`, `.bag`, `.csv`, `.csv.gz`, `.parquet` or `.xlsx`; of bags several, which are read one
-        after another as one recording.
+        after another as one recording. An `.mcap` or `.mcap.part` that was not finished is read up to its last whole block, and a
+        finding says so.
     topics
         Which topic and field, or which column, feeds which role: a topics file, or what stands in one. Without it topics are
         guessed by message type, and columns known by name.
@@ -106,3 +110,47 @@ def read(recording: StrPath | Sequence[StrPath], *, topics: TopicsGiven | None =
     source = open_source(paths, mapping)
     found = Recording.from_source(source)
     return replace(found, paths=tuple(paths), bindings=source.bindings, topics=mapping)
+
+
+def recover(recording: StrPath, *, output: StrPath) -> Recovered:
+    """Finish an MCAP recording that was broken off, so that every player opens it; the unfinished file stays.
+
+    Parameters
+    ----------
+    recording
+        The `.mcap.part` that `trackres live --record` leaves where it is killed, or any `.mcap` that was cut off.
+    output
+        The `.mcap` file to write.
+
+    Returns
+    -------
+    Recovered
+        Its `path`, how many messages are in it, and how many bytes at the end were of no use.
+
+    Raises
+    ------
+    InputError
+        No MCAP, one that is finished, one without a whole message, or the output cannot be written.
+
+    Examples
+    --------
+    >>> import trackres_ros as tr
+    >>> lap = tr.record_sample("whole.mcap", laps=1).path.read_bytes()
+    >>> from pathlib import Path
+    >>> _ = Path("cut.mcap").write_bytes(lap[:-1000])
+    >>> tr.recover("cut.mcap", output="again.mcap").messages
+    15934
+    """
+    from trackres_ros.files.output_files import BAG_SUFFIX, output_file
+    from trackres_ros.recording.reading import check_file
+    from trackres_ros.recording.unfinished import Recovered, UnfinishedBag, is_unfinished
+
+    path, file = Path(recording), output_file(output, (BAG_SUFFIX,), "output")
+    check_file(path)
+    if not is_unfinished(path):
+        raise InputError("recording", str(path), "an MCAP file that was not finished", "a finished one is read as it is")
+    if file.resolve() == path.resolve():
+        raise InputError("output", str(file), "another file than the unfinished one")
+    bag = UnfinishedBag(path)
+    bag.write(file)
+    return Recovered(file, bag.messages, bag.duration_s, bag.lost_bytes)

@@ -6,13 +6,14 @@
 from __future__ import annotations
 
 import importlib
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from trackres_ros import InputError
-from trackres_ros.cli.common import topics_option
+from trackres_ros.cli.common import number, topics_option
 from trackres_ros.cli.written import watch
 
 if TYPE_CHECKING:
@@ -46,6 +47,13 @@ if TYPE_CHECKING:
     metavar="OUT.mcap",
     help="Write every message of the topics file and every estimate, to be replayed and diagnosed, and a picture, at the end.",
 )
+@click.option("--record-split-mb", type=number(1, 1e6), help="Begin the next file, OUT_0001.mcap, at this size [MB].")
+@click.option("--record-split-minutes", type=number(0.01, 1e5), help="Begin the next file, OUT_0001.mcap, after this time [min].")
+@click.option(
+    "--record-limit-mb",
+    type=number(2, 1e8),
+    help="Most that all files of the recording may take [MB], those of earlier runs included: the oldest are deleted.",
+)
 @click.option("--quiet", is_flag=True, help="No table in the terminal.")
 @click.option("--json", "as_json", is_flag=True, help="Instead of the table a line of JSON a second, and one at the end.")
 def live_command(
@@ -58,6 +66,9 @@ def live_command(
     namespace: str,
     edge: str,
     record: Path | None,
+    record_split_mb: float | None,
+    record_split_minutes: float | None,
+    record_limit_mb: float | None,
     quiet: bool,
     as_json: bool,
 ) -> int:
@@ -75,10 +86,14 @@ def live_command(
     from trackres_ros.node.parameter_file import ParameterFile
     from trackres_ros.node.parameters import make_parameters, read_parameters
     from trackres_ros.node.record import Recorder
+    from trackres_ros.node.record_files import Limits
     from trackres_ros.node.signals import REQUESTS
 
     check_names(name, namespace)
-    recorder = Recorder(output_file(record, (BAG_SUFFIX,), "--record")) if record else None
+    limits = Limits(record_split_mb or 0.0, record_split_minutes or 0.0, record_limit_mb or 0.0)
+    if limits.splits and record is None:
+        raise InputError("--record", "not given", "a file to record into, with --record-split-... and --record-limit-mb")
+    recorder = Recorder(output_file(record, (BAG_SUFFIX,), "--record"), limits) if record else None
     watch(*([record] if record else []))
     given = read_parameters(params_file, name, namespace)
     named = {"vehicle": vehicle, "surroundings": surroundings, "topics": topics}
@@ -89,7 +104,8 @@ def live_command(
 
     def started(application: Application) -> None:
         if recorder:
-            recorder.begin(application)
+            for text in recorder.begin(application):
+                click.echo(f"trackres: {text}", err=True)
         if as_json:
             shown.append(LiveJson(application.overview))
         elif not quiet:
@@ -111,7 +127,8 @@ def live_command(
             display.stop()
         if recorder:
             for text in recorder.end():
-                click.echo(text, err=as_json)
+                with suppress(OSError):  # the same disk may be that of the terminal's file
+                    click.echo(text, err=as_json)
 
 
 def _rclpy_imports() -> bool:

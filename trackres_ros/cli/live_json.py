@@ -16,6 +16,7 @@ from typing import Any
 from trackres_ros.node.report import Overview
 
 PERIOD_S = 1.0
+END_PATIENCE_S = 2.0
 
 
 class LiveJson:
@@ -31,9 +32,9 @@ class LiveJson:
         self._thread.start()
 
     def stop(self) -> None:
-        """Print the last line and end."""
+        """Print the last line and end, as far as somebody takes it."""
         self._stop.set()
-        self._thread.join()
+        self._thread.join(END_PATIENCE_S)
 
     def _run(self) -> None:
         over = False
@@ -44,6 +45,8 @@ class LiveJson:
             except BrokenPipeError:  # nobody reads any more, which does not end the node
                 os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
                 return
+            except OSError:  # a full disk: the next line may fit again
+                continue
 
 
 def as_dict(seen: Overview, final: bool) -> dict[str, Any]:

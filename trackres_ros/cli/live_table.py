@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from datetime import UTC, datetime
 
 from rich.console import Console, Group, RenderableType
@@ -25,6 +26,7 @@ from trackres_ros.units import KMH_PER_MPS
 
 REFRESH_S = 0.5
 PLAIN_PERIOD_S = 10.0
+END_PATIENCE_S = 2.0
 LONG_AGE_S = 100.0  # from here on whole seconds
 COLOURS = {Level.OK: "green", Level.WARN: "yellow", Level.ERROR: "red", Level.STALE: "magenta"}
 
@@ -42,16 +44,17 @@ class LiveTable:
         self._thread.start()
 
     def stop(self) -> None:
-        """Show the last state and end."""
+        """Show the last state and end, as far as a terminal takes it."""
         self._stop.set()
-        self._thread.join()
+        self._thread.join(END_PATIENCE_S)
 
     def _run(self) -> None:
         console = Console()
         if not console.is_terminal:
             while True:
                 over = self._stop.wait(PLAIN_PERIOD_S)
-                console.print(line(self._overview()), soft_wrap=True, markup=False, highlight=False)
+                with suppress(OSError):  # a full disk: the next line may fit again
+                    console.print(line(self._overview()), soft_wrap=True, markup=False, highlight=False)
                 if over:
                     return
         with Live(console=console, auto_refresh=False) as live:

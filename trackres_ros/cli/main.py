@@ -27,6 +27,7 @@ from trackres_ros.cli.live import live_command
 from trackres_ros.cli.play import play_command
 from trackres_ros.cli.prove import prove_command
 from trackres_ros.cli.record_sample import record_sample_command
+from trackres_ros.cli.recover import recover_command
 from trackres_ros.cli.replay import replay_command
 from trackres_ros.cli.reproduce import reproduce_command
 from trackres_ros.cli.simulate import simulate_command
@@ -70,6 +71,7 @@ for command in (
     sensitivity_command,
     reproduce_command,
     record_sample_command,
+    recover_command,
     vehicle_group,
     topics_group,
     compound_group,

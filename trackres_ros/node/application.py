@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 import time
-import traceback
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -23,15 +22,16 @@ from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.topic_settings import settings_for
 from trackres_ros.estimator.warm_up import LIVE, WarmUp, exercise
 from trackres_ros.node.comparison import Comparison
-from trackres_ros.node.edge import Edge, KeepMessage, Level, Peer, Reasons, Status
+from trackres_ros.node.edge import Edge, KeepMessage, Level, Peer, Reasons
 from trackres_ros.node.endpoints import InputTopic, input_topics, live_topics, other_topics
+from trackres_ros.node.guard import Guard
 from trackres_ros.node.inbox import Arrival
 from trackres_ros.node.intake import Intake
 from trackres_ros.node.live_learning import LiveLearning
 from trackres_ros.node.outlet import Outlet
 from trackres_ros.node.parameters import Parameters
 from trackres_ros.node.remarks import Remark, level_of
-from trackres_ros.node.report import Overview, overview, statuses
+from trackres_ros.node.report import Overview, bare_status, overview, statuses
 from trackres_ros.node.sending_order import Arrived, SendingOrder
 from trackres_ros.node.setup import changed_parameters, read_setup
 from trackres_ros.node.stamps import nearest_usable
@@ -42,6 +42,7 @@ from trackres_ros.units import SECOND_NS
 ACCEPTED = int(at.Count.ACCEPTED)
 LONGEST_PERIOD_S = 0.1  # between two looks at the age of the speed, and between two outputs
 MOST_BEFORE_CLOCK = 10000
+SAVING_ON_REQUEST_S, SAVING_AT_THE_END_S = 0.1, 10.0  # longest wait for a disk
 REASONS_KEPT_NS = 200_000_000  # looking at all takes longer than publishing; an old speed and what is new are seen at once
 MUST_BE_FINITE = (at.OUT_RESISTANCE, at.OUT_STD, at.OUT_FEEDFORWARD)
 
@@ -90,6 +91,8 @@ class Application:
         )
         self.active = False
         self.on_estimate: Callable[[list[float], int, int], None] | None = None  # row, stamp, arrival
+        self.recording_remarks: Callable[[], list[Remark]] = list
+        self.guard = Guard(self._report_fault, steady_ns)
         self._keep: KeepMessage | None = None
         self._edge, self._steady_ns = edge, steady_ns
         self._is_speed = ["speed" in given.roles for given in self.inputs]
@@ -127,7 +130,8 @@ class Application:
 
     def arrival(self) -> Arrival:
         """The arrival of a message that comes now."""
-        return self._steady_ns(), self._edge.now_ns()
+        steady = self._steady_ns()
+        return steady, self._now_ns(steady)
 
     def record(self, keep: KeepMessage) -> list[tuple[InputTopic, str]]:
         """Have every message kept that comes, of all topics of the topics file; which, and the texts that define their types.
@@ -150,7 +154,8 @@ class Application:
         """Take note of a message as it came, where all are recorded."""
         if self._keep:
             steady, now = arrived
-            self._keep(index, raw, now if self.parameters.sim_time else steady + self._arrival_offset_ns)
+            arrival = now if self.parameters.sim_time else steady + self._arrival_offset_ns
+            self.guard("recording", self._keep, index, raw, arrival)
 
     def dropped(self, index: int) -> None:
         """Take note of a message of an input topic that had to make way for later ones."""
@@ -158,12 +163,9 @@ class Application:
 
     def receive(self, index: int, message: object, sent_ns: int = 0, arrived: Arrival | None = None) -> None:
         """Take a decoded message of an input topic, sent at a time [ns] of its publisher's machine, 0 where that is not known."""
-        try:
-            read = self._intake.read(index, message)
-        except Exception as error:  # a fault of ours must not end the node
-            self._fault(error)
-            return
-        self.receive_values(index, *read, sent_ns, arrived)
+        read = self.guard.essential("reading a message", self._intake.read, index, message)
+        if read is not None:
+            self.receive_values(index, *read, sent_ns, arrived)
 
     def undecodable(self, index: int, sent_ns: int = 0, arrived: Arrival | None = None) -> None:
         """Take note of a message of an input topic that cannot be decoded: no number, at the node's time."""
@@ -182,15 +184,12 @@ class Application:
         Messages are handled in the order they were sent, see `SendingOrder`. What comes before the simulated clock waits for it:
         without a time its age is not known.
         """
-        try:
-            self._receive(index, stamp_ns, values, sent_ns, arrived or self.arrival())
-        except Exception as error:  # as above
-            self._fault(error)
+        self.guard.essential("taking a message", self._receive, index, stamp_ns, values, sent_ns, arrived or self.arrival())
 
     def _receive(self, index: int, stamp_ns: int | None, values: Sequence[float | None], sent_ns: int, arrived: Arrival) -> None:
         steady, now = arrived
         if now == 0 and self.parameters.sim_time:
-            now = self._edge.now_ns()
+            now = self._now_ns(steady)
         if now == 0 and self.parameters.sim_time:
             if len(self._before_clock) < MOST_BEFORE_CLOCK:
                 self._before_clock.append((index, stamp_ns, values, sent_ns, arrived))
@@ -206,17 +205,17 @@ class Application:
     def _handle(self, message: Arrived) -> None:
         _, steady, now, samples = message
         arrival = now if self.parameters.sim_time else steady + self._arrival_offset_ns
-        try:
-            counters = self.session.memory.counters
-            for channel, stamp, value in samples:
-                before = counters[channel, ACCEPTED]
-                estimate = self.session.handle(channel, stamp, arrival, value)
-                if counters[channel, ACCEPTED] != before:
-                    self._watch.accepted_ns[channel] = steady
-                if estimate is not None:
-                    self._take(estimate, steady, now, arrival)
-        except Exception as error:  # a fault of ours must not silence the outputs
-            self._fault(error)
+        for channel, stamp, value in samples:
+            self.guard.essential("the step", self._step, channel, stamp, value, steady, now, arrival)
+
+    def _step(self, channel: int, stamp: int, value: float, steady: int, now: int, arrival: int) -> None:
+        counters = self.session.memory.counters
+        before = counters[channel, ACCEPTED]
+        estimate = self.session.handle(channel, stamp, arrival, value)
+        if counters[channel, ACCEPTED] != before:
+            self._watch.accepted_ns[channel] = steady
+        if estimate is not None:
+            self._take(estimate, steady, now, arrival)
 
     def _take(self, estimate: Estimate, steady: int, now: int, arrival: int) -> None:
         values = estimate.row.tolist()
@@ -224,38 +223,54 @@ class Application:
             raise ArithmeticError(f"the estimate is not finite: {values}")
         stamp = int(self.session.memory.times[at.SPEED, at.LAST_STAMP])
         self._outlet.take(values, float(self.session.motion[at.FEEDFORWARD_TARGET]), stamp, steady, self._pace(steady))
-        new_reasons = self._watch.accepted(int(values[at.OUT_REASONS]), now - stamp)
+        new_reasons = self.guard("watching the reasons", self._watch.accepted, int(values[at.OUT_REASONS]), now - stamp)
         if new_reasons:
             self._reasons_seen = None
         if self.active and self._on_speed:
             self._next_output_ns = steady + int(LONGEST_PERIOD_S * SECOND_NS)
-            self._publish(self._steady_ns())
+            self.guard.essential("publishing", self._publish, self._steady_ns())
         self._state_at = time.time()
-        news = self.comparison.take(stamp, values)
+        news = self.guard("the comparison with the measured torque", self.comparison.take, stamp, values)
         if news:
             self._reasons_seen = None
             self._log(Level.OK, news)
         if new_reasons and self.active:
             self._publish_status(self._steady_ns())
-        self.learning.take(stamp, values, self.session)  # after the outputs were sent: it acts from the next step on
+        self.guard("learning", self.learning.take, stamp, values, self.session)  # it acts from the next step on
+        if self.on_estimate:
+            self.guard("recording", self._record_estimate, values, stamp, arrival)
+
+    def _record_estimate(self, values: list[float], stamp: int, arrival: int) -> None:
         if self.on_estimate:
             self.on_estimate([*values, *self.learning.columns(values, self.session)], stamp, arrival)
 
-    def _fault(self, error: Exception) -> None:
+    def _report_fault(self, text: str) -> None:
         self._reasons_seen = None
-        if self._watch.fault(error, self._steady_ns()):
-            self._log(Level.ERROR, f"a fault of this program: {''.join(traceback.format_exception(error))}")
+        self._log(Level.ERROR, text)
 
     def _log(self, level: Level, text: str) -> None:
-        with suppress(Exception):  # nobody to tell that nobody can be told
+        try:
             self._edge.log(level, text)
+        except KeyboardInterrupt:
+            raise
+        except BaseException:  # nobody to tell that nobody can be told
+            pass
+
+    def _now_ns(self, steady: int) -> int:
+        """The node's time; where a clock cannot be read the machine's, and of a simulated one none."""
+        now = self.guard("the clock", self._edge.now_ns)
+        return now if now is not None else 0 if self.parameters.sim_time else steady + self._arrival_offset_ns
 
     def _pace(self, steady: int) -> int:
         """Time by which the feed-forward moves: that of the controller, the simulated one where there is one [ns]."""
-        return nearest_usable(self._edge.now_ns()) if self.parameters.sim_time else steady
+        return nearest_usable(self._now_ns(steady)) if self.parameters.sim_time else steady
 
     def _publish(self, steady: int) -> None:
-        self._outlet.publish(steady, self._pace(steady), self._reasons)
+        self._outlet.publish(steady, self._pace(steady), self._reasons_or_fault)
+
+    def _reasons_or_fault(self, steady: int) -> Reasons:
+        hold = self.guard("the reasons", self._reasons, steady)
+        return (("PART_FAILED", Level.WARN),) if hold is None else hold
 
     def _reasons(self, steady: int) -> Reasons:
         """All that is to be remarked now, each name once."""
@@ -277,27 +292,38 @@ class Application:
         """Stop publishing."""
         self.active = False
 
+    def fade_out(self, error: BaseException | None = None) -> None:
+        """Take the feed-forward to zero, as fast as it may move, before the node ends; what ends it, if it is a fault.
+
+        It takes `feedforward_fade_s` at most. It never raises: where nothing can be published there is nothing to be done.
+        """
+        if error is not None:
+            self.guard.failed("the main loop", error, essential=True)
+            self._publish_status(self._steady_ns(), diagnostics=True)
+        with suppress(Exception):
+            self._outlet.withdraw(self._steady_ns())
+            while self.active and self._outlet.stamp_ns is not None:
+                self._publish(self._steady_ns())
+                if self._outlet.feedforward == 0.0:
+                    return
+                time.sleep(self.period_s)
+
     def tick(self) -> None:
         """Publish what is due, look at ages and peers, save the state; to be called every `period_s`.
 
-        It never raises: a part that fails is a fault on the status, and the others are carried out.
+        It never raises: a part that fails is named on the status, and the others are carried out.
         """
         steady = self._steady_ns()
-        turned_old = self._watch.look_at_age(self._outlet.age_s(steady), self.estimator.settings.speed_max_age_s)
-        self._safely(self._hand_over_late, steady)
-        self._safely(self._publish_due, steady)
+        age_s, max_age_s = self._outlet.age_s(steady), self.estimator.settings.speed_max_age_s
+        turned_old = self.guard("watching the age of the speed", self._watch.look_at_age, age_s, max_age_s)
+        self.guard.essential("taking late messages", self._hand_over_late, steady)
+        self.guard.essential("publishing", self._publish_due, steady)
         if steady >= self._next_second_ns:
             self._next_second_ns += SECOND_NS * (1 + (steady - self._next_second_ns) // SECOND_NS)
             self._every_second(steady)
         elif turned_old and self.active:
             self._publish_status(steady)
-        self._safely(self._save_due, steady)
-
-    def _safely(self, do: Callable[[int], None], steady: int) -> None:
-        try:
-            do(steady)
-        except Exception as error:  # as above
-            self._fault(error)
+        self.guard("saving the state", self._save_due, steady)
 
     def _hand_over_late(self, steady: int) -> None:
         for message in self._order.late(steady):
@@ -316,12 +342,13 @@ class Application:
             self.keeper.save_soon(self.session, self._state_at, self.learning.learner)
 
     def _every_second(self, steady: int) -> None:
-        for part in (self._change_over, self._look, self._log_remarks):
-            self._safely(part, steady)
+        self.guard("changing over to compiled steps", self._change_over)
+        self.guard("watching the inputs", self._look, steady)
+        self.guard("the log", self._log_remarks, steady)
         if self.active:
             self._publish_status(steady, diagnostics=True)
 
-    def _change_over(self, _steady: int) -> None:
+    def _change_over(self) -> None:
         compiled = self._warm_up.finished()
         if compiled:
             self._go_on_with(Estimator(self.vehicle, self.estimator.settings, entries=compiled))
@@ -340,38 +367,38 @@ class Application:
             self._log(*entry)
 
     def _publish_status(self, steady: int, diagnostics: bool = False) -> None:
+        self.guard("publishing statuses", self._publish_statuses, steady, diagnostics)
+
+    def _publish_statuses(self, steady: int, diagnostics: bool) -> None:
         name = f"{self.namespace.rstrip('/')}/{self.node}".lstrip("/")
-        try:
-            found = statuses(self.overview(steady), name, self.vehicle.name)
-        except Exception as error:  # then the status is that fault alone
-            self._fault(error)
-            values = (("level", "error"), ("remarks", "INTERNAL_ERROR"))
-            text = f"{type(error).__name__}: {error}"
-            found = [Status(Level.ERROR, f"{name}: estimate", f"a fault of this program: {text}", self.vehicle.name, values)]
-        try:
-            now_ns = self._edge.now_ns()
-        except Exception as error:  # as above
-            self._fault(error)
-            now_ns = steady + self._arrival_offset_ns
-        self._outlet.publish_statuses(found, now_ns, diagnostics, self.learning.statuses(name, self.vehicle.name))
+        found = self.guard("the statuses", lambda: statuses(self.overview(steady), name, self.vehicle.name))
+        learned = self.guard("the statuses of learning", self.learning.statuses, name, self.vehicle.name)
+        bare = [] if found else [bare_status(self.remarks(steady), name, self.vehicle.name)]
+        self._outlet.publish_statuses(found or bare, self._now_ns(steady), diagnostics, learned or ())
 
     def remarks(self, steady: int | None = None) -> list[Remark]:
         """All that is to be remarked now, heaviest first."""
         steady = self._steady_ns() if steady is None else steady
         found = [
-            *self._watch.remarks(
-                age_s=self._outlet.age_s(steady),
-                max_age_s=self.estimator.settings.speed_max_age_s,
-                clock_runs=not self.parameters.sim_time or self._edge.now_ns() > 0,
-                steady=steady,
-            ),
-            *self.comparison.remarks(self.diagnose_command()),
-            *self.learning.remarks(),
-            *self._outlet.remarks(),
-            *self.keeper.remarks(),
-            *self._compiling(),
+            *(self.guard("watching the inputs", self._watched, steady) or []),
+            *(self.guard("the comparison with the measured torque", self._compared) or []),
+            *(self.guard("learning", self.learning.remarks) or []),
+            *(self.guard("publishing statuses", self._outlet.remarks) or []),
+            *(self.guard("saving the state", self.keeper.remarks) or []),
+            *(self.guard("recording", self.recording_remarks) or []),
+            *(self.guard("changing over to compiled steps", self._compiling) or []),
         ]
-        return sorted(found, key=lambda remark: -remark.level)
+        return sorted([*found, *self.guard.remarks(steady)], key=lambda remark: -remark.level)
+
+    def _watched(self, steady: int) -> list[Remark]:
+        return self._watch.remarks(
+            age_s=self._outlet.age_s(steady),
+            max_age_s=self.estimator.settings.speed_max_age_s,
+            clock_runs=not self.parameters.sim_time or self._now_ns(steady) > 0,
+        )
+
+    def _compared(self) -> list[Remark]:
+        return self.comparison.remarks(self.diagnose_command())
 
     def _compiling(self) -> list[Remark]:
         if self.estimator.entries is self._warm_up.first and not self.estimator.entries.compiled and self._warm_up.running:
@@ -439,7 +466,7 @@ class Application:
             If no state is kept or it cannot be written.
         """
         self._rest_unused_belts()
-        return self.keeper.save(self.session, self._state_at, self.learning.learner)
+        return self.keeper.save(self.session, self._state_at, self.learning.learner, SAVING_ON_REQUEST_S)
 
     def time_went_back(self) -> None:
         """The simulated clock jumped back: start anew, and say so with the next estimate."""
@@ -453,17 +480,23 @@ class Application:
         self.deactivate()
         for message in self._order.rest():
             self._handle(message)
-        self._warm_up.close()
+        self.guard("ending the compiler", self._warm_up.close)
+        self.guard("the log", self._log_counts)
+        if self.keeper.path is None:
+            return "no state is kept"
+        try:
+            self._rest_unused_belts()
+            return self.keeper.save(self.session, self._state_at, self.learning.learner, SAVING_AT_THE_END_S)
+        except InputError as error:
+            return str(error)
+        except Exception as error:  # whatever fails, it is to end
+            return f"the state is not saved, a fault of this program: {type(error).__name__}: {error}"
+
+    def _log_counts(self) -> None:
         counted = [f"{name} {count.name.lower()} {number}" for name, count, number in self.session.counts()]
         counted += [f"{name} bad_stamp {n}" for name, n in zip(self.estimator.channels, self._intake.bad_stamp, strict=True) if n]
         counted += [f"{name} dropped {n}" for name, n in zip(self._topic_names, self._intake.dropped, strict=True) if n]
         self._log(Level.OK, f"messages: {', '.join(counted) or 'none'}")
-        try:
-            return "no state is kept" if self.keeper.path is None else self.save_state()
-        except InputError as error:
-            return str(error)
-        finally:
-            self.keeper.close()
 
     def _go_on_with(self, estimator: Estimator) -> None:
         session = estimator.session()

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.learning.columns import LearningColumns, lines, ranges_of, shown
@@ -43,7 +45,14 @@ class LiveLearning:
     def take(self, stamp_ns: int, row: list[float], session: Session) -> None:
         """Take the results of a step."""
         if self.learner is not None and self.mode != OFF:
-            self.learner.take(stamp_ns, row, session)
+            before = session.learned.copy()
+            try:
+                self.learner.take(stamp_ns, row, session)
+                if not np.isfinite(session.learned).all():
+                    raise ArithmeticError("what is learned is not finite")
+            except BaseException:  # what acts on the next step stays as it was
+                session.learned[:] = before
+                raise
 
     def columns(self, row: list[float], session: Session) -> list[float]:
         """The columns behind those of a step that was taken, as `names` has them."""

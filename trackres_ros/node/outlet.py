@@ -46,13 +46,18 @@ class Outlet:
         self._taken_ns = self._taken_pace = 0
         self._target = self._unfaded = 0.0
         self._published_at: tuple[int, int] | None = None
+        self._withdrawn_ns: int | None = None
         index = estimator.column_index
         self._values = [(i, _values(topic, index)) for i, topic in enumerate(outputs) if topic.kind != "status"]
 
     def begin(self) -> None:
         """Begin to publish: the feed-forward rises from zero."""
         self.feedforward = self._unfaded = 0.0
-        self._published_at = None
+        self._published_at = self._withdrawn_ns = None
+
+    def withdraw(self, steady: int) -> None:
+        """Let the feed-forward go to zero from now on, at its rate, and within the time in which it fades."""
+        self._withdrawn_ns = steady
 
     def take(self, row: Row, target: float, stamp_ns: int, steady: int, pace: int) -> None:
         """Keep a row of results, what its feed-forward is on its way to, and the time of its state."""
@@ -67,8 +72,9 @@ class Outlet:
     def left(self, steady: int) -> float:
         """Share of the feed-forward that is left at the age of the speed."""
         settings = self.estimator.settings
-        age_s = self.age_s(steady)
-        return 0.0 if math.isinf(age_s) else FADE(age_s, settings.speed_max_age_s, settings.feedforward_fade_s)
+        age_s, fade_s = self.age_s(steady), settings.feedforward_fade_s
+        since_s = 0.0 if self._withdrawn_ns is None else (steady - self._withdrawn_ns) * NANOSECOND
+        return 0.0 if math.isinf(age_s) else FADE(age_s, settings.speed_max_age_s, fade_s) * FADE(since_s, 0.0, fade_s)
 
     def publish(self, steady: int, pace: int, reasons: Callable[[int], Reasons]) -> None:
         """Publish the last estimate on all topics of numbers, with the reasons that hold then; nothing before the first one."""
@@ -78,6 +84,7 @@ class Outlet:
         before_pace, before_ns = self._published_at or (pace, steady)
         elapsed_s = max(0, pace - before_pace, steady - before_ns) * NANOSECOND  # a simulated clock stands between its ticks
         goal = FOLLOWED(self.row[at.OUT_FEEDFORWARD], self._target, rate, (pace - self._taken_pace) * NANOSECOND)
+        goal = 0.0 if self._withdrawn_ns is not None else goal
         self._unfaded = TOWARDS(self._unfaded, goal, rate * elapsed_s)
         self.feedforward, self._published_at = self._unfaded * self.left(steady), (pace, steady)
         row = self.row.copy()

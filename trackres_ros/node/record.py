@@ -1,10 +1,18 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Writes every message that the running node takes, and every estimate, into a bag, and a picture of them at the end."""
+"""Writes every message that the running node takes, and every estimate, into a bag, and a picture of them at the end.
+
+A thread of its own writes, so that a disk that is full, slow or gone takes nothing from the estimate: what cannot be written is
+counted and reported, and recording goes on once the disk takes it again.
+"""
 
 from __future__ import annotations
 
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,7 +22,9 @@ from trackres_ros.errors import MissingExtraError
 from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.learning.columns import LearnedTopic
-from trackres_ros.node.endpoints import input_name
+from trackres_ros.node.endpoints import InputTopic, input_name
+from trackres_ros.node.record_files import Limits, RecordingFiles
+from trackres_ros.node.remarks import Remark
 from trackres_ros.offline.summary import picture_columns
 from trackres_ros.output.bag import OutputBag
 from trackres_ros.output.mcap import BagTopic
@@ -24,83 +34,253 @@ from trackres_ros.output.preview import ResultPreview
 if TYPE_CHECKING:
     from trackres_ros.node.application import Application
 
-BLOCK_ROWS, BLOCK_MESSAGES = 256, 1024
+WRITE_EVERY_S = 0.5  # so that a process that is killed loses less than a second
+PREVIEW_ROWS = 256
+MOST_WAITING_BYTES = 64 * 2**20
+MOST_EARLY = 10000  # messages that wait for a simulated clock
+BYTES_PER_NUMBER, BYTES_BESIDES = 32, 200  # of what waits, as Python holds it
+SHOWN_NS = 5_000_000_000  # since something was lost, or since the disk answered last
+END_PATIENCE_S = 10.0
+
+Item = tuple[int, bytes | list[float], int, int]
+"""Topic (or `ESTIMATE`), message or row, stamp and arrival [ns]."""
+ESTIMATE = -1
 
 
 class Recorder:
-    """Takes messages and estimates one by one and writes them in blocks; the bag takes its place when it ends.
+    """Takes messages and estimates one by one, and writes them twice a second.
 
     Messages stand under the names that the topics file has for them, whatever the namespace: with it the bag is a recording like
     any other. A message that came before the simulated clock stands at the clock's first time, and no two of a topic at the same.
+
+    Parameters
+    ----------
+    path
+        The file, replaced if it is there; where it is split, numbers stand behind its name.
+    limits
+        When the next file begins, and how much all may take.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self._rows: list[tuple[list[float], int, int]] = []
-        self._estimator: Estimator | None = None
+    def __init__(self, path: Path, limits: Limits | None = None) -> None:
+        self._path, self._limits = path, limits or Limits()
+        self._files = RecordingFiles(path, self._limits)
         self._bag: OutputBag | None = None
-        self._seen: ResultPreview | None = None
-        self._columns: tuple[str, ...] = ()
-        self._topics: list[BagTopic] = []
-        self._messages: list[tuple[int, bytes, int]] = []
+        self._waiting: deque[Item] = deque()
+        self._put = self._taken = 0  # bytes; one thread counts each
+        self._dropped, self._dropped_ns = [0, 0], -SHOWN_NS  # messages and estimates
+        self._given_out, self._finished, self._not_written = [0, 0], [0, 0], [0, 0]
         self._counts: list[int] = []
-        self._last: list[int] = []
+        self._error, self._failed_ns, self._answered_ns = "", -SHOWN_NS, 0
+        self._is_finished = False
+        self._done: list[str] = []
+        self._began_ns = 0
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="recording", daemon=True)
 
-    def begin(self, application: Application) -> None:
-        """Begin the bag, and take from now on what the application takes and makes.
+    def begin(self, application: Application) -> list[str]:
+        """Begin the bag, and take from now on what the application takes and makes; what is to be said of earlier runs.
 
         Where it learns, the columns of what is learned stand behind those of the estimate.
+
+        Raises
+        ------
+        OSError
+            The file cannot be begun.
         """
-        estimator, learner = application.estimator, application.learning.learner
-        learned = None if learner is None else LearnedTopic(learner)
-        self._columns = (*estimator.columns, *(() if learned is None else learned.names))
-        self._estimator, self._seen = estimator, ResultPreview(len(self._columns))
-        self._bag = OutputBag(self.path, estimator, learned)
-        self._bag.__enter__()
-        for given, text in application.record(self._keep):
-            self._topics.append(self._bag.raw_topic(input_name(given.name, "/"), given.type, text))
-        self._counts, self._last = [0] * len(self._topics), [0] * len(self._topics)
-        application.on_estimate = self._take
+        learner = application.learning.learner
+        self._estimator: Estimator = application.estimator
+        self._learned = None if learner is None else LearnedTopic(learner)
+        self._columns = (*self._estimator.columns, *(() if self._learned is None else self._learned.names))
+        self._seen, self._unseen = ResultPreview(len(self._columns)), list[Steps]()
+        unfinished = self._files.left_unfinished()
+        self._given: list[tuple[InputTopic, str]] = application.record(self._keep)
+        self._counts, self._last = [0] * len(self._given), [0] * len(self._given)
+        self._early: list[Item] = []
+        self._open()
+        application.on_estimate, application.recording_remarks = self._take, self.remarks
+        self._answered_ns = time.monotonic_ns()
+        self._thread.start()
+        return [
+            f"{path} was left unfinished; it can be read, and finished: trackres recover {path} -o FILE" for path in unfinished
+        ]
 
     def end(self) -> list[str]:
-        """Finish the bag and draw the picture; what was written, in words."""
-        if self._bag is None or self._seen is None or self._estimator is None:
+        """Finish the bag and draw the picture; what was written, in words. It never raises."""
+        if not self._thread.is_alive():
             return []
-        self._write()
-        self._bag.__exit__(None, None, None)
-        inputs = ", ".join(f"{count} of {topic.name}" for topic, count in zip(self._topics, self._counts, strict=True))
+        self._stop.set()
+        self._thread.join(END_PATIENCE_S)
+        if self._thread.is_alive():
+            return [f"{self._part}: the disk does not answer: it is not finished, see trackres recover"]
+        inputs = ", ".join(
+            f"{n} of {input_name(given.name, '/')}" for (given, _), n in zip(self._given, self._counts, strict=True)
+        )
+        estimates = f"{self._seen.steps} estimates as topics" if self._seen.steps else "no estimate was made"
+        lines = [f"{self._where()}: {estimates}; messages: {inputs}"]
+        if any(self._lost()):
+            lines.append(f"not recorded: {_counted(self._lost())}")
+        if self._files.deleted:
+            lines.append(f"{self._files.deleted} of the oldest files were deleted, to stay within --record-limit-mb")
+        if not self._is_finished:
+            lines.append(f"{self._part} is not finished: {self._error}; it can be read, and finished: trackres recover")
+        return [*lines, *self._picture()]
+
+    def _where(self) -> str:
+        first = self._done[0] if self._done else str(self._part)
+        return first if len(self._done) < 2 else f"{first} to {self._done[-1]}"
+
+    def remarks(self) -> list[Remark]:
+        """That something is not recorded, with the file and how much."""
+        now = time.monotonic_ns()
+        silent_s = (now - self._answered_ns) * 1e-9
+        if silent_s * 1e9 > SHOWN_NS:
+            why = f"the disk has not answered for {silent_s:.0f} s"
+        elif now - self._failed_ns < SHOWN_NS:
+            why = self._error
+        elif now - self._dropped_ns < SHOWN_NS:
+            why = "the disk takes less than comes"
+        else:
+            return []
+        return [Remark("NOT_RECORDED", f"recording to {self._part}: {why}; lost so far: {_counted(self._lost())}")]
+
+    # What the application calls, which is to cost it nothing
+
+    def _keep(self, index: int, raw: bytes, arrival_ns: int) -> None:
+        self._counts[index] += 1
+        self._wait((index, raw, 0, arrival_ns))
+
+    def _take(self, row: list[float], stamp_ns: int, arrival_ns: int) -> None:
+        self._wait((ESTIMATE, row, stamp_ns, arrival_ns))
+
+    def _wait(self, item: Item) -> None:
+        if self._put - self._taken > MOST_WAITING_BYTES:
+            self._dropped[item[0] == ESTIMATE] += 1
+            self._dropped_ns = time.monotonic_ns()
+            return
+        self._put += _size(item)
+        self._waiting.append(item)
+
+    # What the thread does
+
+    def _run(self) -> None:
+        while not self._stop.wait(WRITE_EVERY_S):
+            self._try(self._write)
+        self._try(self._write)
+        self._try(self._see)
+        self._is_finished = self._try(self._close)
+
+    def _try(self, do: Callable[[], None]) -> bool:
+        done = False
+        try:
+            do()
+        except BaseException as error:  # whatever it is, it is reported, and tried again
+            self._error = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
+            self._failed_ns = time.monotonic_ns()
+        else:
+            done = True
+        written = self._written()
+        self._not_written = [given - there for given, there in zip(self._given_out, written, strict=True)]
+        self._answered_ns = time.monotonic_ns()
+        return done
+
+    def _drain(self) -> list[Item]:
+        """Take what waits; what came before the simulated clock goes on waiting for it."""
+        items, self._early = self._early, []
+        while self._waiting:
+            items.append(self._waiting.popleft())
+            self._taken += _size(items[-1])
+        if not any(item[3] > 0 for item in items) and not self._stop.is_set():
+            self._early = items[-MOST_EARLY:]
+            items = items[:-MOST_EARLY]
+        return items
+
+    def _write(self) -> None:
+        items = self._drain()
+        for item in items:
+            self._given_out[item[0] == ESTIMATE] += 1
+        if self._bag is None:
+            self._open()
+        assert self._bag
+        first_ns = next((item[3] for item in items if item[3] > 0), 0)
+        rows = []
+        for index, content, stamp_ns, arrival_ns in items:
+            if isinstance(content, bytes):
+                # A simulated clock stands between its ticks; what has no stamp of its own would be twice the same sample.
+                self._last[index] = max(arrival_ns if arrival_ns > 0 else first_ns, self._last[index] + 1)
+                self._bag.write_raw(self._topics[index], content, self._last[index])
+            else:
+                rows.append((content, stamp_ns, arrival_ns))
+        if rows:
+            values, stamps, arrivals = zip(*rows, strict=True)
+            steps = Steps(np.array(stamps, dtype=np.int64), np.array(arrivals, dtype=np.int64), np.array(values))
+            self._unseen.append(steps)
+            self._bag.write(steps)
+        self._bag.flush()
+        if sum(len(steps.rows) for steps in self._unseen) >= PREVIEW_ROWS:
+            self._see()
+        if items:
+            self._began_ns = self._began_ns or first_ns
+            if self._limits.due(self._bag.size, items[-1][3] - self._began_ns):
+                self._close()
+                self._open()
+
+    def _see(self) -> None:
+        """Keep a preview for the picture; of many rows at a time, as each time it is copied."""
+        if self._unseen:
+            seen, self._unseen = self._unseen, []
+            joined = (np.concatenate([getattr(steps, name) for steps in seen]) for name in ("stamp_ns", "arrival_ns", "rows"))
+            self._seen.take(Steps(*joined), None)
+
+    def _open(self) -> None:
+        self._files.make_room()
+        path, self._part = self._files.next()
+        bag = OutputBag(path, self._estimator, self._learned, self._part)
+        bag.__enter__()
+        self._topics: list[BagTopic] = [
+            bag.raw_topic(input_name(given.name, "/"), given.type, text) for given, text in self._given
+        ]
+        self._bag, self._began_ns = bag, 0
+
+    def _close(self) -> None:
+        """Finish a file; where that fails, it stays as it is."""
+        bag = self._bag
+        if bag is None:
+            return
+        self._finished, self._bag = self._written(), None
+        bag.__exit__(None, None, None)
+        self._done.append(str(bag.path))
+
+    def _written(self) -> list[int]:
+        """Messages and estimates that are in a file."""
+        messages, estimates = self._finished
+        return (
+            [messages + sum(t.count for t in self._topics), estimates + self._bag.estimates]
+            if self._bag
+            else [messages, estimates]
+        )
+
+    def _lost(self) -> list[int]:
+        """Messages and estimates that are in no file, and will not be."""
+        return [lost + dropped for lost, dropped in zip(self._not_written, self._dropped, strict=True)]
+
+    def _picture(self) -> list[str]:
+        picture = self._path.with_suffix(".png")
         if not self._seen.steps:
-            return [f"{self.path}: no estimate was made; messages: {inputs}"]
-        picture = self.path.with_suffix(".png")
-        lines = [f"{self.path}: {self._seen.steps} estimates as topics; messages: {inputs}"]
+            return []
         try:
             columns = picture_columns(self._columns, self._seen.kept)
             plot_estimate(picture, self._seen.kept[:, 0], columns, f"Live: {self._estimator.vehicle.title}")
         except MissingExtraError as error:
-            return [*lines, f"no picture: {error}"]
-        return [*lines, f"{picture}: torque and temperature over time"]
+            return [f"no picture: {error}"]
+        except Exception as error:  # a picture is not worth an exit code
+            return [f"no picture {picture}: {getattr(error, 'strerror', None) or error}"]
+        return [f"{picture}: torque and temperature over time"]
 
-    def _keep(self, index: int, raw: bytes, arrival_ns: int) -> None:
-        self._counts[index] += 1
-        self._messages.append((index, raw, arrival_ns))
-        if len(self._messages) >= BLOCK_MESSAGES:
-            self._write()
 
-    def _take(self, row: list[float], stamp_ns: int, arrival_ns: int) -> None:
-        self._rows.append((row, stamp_ns, arrival_ns))
-        if len(self._rows) >= BLOCK_ROWS:
-            self._write()
+def _size(item: Item) -> int:
+    content = item[1]
+    return BYTES_BESIDES + (len(content) if isinstance(content, bytes) else BYTES_PER_NUMBER * len(content))
 
-    def _write(self) -> None:
-        if self._bag and any(arrival > 0 for _, _, arrival in self._messages):
-            first = next(arrival for _, _, arrival in self._messages if arrival > 0)
-            for index, raw, arrival in self._messages:
-                # A simulated clock stands between its ticks; what has no stamp of its own would be twice the same sample.
-                self._last[index] = max(arrival if arrival > 0 else first, self._last[index] + 1)
-                self._bag.write_raw(self._topics[index], raw, self._last[index])
-            self._messages.clear()
-        if self._rows and self._bag and self._seen:
-            rows, stamps, arrivals = zip(*self._rows, strict=True)
-            steps = Steps(np.array(stamps, dtype=np.int64), np.array(arrivals, dtype=np.int64), np.array(rows))
-            self._seen.take(steps, self._bag.write)
-            self._rows.clear()
+
+def _counted(lost: list[int]) -> str:
+    return f"{lost[0]} messages and {lost[1]} estimates"

@@ -54,7 +54,16 @@ LIVE_KINDS = {
         "and the feed-forward fades to zero",
     ),
     "NO_CLOCK": Kind(Level.STALE, "`use_sim_time` is set and no /clock has come", awaited=True),
-    "INTERNAL_ERROR": Kind(Level.ERROR, "something could not be done by a fault of this program; the log has it"),
+    "INTERNAL_ERROR": Kind(
+        Level.ERROR,
+        "a message, a step or an output failed by a fault of this program, which the log has: do not use the estimate",
+    ),
+    "PART_FAILED": Kind(
+        Level.WARN, "another part failed by a fault of this program, which the log has; the estimate and its outputs go on"
+    ),
+    "NOT_RECORDED": Kind(
+        Level.WARN, "`--record` cannot write, or not as fast as messages come; the text names the file and what is lost"
+    ),
     "OUTPUT_FAILED": Kind(Level.ERROR, "the middleware did not take a message of an output topic; the others go on"),
     "REFUSED": Kind(Level.WARN, "more than a tenth of the messages of an input were refused in the last second"),
     "OVERRUN": Kind(

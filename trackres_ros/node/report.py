@@ -130,6 +130,13 @@ def overview(
     )
 
 
+def bare_status(remarks: Sequence[Remark], node: str, vehicle: str) -> Status:
+    """The node's own status where nothing but its remarks is to be had."""
+    level = max((remark.level for remark in remarks), default=Level.OK)
+    values = (("level", level.name.lower()), ("remarks", " ".join(remark.name for remark in remarks)))
+    return Status(level, f"{node}: estimate", "; ".join(remark.text for remark in remarks), vehicle, values)
+
+
 def statuses(seen: Overview, node: str, vehicle: str) -> list[Status]:
     """The statuses of /diagnostics; the first is the node's own."""
     estimate = [

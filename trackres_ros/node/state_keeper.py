@@ -10,7 +10,6 @@ import json
 import os
 import re
 import time
-from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +19,12 @@ from trackres_ros.estimator.snapshot import after_time_off, content, leftovers, 
 from trackres_ros.files import own_files
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.store import stored, take
+from trackres_ros.node.background import Background
 from trackres_ros.node.remarks import Remark
 
 AUTO, NONE = "auto", "none"
 LONGEST_NAME = 100
+SLOW_NS = 5_000_000_000  # of one saving
 NO_HOME = "there is no home folder to keep it in: set state_file or XDG_STATE_HOME"
 
 
@@ -59,8 +60,8 @@ class StateKeeper:
         self.saved_at: float | None = None
         self.error = why_none
         self.unused = ""  # why the state file that was there could not be used
-        self._writer = ThreadPoolExecutor(max_workers=1, thread_name_prefix="state")
-        self._writing: Future[None] | None = None
+        self._writer = Background("state")
+        self._began_ns = 0
 
     def load(self, estimator: Estimator, learner: Learner | None = None) -> tuple[Session, str]:
         """A session that begins with the kept belts, cooled since, or cold; and what was found, in words.
@@ -98,7 +99,10 @@ class StateKeeper:
     def remarks(self) -> list[Remark]:
         """That the state file cannot be written, or that the one that was there could not be used."""
         found = []
-        if self.error:
+        if self._writer.busy and time.monotonic_ns() - self._began_ns > SLOW_NS:
+            text = f"the disk has not taken the state file {self.path} for {(time.monotonic_ns() - self._began_ns) * 1e-9:.0f} s"
+            found.append(Remark("STATE_NOT_SAVED", text))
+        elif self.error:
             where = f" in {self.path}" if self.path else ""
             found.append(Remark("STATE_NOT_SAVED", f"the state cannot be saved{where}: {self.error}"))
         if self.unused:
@@ -110,34 +114,39 @@ class StateKeeper:
 
         `state_at` is the time [s since 1970] of the state: the belts cool from then on.
         """
-        if self.path is None or (self._writing and not self._writing.done()):
+        if self.path is None or self._writer.busy:
             return
-        self._writing = self._writer.submit(self._write, content(session, state_at, _beside(learner)), self.path)
+        self._begin(self.path, content(session, state_at, _beside(learner)))
 
-    def save(self, session: Session, state_at: float, learner: Learner | None = None) -> str:
+    def save(self, session: Session, state_at: float, learner: Learner | None = None, patience_s: float = 1.0) -> str:
         """Save now; what was done, in words. See `save_soon`.
 
         Raises
         ------
         InputError
-            If no state is kept, or the file cannot be written.
+            If no state is kept, the file cannot be written, or the disk takes longer than `patience_s`.
         """
         if self.path is None:
             raise InputError("state file", "none", "a node with the parameter state_file set to a path, or auto")
-        self._writer.submit(self._write, content(session, state_at, _beside(learner)), self.path).result()
+        if not self._writer.wait(patience_s):
+            raise InputError(f"state file {self.path}", "an earlier saving that is not over yet", "a disk that answers")
+        self._begin(self.path, content(session, state_at, _beside(learner)))
+        if not self._writer.wait(patience_s):
+            given = f"a disk that does not answer within {patience_s:g} s"
+            raise InputError(f"state file {self.path}", given, "a faster one", "the saving goes on; the status says if it fails")
         if self.error:
             raise InputError(f"state file {self.path}", self.error, "a file that can be written")
         return f"state saved in {self.path}"
 
-    def close(self) -> None:
-        """Wait for what is being written."""
-        self._writer.shutdown()
+    def _begin(self, path: Path, data: bytes) -> None:
+        self._began_ns = time.monotonic_ns()
+        self._writer.start(lambda: self._write(data, path))
 
     def _write(self, data: bytes, path: Path) -> None:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             own_files.write(path, data)
-        except (OSError, ValueError) as error:
+        except Exception as error:  # of the disk, mostly
             self.error = getattr(error, "strerror", None) or str(error)
         else:
             self.error, self.saved_at = "", time.time()

@@ -18,7 +18,6 @@ from trackres_ros.node.endpoints import InputTopic
 from trackres_ros.node.intake import Intake
 from trackres_ros.node.remarks import KINDS, Remark, level_of, of_reasons
 
-FAULT_SHOWN_NS = 5_000_000_000
 REFUSED_SHARE = 0.1  # of the messages of a second: more is not the odd late one
 CLOCK_OFFSET_NS = 1_000_000_000
 STARTING_NS = 5_000_000_000  # assumed: publishers are found within 2 s, and the slowest usual input comes at 1 Hz
@@ -78,7 +77,6 @@ class Watch:
         self._steps = 0
         self._old: bool | None = None
         self._offset_ns = 0
-        self._fault_text, self._fault_ns = "", -FAULT_SHOWN_NS
         self._began_ns: int | None = None
         self._logged: frozenset[str] | None = None
 
@@ -104,13 +102,6 @@ class Watch:
             replace(state, age_s=math.nan if (at_ns := ages[state.role]) is None else (steady - at_ns) * 1e-9)
             for state in self._inputs
         )
-
-    def fault(self, error: Exception, steady: int) -> bool:
-        """Take note of a fault of this program; true if it is a new one, to be logged."""
-        text = f"{type(error).__name__}: {error}"
-        new = text != self._fault_text or steady - self._fault_ns > FAULT_SHOWN_NS
-        self._fault_text, self._fault_ns = text, steady
-        return new
 
     def every_second(self, session: Session, intake: Intake, peers: Sequence[Sequence[Peer]], steady: int) -> None:
         """Work out rates and refusals since the last call, and begin a new second."""
@@ -146,7 +137,7 @@ class Watch:
         self._began_ns = steady if self._began_ns is None else self._began_ns
         self._shown_reasons, self._second_reasons = self._second_reasons, 0
 
-    def remarks(self, age_s: float, max_age_s: float, clock_runs: bool, steady: int) -> list[Remark]:
+    def remarks(self, age_s: float, max_age_s: float, clock_runs: bool) -> list[Remark]:
         """All that is to be remarked of inputs and estimate now."""
         found: list[Remark] = []
         if not clock_runs:
@@ -156,8 +147,6 @@ class Watch:
         elif age_s > max_age_s:
             fading = "the feed-forward fades to zero"
             found.append(Remark("SPEED_OLD", f"no speed for {age_s:.1f} s, allowed are {max_age_s:g} s: {fading}"))
-        if steady - self._fault_ns < FAULT_SHOWN_NS:
-            found.append(Remark("INTERNAL_ERROR", f"a fault of this program: {self._fault_text}"))
         for name, number in self._overrun:
             text = f"{name}: {number} messages of the last second came faster than they could be worked off"
             found.append(Remark("OVERRUN", text))

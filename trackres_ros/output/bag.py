@@ -35,10 +35,10 @@ FIELDS = {"wrench": ("wrench.torque.y",), "number": ("data",), "temperature": ("
 
 
 class OutputBag:
-    """Writes blocks of results; the file takes its place when the `with` block ends well."""
+    """Writes blocks of results; the file takes its place when the `with` block ends well. See `BagWriter` for `part`."""
 
-    def __init__(self, path: Path, estimator: Estimator, learned: LearnedTopic | None = None) -> None:
-        self._writer = BagWriter(path)
+    def __init__(self, path: Path, estimator: Estimator, learned: LearnedTopic | None = None, part: Path | None = None) -> None:
+        self.path, self._writer = path, BagWriter(path, part=part)
         self._estimator, self._learned = estimator, learned
         self._topics: list[tuple[OutputTopic, BagTopic]] = []
         self._last_reasons: int | None = None
@@ -58,6 +58,20 @@ class OutputBag:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         """Finish the file."""
         self._writer.__exit__(kind, error, trace)
+
+    @property
+    def size(self) -> int:
+        """Bytes written so far."""
+        return self._writer.size
+
+    @property
+    def estimates(self) -> int:
+        """Rows of results in the file."""
+        return self._topics[0][1].count
+
+    def flush(self) -> None:
+        """Write what waits; see `BagWriter.flush`."""
+        self._writer.flush()
 
     def raw_topic(self, name: str, msgtype: str, text: str) -> BagTopic:
         """Announce a topic besides, for `write_raw`; see `BagWriter.raw_topic`."""

@@ -9,29 +9,45 @@ import os
 import struct
 import zlib
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import BinaryIO, Literal, Self
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError, MissingExtraError
 from trackres_ros.recording.cdr import Template
+from trackres_ros.recording.mcap_format import (
+    CHANNEL,
+    CHUNK,
+    HEADER,
+    MAGIC,
+    MESSAGE,
+    SCHEMA,
+    Chunk,
+    ending,
+    message_indices,
+    record,
+    sized,
+    text,
+)
 from trackres_ros.recording.message_types import Definitions, definitions, message_fields
 from trackres_ros.recording.samples import FloatArray, IntArray
 
 CHUNK_BYTES = 2**20
 """Size of a chunk of the MCAP file [bytes]: what a player reads at once."""
-MAGIC = b"\x89MCAP0\r\n"
+BEGINNING = MAGIC + record(HEADER, text("ros2") + text("trackres_ros"))
+"""First bytes of a file of ours."""
 RECORD = struct.Struct("<BQHIQQ")
 """Head of a message: code, length of the rest, channel, sequence, log time, publish time."""
 
 
 @dataclass(slots=True)
 class BagTopic:
-    """A topic of a `BagWriter`, from `BagWriter.topic`."""
+    """A topic of a `BagWriter`, from `BagWriter.topic`; `count` messages of it are in the file."""
 
     number: int
     name: str
@@ -46,7 +62,8 @@ class BagWriter:
     """Writes one MCAP file, as Foxglove, PlotJuggler and ``ros2 bag play`` open it.
 
     The file takes its place only when the `with` block ends without an exception. Messages are put in the order of
-    log time as far as they come together: all that is written until a topic is written again.
+    log time as far as they come together: all that is written until a topic is written again. Each chunk is written whole
+    or not at all, so the file can be read up to its last chunk at any time, whatever ends the program or fills the disk.
 
     Parameters
     ----------
@@ -54,6 +71,9 @@ class BagWriter:
         The file, replaced if it is there.
     storage : str
         Only ``mcap``.
+    part : Path, optional
+        The file in which it is written until it is finished, which must be new. It then stays where it cannot be finished;
+        without it a hidden one beside its place is used, which never stays.
 
     Raises
     ------
@@ -61,7 +81,7 @@ class BagWriter:
         rosbags is not installed; it knows the message types.
     """
 
-    def __init__(self, path: Path, storage: Literal["mcap"] = "mcap") -> None:
+    def __init__(self, path: Path, storage: Literal["mcap"] = "mcap", part: Path | None = None) -> None:
         try:
             from rosbags.typesys import Stores, get_typestore
         except ImportError:
@@ -72,32 +92,48 @@ class BagWriter:
             raise InputError(str(path), f"no folder {path.parent}", "a file in a folder that is there")
         self.path = path
         self.typestore = get_typestore(Stores.LATEST)
-        self._part = path.with_name(f".{path.name}.{os.getpid()}.part")
+        self.part = part or path.with_name(f".{path.name}.{os.getpid()}.part")
+        self._stays = part is not None
         self._topics: list[BagTopic] = []
         self._new = b""
         self._pending: list[tuple[int, IntArray, NDArray[np.uint8]]] = []
         self._waiting: set[int] = set()
         self._held = 0
-        self._chunks: list[bytes] = []
-        self._span = [2**64 - 1, 0]
+        self._chunks: list[Chunk] = []
+        self._at = 0
 
     def __enter__(self) -> Self:
         """Begin the file beside its place."""
-        self._file: BinaryIO = self._part.open("wb")
-        self._file.write(MAGIC + _record(0x01, _text("ros2") + _text("trackres_ros")))
+        self._file = self.part.open("xb" if self._stays else "wb", buffering=0)
+        try:
+            self._append(BEGINNING)
+        except OSError:
+            self._file.close()
+            self.part.unlink()
+            raise
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        """Finish the file and put it in its place, or remove what was begun."""
+        """Finish the file and put it in its place, or remove what was begun, if it is not to stay."""
         try:
             if kind is None:
-                self._flush()
-                self._summary()
+                self.flush()
+                schemas, channels = [list(map(make, self._topics)) for make in (self._schema, self._channel)]
+                counts = {topic.number: topic.count for topic in self._topics}
+                self._append(ending(self._at, schemas, channels, self._chunks, counts))
+                if self._stays:
+                    os.fsync(self._file.fileno())
                 self._file.close()
-                self._part.replace(self.path)
+                self.part.replace(self.path)
         finally:
             self._file.close()
-            self._part.unlink(missing_ok=True)
+            if not self._stays:
+                self.part.unlink(missing_ok=True)
+
+    @property
+    def size(self) -> int:
+        """Bytes written so far."""
+        return self._at
 
     def topic(self, name: str, msgtype: str, template: object = None, fields: Sequence[str] = ()) -> BagTopic:
         """Announce a topic.
@@ -123,12 +159,12 @@ class BagWriter:
         ready = None
         if template is not None:
             ready = Template(bytes(self.typestore.serialize_cdr(template, msgtype)), types, msgtype, fields)
-        text, _ = self.typestore.generate_msgdef(msgtype, ros_version=2)
-        return self._announced(BagTopic(len(self._topics) + 1, name, msgtype, types, ready, text))
+        definition, _ = self.typestore.generate_msgdef(msgtype, ros_version=2)
+        return self._announced(BagTopic(len(self._topics) + 1, name, msgtype, types, ready, definition))
 
-    def raw_topic(self, name: str, msgtype: str, text: str) -> BagTopic:
+    def raw_topic(self, name: str, msgtype: str, definition: str) -> BagTopic:
         """Announce a topic whose messages come serialised, for `write_raw`, with the text that defines its type and all in it."""
-        return self._announced(BagTopic(len(self._topics) + 1, name, msgtype, {}, None, text))
+        return self._announced(BagTopic(len(self._topics) + 1, name, msgtype, {}, None, definition))
 
     def _announced(self, topic: BagTopic) -> BagTopic:
         self._topics.append(topic)
@@ -159,7 +195,7 @@ class BagWriter:
 
     def write_raw(self, topic: BagTopic, raw: bytes, log_ns: int) -> None:
         """Write one serialised message as it is."""
-        head = RECORD.pack(0x05, RECORD.size + len(raw) - 9, topic.number, 0, log_ns, log_ns)
+        head = RECORD.pack(MESSAGE, RECORD.size + len(raw) - 9, topic.number, 0, log_ns, log_ns)
         self._hold(topic, np.array([log_ns]), np.frombuffer(head + raw, np.uint8)[np.newaxis])
 
     def _write(self, topic: BagTopic, template: Template, stamp_ns: IntArray, log_ns: IntArray, values: FloatArray) -> None:
@@ -175,7 +211,7 @@ class BagWriter:
             raise InputError(f"{self.path}: {topic.name}: log time", int(log_ns.min()), "0 ns or later")
         size = RECORD.size + len(template.raw)
         rows = np.empty((len(log_ns), size), np.uint8)
-        rows[:, : RECORD.size] = np.frombuffer(RECORD.pack(0x05, size - 9, topic.number, 0, 0, 0), np.uint8)
+        rows[:, : RECORD.size] = np.frombuffer(RECORD.pack(MESSAGE, size - 9, topic.number, 0, 0, 0), np.uint8)
         for at in (RECORD.size - 16, RECORD.size - 8):
             np.ndarray((len(rows),), "<u8", rows, at, rows.strides[:1])[:] = log_ns
         template.fill(rows, RECORD.size, stamp_ns, values)
@@ -184,18 +220,30 @@ class BagWriter:
     def _hold(self, topic: BagTopic, log_ns: IntArray, rows: NDArray[np.uint8]) -> None:
         """Keep records of a topic until a chunk is full."""
         if topic.number in self._waiting and self._held > CHUNK_BYTES:
-            self._flush()
-        topic.count += len(rows)
+            self.flush()
         self._pending.append((topic.number, log_ns, rows))
         self._waiting.add(topic.number)
         self._held += rows.size
 
-    def _flush(self) -> None:
-        """Write what is pending, in the order of log time."""
-        self._file.write(self._new)
-        self._new = b""
-        if not self._pending:
-            return
+    def flush(self) -> None:
+        """Write what is pending, in the order of log time; a program that is killed afterwards does not lose it.
+
+        Raises
+        ------
+        OSError
+            What was pending is lost then, and the file ends with its last whole chunk: it can be gone on with.
+        """
+        try:
+            self._append(self._new)
+            self._new = b""
+            if self._pending:
+                self._write_pending()
+        finally:
+            self._pending.clear()
+            self._waiting.clear()
+            self._held = 0
+
+    def _write_pending(self) -> None:
         log_ns = np.concatenate([log for _, log, _ in self._pending])
         order = np.argsort(log_ns, kind="stable")
         channel = np.repeat([number for number, _, _ in self._pending], [len(log) for _, log, _ in self._pending])
@@ -210,68 +258,36 @@ class BagWriter:
             offset = np.concatenate(([0], ends[start : stop - 1] - before))
             self._chunk(b"".join([records[row] for row in rows]), channel[rows], log_ns[rows], offset)
             start = stop
-        self._pending.clear()
-        self._waiting.clear()
-        self._held = 0
 
     def _chunk(self, data: bytes, channel: NDArray[np.intp], log_ns: IntArray, offset: IntArray) -> None:
         """Write one chunk and its index of messages, and remember its place."""
         first, last = int(log_ns[0]), int(log_ns[-1])
-        self._span = [min(self._span[0], first), max(self._span[1], last)]
-        place = self._file.tell()
         head = struct.pack("<QQQI", first, last, len(data), zlib.crc32(data))
-        length = self._file.write(_record(0x06, head + _text("") + struct.pack("<Q", len(data)) + data))
-        indices: list[bytes] = []
-        offsets = b""
-        for number in np.unique(channel):
-            rows = np.flatnonzero(channel == number)
-            pairs = np.stack((log_ns[rows], offset[rows]), axis=1).astype("<u8").tobytes()
-            offsets += struct.pack("<HQ", number, place + length + sum(map(len, indices)))
-            indices.append(_record(0x07, struct.pack("<H", number) + _sized(pairs)))
-        self._file.write(b"".join(indices))
-        where = struct.pack("<QQQQ", first, last, place, length) + _sized(offsets)
-        sizes = struct.pack("<Q", sum(map(len, indices))) + _text("") + struct.pack("<QQ", len(data), len(data))
-        self._chunks.append(_record(0x08, where + sizes))
+        chunk = record(CHUNK, head + text("") + struct.pack("<Q", len(data)) + data)
+        indices, offsets = message_indices(channel, log_ns, offset, self._at + len(chunk))
+        place = self._append(chunk + indices)
+        self._chunks.append(Chunk(first, last, place, len(chunk), offsets, len(indices), "", len(data), len(data)))
+        for number, count in zip(*np.unique(channel, return_counts=True), strict=True):
+            self._topics[number - 1].count += int(count)
+
+    def _append(self, data: bytes) -> int:
+        """Write all of it at the end of the file, or nothing; where it stands."""
+        left = memoryview(data)
+        try:
+            while left:
+                left = left[self._file.write(left) :]
+        except OSError:
+            self._file.seek(self._at)
+            with suppress(OSError):
+                self._file.truncate()
+            raise
+        place, self._at = self._at, self._at + len(data)
+        return place
 
     def _schema(self, topic: BagTopic) -> bytes:
-        return _record(0x03, struct.pack("<H", topic.number) + _text(topic.msgtype) + _text("ros2msg") + _text(topic.text))
+        return record(SCHEMA, struct.pack("<H", topic.number) + text(topic.msgtype) + text("ros2msg") + text(topic.text))
 
     def _channel(self, topic: BagTopic) -> bytes:
         numbers = struct.pack("<HH", topic.number, topic.number)
-        offered = _sized(_text("offered_qos_profiles") + _text(""))
-        return _record(0x04, numbers + _text(topic.name) + _text("cdr") + offered)
-
-    def _summary(self) -> None:
-        """Write what lets a player find its way: topics, chunks, counts."""
-        self._file.write(_record(0x0F, struct.pack("<I", 0)))
-        counts = _sized(b"".join(struct.pack("<HQ", topic.number, topic.count) for topic in self._topics))
-        messages = sum(topic.count for topic in self._topics)
-        span = self._span if messages else [0, 0]
-        topics, chunks = len(self._topics), len(self._chunks)
-        statistics = struct.pack("<QHIIIIQQ", messages, topics, topics, 0, 0, chunks, *span)
-        groups = {
-            0x03: b"".join(map(self._schema, self._topics)),
-            0x04: b"".join(map(self._channel, self._topics)),
-            0x08: b"".join(self._chunks),
-            0x0B: _record(0x0B, statistics + counts),
-        }
-        start = self._file.tell()
-        offsets = b""
-        for code, records in groups.items():
-            if records:
-                offsets += _record(0x0E, struct.pack("<BQQ", code, self._file.tell(), len(records)))
-                self._file.write(records)
-        footer = struct.pack("<QQI", start, self._file.tell(), 0)
-        self._file.write(offsets + _record(0x02, footer) + MAGIC)
-
-
-def _record(code: int, content: bytes) -> bytes:
-    return struct.pack("<BQ", code, len(content)) + content
-
-
-def _sized(content: bytes) -> bytes:
-    return struct.pack("<I", len(content)) + content
-
-
-def _text(text: str) -> bytes:
-    return _sized(text.encode())
+        offered = sized(text("offered_qos_profiles") + text(""))
+        return record(CHANNEL, numbers + text(topic.name) + text("cdr") + offered)

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from trackres_ros.errors import shown
+from trackres_ros.recording.unfinished import UnfinishedBag
 
 ROWS = "SELECT topic_id, count(*) FROM messages NOT INDEXED GROUP BY topic_id"
 MAGIC = b"\x89MCAP0\r\n"
@@ -110,6 +111,9 @@ def _count_mcap(storage: Any, names: dict[Any, str], counts: Counts) -> None:
 
 def _look_at_mcap(storage: Any) -> Iterator[str]:
     """Say where the records of an MCAP file do not follow on one another, and what its index leaves out."""
+    if isinstance(storage.path, UnfinishedBag):
+        yield storage.path.remark
+        return
     with storage.path.open("rb") as file:
         size = file.seek(0, 2) - len(MAGIC)
         at, kind, chunks, allowed = len(MAGIC), 0, 0, {HEADER}

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from trackres_ros.errors import InputError
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.reading import check_there
+from trackres_ros.recording.unfinished import SUFFIX as UNFINISHED
 
 if TYPE_CHECKING:
     from trackres_ros.recording.rosbag import BagSource
@@ -67,7 +68,7 @@ def _is_table(path: Path) -> bool:
         given = f"no metadata.yaml, but {', '.join(inside[:MOST_NAMED])}{more}" if inside else "a directory without metadata.yaml"
         raise InputError(str(path), given, ALLOWED, remedy)
     name = path.name.lower()
-    if name.endswith(BAG_SUFFIXES):
+    if name.endswith((*BAG_SUFFIXES, UNFINISHED)):
         return False
     if name.endswith(TABLE_SUFFIXES):
         return True

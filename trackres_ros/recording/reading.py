@@ -24,7 +24,7 @@ SPECIAL = (
 )
 """What opens without an end, or not at all until somebody writes."""
 CONTENTS: tuple[tuple[bytes, str, tuple[str, ...], str], ...] = (
-    (b"\x89MCAP", "an MCAP bag", (".mcap",), "name it .mcap"),
+    (b"\x89MCAP", "an MCAP bag", (".mcap", ".part"), "name it .mcap"),
     (b"SQLite format 3\0", "an SQLite bag", (".db3",), "name it .db3"),
     (b"#ROSBAG V", "a ROS 1 bag", (".bag",), "name it .bag"),
     (b"PAR1", "a Parquet table", (".parquet",), "name it .parquet"),

@@ -30,6 +30,7 @@ from trackres_ros.recording.reading import check_file, check_there, reading
 from trackres_ros.recording.samples import Block, Finding, IntArray
 from trackres_ros.recording.sums import Sums, readings_of
 from trackres_ros.recording.torque_candidates import note_of, of_topics
+from trackres_ros.recording.unfinished import UnfinishedBag, is_unfinished
 from trackres_ros.recording.unpacking import (
     MAX_CHUNK_BYTES,
     MAX_MESSAGE_BYTES,
@@ -48,7 +49,7 @@ if TYPE_CHECKING:
 BATCH_ROWS, BATCH_BYTES = 2048, 32 * 2**20
 """Serialised messages held at once: few stay in the cache of the processor, and large ones do not fill the memory."""
 READABLE = "a bag that can be read to its end"
-REMEDIES = {".mcap": "a file that was cut off is repaired with: mcap recover", ".bag": "try: rosbag reindex"}
+REMEDIES = {".mcap": "try: mcap recover", ".bag": "try: rosbag reindex"}
 MAX_LOG_NS = 2**62
 """Log times from 1970 to 2116 are accepted: differences of two of them fit in 64 bits [ns]."""
 MAX_METADATA_BYTES, MAX_METADATA_DEPTH = 2**24, 50
@@ -365,7 +366,8 @@ def open_bag(path: Path) -> Reader1 | Reader2:
         check_file(path)
     set_ceilings()
     with reading(path, READABLE, remedy(path)):
-        reader = Reader1(path) if is_ros1(path) else Reader2(path)
+        place: Any = UnfinishedBag(path) if path.is_file() and is_unfinished(path) else path
+        reader = Reader1(path) if is_ros1(path) else Reader2(place)
         reader.open()
         try:
             for storage in storages_of(reader):

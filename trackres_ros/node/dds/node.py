@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import gc
 import importlib.util
-import os
-import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from functools import partial
 
+from trackres_ros.errors import InputError
 from trackres_ros.node.application import Application
+from trackres_ros.node.background import Background, ErrorLines
 from trackres_ros.node.dds.messages import InputReader, Prepared, PreparedEstimate, clock_ns, diagnostic_array, prepared
 from trackres_ros.node.dds.participant import Participant, Reader
 from trackres_ros.node.dds.wire import typestore
@@ -21,7 +22,7 @@ from trackres_ros.node.edge import Level, Peer, Reasons, Status
 from trackres_ros.node.endpoints import InputTopic, Quality, full_name, input_name, input_quality, output_quality
 from trackres_ros.node.inbox import Arrival, Inbox
 from trackres_ros.node.parameter_file import LOOK_EVERY_S, ParameterFile
-from trackres_ros.node.parameters import Parameters
+from trackres_ros.node.parameters import Parameters, Value
 from trackres_ros.node.signals import SignalRequests
 from trackres_ros.recording.cdr import MalformedError
 from trackres_ros.units import SECOND_NS
@@ -30,6 +31,8 @@ CLOCK_TYPE = "rosgraph_msgs/msg/Clock"
 CLOCK_QUALITY = Quality(reliable=False, depth=1, deadline_s=0.0)
 # Naps this short cost two percent of a core, and keep the way of a message in the caches: the torque leaves a tenth sooner.
 LONGEST_WAIT_NS = 2_000_000
+FAULT = 1
+LOG_PATIENCE_S = 1.0  # with who reads the log, at the end
 
 
 class DdsNode:
@@ -44,6 +47,7 @@ class DdsNode:
     def __init__(self, parameters: Parameters, node: str, namespace: str) -> None:
         self._name = full_name(node, "", namespace).replace("//", "/").strip("/").replace("/", ".")
         self._frame_id, self._namespace = parameters.text("frame_id"), namespace
+        self._lines = ErrorLines()
         self.application = application = Application(parameters, self, node, namespace)
         self._input_readers = [InputReader(given, application.topics.origin) for given in application.inputs]
         self._participant = Participant(node, namespace)
@@ -66,14 +70,18 @@ class DdsNode:
         if parameters.sim_time:
             self._clock = self._participant.reader("/clock", CLOCK_TYPE, CLOCK_QUALITY)
         self._participant.announce()
+        guard = application.guard
         self._inbox = Inbox(
-            [reader.take for reader in self._readers],
+            [guard.taking(f"reading {name}", reader.take) for name, reader in zip(self._input_names, self._readers, strict=True)],
             self._hand,
             application.arrival,
             application.dropped,
             parameters.count("input_depth"),
         )
         self._next_tick = 0
+        self._looking = Background("parameter file")
+        self._looked: tuple[Mapping[str, Value], list[InputError]] | BaseException = {}, []
+        self._next_look = 0
 
     # What the application asks of its edge
 
@@ -126,10 +134,7 @@ class DdsNode:
     def log(self, level: Level, text: str) -> None:
         """One line on standard error, as ROS 2 writes it."""
         severity = {Level.OK: "INFO", Level.ERROR: "ERROR"}.get(level, "WARN")
-        try:
-            print(f"[{severity}] [{time.time():.9f}] [{self._name}]: {text}", file=sys.stderr, flush=True)
-        except OSError:  # nobody reads the log any more, which must end neither the node nor its exit code
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())
+        self._lines.put(f"[{severity}] [{time.time():.9f}] [{self._name}]: {text}")
 
     # Running
 
@@ -143,37 +148,62 @@ class DdsNode:
         self.log(Level.OK, f"{application.vehicle.title}; {application.began_with}")
         application.activate()
         wait = self._participant.waiter()
-        self._next_tick = next_look = time.monotonic_ns()
+        self._next_tick = self._next_look = time.monotonic_ns()
+        guard = application.guard
         requests.started()
         while not requests.to_stop:
             left = self._next_tick - time.monotonic_ns()
             if left > 0:
                 wait(min(left, LONGEST_WAIT_NS))
             if self._clock:
-                for raw, _ in self._clock.take():
-                    with suppress(MalformedError):
-                        self._set_clock(clock_ns(raw))
-            self._inbox.collect()
-            for index, kept in self._kept:
-                for raw, _ in kept.take():
-                    application.keep(index, raw, application.arrival())
+                guard.essential("reading the clock", self._take_clock, self._clock)
+            guard.essential("taking messages", self._inbox.collect)
+            guard("recording", self._take_kept)
             # A simulated clock stands while messages are worked off, and none comes between it and them.
-            self._inbox.work_off(self._tick_if_due, collecting=self._clock is None)
+            guard.essential("taking messages", self._inbox.work_off, self._tick_if_due, collecting=self._clock is None)
             self._tick_if_due()
-            for level, text in requests.carry_out(application):
-                self.log(level, text)
-            if watched and time.monotonic_ns() >= next_look:
-                next_look = time.monotonic_ns() + int(LOOK_EVERY_S * SECOND_NS)
-                self._follow(watched)
+            guard("a request", self._carry_out, requests)
+            if watched:
+                guard("the parameter file", self._follow, watched)
+
+    def _take_clock(self, clock: Reader) -> None:
+        for raw, _ in clock.take():
+            with suppress(MalformedError):
+                self._set_clock(clock_ns(raw))
+
+    def _take_kept(self) -> None:
+        for index, kept in self._kept:
+            for raw, _ in kept.take():
+                self.application.keep(index, raw, self.application.arrival())
+
+    def _carry_out(self, requests: SignalRequests) -> None:
+        for level, text in requests.carry_out(self.application):
+            self.log(level, text)
 
     def _follow(self, watched: ParameterFile) -> None:
-        """Change what a parameter file has changed; what is refused is reported line by line."""
-        changed, refused = watched.look(self.application.checked_change)
+        """Change what a parameter file has changed; what is refused is reported line by line. The file is read on another
+        thread.
+        """
+        if self._looking.busy:
+            return
+        looked, self._looked = self._looked, ({}, [])
+        if isinstance(looked, BaseException):
+            raise looked
+        changed, refused = looked
         for error in refused:
             self.log(Level.WARN, watched.refused(error))
         if changed:
             self.application.change(changed)
             self.log(Level.OK, watched.applied(changed))
+        if time.monotonic_ns() >= self._next_look:
+            self._next_look = time.monotonic_ns() + int(LOOK_EVERY_S * SECOND_NS)
+            self._looking.start(partial(self._look, watched))
+
+    def _look(self, watched: ParameterFile) -> None:
+        try:
+            self._looked = watched.look(self.application.checked_change)
+        except BaseException as error:  # raised where the loop takes it
+            self._looked = error
 
     def _hand(self, index: int, message: tuple[bytes, int], arrived: Arrival) -> None:
         raw, sent_ns = message
@@ -195,6 +225,7 @@ class DdsNode:
         """Save the state and leave."""
         self.log(Level.OK, self.application.close())
         self._participant.close()
+        self._lines.close(LOG_PATIENCE_S)
 
     def _set_clock(self, now_ns: int) -> None:
         back_ns = self._sim_ns - now_ns
@@ -216,14 +247,20 @@ def run(
     Returns
     -------
     int
-        Exit code, 0.
+        Exit code: 0, or 1 where a fault of the loop itself has ended it.
     """
     running = DdsNode(parameters, node, namespace)
     gc.freeze()  # what was loaded stays: looking through it would hold up a message now and then
+    fault: Exception | None = None
     try:
         if started:
             started(running.application)
         running.spin(requests, watched)
+    except InputError:
+        raise
+    except Exception as error:
+        fault = error
     finally:
+        running.application.fade_out(fault)
         running.close()
-    return 0
+    return FAULT if fault else 0

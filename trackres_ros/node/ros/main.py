@@ -18,11 +18,13 @@ if TYPE_CHECKING:
     from trackres_ros.node.application import Application
 
 BAD_INPUT = 2
+FAULT = 1  # of the loop itself
 LONGEST_WAIT_S = 0.1  # so that a signal is seen soon
+MOST_FAILED = 100  # callbacks, one after the other
 
 try:
     import rclpy
-    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
     from rclpy.lifecycle import TransitionCallbackReturn
     from rclpy.signals import SignalHandlerOptions
 except ImportError as error:
@@ -68,7 +70,8 @@ def _run(
 ) -> int:
     # rclpy's own handlers would take the context away before the node has saved its state and said so.
     rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-    node = None
+    node: Any = None
+    fault: Exception | None = None
     try:
         try:
             node = make()
@@ -89,14 +92,41 @@ def _run(
             started(node.application)
         gc.freeze()  # what was loaded stays: looking through it would hold up a message now and then
         requests.started()
-        while not requests.to_stop:
-            executor.spin_once(timeout_sec=LONGEST_WAIT_S)
-            if node.application:
-                for level, text in requests.carry_out(node.application):
-                    node.log(level, text)
+        _spin(executor, node, requests)
+    except InputError:
+        raise
+    except Exception as error:
+        if node is None or node.application is None:
+            raise
+        fault = error
     finally:
         if node is not None:
+            if node.application:
+                node.application.fade_out(fault)
             node.release()
             node.destroy_node()
         rclpy.try_shutdown()
-    return 0
+    return FAULT if fault else 0
+
+
+def _spin(executor: Any, node: Any, requests: SignalRequests) -> None:
+    """Run until a signal asks to stop. What a callback raises comes out of the executor here, and ends nothing else."""
+    failed = 0
+    while not requests.to_stop:
+        try:
+            executor.spin_once(timeout_sec=LONGEST_WAIT_S)
+            failed = 0
+        except ExternalShutdownException:
+            return
+        except Exception as error:
+            failed += 1
+            if node.application is None or failed >= MOST_FAILED:  # then it is the executor itself
+                raise
+            node.application.guard.failed("a callback", error, essential=False)
+        if node.application:
+            node.application.guard("a request", _carry_out, node, requests)
+
+
+def _carry_out(node: Any, requests: SignalRequests) -> None:
+    for level, text in requests.carry_out(node.application):
+        node.log(level, text)

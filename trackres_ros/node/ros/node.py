@@ -172,7 +172,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
                 )
             self._inputs.append(made)
         self._inbox = Inbox(
-            [partial(_come, given) for given in self._inputs],
+            [application.guard.taking(f"reading {given.topic_name}", partial(_come, given)) for given in self._inputs],
             self._hand,
             application.arrival,
             application.dropped,
@@ -187,7 +187,7 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
         back = Duration(nanoseconds=-int(application.estimator.settings.clock_jump_s * SECOND_NS))
         self._jumps = self.get_clock().create_jump_callback(
             JumpThreshold(min_forward=None, min_backward=back, on_clock_change=False),
-            post_callback=lambda _: application.time_went_back(),
+            post_callback=lambda _: application.guard.essential("the clock", application.time_went_back),
         )
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._ticker = self.create_timer(application.period_s, self._tick, clock=self._steady)
@@ -321,8 +321,11 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
     def _hand(self, index: int, message: Taken, arrived: Arrival) -> None:
         if self.application:
             if self._recording:
-                self.application.keep(index, serialize_message(message[0]), arrived)
+                self.application.guard("recording", self._record, self.application, index, message[0], arrived)
             self.application.receive(index, message[0], message[1]["source_timestamp"], arrived)
+
+    def _record(self, application: Application, index: int, message: object, arrived: Arrival) -> None:
+        application.keep(index, serialize_message(message), arrived)
 
     def _keep(self, index: int, raw: bytes) -> None:
         if self.application:
@@ -343,6 +346,8 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
                 response.message, response.success = what(), True
             except InputError as error:
                 response.message, response.success = str(error), False
+            except Exception as error:  # who asked is to have an answer
+                response.message, response.success = f"a fault of this program: {type(error).__name__}: {error}", False
             return response
 
         return serve

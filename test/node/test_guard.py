@@ -1,0 +1,212 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Law: whatever fails besides the step, the torque goes on as if nothing had, and the status names the part."""
+
+import importlib
+import itertools
+import re
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+import trackres_ros
+from trackres_ros.node import record
+from trackres_ros.node.edge import Level
+from trackres_ros.node.record import Recorder
+from trackres_ros.node.record_files import MB, Limits
+from trackres_ros.output import mcap
+
+pytest.importorskip("rosbags")
+
+PACKAGE = Path(trackres_ros.__file__).parent
+STEP = {  # what makes an estimate and brings it out: without one of them there is none; and the values of checked parameters
+    "Session.handle", "Intake.read", "Intake.samples", "SendingOrder.put", "SendingOrder.late",
+    "Outlet.take", "Outlet.publish", "Outlet.age_s", "nearest_usable",
+}  # fmt: skip
+SILENT = {"Outlet.publish_statuses", "bare_status", "Remark.level"}  # without which no status can say what fails
+TOPICS = """
+speed: {topic: speed, type: geometry_msgs/msg/TwistStamped, field: twist.linear.x}
+load: {topic: load, type: std_msgs/msg/Float64, field: data}
+ambient: {topic: ambient, type: sensor_msgs/msg/Temperature, field: temperature}
+torque: {topic: shaft, type: geometry_msgs/msg/WrenchStamped, field: wrench.torque.y}
+"""
+
+
+class Failure(BaseException):
+    """As a library raises that wants to end the program."""
+
+
+@pytest.fixture
+def node(desk, tmp_path):
+    """A node that does everything: it learns, saves its state, and what it takes and makes is recorded."""
+    (tmp_path / "topics.yaml").write_text(TOPICS)
+    number = itertools.count()
+
+    def start(rate_hz=50.0):
+        d = desk(
+            topics=str(tmp_path / "topics.yaml"),
+            state_file=str(tmp_path / f"state{next(number)}.json"),
+            learning="on",
+            output_rate_hz=rate_hz,
+            save_period_s=1.0,
+        )
+        d.app.record(lambda *_: None)
+        d.app.on_estimate = lambda *_: None
+        return d
+
+    return start
+
+
+def driven(d, seconds=2.0):
+    for _ in range(round(seconds)):
+        d.drive(1.0, load=250e3, ambient=12.0, torque=3000.0)
+        d.app.keep(0, b"raw", d.app.arrival())
+    return [(name, values) for name, _, values in d.published if name.startswith("feedforward")]
+
+
+def called_by_the_application(d):
+    """The functions of this package that a drive calls right out of the application, by module and name; without the step."""
+    found = set()
+
+    def profile(frame, event, _):
+        code, caller = frame.f_code, frame.f_back
+        path = Path(code.co_filename)
+        if event != "call" or caller is None or Path(caller.f_code.co_filename).name not in ("application.py", "guard.py"):
+            return
+        if path.is_relative_to(PACKAGE) and path.name not in ("application.py", "guard.py") and "<" not in code.co_qualname:
+            module = ".".join(["trackres_ros", *path.relative_to(PACKAGE).with_suffix("").parts])
+            found.add((module, code.co_qualname))
+
+    sys.setprofile(profile)
+    try:
+        driven(d)
+    finally:
+        sys.setprofile(None)
+    return {(module, name) for module, name in found if name not in STEP and not name.startswith("Parameters.")}
+
+
+def failing(*_, **__):
+    raise Failure("injected")
+
+
+def put_fault(monkeypatch, d, module, name):
+    """Have a function or method fail from now on."""
+    home = importlib.import_module(module)
+    owner, _, attribute = name.rpartition(".")
+    if owner:
+        kind = getattr(home, owner)
+        broken = property(failing) if isinstance(vars(kind).get(attribute), property) else failing
+        monkeypatch.setattr(kind, attribute, broken)
+    else:
+        application = importlib.import_module("trackres_ros.node.application")
+        monkeypatch.setattr(application, attribute, failing)
+
+
+@pytest.mark.parametrize("rate_hz", [50.0, 0.0])
+def test_no_call_besides_the_step_can_change_the_torque(node, monkeypatch, rate_hz):
+    whole = driven(node(rate_hz))
+    calls = called_by_the_application(node(rate_hz))
+    assert {"Comparison.take", "LiveLearning.take", "StateKeeper.save_soon", "Watch.every_second", "statuses"} <= {
+        n for _, n in calls
+    }
+    for module, name in sorted(calls):
+        d = node(rate_hz)
+        with monkeypatch.context() as broken:
+            put_fault(broken, d, module, name)
+            assert driven(d) == whole, name
+            if name not in SILENT:
+                status = [found[0] for topic, found in d.statuses if topic == "status"][-1]
+                assert status.level == Level.WARN, name
+                assert "failed, a fault of this program" in status.message, name
+                assert "Failure: injected" in status.message, name
+            d.app.close()
+
+
+@pytest.mark.parametrize("what", ["log", "peers", "publish_status", "keep", "on_estimate"])
+def test_no_edge_and_no_recorder_can_change_the_torque(node, monkeypatch, what):
+    whole, d = driven(node()), node()
+    target = d.app if what == "on_estimate" else d
+    if what == "keep":
+        d.app.record(failing)
+    else:
+        monkeypatch.setattr(target, what, failing)
+    assert driven(d) == whole
+    monkeypatch.undo()
+    if what not in ("log", "publish_status"):  # of those nobody can be told
+        assert "PART_FAILED" in d.names()
+    d.forward(7.0)
+    assert not {"PART_FAILED", "INTERNAL_ERROR"} & d.names()
+
+
+def test_what_was_learned_stays_where_learning_fails_or_is_not_finite(node, monkeypatch):
+    d = node()
+    driven(d, 2.0)
+
+    def spoil(stamp, row, session):
+        session.learned[:] = float("nan")
+
+    monkeypatch.setattr(d.app.learning.learner, "take", spoil)
+    driven(d, 2.0)
+    assert d.all_finite()
+    assert "PART_FAILED" in d.names()
+    assert "INTERNAL_ERROR" not in d.names()
+
+
+def test_a_disk_that_blocks_holds_nothing_up_and_loses_a_bounded_part(node, monkeypatch, tmp_path):
+    d, answers = node(), threading.Event()
+    monkeypatch.setattr(record, "WRITE_EVERY_S", 0.05)
+    monkeypatch.setattr(record, "SHOWN_NS", 200_000_000)
+    monkeypatch.setattr(record, "MOST_WAITING_BYTES", 200_000)
+    recorder = Recorder(tmp_path / "live.mcap")
+    recorder.begin(d.app)
+    append = mcap.BagWriter._append
+    monkeypatch.setattr(mcap.BagWriter, "_append", lambda self, data: answers.wait() and append(self, data))
+    driven(d, 1.0)
+    time.sleep(0.3)
+    began = time.monotonic()
+    driven(d, 3.0)
+    assert time.monotonic() - began < 60.0
+    (said,) = [remark for remark in d.app.remarks() if remark.name == "NOT_RECORDED"]
+    assert said.level is Level.WARN
+    assert "live.mcap.part: the disk has not answered for" in said.text
+    assert re.search(r"lost so far: \d+ messages and [1-9]\d* estimates", said.text)
+    answers.set()
+    lines = recorder.end()
+    assert (tmp_path / "live.mcap").exists()
+    assert any(line.startswith("not recorded: ") for line in lines)
+
+
+def test_a_picture_that_fails_is_a_line_of_text(node, monkeypatch, tmp_path):
+    d, recorder = node(), Recorder(tmp_path / "live.mcap")
+    recorder.begin(d.app)
+    driven(d, 1.0)
+    monkeypatch.setattr(record, "plot_estimate", lambda *_: 1 / 0)
+    assert recorder.end()[-1].startswith(f"no picture {tmp_path / 'live.png'}: division by zero")
+
+
+def test_split_files_stay_within_the_limit_and_only_the_oldest_go(node, monkeypatch, tmp_path):
+    monkeypatch.setattr(record, "WRITE_EVERY_S", 0.02)
+    others = [tmp_path / "live_0000.csv", tmp_path / "other_0000.mcap", tmp_path / "live_0003.mcap"]
+    for other in others:
+        other.write_text("of somebody else")
+    kept = []
+    for _ in range(2):
+        d, recorder = node(), Recorder(tmp_path / "live.mcap", Limits(split_mb=0.3, limit_mb=1.5))
+        recorder.begin(d.app)
+        for _ in range(20):
+            driven(d, 1.0)
+            time.sleep(0.05)
+        lines = recorder.end()
+        files = [path for path in sorted(tmp_path.glob("live_*.mcap")) if path not in others]
+        assert len(files) > 2
+        assert sum(path.stat().st_size for path in files) < 1.6 * MB
+        assert "of the oldest files were deleted" in " ".join(lines)
+        kept.append([path.name for path in files])
+    assert kept[0][0] >= "live_0004.mcap"
+    assert kept[1][0] > kept[0][-1] or set(kept[1]) & set(kept[0])
+    assert kept[1][-1] > kept[0][-1]
+    assert all(other.read_text() == "of somebody else" for other in others)

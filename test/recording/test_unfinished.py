@@ -1,0 +1,147 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Law: an MCAP file cut off anywhere gives the messages up to its last whole block, says so, and can be finished."""
+
+import json
+import random
+import shutil
+
+import numpy as np
+import pytest
+
+import trackres_ros as tr
+
+pytest.importorskip("rosbags")
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from trackres_ros.output.mcap import BagWriter
+
+STORE = get_typestore(Stores.LATEST)
+NUMBER = "std_msgs/msg/Float64"
+TOPICS = {"speed": {"topic": "/speed", "type": NUMBER, "field": "data"}}
+START_NS, COUNT = 1_700_000_000_000_000_000, 600
+
+
+def message(row):
+    return bytes(STORE.serialize_cdr(STORE.types[NUMBER](float(row)), NUMBER))
+
+
+def by_us(path):
+    """Written in blocks of 50 messages, as while recording."""
+    with BagWriter(path) as bag:
+        text = STORE.generate_msgdef(NUMBER, ros_version=2)[0]
+        speed, load = (bag.raw_topic(name, NUMBER, text) for name in ("/speed", "/load"))
+        for row in range(COUNT):
+            bag.write_raw(speed, message(row), START_NS + row * 10**7)
+            if row % 10 == 0:
+                bag.write_raw(load, message(0), START_NS + row * 10**7)
+            if row % 50 == 49:
+                bag.flush()
+
+
+def by_others(path, **chunks):
+    """Written by the library of the format: definitions in the chunks, or no chunks."""
+    writer = pytest.importorskip("mcap.writer")
+    with path.open("wb") as file:
+        bag = writer.Writer(file, chunk_size=4096, **chunks)
+        bag.start("ros2", "somebody")
+        text = STORE.generate_msgdef(NUMBER, ros_version=2)[0].encode()
+        channel = bag.register_channel("/speed", "cdr", bag.register_schema(NUMBER, "ros2msg", text))
+        for row in range(COUNT):
+            bag.add_message(channel, START_NS + row * 10**7, message(row), START_NS + row * 10**7)
+        bag.finish()
+
+
+def by_rosbags(path):
+    folder = path.with_suffix("")
+    bag = Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP)
+    bag.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+    with bag:
+        speed = bag.add_connection("/speed", NUMBER, typestore=STORE)
+        for row in range(COUNT):
+            bag.write(speed, START_NS + row * 10**7, message(row))
+    shutil.move(next(folder.glob("*.mcap")), path)
+
+
+def without_chunks(path):
+    by_others(path, use_chunking=False)
+
+
+def with_lz4(path):
+    from mcap.writer import CompressionType
+
+    by_others(path, compression=CompressionType.LZ4)
+
+
+def whole_blocks(path):
+    """What is read; None where the file was cut off before its first whole block."""
+    try:
+        return tr.read(path, topics=TOPICS)
+    except tr.InputError as error:
+        if "one with a whole message in it" not in str(error):
+            raise
+        return None
+
+
+@pytest.mark.parametrize("write", [by_us, by_others, with_lz4, by_rosbags, without_chunks])
+def test_a_file_cut_anywhere_is_read_up_to_its_last_whole_block(write, tmp_path):
+    whole, cut, again = (tmp_path / name for name in ("whole.mcap", "whole.mcap.part", "again.mcap"))
+    write(whole)
+    raw, chance, read = whole.read_bytes(), random.Random(4), []
+    for size in sorted(chance.sample(range(len(raw) // 4, len(raw)), 25)):
+        rubbish = chance.choice([b"", bytes(700), chance.randbytes(40)])  # as a power cut leaves behind
+        cut.write_bytes(raw[:size] + rubbish)
+        if not (found := whole_blocks(cut)):
+            continue
+        rows = found.series["speed"].value
+        assert np.array_equal(rows, np.arange(len(rows)))
+        read.append(len(rows))
+        assert any("was not finished" in finding.text for finding in found.findings)
+        recovered = tr.recover(cut, output=again)
+        assert cut.exists()
+        with Reader(again) as bag:
+            assert len(list(bag.messages())) == recovered.messages >= len(rows)
+        finished = tr.read(again, topics=TOPICS)
+        assert np.array_equal(finished.series["speed"].value, rows)
+    assert read == sorted(read)
+    if write is not by_rosbags:  # which has one chunk of it all
+        assert read[0] < 300
+    assert read[-1] > COUNT - 60
+
+
+def test_a_recovered_file_holds_for_the_library_of_the_format(tmp_path):
+    reader = pytest.importorskip("mcap.reader")
+    whole, cut, again = (tmp_path / name for name in ("whole.mcap", "cut.mcap", "again.mcap"))
+    by_us(whole)
+    cut.write_bytes(whole.read_bytes()[:-2000])
+    recovered = tr.recover(cut, output=again)
+    with again.open("rb") as file:
+        bag = reader.make_reader(file, validate_crcs=True)
+        assert bag.get_summary().statistics.message_count == recovered.messages == len(list(bag.iter_messages()))
+        assert {channel.topic for channel in bag.get_summary().channels.values()} == {"/speed", "/load"}
+
+
+def test_the_command_says_what_it_has_written_and_refuses_the_rest(good, trackres, tmp_path):
+    whole, part = tmp_path / "whole.mcap", tmp_path / "drive.mcap.part"
+    by_us(whole)
+    part.write_bytes(whole.read_bytes()[:-5000])
+    told = json.loads(good("recover", part, "-o", tmp_path / "drive.mcap", "--json"))
+    assert told["written"] == str(tmp_path / "drive.mcap")
+    assert told["messages"] > 500
+    assert f"{told['messages']} messages, {told['duration_s']:.1f} s" in good("recover", part, "-o", tmp_path / "drive.mcap")
+    part.write_bytes(whole.read_bytes()[:60])
+    (tmp_path / "text.mcap").write_text("no bag")
+    for given, output, said in (
+        (whole, "out.mcap", "an MCAP file that was not finished"),
+        (part, "out.mcap", "one with a whole message in it"),
+        (tmp_path / "text.mcap", "out.mcap", "an MCAP bag"),
+        (tmp_path / "nothing.part", "out.mcap", "nothing at this path"),
+        (part, "out.csv", "ends in .mcap"),
+        (part, "none/out.mcap", "folder"),
+    ):
+        done = trackres("recover", given, "-o", tmp_path / output)
+        assert done.returncode == 2
+        assert said in done.stderr, done.stderr
+        assert not (tmp_path / "out.mcap").exists()

@@ -1,0 +1,38 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""`trackres recover` finishes a recording that was broken off."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+import trackres_ros as tr
+from trackres_ros.cli.common import Command, emit, json_option
+from trackres_ros.cli.written import watch
+
+
+@click.command("recover", cls=Command)
+@click.argument("recording", type=click.Path(path_type=Path))
+@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="File to write, .mcap.")
+@json_option
+def recover_command(recording: Path, output: Path, as_json: bool) -> None:
+    """Finish an MCAP recording that was broken off by a kill, a crash or a power cut. The unfinished file stays.
+
+    RECORDING is the .mcap.part that `trackres live --record` leaves then, or any .mcap that was cut off.
+
+    \b
+    trackres recover drive.mcap.part -o drive.mcap
+    """
+    watch(output)
+    found = tr.recover(recording, output=output)
+    result = {
+        "written": str(found.path),
+        "messages": found.messages,
+        "duration_s": found.duration_s,
+        "lost_bytes": found.lost_bytes,
+    }
+    lost = f"; the last {found.lost_bytes} bytes of {recording} are incomplete and left out" if found.lost_bytes else ""
+    emit(result, as_json, lambda: f"{output}: {found.messages} messages, {found.duration_s:.1f} s{lost}")

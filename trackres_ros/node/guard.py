@@ -1,0 +1,88 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The one guard around what the loop of the node calls: a part that fails is named, and everything else goes on."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import ParamSpec, TypeVar
+
+from trackres_ros.node.remarks import Remark
+
+SHOWN_NS = 5_000_000_000  # since it last failed
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+@dataclass(slots=True)
+class _Failure:
+    """How a part failed last."""
+
+    text: str
+    at_ns: int
+    essential: bool
+
+
+class Guard:
+    """Calls the parts of the node, and keeps what one of them raises from ending or silencing another.
+
+    Without an essential part (reading a message, a step, publishing) there is no estimate to be used: its failure is an error. Of
+    any other part (the disk, the log, other nodes, learning, recording, the statuses) it is a warning.
+
+    Parameters
+    ----------
+    report
+        Logs a failure: the text, once for each while it goes on.
+    steady_ns
+        A clock that never jumps [ns].
+    """
+
+    def __init__(self, report: Callable[[str], None], steady_ns: Callable[[], int]) -> None:
+        self._report, self._steady_ns = report, steady_ns
+        self._failures: dict[str, _Failure] = {}
+
+    def __call__(self, part: str, do: Callable[P, T], *args: P.args, **named: P.kwargs) -> T | None:
+        """Call a part; what it gives, None where it fails."""
+        try:
+            return do(*args, **named)
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # whatever a library raises to end a program must not end this one
+            self.failed(part, error, essential=False)
+        return None
+
+    def essential(self, part: str, do: Callable[P, T], *args: P.args, **named: P.kwargs) -> T | None:
+        """Call a part without which there is no estimate."""
+        try:
+            return do(*args, **named)
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # as above
+            self.failed(part, error, essential=True)
+        return None
+
+    def taking(self, part: str, take: Callable[[], Iterable[T]]) -> Callable[[], Sequence[T]]:
+        """A function that takes what waits at an input; nothing where it fails."""
+        return lambda: self.essential(part, lambda: list(take())) or ()
+
+    def failed(self, part: str, error: BaseException, essential: bool) -> None:
+        """Take note of a failure."""
+        text, now = f"{type(error).__name__}: {error}", self._steady_ns()
+        before = self._failures.get(part)
+        self._failures[part] = _Failure(text, now, essential)
+        if before is None or before.text != text or now - before.at_ns > SHOWN_NS:
+            self._report(f"{part} failed, a fault of this program: {''.join(traceback.format_exception(error))}")
+
+    def remarks(self, steady: int) -> list[Remark]:
+        """The parts that have failed of late."""
+        return [
+            Remark("INTERNAL_ERROR", f"{part} failed, a fault of this program: {failure.text}")
+            if failure.essential
+            else Remark("PART_FAILED", f"{part} failed, a fault of this program, and the estimate goes on: {failure.text}")
+            for part, failure in list(self._failures.items())
+            if steady - failure.at_ns < SHOWN_NS
+        ]

@@ -1,0 +1,311 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Reads an MCAP file that was not finished, as after a kill: up to its last whole chunk, with an ending made here."""
+
+from __future__ import annotations
+
+import io
+import os
+import shutil
+import struct
+import zlib
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from trackres_ros.errors import InputError
+from trackres_ros.recording.mcap_format import (
+    ATTACHMENT,
+    CHANNEL,
+    CHUNK,
+    DATA_END,
+    HEAD,
+    HEADER,
+    MAGIC,
+    MESSAGE,
+    MESSAGE_INDEX,
+    METADATA,
+    SCHEMA,
+    Chunk,
+    ending,
+    ending_without_summary,
+    message_indices,
+    record,
+)
+from trackres_ros.recording.unpacking import MAX_CHUNK_BYTES, set_ceilings
+
+SUFFIX = ".part"
+"""Of a file that is still being written, or never was finished."""
+MESSAGE_HEAD = struct.Struct("<HIQQ")
+LEAST = {HEADER: 8, SCHEMA: 2, CHANNEL: 4, MESSAGE: MESSAGE_HEAD.size, CHUNK: 40, MESSAGE_INDEX: 6, ATTACHMENT: 0, METADATA: 0}
+"""Kinds of records before the end of the data, and the least length of each [bytes]."""
+
+
+@dataclass(slots=True)
+class _Found:
+    """What was found up to the last whole chunk, or the last whole message of a file without chunks."""
+
+    whole: int = 0
+    schemas: dict[int, bytes] = field(default_factory=dict)
+    channels: dict[int, bytes] = field(default_factory=dict)
+    chunks: list[Chunk] = field(default_factory=list)
+    counts: Counter[int] = field(default_factory=Counter)
+    first_ns: int = 2**63
+    last_ns: int = 0
+    ended: bool = False  # all messages are there
+    indexed: bool = True  # all messages are in chunks that have an index
+    loose: tuple[int, int] | None = None  # place and channel of the last message outside of a chunk
+    last_chunk: list[tuple[int, int, int]] = field(default_factory=list)  # its messages: channel, log time, offset
+    offsets: dict[int, int] = field(default_factory=dict)  # of its index, by channel
+
+    def take(self, kind: int, content: bytes) -> int:
+        """Take a schema, a channel or a message; its number, or that of its channel."""
+        number: int = struct.unpack_from("<H", content)[0]
+        if kind == MESSAGE:
+            log_ns = MESSAGE_HEAD.unpack_from(content)[2]
+            self.counts[number] += 1
+            self.first_ns, self.last_ns = min(self.first_ns, log_ns), max(self.last_ns, log_ns)
+        else:
+            (self.schemas if kind == SCHEMA else self.channels)[number] = record(kind, content)
+        return number
+
+    def leave_out_last_message(self) -> None:
+        """Of messages outside of chunks: it has no checksum, so it may have been filled up with anything after a power cut."""
+        if self.loose is not None:
+            self.whole, number = self.loose
+            self.counts[number] -= 1
+
+    def close_chunk(self) -> None:
+        """The index of the last chunk is read, as another record follows."""
+        if self.chunks:
+            start = self.chunks[-1].at + self.chunks[-1].length
+            offsets = b"".join(struct.pack("<HQ", *place) for place in self.offsets.items())
+            self.chunks[-1] = replace(self.chunks[-1], offsets=offsets, index_length=self.whole - start)
+            self.indexed &= self.offsets.keys() == {channel for channel, _, _ in self.last_chunk}
+
+
+@dataclass(frozen=True, slots=True)
+class Recovered:
+    """A recording that was finished after all.
+
+    Attributes
+    ----------
+    path
+        Its file.
+    messages, duration_s
+        How many messages are in it, and from the first to the last [s].
+    lost_bytes
+        Bytes at the end of the unfinished file that are not in it.
+    """
+
+    path: Path
+    messages: int
+    duration_s: float
+    lost_bytes: int
+
+
+class UnfinishedBag:
+    """A file that lacks its end, and reads as if it had one; to `rosbags` it is a path.
+
+    Parameters
+    ----------
+    path : Path
+        An MCAP file for which `is_unfinished` holds.
+
+    Raises
+    ------
+    InputError
+        There is no whole message in it.
+    """
+
+    suffix = ".mcap"
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._size = path.stat().st_size
+        with path.open("rb") as file:
+            found = _scanned(file, self._size)
+        if not found.counts.total():
+            raise InputError(str(path), f"an unfinished recording of {self._size} bytes", "one with a whole message in it")
+        self._whole, self._ending = _end_of(found)
+        self.messages = found.counts.total()
+        self.duration_s = (found.last_ns - found.first_ns) * 1e-9
+        self.lost_bytes = 0 if found.ended else self._size - found.whole
+        self.remark = (
+            f"the recording was not finished: its {self.messages} messages are read, its index was cut off"
+            if found.ended
+            else f"the recording was not finished: {self.messages} messages up to its last whole block are read, "
+            f"the {self.lost_bytes} bytes behind it are incomplete; messages that were not written yet do not show"
+        )
+
+    def __str__(self) -> str:
+        return str(self.path)
+
+    def exists(self) -> bool:
+        """As of a path."""
+        return True
+
+    def is_dir(self) -> bool:
+        """As of a path."""
+        return False
+
+    def open(self, _mode: str = "rb") -> BinaryIO:
+        """The file, with its ending, to be read."""
+        return io.BufferedReader(_Joined(self.path.open("rb"), self._whole, self._ending))
+
+    def write(self, path: Path) -> None:
+        """Write it finished to another file, which takes its place when it is whole.
+
+        Raises
+        ------
+        InputError
+            It cannot be written there.
+        """
+        part = path.with_name(f".{path.name}.{os.getpid()}{SUFFIX}")
+        try:
+            with self.open() as file, part.open("wb") as finished:
+                shutil.copyfileobj(file, finished, 2**20)
+            part.replace(path)
+        except OSError as error:
+            raise InputError(str(path), str(error.strerror), "a file that can be written") from error
+        finally:
+            part.unlink(missing_ok=True)
+
+
+class _Joined(io.RawIOBase):
+    """The first bytes of a file, and others behind them."""
+
+    def __init__(self, file: BinaryIO, whole: int, behind: bytes) -> None:
+        self._file, self._whole, self._behind, self._at = file, whole, behind, 0
+
+    def readable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
+        start = {io.SEEK_SET: 0, io.SEEK_CUR: self._at, io.SEEK_END: self._whole + len(self._behind)}[whence]
+        if start + offset < 0:
+            raise ValueError("a place before the beginning of the file")
+        self._at = start + offset
+        return self._at
+
+    def readinto(self, buffer: memoryview) -> int:  # type: ignore[override]
+        wanted = len(buffer)
+        if self._at < self._whole:
+            self._file.seek(self._at)
+            data = self._file.read(min(wanted, self._whole - self._at))
+        else:
+            data = self._behind[self._at - self._whole :][:wanted]
+        buffer[: len(data)] = data
+        self._at += len(data)
+        return len(data)
+
+    def close(self) -> None:
+        self._file.close()
+        super().close()
+
+
+def is_unfinished(path: Path) -> bool:
+    """Whether a file begins as MCAP does, and does not end so."""
+    with path.open("rb") as file:
+        if file.read(len(MAGIC)) != MAGIC or file.seek(0, io.SEEK_END) < 2 * len(MAGIC):
+            return False
+        file.seek(-len(MAGIC), io.SEEK_END)
+        return file.read() != MAGIC
+
+
+def _scanned(file: BinaryIO, size: int) -> _Found:
+    """Go from record to record as far as they are whole, with chunks whose checksum holds."""
+    set_ceilings()
+    found, at = _Found(), len(MAGIC)
+    while at + HEAD.size <= size:
+        file.seek(at)
+        kind, length = HEAD.unpack(file.read(HEAD.size))
+        end = at + HEAD.size + length
+        found.ended = kind == DATA_END
+        if kind not in LEAST or not LEAST[kind] <= length <= min(MAX_CHUNK_BYTES, size - at - HEAD.size):
+            break
+        if kind == CHUNK:
+            found.close_chunk()
+            if not _take_chunk(found, file.read(length), at):
+                break
+            found.whole = end
+        elif kind == MESSAGE_INDEX and found.chunks:
+            found.offsets[struct.unpack("<H", file.read(2))[0]] = at
+            found.whole = end
+        elif kind in (SCHEMA, CHANNEL, MESSAGE):
+            number = found.take(kind, file.read(length))
+            if kind == MESSAGE:
+                found.indexed, found.loose, found.whole = False, (at, number), end
+        at = end
+    if not found.ended:
+        found.leave_out_last_message()
+    return found
+
+
+def _take_chunk(found: _Found, content: bytes, at: int) -> bool:
+    """Take the messages of a chunk; false where it is damaged, and nothing is taken."""
+    from rosbags.rosbag2.storage_mcap import DECOMPRESSORS
+
+    try:
+        first, last, size, crc, name = struct.unpack_from("<QQQII", content)
+        compression = content[32 : 32 + name].decode()
+        (packed,) = struct.unpack_from("<Q", content, 32 + name)
+        if packed != len(content) - 40 - name:
+            return False
+        data = DECOMPRESSORS[compression](content[40 + name :], size)
+        if len(data) != size or (crc and crc != zlib.crc32(data)):
+            return False
+        records = list(_records(data))
+    except Exception:  # whatever the library and what it unpacks with raise
+        return False
+    found.last_chunk, found.offsets = [], {}
+    for kind, offset, record_content in records:
+        found.take(kind, record_content)
+        if kind == MESSAGE:
+            channel, _, log_ns, _ = MESSAGE_HEAD.unpack_from(record_content)
+            found.last_chunk.append((channel, log_ns, offset))
+    found.chunks.append(Chunk(first, last, at, HEAD.size + len(content), b"", 0, compression, packed, size))
+    return True
+
+
+def _records(data: bytes) -> Iterator[tuple[int, int, bytes]]:
+    """Kind, place and content of the records in a chunk.
+
+    Raises
+    ------
+    ValueError, struct.error
+        They do not follow on one another.
+    """
+    at = 0
+    while at < len(data):
+        kind, length = HEAD.unpack_from(data, at)
+        content = data[at + HEAD.size : at + HEAD.size + length]
+        if len(content) != length or length < LEAST.get(kind, 0):
+            raise ValueError("a record that is cut off")
+        if kind in (SCHEMA, CHANNEL, MESSAGE):
+            yield kind, at, content
+        at += HEAD.size + length
+
+
+def _end_of(found: _Found) -> tuple[int, bytes]:
+    """Where what is used of the file ends, and what is to follow there.
+
+    The index behind the last chunk may be cut off, so it is made anew.
+    """
+    if not found.indexed or not found.chunks:
+        return found.whole, ending_without_summary()
+    chunk = found.chunks[-1]
+    start = chunk.at + chunk.length
+    channel, log_ns, offset = np.array(found.last_chunk, dtype=np.uint64).reshape(-1, 3).T
+    indices, offsets = message_indices(channel, log_ns, offset, start)
+    chunks = [*found.chunks[:-1], replace(chunk, offsets=offsets, index_length=len(indices))]
+    schemas, channels = list(found.schemas.values()), list(found.channels.values())
+    return start, indices + ending(start + len(indices), schemas, channels, chunks, found.counts)
