@@ -21,7 +21,8 @@ JUMP, AMBIENT_HOLD, MOTION_HOLD, TORQUE_HOLD, LOAD_HOLD, STUCK = 2 * S, 300 * S,
 PASSENGERS_HOLD = 1000 * S
 AXLES, ASSEMBLIES = 2, 4
 NAMED = {"axle": at.FIRST_AXLE, "assembly": at.FIRST_AXLE + AXLES, "belt": at.FIRST_AXLE + AXLES + ASSEMBLIES}
-CHANNELS = at.FIRST_AXLE + AXLES + 2 * ASSEMBLIES
+WHEELS = at.FIRST_AXLE + AXLES + 2 * ASSEMBLIES
+CHANNELS = WHEELS + 1 + AXLES + ASSEMBLIES
 SHARES_OF_ALL, SHARES_OF_AXLE = (0.3, 0.3, 0.25, 0.15), (0.5, 0.5, 0.625, 0.375)
 
 admit, held = interpreted(guards.admit), interpreted(guards.held)
@@ -42,7 +43,7 @@ def k():
         clock_jump_ns=JUMP, jumps_to_accept=3, load_hold_ns=LOAD_HOLD, ambient_hold_ns=AMBIENT_HOLD, motion_hold_ns=MOTION_HOLD,
         passengers_hold_ns=PASSENGERS_HOLD, passenger_weight=700.0,
         slopes_by_place=False, torques_by_place=False, torque_hold_ns=TORQUE_HOLD, stuck_ns=STUCK,
-        axles=AXLES, nominal_ambient=15.0, ambient_std=0.5, ambient_unknown_std=9.0,
+        axles=AXLES, max_acceleration=8.0, speed_slack=1.0, enable_hold_ns=0, disagreeing_ns=S, bridge=30.0, nominal_ambient=15.0, ambient_std=0.5, ambient_unknown_std=9.0,
     )  # fmt: skip
     return SimpleNamespace(number=number, assembly=assembly, channel_limits=limits)
 
@@ -56,7 +57,7 @@ class Guard:
     def send(self, stamp, value=8.0, channel=at.SPEED, arrival=None):
         """Outcome and time elapsed of a message; the stamp and arrival [ns] since `T`, a stamp of None for none."""
         came = stamp if arrival is None else arrival
-        return admit(self.k, self.memory, channel, 0 if stamp is None else T + stamp, T + came, value)
+        return admit(self.k, self.memory, channel, 0 if stamp is None else T + stamp, T + came, value, 0.0)
 
     def counts(self, channel=at.SPEED):
         return {Count(i).name: int(n) for i, n in enumerate(self.memory.counters[channel]) if n}
@@ -176,9 +177,9 @@ def test_without_a_stamp_the_offset_of_the_source_stays(guard):
 
 def test_time_that_begins_at_zero_is_a_time(k):
     memory = new_memory(CHANNELS)
-    assert admit(k, memory, at.SPEED, 0, 0, 8.0) == (ACCEPTED_IN_ORDER, 0)
+    assert admit(k, memory, at.SPEED, 0, 0, 8.0, 0.0) == (ACCEPTED_IN_ORDER, 0)
     assert memory.counters[at.SPEED, Count.ZERO_STAMP] == 0
-    assert admit(k, memory, at.SPEED, 10 * MS, 10 * MS, 8.0) == (ACCEPTED_IN_ORDER, 10 * MS)
+    assert admit(k, memory, at.SPEED, 10 * MS, 10 * MS, 8.0, 0.0) == (ACCEPTED_IN_ORDER, 10 * MS)
 
 
 # Jumps
@@ -242,8 +243,8 @@ def test_a_first_suspect_is_none_by_what_was_long_ago(guard):
     """Before the first the memory holds zeros, which no stamp follows."""
     guard.k.number.jumps_to_accept = 2
     memory = guard.memory
-    assert admit(guard.k, memory, at.SPEED, 10 * S, 10 * S, 8.0)[0] == ACCEPTED_IN_ORDER
-    assert admit(guard.k, memory, at.SPEED, 10 * S + JUMP + 1, 10 * S, 8.0)[0] == -Count.FUTURE
+    assert admit(guard.k, memory, at.SPEED, 10 * S, 10 * S, 8.0, 0.0)[0] == ACCEPTED_IN_ORDER
+    assert admit(guard.k, memory, at.SPEED, 10 * S + JUMP + 1, 10 * S, 8.0, 0.0)[0] == -Count.FUTURE
 
 
 # Time that goes back

@@ -19,8 +19,10 @@ from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimate import Estimate
 from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.estimator.guards import not_enabled
 from trackres_ros.estimator.topic_settings import settings_for
 from trackres_ros.estimator.warm_up import LIVE, WarmUp, exercise
+from trackres_ros.jit.compiled import interpreted
 from trackres_ros.node.comparison import Comparison
 from trackres_ros.node.edge import Edge, KeepMessage, Level, Peer, Reasons, Status
 from trackres_ros.node.endpoints import InputTopic, input_topics, live_topics, other_topics
@@ -38,7 +40,9 @@ from trackres_ros.node.state_keeper import StateKeeper, state_path
 from trackres_ros.node.watch import Watch
 from trackres_ros.units import SECOND_NS
 
-ACCEPTED = int(at.Count.ACCEPTED)
+ACCEPTED, IMPLAUSIBLE = int(at.Count.ACCEPTED), int(at.Count.IMPLAUSIBLE)
+SPEED_IMPLAUSIBLE = int(at.Reason.SPEED_IMPLAUSIBLE)
+NOT_ENABLED = interpreted(not_enabled)  # as live asks between two steps too
 LONGEST_PERIOD_S = 0.1  # between two looks at the age of the speed, and between two outputs
 MOST_BEFORE_CLOCK = 10000
 REASONS_KEPT_NS = 200_000_000  # looking at all takes longer than publishing; an old speed and what is new are seen at once
@@ -80,7 +84,7 @@ class Application:
         self._warm_up = WarmUp(LIVE, str(setup.vehicle_file), setup.surroundings_file)
         self.estimator = Estimator(self.vehicle, setup.settings, entries=self._warm_up.first)
         exercise(self.estimator)  # loading what is compiled takes a third of a second, which the first message need not wait
-        self.inputs = input_topics(self.topics, bool(self.vehicle.route))
+        self.inputs = input_topics(self.topics, bool(self.vehicle.route), self.estimator.channels)
         self.outputs = live_topics(self.vehicle, self.topics)
         measured = any("torque" in given.roles for given in self.inputs)
         self.comparison = Comparison(parameters.mismatch(), self.vehicle.disturbance if measured else None)
@@ -205,10 +209,12 @@ class Application:
         try:
             counters = self.session.memory.counters
             for channel, stamp, value in samples:
-                before = counters[channel, ACCEPTED]
+                before, doubted = counters[channel, ACCEPTED], counters[channel, IMPLAUSIBLE]
                 estimate = self.session.handle(channel, stamp, arrival, value)
                 if counters[channel, ACCEPTED] != before:
                     self._watch.accepted_ns[channel] = steady
+                elif counters[channel, IMPLAUSIBLE] != doubted:
+                    self._show(SPEED_IMPLAUSIBLE)
                 if estimate is not None:
                     self._take(estimate, steady, now, arrival)
         except Exception as error:  # a fault of ours must not silence the outputs
@@ -251,7 +257,18 @@ class Application:
         return nearest_usable(self._edge.now_ns()) if self.parameters.sim_time else steady
 
     def _publish(self, steady: int) -> None:
-        self._outlet.publish(steady, self._pace(steady), self._reasons)
+        pace = self._pace(steady)
+        arrival = pace if self.parameters.sim_time else steady + self._arrival_offset_ns
+        unfed = NOT_ENABLED(self.estimator.constants, self.session.memory, arrival)
+        self._show(unfed)
+        self._outlet.publish(steady, pace, self._reasons, not unfed)
+
+    def _show(self, reasons: int) -> None:
+        """Show reasons that hold between two estimates, at once where they are new."""
+        if self._watch.note(reasons):
+            self._reasons_seen = None
+            if self.active:
+                self._publish_status(self._steady_ns())
 
     def _reasons(self, steady: int) -> Reasons:
         """All that is to be remarked now, each name once."""

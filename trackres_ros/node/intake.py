@@ -42,7 +42,7 @@ class Intake:
         self.bad_stamp = [0] * len(channels)
         self._readers = [
             [
-                (_channel(role, channels), _getter(b), b.stamp != "log", b.delay_ns)
+                (_channel(role, channels), _getter(b), b.stamp != "log", b)
                 for role, b in zip(i.roles, i.bindings, strict=True)
             ]
             for i in inputs
@@ -72,14 +72,14 @@ class Intake:
         """
         self.received[index] += 1
         found = []
-        for (channel, _, by_header, delay_ns), value in zip(self._readers[index], values, strict=True):
+        for (channel, _, by_header, binding), value in zip(self._readers[index], values, strict=True):
             if value is None:
                 self.absent[channel] += 1
             else:
                 stamp = stamp_ns if by_header and stamp_ns is not None else self._own_stamp(channel, now_ns)
-                stamp = stamp - delay_ns if stamp else 0
+                stamp = stamp - binding.delay_ns if stamp else 0
                 if is_usable(stamp):
-                    found.append((channel, stamp, value))
+                    found.append((channel, stamp, binding.meant(value) if binding.values else value))
                 else:
                     self.bad_stamp[channel] += 1
         return found

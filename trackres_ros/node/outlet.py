@@ -70,15 +70,18 @@ class Outlet:
         age_s = self.age_s(steady)
         return 0.0 if math.isinf(age_s) else FADE(age_s, settings.speed_max_age_s, settings.feedforward_fade_s)
 
-    def publish(self, steady: int, pace: int, reasons: Callable[[int], Reasons]) -> None:
-        """Publish the last estimate on all topics of numbers, with the reasons that hold then; nothing before the first one."""
+    def publish(self, steady: int, pace: int, reasons: Callable[[int], Reasons], enabled: bool = True) -> None:
+        """Publish the last estimate on all topics of numbers, with the reasons that hold then; nothing before the first one.
+
+        While the feed-forward is not enabled it goes to zero at its rate.
+        """
         if self.stamp_ns is None:
             return
         rate = self.estimator.settings.feedforward_rate
         before_pace, before_ns = self._published_at or (pace, steady)
         elapsed_s = max(0, pace - before_pace, steady - before_ns) * NANOSECOND  # a simulated clock stands between its ticks
         goal = FOLLOWED(self.row[at.OUT_FEEDFORWARD], self._target, rate, (pace - self._taken_pace) * NANOSECOND)
-        self._unfaded = TOWARDS(self._unfaded, goal, rate * elapsed_s)
+        self._unfaded = TOWARDS(self._unfaded, goal if enabled else 0.0, rate * elapsed_s)
         self.feedforward, self._published_at = self._unfaded * self.left(steady), (pace, steady)
         row = self.row.copy()
         row[at.OUT_FEEDFORWARD] = self.feedforward

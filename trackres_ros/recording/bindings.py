@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
 from types import MappingProxyType
-from typing import Literal, cast
+from typing import Literal, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,7 @@ from trackres_ros.units import DEGREE
 
 KEYS = (
     "topic", "type", "field", "column", "scale", "offset", "stamp", "max_age_s", "sensor", "std_k", "delay_s",
-    "unit", "kg_each", "threshold",
+    "unit", "kg_each", "threshold", "values",
 )  # fmt: skip
 ONLY_FOR = {
     "sensor": ("belt",),
@@ -34,6 +34,7 @@ ONLY_FOR = {
     "unit": ANGLES,
     "kg_each": ("passengers",),
     "threshold": ("brake",),
+    "values": ("enable",),
 }
 """Keys that have a meaning for some roles alone."""
 TIME = "time"
@@ -52,6 +53,7 @@ PART = re.compile(r"[A-Za-z0-9_\-]+")
 MOST_DELAY_S = 10.0
 MOST_KG_EACH = 500.0  # with what somebody may carry
 LARGEST = 1e300  # a whole number may be larger than any float
+Number = TypeVar("Number", float, NDArray[np.float64])
 EXAMPLE = "speed: {topic: /vehicle/speed, type: geometry_msgs/msg/TwistStamped, field: twist.linear.x}"
 
 
@@ -95,6 +97,8 @@ class TopicBinding:
         Of passengers: mass of one [kg].
     threshold : float or None
         Of a brake: from which value on it brakes; None where nobody says.
+    values : tuple of float
+        Of an enable that comes as a mode: the modes in which the feed-forward is wanted; empty where it comes as 1 or 0.
     """
 
     topic: str = ""
@@ -111,6 +115,14 @@ class TopicBinding:
     unit: Literal["deg", "rad", ""] = ""
     kg_each: float = PASSENGER_KG
     threshold: float | None = None
+    values: tuple[float, ...] = ()
+
+    def meant(self, number: Number) -> Number:
+        """What scaled numbers mean: 1 for the modes in `values`, 0 for others, nan for nan; the numbers themselves without."""
+        if not self.values:
+            return number
+        found = np.where(np.isnan(number), np.nan, np.isin(number, self.values).astype(float))
+        return cast("Number", float(found) if isinstance(number, int | float) else found)
 
     def brakes_from(self, values: NDArray[np.float64]) -> float:
         """The value from which a brake is on: the threshold, else half of a switch's 0 and 1, else `BRAKE_ON_PA`."""
@@ -323,6 +335,7 @@ def _binding(role: str, line: object, where: str) -> TopicBinding:
         unit=cast("Literal['deg', 'rad', '']", unit),
         kg_each=checks.number(line.get("kg_each", PASSENGER_KG), f"{where}: kg_each", 1.0, MOST_KG_EACH, "kg"),
         threshold=_number(line, "threshold", 0.0, where) if "threshold" in line else None,
+        values=_values(line["values"], f"{where}: values") if "values" in line else (),
     )
     if binding.scale == 0.0:
         raise InputError(f"{where}: scale", 0.0, "a finite number that is not 0")
@@ -367,6 +380,12 @@ def _number(line: Mapping[object, object], key: str, default: float, where: str)
     if isinstance(number, bool) or not isinstance(number, int | float) or not abs(number) < LARGEST:
         raise InputError(f"{where}: {key}", number, "a finite number")
     return float(number)
+
+
+def _values(given: object, where: str) -> tuple[float, ...]:
+    if not isinstance(given, list) or not given:
+        raise InputError(where, given, "a list of numbers: the modes in which the feed-forward is wanted", "for example: [1, 2]")
+    return tuple(_number({"value": number}, "value", 0.0, where) for number in given)
 
 
 def _choice(line: Mapping[object, object], key: str, allowed: tuple[str, ...], default: str, where: str) -> str:

@@ -126,6 +126,7 @@ class TableSource:
         clock, bindings = self._time.binding, [column.binding for column in self._columns]
         scale, offset = np.array([b.scale for b in bindings]), np.array([b.offset for b in bindings])
         delay_ns = np.array([b.delay_ns for b in bindings])
+        modes = [place for place, b in enumerate(bindings) if b.values]
         at_once = max(1, max_rows // len(self._columns))
         done = 0
         for cells, given in self._parquet_chunks(places) if self._parquet else self._csv_chunks(places):
@@ -144,6 +145,8 @@ class TableSource:
                     continue
                 rows += start
                 values = scale[column] * cells[rows, column + 1] + offset[column]
+                for place in modes:
+                    values[column == place] = bindings[place].meant(values[column == place])
                 yield Block(column.astype(np.int16), stamp_ns[rows] - delay_ns[column], stamp_ns[rows], values)
         if not done:
             raise InputError(self.name, "no row", "at least one row below the column names")
