@@ -201,7 +201,7 @@ REASON_TEXT = {
     Reason.TIME_RESET: "time went back: the estimate was started anew",
     Reason.BELT_UNSURE: "the belt temperature is uncertain",
     Reason.BELT_SENSOR_DISAGREES: "the measured belt temperature is far from the estimate and was left out",
-    Reason.OUTSIDE_TABLE: "load or temperature lies outside the range of the model or of the rubber data",
+    Reason.OUTSIDE_TABLE: "load or temperature lies outside the range of the model or of the rubber data: the torque is extrapolated",
     Reason.FEEDFORWARD_CLAMPED: "the feed-forward torque is at its limit",
     Reason.FEEDFORWARD_RATE_LIMITED: "the feed-forward torque follows at its largest rate",
     Reason.SPEED_QUANTISED: "the speed comes in coarse steps: its acceleration is known only roughly",

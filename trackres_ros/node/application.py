@@ -34,6 +34,7 @@ from trackres_ros.node.parameters import Parameters
 from trackres_ros.node.remarks import Remark, level_of
 from trackres_ros.node.report import Overview, overview, statuses
 from trackres_ros.node.sending_order import Arrived, SendingOrder
+from trackres_ros.node.service_manager import ServiceManager
 from trackres_ros.node.setup import changed_parameters, read_setup
 from trackres_ros.node.stamps import nearest_usable
 from trackres_ros.node.state_keeper import StateKeeper, state_path
@@ -100,6 +101,7 @@ class Application:
         self._before_clock: list[tuple[int, int | None, Sequence[float | None], int, Arrival]] = []
         self._intake = Intake(self.inputs, self.estimator.channels)
         self._outlet = Outlet(self.outputs, self.estimator, edge)
+        self._service = ServiceManager()
         self._arrival_offset_ns = time.time_ns() - steady_ns()
         self.learning = LiveLearning(self.estimator, parameters.text("learning"), measured)
         self.session, self.began_with = self.keeper.load(self.estimator, self.learning.learner)
@@ -305,6 +307,7 @@ class Application:
         elif turned_old and self.active:
             self._publish_status(steady)
         self._safely(self._save_due, steady)
+        self._service.alive(self._outlet.sent, self.active, steady)
 
     def _safely(self, do: Callable[[int], None], steady: int) -> None:
         try:
@@ -348,7 +351,10 @@ class Application:
             self._reasons_seen = None
 
     def _log_remarks(self, steady: int) -> None:
-        entry = self._watch.to_log(self.remarks(steady))
+        remarks = self.remarks(steady)
+        texts = "; ".join(remark.text for remark in remarks) or "all is well"
+        self._service.status(f"{level_of(remarks).name.lower()}: {texts}")
+        entry = self._watch.to_log(remarks)
         if entry:
             self._log(*entry)
 
@@ -463,6 +469,7 @@ class Application:
 
     def close(self) -> str:
         """Save the state and end what runs beside; what was done, in words."""
+        self._service.stopping()
         self.deactivate()
         for message in self._order.rest():
             self._handle(message)

@@ -42,6 +42,7 @@ class Outlet:
         self.published = 0
         self.feedforward = 0.0  # as last published
         self.failed: dict[str, str] = {}
+        self.sent = 0  # messages that the middleware took, statuses too
         self._edge = edge
         self._taken_ns = self._taken_pace = 0
         self._target = self._unfaded = 0.0
@@ -120,6 +121,7 @@ class Outlet:
         except Exception as error:  # whatever a middleware may raise
             self.failed[name] = f"{type(error).__name__}: {error}"
         else:
+            self.sent += 1
             if self.failed:
                 self.failed.pop(name, None)
 
