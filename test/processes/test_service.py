@@ -29,7 +29,9 @@ def test_a_service_is_ready_alive_silent_while_it_hangs_and_stopping(tmp_path, w
         node.until(lambda: "READY=1" in listen(), "READY=1", working=True)
         node.started()
         node.until(lambda: listen().count("WATCHDOG=1") >= 5, "signs of life", meanwhile=lambda: node.drive(0.2))
-        node.until(lambda: any(line.startswith("STATUS=ok: ") for line in listen()), "a status", meanwhile=lambda: node.drive(0.2))
+        node.until(
+            lambda: any(line.startswith("STATUS=ok: ") for line in listen()), "a status", meanwhile=lambda: node.drive(0.2)
+        )
         node.process.send_signal(signal.SIGSTOP)
         listen()
         told.clear()

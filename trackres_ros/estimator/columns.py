@@ -201,7 +201,7 @@ REASON_TEXT = {
     Reason.TIME_RESET: "time went back: the estimate was started anew",
     Reason.BELT_UNSURE: "the belt temperature is uncertain",
     Reason.BELT_SENSOR_DISAGREES: "the measured belt temperature is far from the estimate and was left out",
-    Reason.OUTSIDE_TABLE: "load or temperature lies outside the range of the model or of the rubber data: the torque is extrapolated",
+    Reason.OUTSIDE_TABLE: "load or temperature is outside of the model's range or the rubber data: the torque is extrapolated",
     Reason.FEEDFORWARD_CLAMPED: "the feed-forward torque is at its limit",
     Reason.FEEDFORWARD_RATE_LIMITED: "the feed-forward torque follows at its largest rate",
     Reason.SPEED_QUANTISED: "the speed comes in coarse steps: its acceleration is known only roughly",
@@ -216,9 +216,7 @@ REASON_TEXT = {
     Reason.ENABLE_OLD: "no fresh enable: the feed-forward goes to zero",
 }
 # Remarks that go with a fully usable estimate; any other reason makes it a warning.
-HARMLESS = (
-    Reason.LOAD_HELD | Reason.FEEDFORWARD_RATE_LIMITED | Reason.GAP_BRIDGED | Reason.SPEED_QUANTISED | Reason.DISABLED
-)
+HARMLESS = Reason.LOAD_HELD | Reason.FEEDFORWARD_RATE_LIMITED | Reason.GAP_BRIDGED | Reason.SPEED_QUANTISED | Reason.DISABLED
 
 # Columns of one row of results for the whole vehicle; those of each assembly follow.
 (

@@ -78,8 +78,8 @@ def admit(k: Constants, memory: Memory, channel: int, stamp: int, arrival: int, 
     Returns
     -------
     outcome, elapsed
-        ACCEPTED_IN_ORDER, ACCEPTED_AFTER_JUMP, ACCEPTED_AFTER_RESET, ACCEPTED_AFTER_DOUBT, or minus the counter of the refusal; and the time [ns]
-        since the channel's last message.
+        ACCEPTED_IN_ORDER, ACCEPTED_AFTER_JUMP, ACCEPTED_AFTER_RESET, ACCEPTED_AFTER_DOUBT, or minus the counter of the refusal;
+        and the time [ns] since the channel's last message.
     """
     times, counters = memory.times[channel], memory.counters[channel]
     if not math.isfinite(value):
@@ -97,11 +97,11 @@ def admit(k: Constants, memory: Memory, channel: int, stamp: int, arrival: int, 
     if times[at.SEEN]:
         forward, waited = stamp - times[at.LAST_STAMP], arrival - times[at.LAST_ARRIVAL]
         elapsed = forward
-        in_doubt = times[at.DOUBTS] > 0 and 0 < forward and stamp <= times[at.DOUBT_STAMP]
-        if forward == 0 or (in_doubt and stamp == times[at.DOUBT_STAMP]):
+        behind_doubt = times[at.DOUBTS] > 0 and forward > 0 and stamp <= times[at.DOUBT_STAMP]
+        if forward == 0 or (behind_doubt and stamp == times[at.DOUBT_STAMP]):
             counters[DUPLICATE] += 1
             return -DUPLICATE, 0
-        if in_doubt or (forward < 0 and -forward <= k.number.clock_jump_ns):
+        if behind_doubt or (forward < 0 and -forward <= k.number.clock_jump_ns):
             counters[LATE] += 1
             return -LATE, 0
         if forward < 0 and waited < -k.number.clock_jump_ns:

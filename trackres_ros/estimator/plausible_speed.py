@@ -49,9 +49,7 @@ def trust(times: IntArray, tracked: Array, speed: float) -> None:
 
 
 @inlined
-def is_plausible(
-    k: Constants, times: IntArray, tracked: Array, stamp: int, elapsed: int, speed: float, quantum: float
-) -> bool:
+def is_plausible(k: Constants, times: IntArray, tracked: Array, stamp: int, elapsed: int, speed: float, quantum: float) -> bool:
     """Whether to accept a speed that comes so long [ns] after the last accepted one; takes note of one in doubt."""
     reached, near = follow(k, tracked[REFERENCE], speed, elapsed, quantum)
     if near and times[at.DOUBTS] == 0:

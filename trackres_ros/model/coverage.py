@@ -93,9 +93,10 @@ def beyond_data(vehicle: Vehicle, speed: ArrayLike, belt_degc: Mapping[str, Arra
             end = covered.hottest if side == "above" else covered.coldest(rubber, float(speeds[at]))
             often = f" ({side} that: {np.any(outside, axis=0).mean():.0%} of the samples)" if belts.shape[1] > 1 else ""
             what = "rubber lives up to" if end == LIVES_DEGC else "the rubber data end at"
+            where = f"{belts[at]:.0f} degC at {speeds[at] * KMH_PER_MPS:.0f} km/h"
             remarks.append(
-                f"track {name}: a belt is at {belts[at]:.0f} degC at {speeds[at] * KMH_PER_MPS:.0f} km/h, but {what} {end:.0f} degC"
-                f"{often}. The torque is extrapolated, and the status shows OUTSIDE_TABLE"
+                f"track {name}: a belt is at {where}, but {what} {end:.0f} degC{often}. The torque is extrapolated, and the "
+                "status shows OUTSIDE_TABLE"
             )
     return remarks
 

@@ -63,8 +63,7 @@ def input_topics(topics: Topics, on_route: bool = False, channels: Collection[st
     needed = [
         role
         for role in topics
-        if (role in channels if base_role(role) == WHEELS else base_role(role) in CHANNELS)
-        and (on_route or role not in POSITION)
+        if (role in channels if base_role(role) == WHEELS else base_role(role) in CHANNELS) and (on_route or role not in POSITION)
     ]
     return tuple(sorted(_by_topic(topics, needed), key=lambda given: "speed" in given.roles))
 

@@ -10,6 +10,8 @@ from collections.abc import Callable, Sequence
 from operator import attrgetter
 from typing import Any
 
+import numpy as np
+
 from trackres_ros.errors import InputError
 from trackres_ros.node.endpoints import InputTopic
 from trackres_ros.node.stamps import is_usable, stamp_ns
@@ -41,10 +43,7 @@ class Intake:
         self.absent = [0] * len(channels)
         self.bad_stamp = [0] * len(channels)
         self._readers = [
-            [
-                (_channel(role, channels), _getter(b), b.stamp != "log", b)
-                for role, b in zip(i.roles, i.bindings, strict=True)
-            ]
+            [(_channel(role, channels), _getter(b), b.stamp != "log", b) for role, b in zip(i.roles, i.bindings, strict=True)]
             for i in inputs
         ]
         self._last_clock = [0] * len(channels)
@@ -79,7 +78,7 @@ class Intake:
                 stamp = stamp_ns if by_header and stamp_ns is not None else self._own_stamp(channel, now_ns)
                 stamp = stamp - binding.delay_ns if stamp else 0
                 if is_usable(stamp):
-                    found.append((channel, stamp, binding.meant(value) if binding.values else value))
+                    found.append((channel, stamp, float(binding.meant(np.asarray(value))) if binding.values else value))
                 else:
                     self.bad_stamp[channel] += 1
         return found

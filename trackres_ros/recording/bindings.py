@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
 from types import MappingProxyType
-from typing import Literal, TypeVar, cast
+from typing import Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,7 +53,6 @@ PART = re.compile(r"[A-Za-z0-9_\-]+")
 MOST_DELAY_S = 10.0
 MOST_KG_EACH = 500.0  # with what somebody may carry
 LARGEST = 1e300  # a whole number may be larger than any float
-Number = TypeVar("Number", float, NDArray[np.float64])
 EXAMPLE = "speed: {topic: /vehicle/speed, type: geometry_msgs/msg/TwistStamped, field: twist.linear.x}"
 
 
@@ -117,12 +116,11 @@ class TopicBinding:
     threshold: float | None = None
     values: tuple[float, ...] = ()
 
-    def meant(self, number: Number) -> Number:
+    def meant(self, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
         """What scaled numbers mean: 1 for the modes in `values`, 0 for others, nan for nan; the numbers themselves without."""
         if not self.values:
-            return number
-        found = np.where(np.isnan(number), np.nan, np.isin(number, self.values).astype(float))
-        return cast("Number", float(found) if isinstance(number, int | float) else found)
+            return numbers
+        return np.where(np.isnan(numbers), np.nan, np.isin(numbers, self.values).astype(float))
 
     def brakes_from(self, values: NDArray[np.float64]) -> float:
         """The value from which a brake is on: the threshold, else half of a switch's 0 and 1, else `BRAKE_ON_PA`."""
