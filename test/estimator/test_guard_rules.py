@@ -621,7 +621,7 @@ def test_enable_holds_for_its_time(guard):
 
 
 @pytest.mark.parametrize("wheel", [WHEELS, WHEELS + 1, CHANNELS - 1])
-def test_wheels_that_disagree_for_long_are_believed_no_less(guard, wheel):
+def test_wheels_that_disagree_stop_the_feedforward(guard, wheel):
     for i in range(13):
         guard.send(i * 100 * MS, 8.0)
         guard.send(i * 100 * MS, 0.0, wheel)

@@ -231,7 +231,7 @@ def test_a_speed_beyond_all_wheel_speeds_is_not_fed_forward(speed, wheels, apart
 
 @pytest.mark.parametrize("resolution", [0.0, 1.0, 100.0])
 @pytest.mark.parametrize(("odometer", "apart"), [(8.0, False), (7.0, False), (0.5, True), (14.0, True)])
-def test_a_speed_beside_the_odometer_is_not_fed_forward(resolution, odometer, apart):
+def test_a_speed_against_the_odometer_is_not_fed_forward(resolution, odometer, apart):
     drive = Drive()
     for i in range(int(300 * 5)):
         way = odometer * i * 0.2 + 12345.0

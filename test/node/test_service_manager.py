@@ -11,7 +11,7 @@ import pytest
 
 @pytest.fixture
 def heard(tmp_path, monkeypatch):
-    """Takes what has been told since the last call."""
+    """Takes the lines that were sent since the last call."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
         manager.bind(str(tmp_path / "notify"))
         manager.setblocking(False)
