@@ -12,7 +12,13 @@ import pytest
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator import guards
 from trackres_ros.estimator.columns import Count, Reason
-from trackres_ros.estimator.guards import ACCEPTED_AFTER_JUMP, ACCEPTED_AFTER_RESET, ACCEPTED_IN_ORDER, new_memory
+from trackres_ros.estimator.guards import (
+    ACCEPTED_AFTER_DOUBT,
+    ACCEPTED_AFTER_JUMP,
+    ACCEPTED_AFTER_RESET,
+    ACCEPTED_IN_ORDER,
+    new_memory,
+)
 from trackres_ros.jit.compiled import interpreted
 
 S, MS = 1_000_000_000, 1_000_000
@@ -21,7 +27,8 @@ JUMP, AMBIENT_HOLD, MOTION_HOLD, TORQUE_HOLD, LOAD_HOLD, STUCK = 2 * S, 300 * S,
 PASSENGERS_HOLD = 1000 * S
 AXLES, ASSEMBLIES = 2, 4
 NAMED = {"axle": at.FIRST_AXLE, "assembly": at.FIRST_AXLE + AXLES, "belt": at.FIRST_AXLE + AXLES + ASSEMBLIES}
-CHANNELS = at.FIRST_AXLE + AXLES + 2 * ASSEMBLIES
+WHEELS = at.FIRST_AXLE + AXLES + 2 * ASSEMBLIES
+CHANNELS = WHEELS + 1 + AXLES + ASSEMBLIES
 SHARES_OF_ALL, SHARES_OF_AXLE = (0.3, 0.3, 0.25, 0.15), (0.5, 0.5, 0.625, 0.375)
 
 admit, held = interpreted(guards.admit), interpreted(guards.held)
@@ -42,7 +49,9 @@ def k():
         clock_jump_ns=JUMP, jumps_to_accept=3, load_hold_ns=LOAD_HOLD, ambient_hold_ns=AMBIENT_HOLD, motion_hold_ns=MOTION_HOLD,
         passengers_hold_ns=PASSENGERS_HOLD, passenger_weight=700.0,
         slopes_by_place=False, torques_by_place=False, torque_hold_ns=TORQUE_HOLD, stuck_ns=STUCK,
-        axles=AXLES, nominal_ambient=15.0, ambient_std=0.5, ambient_unknown_std=9.0,
+        axles=AXLES,
+        max_acceleration=8.0, speed_slack=1.0, enable_hold_ns=0, disagreeing_ns=S, bridge=30.0,
+        nominal_ambient=15.0, ambient_std=0.5, ambient_unknown_std=9.0,
     )  # fmt: skip
     return SimpleNamespace(number=number, assembly=assembly, channel_limits=limits)
 
@@ -56,7 +65,7 @@ class Guard:
     def send(self, stamp, value=8.0, channel=at.SPEED, arrival=None):
         """Outcome and time elapsed of a message; the stamp and arrival [ns] since `T`, a stamp of None for none."""
         came = stamp if arrival is None else arrival
-        return admit(self.k, self.memory, channel, 0 if stamp is None else T + stamp, T + came, value)
+        return admit(self.k, self.memory, channel, 0 if stamp is None else T + stamp, T + came, value, 0.0)
 
     def counts(self, channel=at.SPEED):
         return {Count(i).name: int(n) for i, n in enumerate(self.memory.counters[channel]) if n}
@@ -80,7 +89,7 @@ def guard(k):
 
 
 def test_outcomes_are_no_negative_numbers_which_refusals_are():
-    assert (ACCEPTED_IN_ORDER, ACCEPTED_AFTER_JUMP, ACCEPTED_AFTER_RESET) == (0, 1, 2)
+    assert (ACCEPTED_IN_ORDER, ACCEPTED_AFTER_JUMP, ACCEPTED_AFTER_RESET, ACCEPTED_AFTER_DOUBT) == (0, 1, 2, 3)
 
 
 def test_it_begins_with_nothing(guard):
@@ -176,9 +185,9 @@ def test_without_a_stamp_the_offset_of_the_source_stays(guard):
 
 def test_time_that_begins_at_zero_is_a_time(k):
     memory = new_memory(CHANNELS)
-    assert admit(k, memory, at.SPEED, 0, 0, 8.0) == (ACCEPTED_IN_ORDER, 0)
+    assert admit(k, memory, at.SPEED, 0, 0, 8.0, 0.0) == (ACCEPTED_IN_ORDER, 0)
     assert memory.counters[at.SPEED, Count.ZERO_STAMP] == 0
-    assert admit(k, memory, at.SPEED, 10 * MS, 10 * MS, 8.0) == (ACCEPTED_IN_ORDER, 10 * MS)
+    assert admit(k, memory, at.SPEED, 10 * MS, 10 * MS, 8.0, 0.0) == (ACCEPTED_IN_ORDER, 10 * MS)
 
 
 # Jumps
@@ -242,8 +251,8 @@ def test_a_first_suspect_is_none_by_what_was_long_ago(guard):
     """Before the first the memory holds zeros, which no stamp follows."""
     guard.k.number.jumps_to_accept = 2
     memory = guard.memory
-    assert admit(guard.k, memory, at.SPEED, 10 * S, 10 * S, 8.0)[0] == ACCEPTED_IN_ORDER
-    assert admit(guard.k, memory, at.SPEED, 10 * S + JUMP + 1, 10 * S, 8.0)[0] == -Count.FUTURE
+    assert admit(guard.k, memory, at.SPEED, 10 * S, 10 * S, 8.0, 0.0)[0] == ACCEPTED_IN_ORDER
+    assert admit(guard.k, memory, at.SPEED, 10 * S + JUMP + 1, 10 * S, 8.0, 0.0)[0] == -Count.FUTURE
 
 
 # Time that goes back
@@ -510,3 +519,115 @@ def test_a_jump_of_the_clock_is_no_time_for_which_it_was_stuck(guard):
         guard.send(3600 * S + i, arrival=i)
     assert not guard.reasons() & Reason.SPEED_STUCK
     assert guard.of(at.UNCHANGED_SINCE) == T + 3600 * S + 2
+
+
+# A speed that changes too fast: 8 m/s2, and 1 m/s besides
+
+
+@pytest.mark.parametrize(("after", "value", "refused"), [(MS, 9.0, False), (MS, 9.1, True), (S, 16.9, False), (S, 17.1, True)])
+def test_a_change_is_as_large_as_the_time_allows(guard, after, value, refused):
+    guard.send(0, 8.0)
+    assert guard.send(after, value) == ((-Count.IMPLAUSIBLE, 0) if refused else (ACCEPTED_IN_ORDER, after))
+    assert guard.counts() == ({"ACCEPTED": 1, "IMPLAUSIBLE": 1} if refused else {"ACCEPTED": 2})
+    assert guard.memory.values[at.SPEED] == (8.0 if refused else value)
+
+
+@pytest.mark.parametrize(("quantum", "refused"), [(0.5, False), (0.3, True), (1.0, True)])
+def test_a_step_of_a_quantised_speed_is_no_acceleration(guard, quantum, refused):
+    """A greater one than 1 m/s is no resolution."""
+    guard.send(0, 8.0)
+    found = admit(guard.k, guard.memory, at.SPEED, T + MS, T + MS, 9.4, quantum)[0]
+    assert found == (-Count.IMPLAUSIBLE if refused else ACCEPTED_IN_ORDER)
+
+
+def test_small_changes_do_not_add_up_to_a_leap(guard):
+    found = [guard.send(i * 20 * MS, 8.0 + 0.5 * i)[0] for i in range(6)]
+    assert found[:3] == [ACCEPTED_IN_ORDER] * 3
+    assert found[3:] == [-Count.IMPLAUSIBLE] * 3
+
+
+def test_after_one_wrong_speed_the_third_good_one_is_taken(guard):
+    guard.send(0, 8.0)
+    assert guard.send(20 * MS, 15.0)[0] == -Count.IMPLAUSIBLE
+    assert [guard.send(i * 20 * MS, 8.0)[0] for i in (2, 3)] == [-Count.IMPLAUSIBLE] * 2
+    assert guard.send(80 * MS, 8.0) == (ACCEPTED_AFTER_DOUBT, 80 * MS)
+    assert guard.send(100 * MS, 8.0) == (ACCEPTED_IN_ORDER, 20 * MS)
+    assert guard.counts() == {"ACCEPTED": 3, "IMPLAUSIBLE": 3}
+    assert guard.reasons(outcome=ACCEPTED_AFTER_DOUBT) & Reason.SPEED_IMPLAUSIBLE
+    assert not guard.reasons() & Reason.SPEED_IMPLAUSIBLE
+
+
+def test_a_run_lasts_as_long_as_the_doubt_before_it(guard):
+    guard.send(0, 8.0)
+    for i in range(1, 6):
+        guard.send(i * 100 * MS, 0.0 if i % 2 else 16.0)
+    found = [guard.send(600 * MS + i * 50 * MS, 8.0)[0] for i in range(14)]
+    assert found.index(ACCEPTED_AFTER_DOUBT) == 12  # 600 ms
+    guard.send(2 * S, 16.0)
+    for i in range(200):
+        guard.send(2 * S + (i + 1) * 20 * MS, 0.0 if i % 2 else 16.0)
+    late = [guard.send(6020 * MS + i * 100 * MS, 8.0)[0] for i in range(22)]
+    assert late.index(ACCEPTED_AFTER_DOUBT) == 20  # never more than 2 s
+
+
+def test_a_step_is_taken_once_the_vehicle_can_be_there(guard):
+    guard.send(0, 8.0)
+    found = [guard.send(i * 100 * MS, 20.0)[0] for i in range(1, 16)]
+    assert found.index(ACCEPTED_AFTER_DOUBT) == 13  # after 1.4 s: 8 + 8 * 1.4 + 1 > 20
+    assert guard.send(1600 * MS, 20.0)[0] == ACCEPTED_IN_ORDER
+    assert guard.send(1700 * MS, 21.7)[0] == ACCEPTED_IN_ORDER
+
+
+def test_stamps_in_doubt_have_an_order(guard):
+    guard.send(0, 8.0)
+    guard.send(100 * MS, 16.0)
+    assert guard.send(100 * MS, 16.0)[0] == -Count.DUPLICATE
+    assert guard.send(60 * MS, 8.0)[0] == -Count.LATE
+    assert guard.send(-60 * MS, 8.0)[0] == -Count.LATE
+    assert guard.send(101 * MS, 16.0)[0] == -Count.IMPLAUSIBLE
+    assert guard.of(at.DOUBTS) == 2
+
+
+def test_a_reset_or_a_jump_ends_the_doubt(guard):
+    guard.send(0, 8.0)
+    guard.send(20 * MS, 16.0)
+    assert guard.send(-3600 * S, 16.0)[0] == ACCEPTED_AFTER_RESET
+    assert guard.send(-3600 * S + 20 * MS, 16.0)[0] == ACCEPTED_IN_ORDER
+
+
+def test_other_channels_may_leap(guard):
+    for channel in range(1, at.FIRST_AXLE):
+        assert guard.send(0, 0.0, channel)[0] == ACCEPTED_IN_ORDER
+        assert guard.send(1, 1000.0, channel)[0] == ACCEPTED_IN_ORDER
+
+
+# What is not fed forward
+
+
+def test_enable_holds_for_its_time(guard):
+    guard.send(0)
+    assert guard.inputs().fed == 1.0
+    guard.k.number.enable_hold_ns = S
+    assert guard.inputs().fed == 0.0
+    assert guard.reasons() & (Reason.ENABLE_OLD | Reason.DISABLED) == Reason.ENABLE_OLD
+    guard.send(0, 1.0, at.ENABLE)
+    guard.send(S)
+    assert (guard.inputs().fed, guard.reasons() & Reason.ENABLE_OLD) == (1.0, 0)
+    guard.send(S + 1)
+    assert guard.inputs().fed == 0.0
+    guard.send(S + 1, 0.0, at.ENABLE)
+    assert guard.inputs().fed == 0.0
+    assert guard.reasons() & (Reason.ENABLE_OLD | Reason.DISABLED) == Reason.DISABLED
+
+
+@pytest.mark.parametrize("wheel", [WHEELS, WHEELS + 1, CHANNELS - 1])
+def test_wheels_that_disagree_stop_the_feedforward(guard, wheel):
+    for i in range(13):
+        guard.send(i * 100 * MS, 8.0)
+        guard.send(i * 100 * MS, 0.0, wheel)
+        fed = guard.inputs().fed
+        assert fed == (0.0 if i > 10 else 1.0)
+    assert guard.reasons() & Reason.SPEED_DISAGREES
+    guard.send(13 * 100 * MS, 8.0)
+    guard.send(13 * 100 * MS, 7.0, wheel)
+    assert guard.inputs().fed == 1.0

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +21,7 @@ from trackres_ros.errors import InputError
 from trackres_ros.estimator.columns import Reason
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.files.resources import config_dir
-from trackres_ros.model.coverage import DESTROYED_DEGC, balance_degc, check_heat, coverage
+from trackres_ros.model.coverage import DESTROYED_DEGC, balance_degc, beyond_data, check_heat, coverage
 from trackres_ros.model.hysteresis import METHODS
 from trackres_ros.model.loss_table import loss_table, reverse_share
 from trackres_ros.model.rubber import RubberModel
@@ -192,3 +193,31 @@ def test_a_drive_and_its_mirror_image_give_the_same_with_the_other_sign(
     assert rows[1].belt_degc() == pytest.approx(rows[0].belt_degc(), rel=scale, abs=1e-9)
     assert rows[1].reasons == rows[0].reasons
     assert math.isclose(rows[1].resistance_std_nm, rows[0].resistance_std_nm, rel_tol=scale)
+
+
+@given(speed=st.floats(0.1, 16.0), belt=st.floats(-90.0, 150.0))
+def test_remarks_and_status_name_the_same_belts(short_estimator: Estimator, speed: float, belt: float) -> None:
+    vehicle = short_estimator.vehicle
+    inputs = short_estimator.inputs(speed, ambient=15.0)
+    _, estimate = short_estimator.step(short_estimator.cold_start(inputs, belt), inputs, 0.0)
+    remarks = beyond_data(vehicle, speed, {a.name: belt for a in vehicle.assemblies})
+    assert bool(remarks) == bool(estimate.reasons & Reason.OUTSIDE_TABLE)
+
+
+def test_commands_say_that_they_extrapolate(short: Path, good: Any, tmp_path: Path) -> None:
+    (tmp_path / "drive.csv").write_text("time_s,speed_kmh\n0,0\n10,36\n60,36\n")
+    (tmp_path / "hot.csv").write_text("time_s,speed_kmh,belt_degc\n0,10,90\n10,20,90\n60,20,90\n")
+    said = "The torque is extrapolated, and the status shows OUTSIDE_TABLE"
+    explained = "explain", "--vehicle", short, "--speed-kmh", "50", "--belt-degc"
+    assert f"a belt is at 90 degC at 50 km/h, but the rubber data end at 60 degC. {said}" in good(*explained, "90")
+    assert "a belt is at -20 degC at 50 km/h, but the rubber data end at" in good(*explained, "-20")
+    assert "extrapolated" not in good(*explained, "40")
+    assert json.loads(good(*explained, "90", "--json"))["remarks"]
+    simulated = "simulate", "--vehicle", short, "--speed-kmh", "30", "--duration-s", "60", "-o", tmp_path / "out.csv"
+    assert "but the rubber data end at 60 degC (above that: 100% of the samples)" in good(*simulated, "--initial-degc", "90")
+    assert json.loads(good(*simulated, "--initial-degc", "90", "--json"))["remarks"]
+    assert "extrapolated" not in good(*simulated)
+    replayed = "replay", "--vehicle", short, "-o", tmp_path / "replayed.csv"
+    assert said in good(*replayed, tmp_path / "hot.csv")
+    assert json.loads(good(*replayed, tmp_path / "hot.csv", "--json"))["remarks"]
+    assert said not in good(*replayed, tmp_path / "drive.csv")

@@ -374,3 +374,18 @@ def test_surroundings_that_are_assumed_are_said_and_warned_of(desk, tmp_path):
     assert expected[0] != pytest.approx(expected[1], rel=0.1)
     with pytest.raises(InputError, match="configured"):
         d.app.change({"surroundings": ""})
+
+
+def test_a_belt_beyond_the_rubber_data_is_warned_of(desk, tmp_path, repository):
+    (tmp_path / "rubber").mkdir()
+    header, *rows = (repository / "config" / "rubber" / "nr_sbr_10hz.csv").read_text().splitlines()
+    kept = [row for row in rows if float(row.split(",")[0]) <= 10.0]
+    (tmp_path / "rubber" / "nr_sbr_10hz.csv").write_text("\n".join([header, *kept]))
+    (tmp_path / "mine.yaml").write_text((repository / "config" / "xgd24d.yaml").read_text())
+    made = desk(vehicle=str(tmp_path / "mine.yaml"))
+    made.drive(0.1)
+    made.forward(0.1)
+    assert "OUTSIDE_TABLE" in made.reasons[-1]
+    status = next(found[0] for topic, found in reversed(made.statuses) if topic == "status")
+    assert status.level == Level.WARN
+    assert "the torque is extrapolated" in status.message

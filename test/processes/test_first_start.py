@@ -17,7 +17,17 @@ from waiting import Pace, exit_code, wait_for, work_s
 
 from trackres_ros.files.resources import cache_dir
 
-REFUSALS_AND_ACCEPTED = ("accepted", "non_finite", "out_of_range", "duplicate", "late", "future", "backward", "bad_stamp")
+REFUSALS_AND_ACCEPTED = (
+    "accepted",
+    "non_finite",
+    "out_of_range",
+    "duplicate",
+    "late",
+    "future",
+    "backward",
+    "implausible",
+    "bad_stamp",
+)
 HZ = 1000
 
 

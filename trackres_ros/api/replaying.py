@@ -113,8 +113,8 @@ def replay(
         raise InputError("topics", "with a recording that is read", "topics with a path", "give them to read")
     mapping = in_memory.topics if in_memory else as_topics(topics)
     given = params if isinstance(params, Mapping) else read_parameters(None if params is None else Path(params))
-    settings = settings_for(make_parameters(given).settings(), mapping)
     source = in_memory or KeptSource(open_source(paths, mapping), keep=file is None or file.suffix.lower() != BAG_SUFFIX)
+    settings = settings_for(make_parameters(given).settings(), mapping, source.roles)
     learned_file = None if save_vehicle is None else output_file(save_vehicle, (".yaml",), "save_vehicle")
     learns = one_of(learning, "learning", MODES) != "off"
     if learned_file is not None and not learns:

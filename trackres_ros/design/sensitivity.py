@@ -32,7 +32,7 @@ from trackres_ros.vehicle.loading import variants
 Array = NDArray[np.float64]
 Model = Callable[[Array], Array]
 
-NOT_OF_THE_VEHICLE = ("chassis.ambient", "chassis.max_speed")
+NOT_OF_THE_VEHICLE = ("chassis.ambient", "chassis.max_speed", "chassis.max_acceleration")
 NAMES = {"cold_nm": "cold resistance", "warm_nm": "warm resistance", "belt_degc": "belt temperature", "kwh_per_km": "warm energy"}
 UNITS = {"cold_nm": "Nm", "warm_nm": "Nm", "belt_degc": "K", "kwh_per_km": "kWh/km"}
 SURE = 0.95

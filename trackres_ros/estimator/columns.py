@@ -10,7 +10,7 @@ from enum import IntEnum, IntFlag
 from trackres_ros.recording.roles import POSITION
 from trackres_ros.vehicle import Vehicle
 
-# Channels: what can arrive. Loads by axle and assembly and belt temperatures by assembly follow these.
+# Channels: what can arrive. Loads by axle and assembly, belt temperatures by assembly, and wheel speeds follow these.
 (
     SPEED,
     LOAD,
@@ -25,11 +25,14 @@ from trackres_ros.vehicle import Vehicle
     PASSENGERS,
     LATITUDE,
     LONGITUDE,
-) = range(13)
+    ENABLE,
+) = range(14)
 CHANNELS = (
     "speed", "load", "torque", "ambient", "belt", "accel", "grade", "yaw_rate", "heading", "distance", "passengers", *POSITION,
+    "enable",
 )  # fmt: skip
 FIRST_AXLE = len(CHANNELS)
+WHEELS = "wheel_speed"
 
 # Constants of an assembly; those of one KIND differ in nothing but the axle and load shares. INNER_CONDUCTANCE lies between the
 # mean and the surface where these are two nodes, SKIN_CONDUCTANCE between the last node and what a sensor sees, infinite where
@@ -120,13 +123,26 @@ SENSITIVITIES = LEARNED_FACTOR + LEARNABLE * LEARNABLE
 LEARNED_COLUMNS = SENSITIVITIES + LEARNABLE
 START_ANEW = -1.0  # in STARTED: time went back, the next speed starts cold and says so
 
-# What the guards remember of a channel.
-SEEN, LAST_STAMP, LAST_ARRIVAL, SUSPECTS, SUSPECT_STAMP, SUSPECT_ARRIVAL, UNCHANGED_SINCE, FRESH, LAST_REBASE = range(9)
-MEMORY_COLUMNS = 9
+# What the guards remember of a channel; of the speed from DOUBTS on, see `plausible_speed`.
+(
+    SEEN,
+    LAST_STAMP,
+    LAST_ARRIVAL,
+    SUSPECTS,
+    SUSPECT_STAMP,
+    SUSPECT_ARRIVAL,
+    UNCHANGED_SINCE,
+    FRESH,
+    DOUBTS,
+    DOUBT_SINCE,
+    DOUBT_STAMP,
+    DISAGREES_SINCE,
+) = range(12)
+MEMORY_COLUMNS = 12
 
 
 class Count(IntEnum):
-    """Counters of a channel. A message is counted in exactly one of those up to BACKWARD; the others add remarks."""
+    """Counters of a channel. Each message counts in exactly one of ACCEPTED and `REFUSALS`; the others add remarks."""
 
     ACCEPTED = 0
     NON_FINITE = 1
@@ -139,9 +155,10 @@ class Count(IntEnum):
     GAP = 8
     CLOCK_JUMP = 9
     RESET = 10
+    IMPLAUSIBLE = 11
 
 
-REFUSALS = tuple(Count(i) for i in range(Count.NON_FINITE, Count.BACKWARD + 1))
+REFUSALS = (*(Count(i) for i in range(Count.NON_FINITE, Count.BACKWARD + 1)), Count.IMPLAUSIBLE)
 
 
 class Reason(IntFlag):
@@ -167,6 +184,10 @@ class Reason(IntFlag):
     OUTSIDE_LEARNED = 1 << 16
     OFF_ROUTE = 1 << 17
     PLACE_UNKNOWN = 1 << 18
+    SPEED_IMPLAUSIBLE = 1 << 19
+    SPEED_DISAGREES = 1 << 20
+    DISABLED = 1 << 21
+    ENABLE_OLD = 1 << 22
 
 
 REASON_TEXT = {
@@ -180,7 +201,7 @@ REASON_TEXT = {
     Reason.TIME_RESET: "time went back: the estimate was started anew",
     Reason.BELT_UNSURE: "the belt temperature is uncertain",
     Reason.BELT_SENSOR_DISAGREES: "the measured belt temperature is far from the estimate and was left out",
-    Reason.OUTSIDE_TABLE: "load or temperature lies outside the range of the model or of the rubber data",
+    Reason.OUTSIDE_TABLE: "load or temperature is outside of the model's range or the rubber data: the torque is extrapolated",
     Reason.FEEDFORWARD_CLAMPED: "the feed-forward torque is at its limit",
     Reason.FEEDFORWARD_RATE_LIMITED: "the feed-forward torque follows at its largest rate",
     Reason.SPEED_QUANTISED: "the speed comes in coarse steps: its acceleration is known only roughly",
@@ -189,9 +210,13 @@ REASON_TEXT = {
     Reason.OUTSIDE_LEARNED: "outside of the range in which it was learned, a learned term keeps the value at its end",
     Reason.OFF_ROUTE: "the surroundings do not say what slope or torque is here: the ground counts as level and firm",
     Reason.PLACE_UNKNOWN: "where on the route it is, is not known: no position, an old one, or no course of it yet",
+    Reason.SPEED_IMPLAUSIBLE: "the speed changed faster than the vehicle can: speeds were refused until some agreed again",
+    Reason.SPEED_DISAGREES: "the speed disagrees with all wheel speeds: the feed-forward goes to zero",
+    Reason.DISABLED: "the feed-forward is not enabled: it goes to zero",
+    Reason.ENABLE_OLD: "no fresh enable: the feed-forward goes to zero",
 }
 # Remarks that go with a fully usable estimate; any other reason makes it a warning.
-HARMLESS = Reason.LOAD_HELD | Reason.FEEDFORWARD_RATE_LIMITED | Reason.GAP_BRIDGED | Reason.SPEED_QUANTISED
+HARMLESS = Reason.LOAD_HELD | Reason.FEEDFORWARD_RATE_LIMITED | Reason.GAP_BRIDGED | Reason.SPEED_QUANTISED | Reason.DISABLED
 
 # Columns of one row of results for the whole vehicle; those of each assembly follow.
 (
@@ -250,6 +275,8 @@ def channels(vehicle: Vehicle) -> tuple[str, ...]:
         *(f"load/{name}" for name in axles),
         *(f"load/{name}" for name in assemblies),
         *(f"belt/{name}" for name in assemblies),
+        WHEELS,
+        *(f"{WHEELS}/{name}" for name in (*axles, *assemblies)),
     )
 
 

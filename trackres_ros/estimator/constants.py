@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from trackres_ros.effects.effect import Active, VehicleConstants, conditions
 from trackres_ros.effects.stepping import LIMITS, effect_table, new_work
 from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.motion_step import ROLLS_FROM
 from trackres_ros.estimator.settings import PARTS, Settings
 from trackres_ros.estimator.uncertainty import spread
 from trackres_ros.model.coverage import OVERSPEED, check_heat, coverage
@@ -46,9 +47,11 @@ PLAUSIBLE = {
     "passengers": (0.0, 1e3),
     "latitude": (-0.5 * math.pi, 0.5 * math.pi),
     "longitude": (-2.0 * math.pi, 2.0 * math.pi),
+    "enable": (0.0, 1.0),
 }
 LEAST_LOAD_SHARE = 0.1  # of nominal weight: less is not a driving vehicle
 LARGEST_LOAD_SHARE = 2.5
+LATEST_S = 0.1  # a speed may show what was so long ago: buses repeat values, and stamps are off
 LEAST_RESISTANCE = 1e-6  # K/W: below it mean and surface of a belt are one
 
 
@@ -96,6 +99,10 @@ class Numbers(NamedTuple):
     torque_hold_ns: int
     position_hold_ns: int
     stuck_ns: int
+    enable_hold_ns: int  # 0 where none is needed
+    disagreeing_ns: int
+    max_acceleration: float
+    speed_slack: float  # m/s: by so much a speed may be off what the greatest acceleration reaches
     speed_variance: float
     acceleration_variance: float
     acceleration_time: float
@@ -236,6 +243,10 @@ def make_constants(vehicle: Vehicle, settings: Settings, cache: Path | None = No
         torque_hold_ns=ns(settings.torque_hold_s),
         position_hold_ns=ns(settings.position_hold_s),
         stuck_ns=ns(settings.stuck_s),
+        enable_hold_ns=ns(settings.enable_hold_s),
+        disagreeing_ns=ns(settings.speed_max_age_s),
+        max_acceleration=chassis.max_acceleration,
+        speed_slack=ROLLS_FROM * settings.speed_std_mps + LATEST_S * chassis.max_acceleration,
         speed_variance=settings.speed_std_mps**2,
         acceleration_variance=settings.acceleration_std**2,
         acceleration_time=settings.acceleration_time_s,
@@ -295,7 +306,7 @@ def _channel_limits(vehicle: Vehicle) -> Array:
     rows = []
     for name in at.channels(vehicle):
         role, _, place = name.partition("/")
-        if role == "speed":
+        if role in ("speed", at.WHEELS):
             rows.append((-speed, speed))
         elif role == "load":
             nominal = sum(load for load, a in zip(loads, vehicle.assemblies, strict=True) if place in ("", a.axle, a.name))

@@ -59,8 +59,8 @@ def feed(
     out: Array,
 ) -> bool:
     """Take one message in. An accepted speed makes a step and fills `out`; returns whether it did."""
-    outcome, elapsed = admit(k, memory, channel, stamp, arrival, value)
     motion = carried.motion
+    outcome, elapsed = admit(k, memory, channel, stamp, arrival, value, motion[at.QUANTUM])
     if outcome == ACCEPTED_AFTER_RESET:
         forget_others(memory, channel)
         motion[at.STARTED] = at.START_ANEW
@@ -115,7 +115,7 @@ def advance_along(
         inputs = Inputs(
             series.speeds[i], loads, series.ambients[i], ambient_std, no_belts, series.accelerations[i], series.grades[i],
             series.yaw_rates[i], series.headings[i], series.distances[i], math.nan, series.slopes_by_place[i],
-            series.torques_by_place[i], series.torque_stds_by_place[i], 0,
+            series.torques_by_place[i], series.torque_stds_by_place[i], 0, 1.0,
         )  # fmt: skip
         advance(k, carried, inputs, series.times[i] - series.times[i - 1] if i > 0 else 0.0, out[i])
 

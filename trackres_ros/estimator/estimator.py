@@ -22,6 +22,7 @@ from trackres_ros.estimator.estimate import Estimate, Steps
 from trackres_ros.estimator.guards import Memory, new_memory
 from trackres_ros.estimator.records import Carried, GroundSeries, Inputs, Series
 from trackres_ros.estimator.settings import Settings
+from trackres_ros.estimator.speed_witnesses import NOTHING_TRACKED
 from trackres_ros.estimator.state import State
 from trackres_ros.route.follower import NOTHING_YET
 from trackres_ros.vehicle import Vehicle
@@ -368,7 +369,7 @@ class Session:
     def start_anew(self, time_went_back: bool) -> None:
         """Forget belts and messages, as at a cold start; counters stay. The next estimate says so if time went back."""
         self.memory.times[:], self.memory.values[:] = 0, math.nan
-        self.memory.followed[:] = NOTHING_YET
+        self.memory.followed[:], self.memory.tracked[:] = NOTHING_YET, NOTHING_TRACKED
         self.effects[:] = cooled_effects(self.effects)
         self.motion[at.STARTED] = at.START_ANEW if time_went_back else 0.0
 

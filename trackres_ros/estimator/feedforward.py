@@ -42,12 +42,13 @@ def followed(value: float, target: float, rate: float, age: float) -> float:
 
 @inlined
 def feedforward(
-    k: Constants, motion: Array, total: Array, of_effects: float, given_grade: bool, given_accel: bool, dt: float
+    k: Constants, motion: Array, total: Array, of_effects: float, given_grade: bool, given_accel: bool, fed: float, dt: float
 ) -> tuple[float, int]:
     """Chosen parts [Nm], limited in size and rate, and the reasons that gives; keeps what it is on its way to in `motion`.
 
     It begins where the outputs are by now, which have followed their last target, and faded if the speed has paused. From there
-    it moves by as much as one output may. A vehicle that stands is fed nothing of what rolling takes.
+    it moves by as much as one output may. A vehicle that stands is fed nothing of what rolling takes; with `fed` 0
+    nothing is fed at all.
     """
     number, reasons = k.number, 0
     wanted = number.feed_grade * total[at.PART_GRADE] if given_grade else 0.0  # a slope by place is of the surroundings
@@ -60,7 +61,7 @@ def feedforward(
         )
     if given_accel:  # an acceleration filtered from the speed would feed the controller's own noise back to it
         wanted += number.feed_inertia * (total[at.PART_INERTIA] + k.work[TERM_FED_INERTIA])
-    wanted *= k.work[TERM_FED_GAIN]
+    wanted *= k.work[TERM_FED_GAIN] * fed
     if abs(wanted) > number.feedforward_limit:
         wanted = math.copysign(number.feedforward_limit, wanted)
         reasons |= CLAMPED

@@ -18,7 +18,9 @@ from numpy.typing import NDArray
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.by_place import ground_now, is_missing
 from trackres_ros.estimator.constants import Constants
+from trackres_ros.estimator.plausible_speed import is_plausible, trust
 from trackres_ros.estimator.records import Inputs
+from trackres_ros.estimator.speed_witnesses import APART, NOTHING_TRACKED, disagrees, drive_on, odometer_came
 from trackres_ros.jit.compiled import compiled, inlined
 from trackres_ros.route.follower import NOTHING_YET, forget
 
@@ -28,11 +30,14 @@ IntArray = NDArray[np.int64]
 ACCEPTED, NON_FINITE, OUT_OF_RANGE = int(at.Count.ACCEPTED), int(at.Count.NON_FINITE), int(at.Count.OUT_OF_RANGE)
 DUPLICATE, LATE, FUTURE, BACKWARD = int(at.Count.DUPLICATE), int(at.Count.LATE), int(at.Count.FUTURE), int(at.Count.BACKWARD)
 ZERO_STAMP, GAP, CLOCK_JUMP, RESET = int(at.Count.ZERO_STAMP), int(at.Count.GAP), int(at.Count.CLOCK_JUMP), int(at.Count.RESET)
+IMPLAUSIBLE = int(at.Count.IMPLAUSIBLE)
 LOAD_HELD, LOAD_NOMINAL = int(at.Reason.LOAD_HELD), int(at.Reason.LOAD_NOMINAL)
 SPEED_QUANTISED = int(at.Reason.SPEED_QUANTISED)
 AMBIENT_NOMINAL, SPEED_STUCK = int(at.Reason.AMBIENT_NOMINAL), int(at.Reason.SPEED_STUCK)
 CLOCK_JUMPED, TIME_RESET = int(at.Reason.CLOCK_JUMPED), int(at.Reason.TIME_RESET)
 PLACE_UNKNOWN = int(at.Reason.PLACE_UNKNOWN)
+SPEED_IMPLAUSIBLE, SPEED_DISAGREES = int(at.Reason.SPEED_IMPLAUSIBLE), int(at.Reason.SPEED_DISAGREES)
+DISABLED, ENABLE_OLD = int(at.Reason.DISABLED), int(at.Reason.ENABLE_OLD)
 
 FRESH_LOAD_NS = 2_000_000_000  # a load older than this is reported as held, as long as it holds
 STANDING = 1e-3  # m/s: slower is no movement that could be stuck
@@ -40,7 +45,7 @@ QUANTISED = (0.05, 1.0)  # m/s: a smallest step between these is a bus's resolut
 QUANTISED_PATIENCE = 10  # a steady drive holds one value of such a bus for minutes
 
 # What admit() returns of an accepted message; a refusal is a negative counter.
-ACCEPTED_IN_ORDER, ACCEPTED_AFTER_JUMP, ACCEPTED_AFTER_RESET = 0, 1, 2
+ACCEPTED_IN_ORDER, ACCEPTED_AFTER_JUMP, ACCEPTED_AFTER_RESET, ACCEPTED_AFTER_DOUBT = 0, 1, 2, 3
 
 
 class Memory(NamedTuple):
@@ -51,6 +56,7 @@ class Memory(NamedTuple):
     counters: IntArray  # (channels, counters)
     reasons: IntArray  # (reasons,) steps at which each held
     followed: Array  # (FOLLOWED,) where on a route it is, see `route.follower`
+    tracked: Array  # (TRACKED,) of the speed, see `plausible_speed` and `speed_witnesses`
 
 
 def new_memory(channels: int) -> Memory:
@@ -61,18 +67,19 @@ def new_memory(channels: int) -> Memory:
         np.zeros((channels, len(at.Count)), dtype=np.int64),
         np.zeros(len(at.REASON_TEXT), dtype=np.int64),
         np.array(NOTHING_YET),
+        np.array(NOTHING_TRACKED),
     )
 
 
 @inlined
-def admit(k: Constants, memory: Memory, channel: int, stamp: int, arrival: int, value: float) -> tuple[int, int]:
-    """Accept or refuse one message, count it, and keep its value.
+def admit(k: Constants, memory: Memory, channel: int, stamp: int, arrival: int, value: float, quantum: float) -> tuple[int, int]:
+    """Accept or refuse one message, count it, and keep its value. `quantum` is the smallest step seen in the speed [m/s].
 
     Returns
     -------
     outcome, elapsed
-        ACCEPTED_IN_ORDER, ACCEPTED_AFTER_JUMP, ACCEPTED_AFTER_RESET, or minus the counter of the refusal; and the time [ns]
-        since the channel's last message.
+        ACCEPTED_IN_ORDER, ACCEPTED_AFTER_JUMP, ACCEPTED_AFTER_RESET, ACCEPTED_AFTER_DOUBT, or minus the counter of the refusal;
+        and the time [ns] since the channel's last message.
     """
     times, counters = memory.times[channel], memory.counters[channel]
     if not math.isfinite(value):
@@ -90,10 +97,11 @@ def admit(k: Constants, memory: Memory, channel: int, stamp: int, arrival: int, 
     if times[at.SEEN]:
         forward, waited = stamp - times[at.LAST_STAMP], arrival - times[at.LAST_ARRIVAL]
         elapsed = forward
-        if forward == 0:
+        behind_doubt = times[at.DOUBTS] > 0 and forward > 0 and stamp <= times[at.DOUBT_STAMP]
+        if forward == 0 or (behind_doubt and stamp == times[at.DOUBT_STAMP]):
             counters[DUPLICATE] += 1
             return -DUPLICATE, 0
-        if forward < 0 and -forward <= k.number.clock_jump_ns:
+        if behind_doubt or (forward < 0 and -forward <= k.number.clock_jump_ns):
             counters[LATE] += 1
             return -LATE, 0
         if forward < 0 and waited < -k.number.clock_jump_ns:
@@ -110,6 +118,17 @@ def admit(k: Constants, memory: Memory, channel: int, stamp: int, arrival: int, 
                 return -refusal, 0
             counters[CLOCK_JUMP] += 1
             outcome, elapsed = ACCEPTED_AFTER_JUMP, max(waited, 0)
+    if channel == at.SPEED:
+        if not times[at.SEEN] or outcome != ACCEPTED_IN_ORDER:  # nothing before it to compare with, or at no known time
+            trust(times, memory.tracked, value)
+        else:
+            in_doubt = times[at.DOUBTS] > 0
+            if not is_plausible(k, times, memory.tracked, stamp, elapsed, value, quantum):
+                counters[IMPLAUSIBLE] += 1
+                return -IMPLAUSIBLE, 0
+            outcome = ACCEPTED_AFTER_DOUBT if in_doubt else outcome
+    elif channel == at.DISTANCE:
+        odometer_came(memory.tracked, value)
     if not times[at.SEEN] or value != memory.values[channel] or outcome != ACCEPTED_IN_ORDER:
         times[at.UNCHANGED_SINCE] = stamp
     times[at.SEEN], times[at.LAST_STAMP], times[at.LAST_ARRIVAL] = 1, stamp, arrival
@@ -127,6 +146,10 @@ def forget_others(memory: Memory, kept: int) -> None:
             memory.times[channel, :] = 0
             memory.values[channel] = math.nan
     forget(memory.followed)
+    for i in range(memory.tracked.shape[0]):
+        memory.tracked[i] = NOTHING_TRACKED[i]
+    if kept == at.SPEED:
+        trust(memory.times[kept], memory.tracked, memory.values[kept])
 
 
 @inlined
@@ -135,6 +158,17 @@ def held(memory: Memory, channel: int, now: int, hold_ns: int) -> float:
     if memory.times[channel, at.SEEN] == 0 or now - memory.times[channel, at.LAST_ARRIVAL] > hold_ns:
         return math.nan
     return float(memory.values[channel])
+
+
+@inlined
+def not_enabled(k: Constants, memory: Memory, now: int) -> int:
+    """The reason why nothing is to be fed forward at an arrival [ns]: it is not enabled, or nobody says so any more; else 0."""
+    if k.number.enable_hold_ns == 0:
+        return 0
+    enable = held(memory, at.ENABLE, now, k.number.enable_hold_ns)
+    if math.isnan(enable):
+        return ENABLE_OLD
+    return 0 if enable > 0.0 else DISABLED
 
 
 @inlined
@@ -180,6 +214,8 @@ def gather(k: Constants, memory: Memory, outcome: int, elapsed: int, motion: Arr
     reasons = gather_loads(k, memory, now, loads)
     if outcome == ACCEPTED_AFTER_JUMP:
         reasons |= CLOCK_JUMPED
+    elif outcome == ACCEPTED_AFTER_DOUBT:
+        reasons |= SPEED_IMPLAUSIBLE
     if motion[at.STARTED] == at.START_ANEW:
         reasons |= TIME_RESET
     patience, quantum = 1, motion[at.QUANTUM]
@@ -205,6 +241,10 @@ def gather(k: Constants, memory: Memory, outcome: int, elapsed: int, motion: Arr
     slope, torque, torque_std, known = ground_now(k, memory.times, memory.followed, speed, elapsed)
     if not known and is_missing(k, grade, slope, torque):
         reasons |= PLACE_UNKNOWN
+    unfed = not_enabled(k, memory, now)
+    drive_on(k, memory.tracked, speed, elapsed)
+    if disagrees(k, memory.times, memory.values, speed, stamp, now) or memory.tracked[APART] > 0.0:
+        unfed |= SPEED_DISAGREES
     return Inputs(
         speed,
         loads,
@@ -220,5 +260,6 @@ def gather(k: Constants, memory: Memory, outcome: int, elapsed: int, motion: Arr
         slope,
         torque,
         torque_std,
-        reasons,
+        reasons | unfed,
+        0.0 if unfed else 1.0,
     )

@@ -156,7 +156,7 @@ def advance(k: Constants, carried: Carried, inputs: Inputs, dt: float, out: Arra
     # What resists motion is fed forward, so of effects nothing where nothing moves: friction holds a standing vehicle by itself,
     # and any other torque of an effect at rest would push it.
     fed_effects = (work[TERM_FED] + lasting) * abs(direction(speed))
-    wanted, of_feedforward = feedforward(k, motion, total, fed_effects, given_grade, given_accel, dt)
+    wanted, of_feedforward = feedforward(k, motion, total, fed_effects, given_grade, given_accel, inputs.fed, dt)
     variance = (
         work[TERM_VARIANCE]
         + work[TERM_LOSS_VARIANCE] * squared(total[at.PART_HYSTERESIS])

@@ -93,6 +93,9 @@ def check_memory(memory: Memory, limits: Array) -> None:
     _within("suspects", memory.times[:, at.SUSPECTS], 0, MOST_SUSPECTS)
     if (known != (memory.times[:, at.SEEN] == 1)).any():
         raise ValueError("channels with a time and no value, or the other way round")
+    _within("doubts", memory.times[:, at.DOUBTS], 0, FARTHEST_NS)
+    tracked = memory.tracked[~np.isnan(memory.tracked)]
+    _within("references of the speed and the odometer", tracked, -FARTHEST_FOLLOWED, FARTHEST_FOLLOWED)
     followed = ~np.isnan(memory.followed)
     _within("place on a route", memory.followed[followed], -FARTHEST_FOLLOWED, FARTHEST_FOLLOWED)
     if not followed[~np.isnan(NOTHING_YET)].all():

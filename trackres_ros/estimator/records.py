@@ -32,6 +32,7 @@ class Inputs(NamedTuple):
     torque_by_place: float = math.nan  # Nm against travel, whole vehicle, what they say besides
     torque_by_place_std: float = math.nan  # Nm
     reasons: int = 0  # columns.Reason found before the step
+    fed: float = 1.0  # 0 where the feed-forward is to be zero: it is not enabled, or the speed is not to be trusted
 
 
 class Carried(NamedTuple):

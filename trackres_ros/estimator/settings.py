@@ -50,6 +50,14 @@ class Settings:
     position_hold_s: float = _setting(
         10.0, "s", 0.2, 600.0, "how long the last position holds, carried on by the speed, on a route of the surroundings"
     )
+    enable_hold_s: float = _setting(
+        0.0,
+        "s",
+        0.0,
+        60.0,
+        "how long an enable holds: without a fresh one the feed-forward goes to zero; 0: none is needed. "
+        "A topics file with the role enable needs one, and makes 0 half a second",
+    )
     stuck_s: float = _setting(120.0, "s", 1.0, 1e6, "a moving speed that has not changed for longer is reported as stuck")
     speed_std_mps: float = _setting(0.02, "m/s", 0.0, 5.0, "noise of the speed besides its quantisation")
     acceleration_std: float = _setting(0.5, "m/s^2", 0.01, 20.0, "standard deviation of the vehicle's own acceleration")

@@ -30,7 +30,7 @@ from trackres_ros.files import own_files
 from trackres_ros.files.jsons import parse_json
 
 FORMAT = "trackres-state"
-VERSION = 6
+VERSION = 7
 REMEDY = "delete the file to start cold"
 LARGEST = 4 << 20  # bytes; that of a vehicle with four assemblies has 10 thousand
 FARTHEST_SAVED_AT = 1e10  # s: the year 2286, and as far before 1970
@@ -38,7 +38,7 @@ LONGEST_OFF = 7 * 86400.0  # s: by then any belt has the temperature of the air,
 SEAL = re.compile(rb', "sha256": "([0-9a-f]{64})"\}\Z')
 
 # What a state file holds of a session, in the order of `_arrays`.
-FLOATS = ("belts", "motion", "effects", "learned", "values", "followed")
+FLOATS = ("belts", "motion", "effects", "learned", "values", "followed", "tracked")
 INTEGERS = ("times", "counters", "reasons")
 BESIDE = "learning"  # what is learned beside a session, in its own terms
 
@@ -156,7 +156,7 @@ def after_time_off(estimator: Estimator, path: Path, now: float, ambient: float 
 
 def _arrays(session: Session) -> dict[str, NDArray[Any]]:
     memory = session.memory
-    floats = session.belts, session.motion, session.effects, session.learned, memory.values, memory.followed
+    floats = session.belts, session.motion, session.effects, session.learned, memory.values, memory.followed, memory.tracked
     return dict(zip((*FLOATS, *INTEGERS), (*floats, memory.times, memory.counters, memory.reasons), strict=True))
 
 

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 from typing import Any
 
@@ -23,21 +24,26 @@ AGE_LIMITS = {
     "torque": "torque_hold_s",
     "latitude": "position_hold_s",
     "longitude": "position_hold_s",
+    "enable": "enable_hold_s",
 }
 """The setting that `max_age_s` of a role means; the smallest counts where several share one."""
+ENABLE_HOLD_S = 0.5
+"""How long an enable holds where nobody says; as the age of a speed that is still trusted."""
 
 
-def settings_for(settings: Settings, topics: Topics | None) -> Settings:
-    """Settings, with those that a topics file gives.
+def settings_for(settings: Settings, topics: Topics | None, roles: Collection[str] = ()) -> Settings:
+    """Settings, with those that a topics file gives, and an enable that holds for `ENABLE_HOLD_S` where `roles` have one.
 
     Raises
     ------
     InputError
         For an age limit out of range, one on a role that has none, or belts with different sensors.
     """
-    if topics is None:
-        return settings
     changes: dict[str, Any] = {}
+    if settings.enable_hold_s == 0.0 and "enable" in (*(topics or ()), *roles):
+        changes["enable_hold_s"] = ENABLE_HOLD_S
+    if topics is None:
+        return replace(settings, **changes)
     for role in topics:
         limit = topics[role].max_age_s
         if limit is None:
@@ -45,7 +51,7 @@ def settings_for(settings: Settings, topics: Topics | None) -> Settings:
         name = AGE_LIMITS.get(base_role(role))
         if name is None:
             raise InputError(f"{topics.origin}: {role}: max_age_s", limit, f"an age limit on {', '.join(AGE_LIMITS)}")
-        changes[name] = min(limit, changes.get(name, limit))
+        changes[name] = limit if role == "enable" else min(limit, changes.get(name, limit))
     if "passengers" in topics:
         changes["passenger_kg"] = topics["passengers"].kg_each
     belts = [topics[role] for role in topics if base_role(role) == "belt"]

@@ -38,6 +38,8 @@ APART_NS = 45_000_000  # between two samples of a second: more of them make its 
 
 UNSURE = int(
     at.Reason.SPEED_STUCK
+    | at.Reason.SPEED_IMPLAUSIBLE
+    | at.Reason.SPEED_DISAGREES
     | at.Reason.GAP_UNKNOWN
     | at.Reason.CLOCK_JUMPED
     | at.Reason.TIME_RESET

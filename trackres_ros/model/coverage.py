@@ -11,9 +11,11 @@ rubber hardly changes any more with frequency; a belt hotter than the sweep ever
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from trackres_ros.errors import InputError
 from trackres_ros.model.contact import half_length_for_force
@@ -28,6 +30,7 @@ from trackres_ros.vehicle import Vehicle
 LIVES_DEGC = 150.0  # natural rubber and SBR revert and crack above it (Mark, Erman, Roland, 4th ed., ch. 7)
 DESTROYED_DEGC = 300.0  # and decompose by here: no vehicle has driven so
 COLDEST_DEGC, PASSES = -150.0, 60
+SLOWEST_MPS = 1e-6  # as the kernel's: slower, the loss for each metre no longer changes
 OVERSPEED = 1.2  # of the vehicle file's greatest speed
 
 
@@ -59,6 +62,43 @@ def coverage(vehicle: Vehicle, track_name: str) -> Coverage:
     half_length = half_length_for_force(loads.mean(), modulus, wheels.radius, wheels.contact_length, track.belt.thickness)
     reach = float(rubber.log_shift(sweep[0]) + np.log10(2.0 * half_length * vehicle.rubber.sweep_frequency))
     return Coverage(min(float(sweep[-1]), LIVES_DEGC), min(reach, LOG_SPEED[1]))
+
+
+def beyond_data(vehicle: Vehicle, speed: ArrayLike, belt_degc: Mapping[str, ArrayLike]) -> list[str]:
+    """Say where belts were hotter or colder than the rubber data cover; nothing where none was.
+
+    Parameters
+    ----------
+    speed
+        [m/s], shape (times,) or one number.
+    belt_degc
+        Belt temperatures by the name of an assembly [degC], shape (times,) or one number.
+
+    Returns
+    -------
+    list of str
+        Up to two sentences a kind of track.
+    """
+    size = np.maximum(np.abs(np.atleast_1d(np.asarray(speed, dtype=float))), SLOWEST_MPS)
+    rubber, remarks = RubberModel(vehicle.rubber), []
+    for name in vehicle.tracks:
+        belts = np.stack([np.atleast_1d(belt_degc[a.name]) for a in vehicle.assemblies if a.track == name])
+        covered, speeds = coverage(vehicle, name), np.broadcast_to(size, belts.shape)
+        hot = belts > covered.hottest
+        cold = np.asarray(rubber.log_shift(belts)) + np.log10(speeds) > covered.log_reduced_speed
+        for outside, side in ((hot, "above"), (cold & ~hot, "below")):
+            if not outside.any():
+                continue
+            at = np.unravel_index(np.argmax(np.where(outside, belts if side == "above" else -belts, -np.inf)), belts.shape)
+            end = covered.hottest if side == "above" else covered.coldest(rubber, float(speeds[at]))
+            often = f" ({side} that: {np.any(outside, axis=0).mean():.0%} of the samples)" if belts.shape[1] > 1 else ""
+            what = "rubber lives up to" if end == LIVES_DEGC else "the rubber data end at"
+            where = f"{belts[at]:.0f} degC at {speeds[at] * KMH_PER_MPS:.0f} km/h"
+            remarks.append(
+                f"track {name}: a belt is at {where}, but {what} {end:.0f} degC{often}. The torque is extrapolated, and the "
+                "status shows OUTSIDE_TABLE"
+            )
+    return remarks
 
 
 def check_speed(vehicle: Vehicle, speed: float) -> None:

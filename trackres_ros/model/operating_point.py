@@ -14,7 +14,7 @@ import numpy as np
 from trackres_ros.effects.effect import SOFTENING_FROM_DEGC, Active, Conditions, Terms, conditions, together
 from trackres_ros.model import resistance
 from trackres_ros.model.belt import axial_stiffness
-from trackres_ros.model.coverage import check_speed
+from trackres_ros.model.coverage import beyond_data, check_speed
 from trackres_ros.model.hysteresis import RainflowCount
 from trackres_ros.model.loads import wheel_loads
 from trackres_ros.model.resistance import RESISTANCE_PARTS
@@ -118,6 +118,7 @@ def explain(
         "loss_force_by_assembly_n": [a["loss_force_n"] for a in assemblies],
         "torque_nm": {**torque, "resistance": sum(torque[part] for part in RESISTANCE_PARTS)},
         "effects_left_out": left_out,
+        "remarks": beyond_data(vehicle, speed, {a.name: belt_degc for a in vehicle.assemblies}),
         "heat_w": heat,
         "cooling_w": cooling,
         "film_coefficient_w_m2k": first["film_w_m2k"],

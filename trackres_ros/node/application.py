@@ -19,8 +19,10 @@ from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimate import Estimate
 from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.estimator.guards import not_enabled
 from trackres_ros.estimator.topic_settings import settings_for
 from trackres_ros.estimator.warm_up import LIVE, WarmUp, exercise
+from trackres_ros.jit.compiled import interpreted
 from trackres_ros.node.comparison import Comparison
 from trackres_ros.node.edge import Edge, KeepMessage, Level, Peer, Reasons
 from trackres_ros.node.endpoints import InputTopic, input_topics, live_topics, other_topics
@@ -33,13 +35,16 @@ from trackres_ros.node.parameters import Parameters
 from trackres_ros.node.remarks import Remark, level_of
 from trackres_ros.node.report import Overview, bare_status, overview, statuses
 from trackres_ros.node.sending_order import Arrived, SendingOrder
+from trackres_ros.node.service_manager import ServiceManager
 from trackres_ros.node.setup import changed_parameters, read_setup
 from trackres_ros.node.stamps import nearest_usable
 from trackres_ros.node.state_keeper import StateKeeper, state_path
 from trackres_ros.node.watch import Watch
 from trackres_ros.units import SECOND_NS
 
-ACCEPTED = int(at.Count.ACCEPTED)
+ACCEPTED, IMPLAUSIBLE = int(at.Count.ACCEPTED), int(at.Count.IMPLAUSIBLE)
+SPEED_IMPLAUSIBLE = int(at.Reason.SPEED_IMPLAUSIBLE)
+NOT_ENABLED = interpreted(not_enabled)  # as live asks between two steps too
 LONGEST_PERIOD_S = 0.1  # between two looks at the age of the speed, and between two outputs
 MOST_BEFORE_CLOCK = 10000
 SAVING_ON_REQUEST_S, SAVING_AT_THE_END_S = 0.1, 10.0  # longest wait for a disk
@@ -82,7 +87,7 @@ class Application:
         self._warm_up = WarmUp(LIVE, str(setup.vehicle_file), setup.surroundings_file)
         self.estimator = Estimator(self.vehicle, setup.settings, entries=self._warm_up.first)
         exercise(self.estimator)  # loading what is compiled takes a third of a second, which the first message need not wait
-        self.inputs = input_topics(self.topics, bool(self.vehicle.route))
+        self.inputs = input_topics(self.topics, bool(self.vehicle.route), self.estimator.channels)
         self.outputs = live_topics(self.vehicle, self.topics)
         measured = any("torque" in given.roles for given in self.inputs)
         self.comparison = Comparison(parameters.mismatch(), self.vehicle.disturbance if measured else None)
@@ -100,6 +105,7 @@ class Application:
         self._before_clock: list[tuple[int, int | None, Sequence[float | None], int, Arrival]] = []
         self._intake = Intake(self.inputs, self.estimator.channels, self.topics.bindings)
         self._outlet = Outlet(self.outputs, self.estimator, edge)
+        self._service = ServiceManager()
         self._arrival_offset_ns = time.time_ns() - steady_ns()
         self.learning = LiveLearning(self.estimator, parameters.text("learning"), measured)
         self.session, self.began_with = self.keeper.load(self.estimator, self.learning.learner)
@@ -210,10 +216,12 @@ class Application:
 
     def _step(self, channel: int, stamp: int, value: float, steady: int, now: int, arrival: int) -> None:
         counters = self.session.memory.counters
-        before = counters[channel, ACCEPTED]
+        before, doubted = counters[channel, ACCEPTED], counters[channel, IMPLAUSIBLE]
         estimate = self.session.handle(channel, stamp, arrival, value)
         if counters[channel, ACCEPTED] != before:
             self._watch.accepted_ns[channel] = steady
+        elif counters[channel, IMPLAUSIBLE] != doubted:
+            self._show(SPEED_IMPLAUSIBLE)
         if estimate is not None:
             self._take(estimate, steady, now, arrival)
 
@@ -266,11 +274,22 @@ class Application:
         return nearest_usable(self._now_ns(steady)) if self.parameters.sim_time else steady
 
     def _publish(self, steady: int) -> None:
-        self._outlet.publish(steady, self._pace(steady), self._reasons_or_fault)
+        pace = self._pace(steady)
+        arrival = pace if self.parameters.sim_time else steady + self._arrival_offset_ns
+        unfed = NOT_ENABLED(self.estimator.constants, self.session.memory, arrival)
+        self._show(unfed)
+        self._outlet.publish(steady, pace, self._reasons_or_fault, not unfed)
 
     def _reasons_or_fault(self, steady: int) -> Reasons:
         hold = self.guard("the reasons", self._reasons, steady)
         return (("PART_FAILED", Level.WARN),) if hold is None else hold
+
+    def _show(self, reasons: int) -> None:
+        """Show reasons that hold between two estimates, at once where they are new."""
+        if self.guard("watching the reasons", self._watch.note, reasons):
+            self._reasons_seen = None
+            if self.active:
+                self._publish_status(self._steady_ns())
 
     def _reasons(self, steady: int) -> Reasons:
         """All that is to be remarked now, each name once."""
@@ -324,6 +343,7 @@ class Application:
         elif turned_old and self.active:
             self._publish_status(steady)
         self.guard("saving the state", self._save_due, steady)
+        self.guard("the service manager", self._service.alive, self._outlet.sent, self.active, steady)
 
     def _hand_over_late(self, steady: int) -> None:
         for message in self._order.late(steady):
@@ -362,7 +382,10 @@ class Application:
             self._reasons_seen = None
 
     def _log_remarks(self, steady: int) -> None:
-        entry = self._watch.to_log(self.remarks(steady), steady)
+        remarks = self.remarks(steady)
+        texts = "; ".join(remark.text for remark in remarks) or "all is well"
+        self.guard("the service manager", self._service.status, f"{level_of(remarks).name.lower()}: {texts}")
+        entry = self._watch.to_log(remarks, steady)
         if entry:
             self._log(*entry)
 
@@ -477,6 +500,7 @@ class Application:
 
     def close(self) -> str:
         """Save the state and end what runs beside; what was done, in words."""
+        self.guard("the service manager", self._service.stopping)
         self.deactivate()
         for message in self._order.rest():
             self._handle(message)

@@ -5,10 +5,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
-from trackres_ros.estimator.columns import CHANNELS
+from trackres_ros.estimator.columns import CHANNELS, WHEELS
 from trackres_ros.node.parameters import Parameters
 from trackres_ros.output.topics import ESTIMATE_TOPIC, PARAMETERS_TOPIC, OutputTopic, output_topics
 from trackres_ros.recording.binding import TopicBinding
@@ -58,14 +58,18 @@ class InputTopic:
     parts: tuple[int | None, ...]
 
 
-def input_topics(topics: Topics, on_route: bool = False) -> tuple[InputTopic, ...]:
-    """All topics to subscribe to, those that feed a speed last; of roles that the estimate does not need none, and a position
-    only for a vehicle that is followed on a route.
+def input_topics(topics: Topics, on_route: bool = False, channels: Collection[str] = CHANNELS) -> tuple[InputTopic, ...]:
+    """All topics to subscribe to, those that feed a speed last; of roles that the estimate does not need none, a position only
+    for a vehicle that is followed on a route, and wheel speeds only of the axles and assemblies in its `channels`.
 
     Where messages wait on several topics, an edge hands them over in this order: what a speed is to be computed with comes
     first.
     """
-    needed = [role for role in topics if base_role(role) in CHANNELS and (on_route or role not in POSITION)]
+    needed = [
+        role
+        for role in topics
+        if (role in channels if base_role(role) == WHEELS else base_role(role) in CHANNELS) and (on_route or role not in POSITION)
+    ]
     return tuple(sorted(_by_topic(topics, needed), key=lambda given: "speed" in given.roles))
 
 

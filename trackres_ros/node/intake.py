@@ -10,6 +10,8 @@ from collections.abc import Callable, Mapping, Sequence
 from operator import attrgetter
 from typing import Any
 
+import numpy as np
+
 from trackres_ros.errors import InputError
 from trackres_ros.node.endpoints import InputTopic
 from trackres_ros.node.stamps import is_usable, stamp_ns
@@ -46,7 +48,7 @@ class Intake:
         sums = {role: Sum(role, bindings[role]) for i in inputs for role in i.roles if bindings[role].parts}
         self._readers = [
             [
-                (_channel(role, channels), _getter(b), b.stamp != "log", b.delay_ns, sums.get(role), part)
+                (_channel(role, channels), _getter(b), b.stamp != "log", b, sums.get(role), part)
                 for role, b, part in zip(i.roles, i.bindings, i.parts, strict=True)
             ]
             for i in inputs
@@ -77,7 +79,7 @@ class Intake:
         self.received[index] += 1
         found = []
         own_ns: dict[int, int] = {}
-        for (channel, _, by_header, delay_ns, total, part), value in zip(self._readers[index], values, strict=True):
+        for (channel, _, by_header, binding, total, part), value in zip(self._readers[index], values, strict=True):
             if value is None:
                 self.absent[channel] += 1
                 continue
@@ -85,11 +87,11 @@ class Intake:
                 stamp = stamp_ns
             else:  # one stamp for all parts of a sum in this message
                 stamp = own_ns[channel] = own_ns.get(channel) or self._own_stamp(channel, now_ns)
-            stamp = stamp - delay_ns if stamp else 0
+            stamp = stamp - binding.delay_ns if stamp else 0
             if not is_usable(stamp):
                 self.bad_stamp[channel] += 1
             elif total is None or part is None:
-                found.append((channel, stamp, value))
+                found.append((channel, stamp, float(binding.meant(np.asarray(value))) if binding.values else value))
             else:
                 found += [(channel, *sample) for sample in total.add(part, stamp, now_ns, value)]
         return found

@@ -42,6 +42,7 @@ class Outlet:
         self.published = 0
         self.feedforward = 0.0  # as last published
         self.failed: dict[str, str] = {}
+        self.sent = 0  # messages that the middleware took, statuses too
         self._edge = edge
         self._taken_ns = self._taken_pace = 0
         self._target = self._unfaded = 0.0
@@ -76,15 +77,18 @@ class Outlet:
         since_s = 0.0 if self._withdrawn_ns is None else (steady - self._withdrawn_ns) * NANOSECOND
         return 0.0 if math.isinf(age_s) else FADE(age_s, settings.speed_max_age_s, fade_s) * FADE(since_s, 0.0, fade_s)
 
-    def publish(self, steady: int, pace: int, reasons: Callable[[int], Reasons]) -> None:
-        """Publish the last estimate on all topics of numbers, with the reasons that hold then; nothing before the first one."""
+    def publish(self, steady: int, pace: int, reasons: Callable[[int], Reasons], enabled: bool = True) -> None:
+        """Publish the last estimate on all topics of numbers, with the reasons that hold then; nothing before the first one.
+
+        While the feed-forward is not enabled it goes to zero at its rate.
+        """
         if self.stamp_ns is None:
             return
         rate = self.estimator.settings.feedforward_rate
         before_pace, before_ns = self._published_at or (pace, steady)
         elapsed_s = max(0, pace - before_pace, steady - before_ns) * NANOSECOND  # a simulated clock stands between its ticks
         goal = FOLLOWED(self.row[at.OUT_FEEDFORWARD], self._target, rate, (pace - self._taken_pace) * NANOSECOND)
-        goal = 0.0 if self._withdrawn_ns is not None else goal
+        goal = goal if enabled and self._withdrawn_ns is None else 0.0
         self._unfaded = TOWARDS(self._unfaded, goal, rate * elapsed_s)
         self.feedforward, self._published_at = self._unfaded * self.left(steady), (pace, steady)
         row = self.row.copy()
@@ -124,6 +128,7 @@ class Outlet:
         except Exception as error:  # whatever a middleware may raise
             self.failed[name] = f"{type(error).__name__}: {error}"
         else:
+            self.sent += 1
             if self.failed:
                 self.failed.pop(name, None)
 

@@ -44,7 +44,7 @@ INPUT_KEYS = {
     "rate_hz": "messages [1/s] over the last second, refused ones too",
     "age_s": "time since the last accepted one came, by a clock that never jumps [s]",
     "value": "last accepted value in the unit of the role",
-    "accepted, non_finite, out_of_range, duplicate, late, future, backward, bad_stamp": "messages so far; each is in exactly one",
+    "accepted, non_finite, out_of_range, implausible, duplicate, late, future, backward, bad_stamp": "messages, each in one",
     "zero_stamp, gap, clock_jump, reset": "remarks on accepted messages so far",
     "absent": "messages without the element, so far",
     "dropped": "messages of the topic so far that came faster than they could be worked off, and are in no other counter",

@@ -22,6 +22,7 @@ REFUSED_SHARE = 0.1  # of the messages of a second: more is not the odd late one
 CLOCK_OFFSET_NS = 1_000_000_000
 STARTING_NS = 5_000_000_000  # assumed: publishers are found within 2 s, and the slowest usual input comes at 1 Hz
 REFUSALS = [int(count) for count in at.REFUSALS]
+MESSAGES = [int(at.Count.ACCEPTED), *REFUSALS]
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +85,10 @@ class Watch:
         """Take note of an estimate; true if it has reasons that are not shown yet."""
         self._steps += 1
         self._offset_ns = offset_ns
+        return self.note(reasons)
+
+    def note(self, reasons: int) -> bool:
+        """Take note of reasons that hold now; true if some are not shown yet."""
         self._second_reasons |= reasons
         news = bool(reasons & ~self._shown_reasons)
         self._shown_reasons |= reasons
@@ -121,7 +126,7 @@ class Watch:
         states = []
         for role, i in self._roles:
             channel = self._channel[role]
-            messages = int(new[channel, : at.Count.BACKWARD + 1].sum()) + int(bad_stamp[channel])
+            messages = int(new[channel, MESSAGES].sum()) + int(bad_stamp[channel])
             refused = [(at.Count(c).name.lower(), int(new[channel, c])) for c in REFUSALS]
             refused.append(("bad_stamp", int(bad_stamp[channel])))
             if sum(number for _, number in refused) > REFUSED_SHARE * messages:

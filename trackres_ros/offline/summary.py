@@ -17,6 +17,7 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.learning.columns import lines as lines_of
 from trackres_ros.learning.columns import ranges_of, shown
 from trackres_ros.learning.learner import Learner
+from trackres_ros.model.coverage import beyond_data
 from trackres_ros.model.resistance import RESISTANCE_PARTS
 from trackres_ros.model.vehicle_constants import vehicle_constants
 from trackres_ros.offline.energy import energy_j, steps_of
@@ -108,6 +109,7 @@ def summary(result: Replayed, name: str, notes: Sequence[str], findings: Sequenc
             {"reason": (reason.name or "").lower(), "text": at.REASON_TEXT[reason], "steps": number}
             for reason, number in sorted(result.session.reason_counts().items())
         ],
+        "remarks": _remarks(result),
         "drive": drive(result),
         "resistance_torque_nm": {"first": float(torque[0]), "largest": float(np.max(torque)), "last": float(torque[-1])},
         "last": last,
@@ -137,6 +139,14 @@ def drive(result: Replayed) -> dict[str, float]:
     }
 
 
+def _remarks(result: Replayed) -> list[str]:
+    """Where belts were outside of the rubber data, by the samples of the picture."""
+    estimator = result.session.estimator
+    columns = picture_columns(estimator.columns, result.picture)
+    belts = {name: columns[f"belt_degc/{name}"] for name in estimator.assemblies}
+    return beyond_data(estimator.vehicle, columns["speed_mps"], belts)
+
+
 def _drive_text(of: dict[str, float]) -> str:
     if not of["under_way_s"]:
         return "The vehicle stood all the time"
@@ -162,6 +172,7 @@ def text(report: dict[str, Any]) -> str:
         if refused:
             lines.append(f"  counted: {channel}: " + ", ".join(f"{name} {number}" for name, number in refused.items()))
     lines += [f"  status: {item['text']} ({item['steps']} steps)" for item in report["reasons"]]
+    lines += [f"  ! {remark}" for remark in report["remarks"]]
     lines.append(_drive_text(report["drive"]))
     lines.append(
         f"At the end, at {decimals(last['speed_mps'] * 3.6, 1)} km/h: resistance "

@@ -64,6 +64,8 @@ class TopicBinding:
         Of passengers: mass of one [kg].
     threshold : float or None
         Of a brake: from which value on it brakes; None where nobody says.
+    values : tuple of float
+        Of an enable that comes as a mode: the modes in which the feed-forward is wanted; empty where it comes as 1 or 0.
     decimal : str
         Of a column in text: its decimal mark; empty where its cells decide.
     order : str
@@ -86,6 +88,7 @@ class TopicBinding:
     unit: Literal["deg", "rad", ""] = ""
     kg_each: float = PASSENGER_KG
     threshold: float | None = None
+    values: tuple[float, ...] = ()
     decimal: Literal[".", ",", ""] = ""
     order: Literal["dmy", "mdy", ""] = ""
     parts: tuple[TopicBinding, ...] = ()
@@ -99,6 +102,12 @@ class TopicBinding:
     def of_topics(self) -> bool:
         """Whether it names topics; else it names columns."""
         return bool(self.sources[0].topic)
+
+    def meant(self, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
+        """What scaled numbers mean: 1 for the modes in `values`, 0 for others, nan for nan; the numbers themselves without."""
+        if not self.values:
+            return numbers
+        return np.where(np.isnan(numbers), np.nan, np.isin(numbers, self.values).astype(float))
 
     def brakes_from(self, values: NDArray[np.float64]) -> float:
         """The value from which a brake is on: the threshold, else half of a switch's 0 and 1, else `BRAKE_ON_PA`."""

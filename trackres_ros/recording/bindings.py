@@ -22,7 +22,7 @@ from trackres_ros.units import DEGREE
 
 KEYS = (
     "topic", "type", "field", "column", "scale", "offset", "stamp", "max_age_s", "sensor", "std_k", "delay_s",
-    "unit", "kg_each", "threshold", "decimal", "sum",
+    "unit", "kg_each", "threshold", "values", "decimal", "sum",
 )  # fmt: skip
 ONLY_FOR = {
     "sensor": ("belt",),
@@ -31,11 +31,12 @@ ONLY_FOR = {
     "unit": ANGLES,
     "kg_each": ("passengers",),
     "threshold": ("brake",),
+    "values": ("enable",),
 }
 """Keys that have a meaning for some roles alone."""
 OF_A_PART = ("topic", "type", "field", "stamp", "column", "scale", "offset", "decimal")
 """Keys of a part of a sum."""
-NOT_OF_A_SUM = ("topic", "type", "field", "stamp", "column", "decimal")
+NOT_OF_A_SUM = ("topic", "type", "field", "stamp", "column", "decimal", "values")
 MOST_PARTS = 16
 SUM_EXAMPLE = "torque: {sum: [{column: left_nm}, {column: right_knm, scale: 1000.0}]}"
 OF_TIME = ("column", "scale", "offset", "decimal", "order")
@@ -176,6 +177,7 @@ def _binding(role: str, line: object, where: str) -> TopicBinding:
         unit=cast("Literal['deg', 'rad', '']", unit),
         kg_each=checks.number(line.get("kg_each", PASSENGER_KG), f"{where}: kg_each", 1.0, MOST_KG_EACH, "kg"),
         threshold=_number(line, "threshold", 0.0, where) if "threshold" in line else None,
+        values=_values(line["values"], f"{where}: values") if "values" in line else (),
         decimal=_decimal(line, where),
         parts=parts,
     )
@@ -274,6 +276,12 @@ def _number(line: Mapping[object, object], key: str, default: float, where: str)
     if isinstance(number, bool) or not isinstance(number, int | float) or not abs(number) < LARGEST:
         raise InputError(f"{where}: {key}", number, "a finite number")
     return float(number)
+
+
+def _values(given: object, where: str) -> tuple[float, ...]:
+    if not isinstance(given, list) or not given:
+        raise InputError(where, given, "a list of numbers: the modes in which the feed-forward is wanted", "for example: [1, 2]")
+    return tuple(_number({"value": number}, "value", 0.0, where) for number in given)
 
 
 def _choice(line: Mapping[object, object], key: str, allowed: tuple[str, ...], default: str, where: str) -> str:

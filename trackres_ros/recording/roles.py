@@ -52,6 +52,7 @@ ROLES: Mapping[str, Role] = MappingProxyType(
         "passengers": Role("1", "people on board, who come on top of the empty vehicle"),
         "brake": Role("Pa", "pressure of the friction brakes, or 0 and 1 of a switch"),
         "wheel_speed": Role("m/s", "speed of the rim of a wheel", parts=True),
+        "enable": Role("1", "whether the feed-forward is wanted: 1 or 0, or a mode, which `values` turns into them"),
     }
 )
 

@@ -298,7 +298,7 @@ class BagSource:
                 block.arrival_ns[to] = arrived
                 stamps = np.where(decoded.malformed, arrived, decoded.stamp_ns) if header else arrived
                 block.stamp_ns[to] = np.where(stamps != 0, stamps - binding.delay_ns, 0) if binding.delay_ns else stamps
-                block.value[to] = binding.scale * decoded.value[:, slot] + binding.offset
+                block.value[to] = binding.meant(binding.scale * decoded.value[:, slot] + binding.offset)
                 keep[to] = ~decoded.absent[:, slot]
                 tally.add(tally.malformed, role, arrived[decoded.malformed])
                 tally.add(tally.absent, role, arrived[decoded.absent[:, slot]])

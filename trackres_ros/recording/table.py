@@ -108,6 +108,7 @@ class TableSource:
 
     def _blocks(self, max_rows: int) -> Iterator[Block]:
         delay_ns = np.array([self.bindings[role].delay_ns for role in self.roles])
+        modes = [place for place, role in enumerate(self.roles) if self.bindings[role].values]
         at_once = max(1, max_rows // len(self.roles))
         self._alone = [0] * len(self.roles)
         done = 0
@@ -120,8 +121,10 @@ class TableSource:
                 if not rows.size:
                     continue
                 rows += start
-                stamps = stamp_ns[rows]
-                yield Block(column.astype(np.int16), stamps - delay_ns[column], stamps, values[rows, column])
+                stamps, found = stamp_ns[rows], values[rows, column]
+                for place in modes:
+                    found[column == place] = self.bindings[self.roles[place]].meant(found[column == place])
+                yield Block(column.astype(np.int16), stamps - delay_ns[column], stamps, found)
         if not done:
             raise InputError(self._table.name, "no row", "at least one row below the column names")
         self.findings = (*self._table.findings, *self._of_sums())

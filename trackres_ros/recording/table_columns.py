@@ -45,6 +45,7 @@ COLUMNS: Mapping[str, tuple[str, float]] = MappingProxyType(
         "brake_pa": ("brake", 1.0),
         "brake_on": ("brake", 1.0),
         "wheel_speed_mps": ("wheel_speed", 1.0),
+        "enable": ("enable", 1.0),
     }
 )
 """Columns known by name: role, and scale to its unit. ``weight_n/front`` is the load of the axle or assembly front."""

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from trackres_ros.results.content import Content
-from trackres_ros.text.html import panel, paragraph, table
+from trackres_ros.text.html import listed, panel, paragraph, table
 from trackres_ros.text.numbers import decimals
 from trackres_ros.text.table import table as text_table
 
@@ -57,7 +57,8 @@ class OperatingPoint(Content):
     def __repr__(self) -> str:
         head = ["", *(f"{name}\n{unit}" for name, unit in WHEEL_HEAD.items())]
         wheels = text_table(self._wheels(), head, indent=2)
-        return "\n".join([self._head(), "", f"Road wheels of {self['assemblies'][0]}", wheels, "", *self._sentences()])
+        remarks = [f"  ! {remark}" for remark in self["remarks"]]
+        return "\n".join([self._head(), *remarks, "", f"Road wheels of {self['assemblies'][0]}", wheels, "", *self._sentences()])
 
     def _repr_html_(self) -> str:
         torques = [(part, decimals(value)) for part, value in self["torque_nm"].items()]
@@ -70,4 +71,5 @@ class OperatingPoint(Content):
             table((f"loss per metre of {first}", "N"), losses),
             table((f"road wheel of {first}", *WHEEL_HEAD), self._wheels(), ("", *WHEEL_HEAD.values())),
             *map(paragraph, sentences),
+            listed("Remarks", self["remarks"]),
         )

@@ -15,12 +15,13 @@ import numpy as np
 from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.files.output_files import BAG_SUFFIX, output_file
+from trackres_ros.model.coverage import beyond_data
 from trackres_ros.model.resistance import RESISTANCE_PARTS
 from trackres_ros.offline.simulate import Drive, series_of
 from trackres_ros.output.bag import OutputBag
 from trackres_ros.output.table import write_table
 from trackres_ros.results.series import Array, SeriesResult
-from trackres_ros.text.html import panel
+from trackres_ros.text.html import listed, panel
 from trackres_ros.text.numbers import decimals
 from trackres_ros.text.table import table
 from trackres_ros.units import KMH_PER_MPS
@@ -55,6 +56,13 @@ class SimulationResult(SeriesResult):
     def vehicle(self) -> Vehicle:
         """The vehicle it was made for."""
         return self.estimator.vehicle
+
+    @property
+    def remarks(self) -> list[str]:
+        """Where belts were hotter or colder than the rubber data cover."""
+        index = self.estimator.column_index
+        belts = {name: self._rows[:, index[f"belt_degc/{name}"]] for name in self.estimator.assemblies}
+        return beyond_data(self.vehicle, self["speed_mps"], belts)
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -124,6 +132,7 @@ class SimulationResult(SeriesResult):
             "thermal": self.vehicle.thermal,
             "rows": len(self.time_s),
             "points": self.points(),
+            "remarks": self.remarks,
         }
 
     def __repr__(self) -> str:
@@ -138,7 +147,7 @@ class SimulationResult(SeriesResult):
             ]
             for p in self.points()
         ]
-        return table(rows, head)
+        return "\n".join([table(rows, head), *(f"  ! {remark}" for remark in self.remarks)])
 
     def _repr_html_(self) -> str:
-        return panel(f"{self.title}, {len(self.time_s)} rows", self._table())
+        return panel(f"{self.title}, {len(self.time_s)} rows", self._table(), listed("Remarks", self.remarks))

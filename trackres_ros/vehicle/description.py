@@ -161,6 +161,7 @@ class Chassis:
     air_density: float
     rotating_mass_factor: float
     max_speed: float
+    max_acceleration: float
     ambient: float
     motor_ratio: float | None
     motor_efficiency: float | None

@@ -25,6 +25,7 @@ from trackres_ros.files.resources import config_dir, find_vehicle
 from trackres_ros.files.small_files import read_text
 from trackres_ros.files.yamls import read_yaml
 from trackres_ros.text.numbers import figures
+from trackres_ros.units import GRAVITY
 from trackres_ros.vehicle import schema
 from trackres_ros.vehicle.description import (
     Assembly,
@@ -225,6 +226,7 @@ def _within(path: Path, what: str, values: np.ndarray, limits: schema.Limits, re
 
 def _chassis(reader: Reader, given: Any) -> tuple[Chassis, tuple[Axle, ...]]:
     values: dict[str, Any] = reader.table(given, "chassis", schema.CHASSIS, others=("axles",))
+    values.setdefault("max_acceleration", GRAVITY)  # friction on the ground gives no more
     values.setdefault("motor_ratio", None)
     values.setdefault("motor_efficiency", None)
     if (values["motor_ratio"] is None) != (values["motor_efficiency"] is None):

@@ -48,6 +48,9 @@ CHASSIS = {
     "air_density": Limits("kg/m^3", 0.3, 2.0, "air density"),
     "rotating_mass_factor": Limits("1", 1.0, 3.0, "effective over true mass in acceleration"),
     "max_speed": Limits("m/s", 0.5, 60.0, "greatest speed; faster measurements are refused"),
+    "max_acceleration": Limits(
+        "m/s^2", 1.0, 50.0, "greatest acceleration and braking; a speed that changes faster is refused", optional=True
+    ),
     "ambient": Limits("degC", -60.0, 60.0, "ambient temperature where none is given"),
     "motor_ratio": Limits("1", 0.1, 500.0, "motor speed over sprocket speed", optional=True),
     "motor_efficiency": Limits("1", 0.3, 1.0, "efficiency from motor to sprocket", optional=True),

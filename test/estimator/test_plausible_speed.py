@@ -1,0 +1,322 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""What a speed may do: a vehicle accelerates as its file says at most, and moves as its wheels and its odometer do."""
+
+import itertools
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.columns import Count, Reason
+from trackres_ros.estimator.entry_points import interpreted_entries
+from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.estimator.plausible_speed import LONGEST_RUN_NS
+from trackres_ros.estimator.settings import Settings
+from trackres_ros.vehicle import load
+
+START = 1_700_000_000_000_000_000
+S, MS = 1_000_000_000, 1_000_000
+VEHICLE = load("xgd24d")
+A_MAX = VEHICLE.chassis.max_acceleration
+ESTIMATOR = Estimator(VEHICLE)
+SLACK = ESTIMATOR.constants.number.speed_slack
+
+
+class Drive:
+    """A session and its messages, one each 20 ms."""
+
+    def __init__(self, estimator=ESTIMATOR):
+        self.session, self.now, self.estimates = estimator.session(), START, []
+
+    def send(self, value, name="speed", after=20 * MS):
+        self.now += after
+        estimate = self.session.handle(self.session.channel(name), self.now, self.now, float(value))
+        if estimate is not None:
+            self.estimates.append((self.now, estimate))
+        return estimate
+
+    def along(self, values, after=20 * MS):
+        for value in values:
+            self.send(value, after=after)
+        return self
+
+    @property
+    def refused(self):
+        return int(self.session.memory.counters[at.SPEED, Count.IMPLAUSIBLE])
+
+    @property
+    def fed(self):
+        """The feed-forward as it is published now: it fades where the last accepted speed is old."""
+        when, last = self.estimates[-1]
+        of = self.session.estimator.settings
+        age = (self.now - when) * 1e-9
+        return last.feedforward_torque_nm * min(1.0, max(0.0, 1.0 - (age - of.speed_max_age_s) / of.feedforward_fade_s))
+
+    def held(self, reason):
+        return any(estimate.reasons & reason for _, estimate in self.estimates)
+
+
+# What the issue reports
+
+
+def test_a_leap_from_standing_for_a_second_feeds_nothing():
+    drive = Drive().along([0.0] * 100).along([16.6] * 50)
+    assert drive.fed == 0.0
+    assert drive.refused == 50
+    assert all(estimate.feedforward_torque_nm == 0.0 for _, estimate in drive.estimates)
+    drive.along([0.0] * 60)
+    assert drive.held(Reason.SPEED_IMPLAUSIBLE)
+    assert drive.fed == 0.0
+
+
+@pytest.mark.parametrize("pair", [(5.0, 16.5), (5.0, -5.0), (0.0, 16.5), (5.0, 8.0)])
+@pytest.mark.parametrize("each", [1, 2, 10, 25])
+def test_two_speeds_in_turn_fade_the_feedforward(pair, each):
+    drive = Drive().along([pair[0]] * 100)
+    for _ in range(2 * 50 // each):
+        drive.along([pair[1]] * each).along([pair[0]] * each)
+    assert drive.refused > 80
+    if abs(pair[1] - pair[0]) > A_MAX * 0.02 * each * 2 + SLACK:
+        assert drive.fed == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_single_wrong_speed_costs_three_samples_and_no_feedforward():
+    good = Drive().along([8.0 + 0.01 * (i % 3) for i in range(200)])
+    drive = Drive().along([8.0 + 0.01 * (i % 3) for i in range(190)]).along([16.0]).along([8.01] * 9)
+    assert drive.refused == 3
+    assert drive.fed == pytest.approx(good.fed, rel=0.01)
+    assert drive.estimates[190][1].reasons & Reason.SPEED_IMPLAUSIBLE
+    assert drive.estimates[190][1].status == "warn"
+    assert not drive.estimates[191][1].reasons & Reason.SPEED_IMPLAUSIBLE
+
+
+def test_the_limit_is_the_vehicle_files_and_one_g_without():
+    assert replace(VEHICLE.chassis).max_acceleration == VEHICLE.parameters["chassis.max_acceleration"].value
+    slow = Estimator(load("xgd24d", {"chassis.max_acceleration": 4.0}))
+    ramp = [5.5 * 0.02 * i for i in range(100)]
+    assert Drive().along(ramp).refused == 0
+    assert Drive(slow).along(ramp).refused > 10
+
+
+# Laws
+
+
+@settings(max_examples=60)
+@given(
+    quantum=st.sampled_from([0.0, 1e-3, 1 / 3.6, 0.5]),
+    every=st.sampled_from([1 * MS, 20 * MS, 100 * MS, 1000 * MS]),
+    repeats=st.integers(1, 5),
+    jitter=st.integers(0, 20),
+    seed=st.integers(0, 2**31),
+)
+def test_what_a_vehicle_can_do_is_never_refused(quantum, every, repeats, jitter, seed):
+    """Accelerating and braking by 0.8 of the limit, quantised, noisy, repeated by its bus, with stamps that jitter."""
+    random = np.random.default_rng(seed)
+    drive, speed, shown, true_ns = Drive(), 0.0, 0.0, START
+    refresh = min(repeats, max(1, 100 * MS // every))
+    for i in range(200):
+        true_ns += every
+        accel = 0.8 * A_MAX * math.sin(i * every * 1e-9 / 1.5 + 0.3)
+        speed = min(16.0, max(-16.0, speed + accel * every * 1e-9))
+        if i % refresh == 0:
+            shown = speed + float(np.clip(random.normal(0.0, 0.02), -0.06, 0.06))
+            shown = round(shown / quantum) * quantum if quantum else shown
+        stamp = true_ns + int(random.integers(0, min(jitter * MS, every // 2) + 1))
+        drive.send(shown, after=stamp - drive.now)
+    assert drive.refused == 0
+
+
+SPEEDS = st.floats(-20.0, 20.0) | st.sampled_from([0.0, 5.0, -5.0, 16.5, 16.6])
+PAUSES = st.sampled_from([1, 20, 100, 1000, 5000])
+
+
+@settings(max_examples=100)
+@given(st.lists(st.tuples(PAUSES, SPEEDS), min_size=2, max_size=60))
+def test_accepted_speeds_change_no_faster_than_the_vehicle(messages):
+    drive = Drive()
+    for pause, speed in messages:
+        drive.send(speed, after=pause * MS)
+    for (before_ns, before), (now_ns, now) in itertools.pairwise(drive.estimates):
+        assert abs(now["speed_mps"] - before["speed_mps"]) <= A_MAX * (now_ns - before_ns) * 1e-9 + 2 * (SLACK + 1.0) + 1e-9
+    counted = drive.session.memory.counters[at.SPEED]
+    assert counted[Count.ACCEPTED] + counted[Count.IMPLAUSIBLE] == len(messages)
+
+
+@settings(max_examples=60)
+@given(st.lists(st.tuples(PAUSES, SPEEDS), max_size=40), st.floats(-20.0, 20.0), st.sampled_from([20, 100, 500]))
+def test_a_speed_that_stays_is_accepted_in_the_end(messages, speed, every):
+    drive = Drive()
+    for pause, other in messages:
+        drive.send(other, after=pause * MS)
+    longest_ns = LONGEST_RUN_NS + 40.0 / A_MAX * S + 4 * every * MS
+    drive.along([speed] * math.ceil(longest_ns / (every * MS)), after=every * MS)
+    assert drive.estimates[-1][0] == drive.now
+    assert drive.estimates[-1][1]["speed_mps"] == speed
+
+
+def test_a_real_step_is_accepted_once_the_vehicle_can_be_there():
+    drive = Drive().along([0.0] * 100).along([14.0] * 150)
+    first = next(when for when, estimate in drive.estimates if estimate["speed_mps"] == 14.0)
+    waited_s = (first - (START + 100 * 20 * MS)) * 1e-9
+    assert waited_s == pytest.approx((14.0 - SLACK) / A_MAX, abs=0.05)
+
+
+def test_a_gap_allows_a_larger_change():
+    drive = Drive().along([0.0] * 50)
+    assert drive.send(14.0, after=3 * S) is not None
+    assert drive.refused == 0
+
+
+def test_doubtful_stamps_are_in_order_too():
+    drive = Drive().along([0.0] * 50).along([16.0] * 5)
+    speed = drive.session.channel("speed")
+    for stamp, which in ((drive.now, Count.DUPLICATE), (drive.now - 30 * MS, Count.LATE)):
+        before = int(drive.session.memory.counters[at.SPEED, which])
+        assert drive.session.handle(speed, stamp, drive.now, 16.0) is None
+        assert drive.session.memory.counters[at.SPEED, which] == before + 1
+    assert drive.refused == 5
+
+
+def test_time_that_goes_back_or_jumps_ends_a_doubt():
+    drive = Drive().along([0.0] * 50).along([16.0] * 5)
+    drive.now = START - 3600 * S
+    assert drive.send(16.0) is not None
+    assert drive.send(16.0) is not None
+    jump = Drive().along([0.0] * 50).along([16.0] * 5)
+    speed, came = jump.session.channel("speed"), jump.now
+    found = [jump.session.handle(speed, came + 3600 * S + i * 20 * MS, came + i * 20 * MS, 16.0) for i in range(1, 6)]
+    assert [one is not None for one in found] == [False, False, True, True, True]
+
+
+# Wheels and odometer
+
+
+def with_wheels(speed, wheels, seconds=3.0, name="wheel_speed"):
+    drive = Drive()
+    for _ in range(int(seconds * 50)):
+        for place, rim in wheels.items():
+            drive.send(rim, f"{name}/{place}", after=1)
+        drive.send(speed)
+    return drive
+
+
+@pytest.mark.parametrize(
+    ("speed", "wheels", "apart"),
+    [
+        (8.0, {"front_left": 0.0, "rear_right": 0.0}, True),
+        (0.0, {"front_left": 8.0}, True),
+        (0.0, {"front_left": 0.0, "rear": 8.0}, False),  # one of them moves: a wheel spins, or one sensor is broken
+        (8.0, {"front_left": 8.5, "front_right": 7.5}, False),
+        (-8.0, {"front_left": 8.0}, False),  # many wheel speeds have no sign
+        (8.0, {"front_left": 5.0, "front_right": 6.8}, False),
+        (0.7, {"front_left": 0.0}, False),
+    ],
+)
+def test_a_speed_beyond_all_wheel_speeds_is_not_fed_forward(speed, wheels, apart):
+    drive = with_wheels(speed, wheels)
+    assert drive.held(Reason.SPEED_DISAGREES) == apart
+    assert (drive.estimates[-1][1].feedforward_torque_nm == 0.0) == (apart or speed == 0.0)
+    if apart:
+        first = next(when for when, estimate in drive.estimates if estimate.reasons & Reason.SPEED_DISAGREES)
+        assert (first - START) * 1e-9 == pytest.approx(Settings().speed_max_age_s, abs=0.05)
+        drive.send(speed, after=2 * S)  # the wheel speeds are old by then
+        assert not drive.estimates[-1][1].reasons & Reason.SPEED_DISAGREES
+
+
+@pytest.mark.parametrize("resolution", [0.0, 1.0, 100.0])
+@pytest.mark.parametrize(("odometer", "apart"), [(8.0, False), (7.0, False), (0.5, True), (14.0, True)])
+def test_a_speed_against_the_odometer_is_not_fed_forward(resolution, odometer, apart):
+    drive = Drive()
+    for i in range(int(300 * 5)):
+        way = odometer * i * 0.2 + 12345.0
+        drive.send(math.floor(way / resolution) * resolution if resolution else way, "distance", after=1)
+        drive.send(8.0, after=200 * MS)
+    last = drive.estimates[-1][1]
+    assert bool(last.reasons & Reason.SPEED_DISAGREES) == apart
+    assert (last.feedforward_torque_nm == 0.0) == apart
+
+
+def test_an_odometer_that_counts_back_in_reverse_agrees():
+    drive, way = Drive(), 0.0
+    for i in range(3000):
+        speed = 3.0 * math.sin(i * 0.1 / 10.0)
+        way += 0.1 * speed
+        drive.send(way, "distance", after=1)
+        drive.send(speed, after=100 * MS)
+    assert not drive.held(Reason.SPEED_DISAGREES)
+
+
+# Enable
+
+
+ENABLED = Estimator(VEHICLE, Settings(enable_hold_s=0.5))
+
+
+def test_without_the_input_nothing_is_needed():
+    drive = Drive().along([8.0] * 100)
+    assert drive.fed > 3000.0
+    assert not drive.held(Reason.DISABLED | Reason.ENABLE_OLD)
+
+
+def test_the_feedforward_follows_enable_at_its_rate():
+    drive = Drive(ENABLED).along([8.0] * 20)
+    assert drive.fed == 0.0
+    assert drive.estimates[-1][1].reasons & Reason.ENABLE_OLD
+    fed = []
+    for i in range(300):
+        if i % 10 == 0:
+            drive.send(float(100 <= i < 200), "enable", after=1)
+        drive.send(8.0)
+        fed.append(drive.estimates[-1][1].feedforward_torque_nm)
+    rate = Settings().feedforward_rate
+    assert max(abs(np.diff(fed))) <= rate * 0.021
+    assert (fed[95], fed[250]) == (0.0, 0.0)
+    assert fed[199] > 3000.0
+    last = drive.estimates[-1][1]
+    assert (last.reasons & Reason.DISABLED, last.reasons & Reason.ENABLE_OLD) == (Reason.DISABLED, 0)
+    assert last.resistance_torque_nm > 3000.0  # the estimate goes on
+    assert not last.reasons & ~at.HARMLESS & ~(Reason.LOAD_NOMINAL | Reason.AMBIENT_NOMINAL)
+
+
+def test_an_old_enable_counts_as_disabled():
+    drive = Drive(ENABLED)
+    drive.send(1.0, "enable")
+    drive.along([8.0] * 24)
+    assert drive.fed > 3000.0
+    drive.along([8.0] * 30)
+    assert drive.fed == 0.0
+    assert drive.estimates[-1][1].reasons & Reason.ENABLE_OLD
+    assert drive.estimates[-1][1].status == "warn"
+
+
+@pytest.mark.parametrize("value", [2.0, -1.0, math.nan])
+def test_an_enable_that_is_neither_is_refused(value):
+    drive = Drive(ENABLED)
+    drive.send(value, "enable")
+    drive.along([8.0] * 5)
+    assert drive.fed == 0.0
+
+
+def test_plain_python_gives_the_same_bits():
+    random = np.random.default_rng(3)
+    n, names = 3000, ["speed", "speed", "speed", "distance", "enable", "wheel_speed/front_left", "load"]
+    rows = []
+    for entries in (ENABLED.entries, interpreted_entries()):
+        session = Estimator(VEHICLE, Settings(enable_hold_s=0.5), entries=entries).session()
+        random = np.random.default_rng(3)
+        which = random.integers(0, len(names), n)
+        channel = np.array([session.channel(names[i]) for i in which], dtype=np.int16)
+        stamp = START + np.cumsum(random.integers(1, 40 * MS, n))
+        near = 8.0 + 3.0 * np.sin(np.arange(n) / 300.0) + random.choice([0.0, 7.0, -15.0], n, p=[0.96, 0.02, 0.02])
+        values = {1: 8.0 * np.arange(n) * 0.02, 0: (random.random(n) > 0.2).astype(float)}
+        value = np.where(channel == at.DISTANCE, values[1], np.where(channel == at.ENABLE, values[0], near))
+        value = np.where(channel == at.LOAD, 272e3, value)
+        rows.append(session.handle_block(channel, stamp, stamp, value).rows)
+        assert session.memory.counters[at.SPEED, Count.IMPLAUSIBLE] > 50
+    np.testing.assert_array_equal(*rows)

@@ -1,0 +1,47 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""A real node as a service: what it tells the service manager while it starts, runs, hangs and ends."""
+
+import signal
+import socket
+
+from conftest import Node
+from waiting import exit_code
+
+
+def test_a_service_is_ready_alive_silent_while_it_hangs_and_stopping(tmp_path, wire, monkeypatch):
+    manager = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    manager.bind(str(tmp_path / "notify"))
+    manager.setblocking(False)
+    monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+    told = []
+
+    def listen():
+        try:
+            while True:
+                told.extend(manager.recv(4096).decode().splitlines())
+        except BlockingIOError:
+            return told
+
+    node = Node("dds", tmp_path, wire)
+    try:
+        node.until(lambda: "READY=1" in listen(), "READY=1", working=True)
+        node.started()
+        node.until(lambda: listen().count("WATCHDOG=1") >= 5, "signs of life", meanwhile=lambda: node.drive(0.2))
+        node.until(
+            lambda: any(line.startswith("STATUS=ok: ") for line in listen()), "a status", meanwhile=lambda: node.drive(0.2)
+        )
+        node.process.send_signal(signal.SIGSTOP)
+        listen()
+        told.clear()
+        node.drive(1.0)
+        assert listen() == []
+        node.process.send_signal(signal.SIGCONT)
+        node.until(lambda: "WATCHDOG=1" in listen(), "a sign of life")
+        node.process.send_signal(signal.SIGTERM)
+        assert exit_code(node.process) == 0
+        assert "STOPPING=1" in listen()
+    finally:
+        node.close()
+        manager.close()
