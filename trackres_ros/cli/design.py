@@ -40,8 +40,8 @@ ambient_option = click.option("--ambient-degc", type=click.FloatRange(-60.0, 60.
     multiple=True,
     required=True,
     metavar="PATH=A:B:N",
-    help="Which value, and from where to where in how many steps; PATH=A,B,C; or PATH alone for the file's range. May be "
-    "repeated: then every one with every other.",
+    help="Which value, and from where to where in how many steps; PATH=A,B,C; or PATH alone for the file's range. A and B may be "
+    "changes, as +20%. May be repeated: then every one with every other.",
 )
 @speed_option
 @ambient_option
@@ -65,10 +65,12 @@ def sweep_command(
 ) -> None:
     """What a vehicle takes with other values: resistance cold and warm, belt temperature, energy.
 
-    A PATH is that of vehicle check and of the file, or enough of its words in their order.
+    A PATH is that of vehicle check and of the file, or enough of its words in their order. The same value of several axles,
+    tracks or wheels moves together, as axles.load.
 
     \b
     trackres sweep my.yaml --vary belt.thickness=0.025:0.045:9
+    trackres sweep my.yaml --vary axles.load=+20%
     trackres sweep xgd24d --vary loss_modulus_scale=0.6:1.2:7 --vary road_wheels.radius=0.12,0.13,0.14 -o sweep.csv
     """
     from trackres_ros.design.sweep import Asked, draw, sweep

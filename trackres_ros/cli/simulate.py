@@ -22,6 +22,7 @@ from trackres_ros.cli.common import (
     vehicle_option,
 )
 from trackres_ros.cli.written import watch
+from trackres_ros.offline.energy import taken_text
 
 
 @click.command("simulate", cls=Command)
@@ -95,4 +96,4 @@ def simulate_command(
     for note in result.notes:
         click.echo(f"trackres: {note}", err=True)
     report = {**result.as_dict(), "output": str(output)}
-    emit(report, as_json, lambda: f"{result!r}\n{report['rows']} rows in {output}")
+    emit(report, as_json, lambda: f"{result!r}\n{taken_text(report['drive'])}\n{report['rows']} rows in {output}")

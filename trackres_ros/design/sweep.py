@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import astuple, dataclass, fields
 from importlib.util import find_spec
 from pathlib import Path
@@ -60,8 +60,13 @@ class Asked:
     @property
     def points(self) -> list[dict[str, float]]:
         """Values of each point by path."""
-        every = itertools.product(*(one.values for one in self.varied))
-        return [dict(zip((one.path for one in self.varied), values, strict=True)) for values in every]
+        every = itertools.product(*(one.points for one in self.varied))
+        return [{path: value for part in point for path, value in part.items()} for point in every]
+
+    @property
+    def paths(self) -> list[str]:
+        """Paths of all values that are varied."""
+        return [path for one in self.varied for path in one.paths]
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,8 +106,8 @@ class Swept:
 
     def text(self, most: int = 60) -> str:
         """The table; of a long one its first rows."""
-        paths = [one.path for one in self.asked.varied]
-        head = [f"{short(p, paths)}\n{one.unit}" for p, one in zip(paths, self.asked.varied, strict=True)]
+        paths = self.asked.paths
+        head = [f"{short(path, paths)}\n{one.unit}" for one in self.asked.varied for path in one.paths]
         head += [HEADS[name] for name in self.outcomes]
         count = len(self.columns[paths[0]])
         rows = [
@@ -149,7 +154,9 @@ def sweep(
     InputError
         If there are too many points, or the vehicle can be none of them.
     """
-    points = asked.points
+    points, twice = asked.points, [path for path in asked.paths if asked.paths.count(path) > 1]
+    if twice:
+        raise InputError("--vary", f"{twice[0]} twice", "each value once")
     if len(points) > MOST_POINTS:
         raise InputError("--vary", f"{len(points)} points", f"at most {MOST_POINTS} in all")
     pieces = [
@@ -174,7 +181,7 @@ def sweep(
     if len(refused) == len(found):
         raise InputError("--vary", f"{len(found)} points", "at least one that the vehicle can have", next(iter(refused.values())))
     rows = np.array([[np.nan] * len(names) if isinstance(result, str) else result for result in found])
-    columns = {one.path: np.array([values[one.path] for values in points]) for one in asked.varied}
+    columns = {path: np.array([values[path] for values in points]) for path in asked.paths}
     return Swept(asked, {**columns, **dict(zip(names, rows.T, strict=True))}, refused)
 
 
@@ -200,15 +207,15 @@ def draw(found: Swept, path: Path) -> Path:
     from trackres_ros.output.plots import picture
 
     first, *others = found.asked.varied
-    paths = [one.path for one in found.asked.varied]
-    shape = tuple(len(one.values) for one in found.asked.varied)
-    label = f"{short(first.path, paths)} [{first.unit}]"
+    paths = found.asked.paths
+    shape = tuple(len(one.points) for one in found.asked.varied)
+    label = _label(first, paths)
     if len(others) == 1 and min(shape) > MOST_LINES:
         with picture(path, 7.5, 5.0) as figure:
             axes = figure.subplots()
             grid = found.columns["warm_nm"].reshape(shape)
-            shades = axes.pcolormesh(others[0].values, first.values, grid, shading="nearest", cmap="viridis")
-            axes.set(xlabel=f"{short(others[0].path, paths)} [{others[0].unit}]", ylabel=label)
+            shades = axes.pcolormesh(others[0].values[0], first.values[0], grid, shading="nearest", cmap="viridis")
+            axes.set(xlabel=_label(others[0], paths), ylabel=label)
             figure.colorbar(shades, ax=axes, label="warm resistance [Nm]")
         return path
     shown = [("cold_nm", "cold resistance [Nm]"), ("warm_nm", "warm resistance [Nm]"), ("belt_degc", "belt [degC]")]
@@ -216,12 +223,18 @@ def draw(found: Swept, path: Path) -> Path:
     with picture(path, 9.0, 6.0) as figure:
         for axes, (name, title) in zip(figure.subplots(2, 2).flat, shown, strict=True):
             lines = found.columns[name].reshape(shape[0], -1)
-            for place, of in enumerate(itertools.product(*(one.values for one in others))):
+            for place, of in enumerate(itertools.product(*(one.values[0] for one in others))):
                 if place >= MOST_LINES:
                     break
-                named = ", ".join(f"{short(o.path, paths)} {figures(v, 4)}" for o, v in zip(others, of, strict=True))
-                axes.plot(first.values, lines[:, place], marker="." if shape[0] <= MANY else "", label=named or None)
+                named = ", ".join(f"{short(o.paths[0], paths)} {figures(v, 4)}" for o, v in zip(others, of, strict=True))
+                axes.plot(first.values[0], lines[:, place], marker="." if shape[0] <= MANY else "", label=named or None)
             axes.set(xlabel=label, ylabel=title)
         if others:
             axes.legend(fontsize=7)
     return path
+
+
+def _label(one: Varied, paths: Sequence[str]) -> str:
+    """What an axis shows: of values that move together the first."""
+    others = f" (with {len(one.paths) - 1} more)" if len(one.paths) > 1 else ""
+    return f"{short(one.paths[0], paths)}{others} [{one.unit}]"
