@@ -65,7 +65,6 @@ def little_room():
         (("vehicle", "new", "mine", "-o"), ""),
         (("simulate", "--vehicle", "agri3t", "--speed-kmh", "5", "--duration-s", "9", "-o"), "out.csv"),
         (("sweep", "agri3t", "--vary", "loss_modulus_scale=0.9,1.1", "-o"), "out.csv"),
-        (("compare", "agri3t", "agri3t", "--speed-kmh", "5", "--belt-degc", "20", "-o"), ""),
     ],
 )
 def test_a_full_disk_is_one_line_with_the_file(trackres, little_room, tmp_path, words, name):

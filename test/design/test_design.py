@@ -66,7 +66,7 @@ def test_the_engine_gives_what_one_process_gives(tmp_path):
     profile = tmp_path / "p.csv"
     profile.write_text("time_s,speed_kmh\n0,0\n20,8\n120,8\n")
     asked = Asked("agri3t", (varied(load("agri3t"), "loss_modulus_scale=0.8,1.2"),), 2.5, AIR)
-    alone, engine = sweep(asked), sweep(replace(asked, cycle=profile), workers=1)
+    alone, engine = sweep(asked), sweep(replace(asked, cycle=str(profile)), workers=1)
     for name in alone.columns:
         np.testing.assert_array_equal(alone.columns[name], engine.columns[name])
     driven = engine.columns["drive_kwh_per_km"]

@@ -45,9 +45,7 @@ ambient_option = click.option("--ambient-degc", type=click.FloatRange(-60.0, 60.
 )
 @speed_option
 @ambient_option
-@click.option(
-    "--cycle", type=click.Path(path_type=Path), metavar="P.csv", help="Energy of a drive, as simulate --profile has it."
-)
+@click.option("--cycle", metavar="DRIVE", help="Energy of a drive: a recording, a speed profile, stages or laps; see compare.")
 @click.option("--engine", default="local", show_default=True, help="tcp://HOST:PORT of a dask scheduler that runs, or local.")
 @click.option("--workers", type=click.IntRange(1, 1024), help="Processes of a local engine.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="Table, .csv, .csv.gz or .parquet; a .png goes beside it.")
@@ -57,7 +55,7 @@ def sweep_command(
     vary: tuple[str, ...],
     speed_kmh: float | None,
     ambient_degc: float | None,
-    cycle: Path | None,
+    cycle: str | None,
     engine: str,
     workers: int | None,
     output: Path | None,

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Runs `trackres fleet`, `trackres trend` and `trackres compare`."""
+"""Runs `trackres fleet` and `trackres trend`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any
 import click
 
 from trackres_ros import InputError
-from trackres_ros.cli.common import Command, Decorated, emit, folder_option, json_option, needs, number, output_folder, progress
+from trackres_ros.cli.common import Command, Decorated, emit, folder_option, json_option, needs, number, progress
 from trackres_ros.cli.written import watch
 from trackres_ros.files.output_files import output_file
 
@@ -247,46 +247,3 @@ def _limit(given: str) -> tuple[str, float]:
         return name, float(value)
     except ValueError:
         raise InputError("--limit", given, "PARAMETER=VALUE with a finite VALUE from 0 on, as bearing_friction=0.012") from None
-
-
-@click.command("compare", cls=Command)
-@click.argument("one")
-@click.argument("other")
-@click.option("--speed-kmh", metavar="A:B", help="Of two designs: from and to which speed; 5 to the slower one's most without.")
-@click.option("--belt-degc", metavar="A:B", help="Of two designs: belts from and to this temperature; -20:80 without.")
-@click.option(
-    "--cycle", type=click.Path(path_type=Path), metavar="P.csv", help="Of two designs: the drive, as simulate --profile has it."
-)
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="Folder for pictures of both."
-)
-@json_option
-def compare_command(
-    one: str, other: str, speed_kmh: str | None, belt_degc: str | None, cycle: Path | None, output: Path | None, as_json: bool
-) -> None:
-    """What differs beyond its uncertainty between two days, vehicles, reports or designs.
-
-    ONE and OTHER are each a folder of trackres fleet, all of it or a part (results:truck-01, results:truck-01@2026-03,
-    results@2026-03-14), a folder of trackres diagnose, or a vehicle file. Of two vehicle files with tracks the resistance over
-    speed and belt temperature and the energy of a drive are compared too.
-
-    \b
-    trackres compare results:truck-01@2026-01 results:truck-01@2026-03
-    trackres compare xgd24d my_design.yaml --speed-kmh 10:50 --belt-degc -20:80
-    """
-    from trackres_ros.fleet.compare import compare, compare_text
-    from trackres_ros.fleet.designs import asked_of, compare_designs, designs_text, draw_designs
-
-    found = compare(one, other)
-    grid, designs = asked_of((one, other), speed_kmh, belt_degc, cycle), None
-    if grid is not None:
-        with progress("operating points", grid.points) as advance:
-            found["designs"] = designs = compare_designs(grid, advance)
-    if output is not None:
-        needs("a picture", "plots", "matplotlib")
-        from trackres_ros.fleet.overlay import draw_overlay
-
-        found["written"] = str(draw_overlay(found, output_folder(output) / "compare.png"))
-        if designs is not None:
-            found["written"] += f", {draw_designs(designs, output / 'designs.png')}"
-    emit(found, as_json, lambda: "\n".join([compare_text(found), *([designs_text(designs)] if designs is not None else [])]))

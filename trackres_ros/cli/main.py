@@ -16,12 +16,13 @@ from trackres_ros import InputError, __version__
 from trackres_ros.cli import written
 from trackres_ros.cli.coastdown import coastdown_command
 from trackres_ros.cli.common import Commands
+from trackres_ros.cli.compare import compare_command
 from trackres_ros.cli.compound import compound_group
 from trackres_ros.cli.design import sensitivity_command, sweep_command
 from trackres_ros.cli.diagnose import diagnose_command, effects_command
 from trackres_ros.cli.entry import INTERRUPTED, interrupt_handled
 from trackres_ros.cli.explain import explain_command
-from trackres_ros.cli.fleet import compare_command, fleet_group, trend_command
+from trackres_ros.cli.fleet import fleet_group, trend_command
 from trackres_ros.cli.layouts import layouts_command
 from trackres_ros.cli.live import live_command
 from trackres_ros.cli.play import play_command

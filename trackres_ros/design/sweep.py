@@ -15,16 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.design.steady import J_PER_KWH, Steady, steady
+from trackres_ros.design.drives import driven, read_cycle
+from trackres_ros.design.steady import Steady, steady
 from trackres_ros.design.values import Varied, short
 from trackres_ros.errors import InputError, one_line
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.files.resources import find_vehicle
-from trackres_ros.fleet.designs import driven
 from trackres_ros.fleet.engine import LOCAL, done, engine
-from trackres_ros.model.vehicle_constants import vehicle_constants
-from trackres_ros.offline.energy import energy_j, steps_of
-from trackres_ros.offline.simulate import run_drive
 from trackres_ros.text.numbers import decimals, figures
 from trackres_ros.text.table import table
 from trackres_ros.units import KMH_PER_MPS
@@ -49,13 +46,13 @@ PLACES = {"cold_nm": 0, "warm_nm": 0, "belt_degc": 1, "kwh_per_km": 3, DRIVE: 3}
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """What is swept: vehicle file, values by path, speed [m/s], air [degC], and the speed profile of a drive if there is one."""
+    """What is swept: vehicle file, values by path, speed [m/s], air [degC], and a drive as `drives.read_cycle` takes it."""
 
     file: str
     varied: tuple[Varied, ...]
     speed: float
     ambient: float
-    cycle: Path | None = None
+    cycle: str | None = None
 
     @property
     def points(self) -> list[dict[str, float]]:
@@ -78,7 +75,7 @@ class Piece:
     values: tuple[tuple[str, float], ...]
     speed: float
     ambient: float
-    cycle: Path | None
+    cycle: str | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,12 +189,8 @@ def point(piece: Piece) -> tuple[float, ...] | str:
         found = astuple(steady(vehicle, piece.speed, piece.ambient))
         if piece.cycle is None:
             return found
-        estimator, drive = Estimator(vehicle), driven(piece.cycle, vehicle.chassis.max_speed)
-        rows = run_drive(estimator, drive, ambient_degc=piece.ambient)
-        torque, step = rows[:, estimator.column_index["resistance_torque_nm"]], steps_of(drive.time_s)
-        metres = float((step * np.abs(drive.speed)).sum())
-        energy = energy_j(step, drive.speed, torque, vehicle_constants(vehicle).radius)
-        return (*found, energy / J_PER_KWH / (metres / 1000.0))
+        cycle = read_cycle(piece.cycle, vehicle.chassis.max_speed)
+        return (*found, driven(Estimator(vehicle), cycle, None, piece.ambient)["kwh_per_km"])
     except InputError as error:
         return one_line(str(error))
 
