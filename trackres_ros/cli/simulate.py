@@ -22,7 +22,6 @@ from trackres_ros.cli.common import (
     vehicle_option,
 )
 from trackres_ros.cli.written import watch
-from trackres_ros.offline.energy import taken_text
 
 
 @click.command("simulate", cls=Command)
@@ -78,6 +77,8 @@ def simulate_command(
     (resistance and inertia); whole vehicle.
     With a grade in the profile grade_nm too, which the drive torque holds as well.
     """
+    from trackres_ros.offline.energy import taken_text
+
     watch(output)
     described = tr.load_vehicle(vehicle, method=method, thermal=thermal, surroundings=surroundings)
     with progress("simulating", None):
