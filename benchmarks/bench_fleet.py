@@ -40,7 +40,7 @@ def run(recordings: int = 1000, minutes: float = 10.0, analysed: int = 24) -> di
     """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        (vehicle,) = draw_fleet(1, analysed, 1.0, (), seed=1)
+        (vehicle,) = draw_fleet(1, analysed, 1.0, minutes, (), seed=1)
         paths = [write_recording(folder, vehicle, number, minutes) for number in range(analysed)]
         owner = one_vehicle("xgd24d", None).vehicles["xgd24d"]
         tasks = [Task(str(path), "1", owner) for path in paths]

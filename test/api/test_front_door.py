@@ -39,12 +39,13 @@ PRINTING = {
     "trackres_ros.model.resistance": "the parts of a torque, by name",
 }
 STARTED_BY = {  # commands that start an application of their own, and import it
+    "compare.py": {"trackres_ros.design", "trackres_ros.fleet", "trackres_ros.offline.vehicle_files"},
     "compound.py": {"trackres_ros.compound.run"},
     "design.py": {
         "trackres_ros.design", "trackres_ros.files.output_files", "trackres_ros.output.table", "trackres_ros.vehicle",
     },
     "entry.py": {"trackres_ros.node.signals"},
-    "fleet.py": {"trackres_ros.fleet", "trackres_ros.evaluation.fleet"},
+    "fleet.py": {"trackres_ros.fleet", "trackres_ros.evaluation.fleet", "trackres_ros.files.output_files"},
     "layouts.py": {"trackres_ros.output.layouts"},
     "live.py": {
         "trackres_ros.node", "trackres_ros.node.ros.main", "trackres_ros.node.dds.node", "trackres_ros.node.parameters",
@@ -56,6 +57,7 @@ STARTED_BY = {  # commands that start an application of their own, and import it
     "prove.py": {"trackres_ros.evaluation"},
     "reproduce.py": {"trackres_ros.evaluation.reproduce"},
     "topics.py": {"trackres_ros.recording.shipped_topics"},
+    "simulate.py": {"trackres_ros.offline.energy"},
     "vehicle.py": {"trackres_ros.offline.vehicle_files"},
 }  # fmt: skip
 

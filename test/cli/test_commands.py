@@ -14,6 +14,7 @@ import pytest
 from scipy.integrate import trapezoid
 
 from trackres_ros.cli.common import vehicles_to_complete
+from trackres_ros.vehicle import load
 
 
 @pytest.fixture(scope="module")
@@ -102,6 +103,14 @@ def test_simulate_writes_the_columns_of_the_issue(folder, good):
     assert columns["resistance_torque_nm"] == pytest.approx(parts)
     assert columns["drive_torque_nm"] == pytest.approx(parts + columns["inertia_nm"])
     assert columns["inertia_nm"][50] > 1000 > abs(columns["inertia_nm"][-1])
+    force = columns["resistance_torque_nm"] / load("xgd24d").tracks["triangular"].sprocket_radius
+    joules, metres = (np.sum(0.5 * (columns["speed_mps"] * of)[1:]) for of in (force, np.ones(601)))
+    assert done["drive"]["kwh_per_km"] == pytest.approx(joules / 3.6e6 / (metres / 1000.0), rel=1e-4)
+
+
+def test_simulate_prints_the_energy_for_each_kilometre(folder, good):
+    shown = good("simulate", "--vehicle", "agri3t", "--speed-kmh", 10, "--duration-s", 60, "--dt", 0.5, "-o", folder / "e.csv")
+    assert re.search(r"The drive: 0\.1\d km, .* \(0\.\d\d kWh/km\)", shown)
 
 
 @pytest.mark.parametrize("suffix", ["csv", "csv.gz", "parquet", "mcap"])

@@ -118,7 +118,7 @@ GOOD = FORMS["MPa, commas"]
 BAD = {
     "no file of columns": ("a\nb\n", "without column names"),
     "nothing": ("", "without column names"),
-    "no loss": (text(PLAIN[:3], [T, F, E1 / 1e6]), "line 1: .*a column with a loss modulus or tan delta"),
+    "no loss": (text(PLAIN[:3], [T, F, E1 / 1e6]), "line 1: .*missing: a loss modulus .* or tan delta"),
     "no temperature": (text(["f [Hz]", "E' [MPa]", "E'' [MPa]"], [F, E1 / 1e6, E2 / 1e6]), "line 1: .*a temperature"),
     "no unit": (
         GOOD.replace(" (Hz)", ""), "line 1, unit of Frequency: given 'none'; allowed: Hz, kHz, mHz or rad/s",
@@ -145,3 +145,24 @@ def test_what_is_wrong_is_said_with_its_place(tmp_path, case):
         read(tmp_path, content)
     assert str(tmp_path / "sweep.csv") in str(error.value)
     assert str(error.value).isprintable()
+
+
+@pytest.mark.parametrize(
+    ("head", "missing", "there"),
+    [
+        ("T [degC],f [Hz],E' [MPa]", ["loss modulus", "tan delta"], ["temperature", "storage"]),
+        ("T [degC],f [Hz],Ep", ["storage", "loss modulus"], ["temperature"]),
+        ("T [degC],E' [MPa]", ["loss modulus"], ["temperature", "storage"]),
+        ("f [Hz],E' [MPa],E'' [MPa]", ["temperature"], ["storage", "loss modulus"]),
+        ("T [degC],tan delta,x", ["storage"], ["temperature", "loss modulus"]),
+    ],
+)
+def test_a_column_that_is_missing_is_named(tmp_path, head, missing, there):
+    path = tmp_path / "sweep.csv"
+    path.write_text("\n".join([head, *(",".join(str(10 * i + j) for j in range(head.count(",") + 1)) for i in range(9))]))
+    with pytest.raises(InputError) as refused:
+        read_sweep(path)
+    told = str(refused.value).partition("missing: ")[2]
+    assert all(part in told for part in missing)
+    assert not any(part in told for part in there)
+    assert "line 1" in str(refused.value)

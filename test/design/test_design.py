@@ -66,7 +66,7 @@ def test_the_engine_gives_what_one_process_gives(tmp_path):
     profile = tmp_path / "p.csv"
     profile.write_text("time_s,speed_kmh\n0,0\n20,8\n120,8\n")
     asked = Asked("agri3t", (varied(load("agri3t"), "loss_modulus_scale=0.8,1.2"),), 2.5, AIR)
-    alone, engine = sweep(asked), sweep(replace(asked, cycle=profile), workers=1)
+    alone, engine = sweep(asked), sweep(replace(asked, cycle=str(profile)), workers=1)
     for name in alone.columns:
         np.testing.assert_array_equal(alone.columns[name], engine.columns[name])
     driven = engine.columns["drive_kwh_per_km"]
@@ -130,8 +130,11 @@ def test_ranges_that_do_not_go_together_are_refused_with_a_reason(monkeypatch):
         ("track.belt_thickness", "tracks.triangular.belt.thickness"),
         ("thickness", "tracks.triangular.belt.thickness"),
         ("wheels.radius.road", None),
+        ("axles.load", ("chassis.axles.front.load", "chassis.axles.rear.load")),
         ("road_wheels.radius", "tracks.triangular.road_wheels.radius"),
-        ("load", None),
+        ("load", ("chassis.axles.front.load", "chassis.axles.rear.load")),
+        ("radius", None),
+        ("beams.split", None),
         ("thicknes", None),
         ("", None),
     ],
@@ -139,16 +142,39 @@ def test_ranges_that_do_not_go_together_are_refused_with_a_reason(monkeypatch):
 def test_a_value_is_named_by_as_many_words_as_it_takes(given, path):
     vehicle = load("xgd24d")
     if path:
-        assert meant(vehicle, given, "--vary") == path
+        assert meant(vehicle, given, "--vary") == ((path,) if isinstance(path, str) else path)
         return
     with pytest.raises(tr.InputError, match="--vary"):
         meant(vehicle, given, "--vary")
 
 
-@pytest.mark.parametrize("values", ["1:2:1", "1:2:2001", "1:x:3", "nan", "inf:2:3", "", "1,,2", "1:2:3:4"])
+@pytest.mark.parametrize(
+    "values",
+    ["1:2:1", "1:2:2001", "1:x:3", "nan", "inf:2:3", "", "1,,2", "1:2:3:4", "+20%,3", "%", "1%:2", "1:2%", "nan%"],
+)
 def test_values_that_are_none_are_refused(values):
     with pytest.raises(tr.InputError, match="PATH=A:B:N"):
         varied(load("xgd24d"), f"thickness={values}")
+
+
+def test_a_percentage_changes_the_values_of_the_file_and_what_is_tied_moves_together():
+    vehicle = load("xgd24d", {"chassis.axles.rear.load": 120000.0})
+    both = ("chassis.axles.front.load", "chassis.axles.rear.load")
+    found = varied(vehicle, "axles.load=-25%:+25%:3")
+    assert found.points == [dict(zip(both, at, strict=True)) for at in ((84e3, 90e3), (112e3, 120e3), (140e3, 150e3))]
+    assert varied(vehicle, "axles.load=90000").points == [dict.fromkeys(both, 90000.0)]
+    assert varied(vehicle, "belt.thickness=+20%").values == ((0.035, 0.042),)
+    assert varied(vehicle, "load=-10%,+10%").values == ((100800.0, 123200.0), (108000.0, 132000.0))
+    (low, high) = varied(vehicle, "load").values
+    assert (low[0], high[-1]) == (80000.0, 150000.0)
+    with pytest.raises(tr.InputError, match="percentage"):
+        varied(vehicle, "glass_transition=+20%")
+    found = sweep(Asked("xgd24d", (varied(load("xgd24d"), "load=+20%"),), SPEED, AIR))
+    assert list(found.columns)[:2] == list(both)
+    heavier = explain(load("xgd24d", dict.fromkeys(both, 134400.0)), SPEED, AIR, AIR)
+    assert found.columns["cold_nm"][1] == pytest.approx(heavier["torque_nm"]["resistance"], rel=1e-9)
+    with pytest.raises(tr.InputError, match="each value once"):
+        sweep(Asked("xgd24d", tuple(varied(load("xgd24d"), one) for one in ("load=+20%", "front.load=+10%")), SPEED, AIR))
 
 
 def test_the_command_sweeps_says_what_cannot_be_and_draws(good, tmp_path, monkeypatch):

@@ -10,7 +10,7 @@ from trackres_ros.evaluation.fleet.draw import draw_fleet, write_recording
 def driven(tmp_path_factory):
     """A folder with three recordings of five minutes of each of two vehicles, and the file of the fleet."""
     folder = tmp_path_factory.mktemp("fleet")
-    for vehicle in draw_fleet(2, 9, 3.0, (), seed=5):
+    for vehicle in draw_fleet(2, 9, 3.0, 5.0, (), seed=5):
         for number in range(len(vehicle.days)):
             write_recording(folder / "recordings", vehicle, number, 5.0)
     (folder / "fleet.yaml").write_text(

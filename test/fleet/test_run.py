@@ -253,7 +253,7 @@ def test_two_designs_are_compared(good, tmp_path, repository):
     shutil.copytree(repository / "config", tmp_path / "config")
     path = tmp_path / "config" / "xgd24d.yaml"
     path.write_text(path.read_text().replace("bearing_friction: {value: 0.0075", "bearing_friction: {value: 0.0105"))
-    found = json.loads(good("compare", "xgd24d", str(path), "--json"))
+    found = json.loads(good("compare", "xgd24d", str(path), "--speed-kmh", "10", "--belt-degc", "20", "--json"))
     bearing = next(q for q in found["parameters"] if q["parameter"] == "bearing_friction")
     assert bearing["difference"] == pytest.approx(0.003)
     assert not [q for q in found["parameters"] if q["difference"] and q is not bearing]

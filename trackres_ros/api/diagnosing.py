@@ -112,6 +112,8 @@ def diagnose(
         check_there(path)
     refused: list[Refusal] = []
     sessions = in_order(each_usable(listed, lambda r: r if isinstance(r, Recording) else read(r, topics=mapping), refused, _name))
+    if effects == "":
+        raise InputError("effects", "", "a folder with Python files, or None")
     folder = None if effects is None else Path(effects)
     found = diagnose(sessions, loaded, hide, holdout, seed, quick, folder, keep_suspected, on_stage, refused)
     used = {session.name for session in found.sessions}

@@ -46,18 +46,7 @@ class Command(click.Command):
 
 
 class Commands(click.Group):
-    """A group of commands that suggests the closest one for an unknown name, and refuses empty words."""
-
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """See `click.Group`. An empty word, say of an unset shell variable, would be the current folder as a path."""
-        for before, word in zip(["", *args], args, strict=False):
-            option, equals, value = word.partition("=")
-            named = bool(equals) and option.startswith("--")
-            name = option if named else before if before.startswith("-") else "an argument"
-            text = value if named else word
-            if not text.strip() or "\0" in text:
-                raise click.UsageError(f"{name} is {text!r}: give a value, or leave it out", ctx)
-        return super().parse_args(ctx, args)
+    """A group of commands that suggests the closest one for an unknown name."""
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
         """See `click.Group`; newer versions of it guess too, and older ones do not."""

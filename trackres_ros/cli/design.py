@@ -52,14 +52,12 @@ ambient_option = click.option("--ambient-degc", type=number(-60.0, 60.0), help="
     multiple=True,
     required=True,
     metavar="PATH=A:B:N",
-    help="Which value, and from where to where in how many steps; PATH=A,B,C; or PATH alone for the file's range. May be "
-    "repeated: then every one with every other.",
+    help="Which value, and from where to where in how many steps; PATH=A,B,C; or PATH alone for the file's range. A and B may be "
+    "changes, as +20%. May be repeated: then every one with every other.",
 )
 @speed_option
 @ambient_option
-@click.option(
-    "--cycle", type=click.Path(path_type=Path), metavar="P.csv", help="Energy of a drive, as simulate --profile has it."
-)
+@click.option("--cycle", metavar="DRIVE", help="Energy of a drive: a recording, a speed profile, stages or laps; see compare.")
 @click.option("--engine", default="local", show_default=True, help="tcp://HOST:PORT of a dask scheduler that runs, or local.")
 @click.option("--workers", type=WORKERS, help="Processes of a local engine.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="Table, .csv, .csv.gz or .parquet; a .png goes beside it.")
@@ -69,7 +67,7 @@ def sweep_command(
     vary: tuple[str, ...],
     speed_kmh: float | None,
     ambient_degc: float | None,
-    cycle: Path | None,
+    cycle: str | None,
     engine: str,
     workers: int | None,
     output: Path | None,
@@ -77,10 +75,12 @@ def sweep_command(
 ) -> None:
     """What a vehicle takes with other values: resistance cold and warm, belt temperature, energy.
 
-    A PATH is that of vehicle check and of the file, or enough of its words in their order.
+    A PATH is that of vehicle check and of the file, or enough of its words in their order. The same value of several axles,
+    tracks or wheels moves together, as axles.load.
 
     \b
     trackres sweep my.yaml --vary belt.thickness=0.025:0.045:9
+    trackres sweep my.yaml --vary axles.load=+20%
     trackres sweep xgd24d --vary loss_modulus_scale=0.6:1.2:7 --vary road_wheels.radius=0.12,0.13,0.14 -o sweep.csv
     """
     from trackres_ros.design.sweep import Asked, draw, sweep

@@ -1,12 +1,14 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Runs `trackres fleet`, `trackres trend` and `trackres compare`."""
+"""Runs `trackres fleet` and `trackres trend`."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -15,20 +17,29 @@ from trackres_ros.cli.common import (
     SEEDS,
     WORKERS,
     Command,
+    Decorated,
     emit,
     folder_option,
     json_option,
     needs,
     number,
-    output_folder,
     print_warnings,
     progress,
     topics_option,
     whole,
 )
 from trackres_ros.cli.written import watch
+from trackres_ros.files.output_files import output_file
 
 EXTRA = "fsspec", "pyarrow", "distributed", "jinja2"
+CHANGED, NOT_SENT = 3, 4  # exit codes
+
+
+def alert_options(command: Decorated) -> Decorated:
+    """`--webhook` and `--exit-code`: what changed, for other programs."""
+    command = click.option("--exit-code", is_flag=True, help=f"End with exit code {CHANGED} if a vehicle changed.")(command)
+    text = f"Send what changed, if anything did, to this address as JSON by POST; exit code {NOT_SENT} if that fails."
+    return click.option("--webhook", metavar="URL", help=text)(command)
 
 
 class FleetGroup(click.Group):
@@ -73,6 +84,7 @@ def fleet_group() -> None:
     show_default=True,
     help="Diagnose each vehicle by this period.",
 )
+@alert_options
 @folder_option("Folder of all results.")
 @json_option
 def run_command(
@@ -84,18 +96,22 @@ def run_command(
     workers: int | None,
     hide: tuple[str, ...],
     period: str,
+    webhook: str | None,
+    exit_code: bool,
     output: Path,
     as_json: bool,
-) -> None:
+) -> int:
     """Analyse what is new, and pool, compare and show all that is there.
 
     RECORDINGS are paths, folders, globs or URLs (s3://bucket/folder). What was done is kept in DIR: a second run, or one after an
-    interruption, does only what is new.
+    interruption, does only what is new. DIR/alerts.csv has a row for each change of a vehicle.
     """
     needs("trackres fleet", "fleet", *EXTRA)
     if (vehicle is None) == (vehicles is None):
         raise InputError("--vehicle, --vehicles", "both" if vehicle else "neither", "one of them")
     from trackres_ros.fleet import asked
+    from trackres_ros.fleet.alerts import FILE, alerts, checked_url, write_alerts
+    from trackres_ros.fleet.alone import alone
     from trackres_ros.fleet.dataset import FleetDataset
     from trackres_ros.fleet.page.write import write_pages
     from trackres_ros.fleet.periods import diagnose_periods
@@ -104,9 +120,11 @@ def run_command(
     from trackres_ros.fleet.vehicles import one_vehicle, read_fleet
 
     fleet = one_vehicle(vehicle, topics) if vehicle is not None else read_fleet(vehicles or Path())
+    if webhook is not None:
+        checked_url(webhook)
     watch(output)
     dataset = FleetDataset(output)
-    with ExitStack() as bars:
+    with alone(output), ExitStack() as bars:
         counts = run(
             recordings,
             fleet,
@@ -117,11 +135,14 @@ def run_command(
             lambda total: bars.enter_context(progress("recordings", total)),
             lambda page: click.echo(f"the engine's own page: {page}", err=True),
         )
-    asked.keep(output, fleet)
-    if period != "none":
-        diagnose_periods(dataset, fleet, engine, workers, hide, progress)
-    with print_warnings():
-        found = trends(dataset, asked.limits_of(output, {}))
+        bars.close()
+        asked.keep(output, fleet)
+        if period != "none":
+            diagnose_periods(dataset, fleet, engine, workers, hide, progress)
+        with print_warnings():
+            found = trends(dataset, asked.limits_of(output, {}))
+        found["alerts"] = rows = alerts(found)
+        write_alerts(output / FILE, rows)
         pages = write_pages(output, found, dataset)
     done = {"found": counts.found, "kept": counts.kept, "good": counts.good, "broken": counts.broken}
 
@@ -130,6 +151,7 @@ def run_command(
         return "\n".join([head, *sentences(found), f"{pages}"])
 
     emit({"run": done, **found, "page": str(pages)}, as_json, text)
+    return _alerted(output, rows, webhook, exit_code)
 
 
 @fleet_group.command("sample", cls=Command)
@@ -141,7 +163,9 @@ def run_command(
 @folder_option("Folder to write into.")
 @json_option
 def sample_command(vehicles: int, days: int, every: float, minutes: float, seed: int, output: Path, as_json: bool) -> None:
-    """A simulated fleet with three changes to be found; which they are stands in answers.json.
+    """A simulated fleet in which up to three vehicles change; answers.json says which.
+
+    A vehicle needs two recordings to change, so give --days at least twice --every.
 
     \b
     trackres fleet sample -o try --vehicles 20 --days 90
@@ -154,11 +178,11 @@ def sample_command(vehicles: int, days: int, every: float, minutes: float, seed:
         fleet = write_sample(
             output, vehicles, days, every, minutes, seed, lambda total: bars.enter_context(progress("driving", total))
         )
-    count = sum(len(vehicle.days) for vehicle in fleet)
+    count, changes = sum(len(vehicle.days) for vehicle in fleet), sum(vehicle.hidden is not None for vehicle in fleet)
     emit(
-        {"recordings": count, "vehicles": len(fleet), "folder": str(output)},
+        {"recordings": count, "vehicles": len(fleet), "changes": changes, "folder": str(output)},
         as_json,
-        lambda: f"{count} recordings of {len(fleet)} vehicles in {output}",
+        lambda: f"{count} recordings of {len(fleet)} vehicles in {output}; {changes} of the vehicles change",
     )
 
 
@@ -175,74 +199,63 @@ def sample_command(vehicles: int, days: int, every: float, minutes: float, seed:
     show_default=True,
     help="How often chance may raise one, per vehicle and year.",
 )
+@click.option("--alerts", "table", type=click.Path(path_type=Path), metavar="A.csv", help="Write a row for each change.")
+@alert_options
 @json_option
-def trend_command(folder: Path, name: str | None, limits: tuple[str, ...], false_alarms: float, as_json: bool) -> None:
+def trend_command(
+    folder: Path,
+    name: str | None,
+    limits: tuple[str, ...],
+    false_alarms: float,
+    table: Path | None,
+    webhook: str | None,
+    exit_code: bool,
+    as_json: bool,
+) -> int:
     """What changed over the months of a fleet, in which vehicle and since when, and when a limit is reached.
 
     DIR is what trackres fleet wrote.
 
     \b
     trackres trend results --limit bearing_friction=0.012
+    trackres trend results --alerts alerts.csv --webhook https://example.com/hook --exit-code
     """
     needs("trackres trend", "fleet", "pyarrow")
     from trackres_ros.fleet import asked
+    from trackres_ros.fleet.alerts import alerts, checked_url, write_alerts
     from trackres_ros.fleet.dataset import FleetDataset
     from trackres_ros.fleet.trends import sentences, trends
 
+    file = None if table is None else output_file(table, (".csv",))
+    if webhook is not None:
+        checked_url(webhook)
+    watch(*([file] if file else []))
     with print_warnings():
         found = trends(FleetDataset.existing(folder), asked.limits_of(folder, dict(map(_limit, limits))), false_alarms, name)
-    emit(found, as_json, lambda: "\n".join(sentences(found)))
+    found["alerts"] = rows = alerts(found)
+    if file is not None:
+        write_alerts(file, rows)
+    emit(found, as_json, lambda: "\n".join([*sentences(found), *([f"Written: {file}"] if file else [])]))
+    return _alerted(folder, rows, webhook, exit_code)
+
+
+def _alerted(folder: Path, rows: Sequence[Mapping[str, Any]], webhook: str | None, exit_code: bool) -> int:
+    """Send the alerts, and choose the exit code."""
+    from trackres_ros.fleet.alerts import post_alerts
+
+    if webhook is not None and rows and (why := post_alerts(webhook, folder, rows)):
+        click.echo(f"trackres: the webhook failed: {why}", err=True)
+        return NOT_SENT
+    return CHANGED if exit_code and rows else 0
 
 
 def _limit(given: str) -> tuple[str, float]:
+    from trackres_ros.fleet.vehicles import HIGHEST_LIMIT
+
     name, equals, value = given.partition("=")
     try:
-        if not equals or float(value) != float(value):
+        if not (equals and 0.0 <= float(value) <= HIGHEST_LIMIT):
             raise ValueError
         return name, float(value)
     except ValueError:
-        raise InputError("--limit", given, "PARAMETER=VALUE, as bearing_friction=0.012") from None
-
-
-@click.command("compare", cls=Command)
-@click.argument("one")
-@click.argument("other")
-@click.option("--speed-kmh", metavar="A:B", help="Of two designs: from and to which speed; 5 to the slower one's most without.")
-@click.option("--belt-degc", metavar="A:B", help="Of two designs: belts from and to this temperature; -20:80 without.")
-@click.option(
-    "--cycle", type=click.Path(path_type=Path), metavar="P.csv", help="Of two designs: the drive, as simulate --profile has it."
-)
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="Folder for pictures of both."
-)
-@json_option
-def compare_command(
-    one: str, other: str, speed_kmh: str | None, belt_degc: str | None, cycle: Path | None, output: Path | None, as_json: bool
-) -> None:
-    """What differs beyond its uncertainty between two days, vehicles, reports or designs.
-
-    ONE and OTHER are each a folder of trackres fleet, all of it or a part (results:truck-01, results:truck-01@2026-03,
-    results@2026-03-14), a folder of trackres diagnose, or a vehicle file. Of two vehicle files with tracks the resistance over
-    speed and belt temperature and the energy of a drive are compared too.
-
-    \b
-    trackres compare results:truck-01@2026-01 results:truck-01@2026-03
-    trackres compare xgd24d my_design.yaml --speed-kmh 10:50 --belt-degc -20:80
-    """
-    from trackres_ros.fleet.compare import compare, compare_text
-    from trackres_ros.fleet.designs import asked_of, compare_designs, designs_text, draw_designs
-
-    with print_warnings():
-        found = compare(one, other)
-    grid, designs = asked_of((one, other), speed_kmh, belt_degc, cycle), None
-    if grid is not None:
-        with progress("operating points", grid.points) as advance:
-            found["designs"] = designs = compare_designs(grid, advance)
-    if output is not None:
-        needs("a picture", "plots", "matplotlib")
-        from trackres_ros.fleet.overlay import draw_overlay
-
-        found["written"] = str(draw_overlay(found, output_folder(output) / "compare.png"))
-        if designs is not None:
-            found["written"] += f", {draw_designs(designs, output / 'designs.png')}"
-    emit(found, as_json, lambda: "\n".join([compare_text(found), *([designs_text(designs)] if designs is not None else [])]))
+        raise InputError("--limit", given, "PARAMETER=VALUE with a finite VALUE from 0 on, as bearing_friction=0.012") from None

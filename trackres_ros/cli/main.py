@@ -16,12 +16,13 @@ from trackres_ros import InputError, __version__
 from trackres_ros.cli import written
 from trackres_ros.cli.coastdown import coastdown_command
 from trackres_ros.cli.common import Commands
+from trackres_ros.cli.compare import compare_command
 from trackres_ros.cli.compound import compound_group
 from trackres_ros.cli.design import sensitivity_command, sweep_command
 from trackres_ros.cli.diagnose import diagnose_command, effects_command
 from trackres_ros.cli.entry import INTERRUPTED, interrupt_handled
 from trackres_ros.cli.explain import explain_command
-from trackres_ros.cli.fleet import compare_command, fleet_group, trend_command
+from trackres_ros.cli.fleet import fleet_group, trend_command
 from trackres_ros.cli.layouts import layouts_command
 from trackres_ros.cli.live import live_command
 from trackres_ros.cli.play import play_command
@@ -85,6 +86,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     given = list(sys.argv[1:] if arguments is None else arguments)
     as_json = "--json" in given
     try:
+        _refuse_empty(given)
         result = cli.main(args=given, prog_name="trackres", standalone_mode=False)
     except click.ClickException as error:
         if type(error).__name__ == "NoArgsIsHelpError":  # click 8.2 and newer: the help is the message
@@ -100,13 +102,28 @@ def main(arguments: Sequence[str] | None = None) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(0)
     except OSError as error:
-        where, why = str(error.filename or "system"), str(error.strerror or error)
+        where, why = str(error.filename or written.places() or "system"), str(error.strerror or error)
         _fail(InputError(where, why, "a file or device that can be used"), one_line(f"{where}: {why}"), as_json)
     except (click.Abort, KeyboardInterrupt):
         interrupt_handled()
         click.echo(f"trackres: interrupted; {written.so_far()}", err=True)
         sys.exit(INTERRUPTED)
     sys.exit(result if isinstance(result, int) else 0)
+
+
+def _refuse_empty(given: Sequence[str]) -> None:
+    """Refuse an empty text: as a path it would be the current folder, and nobody means it.
+
+    Raises
+    ------
+    InputError
+        With the option that it was given to.
+    """
+    for before, argument in zip(["trackres", *given], given, strict=False):
+        option, equals, value = argument.partition("=")
+        if not argument.strip() or (equals and not value.strip() and option.startswith("--")):
+            where = option or (before if before.startswith("-") else "trackres")
+            raise InputError(where, "", "a text that is not empty", "if it comes from a shell variable, that is not set")
 
 
 def _fail(error: InputError, text: str, as_json: bool) -> None:

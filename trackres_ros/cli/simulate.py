@@ -77,6 +77,8 @@ def simulate_command(
     (resistance and inertia); whole vehicle.
     With a grade in the profile grade_nm too, which the drive torque holds as well.
     """
+    from trackres_ros.offline.energy import taken_text
+
     watch(output)
     described = tr.load_vehicle(vehicle, method=method, thermal=thermal, surroundings=surroundings)
     with progress("simulating", None):
@@ -95,4 +97,4 @@ def simulate_command(
     for note in result.notes:
         click.echo(f"trackres: {note}", err=True)
     report = {**result.as_dict(), "output": str(output)}
-    emit(report, as_json, lambda: f"{result!r}\n{report['rows']} rows in {output}")
+    emit(report, as_json, lambda: f"{result!r}\n{taken_text(report['drive'])}\n{report['rows']} rows in {output}")

@@ -29,6 +29,11 @@ def watch(*places: Path) -> None:
     _places.extend(places)
 
 
+def places() -> str:
+    """Where the command writes, for an error that does not say it."""
+    return ", ".join(str(place) for place in _places[:SHOWN])
+
+
 def so_far() -> str:
     """What stands there that is newer than the command, in words."""
     found = sorted({str(path) for place in _places for path in _files(place) if _is_new(path)})

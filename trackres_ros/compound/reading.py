@@ -9,7 +9,7 @@ import codecs
 import csv
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -45,6 +45,11 @@ PLAIN = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 FREQUENCIES = Limits("Hz", 1e-6, 1e6, "frequency of a row")
 FEWEST_ROWS, FEWEST_DEGC, NARROWEST_K = 8, 4, 10.0
 TANGENT_DIFFERS = 0.02  # of loss over storage modulus, in the median: both are there, and cannot be of one test
+NEEDED = {
+    (TEMPERATURE,): "a temperature",
+    (STORAGE,): "a storage modulus (E' or G')",
+    (LOSS, TANGENT): "a loss modulus (E'' or G'') or tan delta",
+}
 WHAT = "table of a DMA sweep as text"
 
 
@@ -146,25 +151,33 @@ def _looks_like_number(cell: str) -> bool:
 
 def _header(lines: Sequence[str], name: str) -> tuple[int, str, list[str]]:
     """Line of the column names, the separator, and the names: the first line that names a temperature and a storage modulus."""
-    nearly: tuple[int, list[str]] | None = None
+    nearly: tuple[int, list[str], int] = 0, [], 0
     for i, line in enumerate(lines):
         text = line.lstrip("#%! ") if _is_comment(line) else line
         for separator in sorted(SEPARATORS, key=lambda one: -text.count(one)):
             cells = _cells(text, separator)
             roles = [role_of(cell) for cell in cells]
-            if len(cells) > 2 and not any(map(_looks_like_number, cells)):
-                if TEMPERATURE in roles and STORAGE in roles:
+            if len(cells) > 1 and not any(map(_looks_like_number, cells)):
+                if len(cells) > 2 and TEMPERATURE in roles and STORAGE in roles:
                     return i, separator, cells
-                if nearly is None and (TEMPERATURE in roles or STORAGE in roles) and sum(map(bool, roles)) > 1:
-                    nearly = i, cells
+                if len(set(roles) - {None}) > nearly[2]:
+                    nearly = i, cells, len(set(roles) - {None})
     for i, line in enumerate(lines):
         cells = line.lstrip("#%!").split()
         if {TEMPERATURE, STORAGE} <= {role_of(cell) for cell in cells} and _stand_over_numbers(lines, i, len(cells)):
             return i, SPACES, cells
-    needed = "a line of column names with a temperature, a storage modulus (E' or G') and a loss modulus or tan delta"
-    if nearly is not None:
-        raise InputError(f"{name}: line {nearly[0] + 1}", ", ".join(nearly[1]), needed)
-    raise InputError(name, f"{len(lines)} lines without column names", f"{needed}, between tabs, semicolons, commas or spaces")
+    if nearly[2]:
+        raise _incomplete(f"{name}: line {nearly[0] + 1}", nearly[1], {role_of(cell) for cell in nearly[1]})
+    needed = f"a line of column names with {', '.join(NEEDED.values())}, between tabs, semicolons, commas or spaces"
+    raise InputError(name, f"{len(lines)} lines without column names", needed)
+
+
+def _incomplete(where: str, cells: Sequence[str], roles: Set[str | None]) -> InputError:
+    """What is wrong with columns that hold less than a sweep needs: it names each that is missing."""
+    missing = [text for needed, text in NEEDED.items() if not roles & set(needed)]
+    return InputError(
+        where, f"columns {', '.join(cells)}", f"columns with {', '.join(NEEDED.values())}", f"missing: {', '.join(missing)}"
+    )
 
 
 def _stand_over_numbers(lines: Sequence[str], at: int, width: int) -> bool:
@@ -178,13 +191,8 @@ def _stand_over_numbers(lines: Sequence[str], at: int, width: int) -> bool:
 def _complete(columns: Sequence[Column], cells: Sequence[str], where: str, frequency_hz: float | None) -> None:
     """See that all is there that a sweep needs."""
     roles, names = {c.role for c in columns}, ", ".join(cells)
-    for wanted, text in (
-        ({TEMPERATURE}, "a temperature"),
-        ({STORAGE}, "a storage modulus"),
-        ({LOSS, TANGENT}, "a loss modulus or tan delta"),
-    ):
-        if not roles & wanted:
-            raise InputError(where, f"columns {names}", f"a column with {text}")
+    if not all(roles & set(needed) for needed in NEEDED):
+        raise _incomplete(where, cells, roles)
     in_names = [c.frequency for c in columns if c.role == STORAGE and not c.again]
     if frequency_hz is not None and (FREQUENCY in roles or any(in_names)):
         raise InputError("frequency_hz", figures(frequency_hz, 6), f"nothing, as {where} says the frequency")

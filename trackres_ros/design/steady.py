@@ -5,7 +5,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,17 +47,92 @@ class Steady:
     kwh_per_km: float
 
 
-def steady(vehicle: Vehicle, speed: float, ambient: float) -> Steady:
+@dataclass(frozen=True, eq=False)
+class Kind:
+    """Assemblies that are alike, at one speed: name of the track, how many, and each one's forces.
+
+    Attributes
+    ----------
+    course
+        Logarithm of the loss [N] over the belt temperature.
+    cold_loss, bearing, wind
+        Loss with the belt at the air's temperature, bearing friction and air drag [N].
+    cooled
+        Heat that the belt gives off [W/K].
+    """
+
+    track: str
+    count: int
+    radius: float
+    course: PchipInterpolator
+    cold_loss: float
+    bearing: float
+    wind: float
+    cooled: float
+
+
+@dataclass(frozen=True, slots=True)
+class Off:
+    """Factors on what a vehicle file may be off by; loss, film and radius of one kind of track, or of all where it is empty."""
+
+    track: str = ""
+    loss: float = 1.0
+    film: float = 1.0
+    radius: float = 1.0
+    bearing: float = 1.0
+    drag: float = 1.0
+
+
+AS_IT_IS = Off()
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """A vehicle without its effects at one speed [m/s] in air of a temperature [degC]."""
+
+    speed: float
+    ambient: float
+    kinds: tuple[Kind, ...]
+
+    def solve(self, off: Off = AS_IT_IS) -> Steady:
+        """Its steady state, with some of it off by a factor."""
+        way = float(resistance.direction(self.speed))
+        cold = warm = force = belts = 0.0
+        for kind in self.kinds:
+            here = off if off.track in ("", kind.track) else AS_IT_IS
+            others = off.bearing * kind.bearing + off.drag * kind.wind
+            radius, cooled = here.radius * kind.radius, here.film * kind.cooled
+
+            def loss(belt: float, course: PchipInterpolator = kind.course, factor: float = here.loss) -> float:
+                return factor * float(np.exp(course(belt)))
+
+            def excess(belt: float, loss: Callable[[float], float] = loss, cooled: float = cooled) -> float:
+                return loss(belt) * self.speed - cooled * (belt - self.ambient)
+
+            hottest = self.ambient + WARMEST_K
+            belt = float(brentq(excess, self.ambient, hottest)) if excess(hottest) < 0.0 else np.nan
+            at_last = loss(belt) * way + others
+            cold += kind.count * radius * (here.loss * kind.cold_loss * way + others)
+            warm += kind.count * radius * at_last
+            force += kind.count * at_last
+            belts += kind.count * belt
+        count = sum(kind.count for kind in self.kinds)
+        return Steady(float(cold), float(warm), belts / count, float(force) * 1000.0 / J_PER_KWH)
+
+
+def steady(vehicle: Vehicle, speed: float, ambient: float, weight: float | None = None) -> Steady:
     """The steady state of a vehicle, by the exact methods.
 
     Parameters
     ----------
     vehicle
-        With its effects, of which those count that a straight drive at one speed tells.
+        With its effects, of which those act that a straight drive at one speed tells.
     speed
         [m/s], forward.
     ambient
         Air [degC].
+    weight
+        Whole weight [N], shared as nominal; by default the vehicle file's.
 
     Returns
     -------
@@ -69,44 +145,42 @@ def steady(vehicle: Vehicle, speed: float, ambient: float) -> Steady:
         Beyond the speeds of the vehicle.
     """
     check_speed(vehicle, speed)
-    return _with_effects(vehicle, speed, ambient) if vehicle.active else _plain(vehicle, speed, ambient)
+    if vehicle.active:
+        return _with_effects(vehicle, speed, ambient, weight)
+    return held(vehicle, speed, ambient, weight).solve()
 
 
-def _plain(vehicle: Vehicle, speed: float, ambient: float) -> Steady:
-    chassis, loads = vehicle.chassis, vehicle.nominal_loads()
+def held(vehicle: Vehicle, speed: float, ambient: float, weight: float | None = None) -> Held:
+    """A vehicle without its effects at one speed; see `steady`."""
+    chassis, nominal = vehicle.chassis, vehicle.nominal_loads()
+    loads = nominal if weight is None else weight * nominal / nominal.sum()
     wind = float(resistance.wind_force(speed, chassis.drag_coefficient * chassis.frontal_area, chassis.air_density))
     way = float(resistance.direction(speed))
     belts = ambient + np.linspace(0.0, WARMEST_K, NODES)
-    cold = warm = force = 0.0
-    found = []
-    known: dict[tuple[str, float], tuple[float, float, float]] = {}
+    kinds: dict[tuple[str, float], Kind] = {}
     for assembly, load in zip(vehicle.assemblies, loads, strict=True):
-        kind = assembly.track, float(load)
-        if kind not in known:
-            model = track_model(vehicle, assembly.track)
-            radius, network = model.track.sprocket_radius, model.network
-            others = float(resistance.bearing_force(speed, load, chassis.bearing_friction)) + wind * load / loads.sum()
-            drive: Array = np.zeros(NODES)
-            for _ in range(DRIVE_PASSES):
-                loss = np.asarray(model.loss.loss_force(speed, belts, load, drive).total)
-                drive = radius * (loss * way + others)
-            cooled = float(film_coefficient(speed, network.film_offset, network.film_slope)) * network.area
-            course = PchipInterpolator(belts, np.log(loss))
-
-            def excess(belt: float, course: PchipInterpolator = course, cooled: float = cooled) -> float:
-                return float(np.exp(course(belt))) * speed - cooled * (belt - ambient)
-
-            belt = float(brentq(excess, belts[0], belts[-1])) if excess(belts[-1]) < 0.0 else np.nan
-            known[kind] = (drive[0], radius * (float(np.exp(course(belt))) * way + others), belt)
-        at_first, at_last, belt = known[kind]
-        cold, warm, force = cold + at_first, warm + at_last, force + at_last / vehicle.track_of(assembly).sprocket_radius
-        found.append(belt)
-    return Steady(float(cold), float(warm), float(np.mean(found)), float(force) * 1000.0 / J_PER_KWH)
+        known = kinds.get((assembly.track, float(load)))
+        if known is not None:
+            kinds[assembly.track, float(load)] = replace(known, count=known.count + 1)
+            continue
+        model = track_model(vehicle, assembly.track)
+        radius, network = model.track.sprocket_radius, model.network
+        bearing = float(resistance.bearing_force(speed, load, chassis.bearing_friction))
+        drag = wind * load / loads.sum()
+        drive: Array = np.zeros(NODES)
+        for _ in range(DRIVE_PASSES):
+            loss = np.asarray(model.loss.loss_force(speed, belts, load, drive).total)
+            drive = radius * (loss * way + bearing + drag)
+        cooled = float(film_coefficient(speed, network.film_offset, network.film_slope)) * network.area
+        course = PchipInterpolator(belts, np.log(loss))
+        of = Kind(assembly.track, 1, radius, course, float(loss[0]), bearing, float(drag), cooled)
+        kinds[assembly.track, float(load)] = of
+    return Held(speed, ambient, tuple(kinds.values()))
 
 
-def _with_effects(vehicle: Vehicle, speed: float, ambient: float) -> Steady:
+def _with_effects(vehicle: Vehicle, speed: float, ambient: float, weight: float | None) -> Steady:
     def at(belt: float) -> dict[str, float]:
-        found = explain(vehicle, speed, belt, ambient)
+        found = explain(vehicle, speed, belt, ambient, weight)
         return {"excess": found["heat_w"] - found["cooling_w"], "torque": float(found["torque_nm"]["resistance"])}
 
     cold = at(ambient)["torque"]

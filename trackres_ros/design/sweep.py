@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import astuple, dataclass, fields
 from importlib.util import find_spec
 from pathlib import Path
@@ -15,16 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.design.steady import J_PER_KWH, Steady, steady
+from trackres_ros.design.drives import driven, read_cycle
+from trackres_ros.design.steady import Steady, steady
 from trackres_ros.design.values import Varied, short
 from trackres_ros.errors import InputError, one_line
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.files.resources import find_vehicle
-from trackres_ros.fleet.designs import driven
 from trackres_ros.fleet.engine import LOCAL, done, engine
-from trackres_ros.model.vehicle_constants import vehicle_constants
-from trackres_ros.offline.energy import energy_j, steps_of
-from trackres_ros.offline.simulate import run_drive
 from trackres_ros.text.numbers import decimals, figures
 from trackres_ros.text.table import table
 from trackres_ros.units import KMH_PER_MPS
@@ -49,19 +46,24 @@ PLACES = {"cold_nm": 0, "warm_nm": 0, "belt_degc": 1, "kwh_per_km": 3, DRIVE: 3}
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """What is swept: vehicle file, values by path, speed [m/s], air [degC], and the speed profile of a drive if there is one."""
+    """What is swept: vehicle file, values by path, speed [m/s], air [degC], and a drive as `drives.read_cycle` takes it."""
 
     file: str
     varied: tuple[Varied, ...]
     speed: float
     ambient: float
-    cycle: Path | None = None
+    cycle: str | None = None
 
     @property
     def points(self) -> list[dict[str, float]]:
         """Values of each point by path."""
-        every = itertools.product(*(one.values for one in self.varied))
-        return [dict(zip((one.path for one in self.varied), values, strict=True)) for values in every]
+        every = itertools.product(*(one.points for one in self.varied))
+        return [{path: value for part in point for path, value in part.items()} for point in every]
+
+    @property
+    def paths(self) -> list[str]:
+        """Paths of all values that are varied."""
+        return [path for one in self.varied for path in one.paths]
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +75,7 @@ class Piece:
     values: tuple[tuple[str, float], ...]
     speed: float
     ambient: float
-    cycle: Path | None
+    cycle: str | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,8 +103,8 @@ class Swept:
 
     def text(self, most: int = 60) -> str:
         """The table; of a long one its first rows."""
-        paths = [one.path for one in self.asked.varied]
-        head = [f"{short(p, paths)}\n{one.unit}" for p, one in zip(paths, self.asked.varied, strict=True)]
+        paths = self.asked.paths
+        head = [f"{short(path, paths)}\n{one.unit}" for one in self.asked.varied for path in one.paths]
         head += [HEADS[name] for name in self.outcomes]
         count = len(self.columns[paths[0]])
         rows = [
@@ -149,7 +151,9 @@ def sweep(
     InputError
         If there are too many points, or the vehicle can be none of them.
     """
-    points = asked.points
+    points, twice = asked.points, [path for path in asked.paths if asked.paths.count(path) > 1]
+    if twice:
+        raise InputError("--vary", f"{twice[0]} twice", "each value once")
     if len(points) > MOST_POINTS:
         raise InputError("--vary", f"{len(points)} points", f"at most {MOST_POINTS} in all")
     pieces = [
@@ -174,7 +178,7 @@ def sweep(
     if len(refused) == len(found):
         raise InputError("--vary", f"{len(found)} points", "at least one that the vehicle can have", next(iter(refused.values())))
     rows = np.array([[np.nan] * len(names) if isinstance(result, str) else result for result in found])
-    columns = {one.path: np.array([values[one.path] for values in points]) for one in asked.varied}
+    columns = {path: np.array([values[path] for values in points]) for path in asked.paths}
     return Swept(asked, {**columns, **dict(zip(names, rows.T, strict=True))}, refused)
 
 
@@ -185,12 +189,8 @@ def point(piece: Piece) -> tuple[float, ...] | str:
         found = astuple(steady(vehicle, piece.speed, piece.ambient))
         if piece.cycle is None:
             return found
-        estimator, drive = Estimator(vehicle), driven(piece.cycle, vehicle.chassis.max_speed)
-        rows = run_drive(estimator, drive, ambient_degc=piece.ambient)
-        torque, step = rows[:, estimator.column_index["resistance_torque_nm"]], steps_of(drive.time_s)
-        metres = float((step * np.abs(drive.speed)).sum())
-        energy = energy_j(step, drive.speed, torque, vehicle_constants(vehicle).radius)
-        return (*found, energy / J_PER_KWH / (metres / 1000.0))
+        cycle = read_cycle(piece.cycle, vehicle.chassis.max_speed)
+        return (*found, driven(Estimator(vehicle), cycle, None, piece.ambient)["kwh_per_km"])
     except InputError as error:
         return one_line(str(error))
 
@@ -200,15 +200,15 @@ def draw(found: Swept, path: Path) -> Path:
     from trackres_ros.output.plots import picture
 
     first, *others = found.asked.varied
-    paths = [one.path for one in found.asked.varied]
-    shape = tuple(len(one.values) for one in found.asked.varied)
-    label = f"{short(first.path, paths)} [{first.unit}]"
+    paths = found.asked.paths
+    shape = tuple(len(one.points) for one in found.asked.varied)
+    label = _label(first, paths)
     if len(others) == 1 and min(shape) > MOST_LINES:
         with picture(path, 7.5, 5.0) as figure:
             axes = figure.subplots()
             grid = found.columns["warm_nm"].reshape(shape)
-            shades = axes.pcolormesh(others[0].values, first.values, grid, shading="nearest", cmap="viridis")
-            axes.set(xlabel=f"{short(others[0].path, paths)} [{others[0].unit}]", ylabel=label)
+            shades = axes.pcolormesh(others[0].values[0], first.values[0], grid, shading="nearest", cmap="viridis")
+            axes.set(xlabel=_label(others[0], paths), ylabel=label)
             figure.colorbar(shades, ax=axes, label="warm resistance [Nm]")
         return path
     shown = [("cold_nm", "cold resistance [Nm]"), ("warm_nm", "warm resistance [Nm]"), ("belt_degc", "belt [degC]")]
@@ -216,12 +216,18 @@ def draw(found: Swept, path: Path) -> Path:
     with picture(path, 9.0, 6.0) as figure:
         for axes, (name, title) in zip(figure.subplots(2, 2).flat, shown, strict=True):
             lines = found.columns[name].reshape(shape[0], -1)
-            for place, of in enumerate(itertools.product(*(one.values for one in others))):
+            for place, of in enumerate(itertools.product(*(one.values[0] for one in others))):
                 if place >= MOST_LINES:
                     break
-                named = ", ".join(f"{short(o.path, paths)} {figures(v, 4)}" for o, v in zip(others, of, strict=True))
-                axes.plot(first.values, lines[:, place], marker="." if shape[0] <= MANY else "", label=named or None)
+                named = ", ".join(f"{short(o.paths[0], paths)} {figures(v, 4)}" for o, v in zip(others, of, strict=True))
+                axes.plot(first.values[0], lines[:, place], marker="." if shape[0] <= MANY else "", label=named or None)
             axes.set(xlabel=label, ylabel=title)
         if others:
             axes.legend(fontsize=7)
     return path
+
+
+def _label(one: Varied, paths: Sequence[str]) -> str:
+    """What an axis shows: of values that move together the first."""
+    others = f" (with {len(one.paths) - 1} more)" if len(one.paths) > 1 else ""
+    return f"{short(one.paths[0], paths)}{others} [{one.unit}]"

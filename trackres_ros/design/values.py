@@ -14,15 +14,26 @@ from trackres_ros.errors import InputError, nearest
 from trackres_ros.vehicle import Vehicle
 
 USUAL_COUNT, MOST_COUNT = 9, 1000
+NAMED = "axles", "tracks", "wrapped_wheels"  # parts of a path that the name of one of several follows
+DEGREES = "degC"
+ALLOWED = (
+    "PATH=A:B:N, PATH=A:B or PATH=A,B,C with finite numbers, or with changes as +20%, and N from 2 to 1000; or PATH alone for "
+    "the file's range"
+)
 
 
 @dataclass(frozen=True, slots=True)
 class Varied:
-    """A value of a vehicle file by its path, its unit, and what it is to be."""
+    """Values of a vehicle file that move together, by their paths; their unit; and what each is to be, point by point."""
 
-    path: str
+    paths: tuple[str, ...]
     unit: str
-    values: tuple[float, ...]
+    values: tuple[tuple[float, ...], ...]  # (paths, points)
+
+    @property
+    def points(self) -> list[dict[str, float]]:
+        """Values of each point by path."""
+        return [dict(zip(self.paths, point, strict=True)) for point in zip(*self.values, strict=True)]
 
 
 def scalars(vehicle: Vehicle) -> list[str]:
@@ -30,26 +41,34 @@ def scalars(vehicle: Vehicle) -> list[str]:
     return [path for path, quantity in vehicle.parameters.items() if isinstance(quantity.value, float)]
 
 
-def meant(vehicle: Vehicle, given: str, where: str) -> str:
-    """The path that somebody means: all of it, or enough of its words in their order, as belt.thickness.
+def meant(vehicle: Vehicle, given: str, where: str) -> tuple[str, ...]:
+    """The paths that somebody means: all of one, or enough of its words in their order, as belt.thickness.
+
+    One value of several axles, tracks or wheels is meant of all of them, as axles.load.
 
     Raises
     ------
     InputError
-        If it is none, or several.
+        If it is none, or several that are not the same of several parts.
     """
     known = scalars(vehicle)
     if given in known:
-        return given
+        return (given,)
     words = [_stem(word) for word in re.split(r"[._]", given) if word]
     found = [path for path in known if words and _in_order(words, [_stem(word) for word in re.split(r"[._]", path)])]
-    if len(found) == 1:
-        return found[0]
+    if found and len({_part(path) for path in found}) == 1:
+        return tuple(found)
     if found:
         raise InputError(where, given, f"one of {', '.join(found)}")
     names = [short(path, known) for path in known]
     guess = nearest(given, known) or nearest(given, names)
     raise InputError(where, given, f"a value of {vehicle.name} by its path or its last words: {', '.join(names)}", guess)
+
+
+def _part(path: str) -> tuple[str, ...]:
+    """A path without the names of axles, tracks and wheels."""
+    words = path.split(".")
+    return tuple("" if before in NAMED else word for before, word in zip(["", *words], words, strict=False))
 
 
 def _stem(word: str) -> str:
@@ -64,31 +83,49 @@ def _in_order(words: Sequence[str], of: Sequence[str]) -> bool:
 def varied(vehicle: Vehicle, given: str, where: str = "--vary") -> Varied:
     """What `PATH=A:B:N`, `PATH=A:B`, `PATH=A,B,C` and `PATH` say; the last takes the range of the file.
 
+    A number with a percent sign is a change of the file's value: `PATH=-20%:+20%:5`, `PATH=+20%`. A single change is compared
+    with the file's value.
+
     Raises
     ------
     InputError
         If it says something else.
     """
     name, equals, values = given.partition("=")
-    path = meant(vehicle, name.strip(), where)
-    quantity = vehicle.parameters[path]
+    paths = meant(vehicle, name.strip(), where)
+    quantities = [vehicle.parameters[path] for path in paths]
+    unit = quantities[0].unit
     if not equals:
-        return Varied(path, quantity.unit, _between(quantity.low, quantity.high, USUAL_COUNT))
-    allowed = "PATH=A:B:N, PATH=A:B or PATH=A,B,C with finite numbers and N from 2 to 1000, or PATH alone for the file's range"
+        return Varied(paths, unit, tuple(_between(q.low, q.high, USUAL_COUNT) for q in quantities))
+    found, relative = _numbers(values, given, where)
+    if not relative:
+        return Varied(paths, unit, (found,) * len(paths))
+    if unit == DEGREES:
+        raise InputError(where, given, f"values in {DEGREES}", f"a percentage of {DEGREES} means nothing")
+    if len(found) == 1:
+        found = (0.0, *found)
+    now = [q.value for q in quantities if isinstance(q.value, float)]
+    return Varied(paths, unit, tuple(tuple(float(f"{of * (1.0 + 0.01 * change):.10g}") for change in found) for of in now))
+
+
+def _numbers(values: str, given: str, where: str) -> tuple[tuple[float, ...], bool]:
+    """The numbers, and whether they are changes [%]."""
     try:
-        if ":" in values:
-            low, high, *more = values.split(":")
-            (count,) = map(int, more or [str(USUAL_COUNT)])
-            if not 2 <= count <= MOST_COUNT:
-                raise ValueError
-            found = _between(float(low), float(high), count)
-        else:
-            found = tuple(float(one) for one in values.split(","))
-        if not all(map(math.isfinite, found)):
+        parts = re.split("[:,]", values)
+        ends = parts[:2] if ":" in values else parts
+        relative = all(one.strip().endswith("%") for one in ends)
+        numbers = [float(one.strip().removesuffix("%") if relative else one) for one in ends]
+        if not all(map(math.isfinite, numbers)) or (":" in values and "," in values):
             raise ValueError
+        if ":" not in values:
+            return tuple(numbers), relative
+        low, high = numbers
+        (count,) = map(int, parts[2:] or [str(USUAL_COUNT)])
+        if not 2 <= count <= MOST_COUNT:
+            raise ValueError
+        return _between(low, high, count), relative
     except ValueError:
-        raise InputError(where, given, allowed) from None
-    return Varied(path, quantity.unit, found)
+        raise InputError(where, given, ALLOWED) from None
 
 
 def _between(low: float, high: float, count: int) -> tuple[float, ...]:

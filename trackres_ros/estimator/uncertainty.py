@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -67,7 +68,26 @@ def spread(vehicle: Vehicle, track_name: str, cache: Path | None = None) -> Para
 
 
 def _factor(vehicle: Vehicle, track_name: str) -> Array:
-    base = _logarithms(vehicle, track_name)
+    found = slopes(vehicle, track_name, lambda moved: _logarithms(moved, track_name))
+    rows = np.array(list(found.values())).reshape(-1, 4)
+    covariance = rows.T @ rows + np.diag(np.full(4, 1e-12))
+    return np.asarray(np.linalg.cholesky(covariance))
+
+
+def slopes(vehicle: Vehicle, track_name: str, logarithms: Callable[[Vehicle], Array]) -> dict[str, Array]:
+    """By how much one standard deviation of each value moves loss, cooling, heat capacity and sprocket radius.
+
+    Parameters
+    ----------
+    logarithms
+        Of a vehicle: of losses (one or several), cooling, heat capacity and radius, shape (losses + 3,).
+
+    Returns
+    -------
+    dict
+        By path of the value, slopes of the same shape.
+    """
+    base = logarithms(vehicle)
     variant = variants(vehicle)
     rows: dict[str, Array] = {}
     for path, quantity in vehicle.parameters.items():
@@ -81,28 +101,33 @@ def _factor(vehicle: Vehicle, track_name: str) -> Array:
                 moved = variant({path: quantity.value + step})
             except InputError:  # the geometry allows no such step; the other way it does
                 continue
-            rows[path] = (_logarithms(moved, track_name) - base) / (sign * STEP)
+            rows[path] = (logarithms(moved) - base) / (sign * STEP)
             break
     belt = f"tracks.{track_name}.belt"
-    for fitted, columns in ((LOSS, (0, 3)), (f"{belt}.film_offset", (1,)), (CAPACITY, (2,))):
+    losses, (film, capacity, radius) = range(len(base) - 3), range(len(base) - 3, len(base))
+    for fitted, columns in ((LOSS, [*losses, radius]), (f"{belt}.film_offset", [film]), (CAPACITY, [capacity])):
         if vehicle.parameters[fitted].flag == FITTED:
             for path in rows:
-                if path != fitted and not (path == f"{belt}.film_slope" and columns == (1,)):
-                    rows[path][list(columns)] = 0.0
+                if path != fitted and not (path == f"{belt}.film_slope" and columns == [film]):
+                    rows[path][columns] = 0.0
     offset, slope = rows.get(f"{belt}.film_offset"), rows.get(f"{belt}.film_slope")
     if offset is not None and slope is not None and vehicle.parameters[f"{belt}.film_offset"].flag == FITTED:
         offset += rows.pop(f"{belt}.film_slope")
-    slopes = np.array(list(rows.values())).reshape(-1, 4)
-    covariance = slopes.T @ slopes + np.diag(np.full(4, 1e-12))
-    return np.asarray(np.linalg.cholesky(covariance))
+    return rows
 
 
 def _logarithms(vehicle: Vehicle, track_name: str) -> Array:
-    track, rubber = vehicle.tracks[track_name], RubberModel(vehicle.rubber)
     speed = REFERENCE_SPEED_SHARE * vehicle.chassis.max_speed
+    found = logarithms_at(vehicle, track_name, speed, np.array(REFERENCE_BELT_DEGC))
+    return np.array([found[:-3].mean(), *found[-3:]])
+
+
+def logarithms_at(vehicle: Vehicle, track_name: str, speed: float, belts_degc: Array) -> Array:
+    """Logarithms of the loss at a speed [m/s] and several belt temperatures, of cooling, heat capacity and sprocket radius."""
+    track, rubber = vehicle.tracks[track_name], RubberModel(vehicle.rubber)
     nominal = load_range(vehicle, track_name).nominal
-    loss = Spectral(track, rubber, HARMONICS).loss_force(speed, np.array(REFERENCE_BELT_DEGC), nominal).total
+    loss = Spectral(track, rubber, HARMONICS).loss_force(speed, belts_degc, nominal).total
     network = thermal_network(vehicle.thermal, track.belt, vehicle.rubber)
     cooling = network.area * film_coefficient(speed, network.film_offset, network.film_slope)
     capacity = belt_model.heat_capacity(track.belt, vehicle.rubber)
-    return np.array([np.log(loss).mean(), np.log(cooling), np.log(capacity), np.log(track.sprocket_radius)])
+    return np.array([*np.log(loss), np.log(cooling), np.log(capacity), np.log(track.sprocket_radius)])

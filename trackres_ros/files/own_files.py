@@ -76,8 +76,10 @@ def write(path: Path, data: bytes) -> None:
             file.flush()
             os.fsync(file.fileno())
             Path(file.name).replace(path)
-        except BaseException:
+        except BaseException as error:
             Path(file.name).unlink(missing_ok=True)
+            if isinstance(error, OSError) and error.filename is None:  # a disk that is full does not say of which file
+                error.filename = str(path)
             raise
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from trackres_ros.files.jsons import parse_json
 from trackres_ros.files.own_files import read, write
-from trackres_ros.fleet.vehicles import Fleet
+from trackres_ros.fleet.vehicles import HIGHEST_LIMIT, Fleet
 
 FILE, MOST_BYTES = "fleet.json", 1 << 24
 
@@ -27,7 +27,7 @@ def keep(folder: Path, fleet: Fleet) -> None:
 def limits_of(folder: Path, given: Mapping[str, float]) -> dict[str, float]:
     """Those of the last run, and those given instead."""
     try:
-        kept = parse_json(read(folder / FILE, MOST_BYTES))
-        return {**{str(name): float(value) for name, value in kept["limits"].items()}, **given}
+        kept = {str(name): float(of) for name, of in parse_json(read(folder / FILE, MOST_BYTES))["limits"].items()}
+        return {**{name: limit for name, limit in kept.items() if 0.0 <= limit <= HIGHEST_LIMIT}, **given}
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return dict(given)

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +41,7 @@ class Side:
     units: tuple[str, ...]
     value: Array
     covariance: Array
+    design: bool = False  # a vehicle file
 
 
 def compare(one: str, other: str) -> dict[str, Any]:
@@ -59,6 +60,8 @@ def compare(one: str, other: str) -> dict[str, Any]:
     change = sides[1].value[at[1]] - sides[0].value[at[0]]
     parts = [s.covariance[np.ix_(i, i)] for s, i in zip(sides, at, strict=True)]
     covariance = parts[0] + parts[1]
+    if all(s.design for s in sides):  # what both files have alike is off in both alike
+        covariance[change == 0.0, :] = covariance[:, change == 0.0] = 0.0
     std = np.sqrt(np.diag(covariance))
     most = float(norm.isf(0.5 * SURE / len(names)))
     listed = []
@@ -193,7 +196,7 @@ def _of_design(given: str) -> Side:
     path = find_vehicle(given)
     base = load_base(path).base
     listed = [(q.name, q.unit, q.nominal, q.std if np.isfinite(q.std) else 0.0) for q in base.parameters]
-    return _uncorrelated(f"{given}, as its file has it", listed)
+    return replace(_uncorrelated(f"{given}, as its file has it", listed), design=True)
 
 
 def _uncorrelated(title: str, listed: list[tuple[str, str, float, float]]) -> Side:

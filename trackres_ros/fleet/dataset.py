@@ -38,6 +38,7 @@ FINITE = (
     "start_s", "duration_s", "mismatch", "mean_torque", "mean_speed", "mean_weight", "mean_ambient", "compared_s",
     "residual_mean", "residual_std",
 )  # fmt: skip
+LOAD_RECORDED = "load_recorded"  # without a load the weight of the vehicle file is assumed
 LISTS_OF_TEXT = ("names", "units", "findings", "notes")
 LISTS_OF_NUMBERS = ("nominal", "std", "point", "covariance", "precision", "linear")
 OF_PATH = ("vehicle", "day")
@@ -212,7 +213,7 @@ def _schema() -> pa.Schema:
 
     return pa.schema(
         [(name, pa.string()) for name in TEXTS]
-        + [("messages", pa.int64())]
+        + [("messages", pa.int64()), (LOAD_RECORDED, pa.bool_())]
         + [(name, pa.float64()) for name in NUMBERS]
         + [(name, pa.list_(pa.string())) for name in LISTS_OF_TEXT]
         + [(name, pa.list_(pa.float64())) for name in LISTS_OF_NUMBERS]

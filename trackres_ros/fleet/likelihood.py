@@ -54,6 +54,8 @@ class Evidence:
         Mean absolute error on the laps held out, of the file and of the fit [Nm]; nan where none could be.
     mean_torque, mean_speed, mean_weight, mean_ambient
         Over what counts: absolute torque [Nm], [m/s], [N], [degC].
+    load_recorded
+        Whether loads or passengers were recorded; else the vehicle file's weight is assumed.
     notes
         What the gate assumed.
     """
@@ -76,6 +78,7 @@ class Evidence:
     mean_speed: float
     mean_weight: float
     mean_ambient: float
+    load_recorded: bool
     notes: tuple[str, ...]
 
 
@@ -124,6 +127,7 @@ def evidence(recording: Recording, loaded: LoadedBase, hide: tuple[str, ...] = (
         mean_speed=speed,
         mean_weight=weight,
         mean_ambient=ambient,
+        load_recorded=not session.given.isdisjoint(("load", "passengers")),
         notes=gated.notes,
     )
 

@@ -23,7 +23,7 @@ from trackres_ros.errors import InputError, one_line
 from trackres_ros.fleet.recordings import FoundRecording
 from trackres_ros.fleet.vehicles import FleetVehicle, digest
 
-ROW_VERSION = 1  # raised with any change of what a row holds or how it is computed: rows of before are computed anew
+ROW_VERSION = 2  # raised with any change of what a row holds or how it is computed: rows of before are computed anew
 GOOD, BROKEN, SAME = "good", "broken", "same"
 AGAIN = "again"  # instead of a digest of what a row hangs on: what failed may be otherwise the next time
 NO_VEHICLE = NO_DAY = "none"

@@ -14,7 +14,7 @@ import numpy as np
 
 from trackres_ros.errors import InputError, nearest
 from trackres_ros.fleet.changes import DAY_S, FALSE_ALARMS, RAMP, YEAR_S, VehicleChange, levels, vehicle_changes
-from trackres_ros.fleet.dataset import FleetDataset
+from trackres_ros.fleet.dataset import LOAD_RECORDED, FleetDataset
 from trackres_ros.fleet.pooling import Pooled, Vehicles, pool
 from trackres_ros.fleet.task import NO_DAY
 from trackres_ros.text.numbers import figures
@@ -27,7 +27,7 @@ FARTHEST_YEARS = 20.0  # a forecast beyond is none
 TEXTS = ("url", "vehicle", "day", "status", "reason", "names", "units", "findings")
 NUMBERS = (
     "start_s", "duration_s", "distance_m", "mismatch", "mean_torque", "mean_ambient", "residual_std", "held_out_file",
-    "held_out_refit", "resistance_mj", "nominal", "std", "precision", "linear",
+    "held_out_refit", "resistance_mj", "nominal", "std", "precision", "linear", LOAD_RECORDED,
 )  # fmt: skip
 
 
@@ -154,7 +154,8 @@ def _vehicle(
         "last_day": day_of(max(starts)),
         "years": (max(starts) - min(starts)) / YEAR_S,
         "distance_km": sum(row["distance_m"] or 0.0 for row in rows) / 1000.0,
-        "mismatch": float(np.mean([row["mismatch"] for row in rows])),
+        "without_load": sum(map(without_load, rows)),
+        "mismatch": _mean_mismatch([row for row in rows if not without_load(row)]),
         "values": values,
         "changes": [_change(c, max(starts), limits.get(c.parameter)) for c in changes],
         "least_gain": least if np.isfinite(least) else None,
@@ -201,16 +202,31 @@ def forecast(found: VehicleChange, last_s: float, limit: float | None) -> dict[s
     return {"limit": limit, "reached": False, "day": shown[0], "from": shown[1], "to": shown[2]}
 
 
-def _months(rows: Iterable[Mapping[str, Any]]) -> dict[str, dict[str, dict[str, float]]]:
-    """By vehicle and month: how many recordings, and their mean mismatch."""
-    found: dict[str, dict[str, list[float]]] = {}
+def without_load(row: Mapping[str, Any]) -> bool:
+    """Whether the vehicle file's weight was assumed, as no load was recorded: the mismatch may be that of the payload."""
+    return row[LOAD_RECORDED] is False
+
+
+def _months(rows: Iterable[Mapping[str, Any]]) -> dict[str, dict[str, dict[str, Any]]]:
+    """By vehicle and month: how many recordings, and their mean mismatch; that of recordings without a load by itself."""
+    found: dict[str, dict[str, list[Mapping[str, Any]]]] = {}
     for row in rows:
-        month = row["day"][:7]
-        found.setdefault(row["vehicle"], {}).setdefault(month, []).append(row["mismatch"])
+        found.setdefault(row["vehicle"], {}).setdefault(row["day"][:7], []).append(row)
+    return {vehicle: {month: _month(of) for month, of in sorted(months.items())} for vehicle, months in sorted(found.items())}
+
+
+def _month(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    loaded, others = [row for row in rows if not without_load(row)], [row for row in rows if without_load(row)]
     return {
-        vehicle: {month: {"recordings": len(of), "mismatch": float(np.mean(of))} for month, of in sorted(months.items())}
-        for vehicle, months in sorted(found.items())
+        "recordings": len(rows),
+        "mismatch": _mean_mismatch(loaded),
+        "without_load": len(others),
+        "mismatch_without_load": _mean_mismatch(others),
     }
+
+
+def _mean_mismatch(rows: Sequence[Mapping[str, Any]]) -> float | None:
+    return float(np.mean([row["mismatch"] for row in rows])) if rows else None
 
 
 def change_sentence(vehicle: str, c: Mapping[str, Any]) -> str:
@@ -247,6 +263,9 @@ def sentences(found: Mapping[str, Any]) -> list[str]:
     here = figures(rate * found["vehicle_years"], 2)
     tail = f"Chance alone would say so {figures(rate)} times per vehicle and year: {here} times here"
     lines = [*head, *changed, tail]
+    unloaded = sum(v["without_load"] for v in found["vehicles"].values())
+    if unloaded:
+        lines.append(f"{unloaded} recordings have no load: their mismatch may come from the payload, and has no colour")
     if found["overlapping"]:
         lines.append(f"{len(found['overlapping'])} recordings left out, as clocks overlap: {found['overlapping'][0]['url']}")
     if found["broken"]:

@@ -20,6 +20,7 @@ from trackres_ros.files.yamls import read_yaml
 KEYS = ("file", "recordings", "topics", "limits")
 ALLOWED = "vehicles: a name for each, with file, and if need be recordings, topics, limits"
 FORBIDDEN_IN_NAMES = "/\\=\0"  # a name becomes a folder of the dataset
+HIGHEST_LIMIT = 1e12
 NOT_A_NAME = ("", ".", "..", "none")
 
 
@@ -137,7 +138,7 @@ def _vehicle(path: Path, name: str, content: Any) -> FleetVehicle:
     limits = content.get("limits", {})
     if not isinstance(limits, dict):
         raise InputError(f"{where}.limits", limits, "a number for each parameter")
-    checked = {str(key): number(value, f"{where}.limits.{key}", -1e12, 1e12) for key, value in limits.items()}
+    checked = {str(key): number(value, f"{where}.limits.{key}", 0.0, HIGHEST_LIMIT) for key, value in limits.items()}
     return FleetVehicle(name, file, digest(file), tuple(patterns), topics, digest(topics) if topics else "", checked)
 
 

@@ -1,15 +1,21 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Way and energy of a drive out of rows of results."""
+"""Computes from rows of results what a drive takes: way, time, resistance, energy and belt temperatures."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.text.numbers import decimals
+from trackres_ros.units import STANDSTILL_MPS
+
 Array = NDArray[np.float64]
 
+MEGA, MJ_PER_KWH = 1e6, 3.6
 LONGEST_STEP_S, UNUSUAL = 1.0, 5.0  # or that many times the usual: over a longer step nothing is known
 
 
@@ -23,3 +29,50 @@ def steps_of(time_s: Array) -> Array:
 def energy_j(step_s: Array, speed: Array, torque: Array, radius: float) -> float:
     """Of a torque at the sprockets [Nm] along a drive, shapes (rows,), with their radius [m]; unknown values count as none."""
     return float(np.nansum(step_s * speed * torque)) / radius
+
+
+def taken(time_s: Array, speed: Array, torque: Array, belts_degc: Array, radius: float) -> dict[str, float]:
+    """What a drive takes.
+
+    Parameters
+    ----------
+    time_s, speed, torque
+        Times [s], speeds [m/s] and resistance at the sprockets [Nm], shape (rows,).
+    belts_degc
+        Of each belt, shape (belts, rows) [degC].
+    radius
+        Of the sprockets [m].
+
+    Returns
+    -------
+    dict
+        Way, time under way, mean and largest resistance, energy against it, coldest and warmest belt.
+    """
+    step = steps_of(time_s)
+    under_way = np.where(np.abs(speed) > STANDSTILL_MPS, step, 0.0)
+    energy_mj = energy_j(step, speed, torque, radius) / MEGA
+    driven = float(np.nansum(step * np.abs(speed)))
+    return {
+        "distance_m": driven,
+        "under_way_s": float(under_way.sum()),
+        "mean_resistance_nm": float(np.nansum(under_way * np.abs(torque))) / max(float(under_way.sum()), 1e-9),
+        "largest_resistance_nm": float(np.nanmax(np.abs(torque))),
+        "energy_mj": energy_mj,
+        "kwh_per_km": energy_mj / MJ_PER_KWH / max(driven / 1000.0, 1e-9) if driven > 0.0 else 0.0,
+        "coldest_belt_degc": float(np.nanmin(belts_degc)),
+        "warmest_belt_degc": float(np.nanmax(belts_degc)),
+    }
+
+
+def taken_text(of: Mapping[str, float]) -> str:
+    """The same in a sentence."""
+    if not of["under_way_s"]:
+        return "The vehicle stood all the time"
+    way, minutes = decimals(of["distance_m"] / 1000.0, 2), decimals(of["under_way_s"] / 60.0, 1)
+    mean, largest = decimals(of["mean_resistance_nm"]), decimals(of["largest_resistance_nm"])
+    energy, each_km = decimals(of["energy_mj"], 1), decimals(of["kwh_per_km"], 2)
+    belts = f"{decimals(of['coldest_belt_degc'], 1)} to {decimals(of['warmest_belt_degc'], 1)} degC"
+    return (
+        f"The drive: {way} km, {minutes} min under way; resistance {mean} Nm in the mean, {largest} Nm at most; {energy} MJ "
+        f"({each_km} kWh/km); belts {belts}"
+    )

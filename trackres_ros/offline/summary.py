@@ -20,17 +20,15 @@ from trackres_ros.learning.learner import Learner
 from trackres_ros.model.coverage import beyond_data
 from trackres_ros.model.resistance import RESISTANCE_PARTS
 from trackres_ros.model.vehicle_constants import vehicle_constants
-from trackres_ros.offline.energy import energy_j, steps_of
+from trackres_ros.offline.energy import taken, taken_text
 from trackres_ros.offline.replay import Replayed
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.samples import Block, Finding, Source
 from trackres_ros.text.numbers import decimals
-from trackres_ros.units import STANDSTILL_MPS
 
 Array = NDArray[np.float64]
 
 HEAD = 1  # columns of a picture row before the results: the time
-MEGA, MJ_PER_KWH = 1e6, 3.6
 MOST_KEPT = 10_000_000
 """Samples kept to be looked at, a quarter of a gigabyte; ten hours of three channels at 50 Hz are half as many."""
 
@@ -118,25 +116,12 @@ def summary(result: Replayed, name: str, notes: Sequence[str], findings: Sequenc
 
 
 def drive(result: Replayed) -> dict[str, float]:
-    """What the drive took, by the samples of the picture: way, time under way, mean and largest resistance, energy, belts."""
+    """What the drive took, by the samples of the picture; see `energy.taken`."""
     estimator = result.session.estimator
     columns = picture_columns(estimator.columns, result.picture)
-    time, speed, torque = result.picture[:, 0], columns["speed_mps"], columns["resistance_torque_nm"]
     belts = np.stack([series for name, series in columns.items() if name.startswith("belt_degc/")])
-    step = steps_of(time)
-    under_way = np.where(np.abs(speed) > STANDSTILL_MPS, step, 0.0)
-    energy_mj = energy_j(step, speed, torque, vehicle_constants(estimator.vehicle).radius) / MEGA
-    driven = float(np.nansum(step * np.abs(speed)))
-    return {
-        "distance_m": driven,
-        "under_way_s": float(under_way.sum()),
-        "mean_resistance_nm": float(np.nansum(under_way * np.abs(torque))) / max(float(under_way.sum()), 1e-9),
-        "largest_resistance_nm": float(np.nanmax(np.abs(torque))),
-        "energy_mj": energy_mj,
-        "kwh_per_km": energy_mj / MJ_PER_KWH / max(driven / 1000.0, 1e-9) if driven > 0.0 else 0.0,
-        "coldest_belt_degc": float(np.nanmin(belts)),
-        "warmest_belt_degc": float(np.nanmax(belts)),
-    }
+    radius = vehicle_constants(estimator.vehicle).radius
+    return taken(result.picture[:, 0], columns["speed_mps"], columns["resistance_torque_nm"], belts, radius)
 
 
 def _remarks(result: Replayed) -> list[str]:
@@ -145,19 +130,6 @@ def _remarks(result: Replayed) -> list[str]:
     columns = picture_columns(estimator.columns, result.picture)
     belts = {name: columns[f"belt_degc/{name}"] for name in estimator.assemblies}
     return beyond_data(estimator.vehicle, columns["speed_mps"], belts)
-
-
-def _drive_text(of: dict[str, float]) -> str:
-    if not of["under_way_s"]:
-        return "The vehicle stood all the time"
-    way, minutes = decimals(of["distance_m"] / 1000.0, 2), decimals(of["under_way_s"] / 60.0, 1)
-    mean, largest = decimals(of["mean_resistance_nm"]), decimals(of["largest_resistance_nm"])
-    energy, each_km = decimals(of["energy_mj"], 1), decimals(of["kwh_per_km"], 2)
-    belts = f"{decimals(of['coldest_belt_degc'], 1)} to {decimals(of['warmest_belt_degc'], 1)} degC"
-    return (
-        f"The drive: {way} km, {minutes} min under way; resistance {mean} Nm in the mean, {largest} Nm at most; {energy} MJ "
-        f"({each_km} kWh/km); belts {belts}"
-    )
 
 
 def text(report: dict[str, Any]) -> str:
@@ -173,7 +145,7 @@ def text(report: dict[str, Any]) -> str:
             lines.append(f"  counted: {channel}: " + ", ".join(f"{name} {number}" for name, number in refused.items()))
     lines += [f"  status: {item['text']} ({item['steps']} steps)" for item in report["reasons"]]
     lines += [f"  ! {remark}" for remark in report["remarks"]]
-    lines.append(_drive_text(report["drive"]))
+    lines.append(taken_text(report["drive"]))
     lines.append(
         f"At the end, at {decimals(last['speed_mps'] * 3.6, 1)} km/h: resistance "
         f"{decimals(last['resistance_torque_nm'])} +- {decimals(last['resistance_std_nm'])} Nm ("

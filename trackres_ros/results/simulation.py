@@ -12,12 +12,15 @@ from typing import Any
 
 import numpy as np
 
+from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.files.output_files import BAG_SUFFIX, output_file
 from trackres_ros.model.coverage import beyond_data
 from trackres_ros.model.resistance import RESISTANCE_PARTS
-from trackres_ros.offline.simulate import Drive, series_of
+from trackres_ros.model.vehicle_constants import vehicle_constants
+from trackres_ros.offline.energy import taken
+from trackres_ros.offline.simulate import Drive, assembly_values, series_of
 from trackres_ros.output.bag import OutputBag
 from trackres_ros.output.table import write_table
 from trackres_ros.results.series import Array, SeriesResult
@@ -118,13 +121,20 @@ class SimulationResult(SeriesResult):
         rows = [min(int(np.searchsorted(time, t - 1e-9)), len(time) - 1) for t in at_times]
         return [{name: float(values[row]) for name, values in self.items()} for row in rows]
 
+    @property
+    def drive(self) -> dict[str, float]:
+        """What the drive takes against resistance: way, time under way, resistance [Nm], energy, kWh/km, belts."""
+        belts = assembly_values(self._rows, at.PER_BELT).T
+        radius = vehicle_constants(self.vehicle).radius
+        return taken(self.time_s, self["speed_mps"], self["resistance_torque_nm"], belts, radius)
+
     def as_dict(self) -> dict[str, Any]:
         """The summary, ready for JSON.
 
         Returns
         -------
         dict
-            Names of vehicle and methods, the number of rows, and `points`.
+            Names of vehicle and methods, the number of rows, `points`, and `drive`.
         """
         return {
             "vehicle": self.vehicle.name,
@@ -133,6 +143,7 @@ class SimulationResult(SeriesResult):
             "rows": len(self.time_s),
             "points": self.points(),
             "remarks": self.remarks,
+            "drive": self.drive,
         }
 
     def __repr__(self) -> str:

@@ -179,11 +179,14 @@ def read_rubber_sweep(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         raise InputError(f"{path}", str(error), "a CSV with a temperature sweep") from None
     given = list(rows[0]) if rows else []
     columns = [name if name in given else f"{name}{AT_10_HZ}" for name in RUBBER_COLUMNS]
-    if len(rows) < 4 or any(name not in given for name in columns):
+    missing = [name for name, column in zip(RUBBER_COLUMNS, columns, strict=True) if column not in given]
+    if len(rows) < 4 or missing:
+        # The file may be any that a vehicle file names: of one that is no rubber file, the error shows nothing.
         raise InputError(
             f"{path}",
-            f"{len(rows)} rows with columns {', '.join(map(str, given)) or 'none'}",
+            f"{len(rows)} rows {f'without the column {missing[0]}' if missing else 'below the column names'}",
             f"at least four rows with the columns {', '.join(RUBBER_COLUMNS)} (or with {AT_10_HZ} behind the last two)",
+            "trackres compound fit reads the file of a DMA instrument",
         )
     table = np.empty((len(rows), 3))
     for i, row in enumerate(rows):

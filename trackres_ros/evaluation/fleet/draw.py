@@ -14,8 +14,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.errors import InputError
 from trackres_ros.evaluation.sealed.data_sheet import read_data_sheet
-from trackres_ros.evaluation.sealed.drives import drive
+from trackres_ros.evaluation.sealed.drives import Drive, drive
 from trackres_ros.evaluation.sealed.sensors import Sensors, record
 from trackres_ros.evaluation.sealed.truth import Build, simulate_truth
 from trackres_ros.files.own_files import PART
@@ -33,6 +34,8 @@ WIND_MPS = 3.0  # most, from anywhere
 RAIN_SHARE, RAIN = 0.12, (0.1, 0.8)  # of recordings; how much more a wet belt gives off
 MOST_LAG_S, MOST_OFFSET_NM, MOST_GAIN = 0.1, 15.0, 0.005  # of the torque sensor of each vehicle
 SPEED_STEPS_MPS = (0.02, 0.05)
+MOVES_S, MOVES_MPS = 90.0, 1.0  # at least: a recording with less than 60 s of driving is not compared
+EARLIEST, LATEST = 0.1, 0.9  # when a recording begins, as a share of the time between two
 BEARING, LOSS, GAIN = "bearing_friction", "loss_modulus_scale", "torque_gain.error"
 NONE, STEP, RAMP = "none", "step", "ramp"
 RIGHT = {BEARING: (BEARING,), LOSS: (LOSS,), GAIN: (GAIN,)}
@@ -60,17 +63,30 @@ class DrawnVehicle:
 
 
 def draw_fleet(
-    vehicles: int, days: int, every: float, changes: Sequence[tuple[str, str, float]], seed: int
+    vehicles: int, days: int, every: float, minutes: float, changes: Sequence[tuple[str, str, float]], seed: int
 ) -> list[DrawnVehicle]:
-    """Vehicles, the first drawn of which have the changes: parameter, kind and size of each; in an order that says nothing."""
+    """Vehicles, the first drawn of which have the changes: parameter, kind and size of each; in an order that says nothing.
+
+    A vehicle with one recording has no change: nothing could show it.
+
+    Raises
+    ------
+    InputError
+        If a recording is longer than the time between two.
+    """
     rng = np.random.default_rng([seed, *b"fleet"])
     found = []
+    every = min(every, float(days))
+    room = 1.0 - minutes * 60.0 / (every * DAY_S)
+    if room <= 0.0:
+        raise InputError("--every", f"{every:g} days between recordings of {minutes:g} minutes", "longer than a recording")
+    share = min(1.0, room / (LATEST - EARLIEST))
     count = max(1, int(days / every))
     for i in range(vehicles):
         build = np.clip(rng.normal(1.0, VEHICLES_DIFFER, 5), 0.8, 1.2)
-        begins = (np.arange(count) + rng.uniform(0.1, 0.9, count)) * every
+        begins = (np.arange(count) + share * rng.uniform(EARLIEST, LATEST, count)) * every
         hidden = None
-        if i < len(changes):
+        if i < len(changes) and count > 1:
             parameter, kind, size = changes[i]
             hidden = Hidden(parameter, kind, int(rng.integers(max(1, count // 4), max(2, count // 2 + 1))), size)
         names = ("loss", "bearing", "drag", "film", "capacity")
@@ -107,7 +123,10 @@ def write_recording(folder: Path, vehicle: DrawnVehicle, number: int, minutes: f
     rng = np.random.default_rng([vehicle.seed, number])
     season = SEASON_K * np.sin(2.0 * np.pi * vehicle.days[number] / 365.25)
     air = AIR_DEGC + season + WEATHER_K * rng.standard_normal()
-    one = drive(minutes, float(rng.choice(LOADS)) * numbers["weight"], air, FASTEST_MPS, rng)
+    weight = float(rng.choice(LOADS)) * numbers["weight"]
+    one = drive(minutes, weight, air, FASTEST_MPS, rng)
+    while _moves_s(one) < MOVES_S:  # the driver stood nearly all the time
+        one = drive(minutes, weight, air, FASTEST_MPS, rng)
     weather = {"headwind": {"wind": rng.uniform(0.0, WIND_MPS), "towards": rng.uniform(0.0, 2.0 * np.pi)}}
     if rng.random() < RAIN_SHARE:
         weather["rain"] = {"factor": 1.0 + rng.uniform(*RAIN)}
@@ -123,6 +142,10 @@ def write_recording(folder: Path, vehicle: DrawnVehicle, number: int, minutes: f
     part = path.with_name(path.name + PART)
     record(part, one, run, sensors, numbers["track.sprocket_radius"], begin, rng)
     return part.rename(path)
+
+
+def _moves_s(one: Drive) -> float:
+    return float((one.speed > MOVES_MPS).sum()) * one.step
 
 
 def _sensors(vehicle: DrawnVehicle) -> Sensors:

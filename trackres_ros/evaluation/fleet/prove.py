@@ -80,7 +80,7 @@ def changes_of(count: int) -> list[tuple[str, str, float]]:
 
 def generate(folder: Path, seed: int, vehicles: int, days: int, every: float, minutes: float) -> None:
     """Draw a fleet, seal what is hidden, and record it."""
-    fleet = draw_fleet(vehicles, days, every, changes_of(vehicles), seed)
+    fleet = draw_fleet(vehicles, days, every, minutes, changes_of(vehicles), seed)
     (folder / SEALED).mkdir(parents=True, exist_ok=True)
     digest = seal(seed, fleet)
     print(f"sealed: {len(fleet)} vehicles, SHA-256 {digest}", flush=True)

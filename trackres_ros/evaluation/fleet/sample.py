@@ -41,18 +41,16 @@ def write_sample(
     seed: int,
     on_begin: Callable[[int], Callable[[float], None]],
 ) -> list[DrawnVehicle]:
-    """A fleet to try things on, with three changes; what they are stands in answers.json.
+    """A fleet to try things on, of which up to three vehicles change; answers.json says which.
 
     Raises
     ------
     InputError
-        If there are fewer vehicles than changes, or the folder holds something else.
+        If a recording is longer than the time between two, or the folder holds something else.
     """
-    if vehicles < len(SAMPLE_CHANGES):
-        raise InputError("--vehicles", vehicles, f"at least {len(SAMPLE_CHANGES)}, as so many change")
+    fleet = draw_fleet(vehicles, days, every, minutes, SAMPLE_CHANGES, seed)
     if folder.exists() and any(folder.iterdir()) and not (folder / FLEET).exists():
         raise InputError("-o", str(folder), "a folder that is empty, or that holds an earlier sample")
-    fleet = draw_fleet(vehicles, days, every, SAMPLE_CHANGES, seed)
     write_recordings(folder, fleet, minutes, on_begin)
     answers = [
         {"vehicle": v.name, **asdict(v.hidden), "since_s": START_S + v.days[v.hidden.first] * 86400.0} for v in fleet if v.hidden

@@ -11,7 +11,7 @@ from typing import Any
 from urllib.parse import quote
 
 from trackres_ros.files.own_files import write
-from trackres_ros.fleet.dataset import FleetDataset
+from trackres_ros.fleet.dataset import LOAD_RECORDED, FleetDataset
 from trackres_ros.fleet.page.drawing import drawn
 from trackres_ros.fleet.periods import verdicts
 from trackres_ros.fleet.trends import change_sentence, sentences
@@ -33,6 +33,7 @@ SHOWN = (
     "held_out_refit",
     "mean_ambient",
     "findings",
+    LOAD_RECORDED,
 )
 
 
@@ -55,7 +56,8 @@ def write_pages(folder: Path, found: Mapping[str, Any], dataset: FleetDataset) -
     names = sorted({*found["vehicles"], *found["months"]})
     pages = {name: f"{VEHICLES}/{quote(name, safe='')}.html" for name in names}
     months = sorted({month for of in found["months"].values() for month in of})
-    worst = max((cell["mismatch"] for of in found["months"].values() for cell in of.values()), default=0.0)
+    cells = [cell["mismatch"] for of in found["months"].values() for cell in of.values()]
+    worst = max((mismatch for mismatch in cells if mismatch is not None), default=0.0)
     rows: dict[str, list[dict[str, Any]]] = {}
     for row in dataset.rows(list(SHOWN)):
         rows.setdefault(row["vehicle"], []).append(row)
@@ -82,9 +84,11 @@ def write_pages(folder: Path, found: Mapping[str, Any], dataset: FleetDataset) -
     return folder / INDEX
 
 
-def shade(mismatch: float, worst: float) -> int:
-    """Number of the colour of a mismatch, 0 for the least."""
-    return min(COLOURS - 1, int(COLOURS * mismatch / worst)) if worst > 0.0 else 0
+def shade(mismatch: float | None, worst: float) -> str:
+    """Class of the colour of a mismatch, `s0` for the least; that of a month whose recordings have no load is `unloaded`."""
+    if mismatch is None:
+        return "unloaded"
+    return f"s{min(COLOURS - 1, int(COLOURS * mismatch / worst)) if worst > 0.0 else 0}"
 
 
 def percent(share: float | None) -> str:

@@ -1,0 +1,99 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Paths that are empty, disks that are full, and files that a vehicle file names but that are no rubber files."""
+
+import resource
+import signal
+from pathlib import Path
+
+import click
+import pytest
+
+from trackres_ros.cli.main import cli
+
+SECRET = "root:x:0:0"
+
+
+def commands(group, words=()):
+    for name, command in group.commands.items():
+        if isinstance(command, click.Group):
+            yield from commands(command, (*words, name))
+        else:
+            yield (*words, name), command
+
+
+EMPTY = [
+    (words, option)
+    for words, command in commands(cli)
+    for option in command.params
+    if isinstance(option, click.Argument) or (isinstance(option, click.Option) and not option.is_flag)
+]
+
+
+def test_no_command_takes_an_empty_text_for_a_path(trackres, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.py").write_text("raise SystemExit('imported')\n")
+    assert len(EMPTY) > 100
+    for words, option in EMPTY:
+        given = [("",)] if isinstance(option, click.Argument) else [(option.opts[0], "")]
+        given += [(f"{name}=",) for name in option.opts if name.startswith("--")]
+        for one in given:
+            refused = trackres(*words, *one)
+            assert refused.returncode == 2, (words, one)
+            assert "not empty" in refused.stderr, (words, one)
+            assert "imported" not in refused.stderr
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["mine.py"]
+
+
+@pytest.fixture
+def little_room():
+    """No file of this process becomes larger than a few bytes, as on a disk that is full."""
+    before, handler = resource.getrlimit(resource.RLIMIT_FSIZE), signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+
+    def begin():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (64, before[1]))
+
+    yield begin
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    signal.signal(signal.SIGXFSZ, handler)
+
+
+@pytest.mark.parametrize(
+    ("words", "name"),
+    [
+        (("vehicle", "new", "mine", "-o"), ""),
+        (("simulate", "--vehicle", "agri3t", "--speed-kmh", "5", "--duration-s", "9", "-o"), "out.csv"),
+        (("sweep", "agri3t", "--vary", "loss_modulus_scale=0.9,1.1", "-o"), "out.csv"),
+    ],
+)
+def test_a_full_disk_is_one_line_with_the_file(trackres, little_room, tmp_path, words, name):
+    trackres(*words, tmp_path / f"first{name}")  # writes what is kept for later
+    little_room()
+    done = trackres(*words, tmp_path / name)
+    assert done.returncode == 2
+    assert str(tmp_path) in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize("content", [f"{SECRET}:root:/root:/bin/bash\n" * 9, f"T_degC,{SECRET}\n" + "1,2\n" * 9, f"{SECRET}\n"])
+@pytest.mark.parametrize("inside", [False, True])
+def test_of_a_file_that_is_no_rubber_file_nothing_is_shown(trackres, good, tmp_path, content, inside):
+    good("vehicle", "new", "mine", "-o", tmp_path / "vehicles")
+    file = tmp_path / "vehicles" / "mine.yaml"
+    other = Path("other.txt") if inside else Path("..") / "other.txt"
+    (file.parent / other).write_text(content)
+    file.write_text(file.read_text().replace("file: rubber/nr_sbr_10hz.csv", f"file: {other}"))
+    done = trackres("vehicle", "check", file)
+    assert done.returncode == 2
+    assert "other.txt" in done.stderr
+    assert SECRET not in done.stderr + done.stdout
+    assert "without the column" in done.stderr
+
+
+def test_a_rubber_file_in_a_sibling_folder_serves(good, tmp_path):
+    good("vehicle", "new", "mine", "-o", tmp_path / "vehicles")
+    file = tmp_path / "vehicles" / "mine.yaml"
+    (tmp_path / "vehicles" / "rubber").rename(tmp_path / "rubber")
+    file.write_text(file.read_text().replace("file: rubber/", "file: ../rubber/"))
+    assert "rubber" in good("vehicle", "check", file)

@@ -1,0 +1,177 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Two designs side by side."""
+
+import json
+from dataclasses import astuple
+
+import numpy as np
+import pytest
+import yaml
+
+import trackres_ros as tr
+from trackres_ros.design.compare_text import designs_text
+from trackres_ros.design.steady import held, steady
+from trackres_ros.design.uncertain import difference_std, moved, slopes_of
+from trackres_ros.model.operating_point import explain
+from trackres_ros.vehicle import load, variants
+
+GRID = ("--speed-kmh", "5,12", "--belt-degc", "0,60")
+
+
+@pytest.fixture(scope="module")
+def softer(tmp_path_factory, good):
+    """The reference vehicle with half of the loss, and twice the bearing friction."""
+    folder = tmp_path_factory.mktemp("designs")
+    good("vehicle", "new", "softer", "-o", folder)
+    file = folder / "softer.yaml"
+    content = yaml.safe_load(file.read_text())
+    content["rubber"]["loss_modulus_scale"].update(value=0.5, range=[0.4, 0.6])
+    file.write_text(yaml.safe_dump(content))
+    return file
+
+
+def test_half_of_the_loss_is_half_of_the_hysteresis_at_every_point(good, softer):
+    found = json.loads(good("compare", "xgd24d", softer, *GRID, "--json"))
+    (differs,) = (one for one in found["values"] if one["ratio"] is not None)
+    assert (differs["path"], differs["ratio"]) == ("rubber.loss_modulus_scale", 0.5)
+    found = found["designs"]
+    assert found["speeds_kmh"] == [5.0, 12.0]
+    assert found["belts_degc"] == [0.0, 60.0]
+    full, half = (np.array(design["torque_nm"]) for design in found["designs"])
+    assert np.all(half < full)
+    # Bearings and air are alike in both and at every temperature; the torque strains the belt a little.
+    rest = 2.0 * half - full
+    assert rest.std(axis=0).max() < 0.01 * full.mean()
+    assert np.all(np.diff(full, axis=0) < 0.0)  # warmer rubber loses less
+    drives = [design["drive"] for design in found["designs"]]
+    assert drives[0]["km"] == drives[1]["km"]
+    assert drives[1]["kwh_per_km"] < drives[0]["kwh_per_km"]
+    assert {row["outcome"] for row in found["steady"]} == {"cold_nm", "warm_nm", "belt_degc", "kwh_per_km"}
+    assert all(0.0 < row["std"] < row["std_with_changed"] for row in (*found["steady"], *found["drives"]))
+
+
+def test_the_tables_and_the_picture(good, softer, tmp_path):
+    other = softer.with_name("wider.yaml")  # another version of the same name: it goes by its file
+    other.write_text(softer.read_text().replace("value: 0.5", "value: 0.55"))
+    text = good("compare", softer, other, "--speed-kmh", "10", "--belt-degc", "20", "-o", tmp_path / "out")
+    values, _, rest = text.partition("Steady")
+    assert "rubber.loss_modulus_scale" in values
+    assert "+10.0 %" in values
+    assert "wider takes" in values
+    assert "None of these parameters differs" not in text
+    for part in (
+        "belt temperature",
+        "kWh/km",
+        "Resistance [Nm] of softer",
+        "Resistance [Nm] of wider",
+        "change from softer to wider",
+    ):
+        assert part in rest
+    assert (tmp_path / "out" / "designs.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+
+
+def test_each_load_air_speed_and_drive_has_its_rows(good, softer, tmp_path):
+    recording = tmp_path / "drive.csv"
+    recording.write_text(
+        "time_s,speed_kmh,torque_nm,weight_n,ambient_degc\n0,0,0,250000,5\n30,9,900,250000,5\n300,9,900,250000,5\n"
+    )
+    words = ("--speed-kmh", "8", "--belt-degc", "20", "--cycle", recording, "--cycle", "laps")
+    listed = ("--weight-kn", "240,300", "--ambient-degc", "-10:20:2")
+    found = json.loads(good("compare", "xgd24d", softer, *words, *listed, "--json"))["designs"]
+    assert len(found["steady"]) == 2 * 2 * 4
+    assert len(found["drives"]) == 2 * 2 * 2 * 3
+    cold = {(r["speed_kmh"], r["ambient_degc"], r["weight_kn"][0]): r for r in found["steady"] if r["outcome"] == "cold_nm"}
+    assert cold[8.0, -10.0, 240.0]["one"] > cold[8.0, 20.0, 240.0]["one"]
+    assert cold[8.0, 20.0, 300.0]["one"] > cold[8.0, 20.0, 240.0]["one"]
+    exact = explain(load("xgd24d"), 8.0 / 3.6, 20.0, 20.0, 300e3)["torque_nm"]["resistance"]
+    assert cold[8.0, 20.0, 300.0]["one"] == pytest.approx(exact)
+    assert "not torque" in found["notes"][0]
+    own = json.loads(good("compare", "xgd24d", softer, *words, "--json"))["designs"]
+    assert [row["recorded"] for row in own["drives"][::3]] == [["load", "ambient"], []]
+    simulated = tr.simulate("xgd24d", profile=_without_torque(recording), dt=0.5)
+    assert own["drives"][0]["one"] == pytest.approx(simulated.drive["kwh_per_km"])
+    assert "load and air as recorded" in designs_text(own)
+
+
+def _without_torque(recording):
+    plain = recording.with_name("plain.csv")
+    lines = [line.split(",") for line in recording.read_text().splitlines()]
+    plain.write_text("".join(",".join([*cells[:2], *cells[3:]]) + "\n" for cells in lines))
+    return plain
+
+
+PATHS = (
+    "rubber.loss_modulus_scale",
+    "rubber.glass_transition",
+    "chassis.bearing_friction",
+    "chassis.drag_coefficient",
+    "belt.thickness",
+    "belt.film_offset",
+    "sprocket_radius",
+)
+
+
+def test_the_uncertainty_of_a_difference_is_that_of_vehicles_moved_together(good, tmp_path):
+    """Each value moved by a little in both vehicles, by the exact methods; where it differs, in each by itself."""
+    good("vehicle", "new", "mine", "--like", "agri3t", "-o", tmp_path)
+    content = yaml.safe_load((tmp_path / "mine.yaml").read_text())
+    content["rubber"]["loss_modulus_scale"].update(value=0.7, range=[0.6, 0.8])
+    content["chassis"]["bearing_friction"].update(value=0.009)
+    (tmp_path / "mine.yaml").write_text(yaml.safe_dump(content))
+    one, other = load("agri3t"), load(tmp_path / "mine.yaml")
+    speed, air = 2.0, 5.0
+    paths = [path for end in PATHS for path in one.parameters if path.endswith(end)]
+
+    def of(vehicle, by=()):
+        values = {path: vehicle.parameters[path].value + step for path, step in by}
+        return np.array(astuple(steady(variants(vehicle)(values), speed, air)))
+
+    moves = []
+    for vehicle in (one, other):
+        found = of(vehicle)
+        slopes = slopes_of(vehicle, speed, np.array([air, found[2]]))
+        off = moved(slopes, lambda by, _, of=vehicle: np.array(astuple(held(of, speed, air).solve(by))), [air, *[found[2]] * 3])
+        exact = {}
+        for path in paths:
+            std = vehicle.parameters[path].standard_deviation
+            exact[path] = (of(vehicle, [(path, 0.1 * std)]) - found) / 0.1
+            assert np.all(np.abs(off[path] - exact[path]) <= 0.1 * np.abs(exact[path]) + 1e-3 * np.abs(found)), path
+        moves.append(({path: off[path] for path in paths}, exact))
+    by_slopes, by_vehicles = (difference_std((one, other), both) for both in zip(*moves, strict=True))
+    assert np.array(by_slopes) == pytest.approx(np.array(by_vehicles), rel=0.1)
+    assert np.all(by_slopes[1] > by_slopes[0])
+
+
+def test_the_same_design_twice_is_the_same(good, softer):
+    same = json.loads(good("compare", softer, softer, "--speed-kmh", "10", "--belt-degc", "20", "--json"))
+    for row in (*same["designs"]["steady"], *same["designs"]["drives"]):
+        assert row["difference"] == row["std"] == row["std_with_changed"] == 0.0
+    one, other = same["designs"]["designs"]
+    assert one == other
+    assert same["values"] == []
+    assert not any(q["difference_std"] or q["differs"] for q in same["parameters"])
+    assert "both take the same energy" in designs_text(same["designs"])
+
+
+@pytest.mark.parametrize(
+    ("given", "part"),
+    [
+        (("xgd24d", "agri3t", "--speed-kmh", "20:10"), "A < B"),
+        (("xgd24d", "agri3t", "--speed-kmh", "5:10:99"), "at most 25 numbers"),
+        (("xgd24d", "agri3t", "--ambient-degc", "nan"), "--ambient-degc"),
+        (("xgd24d", "agri3t", "--weight-kn", "272"), "kN for agri3t"),
+        (("husky", "husky", "--weight-kn", "1"), "only with two vehicle files with tracks"),
+        (("xgd24d", "agri3t", "--cycle", "stagess"), "did you mean stages"),
+        (("xgd24d", "agri3t", "--speed-kmh", "5:50"), "--speed-kmh"),
+        (("xgd24d", "agri3t", "--belt-degc", "warm"), "A:B"),
+        (("husky", "husky", "--belt-degc", "0:20"), "only with two vehicle files with tracks"),
+        (("xgd24d", "agri3t", "--cycle", "nothing.csv"), "nothing.csv"),
+    ],
+)
+def test_what_cannot_be_is_one_line(trackres, given, part):
+    refused = trackres("compare", *given)
+    assert refused.returncode == 2
+    assert part in refused.stderr
+    assert len(refused.stderr.strip().splitlines()) == 1

@@ -1,0 +1,193 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""What changed as rows for other programs, and what a month says of recordings without a load."""
+
+import csv
+import json
+import signal
+import subprocess
+import sys
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from threading import Thread
+
+import numpy as np
+import pytest
+from waiting import wait_for
+
+pytest.importorskip("fsspec")
+pytest.importorskip("pyarrow")
+
+from trackres_ros.errors import InputError
+from trackres_ros.evaluation.fleet.draw import draw_fleet, write_recording
+from trackres_ros.fleet.alerts import COLUMNS, checked_url
+from trackres_ros.fleet.alone import alone
+from trackres_ros.fleet.changes import DAY_S
+from trackres_ros.fleet.dataset import FleetDataset
+from trackres_ros.fleet.page.write import write_pages
+from trackres_ros.fleet.recordings import FoundRecording
+from trackres_ros.fleet.task import Task, analyse, broken
+from trackres_ros.fleet.trends import day_of, sentences, trends
+from trackres_ros.fleet.vehicles import one_vehicle, read_fleet
+
+BEGIN_S, RECORDINGS = 1.75e9, 12
+NAMES = ("bearing_friction", "loss_modulus_scale")
+
+
+def row(vehicle, number, mismatch=0.04, load=True, moved=0.0):
+    """A recording that says bearings are `moved` standard deviations of the file off, and everything else is as in the file."""
+    start = BEGIN_S + 2.0 * DAY_S * number
+    found = broken(FoundRecording(f"/data/{vehicle}/{number}.csv", "1"), vehicle, "x", "")
+    precision = np.diag([400.0, 400.0])
+    return {
+        **found, "status": "good", "content": f"{vehicle}{number}", "start_s": start, "day": day_of(start), "duration_s": 600.0,
+        "distance_m": 5000.0, "mean_torque": 3000.0, "mean_ambient": 15.0, "residual_std": 50.0, "held_out_file": 100.0,
+        "held_out_refit": 90.0, "resistance_mj": 10.0, "mismatch": mismatch, "load_recorded": load, "names": list(NAMES),
+        "units": ["1", "1"], "nominal": [0.0075, 1.0], "std": [0.002, 0.1],
+        "precision": precision[np.triu_indices(2)].tolist(),
+        "linear": (precision @ [moved + 0.02 * np.sin(number), 0.02 * np.cos(3 * number)]).tolist(),
+    }  # fmt: skip
+
+
+@pytest.fixture
+def dataset(tmp_path):
+    """A fleet of two vehicles; the bearings of the second one change for good."""
+    found = FleetDataset(tmp_path / "results")
+    found.prepare()
+    for number in range(RECORDINGS):
+        found.put(row("steady", number), None)
+        found.put(row("worn", number, moved=1.5 if number >= RECORDINGS // 2 else 0.0), None)
+    return found
+
+
+@contextmanager
+def hook(answer):
+    """A web server on loopback that answers a POST with a code; gives its address and what was sent to it."""
+    received = []
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_POST(self):
+            received.append((self.headers["Content-Type"], self.rfile.read(int(self.headers["Content-Length"]))))
+            self.send_response(answer)
+            self.send_header("Location", "/elsewhere")
+            self.end_headers()
+
+        def log_message(self, *_):
+            pass
+
+    server = HTTPServer(("127.0.0.1", 0), Handler)
+    thread = Thread(target=server.serve_forever)
+    thread.start()
+    try:
+        yield f"http://127.0.0.1:{server.server_port}/secret", received
+    finally:
+        server.shutdown()
+        thread.join()
+        server.server_close()
+
+
+def test_changes_are_a_table_a_message_and_an_exit_code(dataset, trackres, tmp_path):
+    with hook(204) as (url, received):
+        done = trackres("trend", dataset.folder, "--alerts", tmp_path / "a.csv", "--webhook", url, "--exit-code", "--json")
+    assert done.returncode == 3
+    (alert,) = json.loads(done.stdout)["alerts"]
+    assert (alert["vehicle"], alert["parameter"]) == ("worn", "bearing_friction")
+    ((kind, body),) = received
+    assert kind == "application/json"
+    assert json.loads(body)["alerts"] == [alert]
+    with (tmp_path / "a.csv").open() as file:
+        (written,) = csv.DictReader(file)
+    assert tuple(written) == COLUMNS == tuple(alert)
+    assert written["text"] == alert["text"]
+
+
+@pytest.mark.parametrize("answer", [302, 500])
+def test_a_webhook_that_fails_is_a_warning_and_exit_code_4(dataset, trackres, answer):
+    with hook(answer) as (url, _):
+        done = trackres("trend", dataset.folder, "--webhook", url)
+    assert done.returncode == 4
+    assert f"answered {answer}" in done.stderr
+    assert "secret" not in done.stderr
+    assert "worn: bearing_friction" in done.stdout
+    done = trackres("trend", dataset.folder, "--webhook", url)  # nobody listens there any more
+    assert done.returncode == 4
+    assert "the webhook failed: http://127.0.0.1" in done.stderr
+
+
+def test_without_a_change_nothing_is_sent_and_the_exit_code_is_0(dataset, trackres, tmp_path):
+    words = ("trend", dataset.folder, "--name", "steady", "--webhook", "http://127.0.0.1:9", "--exit-code")
+    done = trackres(*words, "--alerts", tmp_path / "a.csv")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert (tmp_path / "a.csv").read_text().splitlines() == [",".join(COLUMNS)]
+
+
+@pytest.mark.parametrize(
+    "url", ["ftp://x/y", "http://", "x", "http://h:99999/", "http://h:x/", "file:///etc/passwd", "http://a b/"]
+)
+def test_an_address_that_is_none_is_refused(url):
+    with pytest.raises(InputError, match="--webhook"):
+        checked_url(url)
+
+
+@pytest.mark.parametrize("limit", ["-1", "inf", "nan", "1e13", "", "x"])
+def test_a_limit_is_finite_and_not_negative(trackres, limit, dataset, tmp_path):
+    done = trackres("trend", dataset.folder, "--limit", f"bearing_friction={limit}")
+    assert done.returncode == 2
+    assert "--limit" in done.stderr
+    (tmp_path / "fleet.yaml").write_text(f"vehicles: {{a: {{file: xgd24d, limits: {{bearing_friction: {limit or 'x'}}}}}}}")
+    with pytest.raises(InputError, match="limits"):
+        read_fleet(tmp_path / "fleet.yaml")
+
+
+def test_a_month_leaves_recordings_without_a_load_out_of_its_colour(dataset):
+    dataset.put(row("steady", RECORDINGS, mismatch=0.5, load=False), None)
+    dataset.put(row("unloaded", 0, mismatch=0.5, load=False), None)
+    found = trends(dataset, {})
+    month = day_of(BEGIN_S + 2.0 * DAY_S * RECORDINGS)[:7]
+    cell = found["months"]["steady"][month]
+    assert cell["mismatch"] == pytest.approx(0.04)
+    assert cell["without_load"] == 1
+    assert found["vehicles"]["steady"]["mismatch"] == pytest.approx(0.04)
+    (only,) = found["months"]["unloaded"].values()
+    assert only["mismatch"] is None
+    assert "2 recordings have no load" in "\n".join(sentences(found))
+    page = write_pages(dataset.folder, found, dataset).read_text()
+    assert 'class="cell unloaded"' in page
+    assert "1 without load" in page
+    assert 'class="cell s5"' in page  # of 4 %, the worst that is known
+    assert "50.0 % without load" in (dataset.folder / "vehicles" / "steady.html").read_text()
+
+
+def test_a_row_says_whether_a_load_was_recorded(tmp_path):
+    vehicle = one_vehicle("xgd24d", None).vehicles["xgd24d"]
+    (truck,) = draw_fleet(1, 1, 1.0, 3.0, (), seed=1)
+    path = write_recording(tmp_path, truck, 0, 3.0)
+    with path.open() as file:
+        rows = list(csv.DictReader(file))
+    for name, dropped in (("with", ()), ("without", ("weight_n",))):
+        assert set(dropped) <= set(rows[0])
+        with (tmp_path / f"{name}.csv").open("w") as file:
+            table = csv.DictWriter(file, [key for key in rows[0] if key not in dropped], extrasaction="ignore")
+            table.writeheader()
+            table.writerows(rows)
+        done = analyse(Task(str(tmp_path / f"{name}.csv"), "1", vehicle))
+        assert done["load_recorded"] is not dropped, done["reason"]
+        assert done["load_recorded"] == (name == "with")
+
+
+def test_one_run_at_a_time_writes_into_a_folder(tmp_path, trackres):
+    program = "import sys, time; from pathlib import Path; from trackres_ros.fleet.alone import alone\n"
+    program += "with alone(Path(sys.argv[1])): print('held', flush=True); time.sleep(600)"
+    first = subprocess.Popen([sys.executable, "-c", program, tmp_path / "out"], stdout=subprocess.PIPE, text=True)
+    try:
+        assert first.stdout.readline() == "held\n"
+        refused = trackres("fleet", tmp_path, "--vehicle", "xgd24d", "-o", tmp_path / "out")
+        assert refused.returncode == 2
+        assert f"process {first.pid}" in refused.stderr
+    finally:
+        first.send_signal(signal.SIGKILL)
+        first.communicate()
+    assert wait_for(lambda: first.poll() is not None)
+    with alone(tmp_path / "out"):
+        pass

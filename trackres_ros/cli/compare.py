@@ -1,0 +1,84 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Runs `trackres compare`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from trackres_ros import InputError
+from trackres_ros.cli.common import Command, emit, json_option, needs, output_folder, print_warnings, progress
+
+A_NUMBER = "A|A:B|A,B,C"
+
+
+@click.command("compare", cls=Command)
+@click.argument("one")
+@click.argument("other")
+@click.option("--speed-kmh", metavar=A_NUMBER, help="Of two designs: speeds; without, 30 and 5 to the slower one's greatest.")
+@click.option("--belt-degc", metavar=A_NUMBER, help="Of two designs: belt temperatures of the table; -20:80 without.")
+@click.option("--ambient-degc", metavar=A_NUMBER, help="Of two designs: air; that of the file of ONE without.")
+@click.option("--weight-kn", metavar=A_NUMBER, help="Of two designs: whole weights; each file's own without.")
+@click.option(
+    "--cycle",
+    multiple=True,
+    metavar="DRIVE",
+    help="Of two designs: a drive. A recording, a speed profile as simulate takes it, or stages or laps; may be repeated. "
+    "stages without.",
+)
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="Folder for pictures of both."
+)
+@json_option
+def compare_command(
+    one: str,
+    other: str,
+    speed_kmh: str | None,
+    belt_degc: str | None,
+    ambient_degc: str | None,
+    weight_kn: str | None,
+    cycle: tuple[str, ...],
+    output: Path | None,
+    as_json: bool,
+) -> None:
+    """What differs beyond its uncertainty between two days, vehicles, reports or designs.
+
+    ONE and OTHER are each a folder of trackres fleet, all of it or a part (results:truck-01, results:truck-01@2026-03,
+    results@2026-03-14), a folder of trackres diagnose, or a vehicle file. Of two vehicle files the values that differ are listed;
+    of two with tracks also resistance, belt temperature and energy, with how sure the difference is.
+
+    A:B is five numbers from A to B, A:B:N is N. The drive stages is ten minutes each at a third, two thirds and all of the
+    slower vehicle's greatest speed; laps is ten laps of 628 m with a stop after each.
+
+    \b
+    trackres compare results:truck-01@2026-01 results:truck-01@2026-03
+    trackres compare xgd24d my_design.yaml --speed-kmh 50 --ambient-degc -15,15
+    trackres compare xgd24d my_design.yaml --weight-kn 200,270,340 --cycle stages --cycle lap.mcap
+    """
+    from trackres_ros.design.compare import Options, asked_of, compare_designs
+    from trackres_ros.design.compare_text import designs_text, draw_designs
+    from trackres_ros.fleet.compare import compare, compare_text
+    from trackres_ros.offline.vehicle_files import differences, differences_text
+
+    with print_warnings():
+        found = compare(one, other)
+    asked, designs = asked_of((one, other), Options(speed_kmh, belt_degc, ambient_degc, weight_kn, cycle)), None
+    try:
+        found["values"] = values = differences(one, other)
+        text = "\n".join(["Values that differ", differences_text(one, other, values)])
+    except InputError:  # one of them is no vehicle file
+        text = compare_text(found)
+    if asked is not None:
+        with progress("operating points", asked.points) as advance:
+            found["designs"] = designs = compare_designs(asked, advance)
+    if output is not None:
+        needs("a picture", "plots", "matplotlib")
+        from trackres_ros.fleet.overlay import draw_overlay
+
+        found["written"] = str(draw_overlay(found, output_folder(output) / "compare.png"))
+        if designs is not None:
+            found["written"] += f", {draw_designs(designs, output / 'designs.png')}"
+    emit(found, as_json, lambda: "\n".join([text, *([designs_text(designs)] if designs is not None else [])]))

@@ -1,0 +1,301 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Two designs side by side: steady states, drives, resistance over speed and belt temperature, and how sure the difference is."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import astuple, dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.design.drives import STAGES, Cycle, check_weight, driven, read_cycle, with_factors
+from trackres_ros.design.steady import WARMEST_K, Off, held, steady
+from trackres_ros.design.uncertain import Slopes, difference_std, half_width, moved, slopes_of
+from trackres_ros.errors import InputError, one_line
+from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.files.resources import find_vehicle
+from trackres_ros.files.yamls import read_yaml
+from trackres_ros.model.coverage import OVERSPEED
+from trackres_ros.model.operating_point import explain
+from trackres_ros.model.vehicle_constants import vehicle_constants
+from trackres_ros.text.numbers import figures
+from trackres_ros.units import GRAVITY, KMH_PER_MPS
+from trackres_ros.vehicle import Vehicle, load
+
+Array = NDArray[np.float64]
+
+POINTS, MOST_VALUES, MOST_CONDITIONS = 5, 25, 200
+SLOWEST_KMH, USUAL_KMH, COLDEST_DEGC, WARMEST_DEGC = 5.0, 30.0, -20.0, 80.0
+BELTS_DEGC, AIR_DEGC = (-60.0, 150.0), (-60.0, 60.0)  # what a belt and the air may have
+STEADY = {
+    "cold_nm": ("resistance, cold belts", "Nm"),
+    "warm_nm": ("resistance, warm belts", "Nm"),
+    "belt_degc": ("belt temperature", "degC"),
+    "kwh_per_km": ("energy, warm belts", "kWh/km"),
+}
+DRIVEN = {
+    "kwh_per_km": ("energy", "kWh/km"),
+    "mean_resistance_nm": ("mean resistance", "Nm"),
+    "warmest_belt_degc": ("warmest belt", "degC"),
+}
+OPTIONS = "--speed-kmh", "--belt-degc", "--ambient-degc", "--weight-kn", "--cycle"
+SLOPE_POINTS = 3  # belt temperatures at which it is looked at how sure the loss is
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What two designs are compared at.
+
+    Attributes
+    ----------
+    vehicles
+        Both.
+    speeds_kmh, belts_degc
+        Of the table of resistance.
+    steady_kmh
+        Speeds of the steady states.
+    ambients_degc, weights_n
+        Air, and whole weights; None is each vehicle's own.
+    cycles
+        Drives.
+    given
+        Which of `ambient` and `load` were asked for: what a recording holds does not act then.
+    """
+
+    vehicles: tuple[Vehicle, Vehicle]
+    speeds_kmh: tuple[float, ...]
+    belts_degc: tuple[float, ...]
+    steady_kmh: tuple[float, ...]
+    ambients_degc: tuple[float, ...]
+    weights_n: tuple[float | None, ...]
+    cycles: tuple[Cycle, ...]
+    given: frozenset[str]
+
+    @property
+    def points(self) -> int:
+        """How many operating points, steady states and drives there are."""
+        grid = len(self.speeds_kmh) * len(self.belts_degc)
+        return 2 * (grid + len(self.ambients_degc) * len(self.weights_n) * (len(self.steady_kmh) + len(self.cycles)))
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What the options of `trackres compare` say, as text; None where they were not given."""
+
+    speed_kmh: str | None = None
+    belt_degc: str | None = None
+    ambient_degc: str | None = None
+    weight_kn: str | None = None
+    cycles: tuple[str, ...] = ()
+
+
+def asked_of(given: Sequence[str], options: Options) -> Asked | None:
+    """What to compare two vehicle files with tracks at; None of anything else.
+
+    Raises
+    ------
+    InputError
+        If an option says nothing usable, or is given for something else.
+    """
+    try:
+        files = [find_vehicle(name) for name in given]
+    except InputError:
+        files = []
+    if not files or not all("tracks" in read_yaml(file) for file in files):
+        for name, value in zip(OPTIONS, astuple(options), strict=True):
+            if value:
+                shown = ", ".join(value) if isinstance(value, tuple) else value
+                raise InputError(name, shown, "only with two vehicle files with tracks")
+        return None
+    one, other = (load(file) for file in files)
+    vehicles = one, other
+    fastest = min(v.chassis.max_speed for v in vehicles)
+    fastest_kmh = KMH_PER_MPS * fastest
+    usual = (SLOWEST_KMH, fastest_kmh)
+    speeds = numbers("--speed-kmh", options.speed_kmh or ":".join(map(str, usual)), (0.1, OVERSPEED * fastest_kmh))
+    belts = numbers("--belt-degc", options.belt_degc or f"{COLDEST_DEGC}:{WARMEST_DEGC}", BELTS_DEGC)
+    steady_kmh = speeds if options.speed_kmh else (min(USUAL_KMH, fastest_kmh),)
+    air = (one.chassis.ambient,) if options.ambient_degc is None else numbers("--ambient-degc", options.ambient_degc, AIR_DEGC)
+    weights: tuple[float | None, ...] = (None,)
+    if options.weight_kn is not None:
+        weights = tuple(1e3 * kn for kn in numbers("--weight-kn", options.weight_kn, (0.1, 1e5)))
+        for vehicle, weight in itertools.product(vehicles, weights):
+            check_weight(vehicle, weight or 0.0)
+    cycles = tuple(read_cycle(name, fastest) for name in options.cycles or (STAGES,))
+    named = (("ambient", options.ambient_degc), ("load", options.weight_kn))
+    conditions = len(air) * len(weights) * (len(steady_kmh) + len(cycles))
+    if conditions > MOST_CONDITIONS:
+        raise InputError(", ".join(OPTIONS), f"{conditions} conditions", f"at most {MOST_CONDITIONS}")
+    known = frozenset(role for role, value in named if value is not None)
+    return Asked(vehicles, speeds, belts, steady_kmh, air, weights, cycles, known)
+
+
+def numbers(option: str, given: str, limits: tuple[float, float]) -> tuple[float, ...]:
+    """The numbers that `A`, `A:B`, `A:B:N` and `A,B,C` say; `A:B` is five, evenly spaced.
+
+    Raises
+    ------
+    InputError
+        On anything else, or beyond the limits.
+    """
+    low, high = limits
+    try:
+        if ":" in given:
+            begin, end, *more = given.split(":")
+            (count,) = map(int, more or [str(POINTS)])
+            first, last = float(begin), float(end)
+            if not (2 <= count <= MOST_VALUES and first < last):
+                raise ValueError
+            found = [round(first + i * (last - first) / (count - 1), 4) for i in range(count)]
+        else:
+            found = [float(one) for one in given.split(",")]
+        if not (found and len(found) <= MOST_VALUES and all(low <= x <= high for x in found) and len(set(found)) == len(found)):
+            raise ValueError
+    except ValueError:
+        allowed = f"A, A:B with A < B, A:B:N or A,B,C, at most {MOST_VALUES} numbers from {figures(low)} to {figures(high)}"
+        raise InputError(option, given, allowed) from None
+    return tuple(found)
+
+
+def compare_designs(asked: Asked, advance: Callable[[float], None] = lambda _: None) -> dict[str, Any]:
+    """Two vehicles at the same conditions.
+
+    Parameters
+    ----------
+    advance
+        Takes that one more point is done.
+
+    Returns
+    -------
+    dict
+        Ready for JSON. `designs`: of each vehicle torque [Nm] and coefficient (resistance over weight) by belt temperature and
+        speed, and what the first drive takes. `steady` and `drives`: a row for each condition and outcome with both values, their
+        difference, and its standard deviations by the ranges that both files have alike, and by all.
+    """
+    names = shown_names(asked.vehicles)
+    slopes = _Slopes(asked)
+    estimators = [Estimator(vehicle) for vehicle in asked.vehicles]
+    rows_steady, rows_driven = [], []
+    for air, weight in itertools.product(asked.ambients_degc, asked.weights_n):
+        where = {"ambient_degc": air, "weight_kn": [(v.weight if weight is None else weight) / 1e3 for v in asked.vehicles]}
+        for kmh in asked.steady_kmh:
+            rows_steady += _rows({"speed_kmh": kmh, **where}, STEADY, *_steady(asked, slopes, kmh, air, weight))
+            advance(2)
+        for cycle in asked.cycles:
+            found = _driven(asked, slopes, estimators, cycle, air, weight)
+            rows_driven += _rows({"cycle": cycle.name, "recorded": cycle.conditions(asked.given), **where}, DRIVEN, *found)
+            advance(2)
+    designs = [_grid(asked, vehicle, name, advance) for vehicle, name in zip(asked.vehicles, names, strict=True)]
+    for design, estimator in zip(designs, estimators, strict=True):
+        design["drive"] = _first_drive(asked, estimator)
+    return {
+        "speeds_kmh": list(asked.speeds_kmh), "belts_degc": list(asked.belts_degc), "designs": designs, "steady": rows_steady,
+        "drives": rows_driven, "notes": [note for cycle in asked.cycles for note in cycle.notes],
+    }  # fmt: skip
+
+
+def shown_names(vehicles: Sequence[Vehicle]) -> list[str]:
+    """Names of the vehicles; two versions of one vehicle have one name, and go by their files."""
+    named = [v.name for v in vehicles]
+    return named if len(set(named)) == len(named) else [one_line(v.source.stem) for v in vehicles]
+
+
+class _Slopes:
+    """The slopes of a vehicle over belt temperatures, at that of three of the speeds which is nearest."""
+
+    def __init__(self, asked: Asked) -> None:
+        air, speeds = asked.ambients_degc, sorted(asked.steady_kmh)
+        belts = np.linspace(min(air), max(air) + 0.75 * WARMEST_K, SLOPE_POINTS)
+        self._speeds = {kmh / KMH_PER_MPS for kmh in (speeds[0], speeds[len(speeds) // 2], speeds[-1])}
+        self._at = lru_cache(maxsize=None)(lambda number, speed: slopes_of(asked.vehicles[number], speed, belts))
+
+    def __call__(self, number: int, speed: float) -> Slopes:
+        return self._at(number, min(self._speeds, key=lambda known: abs(known - speed)))
+
+
+def _steady(asked: Asked, slopes: _Slopes, kmh: float, air: float, weight: float | None) -> tuple[list[Array], Array, Array]:
+    """Outcomes of both vehicles, and how sure the difference is."""
+    speed, values, changes = kmh / KMH_PER_MPS, [], []
+    for number, vehicle in enumerate(asked.vehicles):
+        found = steady(vehicle, speed, air, weight)
+        plain = held(replace(vehicle, effects=(), surroundings=()), speed, air, weight)
+
+        def outcomes(off: Off, _capacity: float, plain: Any = plain) -> Array:
+            return np.array(astuple(plain.solve(off)))
+
+        warm = found.belt_degc if math.isfinite(found.belt_degc) else air
+        values.append(np.array(astuple(found)))
+        changes.append(moved(slopes(number, speed), outcomes, np.array([air, warm, warm, warm])))
+    return values, *difference_std(asked.vehicles, (changes[0], changes[1]))
+
+
+def _driven(
+    asked: Asked, slopes: _Slopes, estimators: Sequence[Estimator], cycle: Cycle, air: float,
+    weight: float | None,
+) -> tuple[list[Array], Array, Array]:  # fmt: skip
+    """The same of a drive."""
+    values, changes = [], []
+    ambient = None if "ambient" in cycle.conditions(asked.given) else air
+    for number, estimator in enumerate(estimators):
+
+        def outcomes(off: Off, capacity: float, estimator: Estimator = estimator) -> Array:
+            found = driven(with_factors(estimator, off, capacity), cycle, weight, ambient)
+            # The radius is no part of the drive itself: a torque goes with it, the energy does not.
+            return np.array([found[name] * (off.radius if name.endswith("_nm") else 1.0) for name in DRIVEN])
+
+        found = driven(estimator, cycle, weight, ambient)
+        values.append(np.array([found[name] for name in DRIVEN]))
+        speed = found["distance_m"] / max(found["under_way_s"], 1.0)
+        mean = 0.5 * (found["coldest_belt_degc"] + found["warmest_belt_degc"])
+        changes.append(moved(slopes(number, speed), outcomes, np.full(len(DRIVEN), mean)))
+    return values, *difference_std(asked.vehicles, (changes[0], changes[1]))
+
+
+def _rows(
+    where: dict[str, Any], named: dict[str, tuple[str, str]], values: list[Array], common: Array, all_: Array
+) -> list[dict[str, Any]]:
+    one, other = values
+    return [
+        {
+            **where, "outcome": name, "unit": unit, "one": _plain(one[i]), "other": _plain(other[i]),
+            "difference": _plain(other[i] - one[i]), "std": _plain(common[i]), "std_with_changed": _plain(all_[i]),
+        }
+        for i, (name, (_, unit)) in enumerate(named.items())
+    ]  # fmt: skip
+
+
+def _plain(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _grid(asked: Asked, vehicle: Vehicle, name: str, advance: Callable[[float], None]) -> dict[str, Any]:
+    weight = asked.weights_n[0] or vehicle.weight
+    torque = np.empty((len(asked.belts_degc), len(asked.speeds_kmh)))
+    for i, degc in enumerate(asked.belts_degc):
+        for j, kmh in enumerate(asked.speeds_kmh):
+            found = explain(vehicle, kmh / KMH_PER_MPS, degc, asked.ambients_degc[0], weight)
+            torque[i, j] = found["torque_nm"]["resistance"]
+            advance(1)
+    coefficient = torque / vehicle_constants(vehicle).radius / weight
+    return {"vehicle": name, "weight_n": weight, "torque_nm": torque.tolist(), "coefficient": coefficient.tolist()}
+
+
+def _first_drive(asked: Asked, estimator: Estimator) -> dict[str, float]:
+    vehicle, cycle = estimator.vehicle, asked.cycles[0]
+    ambient = None if "ambient" in cycle.conditions(asked.given) else asked.ambients_degc[0]
+    found = driven(estimator, cycle, asked.weights_n[0], ambient)
+    tonnes = (asked.weights_n[0] or vehicle.weight) / GRAVITY / 1000.0
+    each_km = found["kwh_per_km"]
+    return {"km": found["distance_m"] / 1000.0, "kwh_per_km": each_km, "wh_per_km_and_t": 1000.0 * each_km / tonnes}
+
+
+def interval(row: Mapping[str, Any], key: str) -> float | None:
+    """Half-width of the 95 % interval of a row's difference."""
+    return None if row[key] is None else half_width(row[key])

@@ -1,0 +1,124 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Says and draws how two designs compare."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trackres_ros.design.compare import DRIVEN, STEADY, interval
+from trackres_ros.text.numbers import alike, decimals, figures
+from trackres_ros.text.table import table
+
+TABLES = ("Resistance [Nm]", "torque_nm", 1.0, 0), ("Resistance over weight [%]", "coefficient", 100.0, 2)
+PLACES = {"Nm": 0, "degC": 1, "kWh/km": 3}
+NAMES = {"load": "load", "ambient": "air"}
+LOADS_DIFFER = 1e-6
+HEAD = ("difference", "+- 95 %", "+- 95 % with\nchanged values", "change")
+
+
+def designs_text(found: Mapping[str, Any]) -> str:
+    """The headline, steady states, drives, and resistance over speed and belt temperature."""
+    names = [design["vehicle"] for design in found["designs"]]
+    parts = [f"note: {note}" for note in found["notes"]]
+    parts.append(headline(found["drives"][0], names))
+    parts += _conditions("Steady", found["steady"], "speed_kmh", "km/h", STEADY, names)
+    parts += _conditions("Drives from cold", found["drives"], "cycle", "drive", DRIVEN, names)
+    parts.append(
+        "+- 95 %: from the ranges of the values that both files have alike, which move both together; the second column holds "
+        "the ranges of the values that differ too."
+    )
+    head = ("belt [degC]", *(f"{kmh:.3g} km/h" for kmh in found["speeds_kmh"]))
+    weights = [design["weight_n"] for design in found["designs"]]
+    same_load = abs(weights[0] - weights[1]) <= LOADS_DIFFER * weights[0]
+    for what, key, scale, places in TABLES[:1] if same_load else TABLES:
+        for design in found["designs"]:
+            rows = [[decimals(scale * x, places) for x in row] for row in design[key]]
+            parts.append(f"{what} of {design['vehicle']}\n{_over_belts(found, rows, head)}")
+    key = TABLES[0 if same_load else 1][1]
+    one, other = (np.array(design[key]) for design in found["designs"])
+    changes = [[f"{100.0 * x:+.1f}" for x in row] for row in other / one - 1.0]
+    parts.append(f"{TABLES[0 if same_load else 1][0].partition(' [')[0]}, change from {names[0]} to {names[1]} [%]")
+    parts[-1] += f"\n{_over_belts(found, changes, head)}"
+    for design in found["designs"]:
+        of = design["drive"]
+        parts.append(
+            f"{design['vehicle']}: {decimals(of['kwh_per_km'], 2)} kWh/km against resistance on {decimals(of['km'], 1)} km, "
+            f"{decimals(of['wh_per_km_and_t'])} Wh/km for each tonne"
+        )
+    return "\n".join(parts)
+
+
+def headline(row: Mapping[str, Any], names: Sequence[str]) -> str:
+    """What the first drive takes more or less, in a sentence."""
+    difference, one, half = row["difference"], row["one"], interval(row, "std")
+    if not difference or not one or half is None:
+        return f"On the drive {row['cycle']} both take the same energy."
+    size, wide = alike((abs(difference), half), max(half, 1e-3 * abs(difference)))
+    text = (
+        f"On the drive {row['cycle']} {names[1]} takes {size} +- {wide} kWh/km {'more' if difference > 0.0 else 'less'} than "
+        f"{names[0]} ({100.0 * difference / one:+.1f} %)"
+    )
+    return f"{text}." if abs(difference) > half else f"{text}: the ranges of the files do not settle which takes more."
+
+
+def _conditions(
+    title: str, rows: Sequence[Mapping[str, Any]], key: str, unit: str, named: Mapping[str, tuple[str, str]], names: Sequence[str]
+) -> list[str]:
+    """A table for each air temperature and load."""
+    places: dict[tuple[float, ...], list[Mapping[str, Any]]] = {}
+    for row in rows:
+        places.setdefault((row["ambient_degc"], *row["weight_kn"]), []).append(row)
+    parts = []
+    for (air, one, other), of in places.items():
+        load = f"{one:.4g} kN" if abs(one - other) <= LOADS_DIFFER * one else f"{one:.4g} and {other:.4g} kN"
+        lines = []
+        for number, row in enumerate(of):
+            first = number == 0 or of[number - 1][key] != row[key]
+            place = f"{row[key]:.4g}" if key == "speed_kmh" else row[key]
+            if row.get("recorded"):
+                place = f"{place} ({' and '.join(NAMES[role] for role in row['recorded'])} as recorded)"
+            lines.append((place if first else "", named[row["outcome"]][0], row["unit"], *_cells(row)))
+        head = (unit, "outcome", "unit", *names, *HEAD)
+        parts.append(f"{title}, air {air:g} degC, {load}\n{table(lines, head, indent=2)}")
+    return parts
+
+
+def _cells(row: Mapping[str, Any]) -> tuple[str, ...]:
+    values = [row["one"], row["other"], row["difference"], interval(row, "std"), interval(row, "std_with_changed")]
+    shown = [decimals(value, PLACES[row["unit"]]) for value in values]
+    relative = row["unit"] != "degC" and row["one"] and row["difference"] is not None
+    return (*shown, f"{100.0 * row['difference'] / row['one']:+.1f} %" if relative else "")
+
+
+def _over_belts(found: Mapping[str, Any], rows: Sequence[Sequence[str]], head: Sequence[str]) -> str:
+    return table([(figures(degc), *row) for degc, row in zip(found["belts_degc"], rows, strict=True)], head, indent=2)
+
+
+def draw_designs(found: Mapping[str, Any], path: Path) -> Path:
+    """Resistance over weight of all designs over speed, a line for each belt temperature."""
+    from matplotlib.figure import Figure
+
+    from trackres_ros.output.plots import write_figure
+
+    figure = Figure(figsize=(8.0, 4.5), layout="constrained")
+    axes = figure.subplots(1, len(found["designs"]), sharey=True, squeeze=False)[0]
+    marker = "o" if len(found["speeds_kmh"]) == 1 else ""
+    for one, design in zip(axes, found["designs"], strict=True):
+        for i, degc in enumerate(found["belts_degc"]):
+            share = i / max(len(found["belts_degc"]) - 1, 1)
+            percent, colour = 100.0 * np.array(design["coefficient"][i]), (share, 0.25, 1.0 - share)
+            one.plot(found["speeds_kmh"], percent, color=colour, marker=marker, label=f"{degc:g} degC")
+        one.set_title(design["vehicle"])
+        one.set_xlabel("speed [km/h]")
+        one.grid(alpha=0.3)
+    axes[0].set_ylabel("resistance over weight [%]")
+    axes[0].set_ylim(bottom=0.0)
+    figure.legend(*axes[0].get_legend_handles_labels(), title="belt", loc="outside right center")
+    write_figure(figure, path)
+    return path

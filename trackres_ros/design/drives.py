@@ -1,0 +1,182 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Drives that a design is put through: built-in cycles, speed profiles and recordings; and what a design takes on one."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from copy import copy
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.design.steady import Off
+from trackres_ros.errors import InputError, nearest
+from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.constants import LARGEST_LOAD_SHARE, LEAST_LOAD_SHARE, PLAUSIBLE, kernel_arguments
+from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.model.coverage import check_speed
+from trackres_ros.model.vehicle_constants import vehicle_constants
+from trackres_ros.offline.energy import taken
+from trackres_ros.offline.sample import lap_drive
+from trackres_ros.offline.simulate import Drive, assembly_values, run_drive, through_points
+from trackres_ros.recording.opening import open_source
+from trackres_ros.recording.recording import Recording
+from trackres_ros.recording.roles import ROLES
+from trackres_ros.units import KMH_PER_MPS
+from trackres_ros.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+
+SHARES, HOLD_S, RAMP_S, STEP_S = (1 / 3, 2 / 3, 1.0), 600.0, 30.0, 0.5
+STAGES, LAPS = "stages", "laps"
+LAPS_DRIVEN, FASTEST_LAP_KMH = 10, 20.0
+BUILT_IN = STAGES, LAPS
+OF_PROFILE = "load", "ambient"
+
+
+@dataclass(frozen=True, eq=False)
+class Cycle:
+    """A drive by its name, and the conditions that were recorded with it.
+
+    Attributes
+    ----------
+    recorded
+        Load [N] and air [degC] by role, where they were recorded, each of shape (times,).
+    notes
+        What of a recording is not used.
+    """
+
+    name: str
+    drive: Drive
+    recording: Recording | None = None
+    notes: tuple[str, ...] = field(default=())
+
+    def conditions(self, given: Collection[str]) -> list[str]:
+        """Which of load and air were recorded, and are not given otherwise."""
+        series = {} if self.recording is None else self.recording.series
+        return [r for r in OF_PROFILE if r in series and r not in given and np.isfinite(series[r].value).any()]
+
+    def recorded(self, vehicle: Vehicle, given: Collection[str]) -> dict[str, Array]:
+        """Load [N] and air [degC] along the drive, where they were recorded and are not given otherwise.
+
+        Raises
+        ------
+        InputError
+            On a value that is implausible for the vehicle.
+        """
+        found: dict[str, Array] = {}
+        for role in self.conditions(given):
+            assert self.recording is not None
+            value, time, (low, high) = self.recording.series[role].value, self.recording.time_s(role), self._limits(vehicle)[role]
+            usable = np.flatnonzero(np.isfinite(value))
+            order = usable[np.argsort(time[usable], kind="stable")]
+            least, most = value[order].min(), value[order].max()
+            if least < low or most > high:
+                spread = f"{least:g} to {most:g} {ROLES[role].unit}"
+                raise InputError(f"--cycle {self.name}: {role}", spread, f"{low:g} to {high:g} for {vehicle.name}")
+            found[role] = np.interp(self.drive.time_s, time[order], value[order])
+        return found
+
+    def _limits(self, vehicle: Vehicle) -> dict[str, tuple[float, float]]:
+        load = LEAST_LOAD_SHARE * vehicle.weight, LARGEST_LOAD_SHARE * vehicle.weight
+        return {"load": load, "ambient": PLAUSIBLE["ambient"]}
+
+
+def read_cycle(given: str, fastest_mps: float) -> Cycle:
+    """A built-in cycle by its name, a speed profile, or a recording with a speed.
+
+    `stages` is ten minutes each at a third, two thirds and all of a speed; `laps` is ten laps of 628 m with a stop after each.
+
+    Parameters
+    ----------
+    fastest_mps
+        The greatest speed that a built-in cycle may have.
+
+    Raises
+    ------
+    InputError
+        What is none of them.
+    """
+    if given == STAGES:
+        times, speeds = [0.0], [0.0]
+        for share in SHARES:
+            times += [times[-1] + RAMP_S, times[-1] + RAMP_S + HOLD_S]
+            speeds += [share * fastest_mps] * 2
+        return Cycle(given, through_points(np.array(times), np.array(speeds), STEP_S))
+    if given == LAPS:
+        return Cycle(given, lap_drive(min(FASTEST_LAP_KMH, KMH_PER_MPS * fastest_mps), LAPS_DRIVEN))
+    path = Path(given)
+    if not path.exists():
+        raise InputError("--cycle", given, f"a recording, a speed profile, {' or '.join(BUILT_IN)}", nearest(given, BUILT_IN))
+    recording = Recording.from_source(open_source([path]))
+    if "speed" not in recording.series:
+        raise InputError(f"--cycle {given}", f"roles {', '.join(recording.roles) or 'none'}", "a recording with a speed")
+    time, speed = recording.time_s("speed"), recording.series["speed"].value
+    usable = np.isfinite(speed)
+    at_time, first = np.unique(time[usable], return_index=True)
+    drive = through_points(at_time, speed[usable][first], STEP_S)
+    others = [role for role in recording.roles if role not in ("speed", *OF_PROFILE)]
+    notes = (f"{given}: of the recording speed, load and air are used, not {', '.join(others)}",) if others else ()
+    return Cycle(path.name, drive, recording, notes)
+
+
+def check_weight(vehicle: Vehicle, weight: float) -> None:
+    """See that a vehicle may weigh so much [N].
+
+    Raises
+    ------
+    InputError
+        Beyond what a live estimate takes for a load.
+    """
+    low, high = LEAST_LOAD_SHARE * vehicle.weight / 1e3, LARGEST_LOAD_SHARE * vehicle.weight / 1e3
+    if not low <= weight / 1e3 <= high:
+        allowed = f"{low:.4g} to {high:.4g} kN for {vehicle.name} of {vehicle.weight / 1e3:.4g} kN"
+        raise InputError("--weight-kn", weight / 1e3, allowed)
+
+
+def driven(estimator: Estimator, cycle: Cycle, weight: float | None, ambient: float | None) -> dict[str, float]:
+    """What a vehicle takes on a cycle from cold; see `offline.energy.taken`.
+
+    Parameters
+    ----------
+    weight, ambient
+        Whole weight [N] and air [degC]; without them as recorded, and where nothing is, as the vehicle file has them.
+
+    Raises
+    ------
+    InputError
+        On a drive that is too fast, or a load that is implausible for the vehicle.
+    """
+    vehicle = estimator.vehicle
+    check_speed(vehicle, float(np.abs(cycle.drive.speed).max()))
+    known: Mapping[str, float | None] = {"load": weight, "ambient": ambient}
+    recorded = cycle.recorded(vehicle, [role for role, value in known.items() if value is not None])
+    load, air = (value if value is not None else recorded.get(role) for role, value in known.items())
+    rows = run_drive(estimator, cycle.drive, load, air)
+    torque = rows[:, estimator.column_index["resistance_torque_nm"]]
+    belts = assembly_values(rows, at.PER_BELT).T
+    return taken(cycle.drive.time_s, cycle.drive.speed, torque, belts, vehicle_constants(vehicle).radius)
+
+
+def with_factors(estimator: Estimator, off: Off, capacity: float = 1.0) -> Estimator:
+    """The same vehicle with losses, cooling, heat capacity, bearings or drag off by a factor; the radius stays.
+
+    Parameters
+    ----------
+    capacity
+        Factor on the heat capacity of the belts of `off.track`.
+    """
+    changed, k = copy(estimator), estimator.constants
+    tables = [not off.track or name == off.track for name in estimator.vehicle.tracks]
+    factors = np.where(tables, off.loss, 1.0)[:, np.newaxis, np.newaxis]
+    assembly, own = k.assembly.copy(), np.array([tables[int(kind)] for kind in k.assembly[:, at.KIND]])
+    for column, factor in ((at.FILM_OFFSET, off.film), (at.FILM_SLOPE, off.film), (at.CAPACITY, capacity)):
+        assembly[own, column] *= factor
+    number = k.number._replace(bearing_friction=off.bearing * k.number.bearing_friction, drag_area=off.drag * k.number.drag_area)
+    changed.constants = k._replace(number=number, assembly=assembly, loss=factors * k.loss, drive=factors * k.drive)
+    changed.kernel_arguments = kernel_arguments(changed.constants, estimator.entries.compiled)
+    return changed
