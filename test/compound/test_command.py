@@ -67,7 +67,7 @@ def test_the_reference_compound_comes_out_as_it_went_in(good, repository, tmp_pa
     [
         (("none.csv",), "none.csv: given 'No such file or directory'"),
         (("sweep.csv", "--vehicle", "xgd24"), "or one of agri3t, xgd24d"),
-        (("sweep.csv", "--frequency-hz", "-1"), "--frequency-hz: given -1"),
+        (("sweep.csv", "--frequency-hz", "-1"), "'--frequency-hz': -1.0 is not in the range"),
         (
             ("sweep.csv", "--frequency-hz", "5"),
             "--frequency-hz: given '5'; allowed: nothing, as sweep.csv: line 1 says the frequency",

@@ -19,7 +19,6 @@ import click
 from click.shell_completion import CompletionItem
 
 from trackres_ros import InputError, MissingExtraError
-from trackres_ros.checks import LARGEST_SEED
 from trackres_ros.cli.written import watch
 from trackres_ros.errors import nearest
 from trackres_ros.files.resources import shipped_road_vehicles, shipped_topics, shipped_vehicles
@@ -162,7 +161,7 @@ def whole(low: int, high: int) -> click.IntRange:
     return click.IntRange(low, high)
 
 
-SEEDS = whole(0, LARGEST_SEED)
+SEEDS = whole(0, 2**32 - 1)
 WORKERS = whole(1, 1024)
 
 
