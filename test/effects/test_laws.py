@@ -98,7 +98,8 @@ def states(draw):
 def made(effects, where, parts):
     """An estimator whose feed-forward follows at once."""
     of = {kind: tuple(a for a, w in zip(effects, where, strict=True) if w == kind) for kind in ("vehicle", "surroundings")}
-    vehicle = replace(VEHICLE, effects=of["vehicle"], surroundings=of["surroundings"])
+    at_once = replace(VEHICLE.chassis, max_acceleration=1e6)  # any speed may follow any other
+    vehicle = replace(VEHICLE, chassis=at_once, effects=of["vehicle"], surroundings=of["surroundings"])
     return Estimator(vehicle, Settings(feedforward_rate=1e9, feedforward_parts=tuple(parts)))
 
 

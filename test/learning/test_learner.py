@@ -66,7 +66,10 @@ def test_one_corner_is_not_the_whole(road):
 
 
 def test_a_vehicle_that_stands_is_not_pushed(learned, road):
-    driven = road("on", {at.OF_LOSS: 0.2}).drive(15.0).drive(0.5, speed=lambda _t: 0.0)
+    driven = road("on", {at.OF_LOSS: 0.2}).drive(15.0)
+    begins = 0.1 * driven.steps
+    fastest = 8.0 + 6.0 * np.sin(begins / 60.0)
+    driven.drive(0.5, speed=lambda t: max(0.0, fastest - 2.0 * (t - begins)))
     assert driven.rows[-1][1] == 0.0
     assert driven.session.motion[at.FEEDFORWARD] == 0.0
 

@@ -216,7 +216,7 @@ def test_commands_say_that_they_extrapolate(short: Path, good: Any, tmp_path: Pa
     simulated = "simulate", "--vehicle", short, "--speed-kmh", "30", "--duration-s", "60", "-o", tmp_path / "out.csv"
     assert "but the rubber data end at 60 degC (above that: 100% of the samples)" in good(*simulated, "--initial-degc", "90")
     assert json.loads(good(*simulated, "--initial-degc", "90", "--json"))["remarks"]
-    assert "extrapolated" not in good(*simulated)
+    assert "extrapolated" not in good(*simulated, "--initial-degc", "40")
     replayed = "replay", "--vehicle", short, "-o", tmp_path / "replayed.csv"
     assert said in good(*replayed, tmp_path / "hot.csv")
     assert json.loads(good(*replayed, tmp_path / "hot.csv", "--json"))["remarks"]

@@ -25,7 +25,7 @@ pytest.importorskip("rosbags")
 PACKAGE = Path(trackres_ros.__file__).parent
 STEP = {  # what makes an estimate and brings it out: without one of them there is none; and the values of checked parameters
     "Session.handle", "Intake.read", "Intake.samples", "SendingOrder.put", "SendingOrder.late",
-    "Outlet.take", "Outlet.publish", "Outlet.age_s", "nearest_usable",
+    "Outlet.take", "Outlet.publish", "Outlet.age_s", "nearest_usable", "not_enabled",
 }  # fmt: skip
 SILENT = {"Outlet.publish_statuses", "bare_status", "Remark.level"}  # without which no status can say what fails
 TOPICS = """

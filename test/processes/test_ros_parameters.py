@@ -126,7 +126,7 @@ speed_hz, load_hz, ambient_hz, count = map(float, sys.argv[1:])
 topics = {TwistStamped: "speed", Float64: "load", Temperature: "ambient"}
 made = {kind: node.create_publisher(kind, name, 1000) for kind, name in topics.items()}
 while not all(publisher.get_subscription_count() for publisher in made.values()):
-    time.sleep(0.01)
+    rclpy.spin_once(node, timeout_sec=0.01)
 sent, began = {kind: 0 for kind in made}, time.monotonic()
 while not count or sent[TwistStamped] < count:
     for kind, hz in ((Float64, load_hz), (Temperature, ambient_hz), (TwistStamped, speed_hz)):
@@ -140,8 +140,8 @@ while not count or sent[TwistStamped] < count:
                 message.temperature = 15.0
             made[kind].publish(message)
             sent[kind] += 1
-    time.sleep(0.0002)
-time.sleep(1.0)
+    rclpy.spin_once(node, timeout_sec=0.0002)
+rclpy.spin_once(node, timeout_sec=1.0)
 print("sent", sent[TwistStamped], flush=True)
 """
 

@@ -33,7 +33,7 @@ def designs_text(found: Mapping[str, Any]) -> str:
         "+- 95 %: from the ranges of the values that both files have alike, which move both together; the second column holds "
         "the ranges of the values that differ too."
     )
-    head = ("belt [degC]", *(f"{kmh:.3g} km/h" for kmh in found["speeds_kmh"]))
+    head = ("belt [degC]", *(f"{figures(kmh)} km/h" for kmh in found["speeds_kmh"]))
     weights = [design["weight_n"] for design in found["designs"]]
     same_load = abs(weights[0] - weights[1]) <= LOADS_DIFFER * weights[0]
     for what, key, scale, places in TABLES[:1] if same_load else TABLES:
@@ -76,11 +76,13 @@ def _conditions(
         places.setdefault((row["ambient_degc"], *row["weight_kn"]), []).append(row)
     parts = []
     for (air, one, other), of in places.items():
-        load = f"{one:.4g} kN" if abs(one - other) <= LOADS_DIFFER * one else f"{one:.4g} and {other:.4g} kN"
+        load = (
+            f"{figures(one, 4)} kN" if abs(one - other) <= LOADS_DIFFER * one else f"{figures(one, 4)} and {figures(other, 4)} kN"
+        )
         lines = []
         for number, row in enumerate(of):
             first = number == 0 or of[number - 1][key] != row[key]
-            place = f"{row[key]:.4g}" if key == "speed_kmh" else row[key]
+            place = f"{figures(row[key], 4)}" if key == "speed_kmh" else row[key]
             if row.get("recorded"):
                 place = f"{place} ({' and '.join(NAMES[role] for role in row['recorded'])} as recorded)"
             lines.append((place if first else "", named[row["outcome"]][0], row["unit"], *_cells(row)))

@@ -26,6 +26,7 @@ from trackres_ros.offline.simulate import Drive, assembly_values, run_drive, thr
 from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.roles import ROLES
+from trackres_ros.text.numbers import figures
 from trackres_ros.units import KMH_PER_MPS
 from trackres_ros.vehicle import Vehicle
 
@@ -134,7 +135,7 @@ def check_weight(vehicle: Vehicle, weight: float) -> None:
     """
     low, high = LEAST_LOAD_SHARE * vehicle.weight / 1e3, LARGEST_LOAD_SHARE * vehicle.weight / 1e3
     if not low <= weight / 1e3 <= high:
-        allowed = f"{low:.4g} to {high:.4g} kN for {vehicle.name} of {vehicle.weight / 1e3:.4g} kN"
+        allowed = f"{figures(low, 4)} to {figures(high, 4)} kN for {vehicle.name} of {figures(vehicle.weight / 1e3, 4)} kN"
         raise InputError("--weight-kn", weight / 1e3, allowed)
 
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +21,7 @@ from trackres_ros.recording.roles import base_role
 from trackres_ros.recording.samples import Series
 
 SECOND_NS = 1_000_000_000
+OVERLAP_SHARE = 0.02  # of the samples that have one of another part before them: samples of overlapping parts alternate
 SET_BACK_S = 5.0  # more than samples overtake each other on their way
 LONG_PAUSE_S, LONGEST_PAUSE_S = 600.0, 86400.0  # within a recording: one to mention, and one that a clock makes that was set
 ZONE_S = 900.0  # clocks of two time zones differ by a multiple of it
@@ -52,10 +52,12 @@ def on_one_clock(recording: Recording) -> tuple[Recording, list[str]]:
     """
     series = {role: _set(samples) if recording.zero_is_unset else samples for role, samples in recording.series.items()}
     torques = [role for role in series if base_role(role) == "torque"]
-    notes = [note for role in ("speed", *torques) if (note := _set_back(f"{recording.name}: {role}", series[role]))]
+    several = len(recording.paths) > 1  # bags, which may be given in any order
+    for role in ("speed", *torques):
+        _refuse_set_back(f"{recording.name}: {role}", series[role], several)
     start = recording.start_ns
     at, speed = ordered(series["speed"], start)
-    notes += _pauses(recording.name, at)
+    notes = _pauses(recording.name, at)
     moved: set[int] = set()
     for role in (*torques, *(role for role in series if role not in torques and role != "speed")):
         its = ordered(series[role], start)
@@ -85,15 +87,15 @@ def on_one_clock(recording: Recording) -> tuple[Recording, list[str]]:
     return replace(recording, series=series), notes
 
 
-def _set_back(where: str, series: Series) -> str:
-    """Refuse a clock that goes back. Parts that do not overlap may be in another order; then this says so."""
+def _refuse_set_back(where: str, series: Series, several: bool) -> None:
+    """Refuse a clock that goes back, unless parts that do not overlap were given in another order."""
     stamps = series.stamp_ns[np.isfinite(series.value)]
     back = np.flatnonzero(np.diff(stamps) < -SET_BACK_S * SECOND_NS)
     if not len(back):
-        return ""
-    parts = sorted((int(part.min()), int(part.max())) for part in np.split(stamps, back + 1))
-    if all(begin >= end for (_, end), (begin, _) in pairwise(parts)):
-        return f"{where}: {len(parts)} parts that are not in the order of their times; they were sorted by them"
+        return
+    part = np.searchsorted(back, np.arange(len(stamps)), side="left")
+    if several and np.count_nonzero(np.diff(part[np.argsort(stamps, kind="stable")])) < OVERLAP_SHARE * len(stamps):
+        return
     by, after = (stamps[back[0]] - stamps[back[0] + 1]) / SECOND_NS, (stamps[back[0]] - stamps[0]) / SECOND_NS
     raise InputError(
         where,

@@ -149,9 +149,9 @@ class _Resampled(_Admitted):
 
 def _admitted(recording: Recording, hide: Sequence[str]) -> _Admitted:
     shown = {role: series for role, series in recording.series.items() if not is_hidden(role, hide)}
-    check_compared(recording.name, shown)
+    check_compared(recording.name, shown, candidates=recording.torque_candidates)
     recording, notes = on_one_clock(replace(recording, series=shown))
-    check_compared(recording.name, recording.series)
+    check_compared(recording.name, recording.series, candidates=recording.torque_candidates)
     return _Admitted(recording, _stood(recording), notes)
 
 
