@@ -269,7 +269,8 @@ def test_one_speed_alone_shows_little_and_says_so(run, loaded, tmp_path):
     np.savetxt(path, np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns), comments="")
     found = found_in(run, [path], tmp_path / "out")
     assert len(found["not_visible"]) > 10
-    assert found["verdict"]["status"] in ("none", "one_of", "unexplained")
+    assert found["verdict"]["status"] in ("none", "one_of", "unexplained") or found["verdict"]["grade"] != "confirmed"
+    assert found["written"]["effects"] == []
 
 
 def test_a_clock_that_is_off_is_put_right(run, recorded, tmp_path):

@@ -252,7 +252,9 @@ def test_given_what_was_written_nothing_is_named_again_and_held_out_rounds_are_a
     again = diagnose(path, folder / "again", out / "vehicle.yaml", out / "surroundings.yaml")
     assert again["route"] is None
     assert not [*again["effects"], *again["described"]], again["verdict"]["sentence"]
-    assert again["heldout"]["mae"]["nominal"] < 1.1 * report["heldout"]["mae"]["with_effects"]
+    # The base keeps the file's values, as its re-fit alone, without the places, would be worse on held-out rounds.
+    assert report["written"]["base"] is False
+    assert again["heldout"]["mae"]["nominal"] < 1.2 * report["heldout"]["mae"]["with_effects"]
     assert again["heldout"]["mae"]["nominal"] < 0.7 * report["heldout"]["mae"]["nominal"]
     written, kept = (load_route(folder / name / "surroundings.yaml", 1e5)[0] for name in ("out", "again"))
     np.testing.assert_array_equal(written.value, kept.value)  # what was given is written on

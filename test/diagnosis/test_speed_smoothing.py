@@ -250,7 +250,7 @@ def test_the_order_of_the_parts_of_a_recording_makes_no_difference(recorded, loa
         order = np.concatenate([pieces[i] for i in rng.permutation(20)])
         shuffled[role] = replace(series, stamp_ns=series.stamp_ns[order], value=series.value[order])
     one = gate([recording], loaded.known).sessions[0]
-    several = (recording.paths[0], recording.paths[0])  # as bags that are given in another order
+    several = (Path("1.mcap"), Path("2.mcap"))  # bags that are given in another order
     other = gate([replace(recording, series=shuffled, paths=several)], loaded.known).sessions[0]
     assert np.array_equal(one.accel, other.accel)
     assert one.accel_noise == other.accel_noise > 0.0

@@ -205,7 +205,7 @@ def test_remarks_and_status_name_the_same_belts(short_estimator: Estimator, spee
 
 
 def test_commands_say_that_they_extrapolate(short: Path, good: Any, tmp_path: Path) -> None:
-    (tmp_path / "drive.csv").write_text("time_s,speed_kmh\n0,0\n10,36\n60,36\n")
+    (tmp_path / "drive.csv").write_text("time_s,speed_kmh,belt_degc\n0,0,40\n10,36,40\n60,36,40\n")
     (tmp_path / "hot.csv").write_text("time_s,speed_kmh,belt_degc\n0,10,90\n10,20,90\n60,20,90\n")
     said = "The torque is extrapolated, and the status shows OUTSIDE_TABLE"
     explained = "explain", "--vehicle", short, "--speed-kmh", "50", "--belt-degc"
