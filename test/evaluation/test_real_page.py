@@ -13,7 +13,6 @@ from trackres_ros.evaluation.closed_loop import left_by_diagnosis
 from trackres_ros.evaluation.field.bus import LONG_STRETCH_S, TOPICS, VEHICLE, mass_of_joined, missions
 from trackres_ros.evaluation.field.data import car
 from trackres_ros.evaluation.field.run import NOTHING, TWICE, UPHILL, WARM, FieldTrial, start_state, twice
-from trackres_ros.files.resources import config_dir
 from trackres_ros.recording.bindings import Topics
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "real"
@@ -47,7 +46,7 @@ def test_a_route_driven_twice_repeats_its_residuals_but_not_as_the_slope(tmp_pat
 @pytest.mark.long
 @pytest.mark.skipif(not missions(DATA), reason="no recording of the bus on this machine")
 def test_of_a_bus_without_its_altitude_the_slope_of_the_streets_is_named_and_nothing_else():
-    topics = Topics.load(config_dir() / "topics" / TOPICS)
+    topics = Topics.load(TOPICS)
     recordings = read_recordings(missions(DATA), topics)
     found = diagnose(recordings, load_base(VEHICLE, topics=topics), hide=["altitude"], quick=True)
     assert found.verdict.status == "named"

@@ -27,3 +27,9 @@ def row(number, vehicle="truck-01", month="2026-03"):
         "covariance": [1e-6, 0.0, 1e-4], "precision": precision[upper].tolist(), "linear": (precision @ [0.1, 0.2]).tolist(),
         **finite,
     }  # fmt: skip
+
+
+REPORT = {
+    "verdict": {"status": "none", "sentence": "No mismatch"}, "effects": [],
+    "base": {"refitted": {"bearing_friction": {"value": 0.01, "unit": "1", "ci95": [0.009, 0.011]}}},
+}  # fmt: skip

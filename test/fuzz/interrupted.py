@@ -3,6 +3,7 @@
 
 """Makes a call of the command line in a process of its own and interrupts it: long enough to see whether it is refused."""
 
+import contextlib
 import json
 import os
 import resource
@@ -27,6 +28,7 @@ def interrupted(trackres, call, folder, longest_s, environment=None):
         child = os.fork()
     if child == 0:
         found = [130, ""]
+        os.setsid()  # what it starts is ended with it
         try:
             resource.setrlimit(resource.RLIMIT_AS, (MOST_BYTES, MOST_BYTES))
             os.environ.update(environment or {})
@@ -40,12 +42,14 @@ def interrupted(trackres, call, folder, longest_s, environment=None):
             found = [1, traceback.format_exc()]
         finally:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
-            os.write(write, json.dumps(found).encode()[-60_000:])
+            code, said = found
+            os.write(write, json.dumps([code, said[-20_000:]]).encode() + b"\n")
             os._exit(0)
     os.close(write)
     with os.fdopen(read) as said:
-        if not select.select([said], [], [], HANGS_S)[0]:
-            os.kill(child, signal.SIGKILL)
-        found = said.read()
+        answered = select.select([said], [], [], HANGS_S)[0]
+        found = json.loads(said.readline() or "null") if answered else None
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(child, signal.SIGKILL)
     os.waitpid(child, 0)
-    return json.loads(found) if found.startswith("[") else (1, found or "it hangs")
+    return found or (1, "it hangs, or died")

@@ -16,7 +16,7 @@ import pytest
 
 pytest.importorskip("pyarrow")
 
-from fleet_rows import row
+from fleet_rows import REPORT, row
 from mutator import mutations
 
 from trackres_ros.errors import InputError
@@ -53,12 +53,6 @@ def results(tmp_path):
     (period / INPUTS).write_text("x")
     (period / "report.json").write_text(json.dumps(REPORT))
     return tmp_path / "results"
-
-
-REPORT = {
-    "verdict": {"status": "none", "sentence": "No mismatch"}, "effects": [],
-    "base": {"refitted": {"bearing_friction": {"value": 0.01, "unit": "1", "ci95": [0.009, 0.011]}}},
-}  # fmt: skip
 
 
 def of_rows(folder: Path) -> object:
