@@ -79,8 +79,6 @@ def test_while_the_feedforward_fades_each_message_is_stale_and_says_why(desk, ra
 def test_at_a_standstill_its_torque_is_zero(desk):
     d = desk()
     d.drive(3.0)
-    d.drive(0.3, speed=0.0)  # not yet believed
-    assert d.last("estimate")[1][0] == 0.0
     d.drive(3.0, speed=0.0)
     assert d.last("estimate")[1][0] == 0.0
     assert d.last("estimate")[1][1] == 0.0

@@ -18,12 +18,11 @@ from numpy.typing import NDArray
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.by_place import ground_now, is_missing
 from trackres_ros.estimator.constants import Constants
-from trackres_ros.estimator.plausible_speed import RUN, is_plausible, trust
+from trackres_ros.estimator.plausible_speed import is_plausible, trust
 from trackres_ros.estimator.records import Inputs
 from trackres_ros.estimator.speed_witnesses import APART, NOTHING_TRACKED, disagrees, drive_on, odometer_came
 from trackres_ros.jit.compiled import compiled, inlined
 from trackres_ros.route.follower import NOTHING_YET, forget
-from trackres_ros.units import STANDSTILL_MPS
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -163,11 +162,7 @@ def held(memory: Memory, channel: int, now: int, hold_ns: int) -> float:
 
 @inlined
 def not_enabled(k: Constants, memory: Memory, now: int) -> int:
-    """The reason why nothing is to be fed forward at an arrival [ns], else 0: it is not enabled, nobody says so any more, or the
-    speed in doubt is that of a standing vehicle, which nothing may push.
-    """
-    if memory.times[at.SPEED, at.DOUBTS] > 0 and abs(memory.tracked[RUN]) < STANDSTILL_MPS:
-        return SPEED_IMPLAUSIBLE
+    """The reason why nothing is to be fed forward at an arrival [ns]: it is not enabled, or nobody says so any more; else 0."""
     if k.number.enable_hold_ns == 0:
         return 0
     enable = held(memory, at.ENABLE, now, k.number.enable_hold_ns)
