@@ -296,7 +296,7 @@ def test_a_first_simulation_waits_for_no_compiler_and_leaves_code_for_the_next(t
         return list(tmp_path.rglob("*advance_along.entry*.code"))
 
     assert not series()
-    deadline = time.monotonic() + 500.0
+    deadline = time.monotonic() + 1500.0
     while not series() and time.monotonic() < deadline:
         time.sleep(0.2)
     assert series()

@@ -6,6 +6,7 @@ trust it."""
 
 import itertools
 import math
+import random
 
 import pytest
 from hypothesis import given, settings
@@ -79,9 +80,30 @@ def test_while_the_feedforward_fades_each_message_is_stale_and_says_why(desk, ra
 def test_at_a_standstill_its_torque_is_zero(desk):
     d = desk()
     d.drive(3.0)
+    d.drive(0.3, speed=0.0)  # not yet believed
+    assert d.last("estimate")[1][0] == 0.0
     d.drive(3.0, speed=0.0)
     assert d.last("estimate")[1][0] == 0.0
     assert d.last("estimate")[1][1] == 0.0
+
+
+@pytest.mark.parametrize("rate", [0.0, 50.0])
+@pytest.mark.parametrize("before", [0.5, 8.0, -6.0, 20.0])
+def test_a_vehicle_that_seems_to_stand_is_pushed_by_nothing_however_it_came_to_rest(desk, before, rate):
+    d = desk(output_rate_hz=rate)
+    noise = random.Random(3)
+    d.drive(3.0, speed=before)
+    pushed = estimates(d)[-1][1]["feedforward_torque_nm"]
+    assert pushed != 0.0
+    d.published.clear()
+    d.reasons.clear()
+    for _ in range(200):
+        d.drive(0.02, speed=noise.gauss(0.0, 0.02))  # speed_std_mps
+    at_rest = [abs(numbers["feedforward_torque_nm"]) for _, numbers, *_ in estimates(d)]
+    assert len(at_rest) > 60  # at the output rate 0 with each accepted speed, and at 10 Hz in doubt
+    within = math.ceil(abs(pushed) / (d.app.estimator.settings.feedforward_rate * 0.02)) + 2
+    assert sorted(at_rest[:within], reverse=True) == at_rest[:within]
+    assert set(at_rest[within:]) == {0.0}
 
 
 def test_its_bound_is_that_of_the_feedforward(desk):

@@ -111,8 +111,7 @@ def test_a_log_that_nobody_takes_holds_nothing_up(edge, node):
     for _ in range(100):  # each is a line of the log; together more than the pipe takes
         save_in_vain()
     before = len(n.torques())
-    n.drive(1.0)
-    assert len(n.torques()) - before > 40
+    n.until(lambda: len(n.torques()) - before > 40, "torques going on", meanwhile=lambda: n.drive(1.0))
     assert n.stop() == 0
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.by_place import ground_now, is_missing
 from trackres_ros.estimator.constants import Constants
-from trackres_ros.estimator.plausible_speed import is_plausible, trust
+from trackres_ros.estimator.plausible_speed import is_plausible, seems_to_stand, trust
 from trackres_ros.estimator.records import Inputs
 from trackres_ros.estimator.speed_witnesses import APART, NOTHING_TRACKED, disagrees, drive_on, odometer_came
 from trackres_ros.jit.compiled import compiled, inlined
@@ -162,7 +162,12 @@ def held(memory: Memory, channel: int, now: int, hold_ns: int) -> float:
 
 @inlined
 def not_enabled(k: Constants, memory: Memory, now: int) -> int:
-    """The reason why nothing is to be fed forward at an arrival [ns]: it is not enabled, or nobody says so any more; else 0."""
+    """The reason why nothing is to be fed forward at an arrival [ns], else 0.
+
+    It is not enabled, or nobody says so any more, or the vehicle may stand: nothing may push it then, not even in doubt.
+    """
+    if memory.times[at.SPEED, at.DOUBTS] > 0 and seems_to_stand(k, memory.tracked):
+        return SPEED_IMPLAUSIBLE
     if k.number.enable_hold_ns == 0:
         return 0
     enable = held(memory, at.ENABLE, now, k.number.enable_hold_ns)
@@ -216,6 +221,8 @@ def gather(k: Constants, memory: Memory, outcome: int, elapsed: int, motion: Arr
         reasons |= CLOCK_JUMPED
     elif outcome == ACCEPTED_AFTER_DOUBT:
         reasons |= SPEED_IMPLAUSIBLE
+        if abs(speed) <= k.number.speed_slack:  # the outputs have gone to zero meanwhile, see `not_enabled`
+            motion[at.FEEDFORWARD_TARGET] = 0.0
     if motion[at.STARTED] == at.START_ANEW:
         reasons |= TIME_RESET
     patience, quantum = 1, motion[at.QUANTUM]

@@ -49,6 +49,12 @@ def trust(times: IntArray, tracked: Array, speed: float) -> None:
 
 
 @inlined
+def seems_to_stand(k: Constants, tracked: Array) -> bool:
+    """Whether the speeds in doubt are those of a standing vehicle."""
+    return abs(tracked[RUN]) <= k.number.speed_slack
+
+
+@inlined
 def is_plausible(k: Constants, times: IntArray, tracked: Array, stamp: int, elapsed: int, speed: float, quantum: float) -> bool:
     """Whether to accept a speed that comes so long [ns] after the last accepted one; takes note of one in doubt."""
     reached, near = follow(k, tracked[REFERENCE], speed, elapsed, quantum)
