@@ -51,7 +51,7 @@ def trust(times: IntArray, tracked: Array, speed: float) -> None:
 @inlined
 def seems_to_stand(k: Constants, tracked: Array) -> bool:
     """Whether the speeds in doubt are those of a standing vehicle."""
-    return abs(tracked[RUN]) <= k.number.speed_slack
+    return bool(abs(tracked[RUN]) <= k.number.speed_slack)
 
 
 @inlined
