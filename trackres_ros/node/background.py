@@ -59,6 +59,8 @@ class ErrorLines:
         self._over = True
         self._news.set()
         self._thread.join(patience_s)
+        if self._thread.is_alive():  # what the interpreter writes as it ends must not wait either
+            _to_nowhere()
 
     def _run(self) -> None:
         while not (self._over and not self._lines):
@@ -77,6 +79,11 @@ class ErrorLines:
         try:
             print(line, file=sys.stderr, flush=True)
         except BrokenPipeError:  # nobody reads the log any more, which must end neither the node nor its exit code
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())
+            _to_nowhere()
         except (OSError, ValueError):  # a full disk loses this line alone; a stream that is closed loses all
             pass
+
+
+def _to_nowhere() -> None:
+    """Have standard error go nowhere from now on."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())
