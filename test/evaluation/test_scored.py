@@ -12,8 +12,8 @@ from trackres_ros.evaluation.sealed.answers import error_left, of_report
 from trackres_ros.evaluation.sealed.cases import RIGHT_FORMS, Case, first_by_name, sensors_of
 from trackres_ros.evaluation.sealed.masses import MassError, mass_errors
 from trackres_ros.evaluation.sealed.oracle import OracleAnswer
-from trackres_ros.evaluation.sealed.page import TARGETS, learned_table, outside_table, street_table, write_all
-from trackres_ros.evaluation.sealed.scored import OURS, Scored, comparable, own_shares, shares, sizes
+from trackres_ros.evaluation.sealed.page import TARGETS, learned_table, outside_table, side_by_side, write_all
+from trackres_ros.evaluation.sealed.scored import OURS, Scored, comparable, own_shares, shares, sizes, true_values
 
 PARAMETERS = {"time": {"value": 0.3, "ci95": [0.25, 0.35]}}
 
@@ -31,11 +31,16 @@ def term(form, variable="", gate=None, memory=None, after=120.0):
     return {"form": form, "variable": variable, "gate": gate, "memory": memory, "heldout": {"mae": [200.0, after]}}
 
 
-def scored(level, hidden, made, seen=True, oracle_error=100.0, learned=None, masses=()):
+def scored(level, hidden, made, seen=True, oracle_error=100.0, learned=None, masses=(), stated=None, alike=(), words=""):
     values = {name: {"time": 0.25} for name in hidden}
-    case = Case("0000cafe", level, values, {}, False, False, False, True, 11)
-    known = OracleAnswer(50.0 if seen else 1.0, (), seen, False, 200.0, oracle_error)
-    return Scored(case, made, known, {OURS: of_report(made)}, 0.5, 0.5, None, learned or {"base": 200.0, "trees": 150.0}, masses)
+    program = {"words": words, "predictable": "chance" not in words} if level == "outside" else {}
+    case = Case("0000cafe", level, values, {}, False, False, False, True, 11, "town", program)
+    known = OracleAnswer(50.0 if seen else 1.0, alike, seen, False, 200.0, oracle_error)
+    answer = of_report(made)
+    if level == "street" and hidden:
+        stated = bool(answer.described) and answer.described[0].form == RIGHT_FORMS[hidden[0]]
+    learned = learned or {"base": 200.0, "trees": 150.0}
+    return Scored(case, made, known, {OURS: answer}, 0.5, 0.5, None, learned, stated, true_values(case), masses)
 
 
 def test_a_report_without_descriptions_is_read_as_before():
@@ -44,62 +49,52 @@ def test_a_report_without_descriptions_is_read_as_before():
     assert error_left(report("named", ["delay"], after=90.0)) == 90.0
 
 
-@pytest.mark.parametrize(
-    ("hidden", "said", "right"),
-    [
-        ("pump", term("spells"), True),
-        ("pump", term("level_change"), False),
-        ("left_turns", term("curve", "yaw rate to the left"), True),
-        ("left_turns", term("gated_curve", "speed", "left turns only"), True),
-        ("left_turns", term("curve", "speed"), False),
-        ("light_resonance", term("gated_curve", "speed", "when light"), True),
-        ("light_resonance", term("curve", "speed"), False),
-        ("brake_after_stops", term("build_up", "distance", None, {"constant_s": 60.0, "reset": "stop"}), True),
-        ("brake_after_stops", term("build_up", "distance", None, {"constant_s": 60.0, "reset_by_stop": False}), False),
-        ("backlash", term("curve", "driving torque"), True),
-        ("zero_drift", term("drift"), True),
-        ("route_places", term("place", "distance"), True),
-        ("route_places", term("wave", "distance"), False),
-        ("seized_bearing", term("level_change"), True),
-        ("seized_bearing", term("spells"), False),
-        ("ratchet", term("curve", "driving torque"), False),
-        ("street_slope", term("place", "place on the route"), True),
-        ("street_slope", term("payload", "mass"), False),
-        ("stretch_load", term("payload", "mass"), True),
-        ("street_ground", term("place", "place on the route"), True),
-        ("street_ground", term("level_change"), False),
-    ],
-)
-def test_right_forms(hidden, said, right):
-    assert of_report(report("described", described=[said])).describes(RIGHT_FORMS[hidden]) is right
-    assert not of_report(report("unexplained", described=[said])).describes(RIGHT_FORMS[hidden])
+def test_a_confirmed_name_is_wrong_unless_it_is_hidden_or_fits_as_well():
+    sure = report("named", ["delay"])
+    sure["effects"][0]["grade"] = "confirmed"
+    doubted = report("named", ["delay"])
+    doubted["effects"][0]["grade"] = "suspected"
+    of = [
+        scored("outside", ["program"], sure),
+        scored("outside", ["program"], sure, alike=("delay", "torque_gain")),
+        scored("outside", ["program"], doubted),
+        scored("single", ["delay"], sure),
+        scored("none", [], sure),
+    ]
+    assert [s.answer.surely_wrong(s.allowed) for s in of] == [True, False, False, False, True]
+    found = shares(of)
+    assert found["outside: confirmed wrong name"] == (1, 3)
+    assert found["all: confirmed wrong name"] == (2, 5)
+    assert [s.wrong for s in of[:2]] == ["a name for what is not in the catalogue", ""]
 
 
 def test_mistakes_of_descriptions():
-    spells, drift = [term("spells")], [term("drift")]
-    assert scored("outside", ["pump"], report("described", described=spells)).wrong == ""
-    assert scored("outside", ["pump"], report("described", described=drift)).wrong == "described in another form"
-    assert scored("outside", ["pump"], report("named", ["delay"])).wrong == "a name for what is not in the catalogue"
-    assert scored("outside", ["pump"], report("none")).wrong == "unknown not noticed"
-    assert scored("none", [], report("described", described=drift)).wrong == "false description"
-    assert scored("single", ["delay"], report("described", described=drift)).wrong == "described though in the catalogue"
+    drift = [term("drift")]
+    said = report("described", described=drift)
+    assert scored("outside", ["program"], said, stated=True).wrong == ""
+    assert scored("outside", ["program"], said, stated=False).wrong == "described, and not true"
+    assert scored("outside", ["program"], report("named", ["delay"])).wrong == "a name for what is not in the catalogue"
+    assert scored("outside", ["program"], report("none")).wrong == "unknown not noticed"
+    assert scored("none", [], said).wrong == "false description"
+    assert scored("single", ["delay"], said).wrong == "described though in the catalogue"
 
 
 def test_scores_of_what_is_outside():
+    one, by_chance = ["program"], "coming and going by chance"
     of = [
-        scored("outside", ["pump"], report("described", described=[term("spells")])),
-        scored("outside", ["mud"], report("described", described=[term("build_up", after=140.0)])),
-        scored("outside", ["mud"], report("named", ["delay"], after=250.0)),
-        scored("outside", ["zero_drift"], report("unexplained"), seen=False),
+        scored("outside", one, report("described", described=[term("spells")]), stated=True, words=by_chance),
+        scored("outside", one, report("described", described=[term("curve", after=140.0)]), stated=False, words="a bump"),
+        scored("outside", one, report("named", ["delay"], after=250.0), words="a sine"),
+        scored("outside", one, report("unexplained"), seen=False, words=by_chance),
         scored("none", [], report("described", described=[term("drift", after=190.0)]), oracle_error=200.0),
         scored("none", [], report("none", after=200.0), oracle_error=200.0),
     ]
     found, own, values = shares(of), own_shares(of), sizes(of)
-    assert found["outside: confident wrong name"] == (1, 4)
+    assert found["outside: confirmed wrong name"] == (1, 4)
     assert found["outside: described or unexplained"] == (3, 4)
     assert found["outside: a name or a class of names"] == (1, 4)
-    assert own["outside, seen by the oracle: described in the right form"] == (2, 3)
-    assert own["outside, all: described in the right form"] == (2, 4)
+    assert own["outside, seen by the oracle: described, and the statement is true"] == (1, 3)
+    assert own["outside, described: the statement is true"] == (1, 2)
     assert own["none: false description"] == (1, 2)
     assert own["held-out laps: never worse than the base"] == (5, 6)
     name = "outside, predictable: held-out error removed, of what the oracle removes (median)"
@@ -109,30 +104,21 @@ def test_scores_of_what_is_outside():
     assert "| 2 | 0.05 | 0.50 |" in table
     assert "| outside: worse than the base | 4 | 1 | 0 |" in table
     by_kind = outside_table(of)
-    assert "| mud | 2 | 2 | 1 | build_up; delay |" in by_kind
-    assert "| zero_drift | 1 | 0 | 0 | unexplained |" in by_kind
+    assert "| a bump | town | yes | no | 60% | curve |" in by_kind
+    assert "| a sine | town | yes | no | -50% | delay |" in by_kind
 
 
-def test_scores_of_what_was_written_after_the_freeze():
-    of = [
-        scored("outside", ["ratchet"], report("unexplained")),
-        scored("outside", ["ratchet"], report("described", described=[term("spells")])),
-        scored("outside", ["route_places"], report("described", described=[term("place")])),
-        scored("outside", ["seized_bearing"], report("named", ["delay"])),
-        scored("outside", ["pump"], report("unexplained")),
-        scored("single", ["delay"], report("named", ["delay"])),
-    ]
-    found, own = shares(of), own_shares(of)
-    assert found["written after the freeze: confident wrong name"] == (1, 4)
-    assert own["written after the freeze: described in the right form or unexplained"] == (2, 4)
-    assert own["outside, all: described in the right form"] == (1, 3)  # of the ratchet no form is right
-    assert own["outside, seen by the oracle: described in the right form"] == (1, 3)
-    assert [s.wrong for s in of[:2]] == ["", "described in another form"]
-    assert [s.predictable for s in of[:5]] == [False, False, True, True, False]
-    by_kind = outside_table(of)
-    assert "| ratchet (after the freeze) | 2 | 2 | no form is right |" in by_kind
-    assert "| route_places (after the freeze) | 1 | 1 | 1 | place |" in by_kind
-    assert "| pump | 1 | 1 | 0 | unexplained |" in by_kind
+def test_two_truths_side_by_side(tmp_path):
+    of = [scored("none", [], report("none"), oracle_error=200.0), scored("single", ["delay"], report("named", ["delay"]))]
+    runs = {}
+    for name, kept in (("own", of), ("other", of[:1])):
+        (tmp_path / name).mkdir()
+        write_all(tmp_path / name, kept, "seal", 1, 2)
+        runs[name] = json.loads((tmp_path / name / "scores.json").read_text())
+    lines = side_by_side(runs).splitlines()
+    assert lines[0] == "| Score | Target | own | other |"
+    assert "| none: false alarm | at most 3% | 0% (0 of 1; 0% to 79%), met | 0% (0 of 1; 0% to 79%), met |" in lines
+    assert "| single: truth in the reported class | at least 95% | 100% (1 of 1; 21% to 100%), met | not measured |" in lines
 
 
 def test_mistakes_in_a_town():
@@ -145,7 +131,7 @@ def test_mistakes_in_a_town():
     both = report("named", ["grade", "delay"])
     assert scored("street", ["street_slope"], both).wrong == "a name for what is not in the catalogue"
     assert scored("street", ["street_ground"], report("named", ["grade"])).wrong == "a name for what is not in the catalogue"
-    assert scored("street", ["street_ground"], report("described", described=payload)).wrong == "described in another form"
+    assert scored("street", ["street_ground"], report("described", described=payload)).wrong == "described, and not true"
     assert scored("street", ["stretch_load"], report("none")).wrong == "unknown not noticed"
 
 
@@ -162,7 +148,7 @@ def test_scores_in_a_town():
     ]
     found, own, values = shares(of), own_shares(of), sizes(of)
     assert found["street, nothing hidden: a name or a description"] == (1, 2)
-    assert found["street: confident wrong name"] == (1, 6)
+    assert found["street: confirmed wrong name"] == (2, 6)
     assert own["street, seen by the oracle: rightly named or described"] == (2, 3)
     assert own["street, slope: named grade or described by place"] == (1, 2)
     assert own["street, load: described as a payload"] == (1, 1)
@@ -178,10 +164,10 @@ def test_scores_in_a_town():
     assert values[f"street, stretch load: {removed}"] == pytest.approx([0.5])
     assert values["street, load described: masses off, of the load, over 300 s of driving (median)"] == [0.05, 0.2]
     assert values["street, load described: masses off, of the load, all (median)"] == [0.05, 0.2, 0.02, 0.5]
-    by_kind = street_table(of)
-    assert "| nothing | 2 | 2 | 1 | none; delay |" in by_kind
-    assert "| street_slope | 2 | 2 | 1 | grade; delay |" in by_kind
-    assert "| stretch_load | 1 | 1 | 1 | payload |" in by_kind
+    by_kind = outside_table(of)
+    assert "| nothing | town | yes | yes |  | none |" in by_kind
+    assert "| nothing | town | yes | no |  | delay |" in by_kind
+    assert "| street_slope | town | yes | yes | 80% | grade |" in by_kind
     assert set(TARGETS) <= {*found, *own, *values}
     assert "| street: worse than the base | 6 | 1 | 0 |" in learned_table(of)
 
@@ -193,7 +179,7 @@ def test_the_page_of_a_run_of_towns_alone(tmp_path):
     ]
     text = write_all(tmp_path, of, "seal", 3, 4)
     assert "2 cases of the 4 that were sealed" in text
-    assert "| street_slope | 1 | 1 | 1 | grade |" in text
+    assert "| street_slope | town | yes | yes | 80% | grade |" in text
     assert (tmp_path / "proof.md").read_text() == text + "\n"
     assert (tmp_path / "cases.csv").read_text().count("street") == 3  # two levels, one name
     assert (tmp_path / "confusion.png").stat().st_size > 1000

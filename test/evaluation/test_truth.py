@@ -16,7 +16,7 @@ from trackres_ros.diagnosis.prepare.gate import gate
 from trackres_ros.diagnosis.selection.naming import MODEL_ERROR
 from trackres_ros.evaluation.sealed.belt_heat import LAYERS, roll
 from trackres_ros.evaluation.sealed.belt_loss import LOG_SPEEDS, belt_loss
-from trackres_ros.evaluation.sealed.cases import CATALOGUE, LEVELS, OUTSIDE, draw_cases, sealed
+from trackres_ros.evaluation.sealed.cases import CATALOGUE, LEVELS, draw_cases, sealed
 from trackres_ros.evaluation.sealed.data_sheet import read_data_sheet
 from trackres_ros.evaluation.sealed.drives import drive
 from trackres_ros.evaluation.sealed.generate import write_vehicle
@@ -52,7 +52,7 @@ def drives(sheet):
 def test_the_truth_is_made_without_any_code_that_is_to_be_proved():
     modules = [
         f"trackres_ros.evaluation.sealed.{name}"
-        for name in ("truth", "outside", "street", "street_drives", "town", "sensors", "drives")
+        for name in ("truth", "programs", "street", "street_drives", "town", "sensors", "drives")
     ]
     code = f"import sys, {', '.join(modules)}; print(*[m for m in sys.modules if m.startswith('trackres_ros.')])"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
@@ -93,7 +93,7 @@ def test_what_is_switched_on_changes_the_torque_and_only_by_itself(drives):
     plain = simulate_truth(SHEET, Build(), {}, drives)[0]
     assert plain.added == {}
     rng = np.random.default_rng(0)
-    for name, draw in {**CATALOGUE, **OUTSIDE}.items():
+    for name, draw in CATALOGUE.items():
         if name == "core_surface":  # it is in the truth always; the vehicle file is what lacks it
             continue
         run = simulate_truth(SHEET, Build(), {name: draw(rng, 1.0)}, drives)[0]

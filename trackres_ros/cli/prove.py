@@ -42,6 +42,12 @@ into_folder = folder_option("Folder for recordings and page.")
     metavar="CHECKOUT",
     help="Have an earlier version of this tool diagnose the same cases.",
 )
+@click.option(
+    "--profiles",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="DIR",
+    help="Folder with bmw_i3 or ztbus: some of the vehicles drive at the speeds recorded there.",
+)
 @click.option("--fresh", is_flag=True, help="Begin anew instead of going on with what is in the folder.")
 @click.option(
     "-o",
@@ -59,6 +65,7 @@ def prove_command(
     quick: bool,
     first: int | None,
     earlier: Path | None,
+    profiles: Path | None,
     fresh: bool,
     output: Path | None,
     as_json: bool,
@@ -77,14 +84,19 @@ def prove_command(
         return
     needs("trackres prove", *EXTRA, "sklearn", "pysindy")
     from trackres_ros.evaluation.sealed.cases import LEVELS, QUICK
+    from trackres_ros.evaluation.sealed.profiles import profile_files
 
+    if profiles is not None:
+        profile_files(profiles)
     if output is None:
         raise InputError("-o", "no folder", "a folder for cases, results and scores")
     of = QUICK if quick else LEVELS
     counts = dict(_level_and_count(level, of, count) for level in (levels or of))
     output_folder(output)
     minutes = QUICK_MINUTES if quick else MINUTES
-    settings = f"{seed} {minutes:g} {' '.join(f'{level}={n}' for level, n in counts.items())}"
+    drawn_by = [str(seed), f"{minutes:g}", *(f"{level}={n}" for level, n in counts.items())]
+    drawn_by += [f"profiles={profiles.resolve()}"] if profiles else []
+    settings = " ".join(drawn_by)
     settings_file = output / "asked.txt"
     if not settings_file.exists() and any((output / name).exists() for name in FOLDERS):
         raise InputError("-o", str(output), f"a folder of its own; there are {', '.join(FOLDERS)} in it that are not of a proof")
@@ -93,7 +105,7 @@ def prove_command(
             shutil.rmtree(output / name, ignore_errors=True)
     settings_file.write_text(settings, encoding="utf-8")
     stream = sys.stderr if as_json else None
-    _process(stream, "generate", str(output), *settings.split())
+    _process(stream, "generate", str(output), *drawn_by)
     so_many = [] if first is None else [str(first)]
     _process(stream, "blind", str(output / "cases"), str(output / "results"), *so_many)
     if earlier is not None:
@@ -125,6 +137,33 @@ def _process(stream: IO[str] | None, module: str, *arguments: str, room: str = "
     done = subprocess.run(command, env={**os.environ, **alone}, stdout=stream, check=False)
     if done.returncode:
         raise click.ClickException(f"{module} ended with exit code {done.returncode}; what was done is kept")
+
+
+@prove_command.command("second")
+@click.argument("cases", type=click.Path(path_type=Path, file_okay=False))
+@click.option("--first", type=whole(1, 100_000), metavar="N", help="Diagnose and score only N of the cases.")
+@into_folder
+@json_option
+def prove_second_command(cases: Path, first: int | None, output: Path, as_json: bool) -> None:
+    """Diagnose and score cases that another simulator made, by the same scores as the project's own.
+
+    CASES holds labels.json and cases/NAME/session1.csv and so on; a case without a vehicle.yaml is of the vehicle xgd24d. The
+    diagnosis runs in a process that gets the folder of recordings alone. An interrupted run goes on where it was.
+    """
+    needs("trackres prove second", *EXTRA, "sklearn", "pysindy")
+    from trackres_ros.evaluation.sealed.second import read_labels
+
+    read_labels(cases)
+    output_folder(output)
+    asked, settings = output / "asked.txt", f"second {cases.resolve()}"
+    if any(output.iterdir()) and (not asked.exists() or asked.read_text(encoding="utf-8") != settings):
+        raise InputError("-o", str(output), "a folder that is empty, or of a run with the same cases")
+    asked.write_text(settings, encoding="utf-8")
+    stream, so_many = sys.stderr if as_json else None, [] if first is None else [str(first)]
+    _process(stream, "blind", str(cases / "cases"), str(output / "results"), *so_many)
+    _process(stream, "second", str(cases), str(output), *so_many)
+    if as_json:
+        click.echo((output / "scores.json").read_text(encoding="utf-8"))
 
 
 @prove_command.command("real")

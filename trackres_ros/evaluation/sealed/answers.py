@@ -9,10 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from trackres_ros.evaluation.sealed.cases import Form
-
 SURE = ("named", "one_of")
-DESCRIBED = "described"
+DESCRIBED, CONFIRMED = "described", "confirmed"
 ABOUT = ("variable", "gate", "memory")
 EARLIER = "earlier"
 BASELINES = {
@@ -34,50 +32,50 @@ class Description:
 
 @dataclass(frozen=True)
 class Answer:
-    """A status as in the verdict; the classes of effects that are named, one for each missing effect; and the terms that are
-    described without a name.
+    """A status as in the verdict; the classes of effects that are named, one for each missing effect; the terms that are
+    described without a name; and those of the classes that are confirmed.
     """
 
     status: str
     classes: tuple[tuple[str, ...], ...]
     described: tuple[Description, ...] = ()
+    confirmed: tuple[tuple[str, ...], ...] = ()
 
     @property
     def first(self) -> str:
         """The name given first; without any the status."""
         return self.classes[0][0] if self.classes else self.status
 
-    def describes(self, forms: Sequence[Form]) -> bool:
-        """Whether the verdict is a description, and the form given first is one of these."""
-        if self.status != DESCRIBED or not self.described:
-            return False
-        given = self.described[0]
-        return any(given.form == form.name and all(word in given.about for word in form.about) for form in forms)
-
     def holds(self, true: set[str]) -> int:
         """How many classes have a true effect in them."""
         return sum(bool(true & set(members)) for members in self.classes)
+
+    def surely_wrong(self, allowed: set[str]) -> bool:
+        """Whether a name is confirmed that is none of the allowed ones, nor in a class with one."""
+        return any(not allowed & set(members) for members in self.confirmed)
 
 
 def of_report(report: dict[str, Any]) -> Answer:
     """The answer of a report, with the name it gives first at the head of each class."""
     status = str(report["verdict"]["status"])
     described = tuple(
-        Description(str(term["form"]), " ".join(filter(None, (_words(term.get(key)) for key in ABOUT))))
+        Description(str(term["form"]), " ".join(filter(None, (words(term.get(key)) for key in ABOUT))))
         for term in report.get("described", ())
     )
     if status not in SURE:
         return Answer(status, (), described)
-    classes = ((e["name"], *(m for m in e["class"] if m != e["name"])) for e in report["effects"])
-    return Answer(status, tuple(classes), described)
+    overall = report["verdict"].get("grade", CONFIRMED)
+    classes = [(e["name"], *(m for m in e["class"] if m != e["name"])) for e in report["effects"]]
+    sure = [c for c, e in zip(classes, report["effects"], strict=True) if e.get("grade", overall) == CONFIRMED]
+    return Answer(status, tuple(classes), described, tuple(sure))
 
 
-def _words(value: Any) -> str:
+def words(value: Any) -> str:
     """The words in a part of a report; of a mapping the keys that hold something, and what they hold."""
     if isinstance(value, dict):
-        return " ".join(f"{key} {_words(held)}" for key, held in value.items() if held not in (None, False))
+        return " ".join(f"{key} {words(held)}" for key, held in value.items() if held not in (None, False))
     if isinstance(value, list):
-        return " ".join(_words(one) for one in value)
+        return " ".join(words(one) for one in value)
     return value.lower() if isinstance(value, str) else ""
 
 
@@ -89,4 +87,5 @@ def error_left(report: dict[str, Any]) -> float:
 
 def of_names(names: Sequence[str]) -> Answer:
     """The answer of a method that only gives names."""
-    return Answer("named" if names else "none", tuple((name,) for name in names))
+    classes = tuple((name,) for name in names)
+    return Answer("named" if names else "none", classes, (), classes)

@@ -21,8 +21,10 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from trackres_ros.diagnosis import Diagnosis
+    from trackres_ros.diagnosis.base.loading import LoadedBase
 
 HELD_OUT = "held_out.json"
+VEHICLE = "xgd24d"  # of a case without a vehicle file of its own
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -41,15 +43,24 @@ def main(arguments: Sequence[str]) -> None:
     print(flush=True)
 
 
+def opened(folder: Path) -> tuple[list[Path], LoadedBase]:
+    """Recordings in the folder of a case, and its vehicle."""
+    from trackres_ros.diagnosis import load_base
+    from trackres_ros.files.resources import find_vehicle
+
+    own = folder / "vehicle.yaml"
+    return sorted(folder.glob("*.csv")), load_base(own if own.exists() else find_vehicle(VEHICLE))
+
+
 def diagnosed(folder: Path) -> tuple[Diagnosis, list[Path]]:
     """What the diagnosis finds in the folder of a case, and the recordings there."""
-    from trackres_ros.diagnosis import diagnose, load_base, read_recordings
+    from trackres_ros.diagnosis import diagnose, read_recordings
 
-    paths = sorted(folder.glob("drive_*.csv"))
+    paths, base = opened(folder)
     # A drive made to distinguish effects is fitted beside what was: the same laps are held out as without it.
     kept = folder / HELD_OUT
     held_out = json.loads(kept.read_text(encoding="utf-8")) if kept.exists() else None
-    return diagnose(read_recordings(paths, None), load_base(folder / "vehicle.yaml"), holdout=held_out, quick=True), paths
+    return diagnose(read_recordings(paths, None), base, holdout=held_out, quick=True), paths
 
 
 def _diagnose(folder: Path, results: Path) -> None:
@@ -58,7 +69,7 @@ def _diagnose(folder: Path, results: Path) -> None:
     from trackres_ros.evaluation.sealed.discrepancy import learned_errors
 
     found, paths = diagnosed(folder)
-    simple = simple_answers(found.refitted, found.steps[0].separability)
+    simple = simple_answers(found.refitted, found.alone.separability.of_names)
     learned = learned_errors(found.refitted, found.split)
     partial = results / f"{folder.name}.part"
     result = {"report": report(found, paths), "simple": asdict(simple), "learned": learned}

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from trackres_ros.evaluation.sealed.programs import PROGRAM, draw_program
 from trackres_ros.evaluation.sealed.sensors import Sensors
 from trackres_ros.evaluation.sealed.truth import Build
 
@@ -25,6 +26,7 @@ LEVELS = {
 }  # fmt: skip
 QUICK = {"none": 14, "single": 14, "masked": 9, "compensated": 9, "two": 9, "confounded": 6, "outside": 12, "street": 8}
 NOT_IN_CATALOGUE = ("outside", "street")  # levels
+SOURCES = ("course", "trapezoids", "town", "recorded")  # of drives; the last only where speeds of real vehicles are given
 LOADS = (1.0, 0.8, 1.25)  # of the three drives, over the nominal one
 MASKED_SIZE = (0.2, 0.4)  # of a clear one
 # What any instrument has, which is no finding: less than a hidden `delay`, `torque_offset` or `torque_gain` adds.
@@ -53,6 +55,10 @@ class Case:
         Whether the drives excite little: one load, no bends, hardly a change of speed, no belt temperature.
     seed
         Of drives and sensors.
+    source
+        Where its drives come from, of `SOURCES`; a dull case and a case in a town have drives of their own.
+    program
+        What a hidden program is, see `programs.Program.description`; empty without.
     """
 
     name: str
@@ -64,7 +70,13 @@ class Case:
     dull: bool
     belt_measured: bool
     seed: int
-    extra: dict[str, Any] = field(default_factory=dict)
+    source: str = "course"
+    program: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def title(self) -> str:
+        """What is hidden, for people."""
+        return str(self.program.get("words") or " and ".join(self.hidden) or "nothing")
 
 
 def _pm(rng: np.random.Generator, low: float, high: float) -> float:
@@ -122,35 +134,11 @@ CATALOGUE: dict[str, Draw] = {
 }  # fmt: skip
 """Draws of the truth's parameters by effect, at a size of 1: clear. What the base re-fits itself is not among them."""
 
+D_PRIME = (40.0, 200.0)  # of a hidden program after a re-fit of the base
 OUTSIDE: dict[str, Draw] = {
-    "sticking_brake": lambda g, s: {"torque": s * g.uniform(300.0, 800.0), "seed": _seed(g)},
-    "mud": lambda g, s: {"torque": s * g.uniform(300.0, 800.0), "distance": g.uniform(300.0, 1200.0), "seed": _seed(g)},
-    "left_turns": lambda g, s: {"torque": s * g.uniform(250.0, 600.0), "seed": _seed(g)},
-    "pump": lambda g, s: {"torque": s * g.uniform(200.0, 500.0), "seed": _seed(g)},
-    "brake_after_stops": lambda g, s: {"torque": s * g.uniform(350.0, 800.0), "seed": _seed(g)},
-    "backlash": lambda g, s: {"torque": s * g.uniform(300.0, 900.0), "band": g.uniform(80.0, 300.0), "seed": _seed(g)},
-    "light_resonance": lambda g, s: {
-        "torque": s * g.uniform(300.0, 700.0), "speed": g.uniform(4.0, 10.0), "width": g.uniform(0.7, 1.6),
-        "load": g.uniform(0.87, 0.93), "seed": _seed(g),
-    },
-    "stiff_joint": lambda g, s: {
-        "torque": s * g.uniform(300.0, 800.0), "length": g.uniform(0.97, 1.03), "phase": _turn(g), "seed": _seed(g),
-    },
-    "zero_drift": lambda g, s: {"torque": s * g.uniform(100.0, 200.0), "seed": _seed(g)},
-    "ratchet": lambda g, s: {
-        "torque": s * g.uniform(400.0, 1000.0), "limit": g.uniform(4000.0, 5500.0), "rate": g.uniform(0.15, 0.4),
-        "seed": _seed(g),
-    },
-    "route_places": lambda g, s: {"torque": s * g.uniform(350.0, 900.0), "lap": g.uniform(600.0, 2000.0), "seed": _seed(g)},
-    "seized_bearing": lambda g, s: {
-        "torque": s * g.uniform(300.0, 800.0), "distance": g.uniform(3000.0, 11000.0), "seed": _seed(g),
-    },
-}  # fmt: skip
-"""What no catalogue has, drawn equally often; the functions are in `outside`."""
-AFTER_FREEZE = ("ratchet", "route_places", "seized_bearing")
-"""Kinds written only after the grammar of descriptions was frozen, by somebody who had not seen the code that describes. They are
-used once, by the reported run: nothing was developed on them.
-"""
+    PROGRAM: lambda g, _s: {"seed": _seed(g), "d_prime": float(np.exp(g.uniform(*np.log(D_PRIME))))},
+}
+"""What no catalogue has: see `programs`."""
 
 STREET: dict[str, Draw] = {
     "street_slope": lambda g, _s: {"steepest": g.uniform(0.015, 0.03)},
@@ -160,57 +148,16 @@ STREET: dict[str, Draw] = {
 """What is hidden in a town, drawn as often as nothing; the functions are in `street`."""
 
 
-@dataclass(frozen=True)
-class Form:
-    """A description by form that is right of a phenomenon.
-
-    Attributes
-    ----------
-    name
-        Of the form, as in a report.
-    about
-        Words that what it is a function of, its gate and its memory must hold between them.
-    """
-
-    name: str
-    about: tuple[str, ...] = ()
-
-
-SPELLS, WAVE, DRIFT, BUILD_UP = (Form(name) for name in ("spells", "wave", "drift", "build_up"))
-RIGHT_FORMS: dict[str, tuple[Form, ...]] = {
-    "sticking_brake": (SPELLS,),
-    "mud": (BUILD_UP,),
-    "left_turns": (Form("gated_curve", ("left",)), Form("gated_curve", ("yaw",)), Form("curve", ("yaw",))),
-    "pump": (SPELLS,),
-    "brake_after_stops": (SPELLS, Form("build_up", ("stop",)), Form("build_up", ("stand",))),
-    "backlash": (Form("curve", ("driving torque",)), Form("gated_curve", ("driving torque",))),
-    "light_resonance": (Form("gated_curve", ("speed", "light")),),
-    "stiff_joint": (WAVE,),
-    "zero_drift": (DRIFT,),
-    "ratchet": (),  # it comes and goes within seconds, by chance, and in the mean adds next to nothing: unexplained is right
-    "route_places": (Form("place"),),
-    "seized_bearing": (Form("level_change"),),
-    "street_slope": (Form("place"),),
-    "stretch_load": (Form("payload"),),
-    "street_ground": (Form("place"),),
-}
-"""Of each phenomenon outside the catalogue the forms that describe it; none where no form does."""
+RIGHT_FORMS = {"street_slope": "place", "stretch_load": "payload", "street_ground": "place"}
+"""Of each phenomenon of a town the form that describes it. For a program the hidden torque decides, see `statements`."""
 RIGHT_NAMES: dict[str, tuple[str, ...]] = {"street_slope": ("grade",)}
 """Names that say the same as a right form: a slope by place is a grade."""
-PREDICTABLE_FORMS = ("curve", "gated_curve", "build_up", "wave", "place", "level_change")
-"""Forms whose torque can be predicted: the others can only be detected once they have begun."""
 
 
-def predictable(name: str) -> bool:
-    """Whether what a phenomenon outside the catalogue adds can be known ahead."""
-    forms = RIGHT_FORMS[name]
-    return bool(forms) and all(form.name in PREDICTABLE_FORMS for form in forms)
-
-
-def draw_cases(counts: Mapping[str, int], seed: int) -> list[Case]:
+def draw_cases(counts: Mapping[str, int], seed: int, sources: Sequence[str] = SOURCES[:-1]) -> list[Case]:
     """All cases of a run, in an order that says nothing."""
     rng = np.random.default_rng(seed)
-    cases = [_case(level, i, rng) for level, count in counts.items() for i in range(count)]
+    cases = [_case(level, i, rng, sources) for level, count in counts.items() for i in range(count)]
     rng.shuffle(cases)
     return cases
 
@@ -226,7 +173,7 @@ def sealed(seed: int, cases: list[Case]) -> str:
     return hashlib.sha256(content.encode()).hexdigest()
 
 
-def _case(level: str, i: int, rng: np.random.Generator) -> Case:
+def _case(level: str, i: int, rng: np.random.Generator, sources: Sequence[str]) -> Case:
     names, size = list(CATALOGUE), 1.0
     if level == "masked":
         size = float(rng.uniform(*MASKED_SIZE))
@@ -237,7 +184,7 @@ def _case(level: str, i: int, rng: np.random.Generator) -> Case:
     elif level == "street":
         chosen = [list(STREET)[i % (1 + len(STREET)) - 1]]
     elif level == "outside":
-        chosen = [list(OUTSIDE)[i % len(OUTSIDE)]]
+        chosen = [PROGRAM]
     else:
         chosen = [str(name) for name in rng.choice(names, 2 if level == "two" else 1, replace=False)]
     hidden = {name: {key: float(x) for key, x in library[name](rng, size).items()} for name in chosen}
@@ -255,6 +202,8 @@ def _case(level: str, i: int, rng: np.random.Generator) -> Case:
         level == "confounded",
         bool(rng.random() < 0.6) and level != "confounded",
         int(rng.integers(2**31)),
+        str(rng.choice(list(sources))),
+        draw_program(int(hidden[PROGRAM]["seed"])).description if PROGRAM in hidden else {},
     )
 
 

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,7 @@ Array = NDArray[np.float64]
 
 STEP_S = 0.1
 MOST_SIDEWAYS_MPS2 = 2.0
+RESTING_MPS, HARDEST_MPS2 = 0.05, 1.6
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +72,44 @@ def drive(minutes: float, weight: float, ambient: float, fastest: float, rng: np
     """A drive over a closed course of its own, by a driver of his own."""
     n = int(minutes * 60.0 / STEP_S)
     brisk, restless = rng.uniform(0.2, 0.7), rng.uniform(25.0, 90.0)  # m/s^2, s between changes of mind
-    speed = _eased(_targets(n, fastest, restless, rng), brisk)
-    distance = np.cumsum(speed) * STEP_S
+    return _on_a_course(_eased(_targets(n, fastest, restless, rng), brisk), weight, ambient, rng)
+
+
+def trapezoids(minutes: float, weight: float, ambient: float, fastest: float, rng: np.random.Generator) -> Drive:
+    """Stop and go: constant accelerations up to speeds that are held, and stops."""
+    time, speed = [0.0, rng.uniform(2.0, 10.0)], [0.0, 0.0]
+    levels = fastest * np.sort(rng.uniform(0.15, 1.0, int(rng.integers(3, 7))))
+    while time[-1] < minutes * 60.0:
+        top = float(rng.choice(levels))
+        for seconds, then in (
+            (top / rng.uniform(0.25, 0.7), top),
+            (rng.uniform(20.0, 120.0), top),
+            (top / rng.uniform(0.3, 0.9), 0.0),
+            (rng.uniform(5.0, 40.0), 0.0),
+        ):
+            time.append(time[-1] + seconds)
+            speed.append(then)
+    sharp = np.interp(np.arange(int(minutes * 60.0 / STEP_S)) * STEP_S, time, speed)
+    return _on_a_course(sharp, weight, ambient, rng)
+
+
+def recorded(
+    minutes: float, weight: float, ambient: float, fastest: float, profiles: Sequence[Array], rng: np.random.Generator
+) -> Drive:
+    """Speeds that real vehicles drove, each profile by `STEP_S`, slower where they were faster than this vehicle can be."""
+    n, parts = int(minutes * 60.0 / STEP_S), list[Array]()
+    while sum(map(len, parts)) < n:
+        one = profiles[int(rng.integers(len(profiles)))]
+        rests = np.flatnonzero(one < RESTING_MPS)  # it begins and ends at rest, as drives that are joined must
+        begin = int(rng.choice(rests[: max(int(np.searchsorted(rests, len(one) - n)), 1)]))
+        slower = min(1.0, fastest / float(one.max()), HARDEST_MPS2 / float(np.abs(np.gradient(one, STEP_S)).max()))
+        parts.append(one[begin : int(rests[-1]) + 1] * slower)
+    return _on_a_course(np.concatenate(parts)[:n], weight, ambient, rng)
+
+
+def _on_a_course(speed: Array, weight: float, ambient: float, rng: np.random.Generator) -> Drive:
+    """A speed driven over a closed course of its own."""
+    n, distance = len(speed), np.cumsum(speed) * STEP_S
     curvature = _course(distance, rng)
     sideways = MOST_SIDEWAYS_MPS2 / np.maximum(speed, 0.5)
     yaw_rate = np.clip(curvature * speed, -sideways, sideways)

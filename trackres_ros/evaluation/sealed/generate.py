@@ -3,7 +3,8 @@
 
 """First process of a run: draws the cases, seals them, and writes recordings and vehicle files that say nothing of them.
 
-`python -m trackres_ros.evaluation.sealed.generate FOLDER SEED MINUTES LEVEL=COUNT...`
+`python -m trackres_ros.evaluation.sealed.generate FOLDER SEED MINUTES LEVEL=COUNT... [profiles=DIR]`. With DIR some vehicles
+drive at the recorded speeds of real ones.
 """
 
 from __future__ import annotations
@@ -21,9 +22,21 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from trackres_ros.evaluation.sealed.cases import LOADS, Case, build_of, draw_cases, draws, sealed, sensors_of, streets_of
-from trackres_ros.evaluation.sealed.drives import Drive, drive
+from trackres_ros.evaluation.sealed.cases import (
+    LOADS,
+    SOURCES,
+    Case,
+    build_of,
+    draw_cases,
+    draws,
+    sealed,
+    sensors_of,
+    streets_of,
+)
+from trackres_ros.evaluation.sealed.drives import Drive, drive, recorded, trapezoids
+from trackres_ros.evaluation.sealed.profiles import read_profiles
 from trackres_ros.evaluation.sealed.sensors import record
+from trackres_ros.evaluation.sealed.size import sized
 from trackres_ros.evaluation.sealed.street import loaded
 from trackres_ros.evaluation.sealed.street_drives import street_drive
 from trackres_ros.evaluation.sealed.town import draw_town
@@ -34,6 +47,7 @@ from trackres_ros.files.yamls import read_yaml
 Array = NDArray[np.float64]
 
 VEHICLE = "xgd24d"
+PROFILES = "profiles"
 DULL_LOADS = (1.0, 1.0, 1.0)
 AIRS_DEGC = (5.0, 15.0, 25.0)
 FASTEST_MPS = 16.7
@@ -46,10 +60,15 @@ EVERY = 10  # samples: what is kept of the truth for the score
 def main(arguments: Sequence[str]) -> None:
     """See above."""
     folder, seed, minutes = Path(arguments[0]), int(arguments[1]), float(arguments[2])
-    counts = {level: int(count) for level, _, count in (a.partition("=") for a in arguments[3:])}
-    cases = draw_cases(counts, seed)
+    given = dict(a.split("=", 1) for a in arguments[3:])
+    data = given.pop(PROFILES, None)
     for sub in ("cases", "sealed"):
         (folder / sub).mkdir(parents=True, exist_ok=True)
+    if data:
+        np.savez_compressed(folder / "sealed" / f"{PROFILES}.npz", *read_profiles(Path(data)))
+    drawn = draw_cases({level: int(count) for level, count in given.items()}, seed, SOURCES if data else SOURCES[:-1])
+    with ProcessPoolExecutor(os.cpu_count()) as pool:
+        cases = list(pool.map(_sized, [(folder, case, minutes) for case in drawn]))
     seal = sealed(seed, cases)
     print(f"sealed: {len(cases)} cases, SHA-256 {seal}", flush=True)
     (folder / "seal.txt").write_text(seal + "\n", encoding="utf-8")
@@ -69,12 +88,13 @@ def make_case(task: tuple[Path, Case, float]) -> None:
     into = folder / "cases" / case.name
     into.mkdir(exist_ok=True)
     vehicle = write_vehicle(into / "vehicle.yaml", "lumped" if case.lumped else "core_surface")
+    profiles = _profiles(folder)
     if case.compensated:
-        _, paths = _record(case, into, "before", _drives(case, minutes, "before"))
+        _, paths = _record(case, into, "before", _drives(case, minutes, "before", profiles))
         _prefit(paths, vehicle)
         for path in paths:
             path.unlink()
-    driven = _drives(case, minutes, "drive")
+    driven = _drives(case, minutes, "drive", profiles)
     runs, _ = _record(case, into, "drive", driven)
     kept, partial = folder / "sealed" / f"{case.name}.npz", folder / "sealed" / f"{case.name}.part.npz"
     np.savez_compressed(partial, **_kept(case, driven, runs))
@@ -114,7 +134,7 @@ def means(series: Array) -> Array:
 
 def drive_next(folder: Path, case: Case, minutes: float, name: str, planned: Callable[[Drive], Drive]) -> Path:
     """Let the vehicle of a case drive once more, after all it has driven, and record it; `planned` gets its last drive."""
-    driven = _drives(case, minutes, "drive")
+    driven = _drives(case, minutes, "drive", _profiles(folder))
     more = planned(driven[-1])
     run = simulate_truth(find_vehicle(VEHICLE), build_of(case), case.hidden, [*driven, more])[-1]
     path = folder / "cases" / case.name / f"{name}.csv"
@@ -133,15 +153,36 @@ def write_vehicle(path: Path, thermal: str) -> Path:
     return path
 
 
-def _drives(case: Case, minutes: float, name: str) -> list[Drive]:
+def _sized(task: tuple[Path, Case, float]) -> Case:
+    folder, case, minutes = task
+    if case.level != "outside":
+        return case
+    return sized(case, find_vehicle(VEHICLE), _drives(case, minutes, "drive", _profiles(folder)))
+
+
+def _profiles(folder: Path) -> list[Array]:
+    path = folder / "sealed" / f"{PROFILES}.npz"
+    return list(np.load(path).values()) if path.exists() else []
+
+
+def _drives(case: Case, minutes: float, name: str, profiles: Sequence[Array] = ()) -> list[Drive]:
     rng = draws(case, f"route of {name}")
     weight, _ = _weight_and_radius(find_vehicle(VEHICLE))
     if case.level == "street":
         return _in_town(case, STREET_TIMES * minutes, weight, rng)
-    return [
-        _dull(minutes, weight, rng) if case.dull else drive(minutes, share * weight, air, FASTEST_MPS, rng)
-        for share, air in zip(DULL_LOADS if case.dull else LOADS, rng.permutation(AIRS_DEGC), strict=True)
-    ]
+    town = draw_town(draws(case, "town")) if case.source == "town" and not case.dull else None
+
+    def one(share: float, air: float) -> Drive:
+        if case.dull:
+            return _dull(minutes, weight, rng)
+        if town is not None:  # level, and only what every recording has
+            return replace(street_drive(minutes, share * weight, air, town, 0.0, rng), street=None)
+        if case.source == "recorded":
+            return recorded(minutes, share * weight, air, FASTEST_MPS, profiles, rng)
+        return {"course": drive, "trapezoids": trapezoids}[case.source](minutes, share * weight, air, FASTEST_MPS, rng)
+
+    loads = DULL_LOADS if case.dull else LOADS
+    return [one(share, air) for share, air in zip(loads, rng.permutation(AIRS_DEGC), strict=True)]
 
 
 def _in_town(case: Case, minutes: float, weight: float, rng: np.random.Generator) -> list[Drive]:

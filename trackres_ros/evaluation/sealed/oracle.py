@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis import load_base, read_recordings
+from trackres_ros.diagnosis import read_recordings
 from trackres_ros.diagnosis.base.base import BaseParameter, Predicted, Values
 from trackres_ros.diagnosis.base.track import TrackBase
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
@@ -23,11 +23,13 @@ from trackres_ros.diagnosis.prepare.split import split
 from trackres_ros.diagnosis.selection.visibility import LEAST_KEPT, separability
 from trackres_ros.effects import catalogue
 from trackres_ros.effects.effect import Active
+from trackres_ros.evaluation.sealed.blind import opened
 from trackres_ros.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 
 LEAST_GAIN = 10.0  # in log-likelihood: 4.5 standard deviations
+AS_WELL = 3.0  # a name that gains less by no more than this fits as well
 ADDITION, LARGEST_ADDITION = "addition", 5.0  # times what it truly is
 
 
@@ -40,7 +42,8 @@ class OracleAnswer:
     gain
         In log-likelihood, of the true effects over the re-fitted base.
     alike
-        Effects that look the same as the first true one here (cosine above 0.95), itself among them.
+        Effects that look the same as the first true one here (cosine above 0.95), itself among them; of what is outside the
+        catalogue the names that fit as well.
     identifiable
         Whether the gain is plain, no other effect looks alike, and the base does not take it up; of what is outside the
         catalogue, whether the gain is plain.
@@ -77,7 +80,7 @@ class WithAddition(TrackBase):
         ]
 
 
-def fit_truth(folder: Path, true: Sequence[str], added: Sequence[Array] = ()) -> OracleAnswer:
+def fit_truth(folder: Path, true: Sequence[str], added: Sequence[Array] = (), rivals: Sequence[str] = ()) -> OracleAnswer:
     """Fit the true structure to the laps of a case.
 
     Parameters
@@ -86,11 +89,13 @@ def fit_truth(folder: Path, true: Sequence[str], added: Sequence[Array] = ()) ->
         The effects of the catalogue that are in it.
     added
         Of one with something that is not in the catalogue: what that adds to the torque in each second of each drive [Nm].
+    rivals
+        Names that may do as well as that: those that gain nearly as much are `alike`.
     """
-    loaded = load_base(folder / "vehicle.yaml")
+    paths, loaded = opened(folder)
     base = loaded.base
     effects = catalogue(size=base.facts.weight * base.facts.radius)
-    sessions = gate(read_recordings(sorted(folder.glob("drive_*.csv")), None), loaded.known).sessions
+    sessions = gate(read_recordings(paths, None), loaded.known).sessions
     chosen = split(sessions)
     before = fit(Problem(base, sessions, tuple(chosen.training_mask(s) for s in sessions)))
     held = [chosen.held_out_mask(s) for s in sessions]
@@ -106,7 +111,13 @@ def fit_truth(folder: Path, true: Sequence[str], added: Sequence[Array] = ()) ->
         found = fit(replace(before.problem, base=WithAddition(base.vehicle, by_step)), start=before.at, noises=before.noises)
         gain = found.log_likelihood - before.log_likelihood
         mae = error([p.torque for p in with_levels(found).predicted])
-        return OracleAnswer(gain, (), gain > LEAST_GAIN, False, mae_base, mae)
+        gains = {
+            name: fit(before.problem, [effects[name]], before.at, before.noises).log_likelihood - before.log_likelihood
+            for name in rivals
+            if name in effects
+        }
+        alike = tuple(name for name, gained in gains.items() if gained > gain - AS_WELL)
+        return OracleAnswer(gain, alike, gain > LEAST_GAIN, False, mae_base, mae)
     if not true:
         return OracleAnswer(0.0, (), False, False, mae_base, mae_base)
     wanted = [effects[name] for name in true]

@@ -22,16 +22,18 @@ from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.findings.locate import evenly_filled
 from trackres_ros.errors import InputError
-from trackres_ros.evaluation.sealed.answers import BASELINES, EARLIER, Answer, of_names, of_report
+from trackres_ros.evaluation.sealed.answers import BASELINES, DESCRIBED, EARLIER, Answer, of_names, of_report
 from trackres_ros.evaluation.sealed.baselines import by_trees
-from trackres_ros.evaluation.sealed.cases import CATALOGUE, Case, first_by_name, sealed
+from trackres_ros.evaluation.sealed.cases import CATALOGUE, NOT_IN_CATALOGUE, RIGHT_FORMS, Case, first_by_name, sealed
 from trackres_ros.evaluation.sealed.data_sheet import read_data_sheet
 from trackres_ros.evaluation.sealed.follow import advised
 from trackres_ros.evaluation.sealed.generate import VEHICLE
 from trackres_ros.evaluation.sealed.masses import MassError, mass_errors
 from trackres_ros.evaluation.sealed.oracle import OracleAnswer, fit_truth
 from trackres_ros.evaluation.sealed.page import write_all
-from trackres_ros.evaluation.sealed.scored import OURS, Scored
+from trackres_ros.evaluation.sealed.programs import PROGRAM
+from trackres_ros.evaluation.sealed.scored import OURS, Scored, true_values
+from trackres_ros.evaluation.sealed.statements import is_true
 from trackres_ros.evaluation.sealed.street import LOAD
 from trackres_ros.evaluation.sealed.truth import G
 from trackres_ros.files.resources import find_vehicle
@@ -74,10 +76,12 @@ def _score(task: tuple[Path, Case, str | None]) -> Scored:
     folder, case, tree = task
     result = json.loads((folder / "results" / f"{case.name}.json").read_text(encoding="utf-8"))
     report, simple = result["report"], result["simple"]
-    kept = folder / "sealed" / f"{case.name}.oracle.json"
+    ours = of_report(report)
+    rivals = sorted({name for c in ours.classes for name in c}) if case.level == "outside" else []
+    kept = folder / "sealed" / f"{'_'.join([case.name, *rivals])}.oracle.json"
     if not kept.exists():
         known = fit_truth(
-            folder / "cases" / case.name, [name for name in case.hidden if name in CATALOGUE], _outside(folder, case)
+            folder / "cases" / case.name, [name for name in case.hidden if name in CATALOGUE], _outside(folder, case), rivals
         )
         kept.write_text(json.dumps(asdict(known)), encoding="utf-8")
     known = OracleAnswer(**json.loads(kept.read_text(encoding="utf-8")))
@@ -91,8 +95,9 @@ def _score(task: tuple[Path, Case, str | None]) -> Scored:
     resolved = _resolved(folder, case, report)
     masses = _masses(folder, case, report)
     return Scored(
-        case, report, known, {OURS: of_report(report), **answers}, overlap, jaccard, resolved, result["learned"], masses
-    )
+        case, report, known, {OURS: ours, **answers}, overlap, jaccard, resolved, result["learned"],
+        _stated(folder, case, report), true_values(case), masses,
+    )  # fmt: skip
 
 
 def _outside(folder: Path, case: Case) -> list[Array]:
@@ -100,6 +105,18 @@ def _outside(folder: Path, case: Case) -> list[Array]:
     truth = np.load(folder / "sealed" / f"{case.name}.npz")
     added = [truth[f"added/{name}"] for name in case.hidden if name not in CATALOGUE]
     return np.split(added[0], np.cumsum(truth["lengths"])[:-1]) if added else []
+
+
+def _stated(folder: Path, case: Case, report: dict[str, Any]) -> bool | None:
+    """Whether the first description is true; None where nothing is described, or nothing of which forms are known is hidden."""
+    answer = of_report(report)
+    if answer.status != DESCRIBED or not answer.described or case.level not in NOT_IN_CATALOGUE or not case.hidden:
+        return None
+    if PROGRAM not in case.hidden:
+        return all(answer.described[0].form == RIGHT_FORMS[name] for name in case.hidden)
+    truth = np.load(folder / "sealed" / f"{case.name}.npz")
+    over = {key.removeprefix("over/"): truth[key] for key in truth if key.startswith("over/")}
+    return is_true(report["described"][0], over, truth[f"added/{PROGRAM}"], truth["lengths"])
 
 
 def _masses(folder: Path, case: Case, report: dict[str, Any]) -> list[MassError]:

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -14,13 +14,10 @@ from scipy.stats import binomtest
 
 from trackres_ros.evaluation.sealed.answers import DESCRIBED, Answer, error_left
 from trackres_ros.evaluation.sealed.cases import (
-    AFTER_FREEZE,
     NOT_IN_CATALOGUE,
-    RIGHT_FORMS,
     RIGHT_NAMES,
     STREET,
     Case,
-    predictable,
     sensors_of,
 )
 from trackres_ros.evaluation.sealed.masses import CLOSE, LONG_S, MassError
@@ -60,6 +57,10 @@ class Scored:
         None where none was advised, or driven.
     learned
         Errors on held-out laps, see `discrepancy.learned_errors`.
+    stated
+        Whether the description that is given first is true of what is hidden; None where there is none to judge.
+    comparable
+        Of hidden effects: a parameter in the report that means the same, and its true value.
     masses
         Of a payload that was hidden and described.
     """
@@ -72,6 +73,8 @@ class Scored:
     jaccard: float
     resolved: bool | None
     learned: Mapping[str, float]
+    stated: bool | None = None
+    comparable: Mapping[str, tuple[str, float]] = field(default_factory=dict)
     masses: Sequence[MassError] = ()
 
     @property
@@ -85,29 +88,19 @@ class Scored:
         return self.answers[OURS]
 
     @property
-    def describable(self) -> bool:
-        """Whether it is outside the catalogue and a form is right of it."""
-        return self.case.level == "outside" and all(RIGHT_FORMS[name] for name in self.true)
-
-    @property
-    def after_freeze(self) -> bool:
-        """Whether it is of the kinds that were written only after the grammar of descriptions was frozen."""
-        return self.case.level == "outside" and self.true <= set(AFTER_FREEZE)
-
-    @property
     def rightly_described(self) -> bool:
-        """Whether what is outside the catalogue is described, first, in a form that is right of it."""
-        return all(self.answer.describes(RIGHT_FORMS[name]) for name in self.true)
+        """Whether the verdict is a description, and what it says first is true."""
+        return self.answer.status == DESCRIBED and bool(self.stated)
+
+    @property
+    def allowed(self) -> set[str]:
+        """Names that are no mistake: what is hidden, what says the same, and what cannot be told from it here."""
+        return self.true | {name for true in self.true for name in RIGHT_NAMES.get(true, ())} | set(self.known.alike)
 
     @property
     def rightly_named(self) -> bool:
-        """Whether the diagnosis gives names that say the same as a right form, and no other."""
-        return self.names_rightly(self.answer)
-
-    def names_rightly(self, answer: Answer) -> bool:
-        """Whether an answer calls what is outside the catalogue by names that say the same as a right form, and by no other."""
-        right = {name for true in self.true for name in RIGHT_NAMES.get(true, ())}
-        return 0 < len(answer.classes) == answer.holds(right)
+        """Whether the diagnosis gives names that are no mistake, and no other."""
+        return 0 < len(self.answer.classes) == self.answer.holds(self.allowed)
 
     @property
     def rightly_told(self) -> bool:
@@ -117,7 +110,7 @@ class Scored:
     @property
     def predictable(self) -> bool:
         """Whether it is outside the catalogue and what it adds can be known ahead."""
-        return self.case.level == "outside" and all(map(predictable, self.true))
+        return self.case.level == "outside" and bool(self.case.program.get("predictable"))
 
     @property
     def reducible(self) -> bool:
@@ -162,7 +155,7 @@ class Scored:
         if self.answer.classes:
             return "a name for what is not in the catalogue"
         if self.answer.status == DESCRIBED:
-            return "" if self.rightly_described else "described in another form"
+            return "" if self.rightly_described else "described, and not true"
         return "" if self.answer.status == "unexplained" else "unknown not noticed"
 
 
@@ -210,15 +203,13 @@ def shares(scored: Sequence[Scored], method: str = OURS) -> dict[str, tuple[int,
         "not identifiable: class or abstain": share(unclear, lambda s, a: not a.classes or in_class(s, a)),
         "outside: described or unexplained": share(outside, lambda _, a: a.status in (DESCRIBED, "unexplained")),
         "outside: unexplained": share(outside, lambda _, a: a.status == "unexplained"),
-        "outside: confident wrong name": share(outside, lambda _, a: a.status == "named"),
+        "outside: confirmed wrong name": share(outside, lambda s, a: a.surely_wrong(s.allowed)),
         "outside: a name or a class of names": share(outside, lambda _, a: bool(a.classes)),
-        "written after the freeze: confident wrong name": share(
-            [s for s in outside if s.after_freeze], lambda _, a: a.status == "named"
-        ),
+        "all: confirmed wrong name": share(scored, lambda s, a: a.surely_wrong(s.allowed)),
         "street, nothing hidden: a name or a description": share(
             [s for s in street if not s.true], lambda _, a: bool(a.classes) or a.status == DESCRIBED
         ),
-        "street: confident wrong name": share(street, lambda s, a: a.status == "named" and not s.names_rightly(a)),
+        "street: confirmed wrong name": share(street, lambda s, a: a.surely_wrong(s.allowed)),
     }
 
 
@@ -234,12 +225,11 @@ def own_shares(scored: Sequence[Scored]) -> dict[str, tuple[int, int]]:
 
     return {
         "none: false description": share(none, lambda s: s.answer.status == DESCRIBED),
-        "outside, seen by the oracle: described in the right form": share(
-            [s for s in outside if s.describable and s.known.identifiable], lambda s: s.rightly_described
+        "outside, seen by the oracle: described, and the statement is true": share(
+            [s for s in outside if s.known.identifiable], lambda s: s.rightly_described
         ),
-        "outside, all: described in the right form": share([s for s in outside if s.describable], lambda s: s.rightly_described),
-        "written after the freeze: described in the right form or unexplained": share(
-            [s for s in outside if s.after_freeze], lambda s: s.rightly_described or s.answer.status == "unexplained"
+        "outside, described: the statement is true": share(
+            [s for s in outside if s.answer.status == DESCRIBED], lambda s: s.rightly_described
         ),
         "in the catalogue and identifiable: described instead of named": share(within, lambda s: s.answer.status == DESCRIBED),
         "held-out laps: never worse than the base": share(scored, lambda s: s.no_worse),
@@ -307,12 +297,18 @@ def comparable(scored: Sequence[Scored]) -> tuple[list[bool], list[float]]:
     covers, errors = [], []
     for s in scored:
         for e in s.report["effects"] if s.answer.classes else []:
-            if e["name"] in s.true & set(COMPARABLE):
-                true, q = _true_value(s.case, e["name"]), e["parameters"][COMPARABLE[e["name"]][1]]
+            if e["name"] in s.comparable:
+                name, true = s.comparable[e["name"]]
+                q = e["parameters"][name]
                 errors.append(abs(q["value"] / true - 1.0))
                 if q["ci95"]:
                     covers.append(q["ci95"][0] <= true <= q["ci95"][1])
     return covers, errors
+
+
+def true_values(case: Case) -> dict[str, tuple[str, float]]:
+    """Of each hidden effect that is comparable: its parameter in the catalogue, and the true value."""
+    return {name: (COMPARABLE[name][1], _true_value(case, name)) for name in case.hidden if name in COMPARABLE}
 
 
 def _true_value(case: Case, name: str) -> float:

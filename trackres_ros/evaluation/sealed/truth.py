@@ -16,19 +16,21 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.evaluation.sealed import outside, street
+from trackres_ros.evaluation.sealed import street
 from trackres_ros.evaluation.sealed.belt_heat import KELVIN, LAYERS, roll
 from trackres_ros.evaluation.sealed.belt_loss import LOAD_SHARES, LOG_SPEEDS, BeltLoss, belt_loss
 from trackres_ros.evaluation.sealed.data_sheet import DataSheet, read_data_sheet
 from trackres_ros.evaluation.sealed.drives import Drive
 from trackres_ros.evaluation.sealed.material import BELOW_TG_K, SHIFT_ABOVE_TG_K, Material, fit_material
 from trackres_ros.evaluation.sealed.phenomenon import Adds, Journey
+from trackres_ros.evaluation.sealed.programs import PROGRAM, Seen, acting
 
 Array = NDArray[np.float64]
 Hidden = Mapping[str, Mapping[str, float]]
 """Phenomena that are switched on, by the catalogue's names, with the values of their parameters here."""
 
 G = 9.81
+LEAST_LOSS = 0.2  # of the rubber's, whatever a program does to it
 
 
 @dataclass(frozen=True)
@@ -54,8 +56,7 @@ class TruthRun:
     belt, surface
         Temperatures of the belt [degC].
     added
-        What the phenomena added to the torque; to what is shown of it where that is all they do (`outside.SHOWN`), or where
-        friction brakes take a part of it [Nm].
+        What the phenomena added to the torque; a program, or where friction brakes take a part: to what is shown of it [Nm].
     weight
         With all that was on board [N].
     """
@@ -84,7 +85,7 @@ def simulate_truth(path: Path, build: Build, hidden: Hidden, drives: Sequence[Dr
         added = {}
         for name in hidden:
             without = _one(sheet, material, tables, build, _without(hidden, name), drive, driven)
-            where = 1 if name in outside.SHOWN or drive.street is not None else 0  # brakes take a part of what a town adds
+            where = 1 if name == PROGRAM or drive.street is not None else 0  # brakes take a part of what a town adds
             added[name] = with_all[where] - without[where]
         found.append(TruthRun(*with_all, added, _with_load(hidden, drive, driven).weight))
         driven += float(np.abs(drive.speed).sum() * drive.step)
@@ -104,24 +105,36 @@ def _one(
 ) -> tuple[Array, Array, Array, Array]:
     drive = _with_load(hidden, drive, driven)
     at = Journey(sheet, drive, driven)
-    rub = _run(sheet, material, tables, build, hidden, at, np.ones(len(drive)))
+    acts: dict[str, Array] = {}
+    if PROGRAM in hidden:  # it follows the torque and the belt as they are without it
+        torque, _, belt, _ = _one(sheet, material, tables, build, _without(hidden, PROGRAM), drive, driven)
+        acts = acting(hidden, Seen(at, belt, torque))
+    rub = _run(sheet, material, tables, build, hidden, at, np.ones(len(drive)), acts)
     if "tension_torque" in hidden:  # the torque stretches the belt, which changes the torque: once round is near enough
         pull = np.abs(_resistance(sheet, build, hidden, at, rub[0])) / (sheet.assemblies * sheet["track.sprocket_radius"])
         more = np.sqrt(1.0 + 2.0 * hidden["tension_torque"]["share"] * pull / sheet["track.belt.pretension"])
-        rub = _run(sheet, material, tables, build, hidden, at, more)
+        rub = _run(sheet, material, tables, build, hidden, at, more, acts)
     force, belt, surface = rub
     torque = _resistance(sheet, build, hidden, at, force)
+    torque = torque * (1.0 + acts.get("gain", 0.0)) + acts.get("torque", 0.0) * at.direction
     if "drivetrain_efficiency" in hidden:
         eta = hidden["drivetrain_efficiency"]["efficiency"]
         losses = (1.0 / eta - 1.0) * np.abs(torque) ** 0.97 * sheet["weight"] ** 0.03
         torque = torque + losses * at.direction
     if "drivetrain_drag" in hidden:
         torque = torque + hidden["drivetrain_drag"]["drag"] * (1.0 + 0.01 * at.travel) * at.direction
-    return torque, _sensor(torque, hidden, at), belt, surface
+    return torque, _sensor(torque, hidden, at) + acts.get("sensor", 0.0), belt, surface
 
 
 def _run(
-    sheet: DataSheet, material: Material, tables: BeltLoss, build: Build, hidden: Hidden, at: Journey, more: Array
+    sheet: DataSheet,
+    material: Material,
+    tables: BeltLoss,
+    build: Build,
+    hidden: Hidden,
+    at: Journey,
+    more: Array,
+    acts: Mapping[str, Array],
 ) -> tuple[Array, Array, Array]:
     """Loss per metre of one belt [N], mean and outer temperature [degC]."""
     drive, n = at.drive, len(at.drive)
@@ -140,7 +153,8 @@ def _run(
         film = film * hidden["rain"]["factor"] + 4.0  # and some evaporates
     if "still_air" in hidden:
         film = film * (1.0 - hidden["still_air"]["share"] / (1.0 + (at.travel / 1.2) ** 4))
-    factor = build.loss * more
+    film = film * np.exp(acts.get("cooling", 0.0))
+    factor = build.loss * more * np.maximum(1.0 + acts.get("loss", 0.0), LEAST_LOSS)
     if "frequency" in hidden:
         factor = factor * (1.0 + hidden["frequency"]["per_e"] * np.log(np.maximum(at.travel, 0.1) / 5.0))
     if "payne" in hidden:
@@ -152,7 +166,7 @@ def _run(
     heights = (np.arange(LAYERS) + 0.5) / LAYERS * belt["thickness"] - belt["cord_height"]
     force, mean, surface = np.empty(n), np.empty(n), np.empty(n)
     row = np.interp(at.load, LOAD_SHARES, np.arange(len(LOAD_SHARES)))
-    sun = hidden.get("solar", {}).get("flux", 0.0)
+    sun = hidden.get("solar", {}).get("flux", 0.0) + acts.get("heat", np.zeros(n))
     ground = hidden.get("ground_conduction", {}).get("conductance", 0.0)
     roll(
         drive.step,
@@ -161,7 +175,7 @@ def _run(
         drive.ambient,
         np.ascontiguousarray(factor * np.ones(n)),
         np.ascontiguousarray(film),
-        np.full(n, sun * 0.5),  # a face sees it half of the way round
+        0.5 * sun,  # a face sees it half of the way round
         ground * at.travel**0.45,
         float(LOG_SPEEDS[0]),
         float(LOG_SPEEDS[1] - LOG_SPEEDS[0]),
@@ -213,9 +227,6 @@ def _sensor(torque: Array, hidden: Hidden, at: Journey) -> Array:
     if "torque_offset" in hidden:  # and it creeps a little
         creep = 1.0 + 0.1 * np.sin(np.arange(len(torque)) * at.step / 900.0)
         shown = shown + hidden["torque_offset"]["offset"] * creep
-    for name, adds in outside.SHOWN.items():
-        if name in hidden:
-            shown = shown + adds(at, hidden[name], torque)
     return shown
 
 
@@ -291,7 +302,6 @@ PHENOMENA: dict[str, Adds] = {
     "vibration": _vibration,
     "warmup": _warmup,
     "lug_friction": _lug_friction,
-    **outside.PHENOMENA,
     **street.PHENOMENA,
 }
 """What adds to the torque; the rest acts in the belt, on the drive train or in a sensor."""

@@ -1,0 +1,233 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Programs of physics that no catalogue has, the drives they are hidden in, and the instruments of each case."""
+
+import json
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from trackres_ros.cli.main import cli
+from trackres_ros.errors import InputError
+from trackres_ros.evaluation.sealed.cases import (
+    CATALOGUE,
+    D_PRIME,
+    MOST_GAIN,
+    MOST_LAG_S,
+    MOST_OFFSET_NM,
+    SOURCES,
+    Case,
+    draw_cases,
+    sensors_of,
+)
+from trackres_ros.evaluation.sealed.data_sheet import read_data_sheet
+from trackres_ros.evaluation.sealed.drives import HARDEST_MPS2, Drive, drive, recorded, trapezoids
+from trackres_ros.evaluation.sealed.generate import AIRS_DEGC, EVERY, _drives, means
+from trackres_ros.evaluation.sealed.phenomenon import Journey
+from trackres_ros.evaluation.sealed.profiles import read_profiles
+from trackres_ros.evaluation.sealed.programs import ENTRIES, FUNCTIONS, MEMORIES, PROGRAM, VARIABLES, Seen, draw_program
+from trackres_ros.evaluation.sealed.sensors import Sensors, lagging, record
+from trackres_ros.evaluation.sealed.size import LEAST, sized
+from trackres_ros.evaluation.sealed.truth import Build, TruthRun, simulate_truth
+from trackres_ros.files.resources import find_vehicle
+
+SHEET = find_vehicle("xgd24d")
+REAL = Path(__file__).resolve().parents[3] / "shared" / "data" / "real"
+STOPS_S = 60.0  # of a steady drive with stops, how long it stands
+EVERY_SEED = range(300)
+
+
+@pytest.fixture(scope="module")
+def sheet():
+    return read_data_sheet(SHEET)
+
+
+@pytest.fixture(scope="module")
+def one(sheet):
+    return drive(6.0, sheet["weight"], 15.0, 14.0, np.random.default_rng(2))
+
+
+def steady(sheet, speed, load=1.0, minutes=15.0, yaw_rate=0.0, stops=()):
+    """A drive at one speed, but for stops that begin at some times [s]."""
+    n = int(minutes * 600)
+    time, speeds = np.arange(n) * 0.1, np.full(n, speed)
+    speeds[:50] = 0.0
+    for begin in stops:
+        speeds[(time >= begin) & (time < begin + STOPS_S)] = 0.0
+    turning = np.full(n, yaw_rate) * (speeds > 0.0)
+    return Drive(
+        0.1, speeds, np.gradient(speeds, 0.1), turning, np.cumsum(turning) * 0.1,
+        np.full(n, load * sheet["weight"]), np.full(n, 15.0),
+    )  # fmt: skip
+
+
+def seen(sheet, one, driven=0.0):
+    return Seen(Journey(sheet, one, driven), 20.0 + 0.02 * np.arange(len(one)) * 0.1, 2500.0 + 8000.0 * one.accel)
+
+
+def hidden(entry, size=1.0, memory=None):
+    """The first program with an entry point, and with a memory where one is given."""
+    found = (draw_program(seed) for seed in EVERY_SEED)
+    program = next(p for p in found if p.entry == entry and p.gate is None and memory in (None, p.description["memory"]))
+    return {PROGRAM: {"seed": float(program.seed), "size": size}}
+
+
+def test_every_part_is_drawn():
+    said = [draw_program(seed).description for seed in EVERY_SEED]
+    assert {d["entry"] for d in said} == set(ENTRIES)
+    assert {name for d in said for name in d["variables"]} == set(VARIABLES)
+    assert {name for d in said for name in d["functions"]} == set(FUNCTIONS)
+    assert {d["memory"] for d in said} == {None, *MEMORIES}
+    assert {len(d["variables"]) for d in said} == {1, 2}
+    assert not any(d["gate"] in d["variables"] for d in said)
+    assert len({d["words"] for d in said}) > 0.95 * len(said)  # hardly any comes twice
+    assert json.loads(json.dumps(said)) == said
+
+
+def test_a_seed_gives_one_program_and_each_drive_its_own_chance(sheet, one):
+    for seed in range(60):
+        first, again, later = (draw_program(seed).series(seen(sheet, one, driven)) for driven in (0.0, 0.0, 5000.0))
+        np.testing.assert_array_equal(first, again)
+        assert np.isfinite(first).all()
+        assert np.abs(first).max() < 6.0
+        if np.abs(first).max() > 0.0:
+            assert np.abs(first - later).max() > 0.0
+
+
+def test_a_description_names_what_the_program_follows(sheet, one):
+    """A program stays as it is when a variable changes that it does not name."""
+    for seed in range(60):
+        program = draw_program(seed)
+        at = seen(sheet, one)
+        warm = Seen(at.at, at.belt + 9.0, at.torque)
+        named = {*program.description["variables"], program.description["gate"]}
+        changed = np.abs(program.series(warm) - program.series(at)).max() > 0.0
+        assert "belt temperature" in named or not changed, program.words
+
+
+@pytest.mark.parametrize("entry", ENTRIES)
+def test_a_program_acts_at_its_entry_point_alone(sheet, one, entry):
+    plain = simulate_truth(SHEET, Build(), {}, [one])[0]
+    run = simulate_truth(SHEET, Build(), hidden(entry), [one])[0]
+    heats = np.abs(run.belt - plain.belt).max() > 0.0
+    turns = np.abs(run.torque - plain.torque).max() > 0.0
+    assert np.abs(run.shown - plain.shown).max() > 0.0
+    assert heats == (entry in ("loss", "heat", "cooling"))
+    assert turns == (entry != "sensor")
+    np.testing.assert_allclose(run.added[PROGRAM], run.shown - plain.shown, atol=1e-9)
+
+
+def test_an_integrator_is_reset_and_a_latch_has_two_thresholds(sheet):
+    rng = np.random.default_rng(0)
+    at = Journey(sheet, steady(sheet, 5.0, stops=(600.0,)), 0.0)
+    total = MEMORIES["integrator"][2](np.ones(9000), at, rng, 0.0, 1.0, np.log(100.0))
+    assert total[5990] == pytest.approx(1.0)
+    assert total[6200] < 0.01
+    up_and_down = np.concatenate((np.linspace(0.0, 1.0, 4500), np.linspace(1.0, 0.0, 4500)))
+    state = MEMORIES["latch"][2](up_and_down, at, rng, 0.6, 0.3) > 0.5
+    assert up_and_down[np.argmax(state)] == pytest.approx(0.6, abs=0.01)
+    assert up_and_down[9000 - np.argmax(state[::-1])] == pytest.approx(0.3, abs=0.01)
+
+
+def test_sizes_make_programs_as_plain_as_was_drawn():
+    for case in draw_cases({"outside": 6}, 5):
+        drives = _drives(case, 6.0, "drive")
+        found = sized(case, SHEET, drives)
+        q = found.hidden[PROGRAM]
+        assert q == sized(case, SHEET, drives).hidden[PROGRAM]
+        assert found.program == draw_program(int(q["seed"])).description
+        largest = ENTRIES[found.program["entry"]].largest
+        as_drawn = q["d_prime"] == pytest.approx(case.hidden[PROGRAM]["d_prime"], rel=0.2)
+        assert as_drawn or q["size"] == pytest.approx(largest)
+        assert LEAST <= q["d_prime"] < 1.2 * D_PRIME[1]
+
+
+def test_every_source_of_drives_is_drawn_and_the_last_only_where_speeds_are_given():
+    assert set(Counter(case.source for case in draw_cases({"single": 60}, 3))) == set(SOURCES[:-1])
+    assert set(Counter(case.source for case in draw_cases({"outside": 60}, 3, SOURCES))) == set(SOURCES)
+
+
+@pytest.mark.parametrize("source", SOURCES)
+def test_drives_of_each_source_are_ones_that_the_vehicle_can_drive(source):
+    rough = np.repeat([0.0, 30.0, 8.0, 0.0], 900) + 0.0
+    profiles = [np.convolve(rough, np.full(150, 1.0 / 150.0), mode="same")]
+    profiles[0][[0, -1]] = 0.0
+    case = Case("a", "single", {}, {}, False, False, False, True, 4, source)
+    made, again = (_drives(case, 5.0, "drive", profiles) for _ in range(2))
+    assert sorted(float(round(one.ambient[0])) for one in made) == sorted(AIRS_DEGC)
+    for one, same in zip(made, again, strict=True):
+        np.testing.assert_array_equal(one.speed, same.speed)
+        assert len(one) == len(one.weight) == len(one.yaw_rate) == 3000
+        assert one.speed.min() >= 0.0
+        assert 3.0 < one.speed.max() < 17.0
+        assert np.abs(one.accel).max() < 1.1 * HARDEST_MPS2
+        assert np.abs(one.yaw_rate).max() > 0.01
+        assert one.street is None
+
+
+def test_trapezoids_hold_speeds_and_stop(sheet):
+    one = trapezoids(15.0, sheet["weight"], 15.0, 14.0, np.random.default_rng(1))
+    assert (np.abs(np.diff(one.speed)) < 1e-9).mean() > 0.5
+    assert (np.diff((one.speed > 0.0).astype(int)) == 1).sum() >= 4
+
+
+def test_recorded_speeds_of_real_vehicles_are_driven(sheet, tmp_path):
+    if not REAL.is_dir():
+        pytest.skip("no recordings of real vehicles here")
+    for name in ("bmw_i3/TripA01.csv.gz", "bmw_i3/TripB17.csv.gz"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).symlink_to(REAL / name)
+    profiles = read_profiles(tmp_path)
+    made = recorded(15.0, sheet["weight"], 15.0, 16.7, profiles, np.random.default_rng(1))
+    assert len(made) == 9000
+    assert made.speed.max() <= 16.7
+    assert 0.01 < (made.speed < 0.1).mean() < 0.6
+
+
+def test_a_folder_without_recordings_is_refused(tmp_path):
+    done = CliRunner().invoke(cli, ["prove", "--profiles", str(tmp_path), "-o", str(tmp_path / "out")])
+    assert isinstance(done.exception, InputError)
+    assert "--profiles" in str(done.exception)
+    assert not (tmp_path / "out").exists()
+
+
+def test_instruments_are_good_and_none_is_perfect():
+    kinds = [sensors_of(case) for case in draw_cases({"none": 30, "single": 30}, 9)]
+    assert all(0.0 < s.torque_lag_s <= MOST_LAG_S for s in kinds)
+    assert all(0.0 < abs(s.torque_offset_nm) <= MOST_OFFSET_NM for s in kinds)
+    assert all(0.0 < abs(s.torque_gain - 1.0) <= MOST_GAIN for s in kinds)
+    assert all(0.02 <= s.speed_step_mps <= 0.05 for s in kinds)
+    rng = np.random.default_rng(1)
+    least_hidden = min(CATALOGUE["delay"](rng, 1.0)["time"] for _ in range(200))
+    assert least_hidden > MOST_LAG_S
+
+
+@pytest.mark.parametrize("seconds", [0.0, 1e-5, 0.02, 0.1])
+def test_a_lag_shifts_a_ramp_by_its_time_and_leaves_a_level(seconds):
+    time = np.arange(200) * 0.1
+    np.testing.assert_allclose(lagging(3.0 * time, seconds, 0.1)[50:], 3.0 * (time[50:] - seconds), atol=1e-4)
+    np.testing.assert_allclose(lagging(np.full(50, 7.0), seconds, 0.1), 7.0)
+
+
+def test_what_is_recorded_has_the_gain_and_the_offset_of_the_instrument(sheet, tmp_path):
+    one = steady(sheet, 5.0, minutes=1.0)
+    shown = np.linspace(0.0, 8000.0, len(one))
+    still = np.full(len(one), 15.0)
+    good = {"torque_nm": 0.0, "torque_share": 0.0, "torque_step_nm": 0.01, "road": 0.0, "dropouts": 0.0}
+    sensors = Sensors(**good, torque_lag_s=0.05, torque_offset_nm=12.0, torque_gain=1.004)
+    run = TruthRun(shown, shown, still, still, {}, one.weight)
+    record(tmp_path / "a.csv", one, run, sensors, 0.36, 1.7e9, np.random.default_rng(1))
+    torque = np.genfromtxt(tmp_path / "a.csv", delimiter=",", names=True)["torque_nm"]
+    even = one.accel == 0.0  # the sensor's noise grows with the acceleration
+    expected = 1.004 * (shown - 0.05 * (shown[1] - shown[0]) / 0.1) + 12.0
+    np.testing.assert_allclose(torque[even][20:], expected[even][20:], atol=0.02)
+
+
+def test_means_over_a_fits_steps():
+    series = np.arange(25.0)
+    np.testing.assert_allclose(means(series), [4.5, 14.5, 22.0])
+    assert EVERY == 10

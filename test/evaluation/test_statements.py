@@ -1,0 +1,155 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Whether a description is true of a hidden torque, and cases of another simulator by the same scores."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from trackres_ros.cli.main import cli
+from trackres_ros.errors import InputError
+from trackres_ros.evaluation.sealed.cases import Case
+from trackres_ros.evaluation.sealed.generate import _drives, _kept
+from trackres_ros.evaluation.sealed.statements import is_true
+from trackres_ros.evaluation.sealed.truth import Build, simulate_truth
+from trackres_ros.files.resources import find_vehicle
+
+
+@pytest.fixture(scope="module")
+def kept():
+    """Variables of three drives as the score sees them, and their lengths."""
+    case = Case("a", "outside", {}, {}, False, False, False, True, 5)
+    drives = _drives(case, 12.0, "drive")
+    truth = _kept(case, drives, simulate_truth(find_vehicle("xgd24d"), Build(), {}, drives))
+    return {key.removeprefix("over/"): x for key, x in truth.items() if key.startswith("over/")}, truth["lengths"]
+
+
+def term(form="curve", variable=None, gate=None, period_m=None):
+    return {"form": form, "variable": variable, "gate": gate, "memory": None, "period_m": period_m}
+
+
+def test_the_variable_of_a_curve_is_what_the_torque_follows(kept):
+    over, lengths = kept
+    bump = 300.0 * np.exp(-(((over["speed"] - 7.0) / 1.5) ** 2))
+    assert is_true(term(variable="speed"), over, bump, lengths)
+    assert not is_true(term(variable="yaw rate"), over, bump, lengths)
+    assert not is_true(term(variable="ambient temperature"), over, bump, lengths)
+    assert not is_true(term(), over, bump, lengths)
+
+
+@pytest.mark.parametrize("gate", ["in left turns", "yaw rate to the left above 0.02 rad/s"])
+def test_a_gate_that_is_right_is_enough(kept, gate):
+    over, lengths = kept
+    left = 400.0 * (over["yaw rate to the left"] > 0.02)
+    assert is_true(term("gated_curve", "", gate), over, left, lengths)
+    assert is_true(term("gated_curve", "curvature", gate), over, left, lengths)
+    assert not is_true(term("gated_curve", "", "when heavy"), over, left, lengths)
+
+
+def test_what_the_base_takes_up_makes_no_statement_true(kept):
+    over, lengths = kept
+    rng = np.random.default_rng(1)
+    drag = 4.0 * over["speed"] ** 2 + rng.normal(0.0, 1.0, len(over["speed"]))
+    assert not is_true(term(variable="speed"), over, drag, lengths)
+
+
+def test_spells_have_two_levels_that_last(kept):
+    over, lengths = kept
+    second = np.arange(int(lengths.sum()))
+    on = 300.0 * (second // 97 % 3 == 1)
+    assert is_true(term("spells"), over, on, lengths)
+    assert not is_true(term("spells"), over, 300.0 * np.sin(second / 60.0), lengths)
+    assert is_true(term("level_change"), over, 300.0 * (second > 900), lengths)
+    assert not is_true(term("level_change"), over, on, lengths)
+
+
+def test_a_drift_is_slow_and_follows_nothing(kept):
+    over, lengths = kept
+    rng = np.random.default_rng(3)
+    walk = np.convolve(rng.normal(size=int(lengths.sum()) + 599), np.full(600, 1.0), mode="valid")
+    assert is_true(term("drift"), over, walk, lengths)
+    assert not is_true(term("drift"), over, rng.normal(size=len(walk)), lengths)
+    assert not is_true(term("drift"), over, 50.0 * np.sin(over["belt temperature"] / 8.0), lengths)
+
+
+def test_a_wave_has_the_right_length_and_a_build_up_begins_after_a_stop(kept):
+    over, lengths = kept
+    wave = 200.0 * np.sin(2.0 * np.pi * over["distance"] / 370.0)
+    assert is_true(term("wave", "driven distance", period_m=370.0), over, wave, lengths)
+    assert not is_true(term("wave", "driven distance", period_m=290.0), over, wave, lengths)
+    since, way = np.zeros(len(wave)), 0.0
+    for i, v in enumerate(over["speed"]):
+        way = 0.0 if v < 0.1 or i in np.cumsum(lengths)[:-1] else way + v
+        since[i] = 300.0 * (1.0 - np.exp(-way / 400.0))
+    assert is_true(term("build_up", "distance since a stop"), over, since, lengths)
+    assert not is_true(term("build_up", "braking"), over, wave, lengths)
+
+
+def test_a_torque_that_shakes_at_some_speeds_is_a_spread(kept):
+    over, lengths = kept
+    shakes = np.random.default_rng(2).normal(0.0, 1.0, int(lengths.sum())) * (1.0 + 300.0 * (over["speed"] < 4.0))
+    assert is_true(term("spread", "speed"), over, shakes, lengths)
+    assert not is_true(term("curve", "speed"), over, shakes, lengths)
+
+
+def label(name, kind, d_prime=40.0):
+    return {
+        "case": name, "level": "outside", "effects": [{"name": kind, "d_prime": d_prime, "acceptable": ["vibration"]}],
+        "identifiable": False, "tolerated": ["delay"], "given": ["belt_degc"], "driving": "mixed",
+        "noise_mae": [{"raw": 80.0, "one_s": 60.0}],
+    }  # fmt: skip
+
+
+def answered(status, described=(), effects=()):
+    mae = {"nominal": 200.0, "refitted": 160.0, "with_effects": 110.0}
+    report = {"verdict": {"status": status, "grade": "confirmed"}, "effects": list(effects), "heldout": {"mae": mae}}
+    return {"report": {**report, "described": list(described)}, "simple": {}, "learned": {"base": 160.0}}
+
+
+def folder_of(tmp_path, labels, results):
+    text = json.dumps({"seed": 11, "n": len(labels), "cases": labels})
+    (tmp_path / "out" / "results").mkdir(parents=True)
+    for one in labels:
+        (tmp_path / "truth" / "cases" / one["case"]).mkdir(parents=True)
+        (tmp_path / "truth" / "cases" / one["case"] / "session1.csv").touch()
+    (tmp_path / "truth" / "labels.json").write_text(text)
+    for one, result in zip(labels, results, strict=True):
+        (tmp_path / "out" / "results" / f"{one['case']}.json").write_text(json.dumps(result))
+    command = [sys.executable, "-m", "trackres_ros.evaluation.sealed.second", str(tmp_path / "truth"), str(tmp_path / "out")]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def test_cases_of_another_simulator_get_the_same_scores(tmp_path):
+    labels = [label("case000", "pump"), label("case001", "resonance"), label("case002", "backlash", d_prime=5.0)]
+    named = {"name": "vibration", "class": ["vibration"], "parameters": {}, "grade": "confirmed"}
+    spells = {**term("spells"), "heldout": {"mae": [160.0, 110.0]}}
+    results = [answered("described", [spells]), answered("named", effects=[named]), answered("unexplained")]
+    done = folder_of(tmp_path, labels, results)
+    assert done.returncode == 0, done.stderr
+    kept = json.loads((tmp_path / "out" / "scores.json").read_text())
+    ours, own = kept["scores"]["diagnosis"], kept["own"]
+    assert (ours["outside: described or unexplained"]["hits"], ours["outside: described or unexplained"]["of"]) == (2, 3)
+    assert ours["outside: confirmed wrong name"]["hits"] == 0  # a resonance may be called a vibration
+    true = own["outside, seen by the oracle: described, and the statement is true"]
+    assert (true["hits"], true["of"]) == (1, 2)
+    assert kept["sizes"]["outside, predictable: held-out error removed, of what the oracle removes (median)"] == [0.5, 0.5]
+    assert "| pump | mixed | yes | yes | 50% | spells |" in (tmp_path / "out" / "proof.md").read_text()
+
+
+@pytest.mark.parametrize("wrong", ["no labels", "not json", "no recording", "gremlin"])
+def test_a_folder_that_cannot_be_scored_is_refused_at_once(tmp_path, wrong):
+    if wrong != "no labels":
+        labels = {"seed": 11, "cases": [label("case000", "gremlin" if wrong == "gremlin" else "pump")]}
+        (tmp_path / "labels.json").write_text("{" if wrong == "not json" else json.dumps(labels))
+    if wrong == "gremlin":
+        (tmp_path / "cases" / "case000").mkdir(parents=True)
+        (tmp_path / "cases" / "case000" / "session1.csv").touch()
+    done = CliRunner().invoke(cli, ["prove", "second", str(tmp_path), "-o", str(tmp_path / "out")])
+    assert isinstance(done.exception, InputError)
+    assert ("labels.json" if wrong != "gremlin" else wrong) in str(done.exception)
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,124 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Scores cases that another simulator made: a folder with labels.json and cases/NAME/session*.csv.
+
+`python -m trackres_ros.evaluation.sealed.second CASES FOLDER [FIRST]`, where FOLDER/results holds what `blind` found. The scores
+have the names and targets of the project's own cases. What the labels do not hold (where an effect acts) is not scored.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import sys
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trackres_ros.errors import InputError
+from trackres_ros.evaluation.sealed.answers import ABOUT, BASELINES, DESCRIBED, of_names, of_report, words
+from trackres_ros.evaluation.sealed.cases import CATALOGUE, Case
+from trackres_ros.evaluation.sealed.oracle import OracleAnswer, fit_truth
+from trackres_ros.evaluation.sealed.page import write_all
+from trackres_ros.evaluation.sealed.scored import OURS, Scored
+
+CLEAR = 12.0  # d' from which something outside the catalogue is seen
+TRUE = {
+    "pump": (("spells",), ()), "brake": (("spells",), ("stop", "stand")), "resonance": ((), ("speed",)),
+    "backlash": ((), ("driving torque",)), "cyclic_joint": (("wave",), ()), "zero_drift": (("drift",), ()),
+    "gear_state": (("spells", "latch"), ("speed",)), "overload_rub": ((), ("load", "heavy")),
+    "regen_misread": ((), ("driving torque", "slow", "brak")),
+}  # fmt: skip
+"""Of what is outside the catalogue there: forms that are true of it, and words of which a true description has one."""
+NOT_DRAWN = {"air_drag", "speed_scale"}  # effects of the catalogue that the project's own cases do not have
+BY_CHANCE = ("pump", "brake", "zero_drift")
+
+
+def main(arguments: Sequence[str]) -> None:
+    """See above."""
+    source, folder = Path(arguments[0]), Path(arguments[1])
+    labels = read_labels(source)
+    chosen = sorted(labels["cases"], key=lambda label: label["case"])[: int(arguments[2]) if len(arguments) > 2 else None]
+    with ProcessPoolExecutor(os.cpu_count()) as pool:
+        scored = list(pool.map(_scored, [(source / "cases", folder / "results", label) for label in chosen]))
+    seal = hashlib.sha256((source / "labels.json").read_bytes()).hexdigest()
+    print(write_all(folder, scored, seal, labels["seed"], len(labels["cases"]), source / "cases"))
+
+
+def read_labels(source: Path) -> dict[str, Any]:
+    """The labels of a folder, of which each case has recordings and a kind of physics that can be scored."""
+    path, expected = source / "labels.json", "a folder with labels.json and cases/NAME/session1.csv"
+    try:
+        labels: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        given = [(case["case"], case["level"], [effect["name"] for effect in case["effects"]]) for case in labels["cases"]]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(str(path), f"{type(error).__name__}: {error}", expected) from None
+    known = {"outside": set(TRUE)}
+    for name, level, effects in given:
+        if not list((source / "cases" / name).glob("*.csv")):
+            raise InputError(str(source / "cases" / name), "no recording", expected)
+        if unknown := set(effects) - known.get(level, set(CATALOGUE) | NOT_DRAWN):
+            raise InputError(
+                f"{path}: {name}", ", ".join(unknown), f"at level {level} a kind that the scores know", "see second.py"
+            )
+    return labels
+
+
+def _scored(task: tuple[Path, Path, Mapping[str, Any]]) -> Scored:
+    cases, results, label = task
+    result = json.loads((results / f"{label['case']}.json").read_text(encoding="utf-8"))
+    report, effects = result["report"], label["effects"]
+    level = {"parameters_off": "none"}.get(label["level"], label["level"])
+    names = [e["name"] for e in effects]
+    program = {"predictable": not set(names) & set(BY_CHANCE)} if level == "outside" else {}
+    case = Case(
+        label["case"], level, {name: {} for name in names}, {}, False, level == "compensated", level == "confounded",
+        "belt_degc" in label["given"], 0, label["driving"], program,
+    )  # fmt: skip
+    seen = all(e["d_prime"] >= CLEAR for e in effects) if level == "outside" else bool(label["identifiable"])
+    alike = tuple(sorted({name for e in effects for name in e["acceptable"]}))
+    ignored = set(label["tolerated"]) - set(names)
+    report = {**report, "effects": [e for e in report["effects"] if e["name"] not in ignored]}
+    if level == "outside":  # what is hidden is known by its name alone: what is left is at least the noise
+        before = float(report["heldout"]["mae"]["refitted"])
+        known = OracleAnswer(0.5 * effects[0]["d_prime"] ** 2, (), seen, False, before, label["noise_mae"][-1]["one_s"])
+    else:
+        known = fit_truth(cases / case.name, names)
+    known = replace(known, alike=alike, identifiable=seen, plain_both=seen and level == "two")
+    answers = {name: of_names(result["simple"][name]) for name in BASELINES if name in result["simple"]}
+    return Scored(
+        case, report, known, {OURS: of_report(report), **answers}, np.nan, np.nan, None, result["learned"],
+        _stated(names, report) if level == "outside" else None, _comparable(effects, report),
+    )  # fmt: skip
+
+
+def _stated(names: Sequence[str], report: Mapping[str, Any]) -> bool | None:
+    if report["verdict"]["status"] != DESCRIBED or not report.get("described"):
+        return None
+    first = report["described"][0]
+    about = " ".join(words(first.get(key)) for key in ABOUT)
+    return any(first["form"] in TRUE[name][0] or any(word in about for word in TRUE[name][1]) for name in names)
+
+
+def _comparable(effects: Sequence[Mapping[str, Any]], report: Mapping[str, Any]) -> dict[str, tuple[str, float]]:
+    """Of effects that are rightly named: the parameter that means what the label gives, and the label's value."""
+    found = {}
+    for e in effects:
+        for given in report["effects"] if e.get("comparable") else ():
+            named = [q for q in given["parameters"] if re.search(e["comparable"]["pattern"], q)]
+            if given["name"] == e["name"] and named:
+                sign = np.sign(given["parameters"][named[0]]["value"]) if e["comparable"]["magnitude"] else 1.0
+                true = e["comparable"]["value"]
+                found[e["name"]] = (named[0], float(abs(true) * sign if e["comparable"]["magnitude"] else true))
+    return found
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,59 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Gives a hidden program the size at which it would be seen as plainly as was drawn, as far as that is still physical."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from trackres_ros.evaluation.sealed.cases import Case, build_of
+from trackres_ros.evaluation.sealed.drives import Array, Drive
+from trackres_ros.evaluation.sealed.programs import ENTRIES, PROGRAM, draw_program
+from trackres_ros.evaluation.sealed.truth import simulate_truth
+
+SLOW_NM, SLOW_S, WHITE_NM = 50.0, 6.0, 15.0  # a torque's noise over a second: a road that no one measured, and white
+CHANGE = 0.03  # of each value of the build, to see what a re-fit can take up
+ROUNDS, TRIES = 3, 20
+LEAST = 20.0  # of d'
+
+
+def sized(case: Case, sheet: Path, drives: Sequence[Drive]) -> Case:
+    """The case with the size of its program and how plainly that is seen; a program that cannot be seen gives way to another."""
+    if PROGRAM not in case.hidden:
+        return case
+    build, wanted = build_of(case), case.hidden[PROGRAM]["d_prime"]
+    plain = _whitened([run.shown for run in simulate_truth(sheet, build, {}, drives)], drives)
+    others = [replace(build, **{name: (1.0 + CHANGE) * value}) for name, value in case.build.items()]
+    base = [_whitened([run.shown for run in simulate_truth(sheet, other, {}, drives)], drives) - plain for other in others]
+    taken = np.linalg.qr(np.column_stack([*base, plain]))[0]
+
+    def seen(seed: float, size: float) -> float:
+        runs = simulate_truth(sheet, build, {PROGRAM: {"seed": seed, "size": size}}, drives)
+        added = _whitened([run.added[PROGRAM] for run in runs], drives)
+        return float(np.linalg.norm(added - taken @ (taken.T @ added)))
+
+    for seed in case.hidden[PROGRAM]["seed"] + np.arange(TRIES):
+        program, size = draw_program(int(seed)), 1.0
+        for _ in range(ROUNDS):
+            most = ENTRIES[program.entry].largest
+            size = float(np.clip(size * wanted / max(seen(float(seed), size), 1e-6), 1e-3, most))
+        d_prime = seen(float(seed), size)
+        if d_prime >= LEAST:
+            break
+    hidden = {PROGRAM: {"seed": float(seed), "size": size, "d_prime": d_prime}}
+    return replace(case, hidden=hidden, program=program.description)
+
+
+def _whitened(series: Sequence[Array], drives: Sequence[Drive]) -> Array:
+    """Torques over seconds, over the noise in them that cannot be known from the second before."""
+    keep, parts = np.exp(-1.0 / SLOW_S), list[Array]()
+    for torque, one in zip(series, drives, strict=True):
+        n = round(1.0 / one.step)
+        second = torque[: len(torque) // n * n].reshape(-1, n).mean(axis=1)
+        parts.append(second - keep * np.append(0.0, second[:-1]))
+    return np.asarray(np.concatenate(parts) / np.hypot(SLOW_NM * np.sqrt(1.0 - keep**2), WHITE_NM * np.sqrt(1.0 + keep**2)))

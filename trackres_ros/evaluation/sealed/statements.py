@@ -1,0 +1,137 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Says whether a description is true of a hidden torque: whether what it names goes with that torque.
+
+A description names variables, a gate, or a way of coming and going. It is true if a function of just that explains the hidden
+torque with a partial correlation of at least `BOUND`. What a re-fit of the vehicle file can take up is removed first, and the
+correlation is that in blocks of time to which the function was not fitted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.evaluation.sealed.answers import words
+
+Array = NDArray[np.float64]
+
+BOUND = 0.4
+ALL, LEVELS = 0.7, 0.92  # correlations: with what explains most of a torque; with its levels (a sine has 0.90)
+BLOCK_S, BINS, SIDES = 37, 10, 3  # length of a block; bins of a variable; bins of a gate
+STANDING_MPS, BRAKING_MPS2 = 0.1, -0.3
+MEANT = {
+    "yaw rate to the left": ("left", "right"), "yaw rate": ("turn",), "load": ("heavy", "light", "load"),
+    "acceleration": ("slow", "brak", "speeds up", "accelerat"), "driving torque": ("torque",),
+    "time since start": ("time of day", "since start"), "speed": ("pulls away", "to a stop", "m/s"),
+}  # fmt: skip
+"""Words that mean a variable where its own name is not given."""
+
+
+def is_true(term: Mapping[str, Any], over: Mapping[str, Array], added: Array, lengths: Array) -> bool:
+    """Whether a described term is true of the torque that was hidden.
+
+    Parameters
+    ----------
+    term
+        As in report.json.
+    over, added
+        Variables of the drives and what the hidden physics added to the torque [Nm], by seconds, one drive after the other.
+    lengths
+        Of the drives.
+    """
+    form = str(term["form"])
+    series = {**over, **_since_stops(over, lengths)}
+    if form == "spells":
+        return _two_levels(np.split(added, np.cumsum(lengths)[:-1]))
+    if form == "level_change":
+        edges = range(BLOCK_S, len(added) - BLOCK_S, 10)
+        return max((abs(_correlation((np.arange(len(added)) >= k).astype(float), added)) for k in edges), default=0.0) >= ALL
+    if form == "drift":  # slow, and no single variable explains it
+        rivals = [x for name, x in over.items() if name not in ("distance", "time since start")]
+        return _correlation(_smooth(added, 60), added) >= ALL > max(partial([_bins(x, BINS)], over, added) for x in rivals)
+    if form in ("wave", "place"):
+        period = term.get("period_m")
+        return period is not None and partial([_bins(series["distance"] % float(period), 2 * BINS)], over, added) >= BOUND
+    target = np.abs(added - _smooth(added, 20)) if form == "spread" else added
+    named = [*_named(words(term.get("variable")), series)[:1], *_named(words(term.get("gate")), series)[:1]]
+    if not named:
+        return False
+    return partial([_bins(series[name], count) for name, count in zip(named, (BINS, SIDES), strict=False)], over, target) >= BOUND
+
+
+def partial(groups: list[NDArray[np.int64]], over: Mapping[str, Array], target: Array) -> float:
+    """Partial correlation of a torque with a free function of binned variables, beside what the base can take up."""
+    base = np.column_stack([np.ones(len(target)), over["load"], over["load"] * over["belt temperature"], over["speed"] ** 2])
+    base = base / np.abs(base).max(axis=0)
+    cells = np.stack([np.all([g == k for g, k in zip(groups, key, strict=True)], axis=0)
+                      for key in product(*(range(int(g.max()) + 1) for g in groups))], axis=1)  # fmt: skip
+    half = np.arange(len(target)) // BLOCK_S % 2
+    errors = np.zeros(2)
+    for fitted in (half == 0, half == 1):
+        for i, columns in enumerate((base, np.hstack((base, cells)))):
+            ridge = 1e-3 * np.sqrt(fitted.sum()) * np.eye(columns.shape[1])
+            wanted = np.append(target[fitted], np.zeros(columns.shape[1]))
+            found = np.linalg.lstsq(np.vstack((columns[fitted], ridge)), wanted, rcond=None)[0]
+            errors[i] += float(((target - columns @ found)[~fitted] ** 2).sum())
+    return float(np.sqrt(max(0.0, 1.0 - errors[1] / max(errors[0], 1e-12))))
+
+
+def _named(text: str, series: Mapping[str, Array]) -> list[str]:
+    """Variables that a text names, the longest name first; else those that it means."""
+    given = sorted((name for name in series if name in text), key=len, reverse=True)
+    return given or [name for name, meant in MEANT.items() if any(word in text for word in meant)]
+
+
+def _bins(x: Array, count: int) -> NDArray[np.int64]:
+    """Numbers of bins: half of the edges part the time evenly, half the range."""
+    low, high = np.quantile(x, (0.002, 0.998))
+    share = np.linspace(0.0, 1.0, count // 2 + 2)[1:-1]
+    edges = np.unique(np.concatenate((np.quantile(x, share), low + share * (high - low))))
+    return np.searchsorted(edges, x, side="right")
+
+
+def _since_stops(over: Mapping[str, Array], lengths: Array) -> dict[str, Array]:
+    """Distance [m] and time [s] since a stop, and time since it slowed down; each drive begins anew."""
+    second, way = np.arange(len(over["speed"]), dtype=float), np.cumsum(np.abs(over["speed"]))
+    begins = np.isin(second, np.cumsum(lengths) - lengths)
+
+    def since(series: Array, event: NDArray[np.bool_]) -> Array:
+        return np.asarray(series - np.maximum.accumulate(np.where(event | begins, series, 0.0)))
+
+    stops, slows = np.abs(over["speed"]) < STANDING_MPS, over["acceleration"] < BRAKING_MPS2
+    return {
+        "distance since a stop": since(way, stops),
+        "time since a stop": since(second, stops),
+        "braking": since(second, slows),
+    }
+
+
+def _two_levels(added: list[Array]) -> bool:
+    """Whether a torque has two levels in each drive, and stays at each for a while."""
+    fitted, lasts = [], list[Array]()
+    for one in added:
+        slow = _smooth(one, 5)
+        high = slow > 0.5 * np.sum(np.quantile(slow, (0.05, 0.95)))
+        fitted.append(np.where(high, one[high].mean() if high.any() else 0.0, one[~high].mean() if not high.all() else 0.0))
+        lasts.append(np.diff(np.flatnonzero(np.diff(high.astype(int)))))
+    held = np.concatenate(lasts)
+    return (
+        len(held) > 0 and float(np.median(held)) >= 5.0 and _correlation(np.concatenate(fitted), np.concatenate(added)) >= LEVELS
+    )
+
+
+def _smooth(x: Array, seconds: int) -> Array:
+    window = np.full(seconds, 1.0 / seconds)
+    return np.convolve(np.pad(x, seconds // 2, mode="edge"), window, mode="valid")[: len(x)]
+
+
+def _correlation(one: Array, other: Array) -> float:
+    if one.std() < 1e-12 or other.std() < 1e-12:
+        return 0.0
+    return float(np.corrcoef(one, other)[0, 1])
