@@ -36,7 +36,7 @@ SHOWN = re.compile(r"`((?:trackres|ros2) [^`\n]+)`|^\s*((?:trackres|ros2) [^`|\n
 BINDING = re.compile(r"^ +(\w+: \{topic: .*\})$", re.MULTILINE)
 RUN_ELSEWHERE = ("first-controller", "first-designer", "first-tester", "own-effect")
 LONGEST_S = 1.0
-ELSEWHERE = ("://", "CHECKOUT", "DATA")
+ELSEWHERE = ("://", "CHECKOUT", "DATA", "CASES")
 """What only another machine or an earlier version has."""
 
 

@@ -40,7 +40,18 @@ def test_each_room_says_what_it_is_for(rooms):
 
 def test_the_truth_of_sealed_drives_shares_nothing_with_what_it_tests(rooms):
     known = rooms.modules()
-    for name in ("truth", "outside", "phenomenon", "belt_heat", "belt_loss", "drives", "sensors", "material", "data_sheet"):
+    for name in (
+        "truth",
+        "programs",
+        "size",
+        "phenomenon",
+        "belt_heat",
+        "belt_loss",
+        "drives",
+        "sensors",
+        "material",
+        "data_sheet",
+    ):
         used = {other.split(".")[0] for other in rooms.imported(known[f"evaluation.sealed.{name}"], known)}
         assert not used & {"model", "effects", "diagnosis", "estimator"}, name
 

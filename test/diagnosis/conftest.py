@@ -15,7 +15,13 @@ from worlds import Model, World
 import trackres_ros.diagnosis.report
 from trackres_ros.cli.main import cli
 from trackres_ros.diagnosis import diagnose, load_base, read_recordings
+from trackres_ros.diagnosis.inference.levels import with_levels
+from trackres_ros.diagnosis.search.choice import Choice
+from trackres_ros.diagnosis.search.explanations import Search
+from trackres_ros.diagnosis.search.left_out import LeftOut
 from trackres_ros.diagnosis.selection import naming
+from trackres_ros.diagnosis.selection.as_used import AsUsed, inside_ranges
+from trackres_ros.diagnosis.selection.held_out import HeldOutLaps
 from trackres_ros.effects import Active, catalogue
 from trackres_ros.evaluation.synthetic import drives, write_recordings
 
@@ -100,23 +106,43 @@ def scrubbed(run, recorded, tmp_path_factory):
     return out, json.loads((out / "report.json").read_text()), done
 
 
+@pytest.fixture(scope="session")
+def explained():
+    """Searches explanations of what a fitted base leaves, and chooses one; laps that it was not fitted to are held out."""
+
+    def explain(found, effects, **given):
+        problem, rng = found.problem, np.random.default_rng(1)
+        masks = [s.used & ~m for s, m in zip(problem.sessions, problem.masks, strict=True)]
+        laps = HeldOutLaps(problem.sessions, masks, rng)
+        use = AsUsed(problem.base, problem.sessions, problem.sessions, laps)
+        refitted = inside_ranges(with_levels(found), use)
+        left_out = LeftOut(refitted, masks, rng)
+        search = Search(found, effects, None, (), 19, rng, lambda _: None)
+        search.run()
+        choice = Choice(search, refitted, left_out, laps, use)
+        return SimpleNamespace(
+            search=search, choice=choice, chosen=choice.best(**given), left_out=left_out, laps=laps, use=use, refitted=refitted
+        )
+
+    return explain
+
+
 @pytest.fixture
 def play(monkeypatch):
-    """Chooses in a world: steps, fit, and the world."""
-    monkeypatch.setattr(naming, "RESAMPLES", 2000)  # enough here
+    """A round of the search in a world, beside some of its effects: the round, and the world."""
 
-    def it(gains, effects=None, seed=0, **given):
+    def it(gains, effects=None, beside=(), by_noise=None, **given):
         world = World(gains, **given)
         for name, changed in (effects or {}).items():
             world.effects[name] = changed
-        return run(world, seed)
+        return run(world, beside, by_noise)
 
-    def run(world, seed=0):
+    def run(world, beside=(), by_noise=None):
         for name in ("fit", "separability", "screen"):
             monkeypatch.setattr(naming, name, getattr(world, name))
-        said = []
-        steps, found = naming.choose(Model(world, ()), world.effects, 19, np.random.default_rng(seed), said.append)
-        return SimpleNamespace(steps=steps, fit=found, world=world, said=said, named=found.effect_names)
+        current = Model(world, [world.effects[name] for name in beside])
+        step = naming.one_round(current, naming.Pool(world.effects, None, by_noise), 19, np.random.default_rng(0))
+        return SimpleNamespace(step=step, world=world, names=[c.name for c in step.candidates])
 
     it.run = run
     return it

@@ -16,8 +16,8 @@ from click.testing import CliRunner
 
 from trackres_ros.cli.main import cli
 from trackres_ros.diagnosis import read_recordings
-from trackres_ros.diagnosis.prepared import prepared
 from trackres_ros.diagnosis.report.content import report
+from trackres_ros.diagnosis.stages.prepared import prepared
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.offline.replay import replay
@@ -282,6 +282,27 @@ def test_a_clock_that_is_off_is_put_right(run, recorded, tmp_path):
     found = found_in(run, moved, tmp_path / "out")
     assert sum("moved by that" in note for note in found["notes"]) == 2
     assert [e["name"] for e in found["effects"]] == ["turning_scrub"]
+
+
+def test_a_speed_that_reads_too_high_is_in_the_class(run, recorded, tmp_path):
+    paths = []
+    for path in recorded():
+        header, rows = table(path)
+        speed = rows[:, header.index("speed_mps")]
+        way = np.concatenate([[0.0], np.cumsum(np.abs(speed[1:] + speed[:-1]) / 2.0 * np.diff(rows[:, header.index("time_s")]))])
+        rows = np.column_stack([rows, way])
+        rows[:, header.index("speed_mps")] *= 1.04
+        keep = [
+            i
+            for i, name in enumerate([*header, "distance_m"])
+            if not name.startswith(("accel", "distance_m")) or i == len(header)
+        ]
+        names = ",".join([*header, "distance_m"][i] for i in keep)
+        paths.append(tmp_path / path.name)
+        np.savetxt(paths[-1], rows[:, keep], delimiter=",", header=names, comments="", fmt="%.6f")
+    found = found_in(run, paths, tmp_path / "out")
+    assert any("reads 4.0% more than the recorded distance" in note for note in found["notes"])
+    assert any("speed_scale" in e["class"] for e in found["effects"])
 
 
 def test_options_are_checked(run, recorded, tmp_path):

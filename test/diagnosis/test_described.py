@@ -11,18 +11,12 @@ import pytest
 
 import trackres_ros as tr
 from trackres_ros.diagnosis import diagnose, read_recordings
-from trackres_ros.diagnosis.described import explain
-from trackres_ros.diagnosis.inference.fitting import Problem, fit
-from trackres_ros.diagnosis.prepare.gate import gate
 from trackres_ros.diagnosis.report.content import report
 from trackres_ros.diagnosis.report.pictures import draw_all
-from trackres_ros.diagnosis.selection.naming import Step, compared
-from trackres_ros.diagnosis.selection.visibility import Separability
 from trackres_ros.estimator.disturbance import BLOCK_S
 from trackres_ros.vehicle import load
 
 TURN_NM = 600.0
-LOST_NM, TURNS_OVER_NM = 500.0, 200.0
 DRIFT_NM, DRIFT_S = 200.0, 240.0
 PUMP_NM, ON_S, OFF_S = 400.0, 70.0, 110.0
 SLOPE_NM, LAP_M, BEGIN_M, END_M = 500.0, 700.0, 200.0, 320.0
@@ -66,31 +60,6 @@ def test_a_torque_in_left_turns_alone_is_described_and_written(recorded, loaded,
         left = (s.yaw_rate > 0.05) & (s.speed > 1.0)
         assert np.median(adds[left]) == pytest.approx(TURN_NM, rel=0.1)
         assert np.abs(adds[s.yaw_rate < 0.0]).max() < 1e-3  # what it drives harder in left turns warms the belt
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    ("members", "instead"), [(("torque_offset", "drivetrain_drag", "stribeck"), True), (("torque_offset",), False)]
-)
-def test_a_term_stands_instead_of_names_between_which_nothing_decides(recorded, loaded, effects, members, instead, monkeypatch):
-    def adds(r, times):
-        return LOST_NM * np.tanh(r.series["torque"].value / TURNS_OVER_NM)
-
-    sessions = gate(with_added(read_recordings(recorded(), None), adds), loaded.known).sessions
-    base = fit(Problem(loaded.base, sessions, tuple(s.used for s in sessions)))
-    named = fit(base.problem, [effects["torque_offset"]], base.at, base.noises)
-    seen, chosen = Separability((), (), (), np.empty((0, 0))), compared(base, named, "torque_offset", 1.0, 9.0, 0.0)
-    weights = dict.fromkeys(members, 1.0 / len(members))
-    step = Step(base, seen, 5.0, 5.0, (), (chosen,), chosen, members, weights, 1.0)
-    monkeypatch.setattr(explain, "choose", lambda *_: ([step], named))
-    drawn = 19, np.random.default_rng(1), lambda _: None
-    first, *others = explain.explain(base, None, None, {}, *drawn, ())
-    described = first.description
-    assert (described.steps == []) is instead
-    assert ("torque_offset" not in described.fit.effect_names) is instead
-    assert any("driving torque" in term.candidate.effect.text for term in described.terms.values()) is instead
-    # Where held-out laps refute the term, the names are there still.
-    assert ["torque_offset" in other.description.fit.effect_names for other in others] == [True] * instead
 
 
 @pytest.fixture(scope="module")

@@ -79,13 +79,12 @@ def test_what_is_of_the_surroundings_is_not_said_to_be_in_the_vehicle_file():
     assert tiles(r)[-1].detail == "surroundings.yaml has grade, for where it holds"
 
 
-def test_what_has_no_name_stands_beside_the_names():
+def test_a_confirmed_term_without_a_name_is_listed_with_the_names():
     of = {"form": "payload", "variable": "mass", "gate": "", "size_nm": 50.0, "mechanisms": ["people"]}
     described = [{**of, "grade": grade} for grade in ("confirmed", "suspected")]
-    assert (
-        tiles(report_of("named", "confirmed", [["grade"]], described=described[:1]))[1].answer == "grade and a payload (no name)"
-    )
-    assert tiles(report_of("named", "confirmed", [["grade"]], described=described[1:]))[1].answer == "grade"
+    both, alone = (tiles(report_of("named", "confirmed", [["grade"]], described=of))[1] for of in (described[:1], described[1:]))
+    assert both.answer == "grade and a payload (no name)"
+    assert alone.answer == "grade"
 
 
 def test_the_tiles_say_what_the_report_does():
@@ -93,9 +92,9 @@ def test_the_tiles_say_what_the_report_does():
     assert where.answer == "In curves tighter than 100 m"
     assert (what.answer, what.detail) == ("turning scrub", "the hold-out laps confirm it")
     assert better.answer == "66 % less error"
-    assert "67.1 → 62.6 re-fitted → 22.6 with it" in better.detail  # what the re-fit did is not the effect's
+    assert "67.1 Nm with the file, 62.6 re-fitted, 22.6 with it" in better.detail  # what the re-fit did is not the effect's
     assert following.answer == "Use vehicle.yaml"
-    tied = tiles(report_of("one_of", "suspected", [["rain", "convection"]]))[1]
+    tied = tiles(report_of("one_of", "confirmed", [["rain", "convection"]]))[1]
     assert "rain (50 %) or convection (50 %)" in tied.answer
 
 
@@ -110,12 +109,34 @@ def test_the_headline_and_next_follow_the_confirmed_term_that_removes_most():
     r["effects"] = [graded(small, "confirmed", 216.0, 214.0), graded(large, "confirmed", 1311.0, 214.0)]
     r["written"]["effects"] = ["grade"]
     r["advice"] = [{"separates": ["viscous_bearing", "stribeck"], "manoeuvre": "coast down", "minutes": 5.0}]
-    assert headline(r).startswith("Everywhere the vehicle needs at times more and at times less")
-    assert "confirmed" in headline({**r, "verdict": {**r["verdict"], "grade": "suspected"}})
+    assert headline(r).startswith(
+        "The vehicle needs at times more and at times less than the re-fitted model. The cause is grade"
+    )
+    assert "(confirmed)" in headline(r)
+    assert tiles(r)[1].answer == "grade"  # the other takes less than 2 % off the error
     assert tiles(r)[-1].answer.startswith("Use")
     r["effects"] = [graded(small, "confirmed", 216.0, 210.0), graded(large, "suspected", 1311.0, 214.0)]
+    assert "grade" not in headline(r)
     assert tiles(r)[-1].answer == "Drive once more"
     assert tiles(r)[0].answer == "In curves tighter than 100 m"
+
+
+def test_a_suspected_effect_is_listed_and_never_the_headline():
+    """Whatever else the report holds: the headline begins with the difference, and names follow as what it may be."""
+    may_be = [{"name": "rain", "share": 0.4}, {"name": "air_drag", "share": None}, {"name": "none of these", "share": 0.35}]
+    r = report_of("unexplained", "suspected", [["rain"]])
+    seen = "At speed 1 to 2 m/s the measured torque is 70 Nm below the model"
+    r["effects"] = [graded(r["effects"][0], "suspected", 149.0, 120.0)]
+    r["verdict"] |= {"seen": seen, "may_be": may_be}
+    assert headline(r) == f"{seen}. It may be: rain (40 %), air drag, none of these (35 %)."
+    what = tiles(r)[1]
+    assert (what.answer, what.detail) == ("Unexplained", "it may be: rain (40 %), air drag, none of these (35 %)")
+    confirmed = report_of("named", "confirmed", [["rain"], ["scrub"]])
+    confirmed["effects"][0]["grade"], confirmed["effects"][1]["grade"] = "suspected", "confirmed"
+    confirmed["verdict"]["may_be"] = may_be[:1]
+    assert "rain" not in headline(confirmed)
+    assert tiles(confirmed)[1].answer == "scrub"
+    assert "it may also be: rain (40 %)" in tiles(confirmed)[1].detail
 
 
 def test_what_is_only_suspected_asks_for_more_laps():
@@ -135,6 +156,9 @@ def test_what_is_only_suspected_asks_for_more_laps():
     assert "60 Nm" in where.detail
     assert "384" not in where.detail
     assert following.answer == "Record more laps"
+    named = report_of("named", "confirmed", [["rain"]], written={"base": False, "effects": []})
+    assert tiles(named)[-1].answer == "Keep your vehicle file"
+    r["verdict"] |= {"status": "described", "grade": "confirmed"}
     r["described"] = [graded(curve, "confirmed", 149.0, 45.0)]
     assert tiles(r)[-1].answer == "Look at the vehicle"
 

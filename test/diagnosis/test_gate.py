@@ -10,7 +10,7 @@ import pytest
 
 from trackres_ros.diagnosis import load_base, read_recordings
 from trackres_ros.diagnosis.prepare.torque_checks import nothing_to_conclude
-from trackres_ros.diagnosis.prepared import prepared
+from trackres_ros.diagnosis.stages.prepared import prepared
 from trackres_ros.errors import InputError
 from trackres_ros.evaluation.sealed.cases import CATALOGUE, OUTSIDE, Case
 from trackres_ros.evaluation.sealed.generate import make_case

@@ -95,6 +95,22 @@ def test_each_effect_says_how_far_it_is_confirmed(scrubbed, tmp_path, grade):
         assert "so it is" in written[1]
 
 
+def test_the_page_begins_with_the_residual_and_its_terms(scrubbed, tmp_path):
+    """And what is only suspected is listed under it, with its probability."""
+    out, found, _ = scrubbed
+    page = (out / "report.html").read_text()
+    assert re.findall("<h2>(.*?)</h2>", page)[0] == "What the model lacks, over time"
+    first = re.findall(r'alt="(.*?)"', page)[0]
+    assert first.startswith("Measured torque less the re-fitted model")
+    assert "with turning scrub over it; below it what is left" in first
+    assert 'id="may-be"' not in page
+    r = copy.deepcopy(found)
+    r["verdict"]["may_be"] = [{"name": "air_drag", "share": 0.4}, {"name": "none of these", "share": None}]
+    write_page(tmp_path / "report.html", r, shown(out), "Diagnosis")
+    listed = re.search(r'<ul id="may-be">(.*?)</ul>', (tmp_path / "report.html").read_text())[1]
+    assert re.findall("<li>(.*?)</li>", listed) == ["air drag: 40 %", "none of these"]
+
+
 def test_numbers_on_the_page_are_as_people_write_them(widest):
     page, _ = widest
     cells = re.findall(r'<td class="n"[^>]*>(.*?)</td>', page.read_text())

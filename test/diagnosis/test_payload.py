@@ -11,14 +11,10 @@ from scipy import sparse
 from scipy.signal import lfilter
 
 from trackres_ros.diagnosis import load_base
-from trackres_ros.diagnosis.described.describe import BY_CLOCK, PAYLOAD, Description, load_by_stretch, residuals_without
-from trackres_ros.diagnosis.described.explain import Explanation, explain, judged
+from trackres_ros.diagnosis.described.finders import PAYLOAD, residuals_without, terms_beside
 from trackres_ros.diagnosis.described.payload import STOP_S, Beside, find_payload, stretch_numbers
 from trackres_ros.diagnosis.described.told import said
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
-from trackres_ros.diagnosis.inference.levels import with_levels
-from trackres_ros.diagnosis.selection.as_used import AsUsed
-from trackres_ros.diagnosis.selection.held_out import HeldOutLaps
 from trackres_ros.effects import catalogue
 from trackres_ros.evaluation.synthetic import drives
 from trackres_ros.files.resources import config_dir
@@ -69,7 +65,7 @@ def fitted(base, loaded_kg, seed=1, given=frozenset({"grade"}), mean_kg=0.0, gai
 
 
 def looked_for(found):
-    return BY_CLOCK[PAYLOAD](found, [s.torque - p.torque for s, p in zip(found.problem.sessions, found.predicted, strict=True)])
+    return next((t for t in terms_beside(found, None, (), {}, waves=False) if t.payload is not None), None)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
@@ -82,7 +78,7 @@ def test_masses_are_found_as_sure_as_is_said(car, seed):
     off = (mass - mass.mean()) - (true - true.mean())  # the mean is the model's own mass
     assert np.sqrt(np.mean((off / std) ** 2)) < 1.5
     assert np.sqrt(np.mean(off**2)) < 0.4 * true.std()
-    assert "kg less to" in told.sentence
+    assert "kg less and" in told.sentence
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -141,58 +137,37 @@ def test_masses_are_as_sure_as_is_said_beside_slopes_that_were_learned_with_load
     assert np.sqrt(np.mean(off**2)) < 0.4 * true.std()
 
 
-def explained(found):
-    """What is named of what a load may be taken for, and what is described."""
-    facts = found.problem.base.facts
-    whole = catalogue(None, facts.weight * facts.radius)
-    effects = {name: whole[name] for name in ("torque_gain", "rotating_inertia")}
-    return explain(found, None, None, effects, 19, np.random.default_rng(1), lambda _: None, ())[0]
+@pytest.fixture(scope="module")
+def chosen(explained):
+    """What explains a fit, of what a load may be taken for."""
+
+    def choose(found):
+        facts = found.problem.base.facts
+        whole = catalogue(None, facts.weight * facts.radius)
+        return explained(found, {name: whole[name] for name in ("torque_gain", "rotating_inertia")}).chosen
+
+    return choose
 
 
-def test_loads_whose_mean_is_off_are_a_payload_and_not_the_scale_of_the_torque(track):
+def test_loads_whose_mean_is_off_are_a_payload_and_not_the_scale_of_the_torque(track, chosen):
     found, masses = fitted(track, 900.0, mean_kg=1800.0)
-    explanation = explained(found)
-    assert [s.chosen.name for s in explanation.steps if s.chosen] == []
-    (name,) = explanation.description.terms
-    assert name == PAYLOAD
-    told = said(explanation.description.terms[PAYLOAD], explanation.description.fit)
+    of = chosen(found)
+    assert of.explanation.key == {PAYLOAD}
+    told = said(of.term(PAYLOAD), of.final)
     true = np.concatenate([m[: int(FITTED_S // STRETCH_S) + 1] for m in masses])
     mass = np.array([s.mass for s in told.stretches])
     assert mass.mean() == pytest.approx(true.mean(), rel=0.25)
     assert np.corrcoef(mass, true)[0, 1] > 0.8
 
 
-def test_a_torque_of_another_scale_is_named_and_no_payload(track):
-    explanation = explained(fitted(track, 0.0, gain=1.06)[0])
-    assert "torque_gain" in [s.chosen.name for s in explanation.steps if s.chosen]
-    assert not explanation.description.terms
+def test_a_torque_of_another_scale_is_named_and_no_payload(track, chosen):
+    assert chosen(fitted(track, 0.0, gain=1.06)[0]).explanation.key == {"torque_gain"}
 
 
-def by_gain_and_by_payload(found):
-    """What a scale of the torque alone explains, and what a payload alone does; and the laps that were not fitted."""
-    problem = found.problem
-    facts, later = problem.base.facts, [s.used & ~m for s, m in zip(problem.sessions, problem.masks, strict=True)]
-    gain = fit(problem, [catalogue(None, facts.weight * facts.radius)["torque_gain"]])
-    term = load_by_stretch(found, None)
-    descriptions = Description(gain, [], {}), Description(term.candidate.fit, [], {PAYLOAD: term})
-    laps = HeldOutLaps(problem.sessions, later, np.random.default_rng(1))
-    return [Explanation(None, [], d) for d in descriptions], laps, AsUsed(problem.base, problem.sessions, problem.sessions, laps)
-
-
-def test_what_held_out_laps_refute_gives_way_to_a_payload_that_they_confirm(track):
-    found, _ = fitted(track, 900.0, mean_kg=1800.0, later_kg=-3600.0)
-    (gain, payload), *by = by_gain_and_by_payload(found)
-    assert judged([gain], with_levels(found), *by).refuted
-    chosen = judged([gain, payload], with_levels(found), *by)
-    assert chosen.explanation is payload
-    assert not chosen.refuted
-    assert chosen.final.effect_names == (PAYLOAD,)
-
-
-def test_what_held_out_laps_bear_out_stands_whatever_else_explains_them(track):
-    found, _ = fitted(track, 300.0, gain=1.1)
-    (gain, payload), *by = by_gain_and_by_payload(found)
-    assert judged([gain, payload], with_levels(found), *by).explanation is gain
+def test_what_held_out_laps_refute_gives_way_to_a_payload_that_they_confirm(track, chosen):
+    of = chosen(fitted(track, 900.0, mean_kg=1800.0, later_kg=-3600.0)[0])
+    assert of.explanation.key == {PAYLOAD}
+    assert of.graded[PAYLOAD].confirmed
 
 
 def test_a_stop_belongs_to_the_stretch_before_and_a_short_one_begins_none(car):

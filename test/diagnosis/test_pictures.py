@@ -11,9 +11,14 @@ import numpy as np
 import pytest
 
 from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
+from trackres_ros.diagnosis.findings.verdict import Verdict
+from trackres_ros.diagnosis.report.believed import begins, held_out_times, marked_times, panels
+from trackres_ros.diagnosis.report.believed_pictures import draw_believed
 from trackres_ros.diagnosis.report.pictures import MOST_RECORDINGS, draw_all, draw_regimes, draw_times
+from trackres_ros.text.numbers import figures
 
 pytest.importorskip("matplotlib")
+NAMED = Verdict("named", "confirmed", "")
 LONG = "2026-02-03T11-12-13_vehicle_17_test_ground_north_loop_second_driver_with_trailer_and_snow_chains_part_0001.mcap"
 
 
@@ -41,6 +46,7 @@ def test_every_picture_can_be_read(drawn, diagnosed, tmp_path):
     pictures = draw_all(diagnosed, tmp_path)
     names = [p.path.name for p in pictures]
     assert len(drawn.figures) == len(pictures) >= 5
+    assert names[0] == "believed.svg"
     assert names.index("where_time.svg") < names.index("where_regime.svg")
     for picture, figure in zip(pictures, drawn.figures, strict=True):
         assert not drawn.faults(figure), picture.path.name
@@ -61,6 +67,52 @@ def test_the_residual_over_time_is_drawn_whether_or_not_anything_was_named(drawn
         assert shown["vehicle file as it is"].get_linewidth() < shown["base re-fitted"].get_linewidth()
         for line in shown.values():
             assert np.isfinite(line.get_ydata()).sum() > 0.8 * session.used.sum()
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_the_first_picture_has_the_residual_and_each_term_over_it(drawn, diagnosed, nothing_named, tmp_path, named):
+    d = diagnosed if named else nothing_named
+    picture = draw_believed(d, tmp_path / "b.png")
+    assert not drawn.faults(drawn.figures[0])
+    axes = drawn.figures[0].axes
+    assert len(axes) == 1 + named
+    upper = lines(axes[0])
+    assert set(upper) == {
+        "measured less re-fitted model",
+        "turning scrub" if named else f"measured less vehicle file as it is ({figures(d.held_out.mae['nominal'])} Nm)",
+    }
+    for stage in ("refitted", "with_effects")[: 1 + named]:
+        assert f"{figures(d.held_out.mae[stage])} Nm" in axes[stage == "with_effects"].get_title(loc="left")
+    ends = begins(d)
+    assert ends[-1] == pytest.approx(sum(len(s) * s.step for s in d.sessions) / 60.0, rel=1e-3)
+    seconds = sum(int(s.used[np.isin(s.block, d.split.held_out)].sum()) * s.step for s in d.sessions)
+    assert seconds <= 60.0 * sum(end - begin for begin, end in held_out_times(d)) < 60.0 * ends[-1]
+    assert marked_times(replace(d, verdict=NAMED))[0] == (d.found[0].acts.text if named else "")
+    assert "re-fitted model" in picture.alternative
+
+
+def test_the_terms_and_what_is_left_add_up_to_the_residual(drawn, diagnosed, tmp_path):
+    """Several terms: each less what a re-fit takes up of it; the wrong one is dashed."""
+    (one,) = diagnosed.found
+    other = replace(
+        one,
+        name="another_with_a_long_name_that_takes_its_room",
+        adds=[np.where(s.used, 5.0 * np.sin(s.time / 40.0), 0.0) for s in diagnosed.sessions],
+    )
+    unsure = replace(other, graded=replace(one.graded, improvement=replace(one.graded.improvement, low=-9.0, likelier=-1.0)))
+    for d in (diagnosed, replace(diagnosed, found=(one, unsure))):
+        draw_believed(d, tmp_path / "b.png")
+        assert not drawn.faults(drawn.figures[-1])
+        above, below = panels(d)
+        residual, *terms = above.lines
+        (left,) = below.lines
+        assert [t.solid for t in terms] == [True, False][: len(terms)]
+        assert len({line.colour for panel in (above, below) for line in panel.lines}) == len(terms) + 2
+        for i in range(len(d.sessions)):
+            np.testing.assert_allclose(sum(t.values[i] for t in terms) + left.values[i], residual.values[i], atol=1e-6)
+    scrub = one.adds
+    share = [np.nanstd(t.values[0]) / np.std(scrub[0]) for t in terms]
+    assert share[0] > 0.3 > share[1]
 
 
 def test_a_gap_breaks_the_line(drawn, diagnosed, tmp_path):

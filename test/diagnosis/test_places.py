@@ -3,11 +3,17 @@
 
 """A torque at the same place on each pass: found where there is one, with place and size, and nowhere else."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from trackres_ros.diagnosis import read_recordings
+from trackres_ros.diagnosis.described.on_laps import driven_along
 from trackres_ros.diagnosis.described.places import SHORTEST_LAP_M, find_place
+from trackres_ros.diagnosis.prepare.gate import gate
 
 WHITE_NM, COLOURED_NM = 40.0, 40.0
 LAP_M, BEGIN_M, END_M = 1870.0, 420.0, 610.0
@@ -87,6 +93,54 @@ def test_the_larger_the_torque_the_larger_what_is_found():
 
 def test_where_too_little_was_driven_there_is_no_place():
     assert find_place([np.linspace(0.0, SHORTEST_LAP_M, 200)], [np.zeros(200)], [np.ones(200, dtype=bool)]) is None
+
+
+def session(speed, way=1.0, given=frozenset({"yaw_rate"})):
+    """What `driven_along` reads of a session on laps that turn to the left; the other way round with -1."""
+    yaw_rate = way * 2.0 * np.pi * speed / LAP_M
+    return SimpleNamespace(speed=speed, distance=5e4 + np.cumsum(np.abs(speed)), yaw_rate=yaw_rate, step=1.0, given=given)
+
+
+def test_positions_fall_on_laps_the_other_way_and_in_reverse():
+    forward = np.full(1000, 6.0)
+    with_reversing = np.where(np.arange(1000) % 100 < 20, -3.0, 6.0)
+    one, two, three, four = driven_along(
+        [session(forward), session(forward, -1.0), session(with_reversing), session(-forward, way=1.0)]
+    )
+    assert one[-1] == pytest.approx(6.0 * 999)
+    np.testing.assert_allclose(two, -one)
+    assert three[-1] == pytest.approx(np.sum(with_reversing[1:]))
+    np.testing.assert_allclose(four, -one)
+    unknown = [session(forward, given=frozenset()), session(forward, -1.0, given=frozenset())]
+    assert all(d[-1] > 0.0 for d in driven_along(unknown))
+
+
+@pytest.mark.parametrize(("scale", "known_as"), [(1.03, 1.03), (0.0, 1.0), (2.0, 1.0)])
+def test_the_distance_is_that_of_an_odometer_that_agrees_with_the_speed(recorded, loaded, scale, known_as):
+    (one, *_) = read_recordings(recorded(), None)
+    speed = one.series["speed"]
+    driven_m = np.cumsum(np.abs(speed.value) * np.gradient(speed.stamp_ns * 1e-9))
+    odometer = replace(one, series={**one.series, "distance": replace(speed, value=scale * driven_m)})
+    (session,), (as_driven,) = (gate([r], loaded.known, frozenset(), []).sessions for r in (odometer, one))
+    assert np.ptp(session.distance) == pytest.approx(known_as * np.ptp(as_driven.distance), rel=0.005)
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_a_place_is_found_on_laps_that_are_driven_both_ways(seed):
+    rng, drives = np.random.default_rng(seed), []
+    for way, load in ((1.0, 0.8), (-1.0, 1.2), (1.0, 1.0)):
+        speed = np.interp(np.arange(1200), np.arange(0, 1201, 60), rng.uniform(2.0, 9.0, 21))
+        speed[600:630] = -4.0
+        at = way * np.cumsum(speed)
+        there = (at % LAP_M > BEGIN_M) & (at % LAP_M < END_M)
+        residual = autoregression(1200, rng, 3.0, COLOURED_NM) + rng.normal(0.0, WHITE_NM, 1200)
+        drives.append((at, residual + 300.0 * load * there, speed != 0.0, np.full(1200, load)))
+    found = find_place(*(list(of) for of in zip(*drives, strict=True)))
+    assert found.lap_m == pytest.approx(LAP_M, rel=0.003)
+    assert (found.begin_m, found.end_m) == pytest.approx((BEGIN_M, END_M), abs=25.0)
+    assert found.size == pytest.approx(300.0, rel=0.15)
+    typical = [np.max(np.abs(shape)) for shape in found.shape]
+    assert typical[1] / typical[0] == pytest.approx(1.5, rel=0.05)
 
 
 @pytest.mark.parametrize("seed", [1, 2])

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from trackres_ros.diagnosis.described.describe import SURE, beginnings, expected_there
+from trackres_ros.diagnosis.described.finders import SURE, beginnings, expected_there
 from trackres_ros.diagnosis.described.spells import (
     Blocks,
     Chain,

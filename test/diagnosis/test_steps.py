@@ -177,7 +177,7 @@ def test_what_the_base_takes_up_is_not_visible_and_what_needs_a_channel_is_not_w
 def test_without_an_effect_nothing_gains_more_than_noise(problem, effects):
     found = fit(problem)
     result = screen(found, separability(effects, found).visible, 19, np.random.default_rng(0))
-    assert result.gains[0][1] < max(result.threshold, 6.0)
+    assert result.gains[0][1].value < max(result.threshold, 6.0)
 
 
 def test_what_noise_alone_gains_hardly_depends_on_how_much_of_it_is_drawn(problem, effects, monkeypatch):
@@ -186,7 +186,7 @@ def test_what_noise_alone_gains_hardly_depends_on_how_much_of_it_is_drawn(proble
     whole = screen(found, visible, 29, np.random.default_rng(0))
     monkeypatch.setattr(screening, "MOST_DRAWN_ROWS", 400)
     part = screen(found, visible, 29, np.random.default_rng(0))
-    assert [gain for _, gain in part.gains] == pytest.approx([gain for _, gain in whole.gains])
+    assert [gain.value for _, gain in part.gains] == pytest.approx([gain.value for _, gain in whole.gains])
     assert np.median(part.reached) == pytest.approx(np.median(whole.reached), rel=0.5)
     assert not np.array_equal(part.reached, whole.reached)
 

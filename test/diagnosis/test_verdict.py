@@ -13,11 +13,10 @@ import pytest
 
 import trackres_ros as tr
 from trackres_ros.diagnosis.base.base import BaseParameter
-from trackres_ros.diagnosis.described.terms import Described
+from trackres_ros.diagnosis.described.terms import Described, of_learned
 from trackres_ros.diagnosis.findings.locate import Acts, SlowResidual
 from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
 from trackres_ros.diagnosis.findings.verdict import (
-    FINE_R2,
     LEFT_SHARE,
     MOST_STRAY,
     Changed,
@@ -28,13 +27,15 @@ from trackres_ros.diagnosis.findings.verdict import (
     judge,
     likelier,
 )
-from trackres_ros.diagnosis.pipeline import believed_in
+from trackres_ros.diagnosis.findings.wording import MOST_WORDS
 from trackres_ros.diagnosis.prepare.session import Session
-from trackres_ros.diagnosis.selection import confirm as confirming
-from trackres_ros.diagnosis.selection.confirm import Graded, confirm, moved_parameters
+from trackres_ros.diagnosis.selection.confirm import Graded, moved_parameters
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, HeldOut, HeldOutLaps, Improvement, held_out
 from trackres_ros.diagnosis.selection.naming import Candidate, Step
+from trackres_ros.diagnosis.stages.conclude import believed_in
+from trackres_ros.effects import catalogue
 from trackres_ros.effects.effect import Parameter
+from trackres_ros.effects.learned import ALWAYS, BY_BRAKING, DRIVING_TORQUE, LEFT, OPEN, BuildUp, Curve
 
 BETTER = Improvement(100.0, 80.0, 15.0, 25.0)
 UNSURE = Improvement(100.0, 95.0, -5.0, 15.0)
@@ -65,8 +66,8 @@ def regimes(*means, p=0.001):
     return RegimeMap(tuple(Bin("speed", i, i + 1.0, mean, "m/s", 50, p) for i, mean in enumerate(means)), p, 500)
 
 
-def worth(refit=BETTER, r2=0.9):
-    mae = {"nominal": 100.0, "refitted": 80.0, "with_effects": 60.0}
+def worth(refit=BETTER, r2=0.9, with_effects=60.0):
+    mae = {"nominal": 100.0, "refitted": 80.0, "with_effects": with_effects}
     of = {"nominal": r2, "refitted": r2 + 0.01, "with_effects": r2 + 0.02}
     return HeldOut(("a: 1",), mae, of, mae, {}, refit, BETTER)
 
@@ -77,8 +78,15 @@ def refitted(*moved, std=0.1):
     return SimpleNamespace(base_values=values, problem=SimpleNamespace(base=SimpleNamespace(parameters=parameters)))
 
 
-def said(found=(), terms=(), refuted=(), base=None, at_end=None, stray=QUIET, hint="", held=None, drift=None, changed=()):
-    return judge(found, terms, refuted, base or refitted(), at_end or regimes(), stray, hint, held or worth(), drift, changed)
+def said(found=(), terms=(), refuted=(), base=None, at_end=None, stray=QUIET, hint="", held=None, drift=None, changed=(), **more):
+    verdict = judge(
+        found, terms, refuted, base or refitted(), at_end or regimes(), stray, hint, held or worth(), drift, changed, **more
+    )
+    for sentence in re.split(r"(?<=\.) ", verdict.sentence):
+        assert 2 < len(sentence.split()) <= MOST_WORDS, sentence
+        assert sentence.endswith(".")
+    assert ".." not in verdict.sentence
+    return verdict
 
 
 # Nothing found
@@ -95,7 +103,7 @@ def test_nothing_beyond_noise():
 
 @pytest.mark.parametrize(
     ("improvement", "grade", "word"),
-    [(BETTER, CONFIRMED, "were off"), (UNSURE, SUSPECTED, "not confirmed"), (WORSE, REFUTED, "is refuted")],
+    [(BETTER, CONFIRMED, "were off"), (UNSURE, SUSPECTED, "do not confirm"), (WORSE, REFUTED, "reject")],
 )
 def test_parameters_that_moved_are_no_physics_and_are_graded_by_the_refit(improvement, grade, word):
     verdict = said(base=refitted(2.0, 1.0), held=worth(improvement))
@@ -140,7 +148,7 @@ def test_a_parameter_of_which_nothing_was_known_cannot_have_moved():
 
 
 def test_a_hint_is_told_where_nothing_was_named_only():
-    assert "Were the model exact, headwind would be missing" in said(hint="headwind").sentence
+    assert "headwind would fit, but the model's own error can look the same." in said(hint="headwind").sentence
     assert "headwind" in said(hint="headwind", base=refitted(3.0)).sentence
     assert "headwind" not in said([found()], hint="headwind").sentence
 
@@ -148,8 +156,9 @@ def test_a_hint_is_told_where_nothing_was_named_only():
 def test_what_is_left_without_a_name_is_unexplained_where_it_is_largest():
     verdict = said(at_end=regimes(30.0, -70.0))
     assert (verdict.status, verdict.grade) == ("unexplained", SUSPECTED)
-    assert "70 Nm below the model at speed 1 to 2 m/s" in verdict.sentence
-    assert "30 Nm above the model at speed 0 to 1 m/s" in said(at_end=regimes(30.0, -7.0)).sentence
+    assert verdict.sentence.startswith("At speed 1 to 2 m/s the measured torque is 70 Nm below the model.")
+    assert verdict.seen == "At speed 1 to 2 m/s the measured torque is 70 Nm below the model"
+    assert "At speed 0 to 1 m/s the measured torque is 30 Nm above the model." in said(at_end=regimes(30.0, -7.0)).sentence
     assert said(at_end=regimes(30.0, p=0.011)).status == "none"
     assert said(at_end=regimes(30.0, p=0.0099)).status == "unexplained"
 
@@ -157,8 +166,8 @@ def test_what_is_left_without_a_name_is_unexplained_where_it_is_largest():
 def test_what_strays_is_unexplained_where_nothing_was_named():
     verdict = said(stray=NOISY)
     assert (verdict.status, verdict.grade) == ("unexplained", SUSPECTED)
-    assert "40 Nm, 8% of the torque" in verdict.sentence
-    assert "an unrecorded slope of 1.2% would do as much" in verdict.sentence
+    assert "differs from the model by 40 Nm, 8 % of the torque" in verdict.sentence
+    assert "An unrecorded slope of 1.2 % would do the same." in verdict.sentence
     assert "slope" not in said(stray=SlowResidual(40.0, 0.08, math.nan)).sentence
     assert said(stray=SlowResidual(9.0, MOST_STRAY, 0.0)).status == "none"
 
@@ -168,8 +177,7 @@ def test_what_laps_refuted_is_told_and_then_the_unexplained_is_refuted(left):
     refuted = [Graded("payne", WORSE, ())]
     verdict = said(refuted=refuted, **left)
     assert (verdict.status, verdict.grade) == ("unexplained", REFUTED)
-    assert "Refuted" in verdict.sentence
-    assert "payne, 100 to 120 Nm" in verdict.sentence
+    assert "The unused laps reject payne: it raises their mean error from 100 to 120 Nm." in verdict.sentence
     none = said(refuted=refuted)
     assert (none.status, none.grade) == ("none", CONFIRMED)
     assert "payne" in none.sentence
@@ -177,8 +185,8 @@ def test_what_laps_refuted_is_told_and_then_the_unexplained_is_refuted(left):
 
 def test_what_takes_the_place_of_what_the_vehicle_has_is_told_with_what_it_takes():
     sentence = said(refuted=[Graded("torque_offset", BETTER, (), ("rolling_coefficient",))]).sentence
-    assert "beside it a value of the file goes to the end of its range: torque_offset (rolling_coefficient)." in sentence
-    assert "makes the others worse" not in sentence
+    assert "drops torque_offset: with it, rolling_coefficient of the vehicle file goes to the end of its range." in sentence
+    assert "reject" not in sentence
 
 
 # Something found
@@ -187,15 +195,16 @@ def test_what_takes_the_place_of_what_the_vehicle_has_is_told_with_what_it_takes
 def test_a_name_that_laps_confirm_is_named():
     verdict = said([found()])
     assert (verdict.status, verdict.grade, verdict.names) == ("named", CONFIRMED, True)
-    assert verdict.sentence.startswith(f"Everywhere {SEEN}: scrub is missing (scrub: size 120 Nm")
-    assert "falls from 80 to 60 Nm, R2 from 0.910 to 0.920" in verdict.sentence
-    assert "R2" not in said([found()], held=worth(r2=FINE_R2)).sentence
+    assert verdict.sentence == (
+        f"T{SEEN[1:]}. The cause is scrub. Scrub is missing. Its values with 95 % intervals: size 120 Nm. "
+        "The mean error on laps not used for fitting falls from 80 to 60 Nm."
+    )
 
 
 def test_the_term_that_removes_most_error_comes_first():
     much = Improvement(400.0, 60.0, 300.0, 380.0)
     sentence = said([found("scrub"), found("grade", improvement=much)]).sentence
-    assert sentence.index("grade is missing") < sentence.index("scrub is missing")
+    assert sentence.index("The cause is grade") < sentence.index("The cause is scrub")
     assert [f.name for f in by_weight([found("a", improvement=UNSURE), found("b", improvement=BETTER)])] == ["b", "a"]
 
 
@@ -216,26 +225,71 @@ def test_an_edge_that_is_nothing_on_its_scale_is_zero():
 def test_names_that_cannot_be_told_apart_are_one_of_a_class():
     verdict = said([found(members=("scrub", "cornering")), found("payne")])
     assert (verdict.status, verdict.grade, verdict.names) == ("one_of", CONFIRMED, True)
-    assert "one of scrub (50%), cornering (50%), which these recordings cannot tell apart" in verdict.sentence
+    assert "The cause is scrub (50 %) or cornering (50 %). These recordings cannot tell them apart." in verdict.sentence
     assert said([found(), found("payne")]).status == "named"
 
 
-def test_a_suspected_term_never_stands_before_a_confirmed_one():
+def test_a_suspected_term_never_hides_a_confirmed_one():
     verdict = said([found(), found("payne", improvement=UNSURE)])
-    assert (verdict.status, verdict.grade) == ("named", SUSPECTED)
-    sure, _, unsure = verdict.sentence.partition("Only suspected: ")
-    assert "scrub is missing" in sure
-    assert "payne is missing" not in sure
-    assert "payne is missing" in unsure
-    assert "do not confirm payne" in verdict.sentence
-    assert said([found(improvement=UNSURE)]).sentence.startswith("Suspected: ")
+    assert (verdict.status, verdict.grade) == ("named", CONFIRMED)
+    sure, _, unsure = verdict.sentence.partition("It may also be: ")
+    assert "The cause is scrub" in sure
+    assert "payne" not in sure
+    assert unsure.startswith("payne. The unused laps do not confirm payne: their mean error goes from 100 to 95 Nm")
     assert "do not confirm scrub" not in verdict.sentence
+    assert verdict.may_be == (("payne", None),)
+
+
+def test_a_suspected_effect_is_never_the_headline():
+    """Where nothing is confirmed: where and by how much it differs, then what it may be."""
+    for improvement in (UNSURE, replace(UNSURE, after=99.9)):
+        alone = said([found(improvement=improvement)], at_end=regimes(-70.0))
+        assert alone.sentence.startswith("At speed 0 to 1 m/s the measured torque is 70 Nm below the model. It may be: scrub.")
+        assert (alone.status, alone.grade, alone.names) == ("unexplained", SUSPECTED, False)
+    members = said([found(members=("scrub", "cornering"), improvement=UNSURE)])
+    assert members.sentence.startswith(f"T{SEEN[1:]}. It may be: scrub (50 %), cornering (50 %).")
+    slow = said([found(improvement=UNSURE)], stray=NOISY)
+    assert slow.sentence.startswith("Averaged over 30 s, the measured torque differs")
+    assert "It may be: scrub." in slow.sentence
+    described = said(terms=[term(improvement=UNSURE)])
+    assert described.sentence.startswith("The measured torque differs from the re-fitted model by about 100 Nm, depending on")
+
+
+def test_a_suspected_term_that_takes_little_off_the_error_is_only_listed():
+    little = Improvement(100.0, 99.5, -5.0, 15.0)
+    verdict = said([found(improvement=little)], changed=(BEARING,))
+    assert (verdict.status, verdict.grade) == ("none", CONFIRMED)
+    assert verdict.sentence.startswith("The hold-out laps confirm no missing physics, but values of the vehicle file were off.")
+    assert "It may also be: scrub." in verdict.sentence
+
+
+def test_probabilities_of_names_are_listed_with_none_of_these_last():
+    shares = {"payne": 0.25, "none of these": 0.35, "mullins": 0.36, "weak": 0.04}
+    verdict = said([found("payne", improvement=UNSURE)], at_end=regimes(-70.0), shares=shares)
+    assert "It may be: mullins (36 %), payne (25 %), none of these (35 %)." in verdict.sentence
+    assert verdict.may_be == (("mullins", 0.36), ("payne", 0.25), ("none of these", 0.35))
+    beside = said([found("mullins"), found("payne", improvement=UNSURE)], shares=shares)
+    assert "It may also be: payne (25 %), none of these (35 %)." in beside.sentence
+    assert said([found("mullins")], shares={"mullins": 0.97, "none of these": 0.03}).may_be == ()
+
+
+def test_a_confirmed_term_that_takes_little_off_the_error_comes_last_as_small():
+    little = Improvement(80.0, 79.0, 0.5, 1.5)
+    verdict = said([found("payne", improvement=little), found()])
+    assert verdict.sentence.endswith("payne is confirmed but small: it takes 1 Nm off that error.")
+    assert "The cause is payne" not in verdict.sentence
+    alone = said([found("payne", improvement=little)], held=worth(with_effects=79.0))
+    assert (alone.status, alone.grade) == ("named", CONFIRMED)
+    assert alone.sentence.startswith(
+        "What is missing is small. The mean error on laps not used for fitting falls from 80 to 79 Nm."
+    )
+    assert "The cause is payne" in alone.sentence
 
 
 def test_a_value_on_a_bound_makes_it_suspected_and_says_why():
     verdict = said([found(on_bounds=("size",))])
     assert verdict.grade == SUSPECTED
-    assert "scrub lies on a bound of what is plausible (size)" in verdict.sentence
+    assert "scrub is at the bound of its plausible range (size)." in verdict.sentence
 
 
 def test_what_is_left_beside_names_is_small_or_takes_the_names_away():
@@ -244,7 +298,7 @@ def test_what_is_left_beside_names_is_small_or_takes_the_names_away():
     assert (small.status, small.grade) == ("named", CONFIRMED)
     assert "Something small is left, at speed 0 to 1 m/s" in small.sentence
     assert (large.status, large.grade, large.names) == ("unexplained", SUSPECTED, False)
-    assert "scrub would take up a part of it" in large.sentence
+    assert "scrub would explain a part of it, but too much is left to believe that." in large.sentence
     assert said([found()], at_end=regimes(-500.0, p=0.02)).status == "named"
 
 
@@ -260,14 +314,14 @@ def test_what_several_explain_counts_together_where_they_act():
 
 
 def test_what_strays_and_can_be_followed_is_described_as_a_drift():
-    of = Described("drift", "", "", "", None, 300.0, "It wanders by 40 Nm", ("a zero that drifts",), 40.0, False)
+    of = Described("drift", "", "", "", None, 300.0, "The residual drifts by 40 Nm", ("a zero that drifts",), 40.0, False)
 
     def drift(improvement):
         return Told(of, [], [], {}, 0.0, Graded("drift", improvement, ()))
 
     verdict = said(stray=NOISY, drift=drift(BETTER))
     assert (verdict.status, verdict.grade) == ("described", CONFIRMED)
-    assert verdict.sentence.startswith("It wanders by 40 Nm: look for a zero that drifts. It cannot be known ahead.")
+    assert verdict.sentence.startswith("The residual drifts by 40 Nm. Look for a zero that drifts. It cannot be predicted.")
     assert "from 100 to 80 Nm" in verdict.sentence
     for not_followed in (None, drift(UNSURE), drift(WORSE)):
         assert said(stray=NOISY, drift=not_followed).status == "unexplained"
@@ -283,13 +337,13 @@ def test_what_strays_and_can_be_followed_is_described_as_a_drift():
 def test_what_strays_beside_a_name_is_only_told():
     verdict = said([found()], stray=NOISY)
     assert verdict.status == "named"
-    assert "And averaged over 30 s" in verdict.sentence
-    assert "averaged" not in said([found()]).sentence
+    assert "Averaged over 30 s, the measured torque differs" in verdict.sentence
+    assert "Averaged" not in said([found()]).sentence
 
 
 def test_the_next_best_is_told_with_how_much_less_likely_it_is():
     rivals = (candidate("payne", 18.0), candidate("mullins", 19.0))
-    assert "mullins is 3 times less likely" in said([found(rivals=rivals)]).sentence
+    assert "The next best explanation, mullins, is 3 times less likely." in said([found(rivals=rivals)]).sentence
     assert "less likely" not in said([found()]).sentence
     members = found(members=("scrub", "mullins"), rivals=rivals)
     assert "less likely" not in said([members]).sentence
@@ -319,88 +373,6 @@ def test_what_is_believed_is_confirmed_and_of_one_kind():
 def test_who_asks_for_it_keeps_what_is_suspected_too():
     several = [found(improvement=UNSURE), found("grade", members=("grade", "torque_gain"))]
     assert believed_in(several, [], Verdict("unexplained", SUSPECTED, ""), KINDS, True) == ["scrub", "grade"]
-
-
-class Fitted:
-    """A fit as `confirm` sees it: its effects."""
-
-    def __init__(self, *names, value=50.0):
-        effects = [SimpleNamespace(name=n, parameters=(SIZE,)) for n in names]
-        self.effects = tuple(SimpleNamespace(effect=e, values={"size": value}) for e in effects)
-        self.names = frozenset(names)
-        self.base_values = {"bearing": 0.01 * len(names)}
-        self.problem = refitted().problem
-
-
-class Laps:
-    """Held-out laps that say of each pair of models what a test wants."""
-
-    def __init__(self, says):
-        self.says = {(frozenset(a), frozenset(b)): x for (a, b), x in says.items()}
-
-    def improvement_of(self, before, after):
-        return self.says[before.names, after.names]
-
-
-@pytest.fixture
-def leave_out(monkeypatch):
-    """`with_levels` without a fit."""
-    monkeypatch.setattr(confirming, "with_levels", lambda fit, without=(): Fitted(*sorted(fit.names - set(without))))
-
-
-def test_what_laps_confirm_stays_each_graded_against_the_model_without_it(leave_out):
-    laps = Laps({("b", "ab"): BETTER, ("a", "ab"): UNSURE, ("", "ab"): BETTER})
-    final = Fitted("a", "b")
-    kept, graded, refuted = confirm(final, Fitted(), laps)
-    assert kept is final
-    assert {name: g.grade for name, g in graded.items()} == {"a": CONFIRMED, "b": SUSPECTED}
-    assert refuted == ()
-
-
-def test_what_laps_refute_goes_the_worst_first_and_the_rest_is_graded_anew(leave_out):
-    much = Improvement(100.0, 150.0, -60.0, -40.0)
-    laps = Laps({("bc", "abc"): WORSE, ("ac", "abc"): much, ("ab", "abc"): BETTER, ("", "abc"): BETTER,
-                 ("c", "ac"): BETTER, ("a", "ac"): UNSURE, ("", "ac"): BETTER})  # fmt: skip
-    kept, graded, refuted = confirm(Fitted("a", "b", "c"), Fitted(), laps)
-    assert kept.names == {"a", "c"}
-    assert [g.name for g in refuted] == ["b"]
-    assert {name: g.grade for name, g in graded.items()} == {"a": CONFIRMED, "c": SUSPECTED}
-
-
-def test_effects_that_together_make_it_worse_go_too(leave_out):
-    laps = Laps({("b", "ab"): BETTER, ("a", "ab"): UNSURE, ("", "ab"): WORSE, ("", "a"): WORSE})
-    base = Fitted()
-    kept, graded, refuted = confirm(Fitted("a", "b"), base, laps)
-    assert kept is base
-    assert graded == {}
-    assert [g.name for g in refuted] == ["b", "a"]
-
-
-@pytest.mark.parametrize(("value", "on"), [(500.0, ("size",)), (499.6, ("size",)), (499.4, ()), (0.0, ()), (250.0, ())])
-def test_a_bound_counts_unless_it_is_the_value_without_effect(leave_out, value, on):
-    final = Fitted("a", value=value)
-    _, graded, _ = confirm(final, Fitted(), Laps({("", "a"): BETTER}))
-    assert graded["a"].on_bounds == on
-    assert graded["a"].grade == (SUSPECTED if on else CONFIRMED)
-
-
-def test_nothing_to_confirm_is_left_as_it_is():
-    final = Fitted()
-    assert confirm(final, final, Laps({})) == (final, {}, ())
-
-
-def test_what_is_refuted_stays_so_on_a_bound():
-    assert Graded("a", WORSE, ("size",)).grade == REFUTED
-    assert Graded("a", UNSURE, ("size",)).grade == SUSPECTED
-
-
-def test_all_of_it_unconfirmed_together_is_said_once():
-    nothing = Improvement(39.4, 39.5, -1.0, 0.8)
-    several = [replace(f, graded=replace(f.graded, together=nothing)) for f in (found(), found("payne"))]
-    verdict = said(several)
-    assert (verdict.status, verdict.grade) == ("named", SUSPECTED)
-    assert verdict.sentence.count("do not confirm all of it together: with it their mean error goes from 39.4 to 39.5 Nm") == 1
-    assert believed_in(several, [], verdict, KINDS, False) == []
 
 
 # Held-out laps
@@ -481,21 +453,24 @@ def test_errors_are_counted_by_stage_and_by_lap():
 
 
 def term(name="curve_of_speed", improvement=BETTER, adds=100.0, predictable=True):
-    described = Described("curve", name, "speed", "", None, None, f"{name} it takes", ("a fan",), abs(adds), predictable)
+    described = Described(
+        "curve", name, "speed", "", None, None, f"The vehicle needs {abs(adds):.0f} Nm more", ("a fan",), abs(adds), predictable
+    )
     return Told(described, [np.full(100, adds)], [], {}, adds, Graded(name, improvement, ()))
 
 
 def test_what_has_no_name_is_described_with_what_to_look_for():
     verdict = said(terms=[term()])
     assert (verdict.status, verdict.grade, verdict.names) == ("described", CONFIRMED, True)
-    assert verdict.sentence.startswith("curve_of_speed it takes: look for a fan")
+    assert verdict.sentence.startswith("The vehicle needs 100 Nm more. No effect of the catalogue does this. Look for a fan.")
     beside = said([found()], [term()])
     assert beside.status == "named"
-    assert "look for a fan" in beside.sentence
+    assert "Look for a fan" in beside.sentence
 
 
 def test_a_term_that_laps_do_not_confirm_is_suspected_and_one_that_explains_little_is_not_believed():
-    assert said(terms=[term(improvement=UNSURE)]).grade == SUSPECTED
+    unsure = said(terms=[term(improvement=UNSURE)])
+    assert (unsure.status, unsure.grade) == ("unexplained", SUSPECTED)
     little = said(terms=[term(adds=60.0)], at_end=regimes(59.0))
     assert (little.status, little.names) == ("unexplained", False)
 
@@ -505,6 +480,32 @@ def test_of_terms_those_are_written_that_follow_what_is_known_ahead():
     terms = [term(), term("spells", predictable=False), term("constant_when_left", UNSURE)]
     assert believed_in([], terms, described, KINDS, False) == ["curve_of_speed"]
     assert believed_in([], terms, described, KINDS, True) == ["curve_of_speed", "constant_when_left"]
+
+
+LEFT_CURVE, RISING, DRAG = Curve(ALWAYS, LEFT, [0.0]), Curve(DRIVING_TORQUE, OPEN, [100.0, 5000.0]), BuildUp(BY_BRAKING, 20.0)
+
+
+@pytest.mark.parametrize(
+    ("effect", "values", "sentence"),
+    [
+        (LEFT_CURVE, {"y1": -380.0}, "In left turns, the vehicle needs 380 Nm less than the model"),
+        (RISING, {"x1": 100.0, "x2": 5000.0, "y1": 282.0, "y2": -278.0},
+         "The extra torque falls from +282 Nm at 100 Nm of driving torque to -278 Nm at 5000 Nm"),
+        (DRAG, {"y1": 90.0, "scale": 20.0},
+         "After braking, the vehicle needs 90 Nm more than the model. That fades within about 20 s"),
+    ],
+    ids=["gate", "curve", "build-up"],
+)  # fmt: skip
+def test_a_term_without_a_name_is_described_in_plain_words(effect, values, sentence):
+    described = of_learned(effect, {**{q.name: q.start for q in effect.parameters}, **values})
+    assert described.sentence == sentence
+    verdict = said(terms=[replace(term(), described=described)])
+    assert verdict.sentence.startswith(f"{sentence}. No effect of the catalogue does this. Look for ")
+
+
+@pytest.mark.parametrize("effect", catalogue().values(), ids=lambda e: e.name)
+def test_each_effect_of_the_catalogue_is_explained_in_short_sentences(effect):
+    said([replace(found(effect.name), text=effect.text)])
 
 
 def test_a_wrong_value_of_the_file_is_named_with_its_interval(recorded, tmp_path, repository):

@@ -10,8 +10,8 @@ import pytest
 import yaml
 
 from trackres_ros.diagnosis.described.spells import Blocks, expected_level, find_wander
-from trackres_ros.diagnosis.pipeline import may_be_kept
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, SUSPECTED
+from trackres_ros.diagnosis.stages.conclude import may_be_kept
 from trackres_ros.diagnosis.writing.kept import Kept, LearnedDisturbance
 from trackres_ros.diagnosis.writing.vehicle_file import write_track_vehicle
 from trackres_ros.estimator.disturbance import BLOCK_S, MOST_DRIFT, DisturbanceWatch

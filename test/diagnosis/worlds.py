@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A world in which it is said what each effect gains: the choosing logic runs in it, and nothing is simulated or fitted."""
+"""A world in which a test says what each effect gains: a round of the search runs in it, and nothing is simulated or fitted."""
 
 from collections.abc import Mapping
 from types import SimpleNamespace
@@ -9,13 +9,14 @@ from types import SimpleNamespace
 import numpy as np
 
 from trackres_ros.diagnosis.selection.naming import Candidate
-from trackres_ros.diagnosis.selection.screening import Screened
+from trackres_ros.diagnosis.selection.screening import Gain, Screened
 from trackres_ros.diagnosis.selection.visibility import Sensitivity, Separability
 from trackres_ros.effects.effect import Parameter
 
 LAPS, LAP = 20, 5  # laps of so many samples each
 LEVEL = -300.0  # log-likelihood of a fit with no effect: only differences count
 TORQUE_NM = 100.0
+MOVED = 0.5  # of the typical size: where an effect is best to first order
 QUIET = 1e6  # Nm of noise, beside which the model's own error gains nothing
 
 
@@ -55,7 +56,7 @@ class Model:
         return [np.full(LAPS * LAP, self.world.shares[name] * TORQUE_NM)]
 
     def std_of(self, effect, parameter):
-        return self.world.stds[effect, parameter]
+        return self.world.stds.get((effect, parameter), 0.5)
 
 
 class Kind:
@@ -83,13 +84,12 @@ class World:
     """
 
     def __init__(
-        self, gains, together: Mapping = {}, alike=(), costs=2.0, shares=0.1, taken=0.0, threshold=5.0, std=QUIET,
-        first_order: Mapping = {},
+        self, gains, together: Mapping = {}, costs=2.0, shares=0.1, taken=0.0, threshold=5.0, std=QUIET, first_order: Mapping = {}
     ):  # fmt: skip
         self.gains = {name: np.broadcast_to(g if np.ndim(g) else g / LAPS, LAPS).astype(float) for name, g in gains.items()}
         self.together = {frozenset(names): value for names, value in together.items()}
         self.effects = {name: Kind(name) for name in gains}
-        self.alike, self.threshold, self.first_order = alike, threshold, first_order
+        self.threshold, self.first_order = threshold, first_order
         self.costs, self.shares, self.taken = (
             {name: x.get(name, default) if isinstance(x, dict) else x for name in gains}
             for x, default in ((costs, 2.0), (shares, 0.1), (taken, 0.0))
@@ -112,34 +112,25 @@ class World:
         self.fitted.append((tuple(e.name for e in effects), dict(start or {}), rounds))
         return Model(self, effects, start, problem)
 
-    def separability(self, effects, current):
-        names = tuple(name for name in effects if name not in current.effect_names)
-        cosines = np.eye(len(names))
-        for a, b in self.alike:
-            if a in names and b in names:
-                i, j = names.index(a), names.index(b)
-                cosines[i, j] = cosines[j, i] = -0.97
-        visible = tuple(self.seen(name) for name in names)
-        return Separability(visible, (), names, cosines)
+    def separability(self, effects, current, columns):
+        names = tuple(effects)
+        assert not set(names) & set(current.effect_names)
+        return Separability(tuple(self.seen(name) for name in names), (), names, np.eye(len(names)))
 
     def seen(self, name, start=None, d_prime=5.0, kept=0.8):
         effect = self.effects[name]
         return Sensitivity(effect, start or effect.values(), ("size",), np.empty(0), kept, d_prime, 0.0, np.empty(0))
 
-    def screen(self, current, visible, replicates, rng, least):
-        assert least == 0.0
+    def screen(self, current, visible, replicates, rng, by_noise):
         before = self.gains_of(current.effect_names).sum()
         gains = {s.effect.name: self.gains_of((*current.effect_names, s.effect.name)).sum() - before for s in visible}
         gains |= {name: gain for name, gain in self.first_order.items() if name in gains}
-        best_first = sorted(((s, gains[s.effect.name]) for s in visible), key=lambda pair: -pair[1])
+        best_first = sorted(
+            ((s, Gain(gains[s.effect.name], np.array([MOVED]), False)) for s in visible), key=lambda x: -x[1].value
+        )
         taken = {name: gain for name, gain in self.taken.items() if gain}
-        return Screened(tuple(best_first), taken, self.threshold, np.zeros(replicates))
+        return Screened(tuple(best_first), taken, self.threshold if by_noise is None else by_noise, np.zeros(replicates))
 
 
 def candidate(name="x", gain=10.0, criterion=8.0, taken=0.0, share=0.1, fit=None):
     return Candidate(name, fit, gain, criterion, 0.0, 0.5, 5.0, share, taken)
-
-
-def candidate_of(world, name):
-    fit, gain = Model(world, [world.effects[name]]), world.gains[name].sum()
-    return candidate(name, gain, gain - world.costs[name], fit=fit)

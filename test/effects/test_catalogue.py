@@ -104,7 +104,7 @@ def test_the_step_runs_what_the_file_says_as_machine_code(name):
     work = new_work(facts)
     for speed in (-3.0, 0.0, 0.2, 6.0, 13.0):
         at = conditions(speed=speed)
-        look(work, *at[1:9])
+        look(work, *at[1:9], at.belt)
         assert step_effects(table.rows, table.values, memory, work, 0.0) == 0
         lag = active.lag(at)
         said = active.terms(at, 0.0 if lag is None else memory[FIRST_OWN])
@@ -139,7 +139,7 @@ def table_of(folder, constant, more=""):
 def torque_by(table):
     gc.collect()
     memory, work = new_memory(1), new_work(vehicle_constants(load("xgd24d")))
-    look(work, *conditions()[1:9])
+    look(work, *conditions()[1:9], np.nan)
     assert step_effects(table.rows, table.values, memory, work, 0.0) == 0
     return work[0]
 
@@ -160,7 +160,7 @@ def test_an_effects_own_state_follows_its_target_exactly_and_from_anywhere():
     facts, table, memory = vehicle_constants(load("xgd24d")), effect_table([active]), new_memory(1)
     work = new_work(facts)
     for i in range(100):
-        look(work, *conditions(speed=5.0, ambient=10.0)[1:9])
+        look(work, *conditions(speed=5.0, ambient=10.0)[1:9], np.nan)
         step_effects(table.rows, table.values, memory, work, 7.0 if i else 0.0)
         assert memory[FIRST_OWN] == pytest.approx(10.0 + 10.0 * (1.0 - np.exp(-7.0 * i / 300.0)), rel=1e-12)
 

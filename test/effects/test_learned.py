@@ -17,20 +17,27 @@ from trackres_ros.diagnosis.writing.kept import Kept
 from trackres_ros.effects import Active, catalogue, check_effects
 from trackres_ros.effects.effect import conditions
 from trackres_ros.effects.learned import (
+    ABOVE,
     ACCELERATING,
     ACCELERATION,
     ALWAYS,
     AMBIENT,
+    BELOW,
+    BELT,
+    BRAKES,
     BRAKING,
     BUILD_UPS,
     BY_BRAKING,
     BY_DISTANCE,
     BY_TIME,
+    CORNERS,
     CURVATURE,
     CURVES,
+    DRIVES,
     DRIVING_TORQUE,
     GATES,
     HEAVY,
+    LATCHED,
     LEFT,
     LIGHT,
     LOAD,
@@ -38,12 +45,17 @@ from trackres_ros.effects.learned import (
     NAMES,
     OPEN,
     RIGHT,
+    SIDES,
     SPEED,
+    STEP,
     TURN,
     TURNING,
     VARIABLES,
     BuildUp,
+    Corner,
     Curve,
+    Latch,
+    SidedGain,
     sized,
 )
 from trackres_ros.effects.stepping import (
@@ -74,6 +86,7 @@ OF_VARIABLE = {
     TURNING: lambda at: abs(at.yaw_rate),
     CURVATURE: lambda at: at.curvature,
     DRIVING_TORQUE: lambda at: at.drive_torque * at.direction,
+    BELT: lambda at: at.belt,
 }
 OF_GATE = {
     OPEN: lambda at, threshold: True,
@@ -88,6 +101,7 @@ OF_GATE = {
 REACH = {
     ALWAYS: (0.0, 1.0), SPEED: (0.0, 15.0), ACCELERATION: (-1.0, 1.0), LOAD: (1e5, 4e5), AMBIENT: (-20.0, 40.0),
     TURN: (-0.5, 0.5), TURNING: (0.0, 0.5), CURVATURE: (0.0, 0.5), DRIVING_TORQUE: (-2e4, 2e4),
+    BELT: (-20.0, 90.0),
 }  # fmt: skip
 OPENS = {OPEN: (0.0, 1.0), LEFT: (0.0, 0.4), RIGHT: (0.0, 0.4), HEAVY: (1e5, 4e5), LIGHT: (1e5, 4e5), BRAKING: (0.0, 0.8),
          ACCELERATING: (0.0, 0.8)}  # fmt: skip
@@ -95,6 +109,14 @@ SOME = [  # of every kind, one
     Curve(SPEED, OPEN, [1.0, 3.0, 8.0]),
     Curve(ALWAYS, LEFT, [0.0], 0.05),
     Curve(LOAD, BRAKING, [2e5, 3e5], 0.1),
+    Curve(BELT, OPEN, [10.0, 30.0, 60.0]),
+    Corner(SPEED, STEP, 1.0, 5.0, 10.0),
+    Corner(BELT, ABOVE, 10.0, 20.0, 60.0),
+    Corner(LOAD, BELOW, 2e5, 2.7e5, 3e5),
+    Latch(SPEED, 1.0, 3.0, 6.0, 10.0),
+    Latch(BELT, 10.0, 20.0, 40.0, 60.0),
+    SidedGain(DRIVES, 9000.0),
+    SidedGain(BRAKES, 9000.0),
     BuildUp(BY_DISTANCE, 300.0),
     BuildUp(BY_TIME, 120.0),
     BuildUp(BY_BRAKING, 60.0),
@@ -127,6 +149,7 @@ ANYWHERE = st.builds(
     ambient=within((-30.0, 50.0)),
     yaw_rate=within((-0.6, 0.6)),
     drive_torque=within((-3e4, 3e4)),
+    belt=within((-30.0, 110.0)),
 )
 
 
@@ -138,7 +161,7 @@ def stepped(actives, at, memory=None, machine=True, dt=0.0):
     """The torque of effects by the step, and the memory after it."""
     table, work = effect_table(actives, machine=machine), new_work(FACTS)
     memory = new_memory(len(actives)) if memory is None else memory
-    look(work, *at[1:9])
+    look(work, *at[1:9], at.belt)
     assert step_effects(table.rows, table.values, memory, work, dt) in (ALL_WELL, EXTRAPOLATED)
     return work[0], memory
 
@@ -157,7 +180,7 @@ def test_a_curve_is_straight_between_its_knots_and_level_beyond_where_its_gate_i
 @given(curves(), ANYWHERE)
 def test_at_rest_there_is_nothing_of_any_curve(drawn, at):
     curve, _, y = drawn
-    still = conditions(FACTS, 0.0, at.accel, at.weight, at.ambient, at.yaw_rate, drive_torque=at.drive_torque)
+    still = conditions(FACTS, 0.0, at.accel, at.weight, at.ambient, at.yaw_rate, drive_torque=at.drive_torque, belt=at.belt)
     assert active(curve, y).terms(still).torque == 0.0
 
 
@@ -167,8 +190,8 @@ def test_compiled_and_interpreted_say_the_same(effect, speed):
     assert is_compiled(effect)
     one = active(effect, [120.0, -80.0, 310.0][: effect.knots])
     of_machine, of_python = new_memory(1), new_memory(1)
-    for accel, yaw_rate in ((0.2, 0.1), (-0.5, -0.1), (-0.5, 0.2), (0.0, 0.0)):
-        at = conditions(FACTS, speed, accel, 250e3, 10.0, yaw_rate, drive_torque=3000.0)
+    for accel, yaw_rate, belt in ((0.2, 0.1, 30.0), (-0.5, -0.1, 50.0), (-0.5, 0.2, 30.0), (0.0, 0.0, 10.0)):
+        at = conditions(FACTS, speed, accel, 250e3, 10.0, yaw_rate, drive_torque=3000.0 if accel > 0.0 else -3000.0, belt=belt)
         compiled, _ = stepped([one], at, of_machine, dt=7.0)
         interpreted, _ = stepped([one], at, of_python, machine=False, dt=7.0)
         assert compiled == pytest.approx(interpreted, rel=1e-12, abs=1e-12)
@@ -224,11 +247,54 @@ def test_drag_after_braking_comes_with_it_and_goes_with_time():
     assert memory[FIRST_OWN] == pytest.approx(1.0 / math.e, rel=0.01)
 
 
+# Corners, latches and gains
+
+
+@given(within((-30.0, 110.0)), within((-15.0, 15.0)))
+def test_corners_are_straight_from_their_threshold_to_the_end(belt, speed):
+    at, sign = conditions(FACTS, speed, belt=belt), math.tanh(speed / STANDSTILL_MPS)
+    expected = {
+        STEP: 400.0 * (belt > 30.0),
+        ABOVE: np.interp(belt, [30.0, 60.0], [0.0, 400.0]),
+        BELOW: np.interp(belt, [10.0, 30.0], [400.0, 0.0]),
+    }
+    for kind, torque in expected.items():
+        terms = active(Corner(BELT, kind, 10.0, 30.0, 60.0), [400.0]).terms(at)
+        assert terms.torque == pytest.approx(torque * sign, rel=1e-9, abs=1e-9)
+        assert (terms.extrapolated > 0.0) == (not 5.0 <= belt <= 65.0)
+
+
+def test_a_latch_holds_its_state_between_its_thresholds():
+    one, memory = active(Latch(SPEED, 0.0, 3.0, 6.0, 10.0), [400.0]), new_memory(1)
+    course = [(2.0, 0), (5.0, 0), (6.5, 1), (5.0, 1), (3.1, 1), (2.9, 0), (5.9, 0), (-7.0, 1), (-4.0, 1), (0.0, 0), (4.0, 0)]
+    for speed, there in course:
+        torque, _ = stepped([one], conditions(FACTS, speed), memory, dt=0.02)
+        assert torque == pytest.approx(400.0 * there * math.tanh(speed / STANDSTILL_MPS), abs=1e-6)
+
+
+@given(within((-2e4, 2e4)), within((-15.0, 15.0)), st.sampled_from([DRIVES, BRAKES]))
+def test_a_sided_gain_changes_one_sign_of_the_torque_only(drive, speed, side):
+    one = Active(SidedGain(side, 1e4), {**SidedGain(side, 1e4).values(), "gain": -0.3})
+    terms, along = one.terms(conditions(FACTS, speed, drive_torque=drive)), drive * math.tanh(speed / STANDSTILL_MPS)
+    assert terms.torque == 0.0
+    if abs(along) > 500.0:
+        there = abs(math.tanh(speed / STANDSTILL_MPS)) if along * side > 0.0 else 0.0
+        assert terms.drive_gain == pytest.approx(1.0 - 0.3 * there, rel=1e-3)
+
+
+@pytest.mark.parametrize("effect", SOME, ids=lambda e: e.name)
+def test_at_rest_no_learned_effect_does_anything(effect):
+    one = active(effect, [400.0] * effect.knots)
+    for own in (0.0, 1.0):
+        terms = one.terms(conditions(FACTS, 0.0, 0.2, 250e3, 10.0, 0.1, drive_torque=3000.0, belt=50.0), own)
+        assert (terms.torque, terms.drive_gain) == (0.0, 1.0)
+
+
 # Names and sizes
 
 
 def test_every_name_is_one_curve_or_build_up():
-    assert len(set(NAMES)) == len(NAMES) == len(CURVES) + len(BUILD_UPS)
+    assert len(set(NAMES)) == len(NAMES) == len(CURVES) + 9 * len(CORNERS) + len(LATCHED) + len(SIDES) + len(BUILD_UPS)
     assert not set(NAMES) & set(catalogue())
     for name, (variable, gate) in CURVES.items():
         assert Curve(variable, gate, [0.0]).name == name
@@ -261,8 +327,9 @@ def test_what_was_learned_comes_back_from_the_file_it_was_written_to(effect, tmp
     assert again.values == pytest.approx(one.values, rel=1e-5)
     assert [q.name for q in again.effect.parameters] == [q.name for q in effect.parameters]
     for speed, accel, yaw_rate in ((6.0, 0.1, 0.2), (2.0, -0.4, -0.2), (-4.0, 0.0, 0.1)):
-        at = conditions(FACTS, speed, accel, 260e3, 10.0, yaw_rate)
-        assert again.terms(at, 0.4).torque == pytest.approx(one.terms(at, 0.4).torque, rel=1e-4)
+        at = conditions(FACTS, speed, accel, 260e3, 10.0, yaw_rate, drive_torque=4e3, belt=30.0)
+        for own in (0.4, 0.6):
+            assert again.terms(at, own) == pytest.approx(one.terms(at, own), rel=1e-4)
 
 
 def test_commands_take_a_file_with_what_was_learned(tmp_path):
@@ -293,6 +360,9 @@ MANY = {"threshold": 0.0, **{f"{of}{i}": float(i) for of in "xy" for i in range(
         ("curve_of_speed", {**KNOTS, "x3": 4.0}, "effects.curve_of_speed.*a value for each of threshold, x1, x2, y1, y2$"),
         ("curve_of_speed", {**KNOTS, "y1": 1e9}, "effects.curve_of_speed.y1"),
         ("curve_of_speed", 7.0, "effects.curve_of_speed.*a value for each"),
+        ("step_of_speed", {"threshold": 5.0, "x1": 1.0, "x2": 4.0, "y1": 10.0}, "x1 to x2.*x1, threshold, x2 that rise"),
+        ("latch_of_speed", {"off": 3.0, "on": 2.0, "x1": 1.0, "x2": 4.0, "y1": 10.0}, "x1, off, on, x2 that rise"),
+        ("gain_while_braking", {"gain": -0.9, "x1": 1e4}, "gain_while_braking.gain"),
         ("curve_of_sped", KNOTS, "curve_of_sped.*did you mean curve_of_speed"),
         ("build_up_over_distance", {"y1": 100.0}, "effects.build_up_over_distance.*y1, scale"),
     ],

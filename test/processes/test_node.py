@@ -490,7 +490,7 @@ def test_without_ros_its_parameter_file_is_watched(tmp_path, wire):
 @pytest.fixture(scope="module")
 def diagnosed(tmp_path_factory):
     """Vehicle file without and with what a diagnosis found missing, and a drive that it never saw: a belt that swings."""
-    hidden = {"vibration": {"torque": 700.0, "speed": 6.0, "width": 2.0}}
+    hidden = {"vibration": {"torque": 650.0, "speed": 6.0, "width": 1.5}}
     left = left_by_diagnosis(tmp_path_factory.mktemp("diagnosed"), hidden, 8.0, 0, seed=4)
     assert "vibration" in [name for f in left.found.found for name in f.step.members]
     return left.before, left.after, np.genfromtxt(left.kept_back, delimiter=",", names=True)

@@ -122,6 +122,7 @@ class Conditions(NamedTuple):
     drive_torque: float  # Nm, expected at the sprockets without what the effects change in this step
     direction: float  # sign of the speed, smooth through zero
     curvature: float  # of the path [1/m], unsigned; bounded where it turns on the spot
+    belt: float = math.nan  # degC, mean of the belts at the end of the last step
     own: float = 0.0  # the effect's own state, see `Effect.lag`
 
 
@@ -136,6 +137,7 @@ def conditions(
     distance: float = math.nan,
     drive_torque: float = 0.0,
     own: float = 0.0,
+    belt: float = math.nan,
 ) -> Conditions:
     """What effects look at, from what is known: units of `Conditions`, the nominal weight without one."""
     turning = abs(yaw_rate)
@@ -143,7 +145,7 @@ def conditions(
     weight = facts.weight if weight is None else weight
     return Conditions(
         facts, speed, accel, weight, ambient, yaw_rate, heading, distance, drive_torque,
-        math.tanh(speed / STANDSTILL_MPS), curvature, own,
+        math.tanh(speed / STANDSTILL_MPS), curvature, belt, own,
     )  # fmt: skip
 
 
@@ -207,7 +209,10 @@ SOFTENING_FROM_DEGC = 40.0
 
 
 class Lag(NamedTuple):
-    """A state of an effect's own: it follows a target with a time constant [s], from a value after a long rest."""
+    """A state of an effect's own: it follows a target with a time constant [s], from a value after a long rest.
+
+    `lag` sees the state as it is now in `Conditions.own`, and 0 where it has none yet.
+    """
 
     target: float
     time_constant: float

@@ -3,16 +3,19 @@
 
 """Learned effects have no name in the catalogue: each is a torque that follows what is known of a drive, as a diagnosis found it.
 
-A curve follows one variable, always or only where a gate is open; a build-up is taken away by a stop or by time. They are effects
-as any other: they are fitted, run live and are written to the vehicle file. Their names say what they follow
-(`curve_of_speed_when_light`), their parameters are the knots.
+A curve follows one variable, always or only where a gate is open. A corner is a step or a hinge at one value of a variable, a
+latch is on above one value and off below another. A sided gain is another gain on the driving torque for one sign of it. A
+build-up is taken away by a stop or by time. They are effects as any other: they are fitted, run live and are written to the
+vehicle file. Their names say what they follow (`curve_of_speed_when_light`), their parameters are knots and heights.
 """
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 from trackres_ros.effects.effect import REFERENCE_NM, Conditions, Effect, Lag, Parameter, Terms, Values
 from trackres_ros.jit.compiled import inlined
@@ -26,9 +29,15 @@ MOVING_MPS = 0.3
 BRAKING_MPS2 = -0.3
 RESET_S = 1.0
 SETS_ON_S = 2.0
+LATCHES_S = 1e-3  # shorter than any step: a latch knows what it was in the last one
+MOST_GAIN = 0.8
+TYPICAL_GAIN = 0.1
+SMOOTH = 1e-3  # of weight times radius: over it driving turns into braking
 
-ALWAYS, SPEED, ACCELERATION, LOAD, AMBIENT, TURN, TURNING, CURVATURE, DRIVING_TORQUE = range(9)
+ALWAYS, SPEED, ACCELERATION, LOAD, AMBIENT, TURN, TURNING, CURVATURE, DRIVING_TORQUE, BELT = range(10)
 OPEN, LEFT, RIGHT, HEAVY, LIGHT, BRAKING, ACCELERATING = range(7)
+STEP, ABOVE, BELOW = range(3)
+DRIVES, BRAKES = 1, -1
 BY_DISTANCE, BY_TIME, BY_BRAKING = range(3)
 
 
@@ -52,7 +61,11 @@ VARIABLES = {
     TURNING: Followed("turning", "yaw rate", "rad/s", ("speed", "yaw_rate")),
     CURVATURE: Followed("curvature", "curvature", "1/m", ("speed", "yaw_rate")),
     DRIVING_TORQUE: Followed("driving_torque", "driving torque", "Nm", ("speed", "accel")),
+    BELT: Followed("belt_temperature", "belt temperature", "degC", ("speed", "belt")),
 }
+CORNERS = {STEP: "step_of", ABOVE: "hinge_above", BELOW: "hinge_below"}
+SIDES = {DRIVES: Followed("driving", "while it drives", "Nm"), BRAKES: Followed("braking", "while it brakes", "Nm")}
+LATCHED = (SPEED, LOAD, BELT)
 GATES = {
     OPEN: Followed("", "", "1"),
     LEFT: Followed("left", "in left turns", "rad/s", ("yaw_rate",)),
@@ -88,7 +101,24 @@ def variable(at: Conditions, code: float) -> float:
         return at.curvature
     if code == DRIVING_TORQUE:
         return at.drive_torque * at.direction
+    if code == BELT:
+        return at.belt
     return 0.0
+
+
+@inlined
+def beyond(x: float, low: float, high: float) -> float:
+    """1 where a variable is outside of the range in which it was driven, with a margin, else 0."""
+    little = MARGIN * (high - low)
+    return 1.0 if x < low - little or x > high + little else 0.0
+
+
+@inlined
+def latched(x: float, was: float, off: float, on: float) -> float:
+    """1 where a latch is on now, which was on or off (`was`) before, else 0."""
+    if x > on:
+        return 1.0
+    return 1.0 if x >= off and was > 0.5 else 0.0
 
 
 @inlined
@@ -114,6 +144,12 @@ class Learned(Effect):
 
     acts_on = "torque"
     belongs_to = "vehicle"
+    variable = ALWAYS
+
+    @property
+    def rising(self) -> list[str]:
+        """The parameters that rise from one to the next."""
+        return [q.name for q in self.parameters if q.name.startswith("x")]
 
     @property
     def knots(self) -> int:
@@ -170,6 +206,119 @@ class Curve(Learned):
         return Terms(torque=(p[knot + count] + share * (p[knot + count + 1] - p[knot + count])) * at.direction)
 
 
+class Corner(Learned):
+    """A step or a hinge: a torque against travel that is there above a value of a variable, or that grows along a straight line
+    from there to the end of the range that was driven, above or below. It keeps its value outside of that range.
+
+    Parameters
+    ----------
+    variable, kind
+        Of `VARIABLES` and `CORNERS`.
+    low, threshold, high
+        The variable's value at both ends of the range that was driven and where the corner is, rising.
+    """
+
+    def __init__(self, variable: int, kind: int, low: float = 0.0, threshold: float = 0.5, high: float = 1.0) -> None:
+        follows = VARIABLES[variable]
+        self.variable, self.kind, self.needs = variable, kind, follows.needs
+        self.name = corner_name(variable, kind)
+        side = "below" if kind == BELOW else "above"
+        self.text = f"a torque that {'is there' if kind == STEP else 'grows'} {side} a value of the {follows.text}"
+        self.parameters = (
+            _fixed("variable", variable, "code of what it follows"),
+            _fixed("kind", kind, "code of a step, a hinge above or a hinge below"),
+            _place("threshold", follows, threshold, "where it begins"),
+            _place("x1", follows, low, "lowest that was driven"),
+            _place("x2", follows, high, "highest that was driven"),
+            height("y1", "torque above it" if kind == STEP else "torque at the end of the range"),
+        )
+
+    @property
+    def rising(self) -> list[str]:
+        """The parameters that rise from one to the next."""
+        return ["x1", "threshold", "x2"]
+
+    def terms(self, at: Conditions, p: Values) -> Terms:
+        x, low, high = variable(at, p[0]), p[3], p[4]
+        if p[1] == STEP:
+            share = 1.0 if x > p[2] else 0.0
+        elif p[1] == ABOVE:
+            share = min(max((x - p[2]) / (high - p[2]), 0.0), 1.0)
+        else:
+            share = min(max((p[2] - x) / (p[2] - low), 0.0), 1.0)
+        return Terms(torque=p[5] * share * at.direction, extrapolated=beyond(x, low, high))
+
+
+class Latch(Learned):
+    """A torque against travel with hysteresis: it comes where a variable rises above one value and goes where that falls below
+    another. It is off in the beginning.
+
+    Parameters
+    ----------
+    variable
+        Of `LATCHED`.
+    low, off, on, high
+        The variable's value at both ends of the range that was driven, and where it goes and comes, rising.
+    """
+
+    def __init__(self, variable: int, low: float = 0.0, off: float = 0.3, on: float = 0.7, high: float = 1.0) -> None:
+        follows = VARIABLES[variable]
+        self.variable, self.needs, self.name = variable, follows.needs, latch_name(variable)
+        self.text = f"a torque that comes above one value of the {follows.text} and goes below another"
+        self.parameters = (
+            _fixed("variable", variable, "code of what it follows"),
+            _place("off", follows, off, "below it goes"),
+            _place("on", follows, on, "above it comes"),
+            _place("x1", follows, low, "lowest that was driven"),
+            _place("x2", follows, high, "highest that was driven"),
+            height("y1", "torque while it is there"),
+        )
+
+    @property
+    def rising(self) -> list[str]:
+        """The parameters that rise from one to the next."""
+        return ["x1", "off", "on", "x2"]
+
+    def lag(self, at: Conditions, p: Values) -> Lag:
+        return Lag(latched(variable(at, p[0]), at.own, p[1], p[2]), LATCHES_S, 0.0)
+
+    def terms(self, at: Conditions, p: Values) -> Terms:
+        x = variable(at, p[0])
+        there = latched(x, at.own, p[1], p[2])
+        return Terms(torque=p[5] * there * at.direction, extrapolated=beyond(x, p[3], p[4]))
+
+
+class SidedGain(Learned):
+    """Another gain on the driving torque for one sign of it: while it drives, or while it brakes.
+
+    Parameters
+    ----------
+    side
+        Of `SIDES`.
+    most
+        The largest torque of that sign that was driven [Nm].
+    """
+
+    variable = DRIVING_TORQUE
+
+    def __init__(self, side: int, most: float = 1.0) -> None:
+        of = SIDES[side]
+        self.side, self.name, self.needs = side, gain_name(side), VARIABLES[DRIVING_TORQUE].needs
+        self.text = f"another gain on the torque {of.text}"
+        self.parameters = (
+            _fixed("side", side, "1 while it drives, -1 while it brakes"),
+            Parameter("gain", "1", -MOST_GAIN, MOST_GAIN, TYPICAL_GAIN, f"share added to the torque {of.text}", off=0.0),
+            _place("x1", of, most, "largest torque of that sign that was driven"),
+        )
+
+    def terms(self, at: Conditions, p: Values) -> Terms:
+        drive = at.drive_torque * at.direction * p[0]
+        there = 0.5 + 0.5 * math.tanh(drive / (SMOOTH * at.facts.weight * at.facts.radius))
+        return Terms(
+            drive_gain=1.0 + p[1] * there * abs(at.direction), extrapolated=1.0 if drive > (1.0 + MARGIN) * p[2] else 0.0
+        )
+
+
 class BuildUp(Learned):
     """A torque against travel that builds up and goes: with distance or time since a stop, which takes it away at once; or that
     comes with braking and goes with time.
@@ -214,8 +363,29 @@ def curve_name(variable: int, gate: int) -> str:
     return follows if gate == OPEN else f"{follows}_when_{GATES[gate].name}"
 
 
+def corner_name(variable: int, kind: int) -> str:
+    """The name of a step or a hinge."""
+    return f"{CORNERS[kind]}_{VARIABLES[variable].name}"
+
+
+def latch_name(variable: int) -> str:
+    """The name of a latch."""
+    return f"latch_of_{VARIABLES[variable].name}"
+
+
+def gain_name(side: int) -> str:
+    """The name of a gain for one sign of the torque."""
+    return f"gain_while_{SIDES[side].name}"
+
+
 CURVES = {curve_name(v, g): (v, g) for v in VARIABLES for g in GATES if v != ALWAYS or g != OPEN}
-NAMES = (*CURVES, *(of.name for of in BUILD_UPS.values()))
+OTHERS: dict[str, Callable[[], Learned]] = {
+    **{corner_name(v, kind): partial(Corner, v, kind) for v in VARIABLES if v != ALWAYS for kind in CORNERS},
+    **{latch_name(v): partial(Latch, v) for v in LATCHED},
+    **{gain_name(side): partial(SidedGain, side) for side in SIDES},
+    **{of.name: partial(BuildUp, by, 300.0) for by, of in BUILD_UPS.items()},
+}
+NAMES = (*CURVES, *OTHERS)
 
 
 def learned(name: str, parameters: object, size: float) -> Learned:
@@ -226,8 +396,7 @@ def learned(name: str, parameters: object, size: float) -> Learned:
         count = min(max(1, len(heights)), MOST_KNOTS)
         found: Learned = Curve(variable, gate, [0.0] * count)
     else:
-        by = next(code for code, of in BUILD_UPS.items() if of.name == name)
-        found = BuildUp(by, 300.0)
+        found = OTHERS[name]()
     return sized(found, size)
 
 
@@ -240,6 +409,10 @@ def sized(effect: Learned, size: float) -> Learned:
 
 def _fixed(name: str, code: int, text: str) -> Parameter:
     return Parameter(name, "1", float(code), float(code), float(code), text, fitted=False)
+
+
+def _place(name: str, of: Followed, start: float, text: str) -> Parameter:
+    return Parameter(name, of.unit, -FURTHEST, FURTHEST, start, f"{of.text}: {text}", fitted=False)
 
 
 def height(name: str, text: str, fitted: bool = True) -> Parameter:

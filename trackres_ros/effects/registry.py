@@ -104,10 +104,13 @@ def check_effects(
 
 
 def _check_knots(active: Active, where: str) -> None:
-    """Refuse a curve whose knots do not rise."""
-    x = [active.values[q.name] for q in active.effect.parameters if q.name.startswith("x")]
-    if isinstance(active.effect, Learned) and any(b <= a for a, b in pairwise(x)):
-        raise InputError(f"{where}: x1 to x{len(x)}", x, "knots that rise from one to the next")
+    """Refuse a learned effect whose knots do not rise."""
+    if not isinstance(active.effect, Learned):
+        return
+    names = active.effect.rising
+    x = [active.values[name] for name in names]
+    if any(b <= a for a, b in pairwise(x)):
+        raise InputError(f"{where}: {names[0]} to {names[-1]}", x, f"values of {', '.join(names)} that rise from one to the next")
 
 
 def _with_range(given: Any, where: str, q: Parameter) -> tuple[float, tuple[float, float] | None]:

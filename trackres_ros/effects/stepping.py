@@ -52,11 +52,13 @@ LOOKED_AT = FACTS + len(Conditions._fields) - 1
     AT_DRIVE_TORQUE,
     AT_DIRECTION,
     AT_CURVATURE,
+    AT_BELT,
     AT_OWN,
 ) = range(FACTS, LOOKED_AT)
 RADIUS, WEIGHT, CONTACT_LENGTH = (VehicleConstants._fields.index(name) for name in ("radius", "weight", "contact_length"))
 if Conditions._fields[1:] != (
-    "speed", "accel", "weight", "ambient", "yaw_rate", "heading", "distance", "drive_torque", "direction", "curvature", "own",
+    "speed", "accel", "weight", "ambient", "yaw_rate", "heading", "distance", "drive_torque", "direction", "curvature",
+    "belt", "own",
 ):  # fmt: skip
     raise TypeError("Conditions has other fields than the work space of a step")
 
@@ -191,12 +193,14 @@ def look(
     heading: float,
     distance: float,
     drive_torque: float,
+    belt: float,
 ) -> None:
     """Put what is known of a step where effects look; units of `Conditions`. Without a distance, it is counted from the speed."""
     looked_at = work[TERMS : TERMS + LOOKED_AT]
     looked_at[AT_SPEED], looked_at[AT_ACCEL], looked_at[AT_WEIGHT], looked_at[AT_AMBIENT] = speed, accel, weight, ambient
     looked_at[AT_YAW_RATE], looked_at[AT_HEADING], looked_at[AT_DISTANCE] = yaw_rate, heading, distance
     looked_at[AT_DRIVE_TORQUE], looked_at[AT_DIRECTION] = drive_torque, math.tanh(speed / STANDSTILL_MPS)
+    looked_at[AT_BELT] = belt
     turning = abs(yaw_rate)
     looked_at[AT_CURVATURE] = turning / length(speed, looked_at[CONTACT_LENGTH] * turning + STANDSTILL_MPS)
 
@@ -205,7 +209,7 @@ def look(
 def rest_effects(rows: IntArray, values: Array, memory: Array, work: Array, ambient: float, seconds: float) -> None:
     """Let the effects' own states come to rest for a while [s]; leaves the terms that hold at its end."""
     memory[LAST_SPEED] = 0.0
-    look(work, 0.0, 0.0, work[TERMS + WEIGHT], ambient, math.nan, math.nan, math.nan, 0.0)
+    look(work, 0.0, 0.0, work[TERMS + WEIGHT], ambient, math.nan, math.nan, math.nan, 0.0, math.nan)
     for dt in (0.0, seconds):  # from where they were, the states turn to what they tend to at rest
         step_effects(rows, values, memory, work, dt)
 
@@ -227,15 +231,18 @@ def own_state(address: int, values: Array, looked_at: Array, answer: Array, own:
     looked_at[AT_OWN] = 0.0
     if address == 0:
         return True
+    state = math.nan
+    if not math.isnan(own[OWN]):
+        state = own[OWN] + (own[TARGET] - own[OWN]) * -math.expm1(-dt / own[TIME_CONSTANT])
+        looked_at[AT_OWN] = state
     for i in range(3):
         answer[i] = math.nan
     call_at(address, looked_at, values, answer)
     target, time_constant, start = answer[0], answer[1], answer[2]
     if not (abs(target) <= MOST_STATE and abs(start) <= MOST_STATE and LEAST_TIME_S <= time_constant < math.inf):
         return False
-    state = start
-    if not math.isnan(own[OWN]):
-        state = own[OWN] + (own[TARGET] - own[OWN]) * -math.expm1(-dt / own[TIME_CONSTANT])
+    if math.isnan(state):
+        state = start
     own[OWN], own[TARGET], own[TIME_CONSTANT] = state, target, time_constant
     looked_at[AT_OWN] = state
     return True

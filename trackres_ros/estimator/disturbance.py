@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from trackres_ros.jit.compiled import inlined
 from trackres_ros.units import NANOSECOND
 from trackres_ros.vehicle import Disturbance, Drift, Spells
 
@@ -64,6 +65,7 @@ def seen_there(there: float, mean: float, levels: tuple[float, float], variance:
     return there * times / (there * times + 1.0 - there)
 
 
+@inlined
 def later_level(level: float, variance: float, keep: float, size: float) -> tuple[float, float]:
     """Mean [Nm] and variance [Nm^2] of a level that wanders, some time later.
 
@@ -79,6 +81,7 @@ def later_level(level: float, variance: float, keep: float, size: float) -> tupl
     return keep * level, keep**2 * variance + size**2 * (1.0 - keep**2)
 
 
+@inlined
 def seen_level(level: float, variance: float, mean: float, noise_variance: float) -> tuple[float, float]:
     """Mean [Nm] and variance [Nm^2] of a level once the mean of a block is seen, which has noise of some variance [Nm^2]."""
     gain = variance / (variance + noise_variance)

@@ -80,16 +80,19 @@ def act(
     ambient: float,
     turning: tuple[float, float, float],
     others: float,
+    belt: float,
     dt: float,
 ) -> int:
     """Fill the terms of all effects of a step; how that went.
 
     Some effects look at the torque that drives, and are a part of it. They get that of the last step, moved by what is known
-    already of this one: `others` [Nm], all but belts and effects. `turning` is yaw rate, heading and distance.
+    already of this one: `others` [Nm], all but belts and effects. `turning` is yaw rate, heading and distance; `belt` is the
+    mean temperature of the belts [degC], as the last step left it.
     """
     if k.effects.shape[0] == 0:
         return ALL_WELL
-    look(k.work, speed, accel, weight, ambient, *turning, motion[at.LAST_DRIVE] + others - motion[at.LAST_OTHERS])
+    drive = motion[at.LAST_DRIVE] + others - motion[at.LAST_OTHERS]
+    look(k.work, speed, accel, weight, ambient, *turning, drive, belt)
     # Of a gap too long to bridge it is not known how it went: no state of an effect moves, no distance is driven.
     return step_effects(k.effects, k.effect_values, effects, k.work, dt if dt <= k.number.bridge else 0.0)
 
@@ -124,8 +127,9 @@ def advance(k: Constants, carried: Carried, inputs: Inputs, dt: float, out: Arra
         reasons |= BRIDGED
     given_accel = not math.isnan(inputs.acceleration)
     accel = inputs.acceleration if given_accel else motion[at.FILTERED_ACCEL]
-    weight = arm = 0.0
+    weight = arm = belt_degc = 0.0
     for i in range(belts.shape[0]):
+        belt_degc += belts[i, 0, at.TEMPERATURE] / belts.shape[0]
         weight += inputs.load[i]
         arm += inputs.load[i] * k.assembly[i, at.RADIUS]
     arm /= weight
@@ -136,7 +140,7 @@ def advance(k: Constants, carried: Carried, inputs: Inputs, dt: float, out: Arra
     of_place = torque_of_place(inputs.torque_by_place, speed)
     others = of_place + arm * (road.bearing + road.wind + road.uphill + road.inertia)
     turning = inputs.yaw_rate, inputs.heading, inputs.distance
-    outcome = act(k, motion, effects, speed, accel, weight, inputs.ambient, turning, others, dt)
+    outcome = act(k, motion, effects, speed, accel, weight, inputs.ambient, turning, others, belt_degc, dt)
     if outcome == EXTRAPOLATED:
         reasons |= OUTSIDE_LEARNED
     elif outcome != ALL_WELL:
@@ -218,15 +222,17 @@ def predict(
         `PREDICTED`: driving torque [Nm], mean of the belts' temperatures and of their skins [degC], how the effects went.
     """  # fmt: skip
     belts, motion, effects, _ = carried
-    arm = 0.0
+    arm = belts_in_all = before = 0.0
     for i in range(belts.shape[0]):
+        belts_in_all += count[i]
+        before += count[i] * belts[i, 0, at.TEMPERATURE]
         arm += count[i] * k.assembly[i, at.SHARE_OF_ALL] * k.assembly[i, at.RADIUS]
     last_speed = motion[at.LAST_SPEED] if motion[at.STARTED] > 0.0 else speed
     road = road_now(k, last_speed, speed, accel, grade, weight, motion[at.LAST_DRIVE], ambient, 0.0, dt)
     of_place = torque_of_place(torque_by_place, speed)
     others = of_place + arm * (road.bearing + road.wind + road.uphill + road.inertia)
-    outcome = act(k, motion, effects, speed, accel, weight, ambient, turning, others, dt)
-    hysteresis = mean = skin = belts_in_all = 0.0
+    outcome = act(k, motion, effects, speed, accel, weight, ambient, turning, others, before / belts_in_all, dt)
+    hysteresis = mean = skin = 0.0
     for i in range(belts.shape[0]):
         belt, share = belts[i], k.assembly[i, at.SHARE_OF_ALL]
         log_load, drive = math.log(share * weight), road.last_drive * share
@@ -236,7 +242,6 @@ def predict(
         hysteresis += count[i] * k.assembly[i, at.RADIUS] * loss * road.sign
         mean += count[i] * belt[0, at.TEMPERATURE]
         skin += count[i] * surface(k, i, belt, ambient, speed)[0]
-        belts_in_all += count[i]
     resisting = hysteresis + arm * (road.bearing + road.wind)
     driving, _ = driving_torque(k.work, resisting, of_place, arm * road.uphill, arm * road.inertia)
     motion[at.STARTED], motion[at.LAST_SPEED], motion[at.LAST_DRIVE], motion[at.LAST_OTHERS] = 1.0, speed, driving, others

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -55,7 +56,7 @@ def road_load_along(
         )
         drive = last_torque + others - last_others  # as in `kernel.act`
         turning = series.yaw_rates[i], series.headings[i], series.distances[i]
-        look(work, speed, series.accelerations[i], weight, series.ambients[i], *turning, drive)
+        look(work, speed, series.accelerations[i], weight, series.ambients[i], *turning, drive, math.nan)
         dt = series.times[i] - series.times[i - 1] if i > 0 else 0.0
         outcome[i] = step_effects(effects.rows, effects.values, memory, work, dt)
         torque[i] = (others + work[TERM_TORQUE]) * work[TERM_DRIVE_GAIN]

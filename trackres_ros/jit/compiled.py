@@ -22,7 +22,7 @@ from trackres_ros.files.cache import usable
 from trackres_ros.files.resources import cache_dir
 from trackres_ros.jit.code_cache import CodeCache
 
-COMPILED_ROOMS = ("model", "estimator", "effects", "jit", "route", "diagnosis/prepare")
+COMPILED_ROOMS = ("model", "estimator", "effects", "jit", "route", "diagnosis/prepare", "diagnosis/described")
 """Where the sources of compiled code lie."""
 CONSTANTS = "units.py"
 """What they take constants from besides: those become part of the code."""

@@ -62,7 +62,7 @@ def explain(
     chassis, direction = vehicle.chassis, float(resistance.direction(speed))
     wind = float(resistance.wind_force(speed, chassis.drag_coefficient * chassis.frontal_area, chassis.air_density))
     usable, left_out = _effects(vehicle)
-    at = conditions(vehicle_constants(vehicle), speed, weight=weight, ambient=ambient)
+    at = conditions(vehicle_constants(vehicle), speed, weight=weight, ambient=ambient, belt=belt_degc)
     warms = _together(usable, at)
     loss_factor = float(warms.loss_factor) * math.exp(-warms.softening * (belt_degc - SOFTENING_FROM_DEGC))
     assemblies: list[dict[str, Any]] = []

@@ -134,14 +134,17 @@ def write_figure(figure: Figure, path: Path) -> None:
 
 
 @contextmanager
-def picture_with_legend(path: Path, width: float, height: float) -> Iterator[SubFigure]:
-    """As `picture`, of which a row above all axes is kept for one legend of all their labels, where it covers nothing."""
-    with picture(path, width, height + LEGEND_INCHES) as figure:
-        head, body = np.ravel(np.asarray(figure.subfigures(2, 1, height_ratios=(LEGEND_INCHES, height))))
+def picture_with_legend(path: Path, width: float, height: float, rows: int = 1) -> Iterator[SubFigure]:
+    """As `picture`, of which rows above all axes are kept for one legend of all their labels, where it covers nothing."""
+    head_inches = LEGEND_INCHES + 0.6 * LEGEND_INCHES * (rows - 1)
+    with picture(path, width, height + head_inches) as figure:
+        head, body = np.ravel(np.asarray(figure.subfigures(2, 1, height_ratios=(head_inches, height))))
         yield body
         entries = {label: line for axes in body.axes for line, label in zip(*axes.get_legend_handles_labels(), strict=True)}
         if entries:
-            head.legend(list(entries.values()), list(entries), loc="center left", ncols=len(entries), borderaxespad=0.0)
+            head.legend(
+                list(entries.values()), list(entries), loc="center left", ncols=-(-len(entries) // rows), borderaxespad=0.0
+            )
 
 
 def shortened(text: str, most: int) -> str:

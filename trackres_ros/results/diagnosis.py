@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 from trackres_ros.diagnosis.base.loading import LoadedBase
 from trackres_ros.diagnosis.base.road_load import RoadVehicle, load_road_vehicle
-from trackres_ros.diagnosis.findings.verdict import Found, Told
+from trackres_ros.diagnosis.findings.found import Found, Told
 from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.report.content import report
 from trackres_ros.errors import MissingExtraError

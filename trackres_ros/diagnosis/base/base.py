@@ -188,6 +188,11 @@ class Acting:
         """True speed [m/s]."""
         return np.ascontiguousarray(session.speed * self.sensors.speed_factor)
 
+    def accel(self, session: Session) -> Array:
+        """True acceleration [m/s^2]; one that was not measured by itself comes from the speed, and is off by the same factor."""
+        factor = 1.0 if "accel" in session.given else self.sensors.speed_factor
+        return np.ascontiguousarray(session.accel * factor)
+
     def grade(self, session: Session, number: int) -> Array:
         """Slope of the session of a number, as recorded and as learned by place; level where nothing is known."""
         grade = session.grade if "grade" in session.given else np.zeros(len(session))
@@ -226,7 +231,7 @@ class Acting:
             return
         for i in np.flatnonzero(left_out)[:MOST_CHECKED]:
             at = conditions(
-                facts, session.speed[i] * self.sensors.speed_factor, session.accel[i], session.weight[i],
+                facts, self.speed(session)[i], self.accel(session)[i], session.weight[i],
                 session.ambient[i], session.yaw_rate[i], session.heading[i], session.distance[i],
             )  # fmt: skip
             for active in own:

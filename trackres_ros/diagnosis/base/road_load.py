@@ -197,7 +197,7 @@ class RoadBase:
                 acting.speed(session),
                 session.weight if "load" in session.given else values["mass"] * GRAVITY + session.payload,
                 session.ambient,
-                session.accel,
+                acting.accel(session),
                 acting.grade(session, i),
                 session.yaw_rate,
                 session.heading,

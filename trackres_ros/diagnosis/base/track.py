@@ -163,7 +163,7 @@ class TrackBase:
                 acting.speed(session),
                 session.weight,
                 session.ambient,
-                session.accel,
+                acting.accel(session),
                 acting.grade(session, i),
                 session.yaw_rate,
                 session.heading,

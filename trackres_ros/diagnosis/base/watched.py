@@ -31,14 +31,17 @@ class Watched(Effect):
         Of each session, in the order of the problem: shape (n,), about 1 where it acts; zero on laps that are not fitted.
     size
         Of the vehicle, weight times wheel radius [Nm].
+    ahead
+        The same by what was measured before each sample only: what it is worth to someone who drives. By default the shape.
     """
 
     acts_on = WATCHED
     belongs_to = "vehicle"
     needs = ()
 
-    def __init__(self, name: str, text: str, shape: Sequence[Array], size: float) -> None:
+    def __init__(self, name: str, text: str, shape: Sequence[Array], size: float, ahead: Sequence[Array] | None = None) -> None:
         self.name, self.text, self.shape = name, text, tuple(shape)
+        self.ahead = self.shape if ahead is None else tuple(ahead)
         self.parameters = (height("level", "torque where it acts").times(size / REFERENCE_NM),)
 
 

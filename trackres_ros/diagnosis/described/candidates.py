@@ -1,7 +1,9 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Forms that a mismatch without a name may have here: curves, gated curves and build-ups, with knots where it was driven."""
+"""Forms that a mismatch without a name may have here: curves, gated curves, steps, hinges, latches, gains for one sign and
+build-ups, with knots where it was driven.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.diagnosis.described.thresholds import found_by_scan, most_on_side
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.prepare.session import Session
 from trackres_ros.effects.effect import Conditions, VehicleConstants
@@ -20,6 +23,7 @@ from trackres_ros.effects.learned import (
     ACCELERATION,
     ALWAYS,
     AMBIENT,
+    BELT,
     BRAKING,
     BUILD_UPS,
     BY_DISTANCE,
@@ -31,6 +35,7 @@ from trackres_ros.effects.learned import (
     LOAD,
     OPEN,
     RIGHT,
+    SIDES,
     SPEED,
     TURN,
     TURNING,
@@ -38,6 +43,7 @@ from trackres_ros.effects.learned import (
     BuildUp,
     Curve,
     Learned,
+    SidedGain,
     sized,
     variable,
 )
@@ -47,7 +53,7 @@ from trackres_ros.units import STANDSTILL_MPS
 Array = NDArray[np.float64]
 
 DRIVEN = (0.02, 0.98)  # quantiles between which knots lie
-KNOTS = {SPEED: 5, LOAD: 3, AMBIENT: 2, TURNING: 3, CURVATURE: 3, ACCELERATION: 4, TURN: 4, DRIVING_TORQUE: 4}
+KNOTS = {SPEED: 5, LOAD: 3, AMBIENT: 2, TURNING: 3, CURVATURE: 3, ACCELERATION: 4, TURN: 4, DRIVING_TORQUE: 4, BELT: 3}
 SIGNED = (ACCELERATION, TURN, DRIVING_TORQUE)
 BOTH_SIDES = 0.05  # share of a signed variable on its rarer side: with less there is but one side
 NEAR_ZERO = 0.1  # of the range on a side: between these knots a signed curve may step
@@ -74,15 +80,15 @@ BUILD_UP_SCALE_S = 120.0
 def series(code: int, fit: Fit) -> list[Array]:
     """A variable of learned effects in each session of a fit, as the step sees it."""
     facts = fit.problem.base.facts
-    return [_of(code, facts, s, p.at_sprockets) for s, p in zip(fit.problem.sessions, fit.predicted, strict=True)]
+    return [_of(code, facts, s, p.at_sprockets, p.belt) for s, p in zip(fit.problem.sessions, fit.predicted, strict=True)]
 
 
-def _of(code: int, facts: VehicleConstants, session: Session, driving: Array) -> Array:
+def _of(code: int, facts: VehicleConstants, session: Session, driving: Array, belt: Array) -> Array:
     turning, follow = np.abs(session.yaw_rate), interpreted(variable)
     curvature = turning / np.hypot(session.speed, facts.contact_length * turning + STANDSTILL_MPS)
     known: Any = (
         session.speed, session.accel, session.weight, session.ambient, session.yaw_rate, session.heading, session.distance,
-        driving, np.tanh(session.speed / STANDSTILL_MPS), curvature,
+        driving, np.tanh(session.speed / STANDSTILL_MPS), curvature, belt,
     )  # fmt: skip
     return np.asarray(np.broadcast_to(follow(Conditions(facts, *known), code), len(session)), dtype=float)
 
@@ -158,8 +164,13 @@ def thresholds(gate: int, fit: Fit) -> list[float]:
     return [at] if FEWEST_OPEN <= is_open.sum() <= len(x) - FEWEST_OPEN else []
 
 
-def candidates(fit: Fit) -> dict[str, Learned]:
+def candidates(fit: Fit, own: Array | None = None) -> dict[str, Learned]:
     """All forms that can be looked for here, by a key of their own; of one name there may be several.
+
+    Parameters
+    ----------
+    own
+        Columns of the fit's own parameters, where they are known already, see `visibility.base_columns`.
 
     Notes
     -----
@@ -170,9 +181,13 @@ def candidates(fit: Fit) -> dict[str, Learned]:
     facts = fit.problem.base.facts
     found: list[Learned] = []
     x = {code: driven(code, fit) for code in VARIABLES}
-    for code, count in KNOTS.items():
-        if shows(code, fit) and (code != ACCELERATION or all("accel" in s.given for s in fit.problem.sessions)):
-            found.append(Curve(code, OPEN, knots(code, x[code], count)))
+    measured = all("accel" in s.given for s in fit.problem.sessions)
+    shown = [code for code in KNOTS if shows(code, fit) and (code != ACCELERATION or measured)]
+    found += [Curve(code, OPEN, knots(code, x[code], KNOTS[code])) for code in shown]
+    found += found_by_scan(fit, {code: series(code, fit) for code in shown}, own)
+    if DRIVING_TORQUE in shown:
+        most = {side: most_on_side(x[DRIVING_TORQUE], side) for side in SIDES}
+        found += [SidedGain(side, most[side]) for side in SIDES if min(most.values()) > 0.0]
     for gate, codes in GATED.items():
         for threshold in thresholds(gate, fit):
             by_level = gate in (HEAVY, LIGHT) and not shows(LOAD, fit)

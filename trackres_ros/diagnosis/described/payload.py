@@ -67,6 +67,8 @@ class Payload:
     shape
         Its torque over `level` at each sample of each session: on laps fitted by all of them, elsewhere by what was measured
         before.
+    ahead
+        The same by what was measured before everywhere.
     cost
         Of the masses, in log-likelihood.
     """
@@ -74,6 +76,7 @@ class Payload:
     stretches: tuple[Stretch, ...]
     level: float
     shape: tuple[Array, ...]
+    ahead: tuple[Array, ...]
     cost: float
 
 
@@ -172,13 +175,14 @@ def find_payload(current: Fit, residuals: Sequence[Array], beside: Beside | None
     (best, noise), (of_level, _) = (_most_likely(by, numbers, residuals, beside, current, mass) for by in (per_kg, against))
     if best.evidence < of_level.evidence + SURE:
         return None  # whatever it is that differs, it is not told by what a mass does
-    torques, stretches = [], list[Stretch]()
+    torques, known, stretches = [], [], list[Stretch]()
     for i, (session, number, by_mass, residual, masses, stds) in enumerate(
         zip(sessions, numbers, per_kg, residuals, best.masses, best.stds, strict=True)
     ):
         smoothed = by_mass * masses[number]
-        live = by_mass * followed(by_mass, residual, number, session.used, noise, best)
-        torques.append(np.where(masks[i], smoothed, np.where(session.used, live, 0.0)))
+        live = np.where(session.used, by_mass * followed(by_mass, residual, number, session.used, noise, best), 0.0)
+        torques.append(np.where(masks[i], smoothed, live))
+        known.append(live)
         stretches += [
             Stretch(session.name, *_span(session, number == k), float(masses[k]), float(stds[k]))
             for k in np.unique(number[masks[i]]).tolist()
@@ -188,7 +192,8 @@ def find_payload(current: Fit, residuals: Sequence[Array], beside: Beside | None
     if not level > 0.0:
         return None
     cost = best.cost + math.log(len(SIZES) * len(ALIKE))
-    return Payload(tuple(stretches), level, tuple(t / level for t in torques), cost)
+    shape, ahead = (tuple(t / level for t in of) for of in (torques, known))
+    return Payload(tuple(stretches), level, shape, ahead, cost)
 
 
 def _most_likely(

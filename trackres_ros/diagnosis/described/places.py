@@ -84,7 +84,7 @@ class _Bins:
     Attributes
     ----------
     at, session
-        Middle of each from the start of its session [m], and the session.
+        Middle of each from the start of its session [m], negative as in `on_laps.driven_along`, and the session.
     white
         Mean residual, whitened over distance; what is far out counts as far as `FURTHEST`.
     """
@@ -92,6 +92,51 @@ class _Bins:
     at: Array
     session: Indices
     white: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Samples of all sessions: distances and loads as `find_place` has them, and what was measured, whitened; the noise is that
+    of what is left without the place.
+    """
+
+    distances: Sequence[Array]
+    loads: Sequence[Array]
+    masks: Sequence[Mask]
+    noise: Noise
+    white: Array
+    weight: Array
+    spread: float
+
+    @classmethod
+    def of(
+        cls, distances: Sequence[Array], residuals: Sequence[Array], left: Sequence[Array], masks: Sequence[Mask],
+        loads: Sequence[Array],
+    ) -> _Rows:  # fmt: skip
+        """Whiten the residuals; what is `left` of them says how."""
+        noise = estimate_noise(left, masks, LARGEST_ROOT)
+        white, without = (
+            np.concatenate([whitened(x, m, noise.phi) / noise.std for x, m in zip(of, masks, strict=True)])
+            for of in (residuals, left)
+        )
+        spread = float(np.std(np.concatenate([r[m] for r, m in zip(residuals, masks, strict=True)])))
+        return cls(distances, loads, masks, noise, white, noise.weights(without), spread)
+
+    def columns(self, shapes: Sequence[Array]) -> Array:
+        """Shapes of each session as they grow with the load, whitened; shape (n, shapes)."""
+        grown = (x * load[:, np.newaxis] for x, load in zip(shapes, self.loads, strict=True))
+        return np.concatenate(
+            [whitened(x, m, self.noise.phi) / self.noise.std for x, m in zip(grown, self.masks, strict=True)]
+        )  # fmt: skip
+
+    def gains(self, shapes: Sequence[Array]) -> tuple[Array, Array]:
+        """What each shape gains in log-likelihood beside a mean, and its torque [Nm]."""
+        valid = np.isfinite(self.white)
+        weight = self.weight[valid]
+        y, x = self.white[valid] - np.average(self.white[valid], weights=weight), self.columns(shapes)[valid]
+        x = x - np.average(x, axis=0, weights=weight)
+        across, own = x.T @ (weight * y), np.maximum((x**2).T @ weight, (self.noise.dc_gain / self.noise.std) ** 2)
+        return 0.5 * across**2 / own, across / own
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,15 +154,19 @@ class _Folding:
         return np.minimum((at % self.lap_m / self.lap_m * count).astype(np.int64), count - 1), count
 
 
-def find_place(distances: Sequence[Array], residuals: Sequence[Array], masks: Sequence[Mask]) -> Place | None:
+def find_place(
+    distances: Sequence[Array], residuals: Sequence[Array], masks: Sequence[Mask], loads: Sequence[Array] | None = None
+) -> Place | None:
     """What comes again at the same place; None where nothing surely does.
 
     Parameters
     ----------
     distances
-        Driven at each sample since the start of each session [m].
+        From the start of each session along its route [m], see `on_laps.driven_along`.
     residuals, masks
         Against travel [Nm], and where it may be compared.
+    loads
+        Weight over its mean, or any other series: the torque at a place grows with it. The same everywhere without one.
 
     Notes
     -----
@@ -128,35 +177,39 @@ def find_place(distances: Sequence[Array], residuals: Sequence[Array], masks: Se
     means, known = _means(distances, residuals, masks)
     if sum(int(k.sum()) for k in known) < FEWEST_BINS:
         return None
-    longest = max(float(d[-1]) for d in distances)
+    longest, ways = max(float(np.abs(d).max()) for d in distances), [_way(d) for d in distances]
     laps = _laps(longest, len(distances))
-    away = _whitened(means, known, estimate_noise(means, known, LARGEST_ROOT))
+    away = _whitened(means, known, ways, estimate_noise(means, known, LARGEST_ROOT))
     first = _best(away, laps, away)
-    left = [m - x for m, x in zip(means, _expected(means, known, first), strict=True)]
+    left = [m - x for m, x in zip(means, _expected(means, known, ways, first), strict=True)]
     noise = estimate_noise(left, known)
-    bins = _whitened(means, known, noise)
-    best = _best(bins, laps, _whitened(left, known, noise))
+    bins = _whitened(means, known, ways, noise)
+    best = _best(bins, laps, _whitened(left, known, ways, noise))
     tried = math.log(len(laps) * len(WIDTHS) * len(PRIORS))
     if best.evidence < tried + SURE or not _shows_on_others(bins, best):
         return None
-    expected = _expected(means, known, best)
-    left = [r - x[(d // BIN_M).astype(np.int64)] for r, d, x in zip(residuals, distances, expected, strict=True)]
-    folded, data = best.lap_m < longest, (distances, residuals, left, masks)
-    place = _place(best.lap_m, folded, tried, *data)
-    return _place(_length(place, distances, residuals, masks), folded, tried, *data) if folded else place
+    expected = _expected(means, known, ways, best)
+    left = [r - x[_bins_of(d)] for r, d, x in zip(residuals, distances, expected, strict=True)]
+    loads = [np.ones(len(d)) for d in distances] if loads is None else loads
+    folded, rows = best.lap_m < longest, _Rows.of(distances, residuals, left, masks, loads)
+    place = _place(best.lap_m, folded, tried, rows)
+    return _place(_length(place, rows), folded, tried, rows) if folded else place
 
 
-def _length(place: Place, distances: Sequence[Array], residuals: Sequence[Array], masks: Sequence[Mask]) -> float:
-    """The length near that of a place with which its torque shows best: the means inside and outside part most."""
-    distance, residual = (np.concatenate([x[m] for x, m in zip(of, masks, strict=True)]) for of in (distances, residuals))
-    moves = np.arange(-MOST_MOVED, MOST_MOVED + 1) * EDGES_M[0]
-    best = (-math.inf, place.lap_m)
-    for lap in place.lap_m * (1.0 + FINER * np.arange(-MOST_OFF, MOST_OFF + 1)):
-        inside = (distance - place.begin_m - moves[:, np.newaxis]) % lap < place.end_m - place.begin_m
-        number = inside.sum(axis=1)
-        apart = inside @ residual / number - ~inside @ residual / (len(residual) - number)
-        best = max(best, (float((np.sign(place.size) * apart * np.sqrt(number)).max()), float(lap)))
-    return best[1]
+def _length(place: Place, rows: _Rows) -> float:
+    """The length near that of a place with which a torque between two edges explains most."""
+    laps = place.lap_m * (1.0 + FINER * np.arange(-MOST_OFF, MOST_OFF + 1))
+    return float(max(laps, key=lambda lap: _box(place.begin_m, place.end_m, EDGES_M[0], lap, rows)[3]))
+
+
+def _bins_of(distance: Array) -> Indices:
+    """Number of the stretch that each sample is in, from the start of its session."""
+    return np.asarray(np.maximum(_way(distance) * distance, 0.0) // BIN_M, dtype=np.int64)
+
+
+def _way(distance: Array) -> float:
+    """1, or -1 where laps go the other way round."""
+    return -1.0 if distance[-1] < 0.0 else 1.0
 
 
 def _middles(means: Array) -> Array:
@@ -181,9 +234,9 @@ def _best(bins: _Bins, laps: Array, left: _Bins) -> _Folding:
     return max(found, key=lambda one: one.evidence)
 
 
-def _expected(means: Sequence[Array], known: Sequence[Mask], folding: _Folding) -> list[Array]:
+def _expected(means: Sequence[Array], known: Sequence[Mask], ways: Sequence[float], folding: _Folding) -> list[Array]:
     """Mean of each place over its passes, at each bin."""
-    found = [folding.places(_middles(m)) for m in means]
+    found = [folding.places(way * _middles(m)) for m, way in zip(means, ways, strict=True)]
     count = found[0][1]
     total, passes = (
         np.sum([np.bincount(p[k], weights=x[k], minlength=count) for (p, _), x, k in zip(found, of, known, strict=True)], axis=0)
@@ -205,17 +258,17 @@ def _means(distances: Sequence[Array], residuals: Sequence[Array], masks: Sequen
     """Mean residual of each stretch of each session, less the mean of all, and where there is one."""
     means, known = [], []
     for distance, residual, mask in zip(distances, residuals, masks, strict=True):
-        place, used = (distance // BIN_M).astype(np.int64), mask & np.isfinite(residual)
-        count = np.bincount(place[used], minlength=place[-1] + 1)
-        means.append(np.bincount(place[used], weights=residual[used], minlength=place[-1] + 1) / np.maximum(count, 1))
+        place, used = _bins_of(distance), mask & np.isfinite(residual)
+        count = np.bincount(place[used], minlength=place.max() + 1)
+        means.append(np.bincount(place[used], weights=residual[used], minlength=place.max() + 1) / np.maximum(count, 1))
         known.append(count > 0)
     mean = float(np.concatenate(means)[np.concatenate(known)].mean())
     return [np.where(k, m - mean, 0.0) for m, k in zip(means, known, strict=True)], known
 
 
-def _whitened(means: Sequence[Array], known: Sequence[Mask], noise: Noise) -> _Bins:
+def _whitened(means: Sequence[Array], known: Sequence[Mask], ways: Sequence[float], noise: Noise) -> _Bins:
     white = np.concatenate([whitened(m, k, noise.phi) / noise.std for m, k in zip(means, known, strict=True)])
-    at = np.concatenate([_middles(m) for m in means])
+    at = np.concatenate([way * _middles(m) for m, way in zip(means, ways, strict=True)])
     session = np.repeat(np.arange(len(means)), [len(m) for m in means])
     valid = np.isfinite(white)
     return _Bins(at[valid], session[valid], np.clip(white[valid], -FURTHEST, FURTHEST))
@@ -255,33 +308,21 @@ def _shows_on_others(bins: _Bins, folding: _Folding) -> bool:
     return len(helped) >= FEWEST_PASSES and bool(np.mean(helped) >= 1.0 - MOST_WORSE)
 
 
-def _place(
-    lap_m: float,
-    folded: bool,
-    tried: float,
-    distances: Sequence[Array],
-    residuals: Sequence[Array],
-    left: Sequence[Array],
-    masks: Sequence[Mask],
-) -> Place:
-    """The torque over the place in a lap of a length; the noise is that of what is left without it."""
-    noise = estimate_noise(left, masks, LARGEST_ROOT)
-    weight = noise.weights(np.concatenate([whitened(x, m, noise.phi) / noise.std for x, m in zip(left, masks, strict=True)]))
+def _place(lap_m: float, folded: bool, tried: float, rows: _Rows) -> Place:
+    """The torque over the place in a lap of a length."""
+    distances, masks = rows.distances, rows.masks
     course = tuple(d % lap_m for d in distances)
-    white = np.concatenate([whitened(r, m, noise.phi) / noise.std for r, m in zip(residuals, masks, strict=True)])
-    spread = float(np.std(np.concatenate([r[m] for r, m in zip(residuals, masks, strict=True)])))
     profiles = []
     for width in WIDTHS:
         count = max(FEWEST_PLACES, round(lap_m / (BIN_M * width)))
         design = [_hats(c / lap_m * count, count) for c in course]
-        columns = np.concatenate([whitened(x, m, noise.phi) / noise.std for x, m in zip(design, masks, strict=True)])
-        profiles.append((*_learned(columns, white, weight, noise, spread), design))
+        profiles.append((*_learned(rows.columns(design), rows), design))
     evidence, cost, profile, design = max(profiles, key=lambda one: one[0])
     profile, count = profile - np.median(profile), len(profile)
     first, last = _acts(profile)
     begin, end = first / count * lap_m, (last + 1) / count * lap_m
     for edge_m in EDGES_M:
-        begin, end, size, gain = _box(begin, end, edge_m, lap_m, course, masks, white, weight, noise)
+        begin, end, size, gain = _box(begin, end, edge_m, lap_m, rows)
     middle = 0.5 * (begin + end)
     there = [np.abs((d - middle + 0.5 * lap_m) % lap_m - 0.5 * lap_m) < 0.5 * (end - begin) for d in distances]
     passes = sum(
@@ -289,57 +330,38 @@ def _place(
     )
     edges = 2.0 * len(EDGES_M) * math.log(2.0 * MOST_MOVED + 1.0)
     if gain - edges > evidence:  # the same all over it, and nothing elsewhere
-        cost, shape = edges, tuple(((c - begin) % lap_m < end - begin).astype(float) for c in course)
+        cost, shape = edges, tuple(load * ((c - begin) % lap_m < end - begin) for c, load in zip(course, rows.loads, strict=True))
     else:
         scale = profile @ np.concatenate([x[m & t] for x, m, t in zip(design, masks, there, strict=True)]).mean(axis=0)
-        shape = tuple(x @ profile / scale for x in design)
+        shape = tuple(load * (x @ profile) / scale for x, load in zip(design, rows.loads, strict=True))
     return Place(lap_m, size, begin, end, passes, folded, cost + tried, course, shape)
 
 
-def _box(
-    begin: float,
-    end: float,
-    edge_m: float,
-    lap_m: float,
-    course: Sequence[Array],
-    masks: Sequence[Mask],
-    white: Array,
-    weight: Array,
-    noise: Noise,
-) -> tuple[float, float, float, float]:
+def _box(begin: float, end: float, edge_m: float, lap_m: float, rows: _Rows) -> tuple[float, float, float, float]:
     """Edges near these, at which a torque that is there between them and nowhere else explains most; that torque [Nm], and what
     it gains in log-likelihood.
     """
-    valid = np.isfinite(white)
-    y, weight = white[valid], weight[valid]
-    constant = noise.dc_gain / noise.std
-    y = y - np.average(y, weights=weight)
     best = (-math.inf, begin, end, 0.0)
     moves = np.arange(-MOST_MOVED, MOST_MOVED + 1) * edge_m
     for moved_begin in begin + moves:
         ends = end + moves
         ends = ends[(ends - moved_begin >= BIN_M) & (ends - moved_begin < lap_m - BIN_M)]
-        parts = []
-        for c, m in zip(course, masks, strict=True):
-            inside = ((c - moved_begin) % lap_m)[:, np.newaxis] < ends - moved_begin
-            parts.append(whitened(inside.astype(float), m, noise.phi) / noise.std)
-        x: Array = np.concatenate(parts)[valid]
-        x -= np.average(x, axis=0, weights=weight)
-        across, own = x.T @ (weight * y), np.maximum((x**2).T @ weight, constant**2)
-        gains = across**2 / own
-        if len(gains) and gains.max() > best[0]:
-            i = int(np.argmax(gains))
-            best = (float(gains[i]), float(moved_begin), float(ends[i]), float(across[i] / own[i]))
-    _, begin, end, size = best
+        if not len(ends):
+            continue
+        gains, sizes = rows.gains([((d - moved_begin) % lap_m)[:, np.newaxis] < ends - moved_begin for d in rows.distances])
+        i = int(np.argmax(gains))
+        if gains[i] > best[0]:
+            best = (float(gains[i]), float(moved_begin), float(ends[i]), float(sizes[i]))
+    gain, begin, end, size = best
     turns = math.floor(begin / lap_m)
-    return begin - turns * lap_m, end - turns * lap_m, size, 0.5 * best[0]
+    return begin - turns * lap_m, end - turns * lap_m, size, gain
 
 
-def _learned(columns: Array, white: Array, weight: Array, noise: Noise, spread: float) -> tuple[float, float, Array]:
+def _learned(columns: Array, rows: _Rows) -> tuple[float, float, Array]:
     """Log-evidence, what of it the places cost, and the torque at each, with the size of places that is likeliest."""
-    valid = np.isfinite(white)
-    mean = np.full(valid.sum(), noise.dc_gain / noise.std)  # the base's
-    x, y, weight = np.column_stack([columns[valid], mean]), white[valid], weight[valid]
+    valid, spread = np.isfinite(rows.white), rows.spread
+    mean = np.full(valid.sum(), rows.noise.dc_gain / rows.noise.std)  # the base's
+    x, y, weight = np.column_stack([columns[valid], mean]), rows.white[valid], rows.weight[valid]
     normal, right = (x.T * weight) @ x, (x.T * weight) @ y
     found = []
     for size in SIZES:

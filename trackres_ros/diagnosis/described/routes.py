@@ -21,7 +21,7 @@ from trackres_ros.diagnosis.inference.fitting import Fit, fit
 from trackres_ros.diagnosis.inference.noise import LARGEST_ROOT, SHORT_ROOT, Noise, estimate_noise
 from trackres_ros.diagnosis.prepare.on_route import way_of
 from trackres_ros.diagnosis.prepare.session import Session
-from trackres_ros.diagnosis.selection.naming import Candidate, Step, compared
+from trackres_ros.diagnosis.selection.naming import Candidate, compared
 from trackres_ros.diagnosis.selection.visibility import base_columns
 from trackres_ros.diagnosis.writing.kept import BY_PLACE
 from trackres_ros.route.learned import SLOPE, TORQUE, RouteMap
@@ -198,27 +198,6 @@ def find_route(current: Fit, roads: Roads, kinds: Collection[str] = (SLOPE, TORQ
     course = tuple(np.where(m.known, SPACING_M * (m.place * m.share).sum(axis=1), np.nan) for m in roads.at)
     again = int(np.median(passes[passes > 1]))
     return Route(found, best.apart, metres, again_m, again, course, best.places, best.learned)
-
-
-def beside_names(
-    first: Route | None, roads: Roads | None, named: Fit, kinds: Collection[str] = (SLOPE, TORQUE)
-) -> tuple[Route | None, Fit]:
-    """What goes by place, learned again beside the effects that were named with it, if there are any; and the fit with it."""
-    if first is None or roads is None or named.effect_names == (first.candidate.name,):
-        return first, named
-    others = [a.effect for a in named.effects if a.effect.name != first.candidate.name]
-    without = fit(named.problem, others, named.at, named.noises)
-    again = find_route(without, roads, kinds)
-    return again, without if again is None else again.candidate.fit
-
-
-def by_place(route: Route, round_: Step) -> Step:
-    """The round in which a slope by place was chosen, before a first round of names."""
-    chosen = route.candidate
-    return replace(
-        round_, by_noise=SURE, threshold=SURE, screened=(), candidates=(chosen,), chosen=chosen, members=(chosen.name,),
-        weights={chosen.name: 1.0}, stability=1.0,
-    )  # fmt: skip
 
 
 def _better(

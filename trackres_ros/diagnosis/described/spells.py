@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from trackres_ros.estimator.disturbance import BLOCK_S, later_level, seen_level
+from trackres_ros.jit.compiled import compiled
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -162,10 +163,32 @@ def _look(b: Blocks, chain: Chain) -> tuple[Array, Array, float]:
     logs = [-0.5 * ((b.mean - level) ** 2 / variance + np.log(2.0 * math.pi * variance)) for level in (chain.rest, chain.level)]
     top = np.maximum(*logs)
     here = [np.exp(x - top) for x in logs]
-    absent, present, starts = here[0].tolist(), here[1].tolist(), b.first.tolist()
-    stay0, come, go, stay1 = 1.0 - chain.comes, chain.comes, chain.goes, 1.0 - chain.goes
-    n, share = len(absent), chain.share
-    forward, scales = np.empty((n, 2)), np.empty(n)
+    n = len(b.mean)
+    forward, backward, scales = np.empty((n, 2)), np.ones((n, 2)), np.empty(n)
+    _pass(here[0], here[1], b.first, chain.comes, chain.goes, chain.share, forward, backward, scales)
+    there = forward * backward
+    there /= there.sum(axis=1, keepdims=True)
+    inner = np.flatnonzero(~b.first)
+    step = np.array([[1.0 - chain.comes, chain.comes], [chain.goes, 1.0 - chain.goes]])
+    after = np.stack([here[0][inner], here[1][inner]], axis=1) * backward[inner] / scales[inner, np.newaxis]
+    pairs = step * (forward[inner - 1].T @ after)
+    return there[:, 1], pairs, float(np.log(scales).sum() + top.sum())
+
+
+@compiled
+def _pass(
+    absent: Array,
+    present: Array,
+    starts: Mask,
+    come: float,
+    go: float,
+    share: float,
+    forward: Array,
+    backward: Array,
+    scales: Array,
+) -> None:
+    """Forward, with the scale of each block, and backward, each over the likelihoods of not being there and of being there."""
+    stay0, stay1, n = 1.0 - come, 1.0 - go, len(absent)
     f0 = f1 = 0.0
     for i in range(n):
         if starts[i]:
@@ -176,7 +199,6 @@ def _look(b: Blocks, chain: Chain) -> tuple[Array, Array, float]:
         total = p0 + p1
         f0, f1 = p0 / total, p1 / total
         forward[i, 0], forward[i, 1], scales[i] = f0, f1, total
-    backward = np.ones((n, 2))
     b0 = b1 = 1.0
     for i in range(n - 2, -1, -1):
         if starts[i + 1]:
@@ -185,13 +207,6 @@ def _look(b: Blocks, chain: Chain) -> tuple[Array, Array, float]:
             a, p, scale = absent[i + 1] * b0, present[i + 1] * b1, scales[i + 1]
             b0, b1 = (stay0 * a + come * p) / scale, (go * a + stay1 * p) / scale
         backward[i, 0], backward[i, 1] = b0, b1
-    there = forward * backward
-    there /= there.sum(axis=1, keepdims=True)
-    inner = np.flatnonzero(~b.first)
-    step = np.array([[stay0, come], [go, stay1]])
-    after = np.stack([here[0][inner], here[1][inner]], axis=1) * backward[inner] / scales[inner, np.newaxis]
-    pairs = step * (forward[inner - 1].T @ after)
-    return there[:, 1], pairs, float(np.log(scales).sum() + top.sum())
 
 
 def levels_given(b: Blocks, there: Array) -> tuple[float, float, float]:
@@ -242,11 +257,18 @@ def _wandering(b: Blocks, w: Wander) -> float:
 
 def expected_level(b: Blocks, w: Wander) -> tuple[Array, Array]:
     """What is expected of each block's mean by the blocks before it [Nm], and the variance about that."""
-    keep = math.exp(-BLOCK_S / w.seconds)
-    level, variance = 0.0, w.size**2
     expected, spread = np.empty(len(b.mean)), np.empty(len(b.mean))
-    for i, (mean, noise) in enumerate(zip(b.mean.tolist(), (w.noise**2 / b.count).tolist(), strict=True)):
-        level, variance = (0.0, w.size**2) if b.first[i] else later_level(level, variance, keep, w.size)
-        expected[i], spread[i] = level, variance + noise
-        level, variance = seen_level(level, variance, mean, noise)
+    _follow(b.mean, w.noise**2 / b.count, b.first, math.exp(-BLOCK_S / w.seconds), w.size, expected, spread)
     return expected, spread
+
+
+@compiled
+def _follow(mean: Array, noise: Array, first: Mask, keep: float, size: float, expected: Array, spread: Array) -> None:
+    level, variance = 0.0, size * size
+    for i in range(len(mean)):
+        if first[i]:
+            level, variance = 0.0, size * size
+        else:
+            level, variance = later_level(level, variance, keep, size)
+        expected[i], spread[i] = level, variance + noise[i]
+        level, variance = seen_level(level, variance, mean[i], noise[i])

@@ -26,11 +26,15 @@ from trackres_ros.effects.learned import (
     ACCELERATION,
     ALWAYS,
     AMBIENT,
+    BELOW,
+    BELT,
+    BRAKES,
     BRAKING,
     BY_BRAKING,
     BY_DISTANCE,
     BY_TIME,
     CURVATURE,
+    DRIVES,
     DRIVING_TORQUE,
     GATES,
     HEAVY,
@@ -39,13 +43,18 @@ from trackres_ros.effects.learned import (
     LOAD,
     OPEN,
     RIGHT,
+    SIDES,
     SPEED,
+    STEP,
     TURN,
     TURNING,
     VARIABLES,
     BuildUp,
+    Corner,
     Curve,
+    Latch,
     Learned,
+    SidedGain,
 )
 from trackres_ros.estimator.disturbance import BLOCK_S
 from trackres_ros.text.numbers import figures, on_scale
@@ -64,6 +73,19 @@ MECHANISMS: Mapping[int, tuple[str, ...]] = {
         "play in the drive train, taken up as the torque changes its sign",
         "a gear or coupling that binds under load",
     ),
+    BELT: (
+        "a fan or pump that is switched by temperature",
+        "rubber or grease that changes more with temperature than the file says",
+    ),
+}
+OF_LATCHES: Mapping[int, tuple[str, ...]] = {
+    SPEED: ("a gear or range that changes up and down at different speeds", "a pump or fan that is switched by speed"),
+    LOAD: ("something that touches when springs are compressed, and sticks",),
+    BELT: ("a fan, pump or valve with a thermostat",),
+}
+OF_GAINS: Mapping[int, tuple[str, ...]] = {
+    DRIVES: ("a torque sensor with another gain for one sign", "gears that lose more while they drive"),
+    BRAKES: ("a torque sensor with another gain for one sign", "a brake that works along while the motor brakes"),
 }
 OF_GATES: Mapping[int, tuple[str, ...]] = {
     LEFT: ("something that touches in left turns only: a guide, a mudguard, a hose", "the guides of the right belt"),
@@ -102,7 +124,8 @@ class Described:
     Attributes
     ----------
     form
-        `curve`, `gated_curve`, `build_up`, `spells`, `wave`, `place`, `payload`, `level_change` or `drift`.
+        `curve`, `gated_curve`, `step`, `hinge`, `latch`, `sided_gain`, `build_up`, `spells`, `wave`,
+        `place`, `payload`, `level_change`, `drift` or `spread`.
     name
         Of the effect in the fit; empty for what is only watched for.
     variable, gate
@@ -138,25 +161,28 @@ class Described:
 
 
 def of_learned(effect: Learned, values: Mapping[str, float]) -> Described:
-    """A curve or a build-up with the values of a fit."""
+    """An effect without a name with the values of a fit."""
     if isinstance(effect, BuildUp):
         return _of_build_up(effect, values)
+    if isinstance(effect, SidedGain):
+        return _of_gain(effect, values)
+    if isinstance(effect, Corner | Latch):
+        return _of_threshold(effect, values)
     assert isinstance(effect, Curve)
     x, y = ([values[q.name] for q in effect.parameters if q.name.startswith(of)] for of in ("x", "y"))
     follows, opens = VARIABLES[effect.variable], GATES[effect.gate]
     largest = max(y, key=abs)
-    where = f" {opens.text}" if effect.gate != OPEN else ""
-    if effect.variable == ALWAYS:
-        text = f"It takes {_more(largest)}{where}"
-    elif len(y) == 1:
-        text = f"It takes {_more(largest)}{where}, whatever the {follows.text}"
+    where = "" if effect.gate == OPEN else f"{opens.text[0].upper()}{opens.text[1:]}, "
+    if len(y) == 1:
+        at_any = "" if effect.variable == ALWAYS else f", at any {follows.text}"
+        text = f"{where}{'t' if where else 'T'}he vehicle needs {_more(largest)} than the model{at_any}"
     else:
-        low, high = min(range(len(y)), key=y.__getitem__), max(range(len(y)), key=y.__getitem__)
+        one, other = sorted((min(range(len(y)), key=y.__getitem__), max(range(len(y)), key=y.__getitem__)), key=x.__getitem__)
         unit = "" if follows.unit == "1" else f" {follows.unit}"
-        at = [on_scale(one, max(x) - min(x)) for one in x]
+        at = [f"{on_scale(knot, max(x) - min(x))}{unit}" for knot in x]
         text = (
-            f"It takes {figures(y[high] - y[low])} Nm more with the {follows.text} at {at[high]}{unit} than at "
-            f"{at[low]}{unit}{where} (from {figures(y[low])} to {figures(y[high])} Nm)"
+            f"{where}{'t' if where else 'T'}he extra torque {'rises' if y[other] > y[one] else 'falls'} from "
+            f"{_signed(y[one])} at {at[one]} of {follows.text} to {_signed(y[other])} at {at[other]}"
         )
     looked = OF_GATES.get(effect.gate, ()) + (() if effect.variable == ALWAYS else MECHANISMS[effect.variable][:1])
     return Described(
@@ -168,41 +194,72 @@ def of_learned(effect: Learned, values: Mapping[str, float]) -> Described:
 def _of_build_up(effect: BuildUp, values: Mapping[str, float]) -> Described:
     level, scale = values["y1"], values["scale"]
     if effect.by == BY_BRAKING:
-        text = f"It takes {_more(level)} after it has slowed down, which goes within about {figures(scale)} s"
+        text = f"After braking, the vehicle needs {_more(level)} than the model. That fades within about {figures(scale)} s"
     else:
         unit, since = ("m", "distance") if effect.by == BY_DISTANCE else ("s", "time")
-        text = (
-            f"{_more(level)[0].upper()}{_more(level)[1:]} builds up over about {figures(scale)} {unit} and is gone after a stop"
-        )
+        text = f"An extra torque of {_signed(level)} builds up over about {figures(scale)} {unit}. It is gone after a stop"
         return Described(
             "build_up", effect.name, f"{since} since a stop", "", None, scale, text, OF_BUILD_UPS[effect.by], abs(level), True
         )
     return Described("build_up", effect.name, "braking", "", None, scale, text, OF_BUILD_UPS[effect.by], abs(level), True)
 
 
+def _of_threshold(effect: Corner | Latch, values: Mapping[str, float]) -> Described:
+    """A step, a hinge or a latch."""
+    follows, level, scale = VARIABLES[effect.variable], values["y1"], values["x2"] - values["x1"]
+
+    def at(name: str) -> str:
+        return f"{on_scale(values[name], scale)} {follows.unit}"
+
+    if isinstance(effect, Latch):
+        form, mechanisms = "latch", OF_LATCHES[effect.variable]
+        text = f"It takes {_more(level)} from when the {follows.text} rises above {at('on')} until it falls below {at('off')}"
+    elif effect.kind == STEP:
+        form, mechanisms = "step", MECHANISMS[effect.variable]
+        text = f"It takes {_more(level)} with the {follows.text} above {at('threshold')} than below"
+    else:
+        form, mechanisms = "hinge", MECHANISMS[effect.variable]
+        side, end = ("below", "x1") if effect.kind == BELOW else ("above", "x2")
+        text = (
+            f"With the {follows.text} {side} {at('threshold')} it takes ever {_more_or_less(level)}, {_more(level)} at {at(end)}"
+        )
+    return Described(form, effect.name, follows.text, "", None, None, text, mechanisms, abs(level), True, follows.unit)
+
+
+def _of_gain(effect: SidedGain, values: Mapping[str, float]) -> Described:
+    """Another gain for one sign of the torque."""
+    gain, side, follows = values["gain"], SIDES[effect.side], VARIABLES[effect.variable]
+    text = f"The torque {side.text} is {abs(gain):.1%} {'larger' if gain > 0.0 else 'smaller'} than the model has"
+    size = abs(gain) * values["x1"]
+    return Described(
+        "sided_gain", effect.name, follows.text, side.text, None, None, text, OF_GAINS[effect.side], size, True, follows.unit
+    )  # fmt: skip
+
+
 def of_spells(name: str, chain: Chain, level: float, count: int, lengths_s: Array, begins: str) -> Described:
     """Spells of a size [Nm]: how many there were, how long each was [s], and what their beginnings have in common."""
     low, high = (figures(float(q), 2) for q in np.quantile(lengths_s if len(lengths_s) else [BLOCK_S / chain.goes], (0.1, 0.9)))
-    text = f"For {low} to {high} s at a time it takes {_more(level)}, {count} times in these recordings{begins}"
+    text = f"For {low} to {high} s at a time, the vehicle needs {_more(level)} than the model"
+    text += f". That happens {count} times in these recordings{begins}"
     return Described(
-        "spells", name, "", "", None, BLOCK_S / chain.goes, f"{text}; it follows nothing that is recorded", OF_SPELLS,
+        "spells", name, "", "", None, BLOCK_S / chain.goes, f"{text}. It follows no recorded channel", OF_SPELLS,
         abs(level), False,
     )  # fmt: skip
 
 
 def of_wave(name: str, wave: Wave, level: float, part: str) -> Described:
     """A wave of a size [Nm], named after the part that goes round in its length, if one does."""
-    of = f", {part}" if part else ""
-    text = f"A torque of {figures(abs(level))} Nm to either side comes again every {figures(wave.length_m, 4)} m{of}"
+    of = f", which is {part}" if part else ""
+    text = f"A torque of ±{figures(abs(level))} Nm repeats every {figures(wave.length_m, 4)} m{of}"
     return Described("wave", name, "driven distance", "", wave.length_m, None, text, OF_WAVES, abs(level), False)
 
 
 def of_place(name: str, level: float, place: Place) -> Described:
     """A torque of a size [Nm] at the same place on each pass."""
-    route = f"of each lap of {figures(place.lap_m, 4)} m" if place.folded else "of the route of each recording"
+    route = f"each lap of {figures(place.lap_m, 4)} m" if place.folded else "the route of each recording"
     text = (
-        f"At the same place {route}, from {figures(place.begin_m)} to {figures(place.end_m)} m after its start, it takes "
-        f"{_more(level)}; seen on {place.passes} passes"
+        f"From {figures(place.begin_m)} to {figures(place.end_m)} m after the start of {route}, the vehicle needs "
+        f"{_more(level)} than the model. The recordings show it on {place.passes} passes"
     )
     lap_m = place.lap_m if place.folded else None
     return Described(
@@ -218,8 +275,8 @@ def of_payload(name: str, level: float, payload: Payload) -> Described:
     low, high = np.quantile(np.repeat(masses, np.maximum(1, np.round(seconds)).astype(int)), (0.05, 0.95))
     sure = float(np.median([s.std for s in stretches]))
     text = (
-        f"The vehicle weighs from {_more(float(low), 'kg')} to {_more(float(high), 'kg')} than the model has, another "
-        f"mass after each stop ({len(stretches)} stretches, each known to about {figures(sure)} kg)"
+        f"The vehicle weighs between {_more(float(low), 'kg')} and {_more(float(high), 'kg')} than in the model. The mass "
+        f"changes at stops ({len(stretches)} stretches, each with a standard deviation of about {figures(sure)} kg)"
     )
     return Described("payload", name, "mass", "", None, None, text, OF_PAYLOAD, abs(level), False, "kg", stretches)
 
@@ -228,11 +285,11 @@ def of_route(name: str, size: float, least: float, most: float, route: Route) ->
     """What goes by place, from a least to a most torque [Nm] and of a size, where it is not told for a slope."""
     tied = abs(route.apart) <= TOLD
     text = (
-        f"At the same places of {figures(0.001 * route.metres)} km of streets it takes from {_more(least)} to {_more(most)} on "
-        f"each pass, {route.passes} of most that were passed again"
+        f"On {figures(0.001 * route.metres)} km of streets, the vehicle needs between {_more(least)} and {_more(most)} than the "
+        f"model, by the place. Most of the repeated streets have {route.passes} passes"
     )
     if tied:
-        text += "; passing them the other way too, or with another load, would tell whether that is a slope"
+        text += ". Driving them the other way too, or with another load, would show whether that is a slope"
     mechanisms = OF_PLACES if tied else OF_PLACES[1:]
     return Described("place", name, "place on the route", "", None, None, text, mechanisms, size, True, unit="m")
 
@@ -240,8 +297,8 @@ def of_route(name: str, size: float, least: float, most: float, route: Route) ->
 def of_level_change(name: str, level: float, sessions: Sequence[Session], change: LevelChange) -> Described:
     """A level that changed for good by so much [Nm]."""
     text = (
-        f"Since {_when(sessions, change)} it takes {_more(level)}, to the end of the recordings; a diagnosis of the recordings "
-        "since then alone can write that into a vehicle file"
+        f"Since {_when(sessions, change)} the vehicle needs {_more(level)} than before, until the end of the recordings. "
+        "Diagnose the recordings since then alone to write that into a vehicle file"
     )
     return Described(
         "level_change", name, "", "", None, None, text, OF_LEVEL_CHANGES, abs(level), False
@@ -263,11 +320,19 @@ def _when(sessions: Sequence[Session], change: LevelChange) -> str:
 
 def of_drift(wander: Wander) -> Described:
     """A torque that wanders."""
-    text = (
-        f"It wanders by {figures(wander.size)} Nm over about {figures(wander.seconds, 2)} s, and follows nothing that is recorded"
-    )
+    over = f"The residual drifts by {figures(wander.size)} Nm over about {figures(wander.seconds, 2)} s"
+    text = f"{over}. It follows no recorded channel"
     return Described("drift", "", "", "", None, wander.seconds, text, OF_DRIFT, wander.size, False)
 
 
 def _more(by: float, unit: str = "Nm") -> str:
-    return f"{figures(abs(by))} {unit} {'more' if by > 0.0 else 'less'}"
+    return f"{figures(abs(by))} {unit} {_more_or_less(by)}"
+
+
+def _more_or_less(by: float) -> str:
+    return "more" if by > 0.0 else "less"
+
+
+def _signed(torque: float) -> str:
+    """A torque with its sign."""
+    return f"{'+' if torque > 0.0 else ''}{figures(torque)} Nm"

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.described.candidates import series
-from trackres_ros.diagnosis.described.describe import Term, beginnings, residuals_without, torque_blocks
+from trackres_ros.diagnosis.described.finders import Term, beginnings, residuals_without, torque_blocks
 from trackres_ros.diagnosis.described.spells import Chain, there_given
 from trackres_ros.diagnosis.described.terms import (
     Described,
@@ -25,7 +25,7 @@ from trackres_ros.diagnosis.described.terms import (
 )
 from trackres_ros.diagnosis.described.waves import part_of
 from trackres_ros.diagnosis.inference.fitting import Fit
-from trackres_ros.effects.learned import ALWAYS, MOVING_MPS, Curve, Learned
+from trackres_ros.effects.learned import ALWAYS, MOVING_MPS, Learned
 from trackres_ros.estimator.disturbance import BLOCK_S
 
 Array = NDArray[np.float64]
@@ -73,7 +73,7 @@ def _spells_of(chain: Chain, name: str, final: Fit) -> list[tuple[int, int, int]
 def course(term: Term, final: Fit) -> list[Array]:
     """What a term follows in each session: its variable, or how far it is built up; empty where that is the clock alone."""
     effect = term.candidate.effect
-    if isinstance(effect, Curve) and effect.variable != ALWAYS:
+    if isinstance(effect, Learned) and effect.variable != ALWAYS:
         return series(effect.variable, final)
     if term.place is not None:
         return list(term.place.course)

@@ -12,7 +12,7 @@ from dataclasses import fields
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.described.describe import Term, beginnings, fill, residuals_without, torque_blocks
+from trackres_ros.diagnosis.described.finders import Term, beginnings, fill, residuals_without, torque_blocks
 from trackres_ros.diagnosis.described.spells import Blocks, blocks, expected_level, find_wander, levels_given, there_given
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.selection.held_out import HeldOutLaps, Improvement

@@ -10,7 +10,7 @@ of a wave that is short beside it are smaller by the sinc of their ratio, which 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +19,7 @@ from scipy.stats import gamma
 
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.inference.noise import whitened
+from trackres_ros.diagnosis.prepare.session import Session
 
 Array = NDArray[np.float64]
 
@@ -27,6 +28,7 @@ PIECE_M = 4000.0  # over which a phase holds: the distance is integrated, and sl
 FEWEST_SAMPLES = 60  # of a piece
 FINER = 3.0  # steps of the grid within the resolution of a piece
 CHANCE = 0.002  # that noise alone reaches as far anywhere in the grid
+REMEMBERED_M = 1000.0  # over which a phase is averaged where it is followed
 SAME_LENGTH = 0.03  # relative: slip and wear of what goes round
 NEARLY_LARGEST = 12  # of the grid, which are fitted exactly
 AT_ONCE = 64
@@ -167,3 +169,22 @@ def _wave(found: Fit, pieces: list[_Piece], per_metre: float) -> Wave:
         shape[piece.session][piece.rows] = turned.real
     weights = [piece.valid.sum() for piece in pieces]
     return Wave(1.0 / per_metre, float(np.average(np.abs(sizes), weights=weights)), len(pieces), tuple(shape))
+
+
+def followed(wave: Wave, residuals: Sequence[Array], sessions: Sequence[Session]) -> list[Array]:
+    """The wave at each sample over its size, its phase and size by what was measured before: a mean that forgets."""
+    found = []
+    for residual, session in zip(residuals, sessions, strict=True):
+        metres = np.abs(np.nan_to_num(session.speed)) * session.step
+        turned = _mean_wave(np.concatenate(([0.0], np.cumsum(metres))), 1.0 / wave.length_m)
+        shown = np.where(session.used & np.isfinite(residual), residual, 0.0) / wave.size
+        keeps = np.exp(-metres / REMEMBERED_M)
+        like, weight, known = 0.0j, FEWEST_SAMPLES / 4.0, np.zeros(len(session))
+        for t, (x, w, keep, used) in enumerate(
+            zip(shown.tolist(), turned.tolist(), keeps.tolist(), session.used.tolist(), strict=True)
+        ):
+            known[t] = (like.conjugate() * w).real / weight if used else 0.0
+            like = keep * like + 2.0 * x * w
+            weight = keep * (weight - FEWEST_SAMPLES / 4.0) + abs(w) ** 2 * used + FEWEST_SAMPLES / 4.0
+        found.append(known)
+    return found

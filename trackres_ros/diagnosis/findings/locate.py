@@ -187,15 +187,15 @@ def acts(found: Fit, adds: Sequence[Array]) -> Acts:
     return result
 
 
-def smoothed(session: Session, residual: Array) -> Array:
-    """Means of a residual over `SMOOTHED_S`; nan in gaps."""
+def smoothed(session: Session, residual: Array, seconds: float = SMOOTHED_S) -> Array:
+    """Means of a residual over some seconds; nan in gaps."""
 
-    def summed(values: Array, seconds: float) -> Array:
-        window = np.ones(min(max(1, int(seconds / session.step)), len(values)))
+    def summed(values: Array, over_s: float) -> Array:
+        window = np.ones(min(max(1, int(over_s / session.step)), len(values)))
         return np.convolve(values, window, mode="same")
 
-    weight = summed(session.used.astype(float), SMOOTHED_S)
-    mean = summed(np.where(session.used, residual, 0.0), SMOOTHED_S) / np.maximum(weight, 1.0)
+    weight = summed(session.used.astype(float), seconds)
+    mean = summed(np.where(session.used, residual, 0.0), seconds) / np.maximum(weight, 1.0)
     return np.where(summed(session.used.astype(float), BROKEN_S) > 0.5, mean, np.nan)
 
 

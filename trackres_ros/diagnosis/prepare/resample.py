@@ -16,7 +16,7 @@ from trackres_ros.diagnosis.prepare.refuse import EARLIEST_CLOCK_S, SHORTEST_S, 
 from trackres_ros.diagnosis.prepare.sample_noise import noise_of_means
 from trackres_ros.diagnosis.prepare.sampling import LONGEST_HOLD_S, any_from, carried, held, means, middles, ordered, read_off
 from trackres_ros.diagnosis.prepare.session import Array, Course, Mask, Session, Way
-from trackres_ros.diagnosis.prepare.settings import LEAST_SAMPLES, STEP_S, GateSettings
+from trackres_ros.diagnosis.prepare.settings import LEAST_SAMPLES, SLOWEST_MPS, STEP_S, GateSettings
 from trackres_ros.diagnosis.prepare.speed_smoothing import smooth_speed
 from trackres_ros.diagnosis.prepare.turning import turning
 from trackres_ros.diagnosis.prepare.unit_checks import check_speed_unit, check_units
@@ -28,6 +28,7 @@ from trackres_ros.recording.samples import Series
 from trackres_ros.units import GRAVITY
 
 MOST_UNKNOWN = 0.5  # of a recording
+ODOMETER_OFF = 0.15  # of the speed: further off it was reset, or stood still
 CHANNELS = ("ambient", "grade", "yaw_rate", "heading", "accel")
 
 
@@ -116,7 +117,7 @@ def resample(
     accel, accel_noise = np.diff(at_edges) / step, smoothed.typical_change_std / step if smoothed else 0.0
     way = series.get("distance")
     by_way = np.diff(np.interp(edges, *ordered(way, start))) / step if way and np.isfinite(way.value).any() else None
-    check_speed_unit(recording.name, speed, accel, held_on("accel", np.nan) if "accel" in given else None, by_way)
+    notes += check_speed_unit(recording.name, speed, accel, held_on("accel", np.nan) if "accel" in given else None, by_way)
     if "accel" in given:
         mean, there = means(*ordered(series["accel"], start), edges)
         accel, accel_noise = np.where(there, mean, accel), 0.0
@@ -182,7 +183,7 @@ def resample(
         grade=held_on("grade", 0.0) if "grade" in given else np.zeros(count),
         yaw_rate=yaw_rate,
         heading=heading,
-        distance=np.cumsum(np.abs(speed)) * step,
+        distance=np.cumsum(_driven(speed, by_way)) * step,
         torque=torque,
         belt=belt,
         used=~_nowhere(count),
@@ -208,6 +209,16 @@ def resample(
         "slope not known": no_slope,
         BRAKES_ON: braked,
     }
+
+
+def _driven(speed: Array, by_way: Array | None) -> Array:
+    """Distance per time in each step [m/s]: by the odometer, where there is one and it agrees with the speed."""
+    by_speed = np.abs(np.nan_to_num(speed))
+    if by_way is None:
+        return by_speed
+    found = np.abs(by_way)
+    agrees = np.abs(found - by_speed) <= ODOMETER_OFF * by_speed + SLOWEST_MPS
+    return np.where(agrees & (by_speed > SLOWEST_MPS), found, by_speed)  # at rest what it moves by is noise
 
 
 def _nowhere(count: int) -> Mask:

@@ -28,6 +28,7 @@ AROUND = 1.7  # either way of a unit's factor
 LOAD_UNITS = {"kN": 1e3, "t": 1e3 * GRAVITY, "kg": GRAVITY, "lbf": 4.4482, "daN": 10.0}
 FASTEST_TURN, STEEPEST = PLAUSIBLE["yaw_rate"][1], PLAUSIBLE["grade"][1]
 DEGREE = np.pi / 180.0
+SPEED_OFF = 0.01  # against the recorded distance
 RELATED = 0.8  # correlation from which the ratio of two series is their units'
 FEWEST = 30
 OF_SPEED = {"km/h": 1.0 / KMH_PER_MPS, "mph": 0.44704, "knots": 0.51444, "mm/s": 1e-3, "cm/s": 1e-2}
@@ -82,8 +83,8 @@ def check_units(name: str, series: Mapping[str, Series], weight: float) -> list[
     return said
 
 
-def check_speed_unit(name: str, speed: Array, accel: Array, recorded_accel: Array | None, distance: Array | None) -> None:
-    """Refuse a speed that is not in m/s beside a recorded acceleration or distance.
+def check_speed_unit(name: str, speed: Array, accel: Array, recorded_accel: Array | None, distance: Array | None) -> list[str]:
+    """Refuse a speed that is not in m/s beside a recorded acceleration or distance; a note where it is a little off the distance.
 
     Parameters
     ----------
@@ -109,6 +110,11 @@ def check_speed_unit(name: str, speed: Array, accel: Array, recorded_accel: Arra
                 _refuse(f"{name}: speed", given, "a speed in m/s", unit, Conversion(factor), "speed")
         if 0.9 < 1e3 * ratio < 1.1:
             _refuse(f"{name}: distance", f"{ratio:.2g} of the way by the speed", "metres", "km", Conversion(1e3), "distance")
+        off = 1.0 / ratio - 1.0
+        if abs(off) > SPEED_OFF:
+            more = "more" if off > 0.0 else "less"
+            return [f"{name}: the speed reads {abs(off):.1%} {more} than the recorded distance says: one of the two is off"]
+    return []
 
 
 def _refuse(where: str, given: str, allowed: str, unit: str, conversion: Conversion, role: str) -> None:

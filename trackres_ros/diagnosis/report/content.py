@@ -16,15 +16,17 @@ import numpy as np
 
 from trackres_ros.diagnosis.described.routes import Route
 from trackres_ros.diagnosis.described.terms import Described
+from trackres_ros.diagnosis.findings.found import Found, Told
 from trackres_ros.diagnosis.findings.residual_bins import Bin
 from trackres_ros.diagnosis.findings.residual_sources import ResidualSources, residual_sources
-from trackres_ros.diagnosis.findings.verdict import Found, Told, likelier
+from trackres_ros.diagnosis.findings.spread import Spread
+from trackres_ros.diagnosis.findings.wording import likelier
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.report.inputs import inputs
-from trackres_ros.diagnosis.selection.held_out import Improvement
+from trackres_ros.diagnosis.selection.held_out import CONFIRMED, Improvement
 from trackres_ros.diagnosis.selection.intervals import Interval
-from trackres_ros.diagnosis.selection.naming import STABLE_SHARE, Candidate, Step
+from trackres_ros.diagnosis.selection.naming import Candidate, Step
 from trackres_ros.diagnosis.writing.sensor_lines import sensor_lines
 from trackres_ros.diagnosis.writing.vehicle_file import SURROUNDINGS_FILE
 from trackres_ros.effects.effect import BELONGS_TO
@@ -51,7 +53,7 @@ def report(d: Diagnosis, paths: Sequence[Path], bindings: Mapping[str, TopicBind
                     "nominal": _number(nominal[name].nominal),
                     "value": _number(value),
                     "unit": nominal[name].unit,
-                    "ci95": _pair(d.base_intervals.get(name)),
+                    **_of_base(d.base_intervals.get(name)),
                 }
                 for name, value in d.final.base_values.items()
             },
@@ -66,6 +68,8 @@ def report(d: Diagnosis, paths: Sequence[Path], bindings: Mapping[str, TopicBind
             "grade": d.verdict.grade,
             "sentence": d.verdict.sentence,
             "hint": d.steps[-1].hint or None,
+            "seen": d.verdict.seen or None,
+            "may_be": [{"name": name, "share": None if share is None else _number(share)} for name, share in d.verdict.may_be],
             "changed": [
                 {
                     "name": c.name,
@@ -80,10 +84,15 @@ def report(d: Diagnosis, paths: Sequence[Path], bindings: Mapping[str, TopicBind
             ],
         },
         "effects": [_effect(f, belongs_to[f.name]) for f in d.found],
-        "described": [_described(t) for t in d.described] + ([_drift(d.wanders, d.tracked)] if d.wanders and d.tracked else []),
+        "described": [
+            *(_described(t) for t in d.described),
+            *([_drift(d.wanders, d.tracked)] if d.wanders and d.tracked else []),
+            *([_spread(d.spread)] if d.spread else []),
+        ],
         "route": _route(d.routes[0], d.final) if d.routes else None,
         "routes": [_route(route, d.final) for route in d.routes],
         "refuted": [{"name": g.name, "heldout": _improvement(g.improvement)} for g in d.refuted],
+        "possible": [{"name": name, "share": _number(share)} for name, share in d.shares.items()],
         "written": {
             "base": d.kept.values is not None,
             "values": None if d.kept.values is None else _numbers(dict(d.kept.values)),
@@ -103,7 +112,7 @@ def report(d: Diagnosis, paths: Sequence[Path], bindings: Mapping[str, TopicBind
                 for measure, stages in d.held_out.by_lap.items()
             },
         },
-        "not_visible": [{"name": n.name, "why": n.why} for n in d.steps[-1].separability.not_visible],
+        "not_visible": [{"name": n.name, "why": n.why} for n in d.steps[-1].separability.of_names.not_visible],
         "rejected": [{"reason": x.reason, "samples": x.seconds} for x in d.gated.left_out],
         "advice": [
             {
@@ -189,7 +198,7 @@ def _why(c: Candidate, step: Step) -> str:
     if not c.matters:
         return f"adds {c.share:.1%} of the torque, which hardly matters"
     if step.chosen is None:
-        return f"not the best in {STABLE_SHARE:.0%} of resampled laps"
+        return "laps not used for fitting do not confirm it"
     return f"{likelier(step.chosen, c)} times less likely than {step.chosen.name}"
 
 
@@ -283,6 +292,11 @@ def _drift(of: Described, tracked: Improvement) -> dict[str, Any]:
     return {**_term(of), **_worth(tracked, tracked.grade), "parameters": {}}
 
 
+def _spread(of: Spread) -> dict[str, Any]:
+    tested = {"ratio": _number(of.ratio), "p": _number(of.p), "laps": of.laps}
+    return {**_term(of.described), "gain_nm": None, "grade": CONFIRMED, "heldout": None, "parameters": {}, **tested}
+
+
 def _worth(found: Improvement, grade: str) -> dict[str, Any]:
     return {"gain_nm": _number(found.before - found.after), "grade": grade, "heldout": _improvement(found)}
 
@@ -322,6 +336,12 @@ def _number(value: float) -> float | None:
 
 def _numbers(values: dict[str, float]) -> dict[str, float | None]:
     return {name: _number(value) for name, value in values.items()}
+
+
+def _of_base(interval: Interval | None) -> dict[str, Any]:
+    """A value of the base at the end of its range is only bounded."""
+    bound_only = interval is not None and interval.bound_only
+    return {"ci95": None if bound_only else _pair(interval), "bound_only": bound_only}
 
 
 def _pair(interval: Interval | None) -> list[float | None] | None:

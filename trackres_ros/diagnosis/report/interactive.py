@@ -22,6 +22,17 @@ from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.findings.locate import SMOOTHED_S, smoothed
 from trackres_ros.diagnosis.pipeline import Diagnosis
+from trackres_ros.diagnosis.report.believed import (
+    AVERAGED_S,
+    MARK,
+    Panel,
+    begins,
+    held_out_times,
+    marked_times,
+    minutes,
+    names,
+    panels,
+)
 from trackres_ros.diagnosis.report.series import (
     bins_by_variable,
     runs,
@@ -42,7 +53,8 @@ DOCUMENT = "diagnosis"
 SHOWN_EACH_S = 4.0  # of means over `SMOOTHED_S`
 LONGEST_LAP_S = 1200.0
 TITLE_LETTERS = 60
-RESIDUAL_HEIGHT, LAP_HEIGHT, BARS_HEIGHT = 150, 170, 190  # pixels
+BELIEVED_HEIGHT, RESIDUAL_HEIGHT, LAP_HEIGHT, BARS_HEIGHT = 220, 150, 170, 190  # pixels
+INTERACTIVE_LETTERS = 90  # of a small font over the width of a page
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,12 +76,15 @@ class Interactive:
         Of Bokeh.
     data
         Its documents, and which step is in which bin.
+    over_all
+        Colours and texts of the lines over all drives, with whether each is solid.
     """
 
     plots: tuple[Plot, ...]
     library: str
     version: str
     data: str
+    over_all: tuple[tuple[str, str, bool], ...] = ()
 
     def of(self, part: str) -> list[Plot]:
         """The plots of a part of the page."""
@@ -94,7 +109,8 @@ def interactive(d: Diagnosis) -> Interactive:
     sizes = [float(np.nanmean(np.square(s.torque - d.refitted.predicted[i].torque)[s.used])) for i, s in enumerate(d.sessions)]
     shown = sorted(np.argsort(sizes)[::-1][:MOST_RECORDINGS].tolist())
     document = Document()
-    drawn: list[tuple[str, Any]] = [*_over_time(d, shown), *_lap(d), *_bars(d)]
+    over_all = panels(d)
+    drawn: list[tuple[str, Any]] = [*_believed(d, over_all), *_over_time(d, shown), *_lap(d), *_bars(d)]
     for _, figure in drawn:
         document.add_root(figure)
     (content,) = standalone_docs_json_and_render_items([figure for _, figure in drawn])[0].values()
@@ -108,7 +124,10 @@ def interactive(d: Diagnosis) -> Interactive:
     }
     library = "\n".join(Resources(mode="inline", components=["bokeh"]).js_raw)
     plots = tuple(Plot(part, f"plot-{root}", figure.title.text) for root, (part, figure) in zip(roots, drawn, strict=True))
-    return Interactive(plots, packed(library), bokeh.__version__, packed(json.dumps(data)))
+    legend = tuple((line.colour, line.text, line.solid) for panel in over_all for line in panel.lines)
+    where = marked_times(d)[0]
+    legend += (("#D9D9D9", "not used for fitting", True), *([(MARK, where, True)] if where else []))
+    return Interactive(plots, packed(library), bokeh.__version__, packed(json.dumps(data)), legend)
 
 
 def packed(text: str) -> str:
@@ -161,6 +180,56 @@ def _strips(figure: Any, session: int, unit: float) -> None:
 
 def _numbers(values: Array, places: int = 1) -> list[float]:
     return [float(v) for v in np.round(values, places)]
+
+
+def _believed(d: Diagnosis, over_all: Sequence[Panel]) -> list[tuple[str, Any]]:
+    """The residual over all drives, one after the other, with each term over it, and what is left."""
+    from bokeh.models import ColumnDataSource, HoverTool, Range1d
+    from bokeh.models.annotations import BoxAnnotation, Label, Span
+
+    ends, found = begins(d), []
+    every = np.concatenate([values for panel in over_all for line in panel.lines for values in line.values])
+    every = every[np.isfinite(every)]
+    low, high = (min(0.0, float(every.min())), max(0.0, float(every.max()))) if len(every) else (-1.0, 1.0)
+    rim = 0.1 * (high - low) + 1e-9
+    across = Range1d(start=0.0, end=ends[-1], bounds="auto")
+    floor = low - rim
+    up = Range1d(start=floor, end=high + 2.0 * rim)
+    for number, panel in enumerate(over_all):
+        figure = _figure(panel.title, BELIEVED_HEIGHT, x_range=across, y_range=up)
+        for begin, end in held_out_times(d):
+            figure.add_layout(BoxAnnotation(left=begin, right=end, fill_color=GREY, fill_alpha=0.15, line_color=None))
+        figure.add_layout(Span(location=0.0, dimension="width", line_color=GREY, line_width=1))
+        for begin in ends[1:-1]:
+            figure.add_layout(Span(location=begin, dimension="height", line_color=GREY, line_dash="dotted"))
+        if number == 0:
+            times = marked_times(d)[1]
+            of = {"x0": [x for x, _ in times], "x1": [x for _, x in times]}
+            figure.quad("x0", "x1", floor + 0.5 * rim, floor, source=ColumnDataSource(of), color=MARK)
+            for begin, name in zip(ends, names(d, INTERACTIVE_LETTERS), strict=False):
+                figure.add_layout(
+                    Label(x=begin, y=high + rim, text=name, text_font_size="10px", text_color="#555555", x_offset=3)
+                )
+        columns: dict[str, list[float]] = {"t": []}
+        for i, session in enumerate(d.sessions):
+            rows = slice(0, None, max(1, int(SHOWN_EACH_S / session.step)))
+            # A nan after each session breaks the line between two of them.
+            columns["t"] += [*_numbers(minutes(d, i)[rows], 3), float("nan")]
+            for k, line in enumerate(panel.lines):
+                columns.setdefault(f"y{k}", []).extend([*_numbers(line.values[i][rows]), float("nan")])
+        source = ColumnDataSource(columns)
+        lines = [
+            figure.line("t", f"y{k}", source=source, color=line.colour, line_dash="solid" if line.solid else "dashed",
+                        line_width=(3.4 if line.solid else 2.0) if line.wide else 1.1)
+            for k, line in sorted(enumerate(panel.lines), key=lambda of: not of[1].wide)  # the measured lines on top
+        ]  # fmt: skip
+        texts = [("time", "@t{0.0} min"), *((line.text, f"@y{k}{{0}} Nm") for k, line in enumerate(panel.lines))]
+        figure.add_tools(HoverTool(renderers=lines[-1:], tooltips=texts, mode="vline"))
+        figure.yaxis.axis_label = "torque [Nm]"
+        if number == len(over_all) - 1:
+            figure.xaxis.axis_label = f"time, all drives one after the other [min]; means over {AVERAGED_S:.0f} s"
+        found.append(("believed", figure))
+    return found
 
 
 def _over_time(d: Diagnosis, shown: Sequence[int]) -> list[tuple[str, Any]]:

@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.variables import BY_NAME
 from trackres_ros.diagnosis.described.terms import Described
+from trackres_ros.diagnosis.findings.found import Found, Told
 from trackres_ros.diagnosis.findings.locate import SMOOTHED_S, against_travel, evenly_filled, smoothed, swings_of
 from trackres_ros.diagnosis.findings.residual_bins import Bin
-from trackres_ros.diagnosis.findings.verdict import Found, Told
 from trackres_ros.diagnosis.pipeline import Diagnosis
+from trackres_ros.diagnosis.report.believed_pictures import draw_believed
 from trackres_ros.diagnosis.report.noise_pictures import draw_noise
 from trackres_ros.diagnosis.report.picture import WIDTH, Picture
 from trackres_ros.diagnosis.report.route_pictures import draw_route
@@ -47,6 +48,7 @@ IN_ONE_COLUMN, MOST_RECORDINGS = 8, 24
 def draw_all(d: Diagnosis, folder: Path) -> list[Picture]:
     """Draw all pictures of a diagnosis into a folder."""
     found = [
+        draw_believed(d, folder / "believed.svg"),
         draw_before_after(d, folder / "before_after.svg"),
         draw_times(d, folder / "where_time.svg"),
         draw_regimes(d, folder / "where_regime.svg"),
@@ -57,7 +59,7 @@ def draw_all(d: Diagnosis, folder: Path) -> list[Picture]:
     found += [draw_route(route, d.final, folder / name) for name, route in zip(ROUTE_PICTURES, d.routes, strict=False)]
     found.append(_laps(d, folder / "held_out.svg"))
     found.append(draw_noise(d, folder / "noise.svg"))
-    if len(d.steps[-1].separability.names) > 1:
+    if len(d.steps[-1].separability.of_names.names) > 1:
         found.append(_matrix(d, folder / "separability.svg"))
     return found
 
@@ -375,7 +377,7 @@ def _uncertainty_of_laps(d: Diagnosis, stage: str) -> list[float]:
 
 
 def _matrix(d: Diagnosis, path: Path) -> Picture:
-    s = d.steps[-1].separability
+    s = d.steps[-1].separability.of_names
     n = len(s.names)
     with picture(path, WIDTH, max(0.17 * n + 1.8, 2.6)) as figure:
         axis = figure.subplots()

@@ -10,17 +10,18 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from trackres_ros.diagnosis.findings.wording import form_words
+from trackres_ros.diagnosis.selection.held_out import SMALL_SHARE
 from trackres_ros.text.numbers import alike, decimals, figures
 
 MOST_WORDS = 40  # of the sentence: fewer than these
 STANDS_OUT_P = 0.05
 FEW = 3  # names that a sentence holds
+LACK_OF_FIT_P = 0.01
+AVERAGED = "Averaged"  # begins what is seen of a slow residual
 LEAST_SHARE = 0.01  # of the mean error, that is worth a new file
-SURE = {
-    "confirmed": "the hold-out laps confirm it",
-    "suspected": "suspected: the hold-out laps neither confirm nor reject it",
-    "refuted": "the hold-out laps reject it",
-}
+SURE = "the hold-out laps confirm it"
+SURE_OF_SPREAD = "a test over laps confirms it"
 SURE_OF_NONE = {
     "confirmed": "the hold-out laps agree",
     "suspected": "the hold-out laps neither confirm nor reject the re-fit",
@@ -43,26 +44,34 @@ def tiles(report: dict[str, Any]) -> tuple[Tile, ...]:
 
 
 def headline(report: dict[str, Any]) -> str:
-    """The verdict in one sentence of fewer than `MOST_WORDS` words; what stands in the tiles anyway gives way first."""
+    """The verdict in fewer than `MOST_WORDS` words; what the tiles have too gives way first."""
     where, what, *_ = tiles(report)
-    status = report["verdict"]["status"]
-    if status == "none":
-        changed = report["verdict"].get("changed")
-        parts = [f"{what.answer}: hold-out error {_errors(report)}", *([changed[0]["text"]] if changed else []), what.detail]
-    elif status == "unexplained":
-        parts = [
-            f"Measurement and simulation differ {_lower(where.answer)}, and no effect of the catalogue explains it",
-            where.detail,
-        ]
+    verdict, lead, possible = report["verdict"], leading(report), _possible(report)
+    errors = f"Hold-out error: {_errors(report)}"
+    if verdict["status"] == "none":
+        changed = verdict.get("changed")
+        parts = [what.answer, *([f"The largest: {changed[0]['text']}"] if changed else []), errors]
+    elif not _sure(report):
+        seen = verdict.get("seen") or f"{where.answer}: {where.detail}"
+        parts = [seen, f"It may be: {possible}" if possible else "No effect of the catalogue explains it"]
+    elif lead is not None and "form" in lead:
+        first, *_ = str(lead.get("sentence") or f"{where.answer}: {where.detail}").split(". ")
+        others = f"Also confirmed: {_names(report)}" if _names(report) else "No effect of the catalogue does this"
+        parts = [first, errors, others]
     else:
-        placed = f"{where.answer} {_lower(where.detail)}" if "the vehicle needs" in _lower(where.detail) else where.answer
-        parts = [f"{placed}: {_names(report) or what.answer}, {_grade(report)}", f"hold-out error {_errors(report)}"]
-    said = parts[0]
-    for part in parts[1:]:
-        if part and len(f"{said}; {part}".split()) < MOST_WORDS:
-            said = f"{said}; {part}"
-    words = said.split()
-    return f"{said}." if len(words) < MOST_WORDS else f"{' '.join(words[: MOST_WORDS - 2])} ..."
+        placed = where.detail if where.answer == "Everywhere" else f"{where.answer}, {_lower(where.detail)}"
+        parts = [placed, f"The cause{'s are' if len(_sure(report)) > 1 else ' is'} {_names(report)} ({_grade(report)})", errors]
+    text = ""
+    for part in parts:
+        if len(f"{text} {part}".split()) < MOST_WORDS:
+            text = f"{text} {part}.".strip()
+    return text or f"{' '.join(parts[0].split()[: MOST_WORDS - 2])} ..."
+
+
+def _possible(r: dict[str, Any]) -> str:
+    """What it may be, with probabilities; empty where nothing is listed."""
+    listed = r["verdict"].get("may_be") or ()
+    return ", ".join(_plain(x["name"]) + ("" if x["share"] is None else f" ({100.0 * x['share']:.0f} %)") for x in listed[:FEW])
 
 
 def stage_of(report: dict[str, Any]) -> str:
@@ -99,33 +108,43 @@ def lights(report: dict[str, Any], most: int = 6) -> Iterator[tuple[str, str]]:
 
 def leading(r: dict[str, Any]) -> dict[str, Any] | None:
     """The confirmed term, named or not, that takes most off the error of the hold-out laps; one not confirmed where none is."""
-
-    def weight(term: dict[str, Any]) -> tuple[bool, float]:
-        before, after = (term.get("heldout") or {}).get("mae") or (0.0, 0.0)
-        return term.get("grade") == "confirmed", (before or 0.0) - (after or 0.0)
-
-    return max([*r["effects"], *r.get("described", ())], key=weight, default=None)
+    terms = [*r["effects"], *r.get("described", ())]
+    return max(terms, key=lambda t: (t.get("grade") == "confirmed", _gained(t)[0]), default=None)
 
 
 def _where(r: dict[str, Any]) -> Tile:
-    name, lead = "Where", leading(r)
-    if lead is not None and "form" not in lead:
+    name, lead, verdict = "Where", leading(r), r["verdict"]
+    if verdict["status"] == "none":
+        ranges = f"{_count(r['residual_by_regime']['end'], 'range')} of speed, load, temperature and more were compared"
+        return Tile(name, "Nowhere after the re-fit" if verdict.get("changed") else "Nowhere beyond noise", ranges)
+    seen = verdict.get("seen") or ""
+    if verdict["status"] == "unexplained":
+        left = [b for b in r["residual_by_regime"]["end"] if b["p"] is not None and b["p"] < LACK_OF_FIT_P]
+        if left:
+            b = max(left, key=lambda b: abs(b["mean_residual"] or 0.0))
+            return Tile(name, f"At {range_of(b)}", f"{decimals(b['mean_residual'], signed=True)} Nm on average")
+        if lead is None or seen.startswith(AVERAGED):
+            return Tile(name, "At times that follow nothing recorded", seen or "The residual changes slowly, over half-minutes")
+    if lead is not None and "form" in lead:
+        answers = {
+            "spells": "At times, on and off",
+            "place": "By place on the route",
+            "drift": "Over time, slowly",
+            "level_change": "From a time on",
+            "spread": _upper(lead["gate"] or ""),
+        }
+        answer = answers.get(lead["form"]) or f"By {lead['variable'] or lead['gate'] or 'time'}"
+        size = lead.get("seen_nm") or lead["size_nm"]
+        if lead["form"] == "spread":
+            return Tile(name, answer, f"It shakes by {figures(size)} Nm there (standard deviation)")
+        return Tile(name, answer, f"About {figures(size, 2)} Nm remain there after the re-fit")
+    if lead is not None:
         acts = lead.get("acts")
         if acts:
             return Tile(name, _upper(_of_curves(acts["text"])) or "Everywhere", _upper(acts["size"]))
         for b in lead["where"]["regime"]:
             return Tile(name, _upper(range_of(b)), f"{decimals(b['mean_residual'], signed=True)} Nm on average")
-    if r["verdict"]["status"] == "none":
-        ranges = f"{_count(r['residual_by_regime']['end'], 'range')} of speed, load, temperature and more were compared"
-        return Tile(name, "Nowhere beyond noise", ranges)
-    if lead is not None and "form" in lead:
-        answers = {"place": "By place on the route", "drift": "Over time, slowly", "level_change": "From a time on"}
-        answer = answers.get(lead["form"]) or f"By {lead['variable'] or lead['gate'] or 'time'}"
-        seen = lead.get("seen_nm") or lead["size_nm"]
-        return Tile(name, answer, f"The residual there is about {figures(seen, 2)} Nm")
-    for b in standing_out(r, "end"):
-        return Tile(name, f"At {range_of(b)}", f"{decimals(b['mean_residual'], signed=True)} Nm on average")
-    return Tile(name, "At times that follow nothing recorded", "the residual changes slowly, over half-minutes")
+    return Tile(name, "Over time", "the picture below shows where")
 
 
 def _of_curves(text: str) -> str:
@@ -135,26 +154,25 @@ def _of_curves(text: str) -> str:
 
 
 def _what(r: dict[str, Any]) -> Tile:
-    name, verdict, lead = "What", r["verdict"], leading(r)
-    if r["effects"]:
-        named, unsure = _by_grade(r)
-        answers = []
-        for e in named:
-            shares = [f"{_plain(n)} ({100 * (e['weights'].get(n) or 0.0):.0f} %)" for n in e["class"]]
-            answers.append(_plain(e["name"]) if len(e["class"]) <= 1 else f"{', '.join(shares[:-1])} or {shares[-1]}")
-        answers += [f"a {_plain(t['form'])} (no name)" for t in r.get("described", ()) if t.get("grade") == "confirmed"]
-        detail = [SURE.get(_grade(r), "")]
-        if any(len(e["class"]) > 1 for e in named):
-            detail.append("cannot be told apart here")
-        if unsure:
-            detail.append(f"only suspected: {', '.join(_plain(e['name']) for e in unsure)}")
-        return Tile(name, " and ".join(answers), "; ".join(filter(None, detail)))
+    name, verdict, possible = "What", r["verdict"], _possible(r)
     if verdict["status"] == "none":
         answer = "Only values of the file were off" if verdict.get("changed") else "No physics is missing"
-        return Tile(name, answer, SURE_OF_NONE.get(verdict.get("grade"), ""))
-    if lead is not None:
-        return Tile(name, f"no name, a form: {_plain(lead['form'])}", SURE.get(_grade(r), ""))
-    return Tile(name, "Unexplained", "no effect of the catalogue does it")
+        return Tile(name, answer, SURE_OF_NONE.get(verdict.get("grade"), "not judged"))
+    sure = _sure(r)
+    if not sure:
+        return Tile(name, "Unexplained", f"it may be: {possible}" if possible else "no effect of the catalogue does it")
+    answers, detail = [], [SURE if any(t.get("form") != "spread" for t in sure) else SURE_OF_SPREAD]
+    for term in sure:
+        if "form" in term:
+            answers.append(f"{form_words(term['form'])} (no name)")
+            continue
+        shares = [f"{_plain(n)} ({100 * (term['weights'].get(n) or 0.0):.0f} %)" for n in term["class"]]
+        answers.append(_plain(term["name"]) if len(shares) <= 1 else f"{', '.join(shares[:-1])} or {shares[-1]}")
+        if len(shares) > 1:
+            detail.append("cannot be told apart here")
+    if possible:
+        detail.append(f"it may also be: {possible}")
+    return Tile(name, " and ".join(answers), "; ".join(dict.fromkeys(detail)))
 
 
 def by_file(r: dict[str, Any]) -> tuple[list[str], list[str]]:
@@ -198,6 +216,8 @@ def _next(r: dict[str, Any]) -> Tile:
         return Tile(name, "Use vehicle.yaml and surroundings.yaml", f"the first has {here}; {of_place}" if here else of_place)
     if lead is not None and "form" in lead and lead.get("grade") == "confirmed":
         return Tile(name, "Look at the vehicle", " or ".join(lead["mechanisms"][:2]))
+    if lead is not None and _is_sure(lead, r) and r["verdict"]["status"] != "unexplained":
+        return Tile(name, "Keep your vehicle file", "what was found is not written; the verdict in full has the reason")
     if lead is not None:
         return Tile(name, "Record more laps", "the hold-out laps do not confirm enough to write it")
     if r["verdict"]["status"] == "unexplained":
@@ -209,8 +229,10 @@ def _next(r: dict[str, Any]) -> Tile:
 
 def _errors(r: dict[str, Any]) -> str:
     mae = r["heldout"]["mae"]
-    with_it = f" → {figures(mae['with_effects'])} with it" if stage_of(r) == "with_effects" else ""
-    return f"{figures(mae['nominal'])} → {figures(mae['refitted'])} re-fitted{with_it} [Nm]"
+    nominal, refitted, with_it = (figures(mae.get(stage)) for stage in ("nominal", "refitted", "with_effects"))
+    if stage_of(r) == "with_effects":
+        return f"{nominal} Nm with the file, {refitted} re-fitted, {with_it} with it"
+    return f"{nominal} Nm with the file, {refitted} re-fitted"
 
 
 def _share(r: dict[str, Any]) -> float:
@@ -219,13 +241,22 @@ def _share(r: dict[str, Any]) -> float:
     return 0.0 if not before or after is None else float((before - after) / before)
 
 
-def _by_grade(r: dict[str, Any]) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Effects to name, and those that are only suspected beside them: where something is confirmed, only that is named."""
-    of: dict[bool, list[dict[str, Any]]] = {True: [], False: []}
-    for e in r["effects"]:
-        of[_is_sure(e, r)].append(e)
-    lead = leading(r)
-    return (of[True], of[False]) if lead is not None and _is_sure(lead, r) else (of[False], [])
+def _sure(r: dict[str, Any]) -> list[dict[str, Any]]:
+    """The confirmed terms, with a name or without, the one that takes most off the hold-out error first; none where too much
+    is left to believe them. Small ones give way to others.
+    """
+    if r["verdict"]["status"] == "unexplained":
+        return []
+    sure = sorted((t for t in (*r["effects"], *r.get("described", ())) if _is_sure(t, r)), key=lambda t: -_gained(t)[0])
+    return [t for t in sure if _gained(t)[1] >= SMALL_SHARE] or sure
+
+
+def _gained(term: dict[str, Any]) -> tuple[float, float]:
+    """What a term takes off the mean error of the hold-out laps [Nm], and as a share; a share of one where it is not known."""
+    before, after = (term.get("heldout") or {}).get("mae") or (None, None)
+    if not before or after is None:
+        return 0.0, 1.0
+    return before - after, (before - after) / before
 
 
 def _is_sure(term: dict[str, Any], r: dict[str, Any]) -> bool:
@@ -234,11 +265,8 @@ def _is_sure(term: dict[str, Any], r: dict[str, Any]) -> bool:
 
 def _names(r: dict[str, Any]) -> str:
     """The names; of many that look alike, how many they are."""
-    named, lead = _by_grade(r)[0], leading(r)
-    names = [" or ".join(map(_plain, e["class"])) if len(e["class"]) <= FEW else f"one of {len(e['class'])}" for e in named]
-    if names and lead is not None and "form" in lead:
-        names.insert(0, f"a {_plain(lead['form'])} without a name")
-    return " and ".join(names)
+    classes = [e["class"] for e in _sure(r) if "form" not in e]
+    return " and ".join(" or ".join(map(_plain, of)) if len(of) <= FEW else f"one of {len(of)}" for of in classes)
 
 
 def _grade(r: dict[str, Any]) -> str:

@@ -6,14 +6,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.inference.fitting import Fit
-from trackres_ros.diagnosis.inference.levels import for_tests
-from trackres_ros.diagnosis.inference.noise import whitened
 from trackres_ros.diagnosis.prepare.session import Mask, Session
 from trackres_ros.diagnosis.prepare.split import lap_name
 from trackres_ros.errors import InputError
@@ -24,6 +22,7 @@ STAGES = ("nominal", "refitted", "with_effects")
 RESAMPLES = 10_000
 FEWEST_LAPS, PIECE_S = 8, 60.0  # of fewer laps pieces are resampled: a handful of laps says nothing of how they vary
 NO_WORSE = 1.01  # times the error before: more than a hundredth worse refutes
+SMALL_SHARE = 0.02  # of the mean error: what improves less is small
 CONFIRMED, SUSPECTED, REFUTED = "confirmed", "suspected", "refuted"
 
 
@@ -38,8 +37,10 @@ class Improvement:
     low, high
         A 95 % interval of the difference, over laps.
     likelier
-        Least gain in log-likelihood that is as sure, of residuals whitened as on the laps fitted: it tells an effect from noise
-        where the mean error, most of which is noise, cannot yet. Negative infinity where it was not asked for.
+        Least level score that is as sure, see `search.left_out`: it tells an effect from noise where the mean error, most of
+        which is noise, cannot yet. Negative infinity where it was not asked for.
+    gained
+        The level score itself; nan where it was not asked for.
     """
 
     before: float
@@ -47,17 +48,26 @@ class Improvement:
     low: float
     high: float
     likelier: float = -np.inf
+    gained: float = np.nan
 
     @property
     def grade(self) -> str:
         """What the laps say.
 
-        `refuted` where the error grows, surely or by more than a hundredth; `confirmed` where it falls and that, or a gain in
-        likelihood, is sure; else `suspected`.
+        `refuted` where the error grows, surely or by more than a hundredth; `confirmed` where it does not grow and a gain in
+        likelihood is sure, or it surely falls, and by no less than `SMALL_SHARE` where likelihoods were asked for; else
+        `suspected`.
         """
         if self.after > NO_WORSE * self.before or self.high < 0.0:
             return REFUTED
-        return CONFIRMED if self.after <= self.before and max(self.low, self.likelier) > 0.0 else SUSPECTED
+        least = 0.0 if np.isinf(self.likelier) else SMALL_SHARE * self.before
+        falls = self.low > 0.0 and self.before - self.after >= least and not self.gained <= 0.0
+        return CONFIRMED if self.after <= self.before and (falls or self.likelier > 0.0) else SUSPECTED
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether the laps confirm it."""
+        return self.grade == CONFIRMED
 
 
 class HeldOutLaps:
@@ -105,22 +115,11 @@ class HeldOutLaps:
 
     def improvement_of(self, before: Fit, after: Fit) -> Improvement:
         """Of one fit over another."""
-        found = self.improvement(*([p.torque for p in fit.predicted] for fit in (before, after)))
-        gained = self._log_density(after) - self._log_density(before)
-        return replace(found, likelier=float(np.quantile(self._over_laps(gained), 0.025)))
+        return self.improvement(*([p.torque for p in fit.predicted] for fit in (before, after)))
 
     def _over_laps(self, gained: Array) -> Array:
         """Sums of what is gained at each sample, over resampled laps."""
         return np.asarray(self._draws @ np.bincount(self._piece, weights=gained))
-
-    def _log_density(self, found: Fit) -> Array:
-        """Log-density of each held-out sample under the noise of the laps fitted; 0 where what came before is not known."""
-        noise = for_tests(found).noise
-        parts = []
-        for session, predicted, mask in zip(found.problem.sessions, found.predicted, self._masks, strict=True):
-            white = whitened(session.torque - predicted.torque, mask, noise.phi)[mask] / noise.std
-            parts.append(np.where(np.isfinite(white), noise.log_density(np.nan_to_num(white)), 0.0))
-        return np.concatenate(parts)
 
 
 @dataclass(frozen=True, eq=False)

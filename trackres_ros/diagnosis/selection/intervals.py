@@ -17,6 +17,7 @@ from scipy.stats import chi2
 from trackres_ros.diagnosis.inference.fitting import Fit, Free, fit, free_parameters
 from trackres_ros.diagnosis.inference.levels import LARGEST_ROOT
 from trackres_ros.diagnosis.inference.threads import side_by_side
+from trackres_ros.diagnosis.selection.confirm import ON_BOUND
 from trackres_ros.diagnosis.selection.form_error import FORM_ERROR
 from trackres_ros.diagnosis.selection.visibility import base_columns
 from trackres_ros.effects.effect import Effect
@@ -39,19 +40,24 @@ class Interval:
 
 
 def intervals(found: Fit) -> dict[tuple[str, str], Interval]:
-    """Intervals of all parameters that a fit by `levels.with_levels` was free to move: the base's by the
-    curvature, those of effects by their profile; both by laps where wider.
+    """Intervals of all parameters of a fit by `levels.with_levels`: the base's by the curvature, those of effects by their
+    profile; both by laps and by sessions where wider. A value at the end of its range is only bounded, and what was held at a
+    typical value may lie anywhere within its bounds.
 
     How large an effect is depends on its function too, which is nature's to `FORM_ERROR` only.
     """
-    by_laps = lap_std(found)
+    laps, sessions = lap_std(found), session_std(found)
+    by_laps = {key: max(std, sessions.get(key, 0.0)) for key, std in laps.items()}
     offs = {(a.effect.name, q.name): q.off for a in found.effects for q in a.effect.parameters if q.off is not None}
 
     def interval(f: Free) -> Interval:
+        if f.key not in found.at:
+            return Interval(f.low, f.high, True)
         at = found.at[f.key]
         std = max(by_laps.get(f.key, 0.0), found.std_of(*f.key))
         if not f.key[0]:
-            return Interval(max(f.low, at - NORMAL_95 * std), min(f.high, at + NORMAL_95 * std), False)
+            at_end = min(at - f.low, f.high - at) <= ON_BOUND * (f.high - f.low)
+            return Interval(max(f.low, at - NORMAL_95 * std), min(f.high, at + NORMAL_95 * std), at_end)
         low, low_open = _edge(found, f.key, -1.0, f.low)
         high, high_open = _edge(found, f.key, 1.0, f.high)
         lap = NORMAL_95 * by_laps.get(f.key, 0.0)
@@ -59,16 +65,24 @@ def intervals(found: Fit) -> dict[tuple[str, str], Interval]:
         below, above = (float(np.hypot(max(reach, lap), form)) for reach in (at - low, high - at))
         return Interval(max(f.low, at - below), min(f.high, at + above), low_open or high_open)
 
-    of = [f for f in free_parameters(found.problem.base, [a.effect for a in found.effects]) if f.key in found.at]
+    of = free_parameters(found.problem.base, [a.effect for a in found.effects])
     return {f.key: one for f, one in zip(of, side_by_side(interval, of, "intervals"), strict=True)}
 
 
 def lap_std(found: Fit, together: int = 1) -> dict[tuple[str, str], float]:
     """Standard deviations by leaving out one lap at a time, or so many that follow one another, to first order."""
+    return _left_out_std(found, np.concatenate([g.block for g in found.problem.segments]) // together)
+
+
+def session_std(found: Fit) -> dict[tuple[str, str], float]:
+    """The same by leaving out one session at a time: what the model does not know differs between them."""
+    return _left_out_std(found, np.concatenate([np.full(len(g.measured), g.session) for g in found.problem.segments]))
+
+
+def _left_out_std(found: Fit, blocks: NDArray[np.int64]) -> dict[tuple[str, str], float]:
     scale = np.array([f.scale for f in found.free])
     prior = np.array([f.scale / f.std for f in found.free])
     columns = found.problem.white(found.problem.split(base_columns(found) * scale), found.noises)
-    blocks = np.concatenate([g.block for g in found.problem.segments]) // together
     x, e = np.concatenate(columns), np.concatenate(found.white)
     weight = np.concatenate([found.noises[g.kind].weights(w) for w, g in zip(found.white, found.problem.segments, strict=True)])
     valid = np.isfinite(e) & np.isfinite(x).all(axis=1)

@@ -9,6 +9,7 @@ import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,14 @@ MOST_DRAWN_ROWS = 7200  # two hours of driving
 STRETCH = 200  # rows that stay together where not all are drawn
 
 
+class Gain(NamedTuple):
+    """A gain in log-likelihood to first order, the amplitudes there over the typical ones, and whether the noise is short."""
+
+    value: float
+    moved: Array
+    short: bool
+
+
 @dataclass(frozen=True, eq=False)
 class Screened:
     """First-order gains in log-likelihood of effects over a fit, and what noise alone reaches.
@@ -50,17 +59,17 @@ class Screened:
         Largest gain of each replicate of the bootstrap.
     """
 
-    gains: tuple[tuple[Sensitivity, float], ...]
+    gains: tuple[tuple[Sensitivity, Gain], ...]
     form_error_gain: Mapping[str, float]
     threshold: float
     reached: Array
 
 
 def screen(
-    fit: Fit, candidates: Sequence[Sensitivity], replicates: int, rng: np.random.Generator, least: float = 0.0
+    fit: Fit, candidates: Sequence[Sensitivity], replicates: int, rng: np.random.Generator, by_noise: float | None = None
 ) -> Screened:
-    """Gain of each candidate, and the distribution of the largest under noise of the fit's own kind; if none gains `least`,
-    nothing is drawn, and the threshold is infinite. Where the first draws leave no doubt, there are no more.
+    """Gain of each candidate, and the distribution of the largest under noise of the fit's own kind, unless it is known what
+    the best gains `by_noise`. Where the first draws leave no doubt, there are no more.
 
     Notes
     -----
@@ -73,27 +82,29 @@ def screen(
     movers = [linear.mover(c) for c in candidates]
     residual = linear.lagged(np.concatenate(fit.residuals))
     found = linear.gains(residual, movers)
-    gains = sorted(zip(candidates, found, strict=True), key=lambda pair: -pair[1])
-    if not gains or gains[0][1] < least:
-        return Screened(tuple(gains), {}, np.inf, np.zeros(0))
+    gains = sorted(zip(candidates, found, strict=True), key=lambda pair: -pair[1].value)
+    if not gains:
+        return Screened((), {}, np.inf, np.zeros(0))
     form_error_gain: dict[str, float] = {}
     if forms.shape[1]:
         strict = _Linear(fit, own, forms[:, :0])
         plain = strict.gains(residual, [strict.mover(c) for c in candidates])
         names = dict.fromkeys(c.effect.name for c in candidates)
         form_error_gain = {name: max(0.0, _best(name, candidates, plain) - _best(name, candidates, found)) for name in names}
+    if by_noise is not None:
+        return Screened(tuple(gains), form_error_gain, by_noise, np.zeros(0))
     few = linear if linear.rows <= MOST_DRAWN_ROWS else _Linear(fit, own, forms, MOST_DRAWN_ROWS)
     movers = movers if few is linear else [few.mover(c) for c in candidates]
     rank = few.ranking(movers)
 
     def largest(drawn: Lagged) -> float:
-        before = few.likelihood(drawn, few.own, centred_on_fit=True)
+        before = few.likelihood(drawn, few.own, centred_on_fit=True).value
         nearly = [movers[j] for j in np.argsort(-rank(drawn))[:NEARLY_LARGEST]]
-        return max((few.likelihood(drawn, m, centred_on_fit=True) - before for m in nearly), default=0.0)
+        return max((few.likelihood(drawn, m, centred_on_fit=True).value - before for m in nearly), default=0.0)
 
     first = math.ceil(FIRST_SHARE * replicates)
     reached = np.array(side_by_side(largest, [few.lagged(few.drawn(rng)) for _ in range(first)], DRAWS))
-    if 1.0 / PLAINLY < gains[0][1] / largest_by_noise(reached) < PLAINLY:
+    if 1.0 / PLAINLY < gains[0][1].value / largest_by_noise(reached) < PLAINLY:
         more = side_by_side(largest, [few.lagged(few.drawn(rng)) for _ in range(replicates - first)], DRAWS)
         reached = np.concatenate((reached, more))
     return Screened(tuple(gains), form_error_gain, largest_by_noise(reached), reached)
@@ -109,8 +120,8 @@ def largest_by_noise(reached: Array) -> float:
     return float(reached.mean() + GUMBEL_95 * reached.std(ddof=1))
 
 
-def _best(name: str, candidates: Sequence[Sensitivity], gains: Sequence[float]) -> float:
-    return max(gain for c, gain in zip(candidates, gains, strict=True) if c.effect.name == name)
+def _best(name: str, candidates: Sequence[Sensitivity], gains: Sequence[Gain]) -> float:
+    return max(gain.value for c, gain in zip(candidates, gains, strict=True) if c.effect.name == name)
 
 
 Lagged = Mapping[str, Array]
@@ -184,10 +195,15 @@ class _Linear:
             np.append(own.pull, np.zeros(len(limits))),
         )
 
-    def gains(self, residual: Lagged, movers: Sequence[_Mover]) -> list[float]:
+    def gains(self, residual: Lagged, movers: Sequence[_Mover]) -> list[Gain]:
         """In log-likelihood of each mover over the fit's own."""
-        null = self.likelihood(residual, self.own)
-        return [self.likelihood(residual, m) - null for m in movers]
+        null = self.likelihood(residual, self.own).value
+
+        def gain(mover: _Mover) -> Gain:
+            found = self.likelihood(residual, mover)
+            return found._replace(value=found.value - null, moved=found.moved[len(self.own.prior) :])
+
+        return side_by_side(gain, movers, "what each may explain")
 
     def ranking(self, movers: Sequence[_Mover]) -> Callable[[Lagged], Array]:
         """A function that tells what each mover gains of a residual under the fit's own noise and without bounds: cheap, and near
@@ -217,17 +233,19 @@ class _Linear:
 
         return gains
 
-    def likelihood(self, residual: Lagged, mover: _Mover, centred_on_fit: bool = False) -> float:
+    def likelihood(self, residual: Lagged, mover: _Mover, centred_on_fit: bool = False) -> Gain:
         """Of a residual with a mover's parameters free within their bounds, and the noise fitted along.
 
         `centred_on_fit` takes the parameters of the fit for true, as they are in what is drawn: no candidate gains by
         bringing them back into their ranges.
         """
-        found = self._turned(residual, mover, self._fit.noises, centred_on_fit)
-        return found if self._short is None else max(found, self._turned(residual, mover, self._short, centred_on_fit))
+        found = Gain(*self._turned(residual, mover, self._fit.noises, centred_on_fit), False)
+        if self._short is None:
+            return found
+        return max(found, Gain(*self._turned(residual, mover, self._short, centred_on_fit), True), key=lambda gain: gain.value)
 
-    def _turned(self, residual: Lagged, mover: _Mover, begin: Mapping[str, Noise], centred_on_fit: bool) -> float:
-        """The likelihood by turns of coefficients and noise that begin with a noise."""
+    def _turned(self, residual: Lagged, mover: _Mover, begin: Mapping[str, Noise], centred_on_fit: bool) -> tuple[float, Array]:
+        """The likelihood, and what it moves, by turns of coefficients and noise that begin with a noise."""
         pull = np.zeros_like(mover.pull) if centred_on_fit else mover.pull
         noises, left = dict(begin), residual
         moved = np.zeros(len(mover.prior))
@@ -242,7 +260,7 @@ class _Linear:
             left = {kind: rows - mover.columns[kind] @ moved for kind, rows in residual.items()}
             noises = {kind: improved(left[kind][1:].T, left[kind][0], noise) for kind, noise in noises.items()}
         total = sum(float(noise.log_density(_white(left[kind], noise)).sum()) for kind, noise in noises.items())
-        return total - 0.5 * float(((mover.prior * moved - pull) ** 2).sum())
+        return total - 0.5 * float(((mover.prior * moved - pull) ** 2).sum()), moved
 
     def drawn(self, rng: np.random.Generator) -> Array:
         """A residual of noise alone: the whitened one with signs flipped by the piece, coloured again."""

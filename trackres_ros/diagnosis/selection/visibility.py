@@ -16,14 +16,16 @@ from trackres_ros.diagnosis.base.base import Predicted
 from trackres_ros.diagnosis.inference.fitting import LARGE, Fit, jacobian, valid_rows
 from trackres_ros.diagnosis.inference.noise import shortened
 from trackres_ros.effects.effect import Active, Effect
+from trackres_ros.effects.learned import Learned
 from trackres_ros.progress import counted
 
 Array = NDArray[np.float64]
 Projector = Callable[[Array], tuple[Array, Array]]
+ColumnsOf = Callable[[Effect, Mapping[str, float]], Array]
 
 LEAST_KEPT, LEAST_D_PRIME = 0.1, 3.0
 ALIKE_COSINE = 0.95
-ALWAYS_KNOWN = ("speed", "accel", "weight", "distance", "drive_torque", "ambient")
+ALWAYS_KNOWN = ("speed", "accel", "weight", "distance", "drive_torque", "ambient", "belt")
 REPLACED_BY = {"grade": ("grade", "grade_profile")}
 """Effects that make no sense where a channel is measured."""
 
@@ -73,8 +75,13 @@ class Shown(NamedTuple):
 class NotVisible:
     """An effect that cannot be seen in these recordings."""
 
-    name: str
+    effect: Effect
     why: str
+
+    @property
+    def name(self) -> str:
+        """Of the effect."""
+        return self.effect.name
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +103,15 @@ class Separability:
     names: tuple[str, ...]
     cosines: Array  # (names, names), signed
 
+    @property
+    def of_names(self) -> Separability:
+        """The part of it that is of the catalogue."""
+        visible = tuple(s for s in self.visible if not isinstance(s.effect, Learned))
+        not_visible = tuple(n for n in self.not_visible if not isinstance(n.effect, Learned))
+        names = {s.effect.name for s in visible}
+        at = [i for i, name in enumerate(self.names) if name in names]
+        return Separability(visible, not_visible, tuple(self.names[i] for i in at), self.cosines[np.ix_(at, at)])
+
     def alike(self, name: str) -> tuple[str, ...]:
         """Effects that look the same as one here, itself first."""
         i = self.names.index(name)
@@ -114,21 +130,24 @@ def feasible(effects: Mapping[str, Effect], fit: Fit) -> tuple[list[Effect], lis
         if name in fit.effect_names:
             continue
         if name in fit.problem.base.includes:
-            not_visible.append(NotVisible(name, "it is in the model already"))
+            not_visible.append(NotVisible(effect, "it is in the model already"))
             continue
         if effect.belt_only and not fit.problem.base.has_belt:
-            not_visible.append(NotVisible(name, "there is no belt"))
+            not_visible.append(NotVisible(effect, "there is no belt"))
         elif missing:
-            not_visible.append(NotVisible(name, f"needs {', '.join(missing)}, which is not recorded"))
+            not_visible.append(NotVisible(effect, f"needs {', '.join(missing)}, which is not recorded"))
         elif measured:
-            not_visible.append(NotVisible(name, f"{measured[0]} is recorded, and in the model"))
+            not_visible.append(NotVisible(effect, f"{measured[0]} is recorded, and in the model"))
         else:
             possible.append(effect)
     return possible, not_visible
 
 
-def separability(effects: Mapping[str, Effect], fit: Fit) -> Separability:
-    """Linearise all effects about a fit and compare them with what the fit can take up itself, and with each other."""
+def separability(effects: Mapping[str, Effect], fit: Fit, columns_of: ColumnsOf | None = None) -> Separability:
+    """Linearise all effects about a fit, unless that is known, and compare them with what the fit can take up itself, and with
+    each other.
+    """
+    columns_of = columns_of or Columns(fit)
     possible, not_visible = feasible(effects, fit)
     own = base_columns(fit)
     own_white = _white(own, fit)
@@ -138,22 +157,22 @@ def separability(effects: Mapping[str, Effect], fit: Fit) -> Separability:
     project_short = None if beside_short is None else _projector(_white(own, beside_short), beside_short)
     visible = []
     for effect in counted(possible, "what each effect would show", len(possible)):
-        columns = [(start, _columns(effect, start, fit)) for start in starts(effect)]
+        columns = [(start, columns_of(effect, start)) for start in starts(effect)]
         found, best = _strongest(effect, columns, fit, project)
         if best and LARGE * best.d_prime < LEAST_D_PRIME and beside_short and project_short:
             # What is slow hides in noise that is taken for a random walk, and may be what that is made of.
             found, best = _strongest(effect, columns, beside_short, project_short)
         if best is None:
-            not_visible.append(NotVisible(effect.name, "it does nothing here"))
+            not_visible.append(NotVisible(effect, "it does nothing here"))
         elif LARGE * best.d_prime < LEAST_D_PRIME:
             size = f"{LARGE:g} times as large as is typical"
             why = f"one {size} would stand out by {LARGE * best.d_prime:.1f} standard deviations only"
-            not_visible.append(NotVisible(effect.name, why))
+            not_visible.append(NotVisible(effect, why))
         else:
             # What the base takes up is hardly seen, and may yet explain better than a base pushed out of its ranges.
             if best.kept < LEAST_KEPT and LARGE * best.by_priors < LEAST_D_PRIME:
                 why = f"the base's parameters take up {1 - best.kept:.0%} of it"
-                not_visible.append(NotVisible(effect.name, why))
+                not_visible.append(NotVisible(effect, why))
             visible += found
     names = tuple(dict.fromkeys(s.effect.name for s in visible))
     strongest = {name: max((s for s in visible if s.effect.name == name), key=lambda s: s.d_prime) for name in names}
@@ -170,6 +189,21 @@ def starts(effect: Effect) -> list[dict[str, float]]:
 def base_columns(fit: Fit) -> Array:
     """Change of what is expected of all segments with each free parameter of the fit, shape (n, parameters)."""
     return jacobian(lambda point: _expected(fit, fit.problem.predict(*fit.model_at(point))), fit.point, fit.free)
+
+
+class Columns:
+    """Changes of what is expected per amplitude of effects, to first order about a fit; each is simulated once."""
+
+    def __init__(self, fit: Fit) -> None:
+        self._fit = fit
+        self._known = dict[tuple[int, tuple[float, ...]], Array]()
+
+    def __call__(self, effect: Effect, start: Mapping[str, float]) -> Array:
+        """Of one effect about its values at the start."""
+        key = id(effect), tuple(start.values())
+        if key not in self._known:
+            self._known[key] = _columns(effect, start, self._fit)
+        return self._known[key]
 
 
 def _columns(effect: Effect, start: Mapping[str, float], fit: Fit) -> Array:

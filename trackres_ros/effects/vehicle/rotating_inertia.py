@@ -16,7 +16,9 @@ class RotatingInertia(Effect):
     name = "rotating_inertia"
     acts_on = "torque"
     belongs_to = "vehicle"
-    text = "rotating parts take torque to speed up and give it back"
+    text = (
+        "rotating parts take torque to speed up and give it back; a wrong rotating_mass_factor in the vehicle file looks the same"
+    )
     needs = ("speed", "accel")
     parameters: tuple[Parameter, ...] = (Parameter("factor", "1", -0.1, 0.8, 0.1, "added to the rotating-mass factor", off=0.0),)
 

@@ -1,0 +1,316 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The search over whole explanations and the laps left out that decide, on small drives."""
+
+import copy
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.signal import lfilter
+
+from trackres_ros.diagnosis.base.watched import Watched
+from trackres_ros.diagnosis.inference.fitting import Problem, fit
+from trackres_ros.diagnosis.inference.levels import LARGEST_ROOT, with_levels
+from trackres_ros.diagnosis.search.choice import CLASS_SHARE, Choice, _class_of
+from trackres_ros.diagnosis.search.explanations import MOST_TERMS, Explanation, Search
+from trackres_ros.diagnosis.search.left_out import FOLDS, LeftOut
+from trackres_ros.diagnosis.selection.as_used import AsUsed
+from trackres_ros.diagnosis.selection.held_out import CONFIRMED, SUSPECTED, HeldOutLaps
+from trackres_ros.diagnosis.selection.naming import compared
+from trackres_ros.effects import catalogue
+from trackres_ros.evaluation.synthetic import drives
+
+MINUTES, LAP_S, LAPS = 15.0, 75.0, 12  # of each of two drives
+HELD_OUT = 3  # laps of each drive
+NOISE_NM, NOISE_PHI = 20.0, 0.4
+GAIN, LEVEL_NM, SINCE_S = 1.1, 200.0, 350.0
+MOST_SPEED_MPS = 15.0
+
+
+@pytest.fixture(scope="module")
+def known(loaded):
+    facts = loaded.base.facts
+    return catalogue(None, facts.weight * facts.radius)
+
+
+@pytest.fixture(scope="module")
+def driven(loaded, known):
+    """Makes the fit of a base to laps of two drives with a torque of another scale and more torque, of a session, against travel;
+    the last laps of each drive are held out.
+    """
+
+    def make(gain=1.0, adds=None, held_out_gain=None):
+        base, rng = loaded.base, np.random.default_rng(1)
+        sessions = drives(base, MOST_SPEED_MPS, 2, MINUTES, rng, step=1.0)
+        bare = [p.torque for p in base.predict(sessions, {q.name: q.nominal for q in base.parameters}, ())]
+        shown, masks = [], []
+        for i, (session, torque) in enumerate(zip(sessions, bare, strict=True)):
+            lap = (session.time // LAP_S).astype(np.int64)
+            fitted = lap < LAPS - HELD_OUT
+            scale = np.where(fitted, gain, gain if held_out_gain is None else held_out_gain)
+            noise = lfilter([1.0], [1.0, -NOISE_PHI], rng.normal(0.0, NOISE_NM, len(session)))
+            more = 0.0 if adds is None else adds(session, i) * np.sign(session.speed)
+            moves = np.abs(session.speed) > 0.5
+            shown.append(replace(session, torque=scale * (torque + more) + noise, block=lap + i * LAPS, used=moves))
+            masks.append(moves & fitted)
+        return fit(Problem(base, tuple(shown), tuple(masks)))
+
+    return make
+
+
+def later(session, drive):
+    return LEVEL_NM * ((session.time > SINCE_S) | (drive > 0))
+
+
+def held_out_masks(found):
+    return [s.used & ~m for s, m in zip(found.problem.sessions, found.problem.masks, strict=True)]
+
+
+def left_out_of(found):
+    return LeftOut(found, held_out_masks(found), np.random.default_rng(1))
+
+
+def beside(found, *effects):
+    """A fit with effects, with values that predict."""
+    return with_levels(fit(found.problem, effects, found.at, found.noises))
+
+
+def series(found, of, ahead=None, name="series"):
+    """A term that follows the clock; it is looked for on the laps that are fitted."""
+    facts, problem = found.problem.base.facts, found.problem
+    shape = [of(s, i) * np.sign(s.speed) for i, s in enumerate(problem.sessions)]
+    known = shape if ahead is None else [ahead * x for x in shape]
+    shape = [np.where(m, x, a) for m, x, a in zip(problem.masks, shape, known, strict=True)]
+    return Watched(name, "of a test", shape, facts.weight * facts.radius, known)
+
+
+# Laps left out
+
+
+@pytest.fixture(scope="module")
+def scaled(driven, known):
+    """The base alone and beside the effect that is hidden, and the laps left out of them."""
+    found = driven(GAIN)
+    plain = with_levels(found)
+    return plain, beside(found, known["torque_gain"]), left_out_of(plain)
+
+
+def test_a_model_scored_against_itself_gains_nothing(scaled):
+    plain, _, left_out = scaled
+    one, same = left_out.score(plain), left_out.score(plain)
+    improvement = left_out.improvement(one, same)
+    assert left_out.gain(one, same) == left_out.least_gain(one, same) == 0.0
+    assert (improvement.before - improvement.after, improvement.low, improvement.high) == (0.0, 0.0, 0.0)
+    assert not improvement.confirmed
+    np.testing.assert_allclose(left_out.shares([one, same]), [0.5, 0.5])
+
+
+def test_a_true_effect_surely_gains_and_what_is_less_surely_does_not(scaled):
+    plain, true, left_out = scaled
+    before, after = left_out.score(plain), left_out.score(true)
+    assert 0.0 < left_out.least_gain(before, after) < left_out.gain(before, after)
+    assert left_out.least_gain(after, before) < 0.0
+    assert left_out.improvement(before, after).confirmed
+    assert left_out.shares([before, after])[1] > 0.99
+
+
+def test_what_is_expected_of_a_fold_is_that_of_a_fit_without_it(scaled):
+    """One Newton step, against fits of the other laps."""
+    _, true, left_out = scaled
+    score, problem = left_out.score(true), true.problem
+    whole, fold_of = left_out._of([p.torque for p in true.predicted]), left_out._of(left_out._fold)
+    for fold in range(FOLDS):
+        masks = tuple(m & (of != fold) for m, of in zip(problem.masks, left_out._fold, strict=True))
+        effects = [a.effect for a in true.effects]
+        refit = fit(replace(problem, masks=masks), effects, true.at, true.noises, largest_root=LARGEST_ROOT)
+        at = fold_of == fold
+        moved = left_out._of([p.torque for p in refit.predicted])[at] - whole[at]
+        off = score.expected[at] - whole[at] - moved
+        assert np.sqrt(np.mean(off**2)) < 0.3 * np.sqrt(np.mean(moved**2)) + 0.01 * NOISE_NM
+    held_out = fold_of < 0
+    np.testing.assert_allclose(score.expected[held_out], whole[held_out])
+
+
+def test_every_fitted_sample_is_of_one_fold_and_no_other_is(scaled):
+    plain, _, left_out = scaled
+    for session, mask, fold in zip(plain.problem.sessions, plain.problem.masks, left_out._fold, strict=True):
+        assert (fold[mask] >= 0).all()
+        assert (fold[~mask] == -1).all()
+        of_lap = {int(b): set(fold[mask & (session.block == b)].tolist()) for b in np.unique(session.block[mask])}
+        assert all(len(of) == 1 for of in of_lap.values())
+    assert len(left_out.measured) == sum(int(s.used.sum()) for s in plain.problem.sessions)
+
+
+def test_what_only_fitted_laps_tell_gains_nothing_however_well_it_fits(driven):
+    """A torque that comes and goes evenly and that nobody knows ahead; where it is known, it surely gains."""
+
+    def comes_and_goes(session, _):
+        return LEVEL_NM * np.sign(np.sin(session.time / 6.0))
+
+    found = driven(adds=comes_and_goes)
+    plain, left_out = with_levels(found), left_out_of(found)
+    before = left_out.score(plain)
+    unknown, known = (beside(found, series(found, comes_and_goes, ahead)) for ahead in (0.0, 1.0))
+    assert unknown.log_likelihood > plain.log_likelihood + 100.0
+    assert left_out.least_gain(before, left_out.score(known)) > 100.0
+    assert left_out.least_gain(before, left_out.score(unknown)) <= 0.0
+    assert left_out.gain(before, left_out.score(unknown)) < 0.02 * left_out.gain(before, left_out.score(known))
+    assert not left_out.improvement(before, left_out.score(unknown)).confirmed
+
+
+# The search, and the choice of an explanation
+
+
+@pytest.fixture(scope="module")
+def both(driven, known, explained):
+    """Explanations of a torque of another scale and of a level that changed."""
+    return explained(driven(GAIN, later), {name: known[name] for name in ("torque_gain", "torque_offset")})
+
+
+def test_what_was_hidden_is_found_together(both):
+    assert both.chosen.explanation.key == {"torque_gain", "level_change"}
+
+
+def test_an_explanation_is_the_set_of_what_its_fit_has_and_none_twice(both):
+    for key, explanation in both.search.known.items():
+        names = explanation.fit.effect_names
+        assert key == explanation.key == set(names)
+        assert len(names) == len(key) <= MOST_TERMS + 1
+        assert explanation.terms.keys() <= key
+
+
+def test_a_set_that_two_ways_reach_is_one_with_the_better_fit(both):
+    search, pair = both.search, frozenset({"torque_gain", "level_change"})
+    assert all(frozenset({name}) in search.rounds for name in pair)
+    before = search.known[frozenset({"level_change"})]
+    step = search.rounds[before.key]
+    (again,) = [c for c in step.candidates if c.name == "torque_gain"]
+    of_this_way = before.evidence + again.net_evidence
+    assert search.known[pair].evidence >= of_this_way
+    count, kept = len(search.known), search.known[pair]
+    search._add(before, replace(again, criterion=again.criterion - 1e3), None)  # a worse way to it
+    assert (len(search.known), search.known[pair]) == (count, kept)
+
+
+def test_without_a_term_it_is_the_set_without_it(both):
+    search = both.search
+    for explanation in [e for e in search.known.values() if e.key]:
+        for name in explanation.key:
+            less = search.without(explanation, name)
+            assert less.key == explanation.key - {name} == set(less.fit.effect_names)
+            assert search.known[less.key] is less
+    pair = search.known[frozenset({"torque_gain", "level_change"})]
+    single = search.known.pop(frozenset({"level_change"}))
+    try:
+        fitted = search.without(pair, "torque_gain")  # from the values beside the other
+        assert fitted.terms.keys() == fitted.candidates.keys() == {"level_change"}
+        assert fitted.evidence == pytest.approx(single.evidence, abs=3.0)
+    finally:
+        search.known[single.key] = single
+
+
+def test_every_confirmed_explanation_has_confirmed_terms_and_no_larger_error(both):
+    choice, seen = both.choice, 0
+    for judged in list(choice._judged.values()):
+        graded = choice._all_graded(judged)
+        if not judged.key or not choice._is_confirmed(judged):
+            continue
+        seen += 1
+        assert all(g.grade == CONFIRMED for g in graded.values())
+        for g in graded.values():
+            assert g.improvement.likelier > 0.0 or g.improvement.low > 0.0
+            assert g.improvement.after <= g.improvement.before
+        kept = both.laps.improvement_of(both.refitted, judged.final)
+        assert kept.after <= kept.before
+    assert seen >= 2
+    assert all(g.confirmed for g in both.chosen.graded.values())
+    assert both.chosen.graded.keys() == both.chosen.explanation.key
+
+
+def test_each_class_has_what_was_chosen_and_weights_of_one(both):
+    assert both.chosen.steps.keys() == both.chosen.explanation.key
+    for name, step in both.chosen.steps.items():
+        assert step.chosen.name == name in step.members
+        assert step.weights.keys() == set(step.members)
+        assert sum(step.weights.values()) == pytest.approx(1.0)
+        assert step.stability >= CLASS_SHARE or len(step.members) > 1
+
+
+@given(st.dictionaries(st.sampled_from("abcdef"), st.floats(0.001, 1.0), min_size=1), st.data())
+def test_a_class_holds_four_fifths_unless_all_are_in_it(weights, data):
+    shares = {name: w / sum(weights.values()) for name, w in weights.items()}
+    name = data.draw(st.sampled_from(sorted(shares)))
+    alike = data.draw(st.sets(st.sampled_from(sorted(shares))))
+    members = _class_of(name, shares, alike)
+    assert members[0] == name
+    assert len(members) == len(set(members))
+    assert alike <= set(members)
+    assert sum(shares[m] for m in members) >= CLASS_SHARE - 1e-9 or set(members) == set(shares)
+    by_share = [m for m in members if m not in alike | {name}]
+    left = [shares[m] for m in shares if m not in members]
+    assert max(left, default=0.0) <= min((shares[m] for m in by_share), default=1.0)
+
+
+@pytest.fixture(scope="module")
+def graded(loaded):
+    """Grades the terms of a fit beside a base, and says whether all of it is confirmed."""
+
+    def grade(found, *effects):
+        sessions, masks, rng = found.problem.sessions, held_out_masks(found), np.random.default_rng(1)
+        laps, search = HeldOutLaps(sessions, masks, rng), Search(found, {}, None, (), 19, rng, lambda _: None)
+        plain = with_levels(found)
+        choice = Choice(search, plain, LeftOut(plain, masks, rng), laps, AsUsed(loaded.base, sessions, sessions, laps))
+        whole = fit(found.problem, effects, found.at, found.noises)
+        candidates = {}
+        for effect in effects:
+            less = fit(found.problem, [e for e in effects if e is not effect], found.at, found.noises)
+            candidates[effect.name] = compared(less, whole, effect.name, 1.0, 9.0, 0.0)
+        judged = choice.judged(Explanation(whole, 0.0, candidates))
+        return {name: choice.graded(judged, name) for name in candidates}, choice._is_confirmed(judged)
+
+    return grade
+
+
+def test_terms_that_cancel_each_other_are_not_confirmed(driven, graded):
+    """Two large series that differ little: what they add together is a tenth of either."""
+
+    def one(session, _):
+        return LEVEL_NM * np.sin(session.time / 20.0)
+
+    def other(session, _):
+        return -LEVEL_NM * np.sin(session.time / 20.0 + 0.1)
+
+    found = driven(adds=lambda s, i: one(s, i) + other(s, i))
+    terms = [series(found, of, name=name) for name, of in (("one", one), ("other", other))]
+    of, confirmed = graded(found, *terms)
+    assert all(g.improvement.grade == CONFIRMED for g in of.values())  # each helps the other
+    assert all((g.cancels, g.grade) == (True, SUSPECTED) for g in of.values())
+    assert not confirmed
+
+
+def test_a_term_that_is_as_large_as_what_it_improves_is_confirmed(driven, graded):
+    def one(session, _):
+        return LEVEL_NM * np.sin(session.time / 20.0)
+
+    found = driven(adds=one)
+    of, confirmed = graded(found, series(found, one, name="one"))
+    assert (of["one"].cancels, of["one"].grade, confirmed) == (False, CONFIRMED, True)
+
+
+def test_a_name_on_a_bound_is_at_best_suspected(driven, graded, known):
+    found = driven(GAIN)
+    narrow = copy.copy(known["torque_gain"])
+    narrow.parameters = tuple(replace(q, high=0.5 * (GAIN - 1.0)) for q in narrow.parameters)
+    of, confirmed = graded(found, narrow)
+    assert of["torque_gain"].improvement.grade == CONFIRMED
+    assert (of["torque_gain"].on_bounds, of["torque_gain"].grade, confirmed) == (("error",), SUSPECTED, False)
+
+
+def test_what_held_out_laps_refute_is_not_confirmed_whatever_the_fitted_ones_say(driven, graded, known):
+    found = driven(GAIN, held_out_gain=1.0)
+    _, confirmed = graded(found, known["torque_gain"])
+    assert not confirmed

@@ -1,0 +1,59 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Where the torque shakes more than elsewhere: a judder while pulling away, and noise that only grows with the torque."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from trackres_ros.diagnosis.findings.spread import find_spread
+from trackres_ros.diagnosis.prepare.session import Course, Session
+
+RATE_HZ, STEP_S, LEG_S, LEGS = 10.0, 1.0, 60.0, 20
+MASS_KG, RADIUS_M, FASTEST_MPS = 24_000.0, 0.4, 8.0
+JUDDER_HZ = 1.3
+
+
+def driven(judder_nm=0.0, rate_hz=RATE_HZ, noise_share=0.01, seed=0):
+    """A fit of trapezoids from stop to stop with noise that grows with the torque, and a judder while pulling away."""
+    rng, at = np.random.default_rng(seed), np.arange(0.0, LEGS * LEG_S, 1.0 / rate_hz)
+    in_leg = at % LEG_S
+    speed = np.interp(in_leg, [5.0, 20.0, 45.0, 55.0], [0.0, FASTEST_MPS, FASTEST_MPS, 0.0])
+    accel = np.gradient(speed, at)
+    expected = np.tanh(speed / 0.1) * 2500.0 + MASS_KG * accel * RADIUS_M
+    measured = expected + (15.0 + noise_share * np.abs(expected)) * rng.normal(size=len(at))
+    pulls = (speed > 0.0) & (speed < 2.5) & (accel > 0.0)
+    measured += judder_nm * pulls * np.sin(2.0 * np.pi * JUDDER_HZ * at)
+    count = int(LEGS * LEG_S) - 1
+    time = STEP_S * np.arange(count)
+    of_step, edges = {}, np.arange(0.0, count + 1.0)
+    for name, series in (("speed", speed), ("torque", measured), ("expected", expected)):
+        of_step[name] = Course.of(at, series).means(time, STEP_S)
+    zero = np.zeros(count)
+    session = Session(
+        "drive", STEP_S, time, of_step["speed"], np.diff(np.interp(edges, at, speed)), np.full(count, 240e3), zero, zero, zero,
+        zero, zero, of_step["torque"], zero, of_step["speed"] > 0.3, (time // LEG_S).astype(np.int64),
+        torque_course=Course.of(at, measured),
+    )  # fmt: skip
+    predicted = SimpleNamespace(torque=of_step["expected"], at_sprockets=of_step["expected"])
+    return SimpleNamespace(problem=SimpleNamespace(sessions=(session,)), predicted=(predicted,))
+
+
+@pytest.mark.parametrize("judder_nm", [300.0, 500.0])
+def test_a_judder_while_pulling_away_is_found_with_its_size(judder_nm):
+    found = find_spread(driven(judder_nm))
+    assert found.regime == "while it pulls away"
+    assert found.size_nm == pytest.approx(judder_nm / np.sqrt(2.0), rel=0.3)
+    assert found.p < 1e-3
+    assert found.described.sentence.startswith("The torque shakes by ")
+
+
+@pytest.mark.parametrize("noise_share", [0.0, 0.01, 0.05])
+def test_noise_that_grows_with_the_torque_is_no_judder(noise_share):
+    assert all(find_spread(driven(noise_share=noise_share, seed=seed)) is None for seed in range(10))
+
+
+def test_a_torque_that_was_recorded_too_slowly_shows_no_judder():
+    assert find_spread(driven(500.0, rate_hz=2.0)) is None

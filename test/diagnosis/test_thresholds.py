@@ -1,0 +1,81 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Steps, hinges, latches and gains for one sign: offered where they are, with their thresholds, and nowhere else."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from trackres_ros.diagnosis import read_recordings
+from trackres_ros.diagnosis.described.candidates import candidates
+from trackres_ros.diagnosis.described.thresholds import found_by_scan, latched_states
+from trackres_ros.diagnosis.inference.fitting import Problem, fit
+from trackres_ros.diagnosis.selection.visibility import base_columns
+from trackres_ros.diagnosis.stages.prepared import prepared
+from trackres_ros.effects.effect import conditions
+from trackres_ros.effects.learned import ABOVE, BELT, SPEED, STEP, Corner, Latch, latched
+
+LEVEL_NM = 400.0
+
+
+@pytest.fixture(scope="module")
+def fitted(recorded, loaded):
+    """A fit of recordings with nothing hidden, and the columns of its own parameters."""
+    gated, _, _ = prepared(read_recordings(recorded(), None), loaded, (), ())
+    found = fit(Problem(loaded.base, gated.sessions, tuple(s.used for s in gated.sessions)))
+    return found, base_columns(found)
+
+
+def scanned(fitted, code, x, shapes):
+    """What a scan of one variable finds where a torque of a shape is added to the measured one."""
+    found, own = fitted
+    sessions = tuple(
+        replace(s, torque=s.torque + LEVEL_NM * shape * np.sign(s.speed))
+        for s, shape in zip(found.problem.sessions, shapes, strict=True)
+    )
+    return found_by_scan(replace(found, problem=replace(found.problem, sessions=sessions)), {code: x}, own)
+
+
+def test_a_scan_finds_the_thresholds_of_what_is_there(fitted):
+    found, _ = fitted
+    speed = [np.abs(s.speed) for s in found.problem.sessions]
+    belt = [p.belt for p in found.predicted]
+    warm = float(np.median(np.concatenate(belt)))
+    high = float(np.quantile(np.concatenate(belt), 0.98))
+    by_kind = {
+        STEP: scanned(fitted, SPEED, speed, [1.0 * (x > 5.0) for x in speed]),
+        ABOVE: scanned(fitted, BELT, belt, [np.clip((x - warm) / (high - warm), 0.0, 1.0) for x in belt]),
+        "latch": scanned(fitted, SPEED, speed, [latched_states(x, np.array([3.0]), np.array([7.0]))[:, 0] for x in speed]),
+    }
+    (step,) = [f for f in by_kind[STEP] if isinstance(f, Corner) and f.kind == STEP]
+    assert step.values()["threshold"] == pytest.approx(5.0, abs=0.1)
+    assert not any(isinstance(f, Latch) for f in by_kind[STEP])
+    (hinge,) = [f for f in by_kind[ABOVE] if isinstance(f, Corner) and f.kind == ABOVE]
+    assert hinge.values()["threshold"] == pytest.approx(warm, abs=0.15 * np.ptp(np.concatenate(belt)))
+    (latch,) = [f for f in by_kind["latch"] if isinstance(f, Latch)]
+    assert (latch.values()["off"], latch.values()["on"]) == pytest.approx((3.0, 7.0), abs=0.3)
+
+
+def test_where_nothing_is_hidden_a_scan_offers_few_forms(fitted):
+    found, own = fitted
+    names = [form.name for form in candidates(found, own).values()]
+    assert sum(name.startswith(("step", "hinge", "latch")) for name in names) <= 4
+    assert "curve_of_belt_temperature" in names
+
+
+def test_latched_states_are_those_of_the_effect():
+    rng, off, on = np.random.default_rng(3), np.array([2.0, 4.0]), np.array([6.0, 4.5])
+    x = np.cumsum(rng.normal(0.0, 1.0, 400)) % 9.0
+    states = latched_states(x, off, on)
+    for i in range(2):
+        was = 0.0
+        for value, state in zip(x, states[:, i], strict=True):
+            was = latched(value, was, off[i], on[i])
+            assert was == state
+
+
+def test_a_belt_temperature_is_known_where_there_is_a_belt(loaded):
+    assert np.isnan(conditions(loaded.base.facts, speed=3.0).belt)
+    assert conditions(loaded.base.facts, speed=3.0, belt=31.0).belt == 31.0

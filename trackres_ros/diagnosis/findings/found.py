@@ -1,0 +1,158 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""What a diagnosis finds: effects with a name, terms without one, and values of the vehicle file that were off."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.described.terms import Described
+from trackres_ros.diagnosis.findings.locate import Acts, Span
+from trackres_ros.diagnosis.findings.residual_bins import Bin
+from trackres_ros.diagnosis.inference.fitting import Fit
+from trackres_ros.diagnosis.selection.confirm import Graded
+from trackres_ros.diagnosis.selection.held_out import CONFIRMED
+from trackres_ros.diagnosis.selection.intervals import Interval
+from trackres_ros.diagnosis.selection.naming import Step
+from trackres_ros.effects.effect import Parameter
+from trackres_ros.text.numbers import alike, figures
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Found:
+    """An effect that was named, alone or as one of a class.
+
+    Attributes
+    ----------
+    name, text, acts_on, parameters
+        As in the catalogue.
+    step
+        The round of the choice in which it was chosen: its rivals, and what it cannot be told from (`step.members`).
+    values, intervals
+        Of its parameters, and the 95 % interval of each.
+    adds, resists
+        What it adds to the expected torque of each session [Nm]; the same, positive against travel whichever way, as shown
+        if a sensor adds it.
+    where, acts, regime
+        Spans of time, the variable that it follows best, and the residual of the base where it acts.
+    seen
+        The residual of the re-fitted base where it acts, in words, see `locate.Acts.residual`.
+    graded
+        What laps not used for fitting say of it (`graded.grade`).
+    """
+
+    name: str
+    text: str
+    acts_on: str
+    parameters: Sequence[Parameter]
+    step: Step
+    values: Mapping[str, float]
+    intervals: Mapping[str, Interval]
+    adds: list[Array]
+    resists: list[Array]
+    where: Sequence[Span]
+    acts: Acts
+    regime: Sequence[Bin]
+    seen: str
+    graded: Graded
+
+    def __repr__(self) -> str:
+        units = {q.name: "" if q.unit == "1" else f" {q.unit}" for q in self.parameters}
+        values = [f"{name} {with_interval(v, self.intervals.get(name))}{units[name]}" for name, v in self.values.items()]
+        return f"<{self.name}: {', '.join(values)}; {self.graded.grade}>"
+
+
+@dataclass(frozen=True, eq=False)
+class Told:
+    """A term without a name that was found.
+
+    Attributes
+    ----------
+    described
+        How it is said.
+    adds
+        What it adds to the expected torque of each session [Nm].
+    course
+        What it follows in each session; empty where that is the clock alone.
+    intervals
+        Of its parameters.
+    seen_nm
+        Mean residual of the re-fitted base, in the direction of the term, where the term acts [Nm].
+    graded
+        What laps not used for fitting say of it.
+    """
+
+    described: Described
+    adds: list[Array]
+    course: list[Array]
+    intervals: Mapping[str, Interval]
+    seen_nm: float
+    graded: Graded
+
+
+@dataclass(frozen=True, slots=True)
+class Changed:
+    """A value of the vehicle file that a re-fit changes.
+
+    Attributes
+    ----------
+    nominal, value, low, high
+        In the file, re-fitted, and the 95 % interval of the latter.
+    torque_nm
+        Root mean square of the torque that the change makes [Nm].
+    """
+
+    name: str
+    unit: str
+    nominal: float
+    value: float
+    low: float
+    high: float
+    torque_nm: float
+
+    @property
+    def text(self) -> str:
+        """What was off, by how much and how surely."""
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        off = self.value - self.nominal
+        share = f"{abs(off / self.nominal):.0%}" if self.nominal else f"{figures(abs(off))}{unit}"
+        value, low, high, nominal = alike((self.value, self.low, self.high, self.nominal), self.high - self.low)
+        return f"{self.name} is {share} {'higher' if off > 0.0 else 'lower'}, {value} [{low}, {high}]{unit} instead of {nominal}"
+
+
+def changed_values(refitted: Fit, bounds: Mapping[tuple[str, str], Interval]) -> tuple[Changed, ...]:
+    """Values whose 95 % interval excludes the file's, those that change the torque most first."""
+    found = []
+    for q in refitted.problem.base.parameters:
+        value, interval = refitted.base_values[q.name], bounds.get(("", q.name))
+        if interval is None or interval.low <= q.nominal <= interval.high:
+            continue
+        as_in_file = refitted.problem.predict({**refitted.base_values, q.name: q.nominal}, refitted.acting)
+        change = [
+            (p.torque - other.torque)[mask]
+            for p, other, mask in zip(refitted.predicted, as_in_file, refitted.problem.masks, strict=True)
+        ]
+        size = float(np.sqrt(np.mean(np.concatenate(change) ** 2)))
+        found.append(Changed(q.name, q.unit, q.nominal, value, interval.low, interval.high, size))
+    return tuple(sorted(found, key=lambda c: -c.torque_nm))
+
+
+def by_weight(terms: Sequence[Found | Told]) -> list[Found | Told]:
+    """The confirmed ones first, and of these those that take most off the error of the hold-out laps."""
+    return sorted(terms, key=lambda t: (t.graded.grade != CONFIRMED, t.graded.improvement.after - t.graded.improvement.before))
+
+
+def with_interval(value: float, interval: Interval | None) -> str:
+    """A value and its 95 % interval."""
+    if interval is None:
+        return figures(value)
+    if interval.bound_only:
+        return f"{figures(value)}, only bounded by {figures(interval.low)} to {figures(interval.high)}"
+    return f"{figures(value)} [{figures(interval.low)}, {figures(interval.high)}]"

@@ -1,0 +1,186 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Finds regimes in which the torque shakes more than elsewhere: a judder has no mean, so no term of the fit shows it.
+
+The measured torque is compared with the expected one within the steps of the fit, by means over a fifth of a second. Second
+differences of that residual show what is faster than a step, and a median over three steps leaves out corners of the torque.
+A sensor's noise grows with the torque, so the shaking in a regime is compared with that elsewhere at the same torque. Each lap
+gives one ratio; a t test over laps decides.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.optimize import nnls
+from scipy.stats import t
+
+from trackres_ros.diagnosis.described.terms import Described
+from trackres_ros.diagnosis.inference.fitting import Fit
+from trackres_ros.diagnosis.prepare.sample_noise import SECOND_DIFFERENCE
+from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.text.numbers import figures
+from trackres_ros.units import MAD_TO_STD
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+FORM = "spread"
+WITHIN = 5  # parts of a step: what is slower than twice a step is not seen, what is faster than two parts neither
+OVER = 3  # steps of the median
+PULLS_MPS, PULLS_MPS2, SPEEDS_UP_MPS2 = 2.5, 0.1, 0.3  # assumed
+FEWEST_STEPS, FEWEST_LAPS = 3, 5
+LEAST_RATIO = 2.0  # to that elsewhere: less may be rough ground
+SURELY_RATIO = 1.4  # what the laps must surely exceed
+MOST_P = 0.001  # over all regimes together
+LEAST_SHARE = 0.02  # of the torque's root mean square
+MECHANISMS = ("a clutch, belt or brake that slips and sticks", "a controller that swings", "play in the drive train")
+BINS = 12  # of the torque, for how its noise grows with it
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """A regime in which the torque shakes more than elsewhere.
+
+    Attributes
+    ----------
+    regime
+        In words, as in "while it pulls away".
+    size_nm, elsewhere_nm
+        Standard deviation of what is faster than a step, there and elsewhere at the same torque [Nm].
+    ratio
+        Of both, as a geometric mean over laps.
+    p
+        Probability that it surely exceeds `SURELY_RATIO` by chance, times the number of regimes that were tried.
+    laps
+        How many laps tell.
+    """
+
+    regime: str
+    size_nm: float
+    elsewhere_nm: float
+    ratio: float
+    p: float
+    laps: int
+
+    @property
+    def described(self) -> Described:
+        """As a term without a name, which nothing predicts."""
+        text = (
+            f"The torque shakes by {figures(self.size_nm)} Nm {self.regime}, {figures(self.ratio, 2)} times as much as elsewhere "
+            f"at the same torque. These are standard deviations of what is faster than a second, over {self.laps} laps"
+        )
+        return Described(FORM, "", "", self.regime, None, None, text, MECHANISMS, self.size_nm, False)
+
+
+def find_spread(fit: Fit) -> Spread | None:
+    """The regime in which the torque surely shakes most; None where there is none, or the torque was recorded too slowly."""
+    shaking = [shaking_of(s, p.torque) for s, p in zip(fit.problem.sessions, fit.predicted, strict=True)]
+    if any(x is None for x in shaking):
+        return None
+    sessions = fit.problem.sessions
+    size = np.concatenate([x for x in shaking if x is not None])
+    used = np.concatenate([s.used for s in sessions]) & np.isfinite(size)
+    block = np.concatenate([s.block for s in sessions])[used]
+    torque = float(np.sqrt(np.mean(np.concatenate([s.torque[s.used] for s in sessions]) ** 2)))
+    drive = np.concatenate([p.at_sprockets for p in fit.predicted])[used]
+    regimes = [(text, inside[used]) for text, inside in _regimes(fit)]
+    compared = (_compared(text, size[used], drive, inside, block, len(regimes)) for text, inside in regimes)
+    found = [x for x in compared if x is not None]
+    sure = [x for x in found if x.ratio > LEAST_RATIO and x.p < MOST_P and x.size_nm > LEAST_SHARE * torque]
+    return max(sure, key=lambda x: x.ratio, default=None)
+
+
+def shaking_of(session: Session, expected: Array) -> Array | None:
+    """Standard deviation of what is faster than a step, at each step [Nm], shape (n,); None where samples are too far apart.
+
+    Parameters
+    ----------
+    expected
+        Torque by the fit, means over steps [Nm].
+    """
+    course, step = session.torque_course, session.step
+    if (
+        course is None
+        or len(course.at) < 2
+        or float(np.median(np.diff(course.at))) > step / WITHIN + 1e-9
+        or len(expected) < OVER
+    ):
+        return None
+    part = step / WITHIN
+    begins = (session.time[:, np.newaxis] + part * np.arange(WITHIN)).ravel()
+    edges = np.append(session.time, session.time[-1] + step)
+    driven = CubicSpline(edges, np.concatenate(([0.0], np.cumsum(np.nan_to_num(expected) * step))))
+    left = course.means(begins, part) - (driven(begins + part) - driven(begins)) / part
+    bends = np.abs(np.diff(left, 2, prepend=left[0], append=left[-1])).reshape(len(session), WITHIN)
+    around = np.concatenate([np.roll(bends, by, axis=0) for by in range(-(OVER // 2), OVER // 2 + 1)], axis=1)
+    found = MAD_TO_STD * np.median(around, axis=1) / math.sqrt(SECOND_DIFFERENCE)
+    found[: OVER // 2] = found[len(found) - OVER // 2 :] = np.nan
+    return np.asarray(found)
+
+
+def _regimes(fit: Fit) -> Iterator[tuple[str, Mask]]:
+    """Regimes in words, and where each is."""
+    sessions = fit.problem.sessions
+    speed, accel, weight = (np.concatenate([getattr(s, name) for s in sessions]) for name in ("speed", "accel", "weight"))
+    drive = np.concatenate([p.at_sprockets for p in fit.predicted]) * np.sign(speed)
+    fast, accel = np.abs(speed), accel * np.sign(speed)
+    yield "while it pulls away", (fast < PULLS_MPS) & (accel > PULLS_MPS2)
+    yield "while it comes to a stop", (fast < PULLS_MPS) & (accel < -PULLS_MPS2)
+    yield "while it speeds up", (fast >= PULLS_MPS) & (accel > SPEEDS_UP_MPS2)
+    yield "while it slows down", (fast >= PULLS_MPS) & (accel < -SPEEDS_UP_MPS2)
+    yield "while the motor brakes", drive < 0.0
+    low, high = (float(x) for x in np.quantile(fast[np.concatenate([s.used for s in sessions])], (1.0 / 3.0, 2.0 / 3.0)))
+    yield f"below {figures(low, 2)} m/s", fast < low
+    yield f"from {figures(low, 2)} to {figures(high, 2)} m/s", (fast >= low) & (fast < high)
+    yield f"above {figures(high, 2)} m/s", fast >= high
+    middle = 0.5 * float(weight.min() + weight.max())
+    if np.ptp(weight) > 0.05 * middle:
+        yield f"with a load above {figures(middle, 2)} N", weight > middle
+        yield f"with a load below {figures(middle, 2)} N", weight < middle
+
+
+def _typical(size: Array, drive: Array, elsewhere: Mask) -> Array:
+    """How the shaking elsewhere grows with the torque: the root of a constant and a share of the torque, both squared [Nm]."""
+    square = drive**2
+    number = np.searchsorted(np.quantile(square[elsewhere], np.linspace(0.0, 1.0, BINS + 1)[1:-1]), square[elsewhere])
+    bins = np.unique(number)
+    at, seen = (np.array([np.median(x[elsewhere][number == i]) for i in bins]) for x in (square, size))
+    scale = max(float(at.max()), 1e-12)
+    columns = np.column_stack([np.ones(len(at)), at / scale]) / np.maximum(seen, 1e-9)[:, np.newaxis] ** 2
+    (constant, share), _ = nnls(columns, np.ones(len(at)))
+    return np.asarray(np.sqrt(np.maximum(constant + share * square / scale, 1e-12)))
+
+
+def _compared(text: str, size: Array, drive: Array, inside: Mask, block: NDArray[np.int64], tried: int) -> Spread | None:
+    """The shaking in a regime against that elsewhere in the same laps; or in other laps, where no lap has both."""
+    if min(inside.sum(), (~inside).sum()) < BINS * FEWEST_STEPS:
+        return None
+    typical = _typical(size, drive, ~inside)
+    there, elsewhere = (_medians(size / typical, of, block) for of in (inside, ~inside))
+    both = sorted(there.keys() & elsewhere.keys())
+    if len(both) >= FEWEST_LAPS:
+        ratios = np.log([there[lap] / elsewhere[lap] for lap in both])
+        mean, std, degrees = float(ratios.mean()), float(ratios.std(ddof=1)) / math.sqrt(len(both)), len(both) - 1.0
+    elif not both and min(len(there), len(elsewhere)) >= FEWEST_LAPS:
+        a, b = np.log(list(there.values())), np.log(list(elsewhere.values()))
+        mean, degrees = float(a.mean() - b.mean()), min(len(a), len(b)) - 1.0
+        std = math.hypot(a.std(ddof=1) / math.sqrt(len(a)), b.std(ddof=1) / math.sqrt(len(b)))
+    else:
+        return None
+    p = float(t.sf((mean - math.log(SURELY_RATIO)) / max(std, 1e-9), degrees)) * tried
+    laps = len(both) or len(there) + len(elsewhere)
+    size_nm = float(np.median(size[inside]))
+    return Spread(text, size_nm, size_nm / math.exp(mean), math.exp(mean), min(1.0, p), laps)
+
+
+def _medians(size: Array, inside: Mask, block: NDArray[np.int64]) -> dict[int, float]:
+    """Median of the shaking by lap, of laps with enough steps."""
+    found = {int(lap): size[inside & (block == lap)] for lap in np.unique(block[inside])}
+    return {lap: max(float(np.median(x)), 1e-9) for lap, x in found.items() if len(x) >= FEWEST_STEPS}

@@ -1,0 +1,257 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Sentences of a verdict. Each is one thought, with the numbers that the page shows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+from trackres_ros.diagnosis.base.base import BaseParameter
+from trackres_ros.diagnosis.findings.found import Found, Told, with_interval
+from trackres_ros.diagnosis.findings.locate import STRAY_S, SlowResidual
+from trackres_ros.diagnosis.findings.residual_bins import Bin
+from trackres_ros.diagnosis.selection.confirm import Graded
+from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SMALL_SHARE, HeldOut, Improvement
+from trackres_ros.diagnosis.selection.naming import Candidate
+from trackres_ros.text.numbers import figures, on_scale
+
+MOST_CERTAIN = 20.0  # in log-likelihood: more is no more certain
+LEAST_SHARE = 0.05  # of the probability: what is less likely is not listed
+MOST_LISTED = 5
+MOST_WORDS = 25  # of a sentence
+NONE_OF_THESE = "none of these"
+
+FORMS = {
+    "gated_curve": "a curve",
+    "spells": "a torque that comes and goes",
+    "wave": "a torque that repeats with distance",
+    "place": "a torque at a place",
+    "payload": "a payload",
+    "level_change": "a change of level",
+    "spread": "a torque that shakes",
+}
+
+Possible = tuple[tuple[str, float | None], ...]
+
+
+def joined(sentences: Sequence[str]) -> str:
+    """Sentences one after the other; empty ones are dropped."""
+    return " ".join(f"{s.rstrip('.')}." for s in sentences if s)
+
+
+def upper(text: str) -> str:
+    """A text with a capital first letter."""
+    return f"{text[:1].upper()}{text[1:]}"
+
+
+def is_small(t: Found | Told) -> bool:
+    """Whether a term takes less than `SMALL_SHARE` off the mean error of the hold-out laps."""
+    i = t.graded.improvement
+    return i.before - i.after < SMALL_SHARE * i.before
+
+
+def confirmed_terms(terms: Sequence[Found | Told], held_out: HeldOut) -> list[str]:
+    """What is confirmed: the large terms, what they are worth together, then the small ones."""
+    large = [t for t in terms if not is_small(t)]
+    small = [t for t in terms if is_small(t)]
+    if not large:
+        return ["What is missing is small", _worth(held_out), *(line for t in small for line in _of(t))]
+    return [*(line for t in large for line in _of(t)), _worth(held_out), *map(_small, small)]
+
+
+def _of(t: Found | Told) -> list[str]:
+    """A term: where and how much, what it is, its values."""
+    if isinstance(t, Told):
+        return [t.described.sentence, "No effect of the catalogue does this", look_for(t.described.mechanisms)]
+    members = t.step.members
+    if len(members) > 1:
+        listed = either([f"{name} ({_percent(t.step.weights[name])})" for name in members])
+        return [seen(t), f"The cause is {listed}", "These recordings cannot tell them apart"]
+    units = {q.name: "" if q.unit == "1" else f" {q.unit}" for q in t.parameters}
+    values = ", ".join(f"{name} {with_interval(v, t.intervals.get(name))}{units[name]}" for name, v in t.values.items())
+    return [
+        seen(t),
+        f"The cause is {t.name}",
+        upper(t.text),
+        f"Its values with 95 % intervals: {values}" if values else "",
+        _rival(t),
+    ]
+
+
+def seen(f: Found) -> str:
+    """Where the measured torque differs, and by how much."""
+    where = f.acts.text
+    return upper(f"{where}, {f.seen}" if where else f.seen)
+
+
+def differs(t: Found | Told) -> str:
+    """The difference that a term would explain, without the term."""
+    if isinstance(t, Found):
+        return seen(t)
+    of = t.described
+    where = f" {of.gate}" if of.gate else f", depending on the {of.variable}" if of.variable else " at times"
+    return f"The measured torque differs from the re-fitted model by about {figures(abs(t.seen_nm) or of.size_nm, 2)} Nm{where}"
+
+
+def look_for(mechanisms: Sequence[str]) -> str:
+    """What to look at in the vehicle, as much as a sentence holds; the page has all."""
+    text = f"Look for {mechanisms[0]}"
+    for one in mechanisms[1:]:
+        if len(f"{text} or {one}".split()) <= MOST_WORDS:
+            text = f"{text}, or {one}"
+    return text
+
+
+def either(options: Sequence[str]) -> str:
+    """Options as a sentence has them: ``a``, ``a or b``, ``a, b or c``."""
+    return f"{', '.join(options[:-1])} or {options[-1]}" if len(options) > 1 else options[0]
+
+
+def short(t: Found | Told) -> str:
+    """A term in a few words."""
+    if isinstance(t, Found):
+        return either(list(t.step.members)) if len(t.step.members) > 1 else t.name
+    of = t.described
+    along = " ".join(filter(None, (f"of the {of.variable}" if of.variable and of.form not in FORMS else "", of.gate)))
+    return f"{form_words(of.form)} {along}".strip()
+
+
+def form_words(form: str) -> str:
+    """The form of a term without a name, as a noun with its article."""
+    return FORMS.get(form, f"a {form.replace('_', ' ')}")
+
+
+def _small(t: Found | Told) -> str:
+    i = t.graded.improvement
+    return f"{short(t)} is confirmed but small: it takes {figures(max(i.before - i.after, 0.0), 2)} Nm off that error"
+
+
+def _worth(h: HeldOut) -> str:
+    return mean_error(h.mae["refitted"], h.mae["with_effects"])
+
+
+def mean_error(before: float, after: float) -> str:
+    """How the mean error on hold-out laps changes."""
+    was, now = figures(before), figures(after)
+    way = f"stays at {now}" if was == now else f"{'falls' if after < before else 'rises'} from {was} to {now}"
+    return f"The mean error on laps not used for fitting {way} Nm"
+
+
+def possible(unsure: Sequence[Found | Told], confirmed: Sequence[Found | Told], shares: Mapping[str, float]) -> Possible:
+    """What it may be besides what is confirmed, with probabilities, the likeliest first and `NONE_OF_THESE` last.
+
+    Without probabilities over whole explanations those within each suspected class are given, and none for a single name.
+    """
+    if shares:
+        taken = {m for t in confirmed for m in (t.step.members if isinstance(t, Found) else (t.described.name,))}
+        names = sorted((n for n in shares if n not in taken and n != NONE_OF_THESE), key=lambda n: -shares[n])
+        named = [n for n in names if shares[n] >= LEAST_SHARE][:MOST_LISTED]
+        if not named:
+            return ()
+        return tuple((n, shares[n]) for n in (*named, *([NONE_OF_THESE] if NONE_OF_THESE in shares else [])))
+    found: dict[str, float | None] = {}
+    for t in unsure:
+        if isinstance(t, Found) and len(t.step.members) > 1:
+            found.update((name, t.step.weights[name]) for name in t.step.members)
+        else:
+            found[short(t)] = None
+    return tuple(found.items())[:MOST_LISTED]
+
+
+def may_be(listed: Possible, also: bool = False) -> str:
+    """The list of what it may be, in a sentence."""
+    options = [name if share is None else f"{name} ({_percent(share)})" for name, share in listed]
+    return f"It may {'also ' if also else ''}be: {', '.join(options)}" if options else ""
+
+
+def doubts(unsure: Sequence[Graded]) -> list[str]:
+    """Why terms are only suspected."""
+    return list(dict.fromkeys(map(_doubt, unsure)))
+
+
+def _doubt(graded: Graded) -> str:
+    i = graded.improvement
+    if i.grade == CONFIRMED and graded.on_bounds:
+        return f"{graded.name} is at the bound of its plausible range ({', '.join(graded.on_bounds)})"
+    if i.grade == CONFIRMED and graded.cancels:
+        return f"{graded.name} improves the unused laps far less than its size says: {_from_to(i)}"
+    return f"The unused laps do not confirm {graded.name}: {_from_to(i)}"
+
+
+def _from_to(i: Improvement) -> str:
+    gain = f"gain {figures(i.low, 2)} to {figures(i.high, 2)} Nm, 95 %"
+    return f"their mean error goes from {figures(i.before)} to {figures(i.after)} Nm ({gain})"
+
+
+def rejected(refuted: Sequence[Graded]) -> list[str]:
+    """What the hold-out laps reject, what displaces a value of the file, and what they do not confirm."""
+    worse = [g for g in refuted if g.grade == REFUTED and not g.displaces]
+    unsure = ", ".join(g.name for g in refuted if g.grade != REFUTED)
+    return [
+        *(
+            f"The unused laps reject {g.name}: it raises their mean error from {figures(g.improvement.before)} to "
+            f"{figures(g.improvement.after)} Nm"
+            for g in worse
+        ),
+        *(
+            f"The diagnosis drops {g.name}: with it, {', '.join(g.displaces)} of the vehicle file goes to the end of its range"
+            for g in refuted
+            if g.displaces
+        ),
+        f"Dropped, because the unused laps do not confirm it: {unsure}" if unsure else "",
+    ]
+
+
+def moved(q: BaseParameter, value: float) -> str:
+    """A parameter of the base and where it went."""
+    unit = "" if q.unit == "1" else f" {q.unit}"
+    return f"{q.name} {figures(q.nominal, 4)} -> {figures(value, 4)}{unit}"
+
+
+def _rival(f: Found) -> str:
+    """The next best candidate, and how much less likely it is."""
+    others = [c for c in f.step.candidates if c.name not in f.step.members]
+    if not others or f.step.chosen is None:
+        return ""
+    next_best = max(others, key=lambda c: c.net_evidence)
+    return f"The next best explanation, {next_best.name}, is {likelier(f.step.chosen, next_best)} times less likely"
+
+
+def likelier(one: Candidate, other: Candidate) -> str:
+    """How many times likelier one is than another."""
+    times = math.exp(min(one.net_evidence - other.net_evidence, MOST_CERTAIN))
+    return f"{times:.0f}" if times < 1000.0 else "over a thousand"
+
+
+def range_of(b: Bin) -> str:
+    """The range of a bin."""
+    low, high = (on_scale(edge, b.high - b.low) for edge in (b.low, b.high))
+    return f"at {b.variable} {low} to {high} {b.unit}"
+
+
+def largest_of(left: Sequence[Bin]) -> Bin:
+    """The bin with the largest mean residual."""
+    return max(left, key=lambda b: abs(b.mean_residual))
+
+
+def unexplained(left: Sequence[Bin]) -> str:
+    """Where the measured torque differs most from the model, and by how much."""
+    first = largest_of(left)
+    side = "above" if first.mean_residual > 0 else "below"
+    return f"{upper(range_of(first))} the measured torque is {abs(first.mean_residual):.0f} Nm {side} the model"
+
+
+def slow(s: SlowResidual) -> list[str]:
+    """By how much the measured torque differs for longer than noise does."""
+    return [
+        f"Averaged over {STRAY_S:.0f} s, the measured torque differs from the model by {figures(s.size, 2)} Nm, "
+        f"{_percent(s.share)} of the torque",
+        "Nothing recorded explains this difference",
+        "" if math.isnan(s.slope) else f"An unrecorded slope of {100.0 * s.slope:.1f} % would do the same",
+    ]
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.0f} %"

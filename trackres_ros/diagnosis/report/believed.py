@@ -1,0 +1,183 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The residual over all sessions, one after the other, and what each term that was found takes of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.base.variables import BY_NAME
+from trackres_ros.diagnosis.findings.found import Found, by_weight
+from trackres_ros.diagnosis.findings.locate import smoothed
+from trackres_ros.diagnosis.findings.verdict import LACK_OF_FIT_P
+from trackres_ros.diagnosis.findings.wording import differs, largest_of, range_of, short
+from trackres_ros.diagnosis.inference.fitting import Fit, jacobian, valid_rows
+from trackres_ros.diagnosis.pipeline import Diagnosis
+from trackres_ros.diagnosis.prepare.session import Mask
+from trackres_ros.diagnosis.report.series import runs
+from trackres_ros.diagnosis.selection.held_out import CONFIRMED
+from trackres_ros.output.plots import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION
+from trackres_ros.text.numbers import figures
+
+Array = NDArray[np.float64]
+
+AVERAGED_S = 10.0
+MARK = "#777777"
+COLOURS = (ORANGE, BLACK, GREEN, PURPLE, SKY)  # of terms: lightness differs too, and blue and vermilion are residuals
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """A line over time.
+
+    Attributes
+    ----------
+    text, colour
+        Its entry in the legend.
+    solid
+        Whether it is measured or confirmed; a suspected term is dashed.
+    wide
+        Whether it is a term.
+    values
+        Of each session, averaged over `AVERAGED_S` [Nm]; nan in gaps.
+    """
+
+    text: str
+    colour: str
+    solid: bool
+    wide: bool
+    values: Sequence[Array]
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """Lines over one another, and what they show."""
+
+    title: str
+    lines: Sequence[Line]
+
+
+def panels(d: Diagnosis) -> list[Panel]:
+    """The residual of the re-fitted base with the terms over it, and what is left; without a term the residual alone."""
+    mae = {stage: figures(error) for stage, error in d.held_out.mae.items()}
+    re_fitted = _line(d, "measured less re-fitted model", BLUE, [p.torque for p in d.refitted.predicted])
+    title = f"Re-fitted: mean error {mae['refitted']} Nm on unused laps"  # short: a phone shows it whole
+    found = terms(d)
+    if not found:
+        as_it_is = _line(d, f"measured less vehicle file as it is ({mae['nominal']} Nm)", GREY, d.nominal)
+        return [Panel(title, (as_it_is, re_fitted))]
+    left = _line(d, "what is left", VERMILION, [p.torque for p in d.final.predicted])
+    after = f"What is left: mean error {mae['with_effects']} Nm on unused laps"
+    return [Panel(title, (re_fitted, *found)), Panel(after, (left,))]
+
+
+def _line(d: Diagnosis, text: str, colour: str, expected: Sequence[Array]) -> Line:
+    values = [smoothed(s, s.torque - e, AVERAGED_S) for s, e in zip(d.sessions, expected, strict=True)]
+    return Line(text, colour, True, False, values)
+
+
+def terms(d: Diagnosis) -> list[Line]:
+    """What each term of the last fit takes of the residual of the re-fitted base. All together are the difference of the fits."""
+    of = [t for t in by_weight([*d.found, *d.described]) if t.adds]
+    if not of:
+        return []
+    total = [after.torque - before.torque for after, before in zip(d.final.predicted, d.refitted.predicted, strict=True)]
+    shown = _beyond_a_refit(d.refitted, [t.adds for t in of]) if len(of) > 1 else [list(of[0].adds)]
+    sizes = np.array([np.mean(np.concatenate(list(t.adds)) ** 2) for t in of])
+    lines = []
+    for i, t in enumerate(of):
+        share = float(sizes[i] / max(sizes.sum(), 1e-300))
+        rest = [whole - sum(each) for whole, each in zip(total, zip(*shown, strict=True), strict=True)]
+        values = [own + share * r for own, r in zip(shown[i], rest, strict=True)]
+        sure = t.graded.grade == CONFIRMED
+        averaged = [smoothed(s, v, AVERAGED_S) for s, v in zip(d.sessions, values, strict=True)]
+        lines.append(Line(_named(short(t), sure), COLOURS[i % len(COLOURS)], sure, True, averaged))
+    return lines
+
+
+def _named(name: str, sure: bool) -> str:
+    return f"{name.replace('_', ' ')}{'' if sure else ' (suspected)'}"
+
+
+def _beyond_a_refit(refitted: Fit, adds: Sequence[Sequence[Array]]) -> list[list[Array]]:
+    """Torque of each term less what a re-fit of the base takes up of it, to first order; of each session [Nm]."""
+    problem, free = refitted.problem, refitted.free
+    change = jacobian(lambda at: np.concatenate(problem.expected(problem.predict(*refitted.model_at(at)))), refitted.point, free)
+    by_segment = problem.split(change)
+    white = valid_rows(problem.white(by_segment, refitted.noises))
+    curvature = white.T @ white + np.diag([f.std**-2.0 for f in free])
+    found = []
+    for term in adds:
+        rows = [term[g.session] if g.kind == "torque" else np.zeros(len(g.measured)) for g in problem.segments]
+        moved = np.linalg.lstsq(curvature, white.T @ valid_rows(problem.white(rows, refitted.noises)), rcond=1e-12)[0]
+        found.append(
+            [
+                term[g.session] - columns @ moved
+                for g, columns in zip(problem.segments, by_segment, strict=True)
+                if g.kind == "torque"
+            ]
+        )
+    return found
+
+
+def begins(d: Diagnosis) -> list[float]:
+    """When each session begins, one after the other, and the end of the last [min]."""
+    return [float(x) for x in np.cumsum([0.0, *(s.time[-1] - s.time[0] + s.step for s in d.sessions)]) / 60.0]
+
+
+def held_out_times(d: Diagnosis) -> Iterator[tuple[float, float]]:
+    """Begin and end of each lap that was not used for fitting [min]."""
+    yield from _times(d, [np.isin(s.block, d.split.held_out) for s in d.sessions])
+
+
+def marked_times(d: Diagnosis) -> tuple[str, list[tuple[float, float]]]:
+    """Where the verdict's sentence sees the difference: words, and begin and end of each time [min]; empty where at no range."""
+    lead = next(iter(by_weight([*d.found, *d.described])), None)
+    left = [b for b in d.at_end.bins if b.p < LACK_OF_FIT_P]
+    if d.verdict.status == "unexplained" and left:
+        b = largest_of(left)
+        series = [BY_NAME[b.variable].of(s, p) for s, p in zip(d.sessions, d.refitted.predicted, strict=True)]
+        inside = [s.used & (x >= b.low) & (x <= b.high) for s, x in zip(d.sessions, series, strict=True)]
+        return range_of(b), list(_times(d, inside))
+    if isinstance(lead, Found) and (d.verdict.names or d.verdict.seen == differs(lead)):
+        acts = lead.acts
+        if acts.text:
+            series = [BY_NAME[acts.variable].of(s, p) for s, p in zip(d.sessions, d.final.predicted, strict=True)]
+            inside = [s.used & (x >= acts.low) & (x <= acts.high) for s, x in zip(d.sessions, series, strict=True)]
+            return acts.text, list(_times(d, inside))
+        of = [[w for w in lead.where if w.recording == s.name] for s in d.sessions]
+        inside = [
+            np.any([(s.time >= w.begin) & (s.time < w.end) for w in spans], axis=0) if spans else np.zeros(len(s), bool)
+            for s, spans in zip(d.sessions, of, strict=True)
+        ]
+        return f"{lead.name.replace('_', ' ')} acts most", list(_times(d, inside))
+    return "", []
+
+
+def _times(d: Diagnosis, inside: Sequence[Mask]) -> Iterator[tuple[float, float]]:
+    for session, begin, mask in zip(d.sessions, begins(d), inside, strict=False):
+        for first, last in runs(session, mask):
+            yield begin + (first - session.time[0]) / 60.0, begin + (last - session.time[0]) / 60.0
+
+
+def minutes(d: Diagnosis, session: int) -> Array:
+    """The time of a session, all one after the other [min]."""
+    time = d.sessions[session].time
+    return np.asarray(begins(d)[session] + (time - time[0]) / 60.0)
+
+
+def names(d: Diagnosis, letters: int) -> list[str]:
+    """What stands at the beginning of each session: its name where all fit into so many letters, else its number."""
+    ends = begins(d)
+    room = [int(letters * (end - begin) / max(ends[-1], 1e-9)) for begin, end in pairwise(ends)]
+    full = [Path(s.name).name for s in d.sessions]
+    if all(len(name) < most for name, most in zip(full, room, strict=True)):
+        return full
+    return [str(i + 1) if most > len(str(i + 1)) else "" for i, most in enumerate(room)]

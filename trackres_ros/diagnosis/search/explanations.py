@@ -1,0 +1,177 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Searches for whole explanations: sets of names, forms and terms by clock or place, all in one pool.
+
+It begins with nothing. In each turn the best few are expanded by everything in the pool, and by leaving out one term. Sets that
+two ways reach are one. To first order all is linear algebra on columns that are simulated once; only what may be best is fitted.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from trackres_ros.diagnosis.described.candidates import candidates
+from trackres_ros.diagnosis.described.finders import Term, terms_beside
+from trackres_ros.diagnosis.described.routes import SLOPES, Roads
+from trackres_ros.diagnosis.inference.fitting import Fit, fit
+from trackres_ros.diagnosis.selection.naming import Candidate, Pool, Step, one_round
+from trackres_ros.diagnosis.selection.visibility import Columns
+from trackres_ros.effects.effect import Effect
+
+Key = frozenset[str]
+
+EXPANDED = 2  # of the best explanations in each turn
+MOST_TERMS = 3
+LEAST_EXPANDED = 0.4  # of the best evidence: what explains less is not expanded
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """A set of terms, fitted together.
+
+    Attributes
+    ----------
+    candidates
+        Each term, as it was when it was added.
+    terms
+        Of those by clock or place, what their fit does not say.
+    evidence
+        Log-evidence over the base alone, less what the terms cost that their parameters do not show.
+    """
+
+    fit: Fit
+    evidence: float = 0.0
+    candidates: Mapping[str, Candidate] = field(default_factory=dict)
+    terms: Mapping[str, Term] = field(default_factory=dict)
+
+    @property
+    def key(self) -> Key:
+        """Names of its terms."""
+        return frozenset(self.candidates)
+
+    @property
+    def without_a_name(self) -> int:
+        """How many of its terms are not of the catalogue."""
+        return sum(not c.is_name for c in self.candidates.values())
+
+    def goes_by_place(self, name: str) -> bool:
+        """Whether one of its terms was learned for each place of a route."""
+        return name in self.terms and self.terms[name].route is not None
+
+
+class Search:
+    """All explanations that were looked at.
+
+    Parameters
+    ----------
+    base
+        The base as it was fitted.
+    effects
+        Those that may be named.
+    roads, kinds
+        Where positions say that the sessions are, and what of them may be learned.
+    """
+
+    def __init__(
+        self,
+        base: Fit,
+        effects: Mapping[str, Effect],
+        roads: Roads | None,
+        kinds: Collection[str],
+        replicates: int,
+        rng: np.random.Generator,
+        on_stage: Callable[[str], None],
+    ) -> None:
+        self._roads, self._kinds, self._replicates, self._rng, self._on_stage = roads, kinds, replicates, rng, on_stage
+        self._pool = Pool({**effects, **candidates(base)}, Columns(base))
+        self.nothing = Explanation(base)
+        self.known: dict[Key, Explanation] = {self.nothing.key: self.nothing}
+        self.rounds: dict[Key, Step] = {}
+
+    @property
+    def by_noise(self) -> float:
+        """What the best gains by noise alone once in twenty."""
+        return math.inf if self._pool.by_noise is None else self._pool.by_noise
+
+    def run(self) -> None:
+        """Look at all that may be best."""
+        frontier = [self.nothing]
+        for _ in range(MOST_TERMS):
+            for explanation in frontier:
+                self.expand(explanation)
+            frontier = self._best_unexpanded()
+            for explanation in frontier:
+                self._leave_out(explanation)
+            frontier = self._best_unexpanded()
+
+    def expand(self, explanation: Explanation) -> Step:
+        """Add all that may explain what an explanation leaves, one at a time."""
+        if explanation.key in self.rounds:
+            return self.rounds[explanation.key]
+        self._on_stage(f"what is missing beside {', '.join(explanation.fit.effect_names) or 'the base alone'}")
+        current = explanation.fit
+        pool = self._pool
+        if any(map(explanation.goes_by_place, explanation.key)):
+            pool = replace(pool, effects={key: e for key, e in pool.effects.items() if e.name not in SLOPES})
+        step = one_round(current, pool, self._replicates, self._rng)
+        if self._pool.by_noise is None:
+            self._pool = replace(self._pool, by_noise=step.by_noise)
+        self.rounds[explanation.key] = step
+        routes = {name: term.route for name, term in explanation.terms.items() if term.route is not None}
+        found: Iterable[tuple[Candidate, Term | None]] = [
+            *((c, None) for c in step.candidates if c.counts(step.by_noise)),
+            *((t.candidate, t) for t in terms_beside(current, self._roads, self._kinds, routes, waves=not explanation.key)),
+        ]
+        for candidate, term in found:
+            self._add(explanation, candidate, term)
+        return step
+
+    def _add(self, before: Explanation, candidate: Candidate, term: Term | None) -> None:
+        terms = before.terms if term is None else {**before.terms, candidate.name: term}
+        self._keep(
+            Explanation(
+                candidate.fit,
+                before.evidence + candidate.net_evidence,
+                {**before.candidates, candidate.name: candidate},
+                terms,
+            )
+        )
+
+    def _keep(self, explanation: Explanation) -> None:
+        same = self.known.get(explanation.key)
+        if same is None or explanation.evidence > same.evidence:
+            self.known[explanation.key] = explanation
+
+    def _leave_out(self, explanation: Explanation) -> None:
+        """Leave out one term at a time."""
+        if len(explanation.key) > 1:
+            for name in explanation.key:
+                self.without(explanation, name)
+
+    def without(self, explanation: Explanation, name: str) -> Explanation:
+        """An explanation without one of its terms."""
+        key = explanation.key - {name}
+        if key not in self.known:
+            current = explanation.fit
+            left = [a.effect for a in current.effects if a.effect.name != name]
+            kept = {n: c for n, c in explanation.candidates.items() if n != name}
+            found = fit(current.problem, left, current.at, current.noises)
+            cost = sum(c.form_error_gain for c in kept.values())
+            evidence = found.log_evidence - self.nothing.fit.log_evidence - cost
+            terms = {n: t for n, t in explanation.terms.items() if n != name}
+            self._keep(Explanation(found, evidence, kept, terms))
+        return self.known[key]
+
+    def _best_unexpanded(self) -> list[Explanation]:
+        best = max(e.evidence for e in self.known.values())
+        room = [
+            e
+            for key, e in self.known.items()
+            if key not in self.rounds and len(key) < MOST_TERMS and e.evidence > LEAST_EXPANDED * best
+        ]
+        return sorted(room, key=lambda e: -e.evidence)[:EXPANDED]

@@ -1,0 +1,237 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Scores explanations on laps left out in turn.
+
+Every fourth lap that is fitted makes a fold. What a model expects of a fold comes from a fit without it, to first order about the
+fit of all of them: one Newton step, with the weights of heavy tails and the priors. Held-out laps were never fitted. The *level
+score* is the log-likelihood of all laps left out under a noise that is no random walk, so that levels count.
+
+Source: cross-validation by one Newton step as in Giordano et al., A Swiss army infinitesimal jackknife (2019).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.base.watched import Watched
+from trackres_ros.diagnosis.inference.fitting import Fit
+from trackres_ros.diagnosis.inference.levels import LARGEST_ROOT
+from trackres_ros.diagnosis.inference.noise import estimate_noise, whitened
+from trackres_ros.diagnosis.prepare.session import Mask, Session
+from trackres_ros.diagnosis.selection.held_out import FEWEST_LAPS, PIECE_S, RESAMPLES, Improvement
+from trackres_ros.diagnosis.selection.visibility import base_columns
+
+Array = NDArray[np.float64]
+
+FOLDS = 4
+FEWEST_OCCASIONS = 5  # of an error: one slow rise over a drive counts as four
+SURELY = 0.025  # of resampled laps, in which it may be the other way
+
+
+@dataclass(frozen=True, eq=False)
+class Score:
+    """What a model is worth on laps left out, by piece of them; shape (pieces,).
+
+    Attributes
+    ----------
+    density
+        Log-likelihood of the torque of each piece.
+    error, square
+        Sums of absolute and of squared errors [Nm], [Nm2].
+    occasion
+        Number of the occasion of each piece: pieces in which the error is much the same are one.
+    expected
+        Torque expected of each sample left out [Nm], shape (samples,).
+    """
+
+    density: Array
+    error: Array
+    square: Array
+    occasion: NDArray[np.int64]
+    expected: Array
+
+
+class LeftOut:
+    """Laps left out in turn.
+
+    Parameters
+    ----------
+    problem_masks, held_out
+        Samples of each session that are fitted, and those that are held out until the end.
+    """
+
+    def __init__(self, fitted: Fit, held_out: Sequence[Mask], rng: np.random.Generator) -> None:
+        sessions, masks = fitted.problem.sessions, fitted.problem.masks
+        self._held_out = held_out
+        self._fold = [np.full(len(s), -1) for s in sessions]
+        laps = np.unique(np.concatenate([s.block[m] for s, m in zip(sessions, masks, strict=True)]))
+        if len(laps) < FOLDS:  # laps too few: pieces of time
+            laps = np.unique(np.concatenate([_piece(s)[m] for s, m in zip(sessions, masks, strict=True)]))
+            of = [_piece(s) for s in sessions]
+        else:
+            of = [s.block for s in sessions]
+        for fold, mask, number in zip(self._fold, masks, of, strict=True):
+            at = np.searchsorted(laps, number[mask])
+            fold[mask] = at % FOLDS
+        self._left_out = [m | h for m, h in zip(masks, held_out, strict=True)]
+        self.measured = self._of([s.torque for s in sessions])
+        self._is_held_out = self._of(held_out)
+        pieces = self._of([s.block for s in sessions])
+        if len(np.unique(pieces)) < FEWEST_LAPS:
+            pieces = self._of([_piece(s) for s in sessions])
+        _, first, self._pieces = np.unique(pieces, return_index=True, return_inverse=True)
+        self._count = np.bincount(self._pieces)
+        self._begin = self._of([s.time for s in sessions])[first]
+        self._session = self._of([np.full(len(s), i) for i, s in enumerate(sessions)])[first]
+        self._step, self._rng = sessions[0].step, rng
+        self._draws: dict[int, Array] = {}
+
+    def score(self, found: Fit) -> Score:
+        """Of a fit by `levels.with_levels`."""
+        problem = found.problem
+        columns = base_columns(found)
+        white = np.concatenate(problem.white(problem.split(columns), found.noises))
+        slopes = np.concatenate([
+            np.nan_to_num(found.noises[g.kind].weights(w) * w) for w, g in zip(found.white, problem.segments, strict=True)
+        ])  # fmt: skip
+        weights = np.concatenate([
+            np.nan_to_num(found.noises[g.kind].weights(w)) for w, g in zip(found.white, problem.segments, strict=True)
+        ])  # fmt: skip
+        valid = np.isfinite(white).all(axis=1) & (weights > 0.0)
+        scale = np.array([f.scale for f in found.free])
+        x = np.where(valid[:, np.newaxis], np.nan_to_num(white) * scale, 0.0)
+        prior = np.diag([(f.scale / f.std) ** 2 if np.isfinite(f.std) else 0.0 for f in found.free])
+        whole = (x * weights[:, np.newaxis]).T @ x + prior
+        ridge = 1e-9 * max(float(np.trace(whole)), 1e-300) / len(whole) * np.eye(len(whole))
+        low, high = (np.array([getattr(f, side) for f in found.free]) for side in ("low", "high"))
+        expected = [p.torque.copy() for p in found.predicted]
+        folds = np.concatenate([
+            self._fold[g.session] if g.kind == "torque" else np.full(len(g.measured), -1) for g in problem.segments
+        ])  # fmt: skip
+        by_session = _of_torque(found, columns)
+        for fold in range(FOLDS):
+            rows = folds == fold
+            own = (x[rows] * weights[rows, np.newaxis]).T @ x[rows]
+            moved = np.linalg.solve(whole - own + ridge, -x[rows].T @ slopes[rows])
+            moved = np.clip(found.point + scale * moved, low, high) - found.point
+            for i, at in enumerate(self._fold):
+                expected[i][at == fold] += by_session[i][at == fold] @ moved
+        for active in found.effects:
+            if isinstance(active.effect, Watched):
+                self._as_known(active.effect, found, expected)
+        error = [s.torque - e for s, e in zip(problem.sessions, expected, strict=True)]
+        # The noise beside what was expected ahead: beside the fit it is too small for what nobody can know, such as when a spell
+        # begins.
+        noise = estimate_noise(error, self._left_out, LARGEST_ROOT)
+        density = []
+        for left, mask in zip(error, self._left_out, strict=True):
+            e = whitened(left, mask, noise.phi) / noise.std
+            density.append(np.where(np.isfinite(e), noise.log_density(np.nan_to_num(e)), 0.0))
+        errors = self._of(error)
+        alike_s = (
+            alike_for([np.where(m, e - errors.mean(), 0.0) for e, m in zip(error, self._left_out, strict=True)]) * self._step
+        )
+        occasion = np.stack([self._session, self._begin // alike_s if alike_s > PIECE_S else np.arange(len(self._begin))])
+        return Score(
+            self._sum(self._of(density)), self._sum(np.abs(errors)), self._sum(errors**2),
+            np.unique(occasion, axis=1, return_inverse=True)[1].ravel(), self.measured - errors,
+        )  # fmt: skip
+
+    def _as_known(self, effect: Watched, found: Fit, expected: list[Array]) -> None:
+        """Put what one could have known of a series in place of what all laps told of it."""
+        adds = found.contribution(effect.name)
+        size = sum(float((s * s).sum()) for s in effect.shape)
+        per_shape = sum(float((a * s).sum()) for a, s in zip(adds, effect.shape, strict=True)) / max(size, 1e-300)
+        for i, (shape, ahead) in enumerate(zip(effect.shape, effect.ahead, strict=True)):
+            at = self._fold[i] >= 0
+            expected[i][at] += per_shape * (ahead - shape)[at]
+
+    def gain(self, before: Score, after: Score) -> float:
+        """Level score of one over another."""
+        return float((after.density - before.density).sum())
+
+    def least_gain(self, before: Score, after: Score) -> float:
+        """The level score that is as good as sure."""
+        return self._least(before, after.density - before.density)
+
+    def improvement(self, before: Score, after: Score, for_good: bool = False) -> Improvement:
+        """Of the mean error, with the level score that is as good as sure; what changed once `for_good` has one occasion only."""
+        if for_good:
+            before = replace(before, occasion=np.arange(len(self._count)))
+        count, fallen = self._count.sum(), before.error - after.error
+        return Improvement(
+            float(before.error.sum() / count), float(after.error.sum() / count),
+            self._least(before, fallen, self._count), -self._least(before, -fallen, self._count),
+            self.least_gain(before, after),
+            self.gain(before, after),
+        )  # fmt: skip
+
+    def _least(self, before: Score, gained: Array, count: NDArray[Any] | None = None) -> float:
+        """Least sum that is as good as sure over resampled occasions, or least mean; nothing is sure of a few occasions."""
+        if before.occasion.max() + 1 < FEWEST_OCCASIONS:
+            return -np.inf
+        draws = self._draw(int(before.occasion.max()) + 1)
+        of_draw = draws @ np.bincount(before.occasion, weights=gained)
+        return float(
+            np.quantile(of_draw if count is None else of_draw / (draws @ np.bincount(before.occasion, weights=count)), SURELY)
+        )
+
+    def shares(self, scores: Sequence[Score]) -> Array:
+        """How often each is the likeliest of some over resampled laps; what is as likely shares.
+
+        Source: pseudo Bayesian model averaging with a bootstrap, Yao et al. (2018).
+        """
+        table = self._draw(len(self._count)) @ np.stack([s.density for s in scores], axis=1)
+        weight = np.exp(table - table.max(axis=1, keepdims=True))
+        return np.asarray((weight / weight.sum(axis=1, keepdims=True)).mean(axis=0))
+
+    def _draw(self, count: int) -> Array:
+        """How often each of some occasions is drawn, in each resample."""
+        if count not in self._draws:
+            self._draws[count] = self._rng.multinomial(count, np.full(count, 1.0 / count), size=RESAMPLES).astype(np.float64)
+        return self._draws[count]
+
+    def beyond(self, base: Fit) -> Callable[[Sequence[Array]], Array]:
+        """A function that gives of a series of each session the samples left out, less all that parameters of a base take up."""
+        own = self._of(_of_torque(base, base_columns(base) * np.array([f.scale for f in base.free])))
+        basis, size, _ = np.linalg.svd(own, full_matrices=False)
+        basis = basis[:, size > 1e-9 * size[0]]
+
+        def rest(series: Sequence[Array]) -> Array:
+            whole = self._of(series)
+            return np.asarray(whole - basis @ (basis.T @ whole))
+
+        return rest
+
+    def _of(self, series: Sequence[Any]) -> Any:
+        return np.concatenate([x[m] for x, m in zip(series, self._left_out, strict=True)])
+
+    def _sum(self, of_samples: Array) -> Array:
+        return np.asarray(np.bincount(self._pieces, weights=of_samples, minlength=len(self._count)), dtype=np.float64)
+
+
+def _of_torque(found: Fit, columns: Array) -> list[Array]:
+    """Changes of what is expected of the torque of each session."""
+    segments = found.problem.segments
+    return [part for part, g in zip(found.problem.split(columns), segments, strict=True) if g.kind == "torque"]
+
+
+def _piece(session: Session) -> NDArray[np.int64]:
+    """Number of the piece of each sample: of its lap, and of time in it."""
+    return np.asarray(session.block * 10_000 + (session.time // PIECE_S).astype(np.int64))
+
+
+def alike_for(series: Sequence[Array]) -> float:
+    """For how many samples series resemble themselves: twice the integral of their autocorrelation, to where it ends."""
+    power = np.zeros(2 ** int(np.ceil(np.log2(2 * max(map(len, series))))))
+    for x in series:
+        power[: len(power) // 2 + 1] += np.abs(np.fft.rfft(x, len(power))) ** 2
+    product = np.fft.irfft(power[: len(power) // 2 + 1])
+    ends = np.flatnonzero(product <= 0.0)
+    return float(1.0 + 2.0 * product[1 : ends[0] if len(ends) else None].sum() / max(product[0], 1e-300))

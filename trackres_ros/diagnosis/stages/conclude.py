@@ -1,0 +1,96 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The verdict comes in; what to drive next and what may be written go out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.described.finders import Term
+from trackres_ros.diagnosis.described.watching import drift_to_watch, spells_to_watch
+from trackres_ros.diagnosis.findings.next_drives import Advice, advise
+from trackres_ros.diagnosis.findings.verdict import Found, Told, Verdict
+from trackres_ros.diagnosis.inference.fitting import Fit
+from trackres_ros.diagnosis.search.choice import Chosen
+from trackres_ros.diagnosis.selection.as_used import choose_written
+from trackres_ros.diagnosis.selection.held_out import CONFIRMED
+from trackres_ros.diagnosis.stages.judge import Judged
+from trackres_ros.diagnosis.stages.options import Options
+from trackres_ros.diagnosis.stages.prepare import Prepared
+from trackres_ros.diagnosis.stages.refit import Refitted
+from trackres_ros.diagnosis.writing.kept import Kept, LearnedDisturbance
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Concluded:
+    """What to do: drives that would tell more, and what may be written."""
+
+    advice: tuple[Advice, ...]
+    kept: Kept
+
+
+def conclude(prepared: Prepared, base: Refitted, chosen: Chosen, judged: Judged, options: Options) -> Concluded:
+    """Decide what is kept, and what to drive next."""
+    options.on_stage("what to drive next")
+    advice = [a for step in chosen.steps.values() for a in advise(step, options.vehicle.known.max_speed)]
+    keep_suspected, final = options.keep_suspected, chosen.final
+    kinds = {name: effect.belongs_to for name, effect in prepared.effects.items()}
+    believed = believed_in(judged.found, judged.terms, judged.verdict, kinds, keep_suspected)
+    confirmed = [g.name for g in chosen.graded.values() if g.confirmed]
+    kept = choose_written(believed, confirmed, final, base.refitted, base.use, judged.bounds)
+    if prepared.base.has_belt:  # a road_load vehicle does not run live
+        expected = base.use.expected(kept.values, kept.effects, alone=False)
+        watched = [chosen.term(t.described.name) for t in judged.terms if may_be_kept(t, judged.verdict, keep_suspected)]
+        tracked = judged.tracked
+        drifts = tracked is not None and (keep_suspected or tracked.confirmed)
+        kept = kept.with_disturbance(to_watch(watched, drifts, final, expected))
+    return Concluded(tuple(advice), kept)
+
+
+def believed_in(
+    found: Sequence[Found], terms: Sequence[Told], verdict: Verdict, kinds: Mapping[str, str], keep_suspected: bool
+) -> list[str]:
+    """Names of the effects that may be written: the verdict stands by them, held-out laps confirm them, and all that may be
+    meant belong to the same; of terms without a name, those that follow what is known at the time. Or whatever was found, if
+    suspected ones are kept.
+
+    Parameters
+    ----------
+    kinds
+        What each effect of the catalogue belongs to.
+    """
+
+    def settled(f: Found) -> bool:
+        own = kinds.get(f.name)
+        return {kinds.get(m, own) for m in f.step.members} <= {own}
+
+    ahead = [t for t in terms if t.described.predictable]
+    return [f.name for f in found if may_be_kept(f, verdict, keep_suspected) and (keep_suspected or settled(f))] + [
+        t.described.name for t in ahead if may_be_kept(t, verdict, keep_suspected)
+    ]
+
+
+def may_be_kept(f: Found | Told, verdict: Verdict, keep_suspected: bool) -> bool:
+    """Whether the verdict stands by it and held-out laps confirm it, or suspected ones are kept."""
+    return keep_suspected or (verdict.names and f.graded.grade == CONFIRMED)
+
+
+def to_watch(terms: Sequence[Term], drifts: bool, final: Fit, expected: Sequence[Array]) -> LearnedDisturbance | None:
+    """What is to be watched for live: the spells among terms that may be kept, else a drift; None where there is neither.
+
+    Parameters
+    ----------
+    expected
+        Torque of each session that the written file expects [Nm].
+    """
+    spells = next((t for t in terms if t.chain is not None), None)
+    if spells is not None:
+        return spells_to_watch(spells, final, expected)
+    return drift_to_watch(final, expected) if drifts else None

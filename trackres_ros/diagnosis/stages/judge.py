@@ -1,0 +1,176 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The chosen explanation comes in; where each of its terms acts, how sure its values are, and the verdict go out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.base.watched import ByPlace
+from trackres_ros.diagnosis.described.finders import drift
+from trackres_ros.diagnosis.described.terms import Described
+from trackres_ros.diagnosis.described.told import course, said
+from trackres_ros.diagnosis.described.watching import drift_on_held_out
+from trackres_ros.diagnosis.findings.locate import (
+    acts,
+    against_travel,
+    regime_of,
+    seen_where_it_acts,
+    slow_residual,
+    smoothed,
+    spans,
+    swings_of,
+)
+from trackres_ros.diagnosis.findings.residual_bins import RegimeMap, regime_map
+from trackres_ros.diagnosis.findings.spread import Spread, find_spread
+from trackres_ros.diagnosis.findings.verdict import MOST_STRAY, Found, Told, Verdict, by_weight, changed_values
+from trackres_ros.diagnosis.findings.verdict import judge as verdict_of
+from trackres_ros.diagnosis.inference.fitting import Fit
+from trackres_ros.diagnosis.inference.levels import for_tests
+from trackres_ros.diagnosis.prepare.torque_checks import inconsistent_scale_notes, nothing_to_conclude
+from trackres_ros.diagnosis.search.choice import Chosen
+from trackres_ros.diagnosis.selection.confirm import Graded
+from trackres_ros.diagnosis.selection.held_out import HeldOut, Improvement, held_out
+from trackres_ros.diagnosis.selection.intervals import Interval, intervals
+from trackres_ros.diagnosis.stages.options import Options
+from trackres_ros.diagnosis.stages.prepare import Prepared
+from trackres_ros.diagnosis.stages.refit import Refitted
+
+Array = NDArray[np.float64]
+Bounds = Mapping[tuple[str, str], Interval]
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """What it comes to.
+
+    Attributes
+    ----------
+    found, terms
+        Effects and terms without a name in the final fit, the weightiest first.
+    wanders, tracked
+        How what is left wanders, where it does so by more than it should; and what it is worth to follow that live.
+    spread
+        Where the torque shakes more than elsewhere.
+    worth
+        Errors on held-out laps.
+    tested_end, at_end
+        The final fit with the noise that whitens its residuals, and the residual by regime.
+    bounds
+        Intervals of the values of the final fit.
+    """
+
+    found: tuple[Found, ...]
+    terms: tuple[Told, ...]
+    wanders: Described | None
+    tracked: Improvement | None
+    spread: Spread | None
+    worth: HeldOut
+    tested_end: Fit
+    at_end: RegimeMap
+    bounds: Bounds
+    verdict: Verdict
+
+
+def judge(prepared: Prepared, base: Refitted, chosen: Chosen, options: Options, rng: np.random.Generator) -> Judged:
+    """Judge an explanation."""
+    final = chosen.final
+    worth = _worth(prepared, base, chosen)
+    options.on_stage("what is left")
+    tested_end = for_tests(final)
+    at_end = regime_map(tested_end, rng)
+    options.on_stage("how sure: intervals")
+    bounds = intervals(final)
+    found, terms = _found(base, chosen, bounds), _terms(base, chosen, bounds)
+    left_over = slow_residual(final)
+    wanders = drift(final) if left_over.share > MOST_STRAY and not terms else None
+    tracked = drift_on_held_out(final, base.laps) if wanders is not None else None
+    wandering = None if wanders is None or tracked is None else Told(wanders, [], [], {}, 0.0, Graded(wanders.form, tracked, ()))
+    spread = find_spread(final)
+    changed = () if final.effects else changed_values(base.refitted, bounds)
+    verdict = verdict_of(
+        found,
+        terms,
+        chosen.refuted,
+        base.refitted,
+        at_end,
+        left_over,
+        chosen.last.hint,
+        worth,
+        wandering,
+        changed,
+        chosen.shares,
+        None if spread is None else spread.described,
+    )
+    return Judged(tuple(found), tuple(terms), wanders, tracked, spread, worth, tested_end, at_end, bounds, verdict)
+
+
+def _worth(prepared: Prepared, base: Refitted, chosen: Chosen) -> HeldOut:
+    """Errors on held-out laps; refuses where nothing can be concluded from them."""
+    predicted = {"refitted": base.refitted.predicted, "with_effects": chosen.final.predicted}
+    expected = {stage: [p.torque for p in of] for stage, of in predicted.items()}
+    worth = held_out(base.laps, {"nominal": prepared.nominal, **expected})
+    names = ", ".join(s.name for s in prepared.sessions)
+    odd = inconsistent_scale_notes(prepared.sessions, prepared.nominal)
+    # Recordings of different vehicles differ by load or hour too, and a term without a name takes on whatever tells them apart.
+    has_name = any(c.is_name for c in chosen.explanation.candidates.values())
+    stages = [stage for stage in worth.r2 if has_name or not odd or stage != "with_effects"]
+    r2, mae = ({stage: of[stage] for stage in stages} for of in (worth.r2, worth.mae))
+    refused = nothing_to_conclude(names, r2, mae, float(np.abs(base.laps.measured).mean()), odd)
+    if refused:
+        raise refused
+    return worth
+
+
+def _found(base: Refitted, chosen: Chosen, bounds: Bounds) -> list[Found]:
+    """The effects of the final fit that have a name."""
+    final, sessions = chosen.final, chosen.final.problem.sessions
+    of_base = _residual(base)
+    swings = swings_of([smoothed(s, r) for s, r in zip(sessions, of_base, strict=True)])[1]
+    found = []
+    for active in final.effects:
+        effect = active.effect
+        if not chosen.is_named(effect.name):
+            continue
+        adds = final.contribution(effect.name)
+        resists = against_travel(sessions, adds) if effect.acts_on != "sensor" else adds
+        where = acts(final, resists)
+        if isinstance(effect, ByPlace):
+            where = replace(where, low=where.least, high=where.most)  # by the place, and by nothing that is looked over
+        regime = regime_of(base.refitted, base.at_base, where)
+        found.append(
+            Found(
+                effect.name, effect.text, effect.acts_on, effect.parameters, chosen.steps[effect.name], active.values,
+                bounds_of(effect.name, bounds), adds, resists, spans(sessions, adds), where, regime,
+                where.residual(regime[0], base.at_base, swings), chosen.graded[effect.name],
+            )
+        )  # fmt: skip
+    return [f for f in by_weight(found) if isinstance(f, Found)]
+
+
+def _terms(base: Refitted, chosen: Chosen, bounds: Bounds) -> list[Told]:
+    """The terms of the final fit that have none."""
+    final, of_base, terms = chosen.final, _residual(base), []
+    for name in final.effect_names:
+        if not chosen.is_named(name):
+            adds, term = final.contribution(name), chosen.term(name)
+            seen_nm = seen_where_it_acts(final.problem.sessions, adds, of_base)
+            terms.append(
+                Told(said(term, final), adds, course(term, final), bounds_of(name, bounds), seen_nm, chosen.graded[name])
+            )
+    return [t for t in by_weight(terms) if isinstance(t, Told)]
+
+
+def _residual(base: Refitted) -> Sequence[Array]:
+    refitted = base.refitted
+    return [s.torque - p.torque for s, p in zip(refitted.problem.sessions, refitted.predicted, strict=True)]
+
+
+def bounds_of(name: str, bounds: Bounds) -> dict[str, Interval]:
+    """Intervals of the parameters of one effect."""
+    return {parameter: interval for (effect, parameter), interval in bounds.items() if effect == name}

@@ -1,0 +1,83 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Recordings come in; sessions with numbered laps go out, split into laps to fit and laps held out, and what may be missing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.base.base import Base
+from trackres_ros.diagnosis.base.instrument import usual_offset
+from trackres_ros.diagnosis.prepare.at_rest import seconds_without_torque
+from trackres_ros.diagnosis.prepare.gate import Gated
+from trackres_ros.diagnosis.prepare.session import Session, Split
+from trackres_ros.diagnosis.prepare.split import split
+from trackres_ros.diagnosis.stages.options import Options
+from trackres_ros.diagnosis.stages.prepared import prepared
+from trackres_ros.effects import catalogue
+from trackres_ros.effects.effect import Effect
+from trackres_ros.effects.sensor.torque_offset import TorqueOffset
+from trackres_ros.effects.vehicle.rotating_inertia import RotatingInertia
+from trackres_ros.recording.recording import Recording
+from trackres_ros.text.numbers import figures
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """What is diagnosed.
+
+    Attributes
+    ----------
+    gated, split
+        What passed the gate, and which laps are held out.
+    nominal
+        Torque of each session with the values of the vehicle file [Nm].
+    recorded
+        The sessions without what a route says of their places.
+    effects
+        Those that may be missing.
+    """
+
+    base: Base
+    gated: Gated
+    split: Split
+    nominal: tuple[Array, ...]
+    recorded: tuple[Session, ...]
+    effects: Mapping[str, Effect]
+
+    @property
+    def sessions(self) -> tuple[Session, ...]:
+        """What passed the gate."""
+        return self.gated.sessions
+
+
+def prepare(recordings: Sequence[Recording], options: Options) -> Prepared:
+    """Check, clean and split recordings."""
+    vehicle = options.vehicle
+    base, facts = vehicle.base, vehicle.base.facts
+    options.on_stage("gate: units, clocks, gaps")
+    gated, nominal, recorded = prepared(recordings, vehicle, options.hide, options.unread)
+    known = catalogue(options.effects_dir, facts.weight * facts.radius, on_tyres=not base.has_belt)
+    effects = {
+        name: effect.beside(base.rotating_mass_factor) if isinstance(effect, RotatingInertia) else effect
+        for name, effect in known.items()
+    }
+    gated, effects = without_an_offset(gated, base, effects)
+    return Prepared(base, gated, split(gated.sessions, options.holdout), nominal, recorded, effects)
+
+
+def without_an_offset(gated: Gated, base: Base, effects: Mapping[str, Effect]) -> tuple[Gated, dict[str, Effect]]:
+    """The effects that may be found: no offset of a torque sensor that reads none at rest for long; and a note that says so."""
+    none = usual_offset(base)
+    seconds = seconds_without_torque(gated.sessions, none)
+    if not seconds or TorqueOffset.name not in effects:
+        return gated, dict(effects)
+    note = f"the torque reads 0 Nm at rest, within {figures(none)} Nm, over {seconds:.0f} s: its sensor has no offset"
+    return replace(gated, notes=(*gated.notes, note)), {n: e for n, e in effects.items() if n != TorqueOffset.name}

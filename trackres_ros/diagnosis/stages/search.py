@@ -1,0 +1,28 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The re-fitted base comes in; the best explanation of what it leaves goes out, confirmed on laps left out, or none."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from trackres_ros.diagnosis.described.routes import roads_of
+from trackres_ros.diagnosis.search.choice import Choice, Chosen
+from trackres_ros.diagnosis.search.explanations import Search
+from trackres_ros.diagnosis.selection.screening import QUICK_REPLICATES, REPLICATES
+from trackres_ros.diagnosis.stages.options import Options
+from trackres_ros.diagnosis.stages.prepare import Prepared
+from trackres_ros.diagnosis.stages.refit import Refitted
+from trackres_ros.route.learned import SLOPE, TORQUE, of_kind
+
+
+def search(prepared: Prepared, base: Refitted, options: Options, rng: np.random.Generator) -> Chosen:
+    """Search explanations, and choose one."""
+    kinds = [kind for kind in (SLOPE, TORQUE) if of_kind(options.vehicle.route, kind) is None]
+    roads = roads_of(prepared.sessions) if kinds else None
+    replicates = QUICK_REPLICATES if options.quick else REPLICATES
+    found = Search(base.tested, prepared.effects, roads, kinds, replicates, rng, options.on_stage)
+    found.run()
+    options.on_stage("what it is worth: laps left out in turn")
+    return Choice(found, base.refitted, base.left_out, base.laps, base.use).best(options.keep_suspected)
