@@ -43,7 +43,7 @@ VARIABLES = (
     Variable("ambient temperature", "degC", lambda s, _: s.ambient),
     Variable("time since start", "s", lambda s, _: s.time, as_clock=True),
     Variable("load", "N", lambda s, _: s.weight),
-    Variable("distance", "m", lambda s, _: s.distance, as_clock=True),
+    Variable("distance", "m", lambda s, _: s.distance - s.distance[0], as_clock=True),
 )
 BY_NAME = {variable.name: variable for variable in VARIABLES}
 

@@ -27,6 +27,7 @@ STRAY_S = 30.0
 SMOOTHED_S = 20.0  # of the residual over time, as pictures show it
 BROKEN_S = 2.0  # a longer time without a compared sample breaks the line
 MOST_SPANS = 60
+CLOCK_BY = 1.25  # times as much as anything else: only then an effect is said to follow time or distance
 BINS = 12
 
 
@@ -166,7 +167,8 @@ def acts(found: Fit, adds: Sequence[Array]) -> Acts:
     series = np.concatenate(adds)[used]
     square = float(np.mean(series**2))
     best, result = -1.0, Acts("speed", "m/s", -np.inf, np.inf, -np.inf, np.inf, 0.0, 0.0, 0.0)
-    for name, everywhere in varying(sessions, found.predicted).items():
+    # What grows with the clock goes along with all that changes once in a drive: it has to explain plainly more.
+    for name, everywhere in sorted(varying(sessions, found.predicted).items(), key=lambda item: BY_NAME[item[0]].as_clock):
         x = everywhere[used]
         if np.ptp(x) == 0.0:
             continue
@@ -174,7 +176,7 @@ def acts(found: Fit, adds: Sequence[Array]) -> Acts:
         count = np.maximum(np.bincount(place), 1)
         means = np.bincount(place, weights=series) / count
         explained = float(np.var(means[place]))
-        if explained > best * 1.02 + 1e-9:
+        if explained > best * (CLOCK_BY if BY_NAME[name].as_clock else 1.02) + 1e-9:
             best = explained
             size = np.bincount(place, weights=np.abs(series)) / count
             large = np.flatnonzero(size >= ACTING_SHARE * size.max())

@@ -165,19 +165,24 @@ class Choice:
         return Chosen(best.explanation, best.final, self._all_graded(best), alone, steps, last, doubted, shares)
 
     def _counts(self, judged: Judged) -> bool:
-        """Whether each term gains more than noise would, and one that improves little more than the model's own error would.
+        """Whether each term gains more than noise would beside all others, and one that improves little more than the model's own
+        error would.
 
         What goes by place was sought on passes that it was not learned from: the price of all its places does not count again.
         """
-        for name, candidate in judged.explanation.candidates.items():
-            if judged.explanation.goes_by_place(name):
+        explanation = judged.explanation
+        for name, candidate in explanation.candidates.items():
+            if explanation.goes_by_place(name):
                 continue
-            without = self._search.without(judged.explanation, name)
+            without = self._search.without(explanation, name)
             step = self._search.rounds.get(without.key)
             by_model = step.threshold if step is not None else spurious_gain(without.fit)
             before, after = self.judged(without).score.error.sum(), judged.score.error.sum()
             small = before - after < SMALL_SHARE * before
-            if not candidate.counts(max(self._search.by_noise, by_model if small else 0.0)):
+            least = max(self._search.by_noise, by_model if small else 0.0)
+            evidence = explanation.evidence - without.evidence
+            gain = evidence + candidate.gain - candidate.criterion
+            if not (candidate.matters and evidence > 0.0 and gain > least):
                 return False
         return True
 
