@@ -72,6 +72,7 @@ OPENS_AT = 0.1  # of the 95th percentile of a gate's variable
 LEAST_RANGE = 0.02  # of its size: what varies less is taken for constant
 APART = 0.04  # of the range of the load: levels further apart than this are different ones
 FEWEST_SESSIONS = 6  # with fewer, what differs only from one recording to the next may be anything else that does
+LEAST_WITHIN = 0.3  # of its spread: what varies less within recordings differs from one to the next only
 FEWEST_OPEN = 60  # samples on either side of a gate
 BUILD_UP_SCALE = {BY_DISTANCE: 600.0}
 BUILD_UP_SCALE_S = 120.0
@@ -108,9 +109,13 @@ def _resolved(fit: Fit) -> bool:
 
 
 def shows(code: int, fit: Fit) -> bool:
-    """Whether a variable varies within a recording, or over enough of them to be told from all else that differs there."""
+    """Whether a variable varies within recordings, or over enough of them to be told from all else that differs there."""
     within = [x[m] for x, m in zip(series(code, fit), fit.problem.masks, strict=True) if m.any()]
-    return varies(driven(code, fit)) and (len(within) >= FEWEST_SESSIONS or any(map(varies, within)))
+    every = driven(code, fit)
+    if len(within) >= FEWEST_SESSIONS or not varies(every):
+        return varies(every)
+    of_recordings = np.sqrt(sum(len(x) * float(np.var(x)) for x in within) / len(every))
+    return any(map(varies, within)) and bool(of_recordings > LEAST_WITHIN * np.std(every))
 
 
 def varies(x: Array) -> bool:

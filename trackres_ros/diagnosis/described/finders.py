@@ -45,7 +45,7 @@ Search = Callable[[Fit, Sequence[Array]], "Term | None"]
 """Looks for a term that follows the clock alone in the residual of the torque of each session [Nm], beside a fit."""
 
 SURE = 10.0  # in log-likelihood: spells over what only wanders, what wanders over what does not, a term over none
-FEWEST_SPELLS = 3
+FEWEST_SPELLS = 2  # with one, it is a change of level
 SLOWEST_WANDER_S = 60.0  # what wanders faster is noise that the autoregression knows
 LEAST_WANDER = 0.01  # of the torque
 PHASE_COST = 1.0  # in log-likelihood: what a phase, which is fitted to each stretch, and its size gain by noise

@@ -21,6 +21,7 @@ from trackres_ros.diagnosis.findings.wording import (
     confirmed_terms,
     differs,
     doubts,
+    file_is_off,
     is_small,
     joined,
     likelier,
@@ -28,6 +29,7 @@ from trackres_ros.diagnosis.findings.wording import (
     may_be,
     mean_error,
     moved,
+    only_later,
     possible,
     range_of,
     rejected,
@@ -36,7 +38,7 @@ from trackres_ros.diagnosis.findings.wording import (
     unexplained,
 )
 from trackres_ros.diagnosis.inference.fitting import Fit
-from trackres_ros.diagnosis.selection.confirm import Graded, moved_parameters
+from trackres_ros.diagnosis.selection.confirm import Graded, far_from_file, moved_parameters
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, HeldOut
 from trackres_ros.text.numbers import figures
 
@@ -46,6 +48,7 @@ LACK_OF_FIT_P = 0.01
 MOST_STRAY = 0.015  # of the torque, in means over half a minute
 LEFT_SHARE = 0.5  # of what the effects explain: more left over, and the names explain little
 LEAST_GAIN = 0.01  # of the mean error on hold-out laps: a re-fit that gains more says which values were off
+LATER = 2.0  # times the error on the fitted laps: hold-out laps that are further off show something that those do not
 MOST_CHANGED = 3  # values that a sentence lists
 NO_SHARES: Mapping[str, float] = MappingProxyType({})
 
@@ -124,18 +127,28 @@ def judge(
     after = [*doubts([t.graded for t in unsure]), *rejected(refuted)]
     if sure:
         return _confirmed(sure, left, left_over, held_out, listed, [*shakes, may_be(listed, also=True), *after])
+    far = far_from_file(refitted)
+    if far:
+        seen, *more = file_is_off(far)
+        worth = mean_error(held_out.mae["nominal"], held_out.mae["refitted"]) + " with that re-fit"
+        return Verdict("unexplained", SUSPECTED, joined([seen, *more, worth, *shakes, may_be(listed), *after]), (), listed, seen)
     drifts = left_over.share > MOST_STRAY and all(BY_NAME[b.variable].as_clock for b in left)
     if drift is not None and drifts and drift.graded.grade == CONFIRMED:
         lines = [*_of_drift(drift), *shakes, may_be(listed, also=True), *after]
         return Verdict("described", CONFIRMED, joined(lines), (), listed)
     strays = left_over.share > MOST_STRAY
+    fitted_error, of_torque = _fitted_error(refitted)
+    later = held_out.mae["refitted"] > max(LATER * fitted_error, fitted_error + MOST_STRAY * of_torque)
     large = [t for t in unsure if not is_small(t)]
     refit = held_out.of_refit
     worth = mean_error(refit.before, refit.after) + " with a re-fit of the vehicle file" if refit.grade == CONFIRMED else ""
     beside = max([*(abs(b.mean_residual) for b in left), left_over.size if strays else 0.0])
     shaking = spread is not None and beside <= LEFT_SHARE * spread.size_nm
-    if (left or strays or large) and not shaking:
-        seen, *more = [unexplained(left)] if left else slow(left_over) if strays else [differs(large[0])]
+    if (left or strays or large or later) and not shaking:
+        if later and not left:
+            seen, *more = only_later(fitted_error, held_out.mae["refitted"])
+        else:
+            seen, *more = [unexplained(left)] if left else slow(left_over) if strays else [differs(large[0])]
         nothing = "No effect of the catalogue explains it" if left and not listed else ""
         grade = REFUTED if refuted and not unsure else SUSPECTED
         lines = [seen, *more, nothing, *shakes, may_be(listed), *after, worth]
@@ -144,6 +157,16 @@ def judge(
         lines = [*shakes, may_be(listed, also=True), *after, *_rest(left, left_over), worth]
         return Verdict("described", CONFIRMED, joined(lines), (), listed)
     return _nothing_missing(refitted, hint, held_out, changed, listed, [may_be(listed, also=True), *after])
+
+
+def _fitted_error(refitted: Fit) -> tuple[float, float]:
+    """Mean absolute error on the laps that were fitted, and the mean size of the torque there [Nm]."""
+    of_torque = [(r, g) for r, g in zip(refitted.residuals, refitted.problem.segments, strict=True) if g.kind == "torque"]
+    error, size = (
+        float(np.nanmean(np.abs(np.concatenate(parts))))
+        for parts in ([r[g.mask] for r, g in of_torque], [g.measured[g.mask] for _, g in of_torque])
+    )
+    return error, size
 
 
 def _confirmed(

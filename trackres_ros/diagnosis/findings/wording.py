@@ -20,6 +20,7 @@ from trackres_ros.text.numbers import figures, on_scale
 MOST_CERTAIN = 20.0  # in log-likelihood: more is no more certain
 LEAST_SHARE = 0.05  # of the probability: what is less likely is not listed
 MOST_LISTED = 5
+LEAST_AHEAD = 1.0  # in log-evidence: what is behind by less fits as well
 MOST_WORDS = 25  # of a sentence
 NONE_OF_THESE = "none of these"
 
@@ -210,12 +211,25 @@ def moved(q: BaseParameter, value: float) -> str:
     return f"{q.name} {figures(q.nominal, 4)} -> {figures(value, 4)}{unit}"
 
 
+def file_is_off(far: Sequence[tuple[BaseParameter, float]]) -> list[str]:
+    """That the vehicle file is of another vehicle, and where to look; values that a re-fit moves far out of their ranges."""
+    values = [f"{q.name} would have to be {figures(value)} ({q.by_file[0]:g} to {q.by_file[1]:g} in the file)" for q, value in far]
+    return [
+        "The vehicle file does not fit this vehicle",
+        f"In a re-fit, {values[0]}",
+        *(upper(text) for text in values[1:MOST_LISTED]),
+        "Check what the file has and no re-fit changes: the rubber file, dimensions of belt and wheels, and the unit of the load",
+    ]
+
+
 def _rival(f: Found) -> str:
     """The next best candidate, and how much less likely it is."""
     others = [c for c in f.step.candidates if c.name not in f.step.members]
     if not others or f.step.chosen is None:
         return ""
     next_best = max(others, key=lambda c: c.net_evidence)
+    if f.step.chosen.net_evidence - next_best.net_evidence < LEAST_AHEAD:
+        return f"{upper(next_best.name)} fits as well, but predicts the unused laps surely worse"
     return f"The next best explanation, {next_best.name}, is {likelier(f.step.chosen, next_best)} times less likely"
 
 
@@ -250,6 +264,14 @@ def slow(s: SlowResidual) -> list[str]:
         f"{_percent(s.share)} of the torque",
         "Nothing recorded explains this difference",
         "" if math.isnan(s.slope) else f"An unrecorded slope of {100.0 * s.slope:.1f} % would do the same",
+    ]
+
+
+def only_later(fitted: float, unused: float) -> list[str]:
+    """That the laps which were not fitted differ more from the model than those which were."""
+    return [
+        f"The unused laps differ from the re-fitted model by {figures(unused)} Nm on average, the fitted laps by {figures(fitted)} Nm",
+        "Something changed between them, or they were driven where the fitted laps were not",
     ]
 
 

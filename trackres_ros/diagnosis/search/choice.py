@@ -24,8 +24,9 @@ from trackres_ros.diagnosis.inference.levels import with_levels
 from trackres_ros.diagnosis.search.explanations import Explanation, Key, Search
 from trackres_ros.diagnosis.search.left_out import LeftOut, Score
 from trackres_ros.diagnosis.selection.as_used import AsUsed, inside_ranges
-from trackres_ros.diagnosis.selection.confirm import Graded, displaced, on_bounds
-from trackres_ros.diagnosis.selection.held_out import SMALL_SHARE, HeldOutLaps
+from trackres_ros.diagnosis.selection.confirm import Graded, displaced, far_from_file, on_bounds
+from trackres_ros.diagnosis.selection.form_error import FORM_ERROR
+from trackres_ros.diagnosis.selection.held_out import SMALL_SHARE, HeldOutLaps, Improvement
 from trackres_ros.diagnosis.selection.naming import ALIKE_WITHIN, Step, spurious_gain
 
 Array = NDArray[np.float64]
@@ -101,6 +102,7 @@ class Choice:
     def __init__(self, search: Search, refitted: Fit, left_out: LeftOut, laps: HeldOutLaps, use: AsUsed) -> None:
         self._search, self._refitted, self._left_out, self._laps, self._use = search, refitted, left_out, laps, use
         self._beyond_base = left_out.beyond(refitted)
+        self._by_file = use.error(None)
         nothing = search.nothing
         self._judged: dict[Key, Judged] = {nothing.key: Judged(nothing, refitted, left_out.score(refitted))}
 
@@ -134,10 +136,15 @@ class Choice:
     def _is_confirmed(self, judged: Judged) -> bool:
         once = any(term.change is not None for term in judged.explanation.terms.values())
         whole = self._left_out.improvement(self._nothing.score, judged.score, for_good=once)
-        kept = self._laps.improvement_of(self._refitted, judged.final)
-        if not whole.confirmed or kept.after > kept.before:
+        kept = self._kept(judged)
+        # A re-fit may be worse than the file. What only mends that is not missing.
+        if not whole.confirmed or kept.after > min(kept.before, self._by_file) or far_from_file(judged.final):
             return False
         return all(self.graded(judged, name).confirmed for name in judged.explanation.candidates)
+
+    def _kept(self, judged: Judged) -> Improvement:
+        """Of the error on held-out laps."""
+        return self._laps.improvement_of(self._refitted, judged.final)
 
     def best(self, keep_suspected: bool = False) -> Chosen:
         """The best explanation; each of its terms is compared with all that could stand in its place.
@@ -154,7 +161,8 @@ class Choice:
                 self._search.expand(explanation)
             if not new and best is before:
                 break
-        shares = self._shares(confirmed or [self._nothing, *filter(self._counts, map(self.judged, self._proposed()))])
+        possible = [j for j in map(self.judged, self._proposed()) if self._counts(j) and self._kept(j).after <= self._by_file]
+        shares = self._shares(confirmed or [self._nothing, *possible])
         first = next((j for j in map(self.judged, self._proposed()) if self._counts(j)), self._nothing)
         doubted = tuple(g for g in self._all_graded(first).values() if not g.confirmed and g.name not in best.key)
         if keep_suspected and not best.key:
@@ -205,9 +213,17 @@ class Choice:
         return max(unbeaten or confirmed, key=rank, default=self._nothing)
 
     def _beats(self, one: Judged, other: Judged) -> bool:
-        """Whether one surely predicts better than another; a form has to by more than a name, which is right to a tenth only."""
+        """Whether one surely predicts better than another.
+
+        A form in the place of a name has to by more: the function of a name is nature's to a tenth only, so the mean square
+        error has to fall by more than the square of a tenth of what the names add.
+        """
         more_forms = one.explanation.without_a_name > other.explanation.without_a_name
-        return self._left_out.least_gain(other.score, one.score) > (SURE if more_forms else ALIKE_WITHIN)
+        if self._left_out.least_gain(other.score, one.score) <= (SURE if more_forms else ALIKE_WITHIN):
+            return False
+        names = [name for name, c in other.explanation.candidates.items() if c.is_name and name not in one.key]
+        by_form = sum(float((self._beyond_base(other.final.contribution(name)) ** 2).sum()) for name in names) * FORM_ERROR**2
+        return not more_forms or float((other.score.square - one.score.square).sum()) > by_form
 
     def _round_of(self, best: Judged, name: str) -> Step:
         """The round without a term, with its class: what stands in its place as well."""

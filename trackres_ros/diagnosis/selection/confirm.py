@@ -17,6 +17,7 @@ from trackres_ros.effects.effect import Active
 ON_BOUND = 1e-3  # of the span between the bounds
 LITTLE = 0.1  # of the mean error: what takes the place of a value of the base makes no more than that better
 MOVED = 1.5  # standard deviations of the file's own range
+FAR = 5.0  # such standard deviations: no value of a vehicle is that far off, so the file is of another vehicle
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,8 +84,13 @@ def at_implausible_bounds(found: Fit) -> tuple[str, ...]:
     )
 
 
-def moved_parameters(found: Fit) -> list[tuple[BaseParameter, float]]:
-    """Parameters of the base that moved further than their range says, furthest first."""
+def moved_parameters(found: Fit, by: float = MOVED) -> list[tuple[BaseParameter, float]]:
+    """Parameters of the base that moved by more than so many standard deviations of their range, furthest first."""
     moved = [(q, found.base_values[q.name]) for q in found.problem.base.parameters if np.isfinite(q.std)]
-    far = [(q, value) for q, value in moved if abs(value - q.nominal) > MOVED * q.std]
+    far = [(q, value) for q, value in moved if abs(value - q.nominal) > by * q.std]
     return sorted(far, key=lambda pair: -abs(pair[1] - pair[0].nominal) / pair[0].std)
+
+
+def far_from_file(found: Fit) -> list[tuple[BaseParameter, float]]:
+    """Parameters of the base so far outside their range that they imitate something else that is wrong in the vehicle file."""
+    return moved_parameters(found, FAR)
