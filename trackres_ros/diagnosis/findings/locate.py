@@ -29,6 +29,8 @@ BROKEN_S = 2.0  # a longer time without a compared sample breaks the line
 MOST_SPANS = 60
 CLOCK_BY = 1.25  # times as much as anything else: only then an effect is said to follow time or distance
 BINS = 12
+LATER = 2.0  # times the error on the fitted laps: hold-out laps that are further off show something that those do not
+LATER_SHARE = 0.015  # of the torque: by so much more at least
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,6 +237,20 @@ def slow_residual(found: Fit) -> SlowResidual:
     torque = float(np.sqrt(np.mean(np.concatenate(torques) ** 2)))
     facts, measured = found.problem.base.facts, all("grade" in s.given for s in found.problem.sessions)
     return SlowResidual(size, size / max(torque, 1e-12), float("nan") if measured else size / (facts.weight * facts.radius))
+
+
+def only_later(refitted: Fit, unused: float) -> tuple[float, float] | None:
+    """Mean absolute errors on the fitted and the hold-out laps [Nm], where the latter show something that the former do not.
+
+    Parameters
+    ----------
+    unused
+        Mean absolute error on the hold-out laps [Nm].
+    """
+    of_torque = [(r, g) for r, g in zip(refitted.residuals, refitted.problem.segments, strict=True) if g.kind == "torque"]
+    error = float(np.nanmean(np.abs(np.concatenate([r[g.mask] for r, g in of_torque]))))
+    torque = float(np.nanmean(np.abs(np.concatenate([g.measured[g.mask] for _, g in of_torque]))))
+    return (error, unused) if unused > max(LATER * error, error + LATER_SHARE * torque) else None
 
 
 def regime_of(refitted: Fit, at_base: RegimeMap, where: Acts) -> tuple[Bin, ...]:

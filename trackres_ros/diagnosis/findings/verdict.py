@@ -48,7 +48,6 @@ LACK_OF_FIT_P = 0.01
 MOST_STRAY = 0.015  # of the torque, in means over half a minute
 LEFT_SHARE = 0.5  # of what the effects explain: more left over, and the names explain little
 LEAST_GAIN = 0.01  # of the mean error on hold-out laps: a re-fit that gains more says which values were off
-LATER = 2.0  # times the error on the fitted laps: hold-out laps that are further off show something that those do not
 MOST_CHANGED = 3  # values that a sentence lists
 NO_SHARES: Mapping[str, float] = MappingProxyType({})
 
@@ -99,6 +98,7 @@ def judge(
     changed: Sequence[Changed] = (),
     shares: Mapping[str, float] = NO_SHARES,
     spread: Described | None = None,
+    later: tuple[float, float] | None = None,
 ) -> Verdict:
     """The verdict.
 
@@ -118,6 +118,8 @@ def judge(
         suspected class are listed.
     spread
         Where the torque shakes more than elsewhere, if it does. It is the verdict where all else is small or not confirmed.
+    later
+        Errors on the fitted and on the hold-out laps [Nm], where the latter differ plainly more, see `locate.only_later`.
     """
     left = [b for b in at_end.bins if b.p < LACK_OF_FIT_P]
     both = by_weight([*found, *terms])
@@ -137,8 +139,6 @@ def judge(
         lines = [*_of_drift(drift), *shakes, may_be(listed, also=True), *after]
         return Verdict("described", CONFIRMED, joined(lines), (), listed)
     strays = left_over.share > MOST_STRAY
-    fitted_error, of_torque = _fitted_error(refitted)
-    later = held_out.mae["refitted"] > max(LATER * fitted_error, fitted_error + MOST_STRAY * of_torque)
     large = [t for t in unsure if not is_small(t)]
     refit = held_out.of_refit
     worth = mean_error(refit.before, refit.after) + " with a re-fit of the vehicle file" if refit.grade == CONFIRMED else ""
@@ -146,7 +146,7 @@ def judge(
     shaking = spread is not None and beside <= LEFT_SHARE * spread.size_nm
     if (left or strays or large or later) and not shaking:
         if later and not left:
-            seen, *more = only_later(fitted_error, held_out.mae["refitted"])
+            seen, *more = only_later(*later)
         else:
             seen, *more = [unexplained(left)] if left else slow(left_over) if strays else [differs(large[0])]
         nothing = "No effect of the catalogue explains it" if left and not listed else ""
@@ -157,16 +157,6 @@ def judge(
         lines = [*shakes, may_be(listed, also=True), *after, *_rest(left, left_over), worth]
         return Verdict("described", CONFIRMED, joined(lines), (), listed)
     return _nothing_missing(refitted, hint, held_out, changed, listed, [may_be(listed, also=True), *after])
-
-
-def _fitted_error(refitted: Fit) -> tuple[float, float]:
-    """Mean absolute error on the laps that were fitted, and the mean size of the torque there [Nm]."""
-    of_torque = [(r, g) for r, g in zip(refitted.residuals, refitted.problem.segments, strict=True) if g.kind == "torque"]
-    error, size = (
-        float(np.nanmean(np.abs(np.concatenate(parts))))
-        for parts in ([r[g.mask] for r, g in of_torque], [g.measured[g.mask] for _, g in of_torque])
-    )
-    return error, size
 
 
 def _confirmed(

@@ -213,12 +213,15 @@ def moved(q: BaseParameter, value: float) -> str:
 
 def file_is_off(far: Sequence[tuple[BaseParameter, float]]) -> list[str]:
     """That the vehicle file is of another vehicle, and where to look; values that a re-fit moves far out of their ranges."""
-    values = [f"{q.name} would have to be {figures(value)} ({q.by_file[0]:g} to {q.by_file[1]:g} in the file)" for q, value in far]
+
+    def value(q: BaseParameter, at: float) -> str:
+        return f"{q.name} is {figures(at)} then, and {q.by_file[0]:g} to {q.by_file[1]:g} in the file"
+
     return [
         "The vehicle file does not fit this vehicle",
-        f"In a re-fit, {values[0]}",
-        *(upper(text) for text in values[1:MOST_LISTED]),
-        "Check what the file has and no re-fit changes: the rubber file, dimensions of belt and wheels, and the unit of the load",
+        "Only values far outside its ranges come near the recordings",
+        *(f"The {value(q, at)}" for q, at in far[:MOST_LISTED]),
+        "Check what no re-fit changes: the rubber file, dimensions of belt and wheels, and the unit of the load",
     ]
 
 
@@ -270,7 +273,7 @@ def slow(s: SlowResidual) -> list[str]:
 def only_later(fitted: float, unused: float) -> list[str]:
     """That the laps which were not fitted differ more from the model than those which were."""
     return [
-        f"The unused laps differ from the re-fitted model by {figures(unused)} Nm on average, the fitted laps by {figures(fitted)} Nm",
+        f"The unused laps differ from the re-fitted model by {figures(unused)} Nm on average, the fitted laps by {figures(fitted)}",
         "Something changed between them, or they were driven where the fitted laps were not",
     ]
 

@@ -19,6 +19,7 @@ from trackres_ros.diagnosis.described.watching import drift_on_held_out
 from trackres_ros.diagnosis.findings.locate import (
     acts,
     against_travel,
+    only_later,
     regime_of,
     seen_where_it_acts,
     slow_residual,
@@ -106,6 +107,7 @@ def judge(prepared: Prepared, base: Refitted, chosen: Chosen, options: Options, 
         changed,
         chosen.shares,
         None if spread is None else spread.described,
+        only_later(base.refitted, worth.mae["refitted"]),
     )
     return Judged(tuple(found), tuple(terms), wanders, tracked, spread, worth, tested_end, at_end, bounds, verdict)
 
