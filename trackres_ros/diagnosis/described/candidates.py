@@ -7,8 +7,6 @@ build-ups, with knots where it was driven.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -207,18 +205,3 @@ def candidates(fit: Fit, own: Array | None = None) -> dict[str, Learned]:
     found += [BuildUp(by, BUILD_UP_SCALE.get(by, BUILD_UP_SCALE_S)) for by in BUILD_UPS]
     size = facts.weight * facts.radius
     return {f"{effect.name} {i}": sized(effect, size) for i, effect in enumerate(found)}
-
-
-def finer(effect: Curve, fit: Fit) -> list[Learned]:
-    """The same curve with more knots."""
-    facts = fit.problem.base.facts
-    x = driven(effect.variable, fit)
-    threshold = next(q.start for q in effect.parameters if q.name == "threshold")
-    counts = (7, 9) if effect.variable != ALWAYS else ()
-    at = [knots(effect.variable, x, count) for count in counts]
-    of = facts.weight * facts.radius
-    return [sized(Curve(effect.variable, effect.gate, xs, threshold), of) for xs in _longer_than(effect.knots, at)]
-
-
-def _longer_than(count: int, at: Sequence[list[float]]) -> list[list[float]]:
-    return [b for a, b in pairwise([[0.0] * count, *at]) if len(b) > len(a)]

@@ -31,7 +31,6 @@ TURNS, ENOUGH = 60, 1e-3  # of expectation and maximisation, and a gain that is 
 STARTS = (-2.5, -1.2, 1.2, 2.5)  # standard deviations: where the second level may begin to be looked for
 SHORTEST_S, LONGEST_S = 10.0, 1200.0  # of a spell, on average
 LEAST_SHARE, MOST_SHARE = 0.03, 0.97  # of the time
-BREAK = -1.0  # instead of a block's place: a new piece begins
 
 
 @dataclass(frozen=True, eq=False)

@@ -273,7 +273,7 @@ def slow(s: SlowResidual) -> list[str]:
 def only_later(fitted: float, unused: float) -> list[str]:
     """That the laps which were not fitted differ more from the model than those which were."""
     return [
-        f"The unused laps differ from the re-fitted model by {figures(unused)} Nm on average, the fitted laps by {figures(fitted)}",
+        f"The unused laps differ from the re-fitted model by {figures(unused)} Nm, the fitted laps by {figures(fitted)} Nm",
         "Something changed between them, or they were driven where the fitted laps were not",
     ]
 

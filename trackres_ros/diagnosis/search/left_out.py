@@ -68,7 +68,6 @@ class LeftOut:
 
     def __init__(self, fitted: Fit, held_out: Sequence[Mask], rng: np.random.Generator) -> None:
         sessions, masks = fitted.problem.sessions, fitted.problem.masks
-        self._held_out = held_out
         self._fold = [np.full(len(s), -1) for s in sessions]
         laps = np.unique(np.concatenate([s.block[m] for s, m in zip(sessions, masks, strict=True)]))
         if len(laps) < FOLDS:  # laps too few: pieces of time
@@ -81,7 +80,6 @@ class LeftOut:
             fold[mask] = at % FOLDS
         self._left_out = [m | h for m, h in zip(masks, held_out, strict=True)]
         self.measured = self._of([s.torque for s in sessions])
-        self._is_held_out = self._of(held_out)
         pieces = self._of([s.block for s in sessions])
         if len(np.unique(pieces)) < FEWEST_LAPS:
             pieces = self._of([_piece(s) for s in sessions])
