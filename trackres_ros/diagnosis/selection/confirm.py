@@ -17,7 +17,7 @@ from trackres_ros.effects.effect import Active
 ON_BOUND = 1e-3  # of the span between the bounds
 LITTLE = 0.1  # of the mean error: what takes the place of a value of the base makes no more than that better
 MOVED = 1.5  # standard deviations of the file's own range
-FAR = 5.0  # such standard deviations: no value of a vehicle is that far off, so the file is of another vehicle
+FAR = 5.0  # such standard deviations
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,5 +92,8 @@ def moved_parameters(found: Fit, by: float = MOVED) -> list[tuple[BaseParameter,
 
 
 def far_from_file(found: Fit) -> list[tuple[BaseParameter, float]]:
-    """Parameters of the base so far outside their range that they imitate something else that is wrong in the vehicle file."""
-    return moved_parameters(found, FAR)
+    """Parameters of the base that are `FAR` outside their range, where there are several: one value of a file may be wrong, but
+    several that are so far off together imitate something else that is wrong in it.
+    """
+    far = moved_parameters(found, FAR)
+    return far if len(far) > 1 else []
