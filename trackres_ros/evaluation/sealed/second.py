@@ -38,6 +38,7 @@ TRUE = {
 }  # fmt: skip
 """Of what is outside the catalogue there: forms that are true of it, and words of which a true description has one."""
 NOT_DRAWN = {"air_drag", "speed_scale"}  # effects of the catalogue that the project's own cases do not have
+GROUND = "soft_ground"
 BY_CHANCE = ("pump", "brake", "zero_drift")
 
 
@@ -85,7 +86,7 @@ def _scored(task: tuple[Path, Path, Mapping[str, Any]]) -> Scored:
     seen = all(e["d_prime"] >= CLEAR for e in effects) if level == "outside" else bool(label["identifiable"])
     alike = tuple(sorted({name for e in effects for name in e["acceptable"]}))
     ignored = set(label["tolerated"]) - set(names)
-    report = {**report, "effects": [e for e in report["effects"] if e["name"] not in ignored]}
+    report = {**report, "effects": [*(e for e in report["effects"] if e["name"] not in ignored), *_by_place(names, report)]}
     if level == "outside":  # what is hidden is known by its name alone: what is left is at least the noise
         before = float(report["heldout"]["mae"]["refitted"])
         known = OracleAnswer(0.5 * effects[0]["d_prime"] ** 2, (), seen, False, before, label["noise_mae"][-1]["one_s"])
@@ -97,6 +98,14 @@ def _scored(task: tuple[Path, Path, Mapping[str, Any]]) -> Scored:
         case, report, known, {OURS: of_report(report), **answers}, np.nan, np.nan, None, result["learned"],
         _stated(names, report) if level == "outside" else None, _comparable(effects, report),
     )  # fmt: skip
+
+
+def _by_place(names: Sequence[str], report: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Soft ground lies at a place of the lap there. A confirmed place counts as its name."""
+    placed = any(d["form"] == "place" and d["grade"] == "confirmed" for d in report.get("described", []))
+    named = {e["name"] for e in report["effects"]}
+    found = [name for name in names if name == GROUND and placed and name not in named]
+    return [{"name": name, "class": [name], "grade": "confirmed", "parameters": {}} for name in found]
 
 
 def _stated(names: Sequence[str], report: Mapping[str, Any]) -> bool | None:
