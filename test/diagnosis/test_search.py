@@ -5,6 +5,7 @@
 
 import copy
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -259,11 +260,12 @@ def test_a_class_holds_four_fifths_unless_all_are_in_it(weights, data):
 def graded(loaded):
     """Grades the terms of a fit beside a base, and says whether all of it is confirmed."""
 
-    def grade(found, *effects):
+    def grade(found, *effects, by_file=np.inf):
         sessions, masks, rng = found.problem.sessions, held_out_masks(found), np.random.default_rng(1)
         laps, search = HeldOutLaps(sessions, masks, rng), Search(found, {}, None, (), 19, rng, lambda _: None)
         plain = with_levels(found)
         choice = Choice(search, plain, LeftOut(plain, masks, rng), laps, AsUsed(loaded.base, sessions, sessions, laps))
+        choice._by_file = min(choice._by_file, by_file)
         whole = fit(found.problem, effects, found.at, found.noises)
         candidates = {}
         for effect in effects:
@@ -308,6 +310,32 @@ def test_a_name_on_a_bound_is_at_best_suspected(driven, graded, known):
     of, confirmed = graded(found, narrow)
     assert of["torque_gain"].improvement.grade == CONFIRMED
     assert (of["torque_gain"].on_bounds, of["torque_gain"].grade, confirmed) == (("error",), SUSPECTED, False)
+
+
+def test_what_predicts_worse_than_the_file_is_not_confirmed(driven, graded, known):
+    found = driven(GAIN)
+    assert graded(found, known["torque_gain"])[1]
+    assert not graded(found, known["torque_gain"], by_file=1.0)[1]
+
+
+@pytest.mark.parametrize(("fallen", "beaten"), [(0.9, False), (1.1, True)])
+def test_a_form_takes_the_place_of_a_name_beyond_a_tenth_of_it(fallen, beaten):
+    """It surely predicts better; its mean square error falls by so many times the square of a tenth of what the name adds."""
+    adds, samples = 300.0, 100
+
+    def judged(names, forms, square):
+        candidates = {name: SimpleNamespace(is_name=True) for name in names}
+        explanation = SimpleNamespace(without_a_name=forms, candidates=candidates)
+        final = SimpleNamespace(contribution=lambda _: np.full(samples, adds))
+        return SimpleNamespace(
+            explanation=explanation, final=final, key=set(names), score=SimpleNamespace(square=np.array([square]))
+        )
+
+    choice = SimpleNamespace(_left_out=SimpleNamespace(least_gain=lambda *_: 100.0), _beyond_base=lambda series: series)
+    name = judged(["scrub"], 0, 1e6)
+    form = judged([], 1, 1e6 - fallen * samples * (0.1 * adds) ** 2)
+    assert Choice._beats(choice, form, name) == beaten
+    assert Choice._beats(choice, judged(["other"], 0, 1e6), name)  # a name needs no more than to be surely better
 
 
 def test_what_held_out_laps_refute_is_not_confirmed_whatever_the_fitted_ones_say(driven, graded, known):

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from trackres_ros.diagnosis import read_recordings
-from trackres_ros.diagnosis.described.candidates import candidates
+from trackres_ros.diagnosis.described.candidates import candidates, shows
 from trackres_ros.diagnosis.described.thresholds import found_by_scan, latched_states
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.selection.visibility import base_columns
 from trackres_ros.diagnosis.stages.prepared import prepared
 from trackres_ros.effects.effect import conditions
-from trackres_ros.effects.learned import ABOVE, BELT, SPEED, STEP, Corner, Latch, latched
+from trackres_ros.effects.learned import ABOVE, AMBIENT, BELT, SPEED, STEP, Corner, Latch, latched
 
 LEVEL_NM = 400.0
 
@@ -63,6 +63,15 @@ def test_where_nothing_is_hidden_a_scan_offers_few_forms(fitted):
     names = [form.name for form in candidates(found, own).values()]
     assert sum(name.startswith(("step", "hinge", "latch")) for name in names) <= 4
     assert "curve_of_belt_temperature" in names
+
+
+@pytest.mark.parametrize(("within_k", "shown"), [(0.5, False), (10.0, True)])
+def test_weather_that_differs_by_recording_alone_is_no_variable(fitted, within_k, shown):
+    found, _ = fitted
+    sessions = tuple(
+        replace(s, ambient=10.0 * i + within_k * np.linspace(-1.0, 1.0, len(s))) for i, s in enumerate(found.problem.sessions)
+    )
+    assert shows(AMBIENT, replace(found, problem=replace(found.problem, sessions=sessions))) == shown
 
 
 def test_latched_states_are_those_of_the_effect():

@@ -14,7 +14,7 @@ import pytest
 import trackres_ros as tr
 from trackres_ros.diagnosis.base.base import BaseParameter
 from trackres_ros.diagnosis.described.terms import Described, of_learned
-from trackres_ros.diagnosis.findings.locate import Acts, SlowResidual
+from trackres_ros.diagnosis.findings.locate import Acts, SlowResidual, only_later
 from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
 from trackres_ros.diagnosis.findings.verdict import (
     LEFT_SHARE,
@@ -138,6 +138,29 @@ def test_a_refit_that_hardly_gains_changes_no_verdict(gain):
 def test_a_parameter_has_moved_if_it_left_its_range_furthest_first():
     moved = moved_parameters(refitted(1.6, -3.0, 1.5, -1.4))
     assert [(q.name, value) for q, value in moved] == [("q1", pytest.approx(0.7)), ("q0", pytest.approx(1.16))]
+
+
+def test_several_values_far_outside_their_ranges_do_not_fit_the_file():
+    verdict = said(base=refitted(8.0, -6.0, 1.0), stray=NOISY)
+    assert (verdict.status, verdict.grade) == ("unexplained", SUSPECTED)
+    assert verdict.seen == "The vehicle file does not fit this vehicle"
+    assert "q0 is 1.8 then" in verdict.sentence
+    assert "q1 is 0.4 then" in verdict.sentence
+    assert "q2" not in verdict.sentence
+    assert said(base=refitted(8.0, 1.0)).status == "none"  # one value may be wrong
+
+
+def test_hold_out_laps_that_differ_plainly_more_are_unexplained():
+    verdict = said(later=(50.0, 200.0))
+    assert (verdict.status, verdict.grade) == ("unexplained", SUSPECTED)
+    assert "The unused laps differ from the re-fitted model by 200 Nm, the fitted laps by 50 Nm" in verdict.sentence
+
+
+@pytest.mark.parametrize(("unused", "differs"), [(19.0, False), (21.0, True)])
+def test_hold_out_laps_differ_from_twice_the_fitted_error(unused, differs):
+    segment = SimpleNamespace(kind="torque", mask=np.ones(4, dtype=bool), measured=np.full(4, 100.0))
+    base = SimpleNamespace(residuals=[np.array([10.0, -10.0, 10.0, -10.0])], problem=SimpleNamespace(segments=[segment]))
+    assert (only_later(base, unused) is not None) == differs
 
 
 def test_a_parameter_of_which_nothing_was_known_cannot_have_moved():
@@ -347,6 +370,11 @@ def test_the_next_best_is_told_with_how_much_less_likely_it_is():
     assert "less likely" not in said([found()]).sentence
     members = found(members=("scrub", "mullins"), rivals=rivals)
     assert "less likely" not in said([members]).sentence
+
+
+def test_a_rival_with_as_much_evidence_lost_on_the_unused_laps():
+    rival = candidate("delay", worth=19.5)
+    assert "Delay fits as well, but predicts the unused laps surely worse" in said([found(rivals=(rival,))]).sentence
 
 
 def test_certainty_is_bounded():
