@@ -159,7 +159,7 @@ class Learned(Effect):
 
 class Curve(Learned):
     """A torque against travel along straight lines between knots, held at the value of the last knot outside of them, and zero
-    where the gate's condition does not hold. A fit leaves one knot of a curve without a gate at zero: a constant is no curve.
+    where the gate's condition does not hold. A fit leaves one knot of a curve without a constant at zero.
 
     Parameters
     ----------
@@ -169,9 +169,11 @@ class Curve(Learned):
         The variable's value at each knot, rising.
     threshold
         Of the gate, in its unit.
+    constant
+        Whether what is the same at all knots is a part of it; without a gate it never is.
     """
 
-    def __init__(self, variable: int, gate: int, at: Sequence[float], threshold: float = 0.0) -> None:
+    def __init__(self, variable: int, gate: int, at: Sequence[float], threshold: float = 0.0, constant: bool = True) -> None:
         follows, opens = VARIABLES[variable], GATES[gate]
         self.variable, self.gate = variable, gate
         self.name = curve_name(variable, gate)
@@ -186,7 +188,7 @@ class Curve(Learned):
                 Parameter(f"x{i}", follows.unit, -FURTHEST, FURTHEST, x, f"{follows.text or 'nothing'} at knot {i}", fitted=False)
                 for i, x in enumerate(at, 1)
             ),
-            *(height(f"y{i}", f"torque at knot {i}", gate != OPEN or i != zero) for i in range(1, len(at) + 1)),
+            *(height(f"y{i}", f"torque at knot {i}", (constant and gate != OPEN) or i != zero) for i in range(1, len(at) + 1)),
         )
 
     def terms(self, at: Conditions, p: Values) -> Terms:

@@ -201,7 +201,8 @@ def candidates(fit: Fit, own: Array | None = None) -> dict[str, Learned]:
                     found.append(Curve(ALWAYS, gate, [0.0], threshold))
                 elif varies(x[code]):
                     count = KNOTS[SPEED] if code == SPEED else GATED_KNOTS
-                    found.append(Curve(code, gate, knots(code, x[code], count), threshold))
+                    # Where loads differ by recording alone, a constant when heavy is whatever else differs there.
+                    found.append(Curve(code, gate, knots(code, x[code], count), threshold, constant=not by_level))
     found += [BuildUp(by, BUILD_UP_SCALE.get(by, BUILD_UP_SCALE_S)) for by in BUILD_UPS]
     size = facts.weight * facts.radius
     return {f"{effect.name} {i}": sized(effect, size) for i, effect in enumerate(found)}
