@@ -20,7 +20,7 @@ class RotatingInertia(Effect):
         "rotating parts take torque to speed up and give it back; a wrong rotating_mass_factor in the vehicle file looks the same"
     )
     needs = ("speed", "accel")
-    parameters: tuple[Parameter, ...] = (Parameter("factor", "1", -0.2, 0.8, 0.1, "added to the rotating-mass factor", off=0.0),)
+    parameters: tuple[Parameter, ...] = (Parameter("factor", "1", -0.1, 0.8, 0.1, "added to the rotating-mass factor", off=0.0),)
 
     def beside(self, factor: float) -> RotatingInertia:
         """The same effect for a rotating-mass factor of the vehicle file: both together are no less than 1."""
