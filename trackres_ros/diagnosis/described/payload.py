@@ -24,6 +24,8 @@ from trackres_ros.diagnosis.described.by_place import Rows
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.inference.noise import Noise, estimate_noise, whitened
 from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.diagnosis.selection.form_error import FORM_ERROR
+from trackres_ros.diagnosis.selection.visibility import base_columns
 from trackres_ros.units import GRAVITY, STANDSTILL_MPS
 
 Array = NDArray[np.float64]
@@ -38,6 +40,8 @@ ALIKE = (0.0, 0.5, 0.8, 0.95)  # correlation of the mass of a stretch with that 
 LOADED = 0.05  # of the vehicle's mass: a standard deviation of what is loaded, while other things are learned
 TURNS = 10  # of masses, weights and noise
 PROBES = 16  # for a trace (Hutchinson, 1990)
+MODEL_ERROR = 0.01  # of the vehicle's mass: what the model's own error looks like as a mass, the same on all stretches
+LEAST_KNOWN = 1e-6  # of a value's scale: what nothing is known of
 LEAST_LEFT = 0.1  # of the samples, that were not settled by values
 SURE = 10.0  # in log-likelihood: of a mass by stretch over a torque by stretch
 MORE = 0.01  # of the weight, for the derivative
@@ -97,10 +101,24 @@ class Beside:
     precision: sparse.csc_matrix
 
     @classmethod
-    def nothing(cls, residuals: Sequence[Array]) -> Beside:
-        """Nothing beside masses in such residuals."""
-        columns = tuple(sparse.csr_matrix((len(r), 0)) for r in residuals)
-        return cls(tuple(map(np.zeros_like, residuals)), columns, sparse.csc_matrix((0, 0)))
+    def values_of(cls, current: Fit) -> Beside:
+        """The values of a fit, as unsure as their ranges and what was measured besides the torque leave them."""
+        problem, scale = current.problem, np.array([f.scale for f in current.free])
+        parts = problem.split(base_columns(current) * scale)
+        of_torque = [g.kind == "torque" for g in problem.segments]
+        others = [w for w, is_torque in zip(problem.white(parts, current.noises), of_torque, strict=True) if not is_torque]
+        known = np.diag([LEAST_KNOWN + (f.scale / f.std) ** 2 for f in current.free])
+        known = known + sum(w.T @ w for w in map(np.nan_to_num, others))
+        columns = tuple(sparse.csr_matrix(np.nan_to_num(x)) for x, is_torque in zip(parts, of_torque, strict=True) if is_torque)
+        return cls(tuple(np.zeros(x.shape[0]) for x in columns), columns, sparse.csc_matrix(known))
+
+    def and_by_place(self, other: Beside | None) -> Beside:
+        """Both."""
+        if other is None:
+            return self
+        columns = tuple(sparse.hstack(both).tocsr() for both in zip(self.columns, other.columns, strict=True))
+        adds = tuple(x + y for x, y in zip(self.adds, other.adds, strict=True))
+        return Beside(adds, columns, sparse.block_diag((self.precision, other.precision)).tocsc())
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,8 +189,8 @@ def find_payload(current: Fit, residuals: Sequence[Array], beside: Beside | None
     mass = mass_of(current)
     per_kg = torque_of_a_kilogram(current, mass)
     typical = float(np.sqrt(np.mean(np.concatenate([m[use] for m, use in zip(per_kg, masks, strict=True)]) ** 2)))
-    against = [typical * np.sign(s.speed) for s in sessions]
-    (best, noise), (of_level, _) = (_most_likely(by, numbers, residuals, beside, current, mass) for by in (per_kg, against))
+    against, known_beside = [typical * np.sign(s.speed) for s in sessions], Beside.values_of(current).and_by_place(beside)
+    (best, noise), (of_level, _) = (_most_likely(by, numbers, residuals, known_beside, current, mass) for by in (per_kg, against))
     if best.evidence < of_level.evidence + SURE:
         return None  # whatever it is that differs, it is not told by what a mass does
     torques, known, stretches = [], [], list[Stretch]()
@@ -184,7 +202,12 @@ def find_payload(current: Fit, residuals: Sequence[Array], beside: Beside | None
         torques.append(np.where(masks[i], smoothed, live))
         known.append(live)
         stretches += [
-            Stretch(session.name, *_span(session, number == k), float(masses[k]), float(stds[k]))
+            Stretch(
+                session.name,
+                *_span(session, number == k),
+                float(masses[k]),
+                math.hypot(stds[k], FORM_ERROR * masses[k], MODEL_ERROR * mass),
+            )
             for k in np.unique(number[masks[i]]).tolist()
         ]
     acting = np.concatenate([t[m] for t, m in zip(torques, masks, strict=True)])
@@ -197,19 +220,18 @@ def find_payload(current: Fit, residuals: Sequence[Array], beside: Beside | None
 
 
 def _most_likely(
-    by: Sequence[Array], numbers: Sequence[Indices], residuals: Sequence[Array], beside: Beside | None, current: Fit, mass: float
+    by: Sequence[Array], numbers: Sequence[Indices], residuals: Sequence[Array], beside: Beside, current: Fit, mass: float
 ) -> tuple[_Solution, Noise]:
     """Sizes of a series by stretch that explain residuals best, and the noise beside them."""
     masks, columns = current.problem.masks, by_stretch(by, numbers)
     session = np.repeat(np.arange(len(numbers)), [int(n.max()) + 1 for n in numbers])
-    known = beside or Beside.nothing(residuals)
-    both = [sparse.hstack([x, z]).tocsr() for x, z in zip(columns, known.columns, strict=True)]
-    whole = [r + x for r, x in zip(residuals, known.adds, strict=True)]
+    both = [sparse.hstack([x, z]).tocsr() for x, z in zip(columns, beside.columns, strict=True)]
+    whole = [r + x for r, x in zip(residuals, beside.adds, strict=True)]
     left, noise = list(residuals), current.noise
     for _ in range(TURNS):  # unless it is left out, noise is as large as the payload and counts the more it is loaded the less
         rows = Rows.of(both, whole, masks, noise)
         weights = noise.weights(Rows.of(both, left, masks, noise).white)
-        normal, others, settled = _normal(rows, weights, session, known.precision)
+        normal, others, settled = _normal(rows, weights, session, beside.precision)
         tried = (normal.solved(size * mass, alike, MEAN * mass) for size in SIZES for alike in ALIKE)
         best = max(tried, key=lambda one: one.evidence)
         values = np.concatenate(best.masses)
@@ -230,8 +252,6 @@ def _normal(
     weighted = rows.columns.multiply(weights[:, np.newaxis]).tocsr()
     matrix, right = (rows.columns.T @ weighted).tocsc(), np.asarray(weighted.T @ rows.white)
     of_masses, across = matrix[:count, :count].toarray(), matrix[count:, :count].toarray()
-    if not len(across):
-        return _Normal(of_masses, right[:count], session), lambda _: right[count:], 0.0
     solve = splu((matrix[count:, count:] + precision).tocsc()).solve
     taken, of_others = solve(across), solve(right[count:])
     normal = _Normal(of_masses - across.T @ taken, right[:count] - across.T @ of_others, session)
