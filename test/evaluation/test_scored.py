@@ -136,7 +136,7 @@ def test_mistakes_in_a_town():
 
 
 def test_scores_in_a_town():
-    masses = [MassError(400.0, 0.05), MassError(310.0, 0.2), MassError(300.0, 0.02), MassError(50.0, 0.5)]
+    masses = [MassError(400.0, 0.05), MassError(310.0, 0.2, covered=False), MassError(300.0, 0.02), MassError(50.0, 0.5)]
     of = [
         scored("street", [], report("none", after=200.0), oracle_error=200.0),
         scored("street", [], report("one_of", ["delay"]), oracle_error=200.0),
@@ -155,6 +155,7 @@ def test_scores_in_a_town():
     assert own["street, ground: described by place"] == (1, 1)
     assert own["street, load described: masses within 8% of the load, over 300 s of driving"] == (1, 2)
     assert own["street, load described: masses within 8% of the load, all"] == (2, 4)
+    assert own["street, load described: 95 % intervals of masses cover"] == (3, 4)
     assert own["street: held-out laps never worse than the base"] == (5, 6)
     assert own["held-out laps: never worse than the base"] == (6, 7)
     assert own["in the catalogue and identifiable: described instead of named"] == (0, 1)
@@ -199,10 +200,10 @@ def test_masses_are_compared_between_changes_of_the_load():
     speed = np.repeat([5.0, 0.0, 5.0, 5.0], [400, 20, 100, 80])  # stands, and is loaded meanwhile
     mass = np.repeat([1000.0, 3000.0, 0.0], [410, 110, 80])
     told = [
-        {"begin_s": 0.0, "end_s": 200.0, "mass": 900.0},
-        {"begin_s": 200.0, "end_s": 420.0, "mass": 1300.0},
-        {"begin_s": 420.0, "end_s": 520.0, "mass": 2800.0},
-        {"begin_s": 520.0, "end_s": 550.0, "mass": 0.0},
+        {"begin_s": 0.0, "end_s": 200.0, "mass": 900.0, "std": 60.0},
+        {"begin_s": 200.0, "end_s": 420.0, "mass": 1300.0, "std": 60.0},
+        {"begin_s": 420.0, "end_s": 520.0, "mass": 2800.0, "std": 100.0},
+        {"begin_s": 520.0, "end_s": 550.0, "mass": 0.0, "std": 1.0},
     ]
     long, short = mass_errors(speed, mass, told, 4000.0)  # of the last less than half is told
     assert (long.driving_s, short.driving_s) == (400.0, 100.0)
@@ -210,6 +211,7 @@ def test_masses_are_compared_between_changes_of_the_load():
     assert short.off == pytest.approx(200.0 / 4000.0)
     assert (long.long, short.long) == (True, False)
     assert long.close
+    assert (long.covered, short.covered) == (True, False)
     assert not MassError(400.0, 0.081).close
 
 

@@ -18,14 +18,18 @@ DRIVING_MPS = 0.3
 LEAST_KNOWN = 0.5  # of the driving: laps held out are not fitted
 LONG_S = 300.0  # of driving
 CLOSE = 0.08  # of the greatest load
+NORMAL_95 = 1.96  # standard deviations
 
 
 @dataclass(frozen=True)
 class MassError:
-    """How long it drove between two changes of the load [s], and how far the mass is off, as a share of the greatest load."""
+    """How long it drove between two changes of the load [s], how far off the mass is, as a share of the greatest load, and if its
+    95 % interval covers the true one.
+    """
 
     driving_s: float
     off: float
+    covered: bool = True
 
     @property
     def long(self) -> bool:
@@ -46,19 +50,20 @@ def mass_errors(speed: Array, mass: Array, told: Sequence[Mapping[str, Any]], gr
     speed, mass
         In each second, shape (n,) [m/s], and what is on board beside the empty vehicle [kg].
     told
-        Stretches of a report: `begin_s`, `end_s` and the `mass` beside the model's [kg].
+        Stretches of a report: `begin_s`, `end_s`, the `mass` beside the model's and its standard deviation `std` [kg].
     greatest
         Load that there may be [kg].
     """
     second, driving = np.arange(len(mass)), np.abs(speed) > DRIVING_MPS
-    estimate = np.full(len(mass), np.nan)
+    estimate, std = np.full((2, len(mass)), np.nan)
     for one in told:
-        estimate[(second >= one["begin_s"]) & (second < one["end_s"])] = one["mass"]
+        there = (second >= one["begin_s"]) & (second < one["end_s"])
+        estimate[there], std[there] = one["mass"], one["std"]
     found = []
     for piece in np.split(second, np.flatnonzero(np.diff(mass)) + 1):
         drives = piece[driving[piece]]
         known = drives[np.isfinite(estimate[drives])]
         if len(drives) and len(known) >= LEAST_KNOWN * len(drives):
-            off = abs(float(estimate[known].mean()) - float(mass[piece[0]])) / greatest
-            found.append(MassError(float(len(drives)), off))
+            off = abs(float(estimate[known].mean()) - float(mass[piece[0]]))
+            found.append(MassError(float(len(drives)), off / greatest, off <= NORMAL_95 * float(std[known].mean())))
     return found

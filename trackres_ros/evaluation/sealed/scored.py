@@ -254,6 +254,7 @@ def _own_of_streets(of: Sequence[Scored]) -> dict[str, tuple[int, int]]:
             sum(m.close for m in long), len(long),
         ),
         f"street, load described: masses within {CLOSE:.0%} of the load, all": (sum(m.close for m in masses), len(masses)),
+        "street, load described: 95 % intervals of masses cover": (sum(m.covered for m in masses), len(masses)),
         "street: held-out laps never worse than the base": (sum(s.no_worse for s in of), len(of)),
     }  # fmt: skip
 
