@@ -338,6 +338,20 @@ def test_a_form_takes_the_place_of_a_name_beyond_a_tenth_of_it(fallen, beaten):
     assert Choice._beats(choice, judged(["other"], 0, 1e6), name)  # a name needs no more than to be surely better
 
 
+@pytest.mark.parametrize(("after", "evidence", "outdone"), [(99.0, 11.0, True), (99.0, 9.0, False), (90.0, 11.0, False)])
+def test_a_form_with_more_evidence_takes_the_place_of_a_small_name(after, evidence, outdone):
+    def judged(names, forms, error, evidence):
+        terms = {name: SimpleNamespace(is_name=True) for name in names} | {f: SimpleNamespace(is_name=False) for f in forms}
+        explanation = SimpleNamespace(candidates=terms, evidence=evidence)
+        return SimpleNamespace(explanation=explanation, key=set(terms), score=SimpleNamespace(error=np.array([error])))
+
+    base, search = judged([], ["spells"], 100.0, 0.0), SimpleNamespace(without=lambda *_: None)
+    choice = SimpleNamespace(_search=search, judged=lambda _: base)
+    name, form = judged(["scrub"], ["spells"], after, 10.0), judged([], ["spells", "step"], after, evidence)
+    assert Choice._outdoes(choice, form, name) == outdone
+    assert not Choice._outdoes(choice, name, form)
+
+
 def test_what_held_out_laps_refute_is_not_confirmed_whatever_the_fitted_ones_say(driven, graded, known):
     found = driven(GAIN, held_out_gain=1.0)
     _, confirmed = graded(found, known["torque_gain"])

@@ -114,7 +114,7 @@ class Choice:
         """Fit with values that predict, and score."""
         if explanation.key not in self._judged:
             final = inside_ranges(with_levels(replace(explanation.fit, problem=self._refitted.problem)), self._use)
-            final = _off_bounds(final)
+            final = _off_bounds(final, self._refitted)
             self._judged[explanation.key] = Judged(explanation, final, self._left_out.score(final))
         return self._judged[explanation.key]
 
@@ -205,7 +205,7 @@ class Choice:
         The functions of a name are nature's to a tenth only: a form that bends to the data has more evidence beside a true name,
         and predicts no better.
         """
-        unbeaten = [j for j in confirmed if not any(self._beats(k, j) for k in confirmed)]
+        unbeaten = [j for j in confirmed if not any(self._beats(k, j) or self._outdoes(k, j) for k in confirmed)]
 
         def rank(judged: Judged) -> tuple[int, float]:
             return -judged.explanation.without_a_name, judged.explanation.evidence
@@ -224,6 +224,18 @@ class Choice:
         names = [name for name, c in other.explanation.candidates.items() if c.is_name and name not in one.key]
         by_form = sum(float((self._beyond_base(other.final.contribution(name)) ** 2).sum()) for name in names) * FORM_ERROR**2
         return not more_forms or float((other.score.square - one.score.square).sum()) > by_form
+
+    def _outdoes(self, one: Judged, other: Judged) -> bool:
+        """Whether one is the other with a form of more evidence in the place of a name that takes little off the error.
+
+        Of a small term the data do not show its function, so nothing speaks for the name but its evidence.
+        """
+        names = [n for n in other.key - one.key if other.explanation.candidates[n].is_name]
+        if len(names) != 1 or len(one.key) != len(other.key) or len(other.key - one.key) != 1:
+            return False
+        without = self.judged(self._search.without(other.explanation, names[0])).score.error.sum()
+        small = without - other.score.error.sum() < SMALL_SHARE * without
+        return bool(small) and one.explanation.evidence > other.explanation.evidence
 
     def _round_of(self, best: Judged, name: str) -> Step:
         """The round without a term, with its class: what stands in its place as well."""
@@ -262,8 +274,10 @@ class Choice:
         return dict(sorted(found.items(), key=lambda pair: -pair[1]))
 
 
-def _off_bounds(final: Fit) -> Fit:
-    """With typical values of what only shapes a term and lies on a bound, where the recordings do not settle it."""
+def _off_bounds(final: Fit, refitted: Fit) -> Fit:
+    """With typical values of what only shapes a term and lies on a bound, where that costs less than a tenth of what all terms
+    gain: to a tenth a function is nature's.
+    """
     typical = {
         (a.effect.name, q.name): q.start for a in final.effects for q in a.effect.parameters
         if q.off is None and q.name in on_bounds(a)
@@ -271,7 +285,8 @@ def _off_bounds(final: Fit) -> Fit:
     if not typical:
         return final
     inside = with_levels(final, fixed=typical)
-    return inside if inside.log_likelihood > final.log_likelihood - ALIKE_WITHIN else final
+    most = max(ALIKE_WITHIN, FORM_ERROR * (final.log_likelihood - refitted.log_likelihood))
+    return inside if inside.log_likelihood > final.log_likelihood - most else final
 
 
 def _class_of(name: str, shares: Mapping[str, float], alike: Collection[str]) -> list[str]:
