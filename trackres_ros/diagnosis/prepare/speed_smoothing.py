@@ -117,7 +117,7 @@ def smooth_speed(at: Array, shown: Array, times: Array, longest_gap_s: float) ->
     joint = np.full(len(times), np.nan)
     joint[grid.within] = variances[~grid.sample]
     change = np.where(np.isfinite(joint[:-1]), joint[:-1], change)
-    return SmoothedSpeed(speed, np.sqrt(change), jerk, noise, step)
+    return SmoothedSpeed(speed, np.sqrt(np.maximum(change, 0.0)), jerk, noise, step)
 
 
 def without_repeats(shown: Array) -> Mask:
