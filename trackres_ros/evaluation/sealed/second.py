@@ -38,7 +38,7 @@ TRUE = {
 }  # fmt: skip
 """Of what is outside the catalogue there: forms that are true of it, and words of which a true description has one."""
 NOT_DRAWN = {"air_drag", "speed_scale"}  # effects of the catalogue that the project's own cases do not have
-GROUND = "soft_ground"
+GROUND, SPEED = "soft_ground", "speed_scale"
 BY_CHANCE = ("pump", "brake", "zero_drift")
 
 
@@ -125,6 +125,8 @@ def _comparable(effects: Sequence[Mapping[str, Any]], report: Mapping[str, Any])
             if given["name"] == e["name"] and named:
                 sign = np.sign(given["parameters"][named[0]]["value"]) if e["comparable"]["magnitude"] else 1.0
                 true = e["comparable"]["value"]
+                if e["name"] == SPEED:  # measured over true speed there, true over measured here
+                    true = 1.0 / (1.0 + true) - 1.0
                 found[e["name"]] = (named[0], float(abs(true) * sign if e["comparable"]["magnitude"] else true))
     return found
 
