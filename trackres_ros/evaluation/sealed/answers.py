@@ -80,8 +80,9 @@ def words(value: Any) -> str:
 
 
 def error_left(report: dict[str, Any]) -> float:
-    """Mean absolute error on held-out laps with all that was named or described [Nm]."""
-    terms = [term["heldout"]["mae"][1] for term in report.get("described", ()) if term.get("heldout")]
+    """Mean absolute error on held-out laps with all that was named or described and not refuted [Nm]."""
+    kept = [term for term in report.get("described", ()) if term.get("heldout") and term.get("grade") != "refuted"]
+    terms = [term["heldout"]["mae"][1] for term in kept]
     return float(terms[-1] if terms else report["heldout"]["mae"]["with_effects"])
 
 
