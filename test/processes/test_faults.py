@@ -34,7 +34,8 @@ else:
 {RUN}
 """
 LOG_IS_STUCK = f"""
-import fcntl, os
+import fcntl, os, sys
+sys.stderr = open(2, "w", buffering=1, closefd=False)  # with a buffer, whatever PYTHONUNBUFFERED says
 read_end, write_end = os.pipe()
 fcntl.fcntl(write_end, fcntl.F_SETPIPE_SZ, 4096)
 os.dup2(write_end, 2)

@@ -77,11 +77,25 @@ class ErrorLines:
 
     def _write(self, line: str) -> None:
         try:
-            print(line, file=sys.stderr, flush=True)
+            _write_to_error(f"{line}\n")
         except BrokenPipeError:  # nobody reads the log any more, which must end neither the node nor its exit code
             _to_nowhere()
         except (OSError, ValueError):  # a full disk loses this line alone; a stream that is closed loses all
             pass
+
+
+def _write_to_error(text: str) -> None:
+    """Write on standard error. Its buffer has a lock, which a write that nobody takes would hold: the interpreter waits for it as
+    it ends. So the text goes past the buffer, if there is a file behind it.
+    """
+    try:
+        number = sys.stderr.fileno()
+    except (AttributeError, OSError, ValueError):
+        print(text, end="", file=sys.stderr, flush=True)
+        return
+    left = text.encode(errors="backslashreplace")
+    while left:
+        left = left[os.write(number, left) :]
 
 
 def _to_nowhere() -> None:
