@@ -42,6 +42,8 @@ os.dup2(write_end, 2)
 {RUN}
 """
 
+OUTPUT_IS_STUCK = LOG_IS_STUCK.replace("sys.stderr = open(2", "sys.stdout = open(1").replace("write_end, 2)", "write_end, 1)")
+
 
 def messages_of(path, topics):
     found = read(path, topics=topics)
@@ -111,6 +113,16 @@ def test_a_log_that_nobody_takes_holds_nothing_up(edge, node):
 
     for _ in range(100):  # each is a line of the log; together more than the pipe takes
         save_in_vain()
+    before = len(n.torques())
+    n.until(lambda: len(n.torques()) - before > 40, "torques going on", meanwhile=lambda: n.drive(1.0))
+    assert n.stop() == 0
+
+
+def test_an_output_that_nobody_takes_holds_nothing_up(edge, node):
+    if edge != "dds":
+        pytest.skip("what runs there has no output")
+    n = node(program=OUTPUT_IS_STUCK, options=("--json",)).healthy()
+    n.drive(8.0)  # lines enough for the pipe
     before = len(n.torques())
     n.until(lambda: len(n.torques()) - before > 40, "torques going on", meanwhile=lambda: n.drive(1.0))
     assert n.stop() == 0

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -113,22 +114,26 @@ def live_command(
         for display in shown:
             display.start()
 
+    code = 1
     try:
         if edge == "ros" or (edge == "auto" and _rclpy_imports()):
             from trackres_ros.node.ros.main import run as run_on_ros
 
-            return run_on_ros(parameters, name, namespace, REQUESTS, started)
+            code = run_on_ros(parameters, name, namespace, REQUESTS, started)
+            return code
         from trackres_ros.node.dds.node import run as run_on_dds
 
         watched = ParameterFile(params_file, name, namespace, parameters, overruled) if params_file else None
-        return run_on_dds(parameters, name, namespace, REQUESTS, started, watched)
+        code = run_on_dds(parameters, name, namespace, REQUESTS, started, watched)
+        return code
     finally:
-        for display in shown:
-            display.stop()
+        ended = [display.stop() for display in shown]
         if recorder:
             for text in recorder.end():
                 with suppress(OSError):  # the same disk may be that of the terminal's file
-                    click.echo(text, err=as_json)
+                    click.echo(text, err=as_json or not all(ended))
+        if not all(ended):  # nobody takes the output, and the end of the interpreter would wait for its buffer
+            os._exit(code)
 
 
 def _rclpy_imports() -> bool:

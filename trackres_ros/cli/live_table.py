@@ -43,10 +43,11 @@ class LiveTable:
         """Begin to show."""
         self._thread.start()
 
-    def stop(self) -> None:
-        """Show the last state and end, as far as a terminal takes it."""
+    def stop(self) -> bool:
+        """Show the last state and end, as far as a terminal takes it; whether it came to its end."""
         self._stop.set()
         self._thread.join(END_PATIENCE_S)
+        return not self._thread.is_alive()
 
     def _run(self) -> None:
         console = Console()
