@@ -351,7 +351,7 @@ def test_a_state_file_of_no_use_is_said_in_log_and_status(node, tmp_path, text, 
     state = tmp_path / "state.json"
     state.write_text(text)
     n = node(state_file=str(state))
-    assert said in n.log
+    n.until(lambda: said in n.log, "the reason")
     n.remarked("STATE_NOT_USED")
 
 
@@ -361,7 +361,7 @@ def test_a_state_of_another_vehicle_is_said(node, tmp_path):
     n.drive(0.3)
     n.close()
     other = node(state_file=str(state), vehicle="agri3t")
-    assert "xgd24d" in other.log
+    other.until(lambda: "xgd24d" in other.log, "the other vehicle")
     other.drive(0.3)
 
 
