@@ -196,8 +196,7 @@ class Curve(Learned):
             return Terms(torque=0.0)
         count = (len(p) - CODES) // 2
         x, knot, last = variable(at, p[0]), CODES, CODES + count - 1
-        little = MARGIN * (p[last] - p[knot])
-        extrapolated = 1.0 if count > 1 and (x < p[knot] - little or x > p[last] + little) else 0.0
+        extrapolated = beyond(x, p[knot], p[last]) if count > 1 else 0.0
         if x >= p[last]:
             return Terms(torque=p[last + count] * at.direction, extrapolated=extrapolated)
         if x <= p[knot]:

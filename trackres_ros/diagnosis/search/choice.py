@@ -105,6 +105,7 @@ class Choice:
         self._by_file = use.error(None)
         nothing = search.nothing
         self._judged: dict[Key, Judged] = {nothing.key: Judged(nothing, refitted, left_out.score(refitted))}
+        self._graded: dict[tuple[Key, str], Graded] = {}
 
     @property
     def _nothing(self) -> Judged:
@@ -120,6 +121,12 @@ class Choice:
 
     def graded(self, judged: Judged, name: str) -> Graded:
         """What laps left out say of a term of an explanation."""
+        at = judged.key, name
+        if at not in self._graded:
+            self._graded[at] = self._grade(judged, name)
+        return self._graded[at]
+
+    def _grade(self, judged: Judged, name: str) -> Graded:
         without = self.judged(self._search.without(judged.explanation, name))
         change = name in judged.explanation.terms and judged.explanation.terms[name].change is not None
         improvement = self._left_out.improvement(without.score, judged.score, for_good=change)
@@ -153,7 +160,8 @@ class Choice:
         """
         best = self._nothing
         while True:
-            confirmed = [j for j in map(self.judged, self._proposed()) if self._counts(j) and self._is_confirmed(j)]
+            counted = [j for j in map(self.judged, self._proposed()) if self._counts(j)]
+            confirmed = [j for j in counted if self._is_confirmed(j)]
             before, best = best, self._pick(confirmed)
             again = [self._search.without(best.explanation, name) for name in best.explanation.candidates]
             new = [e for e in (best.explanation, *again) if e.key not in self._search.rounds]
@@ -161,9 +169,8 @@ class Choice:
                 self._search.expand(explanation)
             if not new and best is before:
                 break
-        possible = [j for j in map(self.judged, self._proposed()) if self._counts(j) and self._kept(j).after <= self._by_file]
-        shares = self._shares(confirmed or [self._nothing, *possible])
-        first = next((j for j in map(self.judged, self._proposed()) if self._counts(j)), self._nothing)
+        shares = self._shares(confirmed or [self._nothing, *(j for j in counted if self._kept(j).after <= self._by_file)])
+        first = counted[0] if counted else self._nothing
         doubted = tuple(g for g in self._all_graded(first).values() if not g.confirmed and g.name not in best.key)
         if keep_suspected and not best.key:
             best, doubted = first, ()
@@ -230,10 +237,13 @@ class Choice:
 
         Of a small term the data do not show its function, so nothing speaks for the name but its evidence.
         """
-        names = [n for n in other.key - one.key if other.explanation.candidates[n].is_name]
-        if len(names) != 1 or len(one.key) != len(other.key) or len(other.key - one.key) != 1:
+        places = [(mine, its) for mine in one.key - other.key for its in other.key - one.key]
+        if len(one.key) != len(other.key) or len(places) != 1:
             return False
-        without = self.judged(self._search.without(other.explanation, names[0])).score.error.sum()
+        ((form, name),) = places
+        if one.explanation.candidates[form].is_name or not other.explanation.candidates[name].is_name:
+            return False
+        without = self.judged(self._search.without(other.explanation, name)).score.error.sum()
         small = without - other.score.error.sum() < SMALL_SHARE * without
         return bool(small) and one.explanation.evidence > other.explanation.evidence
 
