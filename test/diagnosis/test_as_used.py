@@ -27,6 +27,7 @@ from trackres_ros.diagnosis.selection.held_out import HeldOutLaps
 from trackres_ros.diagnosis.stages.prepare import without_an_offset
 from trackres_ros.effects import Active, catalogue
 from trackres_ros.effects.effect import Parameter
+from trackres_ros.errors import InputError
 from trackres_ros.evaluation.synthetic import drives, write_recordings
 from trackres_ros.files.resources import config_dir
 
@@ -100,6 +101,22 @@ def test_a_vehicle_that_only_surroundings_make_right_is_not_written(fitted_again
     assert (rolling, names) == (3.0, "")
     assert "not the base's values and s, as vehicle.yaml alone would be 2160 Nm off, 121 Nm with the old one" in kept.text
     assert written(["s"], Fitted(2.0, S), {**errors, (3.0, ""): 122.0})[:2] == (0.0, "")
+
+
+def test_a_file_that_no_command_would_take_is_not_written(fitted_again):
+    """Values that fit what was driven, with which the belt would burn at the vehicle's greatest speed."""
+
+    class Refusing(Errors):
+        def error(self, values, effects=(), alone=False):
+            if values is not None and values["rolling"] == 2.0:
+                raise InputError("vehicle.yaml", "a belt that settles at 360 degC", "values with which it stays below 300 degC")
+            return super().error(values, effects, alone)
+
+    errors = Refusing({(0.0, ""): 100.0, (0.0, "v"): 90.0})
+    kept = choose_written(["v"], ["v"], Fitted(2.0, V), Fitted(3.0), errors, {("v", "size"): "final"})
+    assert kept.values is None
+    assert [a.effect.name for a in kept.effects] == ["v"]
+    assert "360 degC" in kept.text
 
 
 def test_surroundings_go_beside_the_files_values_where_the_re_fit_is_no_better(fitted_again):

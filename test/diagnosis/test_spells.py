@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from trackres_ros.diagnosis.described.finders import SURE, beginnings, expected_there
+from trackres_ros.diagnosis.described.finders import BETWEEN, SURE, beginnings, by_recording, expected_there
 from trackres_ros.diagnosis.described.spells import (
     Blocks,
     Chain,
@@ -144,3 +144,18 @@ def test_a_spell_goes_on_over_a_stop_and_ends_with_its_recording():
     begins, ends = np.flatnonzero(beginnings(b, on)), np.flatnonzero(beginnings(b, on, backwards=True))
     assert b.session[begins].tolist() == b.session[ends].tolist() == [0, 0, 1, 1]
     assert b.end[ends[0]] - b.begin[begins[0]] == pytest.approx(20 * COUNT, abs=COUNT)
+
+
+def test_levels_of_recordings_are_told_from_what_wanders_within_them():
+    rng = np.random.default_rng(8)
+    true = np.array([-150.0, 40.0, 300.0])
+    steady = [level + rng.normal(0.0, 60.0, 900) for level in true]
+    masks = [np.ones(900, dtype=bool)] * 3
+    levels, size, share = by_recording(blocks(steady, masks, 1.0))
+    assert levels == pytest.approx(true, abs=10.0)
+    assert size == pytest.approx(true.std(), rel=0.05)
+    assert share > 0.95
+    time = np.arange(900)
+    waves = [300.0 * np.sin(time / 80.0 + phase) + rng.normal(0.0, 60.0, 900) for phase in (0.0, 2.0, 4.0)]
+    assert by_recording(blocks(waves, masks, 1.0))[2] < 0.5 * BETWEEN
+    assert by_recording(blocks([rng.normal(0.0, 60.0, 900)], masks[:1], 1.0))[1] == pytest.approx(0.0, abs=1e-9)

@@ -355,6 +355,11 @@ def test_what_strays_and_can_be_followed_is_described_as_a_drift():
     at_distance = RegimeMap((Bin("distance", 0.0, 900.0, 30.0, "m", 50, 0.001),), 0.001, 500)
     assert said(stray=NOISY, drift=drift(BETTER), at_end=at_distance).status == "described"
     assert said(stray=NOISY, drift=drift(UNSURE), at_end=at_distance).status == "unexplained"
+    # A level of each recording shows as whatever differs between them, and may show on hold-out laps alone.
+    of = replace(of, form="recordings")
+    for more in ({"stray": NOISY, "at_end": regimes(30.0)}, {"later": (20.0, 200.0)}):
+        assert said(drift=drift(BETTER), **more).status == "described"
+        assert said(drift=drift(UNSURE), **more).status == "unexplained"
 
 
 def test_what_strays_beside_a_name_is_only_told():

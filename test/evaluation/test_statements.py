@@ -68,6 +68,14 @@ def test_spells_have_two_levels_that_last(kept):
     assert not is_true(term("level_change"), over, on, lengths)
 
 
+def test_levels_of_recordings_are_true_of_what_differs_between_them(kept):
+    over, lengths = kept
+    rng = np.random.default_rng(2)
+    each = np.repeat(rng.normal(0.0, 200.0, len(lengths)), lengths)
+    assert is_true(term("recordings"), over, each + rng.normal(0.0, 50.0, len(each)), lengths)
+    assert not is_true(term("recordings"), over, 300.0 * np.sin(np.arange(len(each)) / 60.0), lengths)
+
+
 def test_a_drift_is_slow_and_follows_nothing(kept):
     over, lengths = kept
     rng = np.random.default_rng(3)

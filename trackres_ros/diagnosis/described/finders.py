@@ -32,7 +32,7 @@ from trackres_ros.diagnosis.described.spells import (
     path_cost,
     there_given,
 )
-from trackres_ros.diagnosis.described.terms import Described, of_drift
+from trackres_ros.diagnosis.described.terms import Described, of_drift, of_recordings
 from trackres_ros.diagnosis.described.waves import Wave, find_wave, followed
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
 from trackres_ros.diagnosis.inference.threads import side_by_side
@@ -48,6 +48,7 @@ SURE = 10.0  # in log-likelihood: spells over what only wanders, what wanders ov
 FEWEST_SPELLS = 2  # with one, it is a change of level
 SLOWEST_WANDER_S = 60.0  # what wanders faster is noise that the autoregression knows
 LEAST_WANDER = 0.01  # of the torque
+BETWEEN = 0.7  # of the slow part: so much differs from one recording to the next
 PHASE_COST = 1.0  # in log-likelihood: what a phase, which is fitted to each stretch, and its size gain by noise
 SPELLS, WAVE, LEVEL_CHANGE, PLACE, PAYLOAD = "spells", "wave", "level_change", "place", "payload"
 LIKELY = 0.5  # that it is there
@@ -265,6 +266,33 @@ def _by_place(current: Fit, roads: Roads | None, kinds: Collection[str]) -> Term
         return None
     found = find_route(current, roads, left)
     return None if found is None else Term(found.candidate, route=found)
+
+
+def slow_term(final: Fit) -> Described | None:
+    """What is left that lasts: another level in each recording, or a level that wanders."""
+    return recordings(final) or drift(final)
+
+
+def recordings(final: Fit) -> Described | None:
+    """Another level in each recording, where what is left hardly changes within them; of all laps, fitted or not."""
+    sessions = final.problem.sessions
+    levels, size, share = by_recording(torque_blocks(final, _residuals(final), [s.used for s in sessions]))
+    large = size > LEAST_WANDER * rms([s.torque for s in sessions], final)
+    return of_recordings(levels, sessions) if large and share > BETWEEN else None
+
+
+def by_recording(b: Blocks) -> tuple[Array, float, float]:
+    """Mean of each recording [Nm], nan of one without blocks; the standard deviation of these means [Nm], and its square's share
+    of what is slow.
+    """
+    count = np.bincount(b.session, weights=b.count)
+    levels = np.bincount(b.session, weights=b.count * b.mean) / np.where(count > 0.0, count, np.nan)
+    middle = np.average(b.mean, weights=b.count)
+    between = float(np.average((levels[b.session] - middle) ** 2, weights=b.count))
+    # Half of the square by which a mean differs from the one before it is noise.
+    quick = 0.5 * float(np.mean(np.diff(b.mean)[~b.first[1:]] ** 2))
+    slow = float(np.average((b.mean - middle) ** 2, weights=b.count)) - quick
+    return levels, math.sqrt(between), between / max(slow, between, 1e-300)
 
 
 def drift(final: Fit) -> Described | None:

@@ -114,7 +114,11 @@ OF_LEVEL_CHANGES = (
 )
 OF_PLACES = ("a slope", "soft or rough ground", "a bend, where neither heading nor yaw rate is recorded")
 OF_PAYLOAD = ("people or goods that get on and off", "a tank or a hopper that fills and empties")
+OF_RECORDINGS = ("a load, a ground or a wind that is not as recorded", "a zero of the torque sensor that is set anew")
 OF_DRIFT = ("a zero of the torque sensor that drifts", "a slope, a wind or a ground that is not recorded")
+
+DIFFERING = {"load": "weight", "ambient temperature": "ambient"}
+LEAST_DIFFERENCE = 0.02  # of its size: recordings that differ by less are taken for alike
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +129,7 @@ class Described:
     ----------
     form
         `curve`, `gated_curve`, `step`, `hinge`, `latch`, `sided_gain`, `build_up`, `spells`, `wave`,
-        `place`, `payload`, `level_change`, `drift` or `spread`.
+        `place`, `payload`, `level_change`, `recordings`, `drift` or `spread`.
     name
         Of the effect in the fit; empty for what is only watched for.
     variable, gate
@@ -316,6 +320,23 @@ def _when(sessions: Sequence[Session], change: LevelChange) -> str:
     at = datetime.fromtimestamp(session.start_s + seconds, UTC)
     day = "" if math.isnan(first.start_s) else f", day {(at.date() - datetime.fromtimestamp(first.start_s, UTC).date()).days + 1}"
     return f"{at:%H:%M} UTC on {at:%Y-%m-%d} ({where}{day})"
+
+
+def of_recordings(levels: Array, sessions: Sequence[Session]) -> Described:
+    """Another level [Nm] in each recording, nan of one of which nothing is compared."""
+    low, high = float(np.nanmin(levels)), float(np.nanmax(levels))
+    text = (
+        f"From recording to recording the vehicle needs between {_more(low)} and {_more(high)} than the model. Within each that "
+        "hardly changes"
+    )
+    differing = [name for name, at in DIFFERING.items() if _differs([float(np.mean(getattr(s, at))) for s in sessions])]
+    if differing:
+        text += f". The recordings differ in {' and '.join(differing)} too: so few do not show whether it goes with that"
+    return Described("recordings", "", "recording", "", None, None, text, OF_RECORDINGS, max(-low, high), False)
+
+
+def _differs(means: Sequence[float]) -> bool:
+    return max(means) - min(means) > LEAST_DIFFERENCE * max(map(abs, means))
 
 
 def of_drift(wander: Wander) -> Described:

@@ -110,7 +110,7 @@ def judge(
     found, terms, refuted
         Effects and terms without a name that fit, and those that fit and that the hold-out laps reject.
     drift
-        The slow residual as a level that drifts, if it does.
+        The slow residual as a level of each recording, or one that drifts, if it is either.
     changed
         Values of the vehicle file that the re-fit surely changes, see `changed_values`.
     shares
@@ -134,11 +134,10 @@ def judge(
         seen, *more = file_is_off(far)
         worth = mean_error(held_out.mae["nominal"], held_out.mae["refitted"]) + " with that re-fit"
         return Verdict("unexplained", SUSPECTED, joined([seen, *more, worth, *shakes, may_be(listed), *after]), (), listed, seen)
-    drifts = left_over.share > MOST_STRAY and all(BY_NAME[b.variable].as_clock for b in left)
-    if drift is not None and drifts and drift.graded.grade == CONFIRMED:
+    strays = left_over.share > MOST_STRAY
+    if drift is not None and drift.graded.grade == CONFIRMED and _lasts(drift, left, strays):
         lines = [*_of_drift(drift), *shakes, may_be(listed, also=True), *after]
         return Verdict("described", CONFIRMED, joined(lines), (), listed)
-    strays = left_over.share > MOST_STRAY
     large = [t for t in unsure if not is_small(t)]
     refit = held_out.of_refit
     worth = mean_error(refit.before, refit.after) + " with a re-fit of the vehicle file" if refit.grade == CONFIRMED else ""
@@ -185,6 +184,11 @@ def _rest(left: Sequence[Bin], left_over: SlowResidual) -> list[str]:
         f"Something small is left, {range_of(left[0])}" if left else "",
         *(slow(left_over) if left_over.share > MOST_STRAY else []),
     ]
+
+
+def _lasts(drift: Told, left: Sequence[Bin], strays: bool) -> bool:
+    """Whether what is left is a level of each recording, or goes with the clock alone."""
+    return drift.described.form == "recordings" or (strays and all(BY_NAME[b.variable].as_clock for b in left))
 
 
 def _of_drift(drift: Told) -> list[str]:

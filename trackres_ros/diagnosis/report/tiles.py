@@ -129,6 +129,7 @@ def _where(r: dict[str, Any]) -> Tile:
         answers = {
             "spells": "At times, on and off",
             "place": "By place on the route",
+            "recordings": "From recording to recording",
             "drift": "Over time, slowly",
             "level_change": "From a time on",
             "spread": _upper(lead["gate"] or ""),

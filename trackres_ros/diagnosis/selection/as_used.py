@@ -24,6 +24,7 @@ from trackres_ros.diagnosis.selection.held_out import CONFIRMED, HeldOutLaps
 from trackres_ros.diagnosis.selection.intervals import Interval, intervals
 from trackres_ros.diagnosis.writing.kept import Kept
 from trackres_ros.effects.effect import Active
+from trackres_ros.errors import InputError
 from trackres_ros.text.numbers import figures
 
 Array = NDArray[np.float64]
@@ -200,7 +201,10 @@ def _refused(option: _Option, confirmed: Collection[str], refitted: Fit, use: As
             free = {p.name for p in option.fitted.problem.base.parameters} - {q.name}
             if not use.surely_better(option.fitted, with_levels(_within(option.fitted, free))):
                 return f"{q.name} would leave the range of the file unconfirmed"
-    alone, before = _alone(option, confirmed, use)
+    try:
+        alone, before = _alone(option, confirmed, use)
+    except InputError as error:  # what fits what was driven may be no vehicle elsewhere: a belt that burns at its greatest speed
+        return f"no command would take that file: {error.given}; allowed: {error.allowed}"
     if alone > before:
         return f"vehicle.yaml alone would be {figures(alone)} Nm off, {figures(before)} Nm with the old one"
     together = use.error(values, effects)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.watched import ByPlace
-from trackres_ros.diagnosis.described.finders import drift
+from trackres_ros.diagnosis.described.finders import slow_term
 from trackres_ros.diagnosis.described.terms import Described
 from trackres_ros.diagnosis.described.told import course, said
 from trackres_ros.diagnosis.described.watching import drift_on_held_out
@@ -89,7 +89,8 @@ def judge(prepared: Prepared, base: Refitted, chosen: Chosen, options: Options, 
     bounds = intervals(final)
     found, terms = _found(base, chosen, bounds), _terms(base, chosen, bounds)
     left_over = slow_residual(final)
-    wanders = drift(final) if left_over.share > MOST_STRAY and not terms else None
+    later = only_later(base.refitted, worth.mae["refitted"])
+    wanders = slow_term(final) if (left_over.share > MOST_STRAY or later) and not terms else None
     tracked = drift_on_held_out(final, base.laps) if wanders is not None else None
     wandering = None if wanders is None or tracked is None else Told(wanders, [], [], {}, 0.0, Graded(wanders.form, tracked, ()))
     spread = find_spread(final)
@@ -107,7 +108,7 @@ def judge(prepared: Prepared, base: Refitted, chosen: Chosen, options: Options, 
         changed,
         chosen.shares,
         None if spread is None else spread.described,
-        only_later(base.refitted, worth.mae["refitted"]),
+        later,
     )
     return Judged(tuple(found), tuple(terms), wanders, tracked, spread, worth, tested_end, at_end, bounds, verdict)
 
