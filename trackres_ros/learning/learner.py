@@ -22,7 +22,7 @@ from trackres_ros.learning.buckets import ACCELERATES_MPS2, Buckets
 from trackres_ros.learning.delay import DelayEstimator
 from trackres_ros.learning.disturbances import DISAGREES_S, beside, close_block, let_last, why_frozen
 from trackres_ros.learning.filter import aged, corrected, expected, spread
-from trackres_ros.learning.gate import AGAINST, OUTLYING, TEXTS, UNSURE, Gate, Row
+from trackres_ros.learning.gate import AGAINST, OUTLYING, TEXTS, Gate, Row
 from trackres_ros.learning.learned import SLOW_S, nothing_learned
 from trackres_ros.learning.parameters import GAIN, OFFSET, SLOW, STATES, STEP, VEHICLES_OWN, learnables, make_prior
 from trackres_ros.units import GRAVITY, SECOND_NS
@@ -41,6 +41,13 @@ NOISE_MEMORY_S = 120.0
 INERTIA_SHARE = 0.2  # of the inertia: an acceleration that is filtered from a speed lags
 ROLLING_MEMORY_S = 600.0
 TIME_RESET = int(at.Reason.TIME_RESET)
+SPEED_UNSURE = TIME_RESET | int(
+    at.Reason.SPEED_STUCK
+    | at.Reason.SPEED_IMPLAUSIBLE
+    | at.Reason.SPEED_DISAGREES
+    | at.Reason.GAP_UNKNOWN
+    | at.Reason.CLOCK_JUMPED
+)
 LEFT_OUT_SHARE = 0.1  # of the samples of a minute that cannot be learned from, by what is wrong with the torque: more is said
 
 
@@ -115,7 +122,7 @@ class Learner:
             row[at.OUT_WEIGHT] * self._inertia,
             int(memory.times[at.TORQUE, at.LAST_STAMP]),
             float(memory.values[at.TORQUE]),
-            not reasons & UNSURE,
+            not reasons & SPEED_UNSURE,
         )
         number = stamp_ns // SECOND_NS
         second = self.gate.second

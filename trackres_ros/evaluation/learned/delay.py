@@ -127,7 +127,10 @@ def record_one(task: tuple[Path, Delayed, float]) -> None:
     torque = run.shown + road_slopes(driven, sensors, rng) * driven.weight * radius
     torque = torque + added_torque(case, driven.speed, distance, driven.step, rolling, driven.weight, radius)
     rows = [*_speeds(one, driven, sensors, rng), *_torques(one, driven, torque, sensors, rng)]
-    lines = [f"{stamp:.6f},{speed},{measured},{planned.weight[0]:.1f},{planned.ambient[0]:.1f}" for stamp, speed, measured in sorted(rows)]
+    lines = [
+        f"{stamp:.6f},{speed},{measured},{planned.weight[0]:.1f},{planned.ambient[0]:.1f}"
+        for stamp, speed, measured in sorted(rows)
+    ]
     part = into / "drive.part"
     part.write_text("time_s,speed_mps,torque_nm,weight_n,ambient_degc\n" + "\n".join(lines) + "\n", encoding="utf-8")
     part.rename(into / "drive.csv")
@@ -170,7 +173,11 @@ def find(folder: Path) -> None:
     """Learn from every recording."""
     (folder / "results").mkdir(exist_ok=True)
     paths = sorted((folder / "cases").iterdir())
-    _each(find_one, [(path, folder / "results") for path in paths if not (folder / "results" / f"{path.name}.npy").exists()], "learned")
+    _each(
+        find_one,
+        [(path, folder / "results") for path in paths if not (folder / "results" / f"{path.name}.npy").exists()],
+        "learned",
+    )
 
 
 def find_one(task: tuple[Path, Path]) -> None:
@@ -217,13 +224,14 @@ def page(scores: dict[str, Any]) -> str:
     """The scores as Markdown."""
     plain = [one for one in scores["each"] if not one["hostile"]]
     hostile = [one for one in scores["each"] if one["hostile"]]
+    minutes = f"{scores['minutes']:g} minutes"
     lines = [
-        f"{len(scores['each'])} sealed vehicles, {scores['minutes']:g} minutes of driving each: on {len(plain)} nothing misleads, "
-        f"on {len(hostile)} something does. Seed {scores['seed']}, SHA-256 of what is concealed",
+        f"{len(scores['each'])} sealed vehicles, {minutes} of driving each: nothing misleads on {len(plain)}, something does on "
+        f"{len(hostile)}. Seed {scores['seed']}, SHA-256 of what is concealed",
         f"`{scores['seal']}`.",
         "",
-        "| | Vehicles | Error below 20 ms | Known at the end | Mean size of the error [ms] | 95 % below [ms] | Known after, median [s] "
-        "| Sure of a wrong delay |",
+        "| | Vehicles | Error below 20 ms | Known at the end | Mean size of the error [ms] | 95 % below [ms] "
+        "| Known after, median [s] | Sure of a wrong delay |",
         "|---|---|---|---|---|---|---|---|",
         _line("all that nothing misleads", plain),
     ]
@@ -231,14 +239,16 @@ def page(scores: dict[str, Any]) -> str:
         lines.append(_line(f"slower sensor at {low:g} to {high:g} Hz", [one for one in plain if low <= _slower(one) < high]))
     for kind in sorted({one["hostile"] for one in hostile}):
         lines.append(_line(f"misled: {kind}", [one for one in hostile if one["hostile"] == kind]))
-    good = sum(abs(one["error_s"]) < TARGET_S for one in plain)
+    good, known = sum(abs(one["error_s"]) < TARGET_S for one in plain), [one for one in plain if one["known"]]
     wrong = sum(one["wrong_s"] > 0 for one in scores["each"])
-    return "\n".join([
-        *lines,
+    lines += [
         "",
-        f"An error below 20 ms at the end: {good} of {len(plain)} (target: all). Sure of a wrong delay in any second: {wrong} of "
-        f"{len(scores['each'])} vehicles (target: none; off by more than {WITHIN_STD:g} standard deviations while the state is learned).",
-    ]) + "\n"  # fmt: skip
+        f"An error below 20 ms after {minutes}: {good} of {len(plain)} (target: all); of those whose state is `learned` "
+        f"{sum(abs(one['error_s']) < TARGET_S for one in known)} of {len(known)}. Sure of a wrong delay in any second, off by "
+        f"more than {WITHIN_STD:g} standard deviations while `learned`: {wrong} of {len(scores['each'])} vehicles "
+        "(target: none).",
+    ]
+    return "\n".join(lines) + "\n"
 
 
 def _slower(one: dict[str, Any]) -> float:
