@@ -165,8 +165,7 @@ def _sampled(one: Delayed, driven: Drive, rate_hz: float, rng: np.random.Generat
     """When a sensor samples [s], and its stamps [s since 1970]."""
     n = int(len(driven) * driven.step * rate_hz)
     times = (np.arange(n) + rng.random() + one.jitter * rng.uniform(-0.5, 0.5, n)) / rate_hz
-    stamps = START_S + times + rng.normal(0.0, one.stamp_std_s, n)
-    return times, np.maximum.accumulate(stamps) + 1e-6 * np.arange(n)
+    return times, np.maximum.accumulate(START_S + times + rng.normal(0.0, one.stamp_std_s, n))
 
 
 def find(folder: Path) -> None:
