@@ -22,7 +22,7 @@ from trackres_ros.evaluation.learned.cases import (
     sealed,
     weight_shares,
 )
-from trackres_ros.evaluation.learned.delay import LONGEST_S, _sampled, draw, find, generate, page, score, seal
+from trackres_ros.evaluation.learned.delay import LONGEST_S, _sampled, draw, page, score, seal
 from trackres_ros.evaluation.learned.page import _of_hostile, _of_mass
 from trackres_ros.evaluation.sealed.drives import drive
 from trackres_ros.evaluation.sealed.generate import START_S
@@ -98,13 +98,15 @@ def test_delays_are_drawn_of_a_seed_and_sealed():
     assert all(0.0 <= one.filter_s <= one.delay_s <= LONGEST_S for one in drawn)
 
 
-def test_a_concealed_delay_is_found_and_its_seal_holds(tmp_path):
-    generate(tmp_path, 21, 6.0, 1, 1)
-    find(tmp_path)
-    scores = score(tmp_path)
+def test_a_concealed_delay_is_found_and_its_seal_holds(good, trackres, tmp_path):
+    pytest.importorskip("ruptures")
+    asked = ("prove", "delay", "--seed", 21, "--vehicles", 1, "--hostile", 1, "--minutes", 6, "-o", tmp_path)
+    good(*asked)
+    scores = json.loads((tmp_path / "scores.json").read_text())
     assert len(scores["each"]) == 2
     assert all(one["wrong_s"] == 0 for one in scores["each"])
-    assert "of 1 (target: all)" in page(scores)
+    assert "of 1 (target: all)" in (tmp_path / "delay.md").read_text() == page(scores)
+    assert trackres(*asked[:3], 22, *asked[4:]).returncode == 2
     labels = tmp_path / "sealed" / "labels.json"
     opened = json.loads(labels.read_text())
     opened["drawn"][0]["delay_s"] = 0.1234

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from trackres_ros.learning.columns import LEARNED, shown
 from trackres_ros.learning.delay import FIRST_STD_S, DelayEstimator, KeptDelays
+from trackres_ros.learning.delay_window import EARLIEST_S, LATEST_S, SPAN_S, WORST_STD_S, window_delay
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.store import stored, take
 
@@ -159,6 +160,28 @@ def test_torques_that_are_none_leave_it_as_it_was(torque):
     with np.errstate(all="ignore"):
         kept = drive.on(3.0, lambda _nm, _t: torque)
     assert kept.value == pytest.approx(before, abs=0.01)
+
+
+@given(
+    speed=st.sampled_from([0.0, 8.0, -8.0, 60.0]),
+    changes=st.sampled_from([0.0, 1e-9, 0.5, 50.0]),
+    inertia=st.sampled_from([0.0, INERTIA]),
+    torque=st.sampled_from([0.0, 1e-12, 3000.0, 1e7]),
+    like_speed=st.booleans(),
+    samples=st.integers(0, 600),
+)
+def test_any_window_has_a_delay_within_reach_or_none(speed, changes, inertia, torque, like_speed, samples):
+    times = np.linspace(0.0, SPAN_S + 1.0, samples)
+    speeds = speed + changes * np.sin(times)
+    torques = torque * (np.gradient(speeds) if like_speed and samples > 1 else np.ones(samples))
+    found = window_delay(
+        np.column_stack([times, speeds, np.full((samples, 2), (ROLLING_NM, inertia))]),
+        np.column_stack([times, torques]),
+        ROLLING_NM,
+    )
+    if found is not None:
+        assert EARLIEST_S < found[0] < LATEST_S
+        assert 0.0 <= found[1] < WORST_STD_S**2
 
 
 def test_gaps_and_time_that_goes_back_cost_a_window_each():

@@ -186,10 +186,10 @@ class DelayEstimator:
             samples.torque.append(((torque_ns - origin) * NANOSECOND, torque_nm))
         if now < SPAN_S + LONGEST_GAP_S:
             return
+        self._advance()
         found = window_delay(np.array(samples.speed), np.array(samples.torque).reshape(-1, 2), self._rolling_nm)
         if found:
             self.kept.see(*found)
-        self._advance()
 
     def _advance(self) -> None:
         """The next window begins where this one ends."""
