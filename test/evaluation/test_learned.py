@@ -3,9 +3,12 @@
 
 """What is drawn for the proof of the learning: the same from a seed, sealed, and each thing that misleads does mislead."""
 
+import json
+
 import numpy as np
 import pytest
 
+from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
 from trackres_ros.evaluation.learned.ageing import age
 from trackres_ros.evaluation.learned.cases import (
@@ -19,7 +22,10 @@ from trackres_ros.evaluation.learned.cases import (
     sealed,
     weight_shares,
 )
+from trackres_ros.evaluation.learned.delay import LONGEST_S, _sampled, draw, page, score, seal
 from trackres_ros.evaluation.learned.page import _of_hostile, _of_mass
+from trackres_ros.evaluation.sealed.drives import drive
+from trackres_ros.evaluation.sealed.generate import START_S
 
 STEP_S = 0.1
 
@@ -83,3 +89,37 @@ def test_the_page_tells_by_how_much_a_right_mass_is_off():
     text = _of_mass([case(0.02, [at.OF_MASS]), case(-0.06, [at.OF_MASS]), case(0.5, [])])
     assert "of 2 vehicles and is then off by -2.0 % in the median, 6.0 % at worst" in text
     assert _of_mass([case(0.5, [])]) == "No mass counts as learned."
+
+
+def test_delays_are_drawn_of_a_seed_and_sealed():
+    drawn = draw(11, 6, 10)
+    assert drawn == draw(11, 6, 10)
+    assert seal(11, drawn) != seal(12, draw(12, 6, 10))
+    assert all(0.0 <= one.filter_s <= one.delay_s <= LONGEST_S for one in drawn)
+
+
+def test_a_concealed_delay_is_found_and_its_seal_holds(good, trackres, tmp_path):
+    pytest.importorskip("ruptures")
+    asked = ("prove", "delay", "--seed", 21, "--vehicles", 1, "--hostile", 1, "--minutes", 6, "-o", tmp_path)
+    good(*asked)
+    scores = json.loads((tmp_path / "scores.json").read_text())
+    assert len(scores["each"]) == 2
+    assert all(one["wrong_s"] == 0 for one in scores["each"])
+    assert "of 1 (target: all)" in (tmp_path / "delay.md").read_text() == page(scores)
+    assert trackres(*asked[:3], 22, *asked[4:]).returncode == 2
+    labels = tmp_path / "sealed" / "labels.json"
+    opened = json.loads(labels.read_text())
+    opened["drawn"][0]["delay_s"] = 0.1234
+    labels.write_text(json.dumps(opened))
+    with pytest.raises(InputError, match="sealed"):
+        score(tmp_path)
+
+
+def test_the_clock_of_a_drawn_sensor_runs_as_the_drive_does():
+    """One that ran slow would be a delay that grows."""
+    random = np.random.default_rng(3)
+    for one in draw(26, 4, 0):
+        times, stamps = _sampled(one, drive(10.0, 272e3, 15.0, 16.0, random), 100.0, random)
+        off = stamps - START_S - times
+        assert np.all(np.diff(stamps) >= 0.0)
+        assert np.polyfit(times, off, 1)[0] * 600.0 == pytest.approx(0.0, abs=1e-3)

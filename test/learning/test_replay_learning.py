@@ -90,3 +90,29 @@ def test_the_command_says_what_was_learned_and_draws_it(recording, tmp_path, goo
     )
     assert refused.returncode == 2
     assert "replay that learns" in refused.stderr
+
+
+def test_a_delay_is_told_and_gone_once_the_topics_file_has_it(tmp_path, reference):
+    """0.25 s of delay on a drive that now and then changes its speed."""
+    random, now, accel, torques = np.random.default_rng(5), 8.0, 0.0, []
+    session, wanted = reference.session(), np.repeat(random.uniform(4.0, 14.0, 60), 400)
+    with (tmp_path / "drive.csv").open("w", newline="") as file:
+        table = csv.writer(file)
+        table.writerow(["time_s", "speed_mps", "torque_nm"])
+        inertia = reference.vehicle.chassis.rotating_mass_factor * 272e3 / 9.80665 * 0.3575
+        for i, aim in enumerate(wanted[:12_000].tolist()):
+            accel += (min(max((aim - now) / 1.5, -0.6), 0.5) - accel) * 0.05 / 0.6
+            now += accel * 0.05
+            stamp = 10**18 + i * 50_000_000
+            estimate = session.handle(at.SPEED, stamp, stamp, now)
+            torques.append(estimate["drive_torque_nm"] - estimate["inertia_nm"] + inertia * accel + random.normal(0.0, 40.0))
+            table.writerow([f"{i / 20:.2f}", f"{round(now / 0.03) * 0.03:.2f}", f"{torques[max(i - 5, 0)]:.1f}"])
+    topics = tmp_path / "topics.yaml"
+    topics.write_text("speed: {column: speed_mps}\ntorque: {column: torque_nm, delay_s: 0.25}\n")
+    plain = tr.replay(tmp_path / "drive.csv", "xgd24d", learning="watch")
+    right = tr.replay(tmp_path / "drive.csv", "xgd24d", learning="watch", topics=topics)
+    for result, delay in ((plain, 0.25), (right, 0.0)):
+        assert result["learned_torque_delay_s"][-1] == pytest.approx(delay, abs=0.03)
+        assert result["learned_torque_delay_std_s"][-1] < 0.01
+        assert result["learned_torque_delay_state"][-1] == 1.0
+    assert "delay of the measured torque" in str(plain)

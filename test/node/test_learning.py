@@ -65,6 +65,8 @@ def test_by_default_it_watches_and_says_what_it_learns(desk, topics):
     assert values["state"] in ("learning", "learned", "frozen")
     assert d.app.session.learned[at.LEARNED_ON] == 0.0
     assert "learning" in d.app.overview().learning
+    delay = dict(found["torque_delay"].values)
+    assert (delay["unit"], delay["state"], delay["acts"]) == ("s", "learning", "false")
 
 
 def test_where_no_torque_is_measured_there_is_no_topic_and_no_learner(desk):

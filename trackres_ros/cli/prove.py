@@ -221,6 +221,33 @@ def prove_learning_command(
         click.echo((output / "scores.json").read_text(encoding="utf-8"))
 
 
+@prove_command.command("delay")
+@click.option("--seed", type=SEEDS, default=REPORTED_SEED, show_default=True, help="Seed of all random draws.")
+@click.option("--vehicles", type=whole(0, 10_000), default=100, show_default=True, help="Vehicles that nothing misleads.")
+@click.option("--hostile", type=whole(0, 10_000), default=40, show_default=True, help="Vehicles that something misleads.")
+@click.option("--minutes", type=number(1.0, 600.0), default=10.0, show_default=True, help="Length of a drive.")
+@into_folder
+@json_option
+def prove_delay_command(seed: int, vehicles: int, hostile: int, minutes: float, output: Path, as_json: bool) -> None:
+    """Learn the delay of the torque behind the speed on vehicles whose delay is concealed.
+
+    One process draws, seals and records; a second learns from the recordings alone; the last opens the seal and compares.
+    """
+    needs("trackres prove delay", *EXTRA)
+    output_folder(output)
+    asked, settings = output / "asked.txt", f"delay {seed} {vehicles} {hostile} {minutes:g}"
+    if any(output.iterdir()) and (not asked.exists() or asked.read_text(encoding="utf-8") != settings):
+        raise InputError("-o", str(output), "a folder that is empty, or of a run with the same options")
+    asked.write_text(settings, encoding="utf-8")
+    stream = sys.stderr if as_json else None
+    drawn_by = [str(seed), f"{minutes:g}", str(vehicles), str(hostile)]
+    _process(stream, "delay", "generate", str(output), *drawn_by, room="learned")
+    _process(stream, "delay", "find", str(output), room="learned")
+    _process(stream, "delay", "score", str(output), room="learned")
+    if as_json:
+        click.echo((output / "scores.json").read_text(encoding="utf-8"))
+
+
 @prove_command.command("paper")
 @into_folder
 @json_option

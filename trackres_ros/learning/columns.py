@@ -10,8 +10,9 @@ from collections.abc import Sequence
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Session
 from trackres_ros.learning.acting import std_of
+from trackres_ros.learning.delay_window import EARLIEST_S, LATEST_S
 from trackres_ros.learning.learner import Learner
-from trackres_ros.learning.parameters import VEHICLES_OWN, Learnable
+from trackres_ros.learning.parameters import DELAY, VEHICLES_OWN, Learnable
 from trackres_ros.text.numbers import figures
 
 LEARNING, LEARNED, FROZEN = range(3)
@@ -57,7 +58,7 @@ def column_names(learnables: Sequence[Learnable]) -> tuple[str, ...]:
 
 def columns_of(one: Learnable) -> tuple[str, str, str]:
     """Value, standard deviation and state of one thing that is learned."""
-    unit = "_nm" if one.unit == "Nm" else ""
+    unit = "" if one.unit == "1" else f"_{one.unit.lower()}"
     return f"learned_{one.name}{unit}", f"learned_{one.name}_std{unit}", f"learned_{one.name}_state"
 
 
@@ -66,6 +67,9 @@ def shown(learner: Learner) -> list[float]:
     found = [learner.buckets.share, float(learner.acts)]
     frozen, counted = bool(learner.frozen), learner.counted
     for one in learner.learnables:
+        if one.state == DELAY:
+            found += [*learner.delay.kept.value, float(LEARNED if learner.delay.kept.known else LEARNING)]
+            continue
         std = std_of(learner.learned, one.state)
         counts = one.state in VEHICLES_OWN and bool(counted[one.state])
         state = FROZEN if frozen and one.state in VEHICLES_OWN else LEARNED if counts else LEARNING
@@ -118,5 +122,5 @@ class LearnedTopic:
 
 def ranges_of(learner: Learner) -> list[tuple[float, float]]:
     """The least and the greatest value that each may take, in its unit."""
-    low, high = learner.prior.low, learner.prior.high
-    return [(one.value(float(low[one.state])), one.value(float(high[one.state]))) for one in learner.learnables]
+    low, high = [*learner.prior.low.tolist(), EARLIEST_S], [*learner.prior.high.tolist(), LATEST_S]
+    return [(one.value(low[one.state]), one.value(high[one.state])) for one in learner.learnables]

@@ -19,12 +19,13 @@ from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.learning import acting
 from trackres_ros.learning.blocks import BLOCK_S
 from trackres_ros.learning.buckets import ACCELERATES_MPS2, Buckets
+from trackres_ros.learning.delay import DelayEstimator
 from trackres_ros.learning.disturbances import DISAGREES_S, beside, close_block, let_last, why_frozen
 from trackres_ros.learning.filter import aged, corrected, expected, spread
 from trackres_ros.learning.gate import AGAINST, OUTLYING, TEXTS, Gate, Row
 from trackres_ros.learning.learned import SLOW_S, nothing_learned
 from trackres_ros.learning.parameters import GAIN, OFFSET, SLOW, STATES, STEP, VEHICLES_OWN, learnables, make_prior
-from trackres_ros.units import SECOND_NS
+from trackres_ros.units import GRAVITY, SECOND_NS
 
 Mask = NDArray[np.bool_]
 
@@ -39,6 +40,14 @@ DEGREES_OF_FREEDOM = 4.0  # of Student's t
 NOISE_MEMORY_S = 120.0
 INERTIA_SHARE = 0.2  # of the inertia: an acceleration that is filtered from a speed lags
 ROLLING_MEMORY_S = 600.0
+TIME_RESET = int(at.Reason.TIME_RESET)
+SPEED_UNSURE = TIME_RESET | int(
+    at.Reason.SPEED_STUCK
+    | at.Reason.SPEED_IMPLAUSIBLE
+    | at.Reason.SPEED_DISAGREES
+    | at.Reason.GAP_UNKNOWN
+    | at.Reason.CLOCK_JUMPED
+)
 LEFT_OUT_SHARE = 0.1  # of the samples of a minute that cannot be learned from, by what is wrong with the torque: more is said
 
 
@@ -69,7 +78,11 @@ class Learner:
         self.prior = make_prior(estimator)
         self._known = estimator.vehicle.disturbance
         self._belts = [estimator.column_index[f"belt_degc/{name}"] for name in estimator.assemblies]
-        weight = float(estimator.constants.assembly[:, at.NOMINAL_LOAD].sum())
+        load = estimator.constants.assembly[:, at.NOMINAL_LOAD]
+        weight = float(load.sum())
+        arm = float(load @ estimator.constants.assembly[:, at.RADIUS]) / weight
+        self._inertia = arm * estimator.vehicle.chassis.rotating_mass_factor / GRAVITY  # torque by weight and m/s^2
+        self.delay = DelayEstimator(self.prior.rolling_nm)
         self.buckets = Buckets(estimator.vehicle.chassis.max_speed, weight)
         self.reset()
 
@@ -77,11 +90,13 @@ class Learner:
         """Forget all that was learned."""
         self.gate = Gate(self._belts, self.prior.rolling_nm)
         self.buckets.clear()
+        self.delay.reset()
         self.learned = nothing_learned(self.prior)
 
     def restart(self) -> None:
         """The estimate starts anew: belts and what wanders are as unknown as at the beginning, the vehicle stays known."""
         self.gate.restart()
+        self.delay.restart()
         self.learned.begin_anew(self.prior)
 
     def age(self, seconds: float) -> None:
@@ -96,8 +111,19 @@ class Learner:
 
     def take(self, stamp_ns: int, row: Row, session: Session) -> None:
         """Take a step of the session; once a second learn from those before it, and let that act from the next step on."""
-        if int(row[at.OUT_REASONS]) & int(at.Reason.TIME_RESET):
+        reasons = int(row[at.OUT_REASONS])
+        if reasons & TIME_RESET:
             self.restart()
+        memory = session.memory
+        self.delay.take(
+            stamp_ns,
+            row[at.OUT_SPEED],
+            row[at.OUT_DRIVE] - row[at.OUT_INERTIA],
+            row[at.OUT_WEIGHT] * self._inertia,
+            int(memory.times[at.TORQUE, at.LAST_STAMP]),
+            float(memory.values[at.TORQUE]),
+            not reasons & SPEED_UNSURE,
+        )
         number = stamp_ns // SECOND_NS
         second = self.gate.second
         if number != second.number:

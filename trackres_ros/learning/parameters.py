@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 # [Nm] and gain of the torque sensor, a torque against travel that wanders within minutes, and one that came at once [Nm].
 OFFSET, GAIN, SLOW, STEP = range(at.LEARNABLE, at.LEARNABLE + 4)
 STATES = at.LEARNABLE + 4
+DELAY = STATES  # of the measured torque behind the speed [s]; no state of the filter, see `delay`
 VEHICLES_OWN = (at.OF_LOSS, at.OF_COOLING, at.OF_CAPACITY, at.OF_BEARING, at.OF_DRAG, at.OF_MASS)
 
 LEAST_STD = 0.02  # assumed: rubber wears and oil ages, so that no value of a file is known better for the whole of its life
@@ -40,7 +41,7 @@ class Learnable:
     name, unit, meaning
         As it is published; the name is that of a re-fit by `trackres diagnose`.
     state
-        Which state of the filter it is.
+        Which state of the filter it is; or `DELAY`.
     nominal
         Value of the vehicle file in that unit. States are departures over it; offset and torques are themselves.
     """
@@ -94,6 +95,7 @@ def learnables(vehicle: Vehicle) -> tuple[Learnable, ...]:
         Learnable("torque_offset", "Nm", "offset of the torque sensor", OFFSET, 0.0),
         Learnable("disturbance", "Nm", "torque against travel that wanders", SLOW, 0.0),
         Learnable("step", "Nm", "torque against travel that came at once", STEP, 0.0),
+        Learnable("torque_delay", "s", "delay of the measured torque behind the speed", DELAY, 0.0),
     )
 
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from trackres_ros.errors import InputError
+from trackres_ros.learning.delay_window import EARLIEST_S, LATEST_S
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.parameters import VEHICLES_OWN
 
@@ -68,6 +69,7 @@ def _parts(learner: Learner) -> dict[str, Any]:
         "learned": learner.learned,
         "second": learner.gate.second,
         "samples": learner.gate.samples,
+        "delay": learner.delay.kept,
         "buckets": {"seconds": buckets.seconds, "accelerating": buckets.accelerating},
     }
 
@@ -128,5 +130,10 @@ def _check(learner: Learner) -> None:
     sizes += [s.wandering.variance, s.contest.variance]
     if not all(size >= 0.0 for size in sizes) or s.past.slow < 0.0 or s.past.white < 0.0:
         raise ValueError("a size that is none")
+    kept = learner.delay.kept
+    if kept.count < 0 or kept.fresh < 0 or not (kept.variances >= 0.0).all():
+        raise ValueError("delays that are none")
+    if not ((kept.delays >= EARLIEST_S) & (kept.delays <= LATEST_S)).all():
+        raise ValueError("a delay beyond those that are looked for")
     if not ((learner.buckets.seconds >= 0.0).all() and (learner.buckets.accelerating >= 0.0).all()):
         raise ValueError("seconds that are none")

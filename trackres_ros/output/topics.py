@@ -72,7 +72,8 @@ PARAMETERS_TOPIC = OutputTopic(
     "parameters",
     "diagnostic_msgs/msg/DiagnosticArray",
     "status",
-    "what is learned of the vehicle, once a second while a torque is measured: value, standard deviation, range, coverage, state",
+    "what is learned of the vehicle and of the torque's delay, once a second while a torque is measured: value, standard "
+    "deviation, range, coverage, state",
 )
 
 

@@ -56,7 +56,7 @@ def record(
     """Write one recording."""
     n = len(drive)
     white = rng.standard_t(HEAVY_TAILS, n) * np.sqrt((HEAVY_TAILS - 2.0) / HEAVY_TAILS)
-    torque = truth.shown + _road(drive, sensors, rng) * drive.weight * radius
+    torque = truth.shown + road_slopes(drive, sensors, rng) * drive.weight * radius
     torque = sensors.torque_gain * lagging(torque, sensors.torque_lag_s, drive.step) + sensors.torque_offset_nm
     torque = torque + white * (sensors.torque_nm + sensors.torque_share * np.abs(truth.shown) + 20.0 * np.abs(drive.accel))
     torque = np.round(torque / sensors.torque_step_nm) * sensors.torque_step_nm
@@ -132,7 +132,7 @@ def lagging(series: Array, seconds: float, step: float) -> Array:
     return np.asarray(out)
 
 
-def _road(drive: Drive, sensors: Sensors, rng: np.random.Generator) -> Array:
+def road_slopes(drive: Drive, sensors: Sensors, rng: np.random.Generator) -> Array:
     """Slope over distance that comes and goes."""
     keep = np.exp(-np.abs(drive.speed) * drive.step / sensors.road_m)
     shocks = rng.normal(0.0, 1.0, len(drive)) * np.sqrt(1.0 - keep**2)

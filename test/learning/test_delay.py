@@ -1,0 +1,252 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Laws of the delay of the torque behind the speed: it shifts with the torque, and is unknown where nothing tells it."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from trackres_ros.learning.columns import LEARNED, shown
+from trackres_ros.learning.delay import FIRST_STD_S, DelayEstimator, KeptDelays
+from trackres_ros.learning.delay_window import EARLIEST_S, LATEST_S, SPAN_S, WORST_STD_S, window_delay
+from trackres_ros.learning.learner import Learner
+from trackres_ros.learning.store import stored, take
+
+START_NS = 1_700_000_000_000_000_000
+INERTIA, ROLLING_NM = 11_000.0, 3000.0
+MOST_SHIFT_S = 0.5
+
+
+class Drive:
+    """A vehicle that now and then accelerates or slows down, and what an estimator makes of it."""
+
+    def __init__(self, delay, seed=1, rate_hz=20.0, noise_nm=40.0, step_mps=0.03, gain=1.0, changes=True, brakes_nm=None):
+        self.random = np.random.default_rng(seed)
+        self.delay, self.rate_hz, self.noise_nm, self.step_mps, self.gain = delay, rate_hz, noise_nm, step_mps, gain
+        self.brakes_nm = brakes_nm  # a torque that brakes harder is left to friction brakes
+        self.time = np.arange(0.0, 3600.0, 0.05)
+        wanted = (
+            np.repeat(self.random.uniform(4.0, 14.0, 180), 400)[: len(self.time)] if changes else np.full(len(self.time), 8.0)
+        )
+        self.speed, now, accel = np.empty(len(self.time)), wanted[0], 0.0
+        for i, aim in enumerate(wanted.tolist()):
+            accel += (min(max((aim - now) / 1.5, -0.6), 0.5) - accel) * 0.05 / 0.6
+            now += accel * 0.05
+            self.speed[i] = now
+        self.torque = gain * (ROLLING_NM + INERTIA * np.gradient(self.speed, 0.05))
+        if brakes_nm is not None:
+            self.torque = np.maximum(self.torque, brakes_nm)
+        self.estimator, self.begun = DelayEstimator(ROLLING_NM), 0.0
+
+    def on(self, minutes, torque=lambda torque, _t: torque):
+        """Drive on; `torque` is what the sensor makes of one, by its time [s]."""
+        times = self.begun + np.arange(int(60.0 * minutes * self.rate_hz)) / self.rate_hz
+        self.begun += 60.0 * minutes
+        speeds = np.round(np.interp(times, self.time, self.speed) / self.step_mps) * self.step_mps
+        torques = np.interp(times - self.delay, self.time, self.torque) + self.random.normal(0.0, self.noise_nm, len(times))
+        for t, v, nm in zip(times.tolist(), speeds.tolist(), torques.tolist(), strict=True):
+            stamp = START_NS + round(t * 1e9)
+            self.estimator.take(stamp, v, ROLLING_NM, INERTIA, stamp, torque(nm, t))
+        return self.estimator.kept
+
+
+@settings(max_examples=12, deadline=None)
+@given(delay=st.floats(0.0, MOST_SHIFT_S), rate_hz=st.sampled_from([5.0, 10.0, 20.0, 50.0]), seed=st.integers(0, 1000))
+def test_a_delay_is_found_within_20_ms_in_ten_minutes(delay, rate_hz, seed):
+    kept = Drive(delay, seed, rate_hz).on(10.0)
+    value, std = kept.value
+    assert value == pytest.approx(delay, abs=0.02)
+    assert abs(value - delay) < 3.0 * std
+    assert kept.known
+
+
+@pytest.mark.parametrize("shift", [-0.2, 0.1, 0.25])
+def test_a_torque_shifted_in_time_shifts_the_delay(shift):
+    drives = Drive(0.2, step_mps=1e-9, noise_nm=0.0), Drive(0.2 + shift, step_mps=1e-9, noise_nm=0.0)
+    before, after = (drive.on(8.0).value[0] for drive in drives)
+    assert after - before == pytest.approx(shift, abs=1.5e-3)
+
+
+def test_a_torque_that_comes_before_the_speed_has_a_negative_delay():
+    assert Drive(-0.15).on(10.0).value[0] == pytest.approx(-0.15, abs=0.02)
+
+
+def test_the_stamps_of_the_torque_count_not_when_it_is_seen():
+    """A torque that is held while ten speeds come is as late as its own stamp says."""
+    drive = Drive(0.3, rate_hz=50.0)
+    estimator, held = drive.estimator, (0, np.nan)
+    for i in range(30_000):
+        t = i / 50.0
+        stamp = START_NS + round(t * 1e9)
+        estimator.take(stamp, float(np.interp(t, drive.time, drive.speed)), ROLLING_NM, INERTIA, *held)
+        if i % 10 == 0:
+            held = stamp, float(np.interp(t - 0.3, drive.time, drive.torque))
+    assert estimator.kept.value[0] == pytest.approx(0.3, abs=0.01)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_without_changes_of_speed_it_stays_unknown(seed):
+    kept = Drive(0.3, seed, changes=False).on(15.0)
+    assert not kept.known
+    assert kept.value[1] > 0.5 * FIRST_STD_S
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_torque_of_noise_alone_tells_no_delay(seed):
+    random = np.random.default_rng(seed + 50)
+    kept = Drive(0.0, seed).on(30.0, lambda _nm, _t: random.normal(ROLLING_NM, 2000.0))
+    assert not kept.known
+    assert kept.value[1] > 0.05
+
+
+def test_another_vehicles_torque_tells_no_delay():
+    other = Drive(0.0, seed=9)
+    kept = Drive(0.0, seed=8).on(30.0, lambda _nm, t: float(np.interp(t, other.time, other.torque)))
+    assert not kept.known
+
+
+@pytest.mark.parametrize("gain", [-1.0, 0.3, 3.0])
+def test_of_a_torque_of_another_size_or_sense_it_is_unknown(gain):
+    assert not Drive(0.2, gain=gain).on(30.0).known
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_standard_deviation_falls_with_more_driving(seed):
+    drive = Drive(0.2, seed)
+    stds = [drive.on(minutes).value[1] for minutes in (0.0, 3.0, 9.0)]
+    assert stds[0] == pytest.approx(FIRST_STD_S, rel=1e-3)
+    assert stds == sorted(stds, reverse=True)
+
+
+@given(st.lists(st.tuples(st.floats(0.1, 0.3), st.floats(0.01, 0.1)), min_size=4, max_size=18))
+def test_the_same_windows_twice_are_surer_and_say_the_same(windows):
+    once, twice = KeptDelays(), KeptDelays()
+    for delay, std in windows:
+        once.see(delay, std**2)
+    for delay, std in windows:
+        twice.see(delay, std**2)
+        twice.see(delay, std**2)
+    if np.count_nonzero(twice.variances) == 2 * np.count_nonzero(once.variances) == 2 * len(windows):  # no change was seen
+        assert twice.value[1] < once.value[1]
+        assert twice.value[0] == pytest.approx(once.value[0], abs=once.value[1])
+
+
+def test_friction_brakes_are_no_delay():
+    """The motor brakes with no torque at all, and the torque sees nothing of what the brakes do."""
+    assert Drive(0.25, brakes_nm=0.0).on(15.0).value[0] == pytest.approx(0.25, abs=0.02)
+
+
+def test_another_delay_is_found_anew_and_never_surely_wrong():
+    drive = Drive(0.1)
+    assert drive.on(10.0).known
+    drive.delay = 0.3
+    for _ in range(20):
+        kept = drive.on(0.5)
+        value, std = kept.value
+        if kept.known and drive.begun > 660.0:  # windows until then hold both
+            assert min(abs(value - delay) for delay in (0.1, 0.3)) < 3.0 * std
+    assert kept.known
+    assert kept.value[0] == pytest.approx(0.3, abs=0.02)
+
+
+@pytest.mark.parametrize("torque", [np.nan, np.inf, 1e300])
+def test_torques_that_are_none_leave_it_as_it_was(torque):
+    drive = Drive(0.2)
+    before = drive.on(10.0).value
+    with np.errstate(all="ignore"):
+        kept = drive.on(3.0, lambda _nm, _t: torque)
+    assert kept.value == pytest.approx(before, abs=0.01)
+
+
+@given(
+    speed=st.sampled_from([0.0, 8.0, -8.0, 60.0]),
+    changes=st.sampled_from([0.0, 1e-9, 0.5, 50.0]),
+    inertia=st.sampled_from([0.0, INERTIA]),
+    torque=st.sampled_from([0.0, 1e-12, 3000.0, 1e7]),
+    like_speed=st.booleans(),
+    samples=st.integers(0, 600),
+)
+def test_any_window_has_a_delay_within_reach_or_none(speed, changes, inertia, torque, like_speed, samples):
+    times = np.linspace(0.0, SPAN_S + 1.0, samples)
+    speeds = speed + changes * np.sin(times)
+    torques = torque * (np.gradient(speeds) if like_speed and samples > 1 else np.ones(samples))
+    found = window_delay(
+        np.column_stack([times, speeds, np.full((samples, 2), (ROLLING_NM, inertia))]),
+        np.column_stack([times, torques]),
+        ROLLING_NM,
+    )
+    if found is not None:
+        assert EARLIEST_S < found[0] < LATEST_S
+        assert 0.0 <= found[1] < WORST_STD_S**2
+
+
+def test_gaps_and_time_that_goes_back_cost_a_window_each():
+    drive = Drive(0.2)
+    for _ in range(20):
+        drive.on(1.0)
+        drive.begun += 30.0
+    assert drive.estimator.kept.value[0] == pytest.approx(0.2, abs=0.02)
+    drive.begun -= 300.0
+    assert drive.on(3.0).value[0] == pytest.approx(0.2, abs=0.02)
+
+
+def test_at_any_rate_memory_stays_bounded():
+    drive = Drive(0.2, rate_hz=400.0)
+    drive.on(2.0)
+    held = drive.estimator._samples
+    assert max(len(held.speed), len(held.torque)) < 3500
+
+
+def learner_of(road, delay_steps):
+    """What is learned of a vehicle whose torque comes some steps of 0.1 s late."""
+    held = []
+
+    def shown_late(torque, _i):
+        held.append(torque)
+        return held[max(len(held) - 1 - delay_steps, 0)]
+
+    def speed(t):
+        return 8.0 + 3.0 * np.tanh(2.0 * np.sin(t / 4.0)) * np.sin(t / 15.0)
+
+    return road("watch").drive(8.0, shown_late, speed=speed).learner
+
+
+@pytest.fixture(scope="module")
+def late(road):
+    return learner_of(road, 2)
+
+
+def test_the_learner_says_it_of_the_estimates_own_torque(late):
+    """The expected torque of these drives follows a filtered acceleration, so 0.2 s and what its filter lags come together."""
+    names = [one.name for one in late.learnables]
+    value, std, state = shown(late)[2 + 3 * names.index("torque_delay") :][:3]
+    assert names[-1] == "torque_delay"
+    assert state == LEARNED
+    assert value > 0.2
+    assert std < 0.01
+
+
+def test_a_torque_two_steps_later_is_two_steps_later(road, late):
+    assert late.delay.kept.value[0] - learner_of(road, 0).delay.kept.value[0] == pytest.approx(0.2, abs=0.01)
+
+
+def test_it_is_kept_over_a_restart_but_to_be_confirmed(reference, late):
+    again = Learner(reference)
+    take(again, json.loads(json.dumps(stored(late))))
+    assert again.delay.kept.value == late.delay.kept.value
+    assert again.delay.kept.known
+    again.age(3600.0)
+    assert again.delay.kept.value == late.delay.kept.value
+    assert not again.delay.kept.known
+
+
+@pytest.mark.parametrize(("name", "value"), [("delays", 2.0), ("variances", -1.0)])
+def test_delays_that_none_has_are_refused_of_a_state_file(reference, late, name, value):
+    content = json.loads(json.dumps(stored(late)))
+    content["delay"][name][0] = value.hex()
+    with pytest.raises(ValueError, match="delay"):
+        take(Learner(reference), content)

@@ -1,0 +1,295 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Counts how well the delay of the torque behind the speed is found on vehicles whose delay is concealed.
+
+`python -m trackres_ros.evaluation.learned.delay generate FOLDER SEED MINUTES VEHICLES HOSTILE` draws, seals and records;
+`... find FOLDER` sees recordings and vehicle files and nothing else; `... score FOLDER` opens the seal.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from multiprocessing import Pool, cpu_count
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.errors import InputError
+from trackres_ros.estimator.estimate import Steps
+from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.evaluation.learned.cases import (
+    AIRS_DEGC,
+    LOADS,
+    SENSORS,
+    Case,
+    added_torque,
+    draw_cases,
+    misled,
+    sensors_of,
+    weight_shares,
+)
+from trackres_ros.evaluation.learned.generate import ROLLING_SHARE
+from trackres_ros.evaluation.sealed.data_sheet import read_data_sheet
+from trackres_ros.evaluation.sealed.drives import Drive, drive, trapezoids
+from trackres_ros.evaluation.sealed.generate import FASTEST_MPS, START_S, VEHICLE, write_vehicle
+from trackres_ros.evaluation.sealed.sensors import HEAVY_TAILS, Sensors, lagging, road_slopes
+from trackres_ros.evaluation.sealed.truth import Build, simulate_truth
+from trackres_ros.files.resources import find_vehicle
+from trackres_ros.learning.columns import LEARNED
+from trackres_ros.learning.learner import Learner
+from trackres_ros.offline.replay import replay
+from trackres_ros.recording.opening import open_source
+from trackres_ros.vehicle import load
+
+Array = NDArray[np.float64]
+
+LONGEST_S = 0.5
+RATES_HZ = (1.0, 100.0)
+APART = (0.5, 2.0)  # rate of the torque over that of the speed
+JITTER_SHARE = 0.3  # at most, of the time between samples
+STAMP_STD_S = 0.005  # at most, by which a stamp is off
+TARGET_S, WITHIN_STD = 0.02, 3.0
+PAGE = "delay.md"
+RATES_OF = ((1.0, 3.0), (3.0, 10.0), (10.0, 30.0), (30.0, 100.0))
+
+
+@dataclass(frozen=True)
+class Delayed:
+    """What is concealed of a vehicle: `case` as for the proof of the learning; the delay [s] and of it that of a filter [s]."""
+
+    case: Case
+    delay_s: float
+    filter_s: float
+    speed_hz: float
+    torque_hz: float
+    jitter: float
+    stamp_std_s: float
+    stop_and_go: bool
+
+
+def draw(seed: int, vehicles: int, hostile: int) -> list[Delayed]:
+    """Draw vehicles with their delays and instruments, all from one seed."""
+    rng = np.random.default_rng([seed, 17])
+    found = []
+    for case in draw_cases(seed, vehicles, hostile):
+        delay = float(rng.uniform(0.0, LONGEST_S))
+        speed_hz = float(np.exp(rng.uniform(*np.log(RATES_HZ))))
+        torque_hz = min(max(speed_hz * float(np.exp(rng.uniform(*np.log(APART)))), RATES_HZ[0]), RATES_HZ[1])
+        found.append(
+            Delayed(case, delay, float(rng.uniform(0.0, min(0.1, delay))), speed_hz, torque_hz,
+                    float(rng.uniform(0.0, JITTER_SHARE)), float(rng.uniform(0.0, STAMP_STD_S)), bool(rng.random() < 0.5))
+        )  # fmt: skip
+    return found
+
+
+def seal(seed: int, drawn: Sequence[Delayed]) -> str:
+    """SHA-256 of the seed and all that is concealed."""
+    return hashlib.sha256(json.dumps([seed, [asdict(one) for one in drawn]], sort_keys=True).encode()).hexdigest()
+
+
+def generate(folder: Path, seed: int, minutes: float, vehicles: int, hostile: int) -> None:
+    """Draw, seal and record."""
+    drawn = draw(seed, vehicles, hostile)
+    for sub in ("cases", "sealed"):
+        (folder / sub).mkdir(parents=True, exist_ok=True)
+    digest = seal(seed, drawn)
+    print(f"sealed: {len(drawn)} vehicles, SHA-256 {digest}", flush=True)
+    (folder / "seal.txt").write_text(digest + "\n", encoding="utf-8")
+    labels = {"seed": seed, "minutes": minutes, "drawn": [asdict(one) for one in drawn]}
+    (folder / "sealed" / "labels.json").write_text(json.dumps(labels, indent=1), encoding="utf-8")
+    missing = [one for one in drawn if not (folder / "cases" / one.case.name / "drive.csv").exists()]
+    _each(record_one, [(folder, one, minutes) for one in missing], "recorded")
+
+
+def record_one(task: tuple[Path, Delayed, float]) -> None:
+    """Write the vehicle file and the recording of one vehicle: a line for each sample of a sensor, by its stamp."""
+    folder, one, minutes = task
+    case, sheet = one.case, find_vehicle(VEHICLE)
+    into = folder / "cases" / case.name
+    into.mkdir(exist_ok=True)
+    write_vehicle(into / "vehicle.yaml", "lumped" if case.lumped else "core_surface")
+    numbers = read_data_sheet(sheet)
+    weight, radius = numbers["weight"], numbers["track.sprocket_radius"]
+    rng = np.random.default_rng([case.seed, 2])
+    make = trapezoids if one.stop_and_go else drive
+    planned = make(minutes, float(rng.choice(LOADS)) * weight, float(rng.choice(AIRS_DEGC)), FASTEST_MPS, rng)
+    driven = replace(planned, weight=planned.weight * weight_shares(case, planned.speed))
+    (run,) = simulate_truth(sheet, Build(**case.build), {}, [driven])
+    sensors, distance = sensors_of(rng), np.cumsum(planned.speed) * planned.step
+    rolling = ROLLING_SHARE * weight * radius
+    torque = run.shown + road_slopes(driven, sensors, rng) * driven.weight * radius
+    torque = torque + added_torque(case, driven.speed, distance, driven.step, rolling, driven.weight, radius)
+    rows = [*_speeds(one, driven, sensors, rng), *_torques(one, driven, torque, sensors, rng)]
+    lines = [
+        f"{stamp:.6f},{speed},{measured},{planned.weight[0]:.1f},{planned.ambient[0]:.1f}"
+        for stamp, speed, measured in sorted(rows)
+    ]
+    part = into / "drive.part"
+    part.write_text("time_s,speed_mps,torque_nm,weight_n,ambient_degc\n" + "\n".join(lines) + "\n", encoding="utf-8")
+    part.rename(into / "drive.csv")
+
+
+def _speeds(one: Delayed, driven: Drive, sensors: Sensors, rng: np.random.Generator) -> list[tuple[float, str, str]]:
+    times, stamps = _sampled(one, driven, one.speed_hz, rng)
+    speed = np.interp(times, np.arange(len(driven)) * driven.step, driven.speed)
+    shown = np.round((speed + rng.normal(0.0, sensors.speed_mps, len(speed))) / sensors.speed_step_mps) * sensors.speed_step_mps
+    shown = np.where(speed < 1e-3, 0.0, shown)
+    return [(stamp, f"{value:.5f}", "") for stamp, value in zip(stamps.tolist(), shown.tolist(), strict=True)]
+
+
+def _torques(
+    one: Delayed, driven: Drive, torque: Array, sensors: Sensors, rng: np.random.Generator
+) -> list[tuple[float, str, str]]:
+    times, stamps = _sampled(one, driven, one.torque_hz, rng)
+    grid = np.arange(len(driven)) * driven.step
+    filtered = sensors.torque_gain * lagging(torque, one.filter_s, driven.step) + sensors.torque_offset_nm
+    seen = times - (one.delay_s - one.filter_s)
+    shown = np.interp(seen, grid, filtered)
+    white = rng.standard_t(HEAVY_TAILS, len(seen)) * np.sqrt((HEAVY_TAILS - 2.0) / HEAVY_TAILS)
+    size = sensors.torque_nm + sensors.torque_share * np.abs(shown) + 20.0 * np.abs(np.interp(seen, grid, driven.accel))
+    shown = np.round((shown + white * size) / sensors.torque_step_nm) * sensors.torque_step_nm
+    if one.case.hostile in SENSORS:
+        shown = misled(one.case, shown, 1.0 / one.torque_hz, rng)
+    there = np.isfinite(shown) & (rng.random(len(shown)) > sensors.dropouts)
+    return [(stamp, "", f"{value:.2f}") for stamp, value in zip(stamps[there].tolist(), shown[there].tolist(), strict=True)]
+
+
+def _sampled(one: Delayed, driven: Drive, rate_hz: float, rng: np.random.Generator) -> tuple[Array, Array]:
+    """When a sensor samples [s], and its stamps [s since 1970]."""
+    n = int(len(driven) * driven.step * rate_hz)
+    times = (np.arange(n) + rng.random() + one.jitter * rng.uniform(-0.5, 0.5, n)) / rate_hz
+    return times, np.maximum.accumulate(START_S + times + rng.normal(0.0, one.stamp_std_s, n))
+
+
+def find(folder: Path) -> None:
+    """Learn from every recording."""
+    (folder / "results").mkdir(exist_ok=True)
+    paths = sorted((folder / "cases").iterdir())
+    _each(
+        find_one,
+        [(path, folder / "results") for path in paths if not (folder / "results" / f"{path.name}.npy").exists()],
+        "learned",
+    )
+
+
+def find_one(task: tuple[Path, Path]) -> None:
+    """Learn from one recording, as the live node does: time [s], delay [s], standard deviation [s] and state, once a second."""
+    case, results = task
+    estimator = Estimator(load(case / "vehicle.yaml"))
+    kept: list[Steps] = []
+    replay(open_source([case / "drive.csv"], None), estimator, kept.append, learner=Learner(estimator, "watch"))
+    stamps = np.concatenate([steps.stamp_ns for steps in kept])
+    rows = np.concatenate([steps.rows[:, -3:] for steps in kept])
+    seconds = np.flatnonzero(np.diff(stamps // 10**9, append=0))
+    np.save(results / f"{case.name}.npy", np.column_stack([(stamps[seconds] - stamps[0]) * 1e-9, rows[seconds]]))
+
+
+def score(folder: Path) -> dict[str, Any]:
+    """Open the seal and compare.
+
+    Raises
+    ------
+    InputError
+        If what is concealed is not what was sealed.
+    """
+    labels = json.loads((folder / "sealed" / "labels.json").read_text(encoding="utf-8"))
+    drawn = [Delayed(**{**one, "case": Case(**one["case"])}) for one in labels["drawn"]]
+    digest = (folder / "seal.txt").read_text(encoding="utf-8").strip()
+    if seal(labels["seed"], drawn) != digest:
+        raise InputError(str(folder / "sealed"), "labels that are not those that were sealed", "those as drawn", "begin anew")
+    each = [_scored(one, np.load(folder / "results" / f"{one.case.name}.npy")) for one in drawn]
+    return {"seed": labels["seed"], "minutes": labels["minutes"], "seal": digest, "each": each}
+
+
+def _scored(one: Delayed, rows: Array) -> dict[str, Any]:
+    """Error at the end, and at how many seconds it was sure of a wrong delay."""
+    off, known = rows[:, 1] - one.delay_s, rows[:, 3] == LEARNED
+    wrong = known & (np.abs(off) > WITHIN_STD * rows[:, 2])
+    return {
+        "name": one.case.name, "hostile": one.case.hostile, "delay_s": one.delay_s, "speed_hz": one.speed_hz,
+        "torque_hz": one.torque_hz, "error_s": float(off[-1]), "std_s": float(rows[-1, 2]), "known": bool(known[-1]),
+        "known_after_s": float(rows[np.argmax(known), 0]) if known.any() else None, "wrong_s": int(wrong.sum()),
+    }  # fmt: skip
+
+
+def page(scores: dict[str, Any]) -> str:
+    """The scores as Markdown."""
+    plain = [one for one in scores["each"] if not one["hostile"]]
+    hostile = [one for one in scores["each"] if one["hostile"]]
+    minutes = f"{scores['minutes']:g} minutes"
+    lines = [
+        f"{len(scores['each'])} sealed vehicles, {minutes} of driving each: nothing misleads on {len(plain)}, something does on "
+        f"{len(hostile)}. Seed {scores['seed']}, SHA-256 of what is concealed",
+        f"`{scores['seal']}`.",
+        "",
+        "| | Vehicles | Error below 20 ms | Known at the end | Mean size of the error [ms] | 95 % below [ms] "
+        "| Known after, median [s] | Sure of a wrong delay |",
+        "|---|---|---|---|---|---|---|---|",
+        _line("all that nothing misleads", plain),
+    ]
+    for low, high in RATES_OF:
+        lines.append(_line(f"slower sensor at {low:g} to {high:g} Hz", [one for one in plain if low <= _slower(one) < high]))
+    for kind in sorted({one["hostile"] for one in hostile}):
+        lines.append(_line(f"misled: {kind}", [one for one in hostile if one["hostile"] == kind]))
+    good, known = sum(abs(one["error_s"]) < TARGET_S for one in plain), [one for one in plain if one["known"]]
+    wrong = sum(one["wrong_s"] > 0 for one in scores["each"])
+    lines += [
+        "",
+        f"An error below 20 ms after {minutes}: {good} of {len(plain)} (target: all); of those whose state is `learned` "
+        f"{sum(abs(one['error_s']) < TARGET_S for one in known)} of {len(known)}. Sure of a wrong delay in any second, off by "
+        f"more than {WITHIN_STD:g} standard deviations while `learned`: {wrong} of {len(scores['each'])} vehicles "
+        "(target: none).",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _slower(one: dict[str, Any]) -> float:
+    return float(min(one["speed_hz"], one["torque_hz"]))
+
+
+def _line(name: str, some: Sequence[dict[str, Any]]) -> str:
+    if not some:
+        return f"| {name} | 0 | | | | | | |"
+    errors = 1e3 * np.abs([one["error_s"] for one in some])
+    after = [one["known_after_s"] for one in some if one["known_after_s"] is not None]
+    median = f"{np.median(after):.0f}" if after else ""
+    return (
+        f"| {name} | {len(some)} | {int((errors < 1e3 * TARGET_S).sum())} | {sum(one['known'] for one in some)} | "
+        f"{errors.mean():.1f} | {np.quantile(errors, 0.95):.1f} | {median} | {sum(one['wrong_s'] > 0 for one in some)} |"
+    )
+
+
+def _each(work: Any, tasks: Sequence[Any], word: str) -> None:
+    with Pool(cpu_count()) as pool:
+        for done, _ in enumerate(pool.imap(work, tasks), start=1):
+            print(f"\r{word} {done} of {len(tasks)}", end="", flush=True)
+    print(flush=True)
+
+
+def main(arguments: Sequence[str]) -> None:
+    """See above."""
+    folder = Path(arguments[1])
+    if arguments[0] == "generate":
+        seed, minutes, vehicles, hostile = arguments[2:]
+        generate(folder, int(seed), float(minutes), int(vehicles), int(hostile))
+    elif arguments[0] == "find":
+        find(folder)
+    else:
+        scores = score(folder)
+        (folder / "scores.json").write_text(json.dumps(scores, indent=1), encoding="utf-8")
+        (folder / PAGE).write_text(page(scores), encoding="utf-8")
+        print(page(scores))
+
+
+if __name__ == "__main__":
+    try:
+        main(sys.argv[1:])
+    except InputError as refused:
+        sys.exit(f"trackres: error: {refused}")
