@@ -472,7 +472,7 @@ class Application:
         self.session.start_anew(time_went_back=False)
         self.comparison.restart()
         self.learning.restart()
-        text = "the estimate starts anew, with cold belts, at the next speed"
+        text = f"the estimate starts anew, with cold {'belts' if self.estimator.assemblies else 'effects'}, at the next speed"
         self._log(Level.WARN, f"reset: {text}")
         return text
 

@@ -21,8 +21,9 @@ from trackres_ros.files.resources import find_vehicle
 from trackres_ros.files.yamls import read_yaml
 from trackres_ros.route.learned import RouteMap
 from trackres_ros.units import GRAVITY
-from trackres_ros.vehicle.description import Assembly, Axle, Chassis, Quantity, Vehicle
-from trackres_ros.vehicle.loading import EFFECT_KEYS, build, listed_effects
+from trackres_ros.vehicle.description import Assembly, Axle, Chassis, Disturbance, Quantity, Vehicle
+from trackres_ros.vehicle.disturbance import read_disturbance
+from trackres_ros.vehicle.loading import DISTURBANCE, EFFECT_KEYS, build, listed_effects
 from trackres_ros.vehicle.reading import Reader
 from trackres_ros.vehicle.schema import ROAD_LOAD
 
@@ -36,7 +37,7 @@ class RoadVehicle:
 
     Attributes
     ----------
-    name, title, source, parameters, effects, surroundings, route
+    name, title, source, parameters, effects, surroundings, route, disturbance
         As of a `Vehicle`.
     values
         The quantities of the section `road_load`, by name; see `schema.ROAD_LOAD` for the units.
@@ -53,9 +54,9 @@ class RoadVehicle:
     effects: tuple[Active, ...] = ()
     surroundings: tuple[Active, ...] = ()
     route: tuple[RouteMap, ...] = ()
+    disturbance: Disturbance | None = None
 
     hysteresis = thermal = SECTION
-    disturbance = None
     axles: tuple[Axle, ...] = ()
     assemblies: tuple[Assembly, ...] = ()
 
@@ -139,7 +140,7 @@ def build_road(path: Path, content: Mapping[str, Any]) -> RoadVehicle:
         On a missing, unknown or implausible value.
     """
     reader = Reader(path, None)
-    reader.keys(content, "", ("schema", "name", "title", "friction_brakes", SECTION), EFFECT_KEYS)
+    reader.keys(content, "", ("schema", "name", "title", "friction_brakes", SECTION), (*EFFECT_KEYS, DISTURBANCE))
     values = reader.table(content[SECTION], SECTION, ROAD_LOAD)
     brakes = content["friction_brakes"]
     if not isinstance(brakes, bool):
@@ -147,4 +148,5 @@ def build_road(path: Path, content: Mapping[str, Any]) -> RoadVehicle:
     name, title = reader.text(content["name"], "name"), reader.text(content["title"], "title")
     size = values["mass"] * GRAVITY * values["wheel_radius"]
     effects = listed_effects(reader, content, size, True, "vehicle")
-    return RoadVehicle(name, title, path, values, reader.parameters, brakes, effects)
+    watched = read_disturbance(reader, content[DISTURBANCE]) if DISTURBANCE in content else None
+    return RoadVehicle(name, title, path, values, reader.parameters, brakes, effects, disturbance=watched)
