@@ -61,7 +61,11 @@ def test_the_torque_is_the_road_load_in_closed_form(speed, weight, accel, grade)
 
 @pytest.mark.parametrize("name", ["bmw_i3", "husky", "ztbus_hess19"])
 def test_it_has_no_column_of_a_belt(name):
-    assert not [column for column in Estimator(load_any(name)).columns if "/" in column]
+    estimator = Estimator(load_any(name))
+    inputs = estimator.inputs(speed=1.0)
+    assert not [column for column in estimator.columns if "/" in column]
+    for shown in (estimator.cold_start(inputs), at_once(estimator, speed=1.0)):
+        assert "belt" not in repr(shown)
 
 
 @pytest.mark.parametrize("shown", ["warmup", "stribeck", "roadwheel_tyres"])
