@@ -110,7 +110,9 @@ def files(tmp_path_factory):
         (folder / name).write_text("time_s,speed_mps,torque_nm\n" + rows)
     columns = [b["column"] for b in yaml.safe_load((config_dir() / "topics" / "ztbus.yaml").read_text(encoding="utf-8")).values()]
     bus = np.full((len(time), len(columns)), 0.8)
-    for name, values in (("time_unix", 1.6e9 + time), ("odometry_vehicleSpeed", speed), ("temperature_ambient", 288.0)):
+    force = torque + 20500.0 * np.gradient(speed, time)
+    known = {"time_unix": 1.6e9 + time, "odometry_vehicleSpeed": speed, "traction_tractionForce": force}
+    for name, values in {**known, "temperature_ambient": 288.0}.items():
         bus[:, columns.index(name)] = values
     for name in ("bus.csv", "first.csv", "rest.csv"):
         np.savetxt(folder / name, bus, delimiter=",", header=",".join(columns), comments="", fmt="%.3f")
