@@ -79,8 +79,8 @@ WAYS = (
             ("estimator/road.py", "        direction(speed),\n", "        sign,\n"),
             (
                 "estimator/road.py",
-                "bearing_force(speed, weight, number.bearing_friction)",
-                "number.bearing_friction * weight * sign",
+                "bearing_force(speed, weight, rolling)",
+                "rolling * weight * sign",
             ),
             ("estimator/kernel.py", "abs(direction(speed))", "abs(road.sign)"),
         ),

@@ -108,6 +108,14 @@ def files(tmp_path_factory):
     rows = "".join(f"{t:.1f},{v:.4f},{q:.1f}\n" for t, v, q in zip(time, speed, torque, strict=True))
     for name in ("drive.csv", "roll_1.csv", "roll_2.csv"):
         (folder / name).write_text("time_s,speed_mps,torque_nm\n" + rows)
+    columns = [b["column"] for b in yaml.safe_load((config_dir() / "topics" / "ztbus.yaml").read_text(encoding="utf-8")).values()]
+    bus = np.full((len(time), len(columns)), 0.8)
+    force = torque + 20500.0 * np.gradient(speed, time)
+    known = {"time_unix": 1.6e9 + time, "odometry_vehicleSpeed": speed, "traction_tractionForce": force}
+    for name, values in {**known, "temperature_ambient": 288.0}.items():
+        bus[:, columns.index(name)] = values
+    for name in ("bus.csv", "first.csv", "rest.csv"):
+        np.savetxt(folder / name, bus, delimiter=",", header=",".join(columns), comments="", fmt="%.3f")
     (folder / "tour.csv").write_text(
         "time_s,speed_mps\n" + "".join(f"{t:.1f},{v:.4f}\n" for t, v in zip(time, speed, strict=True))
     )

@@ -22,6 +22,7 @@ SAYS = {
     "05_snapshot.py": "without a stop: True",
     "06_diagnose.py": "turning_scrub: friction",
     "07_controller.py": "a fault                       0 Nm of 3000 Nm",
+    "09_without_belts.py": "60 passengers more",
     "08_without_ros.py": "the deadline was missed: True\nthe node goes on: the feed-forward is back",
 }
 

@@ -18,6 +18,7 @@ from click.testing import CliRunner
 
 import trackres_ros as tr
 from trackres_ros.cli.main import cli
+from trackres_ros.files.resources import shipped_road_vehicles
 
 PACKAGE = Path(tr.__file__).parent
 DRIVE = "time_s,speed_kmh,ambient_degc\n" + "".join(f"{i * 0.1:.1f},{min(i, 100) * 0.2:.2f},10\n" for i in range(400))
@@ -403,15 +404,39 @@ def test_the_command_names_the_option_instead(drive, folder):
         assert done.exception.where == option
 
 
-def test_a_road_vehicle_is_only_diagnosed():
-    from trackres_ros.diagnosis.base.road_load import load_road_vehicle
-    from trackres_ros.files.resources import shipped_road_vehicles
-    from trackres_ros.files.yamls import read_yaml
+@pytest.mark.parametrize("name", shipped_road_vehicles())
+def test_a_vehicle_without_belts_is_simulated_explained_and_checked(name):
+    vehicle = tr.load_vehicle(name)
+    drive = tr.simulate(vehicle, speed_kmh=4, duration_s=120)
+    assert not [column for column in drive.columns if "belt" in column or "hysteresis" in column]
+    assert "belt" not in repr(drive)
+    point = tr.explain(vehicle, speed_kmh=4)
+    assert drive["resistance_torque_nm"][-1] == pytest.approx(point["torque_nm"]["resistance"], rel=1e-9)
+    assert sum(point["torque_nm"][part] for part in ("rolling", "wind", "effects")) == point["torque_nm"]["resistance"]
+    assert "belt" not in repr(point) + point._repr_html_()
+    assert drive.drive["energy_mj"] > 0.0
+    assert "belts" not in drive._repr_html_()
+    checked = tr.check_vehicle(vehicle)
+    assert [at["resistance_std_nm"] > 0.0 for at in checked["level_ground"]] == [True] * 3
+    assert "base model road_load" in repr(checked)
 
-    path = next(iter(shipped_road_vehicles().values()))
-    road = load_road_vehicle(path, read_yaml(path))
-    with pytest.raises(tr.InputError, match="road_load"):
-        tr.simulate(road, speed_kmh=5)
+
+@pytest.mark.parametrize(
+    "ask",
+    [
+        lambda vehicle: tr.explain(vehicle, speed_kmh=4, belt_degc=20),
+        lambda vehicle: tr.simulate(vehicle, speed_kmh=4, initial_degc=20),
+        lambda vehicle: tr.load_vehicle(vehicle.source, thermal="lumped"),
+    ],
+)
+def test_of_a_vehicle_without_belts_nothing_of_belts_is_taken(ask):
+    with pytest.raises(tr.InputError, match="road_load has no belts"):
+        ask(tr.load_vehicle("husky"))
+
+
+def test_of_a_vehicle_with_belts_their_temperature_is_asked():
+    with pytest.raises(tr.InputError, match="belt_degc"):
+        tr.explain("xgd24d", speed_kmh=4)
 
 
 @pytest.mark.parametrize(

@@ -56,6 +56,12 @@ def test_an_exact_altitude_gives_the_slope_of_the_road():
     assert "gives a slope over 200 m" in said
 
 
+def test_where_nothing_may_be_compared_no_slope_is_made():
+    session, _ = loop()
+    unused = replace(session, used=np.zeros(len(session), dtype=bool))
+    assert with_slope(unused) == (unused, "")
+
+
 @pytest.mark.parametrize("error_m", [2.0, 5.0])
 def test_an_error_that_lasts_is_seen_where_places_are_passed_again_and_the_slope_is_as_sure_as_it_says(error_m):
     session, slope = loop(error_m)

@@ -13,9 +13,9 @@ import pytest
 
 import trackres_ros as tr
 from trackres_ros.diagnosis.base.loading import load_base
-from trackres_ros.diagnosis.base.road_load import RoadVehicle
 from trackres_ros.diagnosis.writing.kept import Kept
 from trackres_ros.files.resources import shipped_road_vehicles
+from trackres_ros.vehicle import RoadVehicle
 
 
 @pytest.fixture(scope="module")

@@ -104,7 +104,7 @@ def replayed(estimator, sessions):
 
 def picked(estimator, rows):
     belts = [rows[:, estimator.column_index[f"belt_degc/{name}"]] for name in estimator.assemblies]
-    return rows[:, at.OUT_DRIVE], np.mean(belts, axis=0)
+    return rows[:, at.OUT_DRIVE], np.mean(belts, axis=0) if belts else np.zeros(len(rows))
 
 
 def simulated(base, sessions, active):
@@ -127,6 +127,27 @@ def test_live_replayed_and_fitted_are_one(loaded, effects, three, two_nodes, nod
     as_live = live(estimator, three)
     agree(as_live, replayed(estimator, three))
     agree(as_live, simulated(base, three, active))
+
+
+TYRES = [(), ("warmup",), ("stribeck", "roadwheel_tyres", "turning_scrub")]
+
+
+@pytest.mark.parametrize("names", TYRES, ids="+".join)
+@pytest.mark.parametrize("name", ["ztbus_hess19", "bmw_i3", "husky"])
+def test_live_replayed_and_fitted_are_one_without_belts(name, names):
+    known = load_base(name)
+    sessions = drives(known.base, known.known.max_speed, 3, 4.0, np.random.default_rng(5))
+    sessions = [replace(s, gap=gap, given=s.given | {"load"}) for s, gap in zip(sessions, GAPS_S, strict=True)]
+    effects = catalogue(size=known.base.vehicle.size, on_tyres=True)
+    active = tuple(Active(effects[name], effects[name].values()) for name in names)
+    estimator = Estimator(replace(known.base.vehicle, effects=active))
+    as_live, as_replayed, in_a_fit = (
+        [torque for torque, _ in found]
+        for found in (live(estimator, sessions), replayed(estimator, sessions), simulated(known.base, sessions, active))
+    )
+    for torque, too, fitted in zip(as_live, as_replayed, in_a_fit, strict=True):
+        np.testing.assert_array_equal(torque, too)
+        np.testing.assert_allclose(torque, fitted, rtol=0.0, atol=1e-12 * np.abs(fitted).max())
 
 
 @pytest.mark.parametrize("names", [(), ("drivetrain_efficiency", "warmup")], ids="+".join)

@@ -11,17 +11,28 @@ import pytest
 from click.testing import CliRunner
 from streets import LAP_M, autoregression, drive, position_of, slope_at
 
+import trackres_ros as tr
 from trackres_ros.cli.main import cli
 from trackres_ros.diagnosis import load_base, read_recordings
+from trackres_ros.diagnosis.base.base import Acting
 from trackres_ros.diagnosis.base.watched import SlopeByPlace, TorqueByPlace
 from trackres_ros.diagnosis.described.routes import find_route, roads_of
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.prepare.gate import gate
 from trackres_ros.diagnosis.prepare.on_route import on_route
 from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.effects import Active
+from trackres_ros.effects.sensor.delay import Delay
+from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.estimator.records import GroundSeries
+from trackres_ros.files.resources import config_dir
+from trackres_ros.recording.bindings import Topics
 from trackres_ros.route.learned import SLOPE, TORQUE, of_kind
+from trackres_ros.vehicle import load_any, with_surroundings
 from trackres_ros.vehicle.surroundings import load_route
 
+BUS = config_dir().parents[1] / "shared/data/real/ztbus/B183_2021-10-05_13-53-20.csv.gz"
 LOADS = (1.0, 1.2, 0.9, 1.1)
 
 
@@ -274,3 +285,51 @@ def test_given_the_slope_the_torque_is_found_and_written_beside_it(base, diagnos
     assert both["route"] is None
     assert not {"grade", "grade_profile"} & {effect["name"] for effect in both["effects"]}
     assert both["heldout"]["mae"]["nominal"] < report["heldout"]["mae"]["nominal"]
+
+
+def expected_live(vehicle, sessions):
+    """What the torque sensor would show by the live step, of sessions that begin soaked."""
+    estimator = Estimator(vehicle)
+    late = Acting.of([Active(Delay(), {"time": vehicle.values["torque_delay"]})], vehicle.constants)
+    found = []
+    for session in sessions:
+        begin = estimator.cold_start(estimator.inputs(float(session.speed[0]), ambient=float(session.ambient[0])))
+        unknown = np.full(len(session), np.nan)
+        _, rows = estimator.run(
+            begin, session.time, session.speed, session.weight, session.ambient, session.accel, session.grade, session.yaw_rate,
+            session.heading, ground=GroundSeries(unknown, session.torque_by_place, unknown),
+        )  # fmt: skip
+        found.append(vehicle.values["torque_scale"] * late.sensed(rows[:, at.OUT_DRIVE], session))
+    return found
+
+
+def test_live_errs_as_the_diagnosis_reports(hilly, diagnosed):
+    files = diagnosed / "vehicle.yaml", diagnosed / "surroundings.yaml"
+    again = tr.diagnose(hilly, files[0], surroundings=files[1], quick=True).diagnosis
+    sessions = again.gated.sessions
+    shown = expected_live(with_surroundings(load_any(files[0]), files[1]), sessions)
+    errors = [np.abs(s.torque - one)[again.split.held_out_mask(s)] for s, one in zip(sessions, shown, strict=True)]
+    assert np.concatenate(errors).mean() == pytest.approx(again.held_out.mae["nominal"], rel=1e-9)
+
+
+def test_a_replay_follows_the_slopes_that_were_written(hilly, diagnosed, good, tmp_path):
+    """By the commands, from positions alone: the surroundings take most of the error off."""
+    errors = {}
+    for name, around in (("without", ()), ("with", ("--surroundings", diagnosed / "surroundings.yaml"))):
+        good("replay", hilly, "--vehicle", diagnosed / "vehicle.yaml", *around, "-o", tmp_path / "r.csv")
+        rows = np.genfromtxt(tmp_path / "r.csv", delimiter=",", names=True)
+        moves = rows["speed_mps"] > 1.0
+        errors[name] = np.nanmean(np.abs(rows["residual_nm"][moves]))
+    assert errors["with"] < 0.6 * errors["without"]
+
+
+@pytest.mark.skipif(not BUS.is_file(), reason="no recording of the bus")
+def test_on_a_bus_live_expects_what_the_diagnosis_does():
+    known = load_base("ztbus_hess19")
+    gated = gate(read_recordings([BUS], Topics.load("ztbus")), known.known)
+    (expected,) = known.base.predict(gated.sessions, {q.name: q.nominal for q in known.base.parameters}, ())
+    (shown,) = expected_live(known.base.vehicle, gated.sessions)
+    np.testing.assert_allclose(shown, expected.torque, rtol=0.0, atol=1e-9)
+    (session,) = gated.sessions
+    errors = [np.abs(session.torque - one)[session.used].mean() for one in (shown, expected.torque)]
+    assert errors[0] == pytest.approx(errors[1], rel=1e-12)

@@ -3,19 +3,21 @@
 
 """What is to be watched for live: written as it was found, and only what may be."""
 
+from dataclasses import astuple
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import yaml
 
+from trackres_ros.diagnosis import load_base
 from trackres_ros.diagnosis.described.spells import Blocks, expected_level, find_wander
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, SUSPECTED
 from trackres_ros.diagnosis.stages.conclude import may_be_kept
 from trackres_ros.diagnosis.writing.kept import Kept, LearnedDisturbance
 from trackres_ros.diagnosis.writing.vehicle_file import write_track_vehicle
 from trackres_ros.estimator.disturbance import BLOCK_S, MOST_DRIFT, DisturbanceWatch
-from trackres_ros.vehicle import Drift, Spells, load
+from trackres_ros.vehicle import Drift, Spells, load, load_any
 
 SPELLS = LearnedDisturbance(
     Spells(312.3456789, -48.0, 81.25, 160.0, 61.0),
@@ -62,6 +64,15 @@ def test_what_is_found_later_takes_its_place_and_where_nothing_is_it_stays(tmp_p
     assert load(path).disturbance == DRIFT.disturbance
     assert path.read_text().startswith("# Written by trackres diagnose from x.")
     assert "comments could not be kept" not in path.read_text()
+
+
+def test_a_vehicle_without_belts_is_watched_too(tmp_path):
+    base = load_base("ztbus_hess19").base
+    for name, learned in (("spells", SPELLS), ("drift", DRIFT)):
+        base.write(tmp_path / f"{name}.yaml", NOTHING.with_disturbance(learned), "Written by trackres diagnose from x.")
+        found = load_any(tmp_path / f"{name}.yaml").disturbance
+        assert found.form == learned.disturbance.form
+        assert astuple(found) == pytest.approx(astuple(learned.disturbance), rel=1e-5)
 
 
 @pytest.mark.parametrize(

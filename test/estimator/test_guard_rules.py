@@ -49,7 +49,7 @@ def k():
         clock_jump_ns=JUMP, jumps_to_accept=3, load_hold_ns=LOAD_HOLD, ambient_hold_ns=AMBIENT_HOLD, motion_hold_ns=MOTION_HOLD,
         passengers_hold_ns=PASSENGERS_HOLD, passenger_weight=700.0,
         slopes_by_place=False, torques_by_place=False, torque_hold_ns=TORQUE_HOLD, stuck_ns=STUCK,
-        axles=AXLES,
+        axles=AXLES, first_wheel=WHEELS,
         max_acceleration=8.0, speed_slack=1.0, enable_hold_ns=0, disagreeing_ns=S, bridge=30.0,
         nominal_ambient=15.0, ambient_std=0.5, ambient_unknown_std=9.0,
     )  # fmt: skip
@@ -631,3 +631,19 @@ def test_wheels_that_disagree_stop_the_feedforward(guard, wheel):
     guard.send(13 * 100 * MS, 8.0)
     guard.send(13 * 100 * MS, 7.0, wheel)
     assert guard.inputs().fed == 1.0
+
+
+def test_wheels_without_axles_have_the_load_of_the_whole_vehicle_alone(k):
+    """The channels behind those of all vehicles are of wheel speeds then, not of loads or belts."""
+    k.number.axles, k.number.first_wheel = 0, at.FIRST_AXLE
+    k.assembly = k.assembly[:1]
+    k.assembly[0, [at.NOMINAL_LOAD, at.SHARE_OF_AXLE, at.SHARE_OF_ALL]] = 60e3, 1.0, 1.0
+    memory, loads = guards.new_memory(at.FIRST_AXLE + 1), np.zeros(1)
+    memory.times[at.FIRST_AXLE, [at.SEEN, at.LAST_ARRIVAL]] = 1, 5 * S
+    memory.values[at.FIRST_AXLE] = 7.0  # a wheel speed
+    assert gather_loads(k, memory, 5 * S, loads) == int(at.Reason.LOAD_NOMINAL)
+    assert loads[0] == 60e3
+    memory.times[at.LOAD, [at.SEEN, at.LAST_ARRIVAL]] = 1, 5 * S
+    memory.values[at.LOAD] = 65e3
+    assert gather_loads(k, memory, 5 * S, loads) == 0
+    assert loads[0] == 65e3

@@ -23,6 +23,8 @@ else:
     import peer
     from ros_shell import Shell
 
+    from trackres_ros.vehicle import load_any
+
     DOMAIN = peer.domain_of_worker(71)
 
 FEEDFORWARD_LIMIT_NM = 0.1 * 272000 * 0.4
@@ -126,6 +128,11 @@ class Node:
             self.process = subprocess.Popen(
                 command, env=environment(edge, folder), stdout=log, stderr=log, stdin=subprocess.DEVNULL, preexec_fn=preexec
             )
+
+    @property
+    def has_belts(self):
+        """Whether its vehicle has belts, whose temperatures are published last."""
+        return bool(load_any(self.parameters["vehicle"]).assemblies)
 
     @property
     def log(self):

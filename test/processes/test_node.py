@@ -37,7 +37,7 @@ from trackres_ros.recording.opening import open_source
 from trackres_ros.route.learned import SLOPE, TORQUE, RouteMap
 from trackres_ros.route.table import write_route
 from trackres_ros.route.track import Frame
-from trackres_ros.vehicle import load, with_surroundings
+from trackres_ros.vehicle import load, load_any, with_surroundings
 
 SECOND_NS = 1_000_000_000
 START_NS = 1_700_000_000 * SECOND_NS
@@ -78,7 +78,7 @@ class Simulated:
 
     def worked_off(self):
         """Wait until the speed sent last has made an output: then all that was sent before is worked off too."""
-        heard = self.node.out["belt"]
+        heard = self.node.out["belt" if self.node.has_belts else "resistance"]  # what comes last
         self.node.until(lambda: heard.update() and stamp_ns(heard.heard[-1].message) == self.now_ns, "the output of a speed")
 
 
@@ -149,7 +149,7 @@ STREET_M, LATITUDE, LONGITUDE = 1200.0, 0.827, 0.1486
 LOST, ASIDE = range(45, 75), range(95, 112)  # seconds without a fix, and beside the street
 
 
-def a_street(folder):
+def a_street(folder, vehicle):
     """Surroundings with a street to the east: hills, and soft ground on a part of it."""
     way = np.arange(0.0, STREET_M + 1.0, 20.0)
     latitude, longitude = Frame(LATITUDE, LONGITUDE).position(way, np.zeros_like(way))
@@ -161,7 +161,7 @@ def a_street(folder):
     ]
     write_route(folder / "route.csv", both)
     path = folder / "surroundings.yaml"
-    path.write_text("schema: 1\nvehicle: xgd24d\nroute: route.csv\neffects: {}\n")
+    path.write_text(f"schema: 1\nvehicle: {vehicle}\nroute: route.csv\neffects: {{}}\n")
     return path
 
 
@@ -193,15 +193,16 @@ def recorded(path, messages, namespace):
     return path
 
 
-def test_a_drive_with_positions_gives_live_what_its_recording_replayed_gives(node, tmp_path):
-    surroundings, messages = a_street(tmp_path), list(along_the_street(150))
+@pytest.mark.parametrize("vehicle", ["xgd24d", "ztbus_hess19"])
+def test_a_drive_with_positions_gives_live_what_its_recording_replayed_gives(node, tmp_path, vehicle):
+    surroundings, messages = a_street(tmp_path, vehicle), list(along_the_street(150))
     bag = recorded(tmp_path / "bag", messages, "/alone")
     topics = tmp_path / "of_the_bag.yaml"
     lines = [line for line in TOPICS_ON_ROUTE.splitlines() if not line.startswith("ambient")]  # which is not recorded
     topics.write_text("\n".join(lines).replace("topic: ", "topic: /alone/"))
     read = Topics.load(topics)
     settings = settings_for(Settings(feedforward_rate=AT_ONCE), read)
-    estimator, rows = Estimator(with_surroundings(load("xgd24d"), surroundings), settings), {}
+    estimator, rows = Estimator(with_surroundings(load_any(vehicle), surroundings), settings), {}
     replay(
         open_source([bag], read),
         estimator,
@@ -209,11 +210,12 @@ def test_a_drive_with_positions_gives_live_what_its_recording_replayed_gives(nod
     )
     reasons = np.array([int(row[at.OUT_REASONS]) for row in rows.values()])
     effects = np.array([row[at.OUT_EFFECTS] for row in rows.values()])
-    assert effects.max() == pytest.approx(800.0)  # the drive has all there is to see
+    gears = np.array([row[at.OUT_DRIVE] for row in rows.values()]).max() * 0.05 * (vehicle == "ztbus_hess19")
+    assert 799.0 < effects.max() < 801.0 + gears  # the drive has all there is to see
     assert 0.1 < np.mean(reasons & at.Reason.OFF_ROUTE > 0) < 0.6
     assert 0.05 < np.mean(reasons & at.Reason.PLACE_UNKNOWN > 0) < 0.5
 
-    given = {"topics": TOPICS_ON_ROUTE, "surroundings": str(surroundings), "feedforward_rate": AT_ONCE}
+    given = {"topics": TOPICS_ON_ROUTE, "surroundings": str(surroundings), "feedforward_rate": AT_ONCE, "vehicle": vehicle}
     n = node(use_sim_time=True, output_rate_hz=0.0, input_reliability="reliable", **given)
     more = {name: n.wire.publisher(f"/alone/{name}", kind) for name, kind in (("fix", FIX), ("torque", WRENCH))}
     residual = n.wire.subscribe(f"{n.base}/torque_residual", "sensor_msgs/msg/JointState")

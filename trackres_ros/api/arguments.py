@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias, Union
 from trackres_ros.errors import InputError
 
 if TYPE_CHECKING:
-    from trackres_ros.diagnosis.base.road_load import RoadVehicle
     from trackres_ros.recording.bindings import Topics
-    from trackres_ros.vehicle import Vehicle
+    from trackres_ros.vehicle import AnyVehicle, RoadVehicle, Vehicle
 
 
 StrPath: TypeAlias = str | PathLike[str]
@@ -23,18 +22,25 @@ VehicleGiven: TypeAlias = Union["Vehicle", "RoadVehicle", StrPath]
 TopicsGiven: TypeAlias = Union["Topics", Mapping[str, Mapping[str, Any]], StrPath]
 
 
-def as_vehicle(vehicle: VehicleGiven) -> Vehicle:
-    """A track vehicle, given as such or by its file."""
-    from trackres_ros.vehicle import Vehicle, load
+def as_vehicle(vehicle: VehicleGiven) -> AnyVehicle:
+    """A vehicle, given as such or by its file."""
+    from trackres_ros.vehicle import RoadVehicle, Vehicle, load_any
 
     if isinstance(vehicle, str | PathLike):
-        return load(vehicle)
-
-    if not isinstance(vehicle, Vehicle):
-        raise InputError(
-            "vehicle", vehicle, "a track vehicle, its file, or its name", "road_load serves diagnose and coastdown alone"
-        )
+        return load_any(vehicle)
+    if not isinstance(vehicle, Vehicle | RoadVehicle):
+        raise InputError("vehicle", vehicle, "a vehicle, its file, or its name")
     return vehicle
+
+
+def as_track_vehicle(vehicle: VehicleGiven) -> Vehicle:
+    """The same, of a vehicle on tracks."""
+    from trackres_ros.vehicle import Vehicle
+
+    described = as_vehicle(vehicle)
+    if not isinstance(described, Vehicle):
+        raise InputError("vehicle", f"{described.name} of the base model road_load, which has no belts", "a track vehicle")
+    return described
 
 
 def as_paths(recording: object) -> list[Path]:

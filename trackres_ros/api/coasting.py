@@ -15,10 +15,9 @@ from trackres_ros.api.recordings import read
 from trackres_ros.errors import InputError
 
 if TYPE_CHECKING:
-    from trackres_ros.diagnosis.base.road_load import RoadVehicle
     from trackres_ros.recording.recording import Recording
     from trackres_ros.results.coastdown import CoastdownResult
-    from trackres_ros.vehicle import Vehicle
+    from trackres_ros.vehicle import RoadVehicle, Vehicle
 
 
 def coastdown(

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from trackres_ros.api.arguments import StrPath, TopicsGiven, VehicleGiven, as_paths, as_topics, as_vehicle
+from trackres_ros.api.arguments import StrPath, TopicsGiven, VehicleGiven, as_paths, as_topics, as_track_vehicle
 from trackres_ros.errors import InputError
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def record_sample(
     from trackres_ros.offline.sample import Sample, write_sample
 
     file = output_file(path, (BAG_SUFFIX,), "path")
-    drive = write_sample(file, as_vehicle(vehicle), speed_kmh, laps, ambient_degc)
+    drive = write_sample(file, as_track_vehicle(vehicle), speed_kmh, laps, ambient_degc)
     distance = float((drive.speed[1:] * (drive.time_s[1] - drive.time_s[0])).sum())
     return Sample(file, find_topics("sample"), float(drive.time_s[-1]), distance)
 

@@ -43,7 +43,8 @@ def simulate(
         ``ambient_degc`` and ``grade`` if need be, and positions (``latitude_deg``, ``longitude_deg``) where the vehicle's
         surroundings have a route; straight lines between its rows.
     ambient_degc, initial_degc
-        Ambient temperature [degC], by default the vehicle file's, and that of the belts at the start, by default the same.
+        Ambient temperature [degC], by default the vehicle file's, and that of the belts at the start, by default the same; a
+        vehicle without belts takes none.
     weight_kn
         Weight of the whole vehicle [kN]; by default the vehicle file's.
     dt
@@ -93,6 +94,8 @@ def simulate(
     described = as_vehicle(vehicle)
     known = (("load", None if weight_kn is None else weight_kn * 1e3), ("ambient", ambient_degc))
     given: dict[str, Any] = {role: value for role, value in known if value is not None}
+    if initial_degc is not None and not described.assemblies:
+        raise InputError("initial_degc", initial_degc, f"none for {described.name}: the base model road_load has no belts")
     notes: tuple[str, ...] = ()
     if speed_kmh is not None:
         check_speed(described, speed_kmh / KMH_PER_MPS)
@@ -120,7 +123,7 @@ def explain(
     vehicle: VehicleGiven,
     *,
     speed_kmh: float,
-    belt_degc: float,
+    belt_degc: float | None = None,
     ambient_degc: float | None = None,
     weight_kn: float | None = None,
 ) -> OperatingPoint:
@@ -133,14 +136,15 @@ def explain(
     speed_kmh
         [km/h]; negative in reverse.
     belt_degc
-        Belt temperature, the mean one [degC].
+        Belt temperature, the mean one [degC]; of a vehicle without belts none.
     ambient_degc, weight_kn
         Ambient temperature [degC] and weight of the whole vehicle [kN]; by default the vehicle file's.
 
     Returns
     -------
     OperatingPoint
-        A mapping of wheel loads, contacts, tension, losses, heat, torque by part and the rainflow matrix.
+        A mapping of wheel loads, contacts, tension, losses, heat, torque by part and the rainflow matrix; without belts of
+        torque by part.
 
     Raises
     ------
@@ -154,9 +158,10 @@ def explain(
     >>> {part: round(torque) for part, torque in point["torque_nm"].items()}
     {'hysteresis': 2604, 'bearing': 734, 'wind': 255, 'effects': 0, 'inertia': 0, 'resistance': 3593}
     """
-    from trackres_ros.model.operating_point import explain
+    from trackres_ros.model.operating_point import explain, explain_road
     from trackres_ros.results.operating_point import OperatingPoint
     from trackres_ros.text.numbers import figures
+    from trackres_ros.vehicle import RoadVehicle
 
     described = as_vehicle(vehicle)
     if weight_kn is not None and not 0.05 * described.weight <= weight_kn * 1e3 <= 20 * described.weight:
@@ -167,4 +172,11 @@ def explain(
             f"a vehicle of {figures(described.weight / 1e3)} kN",
         )
     weight = None if weight_kn is None else weight_kn * 1e3
-    return OperatingPoint(explain(described, speed_kmh / KMH_PER_MPS, belt_degc, ambient_degc, weight))
+    speed = speed_kmh / KMH_PER_MPS
+    if isinstance(described, RoadVehicle):
+        if belt_degc is not None:
+            raise InputError("belt_degc", belt_degc, f"none for {described.name}: the base model road_load has no belts")
+        return OperatingPoint(explain_road(described, speed, ambient_degc, weight))
+    if belt_degc is None:
+        raise InputError("belt_degc", "nothing", "the mean temperature of the belts [degC]")
+    return OperatingPoint(explain(described, speed, belt_degc, ambient_degc, weight))

@@ -8,15 +8,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from trackres_ros.api.arguments import StrPath, VehicleGiven, as_vehicle
+from trackres_ros.errors import InputError
 
 if TYPE_CHECKING:
     from trackres_ros.results.vehicle_check import VehicleCheck
-    from trackres_ros.vehicle import Vehicle
+    from trackres_ros.vehicle import AnyVehicle
 
 
 def load_vehicle(
     vehicle: StrPath, *, method: str | None = None, thermal: str | None = None, surroundings: StrPath | None = None
-) -> Vehicle:
+) -> AnyVehicle:
     """Load a vehicle file.
 
     Parameters
@@ -32,8 +33,8 @@ def load_vehicle(
 
     Returns
     -------
-    Vehicle
-        Frozen and checked; SI units, temperatures in degC.
+    Vehicle or RoadVehicle
+        Frozen and checked; SI units, temperatures in degC. A file with a section `road_load` is that of a `RoadVehicle`.
 
     Raises
     ------
@@ -52,13 +53,19 @@ def load_vehicle(
     """
     from trackres_ros.checks import one_of
     from trackres_ros.model.track import with_methods
-    from trackres_ros.vehicle import load, with_surroundings
+    from trackres_ros.vehicle import Vehicle, load_any, with_surroundings
     from trackres_ros.vehicle.schema import MODEL_CHOICES
 
     for where, given, key in (("method", method, "hysteresis"), ("thermal", thermal, "thermal")):
         if given is not None:
             one_of(given, where, MODEL_CHOICES[key])
-    return with_surroundings(with_methods(load(vehicle), method, thermal), surroundings)
+    loaded = load_any(vehicle)
+    if isinstance(loaded, Vehicle):
+        loaded = with_methods(loaded, method, thermal)
+    elif method or thermal:
+        where, given = ("method", method) if method else ("thermal", thermal)
+        raise InputError(where, given, f"none for {loaded.name}: the base model road_load has no belts")
+    return with_surroundings(loaded, surroundings)
 
 
 def check_vehicle(vehicle: VehicleGiven, *, points: int = 400) -> VehicleCheck:

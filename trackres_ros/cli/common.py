@@ -58,7 +58,7 @@ class Commands(click.Group):
 
 def vehicles_to_complete(_context: click.Context, _option: click.Parameter, begun: str) -> list[CompletionItem]:
     """Shipped vehicles and files, for the shell."""
-    return _to_complete(shipped_vehicles(), begun)
+    return _to_complete([*shipped_vehicles(), *shipped_road_vehicles()], begun)
 
 
 def topics_to_complete(_context: click.Context, _option: click.Parameter, begun: str) -> list[CompletionItem]:
@@ -97,19 +97,7 @@ def vehicle_option(command: Decorated) -> Decorated:
         required=True,
         metavar="FILE|NAME",
         shell_complete=vehicles_to_complete,
-        help=f"Vehicle file, or the name of a shipped one: {', '.join(shipped_vehicles())}.",
-    )(command)
-
-
-def any_vehicle_option(command: Decorated) -> Decorated:
-    """`--vehicle` of a command that takes road_load vehicles too."""
-    names = [*shipped_vehicles(), *shipped_road_vehicles()]
-    return click.option(
-        "--vehicle",
-        required=True,
-        metavar="FILE|NAME",
-        shell_complete=lambda _context, _option, begun: _to_complete(names, begun),
-        help=f"Vehicle file, or the name of a shipped one: {', '.join(names)}.",
+        help=f"Vehicle file, or the name of a shipped one: {', '.join([*shipped_vehicles(), *shipped_road_vehicles()])}.",
     )(command)
 
 

@@ -13,7 +13,6 @@ import trackres_ros as tr
 from trackres_ros.cli.common import (
     SEEDS,
     Command,
-    any_vehicle_option,
     default_of,
     emit,
     folder_option,
@@ -23,13 +22,14 @@ from trackres_ros.cli.common import (
     stages,
     surroundings_option,
     topics_option,
+    vehicle_option,
 )
 from trackres_ros.cli.written import watch
 
 
 @click.command("diagnose", cls=Command)
 @click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path))
-@any_vehicle_option
+@vehicle_option
 @surroundings_option
 @topics_option("which topic or column feeds which role.")
 @click.option(

@@ -14,7 +14,7 @@ from trackres_ros.cli.common import Command, emit, json_option, number, vehicle_
 @click.command("explain", cls=Command)
 @vehicle_option
 @click.option("--speed-kmh", type=number(-200, 200), required=True, help="Speed [km/h]; negative in reverse.")
-@click.option("--belt-degc", type=number(-60, 150), required=True, help="Belt temperature [degC].")
+@click.option("--belt-degc", type=number(-60, 150), help="Belt temperature [degC]; of a vehicle without belts none.")
 @click.option("--ambient-degc", type=number(-60, 60), help="Ambient temperature [degC]; default the vehicle file's.")
 @click.option("--weight-kn", type=number(0.1, 1e5), help="Weight of the whole vehicle [kN]; default the vehicle file's.")
 @click.option(
@@ -24,7 +24,7 @@ from trackres_ros.cli.common import Command, emit, json_option, number, vehicle_
 def explain_command(
     vehicle: str,
     speed_kmh: float,
-    belt_degc: float,
+    belt_degc: float | None,
     ambient_degc: float | None,
     weight_kn: float | None,
     method: str | None,

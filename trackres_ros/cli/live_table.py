@@ -17,7 +17,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from trackres_ros.model.resistance import RESISTANCE_PARTS
+from trackres_ros.model.resistance import resistance_parts
 from trackres_ros.node.edge import Level
 from trackres_ros.node.report import Overview
 from trackres_ros.recording.roles import ROLES, base_role
@@ -73,7 +73,7 @@ def table(title: str, seen: Overview) -> Panel:
     parts: list[RenderableType] = [status, Text(""), _inputs(seen)]
     if seen.values:
         side_by_side = Table.grid(padding=(0, 2))
-        side_by_side.add_row(_torques(seen), _belts(seen))
+        side_by_side.add_row(_torques(seen), *([_belts(seen)] if seen.assemblies else []))
         parts += [Text(""), side_by_side, Text("")]
     if any(given.role == "torque" for given in seen.inputs):
         parts.append(Text(f"measured torque: {seen.mismatch.text}"))
@@ -91,12 +91,12 @@ def line(seen: Overview) -> str:
         return f"{seen.level.name}: {seen.message}"
     value = seen.values
     belts = [value[f"belt_degc/{name}"] for name in seen.assemblies]
-    coldest, hottest = decimals(min(belts), 1), decimals(max(belts), 1)
+    shown = f"belts {decimals(min(belts), 1)} to {decimals(max(belts), 1)} degC  " if belts else ""
     return (
         f"{_time(seen)}  {decimals(value['speed_mps'] * KMH_PER_MPS, 1):>5} km/h  "
         f"resistance {decimals(value['resistance_torque_nm']):>6} +- {decimals(value['resistance_std_nm'])} Nm  "
         f"feed-forward {decimals(seen.feedforward_nm):>6} Nm  "
-        f"belts {coldest} to {hottest} degC  {seen.level.name}: {seen.message}"
+        f"{shown}{seen.level.name}: {seen.message}"
     )
 
 
@@ -122,10 +122,10 @@ def _inputs(seen: Overview) -> Group:
 
 def _torques(seen: Overview) -> Table:
     shown = Table(box=None, pad_edge=False, header_style="dim")
-    shown.add_column("at sprockets", no_wrap=True)
+    shown.add_column("at sprockets" if seen.assemblies else "at wheels", no_wrap=True)
     shown.add_column("Nm", justify="right", no_wrap=True)
     values, std = seen.values, seen.values["resistance_std_nm"]
-    for name, column in RESISTANCE_PARTS.items():
+    for name, column in resistance_parts(bool(seen.assemblies)).items():
         shown.add_row(f"  {name}", decimals(values[column]))
     shown.add_row("[b]resistance[/b] (sum)", f"[b]{decimals(values['resistance_torque_nm'])}[/b] +- {decimals(std)}")
     shown.add_row("grade", decimals(values["grade_nm"]))

@@ -153,6 +153,7 @@ def driven(estimator: Estimator, cycle: Cycle, weight: float | None, ambient: fl
         On a drive that is too fast, or a load that is implausible for the vehicle.
     """
     vehicle = estimator.vehicle
+    assert isinstance(vehicle, Vehicle)  # designs have tracks
     check_speed(vehicle, float(np.abs(cycle.drive.speed).max()))
     known: Mapping[str, float | None] = {"load": weight, "ambient": ambient}
     recorded = cycle.recorded(vehicle, [role for role, value in known.items() if value is not None])
@@ -172,6 +173,7 @@ def with_factors(estimator: Estimator, off: Off, capacity: float = 1.0) -> Estim
         Factor on the heat capacity of the belts of `off.track`.
     """
     changed, k = copy(estimator), estimator.constants
+    assert isinstance(estimator.vehicle, Vehicle)
     tables = [not off.track or name == off.track for name in estimator.vehicle.tracks]
     factors = np.where(tables, off.loss, 1.0)[:, np.newaxis, np.newaxis]
     assembly, own = k.assembly.copy(), np.array([tables[int(kind)] for kind in k.assembly[:, at.KIND]])

@@ -47,6 +47,18 @@ def measure(k: Constants, i: int, belt: Array, measured: float, ambient: float, 
 
 
 @inlined
+def bear(arm: float, unsigned: float, road: Road, part: Array) -> float:
+    """Fill the parts that forces on the whole vehicle have over an arm [m]; what resists without its sign [Nm], of which belts
+    have `unsigned`. The uncertainty at rest is that at a crawl: the sign of friction is known, its size is not.
+    """
+    size = unsigned + arm * (road.rolling_bearing + abs(road.wind))
+    part[at.PART_ARM], part[at.PART_UNSIGNED] = arm, size
+    part[at.PART_BEARING], part[at.PART_WIND] = arm * road.bearing, arm * road.wind
+    part[at.PART_GRADE], part[at.PART_INERTIA] = arm * road.uphill, arm * road.inertia
+    return float(size)
+
+
+@inlined
 def advance_assembly(
     k: Constants, i: int, belt: Array, load: float, measured: float, road: Road, learned: Array, part: Array, out: Array
 ) -> int:
@@ -83,11 +95,8 @@ def advance_assembly(
 
     arm = radius * share
     resisting = own + arm * (road.bearing + road.wind)
-    # The uncertainty at rest is that at a crawl: the sign of friction is known, its size is not.
-    by_temperature, size = radius * slope, unsigned + arm * (road.rolling_bearing + abs(road.wind))
-    part[at.PART_ARM], part[at.PART_UNSIGNED] = arm, size
-    part[at.PART_HYSTERESIS], part[at.PART_BEARING], part[at.PART_WIND] = own, arm * road.bearing, arm * road.wind
-    part[at.PART_GRADE], part[at.PART_INERTIA] = arm * road.uphill, arm * road.inertia
+    by_temperature, size = radius * slope, bear(arm, unsigned, road, part)
+    part[at.PART_HYSTERESIS] = own
     for cause in range(3):
         part[at.PART_CONSIDER + cause] = (
             by_temperature * belt[0, at.CONSIDER_1 + cause]
@@ -151,6 +160,9 @@ def advance_assemblies(k: Constants, belts: Array, inputs: Inputs, road: Road, l
         total[column] = 0.0
     for i in range(assemblies):
         parts[i * at.PARTS + at.PART_TWIN] = twin_of(k, i, belts, inputs)
+    if assemblies == 0:  # wheels without belts
+        size = bear(k.assembly[0, at.RADIUS], 0.0, road, total)
+        total[at.PART_CONSIDER + 3] = size * k.assembly[0, at.CONSIDER_RADIUS + 3]
     reasons = 0
     for i in range(assemblies):
         part = parts[i * at.PARTS : (i + 1) * at.PARTS]

@@ -8,7 +8,7 @@ from __future__ import annotations
 from enum import IntEnum, IntFlag
 
 from trackres_ros.recording.roles import POSITION
-from trackres_ros.vehicle import Vehicle
+from trackres_ros.vehicle import AnyVehicle
 
 # Channels: what can arrive. Loads by axle and assembly, belt temperatures by assembly, and wheel speeds follow these.
 (
@@ -267,7 +267,7 @@ PER_BELT, PER_SURFACE, PER_STD, PER_LOAD, PER_RESISTANCE, PER_HYSTERESIS = range
 ASSEMBLY_COLUMNS = ("belt_degc", "surface_degc", "belt_std_k", "load_n", "resistance_torque_nm", "hysteresis_nm")
 
 
-def channels(vehicle: Vehicle) -> tuple[str, ...]:
+def channels(vehicle: AnyVehicle) -> tuple[str, ...]:
     """Names of all channels of a vehicle, in the order of their indices."""
     axles, assemblies = [a.name for a in vehicle.axles], [a.name for a in vehicle.assemblies]
     return (
@@ -280,6 +280,6 @@ def channels(vehicle: Vehicle) -> tuple[str, ...]:
     )
 
 
-def columns(vehicle: Vehicle) -> tuple[str, ...]:
+def columns(vehicle: AnyVehicle) -> tuple[str, ...]:
     """Names of the columns of one row of results; those of an assembly end in its name."""
     return (*VEHICLE_COLUMNS, *(f"{name}/{a.name}" for a in vehicle.assemblies for name in ASSEMBLY_COLUMNS))

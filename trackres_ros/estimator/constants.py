@@ -28,7 +28,7 @@ from trackres_ros.model.thermal import ThermalNetwork, thermal_network
 from trackres_ros.model.vehicle_constants import vehicle_constants
 from trackres_ros.route.learned import SLOPE, TORQUE, followed_in, frame_of, of_kind
 from trackres_ros.units import GRAVITY
-from trackres_ros.vehicle import Vehicle
+from trackres_ros.vehicle import AnyVehicle, RoadVehicle, Vehicle
 from trackres_ros.vehicle.reading import FITTED
 
 Array = NDArray[np.float64]
@@ -73,15 +73,19 @@ class Numbers(NamedTuple):
     route_longitude: float
     two_nodes: bool
     belt_shows_surface: bool
-    bearing_friction: float
+    bearing_friction: float  # what rolls over the weight, at a crawl
     bearing_relative_std: float
+    rolling_rise: float  # s/m, its growth with speed; 0 of tracks
+    rolling_rise_std: float
     drag_area: float
     drag_relative_std: float
     air_density: float
     rotating_mass_factor: float
     motor_gain: float  # motor torque per sprocket torque; not a number where the vehicle file gives none
+    torque_scale: float  # shown over true torque; 1 of tracks
     nominal_ambient: float
     axles: int
+    first_wheel: int  # channel of the wheel speeds, those of single axles and assemblies behind it
     initial_belt_std: float
     process_noise: float
     ambient_std: float
@@ -155,77 +159,41 @@ def _record() -> np.dtype[Any]:
     return np.dtype([(name, kinds[kind]) for name, kind in get_type_hints(Numbers).items()])
 
 
-def make_constants(vehicle: Vehicle, settings: Settings, cache: Path | None = None, machine: bool = True) -> Constants:
+class Running(NamedTuple):
+    """What a vehicle runs on, tracks or wheels: constants of assemblies, tables, and the numbers that only it can say."""
+
+    assembly: Array
+    loss: Array
+    drive: Array
+    numbers: dict[str, Any]
+
+
+def make_constants(vehicle: AnyVehicle, settings: Settings, cache: Path | None = None, machine: bool = True) -> Constants:
     """Gather the constants; builds the loss tables or takes them from the cache. Effects are `machine` code or plain Python."""
-    names = list(vehicle.tracks)
-    tables = [loss_table(vehicle, name, cache) for name in names]
-    for name, table in zip(names, tables, strict=True):
-        check_heat(vehicle, name, table)
-    covered = [coverage(vehicle, name) for name in names]
-    spreads = {name: spread(vehicle, name, cache) for name in names}
-    axle_names = [axle.name for axle in vehicle.axles]
+    runs_on = wheels(vehicle) if isinstance(vehicle, RoadVehicle) else _tracks(vehicle, cache)
     chassis, loads = vehicle.chassis, vehicle.nominal_loads()
-    acting = effect_table(vehicle.effects, vehicle.surroundings, machine=machine)
+    acting = effect_table(vehicle.own, vehicle.surroundings, machine=machine)
     frame = frame_of(vehicle.route)
-    resistance = parting_resistance(vehicle.active, vehicle_constants(vehicle))
-    two_nodes = vehicle.thermal == "core_surface" or resistance > 0.0
-    constants = np.empty((len(vehicle.assemblies), at.CONSIDER_FACTOR))
-    for row, load, assembly in zip(constants, loads, vehicle.assemblies, strict=True):
-        track, losses = vehicle.track_of(assembly), tables[names.index(assembly.track)]
-        network = thermal_network("core_surface" if two_nodes else "lumped", track.belt, vehicle.rubber)
-        row[at.AXLE] = axle_names.index(assembly.axle)
-        row[at.KIND] = row[at.TABLE] = names.index(assembly.track)
-        row[at.NOMINAL_LOAD], row[at.RADIUS] = load, track.sprocket_radius
-        row[at.CAPACITY], row[at.SURFACE_SHARE] = network.capacity, network.surface_share
-        row[at.INNER_CONDUCTANCE], row[at.SKIN_CONDUCTANCE] = conductances(network, vehicle.thermal, resistance)
-        row[at.AREA] = network.area
-        row[at.FILM_OFFSET], row[at.FILM_SLOPE] = network.film_offset, network.film_slope
-        row[at.FIRST_LOG_LOAD], row[at.STEP_LOG_LOAD] = losses.first_log_load, losses.step_log_load
-        row[at.SHARE_OF_AXLE] = load / loads[list(vehicle.assemblies_of(assembly.axle))].sum()
-        row[at.SHARE_OF_ALL] = load / loads.sum()
-    factors = np.array([spreads[a.track].factor.ravel() for a in vehicle.assemblies])
-    causes = np.array([np.linalg.inv(spreads[a.track].factor[:3, :3]).ravel() for a in vehicle.assemblies])
-    gain = (
-        np.nan
-        if chassis.motor_ratio is None or chassis.motor_efficiency is None
-        else (1.0 / (chassis.motor_ratio * chassis.motor_efficiency))
-    )
-
-    def relative(*paths: str) -> float:
-        quantities = [vehicle.parameters[f"chassis.{path}"] for path in paths]
-        return float(np.sqrt(sum((q.standard_deviation / max(abs(float(np.mean(q.value))), 1e-12)) ** 2 for q in quantities)))
-
-    # What was fitted is the drag of the whole area; the air is another on another day.
-    area = () if vehicle.parameters["chassis.drag_coefficient"].flag == FITTED else ("frontal_area",)
 
     def ns(seconds: float) -> int:
         return int(round(seconds * 1e9))
 
+    fed: dict[str, Any] = {f"feed_{part}": float(part in settings.feedforward_parts) for part in PARTS}
     number = Numbers(
-        first_x=tables[0].first_x,
-        step_x=tables[0].step_x,
-        glass_transition=vehicle.rubber.glass_transition,
-        wlf_c1=vehicle.rubber.wlf_c1,
-        wlf_c2=vehicle.rubber.wlf_c2,
-        hottest=min(each.hottest for each in covered),
-        fastest_x=min(each.log_reduced_speed for each in covered),
         with_uncertainty=True,
         surroundings=bool(vehicle.surroundings or vehicle.route),
         slopes_by_place=of_kind(vehicle.route, SLOPE) is not None,
         torques_by_place=of_kind(vehicle.route, TORQUE) is not None,
         route_latitude=frame.latitude,
         route_longitude=frame.longitude,
-        two_nodes=two_nodes,
         belt_shows_surface=settings.belt_sensor == "surface",
         bearing_friction=chassis.bearing_friction,
-        bearing_relative_std=relative("bearing_friction"),
         drag_area=chassis.drag_coefficient * chassis.frontal_area,
-        drag_relative_std=relative("drag_coefficient", *area, "air_density"),
         air_density=chassis.air_density,
         rotating_mass_factor=chassis.rotating_mass_factor,
-        motor_gain=float(gain),
         nominal_ambient=chassis.ambient,
         axles=len(vehicle.axles),
+        first_wheel=at.channels(vehicle).index(at.WHEELS),
         initial_belt_std=settings.initial_belt_std_k,
         process_noise=settings.process_noise_k,
         ambient_std=settings.ambient_std_k,
@@ -250,24 +218,120 @@ def make_constants(vehicle: Vehicle, settings: Settings, cache: Path | None = No
         speed_variance=settings.speed_std_mps**2,
         acceleration_variance=settings.acceleration_std**2,
         acceleration_time=settings.acceleration_time_s,
-        **{f"feed_{part}": float(part in settings.feedforward_parts) for part in PARTS},
         feedforward_rate=settings.feedforward_rate,
-        feedforward_limit=settings.feedforward_share * float(np.dot(loads, constants[:, at.RADIUS])),
+        feedforward_limit=settings.feedforward_share * float(np.dot(loads, runs_on.assembly[:, at.RADIUS])),
         speed_max_age=settings.speed_max_age_s,
         feedforward_fade=settings.feedforward_fade_s,
         belt_std_warn=settings.belt_std_warn_k,
+        **fed,
+        **runs_on.numbers,
     )
     return Constants(
         number,
-        np.concatenate([constants, factors, causes], axis=1),
-        np.stack([t.loss for t in tables]),
-        np.stack([t.drive for t in tables]),
+        runs_on.assembly,
+        runs_on.loss,
+        runs_on.drive,
         _channel_limits(vehicle),
         acting.rows,
         acting.values,
         *followed_in(vehicle.route, frame),
         work_space(vehicle_constants(vehicle), len(vehicle.assemblies)),
     )
+
+
+def _tracks(vehicle: Vehicle, cache: Path | None) -> Running:
+    """Assemblies with belts."""
+    names = list(vehicle.tracks)
+    tables = [loss_table(vehicle, name, cache) for name in names]
+    for name, table in zip(names, tables, strict=True):
+        check_heat(vehicle, name, table)
+    covered = [coverage(vehicle, name) for name in names]
+    spreads = {name: spread(vehicle, name, cache) for name in names}
+    axle_names = [axle.name for axle in vehicle.axles]
+    chassis, loads = vehicle.chassis, vehicle.nominal_loads()
+    resistance = parting_resistance(vehicle.active, vehicle_constants(vehicle))
+    two_nodes = vehicle.thermal == "core_surface" or resistance > 0.0
+    constants = np.empty((len(vehicle.assemblies), at.CONSIDER_FACTOR))
+    for row, load, assembly in zip(constants, loads, vehicle.assemblies, strict=True):
+        track, losses = vehicle.track_of(assembly), tables[names.index(assembly.track)]
+        network = thermal_network("core_surface" if two_nodes else "lumped", track.belt, vehicle.rubber)
+        row[at.AXLE] = axle_names.index(assembly.axle)
+        row[at.KIND] = row[at.TABLE] = names.index(assembly.track)
+        row[at.NOMINAL_LOAD], row[at.RADIUS] = load, track.sprocket_radius
+        row[at.CAPACITY], row[at.SURFACE_SHARE] = network.capacity, network.surface_share
+        row[at.INNER_CONDUCTANCE], row[at.SKIN_CONDUCTANCE] = conductances(network, vehicle.thermal, resistance)
+        row[at.AREA] = network.area
+        row[at.FILM_OFFSET], row[at.FILM_SLOPE] = network.film_offset, network.film_slope
+        row[at.FIRST_LOG_LOAD], row[at.STEP_LOG_LOAD] = losses.first_log_load, losses.step_log_load
+        row[at.SHARE_OF_AXLE] = load / loads[list(vehicle.assemblies_of(assembly.axle))].sum()
+        row[at.SHARE_OF_ALL] = load / loads.sum()
+    factors = np.array([spreads[a.track].factor.ravel() for a in vehicle.assemblies])
+    causes = np.array([np.linalg.inv(spreads[a.track].factor[:3, :3]).ravel() for a in vehicle.assemblies])
+    gain = (
+        np.nan
+        if chassis.motor_ratio is None or chassis.motor_efficiency is None
+        else (1.0 / (chassis.motor_ratio * chassis.motor_efficiency))
+    )
+
+    # What was fitted is the drag of the whole area; the air is another on another day.
+    area = () if vehicle.parameters["chassis.drag_coefficient"].flag == FITTED else ("chassis.frontal_area",)
+    return Running(
+        np.concatenate([constants, factors, causes], axis=1),
+        np.stack([t.loss for t in tables]),
+        np.stack([t.drive for t in tables]),
+        {
+            "first_x": tables[0].first_x,
+            "step_x": tables[0].step_x,
+            "glass_transition": vehicle.rubber.glass_transition,
+            "wlf_c1": vehicle.rubber.wlf_c1,
+            "wlf_c2": vehicle.rubber.wlf_c2,
+            "hottest": min(each.hottest for each in covered),
+            "fastest_x": min(each.log_reduced_speed for each in covered),
+            "two_nodes": two_nodes,
+            "bearing_relative_std": _relative_std(vehicle, "chassis.bearing_friction"),
+            "rolling_rise": 0.0,
+            "rolling_rise_std": 0.0,
+            "drag_relative_std": _relative_std(vehicle, "chassis.drag_coefficient", *area, "chassis.air_density"),
+            "motor_gain": float(gain),
+            "torque_scale": 1.0,
+        },
+    )
+
+
+def wheels(vehicle: RoadVehicle) -> Running:
+    """All wheels as one, without a belt: nothing reads the tables."""
+    row = np.zeros((1, at.CAUSES_OF + 9))
+    row[0, [at.NOMINAL_LOAD, at.RADIUS]] = vehicle.weight, vehicle.values["wheel_radius"]
+    row[0, [at.SHARE_OF_AXLE, at.SHARE_OF_ALL]] = 1.0
+    row[0, at.CONSIDER_RADIUS + 3] = _relative_std(vehicle, "road_load.wheel_radius")
+    nothing = np.zeros((1, 1, 2))
+    return Running(
+        row,
+        nothing,
+        nothing,
+        {
+            "first_x": 0.0,
+            "step_x": 1.0,
+            "glass_transition": 0.0,
+            "wlf_c1": 0.0,
+            "wlf_c2": 1.0,
+            "hottest": math.inf,
+            "fastest_x": math.inf,
+            "two_nodes": False,
+            "bearing_relative_std": _relative_std(vehicle, "road_load.rolling_coefficient"),
+            "rolling_rise": vehicle.values["rolling_rise"],
+            "rolling_rise_std": vehicle.parameters["road_load.rolling_rise"].standard_deviation,
+            "drag_relative_std": _relative_std(vehicle, "road_load.drag_area", "road_load.air_density"),
+            "motor_gain": math.nan,
+            "torque_scale": vehicle.values["torque_scale"],
+        },
+    )
+
+
+def _relative_std(vehicle: AnyVehicle, *paths: str) -> float:
+    """Standard deviation of a product of values of the file, over its size."""
+    quantities = [vehicle.parameters[path] for path in paths]
+    return float(np.sqrt(sum((q.standard_deviation / max(abs(float(np.mean(q.value))), 1e-12)) ** 2 for q in quantities)))
 
 
 def parting_resistance(effects: Sequence[Active], facts: VehicleConstants) -> float:
@@ -299,7 +363,7 @@ def conductances(network: ThermalNetwork, thermal: str, resistance: float) -> tu
     return inner, 1.0 / left if left > LEAST_RESISTANCE else np.inf
 
 
-def _channel_limits(vehicle: Vehicle) -> Array:
+def _channel_limits(vehicle: AnyVehicle) -> Array:
     """Plausible values of every channel, shape (channels, 2)."""
     loads = vehicle.nominal_loads()
     speed = OVERSPEED * vehicle.chassis.max_speed
@@ -309,7 +373,8 @@ def _channel_limits(vehicle: Vehicle) -> Array:
         if role in ("speed", at.WHEELS):
             rows.append((-speed, speed))
         elif role == "load":
-            nominal = sum(load for load, a in zip(loads, vehicle.assemblies, strict=True) if place in ("", a.axle, a.name))
+            of_place = (load for load, a in zip(loads, vehicle.assemblies, strict=False) if place in (a.axle, a.name))
+            nominal = sum(of_place) if place else sum(loads)
             rows.append((LEAST_LOAD_SHARE * nominal, LARGEST_LOAD_SHARE * nominal))
         else:
             rows.append(PLAUSIBLE[role])

@@ -34,16 +34,17 @@ class Estimate:
         return float(self.row[self.index[name]])
 
     def __repr__(self) -> str:
-        belts = ", ".join(decimals(float(degc), 1) for degc in self.belt_degc())
+        degrees = ", ".join(decimals(float(degc), 1) for degc in self.belt_degc())
+        belts = f", belts {degrees} degC" if degrees else ""
         texts = f": {'; '.join(self.reason_texts())}" if self.reasons else ""
         return (
             f"<Estimate: resistance {decimals(self.resistance_torque_nm)} +- {decimals(self.resistance_std_nm)} Nm "
-            f"at {decimals(self['speed_mps'], 2)} m/s, belts {belts} degC, {self.status}{texts}>"
+            f"at {decimals(self['speed_mps'], 2)} m/s{belts}, {self.status}{texts}>"
         )
 
     @property
     def resistance_torque_nm(self) -> float:
-        """Hysteresis, bearings and wind, whole vehicle, at the sprockets [Nm]."""
+        """Hysteresis, bearings and wind, whole vehicle, at the sprockets or the driven wheels [Nm]."""
         return float(self.row[at.OUT_RESISTANCE])
 
     @property

@@ -25,7 +25,7 @@ from trackres_ros.estimator.settings import Settings
 from trackres_ros.estimator.speed_witnesses import NOTHING_TRACKED
 from trackres_ros.estimator.state import State
 from trackres_ros.route.follower import NOTHING_YET
-from trackres_ros.vehicle import Vehicle
+from trackres_ros.vehicle import AnyVehicle
 
 UNKNOWN_GROUND = math.nan, math.nan, math.nan
 
@@ -53,7 +53,8 @@ class Estimator:
     Attributes
     ----------
     assemblies, columns, channels
-        Names of the track assemblies, of the results in a row, and of the kinds of message a session takes.
+        Names of the track assemblies, none of a vehicle without belts, of the results in a row, and of the kinds of message a
+        session takes.
 
     Examples
     --------
@@ -69,7 +70,7 @@ class Estimator:
     """
 
     def __init__(
-        self, vehicle: Vehicle, settings: Settings | None = None, cache: Path | None = None, entries: Entries = COMPILED
+        self, vehicle: AnyVehicle, settings: Settings | None = None, cache: Path | None = None, entries: Entries = COMPILED
     ) -> None:
         self.vehicle = vehicle
         self.settings = settings or Settings()
@@ -85,10 +86,8 @@ class Estimator:
     def __repr__(self) -> str:
         names = ", ".join(active.effect.name for active in self.vehicle.active)
         with_effects = f", with {names}" if names else ""
-        return (
-            f"<Estimator of {self.vehicle.name}: assemblies {', '.join(self.assemblies)}; {self.vehicle.hysteresis}, "
-            f"{self.vehicle.thermal}{with_effects}>"
-        )
+        model = f"assemblies {', '.join(self.assemblies)}; {self.vehicle.hysteresis}, {self.vehicle.thermal}"
+        return f"<Estimator of {self.vehicle.name}: {model if self.assemblies else 'road load, no belts'}{with_effects}>"
 
     def inputs(
         self,
@@ -243,7 +242,7 @@ class Estimator:
             *_arrays(after),
             *series,
             self.constants.number.ambient_std,
-            np.empty(len(self.assemblies)),
+            np.empty(len(self.constants.assembly)),
             self._no_belts,
             rows,
         )
@@ -327,7 +326,7 @@ class Session:
         self.motion = np.zeros(at.MOTION_COLUMNS)
         self.effects = new_effects_memory(len(estimator.vehicle.active))
         self.learned = np.zeros(at.LEARNED_COLUMNS)
-        self._loads, self._belt_measured = np.zeros((2, assemblies))
+        self._loads, self._belt_measured = np.zeros(len(estimator.constants.assembly)), np.zeros(assemblies)
         self._channel = {name: i for i, name in enumerate(estimator.channels)}
         self._arguments = self._gathered()
 

@@ -189,9 +189,11 @@ def gather_loads(k: Constants, memory: Memory, now: int, loads: Array) -> int:
     total = held(memory, at.LOAD, now, k.number.load_hold_ns)
     payload = held(memory, at.PASSENGERS, now, k.number.passengers_hold_ns) * k.number.passenger_weight
     for i in range(loads.shape[0]):
-        source = first_assembly + i
-        value = held(memory, source, now, k.number.load_hold_ns)
-        if math.isnan(value):
+        source, value = at.LOAD, math.nan
+        if k.number.axles > 0:
+            source = first_assembly + i
+            value = held(memory, source, now, k.number.load_hold_ns)
+        if k.number.axles > 0 and math.isnan(value):
             source = first_axle + int(k.assembly[i, at.AXLE])
             value = held(memory, source, now, k.number.load_hold_ns) * k.assembly[i, at.SHARE_OF_AXLE]
         if math.isnan(value):
@@ -235,14 +237,14 @@ def gather(k: Constants, memory: Memory, outcome: int, elapsed: int, motion: Arr
     if math.isnan(ambient):
         ambient, ambient_std = k.number.nominal_ambient, k.number.ambient_unknown_std
         reasons |= AMBIENT_NOMINAL
-    first_belt = at.FIRST_AXLE + k.number.axles + loads.shape[0]
-    for i in range(loads.shape[0]):
+    first_belt = k.number.first_wheel - belt_measured.shape[0]
+    for i in range(belt_measured.shape[0]):
         belt_measured[i] = math.nan
         for channel in (at.BELT, first_belt + i):
             if memory.times[channel, at.FRESH]:
                 belt_measured[i] = memory.values[channel]
     memory.times[at.BELT, at.FRESH] = 0
-    for i in range(loads.shape[0]):
+    for i in range(belt_measured.shape[0]):
         memory.times[first_belt + i, at.FRESH] = 0
     grade = held(memory, at.GRADE, now, k.number.motion_hold_ns)
     slope, torque, torque_std, known = ground_now(k, memory.times, memory.followed, speed, elapsed)

@@ -130,6 +130,9 @@ def advance(k: Constants, carried: Carried, inputs: Inputs, dt: float, out: Arra
     weight = arm = belt_degc = 0.0
     for i in range(belts.shape[0]):
         belt_degc += belts[i, 0, at.TEMPERATURE] / belts.shape[0]
+    if belts.shape[0] == 0:
+        belt_degc = math.nan
+    for i in range(inputs.load.shape[0]):
         weight += inputs.load[i]
         arm += inputs.load[i] * k.assembly[i, at.RADIUS]
     arm /= weight
@@ -174,6 +177,7 @@ def advance(k: Constants, carried: Carried, inputs: Inputs, dt: float, out: Arra
             total[at.PART_NOISE]
             + squared(total[at.PART_CONSIDER_AMBIENT])
             + squared(total[at.PART_ARM] * road.rolling_bearing * number.bearing_relative_std)
+            + squared(total[at.PART_ARM] * weight * speed * number.rolling_rise_std)
             + squared(total[at.PART_WIND] * number.drag_relative_std)
         )
         for cause in range(4):
@@ -198,8 +202,9 @@ def advance(k: Constants, carried: Carried, inputs: Inputs, dt: float, out: Arra
     out[at.OUT_STD] = max(math.sqrt(variance), LEAST_STD_SHARE * total[at.PART_UNSIGNED])
     out[at.OUT_FEEDFORWARD] = wanted
     out[at.OUT_MOTOR] = driving * number.motor_gain
-    out[at.OUT_MEASURED] = inputs.measured_torque
-    out[at.OUT_RESIDUAL] = inputs.measured_torque - driving
+    measured = inputs.measured_torque / number.torque_scale
+    out[at.OUT_MEASURED] = measured
+    out[at.OUT_RESIDUAL] = measured - driving
     out[at.OUT_HEAT] = total[at.PART_HEAT]
     out[at.OUT_COOLING] = total[at.PART_COOLING]
     out[at.OUT_REASONS] = reasons | of_assemblies | of_feedforward
@@ -215,7 +220,7 @@ def predict(
     Parameters
     ----------
     carried
-        With one belt of each kind, as the rows of `k.assembly`.
+        With one belt of each kind, as the rows of `k.assembly`; none of wheels without belts.
     count
         How many assemblies there are of each kind, shape (kinds,).
     out
@@ -223,15 +228,17 @@ def predict(
     """  # fmt: skip
     belts, motion, effects, _ = carried
     arm = belts_in_all = before = 0.0
+    for i in range(count.shape[0]):
+        arm += count[i] * k.assembly[i, at.SHARE_OF_ALL] * k.assembly[i, at.RADIUS]
     for i in range(belts.shape[0]):
         belts_in_all += count[i]
         before += count[i] * belts[i, 0, at.TEMPERATURE]
-        arm += count[i] * k.assembly[i, at.SHARE_OF_ALL] * k.assembly[i, at.RADIUS]
+    before = before / belts_in_all if belts.shape[0] > 0 else math.nan
     last_speed = motion[at.LAST_SPEED] if motion[at.STARTED] > 0.0 else speed
     road = road_now(k, last_speed, speed, accel, grade, weight, motion[at.LAST_DRIVE], ambient, 0.0, dt)
     of_place = torque_of_place(torque_by_place, speed)
     others = of_place + arm * (road.bearing + road.wind + road.uphill + road.inertia)
-    outcome = act(k, motion, effects, speed, accel, weight, ambient, turning, others, before / belts_in_all, dt)
+    outcome = act(k, motion, effects, speed, accel, weight, ambient, turning, others, before, dt)
     hysteresis = mean = skin = 0.0
     for i in range(belts.shape[0]):
         belt, share = belts[i], k.assembly[i, at.SHARE_OF_ALL]
@@ -245,5 +252,7 @@ def predict(
     resisting = hysteresis + arm * (road.bearing + road.wind)
     driving, _ = driving_torque(k.work, resisting, of_place, arm * road.uphill, arm * road.inertia)
     motion[at.STARTED], motion[at.LAST_SPEED], motion[at.LAST_DRIVE], motion[at.LAST_OTHERS] = 1.0, speed, driving, others
-    out[PREDICTED_DRIVE], out[PREDICTED_BELT], out[PREDICTED_SKIN] = driving, mean / belts_in_all, skin / belts_in_all
+    out[PREDICTED_DRIVE] = driving
+    out[PREDICTED_BELT] = mean / belts_in_all if belts.shape[0] > 0 else math.nan
+    out[PREDICTED_SKIN] = skin / belts_in_all if belts.shape[0] > 0 else math.nan
     out[PREDICTED_OUTCOME] = outcome

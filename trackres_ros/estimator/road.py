@@ -30,7 +30,7 @@ class Road(NamedTuple):
     sign: float
     weight: float
     bearing: float
-    rolling_bearing: float  # what `bearing` is at a crawl forward, where it is not yet small by its sign
+    rolling_bearing: float  # what `bearing` is forward, also at a crawl, where it is not yet small by its sign
     wind: float
     uphill: float
     inertia: float
@@ -55,6 +55,7 @@ def road_now(
 ) -> Road:
     """Forces on the whole vehicle at the end of a step; without a grade the ground is level."""
     number = k.number
+    rolling = number.bearing_friction + number.rolling_rise * abs(speed)
     return Road(
         last_speed,
         speed,
@@ -62,8 +63,8 @@ def road_now(
         log_speed(speed),
         direction(speed),
         weight,
-        bearing_force(speed, weight, number.bearing_friction),
-        number.bearing_friction * weight,
+        bearing_force(speed, weight, rolling),
+        rolling * weight,
         wind_force(speed, number.drag_area, number.air_density),
         grade_force(0.0 if math.isnan(grade) else grade, weight),
         inertia_force(accel, weight, number.rotating_mass_factor),

@@ -28,6 +28,7 @@ from trackres_ros.estimator.plausible_state import check_effects, check_learned,
 from trackres_ros.estimator.state import State
 from trackres_ros.files import own_files
 from trackres_ros.files.jsons import parse_json
+from trackres_ros.vehicle import Vehicle
 
 FORMAT = "trackres-state"
 VERSION = 8
@@ -56,7 +57,7 @@ def key(estimator: Estimator) -> str:
         at.MOTION_COLUMNS,
         at.LEARNED_COLUMNS,
         values,
-        asdict(vehicle.rubber),
+        asdict(vehicle.rubber) if isinstance(vehicle, Vehicle) else None,
         [[(active.effect.name, dict(active.values)) for active in some] for some in (vehicle.effects, vehicle.surroundings)],
         hashlib.sha256(estimator.constants.route_places.tobytes()).hexdigest(),
     ]

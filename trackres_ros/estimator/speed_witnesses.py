@@ -70,7 +70,7 @@ def drive_on(k: Constants, tracked: Array, speed: float, elapsed: int) -> None:
 def disagrees(k: Constants, times: IntArray, values: Array, speed: float, stamp: int, now: int) -> bool:
     """Whether the speed [m/s] has been out of the range of all fresh wheel speeds for longer than a pause may last."""
     size, low, high = abs(speed), math.inf, 0.0
-    for channel in range(times.shape[0] - 1 - int(k.number.axles) - k.assembly.shape[0], times.shape[0]):
+    for channel in range(k.number.first_wheel, times.shape[0]):
         if times[channel, at.SEEN] and now - times[channel, at.LAST_ARRIVAL] <= k.number.motion_hold_ns:
             low, high = min(low, abs(values[channel])), max(high, abs(values[channel]))
     apart = low < math.inf and (size > (1.0 + SHARE) * high + SLOW_MPS or size < (1.0 - SHARE) * low - SLOW_MPS)

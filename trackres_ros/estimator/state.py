@@ -39,5 +39,6 @@ class State:
     learned: Array = field(default_factory=lambda: np.zeros(at.LEARNED_COLUMNS))
 
     def __repr__(self) -> str:
-        belts = ", ".join(decimals(float(degc), 1) for degc in self.belts[:, 0, at.TEMPERATURE])
-        return f"<State: belts {belts} degC, speed {decimals(float(self.motion[at.LAST_SPEED]), 2)} m/s>"
+        degrees = ", ".join(decimals(float(degc), 1) for degc in self.belts[:, 0, at.TEMPERATURE])
+        belts = f"belts {degrees} degC, " if degrees else ""
+        return f"<State: {belts}speed {decimals(float(self.motion[at.LAST_SPEED]), 2)} m/s>"

@@ -21,7 +21,7 @@ from trackres_ros.estimator.entry_points import COMPILED, Entries, interpreted_e
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.jit.compiled import code_folder, is_cached, keep_code_in
 from trackres_ros.progress import tell
-from trackres_ros.vehicle import Vehicle, load, with_surroundings
+from trackres_ros.vehicle import AnyVehicle, load_any, with_surroundings
 
 NICENESS = 10
 LOCK = "compiling.lock"
@@ -62,14 +62,14 @@ def is_warm(work: str) -> bool:
     return all(map(is_cached, WORK[work][1]))
 
 
-def same_in_python(vehicle: Vehicle) -> bool:
+def same_in_python(vehicle: AnyVehicle) -> bool:
     """Whether steps in plain Python give the same bits: our own effects are written so, which is not known of a user's."""
     ours = f"{__package__.split('.')[0]}."
     return all(type(active.effect).__module__.startswith(ours) for active in (*vehicle.effects, *vehicle.surroundings))
 
 
 @contextmanager
-def first_run(work: str, vehicle: Vehicle, steps: int = 0) -> Iterator[WarmUp]:
+def first_run(work: str, vehicle: AnyVehicle, steps: int = 0) -> Iterator[WarmUp]:
     """A warm-up for some work off line, which goes on for the next run where this one is through before.
 
     Parameters
@@ -175,7 +175,7 @@ class WarmUp:
 
 
 def _exercise(work: str, vehicle_file: str, surroundings_file: str) -> None:
-    WORK[work][0](Estimator(with_surroundings(load(vehicle_file), surroundings_file)))
+    WORK[work][0](Estimator(with_surroundings(load_any(vehicle_file), surroundings_file)))
 
 
 @contextmanager

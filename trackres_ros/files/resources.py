@@ -37,7 +37,7 @@ def shipped_vehicles() -> dict[str, Path]:
 
 
 def shipped_road_vehicles() -> dict[str, Path]:
-    """Names of the shipped vehicles of the base model `road_load`, which serve the diagnosis, and their files."""
+    """Names of the shipped vehicles of the base model `road_load`, which have no belts, and their files."""
     return _with_section("road_load:")
 
 

@@ -90,9 +90,8 @@ def _analysed(path: Path, task: Task, row: dict[str, Any]) -> dict[str, Any]:
     times = recording.time_s("speed")
     found = [one_line(f"{f.role}: {f.text}" if f.role else f.text) for f in recording.findings]
     row |= {"start_s": start_s, "day": _day(start_s), "duration_s": float(times[-1]) if len(times) else 0.0, "findings": found}
-    loaded, track = _vehicle(task.vehicle.file, task.vehicle.sha, task.vehicle.topics)
-    if track is not None:
-        row |= _replayed(recording, track)
+    loaded, vehicle = _vehicle(task.vehicle.file, task.vehicle.sha, task.vehicle.topics)
+    row |= _replayed(recording, vehicle)
     told = asdict(evidence(recording, loaded, task.hide))
     upper = np.triu_indices(len(told["names"]))
     for name in ("covariance", "precision"):
@@ -103,17 +102,17 @@ def _analysed(path: Path, task: Task, row: dict[str, Any]) -> dict[str, Any]:
 
 @lru_cache(maxsize=4)
 def _vehicle(file: Path, _sha: str, topics: Path | None) -> tuple[Any, Any]:
-    """The base model of a vehicle, and the vehicle itself where it has tracks; a worker has it for all recordings."""
+    """The base model of a vehicle, and the vehicle itself; a worker has it for all recordings."""
     import trackres_ros as tr
     from trackres_ros.api.arguments import as_topics
     from trackres_ros.diagnosis.base.loading import load_base
 
     loaded = load_base(file, topics=as_topics(topics))
-    return loaded, tr.load_vehicle(file) if loaded.base.has_belt else None
+    return loaded, tr.load_vehicle(file)
 
 
 def _replayed(recording: Any, vehicle: Any) -> dict[str, Any]:
-    """Way, energies and the warmest belt, as the live node would have had them."""
+    """Way, energies and, where there are belts, the warmest, as the live node would have had them."""
     import trackres_ros as tr
     from trackres_ros.model.vehicle_constants import vehicle_constants
     from trackres_ros.offline.energy import energy_j, steps_of
@@ -121,11 +120,11 @@ def _replayed(recording: Any, vehicle: Any) -> dict[str, Any]:
     result = tr.replay(recording, vehicle)
     step, speed, radius = steps_of(result.time_s), result["speed_mps"], vehicle_constants(vehicle).radius
     energies = {f"{part}_mj": MEGA * energy_j(step, speed, result[_column(part)], radius) for part in ENERGIES}
-    warmest = max(float(np.nanmax(result[name])) for name in result.columns if name.startswith("belt_degc/"))
+    belts = [float(np.nanmax(result[name])) for name in result.columns if name.startswith("belt_degc/")]
     return {
         "distance_m": float(np.nansum(step * np.abs(speed))),
         "messages": result.messages,
-        "warmest_degc": warmest,
+        **({"warmest_degc": max(belts)} if belts else {}),
         **energies,
     }
 

@@ -24,7 +24,7 @@ from trackres_ros.learning.disturbances import DISAGREES_S, beside, close_block,
 from trackres_ros.learning.filter import aged, corrected, expected, spread
 from trackres_ros.learning.gate import AGAINST, OUTLYING, TEXTS, Gate, Row
 from trackres_ros.learning.learned import SLOW_S, nothing_learned
-from trackres_ros.learning.parameters import GAIN, OFFSET, SLOW, STATES, STEP, VEHICLES_OWN, learnables, make_prior
+from trackres_ros.learning.parameters import GAIN, OFFSET, SLOW, STATES, STEP, VEHICLES_OWN, learnables, make_prior, track_of
 from trackres_ros.units import GRAVITY, SECOND_NS
 
 Mask = NDArray[np.bool_]
@@ -74,7 +74,7 @@ class Learner:
 
     def __init__(self, estimator: Estimator, mode: str = "watch") -> None:
         self.mode = mode
-        self.learnables = learnables(estimator.vehicle)
+        self.learnables = learnables(track_of(estimator.vehicle))
         self.prior = make_prior(estimator)
         self._known = estimator.vehicle.disturbance
         self._belts = [estimator.column_index[f"belt_degc/{name}"] for name in estimator.assemblies]

@@ -10,9 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.vehicle import Vehicle
+from trackres_ros.vehicle import AnyVehicle, Vehicle
 
 Array = NDArray[np.float64]
 
@@ -79,6 +80,22 @@ class Prior:
     low: Array
     high: Array
     rolling_nm: float
+
+
+def track_of(vehicle: AnyVehicle) -> Vehicle:
+    """The vehicle itself, if it can be learned.
+
+    Raises
+    ------
+    InputError
+        Of one without belts.
+    """
+    if not isinstance(vehicle, Vehicle):
+        given = f"on or watch with {vehicle.name} of the base model road_load"
+        raise InputError(
+            "learning", given, "off: only vehicles on tracks are learned while they drive", "trackres diagnose re-fits it"
+        )
+    return vehicle
 
 
 def learnables(vehicle: Vehicle) -> tuple[Learnable, ...]:

@@ -25,7 +25,7 @@ from trackres_ros.model.rubber import RubberModel
 from trackres_ros.model.thermal import film_coefficient, thermal_network
 from trackres_ros.model.track import load_range
 from trackres_ros.units import KMH_PER_MPS
-from trackres_ros.vehicle import Vehicle
+from trackres_ros.vehicle import AnyVehicle, RoadVehicle, Vehicle
 
 LIVES_DEGC = 150.0  # natural rubber and SBR revert and crack above it (Mark, Erman, Roland, 4th ed., ch. 7)
 DESTROYED_DEGC = 300.0  # and decompose by here: no vehicle has driven so
@@ -64,7 +64,7 @@ def coverage(vehicle: Vehicle, track_name: str) -> Coverage:
     return Coverage(min(float(sweep[-1]), LIVES_DEGC), min(reach, LOG_SPEED[1]))
 
 
-def beyond_data(vehicle: Vehicle, speed: ArrayLike, belt_degc: Mapping[str, ArrayLike]) -> list[str]:
+def beyond_data(vehicle: AnyVehicle, speed: ArrayLike, belt_degc: Mapping[str, ArrayLike]) -> list[str]:
     """Say where belts were hotter or colder than the rubber data cover; nothing where none was.
 
     Parameters
@@ -79,6 +79,8 @@ def beyond_data(vehicle: Vehicle, speed: ArrayLike, belt_degc: Mapping[str, Arra
     list of str
         Up to two sentences a kind of track.
     """
+    if isinstance(vehicle, RoadVehicle):
+        return []
     size = np.maximum(np.abs(np.atleast_1d(np.asarray(speed, dtype=float))), SLOWEST_MPS)
     rubber, remarks = RubberModel(vehicle.rubber), []
     for name in vehicle.tracks:
@@ -101,7 +103,7 @@ def beyond_data(vehicle: Vehicle, speed: ArrayLike, belt_degc: Mapping[str, Arra
     return remarks
 
 
-def check_speed(vehicle: Vehicle, speed: float) -> None:
+def check_speed(vehicle: AnyVehicle, speed: float) -> None:
     """See that a vehicle may be that fast [m/s], either way.
 
     Raises

@@ -17,11 +17,11 @@ from trackres_ros.model.belt import axial_stiffness
 from trackres_ros.model.coverage import beyond_data, check_speed
 from trackres_ros.model.hysteresis import RainflowCount
 from trackres_ros.model.loads import wheel_loads
-from trackres_ros.model.resistance import RESISTANCE_PARTS
+from trackres_ros.model.resistance import ON_WHEELS, RESISTANCE_PARTS
 from trackres_ros.model.thermal import film_coefficient, surface_temperature
 from trackres_ros.model.track import TrackModel, steady_tension, track_model
 from trackres_ros.model.vehicle_constants import vehicle_constants
-from trackres_ros.vehicle import Vehicle
+from trackres_ros.vehicle import AnyVehicle, RoadVehicle, Vehicle
 
 UNKNOWN = {"yaw_rate", "heading", "distance"}  # needs of an effect that an operating point does not give
 DRIVE_PASSES = 4  # the torque strains the belt by 1e-4 of what the wheels do; a second pass already settles it
@@ -127,7 +127,37 @@ def explain(
     }
 
 
-def _effects(vehicle: Vehicle) -> tuple[list[Active], list[str]]:
+def explain_road(
+    vehicle: RoadVehicle, speed: float, ambient_degc: float | None = None, weight_n: float | None = None
+) -> dict[str, Any]:
+    """The same of a vehicle without belts: torque at the wheels by part, ready for JSON."""
+    check_speed(vehicle, speed)
+    v, radius = vehicle.values, vehicle.constants.radius
+    ambient = v["ambient"] if ambient_degc is None else ambient_degc
+    weight = vehicle.weight if weight_n is None else weight_n
+    usable, left_out = _effects(vehicle)
+    coefficient = v["rolling_coefficient"] + v["rolling_rise"] * abs(speed)
+    torque = {
+        "rolling": radius * float(resistance.bearing_force(speed, weight, coefficient)),
+        "wind": radius * float(resistance.wind_force(speed, v["drag_area"], v["air_density"])),
+    }
+    at = conditions(vehicle.constants, speed, weight=weight, ambient=ambient)
+    torque["effects"] = _effects_torque(usable, at, sum(torque.values()))
+    resisting = sum(torque[part] for part in ON_WHEELS)
+    return {
+        "vehicle": vehicle.name,
+        "method": vehicle.hysteresis,
+        "speed_mps": float(speed),
+        "ambient_degc": float(ambient),
+        "weight_n": float(weight),
+        "torque_nm": {**torque, "inertia": 0.0, "resistance": resisting},
+        "power_w": resisting / radius * speed,
+        "effects_left_out": left_out,
+        "remarks": [],
+    }
+
+
+def _effects(vehicle: AnyVehicle) -> tuple[list[Active], list[str]]:
     """Effects of the vehicle file whose inputs a steady straight drive gives, and the names of the others."""
     usable = [active for active in vehicle.active if not set(active.effect.needs) & UNKNOWN]
     return usable, [active.effect.name for active in vehicle.active if active not in usable]

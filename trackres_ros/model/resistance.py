@@ -15,6 +15,13 @@ from trackres_ros.units import GRAVITY, STANDSTILL_MPS
 
 RESISTANCE_PARTS = {"hysteresis": "hysteresis_nm", "bearing": "bearing_nm", "wind": "wind_nm", "effects": "effects_nm"}
 """What resists motion, and the column of results that each part stands in."""
+ON_WHEELS = {"rolling": "bearing_nm", "wind": "wind_nm", "effects": "effects_nm"}
+"""The same of a vehicle without belts: what rolls there is tyres and bearings together."""
+
+
+def resistance_parts(has_belts: bool) -> dict[str, str]:
+    """What resists the motion of a vehicle with belts, or of one without, and the column of each part."""
+    return RESISTANCE_PARTS if has_belts else ON_WHEELS
 
 
 @inlined

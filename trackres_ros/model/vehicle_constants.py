@@ -1,17 +1,19 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Gathers the constants of a track vehicle that effects may use."""
+"""Gathers the constants of a vehicle that effects may use."""
 
 from __future__ import annotations
 
 from trackres_ros.effects.effect import VehicleConstants
 from trackres_ros.model.belt import cooled_area
-from trackres_ros.vehicle import Vehicle
+from trackres_ros.vehicle import AnyVehicle, RoadVehicle
 
 
-def vehicle_constants(vehicle: Vehicle) -> VehicleConstants:
-    """The constants of a track vehicle; of its first kind of track where there are several."""
+def vehicle_constants(vehicle: AnyVehicle) -> VehicleConstants:
+    """The constants of a vehicle; of its first kind of track where there are several."""
+    if isinstance(vehicle, RoadVehicle):
+        return vehicle.constants
     chassis, first = vehicle.chassis, vehicle.track_of(vehicle.assemblies[0])
     return VehicleConstants(
         radius=first.sprocket_radius,

@@ -36,7 +36,7 @@ from trackres_ros.node.remarks import Remark, level_of
 from trackres_ros.node.report import Overview, bare_status, overview, statuses
 from trackres_ros.node.sending_order import Arrived, SendingOrder
 from trackres_ros.node.service_manager import ServiceManager
-from trackres_ros.node.setup import changed_parameters, read_setup
+from trackres_ros.node.setup import changed_parameters, check_learning, read_setup
 from trackres_ros.node.stamps import nearest_usable
 from trackres_ros.node.state_keeper import StateKeeper, state_path
 from trackres_ros.node.watch import Watch
@@ -463,14 +463,16 @@ class Application:
 
     def checked_change(self, given: Mapping[str, object]) -> Parameters:
         """The parameters after a change, which is not made; see `changed_parameters`."""
-        return changed_parameters(self.parameters, given, self.topics)
+        changed = changed_parameters(self.parameters, given, self.topics)
+        check_learning(changed, self.vehicle)
+        return changed
 
     def reset(self) -> str:
         """Start cold, as if switched on with belts at the ambient temperature; what was done, in words."""
         self.session.start_anew(time_went_back=False)
         self.comparison.restart()
         self.learning.restart()
-        text = "the estimate starts anew, with cold belts, at the next speed"
+        text = f"the estimate starts anew, with cold {'belts' if self.estimator.assemblies else 'effects'}, at the next speed"
         self._log(Level.WARN, f"reset: {text}")
         return text
 

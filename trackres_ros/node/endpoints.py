@@ -15,7 +15,7 @@ from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.roles import POSITION, base_role
 from trackres_ros.recording.sums import Reading, readings_of
-from trackres_ros.vehicle import Vehicle
+from trackres_ros.vehicle import AnyVehicle
 
 DIAGNOSTICS = OutputTopic(
     "/diagnostics",
@@ -94,11 +94,14 @@ def _last_speed(role: str) -> bool:
     return role == "speed"
 
 
-def live_topics(vehicle: Vehicle, topics: Topics) -> tuple[OutputTopic, ...]:
-    """All topics to publish, most urgent first; the residual and what is learned only where a torque is measured."""
+def live_topics(vehicle: AnyVehicle, topics: Topics) -> tuple[OutputTopic, ...]:
+    """All topics to publish, most urgent first; the residual and, of a vehicle with belts, what is learned
+    only where a torque is measured.
+    """
     feedforward, number, *others = output_topics(vehicle)
     given = (topic for topic in others if topic.name != "torque_residual" or "torque" in topics)
-    learned = (PARAMETERS_TOPIC,) if any(base_role(role) == "torque" for role in topics) else ()
+    learns = bool(vehicle.assemblies) and any(base_role(role) == "torque" for role in topics)
+    learned = (PARAMETERS_TOPIC,) if learns else ()
     return (feedforward, number, ESTIMATE_TOPIC, *given, *learned, DIAGNOSTICS)
 
 

@@ -83,7 +83,8 @@ class StateKeeper:
         except InputError as error:
             self.unused = f"cold start, as the state file is of no use: {error}"
             return estimator.session(), self.unused
-        text = f"belts taken from {self.path}, cooled over {off_s / 60.0:.1f} min off"
+        what = "belts" if estimator.assemblies else "warmth of effects"
+        text = f"{what} taken from {self.path}, cooled over {off_s / 60.0:.1f} min off"
         session.learned[:] = 0.0  # it acts again once the learner says so
         beside = read_beside(estimator, self.path)
         if learner is None or beside is None:

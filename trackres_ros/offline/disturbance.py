@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.disturbance import STEADY_MPS, STEADY_MPS2, DisturbanceWatch
 from trackres_ros.estimator.estimate import Steps
-from trackres_ros.vehicle import Vehicle
+from trackres_ros.vehicle import AnyVehicle
 
 Array = NDArray[np.float64]
 
@@ -32,7 +32,7 @@ LOOKED_AT = [at.OUT_RESIDUAL, at.OUT_SPEED, at.OUT_ACCEL, at.OUT_REASONS]
 class DisturbanceColumns:
     """Takes the results of a replay block by block, in their order; has no columns where there is nothing to watch for."""
 
-    def __init__(self, vehicle: Vehicle) -> None:
+    def __init__(self, vehicle: AnyVehicle) -> None:
         self._watch = None if vehicle.disturbance is None else DisturbanceWatch(vehicle.disturbance)
         self.names: tuple[str, ...] = () if self._watch is None else tuple(MEANING)
 

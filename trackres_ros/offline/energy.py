@@ -39,14 +39,14 @@ def taken(time_s: Array, speed: Array, torque: Array, belts_degc: Array, radius:
     time_s, speed, torque
         Times [s], speeds [m/s] and resistance at the sprockets [Nm], shape (rows,).
     belts_degc
-        Of each belt, shape (belts, rows) [degC].
+        Of each belt, shape (belts, rows) [degC]; of none where the vehicle has none.
     radius
         Of the sprockets [m].
 
     Returns
     -------
     dict
-        Way, time under way, mean and largest resistance, energy against it, coldest and warmest belt.
+        Way, time under way, mean and largest resistance, energy against it, coldest and warmest belt where there are belts.
     """
     step = steps_of(time_s)
     under_way = np.where(np.abs(speed) > STANDSTILL_MPS, step, 0.0)
@@ -59,9 +59,15 @@ def taken(time_s: Array, speed: Array, torque: Array, belts_degc: Array, radius:
         "largest_resistance_nm": float(np.nanmax(np.abs(torque))),
         "energy_mj": energy_mj,
         "kwh_per_km": energy_mj / MJ_PER_KWH / max(driven / 1000.0, 1e-9) if driven > 0.0 else 0.0,
-        "coldest_belt_degc": float(np.nanmin(belts_degc)),
-        "warmest_belt_degc": float(np.nanmax(belts_degc)),
+        **_ends(belts_degc),
     }
+
+
+def _ends(belts_degc: Array) -> dict[str, float]:
+    """Coldest and warmest belt; nothing where there is none."""
+    if not len(belts_degc):
+        return {}
+    return {"coldest_belt_degc": float(np.nanmin(belts_degc)), "warmest_belt_degc": float(np.nanmax(belts_degc))}
 
 
 def taken_text(of: Mapping[str, float]) -> str:
@@ -71,8 +77,10 @@ def taken_text(of: Mapping[str, float]) -> str:
     way, minutes = decimals(of["distance_m"] / 1000.0, 2), decimals(of["under_way_s"] / 60.0, 1)
     mean, largest = decimals(of["mean_resistance_nm"]), decimals(of["largest_resistance_nm"])
     energy, each_km = decimals(of["energy_mj"], 1), decimals(of["kwh_per_km"], 2)
-    belts = f"{decimals(of['coldest_belt_degc'], 1)} to {decimals(of['warmest_belt_degc'], 1)} degC"
+    belts = ""
+    if "coldest_belt_degc" in of:
+        belts = f"; belts {decimals(of['coldest_belt_degc'], 1)} to {decimals(of['warmest_belt_degc'], 1)} degC"
     return (
         f"The drive: {way} km, {minutes} min under way; resistance {mean} Nm in the mean, {largest} Nm at most; {energy} MJ "
-        f"({each_km} kWh/km); belts {belts}"
+        f"({each_km} kWh/km){belts}"
     )

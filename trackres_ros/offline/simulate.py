@@ -15,21 +15,10 @@ from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.records import GroundSeries
-from trackres_ros.model.resistance import RESISTANCE_PARTS
+from trackres_ros.model.resistance import resistance_parts
 
 Array = NDArray[np.float64]
 
-COLUMNS = (
-    "time_s",
-    "speed_mps",
-    "weight_n",
-    "ambient_degc",
-    "belt_degc",
-    "resistance_torque_nm",
-    *RESISTANCE_PARTS.values(),
-    "inertia_nm",
-    "drive_torque_nm",
-)
 MOST_SAMPLES = 50_000_000
 
 
@@ -101,7 +90,7 @@ def simulate(
     Returns
     -------
     dict
-        The series of `COLUMNS`, each of shape (times,). The belt temperature is the mean over the assemblies.
+        The series of `series_of`, each of shape (times,).
     """
     return series_of(estimator, drive, run_drive(estimator, drive, weight_n, ambient_degc, initial_degc, grade))
 
@@ -125,9 +114,15 @@ def run_drive(
 
 
 def series_of(estimator: Estimator, drive: Drive, rows: Array) -> dict[str, Array]:
-    """The series of `COLUMNS` out of rows of results."""
-    series = {"time_s": drive.time_s, "belt_degc": assembly_values(rows, at.PER_BELT).mean(axis=1)}
-    return {name: series[name] if name in series else rows[:, estimator.column_index[name]] for name in COLUMNS}
+    """What is shown of a drive, out of rows of results; the belt temperature, where there are belts, is the mean of the
+    assemblies.
+    """
+    has_belts = bool(estimator.assemblies)
+    shown = ("resistance_torque_nm", *resistance_parts(has_belts).values(), "inertia_nm", "drive_torque_nm")
+    of_rows = {name: rows[:, i] for name, i in estimator.column_index.items()}
+    belts = {"belt_degc": assembly_values(rows, at.PER_BELT).mean(axis=1)} if has_belts else {}
+    first = {name: of_rows[name] for name in ("speed_mps", "weight_n", "ambient_degc")}
+    return {"time_s": drive.time_s, **first, **belts, **{name: of_rows[name] for name in shown}}
 
 
 def assembly_values(rows: Array, column: int) -> Array:

@@ -18,7 +18,7 @@ from trackres_ros.learning.columns import lines as lines_of
 from trackres_ros.learning.columns import ranges_of, shown
 from trackres_ros.learning.learner import Learner
 from trackres_ros.model.coverage import beyond_data
-from trackres_ros.model.resistance import RESISTANCE_PARTS
+from trackres_ros.model.resistance import resistance_parts
 from trackres_ros.model.vehicle_constants import vehicle_constants
 from trackres_ros.offline.energy import taken, taken_text
 from trackres_ros.offline.replay import Replayed
@@ -119,7 +119,7 @@ def drive(result: Replayed) -> dict[str, float]:
     """What the drive took, by the samples of the picture; see `energy.taken`."""
     estimator = result.session.estimator
     columns = picture_columns(estimator.columns, result.picture)
-    belts = np.stack([series for name, series in columns.items() if name.startswith("belt_degc/")])
+    belts = np.array([series for name, series in columns.items() if name.startswith("belt_degc/")])
     radius = vehicle_constants(estimator.vehicle).radius
     return taken(result.picture[:, 0], columns["speed_mps"], columns["resistance_torque_nm"], belts, radius)
 
@@ -149,13 +149,14 @@ def text(report: dict[str, Any]) -> str:
     lines.append(
         f"At the end, at {decimals(last['speed_mps'] * 3.6, 1)} km/h: resistance "
         f"{decimals(last['resistance_torque_nm'])} +- {decimals(last['resistance_std_nm'])} Nm ("
-        + ", ".join(f"{part} {decimals(last[column])}" for part, column in RESISTANCE_PARTS.items())
+        + ", ".join(f"{part} {decimals(last[column])}" for part, column in resistance_parts(bool(belts)).items())
         + ")"
     )
     if "learning" in report:
         lines.append(f"Learning ({report['learning']['mode']}): {report['learning']['text']}")
         lines += [f"  {item['text']}" for item in report["learning"]["parameters"]]
-    lines.append("Belts: " + ", ".join(f"{name} {decimals(value, 1)} degC" for name, value in belts.items()))
+    if belts:
+        lines.append("Belts: " + ", ".join(f"{name} {decimals(value, 1)} degC" for name, value in belts.items()))
     return "\n".join(map(one_line, lines))
 
 

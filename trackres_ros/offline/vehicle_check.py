@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 
 from trackres_ros.errors import InputError
+from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.uncertainty import spread
 from trackres_ros.model import belt as belt_model
 from trackres_ros.model.coverage import check_heat, coverage
 from trackres_ros.model.loads import hinge_position, wheel_loads
 from trackres_ros.model.loss_table import LossTable, drive_share, interpolation_error, loss_table, reverse_share
 from trackres_ros.model.track import TrackModel, load_range, steady_tension, track_model
-from trackres_ros.vehicle import Vehicle
+from trackres_ros.vehicle import AnyVehicle, RoadVehicle, Vehicle
 from trackres_ros.vehicle.reading import FLAGS
 
 SHOWN_SPEED_SHARES = (0.05, 0.25, 1.0)  # of the greatest speed
@@ -25,14 +26,16 @@ SLOWEST = 0.05  # m/s: the softest belt is a hot one that creeps
 DEEP_STRAIN = 0.5  # of the thickness below a wheel: above it a layer is no longer an elastic foundation
 
 
-def check_vehicle(vehicle: Vehicle, points: int) -> dict[str, Any]:
-    """What follows from a vehicle, ready for JSON; its tables are held against the exact method at random points.
+def check_vehicle(vehicle: AnyVehicle, points: int) -> dict[str, Any]:
+    """What follows from a vehicle, ready for JSON; tables of belts are held against the exact method at random points.
 
     Raises
     ------
     InputError
         Where the physics shows that a value cannot be.
     """
+    if isinstance(vehicle, RoadVehicle):
+        return _check_road(vehicle)
     rubber = vehicle.rubber
     tracks, remarks = {}, []
     for name, track in vehicle.tracks.items():
@@ -79,6 +82,17 @@ def check_vehicle(vehicle: Vehicle, points: int) -> dict[str, Any]:
             },
             **physics,
         }
+    return {
+        **_common(vehicle),
+        "assemblies": {a.name: float(n) for a, n in zip(vehicle.assemblies, vehicle.nominal_loads(), strict=True)},
+        "rubber_file": str(vehicle.rubber_source),
+        "tracks": tracks,
+        "remarks": remarks,
+    }
+
+
+def _common(vehicle: AnyVehicle) -> dict[str, Any]:
+    """What any vehicle file says."""
     flags = [quantity.flag for quantity in vehicle.parameters.values()]
     return {
         "vehicle": vehicle.name,
@@ -87,13 +101,27 @@ def check_vehicle(vehicle: Vehicle, points: int) -> dict[str, Any]:
         "hysteresis": vehicle.hysteresis,
         "thermal": vehicle.thermal,
         "weight_n": vehicle.weight,
-        "assemblies": {a.name: float(n) for a, n in zip(vehicle.assemblies, vehicle.nominal_loads(), strict=True)},
         "quantities": {flag: flags.count(flag) for flag in FLAGS},
         "effects": {a.effect.name: dict(a.values) for a in vehicle.effects},
-        "rubber_file": str(vehicle.rubber_source),
-        "tracks": tracks,
-        "remarks": remarks,
     }
+
+
+def _check_road(vehicle: RoadVehicle) -> dict[str, Any]:
+    """What follows from a vehicle without belts: resistance, its standard deviation and power at some speeds, on level ground."""
+    estimator, points = Estimator(vehicle), []
+    for share in SHOWN_SPEED_SHARES:
+        inputs = estimator.inputs(share * vehicle.chassis.max_speed, acceleration=0.0)
+        _, estimate = estimator.step(estimator.cold_start(inputs), inputs, 0.0)
+        torque = estimate.resistance_torque_nm
+        points.append(
+            {
+                "speed_mps": inputs.speed,
+                "resistance_torque_nm": torque,
+                "resistance_std_nm": estimate.resistance_std_nm,
+                "power_w": torque / vehicle.constants.radius * inputs.speed,
+            }
+        )
+    return {**_common(vehicle), "friction_brakes": vehicle.friction_brakes, "level_ground": points, "remarks": []}
 
 
 def _physics(vehicle: Vehicle, name: str, model: TrackModel, table: LossTable) -> tuple[dict[str, Any], list[str]]:

@@ -20,13 +20,13 @@ from trackres_ros.text.numbers import figures
 from trackres_ros.text.table import table
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,63}")
-SERVES = {"tracks": "live, replay, diagnose", "road_load": "diagnose"}
+RUNS_ON = {"tracks": "tracks", "road_load": "wheels, without belts"}
 LONGEST = 24  # of a text beside numbers
 UNSAID = ("reason", "flag")  # of a quantity: they are no part of what a vehicle is
 
 
 def shipped() -> list[dict[str, str]]:
-    """Name, title and model of each shipped vehicle: ``tracks`` run live, ``road_load`` serve the diagnosis."""
+    """Name, title and model of each shipped vehicle: ``tracks``, or ``road_load`` of one without belts."""
     found = []
     for model, vehicles in (("tracks", shipped_vehicles()), ("road_load", shipped_road_vehicles())):
         for name, path in vehicles.items():
@@ -36,8 +36,8 @@ def shipped() -> list[dict[str, str]]:
 
 def shipped_text(found: Iterable[Mapping[str, str]]) -> str:
     """The same for people."""
-    rows = [(v["name"], v["title"], SERVES[v["model"]]) for v in found]
-    return table(rows, ("name", "what it is", "for"), numbers=False)
+    rows = [(v["name"], v["title"], RUNS_ON[v["model"]]) for v in found]
+    return table(rows, ("name", "what it is", "runs on"), numbers=False)
 
 
 def new_vehicle(name: str, folder: Path, like: str) -> list[Path]:

@@ -14,7 +14,7 @@ from pathlib import Path
 from trackres_ros.files.output_files import output_folder
 from trackres_ros.files.own_files import write
 from trackres_ros.output.topics import DEFAULT_NODE, TOTALS, OutputTopic, output_topics
-from trackres_ros.vehicle import Vehicle
+from trackres_ros.vehicle import AnyVehicle
 
 COLOURS = ("#1f77b4", "#d62728", "#2ca02c", "#ff7f0e", "#9467bd", "#8c564b", "#17becf", "#bcbd22")
 SHOWN_S = 600.0
@@ -39,7 +39,7 @@ class Plot:
     curves: tuple[Curve, ...]
 
 
-def write_layouts(vehicle: Vehicle, folder: Path, base: str = DEFAULT_BASE) -> list[Path]:
+def write_layouts(vehicle: AnyVehicle, folder: Path, base: str = DEFAULT_BASE) -> list[Path]:
     """Write `plotjuggler.xml` and `foxglove.json` for a vehicle's topics below a node's full name.
 
     Raises
@@ -55,7 +55,7 @@ def write_layouts(vehicle: Vehicle, folder: Path, base: str = DEFAULT_BASE) -> l
     return list(texts)
 
 
-def plots(vehicle: Vehicle, base: str = DEFAULT_BASE) -> tuple[Plot, ...]:
+def plots(vehicle: AnyVehicle, base: str = DEFAULT_BASE) -> tuple[Plot, ...]:
     """Torque by part, feed-forward, belts, and measured against expected torque."""
     topics = {topic.name: topic for topic in output_topics(vehicle)}
     resistance, residual = topics["resistance_torque"], topics["torque_residual"]
@@ -66,28 +66,28 @@ def plots(vehicle: Vehicle, base: str = DEFAULT_BASE) -> tuple[Plot, ...]:
         full = f"{base}/{topic.name}"
         return tuple(Curve(name, f"{full}/{name}/effort", f"{full}.effort[{topic.names.index(name)}]") for name in names)
 
+    temperatures = tuple(
+        Curve(name, f"{topic}/temperature", f"{topic}.temperature")
+        for name in assemblies
+        for topic in (f"{base}/track_temperature/{name}",)
+    )
+    by_assembly = joints(resistance, [f"total/{name}" for name in assemblies])
+    belts = Plot("Belt temperature [degC]", temperatures), Plot("Torque about y that resists, by assembly [Nm]", by_assembly)
     return (
         Plot("Torque about y that resists, by part [Nm]", joints(resistance, [name for name in TOTALS if name != "drive"])),
         Plot("Feed-forward torque [Nm]", (Curve("feed-forward", f"{wrench}/wrench/torque/y", f"{wrench}.wrench.torque.y"),)),
-        Plot(
-            "Belt temperature [degC]",
-            tuple(
-                Curve(name, f"{topic}/temperature", f"{topic}.temperature")
-                for name in assemblies
-                for topic in (f"{base}/track_temperature/{name}",)
-            ),
-        ),
-        Plot("Torque about y that resists, by assembly [Nm]", joints(resistance, [f"total/{name}" for name in assemblies])),
+        *([] if not assemblies else belts),
         Plot("Measured and expected torque [Nm]", joints(residual, residual.names)),
     )
 
 
-def plotjuggler(vehicle: Vehicle, base: str = DEFAULT_BASE) -> str:
+def plotjuggler(vehicle: AnyVehicle, base: str = DEFAULT_BASE) -> str:
     """A layout file of PlotJuggler 3: a tab for the torque, one for the assemblies."""
     root = ET.Element("root")
     widget = ET.SubElement(root, "tabbed_widget", {"name": "Main Window", "parent": "main_window"})
     everything = plots(vehicle, base)
-    for title, shown in (("torque and temperature", everything[:3]), ("assemblies, measured", everything[3:])):
+    tabs = (("torque and temperature", everything[:3]), ("assemblies, measured", everything[3:]))
+    for title, shown in tabs if vehicle.assemblies else (("torque", everything),):
         tab = ET.SubElement(widget, "Tab", tab_name=title, containers="1")
         share = ";".join(f"{1 / len(shown):.6f}" for _ in shown)
         splitter = ET.SubElement(
@@ -106,7 +106,7 @@ def plotjuggler(vehicle: Vehicle, base: str = DEFAULT_BASE) -> str:
     return f"<?xml version='1.0' encoding='UTF-8'?>\n{ET.tostring(root, encoding='unicode')}\n"
 
 
-def foxglove(vehicle: Vehicle, base: str = DEFAULT_BASE) -> str:
+def foxglove(vehicle: AnyVehicle, base: str = DEFAULT_BASE) -> str:
     """A layout file of Foxglove: the plots one below the other, the diagnostics at their side."""
     panels: dict[str, object] = {
         f"Plot!trackres{number}": {

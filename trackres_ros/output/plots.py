@@ -288,18 +288,19 @@ def _draw_torque(axes: Axes, x: Array, columns: Mapping[str, Array], measured: A
         _line(axes, x, measured, "measured", VERMILION, linewidth=0.9)
         if "drive_torque_nm" in columns:
             _line(axes, x, columns["drive_torque_nm"], "drive torque", GREY, linewidth=0.9)
+    has_belts = any(name.startswith("belt_degc") for name in columns)
     if "resistance_std_nm" in columns:
         _band(axes, x, columns["resistance_torque_nm"], columns["resistance_std_nm"], BLACK)
     for name, label, colour in (
         ("resistance_torque_nm", "resistance", BLACK),
         ("hysteresis_nm", "hysteresis", BLUE),
-        ("bearing_nm", "bearings", ORANGE),
+        ("bearing_nm", "bearings" if has_belts else "rolling", ORANGE),
         ("wind_nm", "wind", SKY),
         ("effects_nm", "effects", PURPLE),
     ):
-        if name in columns and (name != "effects_nm" or np.any(columns[name])):  # of a vehicle file that has some
+        if name in columns and (name not in ("hysteresis_nm", "effects_nm") or np.any(columns[name])):  # of a vehicle with some
             _line(axes, x, columns[name], label, colour)
-    axes.set_ylabel("torque at sprockets [Nm]")
+    axes.set_ylabel(f"torque at {'sprockets' if has_belts else 'wheels'} [Nm]")
 
 
 def _draw_belt(axes: Axes, x: Array, columns: Mapping[str, Array], measured: Array | None) -> None:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.estimator import columns as at
 from trackres_ros.model.resistance import RESISTANCE_PARTS
-from trackres_ros.vehicle import Vehicle
+from trackres_ros.vehicle import AnyVehicle
 
 Array = NDArray[np.float64]
 
@@ -98,7 +98,7 @@ def sign_of(column: str) -> float:
     return -1.0 if column.partition("/")[0] in RESISTING else 1.0
 
 
-def output_topics(vehicle: Vehicle) -> tuple[OutputTopic, ...]:
+def output_topics(vehicle: AnyVehicle) -> tuple[OutputTopic, ...]:
     """All topics of a vehicle, most urgent first."""
     assemblies = [a.name for a in vehicle.assemblies]
     return (

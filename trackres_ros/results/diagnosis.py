@@ -20,17 +20,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trackres_ros.diagnosis.base.loading import LoadedBase
-from trackres_ros.diagnosis.base.road_load import RoadVehicle, load_road_vehicle
 from trackres_ros.diagnosis.findings.found import Found, Told
 from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.report.content import report
 from trackres_ros.errors import MissingExtraError
 from trackres_ros.files.output_files import output_folder
-from trackres_ros.files.yamls import read_yaml
 from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.text.html import listed, panel, paragraph, table
 from trackres_ros.text.numbers import alike, figures
-from trackres_ros.vehicle import Vehicle, load
+from trackres_ros.vehicle import AnyVehicle, load_any
 
 if TYPE_CHECKING:
     from trackres_ros.diagnosis.report.interactive import Interactive
@@ -98,7 +96,7 @@ class DiagnosisResult:
         return (*self._content["to_do"], *self._content["topics_lines"].values())
 
     @cached_property
-    def vehicle(self) -> Vehicle | RoadVehicle:
+    def vehicle(self) -> AnyVehicle:
         """The vehicle with the effects that held-out laps confirm, and no others: never worse there than the one given.
 
         It is the vehicle of the file that `report` writes, in the surroundings that were given. What was found of the site, the
@@ -108,10 +106,7 @@ class DiagnosisResult:
         folder = Path(tempfile.mkdtemp(prefix="trackres-"))
         atexit.register(shutil.rmtree, folder, ignore_errors=True)
         self._write_vehicle(folder)
-        path = folder / VEHICLE_FILE
-        track = self.diagnosis.base.has_belt
-        written = load(path) if track else load_road_vehicle(path, read_yaml(path))
-        return replace(written, surroundings=self._loaded.surroundings)
+        return replace(load_any(folder / VEHICLE_FILE), surroundings=self._loaded.surroundings)
 
     def _write_vehicle(self, folder: Path) -> list[Path]:
         names = ", ".join(path.name for path in self.recordings)

@@ -18,27 +18,32 @@ class OperatingPoint(Content):
     """One operating point; see `trackres_ros.explain`. A mapping of what `as_dict` holds.
 
     Torques (``torque_nm``), heat and cooling are of the whole vehicle; ``contact``, ``tension_n``, ``loss_force_n`` and
-    ``rainflow`` of the first assembly.
+    ``rainflow`` of the first assembly. Of a vehicle without belts it holds torques and power alone.
     """
 
     def _head(self) -> str:
+        belt = f"belt {decimals(self['belt_degc'], 1)} degC, " if "belt_degc" in self else ""
         return (
-            f"{self['vehicle']}: {decimals(self['speed_mps'] * 3.6, 1)} km/h, belt {decimals(self['belt_degc'], 1)} degC, "
+            f"{self['vehicle']}: {decimals(self['speed_mps'] * 3.6, 1)} km/h, {belt}"
             f"ambient {decimals(self['ambient_degc'], 1)} degC, {self['weight_n'] / 1e3:.1f} kN, {self['method']}"
         )
 
     def _sentences(self) -> list[str]:
+        torques = ", ".join(f"{k} {decimals(v)}" for k, v in self["torque_nm"].items())
+        left_out = self["effects_left_out"]
+        without = [f"Left out, as they need more than an operating point: {', '.join(left_out)}"] if left_out else []
+        if "belt_degc" not in self:
+            power = decimals(self["power_w"] / 1e3, 2)
+            return [f"Torque at the wheels [Nm]: {torques}", f"Power against the resistance {power} kW", *without]
         lines = [
             f"Belt tension {self['tension_n']:.0f} N; film coefficient {self['film_coefficient_w_m2k']:.1f} W/m2K",
             f"Loss per metre of travel of {self['assemblies'][0]} [N]: "
             + ", ".join(f"{k} {decimals(v, 1)}" for k, v in self["loss_force_n"].items()),
             f"Heat of all belts {self['heat_w'] / 1e3:.2f} kW, cooling {decimals(self['cooling_w'] / 1e3, 2)} kW",
             "",
-            "Torque at the sprockets, whole vehicle [Nm]: "
-            + ", ".join(f"{k} {decimals(v)}" for k, v in self["torque_nm"].items()),
+            f"Torque at the sprockets, whole vehicle [Nm]: {torques}",
         ]
-        left_out = self["effects_left_out"]
-        return [*lines, *([f"Left out, as they need more than an operating point: {', '.join(left_out)}"] if left_out else [])]
+        return [*lines, *without]
 
     def _wheels(self) -> list[tuple[str, ...]]:
         """Of each road wheel of the first assembly its number, and a text for each of `WHEEL_HEAD`."""
@@ -55,6 +60,8 @@ class OperatingPoint(Content):
         ]
 
     def __repr__(self) -> str:
+        if "belt_degc" not in self:
+            return "\n".join([self._head(), *self._sentences()])
         head = ["", *(f"{name}\n{unit}" for name, unit in WHEEL_HEAD.items())]
         wheels = text_table(self._wheels(), head, indent=2)
         remarks = [f"  ! {remark}" for remark in self["remarks"]]
@@ -62,6 +69,8 @@ class OperatingPoint(Content):
 
     def _repr_html_(self) -> str:
         torques = [(part, decimals(value)) for part, value in self["torque_nm"].items()]
+        if "belt_degc" not in self:
+            return panel(self._head(), table(("torque at the wheels", "Nm"), torques), *map(paragraph, self._sentences()[1:]))
         losses = [(part, decimals(value, 1)) for part, value in self["loss_force_n"].items()]
         sentences = [line for line in self._sentences() if line and not line.startswith(("Torque", "Loss"))]
         first = self["assemblies"][0]

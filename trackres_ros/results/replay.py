@@ -26,7 +26,7 @@ from trackres_ros.recording.samples import Finding
 from trackres_ros.results.series import Array, SeriesResult
 from trackres_ros.text.html import listed, panel, paragraph
 from trackres_ros.units import NANOSECOND
-from trackres_ros.vehicle import Vehicle
+from trackres_ros.vehicle import AnyVehicle
 
 MOST_UNFOLDED = 4
 TIMES = ("time_s", "stamp_ns")
@@ -70,7 +70,7 @@ class ReplayResult(SeriesResult):
         return self.session.estimator
 
     @property
-    def vehicle(self) -> Vehicle:
+    def vehicle(self) -> AnyVehicle:
         """The vehicle it was made for."""
         return self.estimator.vehicle
 

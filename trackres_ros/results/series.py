@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.errors import MissingExtraError
-from trackres_ros.model.resistance import RESISTANCE_PARTS
+from trackres_ros.model.resistance import resistance_parts
 from trackres_ros.text.html import table
 from trackres_ros.text.numbers import decimals
 from trackres_ros.units import KMH_PER_MPS
@@ -170,19 +170,20 @@ class SeriesResult(Mapping[str, Array]):
         drawn = self._drawn()
         count = len(drawn["time_s"])
         rows = sorted(set(np.linspace(0, count - 1, min(SHOWN_ROWS, count)).astype(int).tolist()))
-        torques = {"resistance": "resistance_torque_nm", "std": "resistance_std_nm", **RESISTANCE_PARTS}
-        torques = {name: column for name, column in torques.items() if column in drawn}
         belts = [name for name in drawn if name.partition("/")[0] == "belt_degc"]
+        torques = {"resistance": "resistance_torque_nm", "std": "resistance_std_nm", **resistance_parts(bool(belts))}
+        torques = {name: column for name, column in torques.items() if column in drawn}
 
         def line(i: int) -> list[str]:
             degc = [float(drawn[name][i]) for name in belts]
-            ends = [decimals(v, 1) for v in (min(degc), max(degc))]
+            ends = [decimals(v, 1) for v in (min(degc), max(degc))] if degc else []
+            shown = list(dict.fromkeys(ends))
             return [
                 decimals(float(drawn["time_s"][i]), 1),
                 decimals(float(drawn["speed_mps"][i]) * KMH_PER_MPS, 1),
                 *(decimals(float(drawn[column][i])) for column in torques.values()),
-                ends[0] if ends[0] == ends[1] else " to ".join(ends),
+                *([" to ".join(shown)] if shown else []),
             ]
 
-        units = ("s", "km/h", *("Nm" for _ in torques), "degC")
-        return table(("time", "speed", *torques, "belts"), [line(i) for i in rows], units)
+        units = ("s", "km/h", *("Nm" for _ in torques), *(["degC"] if belts else []))
+        return table(("time", "speed", *torques, *(["belts"] if belts else [])), [line(i) for i in rows], units)

@@ -17,7 +17,7 @@ from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.files.output_files import BAG_SUFFIX, output_file
 from trackres_ros.model.coverage import beyond_data
-from trackres_ros.model.resistance import RESISTANCE_PARTS
+from trackres_ros.model.resistance import resistance_parts
 from trackres_ros.model.vehicle_constants import vehicle_constants
 from trackres_ros.offline.energy import taken
 from trackres_ros.offline.simulate import Drive, assembly_values, series_of
@@ -28,7 +28,7 @@ from trackres_ros.text.html import listed, panel
 from trackres_ros.text.numbers import decimals
 from trackres_ros.text.table import table
 from trackres_ros.units import KMH_PER_MPS
-from trackres_ros.vehicle import Vehicle
+from trackres_ros.vehicle import AnyVehicle
 
 SUMMARY_TIMES_S = (50.0, 250.0, 600.0, 1000.0, 2500.0)
 
@@ -37,7 +37,8 @@ class SimulationResult(SeriesResult):
     """Torques and belt temperature along a drive, one row a time step; see `trackres_ros.simulate`.
 
     Columns are ``time_s``, ``speed_mps``, ``weight_n``, ``ambient_degc``, ``belt_degc`` (mean over the assemblies),
-    ``resistance_torque_nm``, which is the sum of ``hysteresis_nm``, ``bearing_nm``, ``wind_nm`` and ``effects_nm``, then
+    ``resistance_torque_nm``, which is the sum of ``hysteresis_nm``, ``bearing_nm``, ``wind_nm`` and ``effects_nm`` (without
+    belts no ``belt_degc`` and ``hysteresis_nm``, and all that rolls is in ``bearing_nm``), then
     ``inertia_nm``, ``drive_torque_nm`` (resistance and inertia), and ``grade_nm`` where the profile has a grade, which the
     drive torque holds then.
 
@@ -56,7 +57,7 @@ class SimulationResult(SeriesResult):
             self._series["grade_nm"] = rows[:, estimator.column_index["grade_nm"]]
 
     @property
-    def vehicle(self) -> Vehicle:
+    def vehicle(self) -> AnyVehicle:
         """The vehicle it was made for."""
         return self.estimator.vehicle
 
@@ -147,14 +148,15 @@ class SimulationResult(SeriesResult):
         }
 
     def __repr__(self) -> str:
-        parts = {"resistance": "resistance_torque_nm", **RESISTANCE_PARTS}
-        head = ["time\ns", "speed\nkm/h", *(f"{part}\nNm" for part in parts), "belt\ndegC"]
+        belts = ["belt_degc"] if "belt_degc" in self else []
+        parts = {"resistance": "resistance_torque_nm", **resistance_parts(bool(belts))}
+        head = ["time\ns", "speed\nkm/h", *(f"{part}\nNm" for part in parts), *("belt\ndegC" for _ in belts)]
         rows = [
             [
                 decimals(p["time_s"]),
                 decimals(p["speed_mps"] * KMH_PER_MPS, 1),
                 *(decimals(p[column]) for column in parts.values()),
-                decimals(p["belt_degc"], 1),
+                *(decimals(p[column], 1) for column in belts),
             ]
             for p in self.points()
         ]

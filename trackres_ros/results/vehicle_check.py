@@ -9,11 +9,20 @@ from html import escape
 
 from trackres_ros.results.content import Content
 from trackres_ros.text.html import listed, panel
+from trackres_ros.text.numbers import figures
 from trackres_ros.text.table import table as text_table
 
 
 class VehicleCheck(Content):
     """A checked vehicle file; see `trackres_ros.check_vehicle`. A mapping of what `as_dict` holds."""
+
+    @property
+    def _model(self) -> str:
+        return f"hysteresis {self['hysteresis']}, thermal {self['thermal']}" if "tracks" in self else "base model road_load"
+
+    @property
+    def _runs_on(self) -> str:
+        return ", ".join(f"{k} {v / 1e3:.1f} kN" for k, v in self["assemblies"].items()) if "tracks" in self else "wheels"
 
     def __repr__(self) -> str:
         quantities = self["quantities"]
@@ -21,14 +30,17 @@ class VehicleCheck(Content):
             f"{self['title']} ({self['file']}): all values are as allowed" + (", but:" if self["remarks"] else ""),
             *(f"  ! {remark}" for remark in self["remarks"]),
             f"  {quantities['P']} values from the paper, {quantities['L']} from literature, {quantities['A']} assumed, "
-            f"{quantities['F']} fitted; "
-            f"hysteresis {self['hysteresis']}, thermal {self['thermal']}",
-            f"  rubber of {self['rubber_file']}",
-            f"  weight {self['weight_n'] / 1e3:.1f} kN on "
-            + ", ".join(f"{k} {v / 1e3:.1f} kN" for k, v in self["assemblies"].items()),
+            f"{quantities['F']} fitted; " + self._model,
+            *([f"  rubber of {self['rubber_file']}"] if "tracks" in self else []),
+            f"  weight {self['weight_n'] / 1e3:.1f} kN on " + self._runs_on,
         ]
         if self["effects"]:
             lines.append(f"  with {', '.join(self['effects'])}")
+        if "tracks" not in self:
+            head = ("speed\nkm/h", "resistance\nNm", "+-\nNm", "power\nkW")
+            names = {"speed_mps": 3.6, "resistance_torque_nm": 1.0, "resistance_std_nm": 1.0, "power_w": 1e-3}
+            rows = [[figures(p[name] * factor) for name, factor in names.items()] for p in self["level_ground"]]
+            return "\n".join([*lines, "On level ground", text_table(rows, head, indent=2)])
         for name, t in self["tracks"].items():
             table, uncertainty, data = t["table"], t["uncertainty"], t["rubber_data"]
             ends = zip(data["speed_mps"], data["coldest_degc"], strict=True)

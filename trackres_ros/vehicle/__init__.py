@@ -20,9 +20,11 @@ from trackres_ros.vehicle.description import (
     WrappedWheel,
 )
 from trackres_ros.vehicle.loading import load, variants
+from trackres_ros.vehicle.road import AnyVehicle, RoadVehicle, load_any
 from trackres_ros.vehicle.surroundings import with_surroundings
 
 __all__ = [
+    "AnyVehicle",
     "Assembly",
     "Axle",
     "Beam",
@@ -31,6 +33,7 @@ __all__ = [
     "Disturbance",
     "Drift",
     "Quantity",
+    "RoadVehicle",
     "RoadWheels",
     "Rubber",
     "Spells",
@@ -38,6 +41,7 @@ __all__ = [
     "Vehicle",
     "WrappedWheel",
     "load",
+    "load_any",
     "variants",
     "with_surroundings",
 ]

@@ -245,9 +245,19 @@ class Vehicle:
         )
 
     @property
+    def size(self) -> float:
+        """Weight times sprocket radius [Nm], of the first kind of track."""
+        return self.weight * self.track_of(self.assemblies[0]).sprocket_radius
+
+    @property
+    def own(self) -> tuple[Active, ...]:
+        """All effects of the vehicle."""
+        return self.effects
+
+    @property
     def active(self) -> tuple[Active, ...]:
         """All effects in use, the vehicle's first."""
-        return (*self.effects, *self.surroundings)
+        return (*self.own, *self.surroundings)
 
     @property
     def weight(self) -> float:

@@ -87,10 +87,7 @@ def build(path: Path, content: Mapping[str, Any], overrides: Mapping[str, float]
     """Check the content of a vehicle file and assemble its description; see `load`."""
     reader = Reader(path, overrides)
     if isinstance(content.get("road_load"), dict):
-        given = "a vehicle of the base model road_load"
-        raise InputError(
-            str(path), given, "a track vehicle", "road_load serves trackres diagnose, coastdown and vehicle diff alone"
-        )
+        raise InputError(str(path), "a vehicle of the base model road_load, which has no belts", "a track vehicle")
     reader.keys(content, "", TOP_KEYS, (*EFFECT_KEYS, DISTURBANCE))
     if content["schema"] != 1:
         raise InputError(reader.where("schema"), content["schema"], "1")
@@ -115,8 +112,7 @@ def build(path: Path, content: Mapping[str, Any], overrides: Mapping[str, float]
         parameters=MappingProxyType(reader.parameters),
         disturbance=read_disturbance(reader, content[DISTURBANCE]) if DISTURBANCE in content else None,
     )
-    size = vehicle.weight * vehicle.track_of(vehicle.assemblies[0]).sprocket_radius
-    vehicle = replace(vehicle, effects=listed_effects(reader, content, size, False, "vehicle"))
+    vehicle = replace(vehicle, effects=listed_effects(reader, content, vehicle.size, False, "vehicle"))
     reader.check_overrides_used()
     return vehicle
 

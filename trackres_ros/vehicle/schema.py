@@ -104,6 +104,23 @@ BEAM = {
     "own_weight_split": Limits("1", 0.0, 1.0, "the same for the assembly's own weight", optional=True),
 }
 
+ROAD_LOAD = {
+    "rolling_coefficient": Limits("1", 0.0, 0.5, "rolling resistance over weight"),
+    "rolling_rise": Limits("s/m", -0.01, 0.05, "growth of the rolling coefficient with speed"),
+    "drag_area": Limits("m^2", 0.0, 30.0, "drag coefficient times frontal area"),
+    "air_density": Limits("kg/m^3", 0.3, 2.0, "air density"),
+    "mass": Limits("kg", 0.5, 1e6, "mass with driver and load"),
+    "rotating_mass_factor": Limits("1", 1.0, 3.0, "effective over true mass in acceleration"),
+    "wheel_radius": Limits("m", 0.01, 3.0, "rolling radius of the driven wheels"),
+    "torque_scale": Limits("1", 0.01, 100.0, "shown over true torque at the wheels, as of a motor constant"),
+    "efficiency": Limits("1", 0.75, 1.0, "of the gears between the measured torque and the wheels"),
+    "torque_delay": Limits("s", 0.0, 1.0, "by which the measured torque is late"),
+    "contact_length": Limits("m", 0.01, 10.0, "length of the ground contact, or the wheelbase of a skid-steered vehicle"),
+    "track_width": Limits("m", 0.02, 10.0, "distance of left from right wheels, as they turn it", optional=True),
+    "max_speed": Limits("m/s", 0.1, 100.0, "greatest speed"),
+    "ambient": Limits("degC", -60.0, 60.0, "ambient temperature where none is given"),
+}
+
 MODEL_CHOICES = {"hysteresis": ("spectral", "rainflow"), "thermal": ("lumped", "core_surface")}
 
 # What is watched for. Its noise is that of blocks of `estimator.disturbance.BLOCK_S`.

@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -19,16 +20,17 @@ from trackres_ros.files.yamls import read_yaml
 from trackres_ros.route.learned import TORQUE, RouteMap, of_kind
 from trackres_ros.route.table import read_route
 from trackres_ros.text.numbers import figures
-from trackres_ros.vehicle.description import Vehicle
 from trackres_ros.vehicle.loading import listed_effects
 from trackres_ros.vehicle.reading import Reader
+from trackres_ros.vehicle.road import AnyVehicle, RoadVehicle
 
+Kind = TypeVar("Kind", bound=AnyVehicle)
 SCHEMA = 1
 MOST_SHARE = 0.5  # of weight times wheel radius: what a torque by place may come to, as a slope of 50 %
 KEYS = ("schema", "vehicle", "effects")
 
 
-def with_surroundings(vehicle: Vehicle, file: str | os.PathLike[str] | None) -> Vehicle:
+def with_surroundings(vehicle: Kind, file: str | os.PathLike[str] | None) -> Kind:
     """The vehicle in the surroundings of a file; as it is where none is named.
 
     Raises
@@ -38,9 +40,9 @@ def with_surroundings(vehicle: Vehicle, file: str | os.PathLike[str] | None) -> 
     """
     if not file:
         return vehicle
-    size = vehicle.weight * vehicle.track_of(vehicle.assemblies[0]).sprocket_radius
-    path = Path(file)
-    return replace(vehicle, surroundings=load_surroundings(path, vehicle.name, size, False), route=load_route(path, size))
+    path, size = Path(file), vehicle.size
+    around = load_surroundings(path, vehicle.name, size, isinstance(vehicle, RoadVehicle))
+    return replace(vehicle, surroundings=around, route=load_route(path, size))
 
 
 def load_surroundings(path: Path, vehicle: str, size: float, on_tyres: bool) -> tuple[Active, ...]:

@@ -10,19 +10,17 @@ from os import PathLike
 from pathlib import Path
 
 from trackres_ros.diagnosis.base.base import Base
-from trackres_ros.diagnosis.base.road_load import RoadBase, RoadVehicle, load_road_vehicle
+from trackres_ros.diagnosis.base.road_load import RoadBase
 from trackres_ros.diagnosis.base.track import TrackBase
 from trackres_ros.diagnosis.prepare.settings import GateSettings
 from trackres_ros.effects.effect import Active
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.estimator.topic_settings import settings_for
-from trackres_ros.files.resources import find_vehicle
-from trackres_ros.files.yamls import read_yaml
 from trackres_ros.model.track import with_methods
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.route.learned import RouteMap
-from trackres_ros.vehicle import Vehicle, load, with_surroundings
+from trackres_ros.vehicle import RoadVehicle, Vehicle, load, load_any, with_surroundings
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,19 +53,13 @@ def load_base(
     InputError
         If the file cannot be used, or a vehicle is given with other values than its file has.
     """
-    if isinstance(vehicle, RoadVehicle) and surroundings:
-        vehicle = vehicle.source
     settings = settings_for(Settings(), topics)
-    if isinstance(vehicle, RoadVehicle):
-        return _road(vehicle, settings)
-    if not isinstance(vehicle, Vehicle):
-        path = find_vehicle(vehicle)
-        content = read_yaml(path)
-        if "road_load" in content:
-            return _road(load_road_vehicle(path, content, Path(surroundings) if surroundings else None), settings)
-        vehicle = load(path)
-    else:
+    if isinstance(vehicle, Vehicle):
         _check_as_in_its_file(vehicle)
+    elif not isinstance(vehicle, RoadVehicle):
+        vehicle = load_any(vehicle)
+    if isinstance(vehicle, RoadVehicle):
+        return _road(with_surroundings(vehicle, surroundings), settings)
     track = with_surroundings(with_methods(vehicle, hysteresis, thermal), surroundings)
     known = GateSettings(
         track.weight,

@@ -7,55 +7,34 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Sequence
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.base import Acting, BaseParameter, Predicted, Remembered, Values
-from trackres_ros.diagnosis.prepare.session import Session, with_unseen
+from trackres_ros.diagnosis.base.simulated import simulated
+from trackres_ros.diagnosis.prepare.session import Session
 from trackres_ros.diagnosis.writing.kept import Kept
 from trackres_ros.diagnosis.writing.vehicle_file import finish, opened, set_quantity
-from trackres_ros.effects.effect import Active, VehicleConstants
+from trackres_ros.effects.effect import Active
 from trackres_ros.effects.sensor.delay import Delay
 from trackres_ros.effects.sensor.torque_gain import TorqueGain
-from trackres_ros.effects.stepping import DISTANCE, UNUSABLE, cooled, new_memory, new_work, rest_effects
-from trackres_ros.effects.vehicle.drivetrain_efficiency import DrivetrainEfficiency
 from trackres_ros.effects.vehicle.rotating_inertia import RotatingInertia
-from trackres_ros.errors import InputError
-from trackres_ros.estimator.records import Series
-from trackres_ros.estimator.road_series import RoadLoad, run_road_load
+from trackres_ros.estimator.constants import make_constants
+from trackres_ros.estimator.kernel import PREDICTED_DRIVE
+from trackres_ros.estimator.settings import Settings
 from trackres_ros.files.yamls import read_yaml
-from trackres_ros.route.learned import RouteMap
 from trackres_ros.units import GRAVITY
-from trackres_ros.vehicle import Quantity
-from trackres_ros.vehicle.loading import EFFECT_KEYS, listed_effects
-from trackres_ros.vehicle.reading import Reader
-from trackres_ros.vehicle.schema import Limits
-from trackres_ros.vehicle.surroundings import load_route, load_surroundings
+from trackres_ros.vehicle import RoadVehicle
+from trackres_ros.vehicle.road import GEARS, SECTION, build_road
+from trackres_ros.vehicle.schema import ROAD_LOAD
 
 Array = NDArray[np.float64]
 
-QUANTITIES = {
-    "rolling_coefficient": Limits("1", 0.0, 0.5, "rolling resistance over weight"),
-    "rolling_rise": Limits("s/m", -0.01, 0.05, "growth of the rolling coefficient with speed"),
-    "drag_area": Limits("m^2", 0.0, 30.0, "drag coefficient times frontal area"),
-    "air_density": Limits("kg/m^3", 0.3, 2.0, "air density"),
-    "mass": Limits("kg", 0.5, 1e6, "mass with driver and load"),
-    "rotating_mass_factor": Limits("1", 1.0, 3.0, "effective over true mass in acceleration"),
-    "wheel_radius": Limits("m", 0.01, 3.0, "rolling radius of the driven wheels"),
-    "torque_scale": Limits("1", 0.01, 100.0, "shown over true torque at the wheels, as of a motor constant"),
-    "efficiency": Limits("1", 0.75, 1.0, "of the gears between the measured torque and the wheels"),
-    "torque_delay": Limits("s", 0.0, 1.0, "by which the measured torque is late"),
-    "contact_length": Limits("m", 0.01, 10.0, "length of the ground contact, or the wheelbase of a skid-steered vehicle"),
-    "track_width": Limits("m", 0.02, 10.0, "distance of left from right wheels, as they turn it", optional=True),
-    "max_speed": Limits("m/s", 0.1, 100.0, "greatest speed"),
-    "ambient": Limits("degC", -60.0, 60.0, "ambient temperature where none is given"),
-}
 FITTED = (
     "rolling_coefficient", "rolling_rise", "drag_area", "mass",
     "rotating_mass_factor", "torque_scale", "efficiency", "torque_delay",
@@ -66,47 +45,6 @@ ONLY_ONE_OF = ("mass", "torque_scale")
 without width. With both free a robot's scale came to lie at half to a tenth of its value, as errors of the speed hide a
 part of the inertia, and the friction of its turning at its bound; a car's mean error on held-out laps fell by 0.2 of 60 Nm.
 """
-
-
-@dataclass(frozen=True)
-class RoadVehicle:
-    """A checked road-load file: quantities by name, with their ranges."""
-
-    name: str
-    title: str
-    source: Path
-    values: Mapping[str, float]
-    parameters: Mapping[str, Quantity]
-    friction_brakes: bool  # whether brakes of which nothing is recorded help a torque that brakes
-    effects: tuple[Active, ...]
-    surroundings: tuple[Active, ...]
-    route: tuple[RouteMap, ...]  # slope and torque by place, of the surroundings
-    torque_shown: tuple[float, float]  # least and most times the expected torque, by the ranges of its scale and of the mass
-
-
-def load_road_vehicle(path: Path, content: Mapping[str, Any], surroundings: Path | None = None) -> RoadVehicle:
-    """Check the content of a road-load file, and read the file of the surroundings if one is named.
-
-    Raises
-    ------
-    InputError
-        On a missing, unknown or implausible value.
-    """
-    reader = Reader(path, None)
-    reader.keys(content, "", ("schema", "name", "title", "friction_brakes", "road_load"), EFFECT_KEYS)
-    values = reader.table(content["road_load"], "road_load", QUANTITIES)
-    parameters = {name: reader.parameters[f"road_load.{name}"] for name in values}
-    brakes = content["friction_brakes"]
-    if not isinstance(brakes, bool):
-        raise InputError(reader.where("friction_brakes"), brakes, "true or false")
-    name, title = reader.text(content["name"], "name"), reader.text(content["title"], "title")
-    size = values["mass"] * GRAVITY * values["wheel_radius"]
-    effects = listed_effects(reader, content, size, True, "vehicle")
-    around = load_surroundings(surroundings, name, size, True) if surroundings else ()
-    route = load_route(surroundings, size) if surroundings else ()
-    scale, mass = parameters["torque_scale"], parameters["mass"]
-    shown = (scale.low * mass.low / values["mass"], scale.high * mass.high / values["mass"])
-    return RoadVehicle(name, title, path, values, parameters, brakes, effects, around, route, shown)
 
 
 class RoadBase:
@@ -122,29 +60,27 @@ class RoadBase:
         self.held: Values = {}
         v = vehicle.values
         self.torque_scale, self.rotating_mass_factor = v["torque_scale"], v["rotating_mass_factor"]
-        self.facts = VehicleConstants(
-            radius=v["wheel_radius"], weight=v["mass"] * GRAVITY, drag_area=v["drag_area"], air_density=v["air_density"],
-            contact_length=v["contact_length"], assemblies=1, cooled_area=0.0, tension=1.0,
-        )  # fmt: skip
+        self.facts = vehicle.constants
+        self._constants = make_constants(vehicle, Settings())
         self.parts = {"wheels": 2.0 * math.pi * v["wheel_radius"]}
-        free = [name for name in FITTED if vehicle.parameters[name].standard_deviation > 0.0]
+        free = [name for name in FITTED if vehicle.parameters[f"{SECTION}.{name}"].standard_deviation > 0.0]
         if set(ONLY_ONE_OF) <= set(free):
             free = [name for name in free if name not in ONLY_ONE_OF]
         self.parameters = tuple(
             BaseParameter(
                 name,
-                QUANTITIES[name].unit,
+                ROAD_LOAD[name].unit,
                 v[name],
-                vehicle.parameters[name].standard_deviation,
-                QUANTITIES[name].low,
-                QUANTITIES[name].high,
-                (vehicle.parameters[name].low, vehicle.parameters[name].high),
+                vehicle.parameters[f"{SECTION}.{name}"].standard_deviation,
+                ROAD_LOAD[name].low,
+                ROAD_LOAD[name].high,
+                (vehicle.parameters[f"{SECTION}.{name}"].low, vehicle.parameters[f"{SECTION}.{name}"].high),
             )
             for name in free
         )
         same = {"torque_scale": TorqueGain.name, "rotating_mass_factor": RotatingInertia.name}
         refitted = (effect for parameter, effect in same.items() if parameter in free)
-        self.includes = (DrivetrainEfficiency.name, Delay.name, *refitted, *(active.effect.name for active in self._active))
+        self.includes = (GEARS.name, Delay.name, *refitted, *(active.effect.name for active in self._active))
 
     @property
     def alone(self) -> RoadBase:
@@ -161,7 +97,7 @@ class RoadBase:
         """See `base.Base`."""
         values = {**self.vehicle.values, **self.held, **values}
         chain = (
-            Active(DrivetrainEfficiency(), {"efficiency": values["efficiency"]}),
+            Active(GEARS, {"efficiency": values["efficiency"]}),
             Active(Delay(), {"time": values["torque_delay"]}),
         )
         acting = Acting.of([*chain, *self._active, *effects], self.facts)
@@ -174,45 +110,19 @@ class RoadBase:
 
     def _simulate(self, sessions: Sequence[Session], values: Values, acting: Acting) -> list[Array]:
         """Step through sessions; the torque of each [Nm]."""
-        work, memory = new_work(self.facts), new_memory(len(acting.stepped))
-        found = []
-        for i, (session, unseen) in enumerate(with_unseen(sessions)):
-            far = float(memory[DISTANCE])
-            if i > 0 and np.isfinite(session.gap):
-                rest_effects(*acting.table, memory, work, float(session.ambient[0]), session.gap)
-            else:
-                memory = cooled(memory)
-            torque, outcome = np.empty(len(session)), np.empty(len(session), dtype=np.int64)
-            unknown = np.full(len(session), np.nan)
-            vehicle = RoadLoad(
-                values["wheel_radius"],
-                values["rolling_coefficient"],
-                values["rolling_rise"],
-                values["drag_area"],
-                values["air_density"],
-                values["rotating_mass_factor"],
-            )
-            series = Series(
-                session.time,
-                acting.speed(session),
-                session.weight if "load" in session.given else values["mass"] * GRAVITY + session.payload,
-                session.ambient,
-                acting.accel(session),
-                acting.grade(session, i),
-                session.yaw_rate,
-                session.heading,
-                unknown,
-                unknown,
-                acting.torque_by_place(session, i),
-                unknown,
-            )
-            run_road_load(*acting.table, work, memory, *vehicle, *series, torque, outcome)
-            acting.check(outcome == UNUSABLE, session, self.facts)
-            if unseen:
-                memory[DISTANCE] = far
-            else:
-                found.append(torque)
-        return found
+        number = self._constants.number._replace(
+            bearing_friction=values["rolling_coefficient"],
+            rolling_rise=values["rolling_rise"],
+            drag_area=values["drag_area"],
+            rotating_mass_factor=values["rotating_mass_factor"],
+        )
+        k, empty = self._constants._replace(number=number), values["mass"] * GRAVITY
+
+        def weight(session: Session) -> Array:
+            return session.weight if "load" in session.given else empty + session.payload
+
+        found = simulated(k, np.ones(1), 0, self.facts, sessions, weight, acting)
+        return [np.ascontiguousarray(rows[:, PREDICTED_DRIVE]) for rows in found]
 
     def as_written(self, values: Values) -> RoadBase:
         """See `base.Base`."""
@@ -220,7 +130,7 @@ class RoadBase:
         with TemporaryDirectory() as folder:
             path = Path(folder) / "vehicle.yaml"
             self.write(path, Kept(values, (), {}), "")
-            written = load_road_vehicle(path, read_yaml(path))
+            written = build_road(path, read_yaml(path))
         return RoadBase(replace(written, effects=now.effects, surroundings=now.surroundings, route=now.route))
 
     def write(self, path: Path, kept: Kept, text: str) -> list[Path]:
@@ -228,8 +138,6 @@ class RoadBase:
         vehicle, document = self.vehicle, opened(self.vehicle.source)
         if kept.values is not None:
             for name in kept.values:
-                old = vehicle.parameters[name]
-                set_quantity(
-                    document, ("road_load", name), old, kept.values[name], kept.range_of(name), QUANTITIES[name], kept.by
-                )
+                old = vehicle.parameters[f"{SECTION}.{name}"]
+                set_quantity(document, (SECTION, name), old, kept.values[name], kept.range_of(name), ROAD_LOAD[name], kept.by)
         return finish(document, vehicle.name, vehicle.effects, vehicle.surroundings, path, kept, text, vehicle.route)

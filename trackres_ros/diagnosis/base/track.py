@@ -17,23 +17,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.base import Acting, BaseParameter, Predicted, Remembered, Values
-from trackres_ros.diagnosis.prepare.session import Session, with_unseen
+from trackres_ros.diagnosis.base.simulated import simulated
+from trackres_ros.diagnosis.prepare.session import Session
 from trackres_ros.diagnosis.writing.kept import Kept
 from trackres_ros.diagnosis.writing.vehicle_file import rubber_share, write_track_vehicle
 from trackres_ros.effects.effect import Active
-from trackres_ros.effects.stepping import DISTANCE, UNUSABLE, new_memory
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.constants import (
     Constants,
     conductances,
-    kernel_arguments,
     make_constants,
     parting_resistance,
-    work_space,
 )
-from trackres_ros.estimator.entry_points import COMPILED
-from trackres_ros.estimator.kernel import PREDICTED, PREDICTED_BELT, PREDICTED_DRIVE, PREDICTED_OUTCOME, PREDICTED_SKIN
-from trackres_ros.estimator.records import Carried, Series
+from trackres_ros.estimator.kernel import PREDICTED_BELT, PREDICTED_DRIVE, PREDICTED_SKIN
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.model.loss_table import loss_table
 from trackres_ros.model.thermal import thermal_network
@@ -147,38 +143,8 @@ class TrackBase:
 
     def _simulate(self, sessions: Sequence[Session], values: Values, acting: Acting) -> list[Array]:
         """Step through sessions; rows as of `kernel.predict`, shape (n, `PREDICTED`), of each."""
-        arguments = kernel_arguments(self._with(values, acting), COMPILED.compiled)
-        belts, motion = np.empty((len(self._firsts), 2, at.BELT_COLUMNS)), np.empty(at.MOTION_COLUMNS)
-        state = Carried(belts, motion, new_memory(len(acting.stepped)), np.zeros(at.LEARNED_COLUMNS))
-        found = []
-        for i, (session, unseen) in enumerate(with_unseen(sessions)):
-            ambient, far = float(session.ambient[0]), float(state.effects[DISTANCE])
-            if i == 0 or not np.isfinite(session.gap):
-                COMPILED.start_belts(*arguments, *state, ambient, 0.0)
-            else:
-                COMPILED.rest_vehicle(*arguments, *state, ambient, 0.0, session.gap)
-            rows, unknown = np.empty((len(session), PREDICTED)), np.full(len(session), np.nan)
-            series = Series(
-                session.time,
-                acting.speed(session),
-                session.weight,
-                session.ambient,
-                acting.accel(session),
-                acting.grade(session, i),
-                session.yaw_rate,
-                session.heading,
-                unknown,
-                unknown,
-                acting.torque_by_place(session, i),
-                unknown,
-            )
-            COMPILED.predict_series(*arguments, *state, self._count, *series, rows)
-            acting.check(rows[:, PREDICTED_OUTCOME] == UNUSABLE, session, self.facts)
-            if unseen:
-                state.effects[DISTANCE] = far
-            else:
-                found.append(rows)
-        return found
+        k, belts = self._with(values, acting), len(self._firsts)
+        return simulated(k, self._count, belts, self.facts, sessions, lambda session: session.weight, acting)
 
     def _scaled(self, loss: float) -> Array:
         """The loss table for so many times the loss modulus of the file; the last is kept, as most steps of a fit leave it."""
@@ -210,7 +176,7 @@ class TrackBase:
         return write_track_vehicle(self.vehicle, path, kept, text)
 
     def _with(self, values: Values, acting: Acting) -> Constants:
-        """What the step reads, with other values of the parameters and other effects."""
+        """What the step reads, with other values of the parameters."""
         k, vehicle = self._constants, self.vehicle
         resistance = parting_resistance(acting.stepped, self.facts)
         number = k.number._replace(
@@ -235,9 +201,6 @@ class TrackBase:
             assembly=assembly,
             loss=self._scaled(loss),
             drive=loss * k.drive,
-            effects=acting.table.rows,
-            effect_values=acting.table.values,
-            work=work_space(self.facts, 0),
         )
 
 

@@ -200,9 +200,9 @@ def _mass_std(base: Base, rolled: Rollouts) -> float:
     """Relative standard deviation of all that has to be slowed down, as far as the file says it."""
     assert isinstance(base, TrackBase | RoadBase)
     known = base.vehicle.parameters
-    names = ["chassis.rotating_mass_factor" if isinstance(base, TrackBase) else "rotating_mass_factor"]
+    names = ["chassis.rotating_mass_factor" if isinstance(base, TrackBase) else "road_load.rotating_mass_factor"]
     if isinstance(base, RoadBase) and not all("load" in s.given for s in rolled.sessions):
-        names.append("mass")
+        names.append("road_load.mass")
     return float(np.sqrt(sum((known[n].standard_deviation / float(np.mean(known[n].value))) ** 2 for n in names)))
 
 

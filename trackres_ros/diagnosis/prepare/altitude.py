@@ -27,13 +27,14 @@ SURE = 2.0  # standard deviations
 
 
 def with_slope(session: Session) -> tuple[Session, str]:
-    """A session whose slope is that of its altitude, and what to say of it; without altitude, or with a slope, as it is.
+    """A session whose slope is that of its altitude, and what to say of it; as it is without altitude, with a slope, or where
+    nothing may be compared.
 
     The slope is taken over as much of the way as the altitude's error asks for: what it scatters by, and where places are
     passed again, what it is off by from one pass to the next. It is used if at least half of its variance is no error, and if
     the measured torque is surely nearer to what it takes on such slopes than to what it takes on a plane.
     """
-    if "altitude" not in session.given or "grade" in session.given:
+    if "altitude" not in session.given or "grade" in session.given or not session.used.any():
         return session, ""
     error, passes = error_by_revisits(session)
     found = slopes(session.time + 0.5 * session.step, session.speed, session.altitude, error)

@@ -45,12 +45,11 @@ def conclude(prepared: Prepared, base: Refitted, chosen: Chosen, judged: Judged,
     believed = believed_in(judged.found, judged.terms, judged.verdict, kinds, keep_suspected)
     confirmed = [g.name for g in chosen.graded.values() if g.confirmed]
     kept = choose_written(believed, confirmed, final, base.refitted, base.use, judged.bounds)
-    if prepared.base.has_belt:  # a road_load vehicle does not run live
-        expected = base.use.expected(kept.values, kept.effects, alone=False)
-        watched = [chosen.term(t.described.name) for t in judged.terms if may_be_kept(t, judged.verdict, keep_suspected)]
-        tracked = judged.tracked
-        drifts = tracked is not None and (keep_suspected or tracked.confirmed)
-        kept = kept.with_disturbance(to_watch(watched, drifts, final, expected))
+    expected = base.use.expected(kept.values, kept.effects, alone=False)
+    watched = [chosen.term(t.described.name) for t in judged.terms if may_be_kept(t, judged.verdict, keep_suspected)]
+    tracked = judged.tracked
+    drifts = tracked is not None and (keep_suspected or tracked.confirmed)
+    kept = kept.with_disturbance(to_watch(watched, drifts, final, expected))
     return Concluded(tuple(advice), kept)
 
 

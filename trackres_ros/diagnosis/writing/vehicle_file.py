@@ -49,8 +49,6 @@ def write_track_vehicle(vehicle: Vehicle, path: Path, kept: Kept, text: str) -> 
         document.set(("model", key), method)
     if kept.values is not None:
         _set_values(document, vehicle, kept)
-    if kept.disturbance is not None:
-        _set_disturbance(document, kept.disturbance)
     return finish(document, vehicle.name, vehicle.effects, vehicle.surroundings, path, kept, text, vehicle.route)
 
 
@@ -157,6 +155,8 @@ def finish(
     """Write the file of a vehicle of a name, with effects, surroundings and route that it has already; see
     `write_track_vehicle`.
     """
+    if kept.disturbance is not None:
+        _set_disturbance(document, kept.disturbance)
     added, around = kept.of("vehicle"), [*surroundings, *kept.of("surroundings")]
     copied = _copied_effects([*effects, *added, *around], path.parent)
     document.add("effects", {active.effect.name: _values(active) for active in added})

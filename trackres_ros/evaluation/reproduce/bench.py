@@ -72,7 +72,7 @@ class Bench:
         return self._estimators[combination]
 
     def run(self, name: str, drive: Drive, weight_n: float | None = None, ambient_degc: float | None = None) -> Runs:
-        """The series of `simulate.COLUMNS` along a drive, by combination."""
+        """The series of `simulate.series_of` along a drive, by combination."""
         runs = {}
         for combination in COMBINATIONS:
             runs[combination] = simulate(self.estimator(combination), drive, weight_n, ambient_degc)

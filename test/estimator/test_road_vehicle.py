@@ -1,0 +1,150 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""A vehicle without belts runs in the same step: its torque is the road load, and a standing one is not pushed."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from trackres_ros.effects import Active, catalogue
+from trackres_ros.errors import InputError
+from trackres_ros.estimator import columns as at
+from trackres_ros.estimator import snapshot
+from trackres_ros.estimator.entry_points import interpreted_entries
+from trackres_ros.estimator.estimator import Estimator
+from trackres_ros.learning.learner import Learner
+from trackres_ros.units import GRAVITY, STANDSTILL_MPS
+from trackres_ros.vehicle import RoadVehicle, load, load_any, with_surroundings
+
+START_NS = 1_700_000_000_000_000_000
+BUS = load_any("ztbus_hess19")
+ESTIMATOR = Estimator(BUS)
+
+
+def at_once(estimator, **known):
+    inputs = estimator.inputs(**known)
+    return estimator.step(estimator.cold_start(inputs), inputs, 0.0)[1]
+
+
+def driven(estimator, speeds, **channels):
+    """Steps ten times a second, each channel sent a moment before each speed."""
+    session, found = estimator.session(), []
+    for i, speed in enumerate(speeds):
+        now = START_NS + i * 10**8
+        for name, value in channels.items():
+            session.handle(session.channel(name), now, now, float(value))
+        found.append(session.handle(at.SPEED, now, now, float(speed)))
+    return session, found
+
+
+@given(
+    st.floats(-19.0, 19.0), st.floats(1e5, 3e5), st.floats(-2.0, 2.0), st.floats(-0.1, 0.1)
+)  # fmt: skip
+def test_the_torque_is_the_road_load_in_closed_form(speed, weight, accel, grade):
+    v = BUS.values
+    sign = math.tanh(speed / STANDSTILL_MPS)
+    rolling = (v["rolling_coefficient"] + v["rolling_rise"] * abs(speed)) * weight * sign
+    wind = 0.5 * v["air_density"] * v["drag_area"] * speed * abs(speed)
+    other = v["rotating_mass_factor"] * weight / GRAVITY * accel + weight * math.sin(math.atan(grade))
+    torque = v["wheel_radius"] * (rolling + wind + other)
+    power = torque * sign / (1e-3 * BUS.weight * v["wheel_radius"])
+    estimate = at_once(ESTIMATOR, speed=speed, weight=weight, acceleration=accel, grade=grade)
+    assert estimate["drive_torque_nm"] == pytest.approx(torque * v["efficiency"] ** -math.tanh(power), rel=1e-9, abs=1e-6)
+    assert estimate["bearing_nm"] == pytest.approx(v["wheel_radius"] * rolling, rel=1e-9, abs=1e-9)
+    assert estimate["hysteresis_nm"] == 0.0
+
+
+@pytest.mark.parametrize("name", ["bmw_i3", "husky", "ztbus_hess19"])
+def test_it_has_no_column_of_a_belt(name):
+    estimator = Estimator(load_any(name))
+    inputs = estimator.inputs(speed=1.0)
+    assert not [column for column in estimator.columns if "/" in column]
+    for shown in (estimator.cold_start(inputs), at_once(estimator, speed=1.0)):
+        assert "belt" not in repr(shown)
+
+
+@pytest.mark.parametrize("shown", ["warmup", "stribeck", "roadwheel_tyres"])
+def test_feedforward_is_zero_at_standstill(shown):
+    effect = catalogue(size=BUS.size, on_tyres=True)[shown]
+    estimator = Estimator(replace(BUS, effects=(Active(effect, effect.values()),)))
+    _, found = driven(estimator, [*np.linspace(0.0, 8.0, 50), *np.linspace(8.0, 0.0, 50), *np.zeros(100)], accel=0.0)
+    assert max(estimate.feedforward_torque_nm for estimate in found) > 100.0
+    assert found[-1].feedforward_torque_nm == 0.0
+    assert found[-1].resistance_torque_nm == pytest.approx(0.0, abs=1e-9)
+
+
+def test_tyres_that_warm_up_lose_less_on_the_way():
+    warmup = catalogue(size=BUS.size, on_tyres=True)["warmup"]
+    estimator = Estimator(replace(BUS, effects=(Active(warmup, {**warmup.values(), "time_constant": 60.0}),)))
+    _, found = driven(estimator, np.full(3000, 10.0), accel=0.0)
+    assert found[0]["effects_nm"] > found[-1]["effects_nm"] + 0.5 * warmup.values()["torque"]
+
+
+def test_passengers_come_on_top_of_its_mass_and_a_load_is_all_of_it():
+    _, found = driven(ESTIMATOR, [5.0], passengers=10)
+    assert found[0]["weight_n"] == pytest.approx(BUS.weight + 10 * ESTIMATOR.settings.passenger_kg * GRAVITY)
+    _, found = driven(ESTIMATOR, [5.0], load=2.5e5)
+    assert found[0]["weight_n"] == 2.5e5
+
+
+def test_a_measured_torque_is_taken_by_the_scale_that_it_is_shown_in():
+    twice = replace(BUS, values={**BUS.values, "torque_scale": 2.0})
+    rows = [driven(Estimator(vehicle), [5.0, 5.0], torque=1000.0)[1][-1] for vehicle in (BUS, twice)]
+    assert (rows[0]["measured_torque_nm"], rows[1]["measured_torque_nm"]) == (1000.0, 500.0)
+    assert rows[1]["residual_nm"] == rows[1]["measured_torque_nm"] - rows[1]["drive_torque_nm"]
+
+
+@pytest.mark.parametrize("part", ["rolling_coefficient", "rolling_rise", "drag_area", "wheel_radius", "efficiency"])
+def test_a_wider_range_in_the_file_is_a_less_sure_torque(part):
+    q = BUS.parameters[f"road_load.{part}"]
+    wider = {**BUS.parameters, f"road_load.{part}": replace(q, low=q.low - 0.5 * (q.high - q.low), high=q.high)}
+    known, less = (at_once(Estimator(v), speed=12.0) for v in (BUS, replace(BUS, parameters=wider)))
+    assert less.resistance_std_nm > known.resistance_std_nm > 0.0
+    assert less.resistance_torque_nm == known.resistance_torque_nm
+
+
+def test_plain_python_and_machine_code_give_the_same_bits():
+    speeds = np.abs(np.sin(np.arange(200) / 30.0)) * 12.0
+    rows = [
+        np.array([estimate.row for estimate in driven(Estimator(BUS, entries=entries), speeds, passengers=30, grade=0.02)[1]])
+        for entries in (ESTIMATOR.entries, interpreted_entries())
+    ]
+    np.testing.assert_array_equal(*rows)
+
+
+def test_what_was_saved_goes_on_as_if_it_had_not_stopped(tmp_path):
+    session, _ = driven(ESTIMATOR, np.full(50, 6.0), accel=0.1)
+    snapshot.save(session, tmp_path / "state", saved_at=0.0)
+    resumed = snapshot.resume(Estimator(BUS), tmp_path / "state")
+    now = START_NS + 50 * 10**8
+    np.testing.assert_array_equal(session.handle(at.SPEED, now, now, 6.0).row, resumed.handle(at.SPEED, now, now, 6.0).row)
+
+
+def test_a_wheel_speed_is_a_witness_and_no_load():
+    _, found = driven(ESTIMATOR, np.full(40, 5.0), wheel_speed=0.0)
+    assert at.Reason.SPEED_DISAGREES in found[-1].reasons
+    assert found[-1]["weight_n"] == pytest.approx(BUS.weight)
+    assert found[-1].feedforward_torque_nm == 0.0
+
+
+def test_its_surroundings_are_those_made_for_it(tmp_path):
+    path = tmp_path / "s.yaml"
+    path.write_text("schema: 1\nvehicle: ztbus_hess19\neffects: {grade: {grade: 0.02}}\n")
+    around = with_surroundings(BUS, path)
+    assert isinstance(around, RoadVehicle)
+    more = at_once(Estimator(around), speed=10.0)["effects_nm"] - at_once(ESTIMATOR, speed=10.0)["effects_nm"]
+    assert more == pytest.approx(0.02 * BUS.size, rel=0.06)
+    with pytest.raises(InputError, match="ztbus_hess19"):
+        with_surroundings(load_any("bmw_i3"), path)
+
+
+def test_what_needs_belts_says_so():
+    with pytest.raises(InputError, match="which has no belts"):
+        load("bmw_i3")
+    with pytest.raises(InputError, match="only vehicles on tracks are learned"):
+        Learner(ESTIMATOR)

@@ -1,0 +1,90 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""A node of a vehicle without belts: the same topics but for those of belts, and nothing that pushes a standing vehicle."""
+
+import math
+
+import pytest
+from rich.console import Console
+
+from trackres_ros.cli.live_table import line, table
+from trackres_ros.errors import InputError
+
+BUS = "ztbus_hess19"
+WITH_TORQUE = """
+speed: {topic: speed, type: geometry_msgs/msg/TwistStamped, field: twist.linear.x}
+torque: {topic: torque, type: geometry_msgs/msg/WrenchStamped, field: wrench.torque.y}
+"""
+
+
+@pytest.fixture
+def with_torque(tmp_path):
+    path = tmp_path / "topics.yaml"
+    path.write_text(WITH_TORQUE)
+    return str(path)
+
+
+def driven(desk, speeds):
+    for speed in speeds:
+        desk.forward(0.1)
+        desk.send("speed", speed)
+
+
+def test_its_topics_are_those_without_belts(desk, with_torque):
+    d = desk(vehicle=BUS, topics=with_torque)
+    names = [output.name for output in d.app.outputs]
+    assert not [name for name in names if "temperature" in name or name == "parameters"]
+    assert {"feedforward_torque", "estimate", "resistance_torque", "torque_residual", "status"} <= set(names)
+    driven(d, [8.0 + 0.01 * (i % 7) for i in range(100)])
+    assert all(math.isfinite(value) for name, _, values in d.published for value in values if name != "torque_residual")
+    (resistance,) = [o for o in d.app.outputs if o.name == "resistance_torque"]
+    efforts = dict(zip(resistance.names, next(v for n, _, v in reversed(d.published) if n == "resistance_torque"), strict=True))
+    assert efforts["bearing"] < -500.0
+    assert efforts["total"] == pytest.approx(sum(efforts[part] for part in ("hysteresis", "bearing", "wind", "effects")))
+
+
+def test_nothing_is_fed_forward_once_it_stands(desk):
+    d = desk(vehicle=BUS)
+    driven(d, [8.0 - 0.04 * i for i in range(200)] + [0.0] * 50)
+    torques = [values[0] for name, _, values in d.published if name == "feedforward_torque_nm"]
+    assert max(torques) > 500.0
+    assert torques[-1] == 0.0
+
+
+def test_a_measured_torque_is_compared_and_nothing_is_learned(desk, with_torque):
+    d = desk(vehicle=BUS, topics=with_torque)
+    for _ in range(50):
+        d.send("torque", 1000.0)
+        driven(d, [8.0])
+    assert d.app.session.learned[0] == 0.0
+    d.app._publish_status(d.app._steady_ns(), diagnostics=True)
+    residual = [values for name, _, values in d.published if name == "torque_residual"][-1]
+    assert residual[2] == pytest.approx(residual[0] - residual[1])
+    with pytest.raises(InputError, match="only vehicles on tracks are learned"):
+        d.app.change({"learning": "on"})
+    with pytest.raises(InputError, match="only vehicles on tracks are learned"):
+        desk(vehicle=BUS, learning="on")
+
+
+def test_the_terminal_shows_what_rolls_and_no_belt(desk):
+    d = desk(vehicle=BUS)
+    driven(d, [8.0, 8.1, 8.2])
+    seen = d.app.overview()
+    console = Console(record=True, width=120)
+    console.print(table("bus", seen))
+    shown = console.export_text() + line(seen)
+    assert "rolling" in shown
+    assert "at wheels" in shown
+    assert "belt" not in shown
+    assert "hysteresis" not in shown
+
+
+def test_its_state_is_kept_over_a_restart(desk, tmp_path):
+    kept = {"vehicle": BUS, "state_file": str(tmp_path / "state.json")}
+    first = desk(**kept)
+    driven(first, [8.0] * 20)
+    first.app.save_state()
+    again = desk(**kept)
+    assert "taken from" in again.app.began_with
+    assert "belts" not in again.app.began_with

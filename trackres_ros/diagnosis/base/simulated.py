@@ -1,0 +1,83 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Steps through sessions one after the other, by the step that runs live; for a vehicle on tracks and for one without belts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.base.base import Acting
+from trackres_ros.diagnosis.prepare.session import Session, with_unseen
+from trackres_ros.effects.effect import VehicleConstants
+from trackres_ros.effects.stepping import DISTANCE, UNUSABLE, new_memory
+from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.constants import Constants, kernel_arguments, work_space
+from trackres_ros.estimator.entry_points import COMPILED
+from trackres_ros.estimator.kernel import PREDICTED, PREDICTED_OUTCOME
+from trackres_ros.estimator.records import Carried, Series
+
+Array = NDArray[np.float64]
+
+
+def simulated(
+    k: Constants,
+    count: Array,
+    belts: int,
+    facts: VehicleConstants,
+    sessions: Sequence[Session],
+    weight: Callable[[Session], Array],
+    acting: Acting,
+) -> list[Array]:
+    """Rows as of `kernel.predict`, shape (n, `PREDICTED`), of each session.
+
+    Parameters
+    ----------
+    k
+        What the step reads, but for its effects, which are those that act.
+    count, belts
+        How many assemblies there are of each kind, shape (kinds,), and how many kinds have a belt.
+    weight
+        Of the whole vehicle along a session [N].
+    """
+    table = acting.table
+    k = k._replace(effects=table.rows, effect_values=table.values, work=work_space(facts, 0))
+    arguments = kernel_arguments(k, COMPILED.compiled)
+    state = Carried(
+        np.empty((belts, 2, at.BELT_COLUMNS)),
+        np.empty(at.MOTION_COLUMNS),
+        new_memory(len(acting.stepped)),
+        np.zeros(at.LEARNED_COLUMNS),
+    )
+    found: list[Array] = []
+    for i, (session, unseen) in enumerate(with_unseen(sessions)):
+        ambient, far = float(session.ambient[0]), float(state.effects[DISTANCE])
+        if i == 0 or not np.isfinite(session.gap):
+            COMPILED.start_belts(*arguments, *state, ambient, 0.0)
+        else:
+            COMPILED.rest_vehicle(*arguments, *state, ambient, 0.0, session.gap)
+        rows, unknown = np.empty((len(session), PREDICTED)), np.full(len(session), np.nan)
+        series = Series(
+            session.time,
+            acting.speed(session),
+            weight(session),
+            session.ambient,
+            acting.accel(session),
+            acting.grade(session, i),
+            session.yaw_rate,
+            session.heading,
+            unknown,
+            unknown,
+            acting.torque_by_place(session, i),
+            unknown,
+        )
+        COMPILED.predict_series(*arguments, *state, count, *series, rows)
+        acting.check(rows[:, PREDICTED_OUTCOME] == UNUSABLE, session, facts)
+        if unseen:
+            state.effects[DISTANCE] = far
+        else:
+            found.append(rows)
+    return found

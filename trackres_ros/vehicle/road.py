@@ -1,0 +1,152 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Describes and loads a vehicle without belts: a rolling coefficient, air, inertia, gears; a chassis on tyres."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.effects.effect import Active, VehicleConstants
+from trackres_ros.effects.vehicle.drivetrain_efficiency import DrivetrainEfficiency
+from trackres_ros.errors import InputError
+from trackres_ros.files.resources import find_vehicle
+from trackres_ros.files.yamls import read_yaml
+from trackres_ros.route.learned import RouteMap
+from trackres_ros.units import GRAVITY
+from trackres_ros.vehicle.description import Assembly, Axle, Chassis, Disturbance, Quantity, Vehicle
+from trackres_ros.vehicle.disturbance import read_disturbance
+from trackres_ros.vehicle.loading import DISTURBANCE, EFFECT_KEYS, build, listed_effects
+from trackres_ros.vehicle.reading import Reader
+from trackres_ros.vehicle.schema import ROAD_LOAD
+
+SECTION = "road_load"
+GEARS = DrivetrainEfficiency()
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RoadVehicle:
+    """A vehicle of the base model `road_load`: it runs wherever a track vehicle does, without belts and their temperatures.
+
+    Attributes
+    ----------
+    name, title, source, parameters, effects, surroundings, route, disturbance
+        As of a `Vehicle`.
+    values
+        The quantities of the section `road_load`, by name; see `schema.ROAD_LOAD` for the units.
+    friction_brakes
+        Whether brakes of which nothing is recorded help a torque that brakes.
+    """
+
+    name: str
+    title: str
+    source: Path
+    values: Mapping[str, float]
+    parameters: Mapping[str, Quantity]
+    friction_brakes: bool
+    effects: tuple[Active, ...] = ()
+    surroundings: tuple[Active, ...] = ()
+    route: tuple[RouteMap, ...] = ()
+    disturbance: Disturbance | None = None
+
+    hysteresis = thermal = SECTION
+    axles: tuple[Axle, ...] = ()
+    assemblies: tuple[Assembly, ...] = ()
+
+    def __repr__(self) -> str:
+        with_effects = f", with {', '.join(a.effect.name for a in self.active[1:])}" if self.active[1:] else ""
+        return f"<RoadVehicle {self.name}: {self.title}; {self.weight / 1e3:.1f} kN, road load{with_effects}>"
+
+    @property
+    def own(self) -> tuple[Active, ...]:
+        """All effects of the vehicle: its gears, then those that its file lists."""
+        gears = self.parameters[f"{SECTION}.efficiency"]
+        values, ranges = {"efficiency": self.values["efficiency"]}, {"efficiency": (gears.low, gears.high)}
+        return (Active(GEARS, values, ranges), *self.effects)
+
+    @property
+    def active(self) -> tuple[Active, ...]:
+        """All effects in use, the vehicle's first."""
+        return (*self.own, *self.surroundings)
+
+    @property
+    def weight(self) -> float:
+        """Nominal weight [N]."""
+        return self.values["mass"] * GRAVITY
+
+    @property
+    def size(self) -> float:
+        """Weight times wheel radius [Nm]."""
+        return self.weight * self.values["wheel_radius"]
+
+    @property
+    def chassis(self) -> Chassis:
+        """What a track vehicle has besides tracks; of its bearings stands here what rolls, at a crawl."""
+        v = self.values
+        return Chassis(
+            v["rolling_coefficient"], v["drag_area"], 1.0, v["air_density"], v["rotating_mass_factor"], v["max_speed"], GRAVITY,
+            v["ambient"], None, None,
+        )  # fmt: skip
+
+    @property
+    def constants(self) -> VehicleConstants:
+        """What effects may know of it."""
+        v = self.values
+        return VehicleConstants(
+            radius=v["wheel_radius"], weight=self.weight, drag_area=v["drag_area"], air_density=v["air_density"],
+            contact_length=v["contact_length"], assemblies=1, cooled_area=0.0, tension=1.0,
+        )  # fmt: skip
+
+    @property
+    def torque_shown(self) -> tuple[float, float]:
+        """Least and most times the expected torque that a sensor shows, by the ranges of its scale and of the mass."""
+        scale, mass = (self.parameters[f"{SECTION}.{name}"] for name in ("torque_scale", "mass"))
+        return scale.low * mass.low / self.values["mass"], scale.high * mass.high / self.values["mass"]
+
+    def nominal_loads(self) -> NDArray[np.float64]:
+        """Its weight [N], shape (1,): all wheels are one.
+
+        Returns
+        -------
+        ndarray, shape (1,)
+            Load [N].
+        """
+        return np.array([self.weight])
+
+
+AnyVehicle = Vehicle | RoadVehicle
+
+
+def load_any(path_or_name: str | os.PathLike[str]) -> AnyVehicle:
+    """Load a vehicle file, on tracks or of the base model `road_load`; see `loading.load`."""
+    path = find_vehicle(path_or_name)
+    content = read_yaml(path)
+    return build_road(path, content) if isinstance(content.get(SECTION), dict) else build(path, content)
+
+
+def build_road(path: Path, content: Mapping[str, Any]) -> RoadVehicle:
+    """Check the content of a road-load file.
+
+    Raises
+    ------
+    InputError
+        On a missing, unknown or implausible value.
+    """
+    reader = Reader(path, None)
+    reader.keys(content, "", ("schema", "name", "title", "friction_brakes", SECTION), (*EFFECT_KEYS, DISTURBANCE))
+    values = reader.table(content[SECTION], SECTION, ROAD_LOAD)
+    brakes = content["friction_brakes"]
+    if not isinstance(brakes, bool):
+        raise InputError(reader.where("friction_brakes"), brakes, "true or false")
+    name, title = reader.text(content["name"], "name"), reader.text(content["title"], "title")
+    size = values["mass"] * GRAVITY * values["wheel_radius"]
+    effects = listed_effects(reader, content, size, True, "vehicle")
+    watched = read_disturbance(reader, content[DISTURBANCE]) if DISTURBANCE in content else None
+    return RoadVehicle(name, title, path, values, reader.parameters, brakes, effects, disturbance=watched)
