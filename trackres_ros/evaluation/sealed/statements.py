@@ -50,7 +50,7 @@ def is_true(term: Mapping[str, Any], over: Mapping[str, Array], added: Array, le
     if form == "spells":
         return _two_levels(np.split(added, np.cumsum(lengths)[:-1]))
     if form == "recordings":
-        return partial([np.repeat(np.arange(len(lengths)), lengths)], over, added) >= BOUND
+        return partial([np.repeat(np.arange(len(lengths)), lengths.astype(int))], over, added) >= BOUND
     if form == "level_change":
         edges = range(BLOCK_S, len(added) - BLOCK_S, 10)
         return max((abs(_correlation((np.arange(len(added)) >= k).astype(float), added)) for k in edges), default=0.0) >= ALL
