@@ -87,7 +87,7 @@ def _road(road: RoadVehicle, settings: Settings) -> LoadedBase:
         base.facts.weight,
         road.values["max_speed"],
         road.values["ambient"],
-        road.friction_brakes,
+        road.friction_brakes or (False if base.rolls else None),  # what slides has none
         torque_scale=road.torque_shown,
         passenger_kg=settings.passenger_kg,
         track_width=road.values.get("track_width"),

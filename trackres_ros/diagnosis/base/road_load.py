@@ -5,9 +5,8 @@
 
 from __future__ import annotations
 
-import copy
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -16,22 +15,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.base.base import Acting, BaseParameter, Predicted, Remembered, Values
+from trackres_ros.diagnosis.base.base import Acting, BaseParameter, Defaults, Predicted, Remembered, Values
 from trackres_ros.diagnosis.prepare.session import Session, with_unseen
 from trackres_ros.diagnosis.writing.kept import Kept
 from trackres_ros.diagnosis.writing.vehicle_file import finish, opened, set_quantity
 from trackres_ros.effects.effect import Active, VehicleConstants
 from trackres_ros.effects.sensor.delay import Delay
 from trackres_ros.effects.sensor.torque_gain import TorqueGain
+from trackres_ros.effects.sensor.torque_offset import TorqueOffset
 from trackres_ros.effects.stepping import DISTANCE, UNUSABLE, cooled, new_memory, new_work, rest_effects
+from trackres_ros.effects.vehicle.coulomb_friction import CoulombFriction
 from trackres_ros.effects.vehicle.drivetrain_efficiency import DrivetrainEfficiency
 from trackres_ros.effects.vehicle.rotating_inertia import RotatingInertia
+from trackres_ros.effects.vehicle.viscous_friction import ViscousFriction
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.records import Series
 from trackres_ros.estimator.road_series import RoadLoad, run_road_load
 from trackres_ros.files.yamls import read_yaml
 from trackres_ros.route.learned import RouteMap
-from trackres_ros.units import GRAVITY
+from trackres_ros.units import GRAVITY, STANDSTILL_MPS
 from trackres_ros.vehicle import Quantity
 from trackres_ros.vehicle.loading import EFFECT_KEYS, listed_effects
 from trackres_ros.vehicle.reading import Reader
@@ -55,12 +57,18 @@ QUANTITIES = {
     "track_width": Limits("m", 0.02, 10.0, "distance of left from right wheels, as they turn it", optional=True),
     "max_speed": Limits("m/s", 0.1, 100.0, "greatest speed"),
     "ambient": Limits("degC", -60.0, 60.0, "ambient temperature where none is given"),
+    "coulomb_friction": Limits("N", 0.0, 1e6, "friction of what slides, at any speed", optional=True),
+    "viscous_friction": Limits("N s/m", 0.0, 1e8, "friction of what slides, over its speed", optional=True),
+    "torque_offset": Limits("Nm", -1e5, 1e5, "shown at no torque", optional=True),
 }
 FITTED = (
     "rolling_coefficient", "rolling_rise", "drag_area", "mass",
     "rotating_mass_factor", "torque_scale", "efficiency", "torque_delay",
 )  # fmt: skip
 """What is re-fitted, if its range has a width."""
+OF_SLIDES = {"coulomb_friction": (CoulombFriction(), "friction"), "viscous_friction": (ViscousFriction(), "coefficient")}
+"""Forces of what slides: the effect that each of them is, and its parameter, over the radius; re-fitted where they are given."""
+SLOW_SHARE = 1.0 / 30.0  # of the greatest speed: what creeps turns from forward to reverse within less than `STANDSTILL_MPS`
 ONLY_ONE_OF = ("mass", "torque_scale")
 """Both scale nearly all, and only the product shows: of these, one is re-fitted where the file holds the other, by a range
 without width. With both free a robot's scale came to lie at half to a tenth of its value, as errors of the speed hide a
@@ -109,25 +117,30 @@ def load_road_vehicle(path: Path, content: Mapping[str, Any], surroundings: Path
     return RoadVehicle(name, title, path, values, parameters, brakes, effects, around, route, shown)
 
 
-class RoadBase:
+class RoadBase(Defaults):
     """Base model `road_load`; see `base.Base`."""
 
     name = "road_load"
-    has_belt = False
 
     def __init__(self, vehicle: RoadVehicle) -> None:
+        super().__init__()
         self.vehicle = vehicle
         self._active = (*vehicle.effects, *vehicle.surroundings)
         self._simulated = Remembered()
-        self.held: Values = {}
         v = vehicle.values
         self.torque_scale, self.rotating_mass_factor = v["torque_scale"], v["rotating_mass_factor"]
         self.facts = VehicleConstants(
             radius=v["wheel_radius"], weight=v["mass"] * GRAVITY, drag_area=v["drag_area"], air_density=v["air_density"],
             contact_length=v["contact_length"], assemblies=1, cooled_area=0.0, tension=1.0,
+            standstill=min(STANDSTILL_MPS, SLOW_SHARE * v["max_speed"]),
         )  # fmt: skip
         self.parts = {"wheels": 2.0 * math.pi * v["wheel_radius"]}
-        free = [name for name in FITTED if vehicle.parameters[name].standard_deviation > 0.0]
+        free = [
+            name
+            for name in (*FITTED, *OF_SLIDES, "torque_offset")
+            if name in v and vehicle.parameters[name].standard_deviation > 0.0
+        ]
+        self.rolls = v["rolling_coefficient"] > 0.0 or "rolling_coefficient" in free
         if set(ONLY_ONE_OF) <= set(free):
             free = [name for name in free if name not in ONLY_ONE_OF]
         self.parameters = tuple(
@@ -144,26 +157,25 @@ class RoadBase:
         )
         same = {"torque_scale": TorqueGain.name, "rotating_mass_factor": RotatingInertia.name}
         refitted = (effect for parameter, effect in same.items() if parameter in free)
-        self.includes = (DrivetrainEfficiency.name, Delay.name, *refitted, *(active.effect.name for active in self._active))
+        chain = (DrivetrainEfficiency.name, Delay.name, *(name for name in (*OF_SLIDES, TorqueOffset.name) if name in v))
+        self.includes = (*chain, *refitted, *(active.effect.name for active in self._active))
 
     @property
     def alone(self) -> RoadBase:
         """See `base.Base`."""
         return RoadBase(replace(self.vehicle, surroundings=(), route=())) if self.vehicle.surroundings else self
 
-    def inside_ranges(self, free: Collection[str]) -> RoadBase:
-        """See `base.Base`."""
-        found = copy.copy(self)
-        found.parameters = tuple(q if q.name in free else q.inside() for q in self.parameters)
-        return found
-
     def predict(self, sessions: Sequence[Session], values: Values, effects: Sequence[Active]) -> list[Predicted]:
         """See `base.Base`."""
         values = {**self.vehicle.values, **self.held, **values}
-        chain = (
+        chain = [
             Active(DrivetrainEfficiency(), {"efficiency": values["efficiency"]}),
             Active(Delay(), {"time": values["torque_delay"]}),
-        )
+        ]
+        radius = values["wheel_radius"]
+        chain += [Active(e, {q: radius * values[name]}) for name, (e, q) in OF_SLIDES.items() if name in values]
+        if "torque_offset" in values:
+            chain.append(Active(TorqueOffset(), {"offset": values["torque_offset"]}))
         acting = Acting.of([*chain, *self._active, *effects], self.facts)
         torques = self._simulated.rows(sessions, values, acting, lambda: self._simulate(sessions, values, acting))
         found = []
