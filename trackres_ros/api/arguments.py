@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias, Union
 from trackres_ros.errors import InputError
 
 if TYPE_CHECKING:
+    from trackres_ros.diagnosis.base.own import OwnModel
     from trackres_ros.diagnosis.base.road_load import RoadVehicle
     from trackres_ros.recording.bindings import Topics
     from trackres_ros.vehicle import Vehicle
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 
 StrPath: TypeAlias = str | PathLike[str]
 VehicleGiven: TypeAlias = Union["Vehicle", "RoadVehicle", StrPath]
+ModelGiven: TypeAlias = Union[VehicleGiven, "OwnModel"]
 TopicsGiven: TypeAlias = Union["Topics", Mapping[str, Mapping[str, Any]], StrPath]
 
 

@@ -15,7 +15,7 @@ from trackres_ros.diagnosis.base.variables import BY_NAME, varying
 from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.prepare.session import Session
-from trackres_ros.text.numbers import on_scale
+from trackres_ros.text.numbers import figures, on_scale
 
 Array = NDArray[np.float64]
 
@@ -147,14 +147,20 @@ class Acts:
             Root mean square of the residual over time, see `swings_of` [Nm].
         """
         if self.follows < FOLLOWS_LEAST:
-            return f"the vehicle needs at times more and at times less than the re-fitted model, {swings:.0f} Nm root mean square"
+            size = f"{in_nm(swings)} Nm root mean square"
+            return f"the vehicle needs at times more and at times less than the re-fitted model, {size}"
         means = [b.mean_residual for b in at_base.bins if b.variable == self.variable]
         if self.both_ways and means and min(means) < 0.0 < max(means):
             low, high = -min(means), max(means)
-            between = f"from {low:.0f} Nm less to {high:.0f} Nm more"
+            between = f"from {in_nm(low)} Nm less to {in_nm(high)} Nm more"
             return f"the vehicle needs {between} than the re-fitted model, depending on the {self.variable}"
         way = "more" if here.mean_residual > 0.0 else "less"
-        return f"the vehicle needs about {abs(here.mean_residual):.0f} Nm {way} than the re-fitted model"
+        return f"the vehicle needs about {in_nm(abs(here.mean_residual))} Nm {way} than the re-fitted model"
+
+
+def in_nm(torque: float) -> str:
+    """A torque in whole Nm; in figures where that would be none, as of a small machine."""
+    return f"{torque:.0f}" if torque >= 0.5 else figures(torque, 2)
 
 
 def against_travel(sessions: Sequence[Session], adds: Sequence[Array]) -> list[Array]:

@@ -29,9 +29,9 @@ from trackres_ros.units import GRAVITY
 
 MOST_UNKNOWN = 0.5  # of a recording
 ODOMETER_OFF = 0.15  # of the speed: further off it was reset, or stood still
-QUICK, STEADY = 0.5, 0.01
-"""Share of the speed's mean square that changes from one step to the next. Over 1 s it is 0.001 to 0.007 of a car on a road,
-0.005 of a bus, 0.05 to 0.27 of robots that are driven to and fro, and 0.96 of a carriage on a screw."""
+QUICK, STEADY = 1.0 / 3.0, 0.01
+"""Share of the speed's mean square that is another one step later. Over 1 s it is up to 0.004 of a car on a road and of a bus, 0.03 to
+0.17 of robots that are driven to and fro, and 0.56 of a carriage on a screw."""
 SHORTER_STEPS_S = (0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
 CHANNELS = ("ambient", "grade", "yaw_rate", "heading", "accel")
 
@@ -50,9 +50,9 @@ def step_for(recordings: Sequence[Recording], samples: int = LEAST_SAMPLES, slow
     Of a bus that recorded once in a second, steps of 1 s made a mass of 12.5 t of one of 19 t, and steps from 3 to 8 s one of
     18.1 to 18.9 t: what happens between two samples hides a part of the inertia.
 
-    What resists hangs on the speed at each moment, so the mean of a step has to stand for all of it. Where half of the speed's
-    mean square changes from one step to the next, it does not: the step is then one over which so little changes as does for a
-    vehicle on a road in the usual one.
+    What resists hangs on the speed at each moment, so the mean of a step has to stand for all of it. Where a third of the speed's
+    mean square is another one step later, it does not: the step is then one over which so little changes as does for a vehicle
+    on a road in the usual one.
     """
     slowest = 0.0
     for recording in recordings:
@@ -70,19 +70,20 @@ def step_for(recordings: Sequence[Recording], samples: int = LEAST_SAMPLES, slow
 
 
 def _changes(recordings: Sequence[Recording], step: float, slowest_speed: float) -> float:
-    """Share of the speed's mean square that changes from one step to the next; 0 of what does not move, has no speed, or fewer
-    samples than steps, as of a clock that was set.
+    """Share of the speed's mean square that is another one step later, or averages out within steps; 0 of what does not move, has no
+    speed, or fewer samples than steps, as of a clock that was set.
     """
-    changed, whole, count = 0.0, 0.0, 0
+    alike, whole, count = 0.0, 0.0, 0
     for recording in recordings:
         at, speed = ordered(recording.series["speed"], recording.start_ns) if "speed" in recording.series else (np.empty(0),) * 2
         if len(at) > LEAST_SAMPLES and 3.0 * step < at[-1] < step * len(at):
-            mean, known = means(at, speed, np.arange(0.0, at[-1], step))
+            edges = np.arange(0.0, at[-1], step)
+            (mean, known), (square, _) = means(at, speed, edges), means(at, speed**2, edges)
             both = known[1:] & known[:-1]
-            changed += float((np.diff(mean)[both] ** 2).sum())
-            whole += float((mean[1:][both] ** 2).sum())
+            alike += float((mean[1:] * mean[:-1])[both].sum())
+            whole += 0.5 * float((square[1:] + square[:-1])[both].sum())
             count += int(both.sum())
-    return changed / whole if whole > count * slowest_speed**2 else 0.0
+    return 1.0 - alike / whole if whole > count * slowest_speed**2 else 0.0
 
 
 def is_hidden(role: str, hide: Collection[str]) -> bool:

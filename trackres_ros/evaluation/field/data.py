@@ -4,8 +4,7 @@
 """Reads public recordings of real vehicles into tables that `trackres diagnose` reads. The project holds none of them.
 
 The car: Steinstraeter, Buberger, Trifonov, "Battery and Heating Data in Real Driving Cycles", IEEE DataPort,
-doi:10.21227/6jr9-5235. The robots: norlab-ulaval, DRIVE, BSD-3. The slide: Janot, Gautier and Brunot, "Data set and reference
-models of EMPS", 2019 Workshop on Nonlinear System Identification Benchmarks.
+doi:10.21227/6jr9-5235. The robots: norlab-ulaval, DRIVE, BSD-3.
 """
 
 from __future__ import annotations
@@ -19,7 +18,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import butter, sosfiltfilt
 
 from trackres_ros.recording.slopes import slopes
 from trackres_ros.units import EARTH_M, KMH_PER_MPS
@@ -31,7 +29,6 @@ SECONDS_PER_H = 3600.0
 SLOWEST_MPS, YAW_OVER_S = 0.1, 0.5
 NM_PER_A = 1.0  # assumed: what is found of the robots is in units of it
 POSITION = {"latitude_deg": "y", "longitude_deg": "x"}
-PASSES_HZ, ORDER = 50.0, 4  # of the filter of the slide: its speed changes within 100 ms
 RADIUS_M = {"husky": 0.159, "warthog": 0.3}
 OF_CAR = ("Time [s]", "Velocity [km/h]", "Elevation [m]", "Motor Torque [Nm]", "Ambient Temperature")
 
@@ -105,17 +102,6 @@ def robot(data: Path, name: str, folder: Path) -> Path:
         **{f"wheel_speed_mps/{side}": rim[there] for side, rim in rims.items()},
     }
     return _write(folder / f"{name}.csv", columns)
-
-
-def slide(data: Path, folder: Path) -> Path:
-    """Write the recording of the positioning system: the speed is the derivative of the position. Position and force pass the
-    same filter, without a shift in time, so that neither comes later; with a wheel radius of 1 m the force is a torque.
-    """
-    table = np.loadtxt(data / "emps" / "emps.csv.gz", delimiter=",", skiprows=1)
-    time = table[:, 0]
-    low_pass = butter(ORDER, PASSES_HZ, fs=1.0 / float(np.median(np.diff(time))), output="sos")
-    position, force = sosfiltfilt(low_pass, table[:, 1:], axis=0).T
-    return _write(folder / "emps.csv", {"time_s": time, "speed_mps": np.gradient(position, time), "torque_nm": force})
 
 
 def _write(path: Path, columns: Mapping[str, Array]) -> Path:
