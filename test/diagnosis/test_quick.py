@@ -43,7 +43,7 @@ def test_a_speed_that_shows_noise_alone_keeps_the_usual_step():
 @pytest.mark.parametrize("faster", [2.0, 10.0])
 def test_what_is_quicker_gets_a_step_as_much_shorter(faster):
     step = step_for([to_and_fro(1.0, 1000.0, 30.0)])
-    quicker = step_for([to_and_fro(1.0 / faster, faster * 1000.0, 30.0 / faster)])
+    quicker = step_for([to_and_fro(1.0 / faster, faster * 1000.0, 30.0)])
     assert step < 0.1 * STEP_S
     assert step / faster / 2.5 <= quicker <= step / faster * 2.5  # steps are 1, 2 or 5 of a decade
 

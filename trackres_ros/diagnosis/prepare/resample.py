@@ -30,8 +30,8 @@ from trackres_ros.units import GRAVITY
 MOST_UNKNOWN = 0.5  # of a recording
 ODOMETER_OFF = 0.15  # of the speed: further off it was reset, or stood still
 QUICK, STEADY = 1.0 / 3.0, 0.01
-"""Share of the speed's mean square that is another one step later. Over 1 s it is up to 0.004 of a car on a road and of a bus, 0.03 to
-0.17 of robots that are driven to and fro, and 0.56 of a carriage on a screw."""
+"""Share of the speed's mean square that is another one step later. Over 1 s it is up to 0.004 of a car on a road and of a bus,
+0.03 to 0.17 of robots that are driven to and fro, and 0.56 of a carriage on a screw."""
 SHORTER_STEPS_S = (0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
 CHANNELS = ("ambient", "grade", "yaw_rate", "heading", "accel")
 
@@ -70,8 +70,8 @@ def step_for(recordings: Sequence[Recording], samples: int = LEAST_SAMPLES, slow
 
 
 def _changes(recordings: Sequence[Recording], step: float, slowest_speed: float) -> float:
-    """Share of the speed's mean square that is another one step later, or averages out within steps; 0 of what does not move, has no
-    speed, or fewer samples than steps, as of a clock that was set.
+    """Share of the speed's mean square that is another one step later, or averages out within steps; 0 of what does not move,
+    has no speed, or fewer samples than steps, as of a clock that was set.
     """
     alike, whole, count = 0.0, 0.0, 0
     for recording in recordings:
