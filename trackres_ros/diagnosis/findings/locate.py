@@ -218,7 +218,7 @@ def swings_of(means: Sequence[Array]) -> tuple[list[float], float]:
 @dataclass(frozen=True, slots=True)
 class SlowResidual:
     """What is left of the torque residual in means over `STRAY_S` of a drive, root mean square [Nm]; its share of the torque, the
-    slope that would do as much, nan where the slope was measured, and how long that is here [s].
+    slope that would do as much, nan where it was measured or nothing rolls, and how long that is here [s].
     """
 
     size: float
@@ -243,8 +243,9 @@ def slow_residual(found: Fit) -> SlowResidual:
         torques.append(session.torque[segment.mask])
     size = float(np.sqrt(np.mean(np.concatenate(means) ** 2))) if sum(map(len, means)) else 0.0
     torque = float(np.sqrt(np.mean(np.concatenate(torques) ** 2)))
-    facts, measured = found.problem.base.facts, all("grade" in s.given for s in found.problem.sessions)
-    slope = float("nan") if measured else size / (facts.weight * facts.radius)
+    base = found.problem.base
+    measured = all("grade" in s.given for s in found.problem.sessions) or not base.rolls
+    slope = float("nan") if measured else size / (base.facts.weight * base.facts.radius)
     return SlowResidual(size, size / max(torque, 1e-12), slope, STRAY_S * found.problem.sessions[0].pace)
 
 
