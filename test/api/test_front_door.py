@@ -27,6 +27,7 @@ EXPORTED = {
     "effects",
     "Estimator", "Vehicle", "Recording", "Recovered", "InputError", "MissingExtraError",
     "Sample", "ReplayResult", "SimulationResult", "OperatingPoint", "VehicleCheck", "DiagnosisResult", "CoastdownResult",
+    "OwnModel",
     "__version__",
 }  # fmt: skip
 
