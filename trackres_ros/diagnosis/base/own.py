@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.base import Acting, BaseParameter, Defaults, Predicted, Remembered, Values
+from trackres_ros.diagnosis.base.road_load import SLOW_SHARE
 from trackres_ros.diagnosis.prepare.session import Session, with_unseen
 from trackres_ros.diagnosis.prepare.settings import GateSettings
 from trackres_ros.diagnosis.writing.kept import Kept
@@ -44,7 +45,6 @@ IntArray = NDArray[np.int64]
 Torque = Callable[[Session, Values], Array]
 
 SIZE = 0.15  # greatest torque over weight times radius: of a vehicle that it speeds up by 1.5 m/s^2
-SLOW_SHARE = 1.0 / 30.0  # of the greatest speed, as of `road_load`
 AMBIENT_DEGC = 20.0
 
 
