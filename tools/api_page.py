@@ -17,13 +17,14 @@ FUNCTIONS = (
 CLASSES = (
     "Recording", "ReplayResult", "SimulationResult", "OperatingPoint", "VehicleCheck", "DiagnosisResult", "CoastdownResult",
     "Estimator", "Vehicle",
-    "Sample", "Recovered", "InputError",
+    "OwnModel", "Sample", "Recovered", "InputError",
 )  # fmt: skip
 MEMBERS = {  # of classes whose other members are for the inside of the package
     "Recording": ("start_ns", "roles", "time_s", "aligned", "report"),
     "Estimator": ("inputs", "cold_start", "step", "run", "rest", "session"),
     "Vehicle": ("weight", "nominal_loads", "track_of"),
     "InputError": ("as_dict",),
+    "OwnModel": ("known",),
 }
 PARAGRAPH = "\n\n"
 SECTIONS = ("Parameters", "Attributes", "Returns", "Raises", "Examples")

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from trackres_ros.api.replaying import replay
     from trackres_ros.api.simulating import explain, simulate
     from trackres_ros.api.vehicles import check_vehicle, load_vehicle
+    from trackres_ros.diagnosis.base.own import OwnModel
     from trackres_ros.errors import InputError, MissingExtraError
     from trackres_ros.estimator.estimator import Estimator
     from trackres_ros.offline.sample import Sample
@@ -46,6 +47,7 @@ __all__ = [
     "InputError",
     "MissingExtraError",
     "OperatingPoint",
+    "OwnModel",
     "Recording",
     "Recovered",
     "ReplayResult",
@@ -74,6 +76,7 @@ _HOMES = {
     "InputError": "errors",
     "MissingExtraError": "errors",
     "OperatingPoint": "results.operating_point",
+    "OwnModel": "diagnosis.base.own",
     "Recording": "recording.recording",
     "Recovered": "recording.unfinished",
     "ReplayResult": "results.replay",

@@ -25,8 +25,9 @@ NAMES = [
     "viscous_bearing", "stribeck", "headwind", "air_drag", "payne", "mullins", "frequency", "compound_temperature",
     "core_surface", "convection", "ground_conduction", "still_air", "solar", "rain", "tension_torque", "lug_friction",
     "roadwheel_tyres", "soft_ground", "vibration", "warmup", "torque_offset", "torque_gain", "speed_scale", "delay",
+    "coulomb_friction", "viscous_friction", "friction_by_direction",
 ]  # fmt: skip
-BOTH_WAYS = ("grade", "grade_profile", "headwind", "rotating_inertia")
+BOTH_WAYS = ("grade", "grade_profile", "headwind", "rotating_inertia", "friction_by_direction")
 OF_SURROUNDINGS = {"grade", "grade_profile", "headwind", "rain", "soft_ground", "solar"}
 OF_SENSORS = {"delay", "speed_scale", "torque_gain", "torque_offset"}
 CATALOGUE = catalogue()
@@ -167,11 +168,7 @@ def test_an_effects_own_state_follows_its_target_exactly_and_from_anywhere():
 
 @pytest.mark.parametrize(
     "name",
-    [
-        n
-        for n in NAMES
-        if CATALOGUE[n].acts_on == "torque" and n not in ("grade", "grade_profile", "headwind", "rotating_inertia")
-    ],
+    [n for n in NAMES if CATALOGUE[n].acts_on == "torque" and n not in BOTH_WAYS],
 )
 def test_friction_turns_with_the_direction_and_vanishes_at_rest(name):
     effect = CATALOGUE[name]

@@ -68,7 +68,7 @@ def test_a_file_of_that_name_comes_first(tmp_path, monkeypatch):
 
 
 def test_another_name_is_refused_with_the_nearest(tmp_path, trackres):
-    with pytest.raises(InputError, match=r"topics: given 'smple'.*one of default, sample, ztbus; did you mean sample\?"):
+    with pytest.raises(InputError, match=r"topics: given 'smple'.*one of default, emps, sample, ztbus; did you mean sample\?"):
         Topics.load("smple")
     done = trackres("replay", tmp_path / "x.csv", "--vehicle", "xgd24", "-o", tmp_path / "o.csv")
     assert done.returncode == 2

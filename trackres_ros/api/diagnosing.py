@@ -11,7 +11,7 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from trackres_ros.api.arguments import StrPath, TopicsGiven, VehicleGiven, as_paths, as_topics
+from trackres_ros.api.arguments import ModelGiven, StrPath, TopicsGiven, as_paths, as_topics
 from trackres_ros.api.recordings import read
 from trackres_ros.errors import InputError
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 def diagnose(
     recordings: StrPath | Recording | Sequence[StrPath | Recording],
-    vehicle: VehicleGiven,
+    vehicle: ModelGiven,
     *,
     topics: TopicsGiven | None = None,
     surroundings: StrPath | None = None,
@@ -43,7 +43,7 @@ def diagnose(
     recordings
         Each a session: what `read` gave, or a path of what it takes.
     vehicle
-        A vehicle, the path of its file, or the name of a shipped one; also one of the base model ``road_load``.
+        A vehicle, the path of its file, or the name of a shipped one; also one of the base model ``road_load``, or an `OwnModel`.
     topics
         As in `read`, for the paths.
     surroundings

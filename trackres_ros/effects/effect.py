@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple, Protocol
+from typing import Any, ClassVar, Literal, NamedTuple, Protocol
 
 from trackres_ros.units import STANDSTILL_MPS
 
@@ -106,6 +106,7 @@ class VehicleConstants(NamedTuple):
     assemblies: float
     cooled_area: float  # of one assembly's belt; 0 where there is none
     tension: float  # of one belt; 0 where there is none
+    standstill: float = STANDSTILL_MPS  # speed over which friction changes its sign smoothly
 
 
 class Conditions(NamedTuple):
@@ -145,7 +146,7 @@ def conditions(
     weight = facts.weight if weight is None else weight
     return Conditions(
         facts, speed, accel, weight, ambient, yaw_rate, heading, distance, drive_torque,
-        math.tanh(speed / STANDSTILL_MPS), curvature, belt, own,
+        math.tanh(speed / facts.standstill), curvature, belt, own,
     )  # fmt: skip
 
 
@@ -243,6 +244,8 @@ class Effect(ABC):
         See `Parameter`.
     belt_only
         Whether it makes sense only where there is a belt.
+    only_of
+        ``rolls`` or ``slides`` where it makes sense only of what rolls, or of what does not; empty else.
     source
         The file of an effect of the user's own; None for those of the catalogue.
     """
@@ -254,6 +257,7 @@ class Effect(ABC):
     needs: tuple[str, ...] = ("speed",)
     parameters: tuple[Parameter, ...]
     belt_only: ClassVar[bool] = False
+    only_of: ClassVar[Literal["", "rolls", "slides"]] = ""
     source: Path | None = None
 
     def lag(self, at: Conditions, p: Values) -> Lag | None:  # noqa: ARG002 - most have none
@@ -293,6 +297,7 @@ class Effect(ABC):
             "text": self.text,
             "needs": list(self.needs),
             "belt_only": self.belt_only,
+            "only_of": self.only_of,
             "parameters": {
                 q.name: {"unit": q.unit, "low": q.low, "high": q.high, "start": q.start, "off": q.off, "text": q.text}
                 for q in self.parameters

@@ -55,7 +55,9 @@ LOOKED_AT = FACTS + len(Conditions._fields) - 1
     AT_BELT,
     AT_OWN,
 ) = range(FACTS, LOOKED_AT)
-RADIUS, WEIGHT, CONTACT_LENGTH = (VehicleConstants._fields.index(name) for name in ("radius", "weight", "contact_length"))
+RADIUS, WEIGHT, CONTACT_LENGTH, STANDSTILL = (
+    VehicleConstants._fields.index(name) for name in ("radius", "weight", "contact_length", "standstill")
+)
 if Conditions._fields[1:] != (
     "speed", "accel", "weight", "ambient", "yaw_rate", "heading", "distance", "drive_torque", "direction", "curvature",
     "belt", "own",
@@ -199,7 +201,7 @@ def look(
     looked_at = work[TERMS : TERMS + LOOKED_AT]
     looked_at[AT_SPEED], looked_at[AT_ACCEL], looked_at[AT_WEIGHT], looked_at[AT_AMBIENT] = speed, accel, weight, ambient
     looked_at[AT_YAW_RATE], looked_at[AT_HEADING], looked_at[AT_DISTANCE] = yaw_rate, heading, distance
-    looked_at[AT_DRIVE_TORQUE], looked_at[AT_DIRECTION] = drive_torque, math.tanh(speed / STANDSTILL_MPS)
+    looked_at[AT_DRIVE_TORQUE], looked_at[AT_DIRECTION] = drive_torque, math.tanh(speed / looked_at[STANDSTILL])
     looked_at[AT_BELT] = belt
     turning = abs(yaw_rate)
     looked_at[AT_CURVATURE] = turning / length(speed, looked_at[CONTACT_LENGTH] * turning + STANDSTILL_MPS)

@@ -83,6 +83,7 @@ class Numbers(NamedTuple):
     rotating_mass_factor: float
     motor_gain: float  # motor torque per sprocket torque; not a number where the vehicle file gives none
     torque_scale: float  # shown over true torque; 1 of tracks
+    torque_offset: float  # shown at no torque, over that scale
     nominal_ambient: float
     axles: int
     first_wheel: int  # channel of the wheel speeds, those of single axles and assemblies behind it
@@ -294,6 +295,7 @@ def _tracks(vehicle: Vehicle, cache: Path | None) -> Running:
             "drag_relative_std": _relative_std(vehicle, "chassis.drag_coefficient", *area, "chassis.air_density"),
             "motor_gain": float(gain),
             "torque_scale": 1.0,
+            "torque_offset": 0.0,
         },
     )
 
@@ -324,6 +326,7 @@ def wheels(vehicle: RoadVehicle) -> Running:
             "drag_relative_std": _relative_std(vehicle, "road_load.drag_area", "road_load.air_density"),
             "motor_gain": math.nan,
             "torque_scale": vehicle.values["torque_scale"],
+            "torque_offset": vehicle.values.get("torque_offset", 0.0),
         },
     )
 

@@ -202,7 +202,7 @@ def advance(k: Constants, carried: Carried, inputs: Inputs, dt: float, out: Arra
     out[at.OUT_STD] = max(math.sqrt(variance), LEAST_STD_SHARE * total[at.PART_UNSIGNED])
     out[at.OUT_FEEDFORWARD] = wanted
     out[at.OUT_MOTOR] = driving * number.motor_gain
-    measured = inputs.measured_torque / number.torque_scale
+    measured = inputs.measured_torque / number.torque_scale - number.torque_offset
     out[at.OUT_MEASURED] = measured
     out[at.OUT_RESIDUAL] = measured - driving
     out[at.OUT_HEAT] = total[at.PART_HEAT]

@@ -68,6 +68,8 @@ class TopicBinding:
         Of an enable that comes as a mode: the modes in which the feed-forward is wanted; empty where it comes as 1 or 0.
     decimal : str
         Of a column in text: its decimal mark; empty where its cells decide.
+    derivative : bool
+        Of a speed in a column: whether that holds the distance travelled, whose change over time is the speed.
     order : str
         Of dates between slashes or dashes: ``dmy`` or ``mdy``; empty where the whole column decides.
     parts : tuple of TopicBinding
@@ -90,6 +92,7 @@ class TopicBinding:
     threshold: float | None = None
     values: tuple[float, ...] = ()
     decimal: Literal[".", ",", ""] = ""
+    derivative: bool = False
     order: Literal["dmy", "mdy", ""] = ""
     parts: tuple[TopicBinding, ...] = ()
 

@@ -22,7 +22,7 @@ from trackres_ros.units import DEGREE
 
 KEYS = (
     "topic", "type", "field", "column", "scale", "offset", "stamp", "max_age_s", "sensor", "std_k", "delay_s",
-    "unit", "kg_each", "threshold", "values", "decimal", "sum",
+    "unit", "kg_each", "threshold", "values", "decimal", "derivative", "sum",
 )  # fmt: skip
 ONLY_FOR = {
     "sensor": ("belt",),
@@ -32,11 +32,12 @@ ONLY_FOR = {
     "kg_each": ("passengers",),
     "threshold": ("brake",),
     "values": ("enable",),
+    "derivative": ("speed",),
 }
 """Keys that have a meaning for some roles alone."""
 OF_A_PART = ("topic", "type", "field", "stamp", "column", "scale", "offset", "decimal")
 """Keys of a part of a sum."""
-NOT_OF_A_SUM = ("topic", "type", "field", "stamp", "column", "decimal", "values")
+NOT_OF_A_SUM = ("topic", "type", "field", "stamp", "column", "decimal", "derivative", "values")
 MOST_PARTS = 16
 SUM_EXAMPLE = "torque: {sum: [{column: left_nm}, {column: right_knm, scale: 1000.0}]}"
 OF_TIME = ("column", "scale", "offset", "decimal", "order")
@@ -151,8 +152,8 @@ def _binding(role: str, line: object, where: str) -> TopicBinding:
             raise InputError(f"{where}: key", key, f"{key} only for {', '.join(meant)}")
         if "column" in line and key in ("topic", "type", "field", "stamp", "max_age_s"):
             raise InputError(f"{where}: key", key, "either column, or topic with type and field")
-        if "column" not in line and key == "decimal":
-            raise InputError(f"{where}: key", key, "decimal only beside column")
+        if "column" not in line and key in ("decimal", "derivative"):
+            raise InputError(f"{where}: key", key, f"{key} only beside column")
         if "sum" in line and key in NOT_OF_A_SUM:
             raise InputError(f"{where}: key", key, f"{key} in a part of the sum", f"write for example: {SUM_EXAMPLE}")
     parts = _parts(role, line["sum"], f"{where}: sum") if "sum" in line else ()
@@ -179,6 +180,7 @@ def _binding(role: str, line: object, where: str) -> TopicBinding:
         threshold=_number(line, "threshold", 0.0, where) if "threshold" in line else None,
         values=_values(line["values"], f"{where}: values") if "values" in line else (),
         decimal=_decimal(line, where),
+        derivative=_yes(line, "derivative", where),
         parts=parts,
     )
     if binding.scale == 0.0:
@@ -262,6 +264,13 @@ def _time(line: object, where: str) -> TopicBinding:
 
 def _decimal(line: Mapping[object, object], where: str) -> Literal[".", ",", ""]:
     return cast("Literal['.', ',', '']", _choice(line, "decimal", (".", ","), "", where))
+
+
+def _yes(line: Mapping[object, object], key: str, where: str) -> bool:
+    given = line.get(key, False)
+    if not isinstance(given, bool):
+        raise InputError(f"{where}: {key}", given, "true or false")
+    return given
 
 
 def _text(line: Mapping[object, object], key: str, where: str) -> str:

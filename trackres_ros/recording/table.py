@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -99,7 +100,10 @@ class TableSource:
             is damaged.
         """
         with self._reading():
-            for block in self._blocks(max_rows):
+            blocks = self._blocks(max_rows)
+            for place, role in enumerate(self.roles):
+                blocks = _derived(blocks, place) if self.bindings[role].derivative else blocks
+            for block in blocks:
                 yield self._position.in_radians(block, self.roles)
 
     def _reading(self) -> AbstractContextManager[None]:
@@ -192,8 +196,27 @@ def _first_that_fits(tables: Sequence[TableFile], topics: Topics | None) -> tupl
     return (*fitting[0], [f"also possible: {others}"] if others else [])
 
 
+def _derived(blocks: Iterator[Block], place: int) -> Iterator[Block]:
+    """All blocks with the change over time of the role at a place instead of its values: from the sample before each to the one
+    after it, nan where their times do not rise. So both of these have to be read before.
+    """
+    read = list(blocks)
+    of = [block.role == place for block in read]
+    at = np.concatenate([block.stamp_ns[rows] for block, rows in zip(read, of, strict=True)]) if read else np.empty(0, np.int64)
+    value = np.concatenate([block.value[rows] for block, rows in zip(read, of, strict=True)]) if read else np.empty(0)
+    first, last = np.maximum(np.arange(len(at)) - 1, 0), np.minimum(np.arange(len(at)) + 1, len(at) - 1)
+    over = (at[last] - at[first]) * 1e-9
+    rises = over > 0.0
+    rate = np.where(rises, (value[last] - value[first]) / np.where(rises, over, 1.0), np.nan)
+    for block, rows, part in zip(read, of, np.split(rate, np.cumsum([rows.sum() for rows in of])[:-1]), strict=True):
+        whole = block.value.copy()
+        whole[rows] = part
+        yield replace(block, value=whole)
+
+
 def _note_of(columns: Sequence[Column]) -> str:
     """Which column feeds a role, or which are added."""
     if len(columns) == 1:
-        return f"{columns[0].role}: column {columns[0].name}"
+        change = "the change of " if columns[0].binding.derivative else ""
+        return f"{columns[0].role}: {change}column {columns[0].name}"
     return f"{columns[0].role}: sum of the columns {', '.join(column.name for column in columns)}, where a row has them all"

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trackres_ros.diagnosis.base.loading import LoadedBase
+from trackres_ros.diagnosis.base.own import OwnBase, OwnModel
 from trackres_ros.diagnosis.findings.found import Found, Told
 from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.report.content import report
@@ -96,13 +97,15 @@ class DiagnosisResult:
         return (*self._content["to_do"], *self._content["topics_lines"].values())
 
     @cached_property
-    def vehicle(self) -> AnyVehicle:
+    def vehicle(self) -> AnyVehicle | OwnModel:
         """The vehicle with the effects that held-out laps confirm, and no others: never worse there than the one given.
 
         It is the vehicle of the file that `report` writes, in the surroundings that were given. What was found of the site, the
         weather and the ground is not in it: `report` writes a file of its own. Its `source` is a file that is kept while the
         program runs.
         """
+        if isinstance(self.diagnosis.base, OwnBase):
+            return self.diagnosis.base.with_kept(self.diagnosis.kept)
         folder = Path(tempfile.mkdtemp(prefix="trackres-"))
         atexit.register(shutil.rmtree, folder, ignore_errors=True)
         self._write_vehicle(folder)

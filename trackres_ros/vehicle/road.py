@@ -14,13 +14,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.effects.effect import Active, VehicleConstants
+from trackres_ros.effects.effect import Active, Effect, VehicleConstants
+from trackres_ros.effects.vehicle.coulomb_friction import CoulombFriction
 from trackres_ros.effects.vehicle.drivetrain_efficiency import DrivetrainEfficiency
+from trackres_ros.effects.vehicle.viscous_friction import ViscousFriction
 from trackres_ros.errors import InputError
 from trackres_ros.files.resources import find_vehicle
 from trackres_ros.files.yamls import read_yaml
 from trackres_ros.route.learned import RouteMap
-from trackres_ros.units import GRAVITY
+from trackres_ros.units import GRAVITY, STANDSTILL_MPS
 from trackres_ros.vehicle.description import Assembly, Axle, Chassis, Disturbance, Quantity, Vehicle
 from trackres_ros.vehicle.disturbance import read_disturbance
 from trackres_ros.vehicle.loading import DISTURBANCE, EFFECT_KEYS, build, listed_effects
@@ -29,6 +31,9 @@ from trackres_ros.vehicle.schema import ROAD_LOAD
 
 SECTION = "road_load"
 GEARS = DrivetrainEfficiency()
+OF_SLIDES = {"coulomb_friction": (CoulombFriction(), "friction"), "viscous_friction": (ViscousFriction(), "coefficient")}
+"""Forces of what slides: the effect that each of them is, and its parameter, over the radius."""
+SLOW_SHARE = 1.0 / 30.0  # of the greatest speed: what creeps turns from forward to reverse within less than `STANDSTILL_MPS`
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -61,15 +66,26 @@ class RoadVehicle:
     assemblies: tuple[Assembly, ...] = ()
 
     def __repr__(self) -> str:
-        with_effects = f", with {', '.join(a.effect.name for a in self.active[1:])}" if self.active[1:] else ""
+        listed = ", ".join(a.effect.name for a in (*self.effects, *self.surroundings))
+        with_effects = f", with {listed}" if listed else ""
         return f"<RoadVehicle {self.name}: {self.title}; {self.weight / 1e3:.1f} kN, road load{with_effects}>"
 
     @property
     def own(self) -> tuple[Active, ...]:
-        """All effects of the vehicle: its gears, then those that its file lists."""
-        gears = self.parameters[f"{SECTION}.efficiency"]
-        values, ranges = {"efficiency": self.values["efficiency"]}, {"efficiency": (gears.low, gears.high)}
-        return (Active(GEARS, values, ranges), *self.effects)
+        """All effects of the vehicle: its gears and what slides, then those that its file lists."""
+
+        def part(effect: Effect, parameter: str, name: str, arm: float) -> Active:
+            of = self.parameters[f"{SECTION}.{name}"]
+            return Active(effect, {parameter: arm * self.values[name]}, {parameter: (arm * of.low, arm * of.high)})
+
+        radius = self.values["wheel_radius"]
+        slides = (part(effect, q, name, radius) for name, (effect, q) in OF_SLIDES.items() if name in self.values)
+        return (part(GEARS, "efficiency", "efficiency", 1.0), *slides, *self.effects)
+
+    @property
+    def rolls(self) -> bool:
+        """Whether rolling resistance is in it; what slides has friction instead, see `Effect.only_of`."""
+        return self.parameters[f"{SECTION}.rolling_coefficient"].high > 0.0
 
     @property
     def active(self) -> tuple[Active, ...]:
@@ -102,6 +118,7 @@ class RoadVehicle:
         return VehicleConstants(
             radius=v["wheel_radius"], weight=self.weight, drag_area=v["drag_area"], air_density=v["air_density"],
             contact_length=v["contact_length"], assemblies=1, cooled_area=0.0, tension=1.0,
+            standstill=min(STANDSTILL_MPS, SLOW_SHARE * v["max_speed"]),
         )  # fmt: skip
 
     @property

@@ -119,6 +119,9 @@ ROAD_LOAD = {
     "track_width": Limits("m", 0.02, 10.0, "distance of left from right wheels, as they turn it", optional=True),
     "max_speed": Limits("m/s", 0.1, 100.0, "greatest speed"),
     "ambient": Limits("degC", -60.0, 60.0, "ambient temperature where none is given"),
+    "coulomb_friction": Limits("N", 0.0, 1e6, "friction of what slides, at any speed", optional=True),
+    "viscous_friction": Limits("N s/m", 0.0, 1e8, "friction of what slides, over its speed", optional=True),
+    "torque_offset": Limits("Nm", -1e5, 1e5, "shown at no torque", optional=True),
 }
 
 MODEL_CHOICES = {"hysteresis": ("spectral", "rainflow"), "thermal": ("lumped", "core_surface")}

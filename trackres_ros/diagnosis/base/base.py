@@ -5,11 +5,12 @@
 
 from __future__ import annotations
 
+import copy
 import threading
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,20 +78,45 @@ class Predicted:
     skin: Array
 
 
-class Base(Protocol):
-    """A base model of one vehicle."""
+class Model(Protocol):
+    """What a diagnosis needs of a model. `Defaults` has the rest of a `Base`; `own.OwnModel` makes one of a function."""
 
     @property
     def name(self) -> str:
-        """``track`` or ``road_load``."""
+        """Of the model, as ``track`` or ``road_load``."""
+
+    @property
+    def parameters(self) -> tuple[BaseParameter, ...]:
+        """What may be re-fitted: units, values with how well they are known, ranges and bounds."""
+
+    @property
+    def facts(self) -> VehicleConstants:
+        """What effects may know: weight times radius is the size that their bounds and typical values grow with."""
+
+    def predict(self, sessions: Sequence[Session], values: Values, effects: Sequence[Active]) -> list[Predicted]:
+        """Simulate sessions one after the other.
+
+        Parameters
+        ----------
+        sessions
+            Series of one step each: speed [m/s], acceleration [m/s^2] and what else is known, shape (n,).
+        values
+            Of `parameters`, by name.
+        effects
+            What is added; `Acting` sorts it.
+        """
+
+
+class Base(Model, Protocol):
+    """A base model of one vehicle with all that a diagnosis may ask of it."""
 
     @property
     def has_belt(self) -> bool:
         """Whether belts with a temperature are in it."""
 
     @property
-    def facts(self) -> VehicleConstants:
-        """What effects may know of the vehicle."""
+    def rolls(self) -> bool:
+        """Whether rolling resistance is in it; what slides has friction instead, see `Effect.only_of`."""
 
     @property
     def includes(self) -> tuple[str, ...]:
@@ -109,10 +135,6 @@ class Base(Protocol):
         """Effective over true mass in acceleration, by the vehicle file."""
 
     @property
-    def parameters(self) -> tuple[BaseParameter, ...]:
-        """What may be re-fitted."""
-
-    @property
     def held(self) -> Values:
         """What else may be, and is not, by name."""
 
@@ -123,22 +145,41 @@ class Base(Protocol):
     def inside_ranges(self, free: Collection[str]) -> Base:
         """The same base, its parameters bound to the ranges of the vehicle file, except those in `free`."""
 
-    def predict(self, sessions: Sequence[Session], values: Values, effects: Sequence[Active]) -> list[Predicted]:
-        """Simulate sessions one after the other.
-
-        Parameters
-        ----------
-        values
-            Of `parameters`.
-        effects
-            What is added.
-        """
-
     def as_written(self, values: Values) -> Base:
         """The base of the file that `write` makes of these values, in the same surroundings: what runs is what is read again."""
 
     def write(self, path: Path, kept: Kept, text: str) -> list[Path]:
         """Write a vehicle file with what was kept, surroundings beside it; returns the files that are for use."""
+
+
+class Defaults:
+    """What a `Base` is where its class does not say otherwise: nothing rolls, no belt, no surroundings, nothing held."""
+
+    has_belt = rolls = False
+    includes: tuple[str, ...] = ()
+    torque_scale = rotating_mass_factor = 1.0
+    parameters: tuple[BaseParameter, ...]
+
+    def __init__(self) -> None:
+        self.parts: Mapping[str, float] = {}
+        self.held: Values = {}
+
+    @property
+    def alone(self) -> Self:
+        """See `Base`."""
+        return self
+
+    def inside_ranges(self, free: Collection[str]) -> Self:
+        """See `Base`."""
+        found = copy.copy(self)
+        found.parameters = tuple(q if q.name in free else q.inside() for q in self.parameters)
+        return found
+
+    def as_written(self, values: Values) -> Self:
+        """See `Base`."""
+        found = copy.copy(self)
+        found.parameters = tuple(replace(q, nominal=values[q.name]) for q in self.parameters)
+        return found
 
 
 class Remembered(threading.local):

@@ -10,6 +10,7 @@ from os import PathLike
 from pathlib import Path
 
 from trackres_ros.diagnosis.base.base import Base
+from trackres_ros.diagnosis.base.own import OwnBase, OwnModel
 from trackres_ros.diagnosis.base.road_load import RoadBase
 from trackres_ros.diagnosis.base.track import TrackBase
 from trackres_ros.diagnosis.prepare.settings import GateSettings
@@ -38,13 +39,13 @@ class LoadedBase:
 
 
 def load_base(
-    vehicle: str | PathLike[str] | Vehicle | RoadVehicle,
+    vehicle: str | PathLike[str] | Vehicle | RoadVehicle | OwnModel,
     hysteresis: str | None = None,
     thermal: str | None = None,
     topics: Topics | None = None,
     surroundings: str | PathLike[str] | None = None,
 ) -> LoadedBase:
-    """The base model of a vehicle: `road_load` where its file has that section, else `track`.
+    """The base model of a vehicle: `road_load` where its file has that section, else `track`; or a model of the user's own.
 
     A topics file says what a measured belt temperature shows; `surroundings` is the file of what holds where it was driven.
 
@@ -53,6 +54,10 @@ def load_base(
     InputError
         If the file cannot be used, or a vehicle is given with other values than its file has.
     """
+    if isinstance(vehicle, OwnModel):
+        if surroundings:
+            raise InputError("surroundings", str(surroundings), "none with a model of your own", "list its effects in the model")
+        return LoadedBase(OwnBase(vehicle), vehicle.name, vehicle.known)
     settings = settings_for(Settings(), topics)
     if isinstance(vehicle, Vehicle):
         _check_as_in_its_file(vehicle)
@@ -79,7 +84,7 @@ def _road(road: RoadVehicle, settings: Settings) -> LoadedBase:
         base.facts.weight,
         road.values["max_speed"],
         road.values["ambient"],
-        road.friction_brakes,
+        road.friction_brakes or (False if base.rolls else None),  # what slides has none
         torque_scale=road.torque_shown,
         passenger_kg=settings.passenger_kg,
         track_width=road.values.get("track_width"),

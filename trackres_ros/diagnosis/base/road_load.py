@@ -5,9 +5,8 @@
 
 from __future__ import annotations
 
-import copy
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -15,7 +14,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.base.base import Acting, BaseParameter, Predicted, Remembered, Values
+from trackres_ros.diagnosis.base.base import Acting, BaseParameter, Defaults, Predicted, Remembered, Values
 from trackres_ros.diagnosis.base.simulated import simulated
 from trackres_ros.diagnosis.prepare.session import Session
 from trackres_ros.diagnosis.writing.kept import Kept
@@ -23,6 +22,7 @@ from trackres_ros.diagnosis.writing.vehicle_file import finish, opened, set_quan
 from trackres_ros.effects.effect import Active
 from trackres_ros.effects.sensor.delay import Delay
 from trackres_ros.effects.sensor.torque_gain import TorqueGain
+from trackres_ros.effects.sensor.torque_offset import TorqueOffset
 from trackres_ros.effects.vehicle.rotating_inertia import RotatingInertia
 from trackres_ros.estimator.constants import make_constants
 from trackres_ros.estimator.kernel import PREDICTED_DRIVE
@@ -30,7 +30,7 @@ from trackres_ros.estimator.settings import Settings
 from trackres_ros.files.yamls import read_yaml
 from trackres_ros.units import GRAVITY
 from trackres_ros.vehicle import RoadVehicle
-from trackres_ros.vehicle.road import GEARS, SECTION, build_road
+from trackres_ros.vehicle.road import GEARS, OF_SLIDES, SECTION, build_road
 from trackres_ros.vehicle.schema import ROAD_LOAD
 
 Array = NDArray[np.float64]
@@ -39,7 +39,8 @@ FITTED = (
     "rolling_coefficient", "rolling_rise", "drag_area", "mass",
     "rotating_mass_factor", "torque_scale", "efficiency", "torque_delay",
 )  # fmt: skip
-"""What is re-fitted, if its range has a width."""
+"""What is re-fitted, if its range has a width; beside what slides, and an offset, where the file has them."""
+TORQUE_OFFSET = TorqueOffset.name
 ONLY_ONE_OF = ("mass", "torque_scale")
 """Both scale nearly all, and only the product shows: of these, one is re-fitted where the file holds the other, by a range
 without width. With both free a robot's scale came to lie at half to a tenth of its value, as errors of the speed hide a
@@ -47,23 +48,27 @@ part of the inertia, and the friction of its turning at its bound; a car's mean 
 """
 
 
-class RoadBase:
+class RoadBase(Defaults):
     """Base model `road_load`; see `base.Base`."""
 
     name = "road_load"
-    has_belt = False
 
     def __init__(self, vehicle: RoadVehicle) -> None:
+        super().__init__()
         self.vehicle = vehicle
         self._active = (*vehicle.effects, *vehicle.surroundings)
         self._simulated = Remembered()
-        self.held: Values = {}
         v = vehicle.values
         self.torque_scale, self.rotating_mass_factor = v["torque_scale"], v["rotating_mass_factor"]
         self.facts = vehicle.constants
         self._constants = make_constants(vehicle, Settings())
         self.parts = {"wheels": 2.0 * math.pi * v["wheel_radius"]}
-        free = [name for name in FITTED if vehicle.parameters[f"{SECTION}.{name}"].standard_deviation > 0.0]
+        free = [
+            name
+            for name in (*FITTED, *OF_SLIDES, TORQUE_OFFSET)
+            if name in v and vehicle.parameters[f"{SECTION}.{name}"].standard_deviation > 0.0
+        ]
+        self.rolls = vehicle.rolls
         if set(ONLY_ONE_OF) <= set(free):
             free = [name for name in free if name not in ONLY_ONE_OF]
         self.parameters = tuple(
@@ -80,26 +85,22 @@ class RoadBase:
         )
         same = {"torque_scale": TorqueGain.name, "rotating_mass_factor": RotatingInertia.name}
         refitted = (effect for parameter, effect in same.items() if parameter in free)
-        self.includes = (GEARS.name, Delay.name, *refitted, *(active.effect.name for active in self._active))
+        chain = (GEARS.name, Delay.name, *(name for name in (*OF_SLIDES, TORQUE_OFFSET) if name in v))
+        self.includes = (*chain, *refitted, *(active.effect.name for active in self._active))
 
     @property
     def alone(self) -> RoadBase:
         """See `base.Base`."""
         return RoadBase(replace(self.vehicle, surroundings=(), route=())) if self.vehicle.surroundings else self
 
-    def inside_ranges(self, free: Collection[str]) -> RoadBase:
-        """See `base.Base`."""
-        found = copy.copy(self)
-        found.parameters = tuple(q if q.name in free else q.inside() for q in self.parameters)
-        return found
-
     def predict(self, sessions: Sequence[Session], values: Values, effects: Sequence[Active]) -> list[Predicted]:
         """See `base.Base`."""
         values = {**self.vehicle.values, **self.held, **values}
-        chain = (
-            Active(GEARS, {"efficiency": values["efficiency"]}),
-            Active(Delay(), {"time": values["torque_delay"]}),
-        )
+        chain, radius = [Active(GEARS, {"efficiency": values["efficiency"]})], values["wheel_radius"]
+        chain += [Active(e, {q: radius * values[name]}) for name, (e, q) in OF_SLIDES.items() if name in values]
+        chain.append(Active(Delay(), {"time": values["torque_delay"]}))
+        if TORQUE_OFFSET in values:
+            chain.append(Active(TorqueOffset(), {"offset": values[TORQUE_OFFSET]}))
         acting = Acting.of([*chain, *self._active, *effects], self.facts)
         torques = self._simulated.rows(sessions, values, acting, lambda: self._simulate(sessions, values, acting))
         found = []

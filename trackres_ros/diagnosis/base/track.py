@@ -5,9 +5,8 @@
 
 from __future__ import annotations
 
-import copy
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -16,7 +15,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.base.base import Acting, BaseParameter, Predicted, Remembered, Values
+from trackres_ros.diagnosis.base.base import Acting, BaseParameter, Defaults, Predicted, Remembered, Values
 from trackres_ros.diagnosis.base.simulated import simulated
 from trackres_ros.diagnosis.prepare.session import Session
 from trackres_ros.diagnosis.writing.kept import Kept
@@ -57,13 +56,14 @@ LESS_LOSS = 0.8  # times the scale of the loss modulus of the file: from there i
 CAPACITY_STD = 0.15  # relative: thickness, section of lugs and specific heat of the file's ranges together
 
 
-class TrackBase:
+class TrackBase(Defaults):
     """Base model `track`; see `base.Base`."""
 
     name = "track"
-    has_belt = True
+    has_belt = rolls = True
 
     def __init__(self, vehicle: Vehicle) -> None:
+        super().__init__()
         self.vehicle = vehicle
         self._constants = make_constants(vehicle, Settings())
         self._networks = {
@@ -72,7 +72,6 @@ class TrackBase:
         self._firsts, self._count = _kinds(self._constants)
         self._simulated = Remembered()
         self._last_loss = 1.0, self._constants.loss
-        self.held: Values = {}
         self.includes = tuple(active.effect.name for active in vehicle.active)
         self.facts = vehicle_constants(vehicle)
         first = vehicle.track_of(vehicle.assemblies[0])
@@ -81,7 +80,6 @@ class TrackBase:
             "sprocket": 2.0 * math.pi * first.sprocket_radius,
             "road wheels": 2.0 * math.pi * first.road_wheels.radius,
         }
-        self.torque_scale = 1.0
         self.rotating_mass_factor = vehicle.chassis.rotating_mass_factor
         limits = {**RUBBER, **CHASSIS, **BELT}
 
@@ -122,12 +120,6 @@ class TrackBase:
     def alone(self) -> TrackBase:
         """See `base.Base`."""
         return TrackBase(replace(self.vehicle, surroundings=(), route=())) if self.vehicle.surroundings else self
-
-    def inside_ranges(self, free: Collection[str]) -> TrackBase:
-        """See `base.Base`."""
-        found = copy.copy(self)
-        found.parameters = tuple(q if q.name in free else q.inside() for q in self.parameters)
-        return found
 
     def predict(self, sessions: Sequence[Session], values: Values, effects: Sequence[Active]) -> list[Predicted]:
         """See `base.Base`."""

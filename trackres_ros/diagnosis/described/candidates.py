@@ -87,7 +87,7 @@ def _of(code: int, facts: VehicleConstants, session: Session, driving: Array, be
     curvature = turning / np.hypot(session.speed, facts.contact_length * turning + STANDSTILL_MPS)
     known: Any = (
         session.speed, session.accel, session.weight, session.ambient, session.yaw_rate, session.heading, session.distance,
-        driving, np.tanh(session.speed / STANDSTILL_MPS), curvature, belt,
+        driving, np.tanh(session.speed / facts.standstill), curvature, belt,
     )  # fmt: skip
     return np.asarray(np.broadcast_to(follow(Conditions(facts, *known), code), len(session)), dtype=float)
 

@@ -240,7 +240,8 @@ BY_CLOCK: Mapping[str, Search] = {SPELLS: _spells, LEVEL_CHANGE: _level_change, 
 def terms_beside(
     current: Fit, roads: Roads | None, kinds: Collection[str], routes: Mapping[str, Route], waves: bool
 ) -> list[Term]:
-    """All terms that follow clock or place beside a fit, one of each name.
+    """All terms that follow clock or place beside a fit, one of each name; none of a machine that is quicker than a vehicle, as
+    spells, a payload and a road are a vehicle's.
 
     Parameters
     ----------
@@ -251,6 +252,8 @@ def terms_beside(
     waves
         Whether to look for waves, which take long.
     """
+    if any(s.pace < 1.0 for s in current.problem.sessions):
+        return []
     route = next((routes[name] for name in current.effect_names if name in routes), None)
     left_out = {name for name, wanted in ((PLACE, roads is None), (WAVE, waves)) if not wanted}
     searches = {name: search for name, search in BY_CLOCK.items() if name not in left_out}
@@ -296,7 +299,9 @@ def by_recording(b: Blocks) -> tuple[Array, float, float]:
 
 
 def drift(final: Fit) -> Described | None:
-    """What wanders in what is left, if it does so slowly and more than by chance."""
+    """What wanders in what is left, if it does so slowly and more than by chance; of vehicles, as `terms_beside`."""
+    if any(s.pace < 1.0 for s in final.problem.sessions):
+        return None
     b = torque_blocks(final, _residuals(final))
     wander, likelihood = find_wander(b)
     mean, variance = float(np.average(b.mean, weights=b.count)), float(np.mean(b.count * b.mean**2))

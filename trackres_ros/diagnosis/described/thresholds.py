@@ -21,7 +21,6 @@ from trackres_ros.diagnosis.inference.fitting import Fit, valid_rows
 from trackres_ros.diagnosis.inference.noise import shortened, whitened
 from trackres_ros.diagnosis.selection.visibility import base_columns
 from trackres_ros.effects.learned import ABOVE, BELOW, LATCHED, STEP, Corner, Latch, Learned
-from trackres_ros.units import STANDSTILL_MPS
 
 Array = NDArray[np.float64]
 Columns = Callable[[Array], list[Array]]
@@ -65,8 +64,8 @@ class _Scores:
 
     def gains(self, columns: Sequence[Array]) -> Array:
         """What each column would gain in log-likelihood, shape (columns,)."""
-        noise, sessions = self.fit.noise, self.fit.problem.sessions
-        direction = [np.tanh(s.speed / STANDSTILL_MPS)[:, np.newaxis] for s in sessions]
+        noise, sessions, facts = self.fit.noise, self.fit.problem.sessions, self.fit.problem.base.facts
+        direction = [np.tanh(s.speed / facts.standstill)[:, np.newaxis] for s in sessions]
         parts = [whitened(x * d, m, noise.phi) for x, d, m in zip(columns, direction, self.fit.problem.masks, strict=True)]
         x = valid_rows(parts) / noise.std
         weighted = x * self.weight[:, np.newaxis]

@@ -48,7 +48,8 @@ def changes(found: Fit) -> list[Change] | None:
             continue
         session = found.problem.sessions[segment.session]
         valid = np.isfinite(white)
-        length = PIECE_S * max(1, -(-int(session.time[-1] // PIECE_S + 1) // MOST_PIECES))
+        shortest = PIECE_S * session.pace
+        length = shortest * max(1, -(-int(session.time[-1] // shortest + 1) // MOST_PIECES))
         piece = (session.time // length).astype(int)
         count = np.bincount(piece[valid], minlength=piece[-1] + 1)
         there = count > 0

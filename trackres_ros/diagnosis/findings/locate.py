@@ -15,7 +15,7 @@ from trackres_ros.diagnosis.base.variables import BY_NAME, varying
 from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.prepare.session import Session
-from trackres_ros.text.numbers import on_scale
+from trackres_ros.text.numbers import figures, on_scale
 
 Array = NDArray[np.float64]
 
@@ -72,11 +72,11 @@ def spans(sessions: tuple[Session, ...], series: list[Array]) -> list[Span]:
         ends = session.time[np.flatnonzero(np.diff(acting.astype(int), append=0) == -1)] + session.step
         for begin, end in zip(begins, ends, strict=True):
             last = found[-1] if found and found[-1].recording == session.name else None
-            if last and begin - last.end <= JOINED_S:
+            if last and begin - last.end <= JOINED_S * session.pace:
                 found[-1] = replace(last, end=float(end))
             else:
                 found.append(Span(session.name, float(begin), float(end)))
-    lasting = [s for s in found if s.end - s.begin >= SHORTEST_S]
+    lasting = [s for s in found if s.end - s.begin >= SHORTEST_S * sessions[0].pace]
     longest = sorted(lasting, key=lambda s: s.begin - s.end)[:MOST_SPANS]
     return [s for s in lasting if s in longest]
 
@@ -147,14 +147,20 @@ class Acts:
             Root mean square of the residual over time, see `swings_of` [Nm].
         """
         if self.follows < FOLLOWS_LEAST:
-            return f"the vehicle needs at times more and at times less than the re-fitted model, {swings:.0f} Nm root mean square"
+            size = f"{in_nm(swings)} Nm root mean square"
+            return f"the vehicle needs at times more and at times less than the re-fitted model, {size}"
         means = [b.mean_residual for b in at_base.bins if b.variable == self.variable]
         if self.both_ways and means and min(means) < 0.0 < max(means):
             low, high = -min(means), max(means)
-            between = f"from {low:.0f} Nm less to {high:.0f} Nm more"
+            between = f"from {in_nm(low)} Nm less to {in_nm(high)} Nm more"
             return f"the vehicle needs {between} than the re-fitted model, depending on the {self.variable}"
         way = "more" if here.mean_residual > 0.0 else "less"
-        return f"the vehicle needs about {abs(here.mean_residual):.0f} Nm {way} than the re-fitted model"
+        return f"the vehicle needs about {in_nm(abs(here.mean_residual))} Nm {way} than the re-fitted model"
+
+
+def in_nm(torque: float) -> str:
+    """A torque in whole Nm; in figures where that would be none, as of a small machine."""
+    return f"{torque:.0f}" if torque >= 0.5 else figures(torque, 2)
 
 
 def against_travel(sessions: Sequence[Session], adds: Sequence[Array]) -> list[Array]:
@@ -192,10 +198,10 @@ def acts(found: Fit, adds: Sequence[Array]) -> Acts:
 
 
 def smoothed(session: Session, residual: Array, seconds: float = SMOOTHED_S) -> Array:
-    """Means of a residual over some seconds; nan in gaps."""
+    """Means of a residual over some seconds of a drive, see `settings.pace`; nan in gaps."""
 
     def summed(values: Array, over_s: float) -> Array:
-        window = np.ones(min(max(1, int(over_s / session.step)), len(values)))
+        window = np.ones(min(max(1, int(over_s * session.pace / session.step)), len(values)))
         return np.convolve(values, window, mode="same")
 
     weight = summed(session.used.astype(float), seconds)
@@ -211,13 +217,14 @@ def swings_of(means: Sequence[Array]) -> tuple[list[float], float]:
 
 @dataclass(frozen=True, slots=True)
 class SlowResidual:
-    """What is left of the torque residual in means over `STRAY_S`, root mean square [Nm]; its share of the torque, and the
-    slope that would do as much, nan where the slope was measured.
+    """What is left of the torque residual in means over `STRAY_S` of a drive, root mean square [Nm]; its share of the torque, the
+    slope that would do as much, nan where it was measured or nothing rolls, and how long that is here [s].
     """
 
     size: float
     share: float
     slope: float
+    seconds: float = STRAY_S
 
 
 def slow_residual(found: Fit) -> SlowResidual:
@@ -227,16 +234,19 @@ def slow_residual(found: Fit) -> SlowResidual:
         if segment.kind != "torque":
             continue
         session = found.problem.sessions[segment.session]
-        number = (session.time // STRAY_S).astype(int)
+        stray_s = STRAY_S * session.pace
+        number = (session.time // stray_s).astype(int)
         count = np.bincount(number[segment.mask])
         sums = np.bincount(number[segment.mask], weights=residual[segment.mask])
-        full = count * session.step > 0.5 * STRAY_S
+        full = count * session.step > 0.5 * stray_s
         means.append(sums[full] / count[full])
         torques.append(session.torque[segment.mask])
     size = float(np.sqrt(np.mean(np.concatenate(means) ** 2))) if sum(map(len, means)) else 0.0
     torque = float(np.sqrt(np.mean(np.concatenate(torques) ** 2)))
-    facts, measured = found.problem.base.facts, all("grade" in s.given for s in found.problem.sessions)
-    return SlowResidual(size, size / max(torque, 1e-12), float("nan") if measured else size / (facts.weight * facts.radius))
+    base = found.problem.base
+    measured = all("grade" in s.given for s in found.problem.sessions) or not base.rolls
+    slope = float("nan") if measured else size / (base.facts.weight * base.facts.radius)
+    return SlowResidual(size, size / max(torque, 1e-12), slope, STRAY_S * found.problem.sessions[0].pace)
 
 
 def only_later(refitted: Fit, unused: float) -> tuple[float, float] | None:
@@ -253,8 +263,8 @@ def only_later(refitted: Fit, unused: float) -> tuple[float, float] | None:
     return (error, unused) if unused > max(LATER * error, error + LATER_SHARE * torque) else None
 
 
-def regime_of(refitted: Fit, at_base: RegimeMap, where: Acts) -> tuple[Bin, ...]:
-    """The residual of the base where an effect acts, and other regimes in which it stands out."""
+def regime_of(refitted: Fit, at_base: RegimeMap, where: Acts, resists: bool = False) -> tuple[Bin, ...]:
+    """The residual of the base where an effect acts, against travel if it `resists`, and other regimes in which it stands out."""
     of = BY_NAME[where.variable].of
     inside, residuals = [], []
     for segment, residual in zip(refitted.problem.segments, refitted.residuals, strict=True):
@@ -262,7 +272,7 @@ def regime_of(refitted: Fit, at_base: RegimeMap, where: Acts) -> tuple[Bin, ...]
             session = refitted.problem.sessions[segment.session]
             x = of(session, refitted.predicted[segment.session])
             inside.append((x >= where.low) & (x <= where.high) & segment.mask)
-            residuals.append(residual)
+            residuals.append(residual * np.sign(session.speed) if resists else residual)
     within = np.concatenate(residuals)[np.concatenate(inside)]
     p = at_base.likeliest(where.variable, where.low, where.high)
     mean = float(within.mean()) if len(within) else 0.0

@@ -34,6 +34,7 @@ class ResidualSources:
     torque_sensor: float | None
     speed_sensor: float | None
     model: float
+    step: float = 1.0  # s
 
     @property
     def text(self) -> str:
@@ -43,7 +44,7 @@ class ResidualSources:
             return "what cannot be told here" if value is None else f"{figures(value)} Nm"
 
         return (
-            f"Of the {figures(self.total)} Nm that are left of a step of 1 s, noise of the torque sensor makes "
+            f"Of the {figures(self.total)} Nm that are left of a step of {self.step:g} s, noise of the torque sensor makes "
             f"{size(self.torque_sensor)}, the speed sensor {size(self.speed_sensor)} (inertia times what the smoothed speed is "
             f"off), and the model at most {size(self.model)}: the rest, with what lasts longer of the sensors' errors"
         )
@@ -63,5 +64,6 @@ def residual_sources(fit: Fit) -> ResidualSources:
         told = [told[0] and session.torque_noise > 0.0, told[1] and session.accel_noise > 0.0]
     model = float(np.sqrt(max(squares - torque - speed, 0.0)))
     return ResidualSources(
-        float(np.sqrt(squares)), float(np.sqrt(torque)) if told[0] else None, float(np.sqrt(speed)) if told[1] else None, model
-    )
+        float(np.sqrt(squares)), float(np.sqrt(torque)) if told[0] else None, float(np.sqrt(speed)) if told[1] else None, model,
+        fit.problem.sessions[0].step,
+    )  # fmt: skip

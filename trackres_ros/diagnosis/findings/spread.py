@@ -80,7 +80,11 @@ class Spread:
 
 
 def find_spread(fit: Fit) -> Spread | None:
-    """The regime in which the torque surely shakes most; None where there is none, or the torque was recorded too slowly."""
+    """The regime in which the torque surely shakes most; None where there is none, the torque was recorded too slowly, or what
+    moves is quicker than a vehicle, of which the regimes are.
+    """
+    if any(s.pace < 1.0 for s in fit.problem.sessions):
+        return None
     shaking = [shaking_of(s, p.torque) for s, p in zip(fit.problem.sessions, fit.predicted, strict=True)]
     if any(x is None for x in shaking):
         return None

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 
 from trackres_ros.diagnosis.base.base import BaseParameter
 from trackres_ros.diagnosis.findings.found import Found, Told, with_interval
-from trackres_ros.diagnosis.findings.locate import STRAY_S, SlowResidual
+from trackres_ros.diagnosis.findings.locate import SlowResidual, in_nm
 from trackres_ros.diagnosis.findings.residual_bins import Bin
 from trackres_ros.diagnosis.selection.confirm import Graded
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SMALL_SHARE, HeldOut, Improvement
@@ -257,13 +257,13 @@ def unexplained(left: Sequence[Bin]) -> str:
     """Where the measured torque differs most from the model, and by how much."""
     first = largest_of(left)
     side = "above" if first.mean_residual > 0 else "below"
-    return f"{upper(range_of(first))} the measured torque is {abs(first.mean_residual):.0f} Nm {side} the model"
+    return f"{upper(range_of(first))} the measured torque is {in_nm(abs(first.mean_residual))} Nm {side} the model"
 
 
 def slow(s: SlowResidual) -> list[str]:
     """By how much the measured torque differs for longer than noise does."""
     return [
-        f"Averaged over {STRAY_S:.0f} s, the measured torque differs from the model by {figures(s.size, 2)} Nm, "
+        f"Averaged over {s.seconds:g} s, the measured torque differs from the model by {figures(s.size, 2)} Nm, "
         f"{_percent(s.share)} of the torque",
         "Nothing recorded explains this difference",
         "" if math.isnan(s.slope) else f"An unrecorded slope of {100.0 * s.slope:.1f} % would do the same",

@@ -29,7 +29,7 @@ from trackres_ros.diagnosis.prepare.refuse import (
 )
 from trackres_ros.diagnosis.prepare.resample import is_hidden, resample, step_for
 from trackres_ros.diagnosis.prepare.session import Mask, Session
-from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS, STEP_S, GateSettings
+from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS, STEP_S, GateSettings, pace
 from trackres_ros.diagnosis.prepare.usable import BRAKES_ON, is_slow, usable
 from trackres_ros.errors import InputError
 from trackres_ros.recording.recording import Recording
@@ -99,15 +99,18 @@ def gate(
     """
     refused, given, overlaps = list(refused), in_order(recordings), list[str]()
     known = {one.name for one in refused}
-    admitted = each_usable((r for r in given if r.name not in known), lambda recording: _admitted(recording, hide), refused)
-    step, admitted = _of_one_step(admitted, refused)
+    admitted = each_usable(
+        (r for r in given if r.name not in known), lambda recording: _admitted(recording, hide, settings), refused
+    )
+    step, admitted = _of_one_step(admitted, refused, settings)
     resampled = each_usable(admitted, lambda one: _resampled(one, step, settings), refused)
     refuse_overlaps([one.recording for one in resampled], overlaps)
     not_recorded = settings.friction_brakes and not all("brake" in one.session.given for one in resampled)
     alone = _motor_brakes_alone(resampled, settings, overlaps) if not_recorded and resampled else 0.0
     checked = [_checked(one, settings, alone) for one in resampled]
     seconds = [one.compared_s for one in checked]
-    if max(seconds, default=0.0) >= SHORTEST_MOVING_S or sum(seconds) < SHORTEST_MOVING_S:
+    shortest = SHORTEST_MOVING_S * pace(step)
+    if max(seconds, default=0.0) >= shortest or sum(seconds) < shortest:
         checked = each_usable(checked, _enough, refused)
     if not checked:
         raise nothing_left(refused)
@@ -115,6 +118,11 @@ def gate(
     unused = [r for r in given if r.name in {one.name for one in refused}]
     left_out[LEFT_OUT] = sum(int(duration_s(r.series)) for r in unused)
     notes = [f"{one.name}: left out: {one.reason}" for one in refused] + overlaps
+    if step < STEP_S:
+        notes.append(
+            f"the speed changes so quickly that torques are compared as means over {step:g} s instead of {STEP_S:g} s; pieces, "
+            "gaps and other times are as much shorter"
+        )
     if step > STEP_S:
         notes.append(f"samples come so slowly that torques are compared as means over {step:.0f} s")
     sessions = _one_after_another(checked, [r for r in unused if _drove(r)], notes)
@@ -147,17 +155,19 @@ class _Resampled(_Admitted):
         return float(self.session.used.sum()) * self.session.step
 
 
-def _admitted(recording: Recording, hide: Sequence[str]) -> _Admitted:
-    shown = {role: series for role, series in recording.series.items() if not is_hidden(role, hide)}
-    check_compared(recording.name, shown, candidates=recording.torque_candidates)
-    recording, notes = on_one_clock(replace(recording, series=shown))
-    check_compared(recording.name, recording.series, candidates=recording.torque_candidates)
+def _admitted(recording: Recording, hide: Sequence[str], settings: GateSettings) -> _Admitted:
+    recording = replace(recording, series={role: s for role, s in recording.series.items() if not is_hidden(role, hide)})
+    shortest_s = SHORTEST_S * pace(step_for([recording], slowest_speed=settings.slowest))
+    check_compared(recording.name, recording.series, shortest_s, recording.torque_candidates)
+    recording, notes = on_one_clock(recording)
+    check_compared(recording.name, recording.series, shortest_s, recording.torque_candidates)
     return _Admitted(recording, _stood(recording), notes)
 
 
-def _of_one_step(admitted: Sequence[_Admitted], refused: list[Refusal]) -> tuple[float, list[_Admitted]]:
+def _of_one_step(admitted: Sequence[_Admitted], refused: list[Refusal], settings: GateSettings) -> tuple[float, list[_Admitted]]:
     """The step to compare them in [s], and those it suits: one that comes far more slowly than the others is left out."""
-    steps = sorted((step_for([one.recording]), duration_s(one.recording.series)) for one in admitted)
+    own = {one.name: step_for([one.recording], slowest_speed=settings.slowest) for one in admitted}
+    steps = sorted((own[one.name], duration_s(one.recording.series)) for one in admitted)
     half, so_far = 0.5 * sum(seconds for _, seconds in steps), 0.0
     longest = 0.0
     for step, seconds in steps:
@@ -167,7 +177,7 @@ def _of_one_step(admitted: Sequence[_Admitted], refused: list[Refusal]) -> tuple
             break
 
     def suits(one: _Admitted) -> _Admitted:
-        step = step_for([one.recording])
+        step = own[one.name]
         given = f"samples so slow that torques would be compared as means over {step:.0f} s"
         if step > LONGEST_STEP_S:
             raise InputError(one.name, given, f"at most {LONGEST_STEP_S:.0f} s", "record speed and torque more often")
@@ -177,11 +187,11 @@ def _of_one_step(admitted: Sequence[_Admitted], refused: list[Refusal]) -> tuple
         return one
 
     suited = each_usable(admitted, suits, refused)
-    return step_for([one.recording for one in suited]), suited
+    return step_for([one.recording for one in suited], slowest_speed=settings.slowest), suited
 
 
 def _resampled(one: _Admitted, step: float, settings: GateSettings) -> _Resampled:
-    session, unknown = resample(one.recording, step, settings, frozenset(), one.notes)
+    session, unknown = resample(one.recording, step, settings, frozenset(), one.notes, SHORTEST_S * pace(step))
     check_speed(session, settings.max_speed)
     return _Resampled(one.recording, one.stood, one.notes, session, unknown, Counter())
 
@@ -198,10 +208,11 @@ def _checked(one: _Resampled, settings: GateSettings, alone: float) -> _Resample
 
 
 def _enough(one: _Resampled) -> _Resampled:
-    if one.compared_s < SHORTEST_MOVING_S:
+    shortest = SHORTEST_MOVING_S * one.session.pace
+    if one.compared_s < shortest:
         given = f"{one.compared_s:.0f} s of driving with a torque; left out: {_listed(one.left_out) or 'nothing'}"
         remedy = "give a longer recording, or look at units and topics"
-        raise InputError(one.name, given, f"at least {SHORTEST_MOVING_S:.0f} s", remedy)
+        raise InputError(one.name, given, f"at least {shortest:.3g} s", remedy)
     return one
 
 

@@ -27,10 +27,11 @@ def lap_numbers(session: Session) -> NDArray[np.int64]:
     standing = np.abs(session.speed) < SLOWEST_MPS
     begins = np.flatnonzero(np.diff(standing.astype(int), prepend=0) == 1)
     ends = np.flatnonzero(np.diff(standing.astype(int), append=0) == -1)
-    cuts = [b for b, e in zip(begins, ends, strict=True) if (e - b + 1) * session.step >= FULL_STOP_S and 0 < b < len(session)]
+    full_stop = FULL_STOP_S * session.pace
+    cuts = [b for b, e in zip(begins, ends, strict=True) if (e - b + 1) * session.step >= full_stop and 0 < b < len(session)]
     if len(cuts) >= FEWEST_DRIVES - 1:
         return np.searchsorted(np.array(cuts), np.arange(len(session)), side="right").astype(np.int64)
     duration = len(session) * session.step
-    length = min(max(duration / PIECES, SHORTEST_PIECE_S), LONGEST_PIECE_S)
+    length = min(max(duration / PIECES, SHORTEST_PIECE_S * session.pace), LONGEST_PIECE_S * session.pace)
     pieces = max(1, int(duration // length))
     return np.minimum((np.arange(len(session)) * pieces) // len(session), pieces - 1).astype(np.int64)

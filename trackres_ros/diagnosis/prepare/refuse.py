@@ -13,7 +13,7 @@ from typing import TypeVar
 import numpy as np
 
 from trackres_ros.diagnosis.prepare.session import Session
-from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS, STEP_S
+from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS, SLOWEST_SHARE, STEP_S
 from trackres_ros.diagnosis.prepare.unit_checks import Conversion
 from trackres_ros.errors import InputError, MissingExtraError, one_line
 from trackres_ros.recording.recording import Recording
@@ -123,7 +123,7 @@ def check_compared(
         raise InputError(name, "no finite speed", "a speed")
     seconds = duration_s(series)
     if seconds < shortest_s:
-        raise InputError(name, f"{seconds:.0f} s", f"at least {shortest_s:.0f} s of recording")
+        raise InputError(name, f"{seconds:.0f} s", f"at least {shortest_s:.3g} s of recording")
 
 
 def check_speed(session: Session, max_speed: float) -> None:
@@ -135,7 +135,7 @@ def check_speed(session: Session, max_speed: float) -> None:
         With the line of the topics file, in case the unit is another.
     """
     fastest = float(np.percentile(np.abs(session.speed), 99.0))
-    if fastest < SLOWEST_MPS:
+    if fastest < min(SLOWEST_MPS, SLOWEST_SHARE * max_speed):
         raise InputError(session.name, f"speeds up to {fastest:.2f} m/s", "a vehicle that moves")
     if fastest > 1.5 * max_speed:
         raise InputError(

@@ -16,7 +16,7 @@ from trackres_ros.diagnosis.prepare.refuse import EARLIEST_CLOCK_S, SHORTEST_S, 
 from trackres_ros.diagnosis.prepare.sample_noise import noise_of_means
 from trackres_ros.diagnosis.prepare.sampling import LONGEST_HOLD_S, any_from, carried, held, means, middles, ordered, read_off
 from trackres_ros.diagnosis.prepare.session import Array, Course, Mask, Session, Way
-from trackres_ros.diagnosis.prepare.settings import LEAST_SAMPLES, SLOWEST_MPS, STEP_S, GateSettings
+from trackres_ros.diagnosis.prepare.settings import LEAST_SAMPLES, SLOWEST_MPS, STEP_S, GateSettings, pace
 from trackres_ros.diagnosis.prepare.speed_smoothing import smooth_speed
 from trackres_ros.diagnosis.prepare.turning import turning
 from trackres_ros.diagnosis.prepare.unit_checks import check_speed_unit, check_units
@@ -29,15 +29,30 @@ from trackres_ros.units import GRAVITY
 
 MOST_UNKNOWN = 0.5  # of a recording
 ODOMETER_OFF = 0.15  # of the speed: further off it was reset, or stood still
+QUICK, STEADY = 1.0 / 3.0, 0.01
+"""Share of the speed's mean square that is another one step later. Over 1 s it is up to 0.004 of a car on a road and of a bus,
+0.03 to 0.17 of robots that are driven to and fro, and 0.56 of a carriage on a screw."""
+SHORTER_STEPS_S = (0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
 CHANNELS = ("ambient", "grade", "yaw_rate", "heading", "accel")
 
 
-def step_for(recordings: Sequence[Recording], samples: int = LEAST_SAMPLES) -> float:
+def step_for(recordings: Sequence[Recording], samples: int = LEAST_SAMPLES, slowest_speed: float = SLOWEST_MPS) -> float:
     """Step in which recordings are compared [s]: the usual one, or longer where speed or torque come slowly, so that some samples
-    are in each.
+    are in each; or shorter where the speed becomes another within the usual one.
 
+    Parameters
+    ----------
+    slowest_speed
+        What moves less than this on average does not move, and what its speed shows is noise [m/s].
+
+    Notes
+    -----
     Of a bus that recorded once in a second, steps of 1 s made a mass of 12.5 t of one of 19 t, and steps from 3 to 8 s one of
     18.1 to 18.9 t: what happens between two samples hides a part of the inertia.
+
+    What resists hangs on the speed at each moment, so the mean of a step has to stand for all of it. Where a third of the speed's
+    mean square is another one step later, it does not: the step is then one over which so little changes as does for a vehicle
+    on a road in the usual one.
     """
     slowest = 0.0
     for recording in recordings:
@@ -45,7 +60,30 @@ def step_for(recordings: Sequence[Recording], samples: int = LEAST_SAMPLES) -> f
             at = series.stamp_ns[np.isfinite(series.value)]
             if role.partition("/")[0] in ("speed", "torque") and len(at) > LEAST_SAMPLES:
                 slowest = max(slowest, float(np.median(np.diff(np.sort(at)))) * 1e-9)
-    return STEP_S * max(1, math.ceil(samples * round(slowest, 2) / STEP_S))
+    usual = STEP_S * max(1, math.ceil(samples * round(slowest, 2) / STEP_S))
+    if usual > STEP_S or _changes(recordings, STEP_S, slowest_speed) < QUICK:
+        return usual
+    possible = [step for step in SHORTER_STEPS_S if step >= samples * slowest] or [STEP_S]
+    changes = [_changes(recordings, step, slowest_speed) for step in possible]
+    steady = [step for step, share in zip(possible, changes, strict=True) if share <= STEADY]
+    return steady[0] if steady else possible[int(np.argmin(changes))]
+
+
+def _changes(recordings: Sequence[Recording], step: float, slowest_speed: float) -> float:
+    """Share of the speed's mean square that is another one step later, or averages out within steps; 0 of what does not move,
+    has no speed, or fewer samples than steps, as of a clock that was set.
+    """
+    alike, whole, count = 0.0, 0.0, 0
+    for recording in recordings:
+        at, speed = ordered(recording.series["speed"], recording.start_ns) if "speed" in recording.series else (np.empty(0),) * 2
+        if len(at) > LEAST_SAMPLES and 3.0 * step < at[-1] < step * len(at):
+            edges = np.arange(0.0, at[-1], step)
+            (mean, known), (square, _) = means(at, speed, edges), means(at, speed**2, edges)
+            both = known[1:] & known[:-1]
+            alike += float((mean[1:] * mean[:-1])[both].sum())
+            whole += 0.5 * float((square[1:] + square[:-1])[both].sum())
+            count += int(both.sum())
+    return 1.0 - alike / whole if whole > count * slowest_speed**2 else 0.0
 
 
 def is_hidden(role: str, hide: Collection[str]) -> bool:
@@ -98,8 +136,10 @@ def resample(
     edges = np.arange(0.0, speed_at[-1] + 1e-9, step)
     count = len(edges) - 1
     notes += check_units(recording.name, series, settings.weight)
-    smoothed = smooth_speed(speed_at, raw_speed, edges, LONGEST_HOLD_S)
-    at_edges = smoothed.speed if smoothed else np.interp(edges, speed_at, raw_speed)
+    scale = pace(step)
+    unit = settings.slowest / SLOWEST_MPS if scale < 1.0 else 1.0  # of speed and of its noise, which is as much smaller
+    smoothed = smooth_speed(speed_at / scale, raw_speed / unit, edges / scale, LONGEST_HOLD_S)
+    at_edges = unit * smoothed.speed if smoothed else np.interp(edges, speed_at, raw_speed)
     speed, known = means(speed_at, raw_speed, edges)
     if "torque" in torques:
         torques = ["torque"]
@@ -114,7 +154,7 @@ def resample(
         return held(series[role], start, edges, default) if role in series else np.full(count, default)
 
     given = frozenset(role for role in CHANNELS if role in series and np.isfinite(series[role].value).any())
-    accel, accel_noise = np.diff(at_edges) / step, smoothed.typical_change_std / step if smoothed else 0.0
+    accel, accel_noise = np.diff(at_edges) / step, unit * smoothed.typical_change_std / step if smoothed else 0.0
     way = series.get("distance")
     by_way = np.diff(np.interp(edges, *ordered(way, start))) / step if way and np.isfinite(way.value).any() else None
     notes += check_speed_unit(recording.name, speed, accel, held_on("accel", np.nan) if "accel" in given else None, by_way)
@@ -205,7 +245,9 @@ def resample(
     return session, {
         "no speed": ~known,
         "no torque": ~measured,
-        **filled_steps((speed_at, raw_speed), torque_samples, edges, settings.slowest),
+        **filled_steps(
+            (speed_at / scale, raw_speed), [(at / scale, value) for at, value in torque_samples], edges / scale, settings.slowest
+        ),
         "slope not known": no_slope,
         BRAKES_ON: braked,
     }
@@ -251,8 +293,9 @@ def _position(series: dict[str, Series], start: int, edges: Array) -> tuple[Arra
 
 
 def _way(series: dict[str, Series], start: int, speed_at: Array, speed: Array, edges: Array) -> Way:
-    """Where it was at the middle of each `STEP_S` of all steps."""
-    fine = np.arange(0.0, edges[-1] + 0.5 * STEP_S, STEP_S)
+    """Where it was at the middle of each `STEP_S` of all steps, or of each step where they are shorter."""
+    each = min(STEP_S, edges[1] - edges[0])
+    fine = np.arange(0.0, edges[-1] + 0.5 * each, each)
     driven = Course.of(speed_at, np.abs(speed))
     latitude, longitude = _position(series, start, fine)
     return Way(latitude, longitude, np.interp(middles(fine), driven.at, driven.integral))

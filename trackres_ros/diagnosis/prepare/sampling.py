@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from trackres_ros.diagnosis.prepare.session import Array, Course, Mask
+from trackres_ros.diagnosis.prepare.settings import pace
 from trackres_ros.recording.samples import Series
 
 LONGEST_HOLD_S = 2.0  # of what changes while driving, over a gap
@@ -25,8 +26,9 @@ def means(at: Array, value: Array, edges: Array) -> tuple[Array, Mask]:
     """Mean over each step, along straight lines between samples; and where no gap there is too long for that."""
     middle = middles(edges)
     after = np.clip(np.searchsorted(at, middle), 1, len(at) - 1)
-    known = (at[after] - at[after - 1] <= LONGEST_HOLD_S) & (middle <= at[-1]) & (middle >= at[0])
-    return Course.of(at, value).means(edges[:-1], edges[1] - edges[0]), known
+    step = edges[1] - edges[0]
+    known = (at[after] - at[after - 1] <= LONGEST_HOLD_S * pace(step)) & (middle <= at[-1]) & (middle >= at[0])
+    return Course.of(at, value).means(edges[:-1], step), known
 
 
 def held(series: Series, start: int, edges: Array, default: float) -> Array:

@@ -12,6 +12,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from trackres_ros.diagnosis.prepare.settings import pace
+
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
@@ -161,6 +163,11 @@ class Session:
 
     def __len__(self) -> int:
         return len(self.time)
+
+    @property
+    def pace(self) -> float:
+        """Time scale over that of a drive, see `settings.pace`."""
+        return pace(self.step)
 
     @cached_property
     def accel_around(self) -> Array:

@@ -14,6 +14,15 @@ LEAST_SAMPLES = 5  # in a step: of fewer, the change of speed and the mean torqu
 SLOWEST_MPS, SLOWEST_SHARE = 0.3, 0.1  # of the greatest speed; below both friction may be static
 
 
+def pace(step: float) -> float:
+    """Time scale of a recording over that of a drive: 1, or less where a quick machine asks for steps of less than `STEP_S`.
+
+    Times of a drive that the diagnosis has built in (how long a piece is, which gap is long) are meant in steps of `STEP_S`: of
+    a machine they are so many times as long.
+    """
+    return min(1.0, step / STEP_S)
+
+
 @dataclass(frozen=True, slots=True)
 class GateSettings:
     """What the gate must know of a vehicle.
@@ -23,7 +32,7 @@ class GateSettings:
     weight, max_speed, ambient
         [N], [m/s], [degC]; the first and last stand in where nothing is recorded.
     friction_brakes
-        Whether brakes help a torque that brakes, where nothing is recorded of them.
+        Whether brakes help a torque that brakes, where nothing is recorded of them; None where there are none at all.
     belt_shows_surface
         Whether a measured belt temperature is that of the surface, as infrared sees it, or the mean.
     motor_ratio
@@ -39,7 +48,7 @@ class GateSettings:
     weight: float
     max_speed: float
     ambient: float
-    friction_brakes: bool
+    friction_brakes: bool | None
     belt_shows_surface: bool = False
     motor_ratio: float | None = None
     torque_scale: tuple[float, float] = (1.0, 1.0)

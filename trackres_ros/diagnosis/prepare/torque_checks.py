@@ -50,7 +50,7 @@ def aligned_clock(session: Session, expected: Array) -> tuple[Session, str]:
         used=_moved_mask(session.used, -shift) & session.used,
         torque_course=course,
     )
-    return moved, f"{session.name}: the torque's clock is {shift:+d} s off against the speed's; moved by that"
+    return moved, f"{session.name}: the torque's clock is {shift * session.step:+g} s off against the speed's; moved by that"
 
 
 def check_torque(sessions: Sequence[Session], expected: Sequence[Array], resisting: Sequence[Array], known: GateSettings) -> None:

@@ -16,6 +16,7 @@ from trackres_ros.diagnosis.prepare.settings import GateSettings
 
 BRAKES_ON = "brakes on"
 SAME_SHARE = 1e-9  # of the largest torque: a difference that rounding makes
+LONGEST_STUCK_S = 30.0
 BRAKING_MPS2 = -0.5  # with a torque that does not drive: friction brakes may be at work
 
 
@@ -41,10 +42,10 @@ def usable(
     braking = (session.accel < BRAKING_MPS2) & (session.torque <= 0.0)
     if settings.friction_brakes:  # used together with a torque that brakes, and for a moment after it
         braking = near(session.torque < alone if alone < 0.0 else session.torque <= 0.0)
-    if "brake" in session.given:  # what brakes beside the torque is known
+    if "brake" in session.given or settings.friction_brakes is None:  # what brakes beside the torque is known
         braking = np.zeros(len(session), dtype=bool)
     slow = is_slow(session, settings)
-    stuck = _stuck(session.torque, session.step, ~slow)
+    stuck = _stuck(session.torque, session.step, ~slow, LONGEST_STUCK_S * session.pace)
     braked = unknown.get(BRAKES_ON, np.zeros(len(session), dtype=bool))
     for reason, bad in (
         *((reason, bad) for reason, bad in unknown.items() if reason != BRAKES_ON),
@@ -63,7 +64,7 @@ def is_slow(session: Session, settings: GateSettings) -> Mask:
     return np.asarray(np.abs(session.speed) < settings.slowest)
 
 
-def _stuck(torque: Array, step: float, moving: Mask, longest_s: float = 30.0) -> Mask:
+def _stuck(torque: Array, step: float, moving: Mask, longest_s: float) -> Mask:
     """Where one torque stays, but for rounding, while moving."""
     changes = np.flatnonzero(~(np.abs(np.diff(torque, prepend=np.nan)) <= SAME_SHARE * np.abs(torque).max()))
     lengths = np.diff(np.append(changes, len(torque)))

@@ -21,7 +21,7 @@ from trackres_ros.diagnosis.findings.wording import differs, largest_of, range_o
 from trackres_ros.diagnosis.inference.fitting import Fit, jacobian, valid_rows
 from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.prepare.session import Mask
-from trackres_ros.diagnosis.report.series import runs
+from trackres_ros.diagnosis.report.series import clock, runs
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED
 from trackres_ros.output.plots import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION
 from trackres_ros.text.numbers import figures
@@ -128,17 +128,17 @@ def _beyond_a_refit(refitted: Fit, adds: Sequence[Sequence[Array]]) -> list[list
 
 
 def begins(d: Diagnosis) -> list[float]:
-    """When each session begins, one after the other, and the end of the last [min]."""
-    return [float(x) for x in np.cumsum([0.0, *(s.time[-1] - s.time[0] + s.step for s in d.sessions)]) / 60.0]
+    """When each session begins, one after the other, and the end of the last [unit of `clock`]."""
+    return [float(x) for x in np.cumsum([0.0, *(s.time[-1] - s.time[0] + s.step for s in d.sessions)]) / clock(d)[0]]
 
 
 def held_out_times(d: Diagnosis) -> Iterator[tuple[float, float]]:
-    """Begin and end of each lap that was not used for fitting [min]."""
+    """Begin and end of each lap that was not used for fitting [unit of `clock`]."""
     yield from _times(d, [np.isin(s.block, d.split.held_out) for s in d.sessions])
 
 
 def marked_times(d: Diagnosis) -> tuple[str, list[tuple[float, float]]]:
-    """Where the verdict's sentence sees the difference: words, and begin and end of each time [min]; empty where at no range."""
+    """Where the verdict's sentence sees the difference: words, and begin and end of each time [as `clock`]; or none."""
     lead = next(iter(by_weight([*d.found, *d.described])), None)
     left = [b for b in d.at_end.bins if b.p < LACK_OF_FIT_P]
     if d.verdict.status == "unexplained" and left:
@@ -164,13 +164,13 @@ def marked_times(d: Diagnosis) -> tuple[str, list[tuple[float, float]]]:
 def _times(d: Diagnosis, inside: Sequence[Mask]) -> Iterator[tuple[float, float]]:
     for session, begin, mask in zip(d.sessions, begins(d), inside, strict=False):
         for first, last in runs(session, mask):
-            yield begin + (first - session.time[0]) / 60.0, begin + (last - session.time[0]) / 60.0
+            yield begin + (first - session.time[0]) / clock(d)[0], begin + (last - session.time[0]) / clock(d)[0]
 
 
 def minutes(d: Diagnosis, session: int) -> Array:
-    """The time of a session, all one after the other [min]."""
+    """The time of a session, all one after the other [unit of `clock`]."""
     time = d.sessions[session].time
-    return np.asarray(begins(d)[session] + (time - time[0]) / 60.0)
+    return np.asarray(begins(d)[session] + (time - time[0]) / clock(d)[0])
 
 
 def names(d: Diagnosis, letters: int) -> list[str]:

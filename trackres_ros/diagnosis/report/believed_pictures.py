@@ -10,6 +10,7 @@ from pathlib import Path
 from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.report.believed import AVERAGED_S, MARK, begins, held_out_times, marked_times, minutes, names, panels
 from trackres_ros.diagnosis.report.picture import WIDTH, Picture
+from trackres_ros.diagnosis.report.series import clock, lasting
 from trackres_ros.output.plots import GREY, picture_with_legend, thinned
 
 MOST_POINTS = 3000  # of a line over all sessions
@@ -50,13 +51,13 @@ def draw_believed(d: Diagnosis, path: Path) -> Picture:
                 name, (begin, 1.0), (2, -2), xycoords=("data", "axes fraction"), textcoords="offset points", va="top",
                 fontsize=7, color="#555555",
             )  # fmt: skip
-        axes[-1].set_xlabel("time in the recordings, one after the other [min]")
+        axes[-1].set_xlabel(f"time in the recordings, one after the other [{clock(d)[1]}]")
     terms = [line.text for line in drawn[0].lines if line.wide]
     over = f" with {', '.join(terms)} over it; below it what is left" if terms else ""
     errors = ". ".join(panel.title for panel in drawn)
     return Picture(
         path,
         "What the model lacks, over time",
-        f"Measured torque less the re-fitted model{over}. {errors}. Means over {AVERAGED_S:.0f} s, all recordings one after the "
-        "other.",
+        f"Measured torque less the re-fitted model{over}. {errors}. Means over {lasting(d, AVERAGED_S)}, all recordings one "
+        "after the other.",
     )

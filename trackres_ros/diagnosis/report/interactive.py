@@ -35,6 +35,8 @@ from trackres_ros.diagnosis.report.believed import (
 )
 from trackres_ros.diagnosis.report.series import (
     bins_by_variable,
+    clock,
+    lasting,
     runs,
     shown_lap,
     stages,
@@ -212,7 +214,7 @@ def _believed(d: Diagnosis, over_all: Sequence[Panel]) -> list[tuple[str, Any]]:
                 )
         columns: dict[str, list[float]] = {"t": []}
         for i, session in enumerate(d.sessions):
-            rows = slice(0, None, max(1, int(SHOWN_EACH_S / session.step)))
+            rows = slice(0, None, max(1, int(SHOWN_EACH_S * session.pace / session.step)))
             # A nan after each session breaks the line between two of them.
             columns["t"] += [*_numbers(minutes(d, i)[rows], 3), float("nan")]
             for k, line in enumerate(panel.lines):
@@ -223,11 +225,11 @@ def _believed(d: Diagnosis, over_all: Sequence[Panel]) -> list[tuple[str, Any]]:
                         line_width=(3.4 if line.solid else 2.0) if line.wide else 1.1)
             for k, line in sorted(enumerate(panel.lines), key=lambda of: not of[1].wide)  # the measured lines on top
         ]  # fmt: skip
-        texts = [("time", "@t{0.0} min"), *((line.text, f"@y{k}{{0}} Nm") for k, line in enumerate(panel.lines))]
+        texts = [("time", f"@t{{0.0}} {clock(d)[1]}"), *((line.text, f"@y{k}{{0}} Nm") for k, line in enumerate(panel.lines))]
         figure.add_tools(HoverTool(renderers=lines[-1:], tooltips=texts, mode="vline"))
         figure.yaxis.axis_label = "torque [Nm]"
         if number == len(over_all) - 1:
-            figure.xaxis.axis_label = f"time, all drives one after the other [min]; means over {AVERAGED_S:.0f} s"
+            figure.xaxis.axis_label = f"time, all drives one after the other [{clock(d)[1]}]; means over {lasting(d, AVERAGED_S)}"
         found.append(("believed", figure))
     return found
 
@@ -247,7 +249,7 @@ def _over_time(d: Diagnosis, shown: Sequence[int]) -> list[tuple[str, Any]]:
     found = []
     for i in shown:
         session = d.sessions[i]
-        rows = slice(0, None, max(1, int(SHOWN_EACH_S / session.step)))
+        rows = slice(0, None, max(1, int(SHOWN_EACH_S * session.pace / session.step)))
         columns = {key: _numbers(of[i][rows]) for key, of in every.items()}
         source = ColumnDataSource({"t": _numbers(session.time[rows] / 60.0, 3), **columns})
         figure = _figure(shortened(Path(session.name).name, TITLE_LETTERS), RESIDUAL_HEIGHT, x_range=across, y_range=up)
@@ -269,7 +271,7 @@ def _over_time(d: Diagnosis, shown: Sequence[int]) -> list[tuple[str, Any]]:
         figure.yaxis.ticker.desired_num_ticks = 4
         figure.yaxis.axis_label = "residual [Nm]"
         if i == shown[-1]:
-            figure.xaxis.axis_label = f"time [min]; means over {SMOOTHED_S:.0f} s"
+            figure.xaxis.axis_label = f"time [min]; means over {lasting(d, SMOOTHED_S)}"
         found.append(("time", figure))
     return found
 
@@ -280,7 +282,7 @@ def _lap(d: Diagnosis) -> list[tuple[str, Any]]:
 
     index, rows = shown_lap(d)
     session = d.sessions[index]
-    rows = rows[: int(LONGEST_LAP_S / session.step)]
+    rows = rows[: int(LONGEST_LAP_S * session.pace / session.step)]
     columns = {"measured": np.where(session.used, session.torque, np.nan)[rows], "speed": session.speed[rows]}
     columns |= {key: expected[index][rows] for key, _, expected in stages(d)}
     places = {"speed": 2}

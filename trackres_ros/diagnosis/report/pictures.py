@@ -24,7 +24,9 @@ from trackres_ros.diagnosis.report.picture import WIDTH, Picture
 from trackres_ros.diagnosis.report.route_pictures import draw_route
 from trackres_ros.diagnosis.report.series import (
     bins_by_variable,
+    clock,
     half_interval,
+    lasting,
     runs,
     shown_lap,
     stages,
@@ -68,7 +70,7 @@ def draw_before_after(d: Diagnosis, path: Path) -> Picture:
     """Draw the held-out lap on which the model gained most, over all its samples."""
     index, rows = shown_lap(d)
     session = d.sessions[index]
-    rows = rows[: int(LONGEST_SHOWN_S / session.step)]
+    rows = rows[: int(LONGEST_SHOWN_S * session.pace / session.step)]
     time = session.time[rows] - session.time[rows[0]]
     measured = np.where(session.used[rows], session.torque[rows], np.nan)
     before, after = d.refitted.predicted[index].torque[rows], d.final.predicted[index].torque[rows]
@@ -96,6 +98,7 @@ def draw_before_after(d: Diagnosis, path: Path) -> Picture:
 
 def draw_times(d: Diagnosis, path: Path) -> Picture:
     """The residual over the time of each recording, whether or not anything was named; of very many, the worst."""
+    unit, word = clock(d)
     shown_as = {"nominal": (GREY, 0.7), "refitted": (BLUE, 1.1), "with_effects": (VERMILION, 1.1)}
     kinds = [(label, *shown_as[key]) for key, label, _ in stages(d)]
     residuals = [[smoothed(s, s.torque - of[i]) for i, s in enumerate(d.sessions)] for _, _, of in stages(d)]
@@ -109,32 +112,32 @@ def draw_times(d: Diagnosis, path: Path) -> Picture:
         for axis, i in zip(axes, shown, strict=False):
             session = d.sessions[i]
             for begin, end in runs(session, np.isin(session.block, d.split.held_out)):
-                axis.axvspan(begin / 60.0, end / 60.0, color=GREY, alpha=0.18, linewidth=0, label="held out")
+                axis.axvspan(begin / unit, end / unit, color=GREY, alpha=0.18, linewidth=0, label="held out")
             for (label, color, linewidth), of in zip(kinds, residuals, strict=True):
-                axis.plot(*thinned(session.time / 60.0, of[i], MOST_POINTS), color=color, label=label, linewidth=linewidth)
+                axis.plot(*thinned(session.time / unit, of[i], MOST_POINTS), color=color, label=label, linewidth=linewidth)
             for found in d.found[:1]:
                 for span in found.where:
                     if span.recording == session.name:
-                        ends = span.begin / 60.0, span.end / 60.0
+                        ends = span.begin / unit, span.end / unit
                         axis.axvspan(*ends, ymax=0.05, color=ORANGE, linewidth=0, label=f"{found.name} acts most")
             for change in d.changes or ():
                 if change.recording == session.name:
-                    axis.axvline(change.time / 60.0, color=GREY, linestyle="--", linewidth=1.0, label="change of level")
+                    axis.axvline(change.time / unit, color=GREY, linestyle="--", linewidth=1.0, label="change of level")
             axis.axhline(0.0, color=GREY, linewidth=0.8)
-            axis.set_xlim(session.time[0] / 60.0, (session.time[-1] + session.step) / 60.0)
+            axis.set_xlim(session.time[0] / unit, (session.time[-1] + session.step) / unit)
             axis.set_title(shortened(Path(session.name).name, TITLE_LETTERS // columns - 6), fontsize=8.5)
         for axis in axes[len(shown) :]:
             axis.set_visible(False)
         for column in grid.T:
-            [axis for axis in column if axis.get_visible()][-1].set_xlabel("time [min]")
+            [axis for axis in column if axis.get_visible()][-1].set_xlabel(f"time [{word}]")
         body.supylabel("measured less simulated [Nm]", fontsize=9)
     left_out = len(d.sessions) - len(shown)
     worst = f" Of {len(d.sessions)} recordings the {len(shown)} furthest off; {left_out} are not drawn." if left_out else ""
     return Picture(
         path,
         "Where: over time",
-        f"Measured less simulated torque over the time of each recording, means over {SMOOTHED_S:.0f} s; broken where nothing "
-        f"could be compared. With the base re-fitted the root mean square is {decimals(swings)} Nm.{worst}",
+        f"Measured less simulated torque over the time of each recording, means over {lasting(d, SMOOTHED_S)}; broken where "
+        f"nothing could be compared. With the base re-fitted the root mean square is {decimals(swings)} Nm.{worst}",
     )
 
 
@@ -228,19 +231,22 @@ def _label(axis: Any, along: str, title: str) -> None:
 
 def _over_recordings(d: Diagnosis, adds: list[Array], left_over: list[Array], name: str, title: str, path: Path) -> Picture:
     """All recordings, one after the other."""
-    begins = np.cumsum([0.0, *(s.time[-1] + s.step for s in d.sessions)]) / 60.0
+    unit, word = clock(d)
+    begins = np.cumsum([0.0, *(s.time[-1] + s.step for s in d.sessions)]) / unit
     with picture_with_legend(path, WIDTH, 3.0) as body:
         axis = body.subplots()
         for session, begin, left, term in zip(d.sessions, begins[:-1], left_over, adds, strict=True):
-            time = begin + session.time / 60.0
+            time = begin + session.time / unit
             without = smoothed(session, left + term)
             axis.plot(
-                *thinned(time, without, MOST_POINTS), color=BLUE, label=f"left without the term, means over {SMOOTHED_S:.0f} s"
+                *thinned(time, without, MOST_POINTS),
+                color=BLUE,
+                label=f"left without the term, means over {lasting(d, SMOOTHED_S)}",
             )
             axis.plot(time, np.where(session.used, term, np.nan), color=VERMILION, label=f"{name} as found")
             axis.axvline(begin, color=GREY, linestyle="--", linewidth=0.8, label="a recording begins")
         axis.axhline(0.0, color=GREY, linewidth=0.8)
-        _label(axis, "time in the recordings, one after the other [min]", title)
+        _label(axis, f"time in the recordings, one after the other [{word}]", title)
     return Picture(
         path,
         f"The term: {name}",
@@ -282,7 +288,7 @@ def _over_time(d: Diagnosis, adds: list[Array], left_over: list[Array], name: st
     left = smoothed(session, left_over[i] + adds[i])
     with picture_with_legend(path, WIDTH, 3.0) as body:
         axis = body.subplots()
-        axis.plot(session.time, left, color=BLUE, label=f"left without the term, means over {SMOOTHED_S:.0f} s")
+        axis.plot(session.time, left, color=BLUE, label=f"left without the term, means over {lasting(d, SMOOTHED_S)}")
         axis.plot(session.time, np.where(session.used, adds[i], np.nan), color=VERMILION, label=f"{name} as found")
         axis.axhline(0.0, color=GREY, linewidth=0.8)
         _label(axis, f"time in {shortened(Path(session.name).name, TITLE_LETTERS - 40)} [s]", title)
@@ -355,7 +361,7 @@ def _laps(d: Diagnosis, path: Path) -> Picture:
     return Picture(
         path,
         "What it is worth",
-        f"Mean absolute error by held-out lap, with 95 % intervals over pieces of {PIECE_S:.0f} s; over all: "
+        f"Mean absolute error by held-out lap, with 95 % intervals over pieces of {lasting(d, PIECE_S)}; over all: "
         + ", ".join(f"{label} {figures(h.mae[stage])} Nm" for stage, _, label in kinds)
         + ".",
     )
@@ -371,7 +377,7 @@ def _uncertainty_of_laps(d: Diagnosis, stage: str) -> list[float]:
         for i, (s, m) in enumerate(zip(d.sessions, masks, strict=True)):
             inside = m & (s.block == lap)
             errors.append(np.abs(s.torque - expected[i])[inside])
-            pieces.append((s.time[inside] // PIECE_S).astype(np.int64))
+            pieces.append((s.time[inside] // (PIECE_S * s.pace)).astype(np.int64))
         found.append(half_interval(np.concatenate(errors), np.concatenate(pieces)))
     return found
 

@@ -31,6 +31,16 @@ def stages(d: Diagnosis) -> list[tuple[str, str, Sequence[Array]]]:
     return found if d.modelled else found[:2]
 
 
+def clock(d: Diagnosis) -> tuple[float, str]:
+    """Seconds in the unit in which times are shown, and its name: a minute, or a second of what is quicker than a vehicle."""
+    return (60.0, "min") if all(s.pace == 1.0 for s in d.sessions) else (1.0, "s")
+
+
+def lasting(d: Diagnosis, seconds: float) -> str:
+    """A time of a drive as long as it is in these recordings, in words."""
+    return f"{seconds * min(s.pace for s in d.sessions):g} s"
+
+
 def shown_lap(d: Diagnosis) -> tuple[int, NDArray[np.intp]]:
     """The session and the steps of the held-out lap on which the model gained most."""
     mae = d.held_out.by_lap["mae"]

@@ -135,7 +135,8 @@ class LeftOut:
         alike_s = (
             alike_for([np.where(m, e - errors.mean(), 0.0) for e, m in zip(error, self._left_out, strict=True)]) * self._step
         )
-        occasion = np.stack([self._session, self._begin // alike_s if alike_s > PIECE_S else np.arange(len(self._begin))])
+        own = alike_s > PIECE_S * problem.sessions[0].pace
+        occasion = np.stack([self._session, self._begin // alike_s if own else np.arange(len(self._begin))])
         return Score(
             self._sum(self._of(density)), self._sum(np.abs(errors)), self._sum(errors**2),
             np.unique(occasion, axis=1, return_inverse=True)[1].ravel(), self.measured - errors,
@@ -222,7 +223,7 @@ def _of_torque(found: Fit, columns: Array) -> list[Array]:
 
 def _piece(session: Session) -> NDArray[np.int64]:
     """Number of the piece of each sample: of its lap, and of time in it."""
-    return np.asarray(session.block * 10_000 + (session.time // PIECE_S).astype(np.int64))
+    return np.asarray(session.block * 10_000 + (session.time // (PIECE_S * session.pace)).astype(np.int64))
 
 
 def alike_for(series: Sequence[Array]) -> float:

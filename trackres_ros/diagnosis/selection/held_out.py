@@ -95,7 +95,7 @@ class HeldOutLaps:
         self.names = {int(b): lap_name(s, int(b)) for s in sessions for b in np.unique(s.block)}
         pieces = self.blocks
         if len(np.unique(self.blocks)) < FEWEST_LAPS:
-            number = self.of([s.time // PIECE_S for s in sessions]).astype(np.int64)
+            number = self.of([s.time // (PIECE_S * s.pace) for s in sessions]).astype(np.int64)
             pieces = self.blocks * (1 + int(number.max(initial=0))) + number
         _, self._piece = np.unique(pieces, return_inverse=True)
         self._count = np.bincount(self._piece)

@@ -145,7 +145,7 @@ def _found(base: Refitted, chosen: Chosen, bounds: Bounds) -> list[Found]:
         where = acts(final, resists)
         if isinstance(effect, ByPlace):
             where = replace(where, low=where.least, high=where.most)  # by the place, and by nothing that is looked over
-        regime = regime_of(base.refitted, base.at_base, where)
+        regime = regime_of(base.refitted, base.at_base, where, effect.acts_on != "sensor")
         found.append(
             Found(
                 effect.name, effect.text, effect.acts_on, effect.parameters, chosen.steps[effect.name], active.values,

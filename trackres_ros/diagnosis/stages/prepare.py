@@ -68,6 +68,7 @@ def prepare(recordings: Sequence[Recording], options: Options) -> Prepared:
     effects = {
         name: effect.beside(base.rotating_mass_factor) if isinstance(effect, RotatingInertia) else effect
         for name, effect in known.items()
+        if effect.only_of in ("", "rolls" if base.rolls else "slides")
     }
     gated, effects = without_an_offset(gated, base, effects)
     return Prepared(base, gated, split(gated.sessions, options.holdout), nominal, recorded, effects)

@@ -15,6 +15,7 @@ class Grade(Effect):
     acts_on = "torque"
     belongs_to = "surroundings"
     text = "the road rises or falls steadily"
+    only_of = "rolls"
     parameters = (Parameter("grade", "1", -0.3, 0.3, 0.01, "rise over run the way the vehicle points", off=0.0),)
 
     def terms(self, at: Conditions, p: Values) -> Terms:

@@ -15,6 +15,7 @@ class GradeProfile(Effect):
     acts_on = "torque"
     belongs_to = "surroundings"
     text = "the ground is a tilted plane: uphill one way, downhill the other, again on each lap"
+    only_of = "rolls"
     needs = ("speed", "heading")
     parameters = (
         Parameter("rise_ahead", "1", -0.3, 0.3, 0.01, "rise over run along heading 0", off=0.0),

@@ -17,6 +17,7 @@ class Headwind(Effect):
     acts_on = "torque"
     belongs_to = "surroundings"
     text = "a steady wind blows: against the vehicle one way, with it the other"
+    only_of = "rolls"
     needs = ("speed", "heading")
     parameters = (
         Parameter("from_ahead", "m/s", -20.0, 20.0, 4.0, "wind that comes from heading 0", off=0.0),

@@ -15,6 +15,7 @@ class SoftGround(Effect):
     acts_on = "torque"
     belongs_to = "surroundings"
     text = "the vehicle sinks in and pushes a rut"
+    only_of = "rolls"
     needs = ("speed", "weight")
     parameters = (
         Parameter("torque", "Nm", 0.0, 10000.0, 1000.0, "at nominal load", off=0.0, of_size=True),

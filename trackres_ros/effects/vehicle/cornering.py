@@ -16,6 +16,7 @@ class Cornering(Effect):
     acts_on = "torque"
     belongs_to = "vehicle"  # of its tracks or tyres
     text = "the side force of a bend needs a slip angle, and that a pull"
+    only_of = "rolls"
     needs = ("speed", "yaw_rate")
     parameters = (
         Parameter("compliance", "rad/N", 0.0, 2.5e-6, 1.25e-6, "slip angle per side force of the whole vehicle", off=0.0),

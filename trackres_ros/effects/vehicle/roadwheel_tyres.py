@@ -19,6 +19,7 @@ class RoadwheelTyres(Effect):
     acts_on = "torque"
     belongs_to = "vehicle"
     text = "the rubber of wheels or tyres loses with the load, and less once it is warm"
+    only_of = "rolls"
     needs = ("speed", "weight", "ambient")
     parameters = (
         Parameter("torque", "Nm", 0.0, 1000.0, 200.0, "at nominal load and 20 degC", off=0.0, of_size=True, on_tyres=0.01),

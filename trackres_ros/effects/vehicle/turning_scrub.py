@@ -15,6 +15,7 @@ class TurningScrub(Effect):
     acts_on = "torque"
     belongs_to = "vehicle"  # of its contact length and rubber; hard grounds differ less in friction
     text = "turning makes the contact slide sideways over the ground"
+    only_of = "rolls"
     needs = ("speed", "yaw_rate")
     parameters = (Parameter("friction", "1", 0.0, 1.5, 0.3, "friction times the share of the contact that slides", off=0.0),)
 

@@ -21,6 +21,7 @@ class ViscousBearing(Effect):
     acts_on = "torque"
     belongs_to = "vehicle"
     text = "grease in the bearings resists with speed, and less once it is warm"
+    only_of = "rolls"
     needs = ("speed", "ambient")
     parameters = (
         Parameter("coefficient", "Nm/(m/s)^(2/3)", 0.0, 400.0, 54.0, "drag at 20 degC", off=0.0, of_size=True),

@@ -17,6 +17,7 @@ class WarmUp(Effect):
     acts_on = "torque"
     belongs_to = "vehicle"
     text = "oil and bearings drag more after a stop, until they are warm"
+    only_of = "rolls"
     parameters = (
         Parameter("torque", "Nm", 0.0, 2500.0, 200.0, "when cold", off=0.0, of_size=True, on_tyres=0.01),
         Parameter("time_constant", "s", 30.0, 1500.0, 300.0, "of warming while driving", more_starts=(100.0, 800.0)),

@@ -1,0 +1,126 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""A model of the user's own: a function is diagnosed as a vehicle is."""
+
+import re
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+
+import trackres_ros as tr
+from trackres_ros.diagnosis.base.loading import load_base
+from trackres_ros.diagnosis.base.own import OwnBase
+from trackres_ros.diagnosis.inference.fitting import Problem, fit
+from trackres_ros.diagnosis.prepare.gate import gate
+from trackres_ros.effects import Active, catalogue
+from trackres_ros.errors import InputError
+
+BLOCK = re.compile(r'^```python title="(\S+)"\n(.*?)^```$', re.MULTILINE | re.DOTALL)
+PARAMETERS = {"inertia": (5e-4, 3e-4, 7e-4, "kg m^2"), "drag": (1e-3, 0.0, 4e-3, "Nm s")}
+
+
+def motor(inputs, p):
+    return p["inertia"] * inputs.accel + p["drag"] * inputs.speed
+
+
+def model(**changed):
+    given = {"name": "motor", "torque": motor, "parameters": PARAMETERS, "max_speed": 200.0, "max_torque": 0.6}
+    return tr.OwnModel(**{**given, **changed})
+
+
+@pytest.fixture(scope="module")
+def page(repository, tmp_path_factory):
+    """The folder in which the blocks of the page were run."""
+    folder = tmp_path_factory.mktemp("page")
+    for title, text in BLOCK.findall((repository / "docs" / "own-model.md").read_text(encoding="utf-8")):
+        (folder / title).write_text(text, encoding="utf-8")
+        done = subprocess.run(
+            [sys.executable, title], cwd=folder, capture_output=True, text=True, env={"PYTHONPATH": str(repository)}
+        )
+        assert done.returncode == 0, done.stderr
+        (folder / f"{title}.txt").write_text(done.stdout, encoding="utf-8")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def session(page):
+    """The recording of the page on its grid."""
+    return gate([tr.read(page / "motor.csv")], model().known).sessions[0]
+
+
+def test_the_blocks_of_the_page_name_the_friction(page):
+    assert "The cause is coulomb_friction" in (page / "diagnose.py.txt").read_text()
+    written = yaml.safe_load((page / "report" / "vehicle.yaml").read_text())
+    assert written["effects"]["coulomb_friction"]["friction"]["value"] == pytest.approx(0.08, rel=0.05)
+    low, high = written["parameters"]["inertia"]["range"]
+    assert low < 4e-4 < high
+
+
+def test_the_found_model_lacks_nothing(page):
+    found = tr.diagnose(page / "motor.csv", model(), quick=True)
+    assert [f.graded.grade for f in found.effects] == ["confirmed"]
+    assert isinstance(found.vehicle, tr.OwnModel)
+    assert "coulomb_friction" in {a.effect.name for a in found.vehicle.effects}
+    again = tr.diagnose(page / "motor.csv", found.vehicle, quick=True)
+    assert again.status == "none"
+
+
+def test_a_fit_finds_the_values_that_made_the_torque(session):
+    base = OwnBase(model())
+    made = replace(session, torque=motor(session, {"inertia": 6e-4, "drag": 2e-3}), torque_course=None)
+    found = fit(Problem(base, (made,), (made.used,)))
+    assert found.base_values == pytest.approx({"inertia": 6e-4, "drag": 2e-3}, rel=0.01)
+
+
+def test_an_effect_adds_to_what_the_function_says(session):
+    base = OwnBase(model())
+    values = {q.name: q.nominal for q in base.parameters}
+    friction = catalogue(size=base.facts.weight)["coulomb_friction"]
+    plain, (rubs,) = base.predict([session], values, ()), base.predict([session], values, [Active(friction, {"friction": 0.1})])
+    assert plain[0].torque == pytest.approx(motor(session, values), abs=1e-15)
+    fast = np.abs(session.speed) > 5.0
+    assert (rubs.torque - plain[0].torque)[fast] == pytest.approx(0.1 * np.sign(session.speed[fast]), rel=1e-9)
+
+
+def test_a_parameter_without_a_range_is_held(session):
+    base = OwnBase(model(parameters={**PARAMETERS, "drag": (1e-3, 1e-3, 1e-3, "Nm s")}))
+    assert [q.name for q in base.parameters] == ["inertia"]
+    (found,) = base.predict([session], {"inertia": 4e-4}, ())
+    assert found.torque == pytest.approx(motor(session, {"inertia": 4e-4, "drag": 1e-3}), abs=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"parameters": {"inertia": (1.0, 2.0, 3.0, "kg m^2")}}, "inertia"),
+        ({"max_speed": 0.0}, "max_speed"),
+        ({"max_torque": float("nan")}, "max_torque"),
+    ],
+)
+def test_a_model_that_cannot_be_is_refused(changed, said):
+    with pytest.raises(InputError, match=said):
+        model(**changed)
+
+
+@pytest.mark.parametrize(
+    ("torque", "said"),
+    [
+        (lambda inputs, p: p["mass"] * inputs.accel, "KeyError"),
+        (lambda inputs, _: inputs.accel[1:], "shape"),
+        (lambda inputs, _: np.nan * inputs.accel, "finite"),
+    ],
+)
+def test_a_function_that_fails_is_named(session, torque, said):
+    base = OwnBase(model(torque=torque))
+    with pytest.raises(InputError, match=said):
+        base.predict([session], {}, ())
+
+
+def test_surroundings_are_refused(tmp_path):
+    with pytest.raises(InputError, match="surroundings"):
+        load_base(model(), surroundings=tmp_path / "site.yaml")

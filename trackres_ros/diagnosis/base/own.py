@@ -1,0 +1,207 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""A function of the user's own as a base: what drives a machine, of its speed, acceleration and some parameters."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.diagnosis.base.base import Acting, BaseParameter, Defaults, Predicted, Remembered, Values
+from trackres_ros.diagnosis.prepare.session import Session, with_unseen
+from trackres_ros.diagnosis.prepare.settings import GateSettings
+from trackres_ros.diagnosis.writing.kept import Kept
+from trackres_ros.diagnosis.writing.vehicle_file import finish
+from trackres_ros.diagnosis.writing.yaml_edit import Document, flow
+from trackres_ros.effects.effect import Active, VehicleConstants
+from trackres_ros.effects.stepping import (
+    DISTANCE,
+    TERM_DRIVE_GAIN,
+    TERM_TORQUE,
+    UNUSABLE,
+    EffectTable,
+    cooled,
+    look,
+    new_memory,
+    new_work,
+    rest_effects,
+    step_effects,
+)
+from trackres_ros.effects.vehicle.rotating_inertia import RotatingInertia
+from trackres_ros.errors import InputError
+from trackres_ros.jit.compiled import inlined
+from trackres_ros.jit.entries import entry
+from trackres_ros.units import STANDSTILL_MPS
+from trackres_ros.vehicle.road import SLOW_SHARE
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+Torque = Callable[[Session, Values], Array]
+
+SIZE = 0.15  # greatest torque over weight times radius: of a vehicle that it speeds up by 1.5 m/s^2
+AMBIENT_DEGC = 20.0
+
+
+@dataclass(frozen=True)
+class OwnModel:
+    """A model of your own, to be diagnosed as a vehicle is: see `trackres_ros.diagnose`.
+
+    Attributes
+    ----------
+    name
+        Of it.
+    torque
+        ``torque(inputs, p)``: the torque or force that drives it in each step, shape (n,), as the recording's ``torque`` has it.
+        ``inputs.speed`` and ``inputs.accel`` are arrays of that shape, means over each step; ``p["name"]`` is a parameter.
+    parameters
+        By name: value, least and greatest value that you expect (read as +-2 standard deviations), and the unit. A fit may go
+        beyond by the width of that range, and not to another sign. With the two alike it is held.
+    max_speed, max_torque
+        The greatest that occur: slower than a tenth of the speed friction may be static, and with the torque grows what is
+        looked for.
+    effects
+        What it has besides, as `DiagnosisResult.vehicle` gives it.
+    """
+
+    name: str
+    torque: Torque
+    parameters: Mapping[str, tuple[float, float, float, str]]
+    max_speed: float
+    max_torque: float
+    effects: tuple[Active, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        for name, (value, low, high, _) in self.parameters.items():
+            if not (-math.inf < low <= value <= high < math.inf):
+                raise InputError(f"{self.name}: {name}", (value, low, high), "a value within a finite least and greatest one")
+        for name in ("max_speed", "max_torque"):
+            if not 0.0 < getattr(self, name) < math.inf:
+                raise InputError(f"{self.name}: {name}", getattr(self, name), "a positive number")
+
+    @property
+    def known(self) -> GateSettings:
+        """What the gate must know."""
+        return GateSettings(self.max_torque / SIZE, self.max_speed, AMBIENT_DEGC, None)
+
+
+class OwnBase(Defaults):
+    """Base model of a function; see `base.Base`."""
+
+    def __init__(self, model: OwnModel) -> None:
+        super().__init__()
+        self.model, self.name = model, model.name
+        self._simulated = Remembered()
+        self.includes = (RotatingInertia.name, *(active.effect.name for active in model.effects))
+        self.facts = VehicleConstants(
+            radius=1.0, weight=model.known.weight, drag_area=0.0, air_density=0.0, contact_length=1.0, assemblies=1,
+            cooled_area=0.0, tension=1.0, standstill=min(STANDSTILL_MPS, SLOW_SHARE * model.max_speed),
+        )  # fmt: skip
+        self.parameters = tuple(_parameter(name, *of) for name, of in model.parameters.items() if of[1] < of[2])
+
+    def predict(self, sessions: Sequence[Session], values: Values, effects: Sequence[Active]) -> list[Predicted]:
+        """See `base.Base`."""
+        values = {name: of[0] for name, of in self.model.parameters.items()} | {**self.held, **values}
+        acting = Acting.of([*self.model.effects, *effects], self.facts)
+        torques = self._simulated.rows(sessions, values, acting, lambda: self._simulate(sessions, values, acting))
+        found = []
+        for i, (session, simulated) in enumerate(zip(sessions, torques, strict=True)):
+            torque, nothing = acting.with_watched(simulated, i), np.full(len(session), np.nan)
+            found.append(Predicted(acting.sensed(torque, session), torque, nothing, nothing))
+        return found
+
+    def _simulate(self, sessions: Sequence[Session], values: Values, acting: Acting) -> list[Array]:
+        """Step through sessions; the torque of each."""
+        work, memory = new_work(self.facts), new_memory(len(acting.stepped))
+        found = []
+        for i, (session, unseen) in enumerate(with_unseen(sessions)):
+            far = float(memory[DISTANCE])
+            if i > 0 and np.isfinite(session.gap):
+                rest_effects(*acting.table, memory, work, float(session.ambient[0]), session.gap)
+            else:
+                memory = cooled(memory)
+            true = replace(session, speed=acting.speed(session), accel=acting.accel(session))
+            own = self._own(true, values) + acting.torque_by_place(session, i) * np.sign(true.speed)
+            torque, outcome = np.empty(len(session)), np.empty(len(session), dtype=np.int64)
+            series = (session.time, true.speed, true.accel, session.weight, session.ambient, session.yaw_rate, session.heading)
+            step_own(*acting.table, work, memory, own, *series, torque, outcome)
+            acting.check(outcome == UNUSABLE, session, self.facts)
+            if unseen:
+                memory[DISTANCE] = far
+            else:
+                found.append(torque)
+        return found
+
+    def _own(self, session: Session, values: Values) -> Array:
+        """What the function says.
+
+        Raises
+        ------
+        InputError
+            If it fails, or gives something else than a finite number for each step.
+        """
+        try:
+            own = np.array(self.model.torque(session, values), dtype=float)
+        except Exception as error:
+            raise InputError(f"{self.name}: torque", f"{type(error).__name__}: {error}", "a function of inputs and p") from error
+        if own.shape != session.speed.shape or not np.isfinite(own).all():
+            given = f"shape {own.shape}" if own.shape != session.speed.shape else f"no finite number with {dict(values)}"
+            raise InputError(f"{self.name}: torque", given, f"a finite number for each step, shape {session.speed.shape}")
+        return own
+
+    def with_kept(self, kept: Kept) -> OwnModel:
+        """The model with values and effects that are to be used."""
+        values = kept.values or {}
+        parameters = {name: (values.get(name, of[0]), *of[1:]) for name, of in self.model.parameters.items()}
+        parameters = {n: (v, min(low, v), max(high, v), unit) for n, (v, low, high, unit) in parameters.items()}
+        return replace(self.model, parameters=parameters, effects=(*self.model.effects, *kept.of("vehicle")))
+
+    def write(self, path: Path, kept: Kept, text: str) -> list[Path]:
+        """See `base.Base`: the values of the parameters, and effects."""
+        lines = [f"name: {flow(self.name)}", "parameters:"]
+        for name, (value, low, high, unit) in self.with_kept(kept).parameters.items():
+            span = kept.range_of(name) if kept.values is not None else None
+            lines.append(f"  {name}: {flow({'value': value, 'unit': unit, 'range': list(span or (low, high))})}")
+        return finish(Document("\n".join(lines) + "\n"), self.name, self.model.effects, (), path, kept, text)
+
+
+def _parameter(name: str, value: float, low: float, high: float, unit: str) -> BaseParameter:
+    wide = high - low
+    least, most = (0.0 if low >= 0.0 else low - wide), (0.0 if high <= 0.0 else high + wide)
+    return BaseParameter(name, unit, value, 0.25 * wide, least, most, (low, high))
+
+
+@inlined
+def own_along(
+    effects: EffectTable,
+    work: Array,
+    memory: Array,
+    own: Array,
+    times: Array,
+    speeds: Array,
+    accelerations: Array,
+    weights: Array,
+    ambients: Array,
+    yaw_rates: Array,
+    headings: Array,
+    torque: Array,
+    outcome: IntArray,
+) -> None:
+    """Fill `torque`, of a model with what effects add, and the `outcome` of these for each time; see `effects.stepping`."""
+    last_torque = last_own = 0.0
+    for i in range(times.shape[0]):
+        drive = last_torque + own[i] - last_own
+        turning = yaw_rates[i], headings[i], math.nan
+        look(work, speeds[i], accelerations[i], weights[i], ambients[i], *turning, drive, math.nan)
+        dt = times[i] - times[i - 1] if i > 0 else 0.0
+        outcome[i] = step_effects(effects.rows, effects.values, memory, work, dt)
+        torque[i] = (own[i] + work[TERM_TORQUE]) * work[TERM_DRIVE_GAIN]
+        last_torque, last_own = torque[i], own[i]
+
+
+step_own = entry(own_along)

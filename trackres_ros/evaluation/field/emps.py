@@ -1,0 +1,146 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Diagnoses a machine whose left-out physics is published: a carriage on a ball screw, without its dry friction and then with it.
+
+Janot, Gautier and Brunot, "Data set and reference models of EMPS", 2019 Workshop on Nonlinear System Identification Benchmarks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from trackres_ros.diagnosis import Diagnosis, diagnose, load_base, read_recordings
+from trackres_ros.diagnosis.inference.fitting import Fit
+from trackres_ros.diagnosis.inference.levels import with_levels
+from trackres_ros.diagnosis.prepare.session import Mask
+from trackres_ros.diagnosis.report.believed_pictures import draw_believed
+from trackres_ros.diagnosis.selection.intervals import NORMAL_95, intervals
+from trackres_ros.effects.vehicle.coulomb_friction import CoulombFriction
+from trackres_ros.effects.vehicle.friction_by_direction import FrictionByDirection
+from trackres_ros.errors import InputError
+from trackres_ros.files.resources import config_dir
+from trackres_ros.recording.bindings import Topics
+
+COULOMB, DIRECTION = CoulombFriction.name, FrictionByDirection.name
+ASSUMED_FRICTION = {"value": 20.0, "unit": "N", "flag": "A", "range": [0.0, 60.0], "reason": "assumed"}
+PUBLISHED_ERRORS = {"viscous": 17.3, "coulomb": 3.4, "direction": 2.0}  # percent, on this drive
+PUBLISHED = {"mass": "95.1 kg", "viscous": "205 N s/m", "coulomb": "20.2 N", "offset": "-3.2 N"}
+PUBLISHED_BY_DIRECTION = {"forward": "168 N s/m", "reverse": "242 N s/m", "coulomb": "20.0 and 20.4 N"}
+
+
+@dataclass(frozen=True, eq=False)
+class SlideTrial:
+    """The diagnosis with a file that lacks dry friction, and with one that has it."""
+
+    lacking: Diagnosis
+    with_friction: Diagnosis
+
+
+def try_slide(recording: Path, folder: Path) -> SlideTrial:
+    """Diagnose a recording of the positioning system; the second vehicle file goes to `folder`.
+
+    Raises
+    ------
+    InputError
+        If the recording is not there.
+    """
+    if not recording.is_file():
+        raise InputError("--emps", str(recording), "the recording of the positioning system, emps.csv.gz")
+    file = yaml.safe_load((config_dir() / "emps.yaml").read_text(encoding="utf-8"))
+    file["road_load"]["coulomb_friction"] = ASSUMED_FRICTION
+    second = folder / "emps_coulomb.yaml"
+    folder.mkdir(parents=True, exist_ok=True)
+    second.write_text(yaml.safe_dump(file, sort_keys=False), encoding="utf-8")
+    drives = read_recordings([recording], Topics.load("emps"))
+    return SlideTrial(diagnose(drives, load_base("emps")), diagnose(drives, load_base(second)))
+
+
+def force_error(d: Diagnosis, found: Fit, held_out: bool = False) -> float:
+    """Norm of measured less expected force over the norm of the measured one, of the steps that are compared or held out."""
+    errors, forces = [], []
+    for session, predicted in zip(d.sessions, found.predicted, strict=True):
+        steps: Mask = d.split.held_out_mask(session) if held_out else session.used
+        errors.append((session.torque - predicted.torque)[steps])
+        forces.append(session.torque[steps])
+    return float(np.linalg.norm(np.concatenate(errors)) / np.linalg.norm(np.concatenate(forces)))
+
+
+def only(d: Diagnosis, names: Sequence[str]) -> Fit:
+    """The last fit with none but some of its effects, all values fitted anew."""
+    return with_levels(d.final, without=[name for name in d.final.effect_names if name not in names])
+
+
+def write_page(tried: SlideTrial, folder: Path, of_pictures: str = "") -> str:
+    """Draw the picture into a folder and give the page's tables, whose links begin with `of_pictures`."""
+    first, second = tried.lacking, tried.with_friction
+    draw_believed(first, folder / "believed.svg")
+    dry, both = only(first, (COULOMB,)), only(first, (COULOMB, DIRECTION))
+    rows = [
+        ("mass, viscous friction, offset: the file re-fitted", "viscous", first, first.refitted),
+        ("and Coulomb friction", "coulomb", first, dry),
+        ("and friction by direction", "direction", first, both),
+        ("all that the diagnosis found", "", first, first.final),
+        ("Coulomb friction in the file: re-fitted", "coulomb", second, second.refitted),
+        ("Coulomb friction in the file: all that was found", "direction", second, second.final),
+    ]
+    lines = ["| model | published | here | here, held-out pieces |", "|---|---|---|---|"]
+    for what, key, d, fit in rows:
+        published = f"{PUBLISHED_ERRORS[key]} %" if key else ""
+        lines.append(
+            f"| {what} | {published} | {100.0 * force_error(d, fit):.1f} % | {100.0 * force_error(d, fit, True):.1f} % |"
+        )
+    lines += ["", "| value | published | here, with a 95 % interval |", "|---|---|---|"]
+    lines += [f"| {what} | {published} | {here} |" for what, published, here in (*_of_dry(dry), *_of_both(both))]
+    session = first.sessions[0]
+    said = [
+        f"Steps of {session.step:g} s; {int(session.used.sum())} of {len(session)} are compared, {first.split.text}.",
+        *(f"The file {what}: {_found(d)}" for what, d in (("without dry friction", first), ("with it", second))),
+        f"![What the file without dry friction lacks, over time]({of_pictures}believed.svg)",
+    ]
+    return "\n\n".join(["\n".join(lines), *said]) + "\n"
+
+
+def _found(d: Diagnosis) -> str:
+    terms = [(f.name, f.graded.grade) for f in d.found] + [(t.described.name, t.graded.grade) for t in d.described]
+    return ", ".join(f"`{name}` {grade}" for name, grade in terms) + f". It says: “{d.verdict.sentence}”"
+
+
+def _of_dry(dry: Fit) -> list[tuple[str, str, str]]:
+    """The values with Coulomb friction alike both ways."""
+    at = {
+        "mass": (("", "mass"), "kg"),
+        "viscous": (("", "viscous_friction"), "N s/m"),
+        "coulomb": ((COULOMB, "friction"), "N"),
+        "offset": (("", "torque_offset"), "N"),
+    }
+    bounds, values = intervals(dry), dry.at
+    return [
+        (f"{key}, alike both ways", PUBLISHED[key], f"{values[of]:.3g} [{bounds[of].low:.3g}, {bounds[of].high:.3g}] {unit}")
+        for key, (of, unit) in at.items()
+    ]
+
+
+def _of_both(both: Fit) -> list[tuple[str, str, str]]:
+    """Viscous friction forward and in reverse, and Coulomb friction beside them, whose sides an offset of the force parts."""
+    bounds, values = intervals(both), both.at
+    viscous, forward = ("", "viscous_friction"), (DIRECTION, "forward")
+    keys = [f.key for f in both.free]
+    i, j = keys.index(viscous), keys.index(forward)
+    found = []
+    for what, sign in (("forward", 1.0), ("reverse", -1.0)):
+        value = values[viscous] + sign * values[forward]
+        half = bounds[forward].high - bounds[forward].low, bounds[viscous].high - bounds[viscous].low
+        by_curvature = both.covariance[i, i] + both.covariance[j, j] + 2.0 * sign * both.covariance[i, j]
+        wide = max(0.5 * float(np.hypot(*half)), NORMAL_95 * float(np.sqrt(by_curvature)))
+        here = f"{value:.3g} [{value - wide:.3g}, {value + wide:.3g}] N s/m"
+        found.append((f"viscous {what}", PUBLISHED_BY_DIRECTION[what], here))
+    friction, offset = (COULOMB, "friction"), ("", "torque_offset")
+    sides = " and ".join(f"{values[friction] + sign * values[offset]:.3g}" for sign in (1.0, -1.0))
+    here = f"{sides} N; half of their sum {values[friction]:.3g} [{bounds[friction].low:.3g}, {bounds[friction].high:.3g}] N"
+    return [*found, ("coulomb forward and reverse", PUBLISHED_BY_DIRECTION["coulomb"], here)]
