@@ -11,8 +11,8 @@ import pytest
 from trackres_ros.diagnosis import diagnose, load_base, read_recordings
 from trackres_ros.evaluation.closed_loop import left_by_diagnosis
 from trackres_ros.evaluation.field.bus import LONG_STRETCH_S, TOPICS, VEHICLE, mass_of_joined, missions
-from trackres_ros.evaluation.field.bus_live import live_errors
 from trackres_ros.evaluation.field.data import car
+from trackres_ros.evaluation.field.live import all_drives, live_errors
 from trackres_ros.evaluation.field.run import NOTHING, TWICE, UPHILL, WARM, FieldTrial, start_state, twice
 from trackres_ros.recording.bindings import Topics
 
@@ -62,8 +62,8 @@ def test_of_a_bus_without_its_altitude_the_slope_of_the_streets_is_named_and_not
 @pytest.mark.long
 @pytest.mark.skipif(not missions(DATA), reason="no recording of the bus on this machine")
 def test_what_is_learned_of_the_streets_of_a_bus_serves_the_rest_of_its_mission(tmp_path):
-    (mission,) = missions(DATA)
-    errors = {e.what: e.error_nm for e in live_errors(mission, tmp_path)}
+    of_bus = next(all_drives(DATA, tmp_path))
+    errors = {e.what: e.error_nm for e in live_errors(of_bus, tmp_path)}
     assert errors["vehicle.yaml and surroundings.yaml"] < 0.5 * errors["the shipped vehicle file"]
     assert errors["vehicle.yaml"] < 1.05 * errors["the shipped vehicle file"]
 

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -17,10 +16,9 @@ from scipy.stats import spearmanr
 from trackres_ros.diagnosis.findings.locate import evenly_filled
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.selection.intervals import NORMAL_95
-from trackres_ros.evaluation.field.bus import missions
-from trackres_ros.evaluation.field.bus_live import live_errors, live_page
 from trackres_ros.evaluation.field.bus_page import bus_page
 from trackres_ros.evaluation.field.data import SECONDS_PER_H
+from trackres_ros.evaluation.field.live import live_page
 from trackres_ros.evaluation.field.run import (
     COLD_AFTER_H,
     COLD_S,
@@ -79,9 +77,7 @@ def write_page(data: Path, tried: Sequence[FieldTrial], of_bus: Sequence[FieldTr
         "",
     ]
     lines += bus_page(of_bus, folder, of_pictures)
-    for mission in missions(data):
-        with tempfile.TemporaryDirectory() as driven:
-            lines += live_page(live_errors(mission, Path(driven)))
+    lines += live_page(data)
     lines += ["## A route driven twice", "", *_twice(route, repeated), ""]
     lines += [f"![Residuals of both drives and the slope over the distance.]({of_pictures}twice.png)", ""]
     lines += ["## Turning on wet grass", ""]
