@@ -87,6 +87,24 @@ def test_a_confirmed_term_without_a_name_is_listed_with_the_names():
     assert alone.answer == "grade"
 
 
+def test_what_cannot_be_predicted_is_worth_what_following_it_takes_off():
+    of = {
+        "form": "recordings",
+        "variable": "recording",
+        "gate": "",
+        "size_nm": 500.0,
+        "mechanisms": ["a load"],
+        "grade": "confirmed",
+    }
+    mae = {"nominal": 300.0, "refitted": 400.0, "with_effects": 400.0}
+    r = report_of("described", "confirmed", [], described=[{**of, "heldout": {"mae": [400.0, 75.0]}}], heldout={"mae": mae})
+    where, what, better, _ = tiles(r)
+    assert where.answer == "From recording to recording"
+    assert what.answer == "another level in each recording (no name)"
+    assert better.answer == "75 % less error"
+    assert "400 re-fitted, 75 where the estimate follows it" in better.detail
+
+
 def test_the_tiles_say_what_the_report_does():
     where, what, better, following = tiles(report_of("named", "confirmed", [["turning_scrub"]]))
     assert where.answer == "In curves tighter than 100 m"

@@ -31,6 +31,7 @@ FORMS = {
     "place": "a torque at a place",
     "payload": "a payload",
     "level_change": "a change of level",
+    "recordings": "another level in each recording",
     "spread": "a torque that shakes",
 }
 

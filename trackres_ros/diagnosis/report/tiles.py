@@ -18,6 +18,7 @@ MOST_WORDS = 40  # of the sentence: fewer than these
 STANDS_OUT_P = 0.05
 FEW = 3  # names that a sentence holds
 LACK_OF_FIT_P = 0.01
+FOLLOWED = ("recordings", "drift")  # forms that no model of the torque has
 AVERAGED = "Averaged"  # begins what is seen of a slow residual
 LEAST_SHARE = 0.01  # of the mean error, that is worth a new file
 SURE = "the hold-out laps confirm it"
@@ -229,16 +230,25 @@ def _next(r: dict[str, Any]) -> Tile:
 
 
 def _errors(r: dict[str, Any]) -> str:
-    mae = r["heldout"]["mae"]
+    mae, followed = r["heldout"]["mae"], _followed(r)
     nominal, refitted, with_it = (figures(mae.get(stage)) for stage in ("nominal", "refitted", "with_effects"))
+    if followed is not None:
+        return f"{nominal} Nm with the file, {refitted} re-fitted, {figures(followed)} where the estimate follows it"
     if stage_of(r) == "with_effects":
         return f"{nominal} Nm with the file, {refitted} re-fitted, {with_it} with it"
     return f"{nominal} Nm with the file, {refitted} re-fitted"
 
 
+def _followed(r: dict[str, Any]) -> float | None:
+    """Mean error on held-out laps where the estimate follows as it goes what cannot be predicted; None where it need not."""
+    sure = _sure(r)
+    return sure[0]["heldout"]["mae"][1] if sure and sure[0].get("form") in FOLLOWED else None
+
+
 def _share(r: dict[str, Any]) -> float:
     """Share of the mean error on held-out laps that the last stage takes away; 0 where it is not known."""
-    before, after = r["heldout"]["mae"]["nominal"], r["heldout"]["mae"][stage_of(r)]
+    mae, followed = r["heldout"]["mae"], _followed(r)
+    before, after = mae["nominal"], mae[stage_of(r)] if followed is None else followed
     return 0.0 if not before or after is None else float((before - after) / before)
 
 
