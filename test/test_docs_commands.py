@@ -114,7 +114,7 @@ def files(tmp_path_factory):
     known = {"time_unix": 1.6e9 + time, "odometry_vehicleSpeed": speed, "traction_tractionForce": force}
     for name, values in {**known, "temperature_ambient": 288.0}.items():
         bus[:, columns.index(name)] = values
-    for name in ("bus.csv", "first.csv", "rest.csv"):
+    for name in ("bus.csv", "mission_first.csv", "mission_rest.csv"):
         np.savetxt(folder / name, bus, delimiter=",", header=",".join(columns), comments="", fmt="%.3f")
     (folder / "tour.csv").write_text(
         "time_s,speed_mps\n" + "".join(f"{t:.1f},{v:.4f}\n" for t, v in zip(time, speed, strict=True))
