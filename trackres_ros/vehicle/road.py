@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -73,14 +73,11 @@ class RoadVehicle:
     @property
     def own(self) -> tuple[Active, ...]:
         """All effects of the vehicle: its gears and what slides, then those that its file lists."""
-
-        def part(effect: Effect, parameter: str, name: str, arm: float) -> Active:
+        found = []
+        for effect, parameter, name, arm in built_in(self.values):
             of = self.parameters[f"{SECTION}.{name}"]
-            return Active(effect, {parameter: arm * self.values[name]}, {parameter: (arm * of.low, arm * of.high)})
-
-        radius = self.values["wheel_radius"]
-        slides = (part(effect, q, name, radius) for name, (effect, q) in OF_SLIDES.items() if name in self.values)
-        return (part(GEARS, "efficiency", "efficiency", 1.0), *slides, *self.effects)
+            found.append(Active(effect, {parameter: arm * self.values[name]}, {parameter: (arm * of.low, arm * of.high)}))
+        return (*found, *self.effects)
 
     @property
     def rolls(self) -> bool:
@@ -139,6 +136,20 @@ class RoadVehicle:
 
 
 AnyVehicle = Vehicle | RoadVehicle
+
+
+def built_in(values: Mapping[str, float]) -> Iterator[tuple[Effect, str, str, float]]:
+    """Each effect that a road-load file has as a quantity: the effect, its parameter, the quantity, and the factor of that.
+
+    Parameters
+    ----------
+    values
+        Quantities of the section `road_load`, by name.
+    """
+    yield GEARS, "efficiency", "efficiency", 1.0
+    for name, (effect, parameter) in OF_SLIDES.items():
+        if name in values:
+            yield effect, parameter, name, values["wheel_radius"]
 
 
 def load_any(path_or_name: str | os.PathLike[str]) -> AnyVehicle:

@@ -66,7 +66,7 @@ class OwnModel:
         The greatest that occur: slower than a tenth of the speed friction may be static, and with the torque grows what is
         looked for.
     effects
-        What it has besides, as `DiagnosisResult.vehicle` gives it.
+        Effects that are already in it, as `DiagnosisResult.vehicle` gives them.
     """
 
     name: str

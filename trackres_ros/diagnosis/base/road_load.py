@@ -30,7 +30,7 @@ from trackres_ros.estimator.settings import Settings
 from trackres_ros.files.yamls import read_yaml
 from trackres_ros.units import GRAVITY
 from trackres_ros.vehicle import RoadVehicle
-from trackres_ros.vehicle.road import GEARS, OF_SLIDES, SECTION, build_road
+from trackres_ros.vehicle.road import OF_SLIDES, SECTION, build_road, built_in
 from trackres_ros.vehicle.schema import ROAD_LOAD
 
 Array = NDArray[np.float64]
@@ -85,7 +85,7 @@ class RoadBase(Defaults):
         )
         same = {"torque_scale": TorqueGain.name, "rotating_mass_factor": RotatingInertia.name}
         refitted = (effect for parameter, effect in same.items() if parameter in free)
-        chain = (GEARS.name, Delay.name, *(name for name in (*OF_SLIDES, TORQUE_OFFSET) if name in v))
+        chain = (Delay.name, *(effect.name for effect, *_ in built_in(v)), *([TORQUE_OFFSET] if TORQUE_OFFSET in v else []))
         self.includes = (*chain, *refitted, *(active.effect.name for active in self._active))
 
     @property
@@ -96,8 +96,7 @@ class RoadBase(Defaults):
     def predict(self, sessions: Sequence[Session], values: Values, effects: Sequence[Active]) -> list[Predicted]:
         """See `base.Base`."""
         values = {**self.vehicle.values, **self.held, **values}
-        chain, radius = [Active(GEARS, {"efficiency": values["efficiency"]})], values["wheel_radius"]
-        chain += [Active(e, {q: radius * values[name]}) for name, (e, q) in OF_SLIDES.items() if name in values]
+        chain = [Active(effect, {q: arm * values[name]}) for effect, q, name, arm in built_in(values)]
         chain.append(Active(Delay(), {"time": values["torque_delay"]}))
         if TORQUE_OFFSET in values:
             chain.append(Active(TorqueOffset(), {"offset": values[TORQUE_OFFSET]}))
