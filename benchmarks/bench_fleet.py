@@ -13,9 +13,9 @@ from pathlib import Path
 
 from measuring import at_least, at_most
 
+from trackres_ros.engine.executor import done, engine
 from trackres_ros.evaluation.fleet.draw import draw_fleet, write_recording
 from trackres_ros.fleet.dataset import FleetDataset
-from trackres_ros.fleet.engine import done, engine
 from trackres_ros.fleet.recordings import FoundRecording
 from trackres_ros.fleet.task import Task, analyse, broken
 from trackres_ros.fleet.vehicles import one_vehicle

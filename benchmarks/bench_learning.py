@@ -18,9 +18,9 @@ from pathlib import Path
 from measuring import at_most
 
 from trackres_ros.node.application import Application
-from trackres_ros.node.edge import Level, Peer, Reasons, Status
 from trackres_ros.node.endpoints import InputTopic
 from trackres_ros.node.parameters import make_parameters
+from trackres_ros.node.transport import Level, Peer, Reasons, Status
 from trackres_ros.units import SECOND_NS
 
 SECONDS, ROUNDS = 60.0, 5
@@ -35,7 +35,7 @@ TARGETS = {f"learning {mode}: of what a node may take [1]": at_most(0.2) for mod
 
 
 class Nobody:
-    """An edge to nothing: what is published goes nowhere, and the time is what it is set to."""
+    """A transport to nothing: what is published goes nowhere, and the time is what it is set to."""
 
     steady_ns = 0
 
@@ -72,9 +72,9 @@ class Drive:
     """One application, driven on."""
 
     def __init__(self, mode: str, topics: Path) -> None:
-        self._edge = Nobody()
+        self._transport = Nobody()
         given = {"vehicle": "xgd24d", "topics": str(topics), "state_file": "none", "learning": mode}
-        self._app = Application(make_parameters(given), self._edge, steady_ns=lambda: self._edge.steady_ns)
+        self._app = Application(make_parameters(given), self._transport, steady_ns=lambda: self._transport.steady_ns)
         self._app.activate()
         roles = [given.roles[0] for given in self._app.inputs]
         self._torque, self._speed = roles.index("torque"), roles.index("speed")
@@ -82,11 +82,11 @@ class Drive:
 
     def on(self, seconds: float) -> float:
         """Drive for a while; the processor time it took [s]."""
-        begin, app, edge = time.process_time(), self._app, self._edge
+        begin, app, transport = time.process_time(), self._app, self._transport
         for _ in range(round(seconds * RATE_HZ)):
             self._n += 1
-            edge.steady_ns = round(self._n * SECOND_NS / RATE_HZ)
-            now, at = edge.now_ns(), self._n / RATE_HZ
+            transport.steady_ns = round(self._n * SECOND_NS / RATE_HZ)
+            now, at = transport.now_ns(), self._n / RATE_HZ
             app.receive_values(self._torque, now, [3000.0 + 40.0 * math.sin(7.7 * self._n)])
             app.receive_values(self._speed, now, [8.0 + 5.0 * math.sin(at / 20.0)])
             app.tick()

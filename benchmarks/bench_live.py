@@ -37,8 +37,8 @@ LOADS_N = (60e3, 65e3, 70e3, 75e3)
 LOAD_EVERY = 10
 WITHIN_S = 60.0
 TARGETS: dict[str, Target] = {
-    f"{edge}: {what}": target
-    for edge, share in (("dds", 8.0), ("ros", 12.0))
+    f"{transport}: {what}": target
+    for transport, share in (("dds", 8.0), ("ros", 12.0))
     for what, target in (
         ("median over a bare echo's", at_most(1.3)),
         ("p99 over a bare echo's", at_most(2.0)),
@@ -77,11 +77,11 @@ def running(command: list[str], cache: Path | None = None) -> Iterator[subproces
             process.wait()
 
 
-def node(edge: str, folder: Path, rate_hz: float) -> list[str]:
+def node(transport: str, folder: Path, rate_hz: float) -> list[str]:
     """Command of the node."""
     topics = folder / "topics.yaml"
     topics.write_text(TOPICS)
-    command = [sys.executable, "-m", "trackres_ros", "live", "--edge", edge, "--quiet", "--vehicle", "xgd24d"]
+    command = [sys.executable, "-m", "trackres_ros", "live", "--transport", transport, "--quiet", "--vehicle", "xgd24d"]
     return [*command, "--topics", str(topics), "-p", "state_file:=none", "-p", f"output_rate_hz:={rate_hz}"]
 
 
@@ -218,16 +218,16 @@ def usage(pid: int) -> tuple[float, float]:
     return ticks / os.sysconf("SC_CLK_TCK"), int(fields[21]) * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
-def measure(edge: str) -> dict[str, float]:
-    """All numbers of one edge."""
+def measure(transport: str) -> dict[str, float]:
+    """All numbers of one transport."""
     with tempfile.TemporaryDirectory() as name:
-        return _measure(edge, Path(name))
+        return _measure(transport, Path(name))
 
 
-def _measure(edge: str, folder: Path) -> dict[str, float]:
+def _measure(transport: str, folder: Path) -> dict[str, float]:
     found: dict[str, float] = {}
-    client = DdsClient() if edge == "dds" else RosClient()
-    rivals = {"echo": [sys.executable, __file__, f"echo-{edge}"], "node": node(edge, folder, 0.0)}
+    client = DdsClient() if transport == "dds" else RosClient()
+    rivals = {"echo": [sys.executable, __file__, f"echo-{transport}"], "node": node(transport, folder, 0.0)}
     times: dict[str, list[float]] = {name: [] for name in rivals}
     for _ in range(ROUNDS):
         for name, command in rivals.items():
@@ -240,7 +240,7 @@ def _measure(edge: str, folder: Path) -> dict[str, float]:
     found["node, p99 [us]"] = 1e6 * p99(times["node"])
     found["median over a bare echo's"] = statistics.median(times["node"]) / statistics.median(times["echo"])
     found["p99 over a bare echo's"] = p99(times["node"]) / p99(times["echo"])
-    with running(node(edge, folder, 50.0)) as process:
+    with running(node(transport, folder, 50.0)) as process:
         latencies(client, 100, 50.0)
         before, begin = usage(process.pid)[0], time.monotonic()
         latencies(client, int(CPU_S * 50), 50.0)
@@ -252,18 +252,18 @@ def _measure(edge: str, folder: Path) -> dict[str, float]:
     time.sleep(1.0)
     for label in ("empty", "filled"):
         begin = time.monotonic()
-        with running(node(edge, folder, 0.0), folder / "cache"):
+        with running(node(transport, folder, 0.0), folder / "cache"):
             latencies(client, 1 - WARM_UP, 100.0)
             found[f"start to first torque, {label} cache [s]"] = time.monotonic() - begin
             if label == "empty":
                 time.sleep(40.0)  # until it has compiled
         time.sleep(1.0)
     client.close()
-    return {f"{edge}: {name}": value for name, value in found.items()}
+    return {f"{transport}: {name}": value for name, value in found.items()}
 
 
 def run() -> dict[str, float]:
-    """Numbers of each edge that is there."""
+    """Numbers of each transport that is there."""
     found = measure("dds")
     if importlib.util.find_spec("rclpy"):
         found |= measure("ros")

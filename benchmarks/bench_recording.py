@@ -18,7 +18,7 @@ from trackres_ros.effects import Active, catalogue
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.model.track import with_methods
-from trackres_ros.offline.simulate import Drive, laps, ramp_and_hold
+from trackres_ros.offline.simulate import SimulatedDrive, laps, ramp_and_hold
 from trackres_ros.vehicle import load
 
 Array = NDArray[np.float64]
@@ -57,15 +57,15 @@ TARGETS = {
 }
 
 
-def _road(estimator: Estimator, drive: Drive, noise: float) -> Road:
+def _road(estimator: Estimator, drive: SimulatedDrive, noise: float) -> Road:
     speed = drive.speed + np.random.default_rng(1).normal(0.0, noise, len(drive.speed)) * (drive.speed > 0.0)
     loads = estimator.vehicle.nominal_loads() * np.resize(UNEVEN, len(estimator.assemblies))
     return Road(drive.time_s, np.maximum(speed, 0.0), drive.acceleration.copy(), loads, AMBIENT_DEGC)
 
 
-def _cut(drive: Drive, duration_s: float) -> Drive:
+def _cut(drive: SimulatedDrive, duration_s: float) -> SimulatedDrive:
     count = int(round(duration_s / STEP_S)) + 1
-    return Drive(drive.time_s[:count], drive.speed[:count], drive.acceleration[:count])
+    return SimulatedDrive(drive.time_s[:count], drive.speed[:count], drive.acceleration[:count])
 
 
 def roads(estimator: Estimator, duration_s: float) -> dict[str, Road]:

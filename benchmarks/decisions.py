@@ -207,14 +207,14 @@ OWN_FIELDS = "std_msgs/Header header\nfloat64 feedforward\nfloat64 resistance\nf
 
 
 def estimate(messages: int = 2000, repeats: int = 5) -> dict[str, float]:
-    """`~/estimate` in the types that it could have: time to fill and its bytes, on the edge without ROS, and what a number loses.
+    """`~/estimate` in the types that it could have: time to fill and its bytes, without ROS, and what a number loses.
 
     Three reasons hold in each. What is of our own is made whole each time by rosbags, as a DiagnosticArray is; what is published
     is prepared, and made anew where the reasons are others.
     """
-    from trackres_ros.node.dds.messages import PreparedEstimate, diagnostic_array
+    from trackres_ros.node.dds.messages import DdsEstimate, diagnostic_array
     from trackres_ros.node.dds.wire import typestore
-    from trackres_ros.node.edge import Level, Status
+    from trackres_ros.node.transport import Level, Status
 
     store = typestore()
     if OWN_ESTIMATE not in store.types:
@@ -222,7 +222,7 @@ def estimate(messages: int = 2000, repeats: int = 5) -> dict[str, float]:
     reasons = (("LOAD_NOMINAL", Level.WARN), ("AMBIENT_NOMINAL", Level.WARN), ("NO_PUBLISHER", Level.WARN))
     names = ("feedforward_torque_nm", "resistance_torque_nm", "resistance_std_nm")
     torques = [1000.0 + 0.1 * count / 3.0 for count in range(messages)]
-    ready, types = PreparedEstimate("base_link"), store.types
+    ready, types = DdsEstimate("base_link"), store.types
 
     def groups() -> list[bytes]:
         return [ready.filled(START_NS, [nm, -nm, 0.1 * nm, 1.0], reasons) for nm in torques]

@@ -5,6 +5,7 @@
 
 import ast
 import importlib.util
+from graphlib import CycleError
 
 import pytest
 
@@ -23,14 +24,30 @@ def test_no_room_needs_one_that_needs_it(rooms):
     assert placed.index("recording") < placed.index("estimator") < placed.index("output") < placed.index("node")
 
 
+@pytest.mark.parametrize("level", ["modules", "rooms", "top-level rooms"])
+def test_nothing_imports_in_a_circle(rooms, level):
+    needed = {
+        "modules": rooms.module_needs,
+        "rooms": rooms.needs,
+        "top-level rooms": lambda: rooms.needs(lambda module: rooms.room_of(module).split(".")[0]),
+    }[level]()
+    assert len(rooms.order(needed)) == len(needed)
+
+
 def test_a_circle_is_found_and_named(rooms):
-    with pytest.raises(ValueError, match="x imports y"):
-        rooms.order({"a": {"b": ["x imports y"]}, "b": {"a": ["y imports x"]}, "c": {}})
+    with pytest.raises(CycleError, match=r"'a', 'b', 'a'|'b', 'a', 'b'"):
+        rooms.order({"a": {"b"}, "b": {"a"}, "c": set()})
+
+
+@pytest.mark.parametrize("module", ["api.replaying", "api.simulating", "cli.replay", "cli.vehicle", "node.application"])
+def test_replay_and_live_import_no_diagnosis(rooms, module):
+    needed = rooms.module_needs() | {"": set()}  # the front door loads a name when it is used
+    assert not {other for other in rooms.reached(module, needed) if other.startswith("diagnosis")}
 
 
 def test_nothing_but_the_front_door_and_what_all_use_lies_at_the_root(repository):
     files = {path.name for path in (repository / "trackres_ros").glob("*.py")}
-    assert files == {"__init__.py", "__main__.py", "errors.py", "units.py", "checks.py", "progress.py"}
+    assert files == {"__init__.py", "__main__.py", "errors.py", "units.py", "checks.py", "progress.py", "version.py"}
 
 
 def test_each_room_says_what_it_is_for(rooms):

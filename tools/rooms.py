@@ -6,12 +6,13 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "trackres_ros"
-DIVIDED = ("diagnosis", "node")  # rooms with rooms of their own
+DIVIDED = ("diagnosis", "node", "vehicle")  # rooms with rooms of their own
 HEAD = (Path(__file__).parent / "architecture.in.md").read_text(encoding="utf-8")
 COMMON = ("errors", "units", "checks", "files", "text", "jit")  # used from everywhere: left out of the picture
 
@@ -36,51 +37,64 @@ def room_of(module: str) -> str:
 
 
 def imported(path: Path, known: Mapping[str, Path]) -> Iterator[str]:
-    """Modules of the package that a file imports anywhere, but for types alone."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    for_types = {
-        id(inner)
-        for node in ast.walk(tree)
-        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test)
-        for inner in ast.walk(node)
-    }
-    for node in ast.walk(tree):
-        if isinstance(node, ast.ImportFrom) and node.module and id(node) not in for_types:
+    """Modules of the package that a file imports anywhere: at its top, in a function, for types alone."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.module:
             package, _, module = node.module.partition(".")
             if package == PACKAGE.name:
                 for name in node.names:
                     inner = f"{module}.{name.name}".lstrip(".")
                     yield inner if inner in known else module
+        elif isinstance(node, ast.Import):
+            for name in node.names:
+                package, _, module = name.name.partition(".")
+                if package == PACKAGE.name:
+                    yield module
 
 
-def needs() -> dict[str, dict[str, list[str]]]:
-    """For each room the rooms that it needs, with the imports that say so."""
+def module_needs() -> dict[str, set[str]]:
+    """For each module the modules that it imports."""
     known = modules()
-    found: dict[str, dict[str, list[str]]] = {room_of(module): {} for module in known}
-    for module, path in known.items():
-        for other in imported(path, known):
-            here, there = room_of(module), room_of(other)
-            if here != there:
-                found[here].setdefault(there, []).append(f"{module} imports {other}")
+    return {module: set(imported(path, known)) - {module} for module, path in known.items()}
+
+
+def reached(start: str, needed: Mapping[str, Iterable[str]]) -> set[str]:
+    """All that a module or room needs, directly or through others."""
+    found: set[str] = set()
+    waiting = [start]
+    while waiting:
+        new = set(needed[waiting.pop()]) - found
+        found |= new
+        waiting += new
     return found
 
 
-def order(needed: Mapping[str, Mapping[str, list[str]]]) -> list[str]:
-    """Rooms so that each stands after all that it needs.
+def needs(room: Callable[[str], str] = room_of) -> dict[str, dict[str, list[str]]]:
+    """For each room the rooms that it needs, with the imports that say so."""
+    needed = module_needs()
+    found: dict[str, dict[str, list[str]]] = {room(module): {} for module in needed}
+    for module, others in needed.items():
+        for other in sorted(others):
+            if room(module) != room(other):
+                found[room(module)].setdefault(room(other), []).append(f"{module} imports {other}")
+    return found
+
+
+def order(needed: Mapping[str, Iterable[str]]) -> list[str]:
+    """Rooms, or modules, so that each stands after all that it needs.
 
     Raises
     ------
-    ValueError
-        If rooms need each other in a circle; says by which imports.
+    graphlib.CycleError
+        If they need each other in a circle; names it.
     """
-    left, placed = dict(needed), []
-    while left:
-        free = sorted(room for room, others in left.items() if not set(others) & set(left))
-        if not free:
-            text = "; ".join(f"{a}: {imports[0]}" for a, others in left.items() for b, imports in others.items() if b in left)
-            raise ValueError(f"rooms need each other in a circle: {text}")
+    sorter = TopologicalSorter(needed)
+    sorter.prepare()
+    placed: list[str] = []
+    while sorter.is_active():
+        free = sorted(sorter.get_ready())
+        sorter.done(*free)
         placed += free
-        left = {room: others for room, others in left.items() if room not in free}
     return placed
 
 

@@ -15,6 +15,8 @@ from __future__ import annotations
 
 from importlib import import_module
 
+from trackres_ros.version import __version__
+
 TYPE_CHECKING = False  # as in typing, which takes longer to import than all else here
 if TYPE_CHECKING:
     from trackres_ros import effects
@@ -37,8 +39,6 @@ if TYPE_CHECKING:
     from trackres_ros.results.simulation import SimulationResult
     from trackres_ros.results.vehicle_check import VehicleCheck
     from trackres_ros.vehicle import Vehicle
-
-__version__ = "0.1.0"
 
 __all__ = [
     "CoastdownResult",

@@ -14,10 +14,10 @@ from rich.console import Console
 from trackres_ros.cli.live_json import as_dict
 from trackres_ros.cli.live_table import line, table
 from trackres_ros.estimator.disturbance import Belief
-from trackres_ros.node.edge import Level
 from trackres_ros.node.mismatch import Mismatch
-from trackres_ros.node.remarks import KINDS, Remark
+from trackres_ros.node.notices import KINDS, Notice
 from trackres_ros.node.report import Overview
+from trackres_ros.node.transport import Level
 from trackres_ros.node.watch import InputState
 
 ASSEMBLIES = ("front_left", "front_right", "rear_left", "rear_right")
@@ -39,7 +39,7 @@ def overview(assemblies=ASSEMBLIES, remarks=()):
     ]
     inputs.append(InputState("torque", "torque", math.nan, math.nan, math.nan, ()))
     compared = Mismatch(True, 1, 12.0, 500.0, 0.5, True, "measured torque is 500 Nm above the expected one")
-    told = tuple(Remark(name, kind.meaning) for name, kind in KINDS.items() if name in remarks)
+    told = tuple(Notice(name, kind.meaning) for name, kind in KINDS.items() if name in remarks)
     state = "/home/somebody/.local/state/trackres/x.json"
     return Overview(
         Level.WARN, told, 1_700_000_000 * 10**9, 0.02, 1000.0, 5, 1.0, -98765.0, values, tuple(assemblies), tuple(inputs),

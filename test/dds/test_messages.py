@@ -13,10 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from trackres_ros.errors import InputError
-from trackres_ros.node.dds.messages import InputReader, PreparedEstimate, clock_ns, diagnostic_array, prepared
+from trackres_ros.node.dds.messages import CdrInput, DdsEstimate, clock_ns, diagnostic_array, prepared
 from trackres_ros.node.dds.wire import typestore
-from trackres_ros.node.edge import Level, Status
 from trackres_ros.node.endpoints import InputTopic, live_topics
+from trackres_ros.node.transport import Level, Status
 from trackres_ros.output.topics import ESTIMATE_TOPIC
 from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.recording.bindings import Topics
@@ -70,7 +70,7 @@ REASONS = [(), (("SPEED_OLD", Level.STALE),), (("SPEED_OLD", Level.STALE), ("LOA
 
 
 def test_an_estimate_has_its_numbers_and_reasons_whatever_was_before():
-    estimate = PreparedEstimate("hull")
+    estimate = DdsEstimate("hull")
     for count, reasons in enumerate(REASONS):
         values = [count + 0.5, -2.0, 3.0, float(max((level for _, level in reasons), default=0))]
         raw = estimate.filled(STAMP_NS + count, values, reasons)
@@ -102,7 +102,7 @@ def test_a_diagnostic_array():
 def reader(kind, *fields, scale=1.0, offset=0.0):
     roles = tuple(["speed", "torque"][: len(fields)])
     bindings = tuple(TopicBinding("/t", kind, field, scale=scale, offset=offset) for field in fields)
-    return InputReader(InputTopic("/t", kind, roles, bindings, (None,) * len(roles)), "topics.yaml")
+    return CdrInput(InputTopic("/t", kind, roles, bindings, (None,) * len(roles)), "topics.yaml")
 
 
 def raw_of(kind, big=False, **fields):

@@ -107,7 +107,7 @@ def command(tmp_path):
     def of(*options, **parameters):
         path = tmp_path / "params.yaml"
         path.write_text(json.dumps({"vehicle": "xgd24d", "state_file": "none", **parameters}))
-        return [sys.executable, "-m", "trackres_ros", "live", "--edge", "dds", "--quiet", "--params", str(path), *options]
+        return [sys.executable, "-m", "trackres_ros", "live", "--transport", "dds", "--quiet", "--params", str(path), *options]
 
     return of
 
@@ -207,17 +207,17 @@ def test_a_publisher_that_offers_less_than_asked_is_remarked(wire, command, star
     speed = wire.publisher("/speed", TWIST, reliable=False)
     node = start(command(input_reliability=asked))
 
-    def remarks():
+    def notices():
         heard = status.update()
         return {pair.key: pair.value for pair in heard[-1].message.status[0].values}["remarks"].split() if heard else []
 
     if asked == "reliable":
-        assert wait_for(lambda: "INCOMPATIBLE_QOS" in remarks()), node.poll()
+        assert wait_for(lambda: "INCOMPATIBLE_QOS" in notices()), node.poll()
         assert not speed.matched
     else:
         assert wait_for(lambda: speed.matched)
         assert wait_for(lambda: len(status.update()) > 2)  # one a second
-        assert "INCOMPATIBLE_QOS" not in remarks()
+        assert "INCOMPATIBLE_QOS" not in notices()
 
 
 def test_a_log_that_nobody_reads_any_more_ends_nothing(command, start, tmp_path):
@@ -250,7 +250,7 @@ def test_an_environment_it_cannot_start_in_is_said_in_one_line(command, start, v
 def test_what_is_not_installed_is_said_with_how_to_install_it(environment, missing):
     program = f"import sys; sys.modules[{missing!r}] = None; from trackres_ros.cli.main import main; main(sys.argv[1:])"
     done = subprocess.run(
-        [sys.executable, "-c", program, "live", "--edge", "dds", "--vehicle", "xgd24d"],
+        [sys.executable, "-c", program, "live", "--transport", "dds", "--vehicle", "xgd24d"],
         env=environment,
         capture_output=True,
         text=True,

@@ -13,7 +13,7 @@ import pytest
 import trackres_ros as tr
 from trackres_ros.design import sensitivity as sensing
 from trackres_ros.design.steady import WARMEST_K, steady
-from trackres_ros.design.sweep import Asked, sweep
+from trackres_ros.design.sweep import SweepRequest, sweep
 from trackres_ros.design.values import meant, scalars, varied
 from trackres_ros.effects import Active, catalogue
 from trackres_ros.model.operating_point import explain
@@ -51,7 +51,7 @@ def test_a_belt_that_finds_no_balance_has_no_steady_state():
 def test_more_load_takes_more_and_a_sweep_is_the_vehicles_one_by_one():
     vehicle = load("agri3t")
     loads = next(path for path in scalars(vehicle) if path.endswith(".load"))
-    asked = Asked("agri3t", (varied(vehicle, f"{loads}"), varied(vehicle, "loss_modulus_scale=0.8,1.2")), 2.5, AIR)
+    asked = SweepRequest("agri3t", (varied(vehicle, f"{loads}"), varied(vehicle, "loss_modulus_scale=0.8,1.2")), 2.5, AIR)
     found = sweep(asked)
     cold = found.columns["cold_nm"].reshape(9, 2)
     assert np.all(np.diff(cold, axis=0) > 0.0)
@@ -65,7 +65,7 @@ def test_the_engine_gives_what_one_process_gives(tmp_path):
     pytest.importorskip("distributed")
     profile = tmp_path / "p.csv"
     profile.write_text("time_s,speed_kmh\n0,0\n20,8\n120,8\n")
-    asked = Asked("agri3t", (varied(load("agri3t"), "loss_modulus_scale=0.8,1.2"),), 2.5, AIR)
+    asked = SweepRequest("agri3t", (varied(load("agri3t"), "loss_modulus_scale=0.8,1.2"),), 2.5, AIR)
     alone, engine = sweep(asked), sweep(replace(asked, cycle=str(profile)), workers=1)
     for name in alone.columns:
         np.testing.assert_array_equal(alone.columns[name], engine.columns[name])
@@ -169,12 +169,12 @@ def test_a_percentage_changes_the_values_of_the_file_and_what_is_tied_moves_toge
     assert (low[0], high[-1]) == (80000.0, 150000.0)
     with pytest.raises(tr.InputError, match="percentage"):
         varied(vehicle, "glass_transition=+20%")
-    found = sweep(Asked("xgd24d", (varied(load("xgd24d"), "load=+20%"),), SPEED, AIR))
+    found = sweep(SweepRequest("xgd24d", (varied(load("xgd24d"), "load=+20%"),), SPEED, AIR))
     assert list(found.columns)[:2] == list(both)
     heavier = explain(load("xgd24d", dict.fromkeys(both, 134400.0)), SPEED, AIR, AIR)
     assert found.columns["cold_nm"][1] == pytest.approx(heavier["torque_nm"]["resistance"], rel=1e-9)
     with pytest.raises(tr.InputError, match="each value once"):
-        sweep(Asked("xgd24d", tuple(varied(load("xgd24d"), one) for one in ("load=+20%", "front.load=+10%")), SPEED, AIR))
+        sweep(SweepRequest("xgd24d", tuple(varied(load("xgd24d"), one) for one in ("load=+20%", "front.load=+10%")), SPEED, AIR))
 
 
 def test_the_command_sweeps_says_what_cannot_be_and_draws(good, tmp_path, monkeypatch):

@@ -18,7 +18,7 @@ from trackres_ros.diagnosis import diagnose, load_base, read_recordings
 from trackres_ros.diagnosis.inference.levels import with_levels
 from trackres_ros.diagnosis.search.choice import Choice
 from trackres_ros.diagnosis.search.explanations import Search
-from trackres_ros.diagnosis.search.left_out import LeftOut
+from trackres_ros.diagnosis.search.left_out import LeaveLapsOut
 from trackres_ros.diagnosis.selection import naming
 from trackres_ros.diagnosis.selection.as_used import AsUsed, inside_ranges
 from trackres_ros.diagnosis.selection.held_out import HeldOutLaps
@@ -116,7 +116,7 @@ def explained():
         laps = HeldOutLaps(problem.sessions, masks, rng)
         use = AsUsed(problem.base, problem.sessions, problem.sessions, laps)
         refitted = inside_ranges(with_levels(found), use)
-        left_out = LeftOut(refitted, masks, rng)
+        left_out = LeaveLapsOut(refitted, masks, rng)
         search = Search(found, effects, None, (), 19, rng, lambda _: None)
         search.run()
         choice = Choice(search, refitted, left_out, laps, use)

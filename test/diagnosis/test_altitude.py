@@ -10,7 +10,7 @@ import pytest
 from scipy.signal import lfilter
 
 from trackres_ros.diagnosis.prepare.altitude import error_by_revisits, torque_errors, with_slope
-from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.diagnosis.prepare.session import DriveSession
 from trackres_ros.units import EARTH_M, GRAVITY
 
 MASS, RADIUS, SPEED, LAP_M, HOURS = 19000.0, 0.47, 10.0, 24000.0, 4
@@ -37,7 +37,7 @@ def loop(error_m=0.0, error_s=100.0, smooth=False, position=True, seed=1):
     nan, weight = np.full(n, np.nan), np.full(n, MASS * GRAVITY)
     known = frozenset({"altitude", "position"} if position else {"altitude"})
     where = {"latitude": radius * np.sin(angle), "longitude": radius * np.cos(angle)} if position else {}
-    made = Session(
+    made = DriveSession(
         "loop", 1.0, time, speed, accel, weight, nan, 0.0 * time, nan, nan, distance, torque, nan, time >= 0.0,
         (time // 600).astype(np.int64), given=known, altitude=height + error, **where,
     )  # fmt: skip

@@ -15,12 +15,12 @@ import trackres_ros as tr
 from trackres_ros.diagnosis import load_base
 from trackres_ros.diagnosis.base.base import BaseParameter
 from trackres_ros.diagnosis.base.instrument import usual_offset
-from trackres_ros.diagnosis.base.watched import WATCHED
+from trackres_ros.diagnosis.base.patterns import WATCHED
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.inference.levels import with_levels
 from trackres_ros.diagnosis.prepare.at_rest import LEAST_S, seconds_without_torque
 from trackres_ros.diagnosis.prepare.gate import Gated
-from trackres_ros.diagnosis.prepare.session import Course
+from trackres_ros.diagnosis.prepare.session import Cumulative
 from trackres_ros.diagnosis.selection import as_used
 from trackres_ros.diagnosis.selection.as_used import AsUsed, choose_written, inside_ranges
 from trackres_ros.diagnosis.selection.held_out import HeldOutLaps
@@ -235,7 +235,7 @@ def resting(session, torque, seconds):
     """A session that stands for its first seconds, with a reading there."""
     stands = session.time < seconds
     shown = np.where(stands, torque, 1000.0)
-    course = Course.of(session.time + 0.5 * session.step, shown)
+    course = Cumulative.of(session.time + 0.5 * session.step, shown)
     return replace(session, speed=np.where(stands, 0.0, 5.0), torque=shown, torque_course=course)
 
 
@@ -262,7 +262,7 @@ def test_stops_at_which_the_vehicle_is_held_on_a_slope_hide_no_others(loaded, ef
 def test_where_no_torque_is_measured_at_rest_nothing_is_known_of_an_offset(loaded):
     (session,) = drives(loaded.base, 10.0, 1, 6.0, np.random.default_rng(1), step=1.0)
     stood = resting(session, 0.0, 200.0)
-    only_driven = Course.of(stood.time[200:] + 0.5, stood.torque[200:])
+    only_driven = Cumulative.of(stood.time[200:] + 0.5, stood.torque[200:])
     assert seconds_without_torque([stood], usual_offset(loaded.base)) > 190.0
     for course in (only_driven, None):
         assert not seconds_without_torque([replace(stood, torque_course=course)], usual_offset(loaded.base))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from streets import autoregression, drive, slope_at
 
-from trackres_ros.diagnosis.described.by_place import Columns, Streets, gains, learn
+from trackres_ros.diagnosis.empirical.by_place import PlaceColumns, StreetGraph, gains, learn
 from trackres_ros.diagnosis.inference.noise import estimate_noise
 from trackres_ros.route.matching import matched, neighbours, places_of
 from trackres_ros.route.track import track_of
@@ -21,14 +21,14 @@ def made(seed, rounds, size=1.0, loads=(1.0,)):
     track = track_of(one.distance, one.x, one.y)
     places = places_of([track])
     whole = matched(places, [track])
-    streets = Streets.of(neighbours(whole), places.table)
+    streets = StreetGraph.of(neighbours(whole), places.table)
     at = whole[0].at(track.nearest(one.distance))
     load = np.array(loads)[np.arange(len(one.speed)) * len(loads) // len(one.speed)]
     force = WEIGHT_RADIUS_NM * load
     rise = slope_at(one.way) * one.direction * size
     residual = force * rise / np.hypot(1.0, rise) + autoregression(len(load), rng, 3.0, 300.0) + rng.normal(0.0, 300.0, len(load))
-    slope = Columns.of_slope([at], [force], streets)
-    torque = Columns.of_torque([at], [np.ones_like(force)], streets)
+    slope = PlaceColumns.of_slope([at], [force], streets)
+    torque = PlaceColumns.of_torque([at], [np.ones_like(force)], streets)
     return one, at, residual, one.speed > 0.5, slope, torque
 
 

@@ -58,11 +58,13 @@ def test_the_same_error_is_no_improvement_and_a_smaller_one_everywhere_is_confir
 
 
 def drives_like(seconds):
-    from trackres_ros.diagnosis.prepare.session import Session
+    from trackres_ros.diagnosis.prepare.session import DriveSession
 
     series = np.zeros(seconds)
     time = np.arange(seconds, dtype=float)
-    return (Session("laps", 1.0, time, *(series,) * 8, series + 100.0, series, series == 0.0, (time // 60).astype(np.int64)),)
+    return (
+        DriveSession("laps", 1.0, time, *(series,) * 8, series + 100.0, series, series == 0.0, (time // 60).astype(np.int64)),
+    )
 
 
 def test_laps_without_a_sample_are_refused(loaded):

@@ -13,9 +13,9 @@ import pytest
 
 import trackres_ros as tr
 from trackres_ros.diagnosis.base.loading import load_base
-from trackres_ros.diagnosis.writing.kept import Kept
 from trackres_ros.files.resources import shipped_road_vehicles
 from trackres_ros.vehicle import RoadVehicle
+from trackres_ros.vehicle.writing.changes import FileChanges
 
 
 @pytest.fixture(scope="module")
@@ -108,7 +108,7 @@ def test_a_notebook_shows_sentence_values_and_a_picture(found):
 
 
 def test_where_nothing_is_kept_the_vehicle_is_the_one_given(found, vehicle):
-    nothing = replace(found.diagnosis, kept=Kept(None, (), {}, "nothing is kept"))
+    nothing = replace(found.diagnosis, kept=FileChanges(None, (), {}, "nothing is kept"))
     result = tr.DiagnosisResult(nothing, found._loaded, found.recordings, {})
     assert values_of(result.vehicle) == values_of(vehicle)
     assert effects_of(result.vehicle) == []
@@ -117,7 +117,7 @@ def test_where_nothing_is_kept_the_vehicle_is_the_one_given(found, vehicle):
 def test_surroundings_that_were_given_stay_and_found_ones_are_not_added(found, vehicle, effects):
     site, headwind = (tr.effects.Active(effects[name], effects[name].values()) for name in ("grade_profile", "headwind"))
     here = load_base(replace(vehicle, surroundings=(site,)))
-    with_wind = replace(found.diagnosis, kept=Kept(None, (headwind,), {}, "a wind is kept"))
+    with_wind = replace(found.diagnosis, kept=FileChanges(None, (headwind,), {}, "a wind is kept"))
     result = tr.DiagnosisResult(with_wind, here, found.recordings, {})
     assert result.vehicle.surroundings == (site,)
     assert found.vehicle.surroundings == ()
@@ -143,7 +143,7 @@ def test_a_vehicle_that_was_changed_in_memory_is_refused(recorded, vehicle):
 def test_a_road_vehicle_is_given_by_name_and_comes_back_as_one(found):
     name = next(iter(shipped_road_vehicles()))
     base = load_base(name)
-    nothing = replace(found.diagnosis, base=base.base, kept=Kept(None, (), {}, "nothing is kept"))
+    nothing = replace(found.diagnosis, base=base.base, kept=FileChanges(None, (), {}, "nothing is kept"))
     result = tr.DiagnosisResult(found.diagnosis, base, found.recordings, {})
     result.diagnosis = nothing
     road = result.vehicle

@@ -228,10 +228,10 @@ def test_start_of_a_recording_that_counts_from_zero():
         name, roles, notes, findings, zero_is_unset, torque_candidates = "t", ("speed",), (), (), False, ()
 
         def blocks(self, max_rows=0):
-            from trackres_ros.recording.samples import Block
+            from trackres_ros.recording.samples import SampleBlock
 
             stamps = np.array([0, 10, 20]) * 10**9
-            yield Block(np.zeros(3, np.int16), stamps, stamps, np.zeros(3))
+            yield SampleBlock(np.zeros(3, np.int16), stamps, stamps, np.zeros(3))
 
     made = Recording.from_source(Table())
     assert made.time_s("speed").tolist() == [0.0, 10.0, 20.0]

@@ -13,9 +13,6 @@ from click.testing import CliRunner
 
 from trackres_ros.cli.main import cli
 from trackres_ros.diagnosis import load_base
-from trackres_ros.diagnosis.selection.intervals import Interval
-from trackres_ros.diagnosis.writing.kept import Kept
-from trackres_ros.diagnosis.writing.sensor_lines import sensor_lines
 from trackres_ros.effects import Active, catalogue
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import snapshot
@@ -26,6 +23,8 @@ from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.recording import Recording
 from trackres_ros.vehicle import load, with_surroundings
+from trackres_ros.vehicle.writing.changes import FileChanges, Interval
+from trackres_ros.vehicle.writing.sensor_lines import sensor_lines
 
 FITTED = {"loss_modulus_scale", "bearing_friction", "drag_coefficient", "heat_capacity", "film_offset", "film_slope"}
 DRIVE = "time_s,speed_mps,heading_rad\n" + "".join(f"{i * 0.1:.1f},{5.0 if i < 100 else 0.0},0.0\n" for i in range(200))
@@ -45,7 +44,7 @@ def kept_of(base, effects, share=0.98, half=0.03):
     for active in effects:
         for name, v in active.values.items():
             intervals[active.effect.name, name] = Interval(min(0.9 * v, 1.1 * v), max(0.9 * v, 1.1 * v), False)
-    return Kept(values, tuple(effects), intervals)
+    return FileChanges(values, tuple(effects), intervals)
 
 
 SQUEAK = """
@@ -145,7 +144,7 @@ def test_whatever_is_fitted_loads_again(loaded, tmp_path):
     for end in ("low", "high"):
         values = {q.name: getattr(q, end) for q in loaded.base.parameters}
         intervals = {("", q.name): Interval(q.low, q.high, True) for q in loaded.base.parameters}
-        loaded.base.write(tmp_path / f"{end}.yaml", Kept(values, (), intervals), "at a bound")
+        loaded.base.write(tmp_path / f"{end}.yaml", FileChanges(values, (), intervals), "at a bound")
         again = load(tmp_path / f"{end}.yaml")
         assert again.chassis.bearing_friction == pytest.approx(values["bearing_friction"])
 
@@ -156,12 +155,12 @@ def test_an_effect_at_its_bounds_loads_again(loaded, tmp_path):
             if effect.belongs_to == "vehicle" and size == 1.0:
                 for end in ("low", "high"):
                     active = Active(effect, {q.name: getattr(q, end) for q in effect.parameters})
-                    loaded.base.write(tmp_path / "v.yaml", Kept(None, (active,), {}), "at a bound")
+                    loaded.base.write(tmp_path / "v.yaml", FileChanges(None, (active,), {}), "at a bound")
                     assert load(tmp_path / "v.yaml").effects[0].values == pytest.approx(active.values, rel=1e-5)
 
 
 def test_nothing_kept_leaves_the_file_as_it_was(loaded, tmp_path):
-    loaded.base.write(tmp_path / "vehicle.yaml", Kept(None, (), {}), "nothing")
+    loaded.base.write(tmp_path / "vehicle.yaml", FileChanges(None, (), {}), "nothing")
     assert (tmp_path / "vehicle.yaml").read_text() == "# nothing\n" + loaded.base.vehicle.source.read_text()
     assert not (tmp_path / "surroundings.yaml").exists()
 
@@ -237,7 +236,7 @@ def test_a_file_of_surroundings_is_checked(content, said, tmp_path):
 
 
 def test_the_surroundings_of_an_earlier_diagnosis_do_not_stay(left, loaded):
-    loaded.base.write(left / "vehicle.yaml", Kept(None, (), {}), "Nothing.\nWritten by trackres diagnose from y.")
+    loaded.base.write(left / "vehicle.yaml", FileChanges(None, (), {}), "Nothing.\nWritten by trackres diagnose from y.")
     assert not (left / "surroundings.yaml").exists()
 
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from trackres_ros.diagnosis.described.candidates import FEWEST_SESSIONS
-from trackres_ros.diagnosis.described.level_changes import LevelChange, find_change, piece_s, sharpened
-from trackres_ros.diagnosis.described.spells import blocks
+from trackres_ros.diagnosis.empirical.candidates import FEWEST_SESSIONS
+from trackres_ros.diagnosis.empirical.level_changes import LevelChange, find_change, piece_s, sharpened
+from trackres_ros.diagnosis.empirical.spells import blocks
 
 WHITE_NM, COLOURED_NM = 40.0, 40.0
 MINUTE = 60  # samples

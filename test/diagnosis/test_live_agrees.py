@@ -16,7 +16,7 @@ from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.records import GroundSeries
 from trackres_ros.evaluation.synthetic import drives
 from trackres_ros.offline.replay import replay
-from trackres_ros.recording.samples import Block
+from trackres_ros.recording.samples import SampleBlock
 from trackres_ros.vehicle import load
 
 START_NS = 1_700_000_000_000_000_000
@@ -70,7 +70,7 @@ class Recorded:
         role = np.tile(np.arange(len(names), dtype=np.int16), len(self.session))
         for i in range(0, len(when), max_rows):
             chosen = slice(i, i + max_rows)
-            yield Block(role[chosen], when[chosen], when[chosen], value[chosen])
+            yield SampleBlock(role[chosen], when[chosen], when[chosen], value[chosen])
 
 
 def live(estimator, sessions):

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from trackres_ros.diagnosis import read_recordings
-from trackres_ros.diagnosis.base.watched import Watched
+from trackres_ros.diagnosis.base.patterns import ResidualPattern
 from trackres_ros.diagnosis.findings.next_drives import advise, apart, information, known, menu
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.prepare.gate import gate
@@ -102,7 +102,7 @@ def test_laps_can_be_held_out_by_name(tied):
 def test_what_follows_a_series_of_the_recordings_is_not_known_of_a_further_drive(tied):
     facts, before = tied.before.problem.base.facts, tied.before
     shape = [np.ones(len(s)) for s in before.problem.sessions]
-    watched = Watched("spells", "for a while", shape, facts.weight * facts.radius)
+    watched = ResidualPattern("spells", "for a while", shape, facts.weight * facts.radius)
     beside = fit(before.problem, [watched], before.at, before.noises)
     drive = menu(facts.weight, FASTEST_MPS)["drive at one speed with three loads, five minutes each"](before.problem.sessions[0])
     assert np.isfinite(apart([beside, before], drive)).all()

@@ -11,9 +11,9 @@ from scipy import sparse
 from scipy.signal import lfilter
 
 from trackres_ros.diagnosis import load_base
-from trackres_ros.diagnosis.described.finders import PAYLOAD, residuals_without, terms_beside
-from trackres_ros.diagnosis.described.payload import STOP_S, Beside, find_payload, stretch_numbers
-from trackres_ros.diagnosis.described.told import said
+from trackres_ros.diagnosis.empirical.finders import PAYLOAD, residuals_without, terms_beside
+from trackres_ros.diagnosis.empirical.payload import STOP_S, Beside, find_payload, stretch_numbers
+from trackres_ros.diagnosis.empirical.statements import said
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.effects import catalogue
 from trackres_ros.evaluation.synthetic import drives

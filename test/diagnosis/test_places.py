@@ -11,8 +11,8 @@ import pytest
 from scipy.signal import lfilter
 
 from trackres_ros.diagnosis import read_recordings
-from trackres_ros.diagnosis.described.on_laps import driven_along
-from trackres_ros.diagnosis.described.places import SHORTEST_LAP_M, find_place
+from trackres_ros.diagnosis.empirical.on_laps import driven_along
+from trackres_ros.diagnosis.empirical.places import SHORTEST_LAP_M, find_place
 from trackres_ros.diagnosis.prepare.gate import gate
 
 WHITE_NM, COLOURED_NM = 40.0, 40.0

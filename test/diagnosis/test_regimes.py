@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from trackres_ros.diagnosis.findings.residual_bins import BINS, FEWEST_IN_BIN, Bin, RegimeMap, cumulative_periodogram, regime_map
-from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.diagnosis.prepare.session import DriveSession
 
 N = 3000
 DRAWS = 400
@@ -24,7 +24,7 @@ def fitted(residual, speed=None, yaw_rate=0.0, heading=0.0, white=None, belt=Non
         none = np.zeros(len(part))
         full = lambda x, part=part, none=none: none + (x[part] if np.ndim(x) else x)  # noqa: E731
         sessions.append(
-            Session(
+            DriveSession(
                 f"drive_{i}", 1.0, none, full(speed), none, none + 2e5, none + 15.0, none, full(yaw_rate), full(heading), none,
                 none, none, none == 0.0, none.astype(np.int64),
             )

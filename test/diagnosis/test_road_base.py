@@ -13,9 +13,9 @@ from trackres_ros.diagnosis import load_base, read_recordings
 from trackres_ros.diagnosis.base.road_load import FITTED
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.prepare.gate import gate
-from trackres_ros.diagnosis.writing.kept import Kept
 from trackres_ros.evaluation.synthetic import drives
 from trackres_ros.files.resources import config_dir
+from trackres_ros.vehicle.writing.changes import FileChanges
 
 
 def car(folder, **changes):
@@ -64,7 +64,7 @@ def test_a_range_without_width_holds_its_value_and_the_file_is_written_all_the_s
     base = car(tmp_path, mass={"range": [1400.0, 1400.0]}, torque_delay={"range": [0.1, 0.1]})
     assert {q.name for q in base.parameters} == set(FITTED) - {"mass", "torque_delay"}
     found = fitted(base, rolling_coefficient=0.015)
-    base.write(tmp_path / "written.yaml", Kept(found.base_values, (), {}), "for a test")
+    base.write(tmp_path / "written.yaml", FileChanges(found.base_values, (), {}), "for a test")
     again = load_base(tmp_path / "written.yaml").base.vehicle.values
     assert again["mass"] == 1400.0
     assert again["rolling_coefficient"] == pytest.approx(0.015, rel=0.05)

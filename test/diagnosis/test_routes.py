@@ -15,12 +15,12 @@ import trackres_ros as tr
 from trackres_ros.cli.main import cli
 from trackres_ros.diagnosis import load_base, read_recordings
 from trackres_ros.diagnosis.base.base import Acting
-from trackres_ros.diagnosis.base.watched import SlopeByPlace, TorqueByPlace
-from trackres_ros.diagnosis.described.routes import find_route, roads_of
+from trackres_ros.diagnosis.base.patterns import SlopeByPlace, TorqueByPlace
+from trackres_ros.diagnosis.empirical.routes import find_route, roads_of
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.prepare.gate import gate
 from trackres_ros.diagnosis.prepare.on_route import on_route
-from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.diagnosis.prepare.session import DriveSession
 from trackres_ros.effects import Active
 from trackres_ros.effects.sensor.delay import Delay
 from trackres_ros.estimator import columns as at
@@ -48,7 +48,7 @@ def session_of(base, seed, rounds, slope=0.0, soft_nm=0.0, loads=(1.0,), with_po
     nan = np.full(n, np.nan)
     latitude, longitude = position_of(one) if with_positions else (nan, nan)
     load = np.array(loads)[np.arange(n) * len(loads) // n]
-    made = Session(
+    made = DriveSession(
         "round", 1.0, np.arange(n, dtype=float), one.speed, np.gradient(one.speed), base.facts.weight * load, np.full(n, 15.0),
         slope * slope_at(one.way) * one.direction, nan, nan, one.distance, nan, nan, one.speed > 1.0,
         (one.distance // LAP_M).astype(np.int64), given=frozenset({"grade", "load", "position"}), latitude=latitude,
@@ -60,7 +60,7 @@ def session_of(base, seed, rounds, slope=0.0, soft_nm=0.0, loads=(1.0,), with_po
         torque + autoregression(n, rng, 3.0, noise_nm) + rng.normal(0.0, noise_nm, n) + autoregression(n, rng, 150.0, wanders_nm)
     )
     given = frozenset({"load", "position"})
-    return Session(**{**made.__dict__, "torque": torque, "grade": np.zeros(n), "given": given}), one
+    return DriveSession(**{**made.__dict__, "torque": torque, "grade": np.zeros(n), "given": given}), one
 
 
 def found_in(base, session, fitted_rounds):

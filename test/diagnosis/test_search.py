@@ -13,12 +13,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from trackres_ros.diagnosis.base.watched import Watched
+from trackres_ros.diagnosis.base.patterns import ResidualPattern
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.inference.levels import LARGEST_ROOT, with_levels
 from trackres_ros.diagnosis.search.choice import CLASS_SHARE, Choice, _class_of
 from trackres_ros.diagnosis.search.explanations import MOST_TERMS, Explanation, Search
-from trackres_ros.diagnosis.search.left_out import FOLDS, LeftOut
+from trackres_ros.diagnosis.search.left_out import FOLDS, LeaveLapsOut
 from trackres_ros.diagnosis.selection.as_used import AsUsed
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, SUSPECTED, HeldOutLaps
 from trackres_ros.diagnosis.selection.naming import compared
@@ -72,7 +72,7 @@ def held_out_masks(found):
 
 
 def left_out_of(found):
-    return LeftOut(found, held_out_masks(found), np.random.default_rng(1))
+    return LeaveLapsOut(found, held_out_masks(found), np.random.default_rng(1))
 
 
 def beside(found, *effects):
@@ -86,7 +86,7 @@ def series(found, of, ahead=None, name="series"):
     shape = [of(s, i) * np.sign(s.speed) for i, s in enumerate(problem.sessions)]
     known = shape if ahead is None else [ahead * x for x in shape]
     shape = [np.where(m, x, a) for m, x, a in zip(problem.masks, shape, known, strict=True)]
-    return Watched(name, "of a test", shape, facts.weight * facts.radius, known)
+    return ResidualPattern(name, "of a test", shape, facts.weight * facts.radius, known)
 
 
 # Laps left out
@@ -264,7 +264,7 @@ def graded(loaded):
         sessions, masks, rng = found.problem.sessions, held_out_masks(found), np.random.default_rng(1)
         laps, search = HeldOutLaps(sessions, masks, rng), Search(found, {}, None, (), 19, rng, lambda _: None)
         plain = with_levels(found)
-        choice = Choice(search, plain, LeftOut(plain, masks, rng), laps, AsUsed(loaded.base, sessions, sessions, laps))
+        choice = Choice(search, plain, LeaveLapsOut(plain, masks, rng), laps, AsUsed(loaded.base, sessions, sessions, laps))
         choice._by_file = min(choice._by_file, by_file)
         whole = fit(found.problem, effects, found.at, found.noises)
         candidates = {}

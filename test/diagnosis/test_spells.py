@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from trackres_ros.diagnosis.described.finders import BETWEEN, SURE, beginnings, by_recording, expected_there
-from trackres_ros.diagnosis.described.spells import (
+from trackres_ros.diagnosis.empirical.finders import BETWEEN, SURE, beginnings, by_recording, expected_there
+from trackres_ros.diagnosis.empirical.spells import (
     Blocks,
     Chain,
     blocks,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from trackres_ros.diagnosis.findings.spread import find_spread
-from trackres_ros.diagnosis.prepare.session import Course, Session
+from trackres_ros.diagnosis.prepare.session import Cumulative, DriveSession
 
 RATE_HZ, STEP_S, LEG_S, LEGS = 10.0, 1.0, 60.0, 20
 MASS_KG, RADIUS_M, FASTEST_MPS = 24_000.0, 0.4, 8.0
@@ -30,12 +30,12 @@ def driven(judder_nm=0.0, rate_hz=RATE_HZ, noise_share=0.01, seed=0):
     time = STEP_S * np.arange(count)
     of_step, edges = {}, np.arange(0.0, count + 1.0)
     for name, series in (("speed", speed), ("torque", measured), ("expected", expected)):
-        of_step[name] = Course.of(at, series).means(time, STEP_S)
+        of_step[name] = Cumulative.of(at, series).means(time, STEP_S)
     zero = np.zeros(count)
-    session = Session(
+    session = DriveSession(
         "drive", STEP_S, time, of_step["speed"], np.diff(np.interp(edges, at, speed)), np.full(count, 240e3), zero, zero, zero,
         zero, zero, of_step["torque"], zero, of_step["speed"] > 0.3, (time // LEG_S).astype(np.int64),
-        torque_course=Course.of(at, measured),
+        torque_course=Cumulative.of(at, measured),
     )  # fmt: skip
     predicted = SimpleNamespace(torque=of_step["expected"], at_sprockets=of_step["expected"])
     return SimpleNamespace(problem=SimpleNamespace(sessions=(session,)), predicted=(predicted,))

@@ -18,7 +18,7 @@ from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.inference.noise import MOST_LAGS, Noise, estimate_noise, whitened
 from trackres_ros.diagnosis.prepare.gate import SHORTEST_MOVING_S, gate
 from trackres_ros.diagnosis.prepare.refuse import SHORTEST_S
-from trackres_ros.diagnosis.prepare.session import Course
+from trackres_ros.diagnosis.prepare.session import Cumulative
 from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS, STEP_S
 from trackres_ros.diagnosis.prepare.split import split
 from trackres_ros.diagnosis.selection import screening
@@ -106,7 +106,7 @@ def test_whitening_never_reaches_over_a_gap():
 def test_means_of_a_course_keep_its_integral():
     rng = np.random.default_rng(2)
     at = np.sort(rng.uniform(0.0, 50.0, 300))
-    course = Course.of(at, rng.normal(size=300))
+    course = Cumulative.of(at, rng.normal(size=300))
     begin_s = np.arange(5.0, 45.0)
     whole = np.interp(45.0, course.at, course.integral) - np.interp(5.0, course.at, course.integral)
     assert course.means(begin_s, 1.0).sum() == pytest.approx(whole)

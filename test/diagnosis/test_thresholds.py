@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from trackres_ros.diagnosis import read_recordings
-from trackres_ros.diagnosis.described.candidates import candidates, shows
-from trackres_ros.diagnosis.described.thresholds import found_by_scan, latched_states
+from trackres_ros.diagnosis.empirical.candidates import candidates, shows
+from trackres_ros.diagnosis.empirical.thresholds import found_by_scan, latched_states
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.selection.visibility import base_columns
 from trackres_ros.diagnosis.stages.prepared import prepared

@@ -13,14 +13,14 @@ import pytest
 
 import trackres_ros as tr
 from trackres_ros.diagnosis.base.base import BaseParameter
-from trackres_ros.diagnosis.described.terms import Described, of_learned
+from trackres_ros.diagnosis.empirical.terms import Described, of_learned
 from trackres_ros.diagnosis.findings.locate import Acts, SlowResidual, only_later
 from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
 from trackres_ros.diagnosis.findings.verdict import (
     LEFT_SHARE,
     MOST_STRAY,
     Changed,
-    Found,
+    NamedEffect,
     Told,
     Verdict,
     by_weight,
@@ -28,7 +28,7 @@ from trackres_ros.diagnosis.findings.verdict import (
     likelier,
 )
 from trackres_ros.diagnosis.findings.wording import MOST_WORDS
-from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.diagnosis.prepare.session import DriveSession
 from trackres_ros.diagnosis.selection.confirm import Graded, moved_parameters
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, HeldOut, HeldOutLaps, Improvement, held_out
 from trackres_ros.diagnosis.selection.naming import Candidate, Step
@@ -57,7 +57,7 @@ def found(name="scrub", members=None, improvement=BETTER, on_bounds=(), adds=100
     step = Step(None, None, 5.0, 5.0, (), (chosen, *rivals), chosen, members, weights, 1.0)
     graded = Graded(name, improvement, on_bounds)
     series = [np.full(100, adds)]
-    return Found(
+    return NamedEffect(
         name, f"{name} is missing", "torque", (SIZE,), step, {"size": 120.0}, {}, series, series, (), EVERYWHERE, (), SEEN, graded
     )
 
@@ -434,7 +434,7 @@ def session(laps, lap_s=60, torque=None, name="drive", first=0):
     time = np.arange(laps * lap_s, dtype=float)
     none = np.zeros(len(time))
     block = first + (time // lap_s).astype(np.int64)
-    return Session(name, 1.0, time, *(none,) * 8, none if torque is None else torque, none, none == 0.0, block)
+    return DriveSession(name, 1.0, time, *(none,) * 8, none if torque is None else torque, none, none == 0.0, block)
 
 
 def test_many_laps_are_drawn_as_laps_and_few_in_pieces_of_a_minute():

@@ -11,13 +11,13 @@ import pytest
 import yaml
 
 from trackres_ros.diagnosis import load_base
-from trackres_ros.diagnosis.described.spells import Blocks, expected_level, find_wander
+from trackres_ros.diagnosis.empirical.spells import Blocks, expected_level, find_wander
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, SUSPECTED
 from trackres_ros.diagnosis.stages.conclude import may_be_kept
-from trackres_ros.diagnosis.writing.kept import Kept, LearnedDisturbance
-from trackres_ros.diagnosis.writing.vehicle_file import write_track_vehicle
 from trackres_ros.estimator.disturbance import BLOCK_S, MOST_DRIFT, DisturbanceWatch
 from trackres_ros.vehicle import Drift, Spells, load, load_any
+from trackres_ros.vehicle.writing.changes import FileChanges, LearnedDisturbance
+from trackres_ros.vehicle.writing.vehicle_file import write_track_vehicle
 
 SPELLS = LearnedDisturbance(
     Spells(312.3456789, -48.0, 81.25, 160.0, 61.0),
@@ -32,7 +32,7 @@ SPELLS = LearnedDisturbance(
 DRIFT = LearnedDisturbance(
     Drift(150.0, 300.0, 40.0), {"size": (100.0, 220.0), "time_constant": (150.0, 600.0), "noise": (35.0, 45.0)}
 )
-NOTHING = Kept(None, (), {}, "written: the file's own values")
+NOTHING = FileChanges(None, (), {}, "written: the file's own values")
 
 
 def written(vehicle, folder, kept):

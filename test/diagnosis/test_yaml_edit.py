@@ -6,7 +6,7 @@
 import pytest
 import yaml
 
-from trackres_ros.diagnosis.writing.yaml_edit import Document
+from trackres_ros.vehicle.writing.yaml_edit import Document
 
 TEXT = """# on top
 a: {value: 1.0, range: [0.5, 1.50], reason: "as said"}   # beside

@@ -10,7 +10,7 @@ import numpy as np
 
 from trackres_ros.diagnosis.selection.naming import Candidate
 from trackres_ros.diagnosis.selection.screening import Gain, Screened
-from trackres_ros.diagnosis.selection.visibility import Sensitivity, Separability
+from trackres_ros.diagnosis.selection.visibility import EffectSensitivity, Separability
 from trackres_ros.effects.effect import Parameter
 
 LAPS, LAP = 20, 5  # laps of so many samples each
@@ -119,7 +119,7 @@ class World:
 
     def seen(self, name, start=None, d_prime=5.0, kept=0.8):
         effect = self.effects[name]
-        return Sensitivity(effect, start or effect.values(), ("size",), np.empty(0), kept, d_prime, 0.0, np.empty(0))
+        return EffectSensitivity(effect, start or effect.values(), ("size",), np.empty(0), kept, d_prime, 0.0, np.empty(0))
 
     def screen(self, current, visible, replicates, rng, by_noise):
         before = self.gains_of(current.effect_names).sum()

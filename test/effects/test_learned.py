@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 
 from trackres_ros.cli.main import cli
 from trackres_ros.diagnosis import load_base
-from trackres_ros.diagnosis.writing.kept import Kept
 from trackres_ros.effects import Active, catalogue, check_effects
 from trackres_ros.effects.effect import conditions
 from trackres_ros.effects.learned import (
@@ -73,6 +72,7 @@ from trackres_ros.errors import InputError
 from trackres_ros.model.vehicle_constants import vehicle_constants
 from trackres_ros.units import STANDSTILL_MPS
 from trackres_ros.vehicle import load
+from trackres_ros.vehicle.writing.changes import FileChanges
 
 FACTS = vehicle_constants(load("xgd24d"))
 STEP_S = 0.1
@@ -314,7 +314,7 @@ def test_torques_grow_with_the_vehicle_and_knots_do_not():
 
 def written(tmp_path, one):
     base = load_base("xgd24d").base
-    base.write(tmp_path / "vehicle.yaml", Kept(None, (one,), {}), "Written by trackres diagnose from x.")
+    base.write(tmp_path / "vehicle.yaml", FileChanges(None, (one,), {}), "Written by trackres diagnose from x.")
     return tmp_path / "vehicle.yaml"
 
 

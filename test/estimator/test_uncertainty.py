@@ -19,9 +19,9 @@ from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.kernel import LEAST_STD_SHARE
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.estimator.uncertainty import REFERENCE_SPEED_SHARE, spread
-from trackres_ros.model import belt as belt_model
 from trackres_ros.model.track import with_methods
 from trackres_ros.vehicle import Vehicle, load, variants
+from trackres_ros.vehicle.belt_bulk import heat_capacity
 
 CERTAIN = Settings(initial_belt_std_k=0.0, process_noise_k=0.0, ambient_std_k=0.0, ambient_unknown_std_k=0.0)
 BELT = "tracks.triangular.belt"
@@ -156,7 +156,7 @@ def test_one_quantity_moves_loss_cooling_and_capacity_together(xgd24d: Vehicle, 
     belt, rubber, path = xgd24d.tracks["triangular"].belt, xgd24d.rubber, f"{BELT}.width"
     std = xgd24d.parameters[path].standard_deviation
     covariance = (factor := spread(with_open_ranges(xgd24d, [path]), "triangular", cache).factor) @ factor.T
-    heat = belt_model.heat_capacity(belt, rubber) / belt.loop_length
+    heat = heat_capacity(belt, rubber) / belt.loop_length
     cooling, capacity = std / (belt.width + belt.thickness), std * belt.thickness * rubber.density * rubber.heat_capacity / heat
     assert covariance[1, 1] == pytest.approx(cooling**2, rel=1e-3)
     assert covariance[2, 2] == pytest.approx(capacity**2, rel=1e-3)

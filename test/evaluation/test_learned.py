@@ -15,7 +15,7 @@ from trackres_ros.evaluation.learned.cases import (
     KINDS,
     OFF,
     SENSORS,
-    Case,
+    LearningCase,
     added_torque,
     draw_cases,
     misled,
@@ -31,7 +31,7 @@ STEP_S = 0.1
 
 
 def case_of(kind):
-    return Case("v1", {"loss": 1.0}, True, kind, 0.5, 7)
+    return LearningCase("v1", {"loss": 1.0}, True, kind, 0.5, 7)
 
 
 def test_a_seed_gives_the_same_cases_and_another_seal():

@@ -25,7 +25,7 @@ from trackres_ros.evaluation.sealed.cases import (
     sensors_of,
 )
 from trackres_ros.evaluation.sealed.data_sheet import read_data_sheet
-from trackres_ros.evaluation.sealed.drives import HARDEST_MPS2, Drive, drive, recorded, trapezoids
+from trackres_ros.evaluation.sealed.drives import HARDEST_MPS2, SealedDrive, drive, recorded, trapezoids
 from trackres_ros.evaluation.sealed.generate import AIRS_DEGC, EVERY, _drives, means
 from trackres_ros.evaluation.sealed.phenomenon import Journey
 from trackres_ros.evaluation.sealed.profiles import read_profiles
@@ -59,7 +59,7 @@ def steady(sheet, speed, load=1.0, minutes=15.0, yaw_rate=0.0, stops=()):
     for begin in stops:
         speeds[(time >= begin) & (time < begin + STOPS_S)] = 0.0
     turning = np.full(n, yaw_rate) * (speeds > 0.0)
-    return Drive(
+    return SealedDrive(
         0.1, speeds, np.gradient(speeds, 0.1), turning, np.cumsum(turning) * 0.1,
         np.full(n, load * sheet["weight"]), np.full(n, 15.0),
     )  # fmt: skip

@@ -80,7 +80,7 @@ def read_yaml_fits(text: str) -> bool:
 
 
 def test_a_diagnosis_can_change_a_vehicle_file_of_any_editor(tmp_path):
-    from trackres_ros.diagnosis.writing.vehicle_file import opened
+    from trackres_ros.vehicle.writing.vehicle_file import opened
 
     text = (config_dir() / "husky.yaml").read_text()
     for end in ENDS:

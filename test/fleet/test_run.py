@@ -18,8 +18,8 @@ pytest.importorskip("distributed")
 pytest.importorskip("fsspec")
 pytest.importorskip("pyarrow")
 
+from trackres_ros.engine.executor import DEATHS, dashboard, done, engine, why
 from trackres_ros.fleet.dataset import FleetDataset
-from trackres_ros.fleet.engine import DEATHS, dashboard, done, engine, why
 
 SIX = {f"truck-0{v}/drive_000{n}.csv" for v in (1, 2) for n in (1, 2, 3)}
 

@@ -19,6 +19,7 @@ from trackres_ros.model.hysteresis import RainflowCount
 from trackres_ros.model.strain_history import along_belt, build_loop
 from trackres_ros.model.track import steady_tension, track_model
 from trackres_ros.vehicle import Track, Vehicle
+from trackres_ros.vehicle.belt_bulk import heat_capacity, mass_per_length
 
 masses = st.floats(0.5, 200.0)  # kg/m
 half_spans = st.floats(0.05, 5.0)  # m
@@ -104,7 +105,7 @@ def test_a_belt_that_stretches_past_its_sag_is_refused() -> None:
 def test_the_tension_is_the_greater_of_spring_and_sag(triangular: Track, xgd24d: Vehicle, pretension: float) -> None:
     belt, modulus = replace(triangular.belt, pretension=pretension), 12e6
     needed = b.tension_by_search(
-        belt.tooth_height / 2, b.mass_per_length(belt, xgd24d.rubber), belt.sag_half_span, float(b.axial_stiffness(belt, modulus))
+        belt.tooth_height / 2, mass_per_length(belt, xgd24d.rubber), belt.sag_half_span, float(b.axial_stiffness(belt, modulus))
     )
     assert b.belt_tension(belt, xgd24d.rubber, modulus) == pytest.approx(max(pretension, needed), rel=1e-6)
 
@@ -190,6 +191,6 @@ def test_equation_21_stress_follows_strain_and_the_cord_carries_no_bending(trian
 def test_mass_and_heat_capacity_of_the_reference_belt(xgd24d: Vehicle, triangular: Track) -> None:
     """q is a mass per length, and C = L_R (rho A_r c_p + rho_s A_w c_s)."""
     rubber_section = 0.635 * 0.035 - 0.0006 + 0.004
-    assert b.mass_per_length(triangular.belt, xgd24d.rubber) == pytest.approx(1000 * rubber_section + 7850 * 0.0006)
-    assert b.heat_capacity(triangular.belt, xgd24d.rubber) == pytest.approx(4.8 * (1.5e6 * rubber_section + 7850 * 0.0006 * 470))
+    assert mass_per_length(triangular.belt, xgd24d.rubber) == pytest.approx(1000 * rubber_section + 7850 * 0.0006)
+    assert heat_capacity(triangular.belt, xgd24d.rubber) == pytest.approx(4.8 * (1.5e6 * rubber_section + 7850 * 0.0006 * 470))
     assert b.cooled_area(triangular.belt) == pytest.approx(0.75 * 2 * (0.635 + 0.035) * 4.8)

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""An edge that keeps what it is given, and a clock that stands until it is moved: the application alone, without a middleware."""
+"""A transport that keeps what it is given, and a clock that stands until it is moved: the application without a middleware."""
 
 import math
 from types import SimpleNamespace
@@ -41,7 +41,7 @@ class Desk:
     def publish_estimate(self, output, stamp_ns, values, reasons):
         self.publish(output, stamp_ns, values)
         self.reasons.append(dict(reasons))
-        self.left.append(self.app._outlet.left(self.app._steady_ns()))
+        self.left.append(self.app._publisher.left(self.app._steady_ns()))
 
     def publish_status(self, output, stamp_ns, statuses):
         self.statuses.append((self.app.outputs[output].name, list(statuses)))
@@ -93,15 +93,15 @@ class Desk:
         return next((stamp, values) for topic, stamp, values in reversed(self.published) if topic == name)
 
     def names(self):
-        """Names of the remarks now."""
-        return {remark.name for remark in self.app.remarks()}
+        """Names of the notices now."""
+        return {notice.name for notice in self.app.notices()}
 
     def all_finite(self):
         return all(math.isfinite(value) for _, _, values in self.published for value in values)
 
 
 class Wild(Desk):
-    """An edge that packs what it is given as a middleware does, and refuses whatever it is told to."""
+    """A transport that packs what it is given as a middleware does, and refuses whatever it is told to."""
 
     def __init__(self, **given):
         self.broken, self.own_clock = set(), None

@@ -12,8 +12,8 @@ import pytest
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.columns import Count
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.node.edge import Level, Peer
-from trackres_ros.node.remarks import KINDS
+from trackres_ros.node.notices import KINDS
+from trackres_ros.node.transport import Level, Peer
 from trackres_ros.output.topics import output_topics, values_of
 from trackres_ros.vehicle import load
 
@@ -253,7 +253,7 @@ def test_stamps_of_another_clock_are_remarked(desk):
         d.forward(0.02)
         d.send("speed", 8.0, stamp_s=d.time_s - 100.0)
     assert "CLOCK_OFFSET" in d.names()
-    assert any("100.0 s behind" in remark.text for remark in d.app.remarks())
+    assert any("100.0 s behind" in notice.text for notice in d.app.notices())
 
 
 def test_simulated_time_that_goes_back_starts_anew(desk):
@@ -367,7 +367,7 @@ def test_surroundings_that_are_assumed_are_said_and_warned_of(desk, tmp_path):
     for one in (plain, d):
         one.drive(2.0, load=272e3, ambient=15.0)
     assert d.names() - plain.names() == {"SURROUNDINGS"}
-    assert next(remark.level for remark in d.app.remarks() if remark.name == "SURROUNDINGS") is Level.WARN
+    assert next(notice.level for notice in d.app.notices() if notice.name == "SURROUNDINGS") is Level.WARN
     assert f"--surroundings {file}" in d.app.diagnose_command()
     fed, expected = ([one.last(name)[1][0] for one in (plain, d)] for name in ("feedforward_torque", "resistance_torque"))
     assert fed[0] == pytest.approx(fed[1], rel=1e-3)

@@ -12,8 +12,8 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.disturbance import LONGEST_MEANS
 from trackres_ros.files.resources import config_dir
 from trackres_ros.node.comparison import Comparison
-from trackres_ros.node.edge import Level
 from trackres_ros.node.mismatch import MismatchSettings
+from trackres_ros.node.transport import Level
 from trackres_ros.vehicle import Drift, Spells
 
 LEVEL_NM = 1000.0
@@ -82,7 +82,7 @@ def test_a_spell_is_said_while_it_lasts_and_logged_when_it_begins_and_ends(desk,
     assert float(there["since"]) == pytest.approx(START_NS * 1e-9 + began_s, abs=6.0)
     assert "there" in message
     assert "DISTURBANCE" in d.names()
-    assert next(r for r in d.app.remarks() if r.name == "DISTURBANCE").level is Level.OK
+    assert next(r for r in d.app.notices() if r.name == "DISTURBANCE").level is Level.OK
     drive(d, 40.0, 0.0)
     assert "DISTURBANCE" not in d.names()
     logged = [(level, text) for level, text in d.logged if "spell" in text]

@@ -10,7 +10,7 @@ import pytest
 
 import trackres_ros as tr
 from trackres_ros.errors import InputError
-from trackres_ros.node.edge import Level
+from trackres_ros.node.transport import Level
 from trackres_ros.recording.bindings import Topics
 
 SPEED = "speed: {topic: speed, type: geometry_msgs/msg/TwistStamped, field: twist.linear.x%s}\n"
@@ -54,7 +54,7 @@ def test_enable_takes_the_feedforward_to_zero_and_back(desk, tmp_path, line, on,
     assert fed(made) == 0.0
     assert "DISABLED" in made.names()
     assert made.last("resistance_torque")[1][0] < -3000.0
-    level = {remark.name: remark.level for remark in made.app.remarks()}
+    level = {notice.name: notice.level for notice in made.app.notices()}
     assert level["DISABLED"] == Level.OK
     drive(made, 1.0, on)
     assert fed(made) > 3000.0

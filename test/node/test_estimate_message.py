@@ -13,8 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from trackres_ros.estimator.columns import REASON_TEXT
-from trackres_ros.node.edge import Level
-from trackres_ros.node.remarks import KINDS
+from trackres_ros.node.notices import KINDS
+from trackres_ros.node.transport import Level
 from trackres_ros.output.topics import ESTIMATE_TOPIC, LEVEL
 
 LIMIT_OF_WEIGHT = 272e3 * 0.36  # nominal weight x sprocket radius of xgd24d [Nm]
@@ -129,6 +129,6 @@ def test_its_reasons_are_those_of_the_status_within_its_second(desk):
     d.forward(1.0)
     name, (status, *_) = next(found for found in reversed(d.statuses) if found[0] == "status")
     assert name == "status"
-    remarks = dict(status.values)["remarks"].split()
-    assert set(d.reasons[-1]) == set(remarks)
-    assert set(remarks) & {reason.name for reason in REASON_TEXT}
+    notices = dict(status.values)["remarks"].split()
+    assert set(d.reasons[-1]) == set(notices)
+    assert set(notices) & {reason.name for reason in REASON_TEXT}

@@ -15,19 +15,19 @@ import pytest
 
 import trackres_ros
 from trackres_ros.node import record
-from trackres_ros.node.edge import Level
 from trackres_ros.node.record import Recorder
-from trackres_ros.node.record_files import MB, Limits
+from trackres_ros.node.record_files import MB, RecordLimits
+from trackres_ros.node.transport import Level
 from trackres_ros.output import mcap
 
 pytest.importorskip("rosbags")
 
 PACKAGE = Path(trackres_ros.__file__).parent
 STEP = {  # what makes an estimate and brings it out: without one of them there is none; and the values of checked parameters
-    "Session.handle", "Intake.read", "Intake.samples", "SendingOrder.put", "SendingOrder.late",
-    "Outlet.take", "Outlet.publish", "Outlet.age_s", "nearest_usable", "not_enabled",
+    "Session.handle", "InputReader.read", "InputReader.samples", "SendingOrder.put", "SendingOrder.late",
+    "OutputPublisher.take", "OutputPublisher.publish", "OutputPublisher.age_s", "nearest_usable", "not_enabled",
 }  # fmt: skip
-SILENT = {"Outlet.publish_statuses", "bare_status", "Remark.level"}  # without which no status can say what fails
+SILENT = {"OutputPublisher.publish_statuses", "bare_status", "Notice.level"}  # without which no status can say what fails
 TOPICS = """
 speed: {topic: speed, type: geometry_msgs/msg/TwistStamped, field: twist.linear.x}
 load: {topic: load, type: std_msgs/msg/Float64, field: data}
@@ -170,7 +170,7 @@ def test_a_disk_that_blocks_holds_nothing_up_and_loses_a_bounded_part(node, monk
     began = time.monotonic()
     driven(d, 3.0)
     assert time.monotonic() - began < 60.0
-    (said,) = [remark for remark in d.app.remarks() if remark.name == "NOT_RECORDED"]
+    (said,) = [notice for notice in d.app.notices() if notice.name == "NOT_RECORDED"]
     assert said.level is Level.WARN
     assert "live.mcap.part: the disk has not answered for" in said.text
     assert re.search(r"lost so far: \d+ messages and [1-9]\d* estimates", said.text)
@@ -195,7 +195,7 @@ def test_split_files_stay_within_the_limit_and_only_the_oldest_go(node, monkeypa
         other.write_text("of somebody else")
     kept = []
     for _ in range(2):
-        d, recorder = node(), Recorder(tmp_path / "live.mcap", Limits(split_mb=0.3, limit_mb=1.5))
+        d, recorder = node(), Recorder(tmp_path / "live.mcap", RecordLimits(split_mb=0.3, limit_mb=1.5))
         recorder.begin(d.app)
         for _ in range(20):
             driven(d, 1.0)

@@ -12,7 +12,7 @@ import pytest
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
 from trackres_ros.files.resources import config_dir
-from trackres_ros.node.remarks import KINDS
+from trackres_ros.node.notices import KINDS
 
 TOPICS = """
 speed: {topic: speed, type: geometry_msgs/msg/TwistStamped, field: twist.linear.x}

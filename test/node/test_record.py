@@ -50,7 +50,7 @@ def made(kind, value, stamp_ns):
 
 
 class Wire:
-    """Hands messages to an application as an edge does, and keeps what it handed over."""
+    """Hands messages to an application as a transport does, and keeps what it handed over."""
 
     def __init__(self, desk, path):
         self.desk, self.sent = desk, []

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.snapshot import seal
 from trackres_ros.files.resources import cache_dir
-from trackres_ros.node.edge import Level
 from trackres_ros.node.state_keeper import state_name, state_path
+from trackres_ros.node.transport import Level
 
 
 @pytest.fixture
@@ -87,9 +87,9 @@ def test_a_file_of_no_use_is_a_cold_start_that_says_why(desk, warm, spoil, said)
     spoil(path)
     d = desk(state_file=str(path))
     assert first_belt(d) == pytest.approx(15.0, abs=0.05)
-    remark = next(remark for remark in d.app.remarks() if remark.name == "STATE_NOT_USED")
-    assert said in remark.text
-    assert str(path) in remark.text
+    notice = next(notice for notice in d.app.notices() if notice.name == "STATE_NOT_USED")
+    assert said in notice.text
+    assert str(path) in notice.text
 
 
 def test_the_reason_of_a_cold_start_is_given_once(desk, warm):
@@ -98,7 +98,7 @@ def test_the_reason_of_a_cold_start_is_given_once(desk, warm):
     d = desk(state_file=str(path))
     d.drive(12.0)
     d.forward(2.0)
-    assert "damaged" in d.app.began_with  # the edge logs it
+    assert "damaged" in d.app.began_with  # the transport logs it
     warnings = [text for level, text in d.logged if level is not Level.OK]
     assert len(warnings) > 1
     assert not any("damaged" in text for _, text in d.logged)

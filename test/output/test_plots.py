@@ -12,7 +12,8 @@ import pytest
 
 from trackres_ros.errors import InputError, MissingExtraError
 from trackres_ros.offline.simulate import ramp_and_hold, run_drive, simulate
-from trackres_ros.output.plots import plot_estimate, thinned
+from trackres_ros.output.plots import plot_estimate
+from trackres_ros.output.style import thinned
 
 pytest.importorskip("matplotlib")
 

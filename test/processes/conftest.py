@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A node in a process of its own on either edge, and an independent participant that talks with it."""
+"""A node in a process of its own on either transport, and an independent participant that talks with it."""
 
 import importlib.util
 import json
@@ -42,23 +42,23 @@ FAST_PROFILE = """<?xml version="1.0" encoding="UTF-8"?>
 """
 
 
-def why_not(edge):
-    """Why an edge cannot run here; empty if it can."""
-    if edge == "dds":
+def why_not(transport):
+    """Why a transport cannot run here; empty if it can."""
+    if transport == "dds":
         return ""
     try:
         importlib.import_module("rclpy")
     except ImportError as error:
         return f"rclpy does not import here: {error}"
-    if edge == "fast":
+    if transport == "fast":
         prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
         if not any((Path(prefix) / "lib" / "librmw_fastrtps_cpp.so").exists() for prefix in prefixes if prefix):
             return "rmw_fastrtps_cpp is not installed"
     return ""
 
 
-def environment(edge, folder):
-    """Environment of a process on an edge: loopback, a domain and a home of its own."""
+def environment(transport, folder):
+    """Environment of a process on a transport: loopback, a domain and a home of its own."""
     chosen = {
         **os.environ,
         "ROS_DOMAIN_ID": str(DOMAIN),
@@ -68,11 +68,11 @@ def environment(edge, folder):
     chosen["CYCLONEDDS_URI"] = peer.LOOPBACK
     chosen["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"
     chosen.pop("ROS_LOCALHOST_ONLY", None)
-    if edge == "fast":
+    if transport == "fast":
         profile = folder / "fast.xml"
         profile.write_text(FAST_PROFILE)
         chosen |= {"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp", "FASTRTPS_DEFAULT_PROFILES_FILE": str(profile)}
-    elif edge == "ros":
+    elif transport == "ros":
         chosen["RMW_IMPLEMENTATION"] = "rmw_cyclonedds_cpp"
     return chosen
 
@@ -81,9 +81,19 @@ class Node:
     """The node under test, and our side of the wire."""
 
     def __init__(
-        self, edge, folder, wire, name="trackres", namespace="/", preexec=None, topics=None, program=None, options=(), **given
+        self,
+        transport,
+        folder,
+        wire,
+        name="trackres",
+        namespace="/",
+        preexec=None,
+        topics=None,
+        program=None,
+        options=(),
+        **given,
     ):
-        self.edge, self.folder, self.wire, self.name = edge, folder, wire, name
+        self.transport, self.folder, self.wire, self.name = transport, folder, wire, name
         self.base = f"{namespace.rstrip('/')}/{name}"
         self.parameters = {"vehicle": "xgd24d", "state_file": "none", **given}
         if topics:
@@ -100,8 +110,8 @@ class Node:
             *map(str, options),
         ]
         command += [
-            "--edge",
-            "dds" if edge == "dds" else "ros",
+            "--transport",
+            "dds" if transport == "dds" else "ros",
             "--params",
             str(params),
             "--name",
@@ -126,7 +136,7 @@ class Node:
         # Last: what fails above leaves no process behind.
         with self.log_path.open("w") as log:
             self.process = subprocess.Popen(
-                command, env=environment(edge, folder), stdout=log, stderr=log, stdin=subprocess.DEVNULL, preexec_fn=preexec
+                command, env=environment(transport, folder), stdout=log, stderr=log, stdin=subprocess.DEVNULL, preexec_fn=preexec
             )
 
     @property
@@ -190,7 +200,7 @@ class Node:
         self.until(lambda: len(self.torques()) >= last, f"{seconds} s of outputs")
 
     def healthy(self):
-        """Drive until nothing is to be remarked."""
+        """Drive until nothing is to be noticed."""
         self.drive(0.3)
         self.until(lambda: self.status() and self.level() == 0, "a good status", meanwhile=lambda: self.drive(0.3))
         return self
@@ -208,18 +218,18 @@ class Node:
         """Level of the last status."""
         return int(self.status().level)
 
-    def remarks(self, since=0):
-        """Names of everything that was remarked since so many statuses."""
+    def notices(self, since=0):
+        """Names of everything that was noticed since so many statuses."""
         return {name for status in self.statuses()[since:] for name in _values(status)["remarks"].split()}
 
     def last_remarks(self):
-        """Names of what the last status remarks."""
+        """Names of what the last status notices."""
         return set(_values(self.status())["remarks"].split())
 
-    def remarked(self, name, meanwhile=None):
-        """Wait until a remark is made."""
+    def noticed(self, name, meanwhile=None):
+        """Wait until a notice is made."""
         since = len(self.statuses())
-        self.until(lambda: name in self.remarks(since), f"the remark {name}", meanwhile=meanwhile)
+        self.until(lambda: name in self.notices(since), f"the notice {name}", meanwhile=meanwhile)
 
     def values(self, entry):
         """Keys and values of an entry of the last diagnostics, such as `input speed`."""
@@ -273,8 +283,9 @@ def _values(status):
     return {pair.key: pair.value for pair in status.values}
 
 
-EDGES = [
-    pytest.param(edge, marks=pytest.mark.skipif(bool(why_not(edge)), reason=why_not(edge) or "-")) for edge in ("dds", "ros")
+TRANSPORTS = [
+    pytest.param(transport, marks=pytest.mark.skipif(bool(why_not(transport)), reason=why_not(transport) or "-"))
+    for transport in ("dds", "ros")
 ]
 FAST = pytest.param("fast", marks=pytest.mark.skipif(bool(why_not("fast")), reason=why_not("fast") or "-"))
 
@@ -286,19 +297,19 @@ def wire():
     made.close()
 
 
-@pytest.fixture(params=EDGES)
-def edge(request):
+@pytest.fixture(params=TRANSPORTS)
+def transport(request):
     return request.param
 
 
 @pytest.fixture
-def node(edge, tmp_path, wire):
-    """A function that starts a node on the edge."""
+def node(transport, tmp_path, wire):
+    """A function that starts a node on the transport."""
     nodes = []
 
     def start(**given):
         given.setdefault("namespace", "/alone")  # away from the node that runs through all scenarios
-        nodes.append(Node(edge, tmp_path, wire, **given))
+        nodes.append(Node(transport, tmp_path, wire, **given))
         return nodes[-1].started()
 
     yield start
@@ -312,19 +323,19 @@ def node(edge, tmp_path, wire):
 
 @pytest.fixture(scope="module")
 def standing_nodes(tmp_path_factory):
-    """A function that gives the one node of an edge that runs through all scenarios of a module."""
+    """A function that gives the one node of a transport that runs through all scenarios of a module."""
     nodes = {}
 
-    def of(edge):
-        if edge not in nodes:
+    def of(transport):
+        if transport not in nodes:
             close()  # one at a time: they share their topics
             wire = peer.Wire(DOMAIN)
-            nodes[edge] = Node(edge, tmp_path_factory.mktemp("standing"), wire).started()
-        return nodes[edge]
+            nodes[transport] = Node(transport, tmp_path_factory.mktemp("standing"), wire).started()
+        return nodes[transport]
 
     def close():
-        for edge, made in list(nodes.items()):
-            del nodes[edge]
+        for transport, made in list(nodes.items()):
+            del nodes[transport]
             try:
                 made.check_outputs()
             finally:
@@ -337,12 +348,12 @@ def standing_nodes(tmp_path_factory):
     close()
 
 
-@pytest.fixture(params=EDGES, scope="module")
+@pytest.fixture(params=TRANSPORTS, scope="module")
 def standing(request, standing_nodes):
     return standing_nodes(request.param)
 
 
-@pytest.fixture(params=[*EDGES, FAST], scope="module")
+@pytest.fixture(params=[*TRANSPORTS, FAST], scope="module")
 def anywhere(request, standing_nodes):
     """As `standing`, and on Fast DDS too, for what the middleware plays a part in."""
     return standing_nodes(request.param)

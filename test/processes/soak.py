@@ -3,7 +3,7 @@
 
 """Vehicle time by simulated clock with random faults of every kind; what must hold is counted and checked.
 
-By hand, for as long as wanted: `python test/processes/soak.py --edge dds --minutes 30`.
+By hand, for as long as wanted: `python test/processes/soak.py --transport dds --minutes 30`.
 """
 
 import argparse
@@ -145,7 +145,7 @@ class Soak:
         """Look at the outputs so far, let go of them, and see how much memory the node has."""
         self.outputs += len(self.node.torques())
         self.node.check_outputs()
-        names = self.node.remarks()
+        names = self.node.notices()
         assert "INTERNAL_ERROR" not in names, self.node.log
         for subscription in self.node.out.values():
             del subscription.heard[:-2]
@@ -187,14 +187,14 @@ def main():
     import peer
 
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--edge", choices=["dds", "ros", "fast"], default="dds")
+    parser.add_argument("--transport", choices=["dds", "ros", "fast"], default="dds")
     parser.add_argument("--minutes", type=float, default=30.0)
     parser.add_argument("--speedup", type=float, default=8.0)
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         wire = peer.Wire(conftest.DOMAIN)
-        node = conftest.Node(given.edge, Path(folder), wire, topics=TORQUE_TOPIC, **PARAMETERS).started()
+        node = conftest.Node(given.transport, Path(folder), wire, topics=TORQUE_TOPIC, **PARAMETERS).started()
         try:
             soak = Soak(node, given.seed, given.speedup)
             soak.run(given.minutes)

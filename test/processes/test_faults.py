@@ -24,7 +24,7 @@ def failing(wait):
             raise OSError(5, "the wire is gone")
         return wait(*given, **named)
     return waits
-if "{{edge}}" == "dds":
+if "{{transport}}" == "dds":
     from trackres_ros.node.dds.participant import Participant
     waiter = Participant.waiter
     Participant.waiter = lambda self: failing(waiter(self))
@@ -88,7 +88,7 @@ def test_a_full_disk_pauses_the_recording_not_the_torque(node, tmp_path, topics)
     most = int(0.3 * MB)
     full = lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))  # noqa: E731
     n = node(topics=TOPICS, options=("--record", tmp_path / "drive.mcap"), preexec=full)
-    n.remarked("NOT_RECORDED", meanwhile=lambda: n.drive(0.3))
+    n.noticed("NOT_RECORDED", meanwhile=lambda: n.drive(0.3))
     before = len(n.torques())
     n.drive(2.0)
     assert len(n.torques()) - before > 80
@@ -102,8 +102,8 @@ def test_a_full_disk_pauses_the_recording_not_the_torque(node, tmp_path, topics)
     assert len(messages_of(there, topics)[0]) > 20
 
 
-def test_a_log_that_nobody_takes_holds_nothing_up(edge, node):
-    if edge != "dds":
+def test_a_log_that_nobody_takes_holds_nothing_up(transport, node):
+    if transport != "dds":
         pytest.skip("the log of ROS 2 waits for who takes it")
     n = node(program=LOG_IS_STUCK).healthy()
 
@@ -118,8 +118,8 @@ def test_a_log_that_nobody_takes_holds_nothing_up(edge, node):
     assert n.stop() == 0
 
 
-def test_an_output_that_nobody_takes_holds_nothing_up(edge, node):
-    if edge != "dds":
+def test_an_output_that_nobody_takes_holds_nothing_up(transport, node):
+    if transport != "dds":
         pytest.skip("what runs there has no output")
     n = node(program=OUTPUT_IS_STUCK, options=("--json",)).healthy()
     n.drive(8.0)  # lines enough for the pipe
@@ -129,9 +129,9 @@ def test_an_output_that_nobody_takes_holds_nothing_up(edge, node):
 
 
 @pytest.mark.parametrize("how", ["fault", "signal"])
-def test_the_feedforward_fades_before_the_process_ends(edge, node, tmp_path, how):
+def test_the_feedforward_fades_before_the_process_ends(transport, node, tmp_path, how):
     flag = tmp_path / "fails"
-    n = node(program=WAIT_FAILS.format(flag=flag, edge=edge), feedforward_rate=RATE, feedforward_fade_s=5.0)
+    n = node(program=WAIT_FAILS.format(flag=flag, transport=transport), feedforward_rate=RATE, feedforward_fade_s=5.0)
     n.drive(2.0)
     highest = max(n.torques())
     assert highest > 1500.0

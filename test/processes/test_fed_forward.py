@@ -21,7 +21,7 @@ def test_speeds_that_no_vehicle_has_are_not_fed_forward(standing):
     standing.until(lambda: standing.torques() and standing.torques()[-1] == 0.0, "rest", meanwhile=at_rest)
     first = len(standing.torques())
     standing.drive(0.9, speed=lambda: 16.6)
-    standing.remarked("SPEED_IMPLAUSIBLE", meanwhile=lambda: standing.drive(0.1, speed=lambda: 0.0))
+    standing.noticed("SPEED_IMPLAUSIBLE", meanwhile=lambda: standing.drive(0.1, speed=lambda: 0.0))
     assert set(standing.torques()[first:]) == {0.0}
     assert int(standing.values("input speed")["implausible"]) > 20
     standing.healthy()
@@ -33,9 +33,9 @@ def test_speeds_that_no_vehicle_has_are_not_fed_forward(standing):
     standing.healthy()
 
 
-def test_a_mode_enables_the_feedforward(edge, tmp_path, wire):
+def test_a_mode_enables_the_feedforward(transport, tmp_path, wire):
     mode = wire.publisher("/mode", "std_msgs/msg/UInt8")
-    node = Node(edge, tmp_path, wire, topics=TOPICS)
+    node = Node(transport, tmp_path, wire, topics=TOPICS)
     try:
         node.started()
 
@@ -44,11 +44,11 @@ def test_a_mode_enables_the_feedforward(edge, tmp_path, wire):
                 mode.publish(data=value)
             node.drive(0.2)
 
-        for value, least, remark in ((None, 0.0, "ENABLE_OLD"), (4, 2000.0, ""), (2, 0.0, "DISABLED"), (1, 2000.0, "")):
+        for value, least, notice in ((None, 0.0, "ENABLE_OLD"), (4, 2000.0, ""), (2, 0.0, "DISABLED"), (1, 2000.0, "")):
 
-            def settled(least=least, remark=remark):
+            def settled(least=least, notice=notice):
                 last = (node.torques() or [math.nan])[-1]
-                return (last == 0.0 if least == 0.0 else last > least) and {remark} <= {"", *node.last_remarks()}
+                return (last == 0.0 if least == 0.0 else last > least) and {notice} <= {"", *node.last_remarks()}
 
             node.until(settled, f"mode {value}", meanwhile=lambda value=value: drive(value))
         assert node.stop() == 0

@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 
 import pytest
-from conftest import EDGES, Node, environment
+from conftest import TRANSPORTS, Node, environment
 from waiting import Pace, exit_code, wait_for, work_s
 
 from trackres_ros.files.resources import cache_dir
@@ -39,9 +39,9 @@ def uncompiled(monkeypatch, tmp_path):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("edge", EDGES)
-def test_two_nodes_that_compile_count_every_speed_and_no_clock_jumps(edge, tmp_path, wire, uncompiled):
-    nodes = [Node(edge, tmp_path, wire, name=name, namespace=f"/{name}") for name in ("left", "right")]
+@pytest.mark.parametrize("transport", TRANSPORTS)
+def test_two_nodes_that_compile_count_every_speed_and_no_clock_jumps(transport, tmp_path, wire, uncompiled):
+    nodes = [Node(transport, tmp_path, wire, name=name, namespace=f"/{name}") for name in ("left", "right")]
     try:
         for node in nodes:
             node.started()
@@ -51,7 +51,7 @@ def test_two_nodes_that_compile_count_every_speed_and_no_clock_jumps(edge, tmp_p
                 node.send("speed", 8.0 + 0.001 * (count % 7))
             pace.next()
             if count % HZ == 0 and count >= 8 * HZ and time.monotonic() - begin > 8.0:
-                compiling = [node.remarks(max(0, len(node.statuses()) - 3)) for node in nodes]
+                compiling = [node.notices(max(0, len(node.statuses()) - 3)) for node in nodes]
                 if not any("COMPILING" in names for names in compiling) or time.monotonic() - begin > 60.0:
                     break
         for node in nodes:
@@ -65,15 +65,15 @@ def test_two_nodes_that_compile_count_every_speed_and_no_clock_jumps(edge, tmp_p
             assert sum(found().values()) == sent
             assert found()["clock_jump"] == 0
             assert found()["accepted"] > 0
-            assert "CLOCK_JUMPED" not in node.remarks()
+            assert "CLOCK_JUMPED" not in node.notices()
             assert node.stop() == 0, node.log
     finally:
         for node in nodes:
             node.close()
 
 
-def command(edge, folder, *more):
-    words = [sys.executable, "-m", "trackres_ros", "live", "--edge", "dds" if edge == "dds" else "ros", "--quiet"]
+def command(transport, folder, *more):
+    words = [sys.executable, "-m", "trackres_ros", "live", "--transport", "dds" if transport == "dds" else "ros", "--quiet"]
     return [*words, "--vehicle", "xgd24d", "-p", f"state_file:={folder / 'state.json'}", *more]
 
 
@@ -88,13 +88,17 @@ def when_it_listens(process):
     assert wait_for(listens, working=process.pid), "it never listened"
 
 
-@pytest.mark.parametrize("edge", EDGES)
+@pytest.mark.parametrize("transport", TRANSPORTS)
 @pytest.mark.parametrize("further_s", [0.0, 0.2, 0.6])
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_signal_to_stop_while_starting_ends_it_with_0_and_says_so(edge, tmp_path, number, further_s):
+def test_a_signal_to_stop_while_starting_ends_it_with_0_and_says_so(transport, tmp_path, number, further_s):
     """At moments that are as far into the start, by the work done, on any machine."""
     process = subprocess.Popen(
-        command(edge, tmp_path), env=environment(edge, tmp_path), stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True
+        command(transport, tmp_path),
+        env=environment(transport, tmp_path),
+        stderr=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        text=True,
     )
     when_it_listens(process)
     then = work_s(process.pid) + further_s
@@ -106,11 +110,11 @@ def test_a_signal_to_stop_while_starting_ends_it_with_0_and_says_so(edge, tmp_pa
     assert "Traceback" not in said
 
 
-@pytest.mark.parametrize("edge", EDGES)
-def test_signals_to_save_and_reset_while_starting_are_done_once_it_runs(edge, tmp_path):
+@pytest.mark.parametrize("transport", TRANSPORTS)
+def test_signals_to_save_and_reset_while_starting_are_done_once_it_runs(transport, tmp_path):
     log = tmp_path / "log"
     with log.open("w") as said:
-        process = subprocess.Popen(command(edge, tmp_path), env=environment(edge, tmp_path), stderr=said, stdout=said)
+        process = subprocess.Popen(command(transport, tmp_path), env=environment(transport, tmp_path), stderr=said, stdout=said)
     when_it_listens(process)
     for number in (signal.SIGUSR1, signal.SIGUSR2):
         process.send_signal(number)
@@ -165,13 +169,13 @@ main()
 """
 
 
-@pytest.mark.parametrize("edge", EDGES)
-def test_without_a_home_as_a_user_that_nobody_knows_it_runs_and_says_what_it_cannot_keep(edge, tmp_path, wire):
-    kept = {k: v for k, v in environment(edge, tmp_path).items() if k not in ("HOME", "XDG_STATE_HOME")}
+@pytest.mark.parametrize("transport", TRANSPORTS)
+def test_without_a_home_as_a_user_that_nobody_knows_it_runs_and_says_what_it_cannot_keep(transport, tmp_path, wire):
+    kept = {k: v for k, v in environment(transport, tmp_path).items() if k not in ("HOME", "XDG_STATE_HOME")}
     kept.setdefault("XDG_CACHE_HOME", str(cache_dir().parent))
     log = tmp_path / "log"
     with log.open("w") as said:
-        words = [sys.executable, "-c", NOBODY, *command(edge, tmp_path)[3:-2], "--namespace", "/nobody"]
+        words = [sys.executable, "-c", NOBODY, *command(transport, tmp_path)[3:-2], "--namespace", "/nobody"]
         process = subprocess.Popen(words, env=kept, stderr=said, stdout=said)
     status = wire.subscribe("/nobody/trackres/status", "diagnostic_msgs/msg/DiagnosticArray")
 

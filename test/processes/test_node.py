@@ -221,13 +221,13 @@ def test_a_drive_with_positions_gives_live_what_its_recording_replayed_gives(nod
     residual = n.wire.subscribe(f"{n.base}/torque_residual", "sensor_msgs/msg/JointState")
     n.until(lambda: all(one.matched for one in more.values()) and residual.matched, "fix and torque to connect")
     sim = Simulated(n)
-    publishers, remarks = {**n.inputs, **more}, set()
+    publishers, notices = {**n.inputs, **more}, set()
     for now, topic, _, fields in messages:
         sim.to(now)
         publishers[topic].publish(**fields)
         if topic == "speed":
             sim.worked_off()
-            remarks |= n.last_remarks()
+            notices |= n.last_remarks()
         else:
             publishers[topic].delivered()  # no middleware promises that one topic overtakes no other
     n.until(lambda: stamp_ns(residual.update()[-1].message) == sim.now_ns, "the last residual")
@@ -240,7 +240,7 @@ def test_a_drive_with_positions_gives_live_what_its_recording_replayed_gives(nod
         np.testing.assert_allclose(effort, wanted, rtol=1e-9, atol=1e-9)
     for stamp, torque in expected.items():
         assert torque == pytest.approx(rows[stamp][at.OUT_DRIVE], rel=1e-9)
-    assert {"SURROUNDINGS", "OFF_ROUTE", "PLACE_UNKNOWN"} <= remarks
+    assert {"SURROUNDINGS", "OFF_ROUTE", "PLACE_UNKNOWN"} <= notices
     assert int(n.values("input latitude")["non_finite"]) > 0.5 * len(LOST)
 
 
@@ -250,7 +250,7 @@ def test_a_bag_that_loops_starts_anew_each_time(simulated):
     for _ in range(2):
         sim.now_ns = START_NS
         sim.drive(150)
-    node.until(lambda: "TIME_RESET" in node.remarks(), "the remark")
+    node.until(lambda: "TIME_RESET" in node.notices(), "the notice")
     stamps = [stamp_ns(h.message) for h in node.out["belt"].update()]
     assert sum(b < a for a, b in itertools.pairwise(stamps)) == 1
     rounds = np.split(np.array([h.message.temperature for h in node.out["belt"].heard]), [int(np.argmin(np.diff(stamps))) + 1])
@@ -258,7 +258,7 @@ def test_a_bag_that_loops_starts_anew_each_time(simulated):
     assert rounds[1][-1] == pytest.approx(rounds[0][-1], rel=1e-3)
 
 
-def test_publisher_node_and_subscriber_are_three_processes(node, edge, tmp_path):
+def test_publisher_node_and_subscriber_are_three_processes(node, transport, tmp_path):
     from conftest import DOMAIN
 
     n = node(output_rate_hz=0.0)
@@ -354,7 +354,7 @@ def test_a_state_file_of_no_use_is_said_in_log_and_status(node, tmp_path, text, 
     state.write_text(text)
     n = node(state_file=str(state))
     n.until(lambda: said in n.log, "the reason")
-    n.remarked("STATE_NOT_USED")
+    n.noticed("STATE_NOT_USED")
 
 
 def test_a_state_of_another_vehicle_is_said(node, tmp_path):
@@ -370,16 +370,16 @@ def test_a_state_of_another_vehicle_is_said(node, tmp_path):
 def test_a_disk_that_takes_no_more_is_said_and_stops_nothing(node, tmp_path):
     state = tmp_path / "state.json"
     n = node(state_file=str(state), save_period_s=1.0, preexec=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (3000, 3000)))
-    n.remarked("STATE_NOT_SAVED", meanwhile=lambda: n.drive(0.3))
+    n.noticed("STATE_NOT_SAVED", meanwhile=lambda: n.drive(0.3))
     count = len(n.torques())
     n.drive(0.3)
     assert len(n.torques()) > count
 
 
-def test_a_parameter_out_of_range_ends_it_with_one_line(edge, tmp_path, wire):
+def test_a_parameter_out_of_range_ends_it_with_one_line(transport, tmp_path, wire):
     from conftest import Node
 
-    n = Node(edge, tmp_path, wire, gap_s=1e9)
+    n = Node(transport, tmp_path, wire, gap_s=1e9)
     assert exit_code(n.process) == 2
     assert "gap_s" in n.log
     assert "a number from 0.05 to 60 s" in n.log
@@ -423,7 +423,7 @@ torque: {topic: torque, type: geometry_msgs/msg/WrenchStamped, field: wrench.tor
             sim.message("ambient", 15.0)
         sim.message("speed", 8.0 + 0.001 * (step % 5))
         sim.worked_off()
-    n.remarked("MISMATCH", meanwhile=lambda: sim.drive(5))
+    n.noticed("MISMATCH", meanwhile=lambda: sim.drive(5))
     status = next(s for s in reversed(n.statuses()) if "above the expected" in s.message)
     assert "trackres diagnose RECORDING --vehicle xgd24d" in status.message
     assert n.values("comparison")["parted"] == "true"

@@ -207,7 +207,7 @@ def test_launch_testing_finds_it_well_while_it_runs_and_after(launcher):
 def test_the_edge_without_ros_is_seen_by_ros(shell):
     params = shell.folder / "p.yaml"
     params.write_text(json.dumps({"vehicle": "xgd24d", "state_file": "none"}))
-    node = shell.start(sys.executable, "-m", "trackres_ros", "live", "--edge", "dds", "--quiet", "--params", str(params))
+    node = shell.start(sys.executable, "-m", "trackres_ros", "live", "--transport", "dds", "--quiet", "--params", str(params))
     wait(lambda: "24 t chassis" in node.said(), node)
     shell.start(ROS2, "topic", "pub", *SPEED)
     wait(lambda: "/trackres" in shell.ros2("node", "list", "--no-daemon"))
@@ -267,7 +267,17 @@ def test_both_edges_offer_the_same(cyclone):
     on_ros = offered(ros)
     cyclone.end(ros)
     dds = cyclone.start(
-        sys.executable, "-m", "trackres_ros", "live", "--edge", "dds", "--quiet", "--vehicle", "xgd24d", "-p", "state_file:=none"
+        sys.executable,
+        "-m",
+        "trackres_ros",
+        "live",
+        "--transport",
+        "dds",
+        "--quiet",
+        "--vehicle",
+        "xgd24d",
+        "-p",
+        "state_file:=none",
     )
     wait(lambda: "24 t chassis" in dds.said(), dds)
     assert offered(dds) == on_ros

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the controller sees when something is wrong: on both edges, a node process and an independent participant.
+"""What the controller sees when something is wrong: on both transports, a node process and an independent participant.
 
 Each scenario has its entry in docs/robustness.md. In all of them no output is ever out of bounds or not a number (the fixture
 checks all there were), outputs or statuses go on, the status gives the reason, and it is good again when the cause is gone.
@@ -30,7 +30,7 @@ def recovers(node):
 def test_from_the_start_without_a_speed(standing):
     if standing.torques():
         pytest.skip("the node has had a speed")
-    standing.remarked("NO_SPEED")
+    standing.noticed("NO_SPEED")
     assert standing.level() == 3
     count = len(standing.statuses())
     standing.until(lambda: len(standing.statuses()) >= count + 2, "statuses going on")
@@ -41,7 +41,7 @@ def test_from_the_start_without_a_speed(standing):
 def test_speed_stops_and_comes_back(anywhere):
     anywhere.healthy()
     full = anywhere.torques()[-1]
-    anywhere.remarked("SPEED_OLD")
+    anywhere.noticed("SPEED_OLD")
     anywhere.until(lambda: anywhere.torques()[-1] == 0.0, "the feed-forward to fade")
     torques = anywhere.torques()
     fading = torques[-torques[::-1].index(next(t for t in reversed(torques) if t > 0.9 * full)) :]
@@ -57,7 +57,7 @@ def test_speed_stops_and_comes_back(anywhere):
 
 def test_load_missing(standing):
     standing.healthy()
-    standing.remarked("LOAD_HELD", meanwhile=lambda: standing.drive(0.3, load=None))
+    standing.noticed("LOAD_HELD", meanwhile=lambda: standing.drive(0.3, load=None))
     assert standing.level() == 0
     recovers(standing)
 
@@ -65,8 +65,8 @@ def test_load_missing(standing):
 def test_values_that_cannot_be(standing):
     standing.healthy()
     values = itertools.cycle([math.nan, math.inf, -math.inf, 1e9, -1e9])
-    standing.remarked("SPEED_OLD", meanwhile=lambda: standing.drive(0.2, speed=lambda: next(values)))
-    standing.remarked("REFUSED", meanwhile=lambda: standing.drive(0.2, speed=lambda: next(values)))
+    standing.noticed("SPEED_OLD", meanwhile=lambda: standing.drive(0.2, speed=lambda: next(values)))
+    standing.noticed("REFUSED", meanwhile=lambda: standing.drive(0.2, speed=lambda: next(values)))
     counted = standing.values("input speed")
     assert int(counted["non_finite"]) > 0
     assert int(counted["out_of_range"]) > 0
@@ -75,7 +75,7 @@ def test_values_that_cannot_be(standing):
 
 def test_load_that_cannot_be(standing):
     standing.healthy()
-    standing.remarked("REFUSED", meanwhile=lambda: standing.drive(0.3, load=1e9))
+    standing.noticed("REFUSED", meanwhile=lambda: standing.drive(0.3, load=1e9))
     recovers(standing)
 
 
@@ -92,7 +92,7 @@ def test_stamps_that_were_never_set(standing):
 def test_stamps_repeated(standing):
     standing.healthy()
     fixed = time.time_ns()
-    standing.remarked("REFUSED", meanwhile=lambda: standing.drive(0.3, stamps=lambda: fixed))
+    standing.noticed("REFUSED", meanwhile=lambda: standing.drive(0.3, stamps=lambda: fixed))
     standing.until(lambda: int(standing.values("input speed").get("duplicate", 0)) > 0, "the counter")
     recovers(standing)
 
@@ -117,11 +117,11 @@ def test_the_clock_of_the_stamps_jumps_and_stays(standing):
     standing.healthy()
     belt = standing.out["belt"].update()[-1].message.temperature
     ahead = lambda: time.time_ns() + 3600 * SECOND_NS  # noqa: E731
-    standing.remarked("CLOCK_JUMPED", meanwhile=lambda: standing.drive(0.3, stamps=ahead))
-    standing.remarked("CLOCK_OFFSET", meanwhile=lambda: standing.drive(0.3, stamps=ahead))
+    standing.noticed("CLOCK_JUMPED", meanwhile=lambda: standing.drive(0.3, stamps=ahead))
+    standing.noticed("CLOCK_OFFSET", meanwhile=lambda: standing.drive(0.3, stamps=ahead))
     assert standing.out["belt"].update()[-1].message.temperature == pytest.approx(belt, abs=1.0)
     assert standing.out["feedforward"].update()[-1].message.header.stamp.sec > time.time() + 3000
-    standing.remarked("CLOCK_JUMPED", meanwhile=lambda: standing.drive(0.3))
+    standing.noticed("CLOCK_JUMPED", meanwhile=lambda: standing.drive(0.3))
     recovers(standing)
 
 
@@ -131,7 +131,7 @@ def test_a_trickle(standing):
     for _ in range(3):
         standing.drive(0.05, hz=20.0)
         once_a_second.next()
-    assert "SPEED_OLD" in standing.remarks()
+    assert "SPEED_OLD" in standing.notices()
     recovers(standing)
 
 
@@ -150,7 +150,7 @@ def test_another_type_on_the_topic(standing):
     standing.healthy()
     other = standing.wire.publisher("/ambient", "std_msgs/msg/Float64")
     other.publish(data=1.0)
-    standing.remarked("WRONG_TYPE", meanwhile=lambda: standing.drive(0.3))
+    standing.noticed("WRONG_TYPE", meanwhile=lambda: standing.drive(0.3))
     assert "std_msgs/msg/Float64" in next(s.message for s in reversed(standing.statuses()) if "sends" in s.message)
     other.close()
     recovers(standing)
@@ -159,7 +159,7 @@ def test_another_type_on_the_topic(standing):
 def test_two_publishers_and_one_restarted(standing):
     standing.healthy()
     second = standing.wire.publisher("/speed", "geometry_msgs/msg/TwistStamped")
-    standing.remarked("SEVERAL_PUBLISHERS", meanwhile=lambda: standing.drive(0.3))
+    standing.noticed("SEVERAL_PUBLISHERS", meanwhile=lambda: standing.drive(0.3))
     standing.inputs["speed"].close()
     standing.inputs["speed"] = second
     recovers(standing)
@@ -180,10 +180,10 @@ def test_another_definition_of_the_same_type(standing):
 def test_coarse_steps_and_one_value_for_long(node):
     n = node(stuck_s=2.0, output_rate_hz=0.0)
     steps = itertools.cycle([8, 9, 10, 9])  # km/h, as a bus sends it
-    n.remarked("SPEED_QUANTISED", meanwhile=lambda: n.drive(0.5, speed=lambda: next(steps) / 3.6))
+    n.noticed("SPEED_QUANTISED", meanwhile=lambda: n.drive(0.5, speed=lambda: next(steps) / 3.6))
     assert n.level() == 0
     n.drive(0.5)
-    n.remarked("SPEED_STUCK", meanwhile=lambda: n.drive(0.3, speed=lambda: 8.0))
+    n.noticed("SPEED_STUCK", meanwhile=lambda: n.drive(0.3, speed=lambda: 8.0))
     recovers(n)
 
 
@@ -209,7 +209,7 @@ def test_a_stamp_that_no_message_can_carry_comes_first(node):
     n.until(lambda: int(n.values("input speed").get("bad_stamp", 0)) == 3, "the counter")
     count = len(n.statuses())
     n.until(lambda: len(n.statuses()) > count, "statuses going on")
-    assert "INTERNAL_ERROR" not in n.remarks()
+    assert "INTERNAL_ERROR" not in n.notices()
     recovers(n)
 
 

@@ -19,7 +19,7 @@ from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.guess import guess
 from trackres_ros.recording.position_units import PositionUnits
-from trackres_ros.recording.samples import Block
+from trackres_ros.recording.samples import SampleBlock
 from trackres_ros.units import GRAVITY
 
 ROLES = ("latitude", "longitude")
@@ -27,9 +27,9 @@ BY_VALUES = {role: TopicBinding(column=role) for role in ROLES}
 FIX = "sensor_msgs/msg/NavSatFix"
 
 
-def block(latitude: float, longitude: float) -> Block:
+def block(latitude: float, longitude: float) -> SampleBlock:
     zeros = np.zeros(2, np.int64)
-    return Block(np.array([0, 1], np.int16), zeros, zeros, np.array([latitude, longitude]))
+    return SampleBlock(np.array([0, 1], np.int16), zeros, zeros, np.array([latitude, longitude]))
 
 
 def table(folder: Path, **columns: np.ndarray) -> Path:
@@ -194,7 +194,7 @@ def test_without_a_fix_there_is_no_position_live_nor_in_a_bag(tmp_path: Path) ->
 
     from trackres_ros.estimator.columns import CHANNELS
     from trackres_ros.node.endpoints import input_topics
-    from trackres_ros.node.intake import Intake
+    from trackres_ros.node.input_reader import InputReader
 
     store = get_typestore(Stores.ROS2_JAZZY)
     speed = {"topic": "/speed", "type": "std_msgs/msg/Float64", "field": "data"}
@@ -208,8 +208,8 @@ def test_without_a_fix_there_is_no_position_live_nor_in_a_bag(tmp_path: Path) ->
     there = np.array([status != NO_FIX for status in STATES])
     want = {"latitude": np.radians(47.0 + 0.001 * np.arange(6)), "longitude": np.radians(8.0 + 0.002 * np.arange(6))}
     read = tr.read(tmp_path / "bag", topics=topics)
-    intake = Intake(input_topics(topics, on_route=True)[:1], CHANNELS, topics.bindings)
-    live = np.array([intake.read(0, fix)[1] for fix in fixes(store)])
+    reader = InputReader(input_topics(topics, on_route=True)[:1], CHANNELS, topics.bindings)
+    live = np.array([reader.read(0, fix)[1] for fix in fixes(store)])
     for column, (role, values) in enumerate(want.items()):
         shown = np.where(there, values, np.nan)
         np.testing.assert_allclose(read.series[role].value, shown)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.roles import ROLES, base_role
-from trackres_ros.recording.samples import Block, Finding, FloatArray, IntArray
+from trackres_ros.recording.samples import Finding, FloatArray, IntArray, SampleBlock
 
 S = 10**9
 
@@ -40,10 +40,10 @@ class Given:
             ]
         self.rows.sort(key=lambda row: row[0])
 
-    def blocks(self, max_rows: int = 7) -> Iterator[Block]:
+    def blocks(self, max_rows: int = 7) -> Iterator[SampleBlock]:
         for start in range(0, len(self.rows), 7):
             log, role, stamp, value = zip(*self.rows[start : start + 7], strict=True)
-            yield Block(np.array(role, np.int16), np.array(stamp, np.int64), np.array(log, np.int64), np.array(value))
+            yield SampleBlock(np.array(role, np.int16), np.array(stamp, np.int64), np.array(log, np.int64), np.array(value))
 
 
 def recorded(zero_is_unset: bool = True, **series: tuple[object, ...]) -> Recording:

@@ -15,11 +15,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import trackres_ros as tr
-from trackres_ros.diagnosis.writing.sensor_lines import _said
 from trackres_ros.errors import InputError
 from trackres_ros.node.endpoints import input_topics
-from trackres_ros.node.intake import Intake
+from trackres_ros.node.input_reader import InputReader
 from trackres_ros.recording.bindings import Topics
+from trackres_ros.vehicle.writing.sensor_lines import _said
 
 pytest.importorskip("rosbags")
 
@@ -57,7 +57,7 @@ def write(path: Path, sides: list[tuple[str, int, dict[str, float]]]) -> Path:
 def live(topics: Topics, sides: list[tuple[str, int, dict[str, float]]]) -> list[tuple[int, float]]:
     """Torques that the live node makes of these messages: stamps [ns] and values."""
     inputs = input_topics(topics)
-    taken = Intake(inputs, ("speed", "torque"), topics.bindings)
+    taken = InputReader(inputs, ("speed", "torque"), topics.bindings)
     index = {given.name: number for number, given in enumerate(inputs)}
     found = []
     for number, (topic, stamp, efforts) in enumerate(sides):

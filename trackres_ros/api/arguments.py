@@ -13,14 +13,12 @@ from typing import TYPE_CHECKING, Any, TypeAlias, Union
 from trackres_ros.errors import InputError
 
 if TYPE_CHECKING:
-    from trackres_ros.diagnosis.base.own import OwnModel
     from trackres_ros.recording.bindings import Topics
     from trackres_ros.vehicle import AnyVehicle, RoadVehicle, Vehicle
 
 
 StrPath: TypeAlias = str | PathLike[str]
 VehicleGiven: TypeAlias = Union["Vehicle", "RoadVehicle", StrPath]
-ModelGiven: TypeAlias = Union[VehicleGiven, "OwnModel"]
 TopicsGiven: TypeAlias = Union["Topics", Mapping[str, Mapping[str, Any]], StrPath]
 
 

@@ -11,18 +11,19 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from trackres_ros.api.arguments import ModelGiven, StrPath, TopicsGiven, as_paths, as_topics
+from trackres_ros.api.arguments import StrPath, TopicsGiven, VehicleGiven, as_paths, as_topics
 from trackres_ros.api.recordings import read
 from trackres_ros.errors import InputError
 
 if TYPE_CHECKING:
+    from trackres_ros.diagnosis.base.own import OwnModel
     from trackres_ros.recording.recording import Recording
     from trackres_ros.results.diagnosis import DiagnosisResult
 
 
 def diagnose(
     recordings: StrPath | Recording | Sequence[StrPath | Recording],
-    vehicle: ModelGiven,
+    vehicle: VehicleGiven | OwnModel,
     *,
     topics: TopicsGiven | None = None,
     surroundings: StrPath | None = None,

@@ -22,7 +22,7 @@ from trackres_ros.cli.common import (
     topics_option,
     vehicle_option,
 )
-from trackres_ros.cli.written import watch
+from trackres_ros.cli.partial_output import watch
 
 
 @click.command("coastdown", cls=Command)

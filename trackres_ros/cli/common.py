@@ -19,7 +19,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from trackres_ros import InputError, MissingExtraError
-from trackres_ros.cli.written import watch
+from trackres_ros.cli.partial_output import watch
 from trackres_ros.errors import nearest
 from trackres_ros.files.resources import shipped_road_vehicles, shipped_topics, shipped_vehicles
 from trackres_ros.progress import listening

@@ -58,14 +58,14 @@ def compare_command(
     trackres compare xgd24d my_design.yaml --speed-kmh 50 --ambient-degc -15,15
     trackres compare xgd24d my_design.yaml --weight-kn 200,270,340 --cycle stages --cycle lap.mcap
     """
-    from trackres_ros.design.compare import Options, asked_of, compare_designs
+    from trackres_ros.design.compare import ComparisonOptions, asked_of, compare_designs
     from trackres_ros.design.compare_text import designs_text, draw_designs
     from trackres_ros.fleet.compare import compare, compare_text
     from trackres_ros.offline.vehicle_files import differences, differences_text
 
     with print_warnings():
         found = compare(one, other)
-    asked, designs = asked_of((one, other), Options(speed_kmh, belt_degc, ambient_degc, weight_kn, cycle)), None
+    asked, designs = asked_of((one, other), ComparisonOptions(speed_kmh, belt_degc, ambient_degc, weight_kn, cycle)), None
     try:
         found["values"] = values = differences(one, other)
         text = "\n".join(["Values that differ", differences_text(one, other, values)])

@@ -25,7 +25,7 @@ from trackres_ros.cli.common import (
     vehicles_to_complete,
     whole,
 )
-from trackres_ros.cli.written import watch
+from trackres_ros.cli.partial_output import watch
 from trackres_ros.files.output_files import output_file
 from trackres_ros.units import KMH_PER_MPS
 
@@ -83,7 +83,7 @@ def sweep_command(
     trackres sweep my.yaml --vary axles.load=+20%
     trackres sweep xgd24d --vary loss_modulus_scale=0.6:1.2:7 --vary road_wheels.radius=0.12,0.13,0.14 -o sweep.csv
     """
-    from trackres_ros.design.sweep import Asked, draw, sweep
+    from trackres_ros.design.sweep import SweepRequest, draw, sweep
     from trackres_ros.design.values import varied
     from trackres_ros.files.resources import find_vehicle
     from trackres_ros.output.table import write_table
@@ -94,7 +94,7 @@ def sweep_command(
     watch(*(path for path in (file, picture) if path))
     described = load(find_vehicle(vehicle))
     air = described.chassis.ambient if ambient_degc is None else ambient_degc
-    asked = Asked(vehicle, tuple(varied(described, one) for one in vary), _held(described, speed_kmh), air, cycle)
+    asked = SweepRequest(vehicle, tuple(varied(described, one) for one in vary), _held(described, speed_kmh), air, cycle)
     with progress("points", len(asked.points)) as advance:
         found = sweep(asked, engine, workers, advance)
     written = []

@@ -28,7 +28,7 @@ from trackres_ros.cli.common import (
     topics_option,
     whole,
 )
-from trackres_ros.cli.written import watch
+from trackres_ros.cli.partial_output import watch
 from trackres_ros.files.output_files import output_file
 
 EXTRA = "fsspec", "pyarrow", "distributed", "jinja2"
@@ -109,7 +109,7 @@ def run_command(
     needs("trackres fleet", "fleet", *EXTRA)
     if (vehicle is None) == (vehicles is None):
         raise InputError("--vehicle, --vehicles", "both" if vehicle else "neither", "one of them")
-    from trackres_ros.fleet import asked
+    from trackres_ros.fleet import run_limits
     from trackres_ros.fleet.alerts import FILE, alerts, checked_url, write_alerts
     from trackres_ros.fleet.alone import alone
     from trackres_ros.fleet.dataset import FleetDataset
@@ -136,11 +136,11 @@ def run_command(
             lambda page: click.echo(f"the engine's own page: {page}", err=True),
         )
         bars.close()
-        asked.keep(output, fleet)
+        run_limits.keep(output, fleet)
         if period != "none":
             diagnose_periods(dataset, fleet, engine, workers, hide, progress)
         with print_warnings():
-            found = trends(dataset, asked.limits_of(output, {}))
+            found = trends(dataset, run_limits.limits_of(output, {}))
         found["alerts"] = rows = alerts(found)
         write_alerts(output / FILE, rows)
         pages = write_pages(output, found, dataset)
@@ -221,7 +221,7 @@ def trend_command(
     trackres trend results --alerts alerts.csv --webhook https://example.com/hook --exit-code
     """
     needs("trackres trend", "fleet", "pyarrow")
-    from trackres_ros.fleet import asked
+    from trackres_ros.fleet import run_limits
     from trackres_ros.fleet.alerts import alerts, checked_url, write_alerts
     from trackres_ros.fleet.dataset import FleetDataset
     from trackres_ros.fleet.trends import sentences, trends
@@ -231,7 +231,7 @@ def trend_command(
         checked_url(webhook)
     watch(*([file] if file else []))
     with print_warnings():
-        found = trends(FleetDataset.existing(folder), asked.limits_of(folder, dict(map(_limit, limits))), false_alarms, name)
+        found = trends(FleetDataset.existing(folder), run_limits.limits_of(folder, dict(map(_limit, limits))), false_alarms, name)
     found["alerts"] = rows = alerts(found)
     if file is not None:
         write_alerts(file, rows)

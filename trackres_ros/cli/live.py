@@ -15,7 +15,7 @@ import click
 
 from trackres_ros import InputError
 from trackres_ros.cli.common import number, topics_option
-from trackres_ros.cli.written import watch
+from trackres_ros.cli.partial_output import watch
 
 if TYPE_CHECKING:
     from trackres_ros.node.application import Application
@@ -36,7 +36,9 @@ if TYPE_CHECKING:
 @click.option("--name", default="trackres", show_default=True, help="Name of the node.")
 @click.option("--namespace", default="/", show_default=True, help="Namespace of the node.")
 @click.option(
-    "--edge",
+    "--transport",
+    "--edge",  # its name before 1.0
+    "transport",
     type=click.Choice(["auto", "ros", "dds"]),
     default="auto",
     show_default=True,
@@ -65,7 +67,7 @@ def live_command(
     single: tuple[str, ...],
     name: str,
     namespace: str,
-    edge: str,
+    transport: str,
     record: Path | None,
     record_split_mb: float | None,
     record_split_minutes: float | None,
@@ -87,11 +89,11 @@ def live_command(
     from trackres_ros.node.parameter_file import ParameterFile
     from trackres_ros.node.parameters import make_parameters, read_parameters
     from trackres_ros.node.record import Recorder
-    from trackres_ros.node.record_files import Limits
+    from trackres_ros.node.record_files import RecordLimits
     from trackres_ros.node.signals import REQUESTS
 
     check_names(name, namespace)
-    limits = Limits(record_split_mb or 0.0, record_split_minutes or 0.0, record_limit_mb or 0.0)
+    limits = RecordLimits(record_split_mb or 0.0, record_split_minutes or 0.0, record_limit_mb or 0.0)
     if limits.splits and record is None:
         raise InputError("--record", "not given", "a file to record into, with --record-split-... and --record-limit-mb")
     recorder = Recorder(output_file(record, (BAG_SUFFIX,), "--record"), limits) if record else None
@@ -116,7 +118,7 @@ def live_command(
 
     code = 1
     try:
-        if edge == "ros" or (edge == "auto" and _rclpy_imports()):
+        if transport == "ros" or (transport == "auto" and _rclpy_imports()):
             from trackres_ros.node.ros.main import run as run_on_ros
 
             code = run_on_ros(parameters, name, namespace, REQUESTS, started)

@@ -54,7 +54,7 @@ def as_dict(seen: Overview, final: bool) -> dict[str, Any]:
     return {
         "final": final,
         "level": seen.level.name.lower(),
-        "remarks": [{"name": r.name, "level": r.level.name.lower(), "text": r.text} for r in seen.remarks],
+        "remarks": [{"name": r.name, "level": r.level.name.lower(), "text": r.text} for r in seen.notices],
         "stamp_ns": seen.stamp_ns,
         "age_s": _known(seen.age_s),
         "rate_hz": _known(seen.steps_hz),

@@ -18,8 +18,8 @@ from rich.table import Table
 from rich.text import Text
 
 from trackres_ros.model.resistance import resistance_parts
-from trackres_ros.node.edge import Level
 from trackres_ros.node.report import Overview
+from trackres_ros.node.transport import Level
 from trackres_ros.recording.roles import ROLES, base_role
 from trackres_ros.text.numbers import decimals, figures
 from trackres_ros.units import KMH_PER_MPS

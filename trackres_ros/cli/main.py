@@ -13,16 +13,16 @@ from collections.abc import Sequence
 import click
 
 from trackres_ros import InputError, __version__
-from trackres_ros.cli import written
+from trackres_ros.cli import partial_output
 from trackres_ros.cli.coastdown import coastdown_command
 from trackres_ros.cli.common import Commands
 from trackres_ros.cli.compare import compare_command
 from trackres_ros.cli.compound import compound_group
 from trackres_ros.cli.design import sensitivity_command, sweep_command
 from trackres_ros.cli.diagnose import diagnose_command, effects_command
-from trackres_ros.cli.entry import INTERRUPTED, interrupt_handled
 from trackres_ros.cli.explain import explain_command
 from trackres_ros.cli.fleet import fleet_group, trend_command
+from trackres_ros.cli.interrupts import INTERRUPTED, interrupt_handled
 from trackres_ros.cli.layouts import layouts_command
 from trackres_ros.cli.live import live_command
 from trackres_ros.cli.play import play_command
@@ -82,7 +82,7 @@ for command in (
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line; bad input ends with exit code 2 and one line that says what to do, with --json as JSON."""
-    written.begin()
+    partial_output.begin()
     given = list(sys.argv[1:] if arguments is None else arguments)
     as_json = "--json" in given
     try:
@@ -102,11 +102,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(0)
     except OSError as error:
-        where, why = str(error.filename or written.places() or "system"), str(error.strerror or error)
+        where, why = str(error.filename or partial_output.places() or "system"), str(error.strerror or error)
         _fail(InputError(where, why, "a file or device that can be used"), one_line(f"{where}: {why}"), as_json)
     except (click.Abort, KeyboardInterrupt):
         interrupt_handled()
-        click.echo(f"trackres: interrupted; {written.so_far()}", err=True)
+        click.echo(f"trackres: interrupted; {partial_output.so_far()}", err=True)
         sys.exit(INTERRUPTED)
     sys.exit(result if isinstance(result, int) else 0)
 

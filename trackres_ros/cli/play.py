@@ -26,7 +26,7 @@ def play_command(recording: Path, rate: float, wait_for: tuple[str, ...], as_jso
     """Play a bag of ROS 2 to a live node, with a /clock, on machines without ROS; elsewhere `ros2 bag play --clock` does it.
 
     \b
-    trackres live --edge dds --vehicle xgd24d --topics config/topics/sample.yaml -p use_sim_time:=true
+    trackres live --transport dds --vehicle xgd24d --topics config/topics/sample.yaml -p use_sim_time:=true
     trackres play lap.mcap --rate 20 --wait-for /vehicle/speed
     """
     from trackres_ros.node.dds.player import Player

@@ -11,7 +11,7 @@ import click
 
 import trackres_ros as tr
 from trackres_ros.cli.common import Command, default_of, emit, json_option, number, whole
-from trackres_ros.cli.written import watch
+from trackres_ros.cli.partial_output import watch
 
 
 @click.command("record-sample", cls=Command)

@@ -11,7 +11,7 @@ import click
 
 import trackres_ros as tr
 from trackres_ros.cli.common import Command, emit, json_option
-from trackres_ros.cli.written import watch
+from trackres_ros.cli.partial_output import watch
 
 
 @click.command("recover", cls=Command)

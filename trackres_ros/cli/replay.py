@@ -23,7 +23,7 @@ from trackres_ros.cli.common import (
     topics_option,
     vehicle_option,
 )
-from trackres_ros.cli.written import watch
+from trackres_ros.cli.partial_output import watch
 from trackres_ros.errors import one_line
 
 

@@ -12,7 +12,7 @@ import click
 
 from trackres_ros import InputError
 from trackres_ros.cli.common import emit, json_option, needs, output_folder, progress
-from trackres_ros.cli.written import watch
+from trackres_ros.cli.partial_output import watch
 
 
 @click.command("reproduce")

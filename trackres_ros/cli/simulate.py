@@ -21,7 +21,7 @@ from trackres_ros.cli.common import (
     surroundings_option,
     vehicle_option,
 )
-from trackres_ros.cli.written import watch
+from trackres_ros.cli.partial_output import watch
 
 
 @click.command("simulate", cls=Command)

@@ -66,7 +66,7 @@ DISTINCT = {"mhz"}  # units that differ by upper and lower case alone from anoth
 
 
 @dataclass(frozen=True)
-class Column:
+class DmaColumn:
     """What a column holds: its place, name and role, the factor and offset to SI (degC), whether in shear, at which
     frequency [Hz] if its name says so, and whether a column before it has the same name and unit.
     """
@@ -115,7 +115,7 @@ def frequency_in(name: str) -> float | None:
     return value if found[2].lower() == "hz" else value / (2.0 * pi)
 
 
-def columns_of(names: Sequence[str], units: Sequence[str] | None, where: str) -> list[Column]:
+def columns_of(names: Sequence[str], units: Sequence[str] | None, where: str) -> list[DmaColumn]:
     """The columns that are used, by their names and the line of units below them where there is one.
 
     Parameters
@@ -130,7 +130,7 @@ def columns_of(names: Sequence[str], units: Sequence[str] | None, where: str) ->
     InputError
         A unit that is missing or none of its quantity; a second column of a quantity that has another name or unit.
     """
-    found: list[Column] = []
+    found: list[DmaColumn] = []
     for place, name in enumerate(names):
         role = role_of(name)
         below = units[place] if units and place < len(units) else ""
@@ -141,7 +141,7 @@ def columns_of(names: Sequence[str], units: Sequence[str] | None, where: str) ->
         if role == FREQUENCY and ANGULAR.search(name) and re.search(r"1\s*/\s*s", f"{name} {below}"):
             scale = UNITS[FREQUENCY]["rad/s"][0]
         shear = role in MODULI and bool(SHEAR.search(name.translate(QUOTES).lower()))
-        column = Column(place, name, role, scale * (SHEAR_TO_TENSION if shear else 1.0), offset, shear, frequency)
+        column = DmaColumn(place, name, role, scale * (SHEAR_TO_TENSION if shear else 1.0), offset, shear, frequency)
         first = next((c for c in found if c.role == role and c.frequency == frequency), None)
         if first is not None and replace(first, place=place) != column:
             raise another_column(column, first, where)
@@ -149,7 +149,7 @@ def columns_of(names: Sequence[str], units: Sequence[str] | None, where: str) ->
     return found
 
 
-def another_column(column: Column, first: Column, where: str) -> InputError:
+def another_column(column: DmaColumn, first: DmaColumn, where: str) -> InputError:
     """What is wrong with a second column of a quantity that is not the first once more."""
     return InputError(
         f"{where}, column {column.place + 1}",

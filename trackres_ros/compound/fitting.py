@@ -19,7 +19,7 @@ from trackres_ros.compound.master import MasterCurve, master_curve
 from trackres_ros.compound.prony import Prony, fit_prony
 from trackres_ros.compound.reading import Sweep
 from trackres_ros.compound.shift import ABSOLUTE_ZERO_DEGC, Shift
-from trackres_ros.compound.superposition import ISOTHERM_K, Found, Law, Value, fitted, with_power
+from trackres_ros.compound.superposition import ISOTHERM_K, FittedShift, Law, Value, fitted, with_power
 from trackres_ros.errors import InputError
 from trackres_ros.model.rubber import REFERENCE_ABOVE_TG
 from trackres_ros.text.numbers import decimals, figures
@@ -203,7 +203,9 @@ def _laws(sweep: Sweep, vehicle: Vehicle) -> tuple[Law, Law, Law]:
     return arrhenius, wlf, bent
 
 
-def _of_law(sweep: Sweep, vehicle: Vehicle, at: float, found: Found, raised: Found | None, seen: bool, why: str) -> CompoundFit:
+def _of_law(
+    sweep: Sweep, vehicle: Vehicle, at: float, found: FittedShift, raised: FittedShift | None, seen: bool, why: str
+) -> CompoundFit:
     """The fit in the terms of the vehicle file: a glass transition that is not seen is a reference below the data.
 
     Where moduli clearly rise beside the shift, the shift is that of `raised`: the other one follows which rows there are. The

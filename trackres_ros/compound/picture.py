@@ -12,7 +12,7 @@ import numpy as np
 
 from trackres_ros.compound.coverage import Need, is_covered
 from trackres_ros.compound.fitting import KEPT, CompoundFit
-from trackres_ros.output.plots import BLACK, BLUE, GREEN, GREY, PURPLE, VERMILION, picture_with_legend, shortened
+from trackres_ros.output.style import BLACK, BLUE, GREEN, GREY, PURPLE, VERMILION, picture_with_legend, shortened
 from trackres_ros.text.numbers import decimals
 
 if TYPE_CHECKING:

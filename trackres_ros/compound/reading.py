@@ -22,7 +22,7 @@ from trackres_ros.compound.columns import (
     STORAGE,
     TANGENT,
     TEMPERATURE,
-    Column,
+    DmaColumn,
     another_column,
     columns_of,
     is_unit,
@@ -31,7 +31,7 @@ from trackres_ros.compound.columns import (
 from trackres_ros.errors import InputError, one_line
 from trackres_ros.files.small_files import read_bytes
 from trackres_ros.text.numbers import figures
-from trackres_ros.vehicle.schema import SWEEP_DEGC, SWEEP_LOSS, SWEEP_STORAGE, SWEEP_TAN_DELTA, Limits
+from trackres_ros.vehicle.schema import SWEEP_DEGC, SWEEP_LOSS, SWEEP_STORAGE, SWEEP_TAN_DELTA, QuantityLimits
 
 Array = NDArray[np.float64]
 
@@ -42,7 +42,7 @@ SPACES = " "  # one or several; not for a line of prose
 COMMENTS = ("#", "%", "//", "!")
 EMPTY = ("", "-", "--", "---", "nan", "n/a", "na", "none")
 PLAIN = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
-FREQUENCIES = Limits("Hz", 1e-6, 1e6, "frequency of a row")
+FREQUENCIES = QuantityLimits("Hz", 1e-6, 1e6, "frequency of a row")
 FEWEST_ROWS, FEWEST_DEGC, NARROWEST_K = 8, 4, 10.0
 TANGENT_DIFFERS = 0.02  # of loss over storage modulus, in the median: both are there, and cannot be of one test
 NEEDED = {
@@ -188,7 +188,7 @@ def _stand_over_numbers(lines: Sequence[str], at: int, width: int) -> bool:
     return bool(following) and len(following[0]) == width and all(map(_looks_like_number, following[0]))
 
 
-def _complete(columns: Sequence[Column], cells: Sequence[str], where: str, frequency_hz: float | None) -> None:
+def _complete(columns: Sequence[DmaColumn], cells: Sequence[str], where: str, frequency_hz: float | None) -> None:
     """See that all is there that a sweep needs."""
     roles, names = {c.role for c in columns}, ", ".join(cells)
     if not all(roles & set(needed) for needed in NEEDED):
@@ -229,13 +229,13 @@ def _lines_of_numbers(
     return wanted
 
 
-def _not_empty(columns: Sequence[Column], wanted: Sequence[tuple[int, list[str]]]) -> list[Column]:
+def _not_empty(columns: Sequence[DmaColumn], wanted: Sequence[tuple[int, list[str]]]) -> list[DmaColumn]:
     """Without those that have a name and no number: an instrument that did not compute tan delta may still name it."""
     return [c for c in columns if not wanted or any(cells[c.place].lower() not in EMPTY for _, cells in wanted)]
 
 
 def _rows(
-    wanted: Sequence[tuple[int, list[str]]], columns: Sequence[Column], name: str
+    wanted: Sequence[tuple[int, list[str]]], columns: Sequence[DmaColumn], name: str
 ) -> tuple[list[tuple[int, list[float]]], int]:
     """Numbers of the wanted columns with their line, and how many rows were left out as one of their cells is empty."""
     texts = [cells[c.place] for _, cells in wanted for c in columns]
@@ -253,8 +253,8 @@ def _rows(
 
 
 def _each_once(
-    columns: Sequence[Column], rows: Sequence[tuple[int, list[float]]], where: str
-) -> tuple[list[Column], list[tuple[int, list[float]]]]:
+    columns: Sequence[DmaColumn], rows: Sequence[tuple[int, list[float]]], where: str
+) -> tuple[list[DmaColumn], list[tuple[int, list[float]]]]:
     """Without the columns that some instruments write twice; a second one with other numbers is another quantity."""
     for k, column in enumerate(columns):
         if column.again:
@@ -279,13 +279,13 @@ def _number(text: str, comma: bool, where: str) -> float:
 def _assembled(
     path: Path,
     name: str,
-    columns: Sequence[Column],
+    columns: Sequence[DmaColumn],
     rows: Sequence[tuple[int, list[float]]],
     frequency_hz: float | None,
     notes: list[str],
 ) -> Sweep:
     """SI, a row for each frequency and temperature, within what rubber can have."""
-    by_role: dict[str, list[tuple[int, Column]]] = {}
+    by_role: dict[str, list[tuple[int, DmaColumn]]] = {}
     for k, column in enumerate(columns):
         by_role.setdefault(column.role, []).append((k, column))
     if not rows:
@@ -295,7 +295,7 @@ def _assembled(
     with np.errstate(over="ignore"):  # infinite is out of limits
         si = table * np.array([c.scale for c in columns]) + np.array([c.offset for c in columns])
 
-    def checked(k: int, values: Array, limits: Limits, to_limits: float, remedy: str) -> Array:
+    def checked(k: int, values: Array, limits: QuantityLimits, to_limits: float, remedy: str) -> Array:
         shown = values / to_limits
         bad = ~((shown >= limits.low) & (shown <= limits.high))
         if bad.any():
@@ -347,7 +347,7 @@ def _assembled(
     return Sweep(path, f, t, e1, e2, tuple(notes))
 
 
-def _of_frequency(listed: Sequence[tuple[int, Column]], storage: Column) -> int | None:
+def _of_frequency(listed: Sequence[tuple[int, DmaColumn]], storage: DmaColumn) -> int | None:
     """Place of the column of the storage modulus' frequency; one that says none is of the only storage modulus there is."""
     same = [k for k, column in listed if column.frequency == storage.frequency]
     if not same and len(listed) == 1 and None in (listed[0][1].frequency, storage.frequency):

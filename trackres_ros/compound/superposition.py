@@ -71,7 +71,7 @@ class Law:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class FittedShift:
     """A law as fitted: its numbers, -2 ln likelihood with their price, and rms of both moduli.
 
     Their covariances are of independent errors, of such as isotherms share, and of both; the widest counts.
@@ -98,7 +98,7 @@ class Found:
         return Value(centre, max(centre - wide, min(limits[0], centre)), min(centre + wide, max(limits[1], centre)))
 
 
-def fitted(sweep: Sweep, law: Law, at: float) -> Found:
+def fitted(sweep: Sweep, law: Law, at: float) -> FittedShift:
     """Least squares of one law from the best of its starts."""
     inner = [np.clip(start, law.low + 1e-6, law.high - 1e-6) for start in law.starts]
 
@@ -136,7 +136,7 @@ def fitted(sweep: Sweep, law: Law, at: float) -> Found:
     bic = float(scores + len(found.x) * np.log(last.size))
     storage, loss = np.sqrt((last**2).mean(axis=0))
     covariances = independent, shared, independent * np.outer(wider, wider)
-    return Found(law, found.x, covariances, dof, bic, (float(storage), float(loss)))
+    return FittedShift(law, found.x, covariances, dof, bic, (float(storage), float(loss)))
 
 
 def _jackknife(sweep: Sweep, law: Law, at: float, theta: Array, penalty: Array, scale: Array) -> tuple[Array, int]:
@@ -163,7 +163,7 @@ def _jackknife(sweep: Sweep, law: Law, at: float, theta: Array, penalty: Array, 
     return (groups - 1) / groups * (moved - moved.mean(axis=0)).T @ (moved - moved.mean(axis=0)), groups
 
 
-def with_power(found: Found) -> Law:
+def with_power(found: FittedShift) -> Law:
     """The law of a fit, with moduli that rise with a power of absolute temperature beside the shift."""
     law = found.law
     return Law(

@@ -14,15 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.compound.fitting import ARRHENIUS, KEPT, CompoundFit
-from trackres_ros.diagnosis.writing.kept import Kept
-from trackres_ros.diagnosis.writing.vehicle_file import SURROUNDINGS_FILE, write_track_vehicle
-from trackres_ros.diagnosis.writing.yaml_edit import Document
 from trackres_ros.errors import InputError, one_line
 from trackres_ros.files.own_files import write
 from trackres_ros.text.numbers import figures
 from trackres_ros.vehicle import Vehicle, load
 from trackres_ros.vehicle.reading import FITTED
 from trackres_ros.vehicle.schema import RUBBER, SWEEP_DEGC, SWEEP_TAN_DELTA, WARM_STORAGE
+from trackres_ros.vehicle.writing.changes import FileChanges
+from trackres_ros.vehicle.writing.vehicle_file import SURROUNDINGS_FILE, write_track_vehicle
+from trackres_ros.vehicle.writing.yaml_edit import Document
 
 Array = NDArray[np.float64]
 
@@ -81,7 +81,7 @@ def write_compound(fit: CompoundFit, vehicle: Vehicle, files: dict[str, Path]) -
         write(files["rubber"], _rubber_text(fit).encode())
         write(files["prony"], _prony_text(fit).encode())
         with_rubber = replace(vehicle, name=_name(vehicle, files["vehicle"].stem), rubber_source=files["rubber"])
-        write_track_vehicle(with_rubber, files["vehicle"], Kept(None, (), {}), "\n".join(_provenance(fit)))
+        write_track_vehicle(with_rubber, files["vehicle"], FileChanges(None, (), {}), "\n".join(_provenance(fit)))
         _set_rubber(files["vehicle"], with_rubber, fit)
     except OSError as error:
         raise InputError(

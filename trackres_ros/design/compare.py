@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.design.drives import STAGES, Cycle, check_weight, driven, read_cycle, with_factors
-from trackres_ros.design.steady import WARMEST_K, Off, held, steady
-from trackres_ros.design.uncertain import Slopes, difference_std, half_width, moved, slopes_of
+from trackres_ros.design.drives import STAGES, DriveCycle, check_weight, driven, read_cycle, with_factors
+from trackres_ros.design.steady import WARMEST_K, FileErrors, held, steady
+from trackres_ros.design.uncertain import LogDerivatives, difference_std, half_width, moved, slopes_of
 from trackres_ros.errors import InputError, one_line
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.files.resources import find_vehicle
@@ -50,7 +50,7 @@ SLOPE_POINTS = 3  # belt temperatures at which it is looked at how sure the loss
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class ComparisonRequest:
     """What two designs are compared at.
 
     Attributes
@@ -75,7 +75,7 @@ class Asked:
     steady_kmh: tuple[float, ...]
     ambients_degc: tuple[float, ...]
     weights_n: tuple[float | None, ...]
-    cycles: tuple[Cycle, ...]
+    cycles: tuple[DriveCycle, ...]
     given: frozenset[str]
 
     @property
@@ -86,7 +86,7 @@ class Asked:
 
 
 @dataclass(frozen=True, slots=True)
-class Options:
+class ComparisonOptions:
     """What the options of `trackres compare` say, as text; None where they were not given."""
 
     speed_kmh: str | None = None
@@ -96,7 +96,7 @@ class Options:
     cycles: tuple[str, ...] = ()
 
 
-def asked_of(given: Sequence[str], options: Options) -> Asked | None:
+def asked_of(given: Sequence[str], options: ComparisonOptions) -> ComparisonRequest | None:
     """What to compare two vehicle files with tracks at; None of anything else.
 
     Raises
@@ -134,7 +134,7 @@ def asked_of(given: Sequence[str], options: Options) -> Asked | None:
     if conditions > MOST_CONDITIONS:
         raise InputError(", ".join(OPTIONS), f"{conditions} conditions", f"at most {MOST_CONDITIONS}")
     known = frozenset(role for role, value in named if value is not None)
-    return Asked(vehicles, speeds, belts, steady_kmh, air, weights, cycles, known)
+    return ComparisonRequest(vehicles, speeds, belts, steady_kmh, air, weights, cycles, known)
 
 
 def numbers(option: str, given: str, limits: tuple[float, float]) -> tuple[float, ...]:
@@ -164,7 +164,7 @@ def numbers(option: str, given: str, limits: tuple[float, float]) -> tuple[float
     return tuple(found)
 
 
-def compare_designs(asked: Asked, advance: Callable[[float], None] = lambda _: None) -> dict[str, Any]:
+def compare_designs(asked: ComparisonRequest, advance: Callable[[float], None] = lambda _: None) -> dict[str, Any]:
     """Two vehicles at the same conditions.
 
     Parameters
@@ -210,24 +210,26 @@ def shown_names(vehicles: Sequence[Vehicle]) -> list[str]:
 class _Slopes:
     """The slopes of a vehicle over belt temperatures, at that of three of the speeds which is nearest."""
 
-    def __init__(self, asked: Asked) -> None:
+    def __init__(self, asked: ComparisonRequest) -> None:
         air, speeds = asked.ambients_degc, sorted(asked.steady_kmh)
         belts = np.linspace(min(air), max(air) + 0.75 * WARMEST_K, SLOPE_POINTS)
         self._speeds = {kmh / KMH_PER_MPS for kmh in (speeds[0], speeds[len(speeds) // 2], speeds[-1])}
         self._at = lru_cache(maxsize=None)(lambda number, speed: slopes_of(asked.vehicles[number], speed, belts))
 
-    def __call__(self, number: int, speed: float) -> Slopes:
+    def __call__(self, number: int, speed: float) -> LogDerivatives:
         return self._at(number, min(self._speeds, key=lambda known: abs(known - speed)))
 
 
-def _steady(asked: Asked, slopes: _Slopes, kmh: float, air: float, weight: float | None) -> tuple[list[Array], Array, Array]:
+def _steady(
+    asked: ComparisonRequest, slopes: _Slopes, kmh: float, air: float, weight: float | None
+) -> tuple[list[Array], Array, Array]:
     """Outcomes of both vehicles, and how sure the difference is."""
     speed, values, changes = kmh / KMH_PER_MPS, [], []
     for number, vehicle in enumerate(asked.vehicles):
         found = steady(vehicle, speed, air, weight)
         plain = held(replace(vehicle, effects=(), surroundings=()), speed, air, weight)
 
-        def outcomes(off: Off, _capacity: float, plain: Any = plain) -> Array:
+        def outcomes(off: FileErrors, _capacity: float, plain: Any = plain) -> Array:
             return np.array(astuple(plain.solve(off)))
 
         warm = found.belt_degc if math.isfinite(found.belt_degc) else air
@@ -237,7 +239,7 @@ def _steady(asked: Asked, slopes: _Slopes, kmh: float, air: float, weight: float
 
 
 def _driven(
-    asked: Asked, slopes: _Slopes, estimators: Sequence[Estimator], cycle: Cycle, air: float,
+    asked: ComparisonRequest, slopes: _Slopes, estimators: Sequence[Estimator], cycle: DriveCycle, air: float,
     weight: float | None,
 ) -> tuple[list[Array], Array, Array]:  # fmt: skip
     """The same of a drive."""
@@ -245,7 +247,7 @@ def _driven(
     ambient = None if "ambient" in cycle.conditions(asked.given) else air
     for number, estimator in enumerate(estimators):
 
-        def outcomes(off: Off, capacity: float, estimator: Estimator = estimator) -> Array:
+        def outcomes(off: FileErrors, capacity: float, estimator: Estimator = estimator) -> Array:
             found = driven(with_factors(estimator, off, capacity), cycle, weight, ambient)
             # The radius is no part of the drive itself: a torque goes with it, the energy does not.
             return np.array([found[name] * (off.radius if name.endswith("_nm") else 1.0) for name in DRIVEN])
@@ -275,7 +277,7 @@ def _plain(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def _grid(asked: Asked, vehicle: Vehicle, name: str, advance: Callable[[float], None]) -> dict[str, Any]:
+def _grid(asked: ComparisonRequest, vehicle: Vehicle, name: str, advance: Callable[[float], None]) -> dict[str, Any]:
     weight = asked.weights_n[0] or vehicle.weight
     torque = np.empty((len(asked.belts_degc), len(asked.speeds_kmh)))
     for i, degc in enumerate(asked.belts_degc):
@@ -287,7 +289,7 @@ def _grid(asked: Asked, vehicle: Vehicle, name: str, advance: Callable[[float], 
     return {"vehicle": name, "weight_n": weight, "torque_nm": torque.tolist(), "coefficient": coefficient.tolist()}
 
 
-def _first_drive(asked: Asked, estimator: Estimator) -> dict[str, float]:
+def _first_drive(asked: ComparisonRequest, estimator: Estimator) -> dict[str, float]:
     vehicle, cycle = estimator.vehicle, asked.cycles[0]
     ambient = None if "ambient" in cycle.conditions(asked.given) else asked.ambients_degc[0]
     found = driven(estimator, cycle, asked.weights_n[0], ambient)

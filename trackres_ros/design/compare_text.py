@@ -106,7 +106,7 @@ def draw_designs(found: Mapping[str, Any], path: Path) -> Path:
     """Resistance over weight of all designs over speed, a line for each belt temperature."""
     from matplotlib.figure import Figure
 
-    from trackres_ros.output.plots import write_figure
+    from trackres_ros.output.style import write_figure
 
     figure = Figure(figsize=(8.0, 4.5), layout="constrained")
     axes = figure.subplots(1, len(found["designs"]), sharey=True, squeeze=False)[0]

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.design.steady import Off
+from trackres_ros.design.steady import FileErrors
 from trackres_ros.errors import InputError, nearest
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.constants import LARGEST_LOAD_SHARE, LEAST_LOAD_SHARE, PLAUSIBLE, kernel_arguments
@@ -22,7 +22,7 @@ from trackres_ros.model.coverage import check_speed
 from trackres_ros.model.vehicle_constants import vehicle_constants
 from trackres_ros.offline.energy import taken
 from trackres_ros.offline.sample import lap_drive
-from trackres_ros.offline.simulate import Drive, assembly_values, run_drive, through_points
+from trackres_ros.offline.simulate import SimulatedDrive, assembly_values, run_drive, through_points
 from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.roles import ROLES
@@ -40,7 +40,7 @@ OF_PROFILE = "load", "ambient"
 
 
 @dataclass(frozen=True, eq=False)
-class Cycle:
+class DriveCycle:
     """A drive by its name, and the conditions that were recorded with it.
 
     Attributes
@@ -52,7 +52,7 @@ class Cycle:
     """
 
     name: str
-    drive: Drive
+    drive: SimulatedDrive
     recording: Recording | None = None
     notes: tuple[str, ...] = field(default=())
 
@@ -87,7 +87,7 @@ class Cycle:
         return {"load": load, "ambient": PLAUSIBLE["ambient"]}
 
 
-def read_cycle(given: str, fastest_mps: float) -> Cycle:
+def read_cycle(given: str, fastest_mps: float) -> DriveCycle:
     """A built-in cycle by its name, a speed profile, or a recording with a speed.
 
     `stages` is ten minutes each at a third, two thirds and all of a speed; `laps` is ten laps of 628 m with a stop after each.
@@ -107,9 +107,9 @@ def read_cycle(given: str, fastest_mps: float) -> Cycle:
         for share in SHARES:
             times += [times[-1] + RAMP_S, times[-1] + RAMP_S + HOLD_S]
             speeds += [share * fastest_mps] * 2
-        return Cycle(given, through_points(np.array(times), np.array(speeds), STEP_S))
+        return DriveCycle(given, through_points(np.array(times), np.array(speeds), STEP_S))
     if given == LAPS:
-        return Cycle(given, lap_drive(min(FASTEST_LAP_KMH, KMH_PER_MPS * fastest_mps), LAPS_DRIVEN))
+        return DriveCycle(given, lap_drive(min(FASTEST_LAP_KMH, KMH_PER_MPS * fastest_mps), LAPS_DRIVEN))
     path = Path(given)
     if not path.exists():
         raise InputError("--cycle", given, f"a recording, a speed profile, {' or '.join(BUILT_IN)}", nearest(given, BUILT_IN))
@@ -122,7 +122,7 @@ def read_cycle(given: str, fastest_mps: float) -> Cycle:
     drive = through_points(at_time, speed[usable][first], STEP_S)
     others = [role for role in recording.roles if role not in ("speed", *OF_PROFILE)]
     notes = (f"{given}: of the recording speed, load and air are used, not {', '.join(others)}",) if others else ()
-    return Cycle(path.name, drive, recording, notes)
+    return DriveCycle(path.name, drive, recording, notes)
 
 
 def check_weight(vehicle: Vehicle, weight: float) -> None:
@@ -139,7 +139,7 @@ def check_weight(vehicle: Vehicle, weight: float) -> None:
         raise InputError("--weight-kn", weight / 1e3, allowed)
 
 
-def driven(estimator: Estimator, cycle: Cycle, weight: float | None, ambient: float | None) -> dict[str, float]:
+def driven(estimator: Estimator, cycle: DriveCycle, weight: float | None, ambient: float | None) -> dict[str, float]:
     """What a vehicle takes on a cycle from cold; see `offline.energy.taken`.
 
     Parameters
@@ -164,7 +164,7 @@ def driven(estimator: Estimator, cycle: Cycle, weight: float | None, ambient: fl
     return taken(cycle.drive.time_s, cycle.drive.speed, torque, belts, vehicle_constants(vehicle).radius)
 
 
-def with_factors(estimator: Estimator, off: Off, capacity: float = 1.0) -> Estimator:
+def with_factors(estimator: Estimator, off: FileErrors, capacity: float = 1.0) -> Estimator:
     """The same vehicle with losses, cooling, heat capacity, bearings or drag off by a factor; the radius stays.
 
     Parameters

@@ -20,9 +20,9 @@ from trackres_ros import checks
 from trackres_ros.design.steady import WARMEST_K, steady
 from trackres_ros.design.sweep import OUTCOMES
 from trackres_ros.design.values import scalars, short
+from trackres_ros.engine.executor import LOCAL, done, engine
 from trackres_ros.errors import InputError, MissingExtraError
 from trackres_ros.files.resources import find_vehicle
-from trackres_ros.fleet.engine import LOCAL, done, engine
 from trackres_ros.text.numbers import decimals, figures
 from trackres_ros.text.table import table
 from trackres_ros.units import KMH_PER_MPS
@@ -67,7 +67,7 @@ class Index:
 
 
 @dataclass(frozen=True, eq=False)
-class Sensitivity:
+class SensitivityResult:
     """What was found.
 
     Attributes
@@ -157,7 +157,7 @@ class Sensitivity:
 def sensitivity(
     file: str, speed: float, ambient: float | None = None, samples: int = 64, seed: int = 1,
     progress: Callable[[str, int], Callable[[float], None]] = lambda _what, _total: lambda _: None,
-) -> Sensitivity:  # fmt: skip
+) -> SensitivityResult:  # fmt: skip
     """Which of a vehicle file's values leaves how much of each outcome open, if all may lie anywhere in their ranges.
 
     Parameters
@@ -218,7 +218,7 @@ def sensitivity(
         for i, outcome in enumerate(OUTCOMES)
     }  # fmt: skip
     std = dict(zip(OUTCOMES, of_all.std, strict=True))
-    return Sensitivity(
+    return SensitivityResult(
         vehicle.name, speed, air, dict(zip(OUTCOMES, nominal, strict=True)), std, indices, held, samples, drawn, lost, why
     )
 
@@ -349,9 +349,9 @@ def _ends(
     return ends, held
 
 
-def draw_tornado(found: Sensitivity, outcome: str, path: Path) -> Path:
+def draw_tornado(found: SensitivityResult, outcome: str, path: Path) -> Path:
     """What each value moves, and how much of the variance it leaves open."""
-    from trackres_ros.output.plots import BLUE, GREY, ORANGE, picture
+    from trackres_ros.output.style import BLUE, GREY, ORANGE, picture
 
     of, ranked = found.indices[outcome], found.ranked(outcome)[:MOST_SHOWN]
     names, middle = [short(p, list(of)) for p in ranked], found.nominal[outcome]

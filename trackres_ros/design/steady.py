@@ -48,7 +48,7 @@ class Steady:
 
 
 @dataclass(frozen=True, eq=False)
-class Kind:
+class SteadyAssembly:
     """Assemblies that are alike, at one speed: name of the track, how many, and each one's forces.
 
     Attributes
@@ -72,7 +72,7 @@ class Kind:
 
 
 @dataclass(frozen=True, slots=True)
-class Off:
+class FileErrors:
     """Factors on what a vehicle file may be off by; loss, film and radius of one kind of track, or of all where it is empty."""
 
     track: str = ""
@@ -83,7 +83,7 @@ class Off:
     drag: float = 1.0
 
 
-AS_IT_IS = Off()
+AS_IT_IS = FileErrors()
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,9 +92,9 @@ class Held:
 
     speed: float
     ambient: float
-    kinds: tuple[Kind, ...]
+    kinds: tuple[SteadyAssembly, ...]
 
-    def solve(self, off: Off = AS_IT_IS) -> Steady:
+    def solve(self, off: FileErrors = AS_IT_IS) -> Steady:
         """Its steady state, with some of it off by a factor."""
         way = float(resistance.direction(self.speed))
         cold = warm = force = belts = 0.0
@@ -157,7 +157,7 @@ def held(vehicle: Vehicle, speed: float, ambient: float, weight: float | None = 
     wind = float(resistance.wind_force(speed, chassis.drag_coefficient * chassis.frontal_area, chassis.air_density))
     way = float(resistance.direction(speed))
     belts = ambient + np.linspace(0.0, WARMEST_K, NODES)
-    kinds: dict[tuple[str, float], Kind] = {}
+    kinds: dict[tuple[str, float], SteadyAssembly] = {}
     for assembly, load in zip(vehicle.assemblies, loads, strict=True):
         known = kinds.get((assembly.track, float(load)))
         if known is not None:
@@ -173,7 +173,7 @@ def held(vehicle: Vehicle, speed: float, ambient: float, weight: float | None = 
             drive = radius * (loss * way + bearing + drag)
         cooled = float(film_coefficient(speed, network.film_offset, network.film_slope)) * network.area
         course = PchipInterpolator(belts, np.log(loss))
-        of = Kind(assembly.track, 1, radius, course, float(loss[0]), bearing, float(drag), cooled)
+        of = SteadyAssembly(assembly.track, 1, radius, course, float(loss[0]), bearing, float(drag), cooled)
         kinds[assembly.track, float(load)] = of
     return Held(speed, ambient, tuple(kinds.values()))
 

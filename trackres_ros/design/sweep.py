@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from trackres_ros.design.drives import driven, read_cycle
 from trackres_ros.design.steady import Steady, steady
 from trackres_ros.design.values import Varied, short
+from trackres_ros.engine.executor import LOCAL, done, engine
 from trackres_ros.errors import InputError, one_line
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.files.resources import find_vehicle
-from trackres_ros.fleet.engine import LOCAL, done, engine
 from trackres_ros.text.numbers import decimals, figures
 from trackres_ros.text.table import table
 from trackres_ros.units import KMH_PER_MPS
@@ -45,7 +45,7 @@ PLACES = {"cold_nm": 0, "warm_nm": 0, "belt_degc": 1, "kwh_per_km": 3, DRIVE: 3}
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class SweepRequest:
     """What is swept: vehicle file, values by path, speed [m/s], air [degC], and a drive as `drives.read_cycle` takes it."""
 
     file: str
@@ -92,7 +92,7 @@ class Swept:
         Why not, by the number of the point.
     """
 
-    asked: Asked
+    asked: SweepRequest
     columns: dict[str, Array]
     refused: dict[int, str]
 
@@ -133,7 +133,7 @@ class Swept:
 
 
 def sweep(
-    asked: Asked, address: str = LOCAL, workers: int | None = None, advance: Callable[[float], None] = lambda _: None
+    asked: SweepRequest, address: str = LOCAL, workers: int | None = None, advance: Callable[[float], None] = lambda _: None
 ) -> Swept:
     """Compute all points, on the fleet's engine where there are many.
 
@@ -142,7 +142,7 @@ def sweep(
     asked
         What to sweep.
     address, workers
-        See `fleet.engine.engine`.
+        See `engine.engine`.
     advance
         Takes that one more point is done.
 
@@ -197,7 +197,7 @@ def point(piece: Piece) -> tuple[float, ...] | str:
 
 def draw(found: Swept, path: Path) -> Path:
     """Outcomes over the first value, a line for each of the others'; of two with many values a map of the warm resistance."""
-    from trackres_ros.output.plots import picture
+    from trackres_ros.output.style import picture
 
     first, *others = found.asked.varied
     paths = found.asked.paths

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.design.steady import Off
+from trackres_ros.design.steady import FileErrors
 from trackres_ros.estimator.uncertainty import logarithms_at, slopes
 from trackres_ros.vehicle import Vehicle
 from trackres_ros.vehicle.reading import FITTED
@@ -29,7 +29,7 @@ OF_DRAG = (DRAG, "chassis.frontal_area", "chassis.air_density")
 
 
 @dataclass(frozen=True, eq=False)
-class Slopes:
+class LogDerivatives:
     """By how much a standard deviation of each value moves the logarithms of what a drive depends on.
 
     Attributes
@@ -48,7 +48,7 @@ class Slopes:
     drag: Mapping[str, float]
 
 
-def slopes_of(vehicle: Vehicle, speed: float, belts_degc: Array) -> Slopes:
+def slopes_of(vehicle: Vehicle, speed: float, belts_degc: Array) -> LogDerivatives:
     """The slopes at a speed [m/s] and some belt temperatures [degC]."""
 
     def logarithms(track: str) -> Callable[[Vehicle], Array]:
@@ -61,10 +61,10 @@ def slopes_of(vehicle: Vehicle, speed: float, belts_degc: Array) -> Slopes:
     fitted = vehicle.parameters[DRAG].flag == FITTED  # of the whole area
     drag = {path: relative(path) for path in OF_DRAG if not (fitted and path == "chassis.frontal_area")}
     of_track = {name: slopes(vehicle, name, logarithms(name)) for name in vehicle.tracks}
-    return Slopes(belts_degc, of_track, {BEARING: relative(BEARING)}, drag)
+    return LogDerivatives(belts_degc, of_track, {BEARING: relative(BEARING)}, drag)
 
 
-def moved(known: Slopes, outcomes: Callable[[Off, float], Array], belts_degc: Array) -> dict[str, Array]:
+def moved(known: LogDerivatives, outcomes: Callable[[FileErrors, float], Array], belts_degc: Array) -> dict[str, Array]:
     """By how much a standard deviation of each value moves some outcomes.
 
     Parameters
@@ -81,9 +81,9 @@ def moved(known: Slopes, outcomes: Callable[[Off, float], Array], belts_degc: Ar
     dict
         By path, shape (outcomes,).
     """
-    nominal = outcomes(Off(), 1.0)
+    nominal = outcomes(FileErrors(), 1.0)
 
-    def by(off: Off, capacity: float = 1.0) -> Array:
+    def by(off: FileErrors, capacity: float = 1.0) -> Array:
         return (outcomes(off, capacity) - nominal) / STEP
 
     more = 1.0 + STEP
@@ -93,13 +93,13 @@ def moved(known: Slopes, outcomes: Callable[[Off, float], Array], belts_degc: Ar
         found[path] = found.get(path, np.zeros_like(nominal)) + change
 
     for track, paths in known.of_track.items():
-        per_loss, per_film, per_radius = (by(Off(track, **{name: more})) for name in ("loss", "film", "radius"))
-        per_capacity = by(Off(track), more)
+        per_loss, per_film, per_radius = (by(FileErrors(track, **{name: more})) for name in ("loss", "film", "radius"))
+        per_capacity = by(FileErrors(track), more)
         for path, of in paths.items():
             *losses, film, capacity, radius = of.tolist()
             loss = np.interp(belts_degc, known.belts_degc, losses)
             add(path, per_loss * loss + per_film * film + per_capacity * capacity + per_radius * radius)
-    for off, of_chassis in ((Off(bearing=more), known.bearing), (Off(drag=more), known.drag)):
+    for off, of_chassis in ((FileErrors(bearing=more), known.bearing), (FileErrors(drag=more), known.drag)):
         change = by(off)
         for path, relative in of_chassis.items():
             add(path, change * relative)

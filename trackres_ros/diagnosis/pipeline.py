@@ -14,35 +14,34 @@ from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.base import Base
 from trackres_ros.diagnosis.base.loading import LoadedBase
-from trackres_ros.diagnosis.described.routes import Route
-from trackres_ros.diagnosis.described.terms import Described
+from trackres_ros.diagnosis.empirical.routes import Route
+from trackres_ros.diagnosis.empirical.terms import Described
 from trackres_ros.diagnosis.findings.change_points import Change, changes
 from trackres_ros.diagnosis.findings.locate import ThermalCheck, thermal_check
 from trackres_ros.diagnosis.findings.next_drives import Advice
 from trackres_ros.diagnosis.findings.residual_bins import RegimeMap, cumulative_periodogram
 from trackres_ros.diagnosis.findings.spread import Spread
-from trackres_ros.diagnosis.findings.verdict import Found, Told, Verdict
+from trackres_ros.diagnosis.findings.verdict import NamedEffect, Told, Verdict
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.inference.levels import for_tests
 from trackres_ros.diagnosis.inference.noise import Noise
 from trackres_ros.diagnosis.prepare.gate import Gated
 from trackres_ros.diagnosis.prepare.order import in_order
 from trackres_ros.diagnosis.prepare.refuse import Refusal
-from trackres_ros.diagnosis.prepare.session import Session, Split
+from trackres_ros.diagnosis.prepare.session import DriveSession, Split
 from trackres_ros.diagnosis.selection.confirm import Graded
 from trackres_ros.diagnosis.selection.held_out import HeldOut, Improvement
-from trackres_ros.diagnosis.selection.intervals import Interval
 from trackres_ros.diagnosis.selection.naming import Step
 from trackres_ros.diagnosis.stages.conclude import conclude
 from trackres_ros.diagnosis.stages.judge import bounds_of, judge
-from trackres_ros.diagnosis.stages.options import Options
+from trackres_ros.diagnosis.stages.options import DiagnosisOptions
 from trackres_ros.diagnosis.stages.prepare import prepare
 from trackres_ros.diagnosis.stages.refit import refit
 from trackres_ros.diagnosis.stages.search import search
-from trackres_ros.diagnosis.writing.kept import Kept
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.recording import Recording
+from trackres_ros.vehicle.writing.changes import FileChanges, Interval
 
 Array = NDArray[np.float64]
 
@@ -100,7 +99,7 @@ class Diagnosis:
     thermal: ThermalCheck | None
     alone: Step
     steps: tuple[Step, ...]
-    found: tuple[Found, ...]
+    found: tuple[NamedEffect, ...]
     described: tuple[Told, ...]
     wanders: Described | None
     tracked: Improvement | None
@@ -111,7 +110,7 @@ class Diagnosis:
     held_out: HeldOut
     advice: tuple[Advice, ...]
     verdict: Verdict
-    kept: Kept
+    kept: FileChanges
     shares: Mapping[str, float]
 
     @property
@@ -125,7 +124,7 @@ class Diagnosis:
         return self.final.effect_names
 
     @property
-    def sessions(self) -> tuple[Session, ...]:
+    def sessions(self) -> tuple[DriveSession, ...]:
         """The recordings."""
         return self.final.problem.sessions
 
@@ -175,7 +174,7 @@ def diagnose(
     InputError
         If the recordings cannot be used; says why.
     """
-    options = Options(vehicle, hide, holdout, seed, quick, effects_dir, keep_suspected, on_stage, unread)
+    options = DiagnosisOptions(vehicle, hide, holdout, seed, quick, effects_dir, keep_suspected, on_stage, unread)
     rng = np.random.default_rng(seed)
     prepared = prepare(recordings, options)
     base = refit(prepared, options, rng)

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Learned effects have no name in the catalogue: each is a torque that follows what is known of a drive, as a diagnosis found it.
+"""Empirical effects have no name in the catalogue: each is a torque that follows what is known of a drive, found by a diagnosis.
 
 A curve follows one variable, always or only where a gate is open. A corner is a step or a hinge at one value of a variable, a
 latch is on above one value and off below another. A sided gain is another gain on the driving torque for one sign of it. A
@@ -139,7 +139,7 @@ def is_open(at: Conditions, code: float, threshold: float) -> bool:
     return True
 
 
-class Learned(Effect):
+class EmpiricalEffect(Effect):
     """An effect that a diagnosis found in recordings and that the catalogue has no name for."""
 
     acts_on = "torque"
@@ -157,7 +157,7 @@ class Learned(Effect):
         return sum(q.name.startswith("y") for q in self.parameters)
 
 
-class Curve(Learned):
+class Curve(EmpiricalEffect):
     """A torque against travel along straight lines between knots, held at the value of the last knot outside of them, and zero
     where the gate's condition does not hold. A fit leaves one knot of a curve without a constant at zero.
 
@@ -207,7 +207,7 @@ class Curve(Learned):
         return Terms(torque=(p[knot + count] + share * (p[knot + count + 1] - p[knot + count])) * at.direction)
 
 
-class Corner(Learned):
+class Corner(EmpiricalEffect):
     """A step or a hinge: a torque against travel that is there above a value of a variable, or that grows along a straight line
     from there to the end of the range that was driven, above or below. It keeps its value outside of that range.
 
@@ -250,7 +250,7 @@ class Corner(Learned):
         return Terms(torque=p[5] * share * at.direction, extrapolated=beyond(x, low, high))
 
 
-class Latch(Learned):
+class Latch(EmpiricalEffect):
     """A torque against travel with hysteresis: it comes where a variable rises above one value and goes where that falls below
     another. It is off in the beginning.
 
@@ -289,7 +289,7 @@ class Latch(Learned):
         return Terms(torque=p[5] * there * at.direction, extrapolated=beyond(x, p[3], p[4]))
 
 
-class SidedGain(Learned):
+class SidedGain(EmpiricalEffect):
     """Another gain on the driving torque for one sign of it: while it drives, or while it brakes.
 
     Parameters
@@ -320,7 +320,7 @@ class SidedGain(Learned):
         )
 
 
-class BuildUp(Learned):
+class BuildUp(EmpiricalEffect):
     """A torque against travel that builds up and goes: with distance or time since a stop, which takes it away at once; or that
     comes with braking and goes with time.
 
@@ -380,7 +380,7 @@ def gain_name(side: int) -> str:
 
 
 CURVES = {curve_name(v, g): (v, g) for v in VARIABLES for g in GATES if v != ALWAYS or g != OPEN}
-OTHERS: dict[str, Callable[[], Learned]] = {
+OTHERS: dict[str, Callable[[], EmpiricalEffect]] = {
     **{corner_name(v, kind): partial(Corner, v, kind) for v in VARIABLES if v != ALWAYS for kind in CORNERS},
     **{latch_name(v): partial(Latch, v) for v in LATCHED},
     **{gain_name(side): partial(SidedGain, side) for side in SIDES},
@@ -389,19 +389,19 @@ OTHERS: dict[str, Callable[[], Learned]] = {
 NAMES = (*CURVES, *OTHERS)
 
 
-def learned(name: str, parameters: object, size: float) -> Learned:
+def learned(name: str, parameters: object, size: float) -> EmpiricalEffect:
     """The effect of a name with as many knots as parameters ask for, for a vehicle with a weight times wheel radius [Nm]."""
     if name in CURVES:
         variable, gate = CURVES[name]
         heights = [key for key in parameters if str(key).startswith("y")] if isinstance(parameters, Mapping) else []
         count = min(max(1, len(heights)), MOST_KNOTS)
-        found: Learned = Curve(variable, gate, [0.0] * count)
+        found: EmpiricalEffect = Curve(variable, gate, [0.0] * count)
     else:
         found = OTHERS[name]()
     return sized(found, size)
 
 
-def sized(effect: Learned, size: float) -> Learned:
+def sized(effect: EmpiricalEffect, size: float) -> EmpiricalEffect:
     """The same for a vehicle with a weight times wheel radius [Nm]."""
     found = copy.copy(effect)
     found.parameters = tuple(q.times(size / REFERENCE_NM) if q.of_size else q for q in effect.parameters)

@@ -21,7 +21,7 @@ from typing import Any
 from trackres_ros import checks
 from trackres_ros.effects.effect import ACTS_ON, BELONGS_TO, REFERENCE_NM, Active, Effect, Parameter, VehicleConstants, conditions
 from trackres_ros.effects.learned import NAMES as LEARNED
-from trackres_ros.effects.learned import Learned, learned
+from trackres_ros.effects.learned import EmpiricalEffect, learned
 from trackres_ros.errors import InputError, nearest
 
 NOWHERE = VehicleConstants(1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
@@ -105,7 +105,7 @@ def check_effects(
 
 def _check_knots(active: Active, where: str) -> None:
     """Refuse a learned effect whose knots do not rise."""
-    if not isinstance(active.effect, Learned):
+    if not isinstance(active.effect, EmpiricalEffect):
         return
     names = active.effect.rising
     x = [active.values[name] for name in names]

@@ -21,7 +21,7 @@ from trackres_ros.estimator.by_place import follow_along, position_came
 from trackres_ros.estimator.constants import Constants
 from trackres_ros.estimator.guards import ACCEPTED_AFTER_RESET, GAP, Memory, admit, forget_others, gather
 from trackres_ros.estimator.kernel import advance, predict, start
-from trackres_ros.estimator.records import Carried, Inputs, Series
+from trackres_ros.estimator.records import Carried, DriveSeries, Inputs
 from trackres_ros.jit.compiled import HAVE_NUMBA, inlined, interpreted
 from trackres_ros.jit.entries import entry
 from trackres_ros.units import NANOSECOND
@@ -106,7 +106,7 @@ def feed_all(
 
 @inlined
 def advance_along(
-    k: Constants, carried: Carried, series: Series, ambient_std: float, loads: Array, no_belts: Array, out: Array
+    k: Constants, carried: Carried, series: DriveSeries, ambient_std: float, loads: Array, no_belts: Array, out: Array
 ) -> None:
     """`kernel.advance` along a drive. One row of `out` a time."""
     for i in range(series.times.shape[0]):
@@ -121,7 +121,7 @@ def advance_along(
 
 
 @inlined
-def predict_along(k: Constants, carried: Carried, count: Array, series: Series, out: Array) -> None:
+def predict_along(k: Constants, carried: Carried, count: Array, series: DriveSeries, out: Array) -> None:
     """`kernel.predict` along a drive, from a state that was started or rested. One row of `out` a time."""
     for i in range(series.times.shape[0]):
         turning = series.yaw_rates[i], series.headings[i], series.distances[i]
@@ -147,7 +147,7 @@ def rest(k: Constants, carried: Carried, ambient: float, ambient_std: float, sec
 class Entries:
     """The functions an estimator runs, compiled where numba is there or in plain Python; equal numbers either way.
 
-    Each takes the fields of `Constants`, `Memory`, `Carried`, `Inputs`, `Messages` and `Series` one by one, see `jit.entries`.
+    Each takes the fields of `Constants`, `Memory`, `Carried`, `Inputs`, `Messages` and `DriveSeries`, see `jit.entries`.
     """
 
     compiled: bool

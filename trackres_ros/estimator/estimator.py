@@ -20,7 +20,7 @@ from trackres_ros.estimator.constants import Constants, kernel_arguments, make_c
 from trackres_ros.estimator.entry_points import COMPILED, Entries
 from trackres_ros.estimator.estimate import Estimate, Steps
 from trackres_ros.estimator.guards import Memory, new_memory
-from trackres_ros.estimator.records import Carried, GroundSeries, Inputs, Series
+from trackres_ros.estimator.records import Carried, DriveSeries, GroundSeries, Inputs
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.estimator.speed_witnesses import NOTHING_TRACKED
 from trackres_ros.estimator.state import State
@@ -235,7 +235,9 @@ class Estimator:
         """
         times = np.ascontiguousarray(time_s, dtype=float)
         given = (speed, weight, ambient, acceleration, grade, yaw_rate, heading, distance, *(ground or UNKNOWN_GROUND))
-        series = Series(times, *(np.array(np.broadcast_to(np.asarray(a, dtype=float), times.shape), order="C") for a in given))
+        series = DriveSeries(
+            times, *(np.array(np.broadcast_to(np.asarray(a, dtype=float), times.shape), order="C") for a in given)
+        )
         after, rows = _copy(state), np.empty((len(times), len(self.columns)))
         self.entries.run_series(
             *self.own_arguments(),

@@ -44,7 +44,7 @@ class Carried(NamedTuple):
     learned: Array  # (LEARNED_COLUMNS,), see columns; zeros where nothing was
 
 
-class Series(NamedTuple):
+class DriveSeries(NamedTuple):
     """A drive, shape (times,); not a number (nan) where something is not known."""
 
     times: Array  # s

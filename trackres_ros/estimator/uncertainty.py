@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError
 from trackres_ros.files.cached_arrays import cached_arrays
-from trackres_ros.model import belt as belt_model
 from trackres_ros.model.hysteresis import Spectral
 from trackres_ros.model.loss_table import fingerprint
 from trackres_ros.model.rubber import RubberModel
 from trackres_ros.model.thermal import film_coefficient, thermal_network
 from trackres_ros.model.track import load_range
 from trackres_ros.vehicle import Vehicle, variants
+from trackres_ros.vehicle.belt_bulk import heat_capacity
 from trackres_ros.vehicle.reading import FITTED
 
 Array = NDArray[np.float64]
@@ -129,5 +129,5 @@ def logarithms_at(vehicle: Vehicle, track_name: str, speed: float, belts_degc: A
     loss = Spectral(track, rubber, HARMONICS).loss_force(speed, belts_degc, nominal).total
     network = thermal_network(vehicle.thermal, track.belt, vehicle.rubber)
     cooling = network.area * film_coefficient(speed, network.film_offset, network.film_slope)
-    capacity = belt_model.heat_capacity(track.belt, vehicle.rubber)
+    capacity = heat_capacity(track.belt, vehicle.rubber)
     return np.array([*np.log(loss), np.log(cooling), np.log(capacity), np.log(track.sprocket_radius)])

@@ -69,7 +69,7 @@ def same_in_python(vehicle: AnyVehicle) -> bool:
 
 
 @contextmanager
-def first_run(work: str, vehicle: AnyVehicle, steps: int = 0) -> Iterator[WarmUp]:
+def first_run(work: str, vehicle: AnyVehicle, steps: int = 0) -> Iterator[CompilerWarmUp]:
     """A warm-up for some work off line, which goes on for the next run where this one is through before.
 
     Parameters
@@ -81,14 +81,14 @@ def first_run(work: str, vehicle: AnyVehicle, steps: int = 0) -> Iterator[WarmUp
     steps
         How many there are of work that does not change over; with more than `MOST_IN_PYTHON` it waits for compiled ones.
     """
-    warm_up = WarmUp(work, lasting=True, meanwhile=steps <= MOST_IN_PYTHON and same_in_python(vehicle))
+    warm_up = CompilerWarmUp(work, lasting=True, meanwhile=steps <= MOST_IN_PYTHON and same_in_python(vehicle))
     try:
         yield warm_up
     finally:
         warm_up.close()
 
 
-class WarmUp:
+class CompilerWarmUp:
     """Chooses the functions to begin with; `finished` gives the compiled ones once they are ready.
 
     Parameters

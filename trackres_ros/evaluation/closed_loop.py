@@ -17,7 +17,7 @@ from trackres_ros.diagnosis import Diagnosis, diagnose, load_base, read_recordin
 from trackres_ros.evaluation.sealed.cases import Case
 from trackres_ros.evaluation.sealed.generate import make_case
 from trackres_ros.evaluation.sealed.truth import Hidden
-from trackres_ros.output.plots import BLACK, BLUE, GREY, VERMILION, picture
+from trackres_ros.output.style import BLACK, BLUE, GREY, VERMILION, picture
 
 Array = NDArray[np.float64]
 

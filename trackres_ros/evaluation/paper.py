@@ -17,7 +17,7 @@ import numpy as np
 from trackres_ros.diagnosis import Diagnosis, diagnose, load_base, read_recordings
 from trackres_ros.evaluation.sealed.cases import LOADS
 from trackres_ros.evaluation.sealed.data_sheet import read_data_sheet
-from trackres_ros.evaluation.sealed.drives import STEP_S, Drive, drive
+from trackres_ros.evaluation.sealed.drives import STEP_S, SealedDrive, drive
 from trackres_ros.evaluation.sealed.generate import APART_S, FASTEST_MPS, START_S, VEHICLE, write_vehicle
 from trackres_ros.evaluation.sealed.sensors import Sensors, record
 from trackres_ros.evaluation.sealed.truth import Build, simulate_truth
@@ -54,18 +54,18 @@ def diagnose_all(folder: Path, seed: int = 3) -> list[PaperCase]:
     ]
 
 
-def circle(minutes: float, speed: float, weight: float) -> Drive:
+def circle(minutes: float, speed: float, weight: float) -> SealedDrive:
     """Laps of the paper's circle at one speed."""
     n = int(minutes * 60.0 / STEP_S)
     time = np.arange(n) * STEP_S
     speeds = speed * np.minimum(1.0, time / 30.0)
     turning = speeds / RADIUS_M
-    return Drive(
+    return SealedDrive(
         STEP_S, speeds, np.gradient(speeds, STEP_S), turning, np.cumsum(turning) * STEP_S, np.full(n, weight), np.full(n, 15.0)
     )
 
 
-def _diagnosed(folder: Path, sheet: Path, drives: list[Drive], rng: np.random.Generator) -> Diagnosis:
+def _diagnosed(folder: Path, sheet: Path, drives: list[SealedDrive], rng: np.random.Generator) -> Diagnosis:
     folder.mkdir(parents=True, exist_ok=True)
     vehicle = write_vehicle(folder / "vehicle.yaml", "core_surface")
     radius = read_data_sheet(sheet)["track.sprocket_radius"]

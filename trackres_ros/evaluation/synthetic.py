@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.base import Base
-from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.diagnosis.prepare.session import DriveSession
 from trackres_ros.effects.effect import Active
 
 Array = NDArray[np.float64]
@@ -33,16 +33,16 @@ APART_S = 172_800.0 * 7
 
 def drives(
     base: Base, max_speed: float, count: int, minutes: float, rng: np.random.Generator, step: float = STEP_S
-) -> list[Session]:
+) -> list[DriveSession]:
     """Drives over plain, turns and stops, with load and weather changing from one to the next; the belt starts soaked."""
-    sessions: list[Session] = []
+    sessions: list[DriveSession] = []
     for i in range(count):
         steps = int(minutes * 60.0 / step)
         speed, accel = _speeds(steps, step, max_speed, rng)
         yaw_rate = _turns(steps, step, speed, rng)
         nan = np.full(steps, np.nan)
         sessions.append(
-            Session(
+            DriveSession(
                 f"drive_{i + 1}",
                 step,
                 np.arange(steps, dtype=float) * step,
@@ -64,7 +64,7 @@ def drives(
 
 
 def write_recordings(
-    base: Base, folder: Path, sessions: Sequence[Session], effects: Sequence[Active], rng: np.random.Generator
+    base: Base, folder: Path, sessions: Sequence[DriveSession], effects: Sequence[Active], rng: np.random.Generator
 ) -> list[Path]:
     """Simulate drives and write them as tables; the paths."""
     values = {q.name: q.nominal for q in base.parameters}

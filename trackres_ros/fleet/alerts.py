@@ -16,10 +16,10 @@ from urllib.error import HTTPError
 from urllib.parse import urlsplit
 from urllib.request import HTTPRedirectHandler, Request, build_opener
 
-from trackres_ros import __version__
 from trackres_ros.errors import InputError, one_line
 from trackres_ros.files.own_files import write
 from trackres_ros.fleet.trends import change_sentence
+from trackres_ros.version import __version__
 
 FILE = "alerts.csv"
 TIMEOUT_S = 10.0

@@ -75,7 +75,7 @@ class VehicleChange:
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class VehicleHistory:
     """Recordings of one vehicle in the order of time, with what is asked of each, see `Pooled`.
 
     Attributes
@@ -111,7 +111,7 @@ class Best:
     by_parameter: Array
 
 
-def course(pooled: Pooled, vehicle: str) -> Course:
+def course(pooled: Pooled, vehicle: str) -> VehicleHistory:
     """Of one vehicle of the pool."""
     own = pooled.of.vehicle == vehicle
     of = pooled.of.some(own)
@@ -119,7 +119,7 @@ def course(pooled: Pooled, vehicle: str) -> Course:
     precision, linear = softened(of.precision, np.asarray(linear), pooled.scatter(own))
     prior = np.asarray(np.linalg.inv(pooled.between + pooled.covariance))
     looked_for = tuple(of.names.index(name) for name in SUFFER_CHANGE if name in of.names)
-    return Course(precision, linear, prior, prior @ pooled.mean, of.time_s, looked_for)
+    return VehicleHistory(precision, linear, prior, prior @ pooled.mean, of.time_s, looked_for)
 
 
 def shapes(time_s: Array, first: int, kind: str) -> Array:
@@ -146,7 +146,7 @@ class Gains:
         return np.asarray(0.5 * self.score**2 / self.information)
 
 
-def gains(of: Course, known: Sequence[tuple[int, Array]], draws: Array) -> Gains:
+def gains(of: VehicleHistory, known: Sequence[tuple[int, Array]], draws: Array) -> Gains:
     """What each possible change gains beside those that are known.
 
     Parameters
@@ -154,7 +154,7 @@ def gains(of: Course, known: Sequence[tuple[int, Array]], draws: Array) -> Gains
     known
         Parameter and shape of each.
     draws
-        Of `Course.linear`, shape (draws, n, p).
+        Of `VehicleHistory.linear`, shape (draws, n, p).
     """
     n = len(of.linear)
     design, whole, right = _model(of, known, draws)
@@ -172,7 +172,7 @@ def gains(of: Course, known: Sequence[tuple[int, Array]], draws: Array) -> Gains
     return Gains(tuple(candidates), score, np.maximum(own - np.einsum("cqj,cqj->cq", cross, solved), 1e-12))
 
 
-def _model(of: Course, known: Sequence[tuple[int, Array]], draws: Array) -> tuple[Array, Array, Array]:
+def _model(of: VehicleHistory, known: Sequence[tuple[int, Array]], draws: Array) -> tuple[Array, Array, Array]:
     """Design of a vehicle with known changes, shape (n, p, parameters), its information, and right hand sides of the draws."""
     n, p = of.linear.shape
     design = np.zeros((n, p, p + len(known)))
@@ -187,7 +187,7 @@ def _model(of: Course, known: Sequence[tuple[int, Array]], draws: Array) -> tupl
     return design, whole, right
 
 
-def best_change(of: Course, known: Sequence[tuple[int, Array]] = ()) -> Best | None:
+def best_change(of: VehicleHistory, known: Sequence[tuple[int, Array]] = ()) -> Best | None:
     """The change that makes the recordings likeliest beside those that are known; None where there are too few."""
     if len(of.linear) < 2 * FEWEST:
         return None
@@ -199,7 +199,7 @@ def best_change(of: Course, known: Sequence[tuple[int, Array]] = ()) -> Best | N
     return Best(float(gain[c, q]), first, of.looked_for[q], kind, size, std, gain.max(axis=0))
 
 
-def threshold(of: Course, rate: float = FALSE_ALARMS, seed: int = 1) -> float:
+def threshold(of: VehicleHistory, rate: float = FALSE_ALARMS, seed: int = 1) -> float:
     """Gain that chance alone passes, looked at after each recording, at a rate per year [log-likelihood].
 
     Recordings are drawn as the pool says that they scatter where nothing changes.
@@ -219,7 +219,7 @@ def threshold(of: Course, rate: float = FALSE_ALARMS, seed: int = 1) -> float:
     )
     highest = np.zeros(DRAWS)
     for count in range(2 * FEWEST, n + 1):
-        part = Course(precision[:count], of.linear[:count], of.prior, of.right, of.time_s[:count], of.looked_for)
+        part = VehicleHistory(precision[:count], of.linear[:count], of.prior, of.right, of.time_s[:count], of.looked_for)
         highest = np.maximum(highest, gains(part, (), drawn[:, :count]).gain.max(axis=(1, 2)))
     years = max((of.time_s[n - 1] - of.time_s[0]) / YEAR_S, 1e-3)
     share = min(0.5, rate * years)  # of draws that may pass
@@ -269,17 +269,17 @@ def vehicle_changes(pooled: Pooled, vehicle: str, rate: float = FALSE_ALARMS) ->
     return found, least
 
 
-def _first_seen(of: Course, known: Sequence[tuple[int, Array]], best: Best, least: float) -> int:
+def _first_seen(of: VehicleHistory, known: Sequence[tuple[int, Array]], best: Best, least: float) -> int:
     """The recording with which a change was first sure, had one looked after each."""
     for count in range(max(best.at + FEWEST, 2 * FEWEST), len(of.linear)):
-        part = Course(of.precision[:count], of.linear[:count], of.prior, of.right, of.time_s[:count], of.looked_for)
+        part = VehicleHistory(of.precision[:count], of.linear[:count], of.prior, of.right, of.time_s[:count], of.looked_for)
         early = best_change(part, [(parameter, shape[:count]) for parameter, shape in known])
         if early is not None and early.gain >= least and early.parameter in (best.parameter, *of.looked_for):
             return count - 1
     return len(of.linear) - 1
 
 
-def _before(of: Course, known: Sequence[tuple[int, Array]]) -> Array:
+def _before(of: VehicleHistory, known: Sequence[tuple[int, Array]]) -> Array:
     """What the vehicle was like before all changes, in standard deviations."""
     _, whole, right = _model(of, known, of.linear[np.newaxis])
     return np.asarray(np.linalg.solve(whole, right[0])[: of.linear.shape[1]])

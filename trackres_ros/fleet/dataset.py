@@ -46,7 +46,7 @@ BATCH = 4096  # rows that are in memory at a time
 
 
 @dataclass(frozen=True, slots=True)
-class Kept:
+class CachedRow:
     """What is remembered of a row to know whether it is still what would be computed."""
 
     file: Path
@@ -86,11 +86,11 @@ class FleetDataset:
         for left in rows.rglob(f"*{PART}"):
             left.unlink(missing_ok=True)
 
-    def index(self) -> dict[str, Kept]:
+    def index(self) -> dict[str, CachedRow]:
         """What is there, by the recording's URL. Of two rows of one recording, which a run leaves that was killed
         between writing one and taking away the other, the older goes.
         """
-        found: dict[str, Kept] = {}
+        found: dict[str, CachedRow] = {}
         for file in sorted(self._files(), key=lambda path: path.stat().st_mtime_ns):
             row = self._whole(file)
             if row is None:
@@ -99,7 +99,7 @@ class FleetDataset:
             before = found.get(row["url"])
             if before is not None:
                 before.file.unlink(missing_ok=True)
-            found[row["url"]] = Kept(file, row["stamp"], row["inputs"], row["content"] or "", row["status"] != "good")
+            found[row["url"]] = CachedRow(file, row["stamp"], row["inputs"], row["content"] or "", row["status"] != "good")
         return found
 
     def put(self, row: Mapping[str, Any], replaces: Path | None) -> Path:
@@ -119,7 +119,7 @@ class FleetDataset:
             replaces.unlink(missing_ok=True)
         return path
 
-    def of(self, kept: Kept) -> dict[str, Any]:
+    def of(self, kept: CachedRow) -> dict[str, Any]:
         """One whole row."""
         row = self._whole(kept.file)
         if row is None:

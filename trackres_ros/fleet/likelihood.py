@@ -19,7 +19,7 @@ from trackres_ros.diagnosis.inference.fitting import Fit, Problem, fit, jacobian
 from trackres_ros.diagnosis.inference.levels import LARGEST_ROOT
 from trackres_ros.diagnosis.inference.noise import Noise
 from trackres_ros.diagnosis.prepare.gate import gate
-from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.diagnosis.prepare.session import DriveSession
 from trackres_ros.diagnosis.prepare.split import split
 from trackres_ros.effects.effect import Effect
 from trackres_ros.effects.surroundings.headwind import Headwind
@@ -132,7 +132,7 @@ def evidence(recording: Recording, loaded: LoadedBase, hide: tuple[str, ...] = (
     )
 
 
-def weather(session: Session, base: Base) -> list[Effect]:
+def weather(session: DriveSession, base: Base) -> list[Effect]:
     """What differs from day to day and says nothing of the vehicle: wind, where headings show which way it blows."""
     if "heading" not in session.given or Headwind.name in base.includes:
         return []
@@ -175,7 +175,7 @@ def quadratic(problem: Problem, fitted: Fit) -> tuple[Array, Array, Array]:
     return precision, columns.T @ root + precision @ ((point - nominal) / std), std
 
 
-def _training(session: Session) -> NDArray[np.bool_]:
+def _training(session: DriveSession) -> NDArray[np.bool_]:
     """What is fitted: without the last laps, unless there is but one."""
     if len(np.unique(session.block[session.used])) < 2:
         return session.used

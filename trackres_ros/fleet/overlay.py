@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from trackres_ros.output.plots import write_figure
+from trackres_ros.output.style import write_figure
 
 COLOURS = "#0072B2", "#D55E00"
 TWO_SIDED_95 = 1.96

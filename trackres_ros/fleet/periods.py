@@ -18,11 +18,11 @@ from urllib.parse import quote
 
 import numpy as np
 
+from trackres_ros.engine.executor import done, engine, why
 from trackres_ros.errors import InputError, one_line
 from trackres_ros.files.jsons import parse_json
 from trackres_ros.files.own_files import PART, read
 from trackres_ros.fleet.dataset import FleetDataset
-from trackres_ros.fleet.engine import done, engine, why
 from trackres_ros.fleet.task import NO_DAY
 from trackres_ros.fleet.trends import without_overlaps
 from trackres_ros.fleet.vehicles import Fleet, FleetVehicle

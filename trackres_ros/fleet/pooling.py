@@ -227,7 +227,7 @@ def _spreads(data: Vehicles) -> tuple[Array, Array]:
     return between, within
 
 
-class Off(NamedTuple):
+class Scatter(NamedTuple):
     """Expected squares of how far vehicles are from their type, their sum, shape (p, p), and recordings from their vehicle, shape
     (n, p, p), each by all that is known; and the weights that follow, shape (n,).
     """
@@ -237,7 +237,7 @@ class Off(NamedTuple):
     weight: Array
 
 
-def _off(data: Vehicles, between: Array, within: Array, weight: Array) -> Off:
+def _off(data: Vehicles, between: Array, within: Array, weight: Array) -> Scatter:
     p = len(data.names)
     names, of = np.unique(data.vehicle, return_inverse=True)
     vehicles = _means(data, between, within, weight)[1]
@@ -255,7 +255,7 @@ def _off(data: Vehicles, between: Array, within: Array, weight: Array) -> Off:
     squares = narrowed + np.einsum("ni,nj->nij", off, off) + pulled @ unsure @ np.swapaxes(pulled, 1, 2)
     distance = np.einsum("ij,nij->n", np.linalg.inv(within), squares)
     among = np.sum([(np.outer(k.mean, k.mean) + k.covariance)[:p, :p] for k in apart], axis=0)
-    return Off(among, squares, (DEGREES + p) / (DEGREES + distance))
+    return Scatter(among, squares, (DEGREES + p) / (DEGREES + distance))
 
 
 def _means(data: Vehicles, between: Array, within: Array, weight: Array) -> tuple[Known, dict[str, KnownVehicle]]:

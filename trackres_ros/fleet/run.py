@@ -11,9 +11,9 @@ from itertools import chain
 from typing import Any
 
 from trackres_ros.checks import one_of
+from trackres_ros.engine.executor import LOCAL, dashboard, done, engine, why
 from trackres_ros.errors import InputError
-from trackres_ros.fleet.dataset import FleetDataset, Kept
-from trackres_ros.fleet.engine import LOCAL, dashboard, done, engine, why
+from trackres_ros.fleet.dataset import CachedRow, FleetDataset
 from trackres_ros.fleet.recordings import FoundRecording, find_recordings
 from trackres_ros.fleet.task import AGAIN, BROKEN, NO_VEHICLE, SAME, Task, analyse, broken
 from trackres_ros.fleet.vehicles import Fleet
@@ -23,7 +23,7 @@ UNKNOWN = "unknown"  # instead of a digest where no vehicle was found
 
 
 @dataclass(slots=True)
-class Counts:
+class RunCounts:
     """What a run came to."""
 
     found: int = 0
@@ -50,7 +50,7 @@ def run(
     hide: tuple[str, ...] = (),
     on_begin: Callable[[int], Callable[[float], None]] = lambda _: lambda _: None,
     on_dashboard: Callable[[str], None] = lambda _: None,
-) -> Counts:
+) -> RunCounts:
     """Make a row of each recording that has none yet, or that changed.
 
     Parameters
@@ -74,7 +74,7 @@ def run(
     for channel in hide:
         one_of(base_role(channel), "--hide", ROLES)
     dataset.prepare()
-    index, counts = dataset.index(), Counts()
+    index, counts = dataset.index(), RunCounts()
 
     for place in recordings:  # what could not be looked into may be otherwise now
         before = index.get(place)
@@ -144,11 +144,11 @@ def _task(found: FoundRecording, fleet: Fleet, hide: tuple[str, ...]) -> Task | 
         return str(error)
 
 
-def _is_kept(kept: Kept | None, found: FoundRecording, inputs: str) -> bool:
+def _is_kept(kept: CachedRow | None, found: FoundRecording, inputs: str) -> bool:
     return kept is not None and (kept.stamp, kept.inputs) == (found.stamp, inputs)
 
 
-def _how_many(recordings: Sequence[str], fleet: Fleet, hide: tuple[str, ...], index: dict[str, Kept]) -> int:
+def _how_many(recordings: Sequence[str], fleet: Fleet, hide: tuple[str, ...], index: dict[str, CachedRow]) -> int:
     """How many tasks there will be, for the time that is left."""
     count = 0
     for found in find_recordings(recordings):

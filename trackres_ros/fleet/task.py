@@ -18,10 +18,10 @@ from typing import Any
 
 import numpy as np
 
-from trackres_ros import __version__
 from trackres_ros.errors import InputError, one_line
 from trackres_ros.fleet.recordings import FoundRecording
 from trackres_ros.fleet.vehicles import FleetVehicle, digest
+from trackres_ros.version import __version__
 
 ROW_VERSION = 2  # raised with any change of what a row holds or how it is computed: rows of before are computed anew
 GOOD, BROKEN, SAME = "good", "broken", "same"

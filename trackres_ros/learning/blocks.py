@@ -33,7 +33,7 @@ CONFIRMED = 0.6  # of a step is still there a block later
 
 
 @dataclass
-class Block:
+class ResidualBlock:
     """Weighted means over a block."""
 
     seconds: int = 0

@@ -111,7 +111,7 @@ def _together(delays: Array, variances: Array) -> tuple[float, float]:
 
 
 @dataclass
-class Samples:
+class DelaySamples:
     """Samples of a window with its margins: times [s] since its beginning, and what was seen."""
 
     speed: list[tuple[float, float, float, float]] = field(default_factory=list)  # time, speed, resistance, inertia by m/s^2
@@ -144,7 +144,7 @@ class DelayEstimator:
 
     def _begin(self, stamp_ns: int) -> None:
         self._origin_ns, self._seen_ns, self._torque_ns = stamp_ns, 0, 0
-        self._samples = Samples()
+        self._samples = DelaySamples()
 
     def take(
         self,
@@ -194,7 +194,7 @@ class DelayEstimator:
     def _advance(self) -> None:
         """The next window begins where this one ends."""
         self._origin_ns += round(WINDOW_S * SECOND_NS)
-        self._samples = Samples(
+        self._samples = DelaySamples(
             [(time - WINDOW_S, v, r, i) for time, v, r, i in self._samples.speed if time >= WINDOW_S - LONGEST_GAP_S],
             [(time - WINDOW_S, torque) for time, torque in self._samples.torque if time >= WINDOW_S - LONGEST_GAP_S],
         )

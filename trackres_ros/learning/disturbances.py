@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import math
 
-from trackres_ros.learning.blocks import CONFIRMED, LEAST_BLOCKS, STEP_SHARE, STEP_STDS, Block
+from trackres_ros.learning.blocks import CONFIRMED, LEAST_BLOCKS, STEP_SHARE, STEP_STDS, ResidualBlock
 from trackres_ros.learning.filter import expected
-from trackres_ros.learning.learned import SLOW_KEEPS, Learned
+from trackres_ros.learning.learned import SLOW_KEEPS, LearnerState
 from trackres_ros.learning.parameters import GAIN, SLOW, STEP
 from trackres_ros.vehicle import Disturbance, Spells
 
@@ -27,7 +27,7 @@ SAID_SHARE, SAID_STDS = 0.02, 3.0  # of what rolling takes, and of a minute's me
 FADES = 0.5  # of it is left a second later where no torque comes
 
 
-def close_block(s: Learned) -> None:
+def close_block(s: LearnerState) -> None:
     """A block is full: whether what is left came at once, and whether what was learned explains more than the file."""
     s.blocks += 1
     block, before = s.block, s.last_block
@@ -36,16 +36,16 @@ def close_block(s: Learned) -> None:
     s.past.see(_level(s, block) - float(s.mean[STEP]), SLOW_KEEPS)
     _tell(s)
     s.contest.see(abs(block.residual) - abs(block.residual - block.learned))
-    s.last_block, s.block = block, Block()
+    s.last_block, s.block = block, ResidualBlock()
     s.keep_before()
 
 
-def _level(s: Learned, block: Block) -> float:
+def _level(s: LearnerState, block: ResidualBlock) -> float:
     """What a block has left of what is known by now, but for disturbances; against travel [Nm]."""
     return (block.residual - expected(s.mean[:SLOW], block.looks[:SLOW])) * block.sign
 
 
-def _judge(s: Learned, level: float, last: float) -> None:
+def _judge(s: LearnerState, level: float, last: float) -> None:
     least = s.least_variance if s.wandering.blocks else (FIRST_SHARE * s.rolling) ** 2
     threshold = max(STEP_SHARE * s.rolling, STEP_STDS * s.wandering.std(least))
     if s.suspect:
@@ -63,7 +63,7 @@ def _judge(s: Learned, level: float, last: float) -> None:
     s.wandering.see(difference, least)
 
 
-def _step_found(s: Learned, size: float) -> None:
+def _step_found(s: LearnerState, size: float) -> None:
     """Take it for a disturbance, or for another sensor: go back to before it, and let those two take it up."""
     s.mean[:], s.covariance[:] = s.before_mean, s.before_covariance
     s.covariance[STEP, STEP] += max(size * size, (LASTING_SHARE * s.rolling) ** 2)
@@ -74,7 +74,7 @@ def _step_found(s: Learned, size: float) -> None:
     s.recent_mean[:], s.recent_covariance[:] = s.mean, s.covariance
 
 
-def _tell(s: Learned) -> None:
+def _tell(s: LearnerState) -> None:
     """Whether what is left of a minute is more than what comes and goes."""
     beside, std = s.past.of_late()
     least = SAID_SHARE * s.rolling
@@ -85,7 +85,7 @@ def _tell(s: Learned) -> None:
     s.beside_nm = beside if s.beside_since >= 0 else 0.0
 
 
-def let_last(s: Learned, compared: bool) -> None:
+def let_last(s: LearnerState, compared: bool) -> None:
     """Feed forward what has lasted, within a bound; it fades where no torque is compared."""
     if not compared:
         s.lasting_nm *= FADES
@@ -100,7 +100,7 @@ def let_last(s: Learned, compared: bool) -> None:
     s.lasting_nm += 0.1 * (aim - s.lasting_nm)
 
 
-def why_frozen(s: Learned, now: int, known: Disturbance | None) -> str:
+def why_frozen(s: LearnerState, now: int, known: Disturbance | None) -> str:
     """Why nothing is learned of the vehicle now; empty where it is.
 
     Parameters
@@ -122,7 +122,7 @@ def why_frozen(s: Learned, now: int, known: Disturbance | None) -> str:
     return ""
 
 
-def beside(s: Learned, now: int, known: Disturbance | None) -> str:
+def beside(s: LearnerState, now: int, known: Disturbance | None) -> str:
     """A torque that is there beside the vehicle, in words; empty where none is. See `why_frozen`."""
     return "" if s.beside_since < 0 else said(s.beside_nm, max(now - s.beside_since, 0), known)
 

@@ -93,7 +93,7 @@ class Second:
 
 
 @dataclass
-class Samples:
+class SampleHistory:
     """What is remembered from sample to sample: their level, their typical deviation from it, and since when one torque stays."""
 
     level: float = 0.0
@@ -124,7 +124,7 @@ class Gate:
 
     def restart(self) -> None:
         """Forget what passed: the estimate was started anew."""
-        self.second, self.samples = Second(), Samples()
+        self.second, self.samples = Second(), SampleHistory()
         self.of_late = np.zeros(COUNTED)  # share of the samples of each reason
 
     def next_second(self, number: int) -> None:

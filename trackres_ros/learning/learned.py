@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.estimator import columns as at
-from trackres_ros.learning.blocks import BLOCK_S, Block, Contest, Past, Wandering
+from trackres_ros.learning.blocks import BLOCK_S, Contest, Past, ResidualBlock, Wandering
 from trackres_ros.learning.parameters import SLOW, STATES, WANDERING_SHARE, Prior
 
 Array = NDArray[np.float64]
@@ -25,7 +25,7 @@ LEAST_WANDERING_SHARE = 0.003  # assumed: of what rolling takes; no model is bet
 
 
 @dataclass
-class Learned:
+class LearnerState:
     """What is known, and what it is known by; all of it is kept over a restart.
 
     Attributes
@@ -63,8 +63,8 @@ class Learned:
     lasting_s: float = 0.0
     lasting_nm: float = 0.0
     blocks: int = 0  # since the estimate began: while belts warm up at first, what is left changes without a step
-    block: Block = field(default_factory=Block)
-    last_block: Block = field(default_factory=Block)
+    block: ResidualBlock = field(default_factory=ResidualBlock)
+    last_block: ResidualBlock = field(default_factory=ResidualBlock)
     past: Past = field(default_factory=Past)
     wandering: Wandering = field(default_factory=Wandering)
     contest: Contest = field(default_factory=Contest)
@@ -81,7 +81,7 @@ class Learned:
         self.second, self.last_left, self.suspect, self.disagrees, self.blocks = -1, math.nan, 0.0, 0.0, 0
         self.lasting_s = self.lasting_nm = 0.0
         self.beside_nm, self.beside_since = 0.0, -1
-        self.block, self.last_block = Block(), Block()
+        self.block, self.last_block = ResidualBlock(), ResidualBlock()
         self.past.pause()
         for state in (at.OF_BELT, SLOW):
             self.mean[state] = 0.0
@@ -113,10 +113,10 @@ class Learned:
         return self.noise if math.isnan(self.past.white) else max(BLOCK_S * self.past.white, self.least_variance)
 
 
-def nothing_learned(prior: Prior) -> Learned:
+def nothing_learned(prior: Prior) -> LearnerState:
     """What is known before anything was learned."""
     mean, covariance, rolling, none = np.zeros(STATES), prior.covariance, prior.rolling_nm, np.zeros(at.LEARNABLE)
-    found = Learned(
+    found = LearnerState(
         *(mean, covariance.copy()),
         *(mean.copy(), covariance.copy()),
         *(mean.copy(), covariance.copy()),

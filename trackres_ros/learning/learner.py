@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator, Session
-from trackres_ros.learning import acting
+from trackres_ros.learning import correction
 from trackres_ros.learning.blocks import BLOCK_S
 from trackres_ros.learning.buckets import ACCELERATES_MPS2, Buckets
 from trackres_ros.learning.delay import DelayEstimator
@@ -144,10 +144,10 @@ class Learner:
             self._learn(session)
         let_last(s, second.counts)
         if second.counts and s.seconds % AIMS_EVERY_S == 0.0 and not self.frozen:
-            acting.aim(s, self.prior, self.counted)
-        acting.follow(s)
+            correction.aim(s, self.prior, self.counted)
+        correction.follow(s)
         if self.mode == "on":
-            acting.move(s, self.acts, session.learned, second.number, belt_variances(session)[1])
+            correction.move(s, self.acts, session.learned, second.number, belt_variances(session)[1])
 
     def _learn(self, session: Session) -> None:
         s, second = self.learned, self.gate.second
@@ -187,7 +187,7 @@ class Learner:
         prior = np.diag(self.prior.covariance)
         for state in VEHICLES_OWN:
             gained[state] = WALK_PER_HOUR**2 * prior[state] * min(seconds, 1.0) / 3600.0
-        keep[at.OF_BELT] = acting.belt_keeps(seconds)
+        keep[at.OF_BELT] = correction.belt_keeps(seconds)
         by_air, known = belt_variances(session)
         gained[at.OF_BELT] = session.estimator.constants.number.process_noise**2 * seconds
         gained[at.OF_BELT] += (1.0 - math.exp(-2.0 * seconds / AIR_S)) * by_air
@@ -239,7 +239,7 @@ class Learner:
     @property
     def counted(self) -> Mask:
         """Which departures of the vehicle count as learned: covered, and known twice as well as by its file; (LEARNABLE,)."""
-        return np.asarray(self.buckets.covered() & acting.sure(self.learned, self.prior))
+        return np.asarray(self.buckets.covered() & correction.sure(self.learned, self.prior))
 
     def counts(self, state: int) -> bool:
         """Whether one departure of the vehicle counts as learned."""

@@ -9,18 +9,18 @@ from pathlib import Path
 
 import numpy as np
 
-from trackres_ros.diagnosis.writing.kept import Kept
-from trackres_ros.diagnosis.writing.vehicle_file import rubber_share, write_track_vehicle
-from trackres_ros.diagnosis.writing.yaml_edit import Document
 from trackres_ros.estimator import columns as at
 from trackres_ros.files import own_files
-from trackres_ros.learning.acting import told_std
+from trackres_ros.learning.correction import told_std
 from trackres_ros.learning.filter import known_of_others
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.parameters import VEHICLES_OWN
 from trackres_ros.vehicle import Vehicle
 from trackres_ros.vehicle.reading import FITTED
-from trackres_ros.vehicle.schema import BELT, CHASSIS, RUBBER, Limits
+from trackres_ros.vehicle.schema import BELT, CHASSIS, RUBBER, QuantityLimits
+from trackres_ros.vehicle.writing.changes import FileChanges
+from trackres_ros.vehicle.writing.vehicle_file import rubber_share, write_track_vehicle
+from trackres_ros.vehicle.writing.yaml_edit import Document
 
 REACH_STD = 2.0  # ranges are read as +-2 standard deviations
 FIGURES = 6
@@ -38,7 +38,7 @@ def write_learned(learner: Learner, vehicle: Vehicle, path: Path) -> list[str]:
     counts = [state for state in VEHICLES_OWN if learner.acts and learner.counts(state)]
     minutes = learner.learned.seconds / 60.0
     text = f"Written by trackres replay --save-vehicle, learned from {minutes:.0f} min of driving"
-    write_track_vehicle(vehicle, path, Kept(None, (), {}), text)
+    write_track_vehicle(vehicle, path, FileChanges(None, (), {}), text)
     document = Document(path.read_text(encoding="utf-8"))
     stds = _stds(learner, counts)
     applied = learner.learned.applied.tolist()
@@ -60,7 +60,7 @@ def _set(document: Document, vehicle: Vehicle, state: int, departure: float, std
     """Put a departure into the values of the file that it is of; their paths."""
     share = rubber_share(vehicle)  # of the heat that a belt holds: cords hold the rest
     of_track = [f"tracks.{name}.belt.{film}" for name in vehicle.tracks for film in ("film_offset", "film_slope")]
-    places: dict[int, tuple[tuple[str, ...], float, Limits | None]] = {
+    places: dict[int, tuple[tuple[str, ...], float, QuantityLimits | None]] = {
         at.OF_LOSS: (("rubber.loss_modulus_scale",), 1.0, RUBBER["loss_modulus_scale"]),
         at.OF_CAPACITY: (("rubber.heat_capacity",), 1.0 / share, RUBBER["heat_capacity"]),
         at.OF_COOLING: (tuple(of_track), 1.0, None),

@@ -19,6 +19,7 @@ from trackres_ros.jit.compiled import compiled, inlined
 from trackres_ros.model import belt as belt_model
 from trackres_ros.units import KMH_PER_MPS
 from trackres_ros.vehicle import Belt, Rubber
+from trackres_ros.vehicle.belt_bulk import heat_capacity
 
 SERIES_BELOW = 1e-3
 SERIES_TERMS = 15
@@ -38,7 +39,7 @@ class ThermalNetwork(NamedTuple):
 
 def thermal_network(model: str, belt: Belt, rubber: Rubber) -> ThermalNetwork:
     """Thermal constants for the model `lumped` or `core_surface`."""
-    capacity = belt_model.heat_capacity(belt, rubber)
+    capacity = heat_capacity(belt, rubber)
     area = belt_model.cooled_area(belt)
     slope = belt.film_slope * (KMH_PER_MPS if belt.film_speed_unit == "km/h" else 1.0)
     return ThermalNetwork(

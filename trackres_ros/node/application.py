@@ -3,7 +3,7 @@
 
 """The running application: takes messages, keeps the estimate, publishes at its rate, and says when not to trust it.
 
-It knows neither ROS nor DDS. An edge hands it messages and calls `tick` every `period_s`; it answers through the edge. All
+It knows neither ROS nor DDS. A transport hands it messages and calls `tick` every `period_s`; it answers the same way. All
 calls come from one thread.
 """
 
@@ -21,24 +21,24 @@ from trackres_ros.estimator.estimate import Estimate
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.guards import not_enabled
 from trackres_ros.estimator.topic_settings import settings_for
-from trackres_ros.estimator.warm_up import LIVE, WarmUp, exercise
+from trackres_ros.estimator.warm_up import LIVE, CompilerWarmUp, exercise
 from trackres_ros.jit.compiled import interpreted
 from trackres_ros.node.comparison import Comparison
-from trackres_ros.node.edge import Edge, KeepMessage, Level, Peer, Reasons
 from trackres_ros.node.endpoints import InputTopic, input_topics, live_topics, other_topics
 from trackres_ros.node.guard import Guard
 from trackres_ros.node.inbox import Arrival
-from trackres_ros.node.intake import Intake
+from trackres_ros.node.input_reader import InputReader
 from trackres_ros.node.live_learning import LiveLearning
-from trackres_ros.node.outlet import Outlet
+from trackres_ros.node.notices import Notice, level_of
 from trackres_ros.node.parameters import Parameters
-from trackres_ros.node.remarks import Remark, level_of
+from trackres_ros.node.publisher import OutputPublisher
 from trackres_ros.node.report import Overview, bare_status, overview, statuses
 from trackres_ros.node.sending_order import Arrived, SendingOrder
 from trackres_ros.node.service_manager import ServiceManager
 from trackres_ros.node.setup import changed_parameters, check_learning, read_setup
 from trackres_ros.node.stamps import nearest_usable
 from trackres_ros.node.state_keeper import StateKeeper, state_path
+from trackres_ros.node.transport import KeepMessage, Level, Peer, Reasons, Transport
 from trackres_ros.node.watch import Watch
 from trackres_ros.units import SECOND_NS
 
@@ -59,7 +59,7 @@ class Application:
     ----------
     parameters
         Checked parameters; `vehicle` must be given.
-    edge
+    transport
         The middleware; nothing but names of topics is asked of it before the first call of `tick` or `receive`.
     node, namespace
         Name of the node, for the state file and the statuses.
@@ -75,7 +75,7 @@ class Application:
     def __init__(
         self,
         parameters: Parameters,
-        edge: Edge,
+        transport: Transport,
         node: str = "trackres",
         namespace: str = "/",
         steady_ns: Callable[[], int] = time.monotonic_ns,
@@ -84,7 +84,7 @@ class Application:
         self.node, self.namespace = node, namespace
         setup = read_setup(parameters)
         self.topics, self.vehicle = setup.topics, setup.vehicle
-        self._warm_up = WarmUp(LIVE, str(setup.vehicle_file), setup.surroundings_file)
+        self._warm_up = CompilerWarmUp(LIVE, str(setup.vehicle_file), setup.surroundings_file)
         self.estimator = Estimator(self.vehicle, setup.settings, entries=self._warm_up.first)
         exercise(self.estimator)  # loading what is compiled takes a third of a second, which the first message need not wait
         self.inputs = input_topics(self.topics, bool(self.vehicle.route), self.estimator.channels)
@@ -96,21 +96,21 @@ class Application:
         )
         self.active = False
         self.on_estimate: Callable[[list[float], int, int], None] | None = None  # row, stamp, arrival
-        self.recording_remarks: Callable[[], list[Remark]] = list
+        self.recording_notices: Callable[[], list[Notice]] = list
         self.guard = Guard(self._report_fault, steady_ns)
         self._keep: KeepMessage | None = None
-        self._edge, self._steady_ns = edge, steady_ns
+        self._transport, self._steady_ns = transport, steady_ns
         self._is_speed = ["speed" in given.roles for given in self.inputs]
         self._order = SendingOrder()
         self._before_clock: list[tuple[int, int | None, Sequence[float | None], int, Arrival]] = []
-        self._intake = Intake(self.inputs, self.estimator.channels, self.topics.bindings)
-        self._outlet = Outlet(self.outputs, self.estimator, edge)
+        self._reader = InputReader(self.inputs, self.estimator.channels, self.topics.bindings)
+        self._publisher = OutputPublisher(self.outputs, self.estimator, transport)
         self._service = ServiceManager()
         self._arrival_offset_ns = time.time_ns() - steady_ns()
         self.learning = LiveLearning(self.estimator, parameters.text("learning"), measured)
         self.session, self.began_with = self.keeper.load(self.estimator, self.learning.learner)
         self._state_at = self._rested_at = time.time()
-        self._topic_names = [edge.topic_name(given.name) for given in self.inputs]
+        self._topic_names = [transport.topic_name(given.name) for given in self.inputs]
         named = [replace(given, name=name) for given, name in zip(self.inputs, self._topic_names, strict=True)]
         self._watch = Watch(self.estimator, named)
         self._reasons_seen: tuple[int, bool, Reasons] | None = None  # when, whether the speed was old, what held
@@ -145,11 +145,11 @@ class Application:
         Messages come with their place in that list.
         """
         others = other_topics(self.topics, self.inputs)
-        texts = self._edge.record(others)
+        texts = self._transport.record(others)
         listed = [(given, text) for given, text in zip((*self.inputs, *others), texts, strict=True)]
         for given, text in listed:
             if text is None:
-                name = self._edge.topic_name(given.name)
+                name = self._transport.topic_name(given.name)
                 self._log(Level.WARN, f"{name} is not recorded: {given.type} is not known here")
         known = [(given, text) for given, text in listed if text is not None]
         place = {index: known.index((given, text)) for index, (given, text) in enumerate(listed) if text is not None}
@@ -165,11 +165,11 @@ class Application:
 
     def dropped(self, index: int) -> None:
         """Take note of a message of an input topic that had to make way for later ones."""
-        self._intake.dropped[index] += 1
+        self._reader.dropped[index] += 1
 
     def receive(self, index: int, message: object, sent_ns: int = 0, arrived: Arrival | None = None) -> None:
         """Take a decoded message of an input topic, sent at a time [ns] of its publisher's machine, 0 where that is not known."""
-        read = self.guard.essential("reading a message", self._intake.read, index, message)
+        read = self.guard.essential("reading a message", self._reader.read, index, message)
         if read is not None:
             self.receive_values(index, *read, sent_ns, arrived)
 
@@ -185,7 +185,7 @@ class Application:
         sent_ns: int = 0,
         arrived: Arrival | None = None,
     ) -> None:
-        """Take what an edge has read from a message of an input topic; see `Intake.samples`. By default it arrives now.
+        """Take what a transport has read from a message of an input topic; see `InputReader.samples`. By default it arrives now.
 
         Messages are handled in the order they were sent, see `SendingOrder`. What comes before the simulated clock waits for it:
         without a time its age is not known.
@@ -204,7 +204,7 @@ class Application:
             earlier, self._before_clock = self._before_clock, []
             for waiting in earlier:
                 self.receive_values(*waiting)
-        message = Arrived(sent_ns, steady, now, self._intake.samples(index, stamp_ns, values, now))
+        message = Arrived(sent_ns, steady, now, self._reader.samples(index, stamp_ns, values, now))
         for ready in self._order.put(message, self._is_speed[index]):
             self._handle(ready)
 
@@ -230,7 +230,7 @@ class Application:
         if not all(math.isfinite(values[column]) for column in MUST_BE_FINITE):
             raise ArithmeticError(f"the estimate is not finite: {values}")
         stamp = int(self.session.memory.times[at.SPEED, at.LAST_STAMP])
-        self._outlet.take(values, float(self.session.motion[at.FEEDFORWARD_TARGET]), stamp, steady, self._pace(steady))
+        self._publisher.take(values, float(self.session.motion[at.FEEDFORWARD_TARGET]), stamp, steady, self._pace(steady))
         new_reasons = self.guard("watching the reasons", self._watch.accepted, int(values[at.OUT_REASONS]), now - stamp)
         if new_reasons:
             self._reasons_seen = None
@@ -258,7 +258,7 @@ class Application:
 
     def _log(self, level: Level, text: str) -> None:
         try:
-            self._edge.log(level, text)
+            self._transport.log(level, text)
         except KeyboardInterrupt:
             raise
         except BaseException:  # nobody to tell that nobody can be told
@@ -266,7 +266,7 @@ class Application:
 
     def _now_ns(self, steady: int) -> int:
         """The node's time; where a clock cannot be read the machine's, and of a simulated one none."""
-        now = self.guard("the clock", self._edge.now_ns)
+        now = self.guard("the clock", self._transport.now_ns)
         return now if now is not None else 0 if self.parameters.sim_time else steady + self._arrival_offset_ns
 
     def _pace(self, steady: int) -> int:
@@ -278,7 +278,7 @@ class Application:
         arrival = pace if self.parameters.sim_time else steady + self._arrival_offset_ns
         unfed = NOT_ENABLED(self.estimator.constants, self.session.memory, arrival)
         self._show(unfed)
-        self._outlet.publish(steady, pace, self._reasons_or_fault, not unfed)
+        self._publisher.publish(steady, pace, self._reasons_or_fault, not unfed)
 
     def _reasons_or_fault(self, steady: int) -> Reasons:
         hold = self.guard("the reasons", self._reasons, steady)
@@ -292,11 +292,11 @@ class Application:
                 self._publish_status(self._steady_ns())
 
     def _reasons(self, steady: int) -> Reasons:
-        """All that is to be remarked now, each name once."""
-        old = self._outlet.age_s(steady) > self.estimator.settings.speed_max_age_s
+        """All that is to be noticed now, each name once."""
+        old = self._publisher.age_s(steady) > self.estimator.settings.speed_max_age_s
         seen = self._reasons_seen
         if seen is None or old is not seen[1] or not 0 <= steady - seen[0] < REASONS_KEPT_NS:
-            hold = tuple({remark.name: remark.level for remark in self.remarks(steady)}.items())
+            hold = tuple({notice.name: notice.level for notice in self.notices(steady)}.items())
             self._reasons_seen = seen = steady, old, hold
         return seen[2]
 
@@ -304,7 +304,7 @@ class Application:
 
     def activate(self) -> None:
         """Begin to publish. The estimate runs whether it is published or not."""
-        self._outlet.begin()
+        self._publisher.begin()
         self.active = True
 
     def deactivate(self) -> None:
@@ -320,10 +320,10 @@ class Application:
             self.guard.failed("the main loop", error, essential=True)
             self._publish_status(self._steady_ns(), diagnostics=True)
         with suppress(Exception):
-            self._outlet.withdraw(self._steady_ns())
-            while self.active and self._outlet.stamp_ns is not None:
+            self._publisher.withdraw(self._steady_ns())
+            while self.active and self._publisher.stamp_ns is not None:
                 self._publish(self._steady_ns())
-                if self._outlet.feedforward == 0.0:
+                if self._publisher.feedforward == 0.0:
                     return
                 time.sleep(self.period_s)
 
@@ -333,7 +333,7 @@ class Application:
         It never raises: a part that fails is named on the status, and the others are carried out.
         """
         steady = self._steady_ns()
-        age_s, max_age_s = self._outlet.age_s(steady), self.estimator.settings.speed_max_age_s
+        age_s, max_age_s = self._publisher.age_s(steady), self.estimator.settings.speed_max_age_s
         turned_old = self.guard("watching the age of the speed", self._watch.look_at_age, age_s, max_age_s)
         self.guard.essential("taking late messages", self._hand_over_late, steady)
         self.guard.essential("publishing", self._publish_due, steady)
@@ -343,7 +343,7 @@ class Application:
         elif turned_old and self.active:
             self._publish_status(steady)
         self.guard("saving the state", self._save_due, steady)
-        self.guard("the service manager", self._service.alive, self._outlet.sent, self.active, steady)
+        self.guard("the service manager", self._service.alive, self._publisher.sent, self.active, steady)
 
     def _hand_over_late(self, steady: int) -> None:
         for message in self._order.late(steady):
@@ -364,7 +364,7 @@ class Application:
     def _every_second(self, steady: int) -> None:
         self.guard("changing over to compiled steps", self._change_over)
         self.guard("watching the inputs", self._look, steady)
-        self.guard("the log", self._log_remarks, steady)
+        self.guard("the log", self._log_notices, steady)
         if self.active:
             self._publish_status(steady, diagnostics=True)
 
@@ -376,16 +376,16 @@ class Application:
     def _look(self, steady: int) -> None:
         peers: list[Sequence[Peer]] = [()] * len(self.inputs)
         try:
-            peers = [self._edge.peers(i) for i in range(len(self.inputs))]
+            peers = [self._transport.peers(i) for i in range(len(self.inputs))]
         finally:  # rates and refusals are of interest without peers too
-            self._watch.every_second(self.session, self._intake, peers, steady)
+            self._watch.every_second(self.session, self._reader, peers, steady)
             self._reasons_seen = None
 
-    def _log_remarks(self, steady: int) -> None:
-        remarks = self.remarks(steady)
-        texts = "; ".join(remark.text for remark in remarks) or "all is well"
-        self.guard("the service manager", self._service.status, f"{level_of(remarks).name.lower()}: {texts}")
-        entry = self._watch.to_log(remarks, steady)
+    def _log_notices(self, steady: int) -> None:
+        notices = self.notices(steady)
+        texts = "; ".join(notice.text for notice in notices) or "all is well"
+        self.guard("the service manager", self._service.status, f"{level_of(notices).name.lower()}: {texts}")
+        entry = self._watch.to_log(notices, steady)
         if entry:
             self._log(*entry)
 
@@ -396,36 +396,36 @@ class Application:
         name = f"{self.namespace.rstrip('/')}/{self.node}".lstrip("/")
         found = self.guard("the statuses", lambda: statuses(self.overview(steady), name, self.vehicle.name))
         learned = self.guard("the statuses of learning", self.learning.statuses, name, self.vehicle.name)
-        bare = [] if found else [bare_status(self.remarks(steady), name, self.vehicle.name)]
-        self._outlet.publish_statuses(found or bare, self._now_ns(steady), diagnostics, learned or ())
+        bare = [] if found else [bare_status(self.notices(steady), name, self.vehicle.name)]
+        self._publisher.publish_statuses(found or bare, self._now_ns(steady), diagnostics, learned or ())
 
-    def remarks(self, steady: int | None = None) -> list[Remark]:
-        """All that is to be remarked now, heaviest first."""
+    def notices(self, steady: int | None = None) -> list[Notice]:
+        """All that is to be noticed now, heaviest first."""
         steady = self._steady_ns() if steady is None else steady
         found = [
             *(self.guard("watching the inputs", self._watched, steady) or []),
             *(self.guard("the comparison with the measured torque", self._compared) or []),
-            *(self.guard("learning", self.learning.remarks) or []),
-            *(self.guard("publishing statuses", self._outlet.remarks) or []),
-            *(self.guard("saving the state", self.keeper.remarks) or []),
-            *(self.guard("recording", self.recording_remarks) or []),
+            *(self.guard("learning", self.learning.notices) or []),
+            *(self.guard("publishing statuses", self._publisher.notices) or []),
+            *(self.guard("saving the state", self.keeper.notices) or []),
+            *(self.guard("recording", self.recording_notices) or []),
             *(self.guard("changing over to compiled steps", self._compiling) or []),
         ]
-        return sorted([*found, *self.guard.remarks(steady)], key=lambda remark: -remark.level)
+        return sorted([*found, *self.guard.notices(steady)], key=lambda notice: -notice.level)
 
-    def _watched(self, steady: int) -> list[Remark]:
-        return self._watch.remarks(
-            age_s=self._outlet.age_s(steady),
+    def _watched(self, steady: int) -> list[Notice]:
+        return self._watch.notices(
+            age_s=self._publisher.age_s(steady),
             max_age_s=self.estimator.settings.speed_max_age_s,
             clock_runs=not self.parameters.sim_time or self._now_ns(steady) > 0,
         )
 
-    def _compared(self) -> list[Remark]:
-        return self.comparison.remarks(self.diagnose_command())
+    def _compared(self) -> list[Notice]:
+        return self.comparison.notices(self.diagnose_command())
 
-    def _compiling(self) -> list[Remark]:
+    def _compiling(self) -> list[Notice]:
         if self.estimator.entries is self._warm_up.first and not self.estimator.entries.compiled and self._warm_up.running:
-            return [Remark("COMPILING", "steps run in plain Python until they are compiled")]
+            return [Notice("COMPILING", "steps run in plain Python until they are compiled")]
         return []
 
     def diagnose_command(self) -> str:
@@ -436,12 +436,12 @@ class Application:
     def overview(self, steady: int | None = None) -> Overview:
         """All there is to see now, for statuses and the terminal."""
         steady = self._steady_ns() if steady is None else steady
-        remarks = self.remarks(steady)
+        notices = self.notices(steady)
         return overview(
-            level_of(remarks), remarks, self._outlet, self._watch, self.comparison, self.keeper, self.learning, steady
+            level_of(notices), notices, self._publisher, self._watch, self.comparison, self.keeper, self.learning, steady
         )
 
-    # What an edge or a signal requests
+    # What a transport or a signal requests
 
     def change(self, given: Mapping[str, object]) -> None:
         """Change parameters while running; the temperatures stay.
@@ -520,20 +520,20 @@ class Application:
 
     def _log_counts(self) -> None:
         counted = [f"{name} {count.name.lower()} {number}" for name, count, number in self.session.counts()]
-        counted += [f"{name} bad_stamp {n}" for name, n in zip(self.estimator.channels, self._intake.bad_stamp, strict=True) if n]
-        counted += [f"{name} dropped {n}" for name, n in zip(self._topic_names, self._intake.dropped, strict=True) if n]
+        counted += [f"{name} bad_stamp {n}" for name, n in zip(self.estimator.channels, self._reader.bad_stamp, strict=True) if n]
+        counted += [f"{name} dropped {n}" for name, n in zip(self._topic_names, self._reader.dropped, strict=True) if n]
         self._log(Level.OK, f"messages: {', '.join(counted) or 'none'}")
 
     def _go_on_with(self, estimator: Estimator) -> None:
         session = estimator.session()
         session.adopt(self.session)
         self.estimator, self.session = estimator, session
-        self._outlet.estimator = estimator
+        self._publisher.estimator = estimator
 
     def _rest_unused_belts(self) -> None:
         """Belts taken from a state file go on cooling until the first speed comes."""
         now = time.time()
-        if self._outlet.stamp_ns is None and self.session.started:
+        if self._publisher.stamp_ns is None and self.session.started:
             cooled = self.estimator.rest(self.session.state, self.vehicle.chassis.ambient, max(0.0, now - self._rested_at))
             self.session.begin(cooled)
             self._state_at = now

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.disturbance import Belief, DisturbanceWatch
 from trackres_ros.node.mismatch import Mismatch, MismatchDetector, MismatchSettings
-from trackres_ros.node.remarks import Remark
+from trackres_ros.node.notices import Notice
 from trackres_ros.vehicle import Disturbance
 
 TIME_RESET = int(at.Reason.TIME_RESET)
@@ -66,12 +66,12 @@ class Comparison:
         self._detector.take(stamp_ns, residual - explained, row[at.OUT_DRIVE], row[at.OUT_STD], speed, accel)
         return _turned(before, self.belief)
 
-    def remarks(self, command: str) -> list[Remark]:
-        """What is to be remarked; `command` looks into a mismatch."""
+    def notices(self, command: str) -> list[Notice]:
+        """What is to be noticed; `command` looks into a mismatch."""
         verdict, belief = self.verdict, self.belief
         return [
-            *([Remark("MISMATCH", f"{verdict.text}; look into it with: {command}")] if verdict.parted else []),
-            *([Remark("DISTURBANCE", belief.text)] if belief is not None and belief.present else []),
+            *([Notice("MISMATCH", f"{verdict.text}; look into it with: {command}")] if verdict.parted else []),
+            *([Notice("DISTURBANCE", belief.text)] if belief is not None and belief.present else []),
         ]
 
 

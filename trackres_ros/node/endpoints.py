@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Topics that the live node takes and gives, with quality of service: the one table that both edges are made from."""
+"""Topics that the live node takes and gives, with quality of service: the one table that both transports are made from."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def input_topics(topics: Topics, on_route: bool = False, channels: Collection[st
     """All topics to subscribe to, those that feed a speed last; of roles that the estimate does not need none, a position only
     for a vehicle that is followed on a route, and wheel speeds only of the axles and assemblies in its `channels`.
 
-    Where messages wait on several topics, an edge hands them over in this order: what a speed is to be computed with comes
+    Where messages wait on several topics, a transport hands them over in this order: what a speed is to be computed with comes
     first.
     """
     needed = [

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import ParamSpec, TypeVar
 
-from trackres_ros.node.remarks import Remark
+from trackres_ros.node.notices import Notice
 
 SHOWN_NS = 5_000_000_000  # since it last failed
 
@@ -77,12 +77,12 @@ class Guard:
         if before is None or before.text != text or now - before.at_ns > SHOWN_NS:
             self._report(f"{part} failed, a fault of this program: {''.join(traceback.format_exception(error))}")
 
-    def remarks(self, steady: int) -> list[Remark]:
+    def notices(self, steady: int) -> list[Notice]:
         """The parts that have failed of late."""
         return [
-            Remark("INTERNAL_ERROR", f"{part} failed, a fault of this program: {failure.text}")
+            Notice("INTERNAL_ERROR", f"{part} failed, a fault of this program: {failure.text}")
             if failure.essential
-            else Remark("PART_FAILED", f"{part} failed, a fault of this program, and the estimate goes on: {failure.text}")
+            else Notice("PART_FAILED", f"{part} failed, a fault of this program, and the estimate goes on: {failure.text}")
             for part, failure in list(self._failures.items())
             if steady - failure.at_ns < SHOWN_NS
         ]

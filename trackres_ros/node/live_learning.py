@@ -13,8 +13,8 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator, Session
 from trackres_ros.learning.columns import LearningColumns, lines, ranges_of, shown
 from trackres_ros.learning.learner import Learner
-from trackres_ros.node.edge import Level, Status
-from trackres_ros.node.remarks import Remark
+from trackres_ros.node.notices import Notice
+from trackres_ros.node.transport import Level, Status
 
 OFF, ON = "off", "on"
 
@@ -110,8 +110,8 @@ class LiveLearning:
             ),
         ]
 
-    def remarks(self) -> list[Remark]:
-        """What is to be remarked of it."""
+    def notices(self) -> list[Notice]:
+        """What is to be noticed of it."""
         if self.learner is None or self.mode == OFF or not self.learner.frozen:
             return []
-        return [Remark("LEARNING_FROZEN", f"nothing is learned of the vehicle now: {self.learner.frozen}")]
+        return [Notice("LEARNING_FROZEN", f"nothing is learned of the vehicle now: {self.learner.frozen}")]

@@ -36,7 +36,7 @@ SWITCH = MappingProxyType({True: "on", False: "off"})
 
 
 @dataclass(frozen=True)
-class Parameter:
+class NodeParameter:
     """One parameter.
 
     Attributes
@@ -99,12 +99,12 @@ class Parameter:
         return checks.number(given, where, self.low, self.high, unit)
 
 
-def _of(settings: type[Settings | MismatchSettings]) -> tuple[Parameter, ...]:
+def _of(settings: type[Settings | MismatchSettings]) -> tuple[NodeParameter, ...]:
     """Parameters out of a dataclass of settings, by its metadata."""
     choices = {"feedforward_parts": PARTS, "belt_sensor": BELT_SENSORS}
     kinds = get_type_hints(settings)
     return tuple(
-        Parameter(
+        NodeParameter(
             item.name,
             kinds[item.name](item.default) if kinds[item.name] in (int, float) else item.default,  # type: ignore[arg-type]
             item.metadata["meaning"],
@@ -118,45 +118,45 @@ def _of(settings: type[Settings | MismatchSettings]) -> tuple[Parameter, ...]:
 
 
 NODE_PARAMETERS = (
-    Parameter("vehicle", "", "vehicle file, or the name of a shipped vehicle; must be given", fixed_because=AT_START),
-    Parameter(
+    NodeParameter("vehicle", "", "vehicle file, or the name of a shipped vehicle; must be given", fixed_because=AT_START),
+    NodeParameter(
         "surroundings",
         "",
         "file of effects of site, weather and ground that hold here and now, as trackres diagnose writes it; empty: none",
         fixed_because=AT_START,
     ),
-    Parameter("topics", "", "topics file, or the name of a shipped one; empty: default", fixed_because=AT_START),
-    Parameter(
+    NodeParameter("topics", "", "topics file, or the name of a shipped one; empty: default", fixed_because=AT_START),
+    NodeParameter(
         "state_file",
         "auto",
         "file that keeps the belt temperatures over a restart; auto: one for each node and vehicle under "
         "~/.local/state/trackres, none where time is simulated; none: start cold",
         fixed_because=AT_START,
     ),
-    Parameter(
+    NodeParameter(
         "learning",
         "watch",
         "whether a measured torque is learned from: off; watch: learned and published; on: what was learned is used too",
         choices=MODES,
     ),
-    Parameter("save_period_s", 30.0, "time between two savings of the state", "s", 1.0, 3600.0),
-    Parameter("output_rate_hz", 50.0, "rate of the outputs; 0: once on each accepted speed", "Hz", 0.0, 1000.0),
-    Parameter(
+    NodeParameter("save_period_s", 30.0, "time between two savings of the state", "s", 1.0, 3600.0),
+    NodeParameter("output_rate_hz", 50.0, "rate of the outputs; 0: once on each accepted speed", "Hz", 0.0, 1000.0),
+    NodeParameter(
         "autostart",
         True,
         "configure and activate at the start; false: wait for a lifecycle manager; trackres live always starts",
         fixed_because=AT_START,
     ),
-    Parameter("use_sim_time", False, "take the time from /clock, as in a simulation or a replay", fixed_because=AT_START),
-    Parameter("frame_id", "base_link", "frame of the stamped outputs", fixed_because=AT_START),
-    Parameter(
+    NodeParameter("use_sim_time", False, "take the time from /clock, as in a simulation or a replay", fixed_because=AT_START),
+    NodeParameter("frame_id", "base_link", "frame of the stamped outputs", fixed_because=AT_START),
+    NodeParameter(
         "input_reliability",
         "best_effort",
         "reliability asked of publishers; best effort connects to both kinds",
         choices=RELIABILITIES,
         fixed_because=CONNECTED,
     ),
-    Parameter(
+    NodeParameter(
         "input_depth",
         100,
         "messages of one topic that may wait to be worked off; the oldest of more are dropped, and counted",
@@ -165,7 +165,7 @@ NODE_PARAMETERS = (
         10000,
         fixed_because=CONNECTED,
     ),
-    Parameter(
+    NodeParameter(
         "input_deadline_s",
         0.0,
         "deadline asked of publishers; 0: none, as a publisher that offers none would never connect",
@@ -174,11 +174,13 @@ NODE_PARAMETERS = (
         3600.0,
         fixed_because=CONNECTED,
     ),
-    Parameter(
+    NodeParameter(
         "output_reliability", "reliable", "reliability offered to subscribers", choices=RELIABILITIES, fixed_because=CONNECTED
     ),
-    Parameter("output_depth", 10, "messages kept for a reliable subscriber that lags", "1", 1, 10000, fixed_because=CONNECTED),
-    Parameter(
+    NodeParameter(
+        "output_depth", 10, "messages kept for a reliable subscriber that lags", "1", 1, 10000, fixed_because=CONNECTED
+    ),
+    NodeParameter(
         "output_deadline_s",
         0.2,
         "deadline offered to subscribers on the torque and temperature topics; 0: none",
@@ -188,7 +190,7 @@ NODE_PARAMETERS = (
         fixed_because=CONNECTED,
     ),
 )
-PARAMETERS: Mapping[str, Parameter] = MappingProxyType(
+PARAMETERS: Mapping[str, NodeParameter] = MappingProxyType(
     {p.name: p for p in (*NODE_PARAMETERS, *_of(Settings), *_of(MismatchSettings))}
 )
 
@@ -250,7 +252,7 @@ class Parameters:
         return make_parameters({**self.values, **given})
 
 
-def known(name: str) -> Parameter:
+def known(name: str) -> NodeParameter:
     """The parameter of a name.
 
     Raises

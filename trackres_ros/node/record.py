@@ -23,8 +23,8 @@ from trackres_ros.estimator.estimate import Steps
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.learning.columns import LearnedTopic
 from trackres_ros.node.endpoints import InputTopic, input_name
-from trackres_ros.node.record_files import Limits, RecordingFiles
-from trackres_ros.node.remarks import Remark
+from trackres_ros.node.notices import Notice
+from trackres_ros.node.record_files import RecordingFiles, RecordLimits
 from trackres_ros.offline.summary import picture_columns
 from trackres_ros.output.bag import OutputBag
 from trackres_ros.output.mcap import BagTopic
@@ -61,8 +61,8 @@ class Recorder:
         When the next file begins, and how much all may take.
     """
 
-    def __init__(self, path: Path, limits: Limits | None = None) -> None:
-        self._path, self._limits = path, limits or Limits()
+    def __init__(self, path: Path, limits: RecordLimits | None = None) -> None:
+        self._path, self._limits = path, limits or RecordLimits()
         self._files = RecordingFiles(path, self._limits)
         self._bag: OutputBag | None = None
         self._waiting: deque[Item] = deque()
@@ -97,7 +97,7 @@ class Recorder:
         self._counts, self._last = [0] * len(self._given), [0] * len(self._given)
         self._early: list[Item] = []
         self._open()
-        application.on_estimate, application.recording_remarks = self._take, self.remarks
+        application.on_estimate, application.recording_notices = self._take, self.notices
         self._answered_ns = time.monotonic_ns()
         self._thread.start()
         return [
@@ -129,7 +129,7 @@ class Recorder:
         first = self._done[0] if self._done else str(self._part)
         return first if len(self._done) < 2 else f"{first} to {self._done[-1]}"
 
-    def remarks(self) -> list[Remark]:
+    def notices(self) -> list[Notice]:
         """That something is not recorded, with the file and how much."""
         now = time.monotonic_ns()
         silent_s = (now - self._answered_ns) * 1e-9
@@ -141,7 +141,7 @@ class Recorder:
             why = "the disk takes less than comes"
         else:
             return []
-        return [Remark("NOT_RECORDED", f"recording to {self._part}: {why}; lost so far: {_counted(self._lost())}")]
+        return [Notice("NOT_RECORDED", f"recording to {self._part}: {why}; lost so far: {_counted(self._lost())}")]
 
     # What the application calls, which is to cost it nothing
 

@@ -22,7 +22,7 @@ STILL_WRITTEN_S = 60.0  # an unfinished file that was changed more recently may 
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class RecordLimits:
     """When the next file of a recording begins, and how much all of them may take; 0 is no limit.
 
     Raises
@@ -63,7 +63,7 @@ class RecordingFiles:
     behind its name; one that an earlier run left unfinished is never written over.
     """
 
-    def __init__(self, path: Path, limits: Limits) -> None:
+    def __init__(self, path: Path, limits: RecordLimits) -> None:
         self._path, self._limits = path, limits
         self._name = re.compile(rf"{re.escape(path.stem)}_(\d{{4,}}){re.escape(path.suffix)}({re.escape(SUFFIX)})?")
         self.deleted = 0

@@ -12,19 +12,19 @@ from dataclasses import dataclass
 
 from trackres_ros.estimator.disturbance import Belief
 from trackres_ros.node.comparison import Comparison
-from trackres_ros.node.edge import Level, Status
 from trackres_ros.node.live_learning import LiveLearning
 from trackres_ros.node.mismatch import Mismatch
-from trackres_ros.node.outlet import Outlet
-from trackres_ros.node.remarks import KINDS, Remark
+from trackres_ros.node.notices import KINDS, Notice
+from trackres_ros.node.publisher import OutputPublisher
 from trackres_ros.node.state_keeper import StateKeeper
+from trackres_ros.node.transport import Level, Status
 from trackres_ros.node.watch import InputState, Watch
 from trackres_ros.output.topics import TOTALS, sign_of
 from trackres_ros.units import NANOSECOND
 
 ESTIMATE_KEYS = {
     "level": "ok, warn, error or stale",
-    "remarks": "names of all that is remarked, see docs/robustness.md",
+    "remarks": "names of all that is noticed, see docs/robustness.md",
     "stamp": "time of the state [s since 1970], nan before the first",
     "age_s": "time since the last accepted speed [s], by a clock that never jumps",
     "rate_hz": "estimates made [1/s], over the last second",
@@ -72,7 +72,7 @@ class Overview:
     """All there is to see at one moment; torques in Nm, positive where they resist forward travel."""
 
     level: Level
-    remarks: tuple[Remark, ...]
+    notices: tuple[Notice, ...]
     stamp_ns: int | None
     age_s: float
     steps_hz: float
@@ -92,14 +92,14 @@ class Overview:
 
     @property
     def message(self) -> str:
-        """All remarks in one line, but those of how the node began."""
-        return "; ".join(remark.text for remark in self.remarks if not KINDS[remark.name].of_start) or "ok"
+        """All notices in one line, but those of how the node began."""
+        return "; ".join(notice.text for notice in self.notices if not KINDS[notice.name].of_start) or "ok"
 
 
 def overview(
     level: Level,
-    remarks: Sequence[Remark],
-    outlet: Outlet,
+    notices: Sequence[Notice],
+    publisher: OutputPublisher,
     watch: Watch,
     comparison: Comparison,
     keeper: StateKeeper,
@@ -107,17 +107,17 @@ def overview(
     steady: int,
 ) -> Overview:
     """Gather what is to be seen now."""
-    estimator = outlet.estimator
+    estimator = publisher.estimator
     return Overview(
         level,
-        tuple(remarks),
-        outlet.stamp_ns,
-        outlet.age_s(steady),
+        tuple(notices),
+        publisher.stamp_ns,
+        publisher.age_s(steady),
         watch.steps_hz,
-        outlet.published,
-        outlet.left(steady),
-        outlet.feedforward,
-        dict(zip(estimator.columns, outlet.row, strict=True)) if outlet.row else {},
+        publisher.published,
+        publisher.left(steady),
+        publisher.feedforward,
+        dict(zip(estimator.columns, publisher.row, strict=True)) if publisher.row else {},
         estimator.assemblies,
         watch.inputs(steady),
         comparison.verdict,
@@ -130,18 +130,18 @@ def overview(
     )
 
 
-def bare_status(remarks: Sequence[Remark], node: str, vehicle: str) -> Status:
-    """The node's own status where nothing but its remarks is to be had."""
-    level = max((remark.level for remark in remarks), default=Level.OK)
-    values = (("level", level.name.lower()), ("remarks", " ".join(remark.name for remark in remarks)))
-    return Status(level, f"{node}: estimate", "; ".join(remark.text for remark in remarks), vehicle, values)
+def bare_status(notices: Sequence[Notice], node: str, vehicle: str) -> Status:
+    """The node's own status where nothing but its notices is to be had."""
+    level = max((notice.level for notice in notices), default=Level.OK)
+    values = (("level", level.name.lower()), ("remarks", " ".join(notice.name for notice in notices)))
+    return Status(level, f"{node}: estimate", "; ".join(notice.text for notice in notices), vehicle, values)
 
 
 def statuses(seen: Overview, node: str, vehicle: str) -> list[Status]:
     """The statuses of /diagnostics; the first is the node's own."""
     estimate = [
         ("level", seen.level.name.lower()),
-        ("remarks", " ".join(remark.name for remark in seen.remarks)),
+        ("remarks", " ".join(notice.name for notice in seen.notices)),
         ("stamp", _text(math.nan if seen.stamp_ns is None else seen.stamp_ns * 1e-9, 3)),
         ("age_s", _text(seen.age_s, 3)),
         ("rate_hz", _text(seen.steps_hz)),

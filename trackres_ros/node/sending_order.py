@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from operator import attrgetter
 from typing import NamedTuple
 
-from trackres_ros.node.intake import Sample
+from trackres_ros.node.input_reader import Sample
 
 LONGEST_WAIT_NS = 50_000_000  # of a message for a speed that was sent later
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from types import FrameType
 
     from trackres_ros.node.application import Application
-    from trackres_ros.node.edge import Level
+    from trackres_ros.node.transport import Level
 
 STOP = (signal.SIGINT, signal.SIGTERM)
 SAVE, RESET, RESET_LEARNING = signal.SIGUSR1, signal.SIGUSR2, signal.SIGRTMIN
@@ -55,7 +55,7 @@ class SignalRequests:
         if not self._waiting:
             return
         from trackres_ros.errors import InputError
-        from trackres_ros.node.edge import Level
+        from trackres_ros.node.transport import Level
 
         while self._waiting:
             try:

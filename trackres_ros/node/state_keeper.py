@@ -20,7 +20,7 @@ from trackres_ros.files import own_files
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.store import stored, take
 from trackres_ros.node.background import Background
-from trackres_ros.node.remarks import Remark
+from trackres_ros.node.notices import Notice
 
 AUTO, NONE = "auto", "none"
 LONGEST_NAME = 100
@@ -97,17 +97,17 @@ class StateKeeper:
         learner.age(off_s)
         return session, f"{text}; {learner.learned.seconds / 60.0:.0f} min of driving were learned from"
 
-    def remarks(self) -> list[Remark]:
+    def notices(self) -> list[Notice]:
         """That the state file cannot be written, or that the one that was there could not be used."""
         found = []
         if self._writer.busy and time.monotonic_ns() - self._began_ns > SLOW_NS:
             text = f"the disk has not taken the state file {self.path} for {(time.monotonic_ns() - self._began_ns) * 1e-9:.0f} s"
-            found.append(Remark("STATE_NOT_SAVED", text))
+            found.append(Notice("STATE_NOT_SAVED", text))
         elif self.error:
             where = f" in {self.path}" if self.path else ""
-            found.append(Remark("STATE_NOT_SAVED", f"the state cannot be saved{where}: {self.error}"))
+            found.append(Notice("STATE_NOT_SAVED", f"the state cannot be saved{where}: {self.error}"))
         if self.unused:
-            found.append(Remark("STATE_NOT_USED", self.unused))
+            found.append(Notice("STATE_NOT_USED", self.unused))
         return found
 
     def save_soon(self, session: Session, state_at: float, learner: Learner | None = None) -> None:

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Watches the running node: ages, rates, refusals, publishers, and the reasons of the last second become remarks."""
+"""Watches the running node: ages, rates, refusals, publishers, and the reasons of the last second become notices."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ import numpy as np
 
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator, Session
-from trackres_ros.node.edge import Level, Peer
 from trackres_ros.node.endpoints import InputTopic
-from trackres_ros.node.intake import Intake
-from trackres_ros.node.remarks import KINDS, Remark, level_of, of_reasons
+from trackres_ros.node.input_reader import InputReader
+from trackres_ros.node.notices import KINDS, Notice, level_of, of_reasons
+from trackres_ros.node.transport import Level, Peer
 
 REFUSED_SHARE = 0.1  # of the messages of a second: more is not the odd late one
 CLOCK_OFFSET_NS = 1_000_000_000
@@ -52,7 +52,7 @@ class InputState:
 
 
 class Watch:
-    """Bookkeeping of the application; it remarks, and changes nothing.
+    """Bookkeeping of the application; it notices, and changes nothing.
 
     Parameters
     ----------
@@ -108,14 +108,14 @@ class Watch:
             for state in self._inputs
         )
 
-    def every_second(self, session: Session, intake: Intake, peers: Sequence[Sequence[Peer]], steady: int) -> None:
+    def every_second(self, session: Session, reader: InputReader, peers: Sequence[Sequence[Peer]], steady: int) -> None:
         """Work out rates and refusals since the last call, and begin a new second."""
         elapsed_s = math.nan if self._looked_ns is None else max((steady - self._looked_ns) * 1e-9, 1e-9)
         counts = session.memory.counters.copy()
         new, self._last_counts = counts - self._last_counts, counts
-        bad_stamp = np.array(intake.bad_stamp) - self._last_bad_stamp
+        bad_stamp = np.array(reader.bad_stamp) - self._last_bad_stamp
         self._last_bad_stamp += bad_stamp
-        dropped = list(intake.dropped)
+        dropped = list(reader.dropped)
         self._overrun = [
             (given.name, now - before)
             for given, now, before in zip(self._topics, dropped, self._last_dropped, strict=True)
@@ -132,7 +132,7 @@ class Watch:
             if sum(number for _, number in refused) > REFUSED_SHARE * messages:
                 self._refused[role] = [(name, number) for name, number in refused if number]
             seen = [(count.name.lower(), int(counts[channel, count])) for count in at.Count]
-            seen += [("bad_stamp", intake.bad_stamp[channel]), ("absent", intake.absent[channel]), ("dropped", dropped[i])]
+            seen += [("bad_stamp", reader.bad_stamp[channel]), ("absent", reader.absent[channel]), ("dropped", dropped[i])]
             value = float(session.memory.values[channel])
             shown = tuple((name, number) for name, number in seen if number)
             states.append(InputState(role, self._topics[i].name, messages / elapsed_s, math.nan, value, shown))
@@ -142,57 +142,57 @@ class Watch:
         self._began_ns = steady if self._began_ns is None else self._began_ns
         self._shown_reasons, self._second_reasons = self._second_reasons, 0
 
-    def remarks(self, age_s: float, max_age_s: float, clock_runs: bool) -> list[Remark]:
-        """All that is to be remarked of inputs and estimate now."""
-        found: list[Remark] = []
+    def notices(self, age_s: float, max_age_s: float, clock_runs: bool) -> list[Notice]:
+        """All that is to be noticed of inputs and estimate now."""
+        found: list[Notice] = []
         if not clock_runs:
-            found.append(Remark("NO_CLOCK", "use_sim_time is set and nothing comes on /clock"))
+            found.append(Notice("NO_CLOCK", "use_sim_time is set and nothing comes on /clock"))
         if math.isinf(age_s):
-            found.append(Remark("NO_SPEED", "no speed yet"))
+            found.append(Notice("NO_SPEED", "no speed yet"))
         elif age_s > max_age_s:
             fading = "the feed-forward fades to zero"
-            found.append(Remark("SPEED_OLD", f"no speed for {age_s:.1f} s, allowed are {max_age_s:g} s: {fading}"))
+            found.append(Notice("SPEED_OLD", f"no speed for {age_s:.1f} s, allowed are {max_age_s:g} s: {fading}"))
         for name, number in self._overrun:
             text = f"{name}: {number} messages of the last second came faster than they could be worked off"
-            found.append(Remark("OVERRUN", text))
+            found.append(Notice("OVERRUN", text))
         for role, refused in self._refused.items():
             why = ", ".join(f"{number} {name}" for name, number in refused)
-            found.append(Remark("REFUSED", f"{role}: refused in the last second: {why}"))
-        found += [remark for given, peers in zip(self._topics, self._peers, strict=True) for remark in _of_peers(given, peers)]
+            found.append(Notice("REFUSED", f"{role}: refused in the last second: {why}"))
+        found += [notice for given, peers in zip(self._topics, self._peers, strict=True) for notice in _of_peers(given, peers)]
         if abs(self._offset_ns) > CLOCK_OFFSET_NS and clock_runs and not math.isinf(age_s):
             side = "behind" if self._offset_ns > 0 else "ahead of"
             text = f"the stamps of the speed are {abs(self._offset_ns) * 1e-9:.1f} s {side} this node's time"
-            found.append(Remark("CLOCK_OFFSET", text))
+            found.append(Notice("CLOCK_OFFSET", text))
         return found + of_reasons(at.Reason(self._shown_reasons))
 
-    def to_log(self, remarks: Sequence[Remark], steady: int) -> tuple[Level, str] | None:
-        """The level and text to log, if the remarks above OK have changed since the last call.
+    def to_log(self, notices: Sequence[Notice], steady: int) -> tuple[Level, str] | None:
+        """The level and text to log, if the notices above OK have changed since the last call.
 
         Just after the start an input that has not come yet is no warning.
         """
         if self._began_ns is None:
             return None
-        heavy = [remark for remark in remarks if remark.level > Level.OK]
-        starting = steady - self._began_ns < STARTING_NS and all(KINDS[remark.name].awaited for remark in heavy)
-        names = frozenset({"STARTING"}) if heavy and starting else frozenset(remark.name for remark in heavy)
+        heavy = [notice for notice in notices if notice.level > Level.OK]
+        starting = steady - self._began_ns < STARTING_NS and all(KINDS[notice.name].awaited for notice in heavy)
+        names = frozenset({"STARTING"}) if heavy and starting else frozenset(notice.name for notice in heavy)
         if names == self._logged:
             return None
         self._logged = names
-        text = "; ".join(remark.text for remark in heavy) or "all is well"
+        text = "; ".join(notice.text for notice in heavy) or "all is well"
         return (Level.OK, f"waits for inputs: {text}") if heavy and starting else (level_of(heavy), text)
 
 
-def _of_peers(given: InputTopic, peers: Sequence[Peer]) -> list[Remark]:
+def _of_peers(given: InputTopic, peers: Sequence[Peer]) -> list[Notice]:
     roles = ", ".join(given.roles)
     right = [peer for peer in peers if peer.type == given.type]
     found = []
     for kind in sorted({peer.type for peer in peers} - {given.type}):
-        found.append(Remark("WRONG_TYPE", f"{roles}: a publisher on {given.name} sends {kind}, expected is {given.type}"))
+        found.append(Notice("WRONG_TYPE", f"{roles}: a publisher on {given.name} sends {kind}, expected is {given.type}"))
     if not right:
-        found.append(Remark("NO_PUBLISHER", f"{roles}: nobody publishes {given.type} on {given.name}"))
+        found.append(Notice("NO_PUBLISHER", f"{roles}: nobody publishes {given.type} on {given.name}"))
     elif len(right) > 1:
-        found.append(Remark("SEVERAL_PUBLISHERS", f"{roles}: {len(right)} publishers on {given.name}"))
+        found.append(Notice("SEVERAL_PUBLISHERS", f"{roles}: {len(right)} publishers on {given.name}"))
     if any(not peer.compatible for peer in right):
         text = f"{roles}: a publisher on {given.name} does not offer the reliability or deadline that is asked for"
-        found.append(Remark("INCOMPATIBLE_QOS", text))
+        found.append(Notice("INCOMPATIBLE_QOS", text))
     return found

@@ -29,7 +29,7 @@ from trackres_ros.output.bag import OutputBag
 from trackres_ros.output.preview import ResultPreview
 from trackres_ros.output.table import TableWriter
 from trackres_ros.recording.roles import POSITION, base_role
-from trackres_ros.recording.samples import Block, Source
+from trackres_ros.recording.samples import SampleBlock, Source
 from trackres_ros.units import NANOSECOND
 
 Array = NDArray[np.float64]
@@ -118,7 +118,7 @@ def replay(
             if not_needed:
                 rows = channel >= 0
                 channel = channel[rows]
-                block = Block(block.role[rows], block.stamp_ns[rows], block.arrival_ns[rows], block.value[rows])
+                block = SampleBlock(block.role[rows], block.stamp_ns[rows], block.arrival_ns[rows], block.value[rows])
             before, running = (
                 running,
                 worker.submit(handle, channel, block.stamp_ns, block.arrival_ns, block.value),

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.offline.simulate import Drive, laps
+from trackres_ros.offline.simulate import SimulatedDrive, laps
 from trackres_ros.output.mcap import BagWriter
 from trackres_ros.units import KMH_PER_MPS
 from trackres_ros.vehicle import Vehicle
@@ -45,14 +45,14 @@ class Sample:
     distance_m: float
 
 
-def lap_drive(speed_kmh: float, laps_driven: int) -> Drive:
+def lap_drive(speed_kmh: float, laps_driven: int) -> SimulatedDrive:
     """Laps of a circle of 100 m radius with a stop after each."""
     return laps(speed_kmh / KMH_PER_MPS, 2 * math.pi * LAP_RADIUS_M, laps_driven, RAMP_S, STOP_S, 1.0 / SPEED_HZ)
 
 
 def write_sample(
     path: Path, vehicle: Vehicle, speed_kmh: float = 10.0, laps_driven: int = 3, ambient_degc: float = 15.0
-) -> Drive:
+) -> SimulatedDrive:
     """Write an MCAP file with speed (TwistStamped, steps of 1 km/h), load (Float64 in kN) and air temperature.
 
     The topics are those of config/topics/sample.yaml. Noise is drawn from a fixed seed, so equal calls give equal files.

@@ -23,7 +23,7 @@ MOST_SAMPLES = 50_000_000
 
 
 @dataclass(frozen=True, eq=False)
-class Drive:
+class SimulatedDrive:
     """A drive: times [s], speeds [m/s] and accelerations [m/s^2], each of shape (times,)."""
 
     time_s: Array
@@ -31,17 +31,17 @@ class Drive:
     acceleration: Array
 
 
-def ramp_and_hold(speed: float, ramp_s: float, duration_s: float, dt: float) -> Drive:
+def ramp_and_hold(speed: float, ramp_s: float, duration_s: float, dt: float) -> SimulatedDrive:
     """From rest to a speed [m/s] in a straight ramp [s], then held; the paper's section 4.2. A ramp of 0 s starts at speed."""
     if not 0.0 < dt <= duration_s or duration_s / dt > MOST_SAMPLES:
         raise InputError("dt, duration", (dt, duration_s), f"0 < dt <= duration [s] and at most {MOST_SAMPLES} steps")
     time: Array = np.arange(int(round(duration_s / dt)) + 1, dtype=np.float64) * dt
     if ramp_s <= 0.0:
-        return Drive(time, np.full_like(time, speed), np.zeros_like(time))
-    return Drive(time, speed * np.minimum(time / ramp_s, 1.0), np.where(time < ramp_s, speed / ramp_s, 0.0))
+        return SimulatedDrive(time, np.full_like(time, speed), np.zeros_like(time))
+    return SimulatedDrive(time, speed * np.minimum(time / ramp_s, 1.0), np.where(time < ramp_s, speed / ramp_s, 0.0))
 
 
-def through_points(time_s: Array, speed: Array, dt: float) -> Drive:
+def through_points(time_s: Array, speed: Array, dt: float) -> SimulatedDrive:
     """A drive along straight lines between given points, sampled every dt [s]."""
     time_s, speed = np.asarray(time_s, float), np.asarray(speed, float)
     if len(time_s) < 2 or (np.diff(time_s) <= 0).any() or not (np.isfinite(time_s).all() and np.isfinite(speed).all()):
@@ -51,10 +51,10 @@ def through_points(time_s: Array, speed: Array, dt: float) -> Drive:
         raise InputError("dt", dt, f"more than 0 and at most the profile's {span:g} s, with at most {MOST_SAMPLES} steps")
     time = time_s[0] + np.arange(int(np.floor(span / dt + 1e-9)) + 1) * dt
     leg = np.clip(np.searchsorted(time_s, time, side="right") - 1, 0, len(time_s) - 2)
-    return Drive(time, np.interp(time, time_s, speed), (np.diff(speed) / np.diff(time_s))[leg])
+    return SimulatedDrive(time, np.interp(time, time_s, speed), (np.diff(speed) / np.diff(time_s))[leg])
 
 
-def laps(speed: float, lap_m: float, count: int, ramp_s: float, stop_s: float, dt: float) -> Drive:
+def laps(speed: float, lap_m: float, count: int, ramp_s: float, stop_s: float, dt: float) -> SimulatedDrive:
     """Laps with a stop after each, section 3.2.2: ramp up [s], hold, ramp down, stand [s]; `lap_m` [m] a lap."""
     held_s = lap_m / speed - ramp_s
     if held_s < 0.0:
@@ -70,7 +70,7 @@ def laps(speed: float, lap_m: float, count: int, ramp_s: float, stop_s: float, d
 
 def simulate(
     estimator: Estimator,
-    drive: Drive,
+    drive: SimulatedDrive,
     weight_n: ArrayLike | None = None,
     ambient_degc: ArrayLike | None = None,
     initial_degc: float | None = None,
@@ -97,7 +97,7 @@ def simulate(
 
 def run_drive(
     estimator: Estimator,
-    drive: Drive,
+    drive: SimulatedDrive,
     weight_n: ArrayLike | None = None,
     ambient_degc: ArrayLike | None = None,
     initial_degc: float | None = None,
@@ -113,7 +113,7 @@ def run_drive(
     return estimator.run(state, drive.time_s, drive.speed, weight, ambient, drive.acceleration, grade, ground=ground)[1]
 
 
-def series_of(estimator: Estimator, drive: Drive, rows: Array) -> dict[str, Array]:
+def series_of(estimator: Estimator, drive: SimulatedDrive, rows: Array) -> dict[str, Array]:
     """What is shown of a drive, out of rows of results; the belt temperature, where there are belts, is the mean of the
     assemblies.
     """

@@ -23,7 +23,7 @@ from trackres_ros.model.vehicle_constants import vehicle_constants
 from trackres_ros.offline.energy import taken, taken_text
 from trackres_ros.offline.replay import Replayed
 from trackres_ros.recording.recording import Recording
-from trackres_ros.recording.samples import Block, Finding, Source
+from trackres_ros.recording.samples import Finding, SampleBlock, Source
 from trackres_ros.text.numbers import decimals
 
 Array = NDArray[np.float64]
@@ -38,7 +38,7 @@ class KeptSource:
 
     def __init__(self, source: Source, keep: bool) -> None:
         self._source, self._keep = source, keep
-        self._kept: list[Block] = []
+        self._kept: list[SampleBlock] = []
         self._dropped = False
         self.name, self.roles = source.name, source.roles
         self.zero_is_unset = source.zero_is_unset
@@ -57,7 +57,7 @@ class KeptSource:
         text = f"more than {MOST_KEPT} samples: gaps, stuck and quantised values are not looked for"
         return (*self._source.findings, Finding("", "too_long", 1, float("nan"), text))
 
-    def blocks(self, max_rows: int = 65536) -> Iterator[Block]:
+    def blocks(self, max_rows: int = 65536) -> Iterator[SampleBlock]:
         """Blocks of the source; read a second time they come from memory."""
         if self._kept:
             yield from self._kept

@@ -19,6 +19,7 @@ from trackres_ros.model.loads import hinge_position, wheel_loads
 from trackres_ros.model.loss_table import LossTable, drive_share, interpolation_error, loss_table, reverse_share
 from trackres_ros.model.track import TrackModel, load_range, steady_tension, track_model
 from trackres_ros.vehicle import AnyVehicle, RoadVehicle, Vehicle
+from trackres_ros.vehicle.belt_bulk import heat_capacity, mass_per_length
 from trackres_ros.vehicle.reading import FLAGS
 
 SHOWN_SPEED_SHARES = (0.05, 0.25, 1.0)  # of the greatest speed
@@ -50,16 +51,16 @@ def check_vehicle(vehicle: AnyVehicle, points: int) -> dict[str, Any]:
         tracks[name] = {
             "wheel_loads_n": wheel_loads(track, loads.nominal).tolist(),
             "hinge_position_m": hinge_position(track),
-            "belt_mass_kg": belt_model.mass_per_length(track.belt, rubber) * track.belt.loop_length,
-            "mass_per_length_kg_m": belt_model.mass_per_length(track.belt, rubber),
-            "heat_capacity_j_k": belt_model.heat_capacity(track.belt, rubber),
+            "belt_mass_kg": mass_per_length(track.belt, rubber) * track.belt.loop_length,
+            "mass_per_length_kg_m": mass_per_length(track.belt, rubber),
+            "heat_capacity_j_k": heat_capacity(track.belt, rubber),
             "cooled_area_m2": belt_model.cooled_area(track.belt),
             "axial_stiffness_n": float(belt_model.axial_stiffness(track.belt, modulus)),
             "tension_n": steady_tension(model, vehicle.chassis.ambient),
             "sag_m": float(
                 belt_model.catenary_sag(
                     steady_tension(model, vehicle.chassis.ambient),
-                    belt_model.mass_per_length(track.belt, rubber),
+                    mass_per_length(track.belt, rubber),
                     track.belt.sag_half_span,
                     float(belt_model.axial_stiffness(track.belt, modulus)),
                 )

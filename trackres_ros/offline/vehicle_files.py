@@ -10,14 +10,14 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from trackres_ros.diagnosis.writing.vehicle_file import copied
-from trackres_ros.diagnosis.writing.yaml_edit import Document
 from trackres_ros.errors import InputError, nearest
 from trackres_ros.files.own_files import write
 from trackres_ros.files.resources import find_vehicle, shipped_road_vehicles, shipped_vehicles
 from trackres_ros.files.yamls import read_yaml
 from trackres_ros.text.numbers import figures
 from trackres_ros.text.table import table
+from trackres_ros.vehicle.writing.vehicle_file import copied
+from trackres_ros.vehicle.writing.yaml_edit import Document
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,63}")
 RUNS_ON = {"tracks": "tracks", "road_load": "wheels, without belts"}

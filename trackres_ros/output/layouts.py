@@ -23,7 +23,7 @@ DEFAULT_BASE = f"/{DEFAULT_NODE}"
 
 
 @dataclass(frozen=True)
-class Curve:
+class LayoutCurve:
     """One curve: what it is called, and where both programs find it."""
 
     label: str
@@ -32,11 +32,11 @@ class Curve:
 
 
 @dataclass(frozen=True)
-class Plot:
+class LayoutPlot:
     """One plot with its curves."""
 
     title: str
-    curves: tuple[Curve, ...]
+    curves: tuple[LayoutCurve, ...]
 
 
 def write_layouts(vehicle: AnyVehicle, folder: Path, base: str = DEFAULT_BASE) -> list[Path]:
@@ -55,29 +55,34 @@ def write_layouts(vehicle: AnyVehicle, folder: Path, base: str = DEFAULT_BASE) -
     return list(texts)
 
 
-def plots(vehicle: AnyVehicle, base: str = DEFAULT_BASE) -> tuple[Plot, ...]:
+def plots(vehicle: AnyVehicle, base: str = DEFAULT_BASE) -> tuple[LayoutPlot, ...]:
     """Torque by part, feed-forward, belts, and measured against expected torque."""
     topics = {topic.name: topic for topic in output_topics(vehicle)}
     resistance, residual = topics["resistance_torque"], topics["torque_residual"]
     assemblies = [assembly.name for assembly in vehicle.assemblies]
     wrench = f"{base}/feedforward_torque"
 
-    def joints(topic: OutputTopic, names: Sequence[str]) -> tuple[Curve, ...]:
+    def joints(topic: OutputTopic, names: Sequence[str]) -> tuple[LayoutCurve, ...]:
         full = f"{base}/{topic.name}"
-        return tuple(Curve(name, f"{full}/{name}/effort", f"{full}.effort[{topic.names.index(name)}]") for name in names)
+        return tuple(LayoutCurve(name, f"{full}/{name}/effort", f"{full}.effort[{topic.names.index(name)}]") for name in names)
 
     temperatures = tuple(
-        Curve(name, f"{topic}/temperature", f"{topic}.temperature")
+        LayoutCurve(name, f"{topic}/temperature", f"{topic}.temperature")
         for name in assemblies
         for topic in (f"{base}/track_temperature/{name}",)
     )
     by_assembly = joints(resistance, [f"total/{name}" for name in assemblies])
-    belts = Plot("Belt temperature [degC]", temperatures), Plot("Torque about y that resists, by assembly [Nm]", by_assembly)
+    belts = (
+        LayoutPlot("Belt temperature [degC]", temperatures),
+        LayoutPlot("Torque about y that resists, by assembly [Nm]", by_assembly),
+    )
     return (
-        Plot("Torque about y that resists, by part [Nm]", joints(resistance, [name for name in TOTALS if name != "drive"])),
-        Plot("Feed-forward torque [Nm]", (Curve("feed-forward", f"{wrench}/wrench/torque/y", f"{wrench}.wrench.torque.y"),)),
+        LayoutPlot("Torque about y that resists, by part [Nm]", joints(resistance, [name for name in TOTALS if name != "drive"])),
+        LayoutPlot(
+            "Feed-forward torque [Nm]", (LayoutCurve("feed-forward", f"{wrench}/wrench/torque/y", f"{wrench}.wrench.torque.y"),)
+        ),
         *([] if not assemblies else belts),
-        Plot("Measured and expected torque [Nm]", joints(residual, residual.names)),
+        LayoutPlot("Measured and expected torque [Nm]", joints(residual, residual.names)),
     )
 
 

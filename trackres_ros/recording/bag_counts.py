@@ -31,7 +31,7 @@ INDEX_DATA = 4
 
 
 @dataclass(slots=True)
-class Counts:
+class MessageCounts:
     """The numbers of messages that a bag states.
 
     Attributes
@@ -64,7 +64,7 @@ class Counts:
         return 0
 
 
-def counts_of(reader: Any, path: Path) -> Counts:
+def counts_of(reader: Any, path: Path) -> MessageCounts:
     """Return the counts of a bag that is open.
 
     Parameters
@@ -74,7 +74,7 @@ def counts_of(reader: Any, path: Path) -> Counts:
     path : Path
         The bag.
     """
-    counts = Counts()
+    counts = MessageCounts()
     if hasattr(reader, "chunk_infos"):
         _count_ros1(reader, path, counts)
     else:
@@ -100,7 +100,7 @@ def storages_of(reader: Any) -> Sequence[Any]:
     return getattr(reader.storage, "storages", (reader.storage,))
 
 
-def _count_mcap(storage: Any, names: dict[Any, str], counts: Counts) -> None:
+def _count_mcap(storage: Any, names: dict[Any, str], counts: MessageCounts) -> None:
     """Add the larger of what the statistics and the index say, channel by channel."""
     indexed: Counter[int] = Counter()
     for chunk in storage.chunks:
@@ -134,7 +134,7 @@ def _look_at_mcap(storage: Any) -> Iterator[str]:
             yield "the file has no summary: messages that were lost before it was closed do not show"
 
 
-def _count_ros1(reader: Any, path: Path, counts: Counts) -> None:
+def _count_ros1(reader: Any, path: Path, counts: MessageCounts) -> None:
     """Add the larger of what the index, and what the chunks themselves say, connection by connection."""
     names = {one.id: one.topic for one in reader.connections}
     indexed: Counter[int] = Counter()
@@ -148,7 +148,7 @@ def _count_ros1(reader: Any, path: Path, counts: Counts) -> None:
     counts.add(names, beside | indexed)
 
 
-def _records(file: BinaryIO, counts: Counts) -> Iterator[dict[bytes, bytes]]:
+def _records(file: BinaryIO, counts: MessageCounts) -> Iterator[dict[bytes, bytes]]:
     """Yield the heads of the records of a ROS 1 bag, as far as one follows on the other."""
     size = file.seek(0, 2)
     file.seek(0)

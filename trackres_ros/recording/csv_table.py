@@ -24,8 +24,8 @@ from trackres_ros.errors import InputError
 from trackres_ros.recording.date_times import DateTimes, is_date_time
 from trackres_ros.recording.number_marks import COMMA, POINT, ColumnMarks, Mark, decide, is_number, number_of
 from trackres_ros.recording.samples import Finding
-from trackres_ros.recording.table_columns import Column
-from trackres_ros.recording.table_file import CHUNK_ROWS, Rows, check_dates, time_note
+from trackres_ros.recording.table_columns import TableColumn
+from trackres_ros.recording.table_file import CHUNK_ROWS, TableRows, check_dates, time_note
 
 MAX_ROW_BYTES = 2**24
 """Longest line, and longest row of quoted lines, that is read: one of 200,000 columns is a fifth of it."""
@@ -82,7 +82,7 @@ class CsvTable:
         first = next((row[place].strip() for row in self._whole_rows() if row[place].strip()), "")
         return is_number(first)
 
-    def settle(self, time: Column, columns: Sequence[Column]) -> None:
+    def settle(self, time: TableColumn, columns: Sequence[TableColumn]) -> None:
         """Choose what to read, and see how numbers and times are written, in the whole column where a cell leaves it open."""
         self._read = (time, *columns)
         self._places = [column.place for column in self._read]
@@ -107,7 +107,7 @@ class CsvTable:
         self._fast_mark = next(iter(written), POINT) if alike else None
         self.notes = tuple(self._assumed(time, [name for name, mark in decided.items() if mark == COMMA]))
 
-    def _assumed(self, time: Column, of_comma: Sequence[str]) -> Iterator[str]:
+    def _assumed(self, time: TableColumn, of_comma: Sequence[str]) -> Iterator[str]:
         if self._encoding == "latin-1":
             yield "the file is not UTF-8; read as Latin-1"
         if self._separator != ",":
@@ -131,7 +131,7 @@ class CsvTable:
     def _text(self, file: IO[bytes]) -> io.TextIOWrapper:
         return io.TextIOWrapper(file, self._encoding, errors="replace", newline="")
 
-    def rows(self) -> Iterator[Rows]:
+    def rows(self) -> Iterator[TableRows]:
         """Read the rows: by pyarrow as far as it is there and understands them, the rest as plain text."""
         met = _Met()
         for chunks in (self._fast_chunks, self._plain_chunks):
@@ -141,7 +141,7 @@ class CsvTable:
                     yield rows
         self.findings = tuple(self._look_at_lines(met))
 
-    def _fast_chunks(self, met: _Met) -> Iterator[Rows]:
+    def _fast_chunks(self, met: _Met) -> Iterator[TableRows]:
         """Yield rows until the first block that pyarrow does not take as numbers."""
         try:
             import pyarrow as pa
@@ -178,7 +178,7 @@ class CsvTable:
                     return
                 yield rows
 
-    def _rows_of(self, batch: Any, wanted: Sequence[str]) -> Rows:
+    def _rows_of(self, batch: Any, wanted: Sequence[str]) -> TableRows:
         """Rows of an Arrow batch, time first."""
         import pyarrow as pa
 
@@ -189,9 +189,9 @@ class CsvTable:
             time = columns[0].to_numpy(zero_copy_only=False)
         else:
             time = np.array([0 if text is None else self._dates.ns(text) for text in columns[0].to_pylist()], np.int64)
-        return Rows(time, valid[:, 0], np.stack(numbers, axis=1), valid[:, 1:])
+        return TableRows(time, valid[:, 0], np.stack(numbers, axis=1), valid[:, 1:])
 
-    def _plain_chunks(self, met: _Met) -> Iterator[Rows]:
+    def _plain_chunks(self, met: _Met) -> Iterator[TableRows]:
         """Yield the rows after those that were met, cell by cell; the same numbers, and an error with its line."""
         tap = cast("IO[bytes]", _Tap(self._path, met))
         with tap, self._text(tap) as file:
@@ -205,7 +205,7 @@ class CsvTable:
                     time = [0 if row[0] is None else row[0] for row in chunk]
                     cells = np.array([row[1:] for row in chunk], np.float64)
                     stamps = np.array(time, np.int64) if self._dates else np.array(time, np.float64)
-                    yield Rows(stamps, given[:, 0], cells, given[:, 1:])
+                    yield TableRows(stamps, given[:, 0], cells, given[:, 1:])
             except csv.Error as error:
                 where = f"{self.name}: line {reader.line_num + 1}"
                 raise InputError(where, str(error), "CSV to the end of the file") from error

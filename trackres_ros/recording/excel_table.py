@@ -20,8 +20,8 @@ from trackres_ros.errors import InputError, MissingExtraError, one_line
 from trackres_ros.recording.date_times import MOST_S, NO_ZONE, SECOND_NS, DateTimes, is_date_time
 from trackres_ros.recording.number_marks import COMMA, ColumnMarks, Mark, decide, is_number, number_of
 from trackres_ros.recording.samples import Finding
-from trackres_ros.recording.table_columns import Column
-from trackres_ros.recording.table_file import Rows, check_dates, time_note
+from trackres_ros.recording.table_columns import TableColumn
+from trackres_ros.recording.table_file import TableRows, check_dates, time_note
 
 if TYPE_CHECKING:
     from openpyxl.workbook import Workbook
@@ -81,7 +81,7 @@ class ExcelTable:
         rows: Iterator[Sequence[Any]] = sheet.iter_rows(min_row=self._header_row + 1, max_row=MOST_ROWS, values_only=True)
         return rows
 
-    def settle(self, time: Column, columns: Sequence[Column]) -> None:
+    def settle(self, time: TableColumn, columns: Sequence[TableColumn]) -> None:
         """Read the sheet, and see how numbers and times in text are written."""
         self._columns = (time, *columns)
         self._numbers, cells = self._cells()
@@ -116,11 +116,11 @@ class ExcelTable:
         given = np.array([[value is not None for value in row] for row in numbers], np.bool_).reshape(len(numbers), -1).T
         if dated:
             timed = np.array([value is not None for value in stamps], np.bool_)
-            self._rows = Rows(np.array([value or 0 for value in stamps], np.int64), timed, whole, given)
+            self._rows = TableRows(np.array([value or 0 for value in stamps], np.int64), timed, whole, given)
         else:
-            self._rows = Rows(whole[:, 0], given[:, 0], whole[:, 1:], given[:, 1:])
+            self._rows = TableRows(whole[:, 0], given[:, 0], whole[:, 1:], given[:, 1:])
 
-    def rows(self) -> Iterator[Rows]:
+    def rows(self) -> Iterator[TableRows]:
         """The rows that `settle` has read."""
         if len(self._rows.time):
             yield self._rows

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from trackres_ros.errors import InputError, MissingExtraError
 from trackres_ros.recording.date_times import NO_ZONE
 from trackres_ros.recording.samples import Finding
-from trackres_ros.recording.table_columns import Column
-from trackres_ros.recording.table_file import CHUNK_ROWS, Rows, check_dates, time_note
+from trackres_ros.recording.table_columns import TableColumn
+from trackres_ros.recording.table_file import CHUNK_ROWS, TableRows, check_dates, time_note
 
 BUFFER_BYTES = 2**20
 """Read at once of a column; without it, and with buffering ahead, pyarrow holds a whole row group: that may be the whole file."""
@@ -48,7 +48,7 @@ class ParquetTable:
             kind = file.schema_arrow.field(place).type
         return bool(pa.types.is_floating(kind) or pa.types.is_integer(kind))
 
-    def settle(self, time: Column, columns: Sequence[Column]) -> None:
+    def settle(self, time: TableColumn, columns: Sequence[TableColumn]) -> None:
         """Choose what to read; the types of the columns say how."""
         import pyarrow as pa
 
@@ -64,7 +64,7 @@ class ParquetTable:
         if self._dates:
             self.notes = (time_note(time.name, f"timestamps {'with a time zone' if kinds[0].tz else NO_ZONE}"),)
 
-    def rows(self) -> Iterator[Rows]:
+    def rows(self) -> Iterator[TableRows]:
         """Read the file."""
         import pyarrow as pa
 
@@ -78,7 +78,7 @@ class ParquetTable:
             self.findings = tuple(_look_at_counts(file.metadata, self._read, count, empty))
 
 
-def rows_of(batch: Any, names: Sequence[str], time_type: Any) -> Rows:
+def rows_of(batch: Any, names: Sequence[str], time_type: Any) -> TableRows:
     """Rows of an Arrow batch, time first."""
     import pyarrow as pa
 
@@ -90,7 +90,7 @@ def rows_of(batch: Any, names: Sequence[str], time_type: Any) -> Rows:
         time = first.cast(time_type).to_numpy(zero_copy_only=False)
     cells = [column.cast(pa.float64()).to_numpy(zero_copy_only=False) for column in others]
     given = [column.is_valid().to_numpy(zero_copy_only=False) for column in others]
-    return Rows(time, timed, np.stack(cells, axis=1), np.stack(given, axis=1))
+    return TableRows(time, timed, np.stack(cells, axis=1), np.stack(given, axis=1))
 
 
 def _look_at_counts(metadata: Any, names: Sequence[str], rows: int, empty: NDArray[np.int64]) -> Iterator[Finding]:

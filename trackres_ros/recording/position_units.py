@@ -12,7 +12,7 @@ import numpy as np
 
 from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.recording.roles import POSITION
-from trackres_ros.recording.samples import Block
+from trackres_ros.recording.samples import SampleBlock
 from trackres_ros.units import DEGREE
 
 LARGEST_RAD = {"latitude": 0.5 * math.pi, "longitude": math.pi}
@@ -43,7 +43,7 @@ class PositionUnits:
         self._scale = DEGREE if degrees else 1.0
         self.notes = (f"{', '.join(self._open)}: taken for {'degrees' if degrees else 'radians'}, {why}",)
 
-    def in_radians(self, block: Block, roles: Sequence[str]) -> Block:
+    def in_radians(self, block: SampleBlock, roles: Sequence[str]) -> SampleBlock:
         """A block with its position in radians; nan as long as it has not shown what it is in.
 
         Parameters
@@ -65,4 +65,4 @@ class PositionUnits:
         value = block.value.copy()
         for rows in where.values():
             value[rows] *= self._scale
-        return Block(block.role, block.stamp_ns, block.arrival_ns, value)
+        return SampleBlock(block.role, block.stamp_ns, block.arrival_ns, value)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.recording.quality import findings_of
 from trackres_ros.recording.roles import ROLES, base_role
-from trackres_ros.recording.samples import Block, Finding, FloatArray, IntArray, Series, Source
+from trackres_ros.recording.samples import Finding, FloatArray, IntArray, SampleBlock, Series, Source
 from trackres_ros.recording.wheels import wheel_notes
 from trackres_ros.text.html import listed, panel, table
 from trackres_ros.text.numbers import figures
@@ -115,7 +115,7 @@ class Recording:
         """Roles in the order that `order` counts."""
         return tuple(self.series)
 
-    def blocks(self, max_rows: int = 65536) -> Iterator[Block]:
+    def blocks(self, max_rows: int = 65536) -> Iterator[SampleBlock]:
         """All samples once more, in the order of the log.
 
         Parameters
@@ -125,7 +125,7 @@ class Recording:
 
         Yields
         ------
-        Block
+        SampleBlock
             The next samples.
         """
         order = self._by_arrival() if self.order is None else self.order
@@ -141,7 +141,7 @@ class Recording:
                 stamp_ns[rows] = samples.stamp_ns[at[rows]]
                 arrival_ns[rows] = samples.arrival_ns[at[rows]]
                 value[rows] = samples.value[at[rows]]
-            yield Block(role, stamp_ns, arrival_ns, value)
+            yield SampleBlock(role, stamp_ns, arrival_ns, value)
 
     def _by_arrival(self) -> NDArray[np.int16]:
         """Samples by their time of logging, and speed last among those logged at once."""

@@ -27,7 +27,7 @@ from trackres_ros.recording.guess import guess
 from trackres_ros.recording.message_types import Definitions, check_field, check_size, definitions, message_fields, stamp_path
 from trackres_ros.recording.position_units import PositionUnits
 from trackres_ros.recording.reading import check_file, check_there, reading
-from trackres_ros.recording.samples import Block, Finding, IntArray
+from trackres_ros.recording.samples import Finding, IntArray, SampleBlock
 from trackres_ros.recording.sums import Sums, readings_of
 from trackres_ros.recording.torque_candidates import note_of, of_topics
 from trackres_ros.recording.unfinished import UnfinishedBag, is_unfinished
@@ -200,7 +200,7 @@ class BagSource:
         """What was guessed, which stamps are used, and in which unit a position was taken to be once it was read."""
         return (*self._notes, *self._position.notes)
 
-    def blocks(self, max_rows: int = 65536) -> Iterator[Block]:
+    def blocks(self, max_rows: int = 65536) -> Iterator[SampleBlock]:
         """Read all bags; see `trackres_ros.recording.samples.Source.blocks`.
 
         Raises
@@ -209,7 +209,7 @@ class BagSource:
             A bag that breaks off or is damaged.
         """
         tally, sums = _Tally(), Sums(self._readings, self.bindings)
-        held: list[Block] = []
+        held: list[SampleBlock] = []
         for path in self._paths:
             for block in self._batches(path, max_rows, tally):
                 if sum(map(len, held)) + len(block) > max_rows:
@@ -232,7 +232,7 @@ class BagSource:
         lacks = [topic.reader.lacks.get(topic.roles.index(role), "") for topic in self._topics.values() if role in topic.roles]
         return next(filter(None, lacks), "")
 
-    def _batches(self, path: Path, max_rows: int, tally: _Tally) -> Iterator[Block]:
+    def _batches(self, path: Path, max_rows: int, tally: _Tally) -> Iterator[SampleBlock]:
         """Read one bag in the small batches that are decoded together."""
         with (
             reading(path, READABLE, remedy(path)),
@@ -277,14 +277,14 @@ class BagSource:
 
     def _block(
         self, topics: Sequence[_Topic], which: NDArray[np.intp], arrival_ns: IntArray, raws: Sequence[bytes], tally: _Tally
-    ) -> Block:
+    ) -> SampleBlock:
         """Decode a batch of messages; those of topic `topics[which]`."""
         if tally.first_ns is None:
             tally.first_ns = int(arrival_ns[0])
         rows_each = np.array([len(topic.roles) for topic in topics])[which]
         start = np.cumsum(rows_each) - rows_each
         rows = int(rows_each.sum())
-        block = Block(np.empty(rows, np.int16), np.empty(rows, np.int64), np.empty(rows, np.int64), np.empty(rows))
+        block = SampleBlock(np.empty(rows, np.int16), np.empty(rows, np.int64), np.empty(rows, np.int64), np.empty(rows))
         keep = np.ones(rows, np.bool_)
         for number, topic in enumerate(topics):
             mine = which == number
@@ -305,7 +305,7 @@ class BagSource:
         tally.speeds += int(np.count_nonzero(keep & (block.role == len(self._readings) - 1)))
         if keep.all():
             return block
-        return Block(block.role[keep], block.stamp_ns[keep], block.arrival_ns[keep], block.value[keep])
+        return SampleBlock(block.role[keep], block.stamp_ns[keep], block.arrival_ns[keep], block.value[keep])
 
     def _found(self, tally: _Tally) -> Iterator[Finding]:
         start = tally.first_ns or 0
@@ -444,10 +444,10 @@ def _close(readers: Mapping[Path, Reader1 | Reader2]) -> None:
         reader.close()
 
 
-def _joined(blocks: Sequence[Block]) -> Block:
+def _joined(blocks: Sequence[SampleBlock]) -> SampleBlock:
     if len(blocks) == 1:
         return blocks[0]
-    return Block(
+    return SampleBlock(
         np.concatenate([block.role for block in blocks]),
         np.concatenate([block.stamp_ns for block in blocks]),
         np.concatenate([block.arrival_ns for block in blocks]),

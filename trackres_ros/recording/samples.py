@@ -17,7 +17,7 @@ IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
-class Block:
+class SampleBlock:
     """A run of samples in log order; all arrays have the same length n.
 
     Attributes
@@ -71,7 +71,7 @@ class Source(Protocol):
 
     @property
     def roles(self) -> tuple[str, ...]:
-        """Roles in the order that `Block.role` counts."""
+        """Roles in the order that `SampleBlock.role` counts."""
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -89,13 +89,13 @@ class Source(Protocol):
     def zero_is_unset(self) -> bool:
         """Whether stamp 0 means "never set" (bags); in a table it is the time 0 s."""
 
-    def blocks(self, max_rows: int = 65536) -> Iterator[Block]:
+    def blocks(self, max_rows: int = 65536) -> Iterator[SampleBlock]:
         """Read from the beginning, in log order, at most `max_rows` samples at a time."""
 
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """All samples of one role, in log order; arrays as in `Block`."""
+    """All samples of one role, in log order; arrays as in `SampleBlock`."""
 
     stamp_ns: IntArray
     arrival_ns: IntArray

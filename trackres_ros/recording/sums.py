@@ -13,7 +13,7 @@ import numpy as np
 
 from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.recording.roles import ROLES, base_role
-from trackres_ros.recording.samples import Block, Finding
+from trackres_ros.recording.samples import Finding, SampleBlock
 
 APART_S, SLOW_APART_S = 0.5, 60.0
 """Longest time between two samples of a part that a line is drawn across [s], for what a moving vehicle changes all the time
@@ -74,7 +74,7 @@ class Sums:
                 text = f"{one.alone} messages have no sum, as another part is missing: they give no sample"
                 yield Finding(role, "part", one.alone, float("nan"), text)
 
-    def added(self, block: Block) -> Block:
+    def added(self, block: SampleBlock) -> SampleBlock:
         """A block of readings as one of roles: sums stand in the place of the part that completes them."""
         if not self._sums:
             return block
@@ -92,7 +92,7 @@ class Sums:
         at = np.concatenate([others, np.array(rows, np.intp)])
         order = np.argsort(at, kind="stable")
         at = at[order]
-        return Block(
+        return SampleBlock(
             self._role_of[block.role[at]],
             np.concatenate([block.stamp_ns[others], np.array(stamps, np.int64)])[order],
             block.arrival_ns[at],

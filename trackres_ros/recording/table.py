@@ -20,8 +20,8 @@ from trackres_ros.recording.csv_table import CsvTable
 from trackres_ros.recording.parquet_table import ParquetTable
 from trackres_ros.recording.position_units import PositionUnits
 from trackres_ros.recording.reading import check_file, reading
-from trackres_ros.recording.samples import Block, Finding, FloatArray, IntArray
-from trackres_ros.recording.table_columns import Column, choose_columns, listed_names
+from trackres_ros.recording.samples import Finding, FloatArray, IntArray, SampleBlock
+from trackres_ros.recording.table_columns import TableColumn, choose_columns, listed_names
 from trackres_ros.recording.table_file import TableFile
 from trackres_ros.recording.torque_candidates import note_of, of_columns
 
@@ -90,7 +90,7 @@ class TableSource:
         """How the file was read, which column feeds what, what is ignored, and in which unit a position was taken to be."""
         return (*self._notes, *self._position.notes)
 
-    def blocks(self, max_rows: int = 65536) -> Iterator[Block]:
+    def blocks(self, max_rows: int = 65536) -> Iterator[SampleBlock]:
         """Read the table; see `trackres_ros.recording.samples.Source.blocks`.
 
         Raises
@@ -110,7 +110,7 @@ class TableSource:
         kind = next((kind for suffix, kind in KINDS.items() if self._path.name.lower().endswith(suffix)), "CSV")
         return reading(self._path, f"{kind} that can be read to its end")
 
-    def _blocks(self, max_rows: int) -> Iterator[Block]:
+    def _blocks(self, max_rows: int) -> Iterator[SampleBlock]:
         delay_ns = np.array([self.bindings[role].delay_ns for role in self.roles])
         modes = [place for place, role in enumerate(self.roles) if self.bindings[role].values]
         at_once = max(1, max_rows // len(self.roles))
@@ -128,7 +128,7 @@ class TableSource:
                 stamps, found = stamp_ns[rows], values[rows, column]
                 for place in modes:
                     found[column == place] = self.bindings[self.roles[place]].meant(found[column == place])
-                yield Block(column.astype(np.int16), stamps - delay_ns[column], stamps, found)
+                yield SampleBlock(column.astype(np.int16), stamps - delay_ns[column], stamps, found)
         if not done:
             raise InputError(self._table.name, "no row", "at least one row below the column names")
         self.findings = (*self._table.findings, *self._of_sums())
@@ -181,9 +181,11 @@ def _tables_of(path: Path, name: str) -> Sequence[TableFile]:
     return [ParquetTable(path, name) if suffix == ".parquet" else CsvTable(path, name)]
 
 
-def _first_that_fits(tables: Sequence[TableFile], topics: Topics | None) -> tuple[TableFile, Column, list[Column], list[str]]:
+def _first_that_fits(
+    tables: Sequence[TableFile], topics: Topics | None
+) -> tuple[TableFile, TableColumn, list[TableColumn], list[str]]:
     """The first table that has a time and a speed, its columns, and what to say of the others."""
-    fitting: list[tuple[TableFile, Column, list[Column]]] = []
+    fitting: list[tuple[TableFile, TableColumn, list[TableColumn]]] = []
     errors: list[InputError] = []
     for table in tables:
         try:
@@ -196,7 +198,7 @@ def _first_that_fits(tables: Sequence[TableFile], topics: Topics | None) -> tupl
     return (*fitting[0], [f"also possible: {others}"] if others else [])
 
 
-def _derived(blocks: Iterator[Block], place: int) -> Iterator[Block]:
+def _derived(blocks: Iterator[SampleBlock], place: int) -> Iterator[SampleBlock]:
     """All blocks with the change over time of the role at a place instead of its values: from the sample before each to the one
     after it, nan where their times do not rise. So both of these have to be read before.
     """
@@ -214,7 +216,7 @@ def _derived(blocks: Iterator[Block], place: int) -> Iterator[Block]:
         yield replace(block, value=whole)
 
 
-def _note_of(columns: Sequence[Column]) -> str:
+def _note_of(columns: Sequence[TableColumn]) -> str:
     """Which column feeds a role, or which are added."""
     if len(columns) == 1:
         change = "the change of " if columns[0].binding.derivative else ""

@@ -53,7 +53,7 @@ NAMES_SHOWN = 20
 
 
 @dataclass(frozen=True, slots=True)
-class Column:
+class TableColumn:
     """A column to read: its place among all columns, its name, and the role it feeds, with the conversion in its binding.
 
     `dates_only`: a time whose name does not say the unit of a number.
@@ -66,22 +66,22 @@ class Column:
     dates_only: bool = False
 
 
-def choose_columns(names: Sequence[str], topics: Topics | None, origin: str) -> tuple[Column, list[Column]]:
+def choose_columns(names: Sequence[str], topics: Topics | None, origin: str) -> tuple[TableColumn, list[TableColumn]]:
     """Return the column of the time, and the columns to read: as the topics file says, else those known by name."""
     places: dict[str, int] = {}
     for place, name in enumerate(names):
         places.setdefault(name, place)
 
-    def named(role: str, binding: TopicBinding) -> Column:
+    def named(role: str, binding: TopicBinding) -> TableColumn:
         if binding.column not in places:
             where = f"{topics.origin if topics else origin}: {role}: column"
             raise InputError(where, binding.column, listed_names(names), nearest(binding.column, names))
-        return Column(places[binding.column], binding.column, role, binding)
+        return TableColumn(places[binding.column], binding.column, role, binding)
 
     listed = topics.bindings.items() if topics else ()
     of_file = [named(role, part) for role, binding in listed if not binding.of_topics for part in binding.sources]
     by_file = frozenset(column.role for column in of_file)
-    columns: dict[str, Column] = {}
+    columns: dict[str, TableColumn] = {}
     for name, place in places.items():
         base, slash, part = name.partition("/")
         if base in COLUMNS:
@@ -96,13 +96,13 @@ def choose_columns(names: Sequence[str], topics: Topics | None, origin: str) -> 
                     "name the right one in a topics file",
                 )
             unit: Literal["deg", "rad", ""] = "" if COLUMNS[base][0] not in ANGLES else "rad" if scale == 1.0 else "deg"
-            columns[role] = Column(place, name, role, TopicBinding(column=name, scale=scale, unit=unit))
+            columns[role] = TableColumn(place, name, role, TopicBinding(column=name, scale=scale, unit=unit))
     if topics and topics.time:
         time = named(TIME, topics.time)
     elif TIME_S in places:
-        time = Column(places[TIME_S], TIME_S, TIME, TopicBinding(column=TIME_S))
+        time = TableColumn(places[TIME_S], TIME_S, TIME, TopicBinding(column=TIME_S))
     elif len(dated := [name for name in places if name.lower() in DATE_NAMES]) == 1:
-        time = Column(places[dated[0]], dated[0], TIME, TopicBinding(column=dated[0]), dates_only=True)
+        time = TableColumn(places[dated[0]], dated[0], TIME, TopicBinding(column=dated[0]), dates_only=True)
     else:
         near = nearest(TIME_S, names)
         name_it = "or name it in a topics file: time: {column: NAME, scale: 1.0}"

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError
 from trackres_ros.recording.samples import Finding, FloatArray, IntArray
-from trackres_ros.recording.table_columns import Column
+from trackres_ros.recording.table_columns import TableColumn
 
 CHUNK_ROWS = 8192
 
 
-class Rows(NamedTuple):
+class TableRows(NamedTuple):
     """Some rows of a table.
 
     Attributes
@@ -59,10 +59,10 @@ class TableFile(Protocol):
     def is_number(self, place: int) -> bool:
         """Whether the first filled cell of a column holds a number."""
 
-    def settle(self, time: Column, columns: Sequence[Column]) -> None:
+    def settle(self, time: TableColumn, columns: Sequence[TableColumn]) -> None:
         """Choose what to read, and decide how times and numbers are written; before `rows`."""
 
-    def rows(self) -> Iterator[Rows]:
+    def rows(self) -> Iterator[TableRows]:
         """Read from the beginning, some rows at a time."""
 
 
@@ -71,7 +71,7 @@ def time_note(column: str, text: str) -> str:
     return f"time: column {column}, {text}"
 
 
-def check_dates(time: Column, name: str, are_dates: bool) -> None:
+def check_dates(time: TableColumn, name: str, are_dates: bool) -> None:
     """Refuse numbers of which nobody says the unit, and a scale of dates.
 
     Raises

@@ -161,7 +161,7 @@ class CoastdownResult:
         MissingExtraError
             Matplotlib is not installed.
         """
-        from trackres_ros.output.plots import BLACK, BLUE, VERMILION, picture, shortened
+        from trackres_ros.output.style import BLACK, BLUE, VERMILION, picture, shortened
 
         file = Path(path)
         looks: tuple[tuple[str, str, str], ...] = (

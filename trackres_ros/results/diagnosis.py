@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 from trackres_ros.diagnosis.base.loading import LoadedBase
 from trackres_ros.diagnosis.base.own import OwnBase, OwnModel
-from trackres_ros.diagnosis.findings.found import Found, Told
+from trackres_ros.diagnosis.findings.found import NamedEffect, Told
 from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.report.content import report
 from trackres_ros.errors import MissingExtraError
@@ -82,7 +82,7 @@ class DiagnosisResult:
         return self.diagnosis.verdict.grade
 
     @property
-    def effects(self) -> tuple[Found, ...]:
+    def effects(self) -> tuple[NamedEffect, ...]:
         """The effects that were found, each with `name`, `values`, `intervals` and `graded`."""
         return self.diagnosis.found
 

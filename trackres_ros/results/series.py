@@ -156,7 +156,8 @@ class SeriesResult(Mapping[str, Array]):
         MissingExtraError
             Without matplotlib.
         """
-        from trackres_ros.output.plots import estimate_figure, write_figure
+        from trackres_ros.output.plots import estimate_figure
+        from trackres_ros.output.style import write_figure
 
         drawn = self._drawn()
         columns = {name: drawn[name] for name in drawn if name not in ("time_s", "stamp_ns")}

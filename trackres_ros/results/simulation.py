@@ -20,7 +20,7 @@ from trackres_ros.model.coverage import beyond_data
 from trackres_ros.model.resistance import resistance_parts
 from trackres_ros.model.vehicle_constants import vehicle_constants
 from trackres_ros.offline.energy import taken
-from trackres_ros.offline.simulate import Drive, assembly_values, series_of
+from trackres_ros.offline.simulate import SimulatedDrive, assembly_values, series_of
 from trackres_ros.output.bag import OutputBag
 from trackres_ros.output.table import write_table
 from trackres_ros.results.series import Array, SeriesResult
@@ -48,7 +48,9 @@ class SimulationResult(SeriesResult):
         Columns of the profile that were not read.
     """
 
-    def __init__(self, estimator: Estimator, drive: Drive, rows: Array, with_grade: bool, notes: tuple[str, ...]) -> None:
+    def __init__(
+        self, estimator: Estimator, drive: SimulatedDrive, rows: Array, with_grade: bool, notes: tuple[str, ...]
+    ) -> None:
         self.estimator, self.notes = estimator, notes
         self.title = f"Simulated: {estimator.vehicle.title}"
         self._rows, self._drive = rows, drive

@@ -23,7 +23,7 @@ from trackres_ros.route.lookup import (
     lookup_of,
     seen_from,
 )
-from trackres_ros.route.track import STEP_M, Track
+from trackres_ros.route.track import STEP_M, DrivenTrack
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -115,7 +115,7 @@ class Matched:
         return Matched(middle.place, middle.share, middle.sign, number, this_way)
 
 
-def places_of(tracks: Sequence[Track]) -> Places:
+def places_of(tracks: Sequence[DrivenTrack]) -> Places:
     """Places of all streets that were driven, in the order in which they were first."""
     places = Places()
     for track in tracks:
@@ -125,7 +125,7 @@ def places_of(tracks: Sequence[Track]) -> Places:
     return places
 
 
-def matched(places: Places, tracks: Sequence[Track]) -> list[Matched]:
+def matched(places: Places, tracks: Sequence[DrivenTrack]) -> list[Matched]:
     """Where tracks are between places, and how often each was passed until then."""
     passes, last = np.full((len(places), 3), -1), np.full((len(places), 3), -np.inf)  # one way, the other, and either
     lookup = places.lookup
@@ -165,7 +165,7 @@ def neighbours(tracks: Sequence[Matched]) -> dict[tuple[int, int], float]:
     return found
 
 
-def _known(track: Track) -> list[tuple[int, float, float, float, float]]:
+def _known(track: DrivenTrack) -> list[tuple[int, float, float, float, float]]:
     at = np.flatnonzero(track.known)
     rows = zip(*(x[at].tolist() for x in (track.x, track.y, track.east, track.north)), strict=True)
     return [(i, *row) for i, row in zip(at.tolist(), rows, strict=True)]

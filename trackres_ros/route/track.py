@@ -61,7 +61,7 @@ class Frame:
 
 
 @dataclass(frozen=True, eq=False)
-class Track:
+class DrivenTrack:
     """Points every `STEP_M` of a drive; arrays of shape (n,).
 
     Attributes
@@ -88,7 +88,7 @@ class Track:
         return np.clip(np.round(distance / STEP_M).astype(np.int64), 0, len(self) - 1)
 
 
-def track_of(distance: Array, x: Array, y: Array) -> Track:
+def track_of(distance: Array, x: Array, y: Array) -> DrivenTrack:
     """The track of a drive.
 
     Parameters
@@ -107,7 +107,7 @@ def track_of(distance: Array, x: Array, y: Array) -> Track:
     there = np.isfinite(x) & np.isfinite(y)
     if there.sum() < 2:
         nothing = np.full(len(at), np.nan)
-        return Track(nothing, nothing, nothing, nothing, np.zeros(len(at), dtype=bool))
+        return DrivenTrack(nothing, nothing, nothing, nothing, np.zeros(len(at), dtype=bool))
     driven, of = np.unique(np.round(distance[there], 1), return_inverse=True)
     count = np.bincount(of.ravel())
     fixes = [np.bincount(of.ravel(), weights=p[there]) / count for p in (x, y)]
@@ -126,4 +126,4 @@ def track_of(distance: Array, x: Array, y: Array) -> Track:
     way = np.hypot(east, north)
     known &= (way > STRAIGHT[0]) & (way < STRAIGHT[1])
     way = np.where(known, way, 1.0)
-    return Track(mean_x, mean_y, east / way, north / way, known)
+    return DrivenTrack(mean_x, mean_y, east / way, north / way, known)

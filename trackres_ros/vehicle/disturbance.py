@@ -11,12 +11,12 @@ from typing import Any
 from trackres_ros.errors import InputError
 from trackres_ros.vehicle import schema
 from trackres_ros.vehicle.description import Disturbance, Drift, Spells
-from trackres_ros.vehicle.reading import Reader
+from trackres_ros.vehicle.reading import ValueReader
 
 KINDS: Mapping[str, type[Spells | Drift]] = {kind.form: kind for kind in (Spells, Drift)}
 
 
-def read_disturbance(reader: Reader, given: Any) -> Disturbance:
+def read_disturbance(reader: ValueReader, given: Any) -> Disturbance:
     """Check the section `disturbance` of a vehicle file.
 
     It has a reader of its own: what is only watched for is no quantity that the estimate, its uncertainty or a kept state
@@ -27,7 +27,7 @@ def read_disturbance(reader: Reader, given: Any) -> Disturbance:
     InputError
         If a value is not as `schema` says, or if spells have two levels that are one.
     """
-    own = Reader(reader.path)
+    own = ValueReader(reader.path)
     if not isinstance(given, dict) or "form" not in given:
         raise InputError(own.where("disturbance"), given, f"a mapping with a form, one of {', '.join(KINDS)}")
     form = own.text(given["form"], "disturbance.form", tuple(KINDS))

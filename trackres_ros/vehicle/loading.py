@@ -40,7 +40,7 @@ from trackres_ros.vehicle.description import (
     WrappedWheel,
 )
 from trackres_ros.vehicle.disturbance import read_disturbance
-from trackres_ros.vehicle.reading import Reader
+from trackres_ros.vehicle.reading import ValueReader
 
 TOP_KEYS = ("schema", "name", "title", "model", "rubber", "chassis", "assemblies", "tracks")
 EFFECT_KEYS = ("effects", "effect_files")
@@ -85,7 +85,7 @@ def variants(vehicle: Vehicle) -> Callable[[Mapping[str, float]], Vehicle]:
 
 def build(path: Path, content: Mapping[str, Any], overrides: Mapping[str, float] | None = None) -> Vehicle:
     """Check the content of a vehicle file and assemble its description; see `load`."""
-    reader = Reader(path, overrides)
+    reader = ValueReader(path, overrides)
     if isinstance(content.get("road_load"), dict):
         raise InputError(str(path), "a vehicle of the base model road_load, which has no belts", "a track vehicle")
     reader.keys(content, "", TOP_KEYS, (*EFFECT_KEYS, DISTURBANCE))
@@ -118,7 +118,7 @@ def build(path: Path, content: Mapping[str, Any], overrides: Mapping[str, float]
 
 
 def listed_effects(
-    reader: Reader, content: Mapping[str, Any], size: float, on_tyres: bool, belongs_to: str
+    reader: ValueReader, content: Mapping[str, Any], size: float, on_tyres: bool, belongs_to: str
 ) -> tuple[Active, ...]:
     """The effects that a file switches on, those of its `effect_files` among them; see `catalogue` and `check_effects`.
 
@@ -137,7 +137,7 @@ def listed_effects(
     return check_effects(content.get("effects", {}), reader.where("effects"), known, belongs_to, size)
 
 
-def _rubber(reader: Reader, given: Any) -> tuple[Rubber, Path]:
+def _rubber(reader: ValueReader, given: Any) -> tuple[Rubber, Path]:
     values = reader.table(given, "rubber", schema.RUBBER, others=("file",))
     path = _rubber_file(reader.path, Path(reader.text(given["file"], "rubber.file")))
     if not path.is_file():
@@ -217,13 +217,13 @@ def _check_sweep(path: Path, table: np.ndarray, names: Sequence[str]) -> None:
     _within(path, f"storage modulus at {degc[-1]:g} degC", storage[-1:], schema.WARM_STORAGE, moduli)
 
 
-def _within(path: Path, what: str, values: np.ndarray, limits: schema.Limits, remedy: str) -> None:
+def _within(path: Path, what: str, values: np.ndarray, limits: schema.QuantityLimits, remedy: str) -> None:
     if values.min() < limits.low or values.max() > limits.high:
         given = f"{figures(values.min(), 4)} to {figures(values.max(), 4)} {limits.unit}"
         raise InputError(f"{path}: {what}", given, f"{limits.low:g} to {limits.high:g} {limits.unit}", remedy)
 
 
-def _chassis(reader: Reader, given: Any) -> tuple[Chassis, tuple[Axle, ...]]:
+def _chassis(reader: ValueReader, given: Any) -> tuple[Chassis, tuple[Axle, ...]]:
     values: dict[str, Any] = reader.table(given, "chassis", schema.CHASSIS, others=("axles",))
     values.setdefault("max_acceleration", GRAVITY)  # friction on the ground gives no more
     values.setdefault("motor_ratio", None)
@@ -239,7 +239,7 @@ def _chassis(reader: Reader, given: Any) -> tuple[Chassis, tuple[Axle, ...]]:
     return Chassis(**values), tuple(axles)
 
 
-def _assemblies(reader: Reader, given: Any, axles: tuple[Axle, ...], tracks: Mapping[str, Track]) -> tuple[Assembly, ...]:
+def _assemblies(reader: ValueReader, given: Any, axles: tuple[Axle, ...], tracks: Mapping[str, Track]) -> tuple[Assembly, ...]:
     assemblies = []
     names = tuple(axle.name for axle in axles)
     for i, entry in enumerate(reader.items(given, "assemblies")):
@@ -259,13 +259,13 @@ def _assemblies(reader: Reader, given: Any, axles: tuple[Axle, ...], tracks: Map
     return tuple(assemblies)
 
 
-def _refuse_repeats(reader: Reader, key: str, names: list[str]) -> None:
+def _refuse_repeats(reader: ValueReader, key: str, names: list[str]) -> None:
     repeated = sorted({name for name in names if names.count(name) > 1})
     if repeated:
         raise InputError(reader.where(key), ", ".join(repeated), "names of axles and assemblies that occur once")
 
 
-def _track(reader: Reader, name: str, given: Any) -> Track:
+def _track(reader: ValueReader, name: str, given: Any) -> Track:
     key = f"tracks.{name}"
     values = reader.table(given, key, schema.TRACK, others=("belt", "road_wheels", "wrapped_wheels", "beams"))
     choices = tuple(schema.BELT_CHOICES)
@@ -291,7 +291,7 @@ def _track(reader: Reader, name: str, given: Any) -> Track:
     return track
 
 
-def _wrapped_wheels(reader: Reader, key: str, given: Any, sprocket_radius: float) -> tuple[WrappedWheel, ...]:
+def _wrapped_wheels(reader: ValueReader, key: str, given: Any, sprocket_radius: float) -> tuple[WrappedWheel, ...]:
     wheels = []
     for i, entry in enumerate(reader.items(given, f"{key}.wrapped_wheels")):
         place = f"{key}.wrapped_wheels[{i}]"
@@ -310,7 +310,7 @@ def _wrapped_wheels(reader: Reader, key: str, given: Any, sprocket_radius: float
     return tuple(wheels)
 
 
-def _beam(reader: Reader, key: str, given: Any, top: bool = False) -> Beam | int:
+def _beam(reader: ValueReader, key: str, given: Any, top: bool = False) -> Beam | int:
     if isinstance(given, int) and not isinstance(given, bool):
         return given - 1
     names = ("split", "front", "rear")
@@ -327,7 +327,7 @@ def _wheels_side_by_side(positions: np.ndarray, radius: float) -> int:
     return max(int(np.count_nonzero((positions >= at) & (positions < at + 2 * radius * (1 - 1e-9)))) for at in positions)
 
 
-def _check_geometry(reader: Reader, key: str, track: Track) -> None:
+def _check_geometry(reader: ValueReader, key: str, track: Track) -> None:
     """Refuse a track whose parts do not fit each other."""
     belt, wheels = track.belt, track.road_wheels
     positions = np.array(wheels.positions)

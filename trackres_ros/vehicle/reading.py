@@ -19,7 +19,7 @@ FITTED = "F"
 FLAGS = ("P", "L", "A", FITTED)
 
 
-class Reader:
+class ValueReader:
     """Takes values out of one nested mapping, remembering each quantity by its path, refusing what is not right."""
 
     def __init__(self, path: Path, overrides: Mapping[str, float] | None = None) -> None:
@@ -58,7 +58,7 @@ class Reader:
         return value
 
     def table(
-        self, mapping: Any, key: str, limits: Mapping[str, schema.Limits], others: tuple[str, ...] = ()
+        self, mapping: Any, key: str, limits: Mapping[str, schema.QuantityLimits], others: tuple[str, ...] = ()
     ) -> dict[str, float]:
         """All quantities of a section, by name; optional ones may be absent."""
         required = tuple(name for name, limit in limits.items() if not limit.optional)
@@ -66,19 +66,19 @@ class Reader:
         self.keys(mapping, key, (*required, *others), optional)
         return {name: self.quantity(mapping[name], f"{key}.{name}", limit) for name, limit in limits.items() if name in mapping}
 
-    def quantity(self, given: Any, key: str, limits: schema.Limits) -> float:
+    def quantity(self, given: Any, key: str, limits: schema.QuantityLimits) -> float:
         """One checked scalar quantity."""
         value = self._quantity(given, key, limits).value
         if isinstance(value, tuple):
             raise InputError(self.where(f"{key}.value"), list(value), "one number")
         return value
 
-    def quantities(self, given: Any, key: str, limits: schema.Limits) -> tuple[float, ...]:
+    def quantities(self, given: Any, key: str, limits: schema.QuantityLimits) -> tuple[float, ...]:
         """A checked list of quantities that share unit, range and reason."""
         value = self._quantity(given, key, limits).value
         return value if isinstance(value, tuple) else (value,)
 
-    def _quantity(self, given: Any, key: str, limits: schema.Limits) -> Quantity:
+    def _quantity(self, given: Any, key: str, limits: schema.QuantityLimits) -> Quantity:
         entry = self.keys(given, key, QUANTITY_KEYS)
         if entry["unit"] != limits.unit:
             raise InputError(self.where(f"{key}.unit"), entry["unit"], f"{limits.unit}", "convert the value to this unit")

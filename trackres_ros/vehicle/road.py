@@ -26,7 +26,7 @@ from trackres_ros.units import GRAVITY, STANDSTILL_MPS
 from trackres_ros.vehicle.description import Assembly, Axle, Chassis, Disturbance, Quantity, Vehicle
 from trackres_ros.vehicle.disturbance import read_disturbance
 from trackres_ros.vehicle.loading import DISTURBANCE, EFFECT_KEYS, build, listed_effects
-from trackres_ros.vehicle.reading import Reader
+from trackres_ros.vehicle.reading import ValueReader
 from trackres_ros.vehicle.schema import ROAD_LOAD
 
 SECTION = "road_load"
@@ -167,7 +167,7 @@ def build_road(path: Path, content: Mapping[str, Any]) -> RoadVehicle:
     InputError
         On a missing, unknown or implausible value.
     """
-    reader = Reader(path, None)
+    reader = ValueReader(path, None)
     reader.keys(content, "", ("schema", "name", "title", "friction_brakes", SECTION), (*EFFECT_KEYS, DISTURBANCE))
     values = reader.table(content[SECTION], SECTION, ROAD_LOAD)
     brakes = content["friction_brakes"]

@@ -21,7 +21,7 @@ from trackres_ros.route.learned import TORQUE, RouteMap, of_kind
 from trackres_ros.route.table import read_route
 from trackres_ros.text.numbers import figures
 from trackres_ros.vehicle.loading import listed_effects
-from trackres_ros.vehicle.reading import Reader
+from trackres_ros.vehicle.reading import ValueReader
 from trackres_ros.vehicle.road import AnyVehicle, RoadVehicle
 
 Kind = TypeVar("Kind", bound=AnyVehicle)
@@ -53,7 +53,7 @@ def load_surroundings(path: Path, vehicle: str, size: float, on_tyres: bool) -> 
     InputError
         If the file cannot be read, was made for another vehicle, or lists what is not of the surroundings.
     """
-    reader, content = Reader(path), read_yaml(path)
+    reader, content = ValueReader(path), read_yaml(path)
     reader.keys(content, "", KEYS, ("effect_files", "route"))
     if content["schema"] != SCHEMA:
         raise InputError(reader.where("schema"), content["schema"], str(SCHEMA))
@@ -75,7 +75,7 @@ def load_route(path: Path, size: float) -> tuple[RouteMap, ...]:
     name = read_yaml(path).get("route")
     if name is None:
         return ()
-    file = path.parent / Reader(path).text(name, "route")
+    file = path.parent / ValueReader(path).text(name, "route")
     route, most = read_route(file), MOST_SHARE * size
     torques = of_kind(route, TORQUE)
     largest = 0.0 if torques is None else float(np.nanmax(np.abs(torques.value)))

@@ -15,12 +15,12 @@ from typing import Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.base.watched import SlopeByPlace, TorqueByPlace, Watched
-from trackres_ros.diagnosis.prepare.session import Session
-from trackres_ros.diagnosis.writing.kept import Kept
+from trackres_ros.diagnosis.base.patterns import ResidualPattern, SlopeByPlace, TorqueByPlace
+from trackres_ros.diagnosis.prepare.session import DriveSession
 from trackres_ros.effects.effect import Active, Conditions, Terms, VehicleConstants, conditions, together
 from trackres_ros.effects.stepping import LIMITS, MOST_TORQUE, EffectTable, effect_table
 from trackres_ros.errors import InputError
+from trackres_ros.vehicle.writing.changes import FileChanges
 
 Array = NDArray[np.float64]
 Values = Mapping[str, float]
@@ -93,7 +93,7 @@ class Model(Protocol):
     def facts(self) -> VehicleConstants:
         """What effects may know: weight times radius is the size that their bounds and typical values grow with."""
 
-    def predict(self, sessions: Sequence[Session], values: Values, effects: Sequence[Active]) -> list[Predicted]:
+    def predict(self, sessions: Sequence[DriveSession], values: Values, effects: Sequence[Active]) -> list[Predicted]:
         """Simulate sessions one after the other.
 
         Parameters
@@ -148,7 +148,7 @@ class Base(Model, Protocol):
     def as_written(self, values: Values) -> Base:
         """The base of the file that `write` makes of these values, in the same surroundings: what runs is what is read again."""
 
-    def write(self, path: Path, kept: Kept, text: str) -> list[Path]:
+    def write(self, path: Path, kept: FileChanges, text: str) -> list[Path]:
         """Write a vehicle file with what was kept, surroundings beside it; returns the files that are for use."""
 
 
@@ -190,7 +190,7 @@ class Remembered(threading.local):
         self._rows: list[Array] = []
 
     def rows(
-        self, sessions: Sequence[Session], values: Values, acting: Acting, simulate: Callable[[], list[Array]]
+        self, sessions: Sequence[DriveSession], values: Values, acting: Acting, simulate: Callable[[], list[Array]]
     ) -> list[Array]:
         """What `simulate` gives, or gave when it was last asked with the same."""
         stepped = tuple((active.effect, *active.numbers) for active in (*acting.stepped, *acting.slopes, *acting.torques))
@@ -217,7 +217,7 @@ class Acting:
     @classmethod
     def of(cls, effects: Sequence[Active], facts: VehicleConstants) -> Acting:
         """Sort effects; what a sensor makes of it hangs on nothing but its parameters."""
-        series = tuple(active for active in effects if isinstance(active.effect, Watched))
+        series = tuple(active for active in effects if isinstance(active.effect, ResidualPattern))
         slopes = tuple(active for active in series if isinstance(active.effect, SlopeByPlace))
         torques = tuple(active for active in series if isinstance(active.effect, TorqueByPlace))
         watched = tuple(active for active in series if active not in slopes and active not in torques)
@@ -225,21 +225,21 @@ class Acting:
         sensors = [active.terms(conditions(facts)) for active in effects if active.effect.acts_on == "sensor"]
         return cls(stepped, effect_table(stepped, with_uncertainty=False), watched, slopes, torques, together(sensors))
 
-    def speed(self, session: Session) -> Array:
+    def speed(self, session: DriveSession) -> Array:
         """True speed [m/s]."""
         return np.ascontiguousarray(session.speed * self.sensors.speed_factor)
 
-    def accel(self, session: Session) -> Array:
+    def accel(self, session: DriveSession) -> Array:
         """True acceleration [m/s^2]; one that was not measured by itself comes from the speed, and is off by the same factor."""
         factor = 1.0 if "accel" in session.given else self.sensors.speed_factor
         return np.ascontiguousarray(session.accel * factor)
 
-    def grade(self, session: Session, number: int) -> Array:
+    def grade(self, session: DriveSession, number: int) -> Array:
         """Slope of the session of a number, as recorded and as learned by place; level where nothing is known."""
         grade = session.grade if "grade" in session.given else np.zeros(len(session))
         return np.ascontiguousarray(_with_series(grade, self.slopes, number))
 
-    def torque_by_place(self, session: Session, number: int) -> Array:
+    def torque_by_place(self, session: DriveSession, number: int) -> Array:
         """Torque against travel by the place of the session of a number, as given and as learned [Nm]."""
         return np.ascontiguousarray(_with_series(session.torque_by_place, self.torques, number))
 
@@ -247,7 +247,7 @@ class Acting:
         """A torque of the session of a number with what follows a series of its own [Nm]."""
         return _with_series(torque, self.watched, session)
 
-    def sensed(self, torque: Array, session: Session) -> Array:
+    def sensed(self, torque: Array, session: DriveSession) -> Array:
         """What the torque sensor shows of a torque [Nm]."""
         terms = self.sensors
         shown = terms.sensor_gain * torque + terms.sensor_offset
@@ -259,7 +259,7 @@ class Acting:
         later = session.torque_course.later_means(session.time, session.step, terms.sensor_delay)
         return np.asarray(shown - (later - session.torque))
 
-    def check(self, left_out: Array, session: Session, facts: VehicleConstants) -> None:
+    def check(self, left_out: Array, session: DriveSession, facts: VehicleConstants) -> None:
         """Refuse what a user's effect says where it was left out of a step though all that it needs is known.
 
         Raises
@@ -283,7 +283,7 @@ class Acting:
 def _with_series(values: Array, effects: Sequence[Active], session: int) -> Array:
     """Values with what effects add to them that have a series for the session of a number."""
     for active in effects:
-        assert isinstance(active.effect, Watched)
+        assert isinstance(active.effect, ResidualPattern)
         values = values + active.numbers[0] * active.effect.shape[session]
     return values
 

@@ -14,11 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.base import Acting, BaseParameter, Defaults, Predicted, Remembered, Values
-from trackres_ros.diagnosis.prepare.session import Session, with_unseen
+from trackres_ros.diagnosis.prepare.session import DriveSession, with_unseen
 from trackres_ros.diagnosis.prepare.settings import GateSettings
-from trackres_ros.diagnosis.writing.kept import Kept
-from trackres_ros.diagnosis.writing.vehicle_file import finish
-from trackres_ros.diagnosis.writing.yaml_edit import Document, flow
 from trackres_ros.effects.effect import Active, VehicleConstants
 from trackres_ros.effects.stepping import (
     DISTANCE,
@@ -39,10 +36,13 @@ from trackres_ros.jit.compiled import inlined
 from trackres_ros.jit.entries import entry
 from trackres_ros.units import STANDSTILL_MPS
 from trackres_ros.vehicle.road import SLOW_SHARE
+from trackres_ros.vehicle.writing.changes import FileChanges
+from trackres_ros.vehicle.writing.vehicle_file import finish
+from trackres_ros.vehicle.writing.yaml_edit import Document, flow
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-Torque = Callable[[Session, Values], Array]
+Torque = Callable[[DriveSession, Values], Array]
 
 SIZE = 0.15  # greatest torque over weight times radius: of a vehicle that it speeds up by 1.5 m/s^2
 AMBIENT_DEGC = 20.0
@@ -104,7 +104,7 @@ class OwnBase(Defaults):
         )  # fmt: skip
         self.parameters = tuple(_parameter(name, *of) for name, of in model.parameters.items() if of[1] < of[2])
 
-    def predict(self, sessions: Sequence[Session], values: Values, effects: Sequence[Active]) -> list[Predicted]:
+    def predict(self, sessions: Sequence[DriveSession], values: Values, effects: Sequence[Active]) -> list[Predicted]:
         """See `base.Base`."""
         values = {name: of[0] for name, of in self.model.parameters.items()} | {**self.held, **values}
         acting = Acting.of([*self.model.effects, *effects], self.facts)
@@ -115,7 +115,7 @@ class OwnBase(Defaults):
             found.append(Predicted(acting.sensed(torque, session), torque, nothing, nothing))
         return found
 
-    def _simulate(self, sessions: Sequence[Session], values: Values, acting: Acting) -> list[Array]:
+    def _simulate(self, sessions: Sequence[DriveSession], values: Values, acting: Acting) -> list[Array]:
         """Step through sessions; the torque of each."""
         work, memory = new_work(self.facts), new_memory(len(acting.stepped))
         found = []
@@ -137,7 +137,7 @@ class OwnBase(Defaults):
                 found.append(torque)
         return found
 
-    def _own(self, session: Session, values: Values) -> Array:
+    def _own(self, session: DriveSession, values: Values) -> Array:
         """What the function says.
 
         Raises
@@ -154,14 +154,14 @@ class OwnBase(Defaults):
             raise InputError(f"{self.name}: torque", given, f"a finite number for each step, shape {session.speed.shape}")
         return own
 
-    def with_kept(self, kept: Kept) -> OwnModel:
+    def with_kept(self, kept: FileChanges) -> OwnModel:
         """The model with values and effects that are to be used."""
         values = kept.values or {}
         parameters = {name: (values.get(name, of[0]), *of[1:]) for name, of in self.model.parameters.items()}
         parameters = {n: (v, min(low, v), max(high, v), unit) for n, (v, low, high, unit) in parameters.items()}
         return replace(self.model, parameters=parameters, effects=(*self.model.effects, *kept.of("vehicle")))
 
-    def write(self, path: Path, kept: Kept, text: str) -> list[Path]:
+    def write(self, path: Path, kept: FileChanges, text: str) -> list[Path]:
         """See `base.Base`: the values of the parameters, and effects."""
         lines = [f"name: {flow(self.name)}", "parameters:"]
         for name, (value, low, high, unit) in self.with_kept(kept).parameters.items():

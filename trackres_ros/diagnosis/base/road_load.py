@@ -16,9 +16,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.base import Acting, BaseParameter, Defaults, Predicted, Remembered, Values
 from trackres_ros.diagnosis.base.simulated import simulated
-from trackres_ros.diagnosis.prepare.session import Session
-from trackres_ros.diagnosis.writing.kept import Kept
-from trackres_ros.diagnosis.writing.vehicle_file import finish, opened, set_quantity
+from trackres_ros.diagnosis.prepare.session import DriveSession
 from trackres_ros.effects.effect import Active
 from trackres_ros.effects.sensor.delay import Delay
 from trackres_ros.effects.sensor.torque_gain import TorqueGain
@@ -32,6 +30,8 @@ from trackres_ros.units import GRAVITY
 from trackres_ros.vehicle import RoadVehicle
 from trackres_ros.vehicle.road import OF_SLIDES, SECTION, build_road, built_in
 from trackres_ros.vehicle.schema import ROAD_LOAD
+from trackres_ros.vehicle.writing.changes import FileChanges
+from trackres_ros.vehicle.writing.vehicle_file import finish, opened, set_quantity
 
 Array = NDArray[np.float64]
 
@@ -93,7 +93,7 @@ class RoadBase(Defaults):
         """See `base.Base`."""
         return RoadBase(replace(self.vehicle, surroundings=(), route=())) if self.vehicle.surroundings else self
 
-    def predict(self, sessions: Sequence[Session], values: Values, effects: Sequence[Active]) -> list[Predicted]:
+    def predict(self, sessions: Sequence[DriveSession], values: Values, effects: Sequence[Active]) -> list[Predicted]:
         """See `base.Base`."""
         values = {**self.vehicle.values, **self.held, **values}
         chain = [Active(effect, {q: arm * values[name]}) for effect, q, name, arm in built_in(values)]
@@ -108,7 +108,7 @@ class RoadBase(Defaults):
             found.append(Predicted(values["torque_scale"] * acting.sensed(torque, session), torque, nothing, nothing))
         return found
 
-    def _simulate(self, sessions: Sequence[Session], values: Values, acting: Acting) -> list[Array]:
+    def _simulate(self, sessions: Sequence[DriveSession], values: Values, acting: Acting) -> list[Array]:
         """Step through sessions; the torque of each [Nm]."""
         number = self._constants.number._replace(
             bearing_friction=values["rolling_coefficient"],
@@ -118,7 +118,7 @@ class RoadBase(Defaults):
         )
         k, empty = self._constants._replace(number=number), values["mass"] * GRAVITY
 
-        def weight(session: Session) -> Array:
+        def weight(session: DriveSession) -> Array:
             return session.weight if "load" in session.given else empty + session.payload
 
         found = simulated(k, np.ones(1), 0, self.facts, sessions, weight, acting)
@@ -129,11 +129,11 @@ class RoadBase(Defaults):
         now = self.vehicle
         with TemporaryDirectory() as folder:
             path = Path(folder) / "vehicle.yaml"
-            self.write(path, Kept(values, (), {}), "")
+            self.write(path, FileChanges(values, (), {}), "")
             written = build_road(path, read_yaml(path))
         return RoadBase(replace(written, effects=now.effects, surroundings=now.surroundings, route=now.route))
 
-    def write(self, path: Path, kept: Kept, text: str) -> list[Path]:
+    def write(self, path: Path, kept: FileChanges, text: str) -> list[Path]:
         """See `base.Base`."""
         vehicle, document = self.vehicle, opened(self.vehicle.source)
         if kept.values is not None:

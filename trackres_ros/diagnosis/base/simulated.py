@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.base import Acting
-from trackres_ros.diagnosis.prepare.session import Session, with_unseen
+from trackres_ros.diagnosis.prepare.session import DriveSession, with_unseen
 from trackres_ros.effects.effect import VehicleConstants
 from trackres_ros.effects.stepping import DISTANCE, UNUSABLE, new_memory
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.constants import Constants, kernel_arguments, work_space
 from trackres_ros.estimator.entry_points import COMPILED
 from trackres_ros.estimator.kernel import PREDICTED, PREDICTED_OUTCOME
-from trackres_ros.estimator.records import Carried, Series
+from trackres_ros.estimator.records import Carried, DriveSeries
 
 Array = NDArray[np.float64]
 
@@ -28,8 +28,8 @@ def simulated(
     count: Array,
     belts: int,
     facts: VehicleConstants,
-    sessions: Sequence[Session],
-    weight: Callable[[Session], Array],
+    sessions: Sequence[DriveSession],
+    weight: Callable[[DriveSession], Array],
     acting: Acting,
 ) -> list[Array]:
     """Rows as of `kernel.predict`, shape (n, `PREDICTED`), of each session.
@@ -60,7 +60,7 @@ def simulated(
         else:
             COMPILED.rest_vehicle(*arguments, *state, ambient, 0.0, session.gap)
         rows, unknown = np.empty((len(session), PREDICTED)), np.full(len(session), np.nan)
-        series = Series(
+        series = DriveSeries(
             session.time,
             acting.speed(session),
             weight(session),

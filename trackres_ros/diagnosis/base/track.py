@@ -17,9 +17,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.base import Acting, BaseParameter, Defaults, Predicted, Remembered, Values
 from trackres_ros.diagnosis.base.simulated import simulated
-from trackres_ros.diagnosis.prepare.session import Session
-from trackres_ros.diagnosis.writing.kept import Kept
-from trackres_ros.diagnosis.writing.vehicle_file import rubber_share, write_track_vehicle
+from trackres_ros.diagnosis.prepare.session import DriveSession
 from trackres_ros.effects.effect import Active
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.constants import (
@@ -36,6 +34,8 @@ from trackres_ros.model.vehicle_constants import vehicle_constants
 from trackres_ros.vehicle import Vehicle, load
 from trackres_ros.vehicle.reading import FITTED
 from trackres_ros.vehicle.schema import BELT, CHASSIS, RUBBER
+from trackres_ros.vehicle.writing.changes import FileChanges
+from trackres_ros.vehicle.writing.vehicle_file import rubber_share, write_track_vehicle
 
 Array = NDArray[np.float64]
 
@@ -121,7 +121,7 @@ class TrackBase(Defaults):
         """See `base.Base`."""
         return TrackBase(replace(self.vehicle, surroundings=(), route=())) if self.vehicle.surroundings else self
 
-    def predict(self, sessions: Sequence[Session], values: Values, effects: Sequence[Active]) -> list[Predicted]:
+    def predict(self, sessions: Sequence[DriveSession], values: Values, effects: Sequence[Active]) -> list[Predicted]:
         """See `base.Base`."""
         values = {**self.held, **values}
         acting = Acting.of([*self.vehicle.active, *effects], self.facts)
@@ -133,7 +133,7 @@ class TrackBase(Defaults):
             found.append(Predicted(acting.sensed(drive, session), drive, belt, skin))
         return found
 
-    def _simulate(self, sessions: Sequence[Session], values: Values, acting: Acting) -> list[Array]:
+    def _simulate(self, sessions: Sequence[DriveSession], values: Values, acting: Acting) -> list[Array]:
         """Step through sessions; rows as of `kernel.predict`, shape (n, `PREDICTED`), of each."""
         k, belts = self._with(values, acting), len(self._firsts)
         return simulated(k, self._count, belts, self.facts, sessions, lambda session: session.weight, acting)
@@ -150,7 +150,7 @@ class TrackBase(Defaults):
         now = self.vehicle
         with TemporaryDirectory() as folder:
             path = Path(folder) / "vehicle.yaml"
-            self.write(path, Kept(values, (), {}), "")
+            self.write(path, FileChanges(values, (), {}), "")
             return TrackBase(replace(load(path), effects=now.effects, surroundings=now.surroundings, route=now.route))
 
     @cached_property
@@ -163,7 +163,7 @@ class TrackBase(Defaults):
         then = np.stack([loss_table(less, name).loss for name in less.tracks])
         return np.asarray(np.log(then / self._constants.loss) / math.log(LESS_LOSS))
 
-    def write(self, path: Path, kept: Kept, text: str) -> list[Path]:
+    def write(self, path: Path, kept: FileChanges, text: str) -> list[Path]:
         """See `base.Base`."""
         return write_track_vehicle(self.vehicle, path, kept, text)
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.base import Predicted
-from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.diagnosis.prepare.session import DriveSession
 
 Array = NDArray[np.float64]
 
@@ -28,7 +28,7 @@ class Variable:
 
     name: str
     unit: str
-    of: Callable[[Session, Predicted], Array]
+    of: Callable[[DriveSession, Predicted], Array]
     as_clock: bool = False
 
 
@@ -48,7 +48,7 @@ VARIABLES = (
 BY_NAME = {variable.name: variable for variable in VARIABLES}
 
 
-def varying(sessions: Sequence[Session], predicted: Sequence[Predicted]) -> dict[str, Array]:
+def varying(sessions: Sequence[DriveSession], predicted: Sequence[Predicted]) -> dict[str, Array]:
     """The series along all sessions of each variable that is known throughout and varies."""
     found = {v.name: np.concatenate([v.of(s, p) for s, p in zip(sessions, predicted, strict=True)]) for v in VARIABLES}
     return {

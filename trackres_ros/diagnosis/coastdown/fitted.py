@@ -30,12 +30,12 @@ from trackres_ros.diagnosis.inference.noise import MOST_LAGS, whole_past
 from trackres_ros.diagnosis.prepare.refuse import check_speed
 from trackres_ros.diagnosis.prepare.resample import step_for
 from trackres_ros.diagnosis.selection.held_out import HeldOutLaps, Improvement
-from trackres_ros.diagnosis.selection.intervals import NORMAL_95, Interval, intervals, lap_std
-from trackres_ros.diagnosis.writing.kept import Kept
+from trackres_ros.diagnosis.selection.intervals import NORMAL_95, intervals, lap_std
 from trackres_ros.errors import InputError
 from trackres_ros.progress import counted
 from trackres_ros.recording.recording import Recording
 from trackres_ros.text.numbers import figures
+from trackres_ros.vehicle.writing.changes import FileChanges, Interval
 
 Array = NDArray[np.float64]
 
@@ -52,7 +52,7 @@ TOGETHER = 0.9  # correlation of two errors from which only both together are to
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class FittedValue:
     """A parameter.
 
     Attributes
@@ -100,7 +100,7 @@ class Coastdown:
     rolled: Rollouts
     nominal: tuple[Array, ...]
     fitted: tuple[Array, ...]
-    parameters: tuple[Found, ...]
+    parameters: tuple[FittedValue, ...]
     mass_std: float
     improvement: Improvement | None
 
@@ -110,12 +110,14 @@ class Coastdown:
         return self.improvement is not None and self.improvement.after < self.improvement.before and self.improvement.low > 0.0
 
     @property
-    def kept(self) -> Kept:
+    def kept(self) -> FileChanges:
         """What may be written."""
         values = {p.name: p.value for p in self.parameters}
         spans = {("", p.name): p.interval for p in self.parameters if p.told}
         told = ", ".join(p.name for p in self.parameters if p.told) or "none"
-        return Kept(values, (), spans, f"found in {len(self.rolled.stretches)} rollings out: {told}", by="trackres coastdown")
+        return FileChanges(
+            values, (), spans, f"found in {len(self.rolled.stretches)} rollings out: {told}", by="trackres coastdown"
+        )
 
 
 def coastdown(recordings: Sequence[Recording], loaded: LoadedBase, seed: int = 1) -> Coastdown:
@@ -226,7 +228,7 @@ def _together(rolled: Rollouts, fewest: int) -> int:
 
 def _parameters(
     base: Base, all_free: Fit, found: Fit | None, scatter: Mapping[tuple[str, str], float], mass_std: float
-) -> tuple[Found, ...]:
+) -> tuple[FittedValue, ...]:
     spans = intervals(all_free)
     std = np.sqrt(np.diag(all_free.covariance))
     correlation = all_free.covariance / np.outer(std, std)
@@ -240,7 +242,7 @@ def _parameters(
         below, above = (np.hypot(max(reach, by_rollings), of_mass) for reach in (at - span.low, span.high - at))
         span = Interval(max(f.low, value - float(below)), min(f.high, value + float(above)), span.bound_only)
         others = [g.key[1] for j, g in enumerate(all_free.free) if j != i and abs(correlation[i, j]) > TOGETHER]
-        listed.append(Found(q.name, q.unit, q.nominal, q.std, value, span, told, tuple(others)))
+        listed.append(FittedValue(q.name, q.unit, q.nominal, q.std, value, span, told, tuple(others)))
     return tuple(listed)
 
 

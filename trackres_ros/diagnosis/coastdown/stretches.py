@@ -14,7 +14,7 @@ import numpy as np
 
 from trackres_ros.diagnosis.prepare.altitude import with_slope
 from trackres_ros.diagnosis.prepare.resample import resample
-from trackres_ros.diagnosis.prepare.session import Array, Mask, Session
+from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
 from trackres_ros.diagnosis.prepare.settings import GateSettings
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.samples import Series
@@ -28,7 +28,7 @@ AROUND_S, END_S = 5.0, 2.0
 
 
 @dataclass(frozen=True, slots=True)
-class Stretch:
+class RollOut:
     """A rolling out: which session, from which sample to before which."""
 
     session: int
@@ -52,8 +52,8 @@ class Rollouts:
         What was assumed, one sentence each.
     """
 
-    sessions: tuple[Session, ...]
-    stretches: tuple[Stretch, ...]
+    sessions: tuple[DriveSession, ...]
+    stretches: tuple[RollOut, ...]
     left_out: Mapping[str, int]
     notes: tuple[str, ...]
 
@@ -77,8 +77,8 @@ def rollouts(recordings: list[Recording], settings: GateSettings, radius: float,
     InputError
         A recording without a speed, too short, or in another unit.
     """
-    sessions: list[Session] = []
-    stretches: list[Stretch] = []
+    sessions: list[DriveSession] = []
+    stretches: list[RollOut] = []
     left_out: Counter[str] = Counter()
     notes: list[str] = []
     for recording in recordings:
@@ -94,7 +94,7 @@ def rollouts(recordings: list[Recording], settings: GateSettings, radius: float,
         for begin, end in _falls(session, unknown, settings, measured, radius, left_out):
             block[begin:end] = len(stretches)
             used[begin:end] = True
-            stretches.append(Stretch(len(sessions), begin, end))
+            stretches.append(RollOut(len(sessions), begin, end))
         sessions.append(replace(session, used=used, block=block))
     return Rollouts(tuple(sessions), tuple(stretches), dict(left_out), tuple(notes))
 
@@ -109,7 +109,12 @@ def _without_torque(recording: Recording) -> Recording:
 
 
 def _falls(
-    session: Session, unknown: Mapping[str, Mask], settings: GateSettings, measured: bool, radius: float, left_out: Counter[str]
+    session: DriveSession,
+    unknown: Mapping[str, Mask],
+    settings: GateSettings,
+    measured: bool,
+    radius: float,
+    left_out: Counter[str],
 ) -> list[tuple[int, int]]:
     """Pieces in which it slows down by itself: first sample, and the one after the last."""
     slows = np.sign(session.speed) * _smooth(session.accel, session.step)

@@ -11,22 +11,22 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.described.terms import Described
+from trackres_ros.diagnosis.empirical.terms import Described
 from trackres_ros.diagnosis.findings.locate import Acts, Span
 from trackres_ros.diagnosis.findings.residual_bins import Bin
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.selection.confirm import Graded
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED
-from trackres_ros.diagnosis.selection.intervals import Interval
 from trackres_ros.diagnosis.selection.naming import Step
 from trackres_ros.effects.effect import Parameter
 from trackres_ros.text.numbers import alike, figures
+from trackres_ros.vehicle.writing.changes import Interval
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Found:
+class NamedEffect:
     """An effect that was named, alone or as one of a class.
 
     Attributes
@@ -144,7 +144,7 @@ def changed_values(refitted: Fit, bounds: Mapping[tuple[str, str], Interval]) ->
     return tuple(sorted(found, key=lambda c: -c.torque_nm))
 
 
-def by_weight(terms: Sequence[Found | Told]) -> list[Found | Told]:
+def by_weight(terms: Sequence[NamedEffect | Told]) -> list[NamedEffect | Told]:
     """The confirmed ones first, and of these those that take most off the error of the hold-out laps."""
     return sorted(terms, key=lambda t: (t.graded.grade != CONFIRMED, t.graded.improvement.after - t.graded.improvement.before))
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from trackres_ros.diagnosis.base.variables import BY_NAME, varying
 from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
 from trackres_ros.diagnosis.inference.fitting import Fit
-from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.diagnosis.prepare.session import DriveSession
 from trackres_ros.text.numbers import figures, on_scale
 
 Array = NDArray[np.float64]
@@ -51,7 +51,7 @@ class ThermalCheck:
     text: str
 
 
-def seen_where_it_acts(sessions: Sequence[Session], adds: Sequence[Array], residuals: Sequence[Array]) -> float:
+def seen_where_it_acts(sessions: Sequence[DriveSession], adds: Sequence[Array], residuals: Sequence[Array]) -> float:
     """Mean residual in the direction of a term, where the term is at least `ACTING_SHARE` of what it hardly ever exceeds [Nm]."""
     used = np.concatenate([s.used for s in sessions])
     term, residual = np.concatenate(adds)[used], np.concatenate(residuals)[used]
@@ -59,7 +59,7 @@ def seen_where_it_acts(sessions: Sequence[Session], adds: Sequence[Array], resid
     return float(np.mean((residual * np.sign(term))[acting])) if acting.any() else 0.0
 
 
-def spans(sessions: tuple[Session, ...], series: list[Array]) -> list[Span]:
+def spans(sessions: tuple[DriveSession, ...], series: list[Array]) -> list[Span]:
     """When a series is large: at least `ACTING_SHARE` of what it hardly ever exceeds."""
     used = np.concatenate([np.abs(x[s.used]) for x, s in zip(series, sessions, strict=True)])
     if not len(used) or not used.max() > 0.0:
@@ -163,7 +163,7 @@ def in_nm(torque: float) -> str:
     return f"{torque:.0f}" if torque >= 0.5 else figures(torque, 2)
 
 
-def against_travel(sessions: Sequence[Session], adds: Sequence[Array]) -> list[Array]:
+def against_travel(sessions: Sequence[DriveSession], adds: Sequence[Array]) -> list[Array]:
     """A torque as a resistance: positive where it brakes, whichever way the vehicle moves."""
     return [x * np.sign(s.speed) for s, x in zip(sessions, adds, strict=True)]
 
@@ -197,7 +197,7 @@ def acts(found: Fit, adds: Sequence[Array]) -> Acts:
     return result
 
 
-def smoothed(session: Session, residual: Array, seconds: float = SMOOTHED_S) -> Array:
+def smoothed(session: DriveSession, residual: Array, seconds: float = SMOOTHED_S) -> Array:
     """Means of a residual over some seconds of a drive, see `settings.pace`; nan in gaps."""
 
     def summed(values: Array, over_s: float) -> Array:

@@ -12,10 +12,10 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.base.watched import Watched
+from trackres_ros.diagnosis.base.patterns import ResidualPattern
 from trackres_ros.diagnosis.inference.fitting import Fit, jacobian
 from trackres_ros.diagnosis.inference.noise import whitened
-from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.diagnosis.prepare.session import DriveSession
 from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS
 from trackres_ros.diagnosis.selection.naming import MODEL_ERROR, Step
 
@@ -143,14 +143,14 @@ def _groups(names: Sequence[str], tied: set[frozenset[str]]) -> tuple[tuple[str,
     return tuple(sorted((tuple(n for n in names if n in group) for group in groups), key=lambda g: names.index(g[0])))
 
 
-def menu(weight: float, max_speed: float) -> dict[str, Callable[[Session], Session]]:
+def menu(weight: float, max_speed: float) -> dict[str, Callable[[DriveSession], DriveSession]]:
     """Manoeuvres by name; each makes a session like one that was recorded."""
     fast, slow = 0.7 * max_speed, 0.25 * max_speed
 
     def drive(
         points: Sequence[tuple[float, float]], load: Sequence[float] = (1.0,), curvature: float = 0.0, slope: float = 0.0
-    ) -> Callable[[Session], Session]:
-        def made(like: Session) -> Session:
+    ) -> Callable[[DriveSession], DriveSession]:
+        def made(like: DriveSession) -> DriveSession:
             time = np.arange(0.0, points[-1][0], STEP_S)
             at, speed_at = np.array([p[0] for p in points]), np.array([p[1] for p in points])
             edges = np.interp(np.append(time, points[-1][0]), at, speed_at)
@@ -209,7 +209,7 @@ def menu(weight: float, max_speed: float) -> dict[str, Callable[[Session], Sessi
     }
 
 
-def apart(fits: Sequence[Fit], session: Session) -> Array:
+def apart(fits: Sequence[Fit], session: DriveSession) -> Array:
     """Squares of the standard deviations by which what each fit shows stands out of each other, after the parameters of that
     have moved as they may, shape (n, n).
 
@@ -226,7 +226,7 @@ def apart(fits: Sequence[Fit], session: Session) -> Array:
     return squares
 
 
-def _out_of(rival: Fit, shown: Sequence[Array], expected: Array, session: Session, moving: Mask) -> Array:
+def _out_of(rival: Fit, shown: Sequence[Array], expected: Array, session: DriveSession, moving: Mask) -> Array:
     """Squared distances of what is shown from what one fit can follow, shape (shown,)."""
 
     def white(x: Array) -> Array:
@@ -242,8 +242,8 @@ def _out_of(rival: Fit, shown: Sequence[Array], expected: Array, session: Sessio
     return np.asarray(np.maximum(np.einsum("ij,ij->j", differences, differences) - taken, 0.0))
 
 
-def _torque(found: Fit, point: Array, session: Session) -> Array:
+def _torque(found: Fit, point: Array, session: DriveSession) -> Array:
     """What a drive would show; what follows a series of the recordings is not known of it."""
     values, acting = found.model_at(point)
-    ahead = [a for a in acting if not isinstance(a.effect, Watched)]
+    ahead = [a for a in acting if not isinstance(a.effect, ResidualPattern)]
     return np.asarray(found.problem.base.predict([session], values, ahead)[0].torque)

@@ -21,10 +21,10 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import nnls
 from scipy.stats import t
 
-from trackres_ros.diagnosis.described.terms import Described
+from trackres_ros.diagnosis.empirical.terms import Described
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.prepare.sample_noise import SECOND_DIFFERENCE
-from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.diagnosis.prepare.session import DriveSession
 from trackres_ros.text.numbers import figures
 from trackres_ros.units import MAD_TO_STD
 
@@ -101,7 +101,7 @@ def find_spread(fit: Fit) -> Spread | None:
     return max(sure, key=lambda x: x.ratio, default=None)
 
 
-def shaking_of(session: Session, expected: Array) -> Array | None:
+def shaking_of(session: DriveSession, expected: Array) -> Array | None:
     """Standard deviation of what is faster than a step, at each step [Nm], shape (n,); None where samples are too far apart.
 
     Parameters

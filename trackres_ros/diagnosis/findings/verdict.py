@@ -12,8 +12,8 @@ from types import MappingProxyType
 import numpy as np
 
 from trackres_ros.diagnosis.base.variables import BY_NAME
-from trackres_ros.diagnosis.described.terms import Described
-from trackres_ros.diagnosis.findings.found import Changed, Found, Told, by_weight, changed_values
+from trackres_ros.diagnosis.empirical.terms import Described
+from trackres_ros.diagnosis.findings.found import Changed, NamedEffect, Told, by_weight, changed_values
 from trackres_ros.diagnosis.findings.locate import SlowResidual
 from trackres_ros.diagnosis.findings.residual_bins import Bin, RegimeMap
 from trackres_ros.diagnosis.findings.wording import (
@@ -42,7 +42,7 @@ from trackres_ros.diagnosis.selection.confirm import Graded, far_from_file, move
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, REFUTED, SUSPECTED, HeldOut
 from trackres_ros.text.numbers import figures
 
-__all__ = ["MOST_STRAY", "Changed", "Found", "Told", "Verdict", "by_weight", "changed_values", "judge", "likelier"]
+__all__ = ["MOST_STRAY", "Changed", "NamedEffect", "Told", "Verdict", "by_weight", "changed_values", "judge", "likelier"]
 
 LACK_OF_FIT_P = 0.01
 MOST_STRAY = 0.015  # of the torque, in means over half a minute
@@ -86,7 +86,7 @@ class Verdict:
 
 
 def judge(
-    found: Sequence[Found],
+    found: Sequence[NamedEffect],
     terms: Sequence[Told],
     refuted: Sequence[Graded],
     refitted: Fit,
@@ -159,7 +159,7 @@ def judge(
 
 
 def _confirmed(
-    sure: Sequence[Found | Told],
+    sure: Sequence[NamedEffect | Told],
     left: Sequence[Bin],
     left_over: SlowResidual,
     held_out: HeldOut,
@@ -172,7 +172,7 @@ def _confirmed(
     if max((abs(b.mean_residual) for b in left), default=0.0) > LEFT_SHARE * explained:
         partly = f"{' and '.join(map(short, sure))} would explain a part of it, but too much is left to believe that"
         return Verdict("unexplained", SUSPECTED, joined([unexplained(left), partly, *after]), (), listed, unexplained(left))
-    named = [t for t in sure if isinstance(t, Found)]
+    named = [t for t in sure if isinstance(t, NamedEffect)]
     status = "described" if not named else "named" if all(len(f.step.members) <= 1 for f in named) else "one_of"
     lines = [*confirmed_terms(sure, held_out), *after, *_rest(left, left_over)]
     return Verdict(status, CONFIRMED, joined(lines), (), listed)

@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 from trackres_ros.diagnosis.base.base import BaseParameter
-from trackres_ros.diagnosis.findings.found import Found, Told, with_interval
+from trackres_ros.diagnosis.findings.found import NamedEffect, Told, with_interval
 from trackres_ros.diagnosis.findings.locate import SlowResidual, in_nm
 from trackres_ros.diagnosis.findings.residual_bins import Bin
 from trackres_ros.diagnosis.selection.confirm import Graded
@@ -48,13 +48,13 @@ def upper(text: str) -> str:
     return f"{text[:1].upper()}{text[1:]}"
 
 
-def is_small(t: Found | Told) -> bool:
+def is_small(t: NamedEffect | Told) -> bool:
     """Whether a term takes less than `SMALL_SHARE` off the mean error of the hold-out laps."""
     i = t.graded.improvement
     return i.before - i.after < SMALL_SHARE * i.before
 
 
-def confirmed_terms(terms: Sequence[Found | Told], held_out: HeldOut) -> list[str]:
+def confirmed_terms(terms: Sequence[NamedEffect | Told], held_out: HeldOut) -> list[str]:
     """What is confirmed: the large terms, what they are worth together, then the small ones."""
     large = [t for t in terms if not is_small(t)]
     small = [t for t in terms if is_small(t)]
@@ -63,7 +63,7 @@ def confirmed_terms(terms: Sequence[Found | Told], held_out: HeldOut) -> list[st
     return [*(line for t in large for line in _of(t)), _worth(held_out), *map(_small, small)]
 
 
-def _of(t: Found | Told) -> list[str]:
+def _of(t: NamedEffect | Told) -> list[str]:
     """A term: where and how much, what it is, its values."""
     if isinstance(t, Told):
         return [t.described.sentence, "No effect of the catalogue does this", look_for(t.described.mechanisms)]
@@ -82,15 +82,15 @@ def _of(t: Found | Told) -> list[str]:
     ]
 
 
-def seen(f: Found) -> str:
+def seen(f: NamedEffect) -> str:
     """Where the measured torque differs, and by how much."""
     where = f.acts.text
     return upper(f"{where}, {f.seen}" if where else f.seen)
 
 
-def differs(t: Found | Told) -> str:
+def differs(t: NamedEffect | Told) -> str:
     """The difference that a term would explain, without the term."""
-    if isinstance(t, Found):
+    if isinstance(t, NamedEffect):
         return seen(t)
     of = t.described
     where = f" {of.gate}" if of.gate else f", depending on the {of.variable}" if of.variable else " at times"
@@ -111,9 +111,9 @@ def either(options: Sequence[str]) -> str:
     return f"{', '.join(options[:-1])} or {options[-1]}" if len(options) > 1 else options[0]
 
 
-def short(t: Found | Told) -> str:
+def short(t: NamedEffect | Told) -> str:
     """A term in a few words."""
-    if isinstance(t, Found):
+    if isinstance(t, NamedEffect):
         return either(list(t.step.members)) if len(t.step.members) > 1 else t.name
     of = t.described
     along = " ".join(filter(None, (f"of the {of.variable}" if of.variable and of.form not in FORMS else "", of.gate)))
@@ -125,7 +125,7 @@ def form_words(form: str) -> str:
     return FORMS.get(form, f"a {form.replace('_', ' ')}")
 
 
-def _small(t: Found | Told) -> str:
+def _small(t: NamedEffect | Told) -> str:
     i = t.graded.improvement
     return f"{short(t)} is confirmed but small: it takes {figures(max(i.before - i.after, 0.0), 2)} Nm off that error"
 
@@ -141,13 +141,15 @@ def mean_error(before: float, after: float) -> str:
     return f"The mean error on laps not used for fitting {way} Nm"
 
 
-def possible(unsure: Sequence[Found | Told], confirmed: Sequence[Found | Told], shares: Mapping[str, float]) -> Possible:
+def possible(
+    unsure: Sequence[NamedEffect | Told], confirmed: Sequence[NamedEffect | Told], shares: Mapping[str, float]
+) -> Possible:
     """What it may be besides what is confirmed, with probabilities, the likeliest first and `NONE_OF_THESE` last.
 
     Without probabilities over whole explanations those within each suspected class are given, and none for a single name.
     """
     if shares:
-        taken = {m for t in confirmed for m in (t.step.members if isinstance(t, Found) else (t.described.name,))}
+        taken = {m for t in confirmed for m in (t.step.members if isinstance(t, NamedEffect) else (t.described.name,))}
         names = sorted((n for n in shares if n not in taken and n != NONE_OF_THESE), key=lambda n: -shares[n])
         named = [n for n in names if shares[n] >= LEAST_SHARE][:MOST_LISTED]
         if not named:
@@ -155,7 +157,7 @@ def possible(unsure: Sequence[Found | Told], confirmed: Sequence[Found | Told], 
         return tuple((n, shares[n]) for n in (*named, *([NONE_OF_THESE] if NONE_OF_THESE in shares else [])))
     found: dict[str, float | None] = {}
     for t in unsure:
-        if isinstance(t, Found) and len(t.step.members) > 1:
+        if isinstance(t, NamedEffect) and len(t.step.members) > 1:
             found.update((name, t.step.weights[name]) for name in t.step.members)
         else:
             found[short(t)] = None
@@ -226,7 +228,7 @@ def file_is_off(far: Sequence[tuple[BaseParameter, float]]) -> list[str]:
     ]
 
 
-def _rival(f: Found) -> str:
+def _rival(f: NamedEffect) -> str:
     """The next best candidate, and how much less likely it is."""
     others = [c for c in f.step.candidates if c.name not in f.step.members]
     if not others or f.step.chosen is None:

@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 from trackres_ros.diagnosis.base.base import Base, BaseParameter, Predicted
 from trackres_ros.diagnosis.base.instrument import instrument
 from trackres_ros.diagnosis.inference.noise import LARGEST_ROOT, Noise, estimate_noise, whitened
-from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.diagnosis.prepare.session import DriveSession
 from trackres_ros.effects.effect import Active, Effect
 
 Array = NDArray[np.float64]
@@ -70,7 +70,7 @@ class Problem:
     """What is fitted: sessions, which of their samples, and by which base."""
 
     base: Base
-    sessions: tuple[Session, ...]
+    sessions: tuple[DriveSession, ...]
     masks: tuple[Mask, ...]
 
     def predict(self, values: Mapping[str, float], effects: Sequence[Active]) -> list[Predicted]:

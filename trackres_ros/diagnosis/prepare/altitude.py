@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from trackres_ros.diagnosis.prepare.robust import robust_least_squares
-from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.diagnosis.prepare.session import DriveSession
 from trackres_ros.recording.slopes import slopes
 from trackres_ros.route.track import Frame
 from trackres_ros.units import GRAVITY, MAD_TO_STD
@@ -26,7 +26,7 @@ PIECE_S = 300.0  # over which errors hang together
 SURE = 2.0  # standard deviations
 
 
-def with_slope(session: Session) -> tuple[Session, str]:
+def with_slope(session: DriveSession) -> tuple[DriveSession, str]:
     """A session whose slope is that of its altitude, and what to say of it; as it is without altitude, with a slope, or where
     nothing may be compared.
 
@@ -58,7 +58,7 @@ def with_slope(session: Session) -> tuple[Session, str]:
     return replace(with_it, given=session.given | {"grade"}), f"{where} gives {text}; {explained}"
 
 
-def error_by_revisits(session: Session) -> tuple[float, int]:
+def error_by_revisits(session: DriveSession) -> tuple[float, int]:
     """Standard deviation of the altitude's error from one pass of a place to the next [m], and at how many pairs; 0 without."""
     x, y = Frame.about(session.latitude, session.longitude).metres(session.latitude, session.longitude)
     known = np.isfinite(x) & np.isfinite(session.altitude)
@@ -75,7 +75,7 @@ def error_by_revisits(session: Session) -> tuple[float, int]:
     return float(MAD_TO_STD * np.median(apart) / np.sqrt(2.0)), len(apart)
 
 
-def torque_errors(session: Session) -> tuple[float, float, bool]:
+def torque_errors(session: DriveSession) -> tuple[float, float, bool]:
     """Mean error of a torque without and with the slopes of a session [Nm], and whether they surely make it smaller.
 
     What changes of speed, rolling and air take is fitted, each by a factor; a slope takes as much as an acceleration by its

@@ -9,13 +9,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.diagnosis.prepare.session import DriveSession
 from trackres_ros.units import STANDSTILL_MPS
 
 LEAST_S = 60.0  # of stops in which it reads none
 
 
-def seconds_without_torque(sessions: Sequence[Session], most: float) -> float:
+def seconds_without_torque(sessions: Sequence[DriveSession], most: float) -> float:
     """How long in all the vehicle rests with a measured torque of none [s]; 0 where that is too short to tell.
 
     A stop counts if the median of its readings is none: at others the vehicle may be held on a slope, or be about to start.
@@ -37,7 +37,7 @@ def seconds_without_torque(sessions: Sequence[Session], most: float) -> float:
     return seconds if seconds >= LEAST_S else 0.0
 
 
-def _measured(session: Session) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+def _measured(session: DriveSession) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
     """Steps with a sample of the torque in them."""
     if session.torque_course is None:
         return np.zeros(len(session), dtype=bool)

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from trackres_ros.diagnosis.prepare.robust import robust_least_squares
-from trackres_ros.diagnosis.prepare.session import Array, Mask, Session
+from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
 from trackres_ros.units import GRAVITY, MAD_TO_STD
 
 FEWEST_DRIVING = 300  # steps
@@ -20,7 +20,7 @@ MOST_FAR = 0.1  # of the steps of a level, beyond those of driving; a few strays
 MOST_LOST = 0.2  # of a braking torque: gears that lose a tenth, there and back
 
 
-def motor_brakes_alone(sessions: Sequence[Session], compared: Sequence[Mask]) -> float:
+def motor_brakes_alone(sessions: Sequence[DriveSession], compared: Sequence[Mask]) -> float:
     """The torque [Nm], zero or negative, down to which nothing but the motor brakes; zero where that does not show.
 
     Parameters
@@ -64,7 +64,7 @@ def near(steps: Mask) -> Mask:
     return np.asarray(np.convolve(steps, np.ones(3), mode="same") > 0)
 
 
-def _rows(session: Session, compared: Mask) -> tuple[Array, Array]:
+def _rows(session: DriveSession, compared: Mask) -> tuple[Array, Array]:
     """The torque, and what it may hang on."""
     v, weight = session.speed, session.weight
     of_mass = weight * (session.accel / GRAVITY)

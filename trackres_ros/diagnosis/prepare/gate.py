@@ -28,7 +28,7 @@ from trackres_ros.diagnosis.prepare.refuse import (
     refuse_overlaps,
 )
 from trackres_ros.diagnosis.prepare.resample import is_hidden, resample, step_for
-from trackres_ros.diagnosis.prepare.session import Mask, Session
+from trackres_ros.diagnosis.prepare.session import DriveSession, Mask
 from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS, STEP_S, GateSettings, pace
 from trackres_ros.diagnosis.prepare.usable import BRAKES_ON, is_slow, usable
 from trackres_ros.errors import InputError
@@ -45,7 +45,7 @@ CLOCK_OFF_S = 60.0  # by which a standing time that is given may be shorter than
 
 
 @dataclass(frozen=True, slots=True)
-class LeftOut:
+class Exclusion:
     """What is not compared [s], and why."""
 
     reason: str
@@ -66,8 +66,8 @@ class Gated:
         What was assumed, one sentence each.
     """
 
-    sessions: tuple[Session, ...]
-    left_out: tuple[LeftOut, ...]
+    sessions: tuple[DriveSession, ...]
+    left_out: tuple[Exclusion, ...]
     notes: tuple[str, ...]
 
 
@@ -126,7 +126,7 @@ def gate(
     if step > STEP_S:
         notes.append(f"samples come so slowly that torques are compared as means over {step:.0f} s")
     sessions = _one_after_another(checked, [r for r in unused if _drove(r)], notes)
-    return Gated(tuple(sessions), tuple(LeftOut(reason, n) for reason, n in left_out.items() if n), tuple(notes))
+    return Gated(tuple(sessions), tuple(Exclusion(reason, n) for reason, n in left_out.items() if n), tuple(notes))
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +146,7 @@ class _Admitted:
 class _Resampled(_Admitted):
     """The same on an even grid, and what of it is not compared."""
 
-    session: Session
+    session: DriveSession
     unknown: Mapping[str, Mask]
     left_out: Counter[str]
 
@@ -216,10 +216,10 @@ def _enough(one: _Resampled) -> _Resampled:
     return one
 
 
-def _one_after_another(checked: Sequence[_Resampled], unused: Sequence[Recording], notes: list[str]) -> list[Session]:
+def _one_after_another(checked: Sequence[_Resampled], unused: Sequence[Recording], notes: list[str]) -> list[DriveSession]:
     """Sessions with their laps counted through, and how long each vehicle stood before; `unused` are drives in between."""
     ends_ns = [r.start_ns + int(duration_s(r.series) * 1e9) for r in unused]
-    sessions: list[Session] = []
+    sessions: list[DriveSession] = []
     block, end_ns, end_m = 0, None, 0.0
     for one in checked:
         session, begin_ns = one.session, one.recording.start_ns
@@ -256,7 +256,7 @@ def _drove(recording: Recording) -> bool:
     return float(np.nanpercentile(np.abs(speed), 99.0)) > SLOWEST_MPS
 
 
-def _of_brakes(session: Session, on: Mask, settings: GateSettings) -> str:
+def _of_brakes(session: DriveSession, on: Mask, settings: GateSettings) -> str:
     """What the brakes leave."""
     drives = np.abs(session.speed) >= settings.slowest
     braked, driven, left, braking = (

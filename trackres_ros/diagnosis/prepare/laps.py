@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.diagnosis.prepare.session import DriveSession
 from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS
 
 FULL_STOP_S = 5.0
@@ -16,7 +16,7 @@ PIECES, SHORTEST_PIECE_S, LONGEST_PIECE_S = 20, 60.0, 300.0
 FEWEST_DRIVES = 8
 
 
-def lap_numbers(session: Session) -> NDArray[np.int64]:
+def lap_numbers(session: DriveSession) -> NDArray[np.int64]:
     """Number of the drive between two stops, where there are enough of them; else of a piece of equal length.
 
     Returns

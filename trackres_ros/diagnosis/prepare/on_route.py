@@ -12,7 +12,7 @@ import numpy as np
 
 from trackres_ros.diagnosis.prepare.gate import Gated
 from trackres_ros.diagnosis.prepare.resample import MOST_UNKNOWN
-from trackres_ros.diagnosis.prepare.session import Array, Session, Way
+from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Way
 from trackres_ros.route.learned import SLOPE, RouteMap
 from trackres_ros.route.matching import matched
 from trackres_ros.route.track import track_of
@@ -42,7 +42,7 @@ def on_route(gated: Gated, route: Sequence[RouteMap]) -> Gated:
     return replace(gated, sessions=tuple(sessions), notes=tuple(notes))
 
 
-def way_of(session: Session) -> Way:
+def way_of(session: DriveSession) -> Way:
     """Where a session was; of one without positions within its steps, at their middles."""
     if session.way is not None:
         return session.way
@@ -50,7 +50,7 @@ def way_of(session: Session) -> Way:
     return Way(session.latitude, session.longitude, np.cumsum(driven) - 0.5 * driven)
 
 
-def _along(session: Session, route: RouteMap) -> Array:
+def _along(session: DriveSession, route: RouteMap) -> Array:
     """What was learned for the way it travels, of a slope the way the vehicle points; mean over each step, nan where nothing was
     learned.
     """

@@ -12,7 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.diagnosis.prepare.session import DriveSession
 from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS, SLOWEST_SHARE, STEP_S
 from trackres_ros.diagnosis.prepare.unit_checks import Conversion
 from trackres_ros.errors import InputError, MissingExtraError, one_line
@@ -126,7 +126,7 @@ def check_compared(
         raise InputError(name, f"{seconds:.0f} s", f"at least {shortest_s:.3g} s of recording")
 
 
-def check_speed(session: Session, max_speed: float) -> None:
+def check_speed(session: DriveSession, max_speed: float) -> None:
     """Refuse a session that never moves, or faster than its vehicle can [m/s].
 
     Raises

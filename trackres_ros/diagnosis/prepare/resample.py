@@ -15,7 +15,7 @@ from trackres_ros.diagnosis.prepare.gaps import filled_steps, steps_without_valu
 from trackres_ros.diagnosis.prepare.refuse import EARLIEST_CLOCK_S, SHORTEST_S, check_compared
 from trackres_ros.diagnosis.prepare.sample_noise import noise_of_means
 from trackres_ros.diagnosis.prepare.sampling import LONGEST_HOLD_S, any_from, carried, held, means, middles, ordered, read_off
-from trackres_ros.diagnosis.prepare.session import Array, Course, Mask, Session, Way
+from trackres_ros.diagnosis.prepare.session import Array, Cumulative, DriveSession, Mask, Way
 from trackres_ros.diagnosis.prepare.settings import LEAST_SAMPLES, SLOWEST_MPS, STEP_S, GateSettings, pace
 from trackres_ros.diagnosis.prepare.speed_smoothing import smooth_speed
 from trackres_ros.diagnosis.prepare.turning import turning
@@ -98,7 +98,7 @@ def resample(
     hide: frozenset[str],
     notes: list[str],
     shortest_s: float = SHORTEST_S,
-) -> tuple[Session, dict[str, Mask]]:
+) -> tuple[DriveSession, dict[str, Mask]]:
     """Put a recording on an even grid.
 
     Parameters
@@ -212,7 +212,7 @@ def resample(
         notes.append(
             f"{recording.name}: brakes count as on from {from_on:g}; whatever else slows it down is in the measured torque"
         )
-    session = Session(
+    session = DriveSession(
         name=recording.name,
         step=step,
         time=edges[:-1],
@@ -267,10 +267,10 @@ def _nowhere(count: int) -> Mask:
     return np.zeros(count, dtype=bool)
 
 
-def _course(torques: Sequence[tuple[Array, Array]]) -> Course:
+def _course(torques: Sequence[tuple[Array, Array]]) -> Cumulative:
     """Sum of torques as they were measured."""
     at = np.unique(np.concatenate([t for t, _ in torques]))
-    return Course.of(at, np.sum([np.interp(at, t, v) for t, v in torques], axis=0))
+    return Cumulative.of(at, np.sum([np.interp(at, t, v) for t, v in torques], axis=0))
 
 
 def _of_passengers(name: str, passengers: Array, step: float, kg_each: float, of_load: bool) -> str:
@@ -296,7 +296,7 @@ def _way(series: dict[str, Series], start: int, speed_at: Array, speed: Array, e
     """Where it was at the middle of each `STEP_S` of all steps, or of each step where they are shorter."""
     each = min(STEP_S, edges[1] - edges[0])
     fine = np.arange(0.0, edges[-1] + 0.5 * each, each)
-    driven = Course.of(speed_at, np.abs(speed))
+    driven = Cumulative.of(speed_at, np.abs(speed))
     latitude, longitude = _position(series, start, fine)
     return Way(latitude, longitude, np.interp(middles(fine), driven.at, driven.integral))
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from trackres_ros.diagnosis.prepare.session import Array, Course, Mask
+from trackres_ros.diagnosis.prepare.session import Array, Cumulative, Mask
 from trackres_ros.diagnosis.prepare.settings import pace
 from trackres_ros.recording.samples import Series
 
@@ -28,7 +28,7 @@ def means(at: Array, value: Array, edges: Array) -> tuple[Array, Mask]:
     after = np.clip(np.searchsorted(at, middle), 1, len(at) - 1)
     step = edges[1] - edges[0]
     known = (at[after] - at[after - 1] <= LONGEST_HOLD_S * pace(step)) & (middle <= at[-1]) & (middle >= at[0])
-    return Course.of(at, value).means(edges[:-1], step), known
+    return Cumulative.of(at, value).means(edges[:-1], step), known
 
 
 def held(series: Series, start: int, edges: Array, default: float) -> Array:

@@ -26,7 +26,7 @@ NOT_RECORDED = dict.fromkeys(("latitude", "longitude", "altitude", "steering_ang
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class Cumulative:
     """A measured quantity as it came: times [s], and its integral up to each."""
 
     at: Array
@@ -34,7 +34,7 @@ class Course:
     _asked: dict[tuple[float, ...], Array] = field(default_factory=dict, repr=False)
 
     @classmethod
-    def of(cls, at: Array, value: Array) -> Course:
+    def of(cls, at: Array, value: Array) -> Cumulative:
         """Along straight lines between samples."""
         steps = 0.5 * (value[1:] + value[:-1]) * np.diff(at)
         return cls(at, np.concatenate(([0.0], np.cumsum(steps))))
@@ -74,7 +74,7 @@ class Way:
 
 
 @dataclass(frozen=True, eq=False)
-class Session:
+class DriveSession:
     """One recording. All series have the shape (n,), evenly spaced by `step` [s]; nan where nothing is known.
 
     Attributes
@@ -141,7 +141,7 @@ class Session:
     gap: float = np.inf
     after_unseen: bool = False
     given: frozenset[str] = field(default_factory=frozenset)
-    torque_course: Course | None = None
+    torque_course: Cumulative | None = None
     accel_noise: float = 0.0
     torque_noise: float = 0.0
     belt_shows_surface: bool = False
@@ -176,7 +176,7 @@ class Session:
         return np.asarray(np.convolve(self.accel, np.ones(AROUND), mode="same") / inside)
 
 
-def with_unseen(sessions: Sequence[Session]) -> Iterator[tuple[Session, bool]]:
+def with_unseen(sessions: Sequence[DriveSession]) -> Iterator[tuple[DriveSession, bool]]:
     """Sessions to step through one after the other, with the drives before them that are not among them; and whether it is one
     of those.
     """
@@ -194,10 +194,10 @@ class Split:
     held_out: tuple[int, ...]
     text: str
 
-    def training_mask(self, session: Session) -> Mask:
+    def training_mask(self, session: DriveSession) -> Mask:
         """Samples of a session to fit on."""
         return session.used & np.isin(session.block, self.training)
 
-    def held_out_mask(self, session: Session) -> Mask:
+    def held_out_mask(self, session: DriveSession) -> Mask:
         """Samples of a session to show at the end."""
         return session.used & np.isin(session.block, self.held_out)

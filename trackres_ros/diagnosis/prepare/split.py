@@ -7,14 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from trackres_ros.diagnosis.prepare.session import Session, Split
+from trackres_ros.diagnosis.prepare.session import DriveSession, Split
 from trackres_ros.errors import InputError
 
 FEWEST_SESSIONS = 4
 HELD_OUT_SHARE = 0.25
 
 
-def split(sessions: Sequence[Session], held_out: int | Sequence[str] | None = None) -> Split:
+def split(sessions: Sequence[DriveSession], held_out: int | Sequence[str] | None = None) -> Split:
     """Choose the blocks that are held out until the end: the last ones.
 
     Parameters
@@ -64,12 +64,12 @@ def split(sessions: Sequence[Session], held_out: int | Sequence[str] | None = No
     return Split(training, tuple(b for i in sorted(chosen) for b in blocks[i]), text)
 
 
-def lap_name(session: Session, block: int) -> str:
+def lap_name(session: DriveSession, block: int) -> str:
     """A lap as a report lists it: the recording, and its number there."""
     return f"{session.name}: {block - session.block[0] + 1}"
 
 
-def _by_laps(sessions: Sequence[Session], blocks: Sequence[Sequence[int]], held_out: set[int]) -> Split:
+def _by_laps(sessions: Sequence[DriveSession], blocks: Sequence[Sequence[int]], held_out: set[int]) -> Split:
     training = tuple(b for of in blocks for b in of if b not in held_out)
     if not training:
         raise InputError("--holdout", sorted(held_out), "some, but not all, of the laps")

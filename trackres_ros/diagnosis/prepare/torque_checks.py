@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.prepare.refuse import Refusal, each_usable
-from trackres_ros.diagnosis.prepare.session import Course, Session
+from trackres_ros.diagnosis.prepare.session import Cumulative, DriveSession
 from trackres_ros.diagnosis.prepare.settings import SLOWEST_MPS, GateSettings
 from trackres_ros.diagnosis.prepare.unit_checks import Conversion
 from trackres_ros.errors import InputError
@@ -32,7 +32,7 @@ UNLIKE = 1.8  # times the torque: more than load, ground and weather do to one v
 CLEARLY_BETTER = 0.05  # in correlation
 
 
-def aligned_clock(session: Session, expected: Array) -> tuple[Session, str]:
+def aligned_clock(session: DriveSession, expected: Array) -> tuple[DriveSession, str]:
     """The session with its torque moved in time to where it goes with the speed best, and what was done.
 
     Only whole steps from `LEAST_SHIFT_S` on: less is a delay, which is physics, or a sensor's.
@@ -43,7 +43,7 @@ def aligned_clock(session: Session, expected: Array) -> tuple[Session, str]:
     shift, gain = shifts[best], there[best] - there[LARGEST_SHIFT_S]
     if abs(shift) < LEAST_SHIFT_S or gain < CLEARLY_BETTER or there[best] < SURE:
         return session, ""
-    course = session.torque_course and Course(session.torque_course.at - shift * session.step, session.torque_course.integral)
+    course = session.torque_course and Cumulative(session.torque_course.at - shift * session.step, session.torque_course.integral)
     moved = replace(
         session,
         torque=_moved(session.torque, -shift),
@@ -53,7 +53,9 @@ def aligned_clock(session: Session, expected: Array) -> tuple[Session, str]:
     return moved, f"{session.name}: the torque's clock is {shift * session.step:+g} s off against the speed's; moved by that"
 
 
-def check_torque(sessions: Sequence[Session], expected: Sequence[Array], resisting: Sequence[Array], known: GateSettings) -> None:
+def check_torque(
+    sessions: Sequence[DriveSession], expected: Sequence[Array], resisting: Sequence[Array], known: GateSettings
+) -> None:
     """Refuse a torque whose sign or unit is plainly wrong, or which is that of a part.
 
     Parameters
@@ -95,12 +97,12 @@ def check_torque(sessions: Sequence[Session], expected: Sequence[Array], resisti
 
 
 def faulty_torques(
-    sessions: Sequence[Session], expected: Sequence[Array], resisting: Sequence[Array], known: GateSettings
+    sessions: Sequence[DriveSession], expected: Sequence[Array], resisting: Sequence[Array], known: GateSettings
 ) -> list[Refusal]:
     """Sessions that `check_torque` refuses by themselves; none where it refuses each of them."""
     refused: list[Refusal] = []
 
-    def check(one: tuple[Session, Array, Array]) -> None:
+    def check(one: tuple[DriveSession, Array, Array]) -> None:
         session, its, without_inertia = one
         check_torque([session], [its], [without_inertia], known)
 
@@ -136,7 +138,7 @@ def _between(least: float, most: float) -> float:
     return float(np.sqrt(least * most))
 
 
-def _remedy(share: float, sessions: Sequence[Session], known: GateSettings) -> str:
+def _remedy(share: float, sessions: Sequence[DriveSession], known: GateSettings) -> str:
     """What may be wrong with a torque that is such a share of the expected one, and what to put into the topics file."""
     sides = {f"one of {n}": float(n) for n in (2, 3, 4)}
     whats = {
@@ -190,7 +192,7 @@ def nothing_to_conclude(
     )
 
 
-def inconsistent_scale_notes(sessions: Sequence[Session], expected: Sequence[Array]) -> list[str]:
+def inconsistent_scale_notes(sessions: Sequence[DriveSession], expected: Sequence[Array]) -> list[str]:
     """What to say of recordings whose torque is in another proportion to the expected one than that of the others."""
     used = [(s.torque[s.used], e[s.used]) for s, e in zip(sessions, expected, strict=True)]
     shares = [float(m @ e) / max(float(e @ e), 1e-12) for m, e in used]

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trackres_ros.diagnosis.prepare.sampling import ordered
-from trackres_ros.diagnosis.prepare.session import Array, Course
+from trackres_ros.diagnosis.prepare.session import Array, Cumulative
 from trackres_ros.recording.samples import Series
 from trackres_ros.units import EARTH_M, MAD_TO_STD
 
@@ -70,7 +70,7 @@ def _of_angle(at: Array, angle: Array, edges: Array) -> Array:
 def _side(series: Mapping[str, Series], side: str, start: int, edges: Array) -> Array | None:
     """Mean speed of the wheels of one side over each step; None where there are none."""
     roles = [role for role in series if role.startswith("wheel_speed/") and side in role.partition("/")[2].split("_")]
-    of = [Course.of(*ordered(series[r], start)).means(edges[:-1], edges[1] - edges[0]) for r in roles if _there(series[r])]
+    of = [Cumulative.of(*ordered(series[r], start)).means(edges[:-1], edges[1] - edges[0]) for r in roles if _there(series[r])]
     return np.asarray(np.mean(of, axis=0)) if of else None
 
 

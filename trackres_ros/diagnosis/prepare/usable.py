@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from trackres_ros.diagnosis.prepare.brakes import near
-from trackres_ros.diagnosis.prepare.session import Array, Mask, Session
+from trackres_ros.diagnosis.prepare.session import Array, DriveSession, Mask
 from trackres_ros.diagnosis.prepare.settings import GateSettings
 
 BRAKES_ON = "brakes on"
@@ -21,7 +21,7 @@ BRAKING_MPS2 = -0.5  # with a torque that does not drive: friction brakes may be
 
 
 def usable(
-    session: Session, unknown: Mapping[str, Mask], settings: GateSettings, left_out: Counter[str], alone: float = 0.0
+    session: DriveSession, unknown: Mapping[str, Mask], settings: GateSettings, left_out: Counter[str], alone: float = 0.0
 ) -> Mask:
     """Steps in which the torque may be compared.
 
@@ -59,7 +59,7 @@ def usable(
     return used
 
 
-def is_slow(session: Session, settings: GateSettings) -> Mask:
+def is_slow(session: DriveSession, settings: GateSettings) -> Mask:
     """Steps in which friction may be static."""
     return np.asarray(np.abs(session.speed) < settings.slowest)
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.variables import BY_NAME
-from trackres_ros.diagnosis.findings.found import Found, by_weight
+from trackres_ros.diagnosis.findings.found import NamedEffect, by_weight
 from trackres_ros.diagnosis.findings.locate import smoothed
 from trackres_ros.diagnosis.findings.verdict import LACK_OF_FIT_P
 from trackres_ros.diagnosis.findings.wording import differs, largest_of, range_of, short
@@ -23,7 +23,7 @@ from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.prepare.session import Mask
 from trackres_ros.diagnosis.report.series import clock, runs
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED
-from trackres_ros.output.plots import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION
+from trackres_ros.output.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION
 from trackres_ros.text.numbers import figures
 
 Array = NDArray[np.float64]
@@ -146,7 +146,7 @@ def marked_times(d: Diagnosis) -> tuple[str, list[tuple[float, float]]]:
         series = [BY_NAME[b.variable].of(s, p) for s, p in zip(d.sessions, d.refitted.predicted, strict=True)]
         inside = [s.used & (x >= b.low) & (x <= b.high) for s, x in zip(d.sessions, series, strict=True)]
         return range_of(b), list(_times(d, inside))
-    if isinstance(lead, Found) and (d.verdict.names or d.verdict.seen == differs(lead)):
+    if isinstance(lead, NamedEffect) and (d.verdict.names or d.verdict.seen == differs(lead)):
         acts = lead.acts
         if acts.text:
             series = [BY_NAME[acts.variable].of(s, p) for s, p in zip(d.sessions, d.final.predicted, strict=True)]

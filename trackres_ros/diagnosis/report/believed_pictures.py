@@ -11,7 +11,7 @@ from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.report.believed import AVERAGED_S, MARK, begins, held_out_times, marked_times, minutes, names, panels
 from trackres_ros.diagnosis.report.picture import WIDTH, Picture
 from trackres_ros.diagnosis.report.series import clock, lasting
-from trackres_ros.output.plots import GREY, picture_with_legend, thinned
+from trackres_ros.output.style import GREY, picture_with_legend, thinned
 
 MOST_POINTS = 3000  # of a line over all sessions
 LEGEND_LETTERS = 115

@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from trackres_ros.diagnosis.described.routes import Route
-from trackres_ros.diagnosis.described.terms import Described
-from trackres_ros.diagnosis.findings.found import Found, Told
+from trackres_ros.diagnosis.empirical.routes import Route
+from trackres_ros.diagnosis.empirical.terms import Described
+from trackres_ros.diagnosis.findings.found import NamedEffect, Told
 from trackres_ros.diagnosis.findings.residual_bins import Bin
 from trackres_ros.diagnosis.findings.residual_sources import ResidualSources, residual_sources
 from trackres_ros.diagnosis.findings.spread import Spread
@@ -25,13 +25,13 @@ from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.report.inputs import inputs
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, Improvement
-from trackres_ros.diagnosis.selection.intervals import Interval
 from trackres_ros.diagnosis.selection.naming import Candidate, Step
-from trackres_ros.diagnosis.writing.sensor_lines import sensor_lines
-from trackres_ros.diagnosis.writing.vehicle_file import SURROUNDINGS_FILE
 from trackres_ros.effects.effect import BELONGS_TO
 from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.route.learned import SLOPE
+from trackres_ros.vehicle.writing.changes import Interval
+from trackres_ros.vehicle.writing.sensor_lines import sensor_lines
+from trackres_ros.vehicle.writing.vehicle_file import SURROUNDINGS_FILE
 
 SCHEMA = 1
 NO_BINDINGS: Mapping[str, TopicBinding] = MappingProxyType({})
@@ -202,7 +202,7 @@ def _why(c: Candidate, step: Step) -> str:
     return f"{likelier(step.chosen, c)} times less likely than {step.chosen.name}"
 
 
-def _effect(f: Found, belongs_to: str) -> dict[str, Any]:
+def _effect(f: NamedEffect, belongs_to: str) -> dict[str, Any]:
     chosen = f.step.chosen
     assert chosen
     units = {q.name: q.unit for q in f.parameters}

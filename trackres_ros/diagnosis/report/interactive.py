@@ -44,7 +44,7 @@ from trackres_ros.diagnosis.report.series import (
     where_each_step_is,
 )
 from trackres_ros.errors import MissingExtraError
-from trackres_ros.output.plots import BLUE, GREY, ORANGE, VERMILION, shortened
+from trackres_ros.output.style import BLUE, GREY, ORANGE, VERMILION, shortened
 from trackres_ros.text.numbers import alike
 
 Array = NDArray[np.float64]
@@ -60,7 +60,7 @@ INTERACTIVE_LETTERS = 90  # of a small font over the width of a page
 
 
 @dataclass(frozen=True, slots=True)
-class Plot:
+class ZoomPlot:
     """Where a plot goes: the part of the page, and the element and root that belong together."""
 
     part: str
@@ -82,13 +82,13 @@ class Interactive:
         Colours and texts of the lines over all drives, with whether each is solid.
     """
 
-    plots: tuple[Plot, ...]
+    plots: tuple[ZoomPlot, ...]
     library: str
     version: str
     data: str
     over_all: tuple[tuple[str, str, bool], ...] = ()
 
-    def of(self, part: str) -> list[Plot]:
+    def of(self, part: str) -> list[ZoomPlot]:
         """The plots of a part of the page."""
         return [plot for plot in self.plots if plot.part == part]
 
@@ -125,7 +125,7 @@ def interactive(d: Diagnosis) -> Interactive:
         "steps": dict(enumerate(steps)),
     }
     library = "\n".join(Resources(mode="inline", components=["bokeh"]).js_raw)
-    plots = tuple(Plot(part, f"plot-{root}", figure.title.text) for root, (part, figure) in zip(roots, drawn, strict=True))
+    plots = tuple(ZoomPlot(part, f"plot-{root}", figure.title.text) for root, (part, figure) in zip(roots, drawn, strict=True))
     legend = tuple((line.colour, line.text, line.solid) for panel in over_all for line in panel.lines)
     where = marked_times(d)[0]
     legend += (("#D9D9D9", "not used for fitting", True), *([(MARK, where, True)] if where else []))

@@ -15,7 +15,7 @@ from trackres_ros.diagnosis.inference.levels import for_tests
 from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.report.picture import WIDTH, Picture
 from trackres_ros.diagnosis.report.series import INTERVAL
-from trackres_ros.output.plots import BLUE, GREY, VERMILION, picture_with_legend
+from trackres_ros.output.style import BLUE, GREY, VERMILION, picture_with_legend
 from trackres_ros.text.numbers import figures
 
 Array = NDArray[np.float64]

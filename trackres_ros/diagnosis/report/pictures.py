@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.variables import BY_NAME
-from trackres_ros.diagnosis.described.terms import Described
-from trackres_ros.diagnosis.findings.found import Found, Told
+from trackres_ros.diagnosis.empirical.terms import Described
+from trackres_ros.diagnosis.findings.found import NamedEffect, Told
 from trackres_ros.diagnosis.findings.locate import SMOOTHED_S, against_travel, evenly_filled, smoothed, swings_of
 from trackres_ros.diagnosis.findings.residual_bins import Bin
 from trackres_ros.diagnosis.pipeline import Diagnosis
@@ -32,7 +32,7 @@ from trackres_ros.diagnosis.report.series import (
     stages,
     uncertainty,
 )
-from trackres_ros.output.plots import BLUE, GREY, ORANGE, VERMILION, picture, picture_with_legend, shortened, thinned
+from trackres_ros.output.style import BLUE, GREY, ORANGE, VERMILION, picture, picture_with_legend, shortened, thinned
 from trackres_ros.text.numbers import alike, decimals, figures
 
 Array = NDArray[np.float64]
@@ -194,7 +194,7 @@ def _at(b: Bin) -> str:
     return f"at {b.variable} {low} to {high} {b.unit}"
 
 
-def _partial(d: Diagnosis, found: Found, path: Path) -> Picture:
+def _partial(d: Diagnosis, found: NamedEffect, path: Path) -> Picture:
     """What is left without the effect, and what the effect adds, over the variable that it follows best."""
     fit = d.final
     left_over = [s.torque - p.torque for s, p in zip(d.sessions, fit.predicted, strict=True)]

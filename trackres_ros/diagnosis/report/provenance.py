@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import scipy
 
-from trackres_ros import __version__
+from trackres_ros.version import __version__
 
 
 def provenance(recordings: Sequence[Path], others: Sequence[Path], seconds: float | None) -> tuple[tuple[str, str], ...]:

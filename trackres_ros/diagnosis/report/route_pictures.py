@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from trackres_ros.diagnosis.described.routes import Route
+from trackres_ros.diagnosis.empirical.routes import Route
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.report.picture import WIDTH, Picture
-from trackres_ros.output.plots import BLUE, GREY, VERMILION, picture_with_legend
+from trackres_ros.output.style import BLUE, GREY, VERMILION, picture_with_legend
 from trackres_ros.route.learned import SLOPE
 from trackres_ros.route.lookup import SPACING_M
 from trackres_ros.text.numbers import figures

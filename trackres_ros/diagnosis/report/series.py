@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from trackres_ros.diagnosis.base.variables import BY_NAME
 from trackres_ros.diagnosis.findings.residual_bins import Bin
 from trackres_ros.diagnosis.pipeline import Diagnosis
-from trackres_ros.diagnosis.prepare.session import Mask, Session
+from trackres_ros.diagnosis.prepare.session import DriveSession, Mask
 
 Array = NDArray[np.float64]
 
@@ -52,7 +52,7 @@ def shown_lap(d: Diagnosis) -> tuple[int, NDArray[np.intp]]:
     return index, np.flatnonzero(d.sessions[index].block == lap)
 
 
-def runs(session: Session, inside: Mask) -> Iterator[tuple[float, float]]:
+def runs(session: DriveSession, inside: Mask) -> Iterator[tuple[float, float]]:
     """Begin and end [s] of each stretch of a session that is inside."""
     edges = np.flatnonzero(np.diff(inside.astype(np.int8), prepend=0, append=0))
     for begin, end in zip(edges[::2], edges[1::2], strict=True):

@@ -16,13 +16,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.described.finders import SURE, Term
-from trackres_ros.diagnosis.described.routes import Route
+from trackres_ros.diagnosis.empirical.finders import SURE, Term
+from trackres_ros.diagnosis.empirical.routes import Route
 from trackres_ros.diagnosis.findings.wording import NONE_OF_THESE
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.inference.levels import with_levels
 from trackres_ros.diagnosis.search.explanations import Explanation, Key, Search
-from trackres_ros.diagnosis.search.left_out import LeftOut, Score
+from trackres_ros.diagnosis.search.left_out import LeaveLapsOut, Score
 from trackres_ros.diagnosis.selection.as_used import AsUsed, inside_ranges
 from trackres_ros.diagnosis.selection.confirm import Graded, displaced, far_from_file, on_bounds
 from trackres_ros.diagnosis.selection.form_error import FORM_ERROR
@@ -37,7 +37,7 @@ CLASS_SHARE = 0.8
 
 
 @dataclass(frozen=True, eq=False)
-class Judged:
+class ScoredExplanation:
     """An explanation with values that predict, and what laps left out say of it."""
 
     explanation: Explanation
@@ -99,34 +99,34 @@ class Choice:
         The base alone with values that predict.
     """
 
-    def __init__(self, search: Search, refitted: Fit, left_out: LeftOut, laps: HeldOutLaps, use: AsUsed) -> None:
+    def __init__(self, search: Search, refitted: Fit, left_out: LeaveLapsOut, laps: HeldOutLaps, use: AsUsed) -> None:
         self._search, self._refitted, self._left_out, self._laps, self._use = search, refitted, left_out, laps, use
         self._beyond_base = left_out.beyond(refitted)
         self._by_file = use.error(None)
         nothing = search.nothing
-        self._judged: dict[Key, Judged] = {nothing.key: Judged(nothing, refitted, left_out.score(refitted))}
+        self._judged: dict[Key, ScoredExplanation] = {nothing.key: ScoredExplanation(nothing, refitted, left_out.score(refitted))}
         self._graded: dict[tuple[Key, str], Graded] = {}
 
     @property
-    def _nothing(self) -> Judged:
+    def _nothing(self) -> ScoredExplanation:
         return self._judged[frozenset()]
 
-    def judged(self, explanation: Explanation) -> Judged:
+    def judged(self, explanation: Explanation) -> ScoredExplanation:
         """Fit with values that predict, and score."""
         if explanation.key not in self._judged:
             final = inside_ranges(with_levels(replace(explanation.fit, problem=self._refitted.problem)), self._use)
             final = _off_bounds(final, self._refitted)
-            self._judged[explanation.key] = Judged(explanation, final, self._left_out.score(final))
+            self._judged[explanation.key] = ScoredExplanation(explanation, final, self._left_out.score(final))
         return self._judged[explanation.key]
 
-    def graded(self, judged: Judged, name: str) -> Graded:
+    def graded(self, judged: ScoredExplanation, name: str) -> Graded:
         """What laps left out say of a term of an explanation."""
         at = judged.key, name
         if at not in self._graded:
             self._graded[at] = self._grade(judged, name)
         return self._graded[at]
 
-    def _grade(self, judged: Judged, name: str) -> Graded:
+    def _grade(self, judged: ScoredExplanation, name: str) -> Graded:
         without = self.judged(self._search.without(judged.explanation, name))
         change = name in judged.explanation.terms and judged.explanation.terms[name].change is not None
         improvement = self._left_out.improvement(without.score, judged.score, for_good=change)
@@ -137,10 +137,10 @@ class Choice:
         active = next(a for a in judged.final.effects if a.effect.name == name)
         return Graded(name, improvement, on_bounds(active), displaced(improvement, judged.final, without.final), cancels=cancels)
 
-    def _all_graded(self, judged: Judged) -> dict[str, Graded]:
+    def _all_graded(self, judged: ScoredExplanation) -> dict[str, Graded]:
         return {name: self.graded(judged, name) for name in judged.explanation.candidates}
 
-    def _is_confirmed(self, judged: Judged) -> bool:
+    def _is_confirmed(self, judged: ScoredExplanation) -> bool:
         once = any(term.change is not None for term in judged.explanation.terms.values())
         whole = self._left_out.improvement(self._nothing.score, judged.score, for_good=once)
         kept = self._kept(judged)
@@ -149,7 +149,7 @@ class Choice:
             return False
         return all(self.graded(judged, name).confirmed for name in judged.explanation.candidates)
 
-    def _kept(self, judged: Judged) -> Improvement:
+    def _kept(self, judged: ScoredExplanation) -> Improvement:
         """Of the error on held-out laps."""
         return self._laps.improvement_of(self._refitted, judged.final)
 
@@ -179,7 +179,7 @@ class Choice:
         alone = self._search.rounds[frozenset()]
         return Chosen(best.explanation, best.final, self._all_graded(best), alone, steps, last, doubted, shares)
 
-    def _counts(self, judged: Judged) -> bool:
+    def _counts(self, judged: ScoredExplanation) -> bool:
         """Whether each term gains more than noise would beside all others, and one that improves little more than the model's own
         error would.
 
@@ -206,7 +206,7 @@ class Choice:
         found = sorted((e for e in self._search.known.values() if e.key), key=lambda e: -e.evidence)
         return [e for i, e in enumerate(found) if i < MOST_SCORED or any(map(e.goes_by_place, e.key))]
 
-    def _pick(self, confirmed: Sequence[Judged]) -> Judged:
+    def _pick(self, confirmed: Sequence[ScoredExplanation]) -> ScoredExplanation:
         """Of those that none surely beats those with the fewest terms without a name, and of these that with the most evidence.
 
         The functions of a name are nature's to a tenth only: a form that bends to the data has more evidence beside a true name,
@@ -214,12 +214,12 @@ class Choice:
         """
         unbeaten = [j for j in confirmed if not any(self._beats(k, j) or self._outdoes(k, j) for k in confirmed)]
 
-        def rank(judged: Judged) -> tuple[int, float]:
+        def rank(judged: ScoredExplanation) -> tuple[int, float]:
             return -judged.explanation.without_a_name, judged.explanation.evidence
 
         return max(unbeaten or confirmed, key=rank, default=self._nothing)
 
-    def _beats(self, one: Judged, other: Judged) -> bool:
+    def _beats(self, one: ScoredExplanation, other: ScoredExplanation) -> bool:
         """Whether one surely predicts better than another.
 
         A form in the place of a name has to by more: the function of a name is nature's to a tenth only, so the mean square
@@ -232,7 +232,7 @@ class Choice:
         by_form = sum(float((self._beyond_base(other.final.contribution(name)) ** 2).sum()) for name in names) * FORM_ERROR**2
         return not more_forms or float((other.score.square - one.score.square).sum()) > by_form
 
-    def _outdoes(self, one: Judged, other: Judged) -> bool:
+    def _outdoes(self, one: ScoredExplanation, other: ScoredExplanation) -> bool:
         """Whether one is the other with a form of more evidence in the place of a name that takes little off the error.
 
         Of a small term the data do not show its function, so nothing speaks for the name but its evidence.
@@ -247,7 +247,7 @@ class Choice:
         small = without - other.score.error.sum() < SMALL_SHARE * without
         return bool(small) and one.explanation.evidence > other.explanation.evidence
 
-    def _round_of(self, best: Judged, name: str) -> Step:
+    def _round_of(self, best: ScoredExplanation, name: str) -> Step:
         """The round without a term, with its class: what stands in its place as well."""
         without = self._search.without(best.explanation, name)
         step = self._search.expand(without)
@@ -273,7 +273,7 @@ class Choice:
             step, candidates=(chosen, *rest), chosen=chosen, members=tuple(members), weights=weights, stability=float(total)
         )
 
-    def _shares(self, judged: Sequence[Judged]) -> dict[str, float]:
+    def _shares(self, judged: Sequence[ScoredExplanation]) -> dict[str, float]:
         """Probability of each name: its share over some explanations."""
         shares = self._left_out.shares([j.score for j in judged])
         found: dict[str, float] = {NONE_OF_THESE: 0.0}

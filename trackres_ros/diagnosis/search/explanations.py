@@ -15,12 +15,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from trackres_ros.diagnosis.described.candidates import candidates
-from trackres_ros.diagnosis.described.finders import Term, terms_beside
-from trackres_ros.diagnosis.described.routes import SLOPES, Roads
+from trackres_ros.diagnosis.empirical.candidates import candidates
+from trackres_ros.diagnosis.empirical.finders import Term, terms_beside
+from trackres_ros.diagnosis.empirical.routes import SLOPES, Roads
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
 from trackres_ros.diagnosis.selection.naming import Candidate, Pool, Step, one_round
-from trackres_ros.diagnosis.selection.visibility import Columns
+from trackres_ros.diagnosis.selection.visibility import EffectColumns
 from trackres_ros.effects.effect import Effect
 
 Key = frozenset[str]
@@ -88,7 +88,7 @@ class Search:
         on_stage: Callable[[str], None],
     ) -> None:
         self._roads, self._kinds, self._replicates, self._rng, self._on_stage = roads, kinds, replicates, rng, on_stage
-        self._pool = Pool({**effects, **candidates(base)}, Columns(base))
+        self._pool = Pool({**effects, **candidates(base)}, EffectColumns(base))
         self.nothing = Explanation(base)
         self.known: dict[Key, Explanation] = {self.nothing.key: self.nothing}
         self.rounds: dict[Key, Step] = {}

@@ -19,11 +19,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.base.watched import Watched
+from trackres_ros.diagnosis.base.patterns import ResidualPattern
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.inference.levels import LARGEST_ROOT
 from trackres_ros.diagnosis.inference.noise import estimate_noise, whitened
-from trackres_ros.diagnosis.prepare.session import Mask, Session
+from trackres_ros.diagnosis.prepare.session import DriveSession, Mask
 from trackres_ros.diagnosis.selection.held_out import FEWEST_LAPS, PIECE_S, RESAMPLES, Improvement
 from trackres_ros.diagnosis.selection.visibility import base_columns
 
@@ -57,7 +57,7 @@ class Score:
     expected: Array
 
 
-class LeftOut:
+class LeaveLapsOut:
     """Laps left out in turn.
 
     Parameters
@@ -121,7 +121,7 @@ class LeftOut:
             for i, at in enumerate(self._fold):
                 expected[i][at == fold] += by_session[i][at == fold] @ moved
         for active in found.effects:
-            if isinstance(active.effect, Watched):
+            if isinstance(active.effect, ResidualPattern):
                 self._as_known(active.effect, found, expected)
         error = [s.torque - e for s, e in zip(problem.sessions, expected, strict=True)]
         # The noise beside what was expected ahead: beside the fit it is too small for what nobody can know, such as when a spell
@@ -142,7 +142,7 @@ class LeftOut:
             np.unique(occasion, axis=1, return_inverse=True)[1].ravel(), self.measured - errors,
         )  # fmt: skip
 
-    def _as_known(self, effect: Watched, found: Fit, expected: list[Array]) -> None:
+    def _as_known(self, effect: ResidualPattern, found: Fit, expected: list[Array]) -> None:
         """Put what one could have known of a series in place of what all laps told of it."""
         adds = found.contribution(effect.name)
         size = sum(float((s * s).sum()) for s in effect.shape)
@@ -221,7 +221,7 @@ def _of_torque(found: Fit, columns: Array) -> list[Array]:
     return [part for part, g in zip(found.problem.split(columns), segments, strict=True) if g.kind == "torque"]
 
 
-def _piece(session: Session) -> NDArray[np.int64]:
+def _piece(session: DriveSession) -> NDArray[np.int64]:
     """Number of the piece of each sample: of its lap, and of time in it."""
     return np.asarray(session.block * 10_000 + (session.time // (PIECE_S * session.pace)).astype(np.int64))
 

@@ -16,16 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.base.base import Base, BaseParameter
-from trackres_ros.diagnosis.base.watched import WATCHED, ByPlace
+from trackres_ros.diagnosis.base.patterns import WATCHED, ByPlace
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.inference.levels import with_levels
-from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.diagnosis.prepare.session import DriveSession
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED, HeldOutLaps
-from trackres_ros.diagnosis.selection.intervals import Interval, intervals
-from trackres_ros.diagnosis.writing.kept import Kept
+from trackres_ros.diagnosis.selection.intervals import intervals
 from trackres_ros.effects.effect import Active
 from trackres_ros.errors import InputError
 from trackres_ros.text.numbers import figures
+from trackres_ros.vehicle.writing.changes import FileChanges, Interval
 
 Array = NDArray[np.float64]
 Values = Mapping[str, float]
@@ -52,7 +52,7 @@ class AsUsed:
         The held-out laps.
     """
 
-    def __init__(self, base: Base, sessions: Sequence[Session], recorded: Sequence[Session], laps: HeldOutLaps) -> None:
+    def __init__(self, base: Base, sessions: Sequence[DriveSession], recorded: Sequence[DriveSession], laps: HeldOutLaps) -> None:
         self._around = base, tuple(sessions)
         self._alone = self._around
         if base.alone is not base or any(s.given != r.given for s, r in zip(sessions, recorded, strict=True)):
@@ -143,7 +143,7 @@ class _Option:
 
 def choose_written(
     believed: Collection[str], confirmed: Collection[str], final: Fit, refitted: Fit, use: AsUsed, bounds: Bounds
-) -> Kept:
+) -> FileChanges:
     """What may be written, the first of `_options` that is no worse as it is used than the vehicle file.
 
     Parameters
@@ -232,7 +232,7 @@ def _correcting(option: _Option, confirmed: Collection[str]) -> list[Active]:
     return [a for a in of_kind(option.effects, SENSOR) if a.effect.name in confirmed]
 
 
-def _kept(option: _Option, final: Fit, confirmed: Collection[str], use: AsUsed, bounds: Bounds, not_first: str) -> Kept:
+def _kept(option: _Option, final: Fit, confirmed: Collection[str], use: AsUsed, bounds: Bounds, not_first: str) -> FileChanges:
     """An option with its intervals and in words."""
     names = {a.effect.name for a in option.effects}
     spans = {key: one for key, one in bounds.items() if key[0] in names}
@@ -247,7 +247,7 @@ def _kept(option: _Option, final: Fit, confirmed: Collection[str], use: AsUsed, 
         error += f", {figures(use.error(option.values, option.effects))} Nm with surroundings.yaml"
     doubted = [a.effect.name for a in final.effects if a.effect.acts_on != WATCHED and a.effect.name not in names]
     but = f"; not written: {', '.join(doubted)}" if doubted else ""
-    return Kept(
+    return FileChanges(
         None if option.values is None else dict(option.values),
         tuple(a for a in option.effects if not isinstance(a.effect, ByPlace)),
         spans,

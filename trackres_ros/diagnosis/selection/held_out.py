@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.diagnosis.inference.fitting import Fit
-from trackres_ros.diagnosis.prepare.session import Mask, Session
+from trackres_ros.diagnosis.prepare.session import DriveSession, Mask
 from trackres_ros.diagnosis.prepare.split import lap_name
 from trackres_ros.errors import InputError
 
@@ -84,7 +84,7 @@ class HeldOutLaps:
         If there are none.
     """
 
-    def __init__(self, sessions: Sequence[Session], masks: Sequence[Mask], rng: np.random.Generator) -> None:
+    def __init__(self, sessions: Sequence[DriveSession], masks: Sequence[Mask], rng: np.random.Generator) -> None:
         if not any(m.any() for m in masks):
             given = "held-out laps without a sample to compare"
             allowed = "laps in which it drives with a measured torque"

@@ -8,7 +8,6 @@ nature's function may be from the catalogue's.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +20,7 @@ from trackres_ros.diagnosis.selection.confirm import ON_BOUND
 from trackres_ros.diagnosis.selection.form_error import FORM_ERROR
 from trackres_ros.diagnosis.selection.visibility import base_columns
 from trackres_ros.effects.effect import Effect
+from trackres_ros.vehicle.writing.changes import Interval
 
 Array = NDArray[np.float64]
 
@@ -28,15 +28,6 @@ DROP = 0.5 * float(chi2.ppf(0.95, 1))
 NORMAL_95 = 1.96
 MOST_TRIES = 8
 GROWTH = 2.0
-
-
-@dataclass(frozen=True, slots=True)
-class Interval:
-    """A 95 % interval; `bound_only` where the likelihood does not fall on one side before the bounds: then it is only a bound."""
-
-    low: float
-    high: float
-    bound_only: bool
 
 
 def intervals(found: Fit) -> dict[tuple[str, str], Interval]:

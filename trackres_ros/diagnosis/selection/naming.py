@@ -12,14 +12,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.base.watched import Watched
+from trackres_ros.diagnosis.base.patterns import ResidualPattern
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
 from trackres_ros.diagnosis.inference.noise import shortened
 from trackres_ros.diagnosis.inference.threads import side_by_side
 from trackres_ros.diagnosis.selection.screening import Gain, Screened, screen
-from trackres_ros.diagnosis.selection.visibility import Columns, Sensitivity, Separability, separability
+from trackres_ros.diagnosis.selection.visibility import EffectColumns, EffectSensitivity, Separability, separability
 from trackres_ros.effects.effect import Effect
-from trackres_ros.effects.learned import Learned
+from trackres_ros.effects.learned import EmpiricalEffect
 
 Array = NDArray[np.float64]
 
@@ -48,7 +48,7 @@ class Candidate:
     bic_gain
         Twice the gain less the logarithm of the effective sample for each parameter that the data settle; for comparison.
     kept, d_prime
-        See `visibility.Sensitivity`.
+        See `visibility.EffectSensitivity`.
     share
         Of the torque that it adds, root mean square.
     form_error_gain
@@ -73,7 +73,7 @@ class Candidate:
     @property
     def is_name(self) -> bool:
         """Whether it is of the catalogue."""
-        return not isinstance(self.effect, Learned | Watched)
+        return not isinstance(self.effect, EmpiricalEffect | ResidualPattern)
 
     @property
     def net_gain(self) -> float:
@@ -145,7 +145,7 @@ class Pool:
     """
 
     effects: Mapping[str, Effect]
-    columns: Columns
+    columns: EffectColumns
     by_noise: float | None = None
 
     def without(self, taken: Collection[str]) -> dict[str, Effect]:
@@ -174,7 +174,7 @@ def _refitted(current: Fit, screened: Screened) -> list[Candidate]:
         looked_at = _may_be_best(screened, misleading)
         new = []
         for kind in (False, True):  # names, and forms
-            of_kind = [name for name, starts in looked_at.items() if isinstance(starts[0][0].effect, Learned) is kind]
+            of_kind = [name for name, starts in looked_at.items() if isinstance(starts[0][0].effect, EmpiricalEffect) is kind]
             room = MOST_REFITTED[kind] + sum(name in misleading for name in of_kind) - sum(name in fitted for name in of_kind)
             new += [name for name in of_kind if name not in fitted][: max(0, room)]
         if not new:
@@ -187,13 +187,13 @@ def _refitted(current: Fit, screened: Screened) -> list[Candidate]:
         misleading = {name for name, c in fitted.items() if c.gain < BORNE_OUT * first_order[name]}
 
 
-def _may_be_best(screened: Screened, misleading: Collection[str]) -> dict[str, list[tuple[Sensitivity, Gain]]]:
+def _may_be_best(screened: Screened, misleading: Collection[str]) -> dict[str, list[tuple[EffectSensitivity, Gain]]]:
     """By name what is to be fitted and from where, of effects the best of which is no misleading one."""
     best = max((gain.value for s, gain in screened.gains if s.effect.name not in misleading), default=0.0)
     if best < 0.5 * screened.threshold or best < 1.0:
         return {}
     within = max(FAR_BEHIND, 0.5 * best)
-    worth = dict[str, list[tuple[Sensitivity, Gain]]]()
+    worth = dict[str, list[tuple[EffectSensitivity, Gain]]]()
     for s, gain in screened.gains:
         near = gain.value > best - within or (s.effect.acts_on in THROUGH_TEMPERATURE and gain.value > screened.threshold)
         starts = worth.get(s.effect.name, [])
@@ -213,7 +213,7 @@ def spurious_gain(current: Fit) -> float:
     return 0.5 * samples * (MODEL_ERROR * torque * current.noise.dc_gain / current.noise.std) ** 2
 
 
-def _refit(current: Fit, found: Sequence[tuple[Sensitivity, Gain]], form_error_gain: float) -> Candidate:
+def _refit(current: Fit, found: Sequence[tuple[EffectSensitivity, Gain]], form_error_gain: float) -> Candidate:
     """The best of the fits from each start."""
     active, short = [a.effect for a in current.effects], shortened(current.noise)
     fits = []
@@ -240,7 +240,7 @@ def rms(series: Sequence[Array], found: Fit) -> float:
     return float(np.sqrt(np.mean(used[np.isfinite(used)] ** 2)))
 
 
-def _begin(sensitivity: Sensitivity, moved: Array) -> dict[tuple[str, str], float]:
+def _begin(sensitivity: EffectSensitivity, moved: Array) -> dict[tuple[str, str], float]:
     """Values to begin a fit at: where it is best to first order, but not at nothing, where its shape cannot be felt."""
     values, of = dict(sensitivity.start), sensitivity.effect
     amplitudes = [q for q in of.parameters if q.off is not None]

@@ -20,7 +20,7 @@ from trackres_ros.diagnosis.inference.fitting import LARGE, Fit
 from trackres_ros.diagnosis.inference.noise import MOST_LAGS, Noise, improved, shortened, whole_past
 from trackres_ros.diagnosis.inference.threads import side_by_side
 from trackres_ros.diagnosis.selection.form_error import other_forms
-from trackres_ros.diagnosis.selection.visibility import Sensitivity, base_columns
+from trackres_ros.diagnosis.selection.visibility import EffectSensitivity, base_columns
 
 Array = NDArray[np.float64]
 
@@ -59,14 +59,14 @@ class Screened:
         Largest gain of each replicate of the bootstrap.
     """
 
-    gains: tuple[tuple[Sensitivity, Gain], ...]
+    gains: tuple[tuple[EffectSensitivity, Gain], ...]
     form_error_gain: Mapping[str, float]
     threshold: float
     reached: Array
 
 
 def screen(
-    fit: Fit, candidates: Sequence[Sensitivity], replicates: int, rng: np.random.Generator, by_noise: float | None = None
+    fit: Fit, candidates: Sequence[EffectSensitivity], replicates: int, rng: np.random.Generator, by_noise: float | None = None
 ) -> Screened:
     """Gain of each candidate, and the distribution of the largest under noise of the fit's own kind, unless it is known what
     the best gains `by_noise`. Where the first draws leave no doubt, there are no more.
@@ -120,7 +120,7 @@ def largest_by_noise(reached: Array) -> float:
     return float(reached.mean() + GUMBEL_95 * reached.std(ddof=1))
 
 
-def _best(name: str, candidates: Sequence[Sensitivity], gains: Sequence[Gain]) -> float:
+def _best(name: str, candidates: Sequence[EffectSensitivity], gains: Sequence[Gain]) -> float:
     return max(gain.value for c, gain in zip(candidates, gains, strict=True) if c.effect.name == name)
 
 
@@ -181,7 +181,7 @@ class _Linear:
             kind: np.stack([rows[at - i] for i in range(len(self._fit.noises[kind].phi) + 1)]) for kind, at in self._at.items()
         }
 
-    def mover(self, candidate: Sensitivity) -> _Mover:
+    def mover(self, candidate: EffectSensitivity) -> _Mover:
         """The fit's own parameters and the amplitudes of a candidate, in units of its typical ones."""
         amplitudes = [(q, q.start - q.off, q.off) for q in candidate.effect.parameters if q.off is not None]
         limits = [sorted(((q.low - off) / span, (q.high - off) / span)) for q, span, off in amplitudes]

@@ -16,7 +16,7 @@ from trackres_ros.diagnosis.base.base import Predicted
 from trackres_ros.diagnosis.inference.fitting import LARGE, Fit, jacobian, valid_rows
 from trackres_ros.diagnosis.inference.noise import shortened
 from trackres_ros.effects.effect import Active, Effect
-from trackres_ros.effects.learned import Learned
+from trackres_ros.effects.learned import EmpiricalEffect
 from trackres_ros.progress import counted
 
 Array = NDArray[np.float64]
@@ -31,7 +31,7 @@ REPLACED_BY = {"grade": ("grade", "grade_profile")}
 
 
 @dataclass(frozen=True, eq=False)
-class Sensitivity:
+class EffectSensitivity:
     """What an effect would do to the residual, to first order.
 
     Attributes
@@ -63,7 +63,7 @@ class Sensitivity:
 
 
 class Shown(NamedTuple):
-    """How a change of the expected torque shows, see `Sensitivity`."""
+    """How a change of the expected torque shows, see `EffectSensitivity`."""
 
     kept: float
     d_prime: float
@@ -98,7 +98,7 @@ class Separability:
         Of the visible ones, and how alike they look, shape (names, names), signed.
     """
 
-    visible: tuple[Sensitivity, ...]
+    visible: tuple[EffectSensitivity, ...]
     not_visible: tuple[NotVisible, ...]
     names: tuple[str, ...]
     cosines: Array  # (names, names), signed
@@ -106,8 +106,8 @@ class Separability:
     @property
     def of_names(self) -> Separability:
         """The part of it that is of the catalogue."""
-        visible = tuple(s for s in self.visible if not isinstance(s.effect, Learned))
-        not_visible = tuple(n for n in self.not_visible if not isinstance(n.effect, Learned))
+        visible = tuple(s for s in self.visible if not isinstance(s.effect, EmpiricalEffect))
+        not_visible = tuple(n for n in self.not_visible if not isinstance(n.effect, EmpiricalEffect))
         names = {s.effect.name for s in visible}
         at = [i for i, name in enumerate(self.names) if name in names]
         return Separability(visible, not_visible, tuple(self.names[i] for i in at), self.cosines[np.ix_(at, at)])
@@ -147,7 +147,7 @@ def separability(effects: Mapping[str, Effect], fit: Fit, columns_of: ColumnsOf 
     """Linearise all effects about a fit, unless that is known, and compare them with what the fit can take up itself, and with
     each other.
     """
-    columns_of = columns_of or Columns(fit)
+    columns_of = columns_of or EffectColumns(fit)
     possible, not_visible = feasible(effects, fit)
     own = base_columns(fit)
     own_white = _white(own, fit)
@@ -191,7 +191,7 @@ def base_columns(fit: Fit) -> Array:
     return jacobian(lambda point: _expected(fit, fit.problem.predict(*fit.model_at(point))), fit.point, fit.free)
 
 
-class Columns:
+class EffectColumns:
     """Changes of what is expected per amplitude of effects, to first order about a fit; each is simulated once."""
 
     def __init__(self, fit: Fit) -> None:
@@ -220,13 +220,15 @@ def _columns(effect: Effect, start: Mapping[str, float], fit: Fit) -> Array:
 
 def _strongest(
     effect: Effect, columns: Sequence[tuple[dict[str, float], Array]], fit: Fit, project: Projector
-) -> tuple[list[Sensitivity], Sensitivity | None]:
+) -> tuple[list[EffectSensitivity], EffectSensitivity | None]:
     """How an effect shows from each start from which it does anything, under the noise of a fit; and the strongest of them."""
     found = [s for start, of in columns if (s := _sensitivity(effect, start, of, fit, project)) is not None]
     return found, max(found, key=lambda s: s.d_prime, default=None)
 
 
-def _sensitivity(effect: Effect, start: Mapping[str, float], columns: Array, fit: Fit, project: Projector) -> Sensitivity | None:
+def _sensitivity(
+    effect: Effect, start: Mapping[str, float], columns: Array, fit: Fit, project: Projector
+) -> EffectSensitivity | None:
     amplitudes = [q for q in effect.parameters if q.off is not None]
     spanned = columns * np.array([q.start - q.off for q in amplitudes if q.off is not None])
     shown = [one for series in (spanned.sum(axis=1), *spanned.T) if (one := _shown(series, fit, project)) is not None]
@@ -234,7 +236,7 @@ def _sensitivity(effect: Effect, start: Mapping[str, float], columns: Array, fit
         return None
     best = max(shown, key=lambda one: one.d_prime)
     names = tuple(q.name for q in amplitudes)
-    return Sensitivity(effect, start, names, columns, best.kept, best.d_prime, best.by_priors, best.direction)
+    return EffectSensitivity(effect, start, names, columns, best.kept, best.d_prime, best.by_priors, best.direction)
 
 
 def _shown(change: Array, fit: Fit, project: Projector) -> Shown | None:

@@ -11,19 +11,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.described.finders import Term
-from trackres_ros.diagnosis.described.watching import drift_to_watch, spells_to_watch
+from trackres_ros.diagnosis.empirical.finders import Term
+from trackres_ros.diagnosis.empirical.live_disturbance import drift_to_watch, spells_to_watch
 from trackres_ros.diagnosis.findings.next_drives import Advice, advise
-from trackres_ros.diagnosis.findings.verdict import Found, Told, Verdict
+from trackres_ros.diagnosis.findings.verdict import NamedEffect, Told, Verdict
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.search.choice import Chosen
 from trackres_ros.diagnosis.selection.as_used import choose_written
 from trackres_ros.diagnosis.selection.held_out import CONFIRMED
-from trackres_ros.diagnosis.stages.judge import Judged
-from trackres_ros.diagnosis.stages.options import Options
-from trackres_ros.diagnosis.stages.prepare import Prepared
+from trackres_ros.diagnosis.stages.judge import Judgement
+from trackres_ros.diagnosis.stages.options import DiagnosisOptions
+from trackres_ros.diagnosis.stages.prepare import PreparedSessions
 from trackres_ros.diagnosis.stages.refit import Refitted
-from trackres_ros.diagnosis.writing.kept import Kept, LearnedDisturbance
+from trackres_ros.vehicle.writing.changes import FileChanges, LearnedDisturbance
 
 Array = NDArray[np.float64]
 
@@ -33,10 +33,12 @@ class Concluded:
     """What to do: drives that would tell more, and what may be written."""
 
     advice: tuple[Advice, ...]
-    kept: Kept
+    kept: FileChanges
 
 
-def conclude(prepared: Prepared, base: Refitted, chosen: Chosen, judged: Judged, options: Options) -> Concluded:
+def conclude(
+    prepared: PreparedSessions, base: Refitted, chosen: Chosen, judged: Judgement, options: DiagnosisOptions
+) -> Concluded:
     """Decide what is kept, and what to drive next."""
     options.on_stage("what to drive next")
     of_vehicle = all(s.pace == 1.0 for s in prepared.sessions)  # the menu of manoeuvres is one for drivers
@@ -55,7 +57,7 @@ def conclude(prepared: Prepared, base: Refitted, chosen: Chosen, judged: Judged,
 
 
 def believed_in(
-    found: Sequence[Found], terms: Sequence[Told], verdict: Verdict, kinds: Mapping[str, str], keep_suspected: bool
+    found: Sequence[NamedEffect], terms: Sequence[Told], verdict: Verdict, kinds: Mapping[str, str], keep_suspected: bool
 ) -> list[str]:
     """Names of the effects that may be written: the verdict stands by them, held-out laps confirm them, and all that may be
     meant belong to the same; of terms without a name, those that follow what is known at the time. Or whatever was found, if
@@ -67,7 +69,7 @@ def believed_in(
         What each effect of the catalogue belongs to.
     """
 
-    def settled(f: Found) -> bool:
+    def settled(f: NamedEffect) -> bool:
         own = kinds.get(f.name)
         return {kinds.get(m, own) for m in f.step.members} <= {own}
 
@@ -77,7 +79,7 @@ def believed_in(
     ]
 
 
-def may_be_kept(f: Found | Told, verdict: Verdict, keep_suspected: bool) -> bool:
+def may_be_kept(f: NamedEffect | Told, verdict: Verdict, keep_suspected: bool) -> bool:
     """Whether the verdict stands by it and held-out laps confirm it, or suspected ones are kept."""
     return keep_suspected or (verdict.names and f.graded.grade == CONFIRMED)
 

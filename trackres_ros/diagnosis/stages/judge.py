@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.base.watched import ByPlace
-from trackres_ros.diagnosis.described.finders import slow_term
-from trackres_ros.diagnosis.described.terms import Described
-from trackres_ros.diagnosis.described.told import course, said
-from trackres_ros.diagnosis.described.watching import drift_on_held_out
+from trackres_ros.diagnosis.base.patterns import ByPlace
+from trackres_ros.diagnosis.empirical.finders import slow_term
+from trackres_ros.diagnosis.empirical.live_disturbance import drift_on_held_out
+from trackres_ros.diagnosis.empirical.statements import course, said
+from trackres_ros.diagnosis.empirical.terms import Described
 from trackres_ros.diagnosis.findings.locate import (
     acts,
     against_travel,
@@ -29,7 +29,7 @@ from trackres_ros.diagnosis.findings.locate import (
 )
 from trackres_ros.diagnosis.findings.residual_bins import RegimeMap, regime_map
 from trackres_ros.diagnosis.findings.spread import Spread, find_spread
-from trackres_ros.diagnosis.findings.verdict import MOST_STRAY, Found, Told, Verdict, by_weight, changed_values
+from trackres_ros.diagnosis.findings.verdict import MOST_STRAY, NamedEffect, Told, Verdict, by_weight, changed_values
 from trackres_ros.diagnosis.findings.verdict import judge as verdict_of
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.inference.levels import for_tests
@@ -37,17 +37,18 @@ from trackres_ros.diagnosis.prepare.torque_checks import inconsistent_scale_note
 from trackres_ros.diagnosis.search.choice import Chosen
 from trackres_ros.diagnosis.selection.confirm import Graded
 from trackres_ros.diagnosis.selection.held_out import HeldOut, Improvement, held_out
-from trackres_ros.diagnosis.selection.intervals import Interval, intervals
-from trackres_ros.diagnosis.stages.options import Options
-from trackres_ros.diagnosis.stages.prepare import Prepared
+from trackres_ros.diagnosis.selection.intervals import intervals
+from trackres_ros.diagnosis.stages.options import DiagnosisOptions
+from trackres_ros.diagnosis.stages.prepare import PreparedSessions
 from trackres_ros.diagnosis.stages.refit import Refitted
+from trackres_ros.vehicle.writing.changes import Interval
 
 Array = NDArray[np.float64]
 Bounds = Mapping[tuple[str, str], Interval]
 
 
 @dataclass(frozen=True, eq=False)
-class Judged:
+class Judgement:
     """What it comes to.
 
     Attributes
@@ -66,7 +67,7 @@ class Judged:
         Intervals of the values of the final fit.
     """
 
-    found: tuple[Found, ...]
+    found: tuple[NamedEffect, ...]
     terms: tuple[Told, ...]
     wanders: Described | None
     tracked: Improvement | None
@@ -78,7 +79,9 @@ class Judged:
     verdict: Verdict
 
 
-def judge(prepared: Prepared, base: Refitted, chosen: Chosen, options: Options, rng: np.random.Generator) -> Judged:
+def judge(
+    prepared: PreparedSessions, base: Refitted, chosen: Chosen, options: DiagnosisOptions, rng: np.random.Generator
+) -> Judgement:
     """Judge an explanation."""
     final = chosen.final
     worth = _worth(prepared, base, chosen)
@@ -110,10 +113,10 @@ def judge(prepared: Prepared, base: Refitted, chosen: Chosen, options: Options, 
         None if spread is None else spread.described,
         later,
     )
-    return Judged(tuple(found), tuple(terms), wanders, tracked, spread, worth, tested_end, at_end, bounds, verdict)
+    return Judgement(tuple(found), tuple(terms), wanders, tracked, spread, worth, tested_end, at_end, bounds, verdict)
 
 
-def _worth(prepared: Prepared, base: Refitted, chosen: Chosen) -> HeldOut:
+def _worth(prepared: PreparedSessions, base: Refitted, chosen: Chosen) -> HeldOut:
     """Errors on held-out laps; refuses where nothing can be concluded from them."""
     predicted = {"refitted": base.refitted.predicted, "with_effects": chosen.final.predicted}
     expected = {stage: [p.torque for p in of] for stage, of in predicted.items()}
@@ -130,7 +133,7 @@ def _worth(prepared: Prepared, base: Refitted, chosen: Chosen) -> HeldOut:
     return worth
 
 
-def _found(base: Refitted, chosen: Chosen, bounds: Bounds) -> list[Found]:
+def _found(base: Refitted, chosen: Chosen, bounds: Bounds) -> list[NamedEffect]:
     """The effects of the final fit that have a name."""
     final, sessions = chosen.final, chosen.final.problem.sessions
     of_base = _residual(base)
@@ -147,13 +150,13 @@ def _found(base: Refitted, chosen: Chosen, bounds: Bounds) -> list[Found]:
             where = replace(where, low=where.least, high=where.most)  # by the place, and by nothing that is looked over
         regime = regime_of(base.refitted, base.at_base, where, effect.acts_on != "sensor")
         found.append(
-            Found(
+            NamedEffect(
                 effect.name, effect.text, effect.acts_on, effect.parameters, chosen.steps[effect.name], active.values,
                 bounds_of(effect.name, bounds), adds, resists, spans(sessions, adds), where, regime,
                 where.residual(regime[0], base.at_base, swings), chosen.graded[effect.name],
             )
         )  # fmt: skip
-    return [f for f in by_weight(found) if isinstance(f, Found)]
+    return [f for f in by_weight(found) if isinstance(f, NamedEffect)]
 
 
 def _terms(base: Refitted, chosen: Chosen, bounds: Bounds) -> list[Told]:

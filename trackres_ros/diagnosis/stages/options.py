@@ -14,7 +14,7 @@ from trackres_ros.diagnosis.prepare.refuse import Refusal
 
 
 @dataclass(frozen=True, eq=False)
-class Options:
+class DiagnosisOptions:
     """See `pipeline.diagnose`."""
 
     vehicle: LoadedBase

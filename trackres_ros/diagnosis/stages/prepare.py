@@ -15,9 +15,9 @@ from trackres_ros.diagnosis.base.base import Base
 from trackres_ros.diagnosis.base.instrument import usual_offset
 from trackres_ros.diagnosis.prepare.at_rest import seconds_without_torque
 from trackres_ros.diagnosis.prepare.gate import Gated
-from trackres_ros.diagnosis.prepare.session import Session, Split
+from trackres_ros.diagnosis.prepare.session import DriveSession, Split
 from trackres_ros.diagnosis.prepare.split import split
-from trackres_ros.diagnosis.stages.options import Options
+from trackres_ros.diagnosis.stages.options import DiagnosisOptions
 from trackres_ros.diagnosis.stages.prepared import prepared
 from trackres_ros.effects import catalogue
 from trackres_ros.effects.effect import Effect
@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Prepared:
+class PreparedSessions:
     """What is diagnosed.
 
     Attributes
@@ -49,16 +49,16 @@ class Prepared:
     gated: Gated
     split: Split
     nominal: tuple[Array, ...]
-    recorded: tuple[Session, ...]
+    recorded: tuple[DriveSession, ...]
     effects: Mapping[str, Effect]
 
     @property
-    def sessions(self) -> tuple[Session, ...]:
+    def sessions(self) -> tuple[DriveSession, ...]:
         """What passed the gate."""
         return self.gated.sessions
 
 
-def prepare(recordings: Sequence[Recording], options: Options) -> Prepared:
+def prepare(recordings: Sequence[Recording], options: DiagnosisOptions) -> PreparedSessions:
     """Check, clean and split recordings."""
     vehicle = options.vehicle
     base, facts = vehicle.base, vehicle.base.facts
@@ -71,7 +71,7 @@ def prepare(recordings: Sequence[Recording], options: Options) -> Prepared:
         if effect.only_of in ("", "rolls" if base.rolls else "slides")
     }
     gated, effects = without_an_offset(gated, base, effects)
-    return Prepared(base, gated, split(gated.sessions, options.holdout), nominal, recorded, effects)
+    return PreparedSessions(base, gated, split(gated.sessions, options.holdout), nominal, recorded, effects)
 
 
 def without_an_offset(gated: Gated, base: Base, effects: Mapping[str, Effect]) -> tuple[Gated, dict[str, Effect]]:

@@ -14,14 +14,14 @@ from trackres_ros.diagnosis.base.loading import LoadedBase
 from trackres_ros.diagnosis.prepare.gate import Gated, gate
 from trackres_ros.diagnosis.prepare.on_route import on_route
 from trackres_ros.diagnosis.prepare.refuse import Refusal
-from trackres_ros.diagnosis.prepare.session import Array, Session
+from trackres_ros.diagnosis.prepare.session import Array, DriveSession
 from trackres_ros.diagnosis.prepare.torque_checks import aligned_clock, check_torque, faulty_torques, inconsistent_scale_notes
 from trackres_ros.recording.recording import Recording
 
 
 def prepared(
     recordings: Sequence[Recording], vehicle: LoadedBase, hide: Sequence[str] = (), refused: Sequence[Refusal] = ()
-) -> tuple[Gated, tuple[Array, ...], tuple[Session, ...]]:
+) -> tuple[Gated, tuple[Array, ...], tuple[DriveSession, ...]]:
     """What passed the gate and the checks of the torque, the torque that the vehicle file expects of it [Nm], and the sessions as
     recorded, without what a route says of their places.
 
@@ -34,7 +34,7 @@ def prepared(
         If no recording can be used, or the torque of all of them is wrong.
     """
 
-    def by_file(sessions: Sequence[Session]) -> list[Array]:
+    def by_file(sessions: Sequence[DriveSession]) -> list[Array]:
         values = {q.name: q.nominal for q in vehicle.base.parameters}
         return [p.torque for p in vehicle.base.predict(sessions, values, ())]
 

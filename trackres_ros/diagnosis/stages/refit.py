@@ -12,11 +12,11 @@ import numpy as np
 from trackres_ros.diagnosis.findings.residual_bins import RegimeMap, regime_map
 from trackres_ros.diagnosis.inference.fitting import Fit, Problem, fit
 from trackres_ros.diagnosis.inference.levels import for_tests, with_levels
-from trackres_ros.diagnosis.search.left_out import LeftOut
+from trackres_ros.diagnosis.search.left_out import LeaveLapsOut
 from trackres_ros.diagnosis.selection.as_used import AsUsed, inside_ranges
 from trackres_ros.diagnosis.selection.held_out import HeldOutLaps
-from trackres_ros.diagnosis.stages.options import Options
-from trackres_ros.diagnosis.stages.prepare import Prepared
+from trackres_ros.diagnosis.stages.options import DiagnosisOptions
+from trackres_ros.diagnosis.stages.prepare import PreparedSessions
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,12 +36,12 @@ class Refitted:
     tested: Fit
     refitted: Fit
     laps: HeldOutLaps
-    left_out: LeftOut
+    left_out: LeaveLapsOut
     use: AsUsed
     at_base: RegimeMap
 
 
-def refit(prepared: Prepared, options: Options, rng: np.random.Generator) -> Refitted:
+def refit(prepared: PreparedSessions, options: DiagnosisOptions, rng: np.random.Generator) -> Refitted:
     """Fit the base, and see where recordings part from it."""
     options.on_stage("re-fit of the base")
     sessions, split = prepared.sessions, prepared.split
@@ -51,4 +51,4 @@ def refit(prepared: Prepared, options: Options, rng: np.random.Generator) -> Ref
     use = AsUsed(prepared.base, sessions, prepared.recorded, laps)
     refitted = inside_ranges(with_levels(tested), use)
     options.on_stage("where: residual by regime")
-    return Refitted(tested, refitted, laps, LeftOut(refitted, held_out, rng), use, regime_map(for_tests(refitted), rng))
+    return Refitted(tested, refitted, laps, LeaveLapsOut(refitted, held_out, rng), use, regime_map(for_tests(refitted), rng))

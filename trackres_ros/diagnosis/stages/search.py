@@ -7,17 +7,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from trackres_ros.diagnosis.described.routes import roads_of
+from trackres_ros.diagnosis.empirical.routes import roads_of
 from trackres_ros.diagnosis.search.choice import Choice, Chosen
 from trackres_ros.diagnosis.search.explanations import Search
 from trackres_ros.diagnosis.selection.screening import QUICK_REPLICATES, REPLICATES
-from trackres_ros.diagnosis.stages.options import Options
-from trackres_ros.diagnosis.stages.prepare import Prepared
+from trackres_ros.diagnosis.stages.options import DiagnosisOptions
+from trackres_ros.diagnosis.stages.prepare import PreparedSessions
 from trackres_ros.diagnosis.stages.refit import Refitted
 from trackres_ros.route.learned import SLOPE, TORQUE, of_kind
 
 
-def search(prepared: Prepared, base: Refitted, options: Options, rng: np.random.Generator) -> Chosen:
+def search(prepared: PreparedSessions, base: Refitted, options: DiagnosisOptions, rng: np.random.Generator) -> Chosen:
     """Search explanations, and choose one."""
     kinds = [kind for kind in (SLOPE, TORQUE) if of_kind(options.vehicle.route, kind) is None]
     roads = roads_of(prepared.sessions) if kinds else None

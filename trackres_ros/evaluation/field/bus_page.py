@@ -12,7 +12,7 @@ import numpy as np
 
 from trackres_ros.evaluation.field.bus import CLOSE, LONG_STRETCH_S, PayloadFound, payload_found, slope_found
 from trackres_ros.evaluation.field.run import FieldTrial
-from trackres_ros.output.plots import BLUE, GREY, VERMILION, picture
+from trackres_ros.output.style import BLUE, GREY, VERMILION, picture
 from trackres_ros.text.numbers import figures
 
 SECONDS_PER_MIN = 60.0

@@ -30,8 +30,8 @@ from trackres_ros.evaluation.field.run import (
     starts,
     twice,
 )
-from trackres_ros.evaluation.field.warmth import WANTED_RANK, Pooled, pool, start_states, warming
-from trackres_ros.output.plots import BLUE, GREY, ORANGE, VERMILION, picture
+from trackres_ros.evaluation.field.warmth import WANTED_RANK, PooledStarts, pool, start_states, warming
+from trackres_ros.output.style import BLUE, GREY, ORANGE, VERMILION, picture
 from trackres_ros.text.numbers import decimals
 
 Array = NDArray[np.float64]
@@ -85,7 +85,7 @@ def write_page(data: Path, tried: Sequence[FieldTrial], of_bus: Sequence[FieldTr
     return "\n".join(lines) + "\n"
 
 
-def _starts(begun: Sequence[Start], together: Pooled) -> list[str]:
+def _starts(begun: Sequence[Start], together: PooledStarts) -> list[str]:
     lines = [
         "The start state of each trip is fitted to that trip alone, with a warm-up that knows the clocks: 0 as warm as after a "
         "drive like it, 1 as cold as it can be. How sure it is comes from the same sum over what is left ten minutes and more "
@@ -167,7 +167,7 @@ def _over_time(fit: Fit, sessions: Sequence[int]) -> tuple[Array, Array]:
     return np.asarray((np.arange(len(means)) + 0.5) * BIN_S / 60.0), np.where(count > 0, means, np.nan)
 
 
-def _draw_starts(path: Path, winter: FieldTrial, begun: Sequence[Start], together: Pooled) -> None:
+def _draw_starts(path: Path, winter: FieldTrial, begun: Sequence[Start], together: PooledStarts) -> None:
     cold = [i for i, s in enumerate(begun) if s.cold]
     warm = [i for i, s in enumerate(begun) if not s.cold]
     with picture(path, 9.0, 3.4) as figure:

@@ -48,7 +48,7 @@ class Starts:
 
 
 @dataclass(frozen=True, eq=False)
-class Pooled:
+class PooledStarts:
     """Start states of drives together: A (1 - exp(-stood / tau)), with a spread about it.
 
     Attributes
@@ -143,7 +143,7 @@ def _share(shape: Array, left: Array) -> float:
     return float(shape[known] @ left[known]) / size if size > LEAST_KNOWN * float(shape @ shape) else np.nan
 
 
-def pool(starts: Starts, rng: np.random.Generator) -> Pooled:
+def pool(starts: Starts, rng: np.random.Generator) -> PooledStarts:
     """All drives whose standing time is known and whose start shows, together."""
     sure = np.isfinite(starts.stood_s) & np.isfinite(starts.alone) & (starts.alone_std < SURE_STD)
     alone, std, stood = starts.alone[sure], starts.alone_std[sure], starts.stood_s[sure]
@@ -157,7 +157,7 @@ def pool(starts: Starts, rng: np.random.Generator) -> Pooled:
     state = expected + np.where(sure, trust * (starts.alone - expected), 0.0)
     as_good = [_likelihood(alone, std, rng.permutation(stood), constants)[0].max() >= likelihood[best] for _ in range(DRAWS)]
     drawn = expected[sure] + np.hypot(std, spread) * rng.normal(size=(DRAWS, len(alone)))
-    return Pooled(
+    return PooledStarts(
         float(constants[best[0]]),
         float(near[0]),
         float(near[-1]),

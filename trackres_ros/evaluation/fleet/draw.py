@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError
 from trackres_ros.evaluation.sealed.data_sheet import read_data_sheet
-from trackres_ros.evaluation.sealed.drives import Drive, drive
+from trackres_ros.evaluation.sealed.drives import SealedDrive, drive
 from trackres_ros.evaluation.sealed.sensors import Sensors, record
 from trackres_ros.evaluation.sealed.truth import Build, simulate_truth
 from trackres_ros.files.own_files import PART
@@ -144,7 +144,7 @@ def write_recording(folder: Path, vehicle: DrawnVehicle, number: int, minutes: f
     return part.rename(path)
 
 
-def _moves_s(one: Drive) -> float:
+def _moves_s(one: SealedDrive) -> float:
     return float((one.speed > MOVES_MPS).sum()) * one.step
 
 

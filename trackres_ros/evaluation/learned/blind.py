@@ -23,7 +23,6 @@ from trackres_ros.diagnosis import load_base, read_recordings
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.inference.levels import with_levels
 from trackres_ros.diagnosis.prepare.gate import gate
-from trackres_ros.diagnosis.writing.kept import Kept
 from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimate import Steps
@@ -37,6 +36,7 @@ from trackres_ros.learning.store import stored, take
 from trackres_ros.offline.replay import replay
 from trackres_ros.recording.opening import open_source
 from trackres_ros.vehicle import load
+from trackres_ros.vehicle.writing.changes import FileChanges
 
 Array = NDArray[np.float64]
 KEY = re.compile(r"\(?[+-]?\d+ (%|Nm|s)|( of the|of)(?= *$)| since *$|, of the kind.*")  # what differs from time to time
@@ -139,7 +139,7 @@ def _refitted(paths: Sequence[Path], vehicle: Path, into: Path) -> Path:
     loaded = load_base(vehicle)
     sessions = gate(read_recordings(paths, None), loaded.known).sessions
     found = with_levels(fit(Problem(loaded.base, sessions, tuple(s.used for s in sessions))))
-    loaded.base.write(into, Kept(found.base_values, (), {}), "re-fitted")
+    loaded.base.write(into, FileChanges(found.base_values, (), {}), "re-fitted")
     return into
 
 

@@ -31,7 +31,7 @@ KINDS = (*SENSORS, *REAL)
 
 
 @dataclass(frozen=True)
-class Case:
+class LearningCase:
     """One vehicle. `name` says nothing of what is in it.
 
     Attributes
@@ -52,7 +52,7 @@ class Case:
     seed: int
 
 
-def draw_cases(seed: int, vehicles: int, hostile: int) -> list[Case]:
+def draw_cases(seed: int, vehicles: int, hostile: int) -> list[LearningCase]:
     """Draw vehicles, and as many others on whose drives something misleads: every kind as often."""
     rng = np.random.default_rng([seed, 16])
     names = rng.permutation(10 * (vehicles + hostile))[: vehicles + hostile]
@@ -61,12 +61,14 @@ def draw_cases(seed: int, vehicles: int, hostile: int) -> list[Case]:
     for number, kind in zip(names, kinds, strict=True):
         build = {part: float(1.0 + rng.uniform(-OTHERS_OFF, OTHERS_OFF)) for part in ("bearing", "drag", "film", "capacity")}
         build["loss"] = float(1.0 / (1.0 + rng.choice((-1.0, 1.0)) * rng.uniform(*OFF)))
-        case = Case(f"v{number:05d}", build, bool(rng.random() < 0.5), kind, float(rng.random()), int(rng.integers(1 << 31)))
+        case = LearningCase(
+            f"v{number:05d}", build, bool(rng.random() < 0.5), kind, float(rng.random()), int(rng.integers(1 << 31))
+        )
         found.append(case)
     return sorted(found, key=lambda case: case.name)
 
 
-def sealed(seed: int, cases: Sequence[Case]) -> str:
+def sealed(seed: int, cases: Sequence[LearningCase]) -> str:
     """SHA-256 of the seed and all labels."""
     return hashlib.sha256(json.dumps([seed, [asdict(case) for case in cases]], sort_keys=True).encode()).hexdigest()
 
@@ -82,7 +84,9 @@ def sensors_of(rng: np.random.Generator) -> Sensors:
     )
 
 
-def added_torque(case: Case, speed: Array, distance: Array, step: float, rolling: float, weight: Array, radius: float) -> Array:
+def added_torque(
+    case: LearningCase, speed: Array, distance: Array, step: float, rolling: float, weight: Array, radius: float
+) -> Array:
     """What the ground or the vehicle adds to the torque of a drive [Nm], shape of the speed."""
     time, ahead = np.arange(len(speed)) * step, np.tanh(speed / 0.05)
     if case.hostile == "mud":  # stretches of a kilometre that come again
@@ -99,7 +103,7 @@ def added_torque(case: Case, speed: Array, distance: Array, step: float, rolling
     return np.zeros(len(speed))
 
 
-def weight_shares(case: Case, speed: Array) -> Array:
+def weight_shares(case: LearningCase, speed: Array) -> Array:
     """What it weighs over what is recorded, shape of the speed: another load from the first stop after a third of it on."""
     found = np.ones(len(speed))
     if case.hostile == "payload":
@@ -109,7 +113,7 @@ def weight_shares(case: Case, speed: Array) -> Array:
     return found
 
 
-def misled(case: Case, torque: Array, step: float, rng: np.random.Generator) -> Array:
+def misled(case: LearningCase, torque: Array, step: float, rng: np.random.Generator) -> Array:
     """What the sensor makes of a torque [Nm], from a third of the drive on."""
     n = len(torque)
     late = np.arange(n) > n // 3

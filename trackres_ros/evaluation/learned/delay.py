@@ -28,7 +28,7 @@ from trackres_ros.evaluation.learned.cases import (
     AIRS_DEGC,
     LOADS,
     SENSORS,
-    Case,
+    LearningCase,
     added_torque,
     draw_cases,
     misled,
@@ -37,7 +37,7 @@ from trackres_ros.evaluation.learned.cases import (
 )
 from trackres_ros.evaluation.learned.generate import ROLLING_SHARE
 from trackres_ros.evaluation.sealed.data_sheet import read_data_sheet
-from trackres_ros.evaluation.sealed.drives import Drive, drive, trapezoids
+from trackres_ros.evaluation.sealed.drives import SealedDrive, drive, trapezoids
 from trackres_ros.evaluation.sealed.generate import FASTEST_MPS, START_S, VEHICLE, write_vehicle
 from trackres_ros.evaluation.sealed.sensors import HEAVY_TAILS, Sensors, lagging, road_slopes
 from trackres_ros.evaluation.sealed.truth import Build, simulate_truth
@@ -64,7 +64,7 @@ RATES_OF = ((1.0, 3.0), (3.0, 10.0), (10.0, 30.0), (30.0, 100.0))
 class Delayed:
     """What is concealed of a vehicle: `case` as for the proof of the learning; the delay [s] and of it that of a filter [s]."""
 
-    case: Case
+    case: LearningCase
     delay_s: float
     filter_s: float
     speed_hz: float
@@ -136,7 +136,7 @@ def record_one(task: tuple[Path, Delayed, float]) -> None:
     part.rename(into / "drive.csv")
 
 
-def _speeds(one: Delayed, driven: Drive, sensors: Sensors, rng: np.random.Generator) -> list[tuple[float, str, str]]:
+def _speeds(one: Delayed, driven: SealedDrive, sensors: Sensors, rng: np.random.Generator) -> list[tuple[float, str, str]]:
     times, stamps = _sampled(one, driven, one.speed_hz, rng)
     speed = np.interp(times, np.arange(len(driven)) * driven.step, driven.speed)
     shown = np.round((speed + rng.normal(0.0, sensors.speed_mps, len(speed))) / sensors.speed_step_mps) * sensors.speed_step_mps
@@ -145,7 +145,7 @@ def _speeds(one: Delayed, driven: Drive, sensors: Sensors, rng: np.random.Genera
 
 
 def _torques(
-    one: Delayed, driven: Drive, torque: Array, sensors: Sensors, rng: np.random.Generator
+    one: Delayed, driven: SealedDrive, torque: Array, sensors: Sensors, rng: np.random.Generator
 ) -> list[tuple[float, str, str]]:
     times, stamps = _sampled(one, driven, one.torque_hz, rng)
     grid = np.arange(len(driven)) * driven.step
@@ -161,7 +161,7 @@ def _torques(
     return [(stamp, "", f"{value:.2f}") for stamp, value in zip(stamps[there].tolist(), shown[there].tolist(), strict=True)]
 
 
-def _sampled(one: Delayed, driven: Drive, rate_hz: float, rng: np.random.Generator) -> tuple[Array, Array]:
+def _sampled(one: Delayed, driven: SealedDrive, rate_hz: float, rng: np.random.Generator) -> tuple[Array, Array]:
     """When a sensor samples [s], and its stamps [s since 1970]."""
     n = int(len(driven) * driven.step * rate_hz)
     times = (np.arange(n) + rng.random() + one.jitter * rng.uniform(-0.5, 0.5, n)) / rate_hz
@@ -200,7 +200,7 @@ def score(folder: Path) -> dict[str, Any]:
         If what is concealed is not what was sealed.
     """
     labels = json.loads((folder / "sealed" / "labels.json").read_text(encoding="utf-8"))
-    drawn = [Delayed(**{**one, "case": Case(**one["case"])}) for one in labels["drawn"]]
+    drawn = [Delayed(**{**one, "case": LearningCase(**one["case"])}) for one in labels["drawn"]]
     digest = (folder / "seal.txt").read_text(encoding="utf-8").strip()
     if seal(labels["seed"], drawn) != digest:
         raise InputError(str(folder / "sealed"), "labels that are not those that were sealed", "those as drawn", "begin anew")

@@ -24,7 +24,7 @@ from trackres_ros.evaluation.learned.cases import (
     LOADS,
     REAL,
     SENSORS,
-    Case,
+    LearningCase,
     added_torque,
     draw_cases,
     misled,
@@ -62,7 +62,7 @@ def main(arguments: Sequence[str]) -> None:
     print(flush=True)
 
 
-def make_case(task: tuple[Path, Case, float]) -> None:
+def make_case(task: tuple[Path, LearningCase, float]) -> None:
     """Write one vehicle: where to, which, and how long each drive is [min]."""
     folder, case, minutes = task
     into, sheet = folder / "cases" / case.name, find_vehicle(VEHICLE)
@@ -104,7 +104,7 @@ def make_case(task: tuple[Path, Case, float]) -> None:
     np.savez_compressed(folder / "sealed" / f"{case.name}.npz", **kept)
 
 
-def _mislead(path: Path, case: Case, step: float, rng: np.random.Generator) -> None:
+def _mislead(path: Path, case: LearningCase, step: float, rng: np.random.Generator) -> None:
     """Change what the sensor has shown in a recording."""
     names = path.read_text(encoding="utf-8").partition("\n")[0].split(",")
     rows = np.loadtxt(path, delimiter=",", skiprows=1)

@@ -12,7 +12,7 @@ import numpy as np
 
 from trackres_ros.estimator import columns as at
 from trackres_ros.evaluation.learned.cases import DRIVES, KINDS, SENSORS
-from trackres_ros.output.plots import BLACK, BLUE, GREY, VERMILION, picture
+from trackres_ros.output.style import BLACK, BLUE, GREY, VERMILION, picture
 
 PAGE, PICTURE = "proof-learning.md", "learning.png"
 LAST = DRIVES

@@ -26,7 +26,7 @@ from trackres_ros.evaluation.reproduce.families import (
 from trackres_ros.evaluation.reproduce.output import mark_time
 from trackres_ros.evaluation.reproduce.section import FAILS, HOLDS, IN_PART, Claim, Figure, Section, listed, percents
 from trackres_ros.offline.simulate import ramp_and_hold
-from trackres_ros.output.plots import legend_beside, picture, thinned
+from trackres_ros.output.style import legend_beside, picture, thinned
 from trackres_ros.units import KMH_PER_MPS
 
 Array = NDArray[np.float64]

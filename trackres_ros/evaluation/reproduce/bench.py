@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.model.track import with_methods
-from trackres_ros.offline.simulate import Drive, ramp_and_hold, simulate
+from trackres_ros.offline.simulate import SimulatedDrive, ramp_and_hold, simulate
 from trackres_ros.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -71,7 +71,7 @@ class Bench:
             self._estimators[combination] = Estimator(with_methods(self.vehicle, method, thermal), cache=self.cache)
         return self._estimators[combination]
 
-    def run(self, name: str, drive: Drive, weight_n: float | None = None, ambient_degc: float | None = None) -> Runs:
+    def run(self, name: str, drive: SimulatedDrive, weight_n: float | None = None, ambient_degc: float | None = None) -> Runs:
         """The series of `simulate.series_of` along a drive, by combination."""
         runs = {}
         for combination in COMBINATIONS:

@@ -14,7 +14,7 @@ from trackres_ros.evaluation.reproduce.output import INK, write_csv
 from trackres_ros.evaluation.reproduce.section import FAILS, HOLDS, Claim, Figure, Section, Table
 from trackres_ros.model.operating_point import explain
 from trackres_ros.model.rubber import RubberModel
-from trackres_ros.output.plots import BLUE, GREEN, VERMILION, picture
+from trackres_ros.output.style import BLUE, GREEN, VERMILION, picture
 from trackres_ros.units import KMH_PER_MPS
 
 MASTER_DEGC = 20.0

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from trackres_ros.evaluation.reproduce.bench import COMBINATIONS, METHODS, THERMAL, Bench, Runs, Series, Stable, at_times
 from trackres_ros.evaluation.reproduce.output import mark_time, write_csv
 from trackres_ros.evaluation.reproduce.section import Figure, Table
-from trackres_ros.offline.simulate import Drive
-from trackres_ros.output.plots import STEPS, legend_beside, picture, thinned
+from trackres_ros.offline.simulate import SimulatedDrive
+from trackres_ros.output.style import STEPS, legend_beside, picture, thinned
 
 Array = NDArray[np.float64]
 
@@ -53,7 +53,7 @@ def run_family(
     quantity: str,
     suffix: str,
     values: Sequence[float],
-    case: Callable[[float], tuple[Drive, float | None, float | None]],
+    case: Callable[[float], tuple[SimulatedDrive, float | None, float | None]],
 ) -> Family:
     """Run a drive for each value; `case` gives the drive, the weight [N] and the ambient temperature [degC] of a value."""
     runs, stable = {}, {}

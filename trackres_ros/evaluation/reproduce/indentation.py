@@ -13,7 +13,7 @@ from trackres_ros.evaluation.reproduce.bench import Bench
 from trackres_ros.evaluation.reproduce.output import write_csv
 from trackres_ros.evaluation.reproduce.section import HOLDS, Claim, Figure, Section, listed, percent
 from trackres_ros.model.contact import contact_force, half_length_for_force, largest_strain
-from trackres_ros.output.plots import BLUE, VERMILION, picture
+from trackres_ros.output.style import BLUE, VERMILION, picture
 
 MODULUS_PA = 40e6  # the paper's, section 2.4.1
 WHEEL_RADIUS = 0.13  # m, half the paper's diameter

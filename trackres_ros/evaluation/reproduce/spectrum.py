@@ -19,7 +19,7 @@ from trackres_ros.model.hysteresis import LossForce, RainflowCount
 from trackres_ros.model.operating_point import explain
 from trackres_ros.model.strain_history import along_belt, through_thickness
 from trackres_ros.model.track import TrackModel, steady_tension, track_model
-from trackres_ros.output.plots import BLACK, BLUE, GREEN, GREY, ORANGE, PALETTE, VERMILION, picture
+from trackres_ros.output.style import BLACK, BLUE, GREEN, GREY, ORANGE, PALETTE, VERMILION, picture
 from trackres_ros.units import KMH_PER_MPS
 from trackres_ros.vehicle import WrappedWheel
 

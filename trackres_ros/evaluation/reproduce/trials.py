@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from trackres_ros.evaluation.reproduce.bench import COMBINATIONS, Bench, Runs, Series, at_times
 from trackres_ros.evaluation.reproduce.output import write_csv
 from trackres_ros.evaluation.reproduce.section import HOLDS, IN_PART, OPEN, Claim, Figure, Section, Table, percent, percents
-from trackres_ros.offline.simulate import Drive, laps, simulate, through_points
-from trackres_ros.output.plots import BLACK, BLUE, GREY, ORANGE, SKY, VERMILION, legend_beside, picture, thinned
+from trackres_ros.offline.simulate import SimulatedDrive, laps, simulate, through_points
+from trackres_ros.output.style import BLACK, BLUE, GREY, ORANGE, SKY, VERMILION, legend_beside, picture, thinned
 from trackres_ros.units import KMH_PER_MPS
 
 Array = NDArray[np.float64]
@@ -54,7 +54,7 @@ class Trial:
         """Where the paper speaks of it."""
         return f"section 4.1, Figures {self.figures}"
 
-    def drive(self, dt: float, stop_s: float = STOP_S, times: int = 1) -> Drive:
+    def drive(self, dt: float, stop_s: float = STOP_S, times: int = 1) -> SimulatedDrive:
         """Speed over time; `times` as long as the record."""
         speed = self.speed_kmh / KMH_PER_MPS
         ramp, end = speed / ACCELERATION, times * self.duration_s
@@ -63,7 +63,7 @@ class Trial:
         count = math.ceil(end / (LAP_M / speed + ramp + stop_s))
         whole = laps(speed, LAP_M, count, ramp, stop_s, dt)
         kept = whole.time_s <= end + 1e-9
-        return Drive(whole.time_s[kept], whole.speed[kept], whole.acceleration[kept])
+        return SimulatedDrive(whole.time_s[kept], whole.speed[kept], whole.acceleration[kept])
 
 
 TRIALS = (

@@ -241,7 +241,7 @@ def sensors_of(case: Case) -> Sensors:
 
 
 @dataclass(frozen=True)
-class Streets:
+class TownDrives:
     """What the drives of a case in a town have that is not hidden.
 
     Attributes
@@ -262,7 +262,7 @@ class Streets:
     load_measured: bool
 
 
-def streets_of(case: Case) -> Streets:
+def streets_of(case: Case) -> TownDrives:
     """Half of the towns whose slope is not hidden are level, half were surveyed. A load that is not hidden is recorded and
     differs by stretch, is recorded and differs by drive, or is what the vehicle file says and not recorded, equally often.
     """
@@ -271,7 +271,7 @@ def streets_of(case: Case) -> Streets:
     slope, load = (STREET[name](rng, 1.0) for name in ("street_slope", "stretch_load"))
     steepest = slope["steepest"] if surveyed and "street_slope" not in case.hidden else 0.0
     if "stretch_load" in case.hidden or kind == 0:
-        return Streets(steepest, (1.0, 1.0, 1.0), None, False)
+        return TownDrives(steepest, (1.0, 1.0, 1.0), None, False)
     if kind == 1:
-        return Streets(steepest, LOADS, None, True)
-    return Streets(steepest, (1.0, 1.0, 1.0), {key: float(x) for key, x in load.items()}, True)
+        return TownDrives(steepest, LOADS, None, True)
+    return TownDrives(steepest, (1.0, 1.0, 1.0), {key: float(x) for key, x in load.items()}, True)

@@ -49,7 +49,7 @@ class OnStreet:
 
 
 @dataclass(frozen=True, eq=False)
-class Drive:
+class SealedDrive:
     """One drive, series of shape (n,): speed [m/s], acceleration [m/s^2], yaw rate [rad/s], heading, weight [N], air [degC], the
     slope where it was surveyed [rise over run], and where in a town it was.
     """
@@ -68,14 +68,14 @@ class Drive:
         return len(self.speed)
 
 
-def drive(minutes: float, weight: float, ambient: float, fastest: float, rng: np.random.Generator) -> Drive:
+def drive(minutes: float, weight: float, ambient: float, fastest: float, rng: np.random.Generator) -> SealedDrive:
     """A drive over a closed course of its own, by a driver of his own."""
     n = int(minutes * 60.0 / STEP_S)
     brisk, restless = rng.uniform(0.2, 0.7), rng.uniform(25.0, 90.0)  # m/s^2, s between changes of mind
     return _on_a_course(_eased(_targets(n, fastest, restless, rng), brisk), weight, ambient, rng)
 
 
-def trapezoids(minutes: float, weight: float, ambient: float, fastest: float, rng: np.random.Generator) -> Drive:
+def trapezoids(minutes: float, weight: float, ambient: float, fastest: float, rng: np.random.Generator) -> SealedDrive:
     """Stop and go: constant accelerations up to speeds that are held, and stops."""
     time, speed = [0.0, rng.uniform(2.0, 10.0)], [0.0, 0.0]
     levels = fastest * np.sort(rng.uniform(0.15, 1.0, int(rng.integers(3, 7))))
@@ -95,7 +95,7 @@ def trapezoids(minutes: float, weight: float, ambient: float, fastest: float, rn
 
 def recorded(
     minutes: float, weight: float, ambient: float, fastest: float, profiles: Sequence[Array], rng: np.random.Generator
-) -> Drive:
+) -> SealedDrive:
     """Speeds that real vehicles drove, each profile by `STEP_S`, slower where they were faster than this vehicle can be."""
     n, parts = int(minutes * 60.0 / STEP_S), list[Array]()
     while sum(map(len, parts)) < n:
@@ -107,14 +107,14 @@ def recorded(
     return _on_a_course(np.concatenate(parts)[:n], weight, ambient, rng)
 
 
-def _on_a_course(speed: Array, weight: float, ambient: float, rng: np.random.Generator) -> Drive:
+def _on_a_course(speed: Array, weight: float, ambient: float, rng: np.random.Generator) -> SealedDrive:
     """A speed driven over a closed course of its own."""
     n, distance = len(speed), np.cumsum(speed) * STEP_S
     curvature = _course(distance, rng)
     sideways = MOST_SIDEWAYS_MPS2 / np.maximum(speed, 0.5)
     yaw_rate = np.clip(curvature * speed, -sideways, sideways)
     air = ambient + rng.normal(0.0, 1.0) * np.sin(np.arange(n) * STEP_S / 1500.0)
-    return Drive(
+    return SealedDrive(
         STEP_S,
         speed,
         np.gradient(speed, STEP_S),

@@ -23,7 +23,7 @@ import numpy as np
 from trackres_ros.evaluation.sealed.answers import of_report
 from trackres_ros.evaluation.sealed.blind import HELD_OUT
 from trackres_ros.evaluation.sealed.cases import Case, first_by_name
-from trackres_ros.evaluation.sealed.drives import STEP_S, Drive
+from trackres_ros.evaluation.sealed.drives import STEP_S, SealedDrive
 from trackres_ros.evaluation.sealed.generate import drive_next
 
 FOLLOWED = "drive_next"
@@ -72,7 +72,7 @@ def _follow(task: tuple[Path, Case, float, str, list[str]]) -> None:
     recorded.rename(into / recorded.name)
 
 
-def planned(manoeuvre: str, before: Path, last: Drive) -> Drive:
+def planned(manoeuvre: str, before: Path, last: SealedDrive) -> SealedDrive:
     """A manoeuvre of the menu as a drive, on a day like that of the last drive."""
     from trackres_ros.diagnosis import load_base, read_recordings
     from trackres_ros.diagnosis.findings.next_drives import menu
@@ -84,7 +84,7 @@ def planned(manoeuvre: str, before: Path, last: Drive) -> Drive:
     time = np.arange(0.0, session.time[-1], STEP_S)
     speed = np.interp(time, session.time, session.speed)
     yaw_rate = np.interp(time, session.time, session.yaw_rate)
-    return Drive(
+    return SealedDrive(
         STEP_S,
         speed,
         np.gradient(speed, STEP_S),

@@ -33,7 +33,7 @@ from trackres_ros.evaluation.sealed.cases import (
     sensors_of,
     streets_of,
 )
-from trackres_ros.evaluation.sealed.drives import Drive, drive, recorded, trapezoids
+from trackres_ros.evaluation.sealed.drives import SealedDrive, drive, recorded, trapezoids
 from trackres_ros.evaluation.sealed.profiles import read_profiles
 from trackres_ros.evaluation.sealed.sensors import record
 from trackres_ros.evaluation.sealed.size import sized
@@ -101,7 +101,7 @@ def make_case(task: tuple[Path, Case, float]) -> None:
     partial.rename(kept)
 
 
-def _kept(case: Case, driven: Sequence[Drive], runs: Sequence[TruthRun]) -> dict[str, Any]:
+def _kept(case: Case, driven: Sequence[SealedDrive], runs: Sequence[TruthRun]) -> dict[str, Any]:
     """Of the truth what the score needs: what each effect added, over what it may be looked at."""
 
     def joined(series: Sequence[Array]) -> Array:
@@ -132,7 +132,7 @@ def means(series: Array) -> Array:
     return np.add.reduceat(series, begins) / np.diff(np.append(begins, len(series)))
 
 
-def drive_next(folder: Path, case: Case, minutes: float, name: str, planned: Callable[[Drive], Drive]) -> Path:
+def drive_next(folder: Path, case: Case, minutes: float, name: str, planned: Callable[[SealedDrive], SealedDrive]) -> Path:
     """Let the vehicle of a case drive once more, after all it has driven, and record it; `planned` gets its last drive."""
     driven = _drives(case, minutes, "drive", _profiles(folder))
     more = planned(driven[-1])
@@ -165,14 +165,14 @@ def _profiles(folder: Path) -> list[Array]:
     return list(np.load(path).values()) if path.exists() else []
 
 
-def _drives(case: Case, minutes: float, name: str, profiles: Sequence[Array] = ()) -> list[Drive]:
+def _drives(case: Case, minutes: float, name: str, profiles: Sequence[Array] = ()) -> list[SealedDrive]:
     rng = draws(case, f"route of {name}")
     weight, _ = _weight_and_radius(find_vehicle(VEHICLE))
     if case.level == "street":
         return _in_town(case, STREET_TIMES * minutes, weight, rng)
     town = draw_town(draws(case, "town")) if case.source == "town" and not case.dull else None
 
-    def one(share: float, air: float) -> Drive:
+    def one(share: float, air: float) -> SealedDrive:
         if case.dull:
             return _dull(minutes, weight, rng)
         if town is not None:  # level, and only what every recording has
@@ -185,11 +185,11 @@ def _drives(case: Case, minutes: float, name: str, profiles: Sequence[Array] = (
     return [one(share, air) for share, air in zip(loads, rng.permutation(AIRS_DEGC), strict=True)]
 
 
-def _in_town(case: Case, minutes: float, weight: float, rng: np.random.Generator) -> list[Drive]:
+def _in_town(case: Case, minutes: float, weight: float, rng: np.random.Generator) -> list[SealedDrive]:
     """Drives through the town of a case. The slope of a town that is not level is in the recording or hidden."""
     town, streets = draw_town(draws(case, "town")), streets_of(case)
     steepest = case.hidden.get("street_slope", {}).get("steepest", streets.steepest)
-    drives, driven = list[Drive](), 0.0
+    drives, driven = list[SealedDrive](), 0.0
     for share, air in zip(streets.shares, rng.permutation(AIRS_DEGC), strict=True):
         one = street_drive(minutes, share * weight, air, town, steepest, rng)
         if streets.load:
@@ -201,7 +201,7 @@ def _in_town(case: Case, minutes: float, weight: float, rng: np.random.Generator
     return drives
 
 
-def _record(case: Case, into: Path, name: str, drives: Sequence[Drive]) -> tuple[list[TruthRun], list[Path]]:
+def _record(case: Case, into: Path, name: str, drives: Sequence[SealedDrive]) -> tuple[list[TruthRun], list[Path]]:
     sheet = find_vehicle(VEHICLE)
     _, radius = _weight_and_radius(sheet)
     runs = simulate_truth(sheet, build_of(case), case.hidden, drives)
@@ -212,14 +212,14 @@ def _record(case: Case, into: Path, name: str, drives: Sequence[Drive]) -> tuple
     return runs, paths
 
 
-def _dull(minutes: float, weight: float, rng: np.random.Generator) -> Drive:
+def _dull(minutes: float, weight: float, rng: np.random.Generator) -> SealedDrive:
     """A drive that shows little: straight on, at nearly one speed."""
     made = drive(minutes, weight, 15.0, FASTEST_MPS, rng)
     n = len(made)
     time = np.arange(n) * made.step
     speed = rng.uniform(*DULL_MPS) * np.minimum(1.0, time / 30.0) * (1.0 + 0.02 * np.sin(time / 40.0))
     still = np.zeros(n)
-    return Drive(made.step, speed, np.gradient(speed, made.step), still, still, made.weight, made.ambient)
+    return SealedDrive(made.step, speed, np.gradient(speed, made.step), still, still, made.weight, made.ambient)
 
 
 def _weight_and_radius(sheet: Path) -> tuple[float, float]:
@@ -235,12 +235,12 @@ def _prefit(paths: Sequence[Path], vehicle: Path) -> None:
     from trackres_ros.diagnosis.inference.fitting import Problem, fit
     from trackres_ros.diagnosis.inference.levels import with_levels
     from trackres_ros.diagnosis.prepare.gate import gate
-    from trackres_ros.diagnosis.writing.kept import Kept
+    from trackres_ros.vehicle.writing.changes import FileChanges
 
     loaded = load_base(vehicle)
     sessions = gate(read_recordings(paths, None), loaded.known).sessions
     found = with_levels(fit(Problem(loaded.base, sessions, tuple(s.used for s in sessions))))
-    loaded.base.write(vehicle, Kept(found.base_values, (), {}), "fitted to earlier drives")
+    loaded.base.write(vehicle, FileChanges(found.base_values, (), {}), "fitted to earlier drives")
 
 
 if __name__ == "__main__":

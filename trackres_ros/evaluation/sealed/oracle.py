@@ -18,7 +18,7 @@ from trackres_ros.diagnosis.base.track import TrackBase
 from trackres_ros.diagnosis.inference.fitting import Problem, fit
 from trackres_ros.diagnosis.inference.levels import with_levels
 from trackres_ros.diagnosis.prepare.gate import gate
-from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.diagnosis.prepare.session import DriveSession
 from trackres_ros.diagnosis.prepare.split import split
 from trackres_ros.diagnosis.selection.visibility import LEAST_KEPT, separability
 from trackres_ros.effects import catalogue
@@ -71,7 +71,7 @@ class WithAddition(TrackBase):
         self._added = added
         self.parameters += (BaseParameter(ADDITION, "1", 0.0, np.inf, -LARGEST_ADDITION, LARGEST_ADDITION),)
 
-    def predict(self, sessions: Sequence[Session], values: Values, effects: Sequence[Active]) -> list[Predicted]:
+    def predict(self, sessions: Sequence[DriveSession], values: Values, effects: Sequence[Active]) -> list[Predicted]:
         """See `base.Base`."""
         plain = super().predict(sessions, values, effects)
         return [

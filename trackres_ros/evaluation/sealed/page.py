@@ -23,7 +23,7 @@ from trackres_ros.evaluation.sealed.blind import diagnosed
 from trackres_ros.evaluation.sealed.cases import NOT_IN_CATALOGUE
 from trackres_ros.evaluation.sealed.discrepancy import BASE
 from trackres_ros.evaluation.sealed.scored import NO_WORSE, OURS, Scored, own_shares, shares, sizes, wilson
-from trackres_ros.output.plots import picture
+from trackres_ros.output.style import picture
 
 TARGETS = {
     "none: false alarm": ("at most", 0.03), "single, identifiable: right name": ("at least", 0.90),

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.evaluation.sealed.data_sheet import DataSheet
-from trackres_ros.evaluation.sealed.drives import Drive
+from trackres_ros.evaluation.sealed.drives import SealedDrive
 
 Array = NDArray[np.float64]
 
@@ -24,7 +24,7 @@ class Journey:
     """A drive as phenomena see it; `driven` is how far the vehicle went before it [m]."""
 
     sheet: DataSheet
-    drive: Drive
+    drive: SealedDrive
     driven: float
 
     @property

@@ -53,7 +53,7 @@ class Seen:
 
 
 @dataclass(frozen=True)
-class Variable:
+class DrawnVariable:
     """A variable: its usual range, its unit, and how it follows from a drive."""
 
     low: float
@@ -62,17 +62,17 @@ class Variable:
     of: Callable[[Seen], Array]
 
 
-VARIABLES: dict[str, Variable] = {
-    "speed": Variable(0.0, 14.0, "m/s", lambda s: s.at.travel),
-    "acceleration": Variable(-0.5, 0.5, "m/s^2", lambda s: np.asarray(s.at.drive.accel * s.at.direction)),
-    "load": Variable(0.75, 1.3, "of the nominal load", lambda s: s.at.load),
-    "belt temperature": Variable(12.0, 50.0, "degC", lambda s: s.belt),
-    "ambient temperature": Variable(3.0, 27.0, "degC", lambda s: s.at.drive.ambient),
-    "yaw rate": Variable(0.0, 0.12, "rad/s", lambda s: np.asarray(np.abs(s.at.drive.yaw_rate))),
-    "yaw rate to the left": Variable(-0.1, 0.1, "rad/s", lambda s: s.at.drive.yaw_rate),
-    "driving torque": Variable(-2000.0, 8000.0, "Nm", lambda s: s.torque),
-    "distance": Variable(0.0, 20_000.0, "m", lambda s: s.at.distance),
-    "time since start": Variable(0.0, 900.0, "s", lambda s: np.asarray(np.arange(len(s.belt)) * s.at.step)),
+VARIABLES: dict[str, DrawnVariable] = {
+    "speed": DrawnVariable(0.0, 14.0, "m/s", lambda s: s.at.travel),
+    "acceleration": DrawnVariable(-0.5, 0.5, "m/s^2", lambda s: np.asarray(s.at.drive.accel * s.at.direction)),
+    "load": DrawnVariable(0.75, 1.3, "of the nominal load", lambda s: s.at.load),
+    "belt temperature": DrawnVariable(12.0, 50.0, "degC", lambda s: s.belt),
+    "ambient temperature": DrawnVariable(3.0, 27.0, "degC", lambda s: s.at.drive.ambient),
+    "yaw rate": DrawnVariable(0.0, 0.12, "rad/s", lambda s: np.asarray(np.abs(s.at.drive.yaw_rate))),
+    "yaw rate to the left": DrawnVariable(-0.1, 0.1, "rad/s", lambda s: s.at.drive.yaw_rate),
+    "driving torque": DrawnVariable(-2000.0, 8000.0, "Nm", lambda s: s.torque),
+    "distance": DrawnVariable(0.0, 20_000.0, "m", lambda s: s.at.distance),
+    "time since start": DrawnVariable(0.0, 900.0, "s", lambda s: np.asarray(np.arange(len(s.belt)) * s.at.step)),
 }
 
 

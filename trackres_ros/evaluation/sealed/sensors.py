@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from trackres_ros.evaluation.sealed.drives import Drive, OnStreet
+from trackres_ros.evaluation.sealed.drives import OnStreet, SealedDrive
 from trackres_ros.evaluation.sealed.truth import TruthRun
 
 Array = NDArray[np.float64]
@@ -51,7 +51,7 @@ class Sensors:
 
 
 def record(
-    path: Path, drive: Drive, truth: TruthRun, sensors: Sensors, radius: float, start_s: float, rng: np.random.Generator
+    path: Path, drive: SealedDrive, truth: TruthRun, sensors: Sensors, radius: float, start_s: float, rng: np.random.Generator
 ) -> None:
     """Write one recording."""
     n = len(drive)
@@ -132,7 +132,7 @@ def lagging(series: Array, seconds: float, step: float) -> Array:
     return np.asarray(out)
 
 
-def road_slopes(drive: Drive, sensors: Sensors, rng: np.random.Generator) -> Array:
+def road_slopes(drive: SealedDrive, sensors: Sensors, rng: np.random.Generator) -> Array:
     """Slope over distance that comes and goes."""
     keep = np.exp(-np.abs(drive.speed) * drive.step / sensors.road_m)
     shocks = rng.normal(0.0, 1.0, len(drive)) * np.sqrt(1.0 - keep**2)

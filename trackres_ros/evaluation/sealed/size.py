@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from trackres_ros.evaluation.sealed.cases import Case, build_of
-from trackres_ros.evaluation.sealed.drives import Array, Drive
+from trackres_ros.evaluation.sealed.drives import Array, SealedDrive
 from trackres_ros.evaluation.sealed.programs import ENTRIES, PROGRAM, draw_program
 from trackres_ros.evaluation.sealed.truth import simulate_truth
 
@@ -22,7 +22,7 @@ ROUNDS, TRIES = 3, 20
 LEAST = 20.0  # of d'
 
 
-def sized(case: Case, sheet: Path, drives: Sequence[Drive]) -> Case:
+def sized(case: Case, sheet: Path, drives: Sequence[SealedDrive]) -> Case:
     """The case with the size of its program and how plainly that is seen; a program that cannot be seen gives way to another."""
     if PROGRAM not in case.hidden:
         return case
@@ -49,7 +49,7 @@ def sized(case: Case, sheet: Path, drives: Sequence[Drive]) -> Case:
     return replace(case, hidden=hidden, program=program.description)
 
 
-def _whitened(series: Sequence[Array], drives: Sequence[Drive]) -> Array:
+def _whitened(series: Sequence[Array], drives: Sequence[SealedDrive]) -> Array:
     """Torques over seconds, over the noise in them that cannot be known from the second before."""
     keep, parts = np.exp(-1.0 / SLOW_S), list[Array]()
     for torque, one in zip(series, drives, strict=True):

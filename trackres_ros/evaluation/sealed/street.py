@@ -10,14 +10,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from trackres_ros.evaluation.sealed.drives import Drive
+from trackres_ros.evaluation.sealed.drives import SealedDrive
 from trackres_ros.evaluation.sealed.phenomenon import Adds, Array, Journey
 
 LOAD = "stretch_load"
 STAYS = 0.5  # share of the people who stay on at a stop
 
 
-def loaded(drive: Drive, p: Mapping[str, float], driven: float) -> Drive:
+def loaded(drive: SealedDrive, p: Mapping[str, float], driven: float) -> SealedDrive:
     """The same drive with what is on board between one stop and the next, up to a `share` of its weight.
 
     People get on and off a few at a time; `bulk` is there or is not.

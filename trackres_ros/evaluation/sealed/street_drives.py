@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.evaluation.sealed.drives import STEP_S, Array, Drive, OnStreet
+from trackres_ros.evaluation.sealed.drives import STEP_S, Array, OnStreet, SealedDrive
 from trackres_ros.evaluation.sealed.town import BLOCKS_M, Crossing, Town
 
 Indices = NDArray[np.int64]
@@ -52,7 +52,9 @@ class Path:
     halts: tuple[Indices, Array, NDArray[np.bool_]]
 
 
-def street_drive(minutes: float, weight: float, ambient: float, town: Town, steepest: float, rng: np.random.Generator) -> Drive:
+def street_drive(
+    minutes: float, weight: float, ambient: float, town: Town, steepest: float, rng: np.random.Generator
+) -> SealedDrive:
     """A drive through a town whose steepest slope is given [rise over run]."""
     path = _path(town, _walk(town, minutes * 60.0 * MEAN_MPS, rng), rng)
     time, speed_at, stretch_at = _timetable(path, rng.uniform(0.4, 0.8), rng.uniform(0.6, 1.3))
@@ -71,7 +73,7 @@ def street_drive(minutes: float, weight: float, ambient: float, town: Town, stee
         _brakes(speed, accel),
     )  # fmt: skip
     air = ambient + rng.normal(0.0, 1.0) * np.sin(now / 1500.0)
-    return Drive(STEP_S, speed, accel, np.gradient(heading, STEP_S), heading, np.full(len(now), weight), air, street=street)
+    return SealedDrive(STEP_S, speed, accel, np.gradient(heading, STEP_S), heading, np.full(len(now), weight), air, street=street)
 
 
 def _walk(town: Town, metres: float, rng: np.random.Generator) -> list[Crossing]:

@@ -20,7 +20,7 @@ from trackres_ros.evaluation.sealed import street
 from trackres_ros.evaluation.sealed.belt_heat import KELVIN, LAYERS, roll
 from trackres_ros.evaluation.sealed.belt_loss import LOAD_SHARES, LOG_SPEEDS, BeltLoss, belt_loss
 from trackres_ros.evaluation.sealed.data_sheet import DataSheet, read_data_sheet
-from trackres_ros.evaluation.sealed.drives import Drive
+from trackres_ros.evaluation.sealed.drives import SealedDrive
 from trackres_ros.evaluation.sealed.material import BELOW_TG_K, SHIFT_ABOVE_TG_K, Material, fit_material
 from trackres_ros.evaluation.sealed.phenomenon import Adds, Journey
 from trackres_ros.evaluation.sealed.programs import PROGRAM, Seen, acting
@@ -76,7 +76,7 @@ def _tables(path: Path) -> tuple[DataSheet, Material, BeltLoss]:
     return sheet, material, belt_loss(sheet, material)
 
 
-def simulate_truth(path: Path, build: Build, hidden: Hidden, drives: Sequence[Drive]) -> list[TruthRun]:
+def simulate_truth(path: Path, build: Build, hidden: Hidden, drives: Sequence[SealedDrive]) -> list[TruthRun]:
     """Drive one after the other, each begun with a belt at the air's temperature; what wears or runs in goes on."""
     sheet, material, tables = _tables(path)
     found, driven = [], 0.0
@@ -96,12 +96,12 @@ def _without(hidden: Hidden, name: str) -> Hidden:
     return {key: value for key, value in hidden.items() if key != name}
 
 
-def _with_load(hidden: Hidden, drive: Drive, driven: float) -> Drive:
+def _with_load(hidden: Hidden, drive: SealedDrive, driven: float) -> SealedDrive:
     return street.loaded(drive, hidden[street.LOAD], driven) if street.LOAD in hidden else drive
 
 
 def _one(
-    sheet: DataSheet, material: Material, tables: BeltLoss, build: Build, hidden: Hidden, drive: Drive, driven: float
+    sheet: DataSheet, material: Material, tables: BeltLoss, build: Build, hidden: Hidden, drive: SealedDrive, driven: float
 ) -> tuple[Array, Array, Array, Array]:
     drive = _with_load(hidden, drive, driven)
     at = Journey(sheet, drive, driven)

@@ -14,9 +14,9 @@ import numpy as np
 
 from trackres_ros.node.dds.participant import serialized
 from trackres_ros.node.dds.wire import known_type, typestore
-from trackres_ros.node.edge import Reasons, Status
 from trackres_ros.node.endpoints import InputTopic
 from trackres_ros.node.stamps import UNUSABLE, stamp_ns
+from trackres_ros.node.transport import Reasons, Status
 from trackres_ros.output.bag import FIELDS, template_message
 from trackres_ros.output.topics import ESTIMATE_TOPIC, REASONS_GROUP, VEHICLE_GROUP, OutputTopic
 from trackres_ros.recording.binding import FIX, NO_FIX, FieldStep, field_steps
@@ -29,7 +29,7 @@ CODES = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "i8":
 STRUCTS = {order + kind: struct.Struct(order + code) for order in "<>" for kind, code in CODES.items()}
 
 
-class Prepared:
+class PreparedMessage:
     """A message of one output topic: only stamp and numbers are written into its bytes each time."""
 
     def __init__(self, topic: OutputTopic, message: object, numbers: Sequence[str]) -> None:
@@ -55,13 +55,13 @@ class Prepared:
         return bytes(self._bytes)
 
 
-def prepared(topic: OutputTopic, frame_id: str) -> Prepared:
+def prepared(topic: OutputTopic, frame_id: str) -> PreparedMessage:
     """The message of a topic whose strings never change."""
     numbers = FIELDS.get(topic.kind, [f"effort[{i}]" for i in range(len(topic.names))])
-    return Prepared(topic, template_message(topic, typestore(), frame_id), numbers)
+    return PreparedMessage(topic, template_message(topic, typestore(), frame_id), numbers)
 
 
-class PreparedEstimate:
+class DdsEstimate:
     """The message of `topics.ESTIMATE_TOPIC`, prepared anew when the reasons are others."""
 
     def __init__(self, frame_id: str) -> None:
@@ -74,7 +74,7 @@ class PreparedEstimate:
             self._prepared, self._reasons = self._with(reasons), reasons
         return self._prepared.filled(stamp, values)
 
-    def _with(self, reasons: Reasons) -> Prepared:
+    def _with(self, reasons: Reasons) -> PreparedMessage:
         types, topic = typestore().types, ESTIMATE_TOPIC
         group = types["control_msgs/msg/InterfaceValue"]
         message = types[topic.type](
@@ -85,7 +85,7 @@ class PreparedEstimate:
                 group(interface_names=[name for name, _ in reasons], values=np.array([float(level) for _, level in reasons])),
             ],
         )
-        return Prepared(topic, message, [f"interface_values[0].values[{i}]" for i in range(len(topic.names))])
+        return PreparedMessage(topic, message, [f"interface_values[0].values[{i}]" for i in range(len(topic.names))])
 
 
 def diagnostic_array(stamp: int, statuses: Sequence[Status], frame_id: str) -> bytes:
@@ -113,7 +113,7 @@ def _header(stamp: int, frame_id: str) -> Any:
     return types["std_msgs/msg/Header"](stamp=time, frame_id=frame_id)
 
 
-class InputReader:
+class CdrInput:
     """Reads stamp and numbers of the messages of one input topic.
 
     Messages of a topic are mostly laid out alike, so the places found in one serve the next.

@@ -15,15 +15,15 @@ from functools import partial
 from trackres_ros.errors import InputError
 from trackres_ros.node.application import Application
 from trackres_ros.node.background import Background, ErrorLines
-from trackres_ros.node.dds.messages import InputReader, Prepared, PreparedEstimate, clock_ns, diagnostic_array, prepared
-from trackres_ros.node.dds.participant import Participant, Reader
+from trackres_ros.node.dds.messages import CdrInput, DdsEstimate, PreparedMessage, clock_ns, diagnostic_array, prepared
+from trackres_ros.node.dds.participant import Participant, TopicReader
 from trackres_ros.node.dds.wire import typestore
-from trackres_ros.node.edge import Level, Peer, Reasons, Status
 from trackres_ros.node.endpoints import InputTopic, Quality, full_name, input_name, input_quality, output_quality
 from trackres_ros.node.inbox import Arrival, Inbox
 from trackres_ros.node.parameter_file import LOOK_EVERY_S, ParameterFile
 from trackres_ros.node.parameters import Parameters, Value
 from trackres_ros.node.signals import SignalRequests
+from trackres_ros.node.transport import Level, Peer, Reasons, Status
 from trackres_ros.recording.cdr import MalformedError
 from trackres_ros.units import SECOND_NS
 
@@ -49,23 +49,23 @@ class DdsNode:
         self._frame_id, self._namespace = parameters.text("frame_id"), namespace
         self._lines = ErrorLines()
         self.application = application = Application(parameters, self, node, namespace)
-        self._input_readers = [InputReader(given, application.topics.origin) for given in application.inputs]
+        self._input_readers = [CdrInput(given, application.topics.origin) for given in application.inputs]
         self._participant = Participant(node, namespace)
-        self._prepared: list[Prepared | None] = []
+        self._prepared: list[PreparedMessage | None] = []
         self._writers = []
         for topic in application.outputs:
             name = full_name(topic.name, node, namespace)
             self._writers.append(self._participant.writer(name, topic.type, output_quality(parameters, topic)))
             self._prepared.append(None if topic.kind in ("status", "estimate") else prepared(topic, self._frame_id))
-        self._estimate = PreparedEstimate(self._frame_id)
+        self._estimate = DdsEstimate(self._frame_id)
         self._input_names = [self.topic_name(given.name) for given in application.inputs]
         self._quality = input_quality(parameters)
         self._readers = [
             self._participant.reader(name, given.type, self._quality)
             for name, given in zip(self._input_names, application.inputs, strict=True)
         ]
-        self._kept: list[tuple[int, Reader]] = []
-        self._clock: Reader | None = None
+        self._kept: list[tuple[int, TopicReader]] = []
+        self._clock: TopicReader | None = None
         self._sim_ns = 0
         if parameters.sim_time:
             self._clock = self._participant.reader("/clock", CLOCK_TYPE, CLOCK_QUALITY)
@@ -83,7 +83,7 @@ class DdsNode:
         self._looked: tuple[Mapping[str, Value], list[InputError]] | BaseException = {}, []
         self._next_look = 0
 
-    # What the application asks of its edge
+    # What the application asks of its transport
 
     def now_ns(self) -> int:
         """The machine's time, or the last of /clock."""
@@ -166,7 +166,7 @@ class DdsNode:
             if watched:
                 guard("the parameter file", self._follow, watched)
 
-    def _take_clock(self, clock: Reader) -> None:
+    def _take_clock(self, clock: TopicReader) -> None:
         for raw, _ in clock.take():
             with suppress(MalformedError):
                 self._set_clock(clock_ns(raw))

@@ -78,7 +78,7 @@ class Writer:
         return len(self.entity.get_matched_subscriptions())
 
 
-class Reader:
+class TopicReader:
     """Takes serialised messages of one topic."""
 
     def __init__(self, participant: Participant, name: str, kind: str, quality: Quality) -> None:
@@ -123,16 +123,16 @@ class Participant:
         self._others = BuiltinDataReader(self.entity, BuiltinTopicDcpsPublication)
         self._known: dict[str, Publication] = {}
         self._writers: list[Writer] = []
-        self._readers: list[Reader] = []
+        self._readers: list[TopicReader] = []
 
     def writer(self, name: str, kind: str, quality: Quality) -> Writer:
         """A writer on a topic by its full name; seen by others after `announce`."""
         self._writers.append(Writer(self, name, kind, quality))
         return self._writers[-1]
 
-    def reader(self, name: str, kind: str, quality: Quality) -> Reader:
+    def reader(self, name: str, kind: str, quality: Quality) -> TopicReader:
         """A reader of a topic by its full name; seen by others after `announce`."""
-        self._readers.append(Reader(self, name, kind, quality))
+        self._readers.append(TopicReader(self, name, kind, quality))
         return self._readers[-1]
 
     def announce(self) -> None:

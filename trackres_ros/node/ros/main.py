@@ -32,7 +32,7 @@ except ImportError as error:
         "running on ROS 2",
         f"no Python module {error.name}",
         "a sourced ROS 2 Jazzy: source /opt/ros/jazzy/setup.bash",
-        "without ROS run: trackres live --edge dds",
+        "without ROS run: trackres live --transport dds",
     ) from error
 
 

@@ -18,8 +18,8 @@ from rosidl_runtime_py.utilities import get_message
 from std_msgs.msg import Header
 
 from trackres_ros.errors import InputError
-from trackres_ros.node.edge import Reasons, Status
 from trackres_ros.node.endpoints import InputTopic
+from trackres_ros.node.transport import Reasons, Status
 from trackres_ros.output.topics import ESTIMATE_TOPIC, REASONS_GROUP, VEHICLE_GROUP, OutputTopic
 from trackres_ros.recording.message_types import NUMBERS, Definitions, Field, check_field
 from trackres_ros.units import SECOND_NS
@@ -66,7 +66,7 @@ def prepared(topic: OutputTopic, frame_id: str) -> Fill:
     return {"joints": joints, "wrench": wrench, "temperature": temperature}[topic.kind]
 
 
-class PreparedEstimate:
+class RosEstimate:
     """The message of `topics.ESTIMATE_TOPIC`, filled anew; its reasons only when they are others."""
 
     def __init__(self, frame_id: str) -> None:

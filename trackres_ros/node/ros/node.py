@@ -22,7 +22,6 @@ from std_srvs.srv import Trigger
 
 from trackres_ros.errors import InputError
 from trackres_ros.node.application import Application
-from trackres_ros.node.edge import Level, Peer, Reasons, Status
 from trackres_ros.node.endpoints import InputTopic, input_quality, output_quality
 from trackres_ros.node.inbox import Arrival, Inbox
 from trackres_ros.node.parameters import Parameters, make_parameters
@@ -30,7 +29,7 @@ from trackres_ros.node.ros import parameters as ros_parameters
 from trackres_ros.node.ros.callback_group import OneAtATime
 from trackres_ros.node.ros.messages import (
     Fill,
-    PreparedEstimate,
+    RosEstimate,
     diagnostic_array,
     input_type,
     installed_type,
@@ -38,6 +37,7 @@ from trackres_ros.node.ros.messages import (
     type_text,
 )
 from trackres_ros.node.ros.qos import OVERRIDABLE, overridden, profile_of
+from trackres_ros.node.transport import Level, Peer, Reasons, Status
 from trackres_ros.output.topics import DEFAULT_NODE, ESTIMATE_TOPIC
 from trackres_ros.units import SECOND_NS
 
@@ -223,12 +223,12 @@ class EstimatorNode(LifecycleNode):  # type: ignore[misc]
             self.destroy_service(service)
         self._clear()
 
-    # What the application asks of its edge
+    # What the application asks of its transport
 
-    def _prepared_estimate(self) -> PreparedEstimate | None:
+    def _prepared_estimate(self) -> RosEstimate | None:
         """None where its type is not installed, or is another: it alone is not among the common interfaces."""
         try:
-            return PreparedEstimate(self._frame_id)
+            return RosEstimate(self._frame_id)
         except (InputError, AttributeError, AssertionError, TypeError) as error:  # not there, or of another version
             self.get_logger().info(f"~/{ESTIMATE_TOPIC.name} is not published, all other topics are: {error}")
             return None

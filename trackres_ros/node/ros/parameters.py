@@ -10,10 +10,10 @@ from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
-from rclpy.parameter import Parameter as RosParameter
+from rclpy.parameter import NodeParameter as RosParameter
 
 from trackres_ros.errors import InputError, nearest
-from trackres_ros.node.parameters import PARAMETERS, Parameter, Parameters, Value, known, make_parameters
+from trackres_ros.node.parameters import PARAMETERS, NodeParameter, Parameters, Value, known, make_parameters
 from trackres_ros.node.ros.qos import OVERRIDES
 
 SIM_TIME = "use_sim_time"  # declared by rclpy itself
@@ -48,7 +48,7 @@ def unknown(node: Node, of_topics: bool) -> str:
     return f"given, but not parameters of this node, so without effect: {', '.join(found)}" if found else ""
 
 
-def descriptor(parameter: Parameter) -> ParameterDescriptor:
+def descriptor(parameter: NodeParameter) -> ParameterDescriptor:
     """Description, unit, range and what can be changed when."""
     text = parameter.meaning
     if parameter.unit and parameter.unit != "1":

@@ -14,21 +14,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.base.watched import STEEPEST, ByPlace, SlopeByPlace, TorqueByPlace
-from trackres_ros.diagnosis.described.by_place import Columns, Learned, Streets, gains, learn
-from trackres_ros.diagnosis.described.payload import Beside, loads, may_differ
+from trackres_ros.diagnosis.base.patterns import STEEPEST, ByPlace, SlopeByPlace, TorqueByPlace
+from trackres_ros.diagnosis.empirical.by_place import PlaceColumns, PlaceValues, StreetGraph, gains, learn
+from trackres_ros.diagnosis.empirical.payload import Beside, loads, may_differ
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
 from trackres_ros.diagnosis.inference.noise import LARGEST_ROOT, SHORT_ROOT, Noise, estimate_noise
 from trackres_ros.diagnosis.prepare.on_route import way_of
-from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.diagnosis.prepare.session import DriveSession
 from trackres_ros.diagnosis.selection.naming import Candidate, compared
 from trackres_ros.diagnosis.selection.visibility import base_columns
-from trackres_ros.diagnosis.writing.kept import BY_PLACE
 from trackres_ros.route.learned import SLOPE, TORQUE, RouteMap
 from trackres_ros.route.lookup import SPACING_M
 from trackres_ros.route.matching import Matched, Places, matched, neighbours, places_of
 from trackres_ros.route.track import Frame, track_of
 from trackres_ros.text.numbers import figures
+from trackres_ros.vehicle.writing.changes import BY_PLACE
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -72,8 +72,8 @@ class Route:
     again_m: float
     passes: int
     course: tuple[Array, ...]
-    places: Columns
-    values: Learned
+    places: PlaceColumns
+    values: PlaceValues
 
     @property
     def effect(self) -> ByPlace:
@@ -105,8 +105,8 @@ class _Better:
     """
 
     kind: str
-    places: Columns
-    learned: Learned
+    places: PlaceColumns
+    learned: PlaceValues
     expected: list[Array]
     apart: float
 
@@ -130,7 +130,7 @@ class Roads:
 
     frame: Frame
     places: Places
-    streets: Streets
+    streets: StreetGraph
     at: tuple[Matched, ...]
     within: tuple[Matched, ...]
 
@@ -144,7 +144,7 @@ class Roads:
         return np.bincount(np.array([place for place, _ in found], dtype=np.int64), minlength=len(self.places))
 
 
-def roads_of(sessions: Sequence[Session]) -> Roads | None:
+def roads_of(sessions: Sequence[DriveSession]) -> Roads | None:
     """Match sessions to themselves; None where no position is recorded."""
     ways = [way_of(s) for s in sessions]
     latitude, longitude = (np.concatenate([getattr(w, name) for w in ways]) for name in ("latitude", "longitude"))
@@ -157,7 +157,7 @@ def roads_of(sessions: Sequence[Session]) -> Roads | None:
     whole = matched(places, tracks)
     within = tuple(m.at(t.nearest(w.driven)) for m, t, w in zip(whole, tracks, ways, strict=True))
     at = tuple(m.middles(len(m.number) // len(s)) for m, s in zip(within, sessions, strict=True))
-    return Roads(frame, places, Streets.of(neighbours(whole), places.table), at, within)
+    return Roads(frame, places, StreetGraph.of(neighbours(whole), places.table), at, within)
 
 
 def find_route(current: Fit, roads: Roads, kinds: Collection[str] = (SLOPE, TORQUE)) -> Route | None:
@@ -213,8 +213,8 @@ def _better(
     force = [s.weight * radius * way for s, way in zip(problem.sessions, ways, strict=True)]
     spread = float(np.std(np.concatenate([r[m] for r, m in zip(residuals, masks, strict=True)])))
     columns = {
-        SLOPE: Columns.of_slope(roads.within, force, roads.streets),
-        TORQUE: Columns.of_torque(roads.within, [scale * way for way in ways], roads.streets),
+        SLOPE: PlaceColumns.of_slope(roads.within, force, roads.streets),
+        TORQUE: PlaceColumns.of_torque(roads.within, [scale * way for way in ways], roads.streets),
     }
     typical = {SLOPE: spread / (problem.base.facts.weight * radius), TORQUE: spread / scale}
     bends = _bends(current)
@@ -226,9 +226,9 @@ def _better(
     if learned[kind].evidence < SURE or not _shows_on_others(columns[kind], learned[kind], roads, residuals, masks):
         return None
     if kind == SLOPE:
-        shape = Columns.of_slope(roads.within, ways, roads.streets)
+        shape = PlaceColumns.of_slope(roads.within, ways, roads.streets)
     else:
-        shape = Columns.of_torque(roads.within, [np.ones(len(way)) for way in ways], roads.streets)
+        shape = PlaceColumns.of_torque(roads.within, [np.ones(len(way)) for way in ways], roads.streets)
     return _Better(kind, columns[kind], learned[kind], shape.expected(learned[kind]), apart)
 
 
@@ -245,7 +245,9 @@ def _bends(current: Fit) -> list[Array]:
     return [np.column_stack(both) for both in zip(of_base, loads(current), strict=True)]
 
 
-def _shows_on_others(columns: Columns, found: Learned, roads: Roads, residuals: Sequence[Array], masks: Sequence[Mask]) -> bool:
+def _shows_on_others(
+    columns: PlaceColumns, found: PlaceValues, roads: Roads, residuals: Sequence[Array], masks: Sequence[Mask]
+) -> bool:
     """Whether what is learned from every other pass explains the passes between, and far better than were it of other places."""
     total = np.zeros(1 + MOVED)
     ways = len(found.value) // len(roads.places)
@@ -281,7 +283,7 @@ def _beside(current: Fit, effect: ByPlace, begin: Fit, largest_root: float = LAR
     return fit(current.problem, effects, start, largest_root=largest_root)
 
 
-def _map(roads: Roads, kind: str, learned: Learned, passes: NDArray[np.int64]) -> RouteMap:
+def _map(roads: Roads, kind: str, learned: PlaceValues, passes: NDArray[np.int64]) -> RouteMap:
     """What was learned, of the places that were passed on the laps fitted."""
     seen = np.flatnonzero(passes > 0)
     x, y, east, north = roads.places.table[seen].T

@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from trackres_ros.diagnosis.described.by_place import Rows
+from trackres_ros.diagnosis.empirical.by_place import WhitenedRows
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.inference.noise import Noise, estimate_noise, whitened
-from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.diagnosis.prepare.session import DriveSession
 from trackres_ros.diagnosis.selection.form_error import FORM_ERROR
 from trackres_ros.diagnosis.selection.visibility import base_columns
 from trackres_ros.units import GRAVITY, STANDSTILL_MPS
@@ -229,8 +229,8 @@ def _most_likely(
     whole = [r + x for r, x in zip(residuals, beside.adds, strict=True)]
     left, noise = list(residuals), current.noise
     for _ in range(TURNS):  # unless it is left out, noise is as large as the payload and counts the more it is loaded the less
-        rows = Rows.of(both, whole, masks, noise)
-        weights = noise.weights(Rows.of(both, left, masks, noise).white)
+        rows = WhitenedRows.of(both, whole, masks, noise)
+        weights = noise.weights(WhitenedRows.of(both, left, masks, noise).white)
         normal, others, settled = _normal(rows, weights, session, beside.precision)
         tried = (normal.solved(size * mass, alike, MEAN * mass) for size in SIZES for alike in ALIKE)
         best = max(tried, key=lambda one: one.evidence)
@@ -245,7 +245,7 @@ def _most_likely(
 
 
 def _normal(
-    rows: Rows, weights: Array, session: Indices, precision: sparse.csc_matrix
+    rows: WhitenedRows, weights: Array, session: Indices, precision: sparse.csc_matrix
 ) -> tuple[_Normal, Callable[[Array], Array], float]:
     """Normal equations of the masses, the values beside some masses, and how many of those the samples settle."""
     count = len(session)
@@ -284,7 +284,7 @@ def mass_of(current: Fit) -> float:
     return current.base_values.get("mass", current.problem.base.facts.weight / GRAVITY)
 
 
-def stretch_numbers(session: Session) -> Indices:
+def stretch_numbers(session: DriveSession) -> Indices:
     """Number of the stretch of each sample; a stop belongs to the stretch before it."""
     still = np.concatenate(([False], np.abs(np.nan_to_num(session.speed)) < STANDSTILL_MPS, [False])).astype(int)
     begins, ends = np.flatnonzero(np.diff(still) > 0), np.flatnonzero(np.diff(still) < 0)
@@ -339,6 +339,6 @@ def followed(by_mass: Array, residual: Array, number: Indices, used: Mask, noise
     return known
 
 
-def _span(session: Session, there: NDArray[np.bool_]) -> tuple[float, float]:
+def _span(session: DriveSession, there: NDArray[np.bool_]) -> tuple[float, float]:
     rows = np.flatnonzero(there)
     return float(session.time[rows[0]]), float(session.time[rows[-1]] + session.step)

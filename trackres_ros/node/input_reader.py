@@ -22,7 +22,7 @@ Sample = tuple[int, int, float]
 """Channel, stamp [ns] and value."""
 
 
-class Intake:
+class InputReader:
     """Reads the messages of all input topics.
 
     Parameters

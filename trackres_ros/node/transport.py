@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the application and a middleware say to each other: the two edges, `ros` and `dds`, offer the same."""
+"""What the application and a middleware say to each other: the two transports, `ros` and `dds`, offer the same."""
 
 from __future__ import annotations
 
@@ -51,14 +51,14 @@ class Peer:
 
 
 Reasons = tuple[tuple[str, Level], ...]
-"""Names of all remarks that hold, each once, heaviest first, with the level of each."""
+"""Names of all notices that hold, each once, heaviest first, with the level of each."""
 
 
 KeepMessage = Callable[[int, bytes, int], None]
 """Takes a message to be recorded: which of the topics of `Application.to_record`, its bytes as CDR, its time of arrival [ns]."""
 
 
-class Edge(Protocol):
+class Transport(Protocol):
     """What the application needs of a middleware. All calls come from one thread, the one that calls the application.
 
     Inputs and outputs are named by their place in `Application.inputs` and `Application.outputs`.

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
-from trackres_ros.diagnosis.described.candidates import FEWEST_SESSIONS
-from trackres_ros.diagnosis.described.spells import Blocks
+from trackres_ros.diagnosis.empirical.candidates import FEWEST_SESSIONS
+from trackres_ros.diagnosis.empirical.spells import Blocks
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -11,9 +11,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.described.places import Place, find_place
+from trackres_ros.diagnosis.empirical.places import Place, find_place
 from trackres_ros.diagnosis.inference.fitting import Fit
-from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.diagnosis.prepare.session import DriveSession
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -28,13 +28,13 @@ def place_in(current: Fit, residuals: Sequence[Array]) -> Place | None:
     return find_place(driven_along(sessions), against, masks, loads_of(sessions, masks))
 
 
-def loads_of(sessions: Sequence[Session], masks: Sequence[Mask]) -> list[Array]:
+def loads_of(sessions: Sequence[DriveSession], masks: Sequence[Mask]) -> list[Array]:
     """Weight over its mean where torques are compared: slopes, bends and soft ground take more of a heavier vehicle."""
     mean = float(np.mean(np.concatenate([s.weight[m] for s, m in zip(sessions, masks, strict=True)])))
     return [s.weight / mean for s in sessions]
 
 
-def driven_along(sessions: Sequence[Session]) -> list[Array]:
+def driven_along(sessions: Sequence[DriveSession]) -> list[Array]:
     """Where each session is on its route, as the distance from its start [m]: it falls while the vehicle reverses, and is
     negative where laps go the other way round.
 

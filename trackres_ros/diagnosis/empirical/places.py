@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.described.waves import LONGEST_M
+from trackres_ros.diagnosis.empirical.waves import LONGEST_M
 from trackres_ros.diagnosis.inference.levels import LARGEST_ROOT
 from trackres_ros.diagnosis.inference.noise import Noise, estimate_noise, whitened
 

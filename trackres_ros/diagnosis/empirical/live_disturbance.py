@@ -12,14 +12,14 @@ from dataclasses import fields
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.described.finders import Term, beginnings, fill, residuals_without, torque_blocks
-from trackres_ros.diagnosis.described.spells import Blocks, blocks, expected_level, find_wander, levels_given, there_given
+from trackres_ros.diagnosis.empirical.finders import Term, beginnings, fill, residuals_without, torque_blocks
+from trackres_ros.diagnosis.empirical.spells import Blocks, blocks, expected_level, find_wander, levels_given, there_given
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.selection.held_out import HeldOutLaps, Improvement
-from trackres_ros.diagnosis.writing.kept import LearnedDisturbance
 from trackres_ros.estimator.disturbance import BLOCK_S
 from trackres_ros.vehicle import Drift, Spells
 from trackres_ros.vehicle.schema import DISTURBANCES
+from trackres_ros.vehicle.writing.changes import LearnedDisturbance
 
 Array = NDArray[np.float64]
 Range = tuple[float, float]

@@ -15,13 +15,13 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.base.watched import Watched
-from trackres_ros.diagnosis.described.level_changes import LevelChange, find_change, piece_s, sharpened
-from trackres_ros.diagnosis.described.on_laps import place_in
-from trackres_ros.diagnosis.described.payload import Payload, find_payload
-from trackres_ros.diagnosis.described.places import Place
-from trackres_ros.diagnosis.described.routes import SLOPES, Roads, Route, find_route
-from trackres_ros.diagnosis.described.spells import (
+from trackres_ros.diagnosis.base.patterns import ResidualPattern
+from trackres_ros.diagnosis.empirical.level_changes import LevelChange, find_change, piece_s, sharpened
+from trackres_ros.diagnosis.empirical.on_laps import place_in
+from trackres_ros.diagnosis.empirical.payload import Payload, find_payload
+from trackres_ros.diagnosis.empirical.places import Place
+from trackres_ros.diagnosis.empirical.routes import SLOPES, Roads, Route, find_route
+from trackres_ros.diagnosis.empirical.spells import (
     Blocks,
     Chain,
     beyond_wander,
@@ -32,13 +32,13 @@ from trackres_ros.diagnosis.described.spells import (
     path_cost,
     there_given,
 )
-from trackres_ros.diagnosis.described.terms import Described, of_drift, of_recordings
-from trackres_ros.diagnosis.described.waves import Wave, find_wave, followed
+from trackres_ros.diagnosis.empirical.terms import Described, of_drift, of_recordings
+from trackres_ros.diagnosis.empirical.waves import Wave, find_wave, followed
 from trackres_ros.diagnosis.inference.fitting import Fit, fit
 from trackres_ros.diagnosis.inference.threads import side_by_side
 from trackres_ros.diagnosis.selection.naming import Candidate, compared, rms, spurious_gain
-from trackres_ros.diagnosis.writing.kept import BY_PLACE
 from trackres_ros.estimator.disturbance import BLOCK_S, later_there, seen_there
+from trackres_ros.vehicle.writing.changes import BY_PLACE
 
 Array = NDArray[np.float64]
 Search = Callable[[Fit, Sequence[Array]], "Term | None"]
@@ -93,7 +93,7 @@ def _fitted(
     without it the noise is taken for a random walk, under which no level counts.
     """
     facts = current.problem.base.facts
-    effect = Watched(name, text, shape, facts.weight * facts.radius, ahead)
+    effect = ResidualPattern(name, text, shape, facts.weight * facts.radius, ahead)
     start = {**current.at, (name, "level"): level}
     found = fit(current.problem, [*(a.effect for a in current.effects), effect], start)
     return compared(current, found, name, 1.0, math.nan, cost)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.estimator import columns as at
 from trackres_ros.learning.filter import given_others
-from trackres_ros.learning.learned import Learned
+from trackres_ros.learning.learned import LearnerState
 from trackres_ros.learning.parameters import STEP, Prior
 
 Array = NDArray[np.float64]
@@ -25,7 +25,7 @@ BELT_S = 900.0  # of a belt's temperature: its heat capacity over what cools it
 ACCEL_DOUBT = 0.04  # of an acceleration filtered out of a speed; of simulated drives a right mass comes out by so much too large
 
 
-def std_of(s: Learned, state: int) -> float:
+def std_of(s: LearnerState, state: int) -> float:
     """Standard deviation of a state as it is told; of a mass with what accelerations are off by themselves."""
     return told_std(state, float(s.covariance[state, state]))
 
@@ -36,13 +36,13 @@ def told_std(state: int, variance: float) -> float:
     return math.hypot(math.sqrt(max(variance, 0.0)), doubt)
 
 
-def sure(s: Learned, prior: Prior) -> Mask:
+def sure(s: LearnerState, prior: Prior) -> Mask:
     """Which departures are known twice as well as by the vehicle file, shape (LEARNABLE,)."""
     variances = np.diag(s.covariance)[: at.LEARNABLE]
     return np.asarray(variances < 0.25 * np.diag(prior.covariance)[: at.LEARNABLE])
 
 
-def aim(s: Learned, prior: Prior, counted: Mask) -> None:
+def aim(s: LearnerState, prior: Prior, counted: Mask) -> None:
     """What is to act: all that counts, with the rest as the file has it."""
     s.aim[:] = 0.0
     if not counted.any():
@@ -53,12 +53,12 @@ def aim(s: Learned, prior: Prior, counted: Mask) -> None:
     s.aim[:] = np.clip(found, prior.low[: at.LEARNABLE], prior.high[: at.LEARNABLE])
 
 
-def follow(s: Learned) -> None:
+def follow(s: LearnerState) -> None:
     """What acts follows what is to act, no faster than it may."""
     s.applied += np.minimum(np.maximum(s.aim - s.applied, -FASTEST), FASTEST)
 
 
-def move(s: Learned, acts: bool, learned: Array, now: int, belt_variance: float) -> None:
+def move(s: LearnerState, acts: bool, learned: Array, now: int, belt_variance: float) -> None:
     """Write what acts into the memory of a session, see `estimator.columns`.
 
     Parameters
@@ -84,7 +84,7 @@ def belt_keeps(seconds: float) -> float:
     return math.exp(-seconds / BELT_S)
 
 
-def factor(s: Learned, unseen_s: float, belt_variance: float) -> Array:
+def factor(s: LearnerState, unseen_s: float, belt_variance: float) -> Array:
     """Lower factor of the covariance about what acts, shape (LEARNABLE, LEARNABLE); see `move`."""
     off = s.mean[: at.LEARNABLE] - s.applied
     covariance = s.covariance[: at.LEARNABLE, : at.LEARNABLE] + off[:, None] * off[None, :]

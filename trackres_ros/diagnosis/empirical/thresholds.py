@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from trackres_ros.diagnosis.inference.fitting import Fit, valid_rows
 from trackres_ros.diagnosis.inference.noise import shortened, whitened
 from trackres_ros.diagnosis.selection.visibility import base_columns
-from trackres_ros.effects.learned import ABOVE, BELOW, LATCHED, STEP, Corner, Latch, Learned
+from trackres_ros.effects.learned import ABOVE, BELOW, LATCHED, STEP, Corner, EmpiricalEffect, Latch
 
 Array = NDArray[np.float64]
 Columns = Callable[[Array], list[Array]]
@@ -76,7 +76,7 @@ class _Scores:
         return np.where(left > LEAST_KEPT * whole, 0.5 * score**2 / np.maximum(left, 1e-12), 0.0)
 
 
-def found_by_scan(fit: Fit, series: dict[int, list[Array]], own: Array | None = None) -> list[Learned]:
+def found_by_scan(fit: Fit, series: dict[int, list[Array]], own: Array | None = None) -> list[EmpiricalEffect]:
     """The best step, hinge and latch of each variable, where it gains enough.
 
     Parameters
@@ -95,7 +95,7 @@ def found_by_scan(fit: Fit, series: dict[int, list[Array]], own: Array | None = 
         """What is slow hides in noise that is taken for a random walk: the larger of both."""
         return np.asarray(np.max([one.gains(columns) for one in scores], axis=0))
 
-    found: list[tuple[float, Learned]] = []
+    found: list[tuple[float, EmpiricalEffect]] = []
     for code, x in series.items():
         known = np.concatenate([one[m] for one, m in zip(x, fit.problem.masks, strict=True)])
         low, high = (float(q) for q in np.quantile(known, RANGE))

@@ -12,9 +12,9 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.estimator import Estimator
 from trackres_ros.estimator.feedforward import fade, followed, towards
 from trackres_ros.jit.compiled import interpreted
-from trackres_ros.node.edge import Edge, Level, Reasons, Status
-from trackres_ros.node.remarks import Remark
+from trackres_ros.node.notices import Notice
 from trackres_ros.node.stamps import nearest_usable
+from trackres_ros.node.transport import Level, Reasons, Status, Transport
 from trackres_ros.output.topics import ESTIMATE_TOPIC, PARAMETERS_TOPIC, OutputTopic
 from trackres_ros.units import NANOSECOND
 
@@ -23,8 +23,8 @@ Row = list[float]
 Values = Callable[[Row], list[float]]
 
 
-class Outlet:
-    """Publishes the last estimate through an edge.
+class OutputPublisher:
+    """Publishes the last estimate through a transport.
 
     While the speed is old the last state goes on being published with its stamp, and the feed-forward fades to zero: who takes it
     without its stamp is safe too. From output to output the feed-forward moves by `feedforward_rate` at most, whatever the speeds
@@ -34,7 +34,7 @@ class Outlet:
     A topic that cannot be published holds up no other one; `failed` says which and why.
     """
 
-    def __init__(self, outputs: Sequence[OutputTopic], estimator: Estimator, edge: Edge) -> None:
+    def __init__(self, outputs: Sequence[OutputTopic], estimator: Estimator, transport: Transport) -> None:
         self.estimator = estimator
         self.outputs = outputs
         self.row: Row = []
@@ -43,7 +43,7 @@ class Outlet:
         self.feedforward = 0.0  # as last published
         self.failed: dict[str, str] = {}
         self.sent = 0  # messages that the middleware took, statuses too
-        self._edge = edge
+        self._transport = transport
         self._taken_ns = self._taken_pace = 0
         self._target = self._unfaded = 0.0
         self._published_at: tuple[int, int] | None = None
@@ -100,9 +100,9 @@ class Outlet:
             if self.outputs[output] is ESTIMATE_TOPIC:
                 hold = reasons(steady)
                 level = max((level for _, level in hold), default=Level.OK)
-                self._send(output, self._edge.publish_estimate, self.stamp_ns, [*numbers, float(level)], hold)
+                self._send(output, self._transport.publish_estimate, self.stamp_ns, [*numbers, float(level)], hold)
             else:
-                self._send(output, self._edge.publish, self.stamp_ns, numbers)
+                self._send(output, self._transport.publish, self.stamp_ns, numbers)
         self.published += 1
 
     def publish_statuses(
@@ -112,14 +112,14 @@ class Outlet:
         for output, topic in enumerate(self.outputs):
             if topic is PARAMETERS_TOPIC:
                 if diagnostics and learned:
-                    self._send(output, self._edge.publish_status, nearest_usable(now_ns), learned)
+                    self._send(output, self._transport.publish_status, nearest_usable(now_ns), learned)
             elif topic.kind == "status" and (diagnostics or not topic.name.startswith("/")):
                 shown = statuses if topic.name.startswith("/") else statuses[:1]
-                self._send(output, self._edge.publish_status, nearest_usable(now_ns), shown)
+                self._send(output, self._transport.publish_status, nearest_usable(now_ns), shown)
 
-    def remarks(self) -> list[Remark]:
+    def notices(self) -> list[Notice]:
         """The topics that cannot be published."""
-        return [Remark("OUTPUT_FAILED", f"{topic} cannot be published: {error}") for topic, error in self.failed.items()]
+        return [Notice("OUTPUT_FAILED", f"{topic} cannot be published: {error}") for topic, error in self.failed.items()]
 
     def _send(self, output: int, publish: Callable[..., None], stamp_ns: int, *content: object) -> None:
         name = self.outputs[output].name

@@ -14,19 +14,19 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from trackres_ros.diagnosis.writing.kept import Kept, LearnedDisturbance
-from trackres_ros.diagnosis.writing.yaml_edit import Document, flow
 from trackres_ros.effects.effect import Active
 from trackres_ros.errors import InputError
 from trackres_ros.files.small_files import read_text
 from trackres_ros.files.yamls import MOST_BYTES
-from trackres_ros.model.belt import heat_capacity
 from trackres_ros.route.learned import RouteMap
 from trackres_ros.route.table import write_route
 from trackres_ros.vehicle import Quantity, Vehicle
+from trackres_ros.vehicle.belt_bulk import heat_capacity
 from trackres_ros.vehicle.reading import FITTED
-from trackres_ros.vehicle.schema import BELT, CHASSIS, DISTURBANCES, RUBBER, Limits
+from trackres_ros.vehicle.schema import BELT, CHASSIS, DISTURBANCES, RUBBER, QuantityLimits
 from trackres_ros.vehicle.surroundings import SCHEMA
+from trackres_ros.vehicle.writing.changes import FileChanges, LearnedDisturbance
+from trackres_ros.vehicle.writing.yaml_edit import Document, flow
 
 REFITTED = "re-fitted by"
 FOUND = "found by trackres diagnose"
@@ -38,7 +38,7 @@ FIGURES = 6
 Range = tuple[float, float] | None
 
 
-def write_track_vehicle(vehicle: Vehicle, path: Path, kept: Kept, text: str) -> list[Path]:
+def write_track_vehicle(vehicle: Vehicle, path: Path, kept: FileChanges, text: str) -> list[Path]:
     """Write a track vehicle with what was kept, and the surroundings beside it; returns the files that are for use.
 
     `text` says in comments where they are from.
@@ -52,7 +52,7 @@ def write_track_vehicle(vehicle: Vehicle, path: Path, kept: Kept, text: str) -> 
     return finish(document, vehicle.name, vehicle.effects, vehicle.surroundings, path, kept, text, vehicle.route)
 
 
-def _set_values(document: Document, vehicle: Vehicle, kept: Kept) -> None:
+def _set_values(document: Document, vehicle: Vehicle, kept: FileChanges) -> None:
     values, q = kept.values or {}, vehicle.parameters
     for section, name, limits in (
         ("rubber", "loss_modulus_scale", RUBBER),
@@ -122,7 +122,7 @@ def opened(source: Path) -> Document:
 
 
 def set_quantity(
-    document: Document, path: Sequence[str], old: Quantity, value: float, learned: Range, limits: Limits, by: str
+    document: Document, path: Sequence[str], old: Quantity, value: float, learned: Range, limits: QuantityLimits, by: str
 ) -> None:
     """A fitted value with its interval as the range, which is read as +-2 standard deviations; without one the old range, and
     what is the same as before stays as it is written.
@@ -148,7 +148,7 @@ def finish(
     effects: Sequence[Active],
     surroundings: Sequence[Active],
     path: Path,
-    kept: Kept,
+    kept: FileChanges,
     text: str,
     route: Sequence[RouteMap] = (),
 ) -> list[Path]:

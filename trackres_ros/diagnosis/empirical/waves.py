@@ -19,7 +19,7 @@ from scipy.stats import gamma
 
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.inference.noise import whitened
-from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.diagnosis.prepare.session import DriveSession
 
 Array = NDArray[np.float64]
 
@@ -171,7 +171,7 @@ def _wave(found: Fit, pieces: list[_Piece], per_metre: float) -> Wave:
     return Wave(1.0 / per_metre, float(np.average(np.abs(sizes), weights=weights)), len(pieces), tuple(shape))
 
 
-def followed(wave: Wave, residuals: Sequence[Array], sessions: Sequence[Session]) -> list[Array]:
+def followed(wave: Wave, residuals: Sequence[Array], sessions: Sequence[DriveSession]) -> list[Array]:
     """The wave at each sample over its size, its phase and size by what was measured before: a mean that forgets."""
     found = []
     for residual, session in zip(residuals, sessions, strict=True):

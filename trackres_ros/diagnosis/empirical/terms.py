@@ -14,13 +14,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.described.level_changes import LevelChange
-from trackres_ros.diagnosis.described.payload import Payload, Stretch
-from trackres_ros.diagnosis.described.places import Place
-from trackres_ros.diagnosis.described.routes import TOLD, Route
-from trackres_ros.diagnosis.described.spells import Chain, Wander
-from trackres_ros.diagnosis.described.waves import Wave
-from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.diagnosis.empirical.level_changes import LevelChange
+from trackres_ros.diagnosis.empirical.payload import Payload, Stretch
+from trackres_ros.diagnosis.empirical.places import Place
+from trackres_ros.diagnosis.empirical.routes import TOLD, Route
+from trackres_ros.diagnosis.empirical.spells import Chain, Wander
+from trackres_ros.diagnosis.empirical.waves import Wave
+from trackres_ros.diagnosis.prepare.session import DriveSession
 from trackres_ros.effects.learned import (
     ACCELERATING,
     ACCELERATION,
@@ -52,8 +52,8 @@ from trackres_ros.effects.learned import (
     BuildUp,
     Corner,
     Curve,
+    EmpiricalEffect,
     Latch,
-    Learned,
     SidedGain,
 )
 from trackres_ros.estimator.disturbance import BLOCK_S
@@ -164,7 +164,7 @@ class Described:
     stretches: tuple[Stretch, ...] = ()
 
 
-def of_learned(effect: Learned, values: Mapping[str, float]) -> Described:
+def of_learned(effect: EmpiricalEffect, values: Mapping[str, float]) -> Described:
     """An effect without a name with the values of a fit."""
     if isinstance(effect, BuildUp):
         return _of_build_up(effect, values)
@@ -298,7 +298,7 @@ def of_route(name: str, size: float, least: float, most: float, route: Route) ->
     return Described("place", name, "place on the route", "", None, None, text, mechanisms, size, True, unit="m")
 
 
-def of_level_change(name: str, level: float, sessions: Sequence[Session], change: LevelChange) -> Described:
+def of_level_change(name: str, level: float, sessions: Sequence[DriveSession], change: LevelChange) -> Described:
     """A level that changed for good by so much [Nm]."""
     text = (
         f"Since {_when(sessions, change)} the vehicle needs {_more(level)} than before, until the end of the recordings. "
@@ -309,7 +309,7 @@ def of_level_change(name: str, level: float, sessions: Sequence[Session], change
     )  # fmt: skip
 
 
-def _when(sessions: Sequence[Session], change: LevelChange) -> str:
+def _when(sessions: Sequence[DriveSession], change: LevelChange) -> str:
     """When a level changed: the time of day and the day where clocks say it, and the place in its recording."""
     session, first = sessions[change.session], sessions[0]
     seconds = float(session.time[change.row])
@@ -322,7 +322,7 @@ def _when(sessions: Sequence[Session], change: LevelChange) -> str:
     return f"{at:%H:%M} UTC on {at:%Y-%m-%d} ({where}{day})"
 
 
-def of_recordings(levels: Array, sessions: Sequence[Session]) -> Described:
+def of_recordings(levels: Array, sessions: Sequence[DriveSession]) -> Described:
     """Another level [Nm] in each recording, nan of one of which nothing is compared."""
     low, high = float(np.nanmin(levels)), float(np.nanmax(levels))
     text = (

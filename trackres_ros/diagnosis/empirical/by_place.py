@@ -41,7 +41,7 @@ FLOOR = 1e-9  # of the prior's precision, so that places without a neighbour hav
 
 
 @dataclass(frozen=True, eq=False)
-class Streets:
+class StreetGraph:
     """The graph of places.
 
     Attributes
@@ -63,16 +63,16 @@ class Streets:
     count: int
 
     @classmethod
-    def of(cls, pairs: Mapping[tuple[int, int], float], table: Array) -> Streets:
+    def of(cls, pairs: Mapping[tuple[int, int], float], table: Array) -> StreetGraph:
         """Of neighbours and whether they point the same way, and of the places' table; see `route.matching`."""
         ends = np.array(list(pairs), dtype=np.int64).reshape(-1, 2)
         away = np.hypot(*(table[ends[:, 0], :2] - table[ends[:, 1], :2]).T)
         return cls(ends[:, 0], ends[:, 1], np.array(list(pairs.values()), dtype=float), np.maximum(away, NEAREST_M), len(table))
 
-    def both_ways(self) -> Streets:
+    def both_ways(self) -> StreetGraph:
         """With two places for each: one passed the way it points, one passed the other way."""
         turned = (self.sign < 0.0).astype(np.int64)
-        return Streets(
+        return StreetGraph(
             np.concatenate([2 * self.first, 2 * self.first + 1]),
             np.concatenate([2 * self.second + turned, 2 * self.second + 1 - turned]),
             np.ones(2 * len(self.sign)),
@@ -93,30 +93,30 @@ class Streets:
 
 
 @dataclass(frozen=True, eq=False)
-class Columns:
+class PlaceColumns:
     """What each place's value adds to the torque of each session: sparse, of shape (samples, values), the streets that the values
     lie along, and what a base adds that may bend along with them.
     """
 
     of: tuple[sparse.csr_matrix, ...]
-    streets: Streets
+    streets: StreetGraph
     base: tuple[Array, ...] = ()
 
-    def beside(self, base: Sequence[Array]) -> Columns:
+    def beside(self, base: Sequence[Array]) -> PlaceColumns:
         """The same beside a base that may bend: what it adds to each session when a parameter is off by a standard deviation,
         shape (samples, parameters).
         """
         return replace(self, base=tuple(base))
 
     @classmethod
-    def of_slope(cls, tracks: Sequence[Matched], forces: Sequence[Array], streets: Streets) -> Columns:
+    def of_slope(cls, tracks: Sequence[Matched], forces: Sequence[Array], streets: StreetGraph) -> PlaceColumns:
         """Of the sine of a slope, rising the way a place points; forces are weight times radius, along travel [Nm]. A track has
         as many points in each sample of a session.
         """
         return cls(tuple(_column(t, t.place, t.sign, f, streets.count) for t, f in zip(tracks, forces, strict=True)), streets)
 
     @classmethod
-    def of_torque(cls, tracks: Sequence[Matched], against: Sequence[Array], streets: Streets) -> Columns:
+    def of_torque(cls, tracks: Sequence[Matched], against: Sequence[Array], streets: StreetGraph) -> PlaceColumns:
         """Of a torque against travel, one each way; `against` has the sign of that at each sample."""
         both = streets.both_ways()
         place = [np.where(t.place >= 0, 2 * t.place + (t.sign < 0.0), -1) for t in tracks]
@@ -135,7 +135,7 @@ class Columns:
         """How many values the base bends by."""
         return self.base[0].shape[1] if self.base else 0
 
-    def expected(self, learned: Learned) -> list[Array]:
+    def expected(self, learned: PlaceValues) -> list[Array]:
         """Torque of each session by the values of the places, without what the base bends."""
         return [np.asarray(z @ learned.value) for z in self.of]
 
@@ -152,7 +152,7 @@ def _column(track: Matched, place: NDArray[np.int64], sign: Array, factor: Array
 
 
 @dataclass(frozen=True, eq=False)
-class Learned:
+class PlaceValues:
     """Values by place.
 
     Attributes
@@ -181,9 +181,9 @@ class Learned:
     shrinks: float
     _solve: SuperLU = field(repr=False)
 
-    def again(self, columns: Columns, residuals: Sequence[Array], masks: Sequence[Mask]) -> Array:
+    def again(self, columns: PlaceColumns, residuals: Sequence[Array], masks: Sequence[Mask]) -> Array:
         """Values from other samples, with this length, size and noise, beside a base that does not bend."""
-        rows = Rows.of(columns.of, residuals, masks, self.noise)
+        rows = WhitenedRows.of(columns.of, residuals, masks, self.noise)
         return _learned(rows, columns.streets, 0, self.length_m, self.size).value
 
     def std(self, of: NDArray[np.int64]) -> Array:
@@ -196,7 +196,7 @@ class Learned:
         return np.sqrt(np.maximum(found, 0.0))
 
 
-def learn(columns: Columns, residuals: Sequence[Array], masks: Sequence[Mask], noise: Noise, typical: float) -> Learned:
+def learn(columns: PlaceColumns, residuals: Sequence[Array], masks: Sequence[Mask], noise: Noise, typical: float) -> PlaceValues:
     """The most likely values, and length and size with the most evidence.
 
     Parameters
@@ -208,10 +208,10 @@ def learn(columns: Columns, residuals: Sequence[Array], masks: Sequence[Mask], n
     typical
         A value that makes as much torque as the residual has.
     """
-    rows = Rows.of(columns.whole, residuals, masks, noise)
-    tried: dict[tuple[int, int], Learned] = {}
+    rows = WhitenedRows.of(columns.whole, residuals, masks, noise)
+    tried: dict[tuple[int, int], PlaceValues] = {}
 
-    def at(i: int, j: int) -> Learned:
+    def at(i: int, j: int) -> PlaceValues:
         if (i, j) not in tried:
             tried[i, j] = _learned(rows, columns.streets, columns.bends, LENGTHS_M[i], SIZES[j] * typical)
         return tried[i, j]
@@ -229,15 +229,15 @@ def learn(columns: Columns, residuals: Sequence[Array], masks: Sequence[Mask], n
     return replace(found, evidence=found.evidence - (gain - cost) - choices, cost=found.cost - cost + choices)
 
 
-def gains(columns: Columns, values: Array, residuals: Sequence[Array], masks: Sequence[Mask], noise: Noise) -> Array:
+def gains(columns: PlaceColumns, values: Array, residuals: Sequence[Array], masks: Sequence[Mask], noise: Noise) -> Array:
     """Gain in log-likelihood of values that were learned elsewhere, each a column; shape (columns,)."""
-    rows = Rows.of(columns.of, residuals, masks, noise)
+    rows = WhitenedRows.of(columns.of, residuals, masks, noise)
     left = rows.white[:, np.newaxis] - rows.columns @ values
     return np.asarray((noise.log_density(left) - noise.log_density(rows.white)[:, np.newaxis]).sum(axis=0))
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class WhitenedRows:
     """Whitened residuals over their standard deviation, and what values add to them. The first of a stretch, of which nothing
     is known before, counts by itself: on a street brakes leave stretches of some seconds.
     """
@@ -247,7 +247,9 @@ class Rows:
     noise: Noise
 
     @classmethod
-    def of(cls, columns: Sequence[sparse.csr_matrix], residuals: Sequence[Array], masks: Sequence[Mask], noise: Noise) -> Rows:
+    def of(
+        cls, columns: Sequence[sparse.csr_matrix], residuals: Sequence[Array], masks: Sequence[Mask], noise: Noise
+    ) -> WhitenedRows:
         """Of the residual of each session, where it counts, and of what each value adds to it."""
         white, parts, lags = [], [], len(noise.phi)
         stationary = noise.std * _growth(noise.phi)
@@ -269,7 +271,7 @@ def _growth(phi: Array) -> float:
     return float(np.sqrt(np.sum(response**2)))
 
 
-def _of_bends(rows: Rows, bends: int) -> tuple[float, float]:
+def _of_bends(rows: WhitenedRows, bends: int) -> tuple[float, float]:
     """What a base gains that bends without anything by place, in log-likelihood, and what that costs."""
     columns, noise, weight = rows.columns[:, rows.columns.shape[1] - bends :].toarray(), rows.noise, np.ones(len(rows.white))
     for _ in range(TURNS):
@@ -280,7 +282,7 @@ def _of_bends(rows: Rows, bends: int) -> tuple[float, float]:
     return gain, 0.5 * float(value @ value) + 0.5 * float(np.linalg.slogdet(normal)[1])
 
 
-def _learned(rows: Rows, streets: Streets, bends: int, length_m: float, size: float) -> Learned:
+def _learned(rows: WhitenedRows, streets: StreetGraph, bends: int, length_m: float, size: float) -> PlaceValues:
     prior = sparse.block_diag([streets.precision(length_m, size), sparse.identity(bends)]).tocsc()
     noise, weight = rows.noise, np.ones(len(rows.white))  # without values all that is steep would look far out
     for _ in range(TURNS):
@@ -293,7 +295,7 @@ def _learned(rows: Rows, streets: Streets, bends: int, length_m: float, size: fl
     probes = np.random.default_rng(0).choice((-1.0, 1.0), (len(value), PROBES))
     settled = float(np.mean((probes * solve.solve(rows.columns.T @ (weighted @ probes))).sum(axis=0)))  # of the values, by data
     shrinks = math.sqrt(max(1.0 - settled / len(rows.white), LEAST_LEFT))
-    return Learned(value[: streets.count], value[streets.count :], length_m, size, gain - cost, cost, noise, shrinks, solve)
+    return PlaceValues(value[: streets.count], value[streets.count :], length_m, size, gain - cost, cost, noise, shrinks, solve)
 
 
 def _factored(precision: sparse.csc_matrix) -> SuperLU:

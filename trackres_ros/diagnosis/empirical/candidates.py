@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.described.thresholds import found_by_scan, most_on_side
+from trackres_ros.diagnosis.empirical.thresholds import found_by_scan, most_on_side
 from trackres_ros.diagnosis.inference.fitting import Fit
-from trackres_ros.diagnosis.prepare.session import Session
+from trackres_ros.diagnosis.prepare.session import DriveSession
 from trackres_ros.effects.effect import Conditions, VehicleConstants
 from trackres_ros.effects.learned import (
     ACCELERATING,
@@ -40,7 +40,7 @@ from trackres_ros.effects.learned import (
     VARIABLES,
     BuildUp,
     Curve,
-    Learned,
+    EmpiricalEffect,
     SidedGain,
     sized,
     variable,
@@ -82,7 +82,7 @@ def series(code: int, fit: Fit) -> list[Array]:
     return [_of(code, facts, s, p.at_sprockets, p.belt) for s, p in zip(fit.problem.sessions, fit.predicted, strict=True)]
 
 
-def _of(code: int, facts: VehicleConstants, session: Session, driving: Array, belt: Array) -> Array:
+def _of(code: int, facts: VehicleConstants, session: DriveSession, driving: Array, belt: Array) -> Array:
     turning, follow = np.abs(session.yaw_rate), interpreted(variable)
     curvature = turning / np.hypot(session.speed, facts.contact_length * turning + STANDSTILL_MPS)
     known: Any = (
@@ -167,7 +167,7 @@ def thresholds(gate: int, fit: Fit) -> list[float]:
     return [at] if FEWEST_OPEN <= is_open.sum() <= len(x) - FEWEST_OPEN else []
 
 
-def candidates(fit: Fit, own: Array | None = None) -> dict[str, Learned]:
+def candidates(fit: Fit, own: Array | None = None) -> dict[str, EmpiricalEffect]:
     """All forms that can be looked for here, by a key of their own; of one name there may be several.
 
     Parameters
@@ -182,7 +182,7 @@ def candidates(fit: Fit, own: Array | None = None) -> dict[str, Learned]:
     and one of the driving torque, which has that inertia in it, only where the error is small.
     """
     facts = fit.problem.base.facts
-    found: list[Learned] = []
+    found: list[EmpiricalEffect] = []
     x = {code: driven(code, fit) for code in VARIABLES}
     measured = all("accel" in s.given for s in fit.problem.sessions)
     shown = [code for code in KNOTS if shows(code, fit) and (code != ACCELERATION or measured)]

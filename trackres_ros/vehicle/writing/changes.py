@@ -7,16 +7,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 from trackres_ros.effects.effect import Active
 from trackres_ros.route.learned import SLOPE, TORQUE, RouteMap
 from trackres_ros.vehicle import Disturbance
 
-if TYPE_CHECKING:
-    from trackres_ros.diagnosis.selection.intervals import Interval
-
 BY_PLACE = {SLOPE: "grade", TORQUE: "place"}  # names of what was learned by place
+
+
+@dataclass(frozen=True, slots=True)
+class Interval:
+    """A 95 % interval; `bound_only` where the likelihood does not fall on one side before the bounds: then it is only a bound."""
+
+    low: float
+    high: float
+    bound_only: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +33,7 @@ class LearnedDisturbance:
 
 
 @dataclass(frozen=True, eq=False)
-class Kept:
+class FileChanges:
     """What may be written: nothing that held-out laps do not bear out, see `confirm.keep`.
 
     Attributes
@@ -57,7 +62,7 @@ class Kept:
     route: tuple[RouteMap, ...] = ()
     by: str = "trackres diagnose"
 
-    def with_disturbance(self, learned: LearnedDisturbance | None) -> Kept:
+    def with_disturbance(self, learned: LearnedDisturbance | None) -> FileChanges:
         """The same, with what is to be watched for."""
         if learned is None:
             return self

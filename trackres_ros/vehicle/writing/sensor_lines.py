@@ -9,9 +9,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from typing import Any
 
-from trackres_ros.diagnosis.writing.yaml_edit import flow
 from trackres_ros.effects.effect import Active, VehicleConstants, conditions, together
 from trackres_ros.recording.binding import TopicBinding
+from trackres_ros.vehicle.writing.yaml_edit import flow
 
 FIGURES = 6
 NOTHING_KNOWN = conditions(VehicleConstants(1.0, 1.0, 0.0, 0.0, 1.0, 1, 0.0, 0.0))  # a sensor's error hangs on nothing

@@ -22,7 +22,7 @@ WATCHED = "watched"
 STEEPEST = 0.3  # rise over run, as of the catalogue's slopes
 
 
-class Watched(Effect):
+class ResidualPattern(Effect):
     """A series for each session, times a size.
 
     Parameters
@@ -45,7 +45,7 @@ class Watched(Effect):
         self.parameters = (height("level", "torque where it acts").times(size / REFERENCE_NM),)
 
 
-class ByPlace(Watched):
+class ByPlace(ResidualPattern):
     """What was learned for each place of a route. It is known ahead where positions come in, and so it may be written.
 
     Parameters

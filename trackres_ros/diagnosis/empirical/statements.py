@@ -10,10 +10,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.diagnosis.described.candidates import series
-from trackres_ros.diagnosis.described.finders import Term, beginnings, residuals_without, torque_blocks
-from trackres_ros.diagnosis.described.spells import Chain, there_given
-from trackres_ros.diagnosis.described.terms import (
+from trackres_ros.diagnosis.empirical.candidates import series
+from trackres_ros.diagnosis.empirical.finders import Term, beginnings, residuals_without, torque_blocks
+from trackres_ros.diagnosis.empirical.spells import Chain, there_given
+from trackres_ros.diagnosis.empirical.terms import (
     Described,
     of_learned,
     of_level_change,
@@ -23,9 +23,9 @@ from trackres_ros.diagnosis.described.terms import (
     of_spells,
     of_wave,
 )
-from trackres_ros.diagnosis.described.waves import part_of
+from trackres_ros.diagnosis.empirical.waves import part_of
 from trackres_ros.diagnosis.inference.fitting import Fit
-from trackres_ros.effects.learned import ALWAYS, MOVING_MPS, Learned
+from trackres_ros.effects.learned import ALWAYS, MOVING_MPS, EmpiricalEffect
 from trackres_ros.estimator.disturbance import BLOCK_S
 
 Array = NDArray[np.float64]
@@ -39,7 +39,7 @@ def said(term: Term, final: Fit) -> Described:
     """A term in words, with the values of the final fit."""
     name = term.candidate.name
     active = next(a for a in final.effects if a.effect.name == name)
-    if isinstance(active.effect, Learned):
+    if isinstance(active.effect, EmpiricalEffect):
         return of_learned(active.effect, active.values)
     level = active.numbers[0]
     if term.wave is not None:
@@ -73,13 +73,13 @@ def _spells_of(chain: Chain, name: str, final: Fit) -> list[tuple[int, int, int]
 def course(term: Term, final: Fit) -> list[Array]:
     """What a term follows in each session: its variable, or how far it is built up; empty where that is the clock alone."""
     effect = term.candidate.effect
-    if isinstance(effect, Learned) and effect.variable != ALWAYS:
+    if isinstance(effect, EmpiricalEffect) and effect.variable != ALWAYS:
         return series(effect.variable, final)
     if term.place is not None:
         return list(term.place.course)
     if term.route is not None:
         return list(term.route.course)
-    if not isinstance(effect, Learned):
+    if not isinstance(effect, EmpiricalEffect):
         return []
     adds, sessions = final.contribution(effect.name), final.problem.sessions
     level = max(float(np.abs(x).max(initial=0.0)) for x in adds)

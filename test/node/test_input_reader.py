@@ -10,17 +10,17 @@ import pytest
 
 from trackres_ros.errors import InputError
 from trackres_ros.node.endpoints import full_name, input_name, input_topics
-from trackres_ros.node.intake import Intake
+from trackres_ros.node.input_reader import InputReader
 from trackres_ros.recording.bindings import Topics
 
 CHANNELS = ("speed", "load", "torque", "ambient", "load/front")
 JOINTS = {"topic": "/drive", "type": "sensor_msgs/msg/JointState"}
 
 
-def intake(**roles):
+def reader(**roles):
     topics = Topics.parse(roles)
     inputs = input_topics(topics)
-    return Intake(inputs, CHANNELS, topics.bindings), inputs
+    return InputReader(inputs, CHANNELS, topics.bindings), inputs
 
 
 def stamp(ns):
@@ -42,14 +42,14 @@ def test_the_topic_of_the_speed_comes_last_and_the_speed_last_of_it():
 
 
 def test_elements_scale_offset_and_header_stamp():
-    taken, _ = intake(
+    taken, _ = reader(
         speed={**JOINTS, "field": "velocity[left]", "scale": 0.5, "offset": 1.0}, torque={**JOINTS, "field": "effort[right]"}
     )
     assert samples(taken, joint_state(7, left=4.0, right=9.0), 99) == [(2, 7, 9.0), (0, 7, 3.0)]
 
 
 def test_a_missing_element_gives_no_sample_and_is_counted():
-    taken, _ = intake(speed={**JOINTS, "field": "velocity[left]"}, torque={**JOINTS, "field": "effort[right]"})
+    taken, _ = reader(speed={**JOINTS, "field": "velocity[left]"}, torque={**JOINTS, "field": "effort[right]"})
     assert samples(taken, joint_state(7, left=4.0), 99) == [(0, 7, 4.0)]
     assert taken.absent[2] == 1
     assert taken.received == [1]
@@ -57,15 +57,15 @@ def test_a_missing_element_gives_no_sample_and_is_counted():
 
 def test_stamps_log_none_and_never_set():
     line = {"topic": "/t", "type": "sensor_msgs/msg/Temperature", "field": "temperature"}
-    by_log, _ = intake(speed=line, ambient={**line, "stamp": "log"})
+    by_log, _ = reader(speed=line, ambient={**line, "stamp": "log"})
     message = SimpleNamespace(header=stamp(0), temperature=20.0)
     assert {(channel, at) for channel, at, _ in samples(by_log, message, 99)} == {(0, 0), (3, 99)}
-    bare, _ = intake(speed={"topic": "/s", "type": "std_msgs/msg/Float64", "field": "data"})
+    bare, _ = reader(speed={"topic": "/s", "type": "std_msgs/msg/Float64", "field": "data"})
     assert samples(bare, SimpleNamespace(data=1.0), 99) == [(0, 99, 1.0)]
 
 
 def test_what_is_no_number_counts_as_not_a_number():
-    taken, _ = intake(speed={"topic": "/s", "type": "std_msgs/msg/Float64", "field": "data"})
+    taken, _ = reader(speed={"topic": "/s", "type": "std_msgs/msg/Float64", "field": "data"})
     for now_ns, message in ((100, SimpleNamespace(data=None)), (101, object())):
         ((channel, at, value),) = samples(taken, message, now_ns)
         assert (channel, at) == (0, now_ns)
@@ -75,7 +75,7 @@ def test_what_is_no_number_counts_as_not_a_number():
 def test_a_role_that_the_vehicle_does_not_have_is_refused():
     line = {"topic": "/s", "type": "std_msgs/msg/Float64", "field": "data"}
     with pytest.raises(InputError, match=r"load/middle.*load/front"):
-        intake(speed=line, **{"load/middle": line})
+        reader(speed=line, **{"load/middle": line})
 
 
 @pytest.mark.parametrize(
@@ -91,7 +91,7 @@ def test_names_of_inputs():
 
 
 def test_a_torque_that_comes_late_is_of_an_earlier_time_and_a_stamp_never_set_stays_so():
-    taken, _ = intake(torque={**JOINTS, "field": "effort[a]", "delay_s": 0.25}, speed={**JOINTS, "field": "velocity[a]"})
+    taken, _ = reader(torque={**JOINTS, "field": "effort[a]", "delay_s": 0.25}, speed={**JOINTS, "field": "velocity[a]"})
     for header, shifted in ((5 * 10**9, 5 * 10**9 - 250_000_000), (0, 0)):
         (_, torque_stamp, _), (_, speed_stamp, _) = samples(taken, joint_state(header, a=3.0), 9 * 10**9)
         assert (torque_stamp, speed_stamp) == (shifted, header)

@@ -1,0 +1,32 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Ctrl-C while a command runs: raised until it is handled, then ignored while the command ends."""
+
+from __future__ import annotations
+
+import signal
+
+INTERRUPTED = 130
+AGAIN_S = 3.0  # longer than any command needs to put things in order
+
+
+def insist() -> None:
+    """Raise an interrupt again until it is handled: where it meets a callback or a destructor, Python swallows it."""
+    signal.signal(signal.SIGINT, _interrupt)
+    signal.signal(signal.SIGALRM, _interrupt)
+
+
+def _interrupt(_number: int, _frame: object) -> None:
+    signal.setitimer(signal.ITIMER_REAL, AGAIN_S)
+    raise KeyboardInterrupt
+
+
+def interrupt_handled() -> None:
+    """An interrupt is being handled: nothing more is raised, whatever comes, while the command says so and ends."""
+    # `python -m` ends by the signal if the interrupt met the evaluation of a string, as making a named tuple is one, whoever
+    # caught it there (CPython's unhandled_keyboard_interrupt). Evaluating another string makes it forget that.
+    exec("")
+    if signal.getsignal(signal.SIGINT) is _interrupt:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
