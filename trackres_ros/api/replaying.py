@@ -92,7 +92,6 @@ def replay(
     from trackres_ros.estimator.warm_up import BLOCKS, LIVE, first_run
     from trackres_ros.files.output_files import BAG_SUFFIX, output_file, state_file
     from trackres_ros.learning.learner import MODES, Learner
-    from trackres_ros.learning.parameters import track_of
     from trackres_ros.learning.store import stored, take_learned
     from trackres_ros.learning.vehicle_file import write_learned
     from trackres_ros.node.parameters import make_parameters, read_parameters
@@ -135,7 +134,7 @@ def replay(
         saved_at = int(done.session.memory.times[at.SPEED, at.LAST_ARRIVAL]) * NANOSECOND
         save(done.session, state, saved_at, None if learner is None else stored(learner))
     if learned_file is not None and learner is not None:
-        write_learned(learner, track_of(estimator.vehicle), learned_file)
+        write_learned(learner, estimator.vehicle, learned_file)
     title = one_line(f"{', '.join(path.name for path in paths) or source.name}: {estimator.vehicle.title}")
     findings = source.all_findings() if isinstance(source, KeptSource) else source.findings
     return ReplayResult(done, kept if file is None else None, title, source.name, source.notes, findings, file)

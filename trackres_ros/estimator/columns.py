@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from enum import IntEnum, IntFlag
 
-from trackres_ros.recording.roles import POSITION
+from trackres_ros.recording.roles import GROUND, POSITION
 from trackres_ros.vehicle import AnyVehicle
 
 # Channels: what can arrive. Loads by axle and assembly, belt temperatures by assembly, and wheel speeds follow these.
@@ -26,10 +26,12 @@ from trackres_ros.vehicle import AnyVehicle
     LATITUDE,
     LONGITUDE,
     ENABLE,
-) = range(14)
+    ALTITUDE,
+    SPECIFIC_FORCE,
+) = range(16)
 CHANNELS = (
     "speed", "load", "torque", "ambient", "belt", "accel", "grade", "yaw_rate", "heading", "distance", "passengers", *POSITION,
-    "enable",
+    "enable", *GROUND,
 )  # fmt: skip
 FIRST_AXLE = len(CHANNELS)
 WHEELS = "wheel_speed"

@@ -48,6 +48,8 @@ PLAUSIBLE = {
     "latitude": (-0.5 * math.pi, 0.5 * math.pi),
     "longitude": (-2.0 * math.pi, 2.0 * math.pi),
     "enable": (0.0, 1.0),
+    "altitude": (-1e3, 1e4),
+    "specific_force": (-30.0, 30.0),
 }
 LEAST_LOAD_SHARE = 0.1  # of nominal weight: less is not a driving vehicle
 LARGEST_LOAD_SHARE = 2.5
@@ -289,10 +291,10 @@ def _tracks(vehicle: Vehicle, cache: Path | None) -> Running:
             "hottest": min(each.hottest for each in covered),
             "fastest_x": min(each.log_reduced_speed for each in covered),
             "two_nodes": two_nodes,
-            "bearing_relative_std": _relative_std(vehicle, "chassis.bearing_friction"),
+            "bearing_relative_std": relative_std(vehicle, "chassis.bearing_friction"),
             "rolling_rise": 0.0,
             "rolling_rise_std": 0.0,
-            "drag_relative_std": _relative_std(vehicle, "chassis.drag_coefficient", *area, "chassis.air_density"),
+            "drag_relative_std": relative_std(vehicle, "chassis.drag_coefficient", *area, "chassis.air_density"),
             "motor_gain": float(gain),
             "torque_scale": 1.0,
             "torque_offset": 0.0,
@@ -305,7 +307,7 @@ def wheels(vehicle: RoadVehicle) -> Running:
     row = np.zeros((1, at.CAUSES_OF + 9))
     row[0, [at.NOMINAL_LOAD, at.RADIUS]] = vehicle.weight, vehicle.values["wheel_radius"]
     row[0, [at.SHARE_OF_AXLE, at.SHARE_OF_ALL]] = 1.0
-    row[0, at.CONSIDER_RADIUS + 3] = _relative_std(vehicle, "road_load.wheel_radius")
+    row[0, at.CONSIDER_RADIUS + 3] = relative_std(vehicle, "road_load.wheel_radius")
     nothing = np.zeros((1, 1, 2))
     return Running(
         row,
@@ -320,10 +322,10 @@ def wheels(vehicle: RoadVehicle) -> Running:
             "hottest": math.inf,
             "fastest_x": math.inf,
             "two_nodes": False,
-            "bearing_relative_std": _relative_std(vehicle, "road_load.rolling_coefficient"),
+            "bearing_relative_std": relative_std(vehicle, "road_load.rolling_coefficient"),
             "rolling_rise": vehicle.values["rolling_rise"],
             "rolling_rise_std": vehicle.parameters["road_load.rolling_rise"].standard_deviation,
-            "drag_relative_std": _relative_std(vehicle, "road_load.drag_area", "road_load.air_density"),
+            "drag_relative_std": relative_std(vehicle, "road_load.drag_area", "road_load.air_density"),
             "motor_gain": math.nan,
             "torque_scale": vehicle.values["torque_scale"],
             "torque_offset": vehicle.values.get("torque_offset", 0.0),
@@ -331,7 +333,7 @@ def wheels(vehicle: RoadVehicle) -> Running:
     )
 
 
-def _relative_std(vehicle: AnyVehicle, *paths: str) -> float:
+def relative_std(vehicle: AnyVehicle, *paths: str) -> float:
     """Standard deviation of a product of values of the file, over its size."""
     quantities = [vehicle.parameters[path] for path in paths]
     return float(np.sqrt(sum((q.standard_deviation / max(abs(float(np.mean(q.value))), 1e-12)) ** 2 for q in quantities)))

@@ -31,7 +31,7 @@ from trackres_ros.files.jsons import parse_json
 from trackres_ros.vehicle import Vehicle
 
 FORMAT = "trackres-state"
-VERSION = 8
+VERSION = 9
 REMEDY = "delete the file to start cold"
 LARGEST = 4 << 20  # bytes; that of a vehicle with four assemblies has 10 thousand
 FARTHEST_SAVED_AT = 1e10  # s: the year 2286, and as far before 1970

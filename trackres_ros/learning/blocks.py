@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 
 BLOCK_S = 20  # seconds that count
 MEMORY = 45.0  # blocks: a quarter of an hour
+CONTEST_MEMORY, SURELY = 90.0, 2.0  # blocks; standard errors by which what was learned has to be better before it acts
 LEAST_BLOCKS = 6
 OUTLIER = 4.0  # typical differences of blocks
 STEP_SHARE = 0.03  # of what rolling takes: less is no step
@@ -39,17 +40,17 @@ class ResidualBlock:
     seconds: int = 0
     weight: float = 0.0
     residual: float = 0.0  # measured less what the file expects [Nm]
-    learned: float = 0.0  # of it what was learned by then explains [Nm]
+    gain: float = 0.0  # by how much less of a second is left with what was learned by then than with the file [Nm]
     sign: float = 0.0
     looks: Array = field(default_factory=lambda: np.zeros(STATES))
 
     def add(self, residual: float, learned: float, sign: float, looks: Array, weight: float) -> None:
-        """Take in a second with a weight."""
+        """Take in a second with a weight; `learned` is what was learned by then explains of it [Nm]."""
         self.seconds += 1
         self.weight += weight
         share = weight / self.weight
         self.residual += share * (residual - self.residual)
-        self.learned += share * (learned - self.learned)
+        self.gain += share * (abs(residual) - abs(residual - learned) - self.gain)
         self.sign += share * (sign - self.sign)
         self.looks += share * (looks - self.looks)
 
@@ -146,11 +147,11 @@ class Contest:
     def see(self, gain: float) -> None:
         """Take in a block: what the file leaves less what is left with what was learned, in size [Nm]."""
         self.blocks += 1
-        share = max(1.0 / self.blocks, 1.0 / MEMORY)
+        share = max(1.0 / self.blocks, 1.0 / CONTEST_MEMORY)
         departure = gain - self.gain
         self.gain += share * departure
         self.variance += share * (departure * departure - self.variance)
-        error = math.sqrt(self.variance / min(float(self.blocks), MEMORY))
+        error = math.sqrt(self.variance / min(float(self.blocks), CONTEST_MEMORY))
         if self.blocks < LEAST_BLOCKS:
             return
-        self.better = self.gain > (-error if self.better else error)
+        self.better = self.gain > (-error if self.better else SURELY * error)

@@ -18,12 +18,12 @@ LOAD_SHARES = (0.9, 1.1)  # of the nominal weight
 SHAPE = (len(SPEED_SHARES) + 1, len(BELT_DEGC) + 1, len(LOAD_SHARES) + 1)
 FILLED_S = 20.0
 LEAST_S = 240.0  # of driving compared, in all
-LEAST_FILLED = 4  # buckets
+LEAST_FILLED, LEAST_WITHOUT_BELTS = 4, 2  # buckets
 ACCELERATES_MPS2, LEAST_ACCELERATING_S = 0.15, 60.0
 
 
 class Buckets:
-    """Seconds of driving that were learned from.
+    """Seconds of driving that were learned from, of a vehicle with belts or without.
 
     Attributes
     ----------
@@ -33,7 +33,8 @@ class Buckets:
         Seconds in which it accelerated.
     """
 
-    def __init__(self, greatest_speed: float, nominal_weight: float) -> None:
+    def __init__(self, greatest_speed: float, nominal_weight: float, belts: bool) -> None:
+        self._least = LEAST_FILLED if belts else LEAST_WITHOUT_BELTS
         self._speeds = [share * greatest_speed for share in SPEED_SHARES]
         self._weights = [share * nominal_weight for share in LOAD_SHARES]
         self.seconds, self.accelerating = np.zeros(SHAPE), np.zeros(1)
@@ -56,7 +57,7 @@ class Buckets:
     def covered(self) -> NDArray[np.bool_]:
         """Whether enough was seen of what shows each departure, shape (LEARNABLE,)."""
         filled: NDArray[np.bool_] = self.filled
-        if self.seconds.sum() < LEAST_S or filled.sum() < LEAST_FILLED:
+        if self.seconds.sum() < LEAST_S or filled.sum() < self._least:
             return np.zeros(at.LEARNABLE, dtype=bool)
         speeds = np.asarray(filled.any(axis=(1, 2)))
         found = np.full(at.LEARNABLE, bool(speeds.sum() >= 2))
@@ -68,7 +69,7 @@ class Buckets:
     @property
     def share(self) -> float:
         """How much of what is asked for has been driven, 0 to 1."""
-        return float(min(self.seconds.sum() / LEAST_S, self.filled.sum() / LEAST_FILLED, 1.0))
+        return float(min(self.seconds.sum() / LEAST_S, self.filled.sum() / self._least, 1.0))
 
 
 def _place(edges: tuple[float, ...] | list[float], value: float) -> int:

@@ -16,7 +16,6 @@ from trackres_ros.learning.parameters import GAIN, SLOW, STEP
 from trackres_ros.vehicle import Disturbance, Spells
 
 FIRST_SHARE = 0.015  # of what rolling takes: by so much blocks are thought to differ at first
-MOST_WANDERING_SHARE = 0.06  # of what rolling takes: beyond, ground or drive differ by what nothing is known of
 STEP_HOLDS_S = 600.0  # driving after a step in which nothing is learned of the vehicle
 GAIN_STEP_STD = 0.05  # of a sensor that was replaced
 DISAGREES_SHARE, DISAGREES_S = 0.08, 60.0  # of the samples of a minute that disagree with the others
@@ -35,7 +34,7 @@ def close_block(s: LearnerState) -> None:
         _judge(s, _level(s, block), _level(s, before))
     s.past.see(_level(s, block) - float(s.mean[STEP]), SLOW_KEEPS)
     _tell(s)
-    s.contest.see(abs(block.residual) - abs(block.residual - block.learned))
+    s.contest.see(block.gain)
     s.last_block, s.block = block, ResidualBlock()
     s.keep_before()
 
@@ -70,6 +69,7 @@ def _step_found(s: LearnerState, size: float) -> None:
     s.covariance[GAIN, GAIN] += GAIN_STEP_STD**2
     s.mean[STEP] += size
     s.past.pause()
+    s.ground.lost()
     s.step_s, s.step_nm, s.step_second = 0.0, size, s.second
     s.recent_mean[:], s.recent_covariance[:] = s.mean, s.covariance
 
@@ -117,8 +117,6 @@ def why_frozen(s: LearnerState, now: int, known: Disturbance | None) -> str:
     if s.step_s < STEP_HOLDS_S:
         since = max(now - s.step_second, 0)
         return f"{said(s.step_nm, since, known)}: a sensor, a brake, a load or the ground, not the belts"
-    if s.wanders_std > MOST_WANDERING_SHARE * s.rolling:
-        return f"what is left wanders by {s.wanders_std:.0f} Nm: hills or ground of which nothing is known"
     return ""
 
 

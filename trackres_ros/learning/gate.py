@@ -19,17 +19,18 @@ Array = NDArray[np.float64]
 Row = list[float]
 
 SLOWEST_MPS = 1.0  # slower, friction may be static
-HARDEST_MPS2 = 1.0  # a larger acceleration is known too roughly
+HARDEST_MPS2 = 2.0  # a larger acceleration is known too roughly
 BRAKING_MPS2 = -0.3  # with a torque that does not drive: friction brakes may be at work
 TURNS_M = 0.02  # 1/m: a bend of less than 50 m makes a belt slide sideways
 STUCK_S = 3.0  # one torque for longer while rolling
-AGAINST_SHARE = 0.3  # of what rolling takes: a torque so large in the other sense is no noise
+DRIVES_SHARE = 0.3  # of what rolling is thought to take at first: a torque beyond drives
+AGAINST_SHARE = 1.0  # of the same: neither noise nor a hill of one in a hundred makes a torque so large in the other sense
 OUTLIER = 5.0  # typical deviations of a sample
 FOLLOWS_S = 2.0  # in which the level of samples follows
 SPREAD_S = 30.0  # in which their typical deviation does
 LOST_S = 3.0  # of nothing but outliers
 FIRST_SPREAD = 0.05  # of what rolling takes
-LEAST_SPREAD = 0.002
+LEAST_SPREAD = 0.1  # of the same: the slope of a road changes by half a percent within moments
 INERTIA_DOUBT = 0.3  # of the inertia: an acceleration that is filtered from a speed lags
 FOLLOWED = 1.5  # typical deviations: by no more does one sample move the level
 LEAST_SHARE = 0.5  # of a second's samples that count: else the second does not
@@ -79,6 +80,8 @@ class Second:
     belt_degc: float = 0.0
     weight: float = 0.0
     inertia: float = 0.0
+    felt: float = 0.0  # by an IMU [m/s^2]; nan where a sample lacks it
+    slope: float = 0.0  # that the step knows
     by: Array = field(default_factory=lambda: np.zeros(at.LEARNABLE))
 
     @property
@@ -115,10 +118,12 @@ class Gate:
         Columns of a row in which their belts' temperatures stand.
     rolling_nm
         Size of the torque that rolling takes [Nm].
+    arm
+        Of a force on the whole vehicle [m].
     """
 
-    def __init__(self, belts: list[int], rolling_nm: float) -> None:
-        self._belts = belts
+    def __init__(self, belts: list[int], rolling_nm: float, arm: float) -> None:
+        self._belts, self._arm = belts, arm
         self.rolling_nm = rolling_nm
         self.restart()
 
@@ -163,10 +168,12 @@ class Gate:
         second.accel += row[at.OUT_ACCEL]
         second.weight += row[at.OUT_WEIGHT]
         second.inertia += row[at.OUT_INERTIA]
+        second.felt += _felt(stamp_ns, session)
+        second.slope += slope_of(row, self._arm)
         belts = 0.0
         for column in self._belts:
             belts += row[column]
-        second.belt_degc += belts / len(self._belts)
+        second.belt_degc += belts / max(len(self._belts), 1)
         second.by += learned[at.SENSITIVITIES :]
 
     def _why_not(self, stamp_ns: int, row: Row, residual: float, yaw_rate: float) -> int:
@@ -183,7 +190,7 @@ class Gate:
         if int(row[at.OUT_REASONS]) & UNSURE:
             return DOUBTFUL
         ahead = math.copysign(1.0, speed)
-        if accel * ahead < BRAKING_MPS2 and measured * ahead <= AGAINST_SHARE * self.rolling_nm:
+        if accel * ahead < BRAKING_MPS2 and measured * ahead <= DRIVES_SHARE * self.rolling_nm:
             return BRAKES
         if abs(accel) > HARDEST_MPS2:
             return HARD
@@ -225,3 +232,15 @@ class Gate:
 def row_lasting(row: Row, learned: Array) -> float:
     """What of a step's torque is one that goes on besides [Nm]."""
     return float(learned[at.LEARNED_TORQUE]) * math.tanh(row[at.OUT_SPEED] / STANDSTILL_MPS)
+
+
+def slope_of(row: Row, arm: float) -> float:
+    """Slope of the ground as the step knows it."""
+    return row[at.OUT_GRADE] / (row[at.OUT_WEIGHT] * arm)
+
+
+def _felt(stamp_ns: int, session: Session) -> float:
+    """What an IMU feels along the track [m/s^2]; nan where there is none, or an old one."""
+    times = session.memory.times[at.SPECIFIC_FORCE]
+    fresh = times[at.SEEN] and abs(stamp_ns - times[at.LAST_STAMP]) <= session.estimator.constants.number.motion_hold_ns
+    return float(session.memory.values[at.SPECIFIC_FORCE]) if fresh else math.nan

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from trackres_ros.estimator import columns as at
 from trackres_ros.learning.blocks import BLOCK_S, Contest, Past, ResidualBlock, Wandering
-from trackres_ros.learning.parameters import SLOW, STATES, WANDERING_SHARE, Prior
+from trackres_ros.learning.ground import Ground
+from trackres_ros.learning.parameters import HEIGHT, SLOPE, SLOW, STATES, WANDERING_SHARE, Prior
 
 Array = NDArray[np.float64]
 
@@ -68,6 +69,7 @@ class LearnerState:
     past: Past = field(default_factory=Past)
     wandering: Wandering = field(default_factory=Wandering)
     contest: Contest = field(default_factory=Contest)
+    ground: Ground = field(default_factory=Ground)
 
     def keep_before(self) -> None:
         """What is known now is what a step that is found later goes back to."""
@@ -83,10 +85,13 @@ class LearnerState:
         self.beside_nm, self.beside_since = 0.0, -1
         self.block, self.last_block = ResidualBlock(), ResidualBlock()
         self.past.pause()
-        for state in (at.OF_BELT, SLOW):
+        self.ground.restart()
+        for state in (at.OF_BELT, SLOW, SLOPE, HEIGHT):
             self.mean[state] = 0.0
             self.covariance[state, :] = self.covariance[:, state] = 0.0
             self.covariance[state, state] = prior.covariance[state, state]
+        if self.ground.feels:
+            self.covariance[SLOPE, SLOPE] = self.ground.slope_variance
         self.keep_before()
         self.keep_before()
 
@@ -103,9 +108,9 @@ class LearnerState:
         return min(max(math.sqrt(self.past.slow), LEAST_WANDERING_SHARE * self.rolling), 0.5 * self.rolling)
 
     @property
-    def wanders_std(self) -> float:
-        """Standard deviation of what is left of a block, whether it comes and goes or goes on [Nm]."""
-        return 0.0 if math.isnan(self.past.slow) else math.sqrt(self.past.slow + self.past.white)
+    def white_variance(self) -> float:
+        """Of what comes and goes from block to block, as hills and bumps do [Nm^2]."""
+        return 0.0 if math.isnan(self.past.white) else self.past.white
 
     @property
     def second_variance(self) -> float:

@@ -22,9 +22,9 @@ from trackres_ros.learning.buckets import ACCELERATES_MPS2, Buckets
 from trackres_ros.learning.delay import DelayEstimator
 from trackres_ros.learning.disturbances import DISAGREES_S, beside, close_block, let_last, why_frozen
 from trackres_ros.learning.filter import aged, corrected, expected, spread
-from trackres_ros.learning.gate import AGAINST, OUTLYING, TEXTS, Gate, Row
+from trackres_ros.learning.gate import AGAINST, OUTLYING, TEXTS, Gate, Row, slope_of
 from trackres_ros.learning.learned import SLOW_S, nothing_learned
-from trackres_ros.learning.parameters import GAIN, OFFSET, SLOW, STATES, STEP, VEHICLES_OWN, learnables, make_prior, track_of
+from trackres_ros.learning.parameters import GAIN, OFFSET, SLOPE, SLOW, STATES, STEP, VEHICLES_OWN, learnables, make_prior
 from trackres_ros.units import GRAVITY, SECOND_NS
 
 Mask = NDArray[np.bool_]
@@ -56,6 +56,8 @@ def belt_variances(session: Session) -> tuple[float, float]:
 
     The torque tells of it, whatever it is that makes a belt warmer or colder, so it counts as one thing that is learned.
     """
+    if not len(session.belts):
+        return 0.0, 0.0
     by_air = float((session.belts[:, 0, at.CONSIDER_AMBIENT] ** 2).mean())
     noise = session.belts[:, 0, at.NOISE_1] ** 2 + session.belts[:, 0, at.NOISE_2] ** 2
     return by_air, max(float(noise.mean()) + by_air, LEAST_BELT_STD_K**2)
@@ -74,21 +76,23 @@ class Learner:
 
     def __init__(self, estimator: Estimator, mode: str = "watch") -> None:
         self.mode = mode
-        self.learnables = learnables(track_of(estimator.vehicle))
+        self.learnables = learnables(estimator.vehicle)
+        self.own = tuple(one.state for one in self.learnables if one.state in VEHICLES_OWN)
         self.prior = make_prior(estimator)
         self._known = estimator.vehicle.disturbance
         self._belts = [estimator.column_index[f"belt_degc/{name}"] for name in estimator.assemblies]
         load = estimator.constants.assembly[:, at.NOMINAL_LOAD]
         weight = float(load.sum())
         arm = float(load @ estimator.constants.assembly[:, at.RADIUS]) / weight
+        self._arm = arm
         self._inertia = arm * estimator.vehicle.chassis.rotating_mass_factor / GRAVITY  # torque by weight and m/s^2
         self.delay = DelayEstimator(self.prior.rolling_nm)
-        self.buckets = Buckets(estimator.vehicle.chassis.max_speed, weight)
+        self.buckets = Buckets(estimator.vehicle.chassis.max_speed, weight, bool(self._belts))
         self.reset()
 
     def reset(self) -> None:
         """Forget all that was learned."""
-        self.gate = Gate(self._belts, self.prior.rolling_nm)
+        self.gate = Gate(self._belts, self.prior.rolling_nm, self._arm)
         self.buckets.clear()
         self.delay.reset()
         self.learned = nothing_learned(self.prior)
@@ -124,6 +128,7 @@ class Learner:
             float(memory.values[at.TORQUE]),
             not reasons & SPEED_UNSURE,
         )
+        self.learned.ground.drive(stamp_ns, row[at.OUT_SPEED], slope_of(row, self._arm))
         number = stamp_ns // SECOND_NS
         second = self.gate.second
         if number != second.number:
@@ -140,6 +145,7 @@ class Learner:
         if second.taken or second.refused[OUTLYING] or second.refused[AGAINST]:
             odd = float(second.refused[OUTLYING] + second.refused[AGAINST]) / all_of_it
             s.disagrees += (odd - s.disagrees) / DISAGREES_S
+        s.ground.close(s.mean, s.covariance, session, self._free(0.0))
         if second.counts:
             self._learn(session)
         let_last(s, second.counts)
@@ -157,12 +163,15 @@ class Learner:
         looks = np.zeros(STATES)
         looks[: at.LEARNABLE] = second.by / n
         looks[OFFSET], looks[GAIN], looks[SLOW], looks[STEP] = 1.0, drive, sign, sign
+        looks[SLOPE] = second.weight / n * self._arm
         passed = 1.0 if s.second < 0 or second.number <= s.second else float(second.number - s.second)
         s.second = second.number
         s.rolling += (abs(second.resisting / n) - s.rolling) / max(min(s.seconds + 1.0, ROLLING_MEMORY_S), 30.0)
         s.seconds += 1.0
         s.step_s += 1.0
         self._pass(passed, session)
+        free = self._free(second.accel / n)
+        s.ground.feel(s.mean, s.covariance, second.felt / n, second.accel / n, second.slope / n, free)
         left = residual - expected(s.mean, looks)
         moved = float((s.applied * looks[: at.LEARNABLE]).sum())
         self._hear(residual - moved, passed)
@@ -170,7 +179,7 @@ class Learner:
         _, known = spread(s.covariance, looks)
         total = known + variance
         weight = (DEGREES_OF_FREEDOM + 1.0) / (DEGREES_OF_FREEDOM + left * left / total)
-        corrected(s.mean, s.covariance, looks, left, total / min(weight, 1.0) - known, self._free(second.accel / n))
+        corrected(s.mean, s.covariance, looks, left, total / min(weight, 1.0) - known, free)
         np.clip(s.mean, self.prior.low, self.prior.high, out=s.mean)
         self.buckets.count(speed, second.belt_degc / n, second.weight / n, second.accel / n)
         s.block.add(residual, moved, sign, looks, s.noise / variance)
@@ -189,8 +198,9 @@ class Learner:
             gained[state] = WALK_PER_HOUR**2 * prior[state] * min(seconds, 1.0) / 3600.0
         keep[at.OF_BELT] = correction.belt_keeps(seconds)
         by_air, known = belt_variances(session)
-        gained[at.OF_BELT] = session.estimator.constants.number.process_noise**2 * seconds
-        gained[at.OF_BELT] += (1.0 - math.exp(-2.0 * seconds / AIR_S)) * by_air
+        if len(session.belts):
+            gained[at.OF_BELT] = session.estimator.constants.number.process_noise**2 * seconds
+            gained[at.OF_BELT] += (1.0 - math.exp(-2.0 * seconds / AIR_S)) * by_air
         aged(s.mean, s.covariance, keep, gained)
         over = s.covariance[at.OF_BELT, at.OF_BELT]
         if over > known:  # what was measured of a belt is in the estimate already
@@ -279,4 +289,4 @@ class Learner:
         if not self.acts:
             return "learned, but no better than the vehicle file so far: the file is used"
         using = "used" if self.mode == "on" else "not used, as it only watches"
-        return f"learned {count} of {len(VEHICLES_OWN)}, {self.learned.contest.gain:.0f} Nm better than the vehicle file; {using}"
+        return f"learned {count} of {len(self.own)}, {self.learned.contest.gain:.0f} Nm better than the vehicle file; {using}"

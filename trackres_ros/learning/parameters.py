@@ -5,23 +5,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.errors import InputError
 from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.constants import relative_std
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.vehicle import AnyVehicle, Vehicle
+from trackres_ros.vehicle import AnyVehicle, RoadVehicle, Vehicle
 
 Array = NDArray[np.float64]
 
 # The filter's states: the departures of `estimator.columns`, then what is learned only so that it is not taken for them: offset
-# [Nm] and gain of the torque sensor, a torque against travel that wanders within minutes, and one that came at once [Nm].
-OFFSET, GAIN, SLOW, STEP = range(at.LEARNABLE, at.LEARNABLE + 4)
-STATES = at.LEARNABLE + 4
+# [Nm] and gain of the torque sensor, a torque against travel that wanders within minutes, and one that came at once [Nm]; the
+# slope of the ground that the step does not know [1], how far it has risen [m], and what an IMU is tilted by [1], see `ground`.
+OFFSET, GAIN, SLOW, STEP, SLOPE, HEIGHT, TILT = range(at.LEARNABLE, at.LEARNABLE + 7)
+STATES = at.LEARNABLE + 7
 DELAY = STATES  # of the measured torque behind the speed [s]; no state of the filter, see `delay`
+BELT_ROWS = {at.OF_LOSS: (0, 3), at.OF_COOLING: (1,), at.OF_CAPACITY: (2,)}  # rows of the factor of their uncertainty
+RADIUS_ROW = 3
 VEHICLES_OWN = (at.OF_LOSS, at.OF_COOLING, at.OF_CAPACITY, at.OF_BEARING, at.OF_DRAG, at.OF_MASS)
 
 LEAST_STD = 0.02  # assumed: rubber wears and oil ages, so that no value of a file is known better for the whole of its life
@@ -82,32 +86,11 @@ class Prior:
     rolling_nm: float
 
 
-def track_of(vehicle: AnyVehicle) -> Vehicle:
-    """The vehicle itself, if it can be learned.
-
-    Raises
-    ------
-    InputError
-        Of one without belts.
-    """
-    if not isinstance(vehicle, Vehicle):
-        given = f"on or watch with {vehicle.name} of the base model road_load"
-        raise InputError(
-            "learning", given, "off: only vehicles on tracks are learned while they drive", "trackres diagnose re-fits it"
-        )
-    return vehicle
-
-
-def learnables(vehicle: Vehicle) -> tuple[Learnable, ...]:
+def learnables(vehicle: AnyVehicle) -> tuple[Learnable, ...]:
     """What is learned of a vehicle, in the order in which it is published."""
-    chassis = vehicle.chassis
+    of_vehicle = _of_tracks(vehicle) if isinstance(vehicle, Vehicle) else _of_wheels(vehicle)
     return (
-        Learnable("loss_modulus_scale", "1", "loss of the belts", at.OF_LOSS, vehicle.rubber.loss_modulus_scale),
-        Learnable("bearing_friction", "1", "friction of bearings", at.OF_BEARING, chassis.bearing_friction),
-        Learnable("drag_coefficient", "1", "drag", at.OF_DRAG, chassis.drag_coefficient),
-        Learnable("rotating_mass_factor", "1", "mass where it accelerates", at.OF_MASS, chassis.rotating_mass_factor),
-        Learnable("film_scale", "1", "cooling of the belts", at.OF_COOLING, 1.0),
-        Learnable("capacity_scale", "1", "heat capacity of the belts", at.OF_CAPACITY, 1.0),
+        *of_vehicle,
         Learnable("torque_gain", "1", "gain of the torque sensor", GAIN, 1.0),
         Learnable("torque_offset", "Nm", "offset of the torque sensor", OFFSET, 0.0),
         Learnable("disturbance", "Nm", "torque against travel that wanders", SLOW, 0.0),
@@ -116,41 +99,72 @@ def learnables(vehicle: Vehicle) -> tuple[Learnable, ...]:
     )
 
 
+def _of_tracks(vehicle: Vehicle) -> tuple[Learnable, ...]:
+    chassis = vehicle.chassis
+    return (
+        Learnable("loss_modulus_scale", "1", "loss of the belts", at.OF_LOSS, vehicle.rubber.loss_modulus_scale),
+        Learnable("bearing_friction", "1", "friction of bearings", at.OF_BEARING, chassis.bearing_friction),
+        Learnable("drag_coefficient", "1", "drag", at.OF_DRAG, chassis.drag_coefficient),
+        Learnable("rotating_mass_factor", "1", "mass where it accelerates", at.OF_MASS, chassis.rotating_mass_factor),
+        Learnable("film_scale", "1", "cooling of the belts", at.OF_COOLING, 1.0),
+        Learnable("capacity_scale", "1", "heat capacity of the belts", at.OF_CAPACITY, 1.0),
+    )
+
+
+def _of_wheels(vehicle: RoadVehicle) -> tuple[Learnable, ...]:
+    values = vehicle.values
+    return (
+        Learnable("rolling_coefficient", "1", "what rolls over the weight", at.OF_BEARING, values["rolling_coefficient"]),
+        Learnable("drag_area", "m^2", "drag", at.OF_DRAG, values["drag_area"]),
+        Learnable("rotating_mass_factor", "1", "mass where it accelerates", at.OF_MASS, values["rotating_mass_factor"]),
+    )
+
+
 def make_prior(estimator: Estimator) -> Prior:
     """What the ranges of the vehicle file leave open; what they tie together stays tied.
 
     The sprockets' radius moves every torque alike. It is no state: what it is off by is part of all departures, which makes them
-    correlated.
+    correlated. So are mass and scale of the torque of a vehicle on wheels.
     """
-    k, number = estimator.constants, estimator.constants.number
-    vehicle = estimator.vehicle
-    mass = vehicle.parameters["chassis.rotating_mass_factor"]
+    k = estimator.constants
+    own = [one.state for one in learnables(estimator.vehicle) if one.state in VEHICLES_OWN]
     load = k.assembly[:, at.NOMINAL_LOAD]
     factor = (load / load.sum()) @ k.assembly[:, at.CONSIDER_FACTOR : at.CAUSES_OF]
-    factor = factor.reshape(4, 4)
-    causes = np.zeros((STATES, 4))
-    for state, rows in (
-        (at.OF_LOSS, (0, 3)),
-        (at.OF_COOLING, (1,)),
-        (at.OF_CAPACITY, (2,)),
-        (at.OF_BEARING, (3,)),
-        (at.OF_DRAG, (3,)),
-        (at.OF_MASS, (3,)),
-    ):
-        causes[state] = factor[list(rows)].sum(axis=0)
-    covariance = causes @ causes.T
-    covariance[at.OF_BEARING, at.OF_BEARING] += number.bearing_relative_std**2
-    covariance[at.OF_DRAG, at.OF_DRAG] += number.drag_relative_std**2
-    covariance[at.OF_MASS, at.OF_MASS] += (mass.standard_deviation / vehicle.chassis.rotating_mass_factor) ** 2
-    for state in VEHICLES_OWN:
+    covariance = _tied(estimator, own, factor.reshape(4, 4))
+    for state in own:
         covariance[state, state] += max(LEAST_STD**2 - covariance[state, state], 0.0)
     rolling = ROLLING_SHARE * float(load @ k.assembly[:, at.RADIUS])
-    covariance[at.OF_BELT, at.OF_BELT] = number.initial_belt_std**2
+    if estimator.assemblies:
+        covariance[at.OF_BELT, at.OF_BELT] = k.number.initial_belt_std**2
     covariance[OFFSET, OFFSET] = (OFFSET_SHARE * rolling) ** 2
     covariance[GAIN, GAIN] = GAIN_STD**2
     covariance[SLOW, SLOW] = (WANDERING_SHARE * rolling) ** 2
     low, high = np.full(STATES, -np.inf), np.full(STATES, np.inf)
-    for state in VEHICLES_OWN:
+    for state in own:
         reach = REACH_STD * float(np.sqrt(covariance[state, state]))
         low[state], high[state] = max(-reach, LEAST_FACTOR - 1.0), reach
     return Prior(covariance, low, high, rolling)
+
+
+def _tied(estimator: Estimator, own: Sequence[int], factor: Array) -> Array:
+    """Covariance of the vehicle's own departures by the ranges of its file, shape (STATES, STATES).
+
+    Parameters
+    ----------
+    factor
+        Of the belts' uncertainty and the radius, shape (4, 4); see `columns.CONSIDER_FACTOR`.
+    """
+    vehicle, number = estimator.vehicle, estimator.constants.number
+    wheels = isinstance(vehicle, RoadVehicle)
+    causes = np.zeros((STATES, 4 + 2))
+    for state in own:
+        causes[state, :4] = factor[list(BELT_ROWS.get(state, (RADIUS_ROW,)))].sum(axis=0)
+        if wheels:
+            causes[state, 4:] = relative_std(vehicle, "road_load.mass"), relative_std(vehicle, "road_load.torque_scale")
+    causes[at.OF_DRAG, 4] = 0.0  # drag knows no mass
+    mass = relative_std(vehicle, "road_load.rotating_mass_factor" if wheels else "chassis.rotating_mass_factor")
+    covariance = causes @ causes.T
+    covariance[at.OF_BEARING, at.OF_BEARING] += number.bearing_relative_std**2
+    covariance[at.OF_DRAG, at.OF_DRAG] += number.drag_relative_std**2
+    covariance[at.OF_MASS, at.OF_MASS] += mass**2
+    return covariance

@@ -19,7 +19,7 @@ from trackres_ros.learning.parameters import VEHICLES_OWN
 
 LARGEST = 1e12  # of any number; times in ns are whole numbers and apart
 FARTHEST = 1 << 62
-NOT_YET = {"last_left": "nan", "torque": "nan", "step_s": "inf", "slow": "nan", "white": "nan"}  # unseen
+NOT_YET = {"last_left": "nan", "felt": "nan", "torque": "nan", "step_s": "inf", "slow": "nan", "white": "nan"}  # unseen
 REACH = 1.0 + 1e-9  # of the bounds: rounding
 
 
@@ -127,7 +127,8 @@ def _check(learner: Learner) -> None:
             if not prior.low[state] * REACH <= departures[state] <= prior.high[state] * REACH:
                 raise ValueError("a departure outside of the vehicle file's ranges")
     sizes = [s.seconds, s.rolling, s.noise, s.disagrees, s.lasting_s, s.step_s, learner.gate.samples.deviation]
-    sizes += [s.wandering.variance, s.contest.variance]
+    sizes += [s.wandering.variance, s.contest.variance, s.ground.altitude_variance, s.ground.drift, s.ground.felt_variance]
+    sizes += [s.ground.slope_variance]
     if not all(size >= 0.0 for size in sizes) or s.past.slow < 0.0 or s.past.white < 0.0:
         raise ValueError("a size that is none")
     kept = learner.delay.kept

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -15,11 +16,12 @@ from trackres_ros.learning.correction import told_std
 from trackres_ros.learning.filter import known_of_others
 from trackres_ros.learning.learner import Learner
 from trackres_ros.learning.parameters import VEHICLES_OWN
-from trackres_ros.vehicle import Vehicle
+from trackres_ros.vehicle import AnyVehicle, RoadVehicle, Vehicle
 from trackres_ros.vehicle.reading import FITTED
-from trackres_ros.vehicle.schema import BELT, CHASSIS, RUBBER, QuantityLimits
+from trackres_ros.vehicle.road import SECTION
+from trackres_ros.vehicle.schema import BELT, CHASSIS, ROAD_LOAD, RUBBER
 from trackres_ros.vehicle.writing.changes import FileChanges
-from trackres_ros.vehicle.writing.vehicle_file import rubber_share, write_track_vehicle
+from trackres_ros.vehicle.writing.vehicle_file import rubber_share, write_road_vehicle, write_track_vehicle
 from trackres_ros.vehicle.writing.yaml_edit import Document
 
 REACH_STD = 2.0  # ranges are read as +-2 standard deviations
@@ -27,7 +29,7 @@ FIGURES = 6
 REASON = "learned by trackres while driving"
 
 
-def write_learned(learner: Learner, vehicle: Vehicle, path: Path) -> list[str]:
+def write_learned(learner: Learner, vehicle: AnyVehicle, path: Path) -> list[str]:
     """Write the file of a vehicle with what was learned of it.
 
     Returns
@@ -38,7 +40,10 @@ def write_learned(learner: Learner, vehicle: Vehicle, path: Path) -> list[str]:
     counts = [state for state in VEHICLES_OWN if learner.acts and learner.counts(state)]
     minutes = learner.learned.seconds / 60.0
     text = f"Written by trackres replay --save-vehicle, learned from {minutes:.0f} min of driving"
-    write_track_vehicle(vehicle, path, FileChanges(None, (), {}), text)
+    if isinstance(vehicle, RoadVehicle):
+        write_road_vehicle(vehicle, path, FileChanges(None, (), {}), text)
+    else:
+        write_track_vehicle(vehicle, path, FileChanges(None, (), {}), text)
     document = Document(path.read_text(encoding="utf-8"))
     stds = _stds(learner, counts)
     applied = learner.learned.applied.tolist()
@@ -56,23 +61,15 @@ def _stds(learner: Learner, counts: list[int]) -> dict[int, float]:
     return {state: told_std(state, float(covariance[state, state])) for state in counts}
 
 
-def _set(document: Document, vehicle: Vehicle, state: int, departure: float, std: float) -> list[str]:
+def _set(document: Document, vehicle: AnyVehicle, state: int, departure: float, std: float) -> list[str]:
     """Put a departure into the values of the file that it is of; their paths."""
-    share = rubber_share(vehicle)  # of the heat that a belt holds: cords hold the rest
-    of_track = [f"tracks.{name}.belt.{film}" for name in vehicle.tracks for film in ("film_offset", "film_slope")]
-    places: dict[int, tuple[tuple[str, ...], float, QuantityLimits | None]] = {
-        at.OF_LOSS: (("rubber.loss_modulus_scale",), 1.0, RUBBER["loss_modulus_scale"]),
-        at.OF_CAPACITY: (("rubber.heat_capacity",), 1.0 / share, RUBBER["heat_capacity"]),
-        at.OF_COOLING: (tuple(of_track), 1.0, None),
-        at.OF_BEARING: (("chassis.bearing_friction",), 1.0, CHASSIS["bearing_friction"]),
-        at.OF_DRAG: (("chassis.drag_coefficient",), 1.0, CHASSIS["drag_coefficient"]),
-        at.OF_MASS: (("chassis.rotating_mass_factor",), 1.0, CHASSIS["rotating_mass_factor"]),
-    }
-    paths, factor, limits = places[state]
+    places = _of_wheels() if isinstance(vehicle, RoadVehicle) else _of_tracks(vehicle)
+    paths, factor = places[state]
     for path in paths:
         old = vehicle.parameters[path]
         assert isinstance(old.value, float)
-        limit = limits or BELT[path.rpartition(".")[2]]
+        section, _, name = path.rpartition(".")
+        limit = {"rubber": RUBBER, "chassis": CHASSIS, SECTION: ROAD_LOAD}.get(section, BELT)[name]
         value, low, high = (
             min(max(old.value * (1.0 + factor * x), limit.low), limit.high)
             for x in (departure, departure - REACH_STD * std, departure + REACH_STD * std)
@@ -83,6 +80,31 @@ def _set(document: Document, vehicle: Vehicle, state: int, departure: float, std
         for key, given in new.items():
             document.set((*path.split("."), key), given)
     return list(paths)
+
+
+Places = Mapping[int, tuple[tuple[str, ...], float]]
+"""Of each departure the values of the file, and by how much these differ for a departure of 1."""
+
+
+def _of_tracks(vehicle: Vehicle) -> Places:
+    share = rubber_share(vehicle)  # of the heat that a belt holds: cords hold the rest
+    of_track = [f"tracks.{name}.belt.{film}" for name in vehicle.tracks for film in ("film_offset", "film_slope")]
+    return {
+        at.OF_LOSS: (("rubber.loss_modulus_scale",), 1.0),
+        at.OF_CAPACITY: (("rubber.heat_capacity",), 1.0 / share),
+        at.OF_COOLING: (tuple(of_track), 1.0),
+        at.OF_BEARING: (("chassis.bearing_friction",), 1.0),
+        at.OF_DRAG: (("chassis.drag_coefficient",), 1.0),
+        at.OF_MASS: (("chassis.rotating_mass_factor",), 1.0),
+    }
+
+
+def _of_wheels() -> Places:
+    return {
+        at.OF_BEARING: ((f"{SECTION}.rolling_coefficient", f"{SECTION}.rolling_rise"), 1.0),
+        at.OF_DRAG: ((f"{SECTION}.drag_area",), 1.0),
+        at.OF_MASS: ((f"{SECTION}.rotating_mass_factor",), 1.0),
+    }
 
 
 def _figures(value: float) -> float:

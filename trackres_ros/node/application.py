@@ -35,7 +35,7 @@ from trackres_ros.node.publisher import OutputPublisher
 from trackres_ros.node.report import Overview, bare_status, overview, statuses
 from trackres_ros.node.sending_order import Arrived, SendingOrder
 from trackres_ros.node.service_manager import ServiceManager
-from trackres_ros.node.setup import changed_parameters, check_learning, read_setup
+from trackres_ros.node.setup import changed_parameters, read_setup
 from trackres_ros.node.stamps import nearest_usable
 from trackres_ros.node.state_keeper import StateKeeper, state_path
 from trackres_ros.node.transport import KeepMessage, Level, Peer, Reasons, Transport
@@ -463,9 +463,7 @@ class Application:
 
     def checked_change(self, given: Mapping[str, object]) -> Parameters:
         """The parameters after a change, which is not made; see `changed_parameters`."""
-        changed = changed_parameters(self.parameters, given, self.topics)
-        check_learning(changed, self.vehicle)
-        return changed
+        return changed_parameters(self.parameters, given, self.topics)
 
     def reset(self) -> str:
         """Start cold, as if switched on with belts at the ambient temperature; what was done, in words."""

@@ -13,7 +13,7 @@ from trackres_ros.node.parameters import Parameters
 from trackres_ros.output.topics import ESTIMATE_TOPIC, PARAMETERS_TOPIC, OutputTopic, output_topics
 from trackres_ros.recording.binding import TopicBinding
 from trackres_ros.recording.bindings import Topics
-from trackres_ros.recording.roles import POSITION, base_role
+from trackres_ros.recording.roles import GROUND, POSITION, base_role
 from trackres_ros.recording.sums import Reading, readings_of
 from trackres_ros.vehicle import AnyVehicle
 
@@ -60,7 +60,8 @@ class InputTopic:
 
 def input_topics(topics: Topics, on_route: bool = False, channels: Collection[str] = CHANNELS) -> tuple[InputTopic, ...]:
     """All topics to subscribe to, those that feed a speed last; of roles that the estimate does not need none, a position only
-    for a vehicle that is followed on a route, and wheel speeds only of the axles and assemblies in its `channels`.
+    for a vehicle that is followed on a route, what shows the ground only where a torque is measured to learn from, and wheel
+    speeds only of the axles and assemblies in its `channels`.
 
     Where messages wait on several topics, a transport hands them over in this order: what a speed is to be computed with comes
     first.
@@ -68,7 +69,9 @@ def input_topics(topics: Topics, on_route: bool = False, channels: Collection[st
     needed = [
         role
         for role in topics
-        if (role in channels if base_role(role) == WHEELS else base_role(role) in CHANNELS) and (on_route or role not in POSITION)
+        if (role in channels if base_role(role) == WHEELS else base_role(role) in CHANNELS)
+        and (on_route or role not in POSITION)
+        and (measures_torque(topics) or role not in GROUND)
     ]
     return tuple(sorted(_by_topic(topics, needed), key=lambda given: "speed" in given.roles))
 
@@ -94,14 +97,16 @@ def _last_speed(role: str) -> bool:
     return role == "speed"
 
 
+def measures_torque(topics: Topics) -> bool:
+    """Whether a torque is measured: of the vehicle, or of any of its assemblies."""
+    return any(base_role(role) == "torque" for role in topics)
+
+
 def live_topics(vehicle: AnyVehicle, topics: Topics) -> tuple[OutputTopic, ...]:
-    """All topics to publish, most urgent first; the residual and, of a vehicle with belts, what is learned
-    only where a torque is measured.
-    """
+    """All topics to publish, most urgent first; the residual and what is learned only where a torque is measured."""
     feedforward, number, *others = output_topics(vehicle)
     given = (topic for topic in others if topic.name != "torque_residual" or "torque" in topics)
-    learns = bool(vehicle.assemblies) and any(base_role(role) == "torque" for role in topics)
-    learned = (PARAMETERS_TOPIC,) if learns else ()
+    learned = (PARAMETERS_TOPIC,) if measures_torque(topics) else ()
     return (feedforward, number, ESTIMATE_TOPIC, *given, *learned, DIAGNOSTICS)
 
 

@@ -20,7 +20,7 @@ OFF, ON = "off", "on"
 
 
 class LiveLearning:
-    """A learner where a torque is measured and the vehicle has belts; else nothing is learned, and nothing changes.
+    """A learner where a torque is measured; else nothing is learned, and nothing changes.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ class LiveLearning:
 
     def __init__(self, estimator: Estimator, mode: str, measured: bool) -> None:
         self.mode = mode
-        self.learner = Learner(estimator, mode) if measured and estimator.assemblies else None
+        self.learner = Learner(estimator, mode) if measured else None
         self._columns = None if self.learner is None else LearningColumns(self.learner)
 
     @property
@@ -78,7 +78,7 @@ class LiveLearning:
         """Forget what was learned; what was done, in words."""
         session.learned[: at.SENSITIVITIES] = 0.0
         if self.learner is None:
-            return "no torque is measured, or the vehicle has no belts, so nothing was learned"
+            return "no torque is measured, so nothing was learned"
         self.learner.reset()
         return "what was learned of the vehicle is forgotten: the vehicle file counts"
 

@@ -13,7 +13,6 @@ from trackres_ros.errors import InputError
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.estimator.topic_settings import settings_for
 from trackres_ros.files.resources import find_vehicle
-from trackres_ros.learning.parameters import track_of
 from trackres_ros.node.parameters import Parameters
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.roles import POSITION
@@ -60,20 +59,7 @@ def read_setup(parameters: Parameters) -> Setup:
     _check_live(topics)
     vehicle_file, surroundings_file = find_vehicle(parameters.text("vehicle")), parameters.text("surroundings")
     vehicle = with_surroundings(load_any(vehicle_file), surroundings_file)
-    check_learning(parameters, vehicle)
     return Setup(vehicle_file, surroundings_file, vehicle, topics, settings_for(parameters.settings(), topics))
-
-
-def check_learning(parameters: Parameters, vehicle: AnyVehicle) -> None:
-    """Refuse to use what is learned of a vehicle of which nothing is.
-
-    Raises
-    ------
-    InputError
-        If `learning` is on for a vehicle without belts.
-    """
-    if parameters.text("learning") == "on":
-        track_of(vehicle)
 
 
 def changed_parameters(before: Parameters, given: Mapping[str, object], topics: Topics) -> Parameters:

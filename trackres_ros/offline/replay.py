@@ -28,7 +28,7 @@ from trackres_ros.offline.disturbance import DisturbanceColumns
 from trackres_ros.output.bag import OutputBag
 from trackres_ros.output.preview import ResultPreview
 from trackres_ros.output.table import TableWriter
-from trackres_ros.recording.roles import POSITION, base_role
+from trackres_ros.recording.roles import GROUND, POSITION, base_role
 from trackres_ros.recording.samples import SampleBlock, Source
 from trackres_ros.units import NANOSECOND
 
@@ -50,8 +50,13 @@ class Replayed:
     learner: Learner | None = None
 
 
-def channel_indices(session: Session, roles: Sequence[str]) -> NDArray[np.int16]:
-    """Channel of each role of a source, shape (roles,); -1 of a role that the estimate does not need.
+def channel_indices(session: Session, roles: Sequence[str], learns: bool = False) -> NDArray[np.int16]:
+    """Channel of each role of a source, shape (roles,); -1 of a role that nothing needs.
+
+    Parameters
+    ----------
+    learns
+        Whether what shows the ground is needed, see `roles.GROUND`.
 
     Raises
     ------
@@ -64,7 +69,8 @@ def channel_indices(session: Session, roles: Sequence[str]) -> NDArray[np.int16]
         vehicle = session.estimator.vehicle
         places = [name for name in channels if "/" in name]
         raise InputError(f"role {unknown[0]}", f"vehicle {vehicle.name}", f"{', '.join(at.CHANNELS)}, {', '.join(places)}")
-    needed = [role in channels and (role not in POSITION or bool(session.estimator.vehicle.route)) for role in roles]
+    idle = {*(() if session.estimator.vehicle.route else POSITION), *(() if learns else GROUND)}
+    needed = [role in channels and role not in idle for role in roles]
     return np.array([session.channel(r) if n else -1 for r, n in zip(roles, needed, strict=True)], dtype=np.int16)
 
 
@@ -98,7 +104,7 @@ def replay(
         If the source holds no usable speed, or cannot be read.
     """
     session = session or estimator.session()
-    channel_of = channel_indices(session, source.roles)
+    channel_of = channel_indices(session, source.roles, learner is not None)
     not_needed = bool((channel_of < 0).any())
     names = () if learner is None else column_names(learner.learnables)
     seen = ResultPreview(len(estimator.columns) + len(names))

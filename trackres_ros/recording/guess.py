@@ -60,6 +60,7 @@ RULES = (
     _Rule("ambient", ("sensor_msgs/msg/Temperature",), "temperature", AMBIENT),
     _Rule("belt", ("sensor_msgs/msg/Temperature",), "temperature", r"\b(belt|track|rubber)\b", AMBIENT),
     _Rule("yaw_rate", ("sensor_msgs/msg/Imu",), "angular_velocity.z"),
+    _Rule("specific_force", ("sensor_msgs/msg/Imu",), "linear_acceleration.x"),
     _Rule("latitude", (IN_DEGREES,), "latitude"),
     _Rule("longitude", (IN_DEGREES,), "longitude"),
     _Rule("altitude", (IN_DEGREES,), "altitude"),
@@ -73,7 +74,7 @@ RULES = (
 def guess(available: Mapping[str, str]) -> tuple[Topics, list[str]]:
     """Guess the bindings from message types, and from topic names where types do not decide.
 
-    Acceleration is never guessed: that of an IMU contains the share of gravity on a slope.
+    Acceleration is never guessed: that of an IMU contains the share of gravity on a slope, and is taken for a specific force.
 
     Parameters
     ----------

@@ -40,6 +40,9 @@ ROLES: Mapping[str, Role] = MappingProxyType(
         "ambient": Role("degC", "temperature of the air"),
         "belt": Role("degC", "measured temperature of the rubber belt", parts=True),
         "accel": Role("m/s2", "acceleration along the track, without the share of gravity", lively=True),
+        "specific_force": Role(
+            "m/s2", "what an IMU feels along the track: acceleration and, on a slope, the share of gravity", lively=True
+        ),
         "grade": Role("1", "slope as rise over run, positive uphill"),
         "yaw_rate": Role("rad/s", "turning rate about the upward axis", lively=True),
         "heading": Role("rad", "direction of travel about the upward axis"),
@@ -58,6 +61,8 @@ ROLES: Mapping[str, Role] = MappingProxyType(
 
 
 POSITION = ("latitude", "longitude")
+GROUND = ("altitude", "specific_force")
+"""Roles that show how the ground rises to who learns from a measured torque; the estimate itself needs none of them."""
 ANGLES = (*POSITION, "heading", "steering_angle")
 """Roles in rad that may be given in degrees, with ``unit: deg``."""
 PASSENGER_KG = 70.0

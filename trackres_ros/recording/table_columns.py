@@ -33,6 +33,7 @@ COLUMNS: Mapping[str, tuple[str, float]] = MappingProxyType(
         "yaw_rate_radps": ("yaw_rate", 1.0),
         "heading_rad": ("heading", 1.0),
         "accel_mps2": ("accel", 1.0),
+        "specific_force_mps2": ("specific_force", 1.0),
         "distance_m": ("distance", 1.0),
         "stood_s": ("stood", 1.0),
         "latitude_deg": ("latitude", DEGREE),

@@ -31,7 +31,7 @@ from trackres_ros.vehicle import RoadVehicle
 from trackres_ros.vehicle.road import OF_SLIDES, SECTION, build_road, built_in
 from trackres_ros.vehicle.schema import ROAD_LOAD
 from trackres_ros.vehicle.writing.changes import FileChanges
-from trackres_ros.vehicle.writing.vehicle_file import finish, opened, set_quantity
+from trackres_ros.vehicle.writing.vehicle_file import write_road_vehicle
 
 Array = NDArray[np.float64]
 
@@ -135,9 +135,4 @@ class RoadBase(Defaults):
 
     def write(self, path: Path, kept: FileChanges, text: str) -> list[Path]:
         """See `base.Base`."""
-        vehicle, document = self.vehicle, opened(self.vehicle.source)
-        if kept.values is not None:
-            for name in kept.values:
-                old = vehicle.parameters[f"{SECTION}.{name}"]
-                set_quantity(document, (SECTION, name), old, kept.values[name], kept.range_of(name), ROAD_LOAD[name], kept.by)
-        return finish(document, vehicle.name, vehicle.effects, vehicle.surroundings, path, kept, text, vehicle.route)
+        return write_road_vehicle(self.vehicle, path, kept, text)

@@ -20,10 +20,11 @@ from trackres_ros.files.small_files import read_text
 from trackres_ros.files.yamls import MOST_BYTES
 from trackres_ros.route.learned import RouteMap
 from trackres_ros.route.table import write_route
-from trackres_ros.vehicle import Quantity, Vehicle
+from trackres_ros.vehicle import Quantity, RoadVehicle, Vehicle
 from trackres_ros.vehicle.belt_bulk import heat_capacity
 from trackres_ros.vehicle.reading import FITTED
-from trackres_ros.vehicle.schema import BELT, CHASSIS, DISTURBANCES, RUBBER, QuantityLimits
+from trackres_ros.vehicle.road import SECTION
+from trackres_ros.vehicle.schema import BELT, CHASSIS, DISTURBANCES, ROAD_LOAD, RUBBER, QuantityLimits
 from trackres_ros.vehicle.surroundings import SCHEMA
 from trackres_ros.vehicle.writing.changes import FileChanges, LearnedDisturbance
 from trackres_ros.vehicle.writing.yaml_edit import Document, flow
@@ -49,6 +50,15 @@ def write_track_vehicle(vehicle: Vehicle, path: Path, kept: FileChanges, text: s
         document.set(("model", key), method)
     if kept.values is not None:
         _set_values(document, vehicle, kept)
+    return finish(document, vehicle.name, vehicle.effects, vehicle.surroundings, path, kept, text, vehicle.route)
+
+
+def write_road_vehicle(vehicle: RoadVehicle, path: Path, kept: FileChanges, text: str) -> list[Path]:
+    """The same of a vehicle on wheels."""
+    document = opened(vehicle.source)
+    for name, value in (kept.values or {}).items():
+        old = vehicle.parameters[f"{SECTION}.{name}"]
+        set_quantity(document, (SECTION, name), old, value, kept.range_of(name), ROAD_LOAD[name], kept.by)
     return finish(document, vehicle.name, vehicle.effects, vehicle.surroundings, path, kept, text, vehicle.route)
 
 

@@ -1,0 +1,165 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Follows the slope of the ground where an altitude or an IMU shows it, beside what is learned of the vehicle.
+
+The slope is a state that is forgotten with the way; the height is its sum over the way, and what an altimeter shows is that
+height, with an error that wanders. Where neither is measured both stay zero, and hills are part of what comes and goes.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.estimator import Session
+from trackres_ros.learning.filter import corrected, spread
+from trackres_ros.learning.parameters import HEIGHT, SLOPE, STATES, TILT
+from trackres_ros.units import GRAVITY, SECOND_NS
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+SLOPE_STD, REACH_M = 0.02, 200.0  # assumed: of roads at first, and after which way one tells little of the next
+LEAST_SLOPE_STD, SLOPE_MEMORY_M = 0.003, 10e3
+ALTITUDE_STD_M = 3.0  # of single samples, at first
+LEAST_ALTITUDE_STD_M = 0.3
+DRIFT = 0.05  # m^2/s: variance that the error of an altitude gains; 7 m in a quarter of an hour
+DRIFT_MEMORY_S = 120.0  # for which an altitude that ran away while standing is trusted less
+MEMORY = 60.0  # samples
+STANDS_M = 0.05  # in a second
+TILT_STD = 0.03  # of an IMU against the vehicle's axis, and what its zero is off by
+FELT_STD, LEAST_FELT_STD = 0.02, 0.003  # of a slope by an IMU over a second: springs, bumps
+FELT_TO_MPS2 = 0.5  # a larger acceleration is known too roughly, and pitches the vehicle
+LONGEST_STEP_NS = 10 * SECOND_NS
+OUTLIER = 4.0
+
+
+@dataclass
+class Ground:
+    """What is remembered of altitude and IMU; the slope itself is in the filter.
+
+    Attributes
+    ----------
+    way_m, rise_m
+        Driven since the last second, and by how much the ground rises there as far as the step knows it.
+    altitude_ns, stood_ns, stood_m
+        When the last altitude came; since when it stands, or the last altitude that came while it moved, and that altitude.
+    zero_m
+        The altitude at which the filter's height is 0.
+    follows, feels
+        Whether an altitude is followed, and whether an IMU is.
+    """
+
+    way_m: float = 0.0
+    rise_m: float = 0.0
+    step_ns: int = 0
+    altitude_ns: int = 0
+    stood_ns: int = 0
+    stood_m: float = 0.0
+    zero_m: float = 0.0
+    follows: bool = False
+    feels: bool = False
+    altitude_variance: float = ALTITUDE_STD_M**2
+    drift: float = DRIFT
+    felt_variance: float = FELT_STD**2
+    slope_variance: float = SLOPE_STD**2  # of this ground
+
+    def restart(self) -> None:
+        """Another drive: where it begins is not known, what an IMU is tilted by is."""
+        self.way_m = self.rise_m = 0.0
+        self.step_ns = self.altitude_ns = self.stood_ns = 0
+        self.follows = False
+
+    def lost(self) -> None:
+        """How far it has risen since the last altitude is not known: the next begins anew."""
+        self.altitude_ns = min(self.altitude_ns, 0)
+
+    def drive(self, stamp_ns: int, speed: float, slope: float) -> None:
+        """A step at a speed [m/s], on ground of which the step knows so much slope."""
+        passed_ns = stamp_ns - self.step_ns
+        self.step_ns = stamp_ns
+        if 0 < passed_ns <= LONGEST_STEP_NS:
+            way = speed * passed_ns / SECOND_NS
+            self.way_m += way
+            self.rise_m += slope * way
+        elif passed_ns > 0:
+            self.lost()
+
+    def close(self, mean: Array, covariance: Array, session: Session, free: Mask) -> None:
+        """A second is over: the ground rose by the slope, and an altitude that came says by how much; changes both."""
+        way, rise, (self.way_m, self.rise_m) = self.way_m, self.rise_m, (0.0, 0.0)
+        stamp = int(session.memory.times[at.ALTITUDE, at.LAST_STAMP])
+        came = bool(session.memory.times[at.ALTITUDE, at.SEEN]) and stamp != self.altitude_ns
+        if self.follows or self.feels:
+            # What it comes to on the whole, as an expectation over what is known of it (the step of an EM algorithm).
+            now = float(mean[SLOPE] ** 2 + covariance[SLOPE, SLOPE])
+            self.slope_variance += min(abs(way) / SLOPE_MEMORY_M, 1.0) * (max(now, LEAST_SLOPE_STD**2) - self.slope_variance)
+            self._drive_on(mean, covariance, way, rise)
+            self.drift = DRIFT + (self.drift - DRIFT) * math.exp(-1.0 / DRIFT_MEMORY_S)
+        if not came:
+            return
+        altitude, before_ns = float(session.memory.values[at.ALTITUDE]), self.altitude_ns
+        if not self.follows or not 0 < before_ns < stamp or stamp - before_ns > DRIFT_MEMORY_S * SECOND_NS:
+            _begin(mean, covariance, HEIGHT, self.altitude_variance)
+            if not self.follows and not self.feels:
+                _begin(mean, covariance, SLOPE, self.slope_variance)
+            self.zero_m, self.follows = altitude, True
+        else:
+            if abs(way) < STANDS_M:  # what an altitude does while standing is none of the ground's
+                moved = abs(altitude - self.stood_m) - 2.0 * math.sqrt(self.altitude_variance)
+                self.drift = max(self.drift, max(moved, 0.0) ** 2 * SECOND_NS / (stamp - self.stood_ns))
+            self.altitude_variance = _measured(
+                mean, covariance, (HEIGHT,), altitude - self.zero_m, self.altitude_variance, LEAST_ALTITUDE_STD_M, free
+            )
+        self.altitude_ns = stamp
+        if abs(way) >= STANDS_M or self.stood_ns == 0:
+            self.stood_ns, self.stood_m = stamp, altitude
+
+    def feel(self, mean: Array, covariance: Array, felt: float, accel: float, slope: float, free: Mask) -> None:
+        """What an IMU felt in the mean of a second [m/s^2] on ground of which the step knows so much slope; changes both."""
+        if not math.isfinite(felt) or abs(accel) > FELT_TO_MPS2:
+            return
+        if not self.feels:
+            _begin(mean, covariance, TILT, TILT_STD**2)
+            if not self.follows:
+                _begin(mean, covariance, SLOPE, self.slope_variance)
+            self.feels = True
+        shown = (felt - accel) / GRAVITY - slope
+        self.felt_variance = _measured(mean, covariance, (SLOPE, TILT), shown, self.felt_variance, LEAST_FELT_STD, free)
+
+    def _drive_on(self, mean: Array, covariance: Array, way: float, rise: float) -> None:
+        """The ground rises along a way [m] by its slope; then that is another."""
+        mean[HEIGHT] += way * mean[SLOPE] + rise
+        covariance[HEIGHT, :] += way * covariance[SLOPE, :]
+        covariance[:, HEIGHT] += way * covariance[:, SLOPE]
+        covariance[HEIGHT, HEIGHT] += self.drift if self.follows else 0.0
+        keep = math.exp(-abs(way) / REACH_M)
+        mean[SLOPE] *= keep
+        covariance[SLOPE, :] *= keep
+        covariance[:, SLOPE] *= keep
+        covariance[SLOPE, SLOPE] += self.slope_variance * (1.0 - keep * keep)
+
+
+def _begin(mean: Array, covariance: Array, state: int, variance: float) -> None:
+    """A state of which nothing is known but its variance."""
+    mean[state] = 0.0
+    covariance[state, :] = covariance[:, state] = 0.0
+    covariance[state, state] = variance
+
+
+def _measured(
+    mean: Array, covariance: Array, states: tuple[int, ...], value: float, variance: float, least_std: float, free: Mask
+) -> float:
+    """Take in what shows the sum of some states; how unsure such a measurement is from now on."""
+    looks = np.zeros(STATES)
+    looks[list(states)] = 1.0
+    off = value - float(mean[list(states)].sum())
+    _, known = spread(covariance, looks)
+    seen = min(max(off * off - known, 0.0), OUTLIER * OUTLIER * variance)
+    corrected(mean, covariance, looks, off, max(variance, off * off / (OUTLIER * OUTLIER) - known), free)
+    return max(variance + (seen - variance) / MEMORY, least_std**2)
