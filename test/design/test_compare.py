@@ -14,8 +14,8 @@ import trackres_ros as tr
 from trackres_ros.design.compare_text import designs_text
 from trackres_ros.design.steady import held, steady
 from trackres_ros.design.uncertain import difference_std, moved, slopes_of
-from trackres_ros.model.operating_point import explain
-from trackres_ros.vehicle import load, variants
+from trackres_ros.model.operating_point import explain, explain_road
+from trackres_ros.vehicle import load, load_any, variants
 
 GRID = ("--speed-kmh", "5,12", "--belt-degc", "0,60")
 
@@ -175,3 +175,14 @@ def test_what_cannot_be_is_one_line(trackres, given, part):
     assert refused.returncode == 2
     assert part in refused.stderr
     assert len(refused.stderr.strip().splitlines()) == 1
+
+
+def test_two_vehicles_without_belts_have_resistance_and_energy_over_speed(good):
+    done = good("compare", "bmw_i3", "ztbus_hess19", "--json")
+    rows = json.loads(done)["wheels"]
+    for row in rows:
+        for which, name in enumerate(("bmw_i3", "ztbus_hess19")):
+            resisting = explain_road(load_any(name), row["speed_kmh"] / 3.6)["torque_nm"]["resistance"]
+            assert row["resistance_nm"][which] == pytest.approx(resisting)
+            assert row["kwh_per_km"][which] == pytest.approx(row["force_n"][which] / 3600.0)
+    assert all(np.all(np.diff([row["force_n"][which] for row in rows]) > 0.0) for which in (0, 1))

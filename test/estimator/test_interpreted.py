@@ -108,7 +108,7 @@ def test_a_replay_that_changes_over_gives_the_same_bits(tmp_path, monkeypatch):
     at_once = tr.replay(drive, "xgd24d")
     made = []
 
-    class HalfWarm(warm_up.WarmUp):
+    class HalfWarm(warm_up.CompilerWarmUp):
         """As on a machine where compiling takes two blocks."""
 
         def __init__(self, work, **_):
@@ -121,7 +121,7 @@ def test_a_replay_that_changes_over_gives_the_same_bits(tmp_path, monkeypatch):
             self.asked += 1
             return COMPILED if self.asked == 3 else None
 
-    monkeypatch.setattr(warm_up, "WarmUp", HalfWarm)
+    monkeypatch.setattr(warm_up, "CompilerWarmUp", HalfWarm)
     changed = tr.replay(drive, "xgd24d")
     assert made[0].asked >= 3
     assert changed.estimator.entries.compiled

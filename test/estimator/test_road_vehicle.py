@@ -17,7 +17,6 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator import snapshot
 from trackres_ros.estimator.entry_points import interpreted_entries
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.learning.learner import Learner
 from trackres_ros.units import GRAVITY, STANDSTILL_MPS
 from trackres_ros.vehicle import RoadVehicle, load, load_any, with_surroundings
 
@@ -146,5 +145,3 @@ def test_its_surroundings_are_those_made_for_it(tmp_path):
 def test_what_needs_belts_says_so():
     with pytest.raises(InputError, match="which has no belts"):
         load("bmw_i3")
-    with pytest.raises(InputError, match="only vehicles on tracks are learned"):
-        Learner(ESTIMATOR)

@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from trackres_ros.cli.live_table import line, table
-from trackres_ros.errors import InputError
+from trackres_ros.estimator import columns as at
 
 BUS = "ztbus_hess19"
 WITH_TORQUE = """
@@ -34,7 +34,7 @@ def driven(desk, speeds):
 def test_its_topics_are_those_without_belts(desk, with_torque):
     d = desk(vehicle=BUS, topics=with_torque)
     names = [output.name for output in d.app.outputs]
-    assert not [name for name in names if "temperature" in name or name == "parameters"]
+    assert not [name for name in names if "temperature" in name]
     assert {"feedforward_torque", "estimate", "resistance_torque", "torque_residual", "status"} <= set(names)
     driven(d, [8.0 + 0.01 * (i % 7) for i in range(100)])
     assert all(math.isfinite(value) for name, _, values in d.published for value in values if name != "torque_residual")
@@ -52,19 +52,18 @@ def test_nothing_is_fed_forward_once_it_stands(desk):
     assert torques[-1] == 0.0
 
 
-def test_a_measured_torque_is_compared_and_nothing_is_learned(desk, with_torque):
-    d = desk(vehicle=BUS, topics=with_torque)
-    for _ in range(50):
-        d.send("torque", 1000.0)
-        driven(d, [8.0])
-    assert d.app.session.learned[0] == 0.0
+def test_a_measured_torque_is_compared_and_learned_from(desk, with_torque):
+    d = desk(vehicle=BUS, topics=with_torque, learning="on")
+    for i in range(900):
+        d.send("torque", 1800.0 + 20.0 * (i % 3))
+        driven(d, [8.0 + 0.01 * (i % 7)])
     d.app._publish_status(d.app._steady_ns(), diagnostics=True)
     residual = [values for name, _, values in d.published if name == "torque_residual"][-1]
     assert residual[2] == pytest.approx(residual[0] - residual[1])
-    with pytest.raises(InputError, match="only vehicles on tracks are learned"):
-        d.app.change({"learning": "on"})
-    with pytest.raises(InputError, match="only vehicles on tracks are learned"):
-        desk(vehicle=BUS, learning="on")
+    learner = d.app.learning.learner
+    assert [one.name for one in learner.learnables][:3] == ["rolling_coefficient", "drag_area", "rotating_mass_factor"]
+    assert learner.learned.mean[at.OF_BEARING] > 0.1
+    assert "parameters" in [output.name for output in d.app.outputs]
 
 
 def test_the_terminal_shows_what_rolls_and_no_belt(desk):

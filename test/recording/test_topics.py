@@ -134,12 +134,13 @@ def test_guess_prefers_types_and_names_the_rest() -> None:
         "ambient": ("/track/ambient_temperature", "temperature", 1.0),
         "belt": ("/track/temperature", "temperature", 1.0),
         "yaw_rate": ("/imu", "angular_velocity.z", 1.0),
+        "specific_force": ("/imu", "linear_acceleration.x", 1.0),
     }
     assert said[0] == (
         "speed: guessed from /odom (nav_msgs/msg/Odometry, twist.twist.linear.x) in m/s; "
         "also possible: /robot/odom_filtered, /twist"
     )
-    assert not any("accel" in sentence or "cmd_vel" in sentence for sentence in said)
+    assert not any(sentence.startswith("accel") or "cmd_vel" in sentence for sentence in said)
 
 
 @pytest.mark.parametrize(

@@ -48,7 +48,8 @@ def compare_command(
 
     ONE and OTHER are each a folder of trackres fleet, all of it or a part (results:truck-01, results:truck-01@2026-03,
     results@2026-03-14), a folder of trackres diagnose, or a vehicle file. Of two vehicle files the values that differ are listed;
-    of two with tracks also resistance, belt temperature and energy, with how sure the difference is.
+    of two with tracks also resistance, belt temperature and energy, with how sure the difference is; of two without belts
+    resistance and energy over speed.
 
     A:B is five numbers from A to B, A:B:N is N. The drive stages is ten minutes each at a third, two thirds and all of the
     slower vehicle's greatest speed; laps is ten laps of 628 m with a stop after each.
@@ -60,6 +61,7 @@ def compare_command(
     """
     from trackres_ros.design.compare import ComparisonOptions, asked_of, compare_designs
     from trackres_ros.design.compare_text import designs_text, draw_designs
+    from trackres_ros.design.compare_wheels import wheels_compared, wheels_text
     from trackres_ros.fleet.compare import compare, compare_text
     from trackres_ros.offline.vehicle_files import differences, differences_text
 
@@ -71,6 +73,9 @@ def compare_command(
         text = "\n".join(["Values that differ", differences_text(one, other, values)])
     except InputError:  # one of them is no vehicle file
         text = compare_text(found)
+    if (wheels := wheels_compared((one, other))) is not None:
+        found["wheels"] = wheels
+        text += "\n" + wheels_text(wheels, (one, other))
     if asked is not None:
         with progress("operating points", asked.points) as advance:
             found["designs"] = designs = compare_designs(asked, advance)

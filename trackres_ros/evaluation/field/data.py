@@ -39,9 +39,9 @@ def trips(data: Path) -> dict[str, dict[str, str]]:
         return {row["trip"]: row for row in csv.DictReader(lines)}
 
 
-def car(data: Path, name: str, folder: Path, clock: bool = True) -> Path:
-    """Write one trip of the car: torque at the wheels, elevation as a slope, and how long it had stood; without `clock` it begins
-    at 0 s and that is not known.
+def car(data: Path, name: str, folder: Path, clock: bool = True, ground: str = "grade") -> Path:
+    """Write one trip of the car: torque at the wheels, elevation as `ground` (`grade`, `altitude_m` or nothing), and how long it
+    had stood; without `clock` it begins at 0 s and that is not known.
     """
     text = gzip.decompress((data / "bmw_i3" / f"{name}.csv.gz").read_bytes()).decode("latin-1")
     header, *lines = [line.split(";") for line in text.splitlines()]
@@ -60,7 +60,7 @@ def car(data: Path, name: str, folder: Path, clock: bool = True) -> Path:
         "speed_mps": speed,
         "torque_nm": torque * FINAL_DRIVE,
         "ambient_degc": ambient,
-        "grade": slopes(time, speed, height).value,
+        **({ground: slopes(time, speed, height).value if ground == "grade" else height} if ground else {}),
         "stood_s": np.full(len(time), stood_s),
     }
     return _write(folder / f"{name}.csv", columns)

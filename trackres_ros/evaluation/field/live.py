@@ -103,7 +103,7 @@ def live_errors(drives: Drives, folder: Path) -> list[LiveError]:
     written.
     """
     report = folder / "report"
-    _run("diagnose", *drives.first, "--vehicle", drives.vehicle, "--topics", drives.topics, "-o", report)
+    run_command("diagnose", *drives.first, "--vehicle", drives.vehicle, "--topics", drives.topics, "-o", report)
     written, around = report / "vehicle.yaml", report / "surroundings.yaml"
     runs: list[tuple[str, list[str | Path]]] = [("the shipped vehicle file", [drives.vehicle]), ("vehicle.yaml", [written])]
     if around.is_file():
@@ -115,19 +115,25 @@ def live_errors(drives: Drives, folder: Path) -> list[LiveError]:
     return found
 
 
-def _run(*words: str | Path) -> None:
+def run_command(*words: str | Path) -> None:
+    """Run a command of `trackres`."""
     subprocess.run([sys.executable, "-m", "trackres_ros", *map(str, words)], check=True, capture_output=True)
 
 
 def _left(drives: Drives, recording: Path, vehicle: Sequence[str | Path], out: Path) -> Array:
     """What a replay leaves of the measured torque, in means over `MEAN_S` [Nm]."""
-    _run("replay", recording, "--topics", drives.topics, "-o", out, "--vehicle", *vehicle)
+    run_command("replay", recording, "--topics", drives.topics, "-o", out, "--vehicle", *vehicle)
     rows = np.genfromtxt(out, delimiter=",", names=True)
-    counts = (np.abs(rows["speed_mps"]) > SLOWEST_MPS) & ~_braked(drives, recording, rows) & np.isfinite(rows["residual_nm"])
-    block = (rows["time_s"] / MEAN_S).astype(int)
+    return means(rows["time_s"], rows["speed_mps"], rows["residual_nm"], _braked(drives, recording, rows))
+
+
+def means(time_s: Array, speed: Array, residual: Array, braked: NDArray[np.bool_]) -> Array:
+    """What is left of the measured torque, in means over `MEAN_S` in which it drives and no friction brake is on [Nm]."""
+    counts = (np.abs(speed) > SLOWEST_MPS) & ~braked & np.isfinite(residual)
+    block = (time_s / MEAN_S).astype(int)
     number, used = np.bincount(block), np.bincount(block, counts)
     whole = (used == number) & (number > 0)
-    return np.asarray(np.bincount(block, np.where(counts, rows["residual_nm"], 0.0))[whole] / number[whole])
+    return np.asarray(np.bincount(block, np.where(counts, residual, 0.0))[whole] / number[whole])
 
 
 def _braked(drives: Drives, recording: Path, rows: Any) -> NDArray[np.bool_]:

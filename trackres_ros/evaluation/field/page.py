@@ -18,6 +18,7 @@ from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.selection.intervals import NORMAL_95
 from trackres_ros.evaluation.field.bus_page import bus_page
 from trackres_ros.evaluation.field.data import SECONDS_PER_H
+from trackres_ros.evaluation.field.learned import learned_page
 from trackres_ros.evaluation.field.live import live_page
 from trackres_ros.evaluation.field.run import (
     COLD_AFTER_H,
@@ -78,6 +79,7 @@ def write_page(data: Path, tried: Sequence[FieldTrial], of_bus: Sequence[FieldTr
     ]
     lines += bus_page(of_bus, folder, of_pictures)
     lines += live_page(data)
+    lines += learned_page(data)
     lines += ["## A route driven twice", "", *_twice(route, repeated), ""]
     lines += [f"![Residuals of both drives and the slope over the distance.]({of_pictures}twice.png)", ""]
     lines += ["## Turning on wet grass", ""]

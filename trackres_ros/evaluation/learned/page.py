@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,6 @@ SHORT = {
     "a disturbance of": "a disturbance",
     "is looked at": "a step is looked at",
     "disagree with the others": "torques disagree with the others",
-    "wanders": "what is left wanders",
     "beside the vehicle": "a torque beside the vehicle",
 }
 
@@ -125,8 +125,8 @@ def _of_hostile(hostile: list[Any]) -> list[str]:
         )
     drives = [float(x) for case in hostile for x in case["worse"]]
     bad = sum(x > MOST_WORSE for x in drives)
-    silent = [(case["hostile"], i + 1) for case in hostile for i in range(DRIVES) if not case["said"][str(i + 1)]["said_s"]]
-    which = ", ".join(f"{kind} on drive {drive}" for kind, drive in sorted(silent))
+    silent = [case["hostile"] for case in hostile for i in range(DRIVES) if not case["said"][str(i + 1)]["said_s"]]
+    which = ", ".join(f"{kind} {count}" for kind, count in sorted(Counter(silent).items()))
     return [
         *lines,
         "",
