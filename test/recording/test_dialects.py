@@ -25,7 +25,7 @@ ENDS = ("\n", "\r\n", "\r")
 @pytest.fixture(params=["pyarrow", "plain"])
 def reader(request, monkeypatch):
     if request.param == "plain":
-        monkeypatch.setattr("trackres_ros.recording.csv_table.CsvTable._fast_chunks", lambda *_: iter(()))
+        monkeypatch.setattr("trackres_ros.recording.readers.csv_table.CsvTable._fast_chunks", lambda *_: iter(()))
     else:
         pytest.importorskip("pyarrow")
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError, MissingExtraError
-from trackres_ros.recording.opening import TABLE_SUFFIXES
+from trackres_ros.files.output_files import TABLE_SUFFIXES
 from trackres_ros.recording.samples import FloatArray
 
 EXACT = ("time_s",)

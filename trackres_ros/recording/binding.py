@@ -87,7 +87,7 @@ class TopicBinding:
     sensor: Literal["surface", "mean"] = "surface"
     std_k: float = 3.0
     delay_s: float = 0.0
-    unit: Literal["deg", "rad", ""] = ""
+    unit: str = ""
     kg_each: float = PASSENGER_KG
     threshold: float | None = None
     values: tuple[float, ...] = ()

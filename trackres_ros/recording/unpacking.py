@@ -9,8 +9,10 @@ import bz2
 import shutil
 import struct
 import tempfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import BinaryIO, Protocol
 
 from trackres_ros.errors import InputError
@@ -120,6 +122,33 @@ def set_ceilings() -> None:
             mcap.DECOMPRESSORS[name] = _of_size(make)
         if name in ros1.decompressors:
             ros1.decompressors[name] = _of_any_size(make)
+
+
+def set_can_ceilings() -> None:
+    """Put a decompressor that stops in the place of the one with which python-can unpacks BLF."""
+    from can.io import blf
+
+    setattr(blf, "zlib", SimpleNamespace(decompressobj=lambda: SimpleNamespace(decompress=_inflate)))  # noqa: B010 - a module
+
+
+def set_mdf_ceilings() -> None:
+    """Put it into the table from which asammdf takes its own."""
+    from asammdf.blocks import v4_constants
+    from asammdf.blocks.utils import DECOMPRESS_FUNC_MAP
+
+    for kind in (v4_constants.DZ_BLOCK_DEFLATE, v4_constants.DZ_BLOCK_TRANSPOSED):
+        DECOMPRESS_FUNC_MAP[kind] = _inflate
+
+
+def _inflate(data: bytes) -> bytes:
+    """Unpack the one archive that some bytes begin with, up to the ceiling of a message."""
+    one = zlib.decompressobj()
+    whole = one.decompress(data, MAX_MESSAGE_BYTES)
+    if one.unconsumed_tail:
+        raise TooLargeError(f"it unpacks to more than {MAX_MESSAGE_BYTES} bytes")
+    if not one.eof:
+        raise EOFError("packed data that breaks off")
+    return whole
 
 
 def _of_size(make: Callable[[], _Decompressor]) -> Callable[[bytes, int], bytes]:

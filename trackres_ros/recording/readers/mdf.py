@@ -1,0 +1,173 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Reads measurement data in the format MDF: channels, and the frames of buses that were logged."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import weakref
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.errors import MissingExtraError
+from trackres_ros.recording.bindings import Topics
+from trackres_ros.recording.can_signals import CanSignals, Frame
+from trackres_ros.recording.channel_file import Channel, ChannelFile, ChannelRows, rows_at
+from trackres_ros.recording.file_kind import FileKind
+from trackres_ros.recording.samples import Finding, FloatArray
+from trackres_ros.recording.unpacking import set_mdf_ceilings
+
+BLOCK_ROWS = 2**16
+"""Records read at once: of usual ones some megabytes, so that a packed block is unpacked a few times at most."""
+UNFINISHED = b"UnFinMF"
+FRAMES = "CAN_DataFrame"
+EXTENDED, IDENTIFIER = 1 << 31, (1 << 29) - 1
+
+
+def _opened(path: Path) -> Any:
+    """The file, opened so that a channel is read in parts: asammdf reads a channel of a named file as a whole."""
+    from asammdf import MDF
+
+    set_mdf_ceilings()
+    file: Any = path.open("rb")
+    if file.read(len(UNFINISHED)) == UNFINISHED:  # it is finished in a copy, as asammdf does with a named file
+        file.seek(0)
+        copy = tempfile.TemporaryFile()  # noqa: SIM115 - asammdf closes it
+        with file:
+            shutil.copyfileobj(file, copy)
+        file = copy
+    file.seek(0)
+    return MDF(file)
+
+
+class _Groups:
+    """The groups of an MDF file."""
+
+    def __init__(self, path: Path) -> None:
+        self.mdf = _opened(path)
+        weakref.finalize(self, self.mdf.close)
+        self.start_ns = round(self.mdf.header.start_time.timestamp() * 1e6) * 1000
+        self.buses = [number for number, group in enumerate(self.mdf.groups) if any(c.name == FRAMES for c in group.channels)]
+
+    def records(self, group: int) -> int:
+        """How many records a group has."""
+        return int(self.mdf.groups[group].channel_group.cycles_nr)
+
+    def part(self, group: int, index: int, start: int) -> Any:
+        """A part of a channel as a signal, with samples that are marked as invalid."""
+        return self.mdf.get(
+            group=group, index=index, record_offset=start, record_count=BLOCK_ROWS, raw=True, ignore_invalidation_bits=True
+        )
+
+
+class MdfChannels(ChannelFile):
+    """The channels of an MDF file that hold numbers."""
+
+    def __init__(self, groups: _Groups, name: str) -> None:
+        self.name, self._groups = name, groups
+        self._places: list[tuple[int, int]] = []
+        self.channels: list[Channel] = []
+        names = Counter(self._name_of(number) for number in range(len(groups.mdf.groups)))
+        for number, group in enumerate(groups.mdf.groups):
+            label = self._name_of(number)
+            label = label if names[label] == 1 else f"{label} {number}"
+            for index, channel in enumerate(group.channels):
+                if index != groups.mdf.masters_db.get(number) and number not in groups.buses and _is_numeric(group, index):
+                    unit = (channel.conversion and channel.conversion.unit) or channel.unit or ""
+                    self._places.append((number, index))
+                    self.channels.append(Channel(channel.name, unit, label))
+
+    def _name_of(self, number: int) -> str:
+        group = self._groups.mdf.groups[number].channel_group
+        source = group.acq_source
+        return group.acq_name or (source.name if source else "") or f"group {number}"
+
+    def streams(self) -> Sequence[Iterator[ChannelRows]]:
+        """The groups of the chosen channels; that of the last one, the speed, last."""
+        numbers = [self._places[one.place][0] for one in self.wanted]
+        self.findings = ()
+        return [self._rows(number) for number in sorted(set(numbers), key=lambda number: (number == numbers[-1], number))]
+
+    def _rows(self, number: int) -> Iterator[ChannelRows]:
+        columns = [(column, self._places[one.place]) for column, one in enumerate(self.wanted)]
+        mine = [(column, index) for column, (group, index) in columns if group == number]
+        records, read = self._groups.records(number), 0
+        for start in range(0, records, BLOCK_ROWS):
+            signals = [self._groups.part(number, index, start) for _, index in mine]
+            seconds = np.asarray(signals[0].timestamps, np.float64)
+            cells = np.full((len(seconds), len(self.wanted)), np.nan)
+            for (column, _), signal in zip(mine, signals, strict=True):
+                cells[:, column] = _numbers(signal, len(seconds))
+            read += len(seconds)
+            yield rows_at(seconds, cells, self._groups.start_ns)
+        if read < records:
+            text = f"{records - read} records fewer than the file says it holds"
+            self.findings = (*self.findings, Finding("", "missing", records - read, float("nan"), text))
+
+
+def _is_numeric(group: Any, index: int) -> bool:
+    """Whether a channel holds one number a record, which is no text of its own."""
+    channel = group.channels[index]
+    return not group.channel_dependencies[index] and channel.data_type < 6 and channel.channel_type in (0, 3)
+
+
+def _numbers(signal: Any, count: int) -> FloatArray:
+    """Physical values; nan where the record marks them as invalid, or where a value stands for a text."""
+    samples = signal.samples
+    if signal.conversion is not None:
+        samples = signal.conversion.convert(samples, ignore_value2text_conversions=True)
+    if samples.dtype.kind not in "biuf" or samples.ndim != 1 or len(samples) != count:
+        return np.full(count, np.nan)
+    numbers: FloatArray = samples.astype(np.float64)
+    invalid: NDArray[np.bool_] | None = signal.invalidation_bits
+    if invalid is not None:
+        numbers[np.asarray(invalid, np.bool_)] = np.nan
+    return numbers
+
+
+def _frames(groups: _Groups) -> Iterator[Frame]:
+    """Frames of all buses, those of each group in turn by their times."""
+    import heapq
+
+    yield from heapq.merge(*(_frames_of(groups, number) for number in groups.buses), key=lambda frame: frame.stamp_ns)
+
+
+def _frames_of(groups: _Groups, number: int) -> Iterator[Frame]:
+    """Frames of a group."""
+    places = {channel.name: index for index, channel in enumerate(groups.mdf.groups[number].channels)}
+    names = [f"{FRAMES}.{name}" for name in ("ID", "DataBytes", "DataLength", "IDE", "BusChannel")]
+    for start in range(0, groups.records(number), BLOCK_ROWS):
+        parts = {name: groups.part(number, places[name], start) for name in names if name in places}
+        ids, data = parts[names[0]].samples.astype(np.int64), parts[names[1]].samples
+        stamps = np.rint(parts[names[0]].timestamps * 1e9).astype(np.int64) + groups.start_ns
+        lengths = parts[names[2]].samples if names[2] in parts else np.full(len(ids), data.shape[1])
+        wide = parts[names[3]].samples.astype(np.bool_) if names[3] in parts else np.zeros(len(ids), np.bool_)
+        wide = wide | (ids & EXTENDED != 0) | (ids > 0x7FF)
+        buses = parts[names[4]].samples.tolist() if names[4] in parts else [None] * len(ids)
+        rows = zip(stamps.tolist(), (ids & IDENTIFIER).tolist(), wide.tolist(), buses, data, lengths.tolist(), strict=True)
+        for stamp_ns, identifier, extended, bus, payload, length in rows:
+            yield Frame(stamp_ns, identifier, extended, bus, payload[:length].tobytes())
+
+
+def _read(path: Path, name: str, topics: Topics | None) -> list[ChannelFile]:
+    """The channels, and the signals of a bus where one was logged."""
+    groups = _Groups(path)
+    channels = MdfChannels(groups, name)
+    if not groups.buses or (channels.channels and not (topics and topics.dbc)):
+        return [channels]
+    try:
+        import cantools as _  # noqa: F401
+    except ImportError:
+        raise MissingExtraError("reading CAN frames", "cantools", "can") from None
+    signals = CanSignals(name, lambda: _frames(groups), topics)
+    return [channels, signals] if channels.channels else [signals]
+
+
+KINDS = (FileKind("an MDF file", (".mf4", ".mdf"), _read, (("asammdf", "mdf"),), checked=True),)
