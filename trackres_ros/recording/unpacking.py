@@ -11,9 +11,10 @@ import struct
 import tempfile
 import zlib
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
-from typing import BinaryIO, Protocol
+from typing import Any, BinaryIO, Protocol
 
 from trackres_ros.errors import InputError
 from trackres_ros.text.numbers import figures
@@ -132,12 +133,19 @@ def set_can_ceilings() -> None:
 
 
 def set_mdf_ceilings() -> None:
-    """Put it into the table from which asammdf takes its own."""
+    """Put it into the table from which asammdf takes its own, and keep that from stumbling over a file that it could not open."""
     from asammdf.blocks import v4_constants
+    from asammdf.blocks.mdf_v4 import MDF4
     from asammdf.blocks.utils import DECOMPRESS_FUNC_MAP
 
     for kind in (v4_constants.DZ_BLOCK_DEFLATE, v4_constants.DZ_BLOCK_TRANSPOSED):
         DECOMPRESS_FUNC_MAP[kind] = _inflate
+    setattr(MDF4, "__del__", _close_quietly)  # noqa: B010 - a method
+
+
+def _close_quietly(mdf: Any) -> None:
+    with suppress(Exception):
+        mdf.close()
 
 
 def _inflate(data: bytes) -> bytes:

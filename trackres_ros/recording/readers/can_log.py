@@ -14,7 +14,7 @@ from typing import Any
 from trackres_ros.errors import InputError
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.can_signals import CanSignals, Frame
-from trackres_ros.recording.channel_file import ChannelRows
+from trackres_ros.recording.channel_file import MOST_TIME_S, ChannelRows
 from trackres_ros.recording.file_kind import FileKind
 from trackres_ros.recording.samples import Finding
 from trackres_ros.recording.unpacking import set_can_ceilings
@@ -42,6 +42,9 @@ class CanLog(CanSignals):
         if self._lost:
             text = f"{self._lost} entries of the log are no frames that can be read; they are left out"
             self.findings = (*self.findings, Finding("", "unusable", self._lost, float("nan"), text))
+        if self._cut:
+            text = "the last line does not end: the log may have been cut off within a frame"
+            self.findings = (*self.findings, Finding("", "cut", 1, float("nan"), text))
 
     def _read(self) -> Iterator[Frame]:
         import can
@@ -55,13 +58,15 @@ class CanLog(CanSignals):
             reader = can.BLFReader(file) if lines is None else readers[suffix](lines)
             first = 0 if suffix == ".log" else 1  # buses of Vector's tools count from 1, python-can from 0
             for message in reader:
+                if not abs(message.timestamp) < MOST_TIME_S:
+                    continue
                 frames += 1
                 if not (message.is_error_frame or message.is_remote_frame):
                     stamp_ns = round(message.timestamp * 1e6) * MICROSECOND_NS
                     bus = _bus(message.channel, first)
                     yield Frame(stamp_ns, message.arbitration_id, message.is_extended_id, bus, bytes(message.data))
-        entries = lines.entries if lines else reader.object_count
-        self._lost = max(0, entries - frames)
+        self._lost = max(0, (lines.entries if lines else reader.object_count) - frames)
+        self._cut = bool(lines and not lines.ended)
 
 
 def _bus(channel: Any, first: int) -> int | None:
@@ -76,14 +81,14 @@ class _Lines:
     """The lines of a log in text, none longer than any frame is; `entries` are those that should be frames."""
 
     def __init__(self, file: io.BufferedReader, name: str) -> None:
-        self._file, self._name, self.entries = file, name, 0
+        self._file, self._name, self.entries, self.ended = file, name, 0, True
         self.close = file.close  # which python-can asks for
 
     def __iter__(self) -> Iterator[str]:
         while line := self._file.readline(MOST_OF_A_LINE):
             if len(line) >= MOST_OF_A_LINE:
                 raise InputError(self._name, f"a line of more than {MOST_OF_A_LINE} bytes", "a log with one line a frame")
-            text = line.decode("latin-1")
+            text, self.ended = line.decode("latin-1"), line.endswith(b"\n")
             self.entries += not NO_FRAME.match(text.strip())
             yield text
 

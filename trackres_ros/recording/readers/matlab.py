@@ -153,7 +153,7 @@ def _of_version_7_3(path: Path) -> dict[str, _Vector]:
         import h5py
     except ImportError:
         raise MissingExtraError("reading MATLAB files of version 7.3", "h5py", "matlab") from None
-    file = h5py.File(path, "r")
+    file = h5py.File(path, "r")  # closed with the last of its datasets
     found: dict[str, _Vector] = {}
 
     def visit(place: str, item: Any) -> None:

@@ -5,18 +5,20 @@
 
 from __future__ import annotations
 
+import logging
 import shutil
 import tempfile
 import weakref
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.errors import MissingExtraError
+from trackres_ros.errors import InputError, MissingExtraError
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.can_signals import CanSignals, Frame
 from trackres_ros.recording.channel_file import Channel, ChannelFile, ChannelRows, rows_at
@@ -31,28 +33,31 @@ FRAMES = "CAN_DataFrame"
 EXTENDED, IDENTIFIER = 1 << 31, (1 << 29) - 1
 
 
-def _opened(path: Path) -> Any:
-    """The file, opened so that a channel is read in parts: asammdf reads a channel of a named file as a whole."""
+def _opened(path: Path) -> tuple[Any, ExitStack]:
+    """The file, and what closes it; so that a channel is read in parts, as asammdf reads one of a named file as a whole."""
     from asammdf import MDF
 
+    logging.getLogger("asammdf").setLevel(logging.CRITICAL)  # it says on standard error what it raises too
     set_mdf_ceilings()
-    file: Any = path.open("rb")
-    if file.read(len(UNFINISHED)) == UNFINISHED:  # it is finished in a copy, as asammdf does with a named file
+    with ExitStack() as opened:
+        file: Any = opened.enter_context(path.open("rb"))
+        if file.read(len(UNFINISHED)) == UNFINISHED:  # it is finished in a copy, as asammdf does with a named file
+            file.seek(0)
+            whole, file = file, opened.enter_context(tempfile.TemporaryFile())
+            shutil.copyfileobj(whole, file)
         file.seek(0)
-        copy = tempfile.TemporaryFile()  # noqa: SIM115 - asammdf closes it
-        with file:
-            shutil.copyfileobj(file, copy)
-        file = copy
-    file.seek(0)
-    return MDF(file)
+        mdf = MDF(file)
+        opened.callback(mdf.close)
+        return mdf, opened.pop_all()
 
 
 class _Groups:
     """The groups of an MDF file."""
 
-    def __init__(self, path: Path) -> None:
-        self.mdf = _opened(path)
-        weakref.finalize(self, self.mdf.close)
+    def __init__(self, path: Path, name: str) -> None:
+        self.name = name
+        self.mdf, opened = _opened(path)
+        weakref.finalize(self, opened.close)
         self.start_ns = round(self.mdf.header.start_time.timestamp() * 1e6) * 1000
         self.buses = [number for number, group in enumerate(self.mdf.groups) if any(c.name == FRAMES for c in group.channels)]
 
@@ -61,7 +66,20 @@ class _Groups:
         return int(self.mdf.groups[group].channel_group.cycles_nr)
 
     def part(self, group: int, index: int, start: int) -> Any:
-        """A part of a channel as a signal, with samples that are marked as invalid."""
+        """A part of a channel as a signal, with samples that are marked as invalid.
+
+        Raises
+        ------
+        InputError
+            The channel or its times lie outside of the records: asammdf would read what is not theirs.
+        """
+        described = self.mdf.groups[group]
+        sizes = described.channel_group
+        for channel in (described.channels[index], described.channels[self.mdf.masters_db.get(group, index)]):
+            bits = 8 * channel.byte_offset + channel.bit_offset + channel.bit_count
+            if bits > 8 * sizes.samples_byte_nr or channel.pos_invalidation_bit > 8 * sizes.invalidation_bytes_nr:
+                where = f"{self.name}: {channel.name}"
+                raise InputError(where, f"{bits} bits", f"a channel within its record of {sizes.samples_byte_nr} bytes")
         return self.mdf.get(
             group=group, index=index, record_offset=start, record_count=BLOCK_ROWS, raw=True, ignore_invalidation_bits=True
         )
@@ -158,7 +176,7 @@ def _frames_of(groups: _Groups, number: int) -> Iterator[Frame]:
 
 def _read(path: Path, name: str, topics: Topics | None) -> list[ChannelFile]:
     """The channels, and the signals of a bus where one was logged."""
-    groups = _Groups(path)
+    groups = _Groups(path, name)
     channels = MdfChannels(groups, name)
     if not groups.buses or (channels.channels and not (topics and topics.dbc)):
         return [channels]

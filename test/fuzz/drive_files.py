@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from trackres_ros.recording.bindings import Topics
+
 START_S = 1_700_000_000
 DBC = """VERSION ""
 BS_:
@@ -174,21 +176,20 @@ KINDS: dict[str, tuple[str, Callable[[Drive, Path], None]]] = {
 """File and writer by kind."""
 
 
-def write(kind: str, folder: Path, drive: Drive | None = None) -> tuple[Path, dict[str, Any]]:
-    """Write a drive as a kind of file; its path, and what its topics file says."""
+def topics_of(kind: str) -> dict[str, Any]:
+    """What the topics file of a kind says; the database of a bus lies beside it."""
+    if kind == "bag":
+        message = {"type": "std_msgs/msg/Float64", "field": "data"}
+        return {role: {"topic": f"/{line['channel']}", "unit": line["unit"], **message} for role, line in TOPICS.items()}
+    if kind.startswith("MATLAB"):
+        return {role: {**line, "channel": f"run.{line['channel']}.{line['channel']}"} for role, line in TOPICS.items()}
+    return {**TOPICS, "dbc": "bus.dbc"} if KINDS[kind][0].startswith("bus") else TOPICS
+
+
+def write(kind: str, folder: Path, drive: Drive | None = None) -> tuple[Path, Topics]:
+    """Write a drive as a kind of file; its path, and its topics file."""
     name, writer = KINDS[kind]
     path = folder / name
     writer(drive or Drive(), path)
-    if kind == "bag":
-        scale = {"km/h": "km/h", "N": "N", "degC": "degC"}
-        lines = {
-            role: {"topic": f"/{line['channel']}", "type": "std_msgs/msg/Float64", "field": "data", "unit": scale[line["unit"]]}
-            for role, line in TOPICS.items()
-        }
-        return path, lines
-    if kind == "MATLAB 5" or kind == "MATLAB 7.3":
-        return path, {role: {**line, "channel": f"run.{line['channel']}.{line['channel']}"} for role, line in TOPICS.items()}
-    if name.startswith("bus"):
-        (folder / "bus.dbc").write_text(DBC)
-        return path, {**TOPICS, "dbc": str(folder / "bus.dbc")}
-    return path, TOPICS
+    (folder / "bus.dbc").write_text(DBC)
+    return path, Topics.parse(topics_of(kind), "topics.yaml", folder)
