@@ -61,8 +61,8 @@ def choose(file: ChannelFile, topics: Topics | None) -> Choice:
     known = _known(file, frozenset(one.role for one in of_file), names)
     time = None if file.has_times else _time(file, topics, names)
     chosen = [*of_file, *known]
-    if file.has_times and not listed:
-        there = {one.role for one in chosen}
+    there = {base_role(one.role) for one in chosen}
+    if file.has_times and not listed and "speed" not in there:
         guessed, others = guess_channels([one for one in file.channels if names.is_single(one.name)], there)
         for role, binding in guessed.items():
             chosen.append(names.chosen(role, binding, origin, notes))
