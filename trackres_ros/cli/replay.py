@@ -31,7 +31,7 @@ from trackres_ros.errors import one_line
 @click.argument("recording", nargs=-1, required=True, type=click.Path(path_type=Path))
 @vehicle_option
 @surroundings_option
-@topics_option("which topic, field or column feeds which role; guessed by message type without.")
+@topics_option("which topic, field or column feeds which role; guessed by message type, or by name and unit, without.")
 @click.option(
     "--params",
     type=click.Path(path_type=Path),

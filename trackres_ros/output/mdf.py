@@ -15,10 +15,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-UNITS = {
-    "mps": "m/s", "mps2": "m/s2", "n": "N", "nm": "Nm", "degc": "degC", "k": "K", "w": "W", "s": "s", "ns": "ns", "m": "m",
-}  # fmt: skip
-"""By what a column's name ends in, before the assembly."""
+from trackres_ros.output.column_units import unit_of
+
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
@@ -51,7 +49,7 @@ class MdfTable(AbstractContextManager["MdfTable"]):
             return
         if "stamp_ns" in self._names and len(arrays[0]):
             self._mdf.header.start_time = EPOCH + timedelta(microseconds=int(columns[self._names.index("stamp_ns")][0]) // 1000)
-        signals = [Signal(a, arrays[0], name=n, unit=_unit_of(n)) for n, a in zip(self._names[1:], arrays[1:], strict=True)]
+        signals = [Signal(a, arrays[0], name=n, unit=unit_of(n)) for n, a in zip(self._names[1:], arrays[1:], strict=True)]
         self._mdf.append(signals, acq_name="trackres", comment="written by trackres", common_timebase=True)
         self._begun = True
 
@@ -68,8 +66,3 @@ class MdfTable(AbstractContextManager["MdfTable"]):
                 self._mdf.save(self._path, overwrite=True, compression=2)
         finally:
             self._mdf.close()
-
-
-def _unit_of(name: str) -> str:
-    _, mark, unit = name.partition("/")[0].rpartition("_")
-    return UNITS.get(unit, "") if mark else ""

@@ -184,7 +184,7 @@ def _binding(role: str, line: object, where: str) -> TopicBinding:
         sensor=cast("Literal['surface', 'mean']", _choice(line, "sensor", ("surface", "mean"), "surface", where)),
         std_k=_number(line, "std_k", 3.0, where),
         delay_s=checks.number(line.get("delay_s", 0.0), f"{where}: delay_s", 0.0, MOST_DELAY_S, "s"),
-        unit=unit if inside == "rad" else "",
+        unit=unit,
         kg_each=checks.number(line.get("kg_each", PASSENGER_KG), f"{where}: kg_each", 1.0, MOST_KG_EACH, "kg"),
         threshold=_number(line, "threshold", 0.0, where) if "threshold" in line else None,
         values=_values(line["values"], f"{where}: values") if "values" in line else (),

@@ -86,7 +86,8 @@ class ChannelSource:
         with self._reading():
             self._file.settle(self._time, list(itertools.chain(*self._columns)))
             self.torque_candidates = tuple(one for place, one in ignored if one in like and self._file.is_number(place))
-        notes = [*others, *self._file.notes, *choice.notes, *map(_note_of, of_role), *self._sums().notes]
+        said = [_note_of(of) for of in of_role if of[0].role not in choice.guessed]
+        notes = [*others, *self._file.notes, *choice.notes, *said, *self._sums().notes]
         if ignored:
             notes.append(f"ignored columns: {listed_names([name for _, name in ignored])}")
         notes += note_of(self.torque_candidates, self.roles)
@@ -165,6 +166,8 @@ class ChannelSource:
                     found[column == place] = binding.meant(found[column == place])
                 yield SampleBlock(column.astype(np.int16), stamps - delay_ns[column], stamps, found)
         if not done:
+            if self._file.has_times:
+                raise InputError(self._file.name, "no sample of any channel that is read", "at least one sample")
             raise InputError(self._file.name, "no row", "at least one row below the column names")
         self.findings = (*self._file.findings, *self._of_rows())
 
@@ -218,7 +221,7 @@ _Stamped = tuple[IntArray, FloatArray, NDArray[np.bool_]]
 
 
 def _in_order(streams: Sequence[Iterator[_Stamped]]) -> Iterator[_Stamped]:
-    """Rows of all streams by their times, of equal ones those of the first stream first.
+    """Rows of all streams by their times, of equal ones in a block those of the first stream first.
 
     Where the times of a stream run back, its rows stay in their order.
     """

@@ -34,6 +34,7 @@ class Choice:
     time: ChosenChannel | None
     channels: list[ChosenChannel]
     notes: list[str]
+    guessed: frozenset[str] = frozenset()
 
 
 def choose(file: ChannelFile, topics: Topics | None) -> Choice:
@@ -61,23 +62,25 @@ def choose(file: ChannelFile, topics: Topics | None) -> Choice:
     known = _known(file, frozenset(one.role for one in of_file), names)
     time = None if file.has_times else _time(file, topics, names)
     chosen = [*of_file, *known]
-    there = {base_role(one.role) for one in chosen}
+    there, guessed = {base_role(one.role) for one in chosen}, dict[str, TopicBinding]()
     if file.has_times and not listed and "speed" not in there:
         guessed, others = guess_channels([one for one in file.channels if names.is_single(one.name)], there)
         for role, binding in guessed.items():
-            chosen.append(names.chosen(role, binding, origin, notes))
+            chosen.append(names.chosen(role, binding, origin, []))
             possible = f"; also possible: {listed_names(others[role])}" if others[role] else ""
             notes.append(f"{topics_line(role, chosen[-1].binding)}  # guessed{possible}")
     if not any(one.role == "speed" for one in chosen):
-        raise InputError(
-            file.name,
-            f"columns {listed_names(names.all)}",
-            "a column speed_mps or speed_kmh",
-            "or name it in a topics file: speed: {column: NAME, scale: 1.0}",
-        )
+        allowed = "a column speed_mps or speed_kmh"
+        remedy = "or name it in a topics file: speed: {column: NAME, scale: 1.0}"
+        if file.has_times:
+            allowed, remedy = (
+                f"{allowed}, or a speed with a unit",
+                "or name it in a topics file: speed: {channel: NAME, unit: km/h}",
+            )
+        raise InputError(file.name, f"columns {listed_names(names.all)}", allowed, remedy)
     for name in ((time.name,) if time else ()) + tuple(one.name for one in chosen):
         names.check_single(name)
-    return Choice(time, chosen, notes)
+    return Choice(time, chosen, notes, frozenset(guessed))
 
 
 class _Names:
@@ -138,14 +141,16 @@ def _in_unit(channel: Channel, role: str, binding: TopicBinding, origin: str, no
         remedy = f"give its unit in the topics file: {role}: {{channel: {channel.name}, unit: {next(iter(UNITS[inside]))}}}"
         raise InputError(f"{origin}: {role}: unit of {channel.name}", channel.unit, ", ".join(UNITS[inside]), remedy)
     unit = next(name for name, one in UNITS[inside].items() if one == of_file)
-    return replace(binding, scale=of_file.scale, offset=of_file.offset, unit=unit if inside == "rad" else "")
+    if unit != inside:
+        notes.append(f"{role}: {channel.name} is in {unit}, as the file says")
+    return replace(binding, scale=of_file.scale, offset=of_file.offset, unit=unit)
 
 
 def _known(file: ChannelFile, by_file: frozenset[str], names: _Names) -> list[ChosenChannel]:
     """The columns known by name, of roles that the topics file does not name."""
     columns: dict[str, ChosenChannel] = {}
     for place, name in names.known():
-        base, slash, part = name.partition("/")
+        base, slash, part = (name.rpartition(".")[2] if file.has_times else name).partition("/")
         if base not in COLUMNS:
             continue
         role, unit = COLUMNS[base][0] + slash + part, COLUMNS[base][1]
@@ -157,7 +162,7 @@ def _known(file: ChannelFile, by_file: frozenset[str], names: _Names) -> list[Ch
             raise InputError(file.name, given, f"one column for {role}", "name the right one in a topics file")
         by_unit = conversion(unit, about.unit)
         assert by_unit is not None
-        binding = TopicBinding(column=name, scale=by_unit.scale, unit=unit if about.unit == "rad" else "")
+        binding = TopicBinding(column=name, scale=by_unit.scale, unit=unit)
         columns[role] = ChosenChannel(place, name, role, binding)
     return list(columns.values())
 

@@ -32,9 +32,11 @@ WHEEL = re.compile(r"\bwheels?\b")
 SCALARS = ("std_msgs/msg/Float64", "std_msgs/msg/Float32")
 COUNTS = tuple(f"std_msgs/msg/{name}" for name in ("UInt8", "UInt16", "UInt32", "Int8", "Int16", "Int32"))
 UNITS = {
-    "speed": (("km/h", r"km ?p?h\b|kph\b"),),
-    "load": (("kN", r"\bkn\b"), ("kg", r"\bkg\b")),
-    "torque": (("kNm", r"\bkn ?m\b"),),
+    "speed": (("km/h", r"km ?p?h\b|kph\b"), ("m/s", r"\bmps\b|\bm s\b")),
+    "load": (("kN", r"\bkn\b"), ("kg", r"\bkg\b"), ("N", r"\bn\b")),
+    "torque": (("kNm", r"\bkn ?m\b"), ("Nm", r"\bn ?m\b")),
+    "ambient": (("degC", r"\bdeg ?c\b"),),
+    "belt": (("degC", r"\bdeg ?c\b"),),
     "brake": (("bar", r"\bbar\b"), ("kPa", r"\bkpa\b")),
     "steering_angle": (("degrees", r"\bdeg(rees?)?\b"),),
 }
@@ -127,7 +129,7 @@ def guess(available: Mapping[str, str]) -> tuple[Topics, list[str]]:
 
 
 def guess_channels(channels: Sequence[Channel], there: Collection[str]) -> tuple[dict[str, TopicBinding], dict[str, list[str]]]:
-    """Guess by name and unit which channels feed the roles that have no channel yet.
+    """Guess by name and unit which channels feed the roles that have no channel yet; without a unit there is no guess.
 
     Parameters
     ----------
@@ -146,21 +148,22 @@ def guess_channels(channels: Sequence[Channel], there: Collection[str]) -> tuple
     bindings: dict[str, TopicBinding] = {}
     others: dict[str, list[str]] = {}
     for role, about in ROLES.items():
-        options = [] if role in there or not about.words else [one for one in channels if _may_be(one, about)]
+        options = [] if role in there or not about.words else [one for one in channels if _may_be(one, role, about)]
         if options:
             first, *rest = sorted(options, key=lambda one: (len(one.name), one.name))
-            open_unit = bool(first.unit) or role in POSITION
-            scale = 1.0 if open_unit else _unit_in(role, words(first.name))[1]
-            bindings[role] = TopicBinding(column=first.name, scale=scale)
+            unit = "" if first.unit else _unit_in(role, words(first.name))
+            bindings[role] = TopicBinding(column=first.name, scale=_scale(role, unit) if unit else 1.0)
             others[role] = [one.name for one in rest]
     return bindings, others
 
 
-def _may_be(channel: Channel, about: Role) -> bool:
+def _may_be(channel: Channel, role: str, about: Role) -> bool:
     spoken = words(channel.name)
     if not re.search(about.words, spoken) or any(re.search(no, spoken) for no in (about.not_words, NOT_MEASURED, WHEEL)):
         return False
-    return not channel.unit or conversion(channel.unit, about.unit) is not None
+    if not channel.unit:
+        return role in POSITION or bool(_unit_in(role, spoken))
+    return conversion(channel.unit, about.unit) is not None
 
 
 def topics_line(role: str, binding: TopicBinding) -> str:
@@ -185,12 +188,16 @@ def words(topic: str) -> str:
 def _unit_of(rule: _Rule, words: str) -> tuple[str, float]:
     if rule.role in POSITION:
         return "degrees", DEGREE
-    return _unit_in(rule.role, words) if rule.field == "data" else (ROLES[rule.role].unit, 1.0)
+    unit = (_unit_in(rule.role, words) if rule.field == "data" else "") or ROLES[rule.role].unit
+    return unit, _scale(rule.role, unit)
 
 
-def _unit_in(role: str, words: str) -> tuple[str, float]:
-    """The unit that the words of a name carry, else that of the role, and its scale to the latter."""
-    unit = next((unit for unit, pattern in UNITS.get(role, ()) if re.search(pattern, words)), ROLES[role].unit)
+def _unit_in(role: str, words: str) -> str:
+    """The unit that the words of a name carry, if any."""
+    return next((unit for unit, pattern in UNITS.get(role, ()) if re.search(pattern, words)), "")
+
+
+def _scale(role: str, unit: str) -> float:
     found = conversion(unit, ROLES[role].unit)
     assert found is not None
-    return unit, found.scale
+    return found.scale

@@ -38,15 +38,17 @@ def further_kinds() -> tuple[FileKind, ...]:
     Raises
     ------
     InputError
-        One that cannot be imported, or is no `FileKind`.
+        One that cannot be imported, or holds something else.
     """
-    kinds = []
+    kinds: list[FileKind] = []
     for point in sorted(entry_points(group=GROUP), key=lambda one: one.name):
-        with reading(Path(f"entry point {GROUP}: {point.name}"), "a FileKind that can be imported", "mend or remove its package"):
-            kind = point.load()
-        if not isinstance(kind, FileKind):
-            raise InputError(f"entry point {GROUP}: {point.name}", kind, "a FileKind")
-        kinds.append(kind)
+        with reading(
+            Path(f"entry point {GROUP}: {point.name}"), "a tuple of FileKind that can be imported", "mend or remove its package"
+        ):
+            found = point.load()
+        if not isinstance(found, tuple) or not all(isinstance(kind, FileKind) for kind in found):
+            raise InputError(f"entry point {GROUP}: {point.name}", found, "a tuple of FileKind")
+        kinds += found
     return tuple(kinds)
 
 

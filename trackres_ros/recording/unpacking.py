@@ -129,7 +129,8 @@ def set_can_ceilings() -> None:
     """Put a decompressor that stops in the place of the one with which python-can unpacks BLF."""
     from can.io import blf
 
-    setattr(blf, "zlib", SimpleNamespace(decompressobj=lambda: SimpleNamespace(decompress=_inflate)))  # noqa: B010 - a module
+    stopping = {**vars(zlib), "decompressobj": lambda: SimpleNamespace(decompress=_inflate)}
+    setattr(blf, "zlib", SimpleNamespace(**stopping))  # noqa: B010 - a module
 
 
 def set_mdf_ceilings() -> None:

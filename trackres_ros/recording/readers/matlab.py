@@ -20,7 +20,7 @@ from trackres_ros.recording.choosing import listed_names
 from trackres_ros.recording.file_kind import FileKind
 from trackres_ros.recording.samples import FloatArray
 
-BLOCK_ROWS = 2**16
+BLOCK_ROWS = 2**14
 MOST_BYTES = 2**27
 """Of what a file of version 5 unpacks to, as it is read as a whole: sixteen million numbers. And of a block of version 7.3."""
 MOST_ROWS = 2**31
@@ -153,7 +153,6 @@ def _of_version_7_3(path: Path) -> dict[str, _Vector]:
         import h5py
     except ImportError:
         raise MissingExtraError("reading MATLAB files of version 7.3", "h5py", "matlab") from None
-    file = h5py.File(path, "r")  # closed with the last of its datasets
     found: dict[str, _Vector] = {}
 
     def visit(place: str, item: Any) -> None:
@@ -169,12 +168,14 @@ def _of_version_7_3(path: Path) -> dict[str, _Vector]:
             raise InputError(f"{path}: {place}", f"blocks of {at_once} numbers", f"blocks of at most {MOST_BYTES} bytes")
 
         def part(start: int, end: int) -> FloatArray:
-            data = item[0, start:end] if across else item[start:end]
+            with h5py.File(path, "r") as file:  # anew, as the library keeps some kilobytes for each block until it is closed
+                data = file[place][0, start:end] if across else file[place][start:end]
             return np.asarray(data, np.float64).reshape(end - start)
 
         found[place.replace("/", ".")] = _Vector(item.size, at_once, part)
 
-    file.visititems(visit)  # follows no link to another file
+    with h5py.File(path, "r") as file:
+        file.visititems(visit)  # follows no link to another file
     return found
 
 

@@ -30,6 +30,7 @@ BLOCK_ROWS = 2**16
 """Records read at once: of usual ones some megabytes, so that a packed block is unpacked a few times at most."""
 UNFINISHED = b"UnFinMF"
 FRAMES = "CAN_DataFrame"
+OF_A_BUS = (FRAMES, "CAN_ErrorFrame", "CAN_RemoteFrame")
 EXTENDED, IDENTIFIER = 1 << 31, (1 << 29) - 1
 
 
@@ -59,7 +60,9 @@ class _Groups:
         self.mdf, opened = _opened(path)
         weakref.finalize(self, opened.close)
         self.start_ns = round(self.mdf.header.start_time.timestamp() * 1e6) * 1000
-        self.buses = [number for number, group in enumerate(self.mdf.groups) if any(c.name == FRAMES for c in group.channels)]
+        kinds = [{channel.name for channel in group.channels}.intersection(OF_A_BUS) for group in self.mdf.groups]
+        self.of_a_bus = [number for number, kind in enumerate(kinds) if kind]
+        self.buses = [number for number, kind in enumerate(kinds) if FRAMES in kind]
 
     def records(self, group: int) -> int:
         """How many records a group has."""
@@ -97,7 +100,7 @@ class MdfChannels(ChannelFile):
             label = self._name_of(number)
             label = label if names[label] == 1 else f"{label} {number}"
             for index, channel in enumerate(group.channels):
-                if index != groups.mdf.masters_db.get(number) and number not in groups.buses and _is_numeric(group, index):
+                if index != groups.mdf.masters_db.get(number) and number not in groups.of_a_bus and _is_numeric(group, index):
                     unit = (channel.conversion and channel.conversion.unit) or channel.unit or ""
                     self._places.append((number, index))
                     self.channels.append(Channel(channel.name, unit, label))
