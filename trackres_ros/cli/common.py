@@ -135,19 +135,17 @@ def dbc_option(command: Decorated) -> Decorated:
 
 
 def _with_databases(context: click.Context, _option: click.Parameter, topics: str | None) -> Topics | str | None:
-    """The topics with the databases of `--dbc`, where these are given."""
-    files = context.meta.get(DBC, ())
-    return with_databases(topics, files) if files else topics
+    return with_databases(topics, context.meta.get(DBC, ()))
 
 
-def with_databases(topics: str | None, files: Sequence[Path]) -> Topics:
-    """A topics file, or none, with other databases."""
-    from dataclasses import replace
-
+def with_databases(topics: str | None, files: Sequence[Path]) -> Topics | Any:
+    """A topics file, or none, with the databases of `--dbc` where these are given."""
+    if not files:
+        return topics
     from trackres_ros.recording.bindings import Topics
 
     loaded = Topics({}, "--dbc") if topics is None else Topics.load(topics)
-    return replace(loaded, dbc=tuple((None, file) for file in files))
+    return loaded.with_databases(files)
 
 
 def surroundings_option(command: Decorated) -> Decorated:

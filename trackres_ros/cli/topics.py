@@ -39,16 +39,7 @@ def guess_command(context: click.Context, recording: tuple[Path, ...], as_json: 
     trackres topics guess drive.mf4 > topics.yaml
     trackres topics guess bus.blf --dbc bus.dbc > topics.yaml
     """
-    from trackres_ros.recording.guess import topics_line
-    from trackres_ros.recording.opening import open_source
+    from trackres_ros.recording.guessed_topics import guessed_topics
 
-    files = context.meta.get(DBC, ())
-    source = open_source(recording, with_databases(None, files) if files else None)
-    lines = {role: topics_line(role, binding) for role, binding in source.bindings.items()}
-    others = {
-        role: note.partition("also possible: ")[2] for note in source.notes for role in lines if note.startswith(f"{role}: ")
-    }
-    text = [f"# Guessed from {source.name}: check each line."]
-    text += [f"dbc: [{', '.join(map(str, files))}]"] if files else []
-    text += [f"{line}{f'  # or {others[role]}' if others.get(role) else ''}" for role, line in lines.items()]
-    emit({"topics": lines, "dbc": [str(file) for file in files]}, as_json, lambda: "\n".join(text))
+    lines = guessed_topics(recording, with_databases(None, context.meta[DBC]))
+    emit({"lines": lines}, as_json, lambda: "\n".join(lines))

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
@@ -91,6 +91,10 @@ class Topics:
 
     def __contains__(self, role: object) -> bool:
         return role in self.bindings
+
+    def with_databases(self, files: Iterable[Path]) -> Topics:
+        """The same with other databases, of whatever bus."""
+        return replace(self, dbc=tuple((None, file) for file in files))
 
     @classmethod
     def load(cls, path_or_name: str | PathLike[str]) -> Topics:
