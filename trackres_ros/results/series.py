@@ -51,7 +51,7 @@ class SeriesResult(Mapping[str, Array]):
 
     @abstractmethod
     def save(self, path: str | PathLike[str]) -> Path:
-        """Write to a file: `.csv`, `.csv.gz` or `.parquet` as a table, `.mcap` as the topics that the live node publishes."""
+        """Write to a file: `.csv`, `.csv.gz`, `.parquet` or `.mf4` as a table, `.mcap` as the topics of the live node."""
 
     @abstractmethod
     def _drawn(self) -> Mapping[str, Array]:
