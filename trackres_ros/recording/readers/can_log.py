@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import io
+import logging
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -49,6 +50,7 @@ class CanLog(CanSignals):
     def _read(self) -> Iterator[Frame]:
         import can
 
+        logging.getLogger("can").setLevel(logging.ERROR)  # what it skips is counted
         set_can_ceilings()
         readers: dict[str, Any] = {".asc": can.ASCReader, ".log": can.CanutilsLogReader}
         suffix = self._path.suffix.lower()

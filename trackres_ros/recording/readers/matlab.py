@@ -155,8 +155,10 @@ def _of_version_7_3(path: Path) -> dict[str, _Vector]:
         raise MissingExtraError("reading MATLAB files of version 7.3", "h5py", "matlab") from None
     found: dict[str, _Vector] = {}
 
-    def visit(place: str, item: Any) -> None:
-        if not isinstance(item, h5py.Dataset) or item.dtype.kind not in "biuf" or "#refs#" in place:
+    def visit(place: str | bytes, item: Any) -> None:
+        if not isinstance(place, str) or "#refs#" in place:  # a damaged name is no text
+            return
+        if not isinstance(item, h5py.Dataset) or item.dtype.kind not in "biuf":
             return
         across = item.ndim == 2 and item.shape[0] == 1  # MATLAB's arrays stand there the other way round
         if item.size in (None, 0, 1) or not (item.ndim == 1 or across or (item.ndim == 2 and item.shape[1] == 1)):

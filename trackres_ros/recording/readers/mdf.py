@@ -5,13 +5,14 @@
 
 from __future__ import annotations
 
+import io
 import logging
 import shutil
 import tempfile
 import weakref
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager, redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -38,9 +39,8 @@ def _opened(path: Path) -> tuple[Any, ExitStack]:
     """The file, and what closes it; so that a channel is read in parts, as asammdf reads one of a named file as a whole."""
     from asammdf import MDF
 
-    logging.getLogger("asammdf").setLevel(logging.CRITICAL)  # it says on standard error what it raises too
     set_mdf_ceilings()
-    with ExitStack() as opened:
+    with ExitStack() as opened, _silent():
         file: Any = opened.enter_context(path.open("rb"))
         if file.read(len(UNFINISHED)) == UNFINISHED:  # it is finished in a copy, as asammdf does with a named file
             file.seek(0)
@@ -50,6 +50,14 @@ def _opened(path: Path) -> tuple[Any, ExitStack]:
         mdf = MDF(file)
         opened.callback(mdf.close)
         return mdf, opened.pop_all()
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """Keep to itself what asammdf prints and logs besides what it raises."""
+    logging.getLogger("asammdf").setLevel(logging.CRITICAL)
+    with redirect_stdout(io.StringIO()):
+        yield
 
 
 class _Groups:
@@ -83,9 +91,9 @@ class _Groups:
             if bits > 8 * sizes.samples_byte_nr or channel.pos_invalidation_bit > 8 * sizes.invalidation_bytes_nr:
                 where = f"{self.name}: {channel.name}"
                 raise InputError(where, f"{bits} bits", f"a channel within its record of {sizes.samples_byte_nr} bytes")
-        return self.mdf.get(
-            group=group, index=index, record_offset=start, record_count=BLOCK_ROWS, raw=True, ignore_invalidation_bits=True
-        )
+        rows = {"record_offset": start, "record_count": BLOCK_ROWS}
+        with _silent():
+            return self.mdf.get(group=group, index=index, raw=True, ignore_invalidation_bits=True, **rows)
 
 
 class MdfChannels(ChannelFile):
