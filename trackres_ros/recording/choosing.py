@@ -60,7 +60,7 @@ def choose(file: ChannelFile, topics: Topics | None) -> Choice:
         names.chosen(role, part, origin, notes) for role, binding in listed if not binding.of_topics for part in binding.sources
     ]
     known = _known(file, frozenset(one.role for one in of_file), names)
-    time = None if file.has_times else _time(file, topics, names)
+    time = None if file.has_times else _time(file, topics, names, notes)
     chosen = [*of_file, *known]
     there, guessed = {base_role(one.role) for one in chosen}, dict[str, TopicBinding]()
     if file.has_times and not listed and "speed" not in there:
@@ -128,10 +128,12 @@ class _Names:
 
 def _in_unit(channel: Channel, role: str, binding: TopicBinding, origin: str, notes: list[str]) -> TopicBinding:
     """The binding with the unit of the file, where the line says neither unit nor scale."""
-    if role == TIME or not channel.unit or binding.values:
+    if not channel.unit or binding.values:
         return binding
-    inside = ROLES[base_role(role)].unit
+    inside = "s" if role == TIME else ROLES[base_role(role)].unit
     of_file = conversion(channel.unit, inside)
+    if role == TIME and of_file is None:  # dates have none
+        return binding
     said = (binding.scale, binding.offset) != (1.0, 0.0) or bool(binding.unit)
     if said:
         if of_file is None or tuple(of_file) != (binding.scale, binding.offset):
@@ -167,17 +169,18 @@ def _known(file: ChannelFile, by_file: frozenset[str], names: _Names) -> list[Ch
     return list(columns.values())
 
 
-def _time(file: ChannelFile, topics: Topics | None, names: _Names) -> ChosenChannel:
+def _time(file: ChannelFile, topics: Topics | None, names: _Names, notes: list[str]) -> ChosenChannel:
     """The column of the time in a table."""
     if topics and topics.time:
-        return names.chosen(TIME, topics.time, topics.origin, [])
+        return names.chosen(TIME, topics.time, topics.origin, notes)
     place = names.place(TIME_S)
     if place is not None:
         return ChosenChannel(place, TIME_S, TIME, TopicBinding(column=TIME_S))
     dated = [(place, name) for place, name in names.known() if name.lower() in DATE_NAMES]
     if len(dated) == 1:
         place, name = dated[0]
-        return ChosenChannel(place, name, TIME, TopicBinding(column=name), dates_only=True)
+        chosen = names.chosen(TIME, TopicBinding(column=name), file.name, notes)
+        return replace(chosen, dates_only=not conversion(file.channels[place].unit or "?", "s"))
     name_it = "or name it in a topics file: time: {column: NAME, scale: 1.0}"
     allowed = f"a column {TIME_S}, in seconds, or timestamp, of dates with times"
     raise InputError(file.name, f"columns {listed_names(names.all)}", allowed, nearest(TIME_S, names.all) or name_it)

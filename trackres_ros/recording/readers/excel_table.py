@@ -22,6 +22,7 @@ from trackres_ros.recording.channel_file import Channel, ChannelRows, ChosenChan
 from trackres_ros.recording.date_times import MOST_S, NO_ZONE, SECOND_NS, DateTimes, is_date_time
 from trackres_ros.recording.file_kind import FileKind
 from trackres_ros.recording.number_marks import COMMA, ColumnMarks, Mark, decide, is_number, number_of
+from trackres_ros.recording.role_units import UNITS, conversion
 from trackres_ros.recording.samples import Finding
 
 if TYPE_CHECKING:
@@ -60,10 +61,9 @@ def excel_tables(path: Path, name: str, _: Topics | None = None) -> list[ExcelTa
 class ExcelTable(TableFile):
     """A sheet of a workbook; see `ChannelFile`. Row numbers are those of Excel."""
 
-    def __init__(self, path: Path, name: str, sheet: str, header_row: int, names: Sequence[str]) -> None:
+    def __init__(self, path: Path, name: str, sheet: str, header_row: int, channels: Sequence[Channel]) -> None:
         self._path, self._sheet, self._header_row = path, sheet, header_row
-        self.name = f"{name}: sheet {one_line(sheet)}"
-        self.channels = [Channel(name) for name in names]
+        self.name, self.channels = f"{name}: sheet {one_line(sheet)}", channels
         self.notes: tuple[str, ...] = ()
         self.findings: tuple[Finding, ...] = ()
 
@@ -203,15 +203,27 @@ def _check_size(path: Path) -> None:
             raise InputError(f"{path}: {one_line(part.filename)}", given, f"at most {most}", "save the sheet as CSV")
 
 
-def _header(sheet: Any) -> tuple[int, list[str]] | None:
-    """Number and names of the first row that is not empty."""
+def _header(sheet: Any) -> tuple[int, list[Channel]] | None:
+    """Number of the last row above the numbers, with the names of the first row that is not empty, and the units below them."""
     sheet.reset_dimensions()
-    rows = sheet.iter_rows(max_row=HEADER_WITHIN, values_only=True)
-    for number, row in enumerate(itertools.islice(rows, HEADER_WITHIN), 1):
+    rows = itertools.islice(sheet.iter_rows(max_row=HEADER_WITHIN, values_only=True), HEADER_WITHIN)
+    for number, row in enumerate(rows, 1):
         names = ["" if value is None else str(value).strip() for value in row]
         if any(names):
-            return number, names
+            below = [_filled(value) for value in next(rows, ())]
+            if not _are_units(below):
+                return number, [Channel(name) for name in names]
+            units = itertools.chain((value or "" for value in below), itertools.repeat(""))
+            return number + 1, [Channel(name, unit.strip()) for name, unit in zip(names, units, strict=False)]
     return None
+
+
+def _are_units(cells: Sequence[Any]) -> bool:
+    """Whether the row below the names holds no number and no time, but a unit that is known."""
+    texts = [value for value in cells if value is not None]
+    if not all(isinstance(value, str) and not is_number(value) and not is_date_time(value) for value in texts):
+        return False
+    return any(conversion(text, inside) for text in texts for inside in UNITS if inside != "1")
 
 
 def _filled(value: Any) -> Any:
