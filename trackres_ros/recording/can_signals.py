@@ -78,7 +78,7 @@ class CanSignals(ChannelFile):
     name
         Of the log, for messages.
     frames
-        Reads the log from the beginning.
+        Reads the log from the beginning, and counts what is wrong with it, by the keys of `TEXTS`.
     topics
         The topics file, which names the databases.
 
@@ -88,7 +88,7 @@ class CanSignals(ChannelFile):
         No database, or one that cannot be read.
     """
 
-    def __init__(self, name: str, frames: Callable[[], Iterator[Frame]], topics: Topics | None) -> None:
+    def __init__(self, name: str, frames: Callable[[Counter[str]], Iterator[Frame]], topics: Topics | None) -> None:
         self.name, self._frames = name, frames
         files = topics.dbc if topics else ()
         if not files:
@@ -135,7 +135,7 @@ class CanSignals(ChannelFile):
         """Stamp of each frame that is read, with the columns and values in it."""
         from cantools.database.errors import Error
 
-        for stamp_ns, number, extended, bus, data in self._frames():
+        for stamp_ns, number, extended, bus, data in self._frames(met):
             key = (number, extended, bus)
             if key not in found:
                 found[key] = self._message(number, extended, bus)
@@ -226,6 +226,8 @@ def _signal(column: int, signal: Any, j1939: bool) -> _Signal:
 
 
 TEXTS = {
+    "lost": ("unusable", "entries of the log are no frames that can be read; they are left out"),
+    "cut": ("cut", "line at the end does not end: the log may have been cut off within a frame"),
     "unknown": ("unknown_topic", "frames with identifiers that no database describes are left out"),
     "other_source": ("other_source", "frames of further control units that send the same group are left out"),
     "malformed": ("malformed", "frames do not hold what the database describes; they give no sample"),

@@ -8,16 +8,16 @@ from __future__ import annotations
 import io
 import logging
 import re
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from trackres_ros.errors import InputError
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.can_signals import CanSignals, Frame
-from trackres_ros.recording.channel_file import MOST_TIME_S, ChannelRows
+from trackres_ros.recording.channel_file import MOST_TIME_S
 from trackres_ros.recording.file_kind import FileKind
-from trackres_ros.recording.samples import Finding
 from trackres_ros.recording.unpacking import set_can_ceilings
 
 MOST_OF_A_LINE = 2**16
@@ -34,27 +34,14 @@ class CanLog(CanSignals):
         self._path = path
         super().__init__(name, self._read, topics)
 
-    def streams(self) -> Sequence[Iterator[ChannelRows]]:
-        """All frames in the order of the log, with what the log says of their number."""
-        return [self._counted(rows) for rows in super().streams()]
-
-    def _counted(self, rows: Iterator[ChannelRows]) -> Iterator[ChannelRows]:
-        yield from rows
-        if self._lost:
-            text = f"{self._lost} entries of the log are no frames that can be read; they are left out"
-            self.findings = (*self.findings, Finding("", "unusable", self._lost, float("nan"), text))
-        if self._cut:
-            text = "the last line does not end: the log may have been cut off within a frame"
-            self.findings = (*self.findings, Finding("", "cut", 1, float("nan"), text))
-
-    def _read(self) -> Iterator[Frame]:
+    def _read(self, met: Counter[str]) -> Iterator[Frame]:
         import can
 
         logging.getLogger("can").setLevel(logging.ERROR)  # what it skips is counted
         set_can_ceilings()
         readers: dict[str, Any] = {".asc": can.ASCReader, ".log": can.CanutilsLogReader}
         suffix = self._path.suffix.lower()
-        self._lost, frames = 0, 0
+        frames = 0
         with self._path.open("rb") as file:
             lines = None if suffix == ".blf" else _Lines(file, self.name)
             reader = can.BLFReader(file) if lines is None else readers[suffix](lines)
@@ -67,8 +54,8 @@ class CanLog(CanSignals):
                     stamp_ns = round(message.timestamp * 1e6) * MICROSECOND_NS
                     bus = _bus(message.channel, first)
                     yield Frame(stamp_ns, message.arbitration_id, message.is_extended_id, bus, bytes(message.data))
-        self._lost = max(0, (lines.entries if lines else reader.object_count) - frames)
-        self._cut = bool(lines and not lines.ended)
+        met["lost"] = max(0, (lines.entries if lines else reader.object_count) - frames)
+        met["cut"] = int(lines is not None and not lines.ended)
 
 
 def _bus(channel: Any, first: int) -> int | None:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import heapq
 import io
 import logging
 import shutil
@@ -22,7 +23,7 @@ from numpy.typing import NDArray
 from trackres_ros.errors import InputError, MissingExtraError
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.can_signals import CanSignals, Frame
-from trackres_ros.recording.channel_file import Channel, ChannelFile, ChannelRows, rows_at
+from trackres_ros.recording.channel_file import MOST_TIME_S, Channel, ChannelFile, ChannelRows, rows_at
 from trackres_ros.recording.file_kind import FileKind
 from trackres_ros.recording.samples import Finding, FloatArray
 from trackres_ros.recording.unpacking import set_mdf_ceilings
@@ -32,7 +33,9 @@ BLOCK_ROWS = 2**16
 UNFINISHED = b"UnFinMF"
 FRAMES = "CAN_DataFrame"
 OF_A_BUS = (FRAMES, "CAN_ErrorFrame", "CAN_RemoteFrame")
-EXTENDED, IDENTIFIER = 1 << 31, (1 << 29) - 1
+OF_A_FRAME = {"ID": 1, "DataBytes": 2, "DataLength": 1, "IDE": 1, "BusChannel": 1}
+"""What is read of a frame, and how many dimensions its samples have: ASAM MDF, bus logging."""
+EXTENDED, IDENTIFIER, STANDARD = 1 << 31, (1 << 29) - 1, 0x7FF
 
 
 def _opened(path: Path) -> tuple[Any, ExitStack]:
@@ -47,7 +50,7 @@ def _opened(path: Path) -> tuple[Any, ExitStack]:
             whole, file = file, opened.enter_context(tempfile.TemporaryFile())
             shutil.copyfileobj(whole, file)
         file.seek(0)
-        mdf = MDF(file)
+        mdf = MDF(file, process_bus_logging=False)  # all identifiers would be read
         opened.callback(mdf.close)
         return mdf, opened.pop_all()
 
@@ -127,15 +130,24 @@ class MdfChannels(ChannelFile):
     def _rows(self, number: int) -> Iterator[ChannelRows]:
         columns = [(column, self._places[one.place]) for column, one in enumerate(self.wanted)]
         mine = [(column, index) for column, (group, index) in columns if group == number]
-        records, read = self._groups.records(number), 0
+        records, read, absent = self._groups.records(number), 0, 0
+        if not records and self._groups.mdf.groups[number].data_group.data_block_addr:
+            text = f"{self._name_of(number)} says that it holds no records, and there are data of it"
+            self.findings = (*self.findings, Finding("", "structure", 1, float("nan"), text))
         for start in range(0, records, BLOCK_ROWS):
             signals = [self._groups.part(number, index, start) for _, index in mine]
             seconds = np.asarray(signals[0].timestamps, np.float64)
             cells = np.full((len(seconds), len(self.wanted)), np.nan)
             for (column, _), signal in zip(mine, signals, strict=True):
                 cells[:, column] = _numbers(signal, len(seconds))
+                absent += int(np.count_nonzero(np.isnan(cells[:, column])))
             read += len(seconds)
             yield rows_at(seconds, cells, self._groups.start_ns)
+            if len(seconds) < min(BLOCK_ROWS, records - start):  # a damaged file may say that there are any number of records
+                break
+        if absent:
+            text = f"{absent} values are marked as invalid or are no numbers; they give no sample"
+            self.findings = (*self.findings, Finding("", "absent", absent, float("nan"), text))
         if read < records:
             text = f"{records - read} records fewer than the file says it holds"
             self.findings = (*self.findings, Finding("", "missing", records - read, float("nan"), text))
@@ -161,28 +173,41 @@ def _numbers(signal: Any, count: int) -> FloatArray:
     return numbers
 
 
-def _frames(groups: _Groups) -> Iterator[Frame]:
-    """Frames of all buses, those of each group in turn by their times."""
-    import heapq
-
-    yield from heapq.merge(*(_frames_of(groups, number) for number in groups.buses), key=lambda frame: frame.stamp_ns)
+def _frames(groups: _Groups, met: Counter[str]) -> Iterator[Frame]:
+    """Frames of all buses by their times."""
+    yield from heapq.merge(*(_frames_of(groups, number, met) for number in groups.buses), key=lambda frame: frame.stamp_ns)
 
 
-def _frames_of(groups: _Groups, number: int) -> Iterator[Frame]:
-    """Frames of a group."""
+def _frames_of(groups: _Groups, number: int, met: Counter[str]) -> Iterator[Frame]:
+    """Frames of a group.
+
+    Raises
+    ------
+    InputError
+        They are not described as the standard has it.
+    """
     places = {channel.name: index for index, channel in enumerate(groups.mdf.groups[number].channels)}
-    names = [f"{FRAMES}.{name}" for name in ("ID", "DataBytes", "DataLength", "IDE", "BusChannel")]
-    for start in range(0, groups.records(number), BLOCK_ROWS):
-        parts = {name: groups.part(number, places[name], start) for name in names if name in places}
-        ids, data = parts[names[0]].samples.astype(np.int64), parts[names[1]].samples
-        stamps = np.rint(parts[names[0]].timestamps * 1e9).astype(np.int64) + groups.start_ns
-        lengths = parts[names[2]].samples if names[2] in parts else np.full(len(ids), data.shape[1])
-        wide = parts[names[3]].samples.astype(np.bool_) if names[3] in parts else np.zeros(len(ids), np.bool_)
-        wide = wide | (ids & EXTENDED != 0) | (ids > 0x7FF)
-        buses = parts[names[4]].samples.tolist() if names[4] in parts else [None] * len(ids)
-        rows = zip(stamps.tolist(), (ids & IDENTIFIER).tolist(), wide.tolist(), buses, data, lengths.tolist(), strict=True)
-        for stamp_ns, identifier, extended, bus, payload, length in rows:
+    records = groups.records(number)
+    for start in range(0, records, BLOCK_ROWS):
+        parts = {
+            name: groups.part(number, places[f"{FRAMES}.{name}"], start) for name in OF_A_FRAME if f"{FRAMES}.{name}" in places
+        }
+        found = {name: part.samples.ndim for name, part in parts.items() if part.samples.dtype.kind in "biu"}
+        if found != {name: OF_A_FRAME[name] for name in parts} or "ID" not in parts or "DataBytes" not in parts:
+            raise InputError(groups.name, f"{FRAMES} of {', '.join(parts)}", f"numbers for {', '.join(OF_A_FRAME)}")
+        ids = parts["ID"].samples.astype(np.int64)
+        rest = {name: part.samples for name, part in parts.items()}
+        wide = (ids & EXTENDED != 0) | (ids > STANDARD) | rest.get("IDE", np.zeros(len(ids))).astype(np.bool_)
+        seconds = parts["ID"].timestamps
+        stamps = np.rint(np.where(np.abs(seconds) < MOST_TIME_S, seconds, 0.0) * 1e9).astype(np.int64) + groups.start_ns
+        lengths = rest.get("DataLength", np.full(len(ids), rest["DataBytes"].shape[1]))
+        buses = rest["BusChannel"].tolist() if "BusChannel" in rest else [None] * len(ids)
+        columns = ((ids & IDENTIFIER).tolist(), wide.tolist(), buses, rest["DataBytes"], lengths.tolist())
+        for stamp_ns, identifier, extended, bus, payload, length in zip(stamps.tolist(), *columns, strict=True):
             yield Frame(stamp_ns, identifier, extended, bus, payload[:length].tobytes())
+        if len(ids) < min(BLOCK_ROWS, records - start):
+            met["lost"] += records - start - len(ids)
+            return
 
 
 def _read(path: Path, name: str, topics: Topics | None) -> list[ChannelFile]:
@@ -195,7 +220,7 @@ def _read(path: Path, name: str, topics: Topics | None) -> list[ChannelFile]:
         import cantools as _  # noqa: F401
     except ImportError:
         raise MissingExtraError("reading CAN frames", "cantools", "can") from None
-    signals = CanSignals(name, lambda: _frames(groups), topics)
+    signals = CanSignals(name, lambda met: _frames(groups, met), topics)
     return [channels, signals] if channels.channels else [signals]
 
 
