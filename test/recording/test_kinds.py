@@ -207,7 +207,7 @@ print(rows, Path("/proc/self/status").read_text().split("VmHWM:")[1].split()[0])
 """
 
 
-@pytest.mark.parametrize(("kind", "short_s"), [("MF4", 2000.0), ("MATLAB 7.3", 2000.0), ("BLF", 60.0)])
+@pytest.mark.parametrize(("kind", "short_s"), [("MF4", 1000.0), ("MATLAB 7.3", 1000.0), ("BLF", 30.0)])
 def test_memory_does_not_grow_with_the_file(tmp_path, kind, short_s):
     rows, peaks = [], []
     for times in (1, 20):
