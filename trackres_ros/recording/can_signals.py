@@ -23,6 +23,8 @@ from trackres_ros.recording.samples import Finding
 
 MOST_DATABASE_BYTES = 2**26
 """Of a file; the largest of a vehicle maker are a few megabytes."""
+MOST_IDENTIFIERS = 2**14
+"""Kept with their messages; a bus has some hundreds, a file made to fill memories any number."""
 NOT_AVAILABLE = re.compile(r"\b(sna|n/?a|not ?(available|avail|valid)|invalid|error|fault|init|undefined)\b", re.IGNORECASE)
 """In the name that a database gives to a value: the signal holds nothing then."""
 J1939_LAST_VALID = 0xFA
@@ -138,6 +140,8 @@ class CanSignals(ChannelFile):
         for stamp_ns, number, extended, bus, data in self._frames(met):
             key = (number, extended, bus)
             if key not in found:
+                if len(found) >= MOST_IDENTIFIERS:
+                    found.clear()
                 found[key] = self._message(number, extended, bus)
             one = found[key]
             if one is None:

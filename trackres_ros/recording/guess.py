@@ -27,8 +27,8 @@ NOT_MEASURED = re.compile(
     r"estimated?|feed ?forward|resistance|trackres|error|variance)\b"
 )
 """Words in a topic name that say its content was not measured on the vehicle; nothing is guessed from it."""
-WHEEL = re.compile(r"\bwheels?\b")
-"""Of a channel: a speed at a wheel is not that of the vehicle."""
+WHEEL = re.compile(r"\bwheels?\b(?! based vehicle)")
+"""Of a channel: a speed at a wheel is not that of the vehicle; the wheel-based vehicle speed of J1939 is."""
 SCALARS = ("std_msgs/msg/Float64", "std_msgs/msg/Float32")
 COUNTS = tuple(f"std_msgs/msg/{name}" for name in ("UInt8", "UInt16", "UInt32", "Int8", "Int16", "Int32"))
 UNITS = {

@@ -70,6 +70,8 @@ class _Groups:
         self.name = name
         self.mdf, opened = _opened(path)
         weakref.finalize(self, opened.close)
+        if self.mdf.version < "4":
+            raise InputError(name, f"MDF {self.mdf.version}", "MDF 4", "convert it: asammdf.MDF(FILE).convert('4.10').save(NEW)")
         self.start_ns = round(self.mdf.header.start_time.timestamp() * 1e6) * 1000
         kinds = [{channel.name for channel in group.channels}.intersection(OF_A_BUS) for group in self.mdf.groups]
         self.of_a_bus = [number for number, kind in enumerate(kinds) if kind]
@@ -154,9 +156,14 @@ class MdfChannels(ChannelFile):
 
 
 def _is_numeric(group: Any, index: int) -> bool:
-    """Whether a channel holds one number a record, which is no text of its own."""
+    """Whether a channel holds one number a record."""
+    from asammdf.blocks.v4_constants import CHANNEL_TYPE_VALUE, CHANNEL_TYPE_VIRTUAL, DATA_TYPE_STRING_LATIN_1
+
     channel = group.channels[index]
-    return not group.channel_dependencies[index] and channel.data_type < 6 and channel.channel_type in (0, 3)
+    kinds = (CHANNEL_TYPE_VALUE, CHANNEL_TYPE_VIRTUAL)
+    return (
+        not group.channel_dependencies[index] and channel.data_type < DATA_TYPE_STRING_LATIN_1 and channel.channel_type in kinds
+    )
 
 
 def _numbers(signal: Any, count: int) -> FloatArray:
