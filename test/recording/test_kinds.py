@@ -22,7 +22,9 @@ import trackres_ros as tr
 from trackres_ros.errors import InputError, MissingExtraError
 from trackres_ros.recording import file_kind
 from trackres_ros.recording.bindings import Topics
+from trackres_ros.recording.channel_file import Channel
 from trackres_ros.recording.channel_source import _in_order
+from trackres_ros.recording.guess import guess_channels
 from trackres_ros.recording.opening import open_source, shipped_kinds, suffixes
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.role_units import UNITS, conversion
@@ -172,6 +174,13 @@ def test_guessed_lines_are_a_topics_file(files, good, tmp_path):
     assert "speed: {channel: VehicleSpeed, unit: km/h}  # guessed" in done
 
 
+def test_the_speed_of_the_vehicle_comes_before_those_of_its_parts():
+    named = [("AxleSpeed", "km/h"), ("WheelBasedVehicleSpeed", "km/h"), ("WheelSpeedFL", "km/h"), ("VehicleSpd", "rpm")]
+    bindings, others = guess_channels([Channel(*one) for one in named], ())
+    assert bindings["speed"].column == "WheelBasedVehicleSpeed"
+    assert others["speed"] == ["AxleSpeed"]
+
+
 def test_without_a_unit_nothing_is_guessed(files):
     with pytest.raises(InputError, match=r"speed: \{channel: NAME, unit: km/h\}"):
         open_source([files["MATLAB 5"][0]])
@@ -200,6 +209,7 @@ import sys
 from pathlib import Path
 from drive_files import TOPICS, topics_of
 from trackres_ros.recording.bindings import Topics
+from trackres_ros.recording.channel_file import Channel
 from trackres_ros.recording.opening import open_source
 path, kind = Path(sys.argv[1]), sys.argv[2]
 rows = sum(map(len, open_source([path], Topics.parse(topics_of(kind), "t.yaml", path.parent)).blocks()))
@@ -219,6 +229,15 @@ def test_memory_does_not_grow_with_the_file(tmp_path, kind, short_s):
         peaks.append(peak)
     assert rows[1] == pytest.approx(20 * rows[0], rel=0.01)
     assert peaks[1] < 1.25 * peaks[0], peaks
+
+
+@pytest.mark.parametrize(("kind", "where"), [
+    ("MF4", "unpacking.MAX_MESSAGE_BYTES"), ("BLF", "unpacking.MAX_MESSAGE_BYTES"), ("MATLAB 5", "readers.matlab.MOST_BYTES"),
+])  # fmt: skip
+def test_nothing_unpacks_beyond_its_ceiling(files, monkeypatch, kind, where):
+    monkeypatch.setattr(f"trackres_ros.recording.{where}", 2000)
+    with pytest.raises(InputError, match=r"unpacks to more than 2000|more than 2000 bytes unpacked"):
+        list(open_source([files[kind][0]], files[kind][1]).blocks())
 
 
 def test_a_missing_library_says_how_to_install_it(files, monkeypatch):

@@ -150,7 +150,7 @@ def guess_channels(channels: Sequence[Channel], there: Collection[str]) -> tuple
     for role, about in ROLES.items():
         options = [] if role in there or not about.words else [one for one in channels if _may_be(one, role, about)]
         if options:
-            first, *rest = sorted(options, key=lambda one: (len(one.name), one.name))
+            first, *rest = sorted(options, key=lambda one: ("vehicle" not in words(one.name), len(one.name), one.name))
             unit = "" if first.unit else _unit_in(role, words(first.name))
             bindings[role] = TopicBinding(column=first.name, scale=_scale(role, unit) if unit else 1.0)
             others[role] = [one.name for one in rest]

@@ -134,14 +134,15 @@ def set_can_ceilings() -> None:
 
 
 def set_mdf_ceilings() -> None:
-    """Put it into the table from which asammdf takes its own, and keep that from stumbling over a file that it could not open."""
-    from asammdf.blocks import v4_constants
-    from asammdf.blocks.mdf_v4 import MDF4
-    from asammdf.blocks.utils import DECOMPRESS_FUNC_MAP
+    """Put it where asammdf takes its own from, and keep that from stumbling over a file that it could not open."""
+    from asammdf.blocks import mdf_v4, utils, v4_constants
 
-    for kind in (v4_constants.DZ_BLOCK_DEFLATE, v4_constants.DZ_BLOCK_TRANSPOSED):
-        DECOMPRESS_FUNC_MAP[kind] = _inflate
-    setattr(MDF4, "__del__", _close_quietly)  # noqa: B010 - a method
+    if hasattr(utils, "DECOMPRESS_FUNC_MAP"):
+        for kind in (v4_constants.DZ_BLOCK_DEFLATE, v4_constants.DZ_BLOCK_TRANSPOSED):
+            utils.DECOMPRESS_FUNC_MAP[kind] = _inflate
+    else:  # before 8.8
+        setattr(mdf_v4, "decompress", lambda data, bufsize=0: _inflate(data))  # noqa: ARG005, B010 - a module
+    setattr(mdf_v4.MDF4, "__del__", _close_quietly)  # noqa: B010 - a method
 
 
 def _close_quietly(mdf: Any) -> None:
