@@ -24,6 +24,10 @@ def shared_files(folder: str) -> list[tuple[str, list[str]]]:
 BAGS = ["rosbags>=0.11"]
 PARQUET = ["pyarrow>=14"]
 EXCEL = ["openpyxl>=3.1"]
+MDF = ["asammdf>=8.0"]
+CAN = ["python-can>=4.3", "cantools>=39.4"]
+MATLAB = ["h5py>=3.10"]
+FORMATS = PARQUET + EXCEL + MDF + CAN + MATLAB
 PLOTS = ["matplotlib>=3.6"]
 FAST = ["numba>=0.57"]
 NOTEBOOK = ["pandas>=2.0", "xarray>=2023.1", *PLOTS]
@@ -70,6 +74,9 @@ setup(
         "bags": BAGS,
         "parquet": PARQUET,
         "excel": EXCEL,
+        "mdf": MDF,
+        "can": CAN,
+        "matlab": MATLAB,
         "plots": PLOTS,
         "fast": FAST,
         "notebook": NOTEBOOK,
@@ -79,8 +86,8 @@ setup(
         "proof": PROOF,
         "fleet": FLEET,
         "design": DESIGN,
-        "all": BAGS + PARQUET + EXCEL + NOTEBOOK + PROOF + FLEET + DESIGN + INTERACTIVE,
-        "test": BAGS + PARQUET + EXCEL + NOTEBOOK + PROOF + FLEET_TESTED + DESIGN + INTERACTIVE + DDS_TESTED + TEST,
+        "all": BAGS + FORMATS + NOTEBOOK + PROOF + FLEET + DESIGN + INTERACTIVE,
+        "test": BAGS + FORMATS + NOTEBOOK + PROOF + FLEET_TESTED + DESIGN + INTERACTIVE + DDS_TESTED + TEST,
         "mutation": MUTATION,
         "docs": DOCS,
         "coverage": COVERAGE,

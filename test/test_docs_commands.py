@@ -17,6 +17,7 @@ import click
 import numpy as np
 import pytest
 import yaml
+from drive_files import write
 from fleet_rows import REPORT, row
 from interrupted import interrupted
 
@@ -30,6 +31,8 @@ from trackres_ros.recording.bindings import Topics
 ROOT = Path(__file__).resolve().parents[1]
 pytest.importorskip("distributed")
 pytest.importorskip("rosbags")
+pytest.importorskip("asammdf")
+pytest.importorskip("cantools")
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 SHOWN = re.compile(r"`((?:trackres|ros2) [^`\n]+)`|^\s*((?:trackres|ros2) [^`|\n]+)$", re.MULTILINE)
@@ -126,6 +129,8 @@ def files(tmp_path_factory):
     for month in ("2025-06", "2025-08"):
         for number in range(3):
             FleetDataset(folder / "results").put(row(number, "truck-03", month), None)
+    for kind in ("MF4", "BLF"):
+        write(kind, folder)
     tr.record_sample(folder / "lap.mcap", laps=1)
     for name in ("drive", "out"):
         (folder / f"{name}.mcap.part").write_bytes((folder / "lap.mcap").read_bytes()[:-5000])

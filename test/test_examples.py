@@ -23,6 +23,7 @@ SAYS = {
     "06_diagnose.py": "turning_scrub: friction",
     "07_controller.py": "a fault                       0 Nm of 3000 Nm",
     "09_without_belts.py": "60 passengers more",
+    "10_file_formats.py": "drive_7_3.mat  3000 steps",
     "08_without_ros.py": "the deadline was missed: True\nthe node goes on: the feed-forward is back",
 }
 

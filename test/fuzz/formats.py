@@ -5,18 +5,22 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import gzip
 import random
+import re
 import shutil
+import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from drive_files import DBC, KINDS, Drive, topics_of
 from mutator import mutations
 
 from trackres_ros.errors import InputError
@@ -39,6 +43,19 @@ EXPECTED = Counter({"speed": ROWS, "load": ROWS // LOAD_EVERY})
 METADATA_SHARE = 0.2  # of the mutations of a folder that hit its metadata.yaml
 LOSSES = ("missing", "unusable", "unknown_topic", "malformed", "absent", "quoted", "cut")
 MOST_OF_A_LINE = 8000
+LINES = {
+    ".log": {
+        "speed": rb"^\(\d+\.\d+\) \w+ 100#[0-9A-F]{16} [RT]$",
+        "load": rb"^\(\d+\.\d+\) \w+ 100#[0-9A-F]{4}01[0-9A-F]{10} [RT]$",
+        "ambient": rb"^\(\d+\.\d+\) \w+ 0CFEF517#F{6}(?!FF)[0-9A-F]{10} [RT]$",
+    },
+    ".asc": {
+        "speed": rb"^ *\d+\.\d+ 1  100 +Rx   d 8( [0-9A-F]{2}){8}$",
+        "load": rb"^ *\d+\.\d+ 1  100 +Rx   d 8( [0-9A-F]{2}){2} 01( [0-9A-F]{2}){5}$",
+        "ambient": rb"^ *\d+\.\d+ 1  CFEF517x +Rx   d 8( FF){3} (?!FF)[0-9A-F]{2}( [0-9A-F]{2}){4}$",
+    },
+}
+"""Whole lines of a log of frames that hold a sample."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +65,8 @@ class Format:
     name: str
     write: Callable[[Path], None]
     file: str  # the name of the file or folder that is read
+    topics: Topics | None = None
+    expected: Counter[str] = field(default_factory=lambda: EXPECTED)
 
 
 def _store(version: str) -> Any:
@@ -200,26 +219,41 @@ def _excel(folder: Path) -> None:
     book.save(folder / "run.xlsx")
 
 
+def _of_drive(kind: str) -> Format:
+    """One of the formats in which tests write the same drive."""
+    name, writer = KINDS[kind]
+    topics = Topics.parse(topics_of(kind), "topics.yaml", DBC_FOLDER)
+    drive = Drive(ROWS / 50)
+    return Format(
+        kind, lambda folder: writer(drive, folder / name), name, topics, Counter({"speed": 60, "load": 12, "ambient": 2})
+    )
+
+
+DBC_FOLDER = Path(tempfile.mkdtemp(prefix="trackres_fuzz_"))
+(DBC_FOLDER / "bus.dbc").write_text(DBC)
+atexit.register(shutil.rmtree, DBC_FOLDER, ignore_errors=True)
+
 FORMATS = {one.name: one for one in (
-    Format("mcap, not chunked", _mcap(chunked=False), "run.mcap"),
-    Format("mcap", _mcap(), "run.mcap"),
-    Format("mcap zstd", _mcap(compression="zstd"), "run.mcap"),
-    Format("mcap lz4", _mcap(compression="lz4"), "run.mcap"),
-    Format("mcap, our own", _own_mcap, "run.mcap"),
-    Format("mcap zstd, folder", _rosbag2("MCAP", "STORAGE"), "run"),
-    Format("sqlite3", _db3, "run.db3"),
-    Format("sqlite3, folder", _rosbag2("SQLITE3"), "run"),
-    Format("sqlite3 zstd by file", _rosbag2("SQLITE3", "FILE"), "run"),
-    Format("sqlite3 zstd by message", _rosbag2("SQLITE3", "MESSAGE"), "run"),
-    Format("ROS 1", _ros1("NONE"), "run.bag"),
-    Format("ROS 1 bz2", _ros1("BZ2"), "run.bag"),
-    Format("ROS 1 lz4", _ros1("LZ4"), "run.bag"),
+    Format("mcap, not chunked", _mcap(chunked=False), "run.mcap", TOPICS),
+    Format("mcap", _mcap(), "run.mcap", TOPICS),
+    Format("mcap zstd", _mcap(compression="zstd"), "run.mcap", TOPICS),
+    Format("mcap lz4", _mcap(compression="lz4"), "run.mcap", TOPICS),
+    Format("mcap, our own", _own_mcap, "run.mcap", TOPICS),
+    Format("mcap zstd, folder", _rosbag2("MCAP", "STORAGE"), "run", TOPICS),
+    Format("sqlite3", _db3, "run.db3", TOPICS),
+    Format("sqlite3, folder", _rosbag2("SQLITE3"), "run", TOPICS),
+    Format("sqlite3 zstd by file", _rosbag2("SQLITE3", "FILE"), "run", TOPICS),
+    Format("sqlite3 zstd by message", _rosbag2("SQLITE3", "MESSAGE"), "run", TOPICS),
+    Format("ROS 1", _ros1("NONE"), "run.bag", TOPICS),
+    Format("ROS 1 bz2", _ros1("BZ2"), "run.bag", TOPICS),
+    Format("ROS 1 lz4", _ros1("LZ4"), "run.bag", TOPICS),
     Format("csv", _table(".csv"), "run.csv"),
     Format("csv.gz", _table(".csv.gz"), "run.csv.gz"),
     Format("csv, German", _german, "run.csv"),
     Format("csv, American", _american, "run.csv"),
     Format("xlsx", _excel, "run.xlsx"),
     Format("parquet", _table(".parquet"), "run.parquet"),
+    *map(_of_drive, ("MF4", "MF4 of a bus", "BLF", "ASC", "candump", "MATLAB 5", "MATLAB 7.3")),
 )}  # fmt: skip
 
 
@@ -230,6 +264,7 @@ class Damaged:
     path: Path
     changed: Path
     data: bytes
+    form: Format
 
 
 def damaged(form: Format, folder: Path, count: int, seed: int, start: int = 0) -> Iterator[Damaged]:
@@ -246,13 +281,13 @@ def damaged(form: Format, folder: Path, count: int, seed: int, start: int = 0) -
         hit = len(files) - 1 if random.Random(f"{seed} {number}").random() < METADATA_SHARE else 0
         for place, file in enumerate(files):
             file.write_bytes(copy[place] if place == hit else originals[place])
-        yield Damaged(path, files[hit], copy[hit])
+        yield Damaged(path, files[hit], copy[hit], form)
 
 
 def outcome_of(one: Damaged) -> dict[str, Any]:
     """Read a damaged file as the commands do, and say what became of it."""
     try:
-        source = open_source([one.path], None if one.path.suffix in (".csv", ".gz", ".parquet", ".xlsx") else TOPICS)
+        source = open_source([one.path], one.form.topics)
         recording = Recording.from_source(source)
         recording.aligned()
         recording.report()
@@ -266,7 +301,8 @@ def outcome_of(one: Damaged) -> dict[str, Any]:
     lost = short.total() if source.zero_is_unset else max(short.values(), default=0)  # a row of a table is several samples
     reported = sum(finding.count for finding in recording.findings if finding.kind in LOSSES)
     words = any(finding.kind == "structure" for finding in recording.findings)
-    words |= any(note.startswith("ignored columns") and note != "ignored columns: note" for note in recording.notes)
+    whole = one.form.expected is not EXPECTED
+    words |= not whole and any(note.startswith("ignored columns") and note != "ignored columns: note" for note in recording.notes)
     remarks = [finding.kind for finding in recording.findings]
     outcome = "lost" if lost > reported and not words else "remarks" if remarks else "alike"
     return {"outcome": outcome, "text": f"{dict(read)} of {dict(expected)}; {reported} reported; {remarks}; {recording.notes}"}
@@ -281,8 +317,15 @@ def _outcome_of_refusal(error: InputError) -> dict[str, Any]:
 
 def _expected(one: Damaged) -> Counter[str]:
     """Return the samples that are in a file: of a table in text those of its lines, else those of the whole file."""
+    if one.path.suffix in LINES:
+        return Counter(
+            {
+                role: sum(bool(re.search(line, text)) for text in one.data.splitlines())
+                for role, line in LINES[one.path.suffix].items()
+            }
+        )
     if ".csv" not in one.path.name:
-        return EXPECTED
+        return one.form.expected
     data = one.data
     if one.path.suffix == ".gz":
         try:

@@ -335,7 +335,7 @@ def test_paths_that_are_no_recording(tmp_path: Path) -> None:
         (["empty"], "without metadata.yaml"),
         (["files"], "run_0.mcap"),
         (["run.txt"], r"\.txt"),
-        (["run.csv", "run.csv"], "tables one at a time"),
+        (["run.csv", "run.csv"], "give them one at a time"),
         (["bad.bag"], "rosbag reindex"),
     ]:
         with pytest.raises(InputError, match=says):

@@ -25,7 +25,7 @@ ENDS = ("\n", "\r\n", "\r")
 @pytest.fixture(params=["pyarrow", "plain"])
 def reader(request, monkeypatch):
     if request.param == "plain":
-        monkeypatch.setattr("trackres_ros.recording.csv_table.CsvTable._fast_chunks", lambda *_: iter(()))
+        monkeypatch.setattr("trackres_ros.recording.readers.csv_table.CsvTable._fast_chunks", lambda *_: iter(()))
     else:
         pytest.importorskip("pyarrow")
 
@@ -280,6 +280,16 @@ def test_a_cell_of_a_workbook_that_is_none_is_refused(tmp_path, rows, says):
     with pytest.raises(InputError) as refused:
         tr.read(workbook(tmp_path / "run.xlsx", ("s", [["time_s", "speed_mps"], *rows])))
     assert says in str(refused.value)
+
+
+def test_a_row_of_units_below_the_names_counts(tmp_path):
+    pytest.importorskip("openpyxl")
+    sheet = [["Time", "VehSpd", "weight_kn", "note"], ["ms", "km/h", "kN", None], [0, 36, 90, "x"], [500, 72, 91, "y"]]
+    found = tr.read(workbook(tmp_path / "run.xlsx", ("s", sheet)), topics={"speed": {"column": "VehSpd"}})
+    assert found.series["speed"].value.tolist() == pytest.approx([10.0, 20.0])
+    assert found.series["load"].value.tolist() == [90e3, 91e3]
+    assert found.time_s("speed").tolist() == [0.0, 0.5]
+    assert {"time: Time is in ms, as the file says", "speed: VehSpd is in km/h, as the file says"} <= set(found.notes)
 
 
 def test_two_sheets_that_fit_are_both_named(tmp_path):

@@ -26,11 +26,10 @@ from trackres_ros.offline.summary import KeptSource
 from trackres_ros.output.table import write_table
 from trackres_ros.recording import unpacking
 from trackres_ros.recording.bindings import Topics
-from trackres_ros.recording.csv_table import MAX_ROW_BYTES, CsvTable
 from trackres_ros.recording.opening import open_source
+from trackres_ros.recording.readers.csv_table import MAX_ROW_BYTES, CsvTable
 from trackres_ros.recording.reading import OWN_FAULT, reading
 from trackres_ros.recording.recording import Recording
-from trackres_ros.recording.table import TableSource
 
 TWIST = "geometry_msgs/msg/TwistStamped"
 FLOATS = "std_msgs/msg/Float64MultiArray"
@@ -182,12 +181,12 @@ def test_what_any_library_raises_is_one_line_with_its_cause(error, says):
 def test_a_fault_of_our_own_is_said_to_be_one(tmp_path, monkeypatch):
     path = tmp_path / "run.csv"
     path.write_bytes(CSV)
-    monkeypatch.setattr("trackres_ros.recording.table.choose_columns", lambda *_: 1 // 0)
+    monkeypatch.setattr("trackres_ros.recording.channel_source.choose", lambda *_: 1 // 0)
     with pytest.raises(ZeroDivisionError):  # outside of reading a fault stays what it is
-        TableSource(path)
-    monkeypatch.setattr("trackres_ros.recording.csv_table.re.split", lambda *_, **__: [])
+        open_source([path])
+    monkeypatch.setattr("trackres_ros.recording.readers.csv_table.re.split", lambda *_, **__: [])
     with pytest.raises(InputError, match=r"ValueError: .* at csv_table\.py:\d+") as caught:
-        TableSource(path)
+        open_source([path])
     assert OWN_FAULT in str(caught.value)
 
 
@@ -267,7 +266,7 @@ def test_parquet_in_bounded_memory_and_damage_in_it(tmp_path):
         pool, before = pa.proxy_memory_pool(pa.default_memory_pool()), pa.default_memory_pool()
         pa.set_memory_pool(pool)
         try:
-            assert sum(map(len, TableSource(path).blocks())) == rows
+            assert sum(map(len, open_source([path]).blocks())) == rows
         finally:
             pa.set_memory_pool(before)
         peaks.append(pool.max_memory())
@@ -520,7 +519,7 @@ def test_what_is_too_long_to_be_looked_at_is_said_and_not_kept(tmp_path, monkeyp
     path.write_text("time_s,speed_mps\n" + "".join(f"{row},1\n" for row in range(30_000)))
     for most, dropped in ((30_000, False), (29_999, True)):
         monkeypatch.setattr(replay_report, "MOST_KEPT", most)
-        source = KeptSource(TableSource(path), keep=True)
+        source = KeptSource(open_source([path]), keep=True)
         assert sum(map(len, source.blocks())) == 30_000
         assert any(finding.kind == "too_long" for finding in source.all_findings()) is dropped
         assert any(finding.kind == "stuck" for finding in source.all_findings()) is not dropped

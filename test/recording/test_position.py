@@ -95,12 +95,12 @@ def test_a_fix_is_in_degrees() -> None:
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ({"speed": {"column": "a", "unit": "deg"}}, ["speed: key", "unit only for latitude, longitude, heading, steering_angle"]),
-        ({"latitude": {"column": "a", "unit": "gon"}}, ["latitude: unit", "gon", "deg, rad"]),
+        ({"speed": {"column": "a", "unit": "deg"}}, ["speed: unit", "deg", "m/s, km/h, mph"]),
+        ({"latitude": {"column": "a", "unit": "gon"}}, ["latitude: unit", "gon", "rad, deg"]),
         ({"load": {"column": "a", "kg_each": 70}}, ["kg_each only for passengers"]),
         ({"passengers": {"column": "a", "kg_each": 0}}, ["passengers: kg_each", "1"]),
         ({"brake": {"column": "a", "threshold": -1}}, ["brake: threshold", "a positive number"]),
-        ({"time": {"topic": "/clock"}}, ["time", "column, and if need be scale"]),
+        ({"time": {"topic": "/clock"}}, ["time", "column, and if need be unit, scale"]),
         ({"time": {"column": "a", "scale": -1}}, ["time: scale", "positive"]),
     ],
 )

@@ -20,7 +20,6 @@ from trackres_ros.output.table import TableWriter, write_table
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.recording import Recording
-from trackres_ros.recording.table import TableSource
 
 try:  # a pyarrow that does not fit the installed numpy raises ImportError too
     import pyarrow as pa
@@ -47,7 +46,7 @@ def table(folder: Path, text: str, name: str = "run.csv") -> Path:
 
 def read(path: Path, topics: Topics | None = None, max_rows: int = 65536) -> list[tuple[Any, ...]]:
     """Return all samples: role, stamp [s], value."""
-    source = TableSource(path, topics)
+    source = open_source([path], topics)
     rows = []
     for block in source.blocks(max_rows):
         assert 0 < len(block) <= max(max_rows, len(source.roles))
@@ -72,7 +71,7 @@ def test_columns_units_parts_and_empty_cells(tmp_path: Path, reader: str, name: 
         ("speed", 0.2, 20.0),
     ]
     assert read(path, max_rows=2) == read(path)
-    source = TableSource(path)
+    source = open_source([path])
     assert source.roles == ("load/front", "belt", "speed")
     assert "ignored columns: note" in source.notes
     assert "speed: column speed_kmh" in source.notes
@@ -146,9 +145,9 @@ def test_a_topics_file_names_other_columns(tmp_path: Path, reader: str) -> None:
         "t.yaml",
     )
     assert read(path, topics) == [("ambient", 0.0, 15.0), ("speed", 0.0, 11.0)]
-    assert any("Latin-1" in note for note in TableSource(path, topics).notes)
+    assert any("Latin-1" in note for note in open_source([path], topics).notes)
     with pytest.raises(InputError, match=r"t\.yaml: speed: column: given 'Geschwindigkeit'.*did you mean"):
-        TableSource(path, Topics.parse({"speed": {"column": "Geschwindigkeit"}}, "t.yaml"))
+        open_source([path], Topics.parse({"speed": {"column": "Geschwindigkeit"}}, "t.yaml"))
 
 
 def test_byte_order_mark_quotes_and_line_ends(tmp_path: Path, reader: str) -> None:
@@ -159,7 +158,7 @@ def test_byte_order_mark_quotes_and_line_ends(tmp_path: Path, reader: str) -> No
 
 def test_time_that_runs_back_is_kept_and_found(tmp_path: Path, reader: str) -> None:
     path = table(tmp_path, "time_s,speed_mps\n0,1\n2,2\n1,3\n1,nan\n")
-    recording = Recording.from_source(TableSource(path))
+    recording = Recording.from_source(open_source([path]))
     np.testing.assert_array_equal(recording.series["speed"].value, [1.0, 2.0, 3.0, np.nan])
     assert {finding.kind for finding in recording.findings} == {"backward_stamp", "duplicate_stamp", "non_finite"}
 
@@ -267,7 +266,7 @@ def test_parquet_needs_pyarrow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     (tmp_path / "run.parquet").write_bytes(b"PAR1")
     with pytest.raises(MissingExtraError, match="pip install pyarrow"):
-        TableSource(tmp_path / "run.parquet")
+        open_source([tmp_path / "run.parquet"])
     with pytest.raises(MissingExtraError, match="pip install pyarrow"):
         TableWriter(tmp_path / "run.parquet", ["a"])
 

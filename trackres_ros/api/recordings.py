@@ -71,12 +71,12 @@ def read(recording: StrPath | Sequence[StrPath], *, topics: TopicsGiven | None =
     Parameters
     ----------
     recording
-        A rosbag2 folder, `.mcap`, `.db3`, `.bag`, `.csv`, `.csv.gz`, `.parquet` or `.xlsx`; of bags several, which are read one
-        after another as one recording. An `.mcap` or `.mcap.part` that was not finished is read up to its last whole block, and a
-        finding says so.
+        A bag (rosbag2 folder, `.mcap`, `.db3`, `.bag`), table (`.csv`, `.csv.gz`, `.parquet`, `.xlsx`), MDF file (`.mf4`), CAN
+        log (`.blf`, `.asc`, `.log`) or MATLAB file (`.mat`); of bags several, which are read one after another as one recording.
+        An `.mcap` or `.mcap.part` that was not finished is read up to its last whole block, and a finding says so.
     topics
         Which topic and field, or which column, feeds which role: a topics file, or what stands in one. Without it topics are
-        guessed by message type, and columns known by name.
+        guessed by message type, columns known by name, and channels of MDF files and CAN logs guessed by name and unit.
 
     Returns
     -------

@@ -9,11 +9,11 @@ import inspect
 import json
 import time
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 from click.shell_completion import CompletionItem
@@ -24,9 +24,16 @@ from trackres_ros.errors import nearest
 from trackres_ros.files.resources import shipped_road_vehicles, shipped_topics, shipped_vehicles
 from trackres_ros.progress import listening
 
+if TYPE_CHECKING:
+    from trackres_ros.recording.bindings import Topics
+
 Decorated = TypeVar("Decorated", bound=Callable[..., Any])
 
 DISTRIBUTIONS = {"sklearn": "scikit-learn"}  # where its name is not that of the module
+
+
+DBC = f"{__name__}.dbc"
+"""Under which the context of a command keeps the databases."""
 
 
 class Command(click.Command):
@@ -101,15 +108,44 @@ def vehicle_option(command: Decorated) -> Decorated:
     )(command)
 
 
-def topics_option(text: str) -> Callable[[Decorated], Decorated]:
-    """`--topics`: a path or the name of a shipped topics file."""
+def topics_option(text: str, with_dbc: bool = True) -> Callable[[Decorated], Decorated]:
+    """`--topics`: a path or the name of a shipped topics file; and `--dbc`, which goes in with it where recordings are read."""
     names = ", ".join(shipped_topics())
-    return click.option(
+    option = click.option(
         "--topics",
         metavar="FILE|NAME",
         shell_complete=topics_to_complete,
+        callback=_with_databases if with_dbc else None,
         help=f"Topics file, or the name of a shipped one ({names}): {text}",
     )
+    return (lambda command: dbc_option(option(command))) if with_dbc else option
+
+
+def dbc_option(command: Decorated) -> Decorated:
+    """`--dbc`: databases of the buses whose frames were logged."""
+    return click.option(
+        "--dbc",
+        multiple=True,
+        type=click.Path(path_type=Path),
+        is_eager=True,
+        expose_value=False,
+        callback=lambda context, _, files: context.meta.update({DBC: files}),
+        help="Database of a CAN bus, where its frames were recorded; may be repeated. Instead of dbc in the topics file.",
+    )(command)
+
+
+def _with_databases(context: click.Context, _option: click.Parameter, topics: str | None) -> Topics | str | None:
+    return with_databases(topics, context.meta.get(DBC, ()))
+
+
+def with_databases(topics: str | None, files: Sequence[Path]) -> Topics | Any:
+    """A topics file, or none, with the databases of `--dbc` where these are given."""
+    if not files:
+        return topics
+    from trackres_ros.recording.bindings import Topics
+
+    loaded = Topics({}, "--dbc") if topics is None else Topics.load(topics)
+    return loaded.with_databases(files)
 
 
 def surroundings_option(command: Decorated) -> Decorated:

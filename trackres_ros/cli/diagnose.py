@@ -72,7 +72,8 @@ def diagnose_command(
 ) -> None:
     """Where recordings and simulation part, which physics is missing, and a vehicle file that has it.
 
-    Each RECORDING with a measured torque is a session: a rosbag2 folder, .mcap, .db3, .bag, .csv, .csv.gz, .parquet or .xlsx.
+    Each RECORDING with a measured torque is a session: a bag, a table, an MDF file, a CAN log or a MATLAB file
+    (docs/recordings.md).
 
     \b
     trackres diagnose day1.mcap day2.mcap --vehicle xgd24d --topics topics.yaml -o report

@@ -71,7 +71,7 @@ def fleet_group() -> None:
 @click.option(
     "--vehicles", type=click.Path(path_type=Path), metavar="fleet.yaml", help="Vehicles, each with its file and recordings."
 )
-@topics_option("with --vehicle, which topic or column feeds which role.")
+@topics_option("with --vehicle, which topic or column feeds which role.", with_dbc=False)
 @click.option(
     "--engine", default="local", show_default=True, metavar="local|tcp://HOST:PORT", help="Where it runs: a Dask scheduler."
 )

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 @click.command("live")
 @click.option("--vehicle", metavar="FILE|NAME", help="Vehicle file or shipped name; may stand in the parameter file instead.")
 @click.option("--surroundings", metavar="S.yaml", help="Effects of site, weather and ground that hold here and now.")
-@topics_option("which topic feeds which role; default without.")
+@topics_option("which topic feeds which role; default without.", with_dbc=False)
 @click.option(
     "--params",
     "params_file",

@@ -31,7 +31,7 @@ from trackres_ros.errors import one_line
 @click.argument("recording", nargs=-1, required=True, type=click.Path(path_type=Path))
 @vehicle_option
 @surroundings_option
-@topics_option("which topic, field or column feeds which role; guessed by message type without.")
+@topics_option("which topic, field or column feeds which role; guessed by message type, or by name and unit, without.")
 @click.option(
     "--params",
     type=click.Path(path_type=Path),
@@ -58,8 +58,8 @@ from trackres_ros.errors import one_line
     "-o",
     "--output",
     type=click.Path(path_type=Path),
-    help="Result: .parquet, .csv or .csv.gz as a table, .mcap as topics. A picture .png goes beside it. By default a table here, "
-    "named after the recording: Parquet, or .csv.gz without pyarrow.",
+    help="Result: .parquet, .csv, .csv.gz or .mf4 as a table, .mcap as topics. A picture .png goes beside it. By default a table "
+    "here, named after the recording: Parquet, or .csv.gz without pyarrow.",
 )
 @json_option
 def replay_command(
@@ -80,7 +80,8 @@ def replay_command(
     """Resistance torque and belt temperature over the time of a recording.
 
     RECORDING is a rosbag2 folder, .mcap, .db3, ROS 1 .bag (several are read one after the other), or one .csv, .csv.gz,
-    .parquet or .xlsx with time_s and speed_mps (or speed_kmh), or with columns that the topics file names.
+    .parquet or .xlsx with time_s and speed_mps (or speed_kmh), or with columns that the topics file names; or one .mf4, .blf,
+    .asc, .log (candump) or .mat, whose channels are named there too or guessed by name and unit.
 
     \b
     trackres replay lap.mcap --vehicle xgd24d --topics topics.yaml -o out.mcap

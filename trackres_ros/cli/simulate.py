@@ -48,7 +48,9 @@ from trackres_ros.cli.partial_output import watch
 @click.option("--weight-kn", type=number(0.1, 1e5), help="Weight of the whole vehicle [kN]; default the vehicle file's.")
 @method_options
 @click.option("--dt", type=number(1e-4, 10), default=default_of(tr.simulate, "dt"), show_default=True, help="Time step [s].")
-@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="Result: .csv, .csv.gz, .parquet or .mcap.")
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), required=True, help="Result: .csv, .csv.gz, .parquet, .mf4 or .mcap."
+)
 @json_option
 def simulate_command(
     vehicle: str,

@@ -5,9 +5,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import click
 
-from trackres_ros.cli.common import Commands, emit, json_option
+from trackres_ros.cli.common import DBC, Command, Commands, dbc_option, emit, json_option, with_databases
 
 
 @click.group("topics", cls=Commands)
@@ -23,3 +25,21 @@ def list_command(as_json: bool) -> None:
 
     found = shipped()
     emit({"topics": found}, as_json, lambda: shipped_text(found))
+
+
+@topics_group.command("guess", cls=Command)
+@click.argument("recording", nargs=-1, required=True, type=click.Path(path_type=Path))
+@dbc_option
+@json_option
+@click.pass_context
+def guess_command(context: click.Context, recording: tuple[Path, ...], as_json: bool) -> None:
+    """Print the topics file that a recording is read with where none is named, to check and to keep.
+
+    \b
+    trackres topics guess drive.mf4 > topics.yaml
+    trackres topics guess bus.blf --dbc bus.dbc > topics.yaml
+    """
+    from trackres_ros.recording.guessed_topics import guessed_topics
+
+    lines = guessed_topics(recording, with_databases(None, context.meta[DBC]))
+    emit({"lines": lines}, as_json, lambda: "\n".join(lines))

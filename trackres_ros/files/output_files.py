@@ -13,9 +13,13 @@ from pathlib import Path
 from trackres_ros.errors import InputError, MissingExtraError
 
 BAG_SUFFIX = ".mcap"
-TABLE_SUFFIXES = (".csv", ".csv.gz", ".parquet")
+TABLE_SUFFIXES = (".csv", ".csv.gz", ".parquet", ".mf4")
 OUTPUT_SUFFIXES = (*TABLE_SUFFIXES, BAG_SUFFIX)
-WRITTEN_WITH = {".parquet": ("writing Parquet", "pyarrow", "parquet"), BAG_SUFFIX: ("writing bags", "rosbags", "bags")}
+WRITTEN_WITH = {
+    ".parquet": ("writing Parquet", "pyarrow", "parquet"),
+    ".mf4": ("writing MDF", "asammdf", "mdf"),
+    BAG_SUFFIX: ("writing bags", "rosbags", "bags"),
+}
 
 
 def output_file(path: str | PathLike[str], suffixes: Sequence[str] = OUTPUT_SUFFIXES, where: str = "output") -> Path:

@@ -12,9 +12,9 @@ from pathlib import PurePosixPath
 from typing import Any
 
 from trackres_ros.errors import InputError, MissingExtraError, one_line
-from trackres_ros.recording.opening import BAG_SUFFIXES, TABLE_SUFFIXES
+from trackres_ros.recording.opening import AMBIGUOUS, suffixes
 
-SUFFIXES = (*BAG_SUFFIXES, *TABLE_SUFFIXES)
+SUFFIXES = tuple(suffix for suffix in suffixes() if suffix not in AMBIGUOUS)
 OF_A_BAG = "metadata.yaml"  # makes of a folder one recording, a rosbag2
 WILD = "*?["
 CHANGED = ("ETag", "etag", "mtime", "LastModified", "last_modified")

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError
 from trackres_ros.estimator.constants import LARGEST_LOAD_SHARE, LEAST_LOAD_SHARE, PLAUSIBLE
+from trackres_ros.recording.channel_source import ChannelSource
 from trackres_ros.recording.opening import open_source
 from trackres_ros.recording.recording import Recording
 from trackres_ros.recording.roles import POSITION, ROLES
-from trackres_ros.recording.table import TableSource
 
 Array = NDArray[np.float64]
 
@@ -37,7 +37,7 @@ def read_profile(profile: str | PathLike[str] | Recording, on_route: bool = Fals
         recording = profile
     else:
         source = open_source([Path(profile)])
-        if not isinstance(source, TableSource):
+        if not isinstance(source, ChannelSource):
             raise InputError("profile", str(profile), "a CSV or Parquet table; trackres replay reads bags")
         recording = Recording.from_source(source)
     taken = [role for role in ("speed", *ARGUMENT_OF) if on_route or role not in POSITION]

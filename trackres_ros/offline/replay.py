@@ -175,7 +175,7 @@ class LearningSteps:
 
 @contextmanager
 def result_writer(path: Path, estimator: Estimator, learner: Learner | None = None) -> Iterator[Callable[[Steps], None]]:
-    """A writer for the kind of file a path names: `.mcap` as topics, `.csv`, `.csv.gz` or `.parquet` as a table."""
+    """A writer for the kind of file a path names: `.mcap` as topics, `.csv`, `.csv.gz`, `.parquet` or `.mf4` as a table."""
     learned = None if learner is None else LearnedTopic(learner)
     if path.suffix.lower() == BAG_SUFFIX:
         with OutputBag(path, estimator, learned) as bag:

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Writes tables: CSV and Parquet, in which equal numbers give equal bytes."""
+"""Writes tables: CSV and Parquet, in which equal numbers give equal bytes, and MDF."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import io
 import os
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
+from importlib.util import find_spec
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -19,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError, MissingExtraError
-from trackres_ros.recording.opening import TABLE_SUFFIXES
+from trackres_ros.files.output_files import TABLE_SUFFIXES, WRITTEN_WITH
+from trackres_ros.output.mdf import MdfTable
 from trackres_ros.recording.samples import FloatArray
 
 EXACT = ("time_s",)
@@ -32,24 +34,24 @@ class TableWriter:
     """Writes a table block by block; it takes its place only when the `with` block ends without an exception.
 
     In CSV a NaN becomes an empty cell, every other number the shortest text that reads back as the same number. Equal numbers
-    give equal bytes.
+    give equal bytes, but in MDF, which says when it was written.
 
     Parameters
     ----------
     path : Path
-        ``.csv``, ``.csv.gz`` or ``.parquet``; replaced if it is there.
+        ``.csv``, ``.csv.gz``, ``.parquet`` or ``.mf4``; replaced if it is there.
     names : sequence of str
         Names of the k columns.
     estimates : bool
-        Whether numbers but times are estimates, of which Parquet keeps single precision: seven digits, a thousand times finer
-        than any of them is known.
+        Whether numbers but times are estimates, of which Parquet and MDF keep single precision: seven digits, a thousand
+        times finer than any of them is known.
 
     Raises
     ------
     InputError
         Another suffix, or no such folder.
     MissingExtraError
-        Parquet, and pyarrow is not installed.
+        Parquet or MDF, and what writes it is not installed.
     """
 
     def __init__(self, path: Path, names: Sequence[str], estimates: bool = False) -> None:
@@ -59,19 +61,20 @@ class TableWriter:
             raise InputError(str(path), f"no folder {path.parent}", "a file in a folder that is there")
         self.path, self.names = path, tuple(names)
         self._part = path.with_name(f".{path.name}.{os.getpid()}.part")
+        if path.suffix.lower() == ".mf4":  # the library would write to another name
+            self._part = self._part.with_suffix(".mf4")
         self._estimates = estimates
-        self._parquet = path.name.lower().endswith(".parquet")
-        if self._parquet:
-            try:
-                import pyarrow as _  # noqa: F401
-            except ImportError:
-                raise MissingExtraError("writing Parquet", "pyarrow", "parquet") from None
+        self._suffix = path.suffix.lower()
+        if self._suffix in WRITTEN_WITH and find_spec(WRITTEN_WITH[self._suffix][1]) is None:
+            raise MissingExtraError(*WRITTEN_WITH[self._suffix])
         self._files = ExitStack()
         self._out: Any = None
 
     def __enter__(self) -> Self:
         """Begin the file beside its place."""
-        if not self._parquet:
+        if self._suffix == ".mf4":
+            self._out = self._files.enter_context(MdfTable(self._part, self.names))
+        elif self._suffix != ".parquet":
             raw: Any = self._files.enter_context(self._part.open("wb"))
             if self.path.name.lower().endswith(".gz"):
                 raw = self._files.enter_context(gzip.GzipFile("", "wb", 6, raw, mtime=0))
@@ -84,7 +87,7 @@ class TableWriter:
         try:
             if kind is None and self._out is None:
                 self.write(np.empty((0, len(self.names))))
-            self._files.close()
+            self._files.__exit__(kind, error, trace)
             if kind is None:
                 self._part.replace(self.path)
         finally:
@@ -96,19 +99,28 @@ class TableWriter:
 
     def write_columns(self, columns: Sequence[NDArray[Any]]) -> None:
         """Write n rows given as k columns, each of shape (n,): numbers or texts."""
-        if self._parquet:
+        if self._suffix == ".parquet":
             self._write_parquet(columns)
+            return
+        if self._suffix == ".mf4":
+            single = self._single(columns)
+            self._out.write([c.astype(np.float32) if n in single else c for n, c in zip(self.names, columns, strict=True)])
             return
         for start in range(0, len(columns[0]), CHUNK_ROWS):
             texts = [_texts(column[start : start + CHUNK_ROWS]) for column in columns]
             self._out.write("\n".join(map(",".join, zip(*texts, strict=True))) + "\n")
+
+    def _single(self, columns: Sequence[NDArray[Any]]) -> set[str]:
+        """Names of the columns that are kept in single precision."""
+        real = {name for name, column in zip(self.names, columns, strict=True) if column.dtype.kind == "f"}
+        return real.difference(EXACT) if self._estimates else set()
 
     def _write_parquet(self, columns: Sequence[NDArray[Any]]) -> None:
         import pyarrow as pa
         from pyarrow import parquet
 
         real = [name for name, column in zip(self.names, columns, strict=True) if column.dtype.kind == "f"]
-        single = set(real).difference(EXACT) if self._estimates else set[str]()
+        single = self._single(columns)
         named = zip(self.names, columns, strict=True)
         arrays = [pa.array(c.astype(np.float32) if name in single else c, from_pandas=True) for name, c in named]
         table = pa.table(arrays, names=list(self.names))
@@ -129,7 +141,7 @@ def write_table(path: Path, columns: Mapping[str, NDArray[Any]], estimates: bool
     Parameters
     ----------
     path : Path
-        ``.csv``, ``.csv.gz`` or ``.parquet``.
+        ``.csv``, ``.csv.gz``, ``.parquet`` or ``.mf4``.
     columns : mapping of str to ndarray, each of shape (n,)
         Numbers or texts by name.
     estimates : bool

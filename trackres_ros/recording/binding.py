@@ -59,7 +59,7 @@ class TopicBinding:
     delay_s : float
         By how much a torque comes late [s]: what is shown was so that long before its stamp.
     unit : str
-        Of an angle: ``deg``, ``rad``, or empty; then a position is told by its values, and any other angle is in rad.
+        What the raw numbers are in, where that is said: it is in scale and offset. Of a position without it, the values tell.
     kg_each : float
         Of passengers: mass of one [kg].
     threshold : float or None
@@ -87,7 +87,7 @@ class TopicBinding:
     sensor: Literal["surface", "mean"] = "surface"
     std_k: float = 3.0
     delay_s: float = 0.0
-    unit: Literal["deg", "rad", ""] = ""
+    unit: str = ""
     kg_each: float = PASSENGER_KG
     threshold: float | None = None
     values: tuple[float, ...] = ()

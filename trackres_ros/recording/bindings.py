@@ -6,43 +6,45 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from os import PathLike
+from pathlib import Path
 from types import MappingProxyType
-from typing import Literal, cast
+from typing import Any, Literal, cast
 
 from trackres_ros import checks
 from trackres_ros.errors import InputError, nearest
 from trackres_ros.files.resources import find_topics
 from trackres_ros.files.yamls import read_yaml
 from trackres_ros.recording.binding import IN_DEGREES, TopicBinding, field_steps, message_type
-from trackres_ros.recording.roles import ANGLES, PASSENGER_KG, POSITION, ROLES, base_role
-from trackres_ros.units import DEGREE
+from trackres_ros.recording.role_units import UNITS, Conversion, conversion
+from trackres_ros.recording.roles import PASSENGER_KG, POSITION, ROLES, base_role
 
 KEYS = (
-    "topic", "type", "field", "column", "scale", "offset", "stamp", "max_age_s", "sensor", "std_k", "delay_s",
+    "topic", "type", "field", "column", "channel", "scale", "offset", "stamp", "max_age_s", "sensor", "std_k", "delay_s",
     "unit", "kg_each", "threshold", "values", "decimal", "derivative", "sum",
 )  # fmt: skip
 ONLY_FOR = {
     "sensor": ("belt",),
     "std_k": ("belt",),
     "delay_s": ("torque",),
-    "unit": ANGLES,
     "kg_each": ("passengers",),
     "threshold": ("brake",),
     "values": ("enable",),
     "derivative": ("speed",),
 }
 """Keys that have a meaning for some roles alone."""
-OF_A_PART = ("topic", "type", "field", "stamp", "column", "scale", "offset", "decimal")
+OF_A_PART = ("topic", "type", "field", "stamp", "column", "channel", "unit", "scale", "offset", "decimal")
 """Keys of a part of a sum."""
-NOT_OF_A_SUM = ("topic", "type", "field", "stamp", "column", "decimal", "derivative", "values")
+NOT_OF_A_SUM = ("topic", "type", "field", "stamp", "column", "channel", "unit", "decimal", "derivative", "values")
 MOST_PARTS = 16
 SUM_EXAMPLE = "torque: {sum: [{column: left_nm}, {column: right_knm, scale: 1000.0}]}"
-OF_TIME = ("column", "scale", "offset", "decimal", "order")
+OF_TIME = ("column", "channel", "unit", "scale", "offset", "decimal", "order")
 TIME = "time"
 """The line that names the column of the time in a table; no role, as every sample has its time."""
+DBC = "dbc"
+"""The line that names the database of a CAN bus, or several; no role either."""
 BOTH = "position"
 """The line that stands for latitude and longitude of one message."""
 OF_BOTH = ("topic", "type", "field", "stamp", "max_age_s", "unit")
@@ -66,11 +68,14 @@ class Topics:
         The file, for messages to the user.
     time : TopicBinding, optional
         The column of the time in a table, where it is not ``time_s``.
+    dbc : tuple of (int or None, Path)
+        Databases of CAN buses, each with the number of its bus where the file says it.
     """
 
     bindings: Mapping[str, TopicBinding]
     origin: str = "topics"
     time: TopicBinding | None = None
+    dbc: tuple[tuple[int | None, Path], ...] = ()
 
     def __getitem__(self, role: str) -> TopicBinding:
         return self.bindings[role]
@@ -87,6 +92,10 @@ class Topics:
     def __contains__(self, role: object) -> bool:
         return role in self.bindings
 
+    def with_databases(self, files: Iterable[Path]) -> Topics:
+        """The same with other databases, of whatever bus."""
+        return replace(self, dbc=tuple((None, file) for file in files))
+
     @classmethod
     def load(cls, path_or_name: str | PathLike[str]) -> Topics:
         """Read a topics file, given by its path or by the name of a shipped one.
@@ -97,10 +106,11 @@ class Topics:
             The file is not there, no YAML, or says something that is not allowed: which role and key.
         """
         path = find_topics(path_or_name)
-        return cls.parse(read_yaml(path, "a mapping with one line a role", f"write for example: {EXAMPLE}"), str(path))
+        content = read_yaml(path, "a mapping with one line a role", f"write for example: {EXAMPLE}")
+        return cls.parse(content, str(path), path.parent)
 
     @classmethod
-    def parse(cls, content: object, origin: str = "topics") -> Topics:
+    def parse(cls, content: object, origin: str = "topics", folder: Path = Path()) -> Topics:
         """Check the content of a topics file.
 
         Parameters
@@ -109,6 +119,8 @@ class Topics:
             What the YAML holds.
         origin : str
             Its file, for messages.
+        folder : Path
+            What a path in it starts from.
 
         Raises
         ------
@@ -121,15 +133,16 @@ class Topics:
         for role, line in content.items():
             if role == BOTH:
                 bindings |= _position(line, content, f"{origin}: {role}")
-            elif role != TIME:
+            elif role not in (TIME, DBC):
                 _check_role(role, origin)
                 bindings[role] = _binding(role, line, f"{origin}: {role}")
         time = _time(content[TIME], f"{origin}: {TIME}") if TIME in content else None
-        return cls(MappingProxyType(bindings), origin, time)
+        dbc = _databases(content[DBC], f"{origin}: {DBC}", folder) if DBC in content else ()
+        return cls(MappingProxyType(bindings), origin, time, dbc)
 
 
 def _check_role(role: object, origin: str) -> None:
-    allowed = ", ".join((*ROLES, BOTH, TIME))
+    allowed = ", ".join((*ROLES, BOTH, TIME, DBC))
     if not isinstance(role, str) or base_role(role) not in ROLES:
         raise InputError(f"{origin}: role", role, allowed, nearest(str(role).partition("/")[0], ROLES))
     base, slash, part = role.partition("/")
@@ -145,7 +158,8 @@ def _binding(role: str, line: object, where: str) -> TopicBinding:
         raise InputError(
             where, line, "a mapping with topic, type and field, or with column, or with sum", f"for example: {EXAMPLE}"
         )
-    for key in line:
+    line = _with_column(line, where)
+    for key in map(str, line):
         checks.one_of(key, f"{where}: key", KEYS)
         meant = ONLY_FOR.get(key)
         if meant and base_role(role) not in meant:
@@ -159,23 +173,22 @@ def _binding(role: str, line: object, where: str) -> TopicBinding:
     parts = _parts(role, line["sum"], f"{where}: sum") if "sum" in line else ()
     texts = dict.fromkeys(("topic", "type", "field", "column"), "") if parts else _source(line, where)
     max_age_s = _number(line, "max_age_s", 0.0, where) if "max_age_s" in line else None
-    unit = _choice(line, "unit", ("deg", "rad"), "", where)
-    if not unit and role in POSITION and texts["type"] == IN_DEGREES:
-        unit = "deg"
-    turned = DEGREE if unit == "deg" else 1.0
+    inside = ROLES[base_role(role)].unit
+    default = "deg" if role in POSITION and texts["type"] == IN_DEGREES else ""
+    unit, by_unit = _unit(line, inside, default, where)
     binding = TopicBinding(
         topic=texts["topic"],
         type=texts["type"],
         field=texts["field"],
         column=texts["column"],
-        scale=turned * _number(line, "scale", 1.0, where),
-        offset=turned * _number(line, "offset", 0.0, where),
+        scale=by_unit.scale * _number(line, "scale", 1.0, where),
+        offset=by_unit.scale * _number(line, "offset", 0.0, where) + by_unit.offset,
         stamp=cast("Literal['header', 'log', '']", _choice(line, "stamp", ("header", "log"), "", where)),
         max_age_s=max_age_s,
         sensor=cast("Literal['surface', 'mean']", _choice(line, "sensor", ("surface", "mean"), "surface", where)),
         std_k=_number(line, "std_k", 3.0, where),
         delay_s=checks.number(line.get("delay_s", 0.0), f"{where}: delay_s", 0.0, MOST_DELAY_S, "s"),
-        unit=cast("Literal['deg', 'rad', '']", unit),
+        unit=unit,
         kg_each=checks.number(line.get("kg_each", PASSENGER_KG), f"{where}: kg_each", 1.0, MOST_KG_EACH, "kg"),
         threshold=_number(line, "threshold", 0.0, where) if "threshold" in line else None,
         values=_values(line["values"], f"{where}: values") if "values" in line else (),
@@ -212,7 +225,7 @@ def _source(line: Mapping[object, object], where: str) -> dict[str, str]:
 
 def _parts(role: str, given: object, where: str) -> tuple[TopicBinding, ...]:
     """The parts of a sum: all of them columns, or all of them fields of topics."""
-    if base_role(role) in ANGLES:
+    if ROLES[base_role(role)].unit == "rad":
         raise InputError(where, role, "a role that is no angle")
     if not isinstance(given, list) or not 2 <= len(given) <= MOST_PARTS:
         raise InputError(where, given, f"a list of 2 to {MOST_PARTS} parts", f"write for example: {SUM_EXAMPLE}")
@@ -246,20 +259,56 @@ def _position(line: object, content: Mapping[object, object], where: str) -> dic
 
 def _time(line: object, where: str) -> TopicBinding:
     """The column of the time; a bag has stamps instead."""
+    line = _with_column(line, where) if isinstance(line, Mapping) else line
     if not isinstance(line, Mapping) or not set(line) <= set(OF_TIME) or "column" not in line:
         raise InputError(
-            where, line, f"column, and if need be {', '.join(OF_TIME[1:])}", "write for example: time: {column: seconds}"
+            where, line, f"column, and if need be {', '.join(OF_TIME[2:])}", "write for example: time: {column: seconds}"
         )
-    scale = _number(line, "scale", 1.0, where)
+    by_unit = _unit(line, "s", "", where)[1].scale
+    scale = by_unit * _number(line, "scale", 1.0, where)
     if scale <= 0.0:
         raise InputError(f"{where}: scale", scale, "a positive number: seconds in a unit of the column")
     return TopicBinding(
         column=_text(line, "column", where),
         scale=scale,
-        offset=_number(line, "offset", 0.0, where),
+        offset=by_unit * _number(line, "offset", 0.0, where),
         decimal=_decimal(line, where),
         order=cast("Literal['dmy', 'mdy', '']", _choice(line, "order", ("dmy", "mdy"), "", where)),
     )
+
+
+def _with_column(line: Mapping[object, object], where: str) -> Mapping[object, object]:
+    """The line with its channel as a column, which is another word for the same."""
+    if "channel" not in line:
+        return line
+    if "column" in line:
+        raise InputError(where, "channel and column", "one of the two: they mean the same")
+    return {"column" if key == "channel" else key: value for key, value in line.items()}
+
+
+def _unit(line: Mapping[object, object], inside: str, default: str, where: str) -> tuple[str, Conversion]:
+    """The unit of a line as a table of units has it, and how it becomes the unit inside the program."""
+    given = _text(line, "unit", where) or default
+    found = conversion(given, inside) if given else Conversion(1.0)
+    if found is None:
+        remedy = f"or give scale and offset: value [{inside}] = scale x raw + offset"
+        raise InputError(f"{where}: unit", given, ", ".join(UNITS[inside]), remedy)
+    return next((name for name, one in UNITS[inside].items() if given and one == found), ""), found
+
+
+def _databases(given: object, where: str, folder: Path) -> tuple[tuple[int | None, Path], ...]:
+    """Files by bus: one, a list of them, or a mapping from the number of a bus."""
+    files = given if isinstance(given, list) else [given]
+    pairs: Iterable[tuple[Any, Any]] = given.items() if isinstance(given, Mapping) else [(None, file) for file in files]
+    found: list[tuple[int | None, Path]] = []
+    for bus, file in pairs:
+        right = isinstance(file, str | PathLike) and str(file).strip() and (bus is None or type(bus) is int)
+        if not right:
+            raise InputError(where, given, "a file, a list of files, or a mapping from the number of a bus to its file")
+        found.append((bus, folder / Path(file)))
+    if not found:
+        raise InputError(where, given, "at least one file")
+    return tuple(found)
 
 
 def _decimal(line: Mapping[object, object], where: str) -> Literal[".", ",", ""]:

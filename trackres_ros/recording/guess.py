@@ -1,20 +1,25 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Guesses which topic feeds which role, where no topics file says so."""
+"""Guesses which topic or channel feeds which role, where no topics file says so."""
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
 from types import MappingProxyType
-from typing import Literal
+from typing import Literal, NamedTuple
+
+import yaml
 
 from trackres_ros.errors import InputError
 from trackres_ros.recording.binding import IN_DEGREES, TopicBinding
 from trackres_ros.recording.bindings import EXAMPLE, Topics
-from trackres_ros.recording.roles import POSITION, ROLES
+from trackres_ros.recording.channel_file import Channel
+from trackres_ros.recording.role_units import UNITS as UNITS_OF_ROLES
+from trackres_ros.recording.role_units import conversion
+from trackres_ros.recording.roles import POSITION, ROLES, Role, base_role
 from trackres_ros.units import DEGREE
 
 NOT_MEASURED = re.compile(
@@ -22,23 +27,23 @@ NOT_MEASURED = re.compile(
     r"estimated?|feed ?forward|resistance|trackres|error|variance)\b"
 )
 """Words in a topic name that say its content was not measured on the vehicle; nothing is guessed from it."""
-NOT_VEHICLE = r"rpm|\b(engine|motor|wind|fan|angular|yaw|cpu)\b"
-"""Words that say a speed, load or torque is not that of the vehicle at its tracks."""
+WHEEL = re.compile(r"\bwheels?\b(?! based vehicle)")
+"""Of a channel: a speed at a wheel is not that of the vehicle; the wheel-based vehicle speed of J1939 is."""
 SCALARS = ("std_msgs/msg/Float64", "std_msgs/msg/Float32")
 COUNTS = tuple(f"std_msgs/msg/{name}" for name in ("UInt8", "UInt16", "UInt32", "Int8", "Int16", "Int32"))
-AMBIENT = r"\b(ambient|outside|outdoor|air)\b"
 UNITS = {
-    "speed": (("km/h", r"km ?p?h\b|kph\b", 1.0 / 3.6),),
-    "load": (("kN", r"\bkn\b", 1e3), ("kg", r"\bkg\b", 9.80665)),
-    "torque": (("kNm", r"\bkn ?m\b", 1e3),),
-    "brake": (("bar", r"\bbar\b", 1e5), ("kPa", r"\bkpa\b", 1e3)),
-    "steering_angle": (("degrees", r"\bdeg(rees?)?\b", DEGREE),),
+    "speed": (("km/h", r"km ?p?h\b|kph\b"), ("m/s", r"\bmps\b|\bm s\b")),
+    "load": (("kN", r"\bkn\b"), ("kg", r"\bkg\b"), ("N", r"\bn\b")),
+    "torque": (("kNm", r"\bkn ?m\b"), ("Nm", r"\bn ?m\b")),
+    "ambient": (("degC", r"\bdeg ?c\b"),),
+    "belt": (("degC", r"\bdeg ?c\b"),),
+    "brake": (("bar", r"\bbar\b"), ("kPa", r"\bkpa\b")),
+    "steering_angle": (("degrees", r"\bdeg(rees?)?\b"),),
 }
-"""Units the topic name of a bare number may carry: unit, pattern, scale to the unit of the role."""
+"""Units the name of a bare number may carry: unit, and pattern."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Rule:
+class _Rule(NamedTuple):
     """Message types that may feed a role, the field, and patterns the words of the topic must and must not have."""
 
     role: str
@@ -48,25 +53,29 @@ class _Rule:
     not_words: str = r"(?!)"
 
 
+def _by_words(role: str, types: tuple[str, ...], field: str) -> _Rule:
+    return _Rule(role, types, field, ROLES[role].words, ROLES[role].not_words)
+
+
 RULES = (
     _Rule("speed", ("nav_msgs/msg/Odometry",), "twist.twist.linear.x"),
     _Rule("speed", ("geometry_msgs/msg/TwistStamped",), "twist.linear.x"),
     _Rule("speed", ("geometry_msgs/msg/TwistWithCovarianceStamped",), "twist.twist.linear.x"),
-    _Rule("speed", SCALARS, "data", r"speed|velocity", NOT_VEHICLE),
-    _Rule("load", ("geometry_msgs/msg/WrenchStamped",), "wrench.force.z", r"\bload\b|weight", NOT_VEHICLE),
-    _Rule("load", SCALARS, "data", r"\bload\b|weight", NOT_VEHICLE),
-    _Rule("torque", ("geometry_msgs/msg/WrenchStamped",), "wrench.torque.y", "torque", NOT_VEHICLE),
-    _Rule("torque", SCALARS, "data", "torque", NOT_VEHICLE),
-    _Rule("ambient", ("sensor_msgs/msg/Temperature",), "temperature", AMBIENT),
-    _Rule("belt", ("sensor_msgs/msg/Temperature",), "temperature", r"\b(belt|track|rubber)\b", AMBIENT),
+    _by_words("speed", SCALARS, "data"),
+    _by_words("load", ("geometry_msgs/msg/WrenchStamped",), "wrench.force.z"),
+    _by_words("load", SCALARS, "data"),
+    _by_words("torque", ("geometry_msgs/msg/WrenchStamped",), "wrench.torque.y"),
+    _by_words("torque", SCALARS, "data"),
+    _by_words("ambient", ("sensor_msgs/msg/Temperature",), "temperature"),
+    _by_words("belt", ("sensor_msgs/msg/Temperature",), "temperature"),
     _Rule("yaw_rate", ("sensor_msgs/msg/Imu",), "angular_velocity.z"),
     _Rule("specific_force", ("sensor_msgs/msg/Imu",), "linear_acceleration.x"),
     _Rule("latitude", (IN_DEGREES,), "latitude"),
     _Rule("longitude", (IN_DEGREES,), "longitude"),
     _Rule("altitude", (IN_DEGREES,), "altitude"),
-    _Rule("steering_angle", SCALARS, "data", r"steering angle\b", r"\bwheel\b|ratio"),
-    _Rule("passengers", (*SCALARS, *COUNTS), "data", r"\bpassengers?\b"),
-    _Rule("brake", SCALARS, "data", r"brake pressure", r"park|halt"),
+    _by_words("steering_angle", SCALARS, "data"),
+    _by_words("passengers", (*SCALARS, *COUNTS), "data"),
+    _by_words("brake", SCALARS, "data"),
 )
 """In the order of preference."""
 
@@ -120,6 +129,57 @@ def guess(available: Mapping[str, str]) -> tuple[Topics, list[str]]:
     return Topics(MappingProxyType({role: options[0][0] for role, options in found.items()}), "guessed"), notes
 
 
+def guess_channels(channels: Sequence[Channel], there: Collection[str]) -> tuple[dict[str, TopicBinding], dict[str, list[str]]]:
+    """Guess by name and unit which channels feed the roles that have no channel yet; without a unit there is no guess.
+
+    Parameters
+    ----------
+    channels
+        Of which each has a name of its own.
+    there
+        Roles that have a channel.
+
+    Returns
+    -------
+    bindings : dict of str to TopicBinding
+        By role, without the unit that the file says.
+    others : dict of str to list of str
+        By role: names of further channels that it may be.
+    """
+    bindings: dict[str, TopicBinding] = {}
+    others: dict[str, list[str]] = {}
+    for role, about in ROLES.items():
+        options = [] if role in there or not about.words else [one for one in channels if _may_be(one, role, about)]
+        if options:
+            first, *rest = sorted(options, key=lambda one: ("vehicle" not in words(one.name), len(one.name), one.name))
+            unit = "" if first.unit else _unit_in(role, words(first.name))
+            bindings[role] = TopicBinding(column=first.name, scale=_scale(role, unit) if unit else 1.0)
+            others[role] = [one.name for one in rest]
+    return bindings, others
+
+
+def _may_be(channel: Channel, role: str, about: Role) -> bool:
+    spoken = words(channel.name)
+    if not re.search(about.words, spoken) or any(re.search(no, spoken) for no in (about.not_words, NOT_MEASURED, WHEEL)):
+        return False
+    if not channel.unit:
+        return role in POSITION or bool(_unit_in(role, spoken))
+    return conversion(channel.unit, about.unit) is not None
+
+
+def topics_line(role: str, binding: TopicBinding) -> str:
+    """The line of a topics file that says where a role comes from, in the unit of the raw numbers where there is one."""
+    inside = ROLES[base_role(role)].unit
+    keys = ("topic", "type", "field") if binding.topic else ("column",)
+    line: dict[str, object] = {"channel" if key == "column" else key: getattr(binding, key) for key in keys}
+    unit = next((name for name, one in UNITS_OF_ROLES[inside].items() if one == (binding.scale, binding.offset)), "")
+    if unit and not (role in POSITION and not binding.unit):
+        line["unit"] = unit
+    elif (binding.scale, binding.offset) != (1.0, 0.0):
+        line |= {"scale": binding.scale, "offset": binding.offset}
+    return f"{role}: {yaml.safe_dump(line, default_flow_style=True, sort_keys=False, width=math.inf, allow_unicode=True).strip()}"
+
+
 def words(topic: str) -> str:
     """Return the words of a topic name, lower case with spaces: of ``/vehicleSpeed_kmh`` "vehicle speed kmh"."""
     spaced = re.sub(r"([a-z0-9])([A-Z])", r"\1 \2", topic).lower()
@@ -129,7 +189,16 @@ def words(topic: str) -> str:
 def _unit_of(rule: _Rule, words: str) -> tuple[str, float]:
     if rule.role in POSITION:
         return "degrees", DEGREE
-    for unit, pattern, scale in UNITS.get(rule.role, ()) if rule.field == "data" else ():
-        if re.search(pattern, words):
-            return unit, scale
-    return ROLES[rule.role].unit, 1.0
+    unit = (_unit_in(rule.role, words) if rule.field == "data" else "") or ROLES[rule.role].unit
+    return unit, _scale(rule.role, unit)
+
+
+def _unit_in(role: str, words: str) -> str:
+    """The unit that the words of a name carry, if any."""
+    return next((unit for unit, pattern in UNITS.get(role, ()) if re.search(pattern, words)), "")
+
+
+def _scale(role: str, unit: str) -> float:
+    found = conversion(unit, ROLES[role].unit)
+    assert found is not None
+    return found.scale

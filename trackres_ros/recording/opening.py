@@ -1,75 +1,106 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Opens whatever the user named: bags or a table."""
+"""Opens whatever the user named, by the kind of recording that its suffix says."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import importlib
+import pkgutil
+from collections.abc import Iterable, Sequence
+from functools import cache
+from importlib.metadata import entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from trackres_ros.errors import InputError
+from trackres_ros.recording import readers
 from trackres_ros.recording.bindings import Topics
-from trackres_ros.recording.reading import check_there
-from trackres_ros.recording.unfinished import SUFFIX as UNFINISHED
+from trackres_ros.recording.file_kind import GROUP, BagKind, FileKind
+from trackres_ros.recording.reading import check_there, reading
+from trackres_ros.recording.samples import BoundSource
 
-if TYPE_CHECKING:
-    from trackres_ros.recording.rosbag import BagSource
-    from trackres_ros.recording.table import TableSource
-
-BAG_SUFFIXES = (".mcap", ".db3", ".bag")
-TABLE_SUFFIXES = (".csv", ".csv.gz", ".parquet", ".xlsx")
 MOST_NAMED = 3
-ALLOWED = "a rosbag2 directory, .mcap, .db3, .bag, .csv, .csv.gz, .parquet or .xlsx"
+AMBIGUOUS = (".log", ".part")
+"""Suffixes by which folders are not searched: many programs write such files, and a recording may be under way."""
 
 
-def open_source(paths: Sequence[Path], topics: Topics | None = None) -> BagSource | TableSource:
+@cache
+def shipped_kinds() -> tuple[FileKind | BagKind, ...]:
+    """The kinds of this package: those that each module in `readers` registers by its name `KINDS`."""
+    modules = [importlib.import_module(f"{readers.__name__}.{found.name}") for found in pkgutil.iter_modules(readers.__path__)]
+    return tuple(kind for module in modules for kind in getattr(module, "KINDS", ()))
+
+
+@cache
+def further_kinds() -> tuple[FileKind, ...]:
+    """The kinds of other installed packages, by the names of their entry points.
+
+    Raises
+    ------
+    InputError
+        One that cannot be imported, or holds something else.
+    """
+    kinds: list[FileKind] = []
+    for point in sorted(entry_points(group=GROUP), key=lambda one: one.name):
+        with reading(
+            Path(f"entry point {GROUP}: {point.name}"), "a tuple of FileKind that can be imported", "mend or remove its package"
+        ):
+            found = point.load()
+        if not isinstance(found, tuple) or not all(isinstance(kind, FileKind) for kind in found):
+            raise InputError(f"entry point {GROUP}: {point.name}", found, "a tuple of FileKind")
+        kinds += found
+    return tuple(kinds)
+
+
+def suffixes() -> tuple[str, ...]:
+    """Suffixes of all kinds, in lower case."""
+    return tuple(dict.fromkeys(suffix for kind in (*shipped_kinds(), *further_kinds()) for suffix in kind.suffixes))
+
+
+def open_source(paths: Sequence[Path], topics: Topics | None = None) -> BoundSource:
     """Return the source for what is at some paths.
 
     Parameters
     ----------
     paths : sequence of Path
-        Bags, read one after another, or one table.
+        Bags, read one after another, or one other recording.
     topics : Topics, optional
-        Which topic or column feeds which role; guessed by message type, or standard columns, without.
+        Which topic or channel feeds which role; guessed by message type or by name and unit, or standard columns, without.
 
     Raises
     ------
     InputError
-        Nothing there, a suffix or directory that is no recording, bags and tables mixed, or several tables.
+        Nothing there, a suffix or directory that is no recording, several kinds mixed, or several files that are no bags.
     MissingExtraError
-        The library for bags, Parquet or Excel is not installed.
+        The library for this kind is not installed.
     """
     if not paths:
-        raise InputError("recording", "no path", ALLOWED)
-    tables = [_is_table(path) for path in paths]
-    if not any(tables):
-        from trackres_ros.recording.rosbag import BagSource
-
-        return BagSource(paths, topics)
-    if len(paths) > 1:
-        given = ", ".join(str(path) for path in paths)
-        raise InputError("recordings", given, "several bags, or one table", "give tables one at a time")
-    from trackres_ros.recording.table import TableSource
-
-    return TableSource(paths[0], topics)
+        raise InputError("recording", "no path", _allowed())
+    kinds = [_kind_of(path) for path in paths]
+    return next((kind for kind in kinds if isinstance(kind, FileKind)), kinds[0]).source(paths, topics)
 
 
-def _is_table(path: Path) -> bool:
-    """Return whether a path is a table (True) or a bag (False), by suffix or content of the directory."""
+def _allowed() -> str:
+    *most, last = suffixes()
+    return f"a rosbag2 directory, {', '.join(most)} or {last}"
+
+
+def _kind_of(path: Path) -> FileKind | BagKind:
+    """The kind of what is at a path, by suffix or content of the directory."""
     check_there(path)
     if path.is_dir():
         if (path / "metadata.yaml").is_file():
-            return False
-        inside = sorted(file.name for file in path.iterdir() if file.name.lower().endswith((*BAG_SUFFIXES, *TABLE_SUFFIXES)))
+            return next(kind for kind in shipped_kinds() if isinstance(kind, BagKind))
+        inside = sorted(file.name for file in path.iterdir() if file.name.lower().endswith(suffixes()))
         remedy = "name what is in it" if inside else "a rosbag2 directory has one; ros2 bag reindex writes it"
         more = f" and {len(inside) - MOST_NAMED} more" if len(inside) > MOST_NAMED else ""
         given = f"no metadata.yaml, but {', '.join(inside[:MOST_NAMED])}{more}" if inside else "a directory without metadata.yaml"
-        raise InputError(str(path), given, ALLOWED, remedy)
-    name = path.name.lower()
-    if name.endswith((*BAG_SUFFIXES, UNFINISHED)):
-        return False
-    if name.endswith(TABLE_SUFFIXES):
-        return True
-    raise InputError(str(path), path.suffix or "no suffix", ALLOWED)
+        raise InputError(str(path), given, _allowed(), remedy)
+    found = _by_name(path.name, shipped_kinds()) or _by_name(path.name, further_kinds())
+    if found is None:
+        raise InputError(str(path), path.suffix or "no suffix", _allowed())
+    return found
+
+
+def _by_name(name: str, kinds: Iterable[FileKind | BagKind]) -> FileKind | BagKind | None:
+    return next((kind for kind in kinds if name.lower().endswith(kind.suffixes)), None)

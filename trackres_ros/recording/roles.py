@@ -1,12 +1,12 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Lists the roles that samples may have: what each kind of input means, and its unit inside the program."""
+"""The one table of roles: what each kind of input means, its unit inside the program, and the column names known for it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 
 
@@ -17,45 +17,118 @@ class Role:
     Attributes
     ----------
     unit : str
-        Unit of its values inside the program.
+        Unit of its values inside the program, a key of `trackres_ros.recording.role_units.UNITS`.
     text : str
         What it is.
     parts : bool
         Whether it may be given for each axle, assembly or wheel (``load/front``, ``wheel_speed/rear_left``).
     lively : bool
         Whether a moving vehicle changes it all the time, so that a constant value means a stuck sensor.
+    columns : mapping of str to str
+        Names of columns that hold it, and the unit of each.
+    words, not_words : str
+        Patterns that the words of a channel must and must not have for it to be guessed; never guessed without `words`.
     """
 
     unit: str
     text: str
     parts: bool = False
     lively: bool = False
+    columns: Mapping[str, str] = field(default_factory=dict)
+    words: str = ""
+    not_words: str = r"(?!)"
 
+
+NOT_VEHICLE = r"rpm|\b(engine|motor|wind|fan|angular|yaw|cpu)\b"
+"""Words that say a speed, load or torque is not that of the vehicle at its tracks."""
+AMBIENT = r"\b(ambient|outside|outdoor|air)\b"
 
 ROLES: Mapping[str, Role] = MappingProxyType(
     {
-        "speed": Role("m/s", "forward speed of the vehicle", lively=True),
-        "load": Role("N", "weight carried by the tracks, total or of an axle or assembly", parts=True),
-        "torque": Role("Nm", "measured torque at the sprockets, whole vehicle or of an assembly", parts=True, lively=True),
-        "ambient": Role("degC", "temperature of the air"),
-        "belt": Role("degC", "measured temperature of the rubber belt", parts=True),
-        "accel": Role("m/s2", "acceleration along the track, without the share of gravity", lively=True),
-        "specific_force": Role(
-            "m/s2", "what an IMU feels along the track: acceleration and, on a slope, the share of gravity", lively=True
+        "speed": Role(
+            "m/s",
+            "forward speed of the vehicle",
+            lively=True,
+            columns={"speed_mps": "m/s", "speed_kmh": "km/h"},
+            words=r"speed|velocity|\bspd\b",
+            not_words=NOT_VEHICLE,
         ),
-        "grade": Role("1", "slope as rise over run, positive uphill"),
-        "yaw_rate": Role("rad/s", "turning rate about the upward axis", lively=True),
-        "heading": Role("rad", "direction of travel about the upward axis"),
-        "distance": Role("m", "distance travelled"),
-        "stood": Role("s", "how long it had stood when the recording began; one value"),
-        "latitude": Role("rad", "latitude, positive north"),
-        "longitude": Role("rad", "longitude, positive east"),
-        "altitude": Role("m", "height above a fixed level"),
-        "steering_angle": Role("rad", "angle of the steered wheels, positive to the left"),
-        "passengers": Role("1", "people on board, who come on top of the empty vehicle"),
-        "brake": Role("Pa", "pressure of the friction brakes, or 0 and 1 of a switch"),
-        "wheel_speed": Role("m/s", "speed of the rim of a wheel", parts=True),
-        "enable": Role("1", "whether the feed-forward is wanted: 1 or 0, or a mode, which `values` turns into them"),
+        "load": Role(
+            "N",
+            "weight carried by the tracks, total or of an axle or assembly",
+            parts=True,
+            columns={"weight_n": "N", "weight_kn": "kN"},
+            words=r"\bload\b|weight",
+            not_words=NOT_VEHICLE,
+        ),
+        "torque": Role(
+            "Nm",
+            "measured torque at the sprockets, whole vehicle or of an assembly",
+            parts=True,
+            lively=True,
+            columns={"torque_nm": "Nm"},
+            words=r"torque|\btrq\b",
+            not_words=NOT_VEHICLE,
+        ),
+        "ambient": Role("degC", "temperature of the air", columns={"ambient_degc": "degC"}, words=AMBIENT),
+        "belt": Role(
+            "degC",
+            "measured temperature of the rubber belt",
+            parts=True,
+            columns={"belt_degc": "degC"},
+            words=r"\b(belt|track|rubber)\b",
+            not_words=AMBIENT,
+        ),
+        "accel": Role(
+            "m/s2", "acceleration along the track, without the share of gravity", lively=True, columns={"accel_mps2": "m/s2"}
+        ),
+        "specific_force": Role(
+            "m/s2",
+            "what an IMU feels along the track: acceleration and, on a slope, the share of gravity",
+            lively=True,
+            columns={"specific_force_mps2": "m/s2"},
+        ),
+        "grade": Role("1", "slope as rise over run, positive uphill", columns={"grade": "1"}),
+        "yaw_rate": Role(
+            "rad/s",
+            "turning rate about the upward axis",
+            lively=True,
+            columns={"yaw_rate_radps": "rad/s"},
+            words=r"\byaw ?rate\b",
+        ),
+        "heading": Role("rad", "direction of travel about the upward axis", columns={"heading_rad": "rad"}),
+        "distance": Role("m", "distance travelled", columns={"distance_m": "m"}),
+        "stood": Role("s", "how long it had stood when the recording began; one value", columns={"stood_s": "s"}),
+        "latitude": Role(
+            "rad", "latitude, positive north", columns={"latitude_deg": "deg", "latitude_rad": "rad"}, words=r"\blatitude\b"
+        ),
+        "longitude": Role(
+            "rad", "longitude, positive east", columns={"longitude_deg": "deg", "longitude_rad": "rad"}, words=r"\blongitude\b"
+        ),
+        "altitude": Role("m", "height above a fixed level", columns={"altitude_m": "m"}, words=r"\baltitude\b"),
+        "steering_angle": Role(
+            "rad",
+            "angle of the steered wheels, positive to the left",
+            columns={"steering_angle_rad": "rad"},
+            words=r"steering angle\b",
+            not_words=r"\bwheel\b|ratio",
+        ),
+        "passengers": Role(
+            "1", "people on board, who come on top of the empty vehicle", columns={"passengers": "1"}, words=r"\bpassengers?\b"
+        ),
+        "brake": Role(
+            "Pa",
+            "pressure of the friction brakes, or 0 and 1 of a switch",
+            columns={"brake_pa": "Pa", "brake_on": "Pa"},
+            words=r"brake pressure",
+            not_words=r"park|halt",
+        ),
+        "wheel_speed": Role("m/s", "speed of the rim of a wheel", parts=True, columns={"wheel_speed_mps": "m/s"}),
+        "enable": Role(
+            "1",
+            "whether the feed-forward is wanted: 1 or 0, or a mode, which `values` turns into them",
+            columns={"enable": "1"},
+        ),
     }
 )
 
@@ -63,8 +136,6 @@ ROLES: Mapping[str, Role] = MappingProxyType(
 POSITION = ("latitude", "longitude")
 GROUND = ("altitude", "specific_force")
 """Roles that show how the ground rises to who learns from a measured torque; the estimate itself needs none of them."""
-ANGLES = (*POSITION, "heading", "steering_angle")
-"""Roles in rad that may be given in degrees, with ``unit: deg``."""
 PASSENGER_KG = 70.0
 """Mass of a passenger where nobody says; assumed. UN regulation 107 counts 68 kg in a city bus, 71 kg with luggage."""
 BRAKE_ON_PA = 10e3

@@ -5,12 +5,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+from trackres_ros.recording.binding import TopicBinding
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -91,6 +93,14 @@ class Source(Protocol):
 
     def blocks(self, max_rows: int = 65536) -> Iterator[SampleBlock]:
         """Read from the beginning, in log order, at most `max_rows` samples at a time."""
+
+
+class BoundSource(Source, Protocol):
+    """A source that says where each of its roles comes from."""
+
+    @property
+    def bindings(self) -> Mapping[str, TopicBinding]:
+        """By role."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,9 +9,12 @@ import bz2
 import shutil
 import struct
 import tempfile
+import zlib
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
-from typing import BinaryIO, Protocol
+from types import SimpleNamespace
+from typing import Any, BinaryIO, Protocol
 
 from trackres_ros.errors import InputError
 from trackres_ros.text.numbers import figures
@@ -120,6 +123,42 @@ def set_ceilings() -> None:
             mcap.DECOMPRESSORS[name] = _of_size(make)
         if name in ros1.decompressors:
             ros1.decompressors[name] = _of_any_size(make)
+
+
+def set_can_ceilings() -> None:
+    """Put a decompressor that stops in the place of the one with which python-can unpacks BLF."""
+    from can.io import blf
+
+    stopping = {**vars(zlib), "decompressobj": lambda: SimpleNamespace(decompress=_inflate)}
+    setattr(blf, "zlib", SimpleNamespace(**stopping))  # noqa: B010 - a module
+
+
+def set_mdf_ceilings() -> None:
+    """Put it where asammdf takes its own from, and keep that from stumbling over a file that it could not open."""
+    from asammdf.blocks import mdf_v4, utils, v4_constants
+
+    if hasattr(utils, "DECOMPRESS_FUNC_MAP"):
+        for kind in (v4_constants.DZ_BLOCK_DEFLATE, v4_constants.DZ_BLOCK_TRANSPOSED):
+            utils.DECOMPRESS_FUNC_MAP[kind] = _inflate
+    else:  # before 8.8
+        setattr(mdf_v4, "decompress", lambda data, bufsize=0: _inflate(data))  # noqa: ARG005, B010 - a module
+    setattr(mdf_v4.MDF4, "__del__", _close_quietly)  # noqa: B010 - a method
+
+
+def _close_quietly(mdf: Any) -> None:
+    with suppress(Exception):
+        mdf.close()
+
+
+def _inflate(data: bytes) -> bytes:
+    """Unpack the one archive that some bytes begin with, up to the ceiling of a message."""
+    one = zlib.decompressobj()
+    whole = one.decompress(data, MAX_MESSAGE_BYTES)
+    if one.unconsumed_tail:
+        raise TooLargeError(f"it unpacks to more than {MAX_MESSAGE_BYTES} bytes")
+    if not one.eof:
+        raise EOFError("packed data that breaks off")
+    return whole
 
 
 def _of_size(make: Callable[[], _Decompressor]) -> Callable[[bytes, int], bytes]:

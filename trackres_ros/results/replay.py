@@ -134,7 +134,7 @@ class ReplayResult(SeriesResult):
         Parameters
         ----------
         path
-            `.csv`, `.csv.gz` or `.parquet` for a table, `.mcap` for the topics that the live node publishes.
+            `.csv`, `.csv.gz`, `.parquet` or `.mf4` for a table, `.mcap` for the topics that the live node publishes.
 
         Returns
         -------

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from trackres_ros.errors import MissingExtraError
 from trackres_ros.model.resistance import resistance_parts
+from trackres_ros.output.column_units import unit_of
 from trackres_ros.text.html import table
 from trackres_ros.text.numbers import decimals
 from trackres_ros.units import KMH_PER_MPS
@@ -27,16 +28,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[Any]
 
-UNITS = {
-    "s": "s", "ns": "ns", "mps": "m/s", "mps2": "m/s^2", "n": "N", "nm": "N m", "degc": "degC", "k": "K", "w": "W",
-}  # fmt: skip
-"""The unit that the last word of a column name says."""
 SHOWN_ROWS = 8
-
-
-def unit_of(column: str) -> str:
-    """Unit of a column by its name: ``N m`` of ``resistance_torque_nm/front_left``; empty where it has none."""
-    return UNITS.get(column.partition("/")[0].rpartition("_")[2], "")
 
 
 class SeriesResult(Mapping[str, Array]):
@@ -59,7 +51,7 @@ class SeriesResult(Mapping[str, Array]):
 
     @abstractmethod
     def save(self, path: str | PathLike[str]) -> Path:
-        """Write to a file: `.csv`, `.csv.gz` or `.parquet` as a table, `.mcap` as the topics that the live node publishes."""
+        """Write to a file: `.csv`, `.csv.gz`, `.parquet` or `.mf4` as a table, `.mcap` as the topics of the live node."""
 
     @abstractmethod
     def _drawn(self) -> Mapping[str, Array]:

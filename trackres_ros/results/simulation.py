@@ -90,7 +90,7 @@ class SimulationResult(SeriesResult):
         Parameters
         ----------
         path
-            `.csv`, `.csv.gz` or `.parquet` for a table of `columns`, `.mcap` for the topics that the live node publishes.
+            `.csv`, `.csv.gz`, `.parquet` or `.mf4` for a table of `columns`, `.mcap` for the topics that the live node publishes.
 
         Returns
         -------

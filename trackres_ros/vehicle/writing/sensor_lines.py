@@ -50,10 +50,10 @@ def sensor_lines(sensors: Sequence[Active], bindings: Mapping[str, TopicBinding]
 
 
 def _said(binding: TopicBinding) -> dict[str, Any]:
-    """What a line says: all that is not as by default."""
+    """What a line says: all that is not as by default, with the unit in the scale."""
     found: dict[str, Any] = {"sum": [_said(part) for part in binding.parts]} if binding.parts else {}
     for item in fields(TopicBinding):
         value = getattr(binding, item.name)
-        if value != item.default and item.name != "parts":
+        if value != item.default and item.name not in ("parts", "unit"):
             found[item.name] = float(f"{value:.{FIGURES}g}") if isinstance(value, float) else value
     return found

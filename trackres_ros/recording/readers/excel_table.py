@@ -16,12 +16,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from trackres_ros.errors import InputError, MissingExtraError, one_line
+from trackres_ros.errors import InputError, one_line
+from trackres_ros.recording.bindings import Topics
+from trackres_ros.recording.channel_file import Channel, ChannelRows, ChosenChannel, TableFile, check_dates, time_note
 from trackres_ros.recording.date_times import MOST_S, NO_ZONE, SECOND_NS, DateTimes, is_date_time
+from trackres_ros.recording.file_kind import FileKind
 from trackres_ros.recording.number_marks import COMMA, ColumnMarks, Mark, decide, is_number, number_of
+from trackres_ros.recording.role_units import UNITS, conversion
 from trackres_ros.recording.samples import Finding
-from trackres_ros.recording.table_columns import TableColumn
-from trackres_ros.recording.table_file import TableRows, check_dates, time_note
 
 if TYPE_CHECKING:
     from openpyxl.workbook import Workbook
@@ -40,15 +42,13 @@ SHEETS = "xl/worksheets/"
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
-def excel_tables(path: Path, name: str) -> list[ExcelTable]:
+def excel_tables(path: Path, name: str, _: Topics | None = None) -> list[ExcelTable]:
     """The visible sheets of a workbook that have a row of names.
 
     Raises
     ------
     InputError
         None has, or the file unpacks to more than is read.
-    MissingExtraError
-        openpyxl is not installed.
     """
     with _workbook(path) as book:
         sheets = [sheet for sheet in book.worksheets if sheet.sheet_state == "visible"]
@@ -58,13 +58,12 @@ def excel_tables(path: Path, name: str) -> list[ExcelTable]:
     return tables
 
 
-class ExcelTable:
-    """A sheet of a workbook; see `TableFile`. Row numbers are those of Excel."""
+class ExcelTable(TableFile):
+    """A sheet of a workbook; see `ChannelFile`. Row numbers are those of Excel."""
 
-    def __init__(self, path: Path, name: str, sheet: str, header_row: int, names: Sequence[str]) -> None:
+    def __init__(self, path: Path, name: str, sheet: str, header_row: int, channels: Sequence[Channel]) -> None:
         self._path, self._sheet, self._header_row = path, sheet, header_row
-        self.name = f"{name}: sheet {one_line(sheet)}"
-        self.names = names
+        self.name, self.channels = f"{name}: sheet {one_line(sheet)}", channels
         self.notes: tuple[str, ...] = ()
         self.findings: tuple[Finding, ...] = ()
 
@@ -81,9 +80,10 @@ class ExcelTable:
         rows: Iterator[Sequence[Any]] = sheet.iter_rows(min_row=self._header_row + 1, max_row=MOST_ROWS, values_only=True)
         return rows
 
-    def settle(self, time: TableColumn, columns: Sequence[TableColumn]) -> None:
+    def settle(self, time: ChosenChannel | None, channels: Sequence[ChosenChannel]) -> None:
         """Read the sheet, and see how numbers and times in text are written."""
-        self._columns = (time, *columns)
+        assert time is not None
+        self._columns = (time, *channels)
         self._numbers, cells = self._cells()
         values = [value for value in cells[0] if value is not None]
         first = values[0] if values else 0.0
@@ -116,14 +116,13 @@ class ExcelTable:
         given = np.array([[value is not None for value in row] for row in numbers], np.bool_).reshape(len(numbers), -1).T
         if dated:
             timed = np.array([value is not None for value in stamps], np.bool_)
-            self._rows = TableRows(np.array([value or 0 for value in stamps], np.int64), timed, whole, given)
+            self._rows = ChannelRows(np.array([value or 0 for value in stamps], np.int64), timed, whole, given)
         else:
-            self._rows = TableRows(whole[:, 0], given[:, 0], whole[:, 1:], given[:, 1:])
+            self._rows = ChannelRows(whole[:, 0], given[:, 0], whole[:, 1:], given[:, 1:])
 
-    def rows(self) -> Iterator[TableRows]:
+    def streams(self) -> Sequence[Iterator[ChannelRows]]:
         """The rows that `settle` has read."""
-        if len(self._rows.time):
-            yield self._rows
+        return [iter([self._rows] if len(self._rows.time) else [])]
 
     def _cells(self) -> tuple[list[int], list[list[Any]]]:
         """Numbers of the rows in which any wanted cell is filled, and these cells by column: None where empty."""
@@ -170,10 +169,8 @@ class ExcelTable:
 @contextmanager
 def _workbook(path: Path) -> Iterator[Workbook]:
     """Open a workbook to read the values of its cells, not their formulas."""
-    try:
-        from openpyxl import load_workbook
-    except ImportError:
-        raise MissingExtraError("reading Excel files", "openpyxl", "excel") from None
+    from openpyxl import load_workbook
+
     _check_size(path)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of styles and extensions that are of no use here
@@ -206,17 +203,32 @@ def _check_size(path: Path) -> None:
             raise InputError(f"{path}: {one_line(part.filename)}", given, f"at most {most}", "save the sheet as CSV")
 
 
-def _header(sheet: Any) -> tuple[int, list[str]] | None:
-    """Number and names of the first row that is not empty."""
+def _header(sheet: Any) -> tuple[int, list[Channel]] | None:
+    """Number of the last row above the numbers, with the names of the first row that is not empty, and the units below them."""
     sheet.reset_dimensions()
-    rows = sheet.iter_rows(max_row=HEADER_WITHIN, values_only=True)
-    for number, row in enumerate(itertools.islice(rows, HEADER_WITHIN), 1):
+    rows = itertools.islice(sheet.iter_rows(max_row=HEADER_WITHIN, values_only=True), HEADER_WITHIN)
+    for number, row in enumerate(rows, 1):
         names = ["" if value is None else str(value).strip() for value in row]
         if any(names):
-            return number, names
+            below = [_filled(value) for value in next(rows, ())]
+            if not _are_units(below):
+                return number, [Channel(name) for name in names]
+            units = itertools.chain((value or "" for value in below), itertools.repeat(""))
+            return number + 1, [Channel(name, unit.strip()) for name, unit in zip(names, units, strict=False)]
     return None
+
+
+def _are_units(cells: Sequence[Any]) -> bool:
+    """Whether the row below the names holds no number and no time, but a unit that is known."""
+    texts = [value for value in cells if value is not None]
+    if not all(isinstance(value, str) and not is_number(value) and not is_date_time(value) for value in texts):
+        return False
+    return any(conversion(text, inside) for text in texts for inside in UNITS if inside != "1")
 
 
 def _filled(value: Any) -> Any:
     """The value of a cell, None of an empty one."""
     return None if isinstance(value, str) and not value.strip() else value
+
+
+KINDS = (FileKind("an Excel workbook", (".xlsx",), excel_tables, (("openpyxl", "excel"),), checked=True),)

@@ -12,32 +12,31 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trackres_ros.errors import InputError, MissingExtraError
+from trackres_ros.errors import InputError
+from trackres_ros.recording.bindings import Topics
+from trackres_ros.recording.channel_file import CHUNK_ROWS, Channel, ChannelRows, ChosenChannel, TableFile, check_dates, time_note
 from trackres_ros.recording.date_times import NO_ZONE
+from trackres_ros.recording.file_kind import FileKind
 from trackres_ros.recording.samples import Finding
-from trackres_ros.recording.table_columns import TableColumn
-from trackres_ros.recording.table_file import CHUNK_ROWS, TableRows, check_dates, time_note
 
 BUFFER_BYTES = 2**20
 """Read at once of a column; without it, and with buffering ahead, pyarrow holds a whole row group: that may be the whole file."""
 
 
-class ParquetTable:
-    """A Parquet file; see `TableFile`."""
+class ParquetTable(TableFile):
+    """A Parquet file; see `ChannelFile`."""
 
     def __init__(self, path: Path, name: str) -> None:
         self.name, self._path = name, path
         self.notes: tuple[str, ...] = ()
         self.findings: tuple[Finding, ...] = ()
         with self._file() as file:
-            self.names = list(file.schema_arrow.names)
+            self.channels = [Channel(name) for name in file.schema_arrow.names]
 
     def _file(self) -> Any:
         """Open the file with pyarrow, which has no types of its own."""
-        try:
-            from pyarrow import parquet
-        except ImportError:
-            raise MissingExtraError("reading Parquet", "pyarrow", "parquet") from None
+        from pyarrow import parquet
+
         return parquet.ParquetFile(self._path, buffer_size=BUFFER_BYTES, pre_buffer=False, page_checksum_verification=True)
 
     def is_number(self, place: int) -> bool:
@@ -48,14 +47,15 @@ class ParquetTable:
             kind = file.schema_arrow.field(place).type
         return bool(pa.types.is_floating(kind) or pa.types.is_integer(kind))
 
-    def settle(self, time: TableColumn, columns: Sequence[TableColumn]) -> None:
+    def settle(self, time: ChosenChannel | None, channels: Sequence[ChosenChannel]) -> None:
         """Choose what to read; the types of the columns say how."""
         import pyarrow as pa
 
+        assert time is not None
         with self._file() as file:
             schema = file.schema_arrow
-        self._read = [schema.names[place] for place in (time.place, *(column.place for column in columns))]
-        kinds = [schema.field(column.place).type for column in (time, *columns)]
+        self._read = [schema.names[place] for place in (time.place, *(column.place for column in channels))]
+        kinds = [schema.field(column.place).type for column in (time, *channels)]
         self._dates = pa.types.is_timestamp(kinds[0])
         for name, kind in list(zip(self._read, kinds, strict=True))[self._dates :]:
             if not (pa.types.is_floating(kind) or pa.types.is_integer(kind)):
@@ -64,7 +64,11 @@ class ParquetTable:
         if self._dates:
             self.notes = (time_note(time.name, f"timestamps {'with a time zone' if kinds[0].tz else NO_ZONE}"),)
 
-    def rows(self) -> Iterator[TableRows]:
+    def streams(self) -> Sequence[Iterator[ChannelRows]]:
+        """The rows of the file."""
+        return [self._rows()]
+
+    def _rows(self) -> Iterator[ChannelRows]:
         """Read the file."""
         import pyarrow as pa
 
@@ -78,7 +82,7 @@ class ParquetTable:
             self.findings = tuple(_look_at_counts(file.metadata, self._read, count, empty))
 
 
-def rows_of(batch: Any, names: Sequence[str], time_type: Any) -> TableRows:
+def rows_of(batch: Any, names: Sequence[str], time_type: Any) -> ChannelRows:
     """Rows of an Arrow batch, time first."""
     import pyarrow as pa
 
@@ -90,7 +94,7 @@ def rows_of(batch: Any, names: Sequence[str], time_type: Any) -> TableRows:
         time = first.cast(time_type).to_numpy(zero_copy_only=False)
     cells = [column.cast(pa.float64()).to_numpy(zero_copy_only=False) for column in others]
     given = [column.is_valid().to_numpy(zero_copy_only=False) for column in others]
-    return TableRows(time, timed, np.stack(cells, axis=1), np.stack(given, axis=1))
+    return ChannelRows(time, timed, np.stack(cells, axis=1), np.stack(given, axis=1))
 
 
 def _look_at_counts(metadata: Any, names: Sequence[str], rows: int, empty: NDArray[np.int64]) -> Iterator[Finding]:
@@ -107,3 +111,10 @@ def _look_at_counts(metadata: Any, names: Sequence[str], rows: int, empty: NDArr
             if more > 0:
                 text = f"{more} cells of {name} are empty and should not be, as the file counts them"
                 yield Finding("", "missing", more, float("nan"), text)
+
+
+def _read(path: Path, name: str, _: Topics | None) -> list[ParquetTable]:
+    return [ParquetTable(path, name)]
+
+
+KINDS = (FileKind("Parquet", (".parquet",), _read, (("pyarrow", "parquet"),), checked=True),)

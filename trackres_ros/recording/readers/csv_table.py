@@ -21,11 +21,12 @@ from typing import IO, Any, cast
 import numpy as np
 
 from trackres_ros.errors import InputError
+from trackres_ros.recording.bindings import Topics
+from trackres_ros.recording.channel_file import CHUNK_ROWS, Channel, ChannelRows, ChosenChannel, TableFile, check_dates, time_note
 from trackres_ros.recording.date_times import DateTimes, is_date_time
+from trackres_ros.recording.file_kind import FileKind
 from trackres_ros.recording.number_marks import COMMA, POINT, ColumnMarks, Mark, decide, is_number, number_of
 from trackres_ros.recording.samples import Finding
-from trackres_ros.recording.table_columns import TableColumn
-from trackres_ros.recording.table_file import CHUNK_ROWS, TableRows, check_dates, time_note
 
 MAX_ROW_BYTES = 2**24
 """Longest line, and longest row of quoted lines, that is read: one of 200,000 columns is a fifth of it."""
@@ -46,8 +47,8 @@ class _Met:
     last: bytes = b""
 
 
-class CsvTable:
-    """A CSV file, packed by gzip or not; see `TableFile`."""
+class CsvTable(TableFile):
+    """A CSV file, packed by gzip or not; see `ChannelFile`."""
 
     def __init__(self, path: Path, name: str) -> None:
         self.name, self._path = name, path
@@ -55,6 +56,7 @@ class CsvTable:
         self.notes: tuple[str, ...] = ()
         self.findings: tuple[Finding, ...] = ()
         self.names = self._header()
+        self.channels = [Channel(name) for name in self.names]
 
     def _header(self) -> list[str]:
         """Read the names, and settle encoding and separator."""
@@ -82,9 +84,10 @@ class CsvTable:
         first = next((row[place].strip() for row in self._whole_rows() if row[place].strip()), "")
         return is_number(first)
 
-    def settle(self, time: TableColumn, columns: Sequence[TableColumn]) -> None:
+    def settle(self, time: ChosenChannel | None, channels: Sequence[ChosenChannel]) -> None:
         """Choose what to read, and see how numbers and times are written, in the whole column where a cell leaves it open."""
-        self._read = (time, *columns)
+        assert time is not None
+        self._read = (time, *channels)
         self._places = [column.place for column in self._read]
         first = next((row[time.place] for row in self._whole_rows() if row[time.place].strip()), "")
         self._dates = DateTimes(first, time.binding.order) if is_date_time(first) else None
@@ -107,7 +110,7 @@ class CsvTable:
         self._fast_mark = next(iter(written), POINT) if alike else None
         self.notes = tuple(self._assumed(time, [name for name, mark in decided.items() if mark == COMMA]))
 
-    def _assumed(self, time: TableColumn, of_comma: Sequence[str]) -> Iterator[str]:
+    def _assumed(self, time: ChosenChannel, of_comma: Sequence[str]) -> Iterator[str]:
         if self._encoding == "latin-1":
             yield "the file is not UTF-8; read as Latin-1"
         if self._separator != ",":
@@ -131,7 +134,11 @@ class CsvTable:
     def _text(self, file: IO[bytes]) -> io.TextIOWrapper:
         return io.TextIOWrapper(file, self._encoding, errors="replace", newline="")
 
-    def rows(self) -> Iterator[TableRows]:
+    def streams(self) -> Sequence[Iterator[ChannelRows]]:
+        """The rows of the file."""
+        return [self._rows()]
+
+    def _rows(self) -> Iterator[ChannelRows]:
         """Read the rows: by pyarrow as far as it is there and understands them, the rest as plain text."""
         met = _Met()
         for chunks in (self._fast_chunks, self._plain_chunks):
@@ -141,7 +148,7 @@ class CsvTable:
                     yield rows
         self.findings = tuple(self._look_at_lines(met))
 
-    def _fast_chunks(self, met: _Met) -> Iterator[TableRows]:
+    def _fast_chunks(self, met: _Met) -> Iterator[ChannelRows]:
         """Yield rows until the first block that pyarrow does not take as numbers."""
         try:
             import pyarrow as pa
@@ -178,7 +185,7 @@ class CsvTable:
                     return
                 yield rows
 
-    def _rows_of(self, batch: Any, wanted: Sequence[str]) -> TableRows:
+    def _rows_of(self, batch: Any, wanted: Sequence[str]) -> ChannelRows:
         """Rows of an Arrow batch, time first."""
         import pyarrow as pa
 
@@ -189,9 +196,9 @@ class CsvTable:
             time = columns[0].to_numpy(zero_copy_only=False)
         else:
             time = np.array([0 if text is None else self._dates.ns(text) for text in columns[0].to_pylist()], np.int64)
-        return TableRows(time, valid[:, 0], np.stack(numbers, axis=1), valid[:, 1:])
+        return ChannelRows(time, valid[:, 0], np.stack(numbers, axis=1), valid[:, 1:])
 
-    def _plain_chunks(self, met: _Met) -> Iterator[TableRows]:
+    def _plain_chunks(self, met: _Met) -> Iterator[ChannelRows]:
         """Yield the rows after those that were met, cell by cell; the same numbers, and an error with its line."""
         tap = cast("IO[bytes]", _Tap(self._path, met))
         with tap, self._text(tap) as file:
@@ -205,7 +212,7 @@ class CsvTable:
                     time = [0 if row[0] is None else row[0] for row in chunk]
                     cells = np.array([row[1:] for row in chunk], np.float64)
                     stamps = np.array(time, np.int64) if self._dates else np.array(time, np.float64)
-                    yield TableRows(stamps, given[:, 0], cells, given[:, 1:])
+                    yield ChannelRows(stamps, given[:, 0], cells, given[:, 1:])
             except csv.Error as error:
                 where = f"{self.name}: line {reader.line_num + 1}"
                 raise InputError(where, str(error), "CSV to the end of the file") from error
@@ -296,3 +303,10 @@ class _Lines:
         for row in reader:
             self._of_row = 0
             yield row
+
+
+def _read(path: Path, name: str, _: Topics | None) -> list[CsvTable]:
+    return [CsvTable(path, name)]
+
+
+KINDS = (FileKind("CSV", (".csv", ".csv.gz"), _read, checked=True),)

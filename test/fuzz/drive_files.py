@@ -1,0 +1,195 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""One drive in every kind of file that is read, written by the libraries of the formats."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trackres_ros.recording.bindings import Topics
+
+START_S = 1_700_000_000
+DBC = """VERSION ""
+BS_:
+BU_: Ecu
+BO_ 256 Motion: 8 Ecu
+ SG_ VehicleSpeed : 0|16@1+ (0.01,0) [0|655] "km/h" Ecu
+ SG_ Mode M : 16|2@1+ (1,0) [0|3] "" Ecu
+ SG_ AxleLoad m1 : 24|24@1+ (1,0) [0|16777215] "N" Ecu
+ SG_ BeltTemp m2 : 24|8@1+ (1,-40) [-40|210] "degC" Ecu
+BO_ 2566845950 Ambient: 8 Ecu
+ SG_ AmbientTemp : 24|16@1+ (0.03125,-273) [-273|1735] "degC" Ecu
+BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","reserved","J1939PG";
+BA_DEF_DEF_ "VFrameFormat" "StandardCAN";
+BA_ "VFrameFormat" BO_ 2566845950 3;
+"""
+"""A speed, a multiplexed load, and an air temperature of J1939 (PGN 65269, from any control unit)."""
+TOPICS: dict[str, Any] = {
+    "speed": {"channel": "VehicleSpeed", "unit": "km/h"},
+    "load": {"channel": "AxleLoad", "unit": "N"},
+    "ambient": {"channel": "AmbientTemp", "unit": "degC"},
+}
+AMBIENT_ID = 0x0CFEF517  # another priority and control unit than the database has
+
+
+class Drive:
+    """Speeds at 50 Hz, loads at 10 Hz, air temperatures at 1 Hz, all of which every format holds exactly."""
+
+    def __init__(self, duration_s: float = 20.0) -> None:
+        self.speed_s = np.arange(0, round(duration_s * 50)) / 50.0
+        self.load_s = self.speed_s[::5]
+        self.ambient_s = self.speed_s[::50]
+        self.speed_kmh = np.round(10.0 + 8.0 * np.sin(self.speed_s / 3.0), 2)
+        self.load_n = np.round(95e3 + 1e3 * np.cos(self.load_s))
+        self.ambient_degc = 12.0 + 0.03125 * np.arange(len(self.ambient_s)) % 5
+
+    @property
+    def channels(self) -> dict[str, tuple[np.ndarray, np.ndarray, str]]:
+        """Times, values and unit by channel."""
+        return {
+            "VehicleSpeed": (self.speed_s, self.speed_kmh, "km/h"),
+            "AxleLoad": (self.load_s, self.load_n, "N"),
+            "AmbientTemp": (self.ambient_s, self.ambient_degc, "degC"),
+        }
+
+    def rows(self) -> list[list[float | None]]:
+        """The rows of a table: time, speed, load, air temperature, None where there is none."""
+        load, ambient = (
+            dict(zip(self.load_s, self.load_n, strict=True)),
+            dict(zip(self.ambient_s, self.ambient_degc, strict=True)),
+        )
+        return [
+            [float(t), float(v), *(None if t not in of else float(of[t]) for of in (load, ambient))]
+            for t, v in zip(self.speed_s, self.speed_kmh, strict=True)
+        ]
+
+    def frames(self) -> list[Any]:
+        """CAN frames, and in between some that say nothing: of other identifiers, not available, of another control unit."""
+        import can
+
+        def frame(at_s: float, identifier: int, data: bytes, extended: bool = False) -> Any:
+            return can.Message(
+                timestamp=START_S + float(at_s), arbitration_id=identifier, data=data, is_extended_id=extended, channel=0
+            )
+
+        found = []
+        for row, (t, v, load, ambient) in enumerate(self.rows()):
+            if ambient is not None:
+                raw = round((ambient + 273.0) / 0.03125)
+                found.append(frame(t, AMBIENT_ID, b"\xff\xff\xff" + raw.to_bytes(2, "little") + b"\xff\xff\xff", True))
+                found.append(frame(t, AMBIENT_ID, b"\xff" * 8, True))  # not available
+                found.append(frame(t, AMBIENT_ID + 1, bytes(8), True))  # another control unit
+            mode, rest = (2, b"\x50") if load is None else (1, round(load).to_bytes(3, "little"))
+            found.append(frame(t, 256, round(v * 100).to_bytes(2, "little") + bytes([mode]) + rest.ljust(5, b"\0")))
+            if row % 50 == 7:
+                found.append(frame(t, 0x7FF, bytes(8)))
+        return found
+
+
+def _write_mf4(drive: Drive, path: Path, compression: int = 2) -> None:
+    from asammdf import MDF, Signal
+
+    with MDF(version="4.10") as mdf:
+        for name, (seconds, values, unit) in drive.channels.items():
+            mdf.append(
+                [Signal(values, seconds, name=name, unit=unit, comment=f"{name} of the drive")], acq_name=f"raster of {name}"
+            )
+        mdf.save(path, overwrite=True, compression=compression)
+
+
+def _write_can(drive: Drive, path: Path) -> None:
+    import can
+
+    with can.Logger(path) as log:
+        for message in drive.frames():
+            log(message)
+
+
+def _write_mat(drive: Drive, path: Path) -> None:
+    from scipy.io import savemat
+
+    parts = {name: {"t": seconds, name: values} for name, (seconds, values, _) in drive.channels.items()}
+    savemat(path, {"run": parts}, do_compression=True)
+
+
+def _write_mat_73(drive: Drive, path: Path) -> None:
+    import h5py
+
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, (seconds, values, _) in drive.channels.items():
+            for part, numbers in (("t", seconds), (name, values)):
+                data = file.create_dataset(
+                    f"run/{name}/{part}", data=numbers[None, :], chunks=(1, min(len(numbers), 1024)), compression=4
+                )
+                data.attrs["MATLAB_class"] = np.bytes_("double")
+    with path.open("r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
+
+
+def _write_xlsx(drive: Drive, path: Path) -> None:
+    from openpyxl import Workbook
+
+    book = Workbook(write_only=True)
+    sheet = book.create_sheet("drive")
+    sheet.append(["time_s", *drive.channels])
+    for row in drive.rows():
+        sheet.append(row)
+    book.save(path)
+
+
+def _write_csv(drive: Drive, path: Path) -> None:
+    lines = [",".join("" if cell is None else repr(cell) for cell in row) for row in drive.rows()]
+    path.write_text("\n".join([f"time_s,{','.join(drive.channels)}", *lines, ""]))
+
+
+def _write_bag(drive: Drive, path: Path) -> None:
+    from trackres_ros.output.mcap import BagWriter
+
+    with BagWriter(path) as bag:
+        kind = "std_msgs/msg/Float64"
+        topics = [bag.topic(f"/{name}", kind) for name in drive.channels]
+        number = bag.typestore.types[kind]
+        for t, v, load, ambient in drive.rows():
+            at_ns = START_S * 10**9 + round(t * 1e9)
+            for topic, value in zip(reversed(topics), (ambient, load, v), strict=True):
+                if value is not None:
+                    bag.write(topic, number(value), at_ns, at_ns)
+
+
+KINDS: dict[str, tuple[str, Callable[[Drive, Path], None]]] = {
+    "CSV": ("drive.csv", _write_csv),
+    "bag": ("drive.mcap", _write_bag),
+    "MF4": ("drive.mf4", _write_mf4),
+    "MF4 of a bus": ("bus.mf4", _write_can),
+    "BLF": ("bus.blf", _write_can),
+    "ASC": ("bus.asc", _write_can),
+    "candump": ("bus.log", _write_can),
+    "MATLAB 5": ("old.mat", _write_mat),
+    "MATLAB 7.3": ("new.mat", _write_mat_73),
+    "Excel": ("drive.xlsx", _write_xlsx),
+}
+"""File and writer by kind."""
+
+
+def topics_of(kind: str) -> dict[str, Any]:
+    """What the topics file of a kind says; the database of a bus lies beside it."""
+    if kind == "bag":
+        message = {"type": "std_msgs/msg/Float64", "field": "data"}
+        return {role: {"topic": f"/{line['channel']}", "unit": line["unit"], **message} for role, line in TOPICS.items()}
+    if kind.startswith("MATLAB"):
+        return {role: {**line, "channel": f"run.{line['channel']}.{line['channel']}"} for role, line in TOPICS.items()}
+    return {**TOPICS, "dbc": "bus.dbc"} if KINDS[kind][0].startswith("bus") else TOPICS
+
+
+def write(kind: str, folder: Path, drive: Drive | None = None) -> tuple[Path, Topics]:
+    """Write a drive as a kind of file; its path, and its topics file."""
+    name, writer = KINDS[kind]
+    path = folder / name
+    writer(drive or Drive(), path)
+    (folder / "bus.dbc").write_text(DBC)
+    return path, Topics.parse(topics_of(kind), "topics.yaml", folder)

@@ -1,0 +1,330 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Every kind of file: the same drive gives the same replay, in memory that does not grow, and a new kind is one file."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from drive_files import DBC, KINDS, Drive, write
+from hypothesis import given
+from hypothesis import strategies as st
+
+import trackres_ros as tr
+from trackres_ros.errors import InputError, MissingExtraError
+from trackres_ros.recording import file_kind
+from trackres_ros.recording.bindings import Topics
+from trackres_ros.recording.channel_file import Channel
+from trackres_ros.recording.channel_source import _in_order
+from trackres_ros.recording.guess import guess_channels
+from trackres_ros.recording.opening import open_source, shipped_kinds, suffixes
+from trackres_ros.recording.recording import Recording
+from trackres_ros.recording.role_units import UNITS, conversion
+from trackres_ros.recording.roles import ROLES
+
+for library in ("asammdf", "can", "cantools", "h5py", "openpyxl", "rosbags"):
+    pytest.importorskip(library)
+
+LONGEST = 12
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """Path and topics of the drive by kind."""
+    folder = tmp_path_factory.mktemp("drives")
+    return {kind: write(kind, folder) for kind in KINDS}
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "CSV"])
+def test_one_drive_gives_the_same_replay(files, kind):
+    wanted, found = (tr.replay(files[one][0], "xgd24d", topics=files[one][1]) for one in ("CSV", kind))
+    assert len(found.time_s) == len(wanted.time_s) == 1000
+    for name in ("speed_mps", "weight_n", "ambient_degc", "resistance_torque_nm", "belt_degc/rear_left"):
+        np.testing.assert_allclose(found[name], wanted[name], rtol=1e-9, err_msg=name)
+
+
+@given(
+    st.lists(st.lists(st.integers(-5, 5).map(lambda s: s * 10**9), max_size=LONGEST), min_size=2, max_size=4),
+    st.sampled_from([1, 3, LONGEST]),
+)
+def test_merged_streams_keep_every_row_in_order(times, at_once):
+    streams = []
+    for number, stamps in enumerate(times):
+        cells = np.array([[number, place] for place in range(len(stamps))], float).reshape(-1, 2)
+        rows = [
+            (
+                np.array(stamps[start : start + at_once], np.int64),
+                cells[start : start + at_once],
+                cells[start : start + at_once] >= 0,
+            )
+            for start in range(0, len(stamps), at_once)
+        ]
+        streams.append(iter(rows))
+    merged = list(_in_order(streams))
+    stamps = np.concatenate([rows[0] for rows in merged]) if merged else np.empty(0)
+    cells = np.concatenate([rows[1] for rows in merged]) if merged else np.empty((0, 2))
+    for number, wanted in enumerate(times):
+        mine = cells[:, 0] == number
+        assert stamps[mine].tolist() == wanted
+        assert cells[mine, 1].tolist() == list(range(len(wanted)))
+    if all(sorted(wanted) == wanted for wanted in times):
+        assert stamps.tolist() == sorted(stamps.tolist())
+        if at_once == LONGEST:
+            assert cells[:, 0].tolist() == [number for _, number in sorted((t, n) for n, one in enumerate(times) for t in one)]
+
+
+def test_every_unit_of_a_role_is_known_in_any_spelling():
+    for role, about in ROLES.items():
+        assert conversion(about.unit, about.unit) == (1.0, 0.0), role
+        for unit in about.columns.values():
+            assert conversion(unit, about.unit), role
+    for given_, inside, same in (("N·m", "Nm", "Nm"), ("°C", "degC", "degC"), ("KM/H", "m/s", "km/h"), ("m/s^2", "m/s2", "m/s2")):
+        assert conversion(given_, inside) == UNITS[inside][same]
+    assert conversion("degF", "degC") == pytest.approx((5 / 9, -17.7777777777))
+    for wrong, inside in (("rpm", "m/s"), ("Nm", "N"), ("km/h", "Nm")):
+        assert conversion(wrong, inside) is None
+
+
+def test_the_topics_file_wins_over_the_unit_of_the_file(files):
+    path, _ = files["MF4"]
+    by_file = tr.read(path, topics={"speed": {"channel": "VehicleSpeed"}})
+    assert "speed: VehicleSpeed is in km/h, as the file says" in by_file.notes
+    by_topics = tr.read(path, topics={"speed": {"channel": "VehicleSpeed", "unit": "m/s"}})
+    assert any("the topics file converts it otherwise" in note for note in by_topics.notes)
+    by_scale = tr.read(path, topics={"speed": {"channel": "VehicleSpeed", "scale": 0.5}})
+    assert any("the topics file converts it otherwise" in note for note in by_scale.notes)
+    speeds = [one.series["speed"].value[0] for one in (by_file, by_topics, by_scale)]
+    assert speeds == pytest.approx([10.0 / 3.6, 10.0, 5.0])
+
+
+def test_parts_with_other_times_are_added_between_samples(tmp_path):
+    from asammdf import MDF, Signal
+
+    path, left, right = tmp_path / "sum.mf4", np.arange(0, 10, 0.1), np.arange(0.03, 10, 0.05)
+    with MDF() as mdf:
+        mdf.append([Signal(10.0 * left, left, name="Trq", unit="kNm"), Signal(left, left, name="speed_mps")], acq_name="left")
+        mdf.append([Signal(5.0 * right, right, name="Trq", unit="kNm")], acq_name="right")
+        mdf.save(path)
+    parts = [{"channel": "left/Trq"}, {"channel": "right/Trq"}]
+    torque = tr.read(path, topics={"torque": {"sum": parts}}).series["torque"]
+    np.testing.assert_allclose(torque.value, 15e3 * (torque.stamp_ns - torque.stamp_ns[0] + 1e8) / 1e9, rtol=1e-9)
+    assert len(torque) == len(left) - 1  # before the first sample of the right one there is none
+    with pytest.raises(InputError, match=r"2 columns Trq.*left/Trq, right/Trq"):
+        tr.read(path, topics={"torque": {"channel": "Trq"}})
+
+
+def test_marked_and_unfinished_records_of_mdf(tmp_path):
+    from asammdf import MDF, Signal
+
+    path, t = tmp_path / "run.mf4", np.arange(0, 10, 0.5)
+    invalid = t > 7.9
+    with MDF() as mdf:
+        mdf.append([Signal(t.copy(), t, name="Speed", unit="km/h", invalidation_bits=invalid)])
+        mdf.save(path)
+    assert len(tr.read(path).series["speed"]) == np.count_nonzero(~invalid)
+    data = bytearray(path.read_bytes())
+    data[:8], data[60:62] = b"UnFinMF ", (1).to_bytes(2, "little")  # counters of records are not up to date
+    path.write_bytes(data)
+    assert len(tr.read(path).series["speed"]) == np.count_nonzero(~invalid)
+    assert path.read_bytes() == data
+
+
+def test_frames_that_say_nothing_are_counted(files):
+    found = {finding.kind: finding.count for finding in tr.read(files["BLF"][0], topics=files["BLF"][1]).findings}
+    assert (found["unknown_topic"], found["other_source"], found["absent"]) == (20, 20, 20)
+
+
+@pytest.mark.parametrize("kind", ["MF4 of a bus", "BLF", "ASC", "candump"])
+def test_without_a_database_frames_are_refused(files, kind):
+    with pytest.raises(InputError, match=r"--dbc bus\.dbc"):
+        open_source([files[kind][0]])
+
+
+def test_a_database_counts_for_its_bus_alone(files, tmp_path):
+    (tmp_path / "bus.dbc").write_text(DBC)
+    path, _ = files["BLF"]
+    here, elsewhere = (
+        open_source([path], Topics.parse({"speed": {"channel": "VehicleSpeed"}, "dbc": {bus: "bus.dbc"}}, "t.yaml", tmp_path))
+        for bus in (1, 2)
+    )
+    assert sum(map(len, here.blocks())) == 1000
+    with pytest.raises(InputError, match="no sample of any channel"):
+        list(elsewhere.blocks())
+
+
+def test_guessed_lines_are_a_topics_file(files, good, tmp_path):
+    for kind in ("MF4", "MF4 of a bus", "BLF"):
+        path, _ = files[kind]
+        dbc = () if kind == "MF4" else ("--dbc", path.with_name("bus.dbc"))
+        kept = tmp_path / "topics.yaml"
+        kept.write_text(good("topics", "guess", path, *dbc))
+        guessed, read = Recording.from_source(open_source([path], Topics.load(kept))), tr.read(path, topics=kept)
+        for role in ("speed", "load", "ambient"):
+            np.testing.assert_array_equal(guessed.series[role].value, read.series[role].value)
+        assert len(read.series["speed"]) == 1000
+    done = good("replay", files["ASC"][0], "--dbc", files["ASC"][0].with_name("bus.dbc"), "--vehicle", "xgd24d", cwd=tmp_path)
+    assert "speed: {channel: VehicleSpeed, unit: km/h}  # guessed" in done
+
+
+def test_the_speed_of_the_vehicle_comes_before_those_of_its_parts():
+    named = [("AxleSpeed", "km/h"), ("WheelBasedVehicleSpeed", "km/h"), ("WheelSpeedFL", "km/h"), ("VehicleSpd", "rpm")]
+    bindings, others = guess_channels([Channel(*one) for one in named], ())
+    assert bindings["speed"].column == "WheelBasedVehicleSpeed"
+    assert others["speed"] == ["AxleSpeed"]
+
+
+def test_without_a_unit_nothing_is_guessed(files):
+    with pytest.raises(InputError, match=r"speed: \{channel: NAME, unit: km/h\}"):
+        open_source([files["MATLAB 5"][0]])
+
+
+def test_a_replay_as_mdf_holds_what_parquet_does(files, tmp_path):
+    from asammdf import MDF
+    from pyarrow import parquet
+
+    path, topics = files["MF4"]
+    for suffix in ("mf4", "parquet"):
+        tr.replay(path, "xgd24d", topics=topics, output=tmp_path / f"out.{suffix}")
+    wanted = parquet.read_table(tmp_path / "out.parquet")
+    with MDF(tmp_path / "out.mf4") as found:
+        units = {channel.name: channel.unit for channel in found.groups[0].channels}
+        for name in wanted.column_names[1:]:
+            signal = found.get(name)
+            np.testing.assert_array_equal(signal.samples.astype(float), wanted[name].to_numpy().astype(float), err_msg=name)
+            np.testing.assert_array_equal(signal.timestamps, wanted["time_s"].to_numpy())
+    assert (units["resistance_torque_nm"], units["speed_mps"], units["belt_degc/rear_left"]) == ("N m", "m/s", "degC")
+    assert not [one for one in tmp_path.iterdir() if one.name.startswith(".")]
+
+
+PEAK = """
+import sys
+from pathlib import Path
+from drive_files import TOPICS, topics_of
+from trackres_ros.recording.bindings import Topics
+from trackres_ros.recording.channel_file import Channel
+from trackres_ros.recording.opening import open_source
+path, kind = Path(sys.argv[1]), sys.argv[2]
+rows = sum(map(len, open_source([path], Topics.parse(topics_of(kind), "t.yaml", path.parent)).blocks()))
+print(rows, Path("/proc/self/status").read_text().split("VmHWM:")[1].split()[0])
+"""
+
+
+@pytest.mark.parametrize(("kind", "short_s"), [("MF4", 1000.0), ("MATLAB 7.3", 1000.0), ("BLF", 30.0)])
+def test_memory_does_not_grow_with_the_file(tmp_path, kind, short_s):
+    rows, peaks = [], []
+    for times in (1, 20):
+        path, _ = write(kind, tmp_path, Drive(times * short_s))
+        env = {**os.environ, "PYTHONPATH": str(Path(sys.modules["drive_files"].__file__).parent)}
+        done = subprocess.run([sys.executable, "-c", PEAK, path, kind], env=env, capture_output=True, check=True, text=True)
+        count, peak = map(int, done.stdout.split())
+        rows.append(count)
+        peaks.append(peak)
+    assert rows[1] == pytest.approx(20 * rows[0], rel=0.01)
+    assert peaks[1] < 1.25 * peaks[0], peaks
+
+
+@pytest.mark.parametrize(("kind", "where"), [
+    ("MF4", "unpacking.MAX_MESSAGE_BYTES"), ("BLF", "unpacking.MAX_MESSAGE_BYTES"), ("MATLAB 5", "readers.matlab.MOST_BYTES"),
+])  # fmt: skip
+def test_nothing_unpacks_beyond_its_ceiling(files, monkeypatch, kind, where):
+    monkeypatch.setattr(f"trackres_ros.recording.{where}", 2000)
+    with pytest.raises(InputError, match=r"unpacks to more than 2000|more than 2000 bytes unpacked"):
+        list(open_source([files[kind][0]], files[kind][1]).blocks())
+
+
+def test_a_missing_library_says_how_to_install_it(files, monkeypatch):
+    for kind, module in (("MF4", "asammdf"), ("BLF", "can"), ("ASC", "cantools"), ("MATLAB 7.3", "h5py"), ("Excel", "openpyxl")):
+        with monkeypatch.context() as without:
+            without.setitem(sys.modules, module, None)
+            with pytest.raises(MissingExtraError, match=rf"pip install {module} .*\[\w+\]"):
+                open_source([files[kind][0]], files[kind][1])
+
+
+def test_suffixes_are_of_one_kind_each():
+    found = [suffix for kind in shipped_kinds() for suffix in kind.suffixes]
+    assert sorted(found) == sorted(set(found))
+    assert set(found) <= set(suffixes())
+
+
+# --- the steps of CONTRIBUTING.md
+
+
+@pytest.fixture(scope="module")
+def steps(repository):
+    """Code of the page by the section it is in."""
+    text = (repository / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    return {
+        title: re.findall(r"```\w+\n(.*?)```", part, re.DOTALL)
+        for title, part in re.findall(r"^### (.*?)\n(.*?)(?=^#|\Z)", text, re.DOTALL | re.MULTILINE)
+    }
+
+
+READ = """
+import sys
+import trackres_ros as tr
+from trackres_ros.recording import roles
+read = tr.read(sys.argv[1])
+print({role: read.series[role].value.tolist() for role in sorted(read.roles)})
+"""
+
+
+def read_in_a_process(path, *folders):
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, folders))}
+    done = subprocess.run(
+        [sys.executable, "-c", READ, path], env=env, cwd=path.parent, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+@pytest.fixture
+def logged(tmp_path):
+    path = tmp_path / "drive.logger"
+    path.write_bytes(np.array([[0.0, 36.0, 5.0], [1.0, 72.0, 6.0]], "<f4").tobytes())
+    return path
+
+
+@pytest.fixture
+def package(tmp_path, repository):
+    """A copy of the package to change."""
+    shutil.copytree(repository / "trackres_ros", tmp_path / "copy" / "trackres_ros", ignore=shutil.ignore_patterns("__pycache__"))
+    return tmp_path / "copy"
+
+
+LOGGED = "{'speed': [10.0, 20.0], 'torque': [5.0, 6.0]}"
+
+
+def test_a_reader_is_one_file(steps, logged, package):
+    (package / "trackres_ros" / "recording" / "readers" / "logger.py").write_text(steps["A kind of recording"][0])
+    assert read_in_a_process(logged, package) == LOGGED
+
+
+def test_a_reader_of_another_package_is_found_by_its_entry_point(steps, logged, tmp_path):
+    code, table = steps["A kind of recording"]
+    (tmp_path / "our_logger.py").write_text(code)
+    info = tmp_path / "our_logger-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: our-logger\nVersion: 1.0\n")
+    group, line = re.search(r'entry-points\."(.*)"\]\n(.*)', table).groups()
+    assert group == file_kind.GROUP
+    (info / "entry_points.txt").write_text(f"[{group}]\n{line.replace(chr(34), '')}\n")
+    assert read_in_a_process(logged, tmp_path) == LOGGED
+
+
+def test_a_role_is_one_line(steps, package, tmp_path):
+    table = package / "trackres_ros" / "recording" / "roles.py"
+    before = "ROLES: Mapping[str, Role] = MappingProxyType(\n    {\n"
+    text = table.read_text()
+    assert before in text
+    table.write_text(text.replace(before, f"{before}        {steps['A role'][0]}"))
+    path = tmp_path / "drive.csv"
+    path.write_text("time_s,speed_mps,tension_n/left\n0,1,900\n1,2,950\n")
+    assert read_in_a_process(path, package) == "{'speed': [1.0, 2.0], 'tension/left': [900.0, 950.0]}"

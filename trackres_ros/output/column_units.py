@@ -1,0 +1,16 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Tells the unit of a column of results by its name."""
+
+from __future__ import annotations
+
+UNITS = {
+    "s": "s", "ns": "ns", "mps": "m/s", "mps2": "m/s^2", "n": "N", "nm": "N m", "degc": "degC", "k": "K", "w": "W",
+}  # fmt: skip
+"""The unit that the last word of a column name says."""
+
+
+def unit_of(column: str) -> str:
+    """Unit of a column by its name: ``N m`` of ``resistance_torque_nm/front_left``; empty where it has none."""
+    return UNITS.get(column.partition("/")[0].rpartition("_")[2], "")

@@ -1,0 +1,245 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Decodes the signals of CAN frames, as databases of the buses describe them."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from trackres_ros.errors import InputError
+from trackres_ros.recording.bindings import Topics
+from trackres_ros.recording.channel_file import CHUNK_ROWS, Channel, ChannelFile, ChannelRows, ChosenChannel
+from trackres_ros.recording.reading import check_there, reading
+from trackres_ros.recording.samples import Finding
+
+MOST_DATABASE_BYTES = 2**26
+"""Of a file; the largest of a vehicle maker are a few megabytes."""
+MOST_IDENTIFIERS = 2**14
+"""Kept with their messages; a bus has some hundreds, a file made to fill memories any number."""
+NOT_AVAILABLE = re.compile(r"\b(sna|n/?a|not ?(available|avail|valid)|invalid|error|fault|init|undefined)\b", re.IGNORECASE)
+"""In the name that a database gives to a value: the signal holds nothing then."""
+J1939_LAST_VALID = 0xFA
+"""SAE J1939-71: of a signal of 8 bits or more, a first byte above it says error, not available, or a special code."""
+J1939_ANY_SOURCE = (0xFE, 0xFF)
+"""Source addresses of a database that name no control unit: null and global, SAE J1939-81."""
+PDU2 = 240
+"""SAE J1939-21: from this PDU format on, the second byte of the identifier belongs to the number of the group."""
+
+
+class Frame(NamedTuple):
+    """A data frame: stamp [ns], identifier, whether that has 29 bits, number of the bus, and bytes."""
+
+    stamp_ns: int
+    id: int
+    extended: bool
+    bus: int | None
+    data: bytes
+
+
+@dataclass(slots=True)
+class _Signal:
+    """A signal to read: its column, how raw becomes physical, and which raw values hold nothing."""
+
+    column: int
+    name: str
+    scale: float
+    offset: float
+    missing: frozenset[int]
+    last_valid: float
+
+
+@dataclass(slots=True)
+class _Message:
+    """A message of a database, the number of its bus, and its group number where J1939 goes by that."""
+
+    message: Any
+    bus: int | None
+    group: str
+    pgn: int | None
+    wanted: list[_Signal] = field(default_factory=list)
+    source: int | None = None
+
+
+class CanSignals(ChannelFile):
+    """The signals of a log of frames.
+
+    Messages are found by identifier; those of J1939 by their group number, whatever the priority is, and from the control unit
+    that the identifier in the database names. Where it names none, the first one that sends the group is read.
+
+    Parameters
+    ----------
+    name
+        Of the log, for messages.
+    frames
+        Reads the log from the beginning, and counts what is wrong with it, by the keys of `TEXTS`.
+    topics
+        The topics file, which names the databases.
+
+    Raises
+    ------
+    InputError
+        No database, or one that cannot be read.
+    """
+
+    def __init__(self, name: str, frames: Callable[[Counter[str]], Iterator[Frame]], topics: Topics | None) -> None:
+        self.name, self._frames = name, frames
+        files = topics.dbc if topics else ()
+        if not files:
+            remedy = "name it: dbc: bus.dbc in the topics file, or --dbc bus.dbc"
+            raise InputError(
+                name, "a log of CAN frames without a database", "the database of the bus, such as a .dbc file", remedy
+            )
+        self._messages = [one for bus, file in files for one in _messages_of(bus, file)]
+        signals = [(one, signal) for one in self._messages for signal in one.message.signals]
+        self._signals = signals
+        self.channels = [Channel(signal.name, signal.unit or "", one.group) for one, signal in signals]
+
+    def settle(self, time: ChosenChannel | None, channels: Sequence[ChosenChannel]) -> None:
+        """Choose what to decode."""
+        super().settle(time, channels)
+        for one in self._messages:
+            one.wanted = []
+        for column, chosen in enumerate(channels):
+            message, signal = self._signals[chosen.place]
+            message.wanted.append(_signal(column, signal, message.pgn is not None))
+
+    def streams(self) -> Sequence[Iterator[ChannelRows]]:
+        """All frames in the order of the log."""
+        return [self._rows()]
+
+    def _rows(self) -> Iterator[ChannelRows]:
+        met: Counter[str] = Counter()
+        for one in self._messages:
+            one.source = None
+        found: dict[tuple[int, bool, int | None], _Message | None] = {}
+        rows = self._decoded(found, met)
+        while chunk := list(itertools.islice(rows, CHUNK_ROWS)):
+            cells = np.full((len(chunk), len(self.wanted)), np.nan)
+            for row, (_, values) in enumerate(chunk):
+                for column, value in values:
+                    cells[row, column] = value
+            stamps = np.array([stamp_ns for stamp_ns, _ in chunk], np.int64)
+            yield ChannelRows(stamps, np.ones(len(chunk), np.bool_), cells, ~np.isnan(cells))
+        self.findings = tuple(_findings_of(met))
+
+    def _decoded(
+        self, found: dict[tuple[int, bool, int | None], _Message | None], met: Counter[str]
+    ) -> Iterator[tuple[int, list[tuple[int, float]]]]:
+        """Stamp of each frame that is read, with the columns and values in it."""
+        from cantools.database.errors import Error
+
+        for stamp_ns, number, extended, bus, data in self._frames(met):
+            key = (number, extended, bus)
+            if key not in found:
+                if len(found) >= MOST_IDENTIFIERS:
+                    found.clear()
+                found[key] = self._message(number, extended, bus)
+            one = found[key]
+            if one is None:
+                met["unknown"] += 1
+                continue
+            if not one.wanted:
+                continue
+            if one.pgn is not None and one.source is None:
+                one.source = number & 0xFF
+            if one.pgn is not None and one.source != number & 0xFF:
+                met["other_source"] += 1
+                continue
+            try:
+                decoded = one.message.decode(data, decode_choices=False, scaling=False, allow_truncated=True)
+            except (Error, ValueError, LookupError):
+                met["malformed"] += 1
+                continue
+            values = []
+            for signal in one.wanted:
+                raw = decoded.get(signal.name)
+                if raw is None:
+                    met["malformed"] += not one.message.is_multiplexed()
+                elif raw in signal.missing or raw > signal.last_valid or raw != raw:
+                    met["absent"] += 1
+                else:
+                    values.append((signal.column, signal.scale * raw + signal.offset))
+            if values:
+                yield stamp_ns, values
+
+    def _message(self, number: int, extended: bool, bus: int | None) -> _Message | None:
+        """The message of an identifier: the one that has it, else the one of its J1939 group."""
+        near = None
+        for one in self._messages:
+            if (one.bus is not None and one.bus != bus) or one.message.is_extended_frame != extended:
+                continue
+            if one.message.frame_id == number:
+                return one
+            source = one.message.frame_id & 0xFF
+            if one.pgn is not None and one.pgn == _pgn(number) and source in (*J1939_ANY_SOURCE, number & 0xFF):
+                near = near or one
+        return near
+
+
+def _messages_of(bus: int | None, file: Path) -> list[_Message]:
+    """The messages that a database describes."""
+    from cantools.database import load_file
+
+    check_there(file)
+    if file.stat().st_size > MOST_DATABASE_BYTES:
+        raise InputError(str(file), f"{file.stat().st_size} bytes", f"a database of at most {MOST_DATABASE_BYTES}")
+    with reading(file, "a database of a CAN bus, such as a .dbc file"):
+        database: Any = load_file(file, strict=False)
+        messages = database.messages
+        attributes = getattr(database.dbc, "attributes", {}) or {}
+        kind = attributes.get("ProtocolType")
+        all_j1939 = kind is not None and "j1939" in str(kind.value).lower()
+        suffix = "" if bus is None else f"@{bus}"
+        return [
+            _Message(
+                message,
+                bus,
+                f"{message.name}{suffix}",
+                _pgn(message.frame_id) if message.is_extended_frame and (all_j1939 or message.protocol == "j1939") else None,
+            )
+            for message in messages
+        ]
+
+
+def _pgn(number: int) -> int:
+    """The group number in an identifier of J1939."""
+    group = number >> 8 & 0x3FFFF
+    return group if group >> 8 & 0xFF >= PDU2 else group & 0x3FF00
+
+
+def _signal(column: int, signal: Any, j1939: bool) -> _Signal:
+    """How a signal is read."""
+    named = {raw: str(name) for raw, name in (signal.choices or {}).items()}
+    missing = frozenset(raw for raw, name in named.items() if NOT_AVAILABLE.search(name.replace("_", " ")))
+    last = float("inf")
+    if j1939 and not signal.is_signed and not signal.is_float:
+        if signal.length >= 8:
+            last = ((J1939_LAST_VALID + 1) << (signal.length - 8)) - 1
+        elif signal.length > 1:
+            last = (1 << signal.length) - 3  # the last two say error and not available
+    return _Signal(column, signal.name, float(signal.scale), float(signal.offset), missing, last)
+
+
+TEXTS = {
+    "lost": ("unusable", "entries of the log are no frames that can be read; they are left out"),
+    "cut": ("cut", "line at the end does not end: the log may have been cut off within a frame"),
+    "unknown": ("unknown_topic", "frames with identifiers that no database describes are left out"),
+    "other_source": ("other_source", "frames of further control units that send the same group are left out"),
+    "malformed": ("malformed", "frames do not hold what the database describes; they give no sample"),
+    "absent": ("absent", "values say that they are not available or an error; they give no sample"),
+}
+
+
+def _findings_of(met: Counter[str]) -> Iterable[Finding]:
+    for what, (kind, text) in TEXTS.items():
+        if met[what]:
+            yield Finding("", kind, met[what], float("nan"), f"{met[what]} {text}")

@@ -1,0 +1,160 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Defines what a reader gives: the channels of a file with their units, and their samples in blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.errors import InputError
+from trackres_ros.recording.binding import TopicBinding
+from trackres_ros.recording.samples import Finding, FloatArray, IntArray
+
+CHUNK_ROWS = 8192
+
+
+class Channel(NamedTuple):
+    """A channel of a file, or a column of a table.
+
+    Attributes
+    ----------
+    name
+        As the file has it.
+    unit
+        As the file has it; empty where it has none.
+    group
+        Channels of one group have the same times; one name may be in several groups.
+    """
+
+    name: str
+    unit: str = ""
+    group: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class ChosenChannel:
+    """A channel to read: its place among all channels, its name, and the role it feeds, with the conversion in its binding.
+
+    `dates_only`: a time whose name does not say the unit of a number.
+    """
+
+    place: int
+    name: str
+    role: str
+    binding: TopicBinding
+    dates_only: bool = False
+
+
+class ChannelRows(NamedTuple):
+    """Some rows of channels: one time, and a number of each channel that has one then.
+
+    Attributes
+    ----------
+    time
+        Stamps [ns], in a file without dates from its beginning; of a table without dates numbers in the unit of its column.
+        Shape (n,).
+    timed
+        Where there is a time, shape (n,).
+    cells, given
+        The numbers of the chosen channels, and where there is one, shape (n, channels).
+    """
+
+    time: FloatArray | IntArray
+    timed: NDArray[np.bool_]
+    cells: FloatArray
+    given: NDArray[np.bool_]
+
+
+class ChannelFile:
+    """A file of channels: a recording of channels, a table, a sheet of a workbook. A reader derives from it.
+
+    A reader sets `name`, `channels`, and where it has something to say `notes` and `findings`, and gives `streams`.
+
+    Attributes
+    ----------
+    name : str
+        The file, and the sheet of a workbook, for messages.
+    channels : sequence of Channel
+        All there are.
+    notes : sequence of str
+        What was assumed of the file.
+    findings : sequence of Finding
+        What the last reading met.
+    has_times : bool
+        Whether channels have times of their own; in a table a column is the time.
+    """
+
+    name: str
+    channels: Sequence[Channel]
+    notes: Sequence[str] = ()
+    findings: Sequence[Finding] = ()
+    has_times = True
+
+    def is_number(self, place: int) -> bool:  # noqa: ARG002
+        """Whether a channel holds numbers."""
+        return True
+
+    def settle(self, time: ChosenChannel | None, channels: Sequence[ChosenChannel]) -> None:  # noqa: ARG002
+        """Choose what to read, before `streams`; a table decides here how times and numbers are written."""
+        self.wanted = tuple(channels)
+
+    def streams(self) -> Sequence[Iterator[ChannelRows]]:
+        """Read from the beginning: one iterator for all channels that share their times, each some rows at a time.
+
+        Cells have a column for each of `wanted`, which other streams may fill.
+        """
+        raise NotImplementedError
+
+
+class TableFile(ChannelFile):
+    """A table, in which one column is the time of all others."""
+
+    has_times = False
+
+
+def rows_at(seconds: FloatArray, cells: FloatArray, start_ns: int = 0) -> ChannelRows:
+    """Rows at times in seconds, of which each number that is not nan is a sample.
+
+    Parameters
+    ----------
+    seconds
+        Shape (n,).
+    cells
+        Shape (n, channels).
+    start_ns
+        The time 0 [ns since 1970], where the file says it.
+    """
+    timed = np.abs(seconds) < MOST_TIME_S
+    stamps = np.rint(np.where(timed, seconds, 0.0) * 1e9).astype(np.int64) + start_ns
+    return ChannelRows(stamps, timed, cells, ~np.isnan(cells))
+
+
+MOST_TIME_S = 4.6e9
+"""Above it, differences of two times in nanoseconds do not fit in 64 bits [s]; a time in milliseconds or nanoseconds mostly
+lies above."""
+
+
+def time_note(column: str, text: str) -> str:
+    """Say how a column of dates and times was read."""
+    return f"time: column {column}, {text}"
+
+
+def check_dates(time: ChosenChannel, name: str, are_dates: bool) -> None:
+    """Refuse numbers of which nobody says the unit, and a scale of dates.
+
+    Raises
+    ------
+    InputError
+        With the line of the topics file.
+    """
+    if not are_dates and time.dates_only:
+        remedy = f"say the unit in a topics file: time: {{column: {time.name}, scale: 1.0}}, or name the column time_s"
+        raise InputError(f"{name}: {time.name}", "numbers of an unknown unit", "dates with times", remedy)
+    if are_dates and time.binding.scale != 1.0:
+        raise InputError(f"{name}: {time.name}", f"scale {time.binding.scale:g}", "no scale for dates with times")

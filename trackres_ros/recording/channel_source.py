@@ -1,0 +1,295 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Reads files of channels in blocks: tables, measurement data, bus logs."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.errors import InputError, one_line
+from trackres_ros.recording.binding import TopicBinding
+from trackres_ros.recording.bindings import Topics
+from trackres_ros.recording.channel_file import MOST_TIME_S, ChannelFile, ChannelRows, ChosenChannel
+from trackres_ros.recording.choosing import Choice, choose, listed_names
+from trackres_ros.recording.position_units import PositionUnits
+from trackres_ros.recording.reading import check_file, reading
+from trackres_ros.recording.samples import Finding, FloatArray, IntArray, SampleBlock
+from trackres_ros.recording.sums import Sums, readings_of
+from trackres_ros.recording.torque_candidates import note_of, of_columns
+
+
+class ChannelSource:
+    """Samples of a file of channels, row by row.
+
+    An empty cell gives no sample, and a sum of channels with the same times has one where all of them do; channels with other
+    times are added as `Sums` does. Within a row speed comes last, so that whoever steps on speed knows the rest of the row.
+    Channels with times of their own are put in the order of these. Stamps of a table are the column ``time_s``, or the one that
+    the topics file names; a role without a channel in the topics file is taken from the column known by name.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    topics : Topics, optional
+        Channels of other names or units, by role.
+    read : callable
+        Opens it, see `FileKind.read`.
+    kind : str
+        What the file is, for messages.
+    checked : bool
+        Whether its first bytes are checked.
+
+    Raises
+    ------
+    InputError
+        No header, no channel for time or speed, a channel that is not there or is there twice, a unit that is none of its role,
+        numbers or dates that may be read in two ways.
+    """
+
+    zero_is_unset = False
+
+    def __init__(
+        self,
+        path: Path,
+        topics: Topics | None,
+        read: Callable[[Path, str, Topics | None], Sequence[ChannelFile]],
+        kind: str,
+        checked: bool,
+    ) -> None:
+        self.name = one_line(str(path))
+        self._path, self._kind = path, kind
+        self.findings: tuple[Finding, ...] = ()
+        if checked:
+            check_file(path)
+        with self._reading():
+            files = read(path, self.name, topics)
+        self._file, choice, others = _first_that_fits(files, topics)
+        self._time, channels = choice.time, sorted(choice.channels, key=lambda one: one.role == "speed")
+        self.roles = tuple(dict.fromkeys(one.role for one in channels))
+        of_role = [[one for one in channels if one.role == role] for role in self.roles]
+        self.bindings = {
+            role: replace(topics[role], parts=tuple(one.binding for one in of)) if len(of) > 1 and topics else of[0].binding
+            for role, of in zip(self.roles, of_role, strict=True)
+        }
+        self._bind_parts(of_role)
+        used = {one.place for one in (*channels, *([self._time] if self._time else []))}
+        ignored = [(place, one.name) for place, one in enumerate(self._file.channels) if place not in used]
+        like = of_columns(name for _, name in ignored)
+        with self._reading():
+            self._file.settle(self._time, list(itertools.chain(*self._columns)))
+            self.torque_candidates = tuple(one for place, one in ignored if one in like and self._file.is_number(place))
+        said = [_note_of(of) for of in of_role if of[0].role not in choice.guessed]
+        notes = [*others, *self._file.notes, *choice.notes, *said, *self._sums().notes]
+        if ignored:
+            notes.append(f"ignored columns: {listed_names([name for _, name in ignored])}")
+        notes += note_of(self.torque_candidates, self.roles)
+        self._notes = tuple(map(one_line, notes))
+        self._position = PositionUnits(self.bindings)
+
+    def _bind_parts(self, of_role: Sequence[Sequence[ChosenChannel]]) -> None:
+        """Decide what is read: parts with the same times are added row by row, others each by itself and then as `Sums` does."""
+        groups = [{self._file.channels[one.place].group for one in of} for of in of_role]
+        apart = {role for role, found in zip(self.roles, groups, strict=True) if len(found) > 1}
+        in_groups = {
+            role: replace(self.bindings[role], parts=tuple(map(self._part, of)) if role in apart else ())
+            for role, of in zip(self.roles, of_role, strict=True)
+        }
+        self._readings = readings_of(self.roles, in_groups)
+        self._of_sums_apart = in_groups
+        self._columns = [
+            [of[one.part]] if one.part is not None else of
+            for one in self._readings
+            for of in [of_role[self.roles.index(one.role)]]
+        ]
+        self._alone = [0] * len(self._readings)
+
+    def _part(self, one: ChosenChannel) -> TopicBinding:
+        """A part of a sum, whose topic is the group: what `Sums` takes as one message has the same times."""
+        return replace(one.binding, topic=self._file.channels[one.place].group)
+
+    def _sums(self) -> Sums:
+        return Sums(self._readings, self._of_sums_apart)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """How the file was read, which channel feeds what, what is ignored, and in which unit a position was taken to be."""
+        return (*self._notes, *self._position.notes)
+
+    def blocks(self, max_rows: int = 65536) -> Iterator[SampleBlock]:
+        """Read the file; see `trackres_ros.recording.samples.Source.blocks`.
+
+        Raises
+        ------
+        InputError
+            No row at all, a cell that is no number, a row without time or of another length: with its place. A file that
+            is damaged.
+        """
+        with self._reading():
+            sums = self._sums()
+            blocks: Iterator[SampleBlock] = (sums.added(block) for block in self._blocks(max_rows))
+            for place, role in enumerate(self.roles):
+                blocks = _derived(blocks, place) if self.bindings[role].derivative else blocks
+            for block in blocks:
+                yield self._position.in_radians(block, self.roles)
+            self.findings = (*self.findings, *sums.findings)
+
+    def _reading(self) -> AbstractContextManager[None]:
+        return reading(self._path, f"{self._kind} that can be read to its end")
+
+    def _blocks(self, max_rows: int) -> Iterator[SampleBlock]:
+        """Readings row by row, before parts with other times are added."""
+        whole = [self.bindings[one.role] if one.part is None else None for one in self._readings]
+        delay_ns = np.array([binding.delay_ns if binding else 0 for binding in whole])
+        modes = {place: binding for place, binding in enumerate(whole) if binding and binding.values}
+        at_once = max(1, max_rows // len(self._readings))
+        self._alone = [0] * len(self._readings)
+        done = 0
+        streams = [self._stamped(stream) for stream in self._file.streams()]
+        for stamp_ns, cells, given in streams[0] if len(streams) == 1 else _in_order(streams):
+            done += len(stamp_ns)
+            values, there = self._values(cells, given)
+            for start in range(0, len(stamp_ns), at_once):
+                rows, column = np.nonzero(there[start : start + at_once])
+                if not rows.size:
+                    continue
+                rows += start
+                stamps, found = stamp_ns[rows], values[rows, column]
+                for place, binding in modes.items():
+                    found[column == place] = binding.meant(found[column == place])
+                yield SampleBlock(column.astype(np.int16), stamps - delay_ns[column], stamps, found)
+        if not done:
+            if self._file.has_times:
+                raise InputError(self._file.name, "no sample of any channel that is read", "at least one sample")
+            raise InputError(self._file.name, "no row", "at least one row below the column names")
+        self.findings = (*self._file.findings, *self._of_rows())
+
+    def _stamped(self, stream: Iterator[ChannelRows]) -> Iterator[_Stamped]:
+        done = 0
+        for time, timed, cells, given in stream:
+            yield self._stamps(time, timed, done), cells, given
+            done += len(time)
+
+    def _stamps(self, time: FloatArray | IntArray, timed: NDArray[np.bool_], done: int) -> IntArray:
+        """Stamps of some rows [ns], of which `done` come before."""
+        scale, offset = (self._time.binding.scale, self._time.binding.offset) if self._time else (1.0, 0.0)
+        dates = time.dtype == np.int64
+        seconds = time * 1e-9 + offset if dates else scale * time + offset
+        bad = ~timed | ~(np.abs(seconds) < MOST_TIME_S)
+        if bad.any():
+            first = int(np.argmax(bad))
+            where = f"{self._file.name}: {self._time.name if self._time else 'time'}, row {done + first + 1} below the header"
+            raise InputError(where, float(seconds[first]) if timed[first] else "", f"a time in seconds, within {MOST_TIME_S:g}")
+        if dates:
+            return np.asarray(time + round(offset * 1e9), np.int64)
+        return np.rint(seconds * 1e9).astype(np.int64)
+
+    def _values(self, cells: FloatArray, given: NDArray[np.bool_]) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Values by reading in the units of the roles, and where there is one: of a sum where there are all of its parts."""
+        shape = (len(cells), len(self._readings))
+        values, there = np.empty(shape), np.empty(shape, np.bool_)
+        place = 0
+        for index, of in enumerate(self._columns):
+            whole, total = np.ones(len(cells), np.bool_), np.zeros(len(cells))
+            for column in of:
+                total = total + column.binding.scale * cells[:, place] + column.binding.offset
+                whole &= given[:, place]
+                place += 1
+            if len(of) > 1:
+                role = self.bindings[self._readings[index].role]
+                total = role.scale * total + role.offset
+                self._alone[index] += int(np.count_nonzero(given[:, place - len(of) : place].any(axis=1) & ~whole))
+            values[:, index], there[:, index] = total, whole
+        return values, there
+
+    def _of_rows(self) -> Iterator[Finding]:
+        for one, count in zip(self._readings, self._alone, strict=True):
+            if count:
+                text = f"{count} rows hold only some parts of the sum: they give no sample"
+                yield Finding(one.role, "part", count, float("nan"), text)
+
+
+_Stamped = tuple[IntArray, FloatArray, NDArray[np.bool_]]
+"""Stamps [ns] of some rows, their cells, and which of these are given."""
+
+
+def _in_order(streams: Sequence[Iterator[_Stamped]]) -> Iterator[_Stamped]:
+    """Rows of all streams by their times, of equal ones in a block those of the first stream first.
+
+    Where the times of a stream run back, its rows stay in their order.
+    """
+    clocks = [np.iinfo(np.int64).min] * len(streams)
+    held: dict[int, tuple[IntArray, _Stamped]] = {}
+
+    def fill(number: int) -> None:
+        for rows in streams[number]:
+            if len(rows[0]):
+                clock = np.maximum(np.maximum.accumulate(rows[0]), clocks[number])
+                held[number] = clock, rows
+                clocks[number] = int(clock[-1])
+                return
+
+    for number in range(len(streams)):
+        fill(number)
+    while held:
+        until = min(int(clock[-1]) for clock, _ in held.values())
+        parts: list[tuple[IntArray, _Stamped]] = []
+        for number, (clock, rows) in sorted(held.items()):
+            count = int(np.searchsorted(clock, until, side="right"))
+            parts.append((clock[:count], (rows[0][:count], rows[1][:count], rows[2][:count])))
+            if count == len(clock):
+                del held[number]
+                fill(number)
+            else:
+                held[number] = clock[count:], (rows[0][count:], rows[1][count:], rows[2][count:])
+        order = np.argsort(np.concatenate([clock for clock, _ in parts]), kind="stable")
+        stamps, cells, given = zip(*(rows for _, rows in parts), strict=True)
+        yield np.concatenate(stamps)[order], np.concatenate(cells)[order], np.concatenate(given)[order]
+
+
+def _first_that_fits(files: Sequence[ChannelFile], topics: Topics | None) -> tuple[ChannelFile, Choice, list[str]]:
+    """The first table that has a time and a speed, its channels, and what to say of the others."""
+    fitting: list[tuple[ChannelFile, Choice]] = []
+    errors: list[InputError] = []
+    for file in files:
+        try:
+            fitting.append((file, choose(file, topics)))
+        except InputError as error:
+            errors.append(error)
+    if not fitting:
+        raise errors[0]
+    others = ", ".join(file.name for file, _ in fitting[1:])
+    return (*fitting[0], [f"also possible: {others}"] if others else [])
+
+
+def _derived(blocks: Iterator[SampleBlock], place: int) -> Iterator[SampleBlock]:
+    """All blocks with the change over time of the role at a place instead of its values: from the sample before each to the one
+    after it, nan where their times do not rise. So both of these have to be read before.
+    """
+    read = list(blocks)
+    of = [block.role == place for block in read]
+    at = np.concatenate([block.stamp_ns[rows] for block, rows in zip(read, of, strict=True)]) if read else np.empty(0, np.int64)
+    value = np.concatenate([block.value[rows] for block, rows in zip(read, of, strict=True)]) if read else np.empty(0)
+    first, last = np.maximum(np.arange(len(at)) - 1, 0), np.minimum(np.arange(len(at)) + 1, len(at) - 1)
+    over = (at[last] - at[first]) * 1e-9
+    rises = over > 0.0
+    rate = np.where(rises, (value[last] - value[first]) / np.where(rises, over, 1.0), np.nan)
+    for block, rows, part in zip(read, of, np.split(rate, np.cumsum([rows.sum() for rows in of])[:-1]), strict=True):
+        whole = block.value.copy()
+        whole[rows] = part
+        yield replace(block, value=whole)
+
+
+def _note_of(columns: Sequence[ChosenChannel]) -> str:
+    """Which column feeds a role, or which are added."""
+    if len(columns) == 1:
+        change = "the change of " if columns[0].binding.derivative else ""
+        return f"{columns[0].role}: {change}column {columns[0].name}"
+    return f"{columns[0].role}: sum of the columns {', '.join(column.name for column in columns)}, where a row has them all"

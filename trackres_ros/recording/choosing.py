@@ -1,0 +1,192 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Chooses the channels of a file to read: those that the topics file names, those known by name, else those guessed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+from trackres_ros.errors import InputError, nearest
+from trackres_ros.recording.binding import TopicBinding
+from trackres_ros.recording.bindings import TIME, Topics
+from trackres_ros.recording.channel_file import Channel, ChannelFile, ChosenChannel
+from trackres_ros.recording.guess import guess_channels, topics_line
+from trackres_ros.recording.role_units import UNITS, conversion
+from trackres_ros.recording.roles import ROLES, base_role
+
+TIME_S = "time_s"
+DATE_NAMES = ("time", "timestamp", "datetime")
+"""Names of a column of dates with times, in any case; of numbers nobody would know the unit."""
+COLUMNS: Mapping[str, tuple[str, str]] = MappingProxyType(
+    {name: (role, unit) for role, about in ROLES.items() for name, unit in about.columns.items()}
+)
+"""Columns known by name: role, and unit. ``weight_n/front`` is the load of the axle or assembly front."""
+NAMES_SHOWN = 20
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """What is read of a file: the column of the time in a table, the channels of the roles, and what to say of the choice."""
+
+    time: ChosenChannel | None
+    channels: list[ChosenChannel]
+    notes: list[str]
+    guessed: frozenset[str] = frozenset()
+
+
+def choose(file: ChannelFile, topics: Topics | None) -> Choice:
+    """Choose the channels of a file.
+
+    Parameters
+    ----------
+    file
+        What is in it.
+    topics
+        The topics file. Where it names no role, channels of a file that is no table are guessed by name and unit.
+
+    Raises
+    ------
+    InputError
+        A channel that is not there or is there twice, no time, no speed, or a unit that is none of its role.
+    """
+    names = _Names(file)
+    listed = topics.bindings.items() if topics else ()
+    origin = topics.origin if topics else file.name
+    notes: list[str] = []
+    of_file = [
+        names.chosen(role, part, origin, notes) for role, binding in listed if not binding.of_topics for part in binding.sources
+    ]
+    known = _known(file, frozenset(one.role for one in of_file), names)
+    time = None if file.has_times else _time(file, topics, names, notes)
+    chosen = [*of_file, *known]
+    there, guessed = {base_role(one.role) for one in chosen}, dict[str, TopicBinding]()
+    if file.has_times and not listed and "speed" not in there:
+        guessed, others = guess_channels([one for one in file.channels if names.is_single(one.name)], there)
+        for role, binding in guessed.items():
+            chosen.append(names.chosen(role, binding, origin, []))
+            possible = f"; also possible: {listed_names(others[role])}" if others[role] else ""
+            notes.append(f"{topics_line(role, chosen[-1].binding)}  # guessed{possible}")
+    if not any(one.role == "speed" for one in chosen):
+        allowed = "a column speed_mps or speed_kmh"
+        remedy = "or name it in a topics file: speed: {column: NAME, scale: 1.0}"
+        if file.has_times:
+            allowed, remedy = (
+                f"{allowed}, or a speed with a unit",
+                "or name it in a topics file: speed: {channel: NAME, unit: km/h}",
+            )
+        raise InputError(file.name, f"columns {listed_names(names.all)}", allowed, remedy)
+    for name in ((time.name,) if time else ()) + tuple(one.name for one in chosen):
+        names.check_single(name)
+    return Choice(time, chosen, notes, frozenset(guessed))
+
+
+class _Names:
+    """The channels of a file by name, alone and with the group before it."""
+
+    def __init__(self, file: ChannelFile) -> None:
+        self._file = file
+        self._places: dict[str, list[int]] = {}
+        for place, one in enumerate(file.channels):
+            self._places.setdefault(one.name, []).append(place)
+        self.all = list(self._places)
+        for place, one in enumerate(file.channels):
+            if one.group:
+                self._places.setdefault(f"{one.group}/{one.name}", []).append(place)
+
+    def is_single(self, name: str) -> bool:
+        return len(self._places[name]) == 1
+
+    def check_single(self, name: str) -> None:
+        """Refuse a name of several channels."""
+        places = self._places[name]
+        if len(places) > 1:
+            groups = [self._file.channels[place].group for place in places]
+            several = [f"{group}/{name}" for group in groups if group]
+            remedy = f"name the group before it: {listed_names(several)}" if len(set(groups)) == len(groups) else ""
+            raise InputError(self._file.name, f"{len(places)} columns {name}", "each column once", remedy)
+
+    def chosen(self, role: str, binding: TopicBinding, origin: str, notes: list[str]) -> ChosenChannel:
+        """A channel that a line names, in the unit of its role."""
+        if binding.column not in self._places:
+            raise InputError(
+                f"{origin}: {role}: column", binding.column, listed_names(self.all), nearest(binding.column, self._places)
+            )
+        place = self._places[binding.column][0]
+        return ChosenChannel(place, binding.column, role, _in_unit(self._file.channels[place], role, binding, origin, notes))
+
+    def known(self) -> Iterator[tuple[int, str]]:
+        """Place and name of the first channel of each name."""
+        return ((self._places[name][0], name) for name in self.all)
+
+    def place(self, name: str) -> int | None:
+        """Where a name is first."""
+        return self._places[name][0] if name in self._places else None
+
+
+def _in_unit(channel: Channel, role: str, binding: TopicBinding, origin: str, notes: list[str]) -> TopicBinding:
+    """The binding with the unit of the file, where the line says neither unit nor scale."""
+    if not channel.unit or binding.values:
+        return binding
+    inside = "s" if role == TIME else ROLES[base_role(role)].unit
+    of_file = conversion(channel.unit, inside)
+    if role == TIME and of_file is None:  # dates have none
+        return binding
+    said = (binding.scale, binding.offset) != (1.0, 0.0) or bool(binding.unit)
+    if said:
+        if of_file is None or tuple(of_file) != (binding.scale, binding.offset):
+            notes.append(f"{role}: {channel.name} is in {channel.unit}, as the file says; the topics file converts it otherwise")
+        return binding
+    if of_file is None:
+        remedy = f"give its unit in the topics file: {role}: {{channel: {channel.name}, unit: {next(iter(UNITS[inside]))}}}"
+        raise InputError(f"{origin}: {role}: unit of {channel.name}", channel.unit, ", ".join(UNITS[inside]), remedy)
+    unit = next(name for name, one in UNITS[inside].items() if one == of_file)
+    if unit != inside:
+        notes.append(f"{role}: {channel.name} is in {unit}, as the file says")
+    return replace(binding, scale=of_file.scale, offset=of_file.offset, unit=unit)
+
+
+def _known(file: ChannelFile, by_file: frozenset[str], names: _Names) -> list[ChosenChannel]:
+    """The columns known by name, of roles that the topics file does not name."""
+    columns: dict[str, ChosenChannel] = {}
+    for place, name in names.known():
+        base, slash, part = (name.rpartition(".")[2] if file.has_times else name).partition("/")
+        if base not in COLUMNS:
+            continue
+        role, unit = COLUMNS[base][0] + slash + part, COLUMNS[base][1]
+        about = ROLES[base_role(role)]
+        if role in by_file or (slash and not (part and about.parts)):
+            continue
+        if role in columns:
+            given = f"columns {columns[role].name} and {name}"
+            raise InputError(file.name, given, f"one column for {role}", "name the right one in a topics file")
+        by_unit = conversion(unit, about.unit)
+        assert by_unit is not None
+        binding = TopicBinding(column=name, scale=by_unit.scale, unit=unit)
+        columns[role] = ChosenChannel(place, name, role, binding)
+    return list(columns.values())
+
+
+def _time(file: ChannelFile, topics: Topics | None, names: _Names, notes: list[str]) -> ChosenChannel:
+    """The column of the time in a table."""
+    if topics and topics.time:
+        return names.chosen(TIME, topics.time, topics.origin, notes)
+    place = names.place(TIME_S)
+    if place is not None:
+        return ChosenChannel(place, TIME_S, TIME, TopicBinding(column=TIME_S))
+    dated = [(place, name) for place, name in names.known() if name.lower() in DATE_NAMES]
+    if len(dated) == 1:
+        place, name = dated[0]
+        chosen = names.chosen(TIME, TopicBinding(column=name), file.name, notes)
+        return replace(chosen, dates_only=not conversion(file.channels[place].unit or "?", "s"))
+    name_it = "or name it in a topics file: time: {column: NAME, scale: 1.0}"
+    allowed = f"a column {TIME_S}, in seconds, or timestamp, of dates with times"
+    raise InputError(file.name, f"columns {listed_names(names.all)}", allowed, nearest(TIME_S, names.all) or name_it)
+
+
+def listed_names(names: Sequence[str]) -> str:
+    """Names as far as anybody reads them."""
+    more = f" and {len(names) - NAMES_SHOWN} more" if len(names) > NAMES_SHOWN else ""
+    return ", ".join(names[:NAMES_SHOWN]) + more

@@ -1,0 +1,93 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Reads logs of CAN frames: BLF, ASC and candump."""
+
+from __future__ import annotations
+
+import io
+import logging
+import re
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from trackres_ros.errors import InputError
+from trackres_ros.recording.bindings import Topics
+from trackres_ros.recording.can_signals import CanSignals, Frame
+from trackres_ros.recording.channel_file import MOST_TIME_S
+from trackres_ros.recording.file_kind import FileKind
+from trackres_ros.recording.unpacking import set_can_ceilings
+
+MOST_OF_A_LINE = 2**16
+NO_FRAME = re.compile(r"(date|base|//|(no )?internal events|Begin|End|\d+\.\d+\s+Start of measurement)\b|//|$", re.IGNORECASE)
+"""What an ASC file has besides frames."""
+MICROSECOND_NS = 1000
+"""To which stamps are rounded: seconds since 1970 in double precision hold a quarter of it."""
+
+
+class CanLog(CanSignals):
+    """A log that python-can reads. Stamps are those of the log, an ASC file's from its beginning."""
+
+    def __init__(self, path: Path, name: str, topics: Topics | None) -> None:
+        self._path = path
+        super().__init__(name, self._read, topics)
+
+    def _read(self, met: Counter[str]) -> Iterator[Frame]:
+        import can
+
+        logging.getLogger("can").setLevel(logging.ERROR)  # what it skips is counted
+        set_can_ceilings()
+        readers: dict[str, Any] = {".asc": can.ASCReader, ".log": can.CanutilsLogReader}
+        suffix = self._path.suffix.lower()
+        frames = 0
+        with self._path.open("rb") as file:
+            lines = None if suffix == ".blf" else _Lines(file, self.name)
+            reader = can.BLFReader(file) if lines is None else readers[suffix](lines)
+            first = 0 if suffix == ".log" else 1  # buses of Vector's tools count from 1, python-can from 0
+            for message in reader:
+                if not abs(message.timestamp) < MOST_TIME_S:
+                    continue
+                frames += 1
+                if not (message.is_error_frame or message.is_remote_frame):
+                    stamp_ns = round(message.timestamp * 1e6) * MICROSECOND_NS
+                    bus = _bus(message.channel, first)
+                    yield Frame(stamp_ns, message.arbitration_id, message.is_extended_id, bus, bytes(message.data))
+        met["lost"] = max(0, (lines.entries if lines else reader.object_count) - frames)
+        met["cut"] = int(lines is not None and not lines.ended)
+
+
+def _bus(channel: Any, first: int) -> int | None:
+    """The number of a bus, also of an interface such as can0."""
+    if isinstance(channel, int):
+        return channel + first
+    digits = re.search(r"\d+$", str(channel or ""))
+    return int(digits.group()) if digits else None
+
+
+class _Lines:
+    """The lines of a log in text, none longer than any frame is; `entries` are those that should be frames."""
+
+    def __init__(self, file: io.BufferedReader, name: str) -> None:
+        self._file, self._name, self.entries, self.ended = file, name, 0, True
+        self.close = file.close  # which python-can asks for
+
+    def __iter__(self) -> Iterator[str]:
+        while line := self._file.readline(MOST_OF_A_LINE):
+            if len(line) >= MOST_OF_A_LINE:
+                raise InputError(self._name, f"a line of more than {MOST_OF_A_LINE} bytes", "a log with one line a frame")
+            text, self.ended = line.decode("latin-1"), line.endswith(b"\n")
+            self.entries += not NO_FRAME.match(text.strip())
+            yield text
+
+
+KINDS = (
+    FileKind(
+        "a CAN log",
+        (".blf", ".asc", ".log"),
+        lambda path, name, topics: [CanLog(path, name, topics)],
+        (("can", "can"), ("cantools", "can")),
+        checked=True,
+    ),
+)

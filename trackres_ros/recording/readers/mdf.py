@@ -1,0 +1,234 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Reads measurement data in the format MDF: channels, and the frames of buses that were logged."""
+
+from __future__ import annotations
+
+import heapq
+import io
+import logging
+import shutil
+import tempfile
+import weakref
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, redirect_stdout
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.errors import InputError, MissingExtraError
+from trackres_ros.recording.bindings import Topics
+from trackres_ros.recording.can_signals import CanSignals, Frame
+from trackres_ros.recording.channel_file import MOST_TIME_S, Channel, ChannelFile, ChannelRows, rows_at
+from trackres_ros.recording.file_kind import FileKind
+from trackres_ros.recording.samples import Finding, FloatArray
+from trackres_ros.recording.unpacking import set_mdf_ceilings
+
+BLOCK_ROWS = 2**16
+"""Records read at once: of usual ones some megabytes, so that a packed block is unpacked a few times at most."""
+UNFINISHED = b"UnFinMF"
+FRAMES = "CAN_DataFrame"
+OF_A_BUS = (FRAMES, "CAN_ErrorFrame", "CAN_RemoteFrame")
+OF_A_FRAME = {"ID": 1, "DataBytes": 2, "DataLength": 1, "IDE": 1, "BusChannel": 1}
+"""What is read of a frame, and how many dimensions its samples have: ASAM MDF, bus logging."""
+EXTENDED, IDENTIFIER, STANDARD = 1 << 31, (1 << 29) - 1, 0x7FF
+
+
+def _opened(path: Path) -> tuple[Any, ExitStack]:
+    """The file, and what closes it; so that a channel is read in parts, as asammdf reads one of a named file as a whole."""
+    from asammdf import MDF
+
+    set_mdf_ceilings()
+    with ExitStack() as opened, _silent():
+        file: Any = opened.enter_context(path.open("rb"))
+        if file.read(len(UNFINISHED)) == UNFINISHED:  # it is finished in a copy, as asammdf does with a named file
+            file.seek(0)
+            whole, file = file, opened.enter_context(tempfile.TemporaryFile())
+            shutil.copyfileobj(whole, file)
+        file.seek(0)
+        mdf = MDF(file, process_bus_logging=False)  # all identifiers would be read
+        opened.callback(mdf.close)
+        return mdf, opened.pop_all()
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """Keep to itself what asammdf prints and logs besides what it raises."""
+    logging.getLogger("asammdf").setLevel(logging.CRITICAL)
+    with redirect_stdout(io.StringIO()):
+        yield
+
+
+class _Groups:
+    """The groups of an MDF file."""
+
+    def __init__(self, path: Path, name: str) -> None:
+        self.name = name
+        self.mdf, opened = _opened(path)
+        weakref.finalize(self, opened.close)
+        if self.mdf.version < "4":
+            raise InputError(name, f"MDF {self.mdf.version}", "MDF 4", "convert it: asammdf.MDF(FILE).convert('4.10').save(NEW)")
+        self.start_ns = round(self.mdf.header.start_time.timestamp() * 1e6) * 1000
+        kinds = [{channel.name for channel in group.channels}.intersection(OF_A_BUS) for group in self.mdf.groups]
+        self.of_a_bus = [number for number, kind in enumerate(kinds) if kind]
+        self.buses = [number for number, kind in enumerate(kinds) if FRAMES in kind]
+
+    def records(self, group: int) -> int:
+        """How many records a group has."""
+        return int(self.mdf.groups[group].channel_group.cycles_nr)
+
+    def part(self, group: int, index: int, start: int) -> Any:
+        """A part of a channel as a signal, with samples that are marked as invalid.
+
+        Raises
+        ------
+        InputError
+            The channel or its times lie outside of the records: asammdf would read what is not theirs.
+        """
+        described = self.mdf.groups[group]
+        sizes = described.channel_group
+        for channel in (described.channels[index], described.channels[self.mdf.masters_db.get(group, index)]):
+            bits = 8 * channel.byte_offset + channel.bit_offset + channel.bit_count
+            if bits > 8 * sizes.samples_byte_nr or channel.pos_invalidation_bit > 8 * sizes.invalidation_bytes_nr:
+                where = f"{self.name}: {channel.name}"
+                raise InputError(where, f"{bits} bits", f"a channel within its record of {sizes.samples_byte_nr} bytes")
+        rows = {"record_offset": start, "record_count": BLOCK_ROWS}
+        with _silent():
+            return self.mdf.get(group=group, index=index, raw=True, ignore_invalidation_bits=True, **rows)
+
+
+class MdfChannels(ChannelFile):
+    """The channels of an MDF file that hold numbers."""
+
+    def __init__(self, groups: _Groups, name: str) -> None:
+        self.name, self._groups = name, groups
+        self._places: list[tuple[int, int]] = []
+        self.channels: list[Channel] = []
+        names = Counter(self._name_of(number) for number in range(len(groups.mdf.groups)))
+        for number, group in enumerate(groups.mdf.groups):
+            label = self._name_of(number)
+            label = label if names[label] == 1 else f"{label} {number}"
+            for index, channel in enumerate(group.channels):
+                if index != groups.mdf.masters_db.get(number) and number not in groups.of_a_bus and _is_numeric(group, index):
+                    unit = (channel.conversion and channel.conversion.unit) or channel.unit or ""
+                    self._places.append((number, index))
+                    self.channels.append(Channel(channel.name, unit, label))
+
+    def _name_of(self, number: int) -> str:
+        group = self._groups.mdf.groups[number].channel_group
+        source = group.acq_source
+        return group.acq_name or (source.name if source else "") or f"group {number}"
+
+    def streams(self) -> Sequence[Iterator[ChannelRows]]:
+        """The groups of the chosen channels; that of the last one, the speed, last."""
+        numbers = [self._places[one.place][0] for one in self.wanted]
+        self.findings = ()
+        return [self._rows(number) for number in sorted(set(numbers), key=lambda number: (number == numbers[-1], number))]
+
+    def _rows(self, number: int) -> Iterator[ChannelRows]:
+        columns = [(column, self._places[one.place]) for column, one in enumerate(self.wanted)]
+        mine = [(column, index) for column, (group, index) in columns if group == number]
+        records, read, absent = self._groups.records(number), 0, 0
+        if not records and self._groups.mdf.groups[number].data_group.data_block_addr:
+            text = f"{self._name_of(number)} says that it holds no records, and there are data of it"
+            self.findings = (*self.findings, Finding("", "structure", 1, float("nan"), text))
+        for start in range(0, records, BLOCK_ROWS):
+            signals = [self._groups.part(number, index, start) for _, index in mine]
+            seconds = np.asarray(signals[0].timestamps, np.float64)
+            cells = np.full((len(seconds), len(self.wanted)), np.nan)
+            for (column, _), signal in zip(mine, signals, strict=True):
+                cells[:, column] = _numbers(signal, len(seconds))
+                absent += int(np.count_nonzero(np.isnan(cells[:, column])))
+            read += len(seconds)
+            yield rows_at(seconds, cells, self._groups.start_ns)
+            if len(seconds) < min(BLOCK_ROWS, records - start):  # a damaged file may say that there are any number of records
+                break
+        if absent:
+            text = f"{absent} values are marked as invalid or are no numbers; they give no sample"
+            self.findings = (*self.findings, Finding("", "absent", absent, float("nan"), text))
+        if read < records:
+            text = f"{records - read} records fewer than the file says it holds"
+            self.findings = (*self.findings, Finding("", "missing", records - read, float("nan"), text))
+
+
+def _is_numeric(group: Any, index: int) -> bool:
+    """Whether a channel holds one number a record."""
+    from asammdf.blocks.v4_constants import CHANNEL_TYPE_VALUE, CHANNEL_TYPE_VIRTUAL, DATA_TYPE_STRING_LATIN_1
+
+    channel = group.channels[index]
+    kinds = (CHANNEL_TYPE_VALUE, CHANNEL_TYPE_VIRTUAL)
+    return (
+        not group.channel_dependencies[index] and channel.data_type < DATA_TYPE_STRING_LATIN_1 and channel.channel_type in kinds
+    )
+
+
+def _numbers(signal: Any, count: int) -> FloatArray:
+    """Physical values; nan where the record marks them as invalid, or where a value stands for a text."""
+    samples = signal.samples
+    if signal.conversion is not None:
+        samples = signal.conversion.convert(samples, ignore_value2text_conversions=True)
+    if samples.dtype.kind not in "biuf" or samples.ndim != 1 or len(samples) != count:
+        return np.full(count, np.nan)
+    numbers: FloatArray = samples.astype(np.float64)
+    invalid: NDArray[np.bool_] | None = signal.invalidation_bits
+    if invalid is not None:
+        numbers[np.asarray(invalid, np.bool_)] = np.nan
+    return numbers
+
+
+def _frames(groups: _Groups, met: Counter[str]) -> Iterator[Frame]:
+    """Frames of all buses by their times."""
+    yield from heapq.merge(*(_frames_of(groups, number, met) for number in groups.buses), key=lambda frame: frame.stamp_ns)
+
+
+def _frames_of(groups: _Groups, number: int, met: Counter[str]) -> Iterator[Frame]:
+    """Frames of a group.
+
+    Raises
+    ------
+    InputError
+        They are not described as the standard has it.
+    """
+    places = {channel.name: index for index, channel in enumerate(groups.mdf.groups[number].channels)}
+    records = groups.records(number)
+    for start in range(0, records, BLOCK_ROWS):
+        parts = {
+            name: groups.part(number, places[f"{FRAMES}.{name}"], start) for name in OF_A_FRAME if f"{FRAMES}.{name}" in places
+        }
+        found = {name: part.samples.ndim for name, part in parts.items() if part.samples.dtype.kind in "biu"}
+        if found != {name: OF_A_FRAME[name] for name in parts} or "ID" not in parts or "DataBytes" not in parts:
+            raise InputError(groups.name, f"{FRAMES} of {', '.join(parts)}", f"numbers for {', '.join(OF_A_FRAME)}")
+        ids = parts["ID"].samples.astype(np.int64)
+        rest = {name: part.samples for name, part in parts.items()}
+        wide = (ids & EXTENDED != 0) | (ids > STANDARD) | rest.get("IDE", np.zeros(len(ids))).astype(np.bool_)
+        seconds = parts["ID"].timestamps
+        stamps = np.rint(np.where(np.abs(seconds) < MOST_TIME_S, seconds, 0.0) * 1e9).astype(np.int64) + groups.start_ns
+        lengths = rest.get("DataLength", np.full(len(ids), rest["DataBytes"].shape[1]))
+        buses = rest["BusChannel"].tolist() if "BusChannel" in rest else [None] * len(ids)
+        columns = ((ids & IDENTIFIER).tolist(), wide.tolist(), buses, rest["DataBytes"], lengths.tolist())
+        for stamp_ns, identifier, extended, bus, payload, length in zip(stamps.tolist(), *columns, strict=True):
+            yield Frame(stamp_ns, identifier, extended, bus, payload[:length].tobytes())
+        if len(ids) < min(BLOCK_ROWS, records - start):
+            met["lost"] += records - start - len(ids)
+            return
+
+
+def _read(path: Path, name: str, topics: Topics | None) -> list[ChannelFile]:
+    """The channels, and the signals of a bus where one was logged."""
+    groups = _Groups(path, name)
+    channels = MdfChannels(groups, name)
+    if not groups.buses or (channels.channels and not (topics and topics.dbc)):
+        return [channels]
+    try:
+        import cantools as _  # noqa: F401
+    except ImportError:
+        raise MissingExtraError("reading CAN frames", "cantools", "can") from None
+    signals = CanSignals(name, lambda met: _frames(groups, met), topics)
+    return [channels, signals] if channels.channels else [signals]
+
+
+KINDS = (FileKind("an MDF file", (".mf4", ".mdf"), _read, (("asammdf", "mdf"),), checked=True),)
