@@ -68,7 +68,7 @@ def test_nothing_is_cut_and_numbers_stay_on_their_line(width):
         assert topic[-4:] in words
     for name in ("bad_stamp99", "dropped1234567", *ASSEMBLIES):
         assert name in words
-    assert all(re.sub(r"\s+", "", remark.text) in words for remark in seen.remarks)
+    assert all(re.sub(r"\s+", "", remark.text) in words for remark in seen.notices)
 
 
 def test_the_parts_that_are_shown_add_up():
