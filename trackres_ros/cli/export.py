@@ -12,7 +12,16 @@ from typing import Any
 import click
 
 from trackres_ros import InputError
-from trackres_ros.cli.common import Command, Commands, Decorated, emit, folder_option, json_option, method_options, surroundings_option
+from trackres_ros.cli.common import (
+    Command,
+    Commands,
+    Decorated,
+    emit,
+    folder_option,
+    json_option,
+    method_options,
+    surroundings_option,
+)
 from trackres_ros.cli.partial_output import watch
 
 

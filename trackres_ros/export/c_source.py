@@ -83,9 +83,7 @@ class CSource:
         reasons = [
             f"    TRACKRES_{reason.name} = {int(reason):#x}, /* {_ascii(text)} */" for reason, text in at.REASON_TEXT.items()
         ]
-        channels = [
-            f"    TRACKRES_CHANNEL_{in_c(channel).upper()} = {i}," for i, channel in enumerate(self.estimator.channels)
-        ]
+        channels = [f"    TRACKRES_CHANNEL_{in_c(channel).upper()} = {i}," for i, channel in enumerate(self.estimator.channels)]
         return {
             "REASONS": _without_last_comma(reasons),
             "CHANNELS": _without_last_comma(channels),

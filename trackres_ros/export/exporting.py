@@ -194,7 +194,11 @@ def _read_list(path: Path) -> dict[str, Any]:
     keys = ("program", "sources", "vehicle", "vehicle_sha256", "surroundings", "method", "thermal", "settings", "values", "files")
     if not isinstance(listed, dict) or (listed.get("format"), listed.get("version")) != (FORMAT, VERSION):
         raise InputError(str(path), "another kind of list, or of another version", allowed, "export again")
-    if any(key not in listed for key in keys) or not isinstance(listed["files"], dict) or not isinstance(listed["settings"], dict):
+    if (
+        any(key not in listed for key in keys)
+        or not isinstance(listed["files"], dict)
+        or not isinstance(listed["settings"], dict)
+    ):
         raise InputError(str(path), "an incomplete list", allowed, "export again")
     return listed
 
@@ -216,4 +220,3 @@ def _found_again(path: str, folder: Path) -> str:
 
 def _digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
-

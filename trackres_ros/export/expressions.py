@@ -201,9 +201,7 @@ class Expressions:
 
     def initial(self, values: Sequence[Value], kind: Record) -> str:
         """The parts of a struct in its initializer."""
-        stored = [
-            self.as_kind(v, part) for v, (_, part) in zip(values, kind.fields, strict=True) if not isinstance(part, Const)
-        ]
+        stored = [self.as_kind(v, part) for v, (_, part) in zip(values, kind.fields, strict=True) if not isinstance(part, Const)]
         return ", ".join(stored)
 
     def as_kind(self, value: Value, kind: Kind) -> str:
@@ -460,7 +458,9 @@ class Expressions:
             raise self.refuse(node, ast.unparse(node)[:80], f"each of {', '.join(cls._fields)}")
         ordered = [values[name] for name in cls._fields]
         annotated = cls.__annotations__
-        kinds = [REAL if annotated.get(n) in ("float", float) else widened(v.kind) for n, v in zip(cls._fields, ordered, strict=True)]
+        kinds = [
+            REAL if annotated.get(n) in ("float", float) else widened(v.kind) for n, v in zip(cls._fields, ordered, strict=True)
+        ]
         return self.tuple_of(ordered, Record(words(cls.__name__), tuple(zip(cls._fields, kinds, strict=True))))
 
     def call_of(self, node: ast.Call, function: FunctionType, values: list[Value]) -> Value:
@@ -519,7 +519,9 @@ class Expressions:
                 pass
         found = self._of_numbers(function, values)
         if found is None:
-            raise self.refuse(node, ast.unparse(node)[:80], f"abs, min, max, int, float, round, and {', '.join(SAME_IN_C)} of math")
+            raise self.refuse(
+                node, ast.unparse(node)[:80], f"abs, min, max, int, float, round, and {', '.join(SAME_IN_C)} of math"
+            )
         return found
 
     def _of_numbers(self, function: Any, values: list[Value]) -> Value | None:

@@ -161,7 +161,11 @@ class Parts:
         self._kept = changed
         memory = tuple((name, self._array(name)) for name in session.memory._fields)
         carried = tuple((name, self._array(f"carried_{name}")) for name in ("belts", "motion", "effects", "learned"))
-        return {"k": Record("constants", tuple(constants)), "memory": Record("memory", memory), "carried": Record("carried", carried)}
+        return {
+            "k": Record("constants", tuple(constants)),
+            "memory": Record("memory", memory),
+            "carried": Record("carried", carried),
+        }
 
     def _translate_entries(self) -> dict[str, Instance]:
         records = self.records()

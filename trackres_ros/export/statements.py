@@ -43,7 +43,9 @@ class Body(Expressions):
         self._tree = one.source.tree
         self._stores = Counter(_stored_names(self._tree))
         self._parameters = {a.arg for a in self._tree.args.args}
-        loops = [node.target.id for node in ast.walk(self._tree) if isinstance(node, ast.For) and isinstance(node.target, ast.Name)]
+        loops = [
+            node.target.id for node in ast.walk(self._tree) if isinstance(node, ast.For) and isinstance(node.target, ast.Name)
+        ]
         self._of_loops = set(loops)
         for name, count in Counter(loops).items():
             if name in self._parameters or self._stores[name] != count:
@@ -67,7 +69,11 @@ class Body(Expressions):
         self._declared: set[str] = set()
         places, self._places = self._places, {}
         self._within = []
-        self._top = {n for n, first in self._first.items() if n not in self._parameters and any(p[: len(first)] != first for p in places.get(n, set()))}
+        self._top = {
+            n
+            for n, first in self._first.items()
+            if n not in self._parameters and any(p[: len(first)] != first for p in places.get(n, set()))
+        }
         ended = self.block(self._tree.body, 1)
         if not ended and self.one.returns is not None:
             raise self.refuse(self._tree, "a way to its end without a value", "a return at each end")
@@ -386,7 +392,9 @@ class Body(Expressions):
             self.line(f"const int64_t {name} = {until.code};", depth)
             until = Value(INT, name)
         name = safe(node.target.id)
-        sign, by = ("<", "++") if step.const == 1 else ("<", f" += {step.const}") if step.const > 0 else (">", f" -= {-step.const}")
+        sign, by = (
+            ("<", "++") if step.const == 1 else ("<", f" += {step.const}") if step.const > 0 else (">", f" -= {-step.const}")
+        )
         return f"for (int64_t {name} = {first.code}; {name} {sign} {until.code}; {name}{by})", Value(INT, "")
 
     def _entries(self, node: ast.For, depth: int) -> tuple[str, Value] | None:
