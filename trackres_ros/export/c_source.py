@@ -122,7 +122,7 @@ class CSource:
         }
         return {
             "HELPERS": _used_helpers(filled(helpers, values), functions),
-            "STRUCTS": self.translator.text_of_structs(),
+            "STRUCTS": self.translator.text_of_structs(functions),
             "TABLES": tables,
             "PROTOTYPES": f"{dispatch.splitlines()[1]};\n" if dispatch else "",
             "FUNCTIONS": functions,

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import ast
 import inspect
+import re
 import textwrap
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -199,10 +200,16 @@ class Translator:
 
     # Text
 
-    def text_of_structs(self) -> str:
-        """Declarations of all structs."""
+    def text_of_structs(self, functions: str) -> str:
+        """Declarations of the structs that functions use."""
+        needed = {name for name, _ in self.structs.values() if re.search(rf"struct {name}\b", functions)}
+        for name, kind in reversed(self.structs.values()):
+            if name in needed:
+                needed |= {self.structs[tuple(p.stored()), p.name][0] for _, p in kind.stored() if isinstance(p, Record)}
         lines = []
         for name, kind in self.structs.values():
+            if name not in needed:
+                continue
             parts = "".join(f"    {self.declared(part)}{safe(field)};\n" for field, part in kind.stored())
             lines.append(f"struct {name} {{\n{parts or '    char nothing;'}}};\n")
         return "\n".join(lines)

@@ -13,13 +13,13 @@ from typing import Any
 
 from trackres_ros.export.expressions import Expressions, Value
 from trackres_ros.export.functions import Instance, Translator
+from trackres_ros.export.scopes import Path, Scopes
 from trackres_ros.export.kinds import INT, REAL, ArrayOf, Const, Kind, Record, Scalar, joined, safe, widened
 
 MOST_PASSES = 12
 COMMENT = re.compile(r"/\*.*?\*/")
 ONLY_STORED = re.compile(r"^\s*(?:(?:const )?(?:struct )?\w+ \*?)?\w+ [-+*/|&]?= ")
 NAME = re.compile(r"(?<![\w.])(?<!->)[A-Za-z_]\w*")
-Path = tuple[int, ...]  # of blocks within blocks
 
 
 def translate_body(translator: Translator, one: Instance) -> None:
@@ -52,8 +52,7 @@ class Body(Expressions):
                 raise self.refuse(self._tree, f"{name} of a loop that has another meaning too", "a name of its own for it")
         self._within: list[str] = []
         self._read_before: set[str] = set()
-        self._places: dict[str, set[Path]] = {}
-        self._first: dict[str, Path] = {}
+        self._scopes = Scopes()
         for name, kind in one.arguments.items():
             changes = self._stores[name] > 0
             self.kinds[name] = widened(kind) if changes else kind
@@ -66,24 +65,19 @@ class Body(Expressions):
         self.calls, self._lines, self._number = [], [], 0
         self._path: Path = (0,)
         self._blocks, self._loops = 0, []
-        self._declared: set[str] = set()
-        places, self._places = self._places, {}
         self._within = []
-        self._top = {
-            n
-            for n, first in self._first.items()
-            if n not in self._parameters and any(p[: len(first)] != first for p in places.get(n, set()))
-        }
+        self._scopes.begin()
         ended = self.block(self._tree.body, 1)
         if not ended and self.one.returns is not None:
             raise self.refuse(self._tree, "a way to its end without a value", "a return at each end")
-        declared = [self._declaration(name) for name in sorted(self._top) if self._is_stored(name) and name in self._read_before]
+        at_top = [name for name in self._scopes.at_top if name in self._read_before]
+        declared = [self._declaration(name) for name in at_top if self._is_stored(name)]
         self.text = "".join(f"    {line}\n" for line in declared) + "".join(self._lines)
         self._close_over_parents()
         self._read_before = self._read_names()
         self.one.reads = self._parameters & self._read_before
         self.one.writes = self._parameters & self.written
-        self.found = dict(self.kinds), set(self._read_before), set(self.written), dict(self._first), self.one.returns, self.text
+        self.found = dict(self.kinds), set(self._read_before), set(self.written), self.one.returns, self.text
 
     def _read_names(self) -> set[str]:
         """Names whose value some line needs: not those that only get one."""
@@ -122,7 +116,8 @@ class Body(Expressions):
         """See `Expressions`."""
         if name in self._of_loops and name not in self._within:
             raise self.refuse(self._tree, f"{name} behind its loop", "a variable that the loop fills")
-        self._places.setdefault(name, set()).add(self._path)
+        if name not in self._of_loops and name not in self._parameters:
+            self._scopes.see(name, self._path, False)
 
     def block(self, statements: Sequence[ast.stmt], depth: int) -> bool:
         """Statements in a row; whether none of them lets the next one run."""
@@ -165,8 +160,8 @@ class Body(Expressions):
         if isinstance(known, Record) and name in self._parameters:
             raise self.refuse(node, f"{name} in place of an argument", "another name")
         self.kinds[name] = known
-        self._first.setdefault(name, self._path)
-        self._places.setdefault(name, set()).add(self._path)
+        if name not in self._parameters:
+            self._scopes.see(name, self._path, True)
         if isinstance(known, ArrayOf) and value.root is not None:
             self.parents[name] = value.root
             if name in self.written:
@@ -178,10 +173,9 @@ class Body(Expressions):
                 self.line(f"(void){self.within(value, 8)};", depth)
             return
         code = self.as_kind(value, known)
-        if name in self._top or name in self._declared or name in self._parameters:
+        if name in self._parameters or not self._scopes.declares(name, self._path):
             self.line(f"{safe(name)} = {code};", depth)
             return
-        self._declared.add(name)
         once = "const " if self._stores[name] == 1 and not isinstance(known, ArrayOf) else ""
         if isinstance(known, Record) and code.startswith("(struct "):
             code = code.partition(")")[2]
@@ -275,7 +269,6 @@ class Body(Expressions):
             if kind != self.kinds.get(node.target.id):
                 self.assign(node, node.target.id, result, depth)
                 return False
-            self._places.setdefault(node.target.id, set()).add(self._path)
         sign = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.BitOr: "|", ast.BitAnd: "&"}.get(type(node.op))
         if sign is None or (sign == "/" and place.kind != REAL):
             self.store(node, node.target, result, depth)
