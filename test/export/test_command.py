@@ -56,7 +56,10 @@ def test_the_program_beside_it_gives_the_rows_of_a_replay(own, good):
     good("export", "c", "mine.yaml", "-o", "out", cwd=own)
     random, time = np.random.default_rng(4), np.arange(0.0, 300.0, 0.05)
     kmh = np.clip(np.cumsum(random.normal(0.0, 0.3, len(time))), -3.0, 14.0)
-    lines = [f"{t:.3f},{v:.4f},{20 + 0.01 * t:.2f},{'' if i % 7 else 28000 + i},ignored" for i, (t, v) in enumerate(zip(time, kmh, strict=True))]
+    lines = [
+        f"{t:.3f},{v:.4f},{20 + 0.01 * t:.2f},{'' if i % 7 else 28000 + i},ignored"
+        for i, (t, v) in enumerate(zip(time, kmh, strict=True))
+    ]
     (own / "drive.csv").write_text("time_s,speed_kmh,ambient_degc,weight_n,remark\n" + "\n".join(lines) + "\n")
     subprocess.run(["cmake", "-S", "out", "-B", "out/build"], cwd=own, check=True, capture_output=True)
     subprocess.run(["cmake", "--build", "out/build"], cwd=own, check=True, capture_output=True)
@@ -91,7 +94,9 @@ def test_an_export_belongs_until_something_changes(own, trackres):
 
 
 def test_an_effect_that_c_cannot_say_is_refused_with_its_line(own, trackres):
-    text = EFFECT.replace("        return Terms(torque=p.torque", '        names = {"a": 1.0}\n        return Terms(torque=names["a"]')
+    text = EFFECT.replace(
+        "        return Terms(torque=p.torque", '        names = {"a": 1.0}\n        return Terms(torque=names["a"]'
+    )
     (own / "guard.py").write_text(text)
     line = text.splitlines().index('        names = {"a": 1.0}') + 1
     done = trackres("export", "c", "mine.yaml", "-o", "out", cwd=own)

@@ -38,7 +38,10 @@ def exported(tmp_path_factory):
     channel, stamp, arrival, value = drive(estimator, 0.1, 7, faults=False)
     speeds = channel == 0
     stamp = stamp[speeds] - stamp[speeds][0]
-    lines = (f"{ns * 1e-9:.9f},{v!r},{12.5 if i % 3 == 0 else ''}" for i, (ns, v) in enumerate(zip(stamp, value[speeds].tolist(), strict=True)))
+    lines = (
+        f"{ns * 1e-9:.9f},{v!r},{12.5 if i % 3 == 0 else ''}"
+        for i, (ns, v) in enumerate(zip(stamp, value[speeds].tolist(), strict=True))
+    )
     (folder / "drive.csv").write_text("time_s,speed_mps,ambient_degc\n" + "\n".join(lines) + "\n")
     expected = tr.replay(folder / "drive.csv", vehicle)
     return folder, estimator, np.stack([expected[name] for name in estimator.columns], axis=1)
@@ -87,7 +90,22 @@ def test_no_library_but_that_of_mathematics_is_called(exported):
     lines = subprocess.run(["nm", "step.o"], cwd=folder, check=True, capture_output=True, text=True).stdout.splitlines()
     kinds = [line.split()[-2:] for line in lines]
     asked = {name for kind, name in kinds if kind == "U"}
-    assert asked <= {"sqrt", "exp", "expm1", "log", "log10", "pow", "tanh", "cos", "sin", "floor", "ceil", "fabs", "copysign", "fmod"}
+    assert asked <= {
+        "sqrt",
+        "exp",
+        "expm1",
+        "log",
+        "log10",
+        "pow",
+        "tanh",
+        "cos",
+        "sin",
+        "floor",
+        "ceil",
+        "fabs",
+        "copysign",
+        "fmod",
+    }
     assert not [name for kind, name in kinds if kind in "bBdDC"]  # no globals that change
     assert set(re.findall(r"#include <(.+)>", (folder / "trackres.c").read_text())) == {"math.h", "stddef.h"}
 
@@ -98,7 +116,15 @@ def test_cppcheck_finds_nothing(exported):
     folder, *_ = exported
     text = (folder / "trackres.c").read_text()
     (folder / "checked.c").write_text(re.sub(r"(TR_LOSS\[\d+\] = \{ /\* .*? \*/).*?\};", r"\1 1.0};", text, flags=re.DOTALL))
-    command = ["cppcheck", "--std=c99", "--enable=warning,style,performance,portability", "--error-exitcode=1", "--quiet", "checked.c", "main.c"]
+    command = [
+        "cppcheck",
+        "--std=c99",
+        "--enable=warning,style,performance,portability",
+        "--error-exitcode=1",
+        "--quiet",
+        "checked.c",
+        "main.c",
+    ]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
 

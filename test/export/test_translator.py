@@ -72,7 +72,9 @@ def compiled(tmp_path_factory):
         f"void run_{one.function.__name__}(int64_t a, int64_t b, double *out) {{ {one.name}({', '.join(n for n, _ in one.given)}); }}\n"
         for one in ones
     )
-    text = head + filled(helpers, values) + translator.text_of_structs(functions) + translator.text_of_tables() + functions + entries
+    text = (
+        head + filled(helpers, values) + translator.text_of_structs(functions) + translator.text_of_tables() + functions + entries
+    )
     (folder / "all.c").write_text(text)
     subprocess.run(["gcc", *STRICT, "-O1", "-shared", "-fPIC", "all.c", "-o", "all.so", "-lm"], cwd=folder, check=True)
     return ctypes.CDLL(str(folder / "all.so"))

@@ -104,3 +104,31 @@ def c_command(
     watch(output)
     written = export_c(Request(vehicle, surroundings, params, state, method, thermal, single), output)
     emit({"written": [str(path) for path in written]}, as_json, lambda: f"Written: {', '.join(map(str, written))}")
+
+
+@export_group.command("fmu", cls=Command)
+@click.argument("vehicle", metavar="FILE|NAME")
+@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, metavar="MODEL.fmu", help="The FMU.")
+@export_options
+@json_option
+def fmu_command(
+    vehicle: str,
+    output: Path,
+    surroundings: Path | None,
+    method: str | None,
+    thermal: str | None,
+    params: Path | None,
+    state: Path | None,
+    as_json: bool,
+) -> None:
+    """Write the step of a vehicle as an FMU: FMI 3.0 for co-simulation, with its sources and a library for Linux.
+
+    \b
+    trackres export fmu my_vehicle.yaml -o model.fmu
+    """
+    from trackres_ros.export.exporting import Request
+    from trackres_ros.export.fmu import export_fmu
+
+    watch(output)
+    written = export_fmu(Request(vehicle, surroundings, params, state, method, thermal), output)
+    emit({"written": [str(written)]}, as_json, lambda: f"Written: {written}")

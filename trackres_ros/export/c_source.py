@@ -58,7 +58,7 @@ class CSource:
         self._made = "\n".join(f" * {_ascii(line)}" for line in made)
         self.estimator = parts.estimator
         self.inputs = input_names(self.estimator.channels)
-        self._columns = [name for name in self.estimator.columns if name != "reasons"]
+        self.columns = [name for name in self.estimator.columns if name != "reasons"]
         self._body = self._functions()
 
     def files(self) -> dict[str, str]:
@@ -88,7 +88,7 @@ class CSource:
             "REASONS": _without_last_comma(reasons),
             "CHANNELS": _without_last_comma(channels),
             "INPUTS": "\n".join(f"    trackres_real {in_c(name)};" for name in self.inputs.values()),
-            "OUTPUTS": "\n".join(f"    trackres_real {in_c(name)};" for name in self._columns),
+            "OUTPUTS": "\n".join(f"    trackres_real {in_c(name)};" for name in self.columns),
             "STATE": self._state(),
         }
 
@@ -184,6 +184,10 @@ class CSource:
             cast = "({}*)" if const else ""
             parts = []
             for field, part in kind.stored():
+                if isinstance(part, Record):
+                    tuned = [n for n, _ in part.stored()]
+                    parts.append(f"{{{', '.join(f'state->tuned[{self.parts.tuned.index(n)}]' for n in tuned)}}}")
+                    continue
                 place = f"state->{safe(field)}"
                 parts.append(f"{cast.format(self.translator.declared(part).removesuffix('*'))}{place}" if const else place)
             lines.append(f"    const {self.translator.struct(kind)} {name} = {{{', '.join(parts)}}};")
@@ -207,7 +211,7 @@ class CSource:
             role, slash, part = channel.partition("/")
             for column, scale in by_role[role]:
                 known.append(f'    {{"{column}{slash}{part}", offsetof(trackres_inputs, {in_c(name)}), {float(scale)!r}}},')
-        shown = [f'    {{"{name}", offsetof(trackres_outputs, {in_c(name)}), 1.0}},' for name in self._columns]
+        shown = [f'    {{"{name}", offsetof(trackres_outputs, {in_c(name)}), 1.0}},' for name in self.columns]
         return {"INPUT_COLUMNS": "\n".join(known), "OUTPUT_COLUMNS": "\n".join(shown)}
 
 

@@ -73,8 +73,8 @@ class Request:
         return tr.load_vehicle(self.vehicle, method=self.method, thermal=self.thermal, surroundings=self.surroundings)
 
 
-def translated(request: Request) -> CSource:
-    """The C of a vehicle.
+def translated(request: Request, tuned: tuple[str, ...] = ()) -> CSource:
+    """The C of a vehicle, with numbers of the kernel that are to be tuned in its state.
 
     Raises
     ------
@@ -92,7 +92,7 @@ def translated(request: Request) -> CSource:
         f"written by: trackres_ros {tr.__version__}, sources {sources()}",
         f"numbers: {'float' if request.single else 'double'}{'' if learned is None else f', starts from {request.state}'}",
     )
-    return CSource(Parts(estimator, learned, request.single), vehicle.title, made)
+    return CSource(Parts(estimator, learned, request.single, tuned), vehicle.title, made)
 
 
 def _learned(estimator: Estimator, path: Path) -> Any:

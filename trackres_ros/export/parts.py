@@ -48,14 +48,19 @@ class Parts:
         What was learned, as `State.learned`; None for nothing.
     single
         Whether numbers are `float`.
+    tuned
+        Numbers of the kernel that stand in the state, to be changed while it runs, instead of in the code.
     """
 
-    def __init__(self, estimator: Estimator, learned: Any = None, single: bool = False) -> None:
-        self.estimator = estimator
+    def __init__(self, estimator: Estimator, learned: Any = None, single: bool = False, tuned: Sequence[str] = ()) -> None:
+        self.estimator, self.tuned = estimator, tuple(tuned)
         session = estimator.session()
         if learned is not None:
             session.learned[:] = learned
         self.arrays = _state_arrays(session)
+        if tuned:
+            start = np.array([float(getattr(estimator.constants.number, name)) for name in tuned])
+            self.arrays.append(StateArray("tuned", start, ", ".join(tuned)))
         self._by_name = {array.name: array for array in self.arrays}
         self.translator = Translator(single)
         self.effects: dict[int, Instance] = {}
@@ -149,10 +154,14 @@ class Parts:
         k, session = self.estimator.constants, self.estimator.session()
         runtime = {"work": "work", "effect_values": "effect_values"}
         changed = {"effects": self._rows, "number": _scaled(k.number)}
+        numbers = [(name, REAL if name in self.tuned else Const(value)) for name, value in changed["number"]._asdict().items()]
         constants: list[tuple[str, Kind]] = []
         for name in k._fields:
             if name in runtime:
                 constants.append((name, self._array(runtime[name])))
+                continue
+            if name == "number" and self.tuned:
+                constants.append((name, Record("numbers", tuple(numbers))))
                 continue
             value = changed.get(name, getattr(k, name))
             if isinstance(value, np.ndarray):
