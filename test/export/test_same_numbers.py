@@ -5,7 +5,6 @@
 
 import dataclasses
 
-
 import numpy as np
 import pytest
 from built import EQUAL, SECOND_NS, Built, difference, drive, have

@@ -17,6 +17,7 @@ from trackres_ros.errors import InputError
 from trackres_ros.export.c_source import TEMPLATES, filled
 from trackres_ros.export.functions import Translator
 from trackres_ros.export.kinds import INT, REAL, ArrayOf
+from trackres_ros.export.statements import translate_body
 
 STEPS = (2.0, -1.0, 0.25)
 
@@ -43,7 +44,7 @@ def branches(a, b, out):
         found += 100.0
     out[2] = found
     count = 0
-    while count < 4 and not (low > 0 and high < 10 or count == 3):
+    while count < 4 and not ((low > 0 and high < 10) or count == 3):
         count += 1
     out[3] = count if -5 < a <= b < 50 else -count
 
@@ -62,16 +63,16 @@ FUNCTIONS = (whole_numbers, branches, views)
 
 @pytest.fixture(scope="module")
 def compiled(tmp_path_factory):
-    folder, translator = tmp_path_factory.mktemp("translated"), Translator()
+    folder, translator = tmp_path_factory.mktemp("translated"), Translator(translate_body)
     ones = [translator.instance(function, [INT, INT, ArrayOf(REAL, (4,))]) for function in FUNCTIONS]
     helpers = (TEMPLATES / "helpers.c").read_text().replace("static ", "static inline ")
     values = {"REAL": "double", "REAL_LEAST": "-9.2e18", "REAL_MOST": "9.2e18", "FLOOR": "floor", "FMOD": "fmod"}
     functions = translator.text_of_functions(ones)
     head = "#include <math.h>\n#include <stdint.h>\n#include <stdbool.h>\n"
-    entries = "".join(
-        f"void run_{one.function.__name__}(int64_t a, int64_t b, double *out) {{ {one.name}({', '.join(n for n, _ in one.given)}); }}\n"
-        for one in ones
-    )
+    entries = ""
+    for one in ones:
+        given = ", ".join(name for name, _ in one.given)
+        entries += f"void run_{one.function.__name__}(int64_t a, int64_t b, double *out) {{ {one.name}({given}); }}\n"
     text = (
         head + filled(helpers, values) + translator.text_of_structs(functions) + translator.text_of_tables() + functions + entries
     )
@@ -110,7 +111,7 @@ def endless(x):
     return endless(x)
 
 
-def half_an_answer(x):
+def half_an_answer(x):  # noqa: RET503
     if x > 0.0:
         return 1.0
 
@@ -138,4 +139,4 @@ REFUSED = {of_text: 1, of_list: 1, of_two_kinds: 2, endless: 0, half_an_answer: 
 def test_what_c_cannot_say_is_refused_with_its_line(function):
     line = function.__code__.co_firstlineno + REFUSED[function]
     with pytest.raises(InputError, match=rf"test_translator\.py:{line}: given "):
-        Translator().instance(function, [REAL])
+        Translator(translate_body).instance(function, [REAL])

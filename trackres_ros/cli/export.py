@@ -11,7 +11,6 @@ from typing import Any
 
 import click
 
-from trackres_ros import InputError
 from trackres_ros.cli.common import (
     Command,
     Commands,

@@ -15,7 +15,7 @@ import numpy as np
 
 from trackres_ros.estimator import columns as at
 from trackres_ros.export.functions import Instance
-from trackres_ros.export.kinds import INT, REAL, Const, Record, Scalar, safe
+from trackres_ros.export.kinds import INT, REAL, Record, safe
 from trackres_ros.export.parts import Parts, StateArray
 from trackres_ros.recording.table_columns import COLUMNS
 

@@ -14,6 +14,7 @@ import zipfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree as Xml
 
 import trackres_ros as tr
@@ -122,12 +123,12 @@ def _of_effects(source: CSource) -> Iterator[Variable]:
     for state, active in enumerate(source.parts.active):
         first, rows = states.index(state), states.count(state)
         for i, q in enumerate(active.effect.parameters):
-            if q.is_fixed or active.effect.acts_on == "cooling" and q.unit == "K/W":  # the number of nodes follows from it
+            if q.is_fixed or (active.effect.acts_on == "cooling" and q.unit == "K/W"):  # the number of nodes follows from it
                 continue
             place = f"offsetof(struct instance, state.{in_state(table)}) + {first * width + i} * sizeof(double)"
-            unit = q.unit.replace("Nm", "N.m").replace("^", "")
+            unit, text = q.unit.replace("Nm", "N.m").replace("^", ""), f"{q.text} [{q.unit}]"
             yield Variable(
-                f"effects/{active.effect.name}/{q.name}", place, "parameter", unit if unit in UNITS else "1", f"{q.text} [{q.unit}]",
+                f"effects/{active.effect.name}/{q.name}", place, "parameter", unit if unit in UNITS else "1", text,
                 float(active.values[q.name]), rows, f"{width} * sizeof(double)",
             )  # fmt: skip
 
@@ -152,14 +153,16 @@ def _description(source: CSource, variables: list[Variable], token: str) -> byte
         "fmiModelDescription", fmiVersion="3.0", modelName=vehicle.name, instantiationToken=token, description=vehicle.title,
         generationTool=f"trackres_ros {tr.__version__}", variableNamingConvention="structured",
     )  # fmt: skip
-    can = dict.fromkeys(("canHandleVariableCommunicationStepSize", "canGetAndSetFMUState", "canSerializeFMUState"), "true")
+    can: dict[str, Any] = dict.fromkeys(
+        ("canHandleVariableCommunicationStepSize", "canGetAndSetFMUState", "canSerializeFMUState"), "true"
+    )
     Xml.SubElement(root, "CoSimulation", modelIdentifier=MODEL, **can)
     units = Xml.SubElement(root, "UnitDefinitions")
     for name in sorted({v.unit for v in variables}):
         Xml.SubElement(Xml.SubElement(units, "Unit", name=name), "BaseUnit", UNITS[name])
     known = Xml.SubElement(root, "ModelVariables")
     for reference, v in enumerate(variables):
-        more = {"description": v.text} if v.text else {}
+        more: dict[str, Any] = {"description": v.text} if v.text else {}
         more |= {} if v.start is None else {"start": "NaN" if v.start != v.start else repr(v.start)}
         variability = "tunable" if v.causality == "parameter" else "continuous"
         Xml.SubElement(
@@ -175,7 +178,7 @@ def _description(source: CSource, variables: list[Variable], token: str) -> byte
         for reference in outputs:
             Xml.SubElement(structure, element, valueReference=str(reference))
     Xml.indent(root)
-    return Xml.tostring(root, "utf-8", xml_declaration=True)
+    return bytes(Xml.tostring(root, "utf-8", xml_declaration=True))
 
 
 def _build_description() -> bytes:
@@ -184,4 +187,4 @@ def _build_description() -> bytes:
     files = Xml.SubElement(build, "SourceFileSet", language="C99")
     for name in SOURCES:
         Xml.SubElement(files, "SourceFile", name=name)
-    return Xml.tostring(root, "utf-8", xml_declaration=True)
+    return bytes(Xml.tostring(root, "utf-8", xml_declaration=True))

@@ -85,12 +85,14 @@ class Translator:
 
     Parameters
     ----------
+    translate
+        Fills in an instance: `statements.translate_body`.
     single
         Whether numbers are `float` in C instead of `double`.
     """
 
-    def __init__(self, single: bool = False) -> None:
-        self.single = single
+    def __init__(self, translate: Callable[[Translator, Instance], None], single: bool = False) -> None:
+        self._translate, self.single = translate, single
         self.instances: dict[Any, Instance] = {}
         self.structs: dict[Any, tuple[str, Record]] = {}
         self.tables: dict[int, tuple[str, Any]] = {}
@@ -118,9 +120,7 @@ class Translator:
             one.name = self.unused(f"tr_{function.__name__}")
             self.instances[key] = one
             self._running.append(one)
-            from trackres_ros.export.statements import translate_body
-
-            translate_body(self, one)
+            self._translate(self, one)
             one.done = True
             self._running.pop()
         found = self.instances[key]

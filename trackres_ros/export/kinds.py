@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 
 MOST_OF_INT = 2**31 - 1
-NOT_FOR_NAMES = frozenset(
-    "auto break case char const continue default do double else enum extern float for goto if inline int long register restrict "
-    "return short signed sizeof static struct switch typedef union unsigned void volatile while bool true false".split()
-)
+NOT_FOR_NAMES = frozenset((
+    "auto", "bool", "break", "case", "char", "const", "continue", "default", "do", "double", "else", "enum", "extern", "false",
+    "float", "for", "goto", "if", "inline", "int", "long", "register", "restrict", "return", "short", "signed", "sizeof",
+    "static", "struct", "switch", "true", "typedef", "union", "unsigned", "void", "volatile", "while",
+))  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

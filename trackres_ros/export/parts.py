@@ -19,6 +19,7 @@ from trackres_ros.export import step
 from trackres_ros.export.expressions import Expressions, Value
 from trackres_ros.export.functions import Instance, Translator
 from trackres_ros.export.kinds import INT, REAL, ArrayOf, Const, Kind, Record
+from trackres_ros.export.statements import translate_body
 
 NAMES_OF_CONSTANTS = {"assembly": "assemblies", "loss": "loss", "drive": "drive", "channel_limits": "limits"}
 
@@ -62,7 +63,7 @@ class Parts:
             start = np.array([float(getattr(estimator.constants.number, name)) for name in tuned])
             self.arrays.append(StateArray("tuned", start, ", ".join(tuned)))
         self._by_name = {array.name: array for array in self.arrays}
-        self.translator = Translator(single)
+        self.translator = Translator(translate_body, single)
         self.effects: dict[int, Instance] = {}
         self.translator.intrinsics[stepping.call_at] = self._call_effect
         self._translate_effects()
@@ -128,11 +129,10 @@ class Parts:
         if not self.effects:
             return ""
         real = self.translator.number(REAL)
-        cases = "".join(
-            f"    case {number}:\n        {one.name}({', '.join({'x': 'looked_at', 'p': 'values', 'out': 'answer'}[n] for n, _ in one.given)});\n"
-            f"        break;\n"
-            for number, one in self.effects.items()
-        )
+        cases = ""
+        for number, one in self.effects.items():
+            given = ", ".join({"x": "looked_at", "p": "values", "out": "answer"}[name] for name, _ in one.given)
+            cases += f"    case {number}:\n        {one.name}({given});\n        break;\n"
         unused = [
             f"    (void){name};\n"
             for short, name in (("x", "looked_at"), ("p", "values"))
@@ -181,8 +181,8 @@ class Parts:
         loads, belts, clock = (self._array(name) for name in ("loads", "belt_measured", "clock"))
         given = ArrayOf(REAL, (len(self.estimator.channels),))
         out = ArrayOf(REAL, (len(self.estimator.columns),))
-        feeds = [records["k"], records["memory"], records["carried"], loads, belts, clock]
-        kinds: dict[FunctionType, list[Kind]] = {
+        feeds: list[Kind] = [records["k"], records["memory"], records["carried"], loads, belts, clock]
+        kinds: dict[Any, list[Kind]] = {
             step.step: [*feeds, given, REAL, out],
             step.take_message: [*feeds, INT, INT, INT, REAL, out],
             step.feedforward_now: [records["k"], records["memory"], self._array("carried_motion"), INT],

@@ -11,10 +11,11 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from trackres_ros.export.expressions import Expressions, Value
+from trackres_ros.export.calls import Calls
+from trackres_ros.export.expressions import Value
 from trackres_ros.export.functions import Instance, Translator
-from trackres_ros.export.scopes import Path, Scopes
 from trackres_ros.export.kinds import INT, REAL, ArrayOf, Const, Kind, Record, Scalar, joined, safe, widened
+from trackres_ros.export.scopes import Path, Scopes
 
 MOST_PASSES = 12
 COMMENT = re.compile(r"/\*.*?\*/")
@@ -35,7 +36,7 @@ def translate_body(translator: Translator, one: Instance) -> None:
     one.calls = [called for called in body.calls if f"{called.name}(" in one.text or "tr_call_effect(" in one.text]
 
 
-class Body(Expressions):
+class Body(Calls):
     """The statements of one function."""
 
     def __init__(self, translator: Translator, one: Instance) -> None:
@@ -62,9 +63,11 @@ class Body(Expressions):
 
     def run(self) -> None:
         """Translate the whole body once."""
-        self.calls, self._lines, self._number = [], [], 0
+        self.calls, self._number = [], 0
+        self._lines: list[str] = []
         self._path: Path = (0,)
-        self._blocks, self._loops = 0, []
+        self._blocks = 0
+        self._loops: list[str] = []
         self._within = []
         self._scopes.begin()
         ended = self.block(self._tree.body, 1)
@@ -106,8 +109,8 @@ class Body(Expressions):
         self._number += 1
         return f"{name}_{self._number}"
 
-    def hoisted(self, node: ast.AST, value: Value, kind: Kind) -> str:
-        """See `Expressions`."""
+    def hoisted(self, value: Value, kind: Kind) -> str:
+        """See `Calls`."""
         name = self.temporary("given")
         self.line(f"const {self.translator.declared(kind)}{name} = {self.as_kind(value, kind)};", self._depth)
         return name
@@ -372,7 +375,8 @@ class Body(Expressions):
 
     def _range(self, node: ast.For, depth: int) -> tuple[str, Value] | None:
         """The head of a loop over whole numbers; None of one that never runs."""
-        assert isinstance(node.iter, ast.Call) and isinstance(node.target, ast.Name)
+        assert isinstance(node.iter, ast.Call)
+        assert isinstance(node.target, ast.Name)
         given = self.spread(node.iter.args)
         first, until = (self.const(0), given[0]) if len(given) == 1 else given[:2]
         step = given[2] if len(given) > 2 else self.const(1)

@@ -77,7 +77,7 @@ def age_of_speed(memory: Memory, now: int) -> float:
     """How long ago the last accepted speed came [s]; infinite without one."""
     if memory.times[at.SPEED, at.SEEN] == 0:
         return math.inf
-    return (now - memory.times[at.SPEED, at.LAST_ARRIVAL]) * NANOSECOND
+    return float((now - memory.times[at.SPEED, at.LAST_ARRIVAL]) * NANOSECOND)
 
 
 def feedforward_now(k: Constants, memory: Memory, motion: Array, now: int) -> float:
