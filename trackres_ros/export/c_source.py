@@ -77,6 +77,11 @@ class CSource:
         digest = hashlib.sha256("\n".join([*self._body.values(), self._state()]).encode()).hexdigest()
         return f"0x{digest[:8]}"
 
+    def state_bytes(self) -> int:
+        """Size of a state."""
+        width = {INT: 8, REAL: 4 if self.translator.single else 8}
+        return CHECKED_BYTES + sum(width[array.kind.of] * self._length(array) for array in self.parts.arrays)
+
     # The header
 
     def _header(self) -> dict[str, str]:
@@ -131,10 +136,9 @@ class CSource:
     def _source(self) -> dict[str, str]:
         entries = self.parts.entries
         arrays = self.parts.arrays
-        width = {INT: 8, REAL: 4 if self.translator.single else 8}
         return {
             **self._body,
-            "STATE_BYTES": str(CHECKED_BYTES + sum(width[a.kind.of] * self._length(a) for a in arrays)),
+            "STATE_BYTES": str(self.state_bytes()),
             "INIT": "\n".join(line for array in arrays for line in self._initial(array)),
             "NO_INPUTS": "\n".join(f"    inputs->{in_c(name)} = NAN;" for name in self.inputs.values()),
             "ROW": "\n".join(self._row()),
