@@ -74,7 +74,8 @@ class CSource:
 
     def version(self) -> str:
         """Number of the state's version: of all that the numbers in a state depend on."""
-        digest = hashlib.sha256("\n".join([*self._body.values(), self._state()]).encode()).hexdigest()
+        start = "\n".join(line for array in self.parts.arrays for line in self._initial(array))
+        digest = hashlib.sha256("\n".join([*self._body.values(), self._state(), start]).encode()).hexdigest()
         return f"0x{digest[:8]}"
 
     def state_bytes(self) -> int:

@@ -23,6 +23,7 @@ import numpy as np
 from trackres_ros.errors import InputError
 from trackres_ros.export.kinds import BOOL, INT, REAL, ArrayOf, Const, Kind, Record, Scalar, literal, safe, words
 
+MOST_COLUMNS = 130  # of a line of C
 REMEDY = "write it with numbers, if, for, while and math, as docs/own-effect.md shows"
 
 
@@ -243,7 +244,8 @@ class Translator:
     def _text_of(self, one: Instance) -> str:
         where = one.source.file.partition("trackres_ros/")[2] or one.source.file.rsplit("/", 1)[-1]
         comment = f"{one.source.summary} ({where})".replace("*/", "* /").encode("ascii", "replace").decode()
-        return f"/* {comment} */\n{self.head(one)}\n{{\n{one.text}}}\n"
+        lines = [f"/* {comment} */", self.head(one), "{", *one.text.splitlines(), "}"]
+        return "\n".join(map(_short, lines)) + "\n"
 
     def head(self, one: Instance) -> str:
         """Name and parameters of a function."""
@@ -255,6 +257,14 @@ class Translator:
                 parameters.append(f"{self.declared(kind, name in one.writes)}{safe(name)}")
         returns = None if isinstance(one.returns, Const) else one.returns
         return f"static {self.declared(returns)}{one.name}({', '.join(parameters) or 'void'})"
+
+
+def _short(line: str) -> str:
+    """A line of C over several, where it is too long for one."""
+    if len(line) <= MOST_COLUMNS:
+        return line
+    indent = " " * (len(line) - len(line.lstrip()))
+    return textwrap.fill(line, MOST_COLUMNS, subsequent_indent=indent + "    ", break_long_words=False, break_on_hyphens=False)
 
 
 def refused(source: Source, node: ast.AST, given: str, allowed: str) -> InputError:
