@@ -275,8 +275,8 @@ def page() -> dict[str, float]:
 
 
 CONTROLLERS = {
-    "aarch64": "aarch64-linux-gnu", "ARM Cortex-M": "thumbv7em-none-eabihf", "RISC-V": "riscv32-none-elf", "PowerPC": "powerpc-none-eabi",
-    "TriCore": "tricore-none-elf", "RH850": "rh850-none-elf", "C2000": "c2000-none-elf",
+    "aarch64": "aarch64-linux-gnu", "ARM Cortex-M": "thumbv7em-none-eabihf", "RISC-V": "riscv32-none-elf",
+    "PowerPC": "powerpc-none-eabi", "TriCore": "tricore-none-elf", "RH850": "rh850-none-elf", "C2000": "c2000-none-elf",
 }  # fmt: skip
 """Processors that drive controllers have, by the names that LLVM would have for them."""
 

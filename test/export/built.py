@@ -40,7 +40,7 @@ def write(vehicle, folder, settings=None, learned=None, single=False):
 class Built:
     """The exported step as a library in this process."""
 
-    def __init__(self, vehicle, folder, settings=None, learned=None, single=False, compiler="gcc", flags=("-O1",)):
+    def __init__(self, vehicle, folder, settings=None, learned=None, single=False, compiler="gcc", flags=("-O0",)):
         self.estimator, self.single = write(vehicle, folder, settings, learned, single), single
         library = folder / "step.so"
         sources = [folder / "trackres.c", HERE / "drive.c"]

@@ -44,7 +44,7 @@ def read(path):
 @pytest.fixture
 def own(tmp_path, good):
     """A vehicle with an effect of its own."""
-    good("vehicle", "new", "mine", "--like", "agri3t", cwd=tmp_path)
+    good("vehicle", "new", "mine", "--like", "ztbus_hess19", cwd=tmp_path)
     (tmp_path / "guard.py").write_text(EFFECT)
     with (tmp_path / "mine.yaml").open("a") as file:
         file.write("effect_files: [guard.py]\neffects:\n  side_guard: {torque: {value: 80.0, range: [60.0, 100.0]}}\n")
@@ -55,9 +55,9 @@ def own(tmp_path, good):
 def test_the_program_beside_it_gives_the_rows_of_a_replay(own, good):
     good("export", "c", "mine.yaml", "-o", "out", cwd=own)
     random, time = np.random.default_rng(4), np.arange(0.0, 300.0, 0.05)
-    kmh = np.clip(np.cumsum(random.normal(0.0, 0.3, len(time))), -3.0, 14.0)
+    kmh = np.clip(np.cumsum(random.normal(0.0, 0.3, len(time))), -5.0, 45.0)
     lines = [
-        f"{t:.3f},{v:.4f},{20 + 0.01 * t:.2f},{'' if i % 7 else 28000 + i},ignored"
+        f"{t:.3f},{v:.4f},{20 + 0.01 * t:.2f},{'' if i % 7 else 200000 + i},ignored"
         for i, (t, v) in enumerate(zip(time, kmh, strict=True))
     ]
     (own / "drive.csv").write_text("time_s,speed_kmh,ambient_degc,weight_n,remark\n" + "\n".join(lines) + "\n")
@@ -65,7 +65,7 @@ def test_the_program_beside_it_gives_the_rows_of_a_replay(own, good):
     subprocess.run(["cmake", "--build", "out/build"], cwd=own, check=True, capture_output=True)
     with (own / "c.csv").open("w") as file:
         subprocess.run(["out/build/trackres_replay", "drive.csv"], cwd=own, check=True, stdout=file)
-    good("replay", "drive.csv", "--vehicle", "mine.yaml", "-o", "replay.csv", cwd=own)
+    tr.replay(own / "drive.csv", own / "mine.yaml", output=own / "replay.csv")
     found, expected = read(own / "c.csv"), read(own / "replay.csv")
     assert len(found["time_s"]) == len(time)
     assert np.abs(expected["effects_nm"]).max() > 50.0

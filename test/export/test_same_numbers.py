@@ -78,13 +78,13 @@ def vehicle_for(effects):
 
 
 def groups():
-    """All effects of the catalogue that a file may list, three at a time."""
+    """All effects of the catalogue that a file may list, five at a time."""
     of_files = [effect for effect in catalogue().values() if effect.belongs_to != "sensor"]
     kinds = sorted(of_files, key=lambda e: (e.only_of == "slides", e.belt_only))
     by_kind = {}
     for effect in kinds:
         by_kind.setdefault((effect.only_of == "slides", effect.belt_only), []).append(effect)
-    return [group for of in by_kind.values() for group in (of[i : i + 3] for i in range(0, len(of), 3))]
+    return [group for of in by_kind.values() for group in (of[i : i + 5] for i in range(0, len(of), 5))]
 
 
 @pytest.mark.parametrize("effects", groups(), ids=lambda effects: "+".join(effect.name for effect in effects))

@@ -11,8 +11,6 @@ import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
-
 from trackres_ros.estimator import columns as at
 from trackres_ros.export.functions import Instance
 from trackres_ros.export.kinds import INT, REAL, Record, safe
@@ -106,10 +104,9 @@ class CSource:
         )
 
     def _length(self, array: StateArray) -> int:
-        """How many numbers an array of the state has in C: at least one, and of `float` in all an even number."""
-        length = max(int(array.start.size), 1)
-        reals = sum(max(int(one.start.size), 1) for one in self.parts.arrays if one.kind.of == REAL)
-        return length + (reals % 2 if self.translator.single and array is self.parts.arrays[-1] else 0)
+        """How many numbers an array of the state has in C; of `float` there is in all an even number, so that none is a gap."""
+        reals = sum(int(one.start.size) for one in self.parts.arrays if one.kind.of == REAL)
+        return int(array.start.size) + (reals % 2 if self.translator.single and array is self.parts.arrays[-1] else 0)
 
     # The source
 
@@ -163,9 +160,8 @@ class CSource:
     def _initial(self, array: StateArray) -> Iterator[str]:
         """Fill an array of the state."""
         name, length = f"state->{in_state(array)}", self._length(array)
-        flat = np.resize(array.start.ravel(), length) if array.start.size else np.zeros(length)
-        flat = np.concatenate([array.start.ravel(), np.zeros(max(length - array.start.size, 0), dtype=array.start.dtype)])
-        literals = [self.translator.literal(value) for value in flat.tolist()]
+        numbers = [*array.start.ravel().tolist(), *[0.0] * (length - array.start.size)]
+        literals = [self.translator.literal(value) for value in numbers]
         if len(set(literals)) == 1:
             yield f"    for (int i = 0; i < {length}; i++) {{\n        {name}[i] = {literals[0]};\n    }}"
             return

@@ -90,7 +90,7 @@ def translated(request: Request, tuned: tuple[str, ...] = ()) -> CSource:
         f"vehicle file: {vehicle.source.name}, sha256 {digest}",
         f"values: {snapshot.key(estimator)}, of the vehicle with rubber, effects and surroundings",
         f"written by: trackres_ros {tr.__version__}, sources {sources()}",
-        f"numbers: {'float' if request.single else 'double'}{'' if learned is None else f', starts from {request.state}'}",
+        f"numbers: {'float' if request.single else 'double'}{'' if learned is None else f', starts from what {request.state.name} has learned'}",
     )
     return CSource(Parts(estimator, learned, request.single, tuned), vehicle.title, made)
 

@@ -20,7 +20,7 @@ from xml.etree import ElementTree as Xml
 import trackres_ros as tr
 from trackres_ros.effects import stepping
 from trackres_ros.errors import InputError
-from trackres_ros.export.c_source import TEMPLATES, CSource, filled, in_c, in_state
+from trackres_ros.export.c_source import TEMPLATES, CSource, filled, in_c
 from trackres_ros.export.exporting import Request, translated
 from trackres_ros.files.output_files import output_file
 
@@ -119,13 +119,12 @@ def _of_effects(source: CSource) -> Iterator[Variable]:
     k = source.estimator.constants
     width = k.effect_values.shape[1] if k.effect_values.ndim > 1 else 0
     states = k.effects[:, stepping.STATE].tolist()
-    table = next(array for array in source.parts.arrays if array.name == "effect_values")
     for state, active in enumerate(source.parts.active):
         first, rows = states.index(state), states.count(state)
         for i, q in enumerate(active.effect.parameters):
             if q.is_fixed or (active.effect.acts_on == "cooling" and q.unit == "K/W"):  # the number of nodes follows from it
                 continue
-            place = f"offsetof(struct instance, state.{in_state(table)}) + {first * width + i} * sizeof(double)"
+            place = f"offsetof(struct instance, state.effect_values) + {first * width + i} * sizeof(double)"
             unit, text = q.unit.replace("Nm", "N.m").replace("^", ""), f"{q.text} [{q.unit}]"
             yield Variable(
                 f"effects/{active.effect.name}/{q.name}", place, "parameter", unit if unit in UNITS else "1", text,

@@ -24,6 +24,7 @@ from trackres_ros.errors import InputError
 from trackres_ros.export.kinds import BOOL, INT, REAL, ArrayOf, Const, Kind, Record, Scalar, literal, safe, words
 
 MOST_COLUMNS = 130  # of a line of C
+A_LINE = 5  # numbers of a table
 REMEDY = "write it with numbers, if, for, while and math, as docs/own-effect.md shows"
 
 
@@ -222,7 +223,7 @@ class Translator:
             array = np.asarray(value)
             kind = self.number(INT if array.dtype.kind in "iu" else REAL)
             numbers = [self.literal(one) for one in array.ravel().tolist()]
-            body = textwrap.fill(", ".join(numbers), 118, initial_indent="    ", subsequent_indent="    ", break_long_words=False)
+            body = ",\n".join(f"    {', '.join(numbers[i : i + A_LINE])}" for i in range(0, len(numbers), A_LINE))
             shape = " x ".join(map(str, array.shape))
             lines.append(f"static const {kind} {name}[{array.size}] = {{ /* {shape} */\n{body}\n}};\n")
         return "\n".join(lines)

@@ -63,6 +63,7 @@ class Parts:
             start = np.array([float(getattr(estimator.constants.number, name)) for name in tuned])
             self.arrays.append(StateArray("tuned", start, ", ".join(tuned)))
         self._by_name = {array.name: array for array in self.arrays}
+        self.arrays = [array for array in self.arrays if array.start.size]
         self.translator = Translator(translate_body, single)
         self.effects: dict[int, Instance] = {}
         self.translator.intrinsics[stepping.call_at] = self._call_effect
@@ -146,19 +147,20 @@ class Parts:
 
     # The step
 
-    def _array(self, name: str) -> ArrayOf:
-        return self._by_name[name].kind
+    def _array(self, name: str) -> Kind:
+        """The kind of an array of the state; one without entries is a constant."""
+        array = self._by_name[name]
+        return array.kind if array.start.size else Const(array.start)
 
     def records(self) -> dict[str, Record]:
         """The records that the entries take: constants, memory of the guards, and what is carried."""
         k, session = self.estimator.constants, self.estimator.session()
-        runtime = {"work": "work", "effect_values": "effect_values"}
         changed = {"effects": self._rows, "number": _scaled(k.number)}
         numbers = [(name, REAL if name in self.tuned else Const(value)) for name, value in changed["number"]._asdict().items()]
         constants: list[tuple[str, Kind]] = []
         for name in k._fields:
-            if name in runtime:
-                constants.append((name, self._array(runtime[name])))
+            if name in ("work", "effect_values"):
+                constants.append((name, self._array(name)))
                 continue
             if name == "number" and self.tuned:
                 constants.append((name, Record("numbers", tuple(numbers))))
