@@ -53,6 +53,7 @@ def views(a, b, out):
     whole = out[0:2]
     whole[0], whole[1] = float(a), float(b)
     whole[0], whole[1] = whole[1], whole[0]
+    out[0], whole[0] = whole[1], out[0]
     for step in (1.5, 2.5):
         out[2] += step * whole[0]
     out[3] = max(whole[0], math.nan, 1.0) + min(math.inf, whole[1]) if a != b else -(a**2) + 2.0**b

@@ -421,6 +421,6 @@ class Expressions:
         return Value(kind, f"{self.within(test, OR)} ? {first} : {codes[1]}", TERNARY)
 
     def helped(self, name: str, values: Sequence[Value], kind: Kind) -> Value:
-        """A call of a function of the file's own, see `source.HELPERS`."""
+        """A call of a function of the file's own, see templates/helpers.c."""
         codes = [self.as_kind(v, kind) for v in values]
         return Value(kind, f"tr_{name}({', '.join(codes)})")

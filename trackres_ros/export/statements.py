@@ -226,7 +226,8 @@ class Body(Calls):
         """Several values at once: each is computed before the first is stored, where that makes a difference."""
         if isinstance(node.value, ast.Tuple):
             values = self.spread(node.value.elts)
-            values = self._kept_apart(node.value, target, values, depth)
+            if len(values) == len(node.value.elts) == len(target.elts):
+                values = self._kept_apart(node.value, target, values, depth)
         else:
             whole = self.value(node.value)
             if not whole.is_const and "(" in whole.code:
@@ -242,15 +243,17 @@ class Body(Calls):
     def _kept_apart(self, given: ast.Tuple, target: ast.Tuple, values: list[Value], depth: int) -> list[Value]:
         """Values in variables of their own where an earlier target is a part of a later value."""
         stored: set[str] = set()
+        entries = False  # whether one was stored: another name may be that of the same array
         kept = []
-        for i, value in enumerate(values):
-            later = {n.id for v in given.elts[i:] for n in ast.walk(v) if isinstance(n, ast.Name)}
-            if stored & later and not value.is_const and i < len(given.elts) and isinstance(value.kind, Scalar):
+        for one, node, value in zip(target.elts, given.elts, values, strict=False):
+            names = {n.id for n in ast.walk(node) if isinstance(n, ast.Name)}
+            looks_up = any(isinstance(n, ast.Subscript | ast.Call) for n in ast.walk(node))
+            if (stored & names or (entries and looks_up)) and not value.is_const and isinstance(value.kind, Scalar):
                 name = self.temporary("old")
                 self.line(f"const {self.translator.declared(value.kind)}{name} = {value.code};", depth)
                 value = Value(value.kind, name)
-            if i < len(target.elts):
-                stored |= {n.id for n in ast.walk(target.elts[i]) if isinstance(n, ast.Name)}
+            stored |= {n.id for n in ast.walk(one) if isinstance(n, ast.Name)}
+            entries |= isinstance(one, ast.Subscript)
             kept.append(value)
         return kept
 
