@@ -7,7 +7,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from built import EQUAL, SECOND_NS, Built, difference, drive, have
+from built import EQUAL, SECOND_NS, START_NS, Built, difference, drive, have
 
 import trackres_ros as tr
 from trackres_ros.effects.effect import Active
@@ -17,6 +17,7 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.estimator.snapshot import after_time_off, resume, save
 from trackres_ros.files.resources import shipped_road_vehicles, shipped_vehicles
+from trackres_ros.route.learned import SLOPE, TORQUE, RouteMap
 
 pytestmark = pytest.mark.skipif(not have("gcc"), reason="gcc is not installed")
 
@@ -144,6 +145,51 @@ def test_rests_and_resumes_are_the_same(tmp_path):
         save(session, tmp_path / "state", 0.0)
         session, _ = after_time_off(built.estimator, tmp_path / "state", off, ambient)
         built.rest(ambient, off)
+
+
+EARTH_M, ROUND_M = 6371008.8, 300.0  # a round course of that radius
+
+
+def around(turn):
+    """Latitude and longitude at a place of the round course [rad]."""
+    north, east = ROUND_M * np.sin(turn) / EARTH_M, ROUND_M * np.cos(turn) / EARTH_M
+    return 0.8 + north, 0.2 + east / np.cos(0.8)
+
+
+def test_slopes_and_torques_by_place_are_the_same(tmp_path):
+    vehicle = tr.load_vehicle("ztbus_hess19")
+    turn = np.arange(0.0, 2.0 * np.pi, 20.0 / ROUND_M)
+    maps = [
+        RouteMap(kind, *around(turn), turn + 0.5 * np.pi, np.stack([size * np.sin(turn), np.full(len(turn), np.nan)], axis=1),
+                 np.full((len(turn), 2), 0.1 * size), np.full(len(turn), 3))
+        for kind, size in ((SLOPE, 0.03), (TORQUE, 400.0))
+    ]  # fmt: skip
+    built = Built(dataclasses.replace(vehicle, route=tuple(maps)), tmp_path)
+    session = built.estimator.session()
+    time = START_NS + np.arange(36000) * 50_000_000
+    speed = np.clip(8.0 + 7.0 * np.sin(np.arange(36000) / 900.0), 0.0, None)
+    turn = np.cumsum(speed) * 0.05 / ROUND_M
+    latitude, longitude = around(turn)
+    fixes = np.flatnonzero((np.arange(36000) % 20 == 0) & (np.arange(36000) % 9000 < 8000))
+    parts = [
+        (built.estimator.channels.index(name), rows, values[rows])
+        for name, rows, values in (
+            ("latitude", fixes, latitude),
+            ("longitude", fixes, longitude),
+            ("speed", np.arange(36000), speed),
+        )
+    ]
+    channel = np.concatenate([np.full(len(rows), c, dtype=np.int16) for c, rows, _ in parts])
+    stamp, value = time[np.concatenate([rows for _, rows, _ in parts])], np.concatenate([values for *_, values in parts])
+    order = np.lexsort((channel == 0, stamp))
+    messages = channel[order], stamp[order], stamp[order], value[order]
+    expected = session.handle_block(*messages).rows
+    found, _ = built.run(messages)
+    assert np.abs(expected[:, at.OUT_GRADE]).max() > 1000.0
+    seen = session.reason_counts()
+    assert at.Reason.PLACE_UNKNOWN in seen
+    assert seen[at.Reason.PLACE_UNKNOWN] < 20000
+    assert difference(found, expected).max() <= EQUAL
 
 
 def test_float_is_as_near_as_the_page_says(tmp_path):
