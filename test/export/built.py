@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from trackres_ros.estimator.estimator import Estimator
-from trackres_ros.export.c_source import CSource
+from trackres_ros.export.c_source import CSource, input_names
 from trackres_ros.export.parts import Parts
 
 HERE = Path(__file__).parent
@@ -67,6 +67,16 @@ class Built:
         assert steps >= 0
         found = np.stack([rows[name][:steps].astype(float) for name in self.estimator.columns], axis=1)
         return found, rows["level"][:steps]
+
+    def step(self, given, dt):
+        """One call of `trackres_step` with inputs by name; what it gives and the outputs by name."""
+        real = ctypes.c_float if self.single else ctypes.c_double
+        if not hasattr(self, "_outputs"):
+            self._names = list(input_names(self.estimator.channels).values())
+            self._inputs, self._outputs = (real * len(self._names))(), np.zeros(1, dtype=self._row)
+        self._inputs[:] = [given.get(name, float("nan")) for name in self._names]
+        pointer = self._outputs.ctypes.data_as(ctypes.c_void_p)
+        return self.library.trackres_step(self.state, self._inputs, real(dt), pointer), self._outputs[0]
 
     def rest(self, ambient, seconds):
         """As after power was off."""

@@ -16,6 +16,7 @@ from trackres_ros.effects.registry import catalogue
 from trackres_ros.estimator import columns as at
 from trackres_ros.estimator.settings import Settings
 from trackres_ros.estimator.snapshot import after_time_off, resume, save
+from trackres_ros.export import step
 from trackres_ros.files.resources import shipped_road_vehicles, shipped_vehicles
 from trackres_ros.route.learned import SLOPE, TORQUE, RouteMap
 
@@ -52,7 +53,7 @@ def test_ten_hours_of_the_shipped_vehicles_are_the_same(name, tmp_path):
 
 @pytest.mark.parametrize(("thermal", "method"), [("core_surface", "rainflow"), ("lumped", "spectral")])
 def test_other_models_and_settings_are_the_same(thermal, method, tmp_path):
-    held_against(tr.load_vehicle("agri3t", thermal=thermal, method=method), tmp_path, 0.3, settings=ALL)
+    held_against(tr.load_vehicle("agri3t", thermal=thermal, method=method), tmp_path, 0.15, settings=ALL)
 
 
 def with_values(effect):
@@ -121,7 +122,7 @@ def learned_numbers():
 
 @pytest.mark.parametrize("name", ["agri3t", "ztbus_hess19"])
 def test_what_was_learned_moves_both_alike(name, tmp_path):
-    held_against(tr.load_vehicle(name), tmp_path, 0.3, what=learned_numbers())
+    held_against(tr.load_vehicle(name), tmp_path, 0.15, what=learned_numbers())
 
 
 def test_rests_and_resumes_are_the_same(tmp_path):
@@ -145,6 +146,28 @@ def test_rests_and_resumes_are_the_same(tmp_path):
         save(session, tmp_path / "state", 0.0)
         session, _ = after_time_off(built.estimator, tmp_path / "state", off, ambient)
         built.rest(ambient, off)
+
+
+def test_between_two_speeds_the_feedforward_goes_on_as_live(tmp_path):
+    built = Built(tr.load_vehicle("ztbus_hess19"), tmp_path)
+    session, k = built.estimator.session(), built.estimator.constants
+    shown = []
+    for tick in range(7000):  # 4 s of speeds at 50 Hz in a loop of 1 kHz, then silence
+        speed = 5.0 + 0.001 * tick if tick % 20 == 0 and tick < 4000 else np.nan
+        now = int(tick * 1_000_000)
+        result, outputs = built.step({"speed_mps": speed}, 0.001 if tick else 0.0)
+        if np.isfinite(speed):
+            estimate = session.handle(at.SPEED, now, now, speed)
+            assert result == 1
+            assert outputs["resistance_torque_nm"] == estimate.resistance_torque_nm
+        else:
+            assert result == 0
+        expected = step.feedforward_now(k, session.memory, session.motion, now)
+        assert outputs["feedforward_torque_nm"] == pytest.approx(expected, rel=EQUAL)
+        assert (outputs["level"] == 3) == (now - session.memory.times[at.SPEED, at.LAST_ARRIVAL] > 500_000_000)
+        shown.append(outputs["feedforward_torque_nm"])
+    assert max(shown) > 100.0
+    assert shown[-1] == 0.0
 
 
 EARTH_M, ROUND_M = 6371008.8, 300.0  # a round course of that radius
