@@ -3,7 +3,7 @@
 
 """What was weighed in docs/decisions: ours and a library's, each at the same task. `python benchmarks/decisions.py [NAME ...]`.
 
-statsmodels serves this comparison alone and is in none of the extras: `pip install statsmodels`.
+statsmodels and casadi serve this comparison alone and are in none of the extras: `pip install statsmodels casadi`.
 """
 
 from __future__ import annotations
@@ -12,8 +12,10 @@ import importlib.util
 import statistics
 import sys
 import tempfile
+from collections import namedtuple
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import attrs
 import numpy as np
@@ -272,7 +274,86 @@ def page() -> dict[str, float]:
     return sizes
 
 
-DECISIONS = {"cdr": cdr, "mcap": mcap, "noise": noise, "checks": checks, "estimate": estimate, "page": page}
+CONTROLLERS = {
+    "aarch64": "aarch64-linux-gnu", "ARM Cortex-M": "thumbv7em-none-eabihf", "RISC-V": "riscv32-none-elf",
+    "PowerPC": "powerpc-none-eabi", "TriCore": "tricore-none-elf", "RH850": "rh850-none-elf", "C2000": "c2000-none-elf",
+}  # fmt: skip
+"""Processors that drive controllers have, by the names that LLVM would have for them."""
+
+
+def export(steps: int = 200_000, rounds: int = 5) -> dict[str, float]:
+    """The step in a controller: C translated from its functions, objects of llvmlite, and CasADi run on the same functions."""
+    import bench_export
+    from llvmlite import binding
+
+    from trackres_ros.estimator.estimator import Estimator
+    from trackres_ros.export.parts import Parts
+    from trackres_ros.vehicle import load
+
+    vehicle = load("xgd24d")
+    measured = bench_export.measured(vehicle, False, steps, rounds)
+    instances = list(Parts(Estimator(vehicle)).translator.instances.values())
+    binding.initialize_all_targets()
+    known = sum(_has_target(triple) for triple in CONTROLLERS.values())
+    result = {
+        "translated: functions": float(len({one.function for one in instances})),
+        "translated: a step [us]": measured["a step [us]"],
+        "translated: code [kB]": measured["code [kB]"],
+        "translated: time to translate [s]": measured["translated in [s]"],
+        "llvmlite: processors of a controller that it knows": float(known),
+        "llvmlite: of so many": float(len(CONTROLLERS)),
+    }
+    if importlib.util.find_spec("casadi"):
+        result["CasADi: functions that run on its symbols as they are"] = float(_run_on_symbols(instances))
+    return result
+
+
+def _has_target(triple: str) -> bool:
+    from llvmlite import binding
+
+    try:
+        binding.Target.from_triple(triple)
+    except RuntimeError:
+        return False
+    return True
+
+
+def _run_on_symbols(instances: list[Any]) -> int:
+    """How many functions of the step run with symbols of CasADi in the place of numbers."""
+    from trackres_ros.jit.compiled import interpreted
+
+    found = set()
+    for one in instances:
+        try:
+            interpreted(one.function)(*map(_symbol, one.arguments.values()))
+        except Exception:  # whatever a library makes of a branch on a symbol
+            continue
+        found.add(one.function)
+    return len(found)
+
+
+def _symbol(kind: Any) -> Any:
+    """An argument of a kind, of symbols."""
+    import casadi
+
+    from trackres_ros.export import kinds
+
+    if isinstance(kind, kinds.Const):
+        return kind.value
+    if isinstance(kind, kinds.Record):
+        names = [name for name, _ in kind.fields]
+        return namedtuple("given", names)(*(_symbol(part) for _, part in kind.fields))
+    if isinstance(kind, kinds.Scalar):
+        return casadi.SX.sym("x") if kind == kinds.REAL else 0
+    shape = [length or 64 for length in kind.shape]
+    if kind.of != kinds.REAL:
+        return np.zeros(shape, dtype=np.int64)
+    array = np.empty(int(np.prod(shape)), dtype=object)
+    array[:] = [casadi.SX.sym(f"x{i}") for i in range(array.size)]
+    return array.reshape(shape)
+
+
+DECISIONS = {"cdr": cdr, "mcap": mcap, "noise": noise, "checks": checks, "estimate": estimate, "page": page, "export": export}
 
 if __name__ == "__main__":
     for chosen in sys.argv[1:] or DECISIONS:

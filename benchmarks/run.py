@@ -14,6 +14,7 @@ from importlib import metadata
 from pathlib import Path
 
 import bench_diagnosis
+import bench_export
 import bench_fleet
 import bench_learning
 import bench_live
@@ -36,6 +37,7 @@ BENCHMARKS = {
     "The diagnosis": bench_diagnosis,
     "A fleet": bench_fleet,
     "The live node": bench_live,
+    "The step as C": bench_export,
     "Learning": bench_learning,
     "Ways that were tried": bench_ways,
 }

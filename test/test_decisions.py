@@ -6,6 +6,7 @@
 import importlib
 import math
 import re
+import shutil
 import sys
 
 import pytest
@@ -18,7 +19,7 @@ for needed in ("rosbags", "mcap", "attrs"):
 def decisions(repository, monkeypatch):
     monkeypatch.syspath_prepend(str(repository / "benchmarks"))
     yield importlib.import_module("decisions")
-    for name in ("decisions", "measuring"):
+    for name in ("decisions", "measuring", "bench_export"):
         sys.modules.pop(name, None)
 
 
@@ -52,9 +53,20 @@ def test_the_library_of_the_page_is_smaller_packed(decisions):
     assert found["Bokeh, without widgets, packed [kB]"] < 0.5 * found["Bokeh, without widgets [kB]"] < 1000.0
 
 
+def test_the_translated_step_is_all_functions_and_casadi_runs_some(decisions):
+    pytest.importorskip("numba")
+    if not shutil.which("cc"):
+        pytest.skip("no C compiler is installed")
+    found = decisions.export(steps=100, rounds=1)
+    assert found["translated: functions"] > 50.0
+    assert found["llvmlite: processors of a controller that it knows"] < found["llvmlite: of so many"]
+    assert found.get("CasADi: functions that run on its symbols as they are", 0.0) < found["translated: functions"]
+
+
 def test_each_decision_is_listed_and_names_its_measurement(repository, decisions):
     folder = repository / "docs" / "decisions"
     pages = {path.name for path in folder.glob("*.md")} - {"README.md"}
     assert set(re.findall(r"\]\((.+?\.md)\)", (folder / "README.md").read_text())) == pages
-    measured = [re.search(r"`python benchmarks/decisions.py (\w+)`", (folder / page).read_text()) for page in pages]
-    assert {match.group(1) for match in measured} == set(decisions.DECISIONS)
+    command = r"`(?:python benchmarks/decisions.py (\w+)`|trackres prove )"
+    measured = [re.search(command, (folder / page).read_text()) for page in pages]
+    assert {match.group(1) for match in measured} - {None} == set(decisions.DECISIONS)

@@ -37,7 +37,7 @@ pytest.importorskip("cantools")
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 SHOWN = re.compile(r"`((?:trackres|ros2) [^`\n]+)`|^\s*((?:trackres|ros2) [^`|\n]+)$", re.MULTILINE)
 BINDING = re.compile(r"^ +(\w+: \{topic: .*\})$", re.MULTILINE)
-RUN_ELSEWHERE = ("first-controller", "first-designer", "first-tester", "own-effect")
+RUN_ELSEWHERE = ("export", "first-controller", "first-designer", "first-tester", "own-effect")
 LONGEST_S = 1.0
 ELSEWHERE = ("://", "CHECKOUT", "DATA", "CASES")
 """What only another machine or an earlier version has."""

@@ -48,6 +48,7 @@ STARTED_BY = {  # commands that start an application of their own, and import it
         "trackres_ros.design", "trackres_ros.files.output_files", "trackres_ros.output.table", "trackres_ros.vehicle",
     },
     "entry.py": {"trackres_ros.node.signals"},
+    "export.py": {"trackres_ros.export"},
     "fleet.py": {"trackres_ros.fleet", "trackres_ros.evaluation.fleet", "trackres_ros.files.output_files"},
     "layouts.py": {"trackres_ros.output.layouts"},
     "live.py": {

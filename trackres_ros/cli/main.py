@@ -21,6 +21,7 @@ from trackres_ros.cli.compound import compound_group
 from trackres_ros.cli.design import sensitivity_command, sweep_command
 from trackres_ros.cli.diagnose import diagnose_command, effects_command
 from trackres_ros.cli.explain import explain_command
+from trackres_ros.cli.export import export_group
 from trackres_ros.cli.fleet import fleet_group, trend_command
 from trackres_ros.cli.interrupts import INTERRUPTED, interrupt_handled
 from trackres_ros.cli.layouts import layouts_command
@@ -61,6 +62,7 @@ for command in (
     layouts_command,
     simulate_command,
     explain_command,
+    export_group,
     diagnose_command,
     coastdown_command,
     prove_command,

@@ -52,7 +52,7 @@ else:
             return self.py_func(*args)
 
 
-def _sources_digest() -> str:
+def sources_digest() -> str:
     """Digest of every source file that compiled code can come from."""
     package = Path(__file__).parents[1]
     digest = hashlib.sha256()
@@ -67,7 +67,7 @@ def _cache_name() -> str:
     numba itself looks only at the file of the function, not at those it calls: after a change in one of them it would run the
     old machine code.
     """
-    parts = [_sources_digest(), sys.implementation.cache_tag]
+    parts = [sources_digest(), sys.implementation.cache_tag]
     if HAVE_NUMBA:
         parts += [_library.__version__, get_host_cpu_name()]
     return f"compiled-{'-'.join(parts)}"

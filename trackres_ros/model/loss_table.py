@@ -73,7 +73,7 @@ def look_up(
     rows, columns = loss.shape[1], loss.shape[2]
     u = min(max((x - first_x) / step_x, 0.0), rows - 1.000001)
     w = min(max((log_load - first_log_load) / step_log_load, 0.0), columns - 1.000001)
-    i, j = int(u), int(w)
+    i, j = min(int(u), rows - 2), min(int(w), columns - 2)
     u, w = u - i, w - j
     before = loss[table, i, j] + w * (loss[table, i, j + 1] - loss[table, i, j])
     after = loss[table, i + 1, j] + w * (loss[table, i + 1, j + 1] - loss[table, i + 1, j])
@@ -84,7 +84,7 @@ def look_up(
 def look_up_drive(drive: Array, table: int, first_x: float, step_x: float, x: float) -> tuple[float, float]:
     """Loss per sprocket torque with its sign, and per its size [N/Nm]."""
     u = min(max((x - first_x) / step_x, 0.0), drive.shape[1] - 1.000001)
-    i = int(u)
+    i = min(int(u), drive.shape[1] - 2)
     u -= i
     return drive[table, i, 0] + u * (drive[table, i + 1, 0] - drive[table, i, 0]), drive[table, i, 1] + u * (
         drive[table, i + 1, 1] - drive[table, i, 1]

@@ -1,0 +1,133 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""`trackres export`: what it writes, replays as `trackres replay` does; what belongs to it, and what it refuses."""
+
+import csv
+import json
+import subprocess
+
+import numpy as np
+import pytest
+from built import EQUAL, have
+
+import trackres_ros as tr
+from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.snapshot import save
+
+EFFECT = '''
+"""A guard that the belt touches."""
+
+from trackres_ros.effects import Effect, Parameter, Terms
+
+
+class SideGuard(Effect):
+    name = "side_guard"
+    acts_on = "torque"
+    belongs_to = "vehicle"
+    text = "a guard touches the belt"
+    needs = ("speed",)
+    parameters = (Parameter("torque", "Nm", 0.0, 2000.0, 300.0, "while it touches", off=0.0),)
+
+    def terms(self, at, p):
+        return Terms(torque=p.torque * at.direction)
+'''
+
+
+def read(path):
+    """Columns of a CSV; an empty cell is nan."""
+    with path.open() as file:
+        rows = list(csv.DictReader(file))
+    return {name: np.array([float(row[name] or "nan") for row in rows]) for name in rows[0]}
+
+
+@pytest.fixture
+def own(tmp_path, good):
+    """A vehicle with an effect of its own."""
+    good("vehicle", "new", "mine", "--like", "ztbus_hess19", cwd=tmp_path)
+    (tmp_path / "guard.py").write_text(EFFECT)
+    with (tmp_path / "mine.yaml").open("a") as file:
+        file.write("effect_files: [guard.py]\neffects:\n  side_guard: {torque: {value: 80.0, range: [60.0, 100.0]}}\n")
+    return tmp_path
+
+
+@pytest.mark.skipif(not have("cmake", "gcc"), reason="cmake or gcc is not installed")
+def test_the_program_beside_it_gives_the_rows_of_a_replay(own, good):
+    good("export", "c", "mine.yaml", "-o", "out", cwd=own)
+    random, time = np.random.default_rng(4), np.arange(0.0, 300.0, 0.05)
+    kmh = np.clip(np.cumsum(random.normal(0.0, 0.3, len(time))), -5.0, 45.0)
+    lines = [
+        f"{t:.3f},{v:.4f},{20 + 0.01 * t:.2f},{'' if i % 7 else 200000 + i},ignored"
+        for i, (t, v) in enumerate(zip(time, kmh, strict=True))
+    ]
+    (own / "drive.csv").write_text("time_s,speed_kmh,ambient_degc,weight_n,remark\n" + "\n".join(lines) + "\n")
+    subprocess.run(["cmake", "-S", "out", "-B", "out/build"], cwd=own, check=True, capture_output=True)
+    subprocess.run(["cmake", "--build", "out/build"], cwd=own, check=True, capture_output=True)
+    with (own / "c.csv").open("w") as file:
+        subprocess.run(["out/build/trackres_replay", "drive.csv"], cwd=own, check=True, stdout=file)
+    tr.replay(own / "drive.csv", own / "mine.yaml", output=own / "replay.csv")
+    found, expected = read(own / "c.csv"), read(own / "replay.csv")
+    assert len(found["time_s"]) == len(time)
+    assert np.abs(expected["effects_nm"]).max() > 50.0
+    for name, column in expected.items():
+        np.testing.assert_allclose(found[name], column, rtol=EQUAL, atol=EQUAL, err_msg=name)
+
+
+def test_an_export_belongs_until_something_changes(own, trackres):
+    assert trackres("export", "c", "mine.yaml", "-o", "out", cwd=own).returncode == 0
+    assert trackres("export", "--check", "out", cwd=own).returncode == 0
+    changes = {
+        "guard.py": "values of the vehicle",
+        "out/trackres.c": "trackres.c was changed since",
+        "mine.yaml": "the vehicle file",
+    }
+    for name, said in changes.items():
+        before = (own / name).read_text()
+        (own / name).write_text(before + ("# \n" if name[-1] != "c" else " "))
+        done = trackres("export", "--check", "out", "--json", cwd=own)
+        assert done.returncode == 1
+        assert any(said in line for line in json.loads(done.stdout)["differs"]), done.stdout
+        (own / name).write_text(before)
+    (own / "mine.yaml").rename(own / "moved.yaml")
+    assert "say where it is" in trackres("export", "--check", "out", cwd=own).stderr
+    assert trackres("export", "--check", "out", "--vehicle", "moved.yaml", cwd=own).returncode == 0
+
+
+def test_an_effect_that_c_cannot_say_is_refused_with_its_line(own, trackres):
+    text = EFFECT.replace(
+        "        return Terms(torque=p.torque", '        names = {"a": 1.0}\n        return Terms(torque=names["a"]'
+    )
+    (own / "guard.py").write_text(text)
+    line = text.splitlines().index('        names = {"a": 1.0}') + 1
+    done = trackres("export", "c", "mine.yaml", "-o", "out", cwd=own)
+    assert done.returncode == 2
+    assert f"guard.py:{line}: given" in done.stderr
+    assert "own-effect.md" in done.stderr
+    assert not (own / "out").exists()
+
+
+def test_what_was_learned_is_what_the_state_begins_with(own, trackres):
+    session = tr.Estimator(tr.load_vehicle(own / "mine.yaml")).session()
+    session.handle(at.SPEED, 0, 0, 1.0)
+    save(session, own / "off", 0.0)
+    session.learned[at.LEARNED_ON] = 1.0
+    session.learned[at.DEPARTURES] = 0.1234567
+    save(session, own / "on", 0.0)
+    assert "nothing learned acts" in trackres("export", "c", "mine.yaml", "-o", "out", "--state", "off", cwd=own).stderr
+    assert trackres("export", "c", "mine.yaml", "-o", "out", "--state", "on", cwd=own).returncode == 0
+    assert "0.1234567" in (own / "out" / "trackres.c").read_text()
+
+
+def test_the_head_names_vehicle_file_hash_and_version(own, good):
+    good("export", "c", "mine.yaml", "-o", "out", cwd=own)
+    head = (own / "out" / "trackres.h").read_text()[:900]
+    digest = json.loads((own / "out" / "trackres_export.json").read_text())["vehicle_sha256"]
+    assert all(part in head for part in ("mine.yaml", digest, tr.__version__))
+
+
+@pytest.mark.parametrize("content", ["", "[]", "{", '{"format": "trackres-export", "version": 1}'])
+def test_a_folder_without_an_export_is_refused(content, tmp_path, trackres):
+    (tmp_path / "trackres_export.json").write_text(content)
+    done = trackres("export", "--check", tmp_path)
+    assert done.returncode == 2
+    assert "trackres export c has written" in done.stderr

@@ -1,0 +1,130 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The FMU is valid, and FMPy drives it to the numbers of a replay; its state can be kept and its parameters tuned."""
+
+import numpy as np
+import pytest
+from built import EQUAL, difference, have
+
+import trackres_ros as tr
+from trackres_ros.estimator import columns as at
+
+fmpy = pytest.importorskip("fmpy", reason="fmpy, which reads FMUs, is not installed")
+validation = pytest.importorskip("fmpy.validation")
+fmi3 = pytest.importorskip("fmpy.fmi3")
+pytestmark = pytest.mark.skipif(not have("cc"), reason="no C compiler is installed")
+
+STEP_S = 0.02
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory, good):
+    folder = tmp_path_factory.mktemp("fmu")
+    good("vehicle", "new", "mine", "--like", "agri3t", cwd=folder)
+    with (folder / "mine.yaml").open("a") as file:
+        file.write("effects:\n  drivetrain_drag: {drag: {value: 10.0, range: [5.0, 15.0]}}\n")
+    good("export", "fmu", "mine.yaml", "-o", "model.fmu", cwd=folder)
+    return folder / "model.fmu"
+
+
+def speeds(count):
+    """A drive, one speed a step."""
+    time = np.arange(count) * STEP_S
+    return time, np.clip(2.0 * np.sin(time / 7.0) + 1.5, 0.0, None)
+
+
+@pytest.fixture
+def instance(model, tmp_path):
+    """An instance after its initialization, with `get` and `put` by name."""
+    description = fmpy.read_model_description(str(model))
+    slave = fmi3.FMU3Slave(
+        guid=description.guid, unzipDirectory=fmpy.extract(str(model), str(tmp_path)),
+        modelIdentifier=description.coSimulation.modelIdentifier, instanceName="one",
+    )  # fmt: skip
+    number = {v.name: v.valueReference for v in description.modelVariables}
+    slave.get = lambda name: slave.getFloat64([number[name]])[0]
+    slave.put = lambda name, value: slave.setFloat64([number[name]], [value])
+    slave.instantiate()
+    slave.enterInitializationMode()
+    slave.exitInitializationMode()
+    yield slave
+    slave.terminate()
+    slave.freeInstance()
+
+
+def test_fmpy_finds_nothing_wrong(model):
+    assert validation.validate_fmu(str(model)) == []
+    description = fmpy.read_model_description(str(model))
+    assert description.coSimulation.canGetAndSetFMUstate
+    units = {v.name: v.unit for v in description.modelVariables}
+    assert (units["inputs.speed_mps"], units["resistance_torque_nm"], units["belt_degc.left"]) == ("m/s", "N.m", "degC")
+    tunable = {v.name: float(v.start) for v in description.modelVariables if v.variability == "tunable"}
+    assert tunable["effects.drivetrain_drag.drag"] == 10.0
+    assert tunable["bearing_friction"] == tr.load_vehicle(model.parent / "mine.yaml").chassis.bearing_friction
+
+
+def test_fmpy_drives_it_to_the_numbers_of_a_replay(model):
+    time, speed = speeds(1500)
+    given = np.zeros(len(time), dtype=[("time", float), ("inputs.speed_mps", float), ("inputs.ambient_degc", float)])
+    given["time"], given["inputs.speed_mps"], given["inputs.ambient_degc"] = time, speed, 12.0
+    vehicle = tr.load_vehicle(model.parent / "mine.yaml")
+    names = [name for name in tr.Estimator(vehicle).columns if name != "reasons"]
+    shown = [name.replace("/", ".") for name in names]
+    stop = (len(time) - 1) * STEP_S
+    result = fmpy.simulate_fmu(
+        str(model), input=given, stop_time=stop, output_interval=STEP_S, step_size=STEP_S, output=[*shown, "reasons"]
+    )
+    found = np.stack([result[name] for name in shown], axis=1)
+    # A step takes the inputs of its beginning to its end: the first speed counts twice.
+    lines = [f"{t:.6f},{v!r},12.0" for t, v in zip(time, [float(speed[0]), *speed.tolist()], strict=False)]
+    (model.parent / "drive.csv").write_text("time_s,speed_mps,ambient_degc\n" + "\n".join(lines) + "\n")
+    expected = tr.replay(model.parent / "drive.csv", vehicle)
+    assert difference(found, np.stack([expected[name] for name in names], axis=1)).max() <= EQUAL
+    assert (result["reasons"] == expected["reasons"]).all()
+
+
+def drive(slave, first, count):
+    """Steps from the number `first` on; the torque of each."""
+    torques = []
+    _, speed = speeds(first + count)
+    for i in range(first, first + count):
+        slave.put("inputs.speed_mps", speed[i])
+        slave.doStep(i * STEP_S, STEP_S)
+        torques.append(slave.get("resistance_torque_nm"))
+    return torques
+
+
+def test_a_state_that_was_kept_goes_on_as_before(instance):
+    drive(instance, 0, 200)
+    state = instance.getFMUState()
+    packed = instance.serializeFMUState(state)
+    once = drive(instance, 200, 100)
+    instance.setFMUState(state)
+    assert drive(instance, 200, 100) == once
+    again = instance.deserializeFMUState(packed)
+    instance.setFMUState(again)
+    assert drive(instance, 200, 100) == once
+    instance.freeFMUState(state)
+    instance.freeFMUState(again)
+
+
+def test_a_tuned_parameter_moves_the_torque_by_what_it_says(instance):
+    drive(instance, 0, 100)
+    before = instance.get("resistance_torque_nm")
+    state, std = instance.getFMUState(), instance.get("resistance_std_nm")
+    instance.doStep(100 * STEP_S, STEP_S)
+    plain = instance.get("resistance_torque_nm")
+    instance.setFMUState(state)
+    instance.put("effects.drivetrain_drag.drag", 25.0)
+    instance.doStep(100 * STEP_S, STEP_S)
+    assert instance.get("resistance_torque_nm") - plain == pytest.approx(15.0, rel=1e-6)
+    assert instance.get("resistance_std_nm") == pytest.approx(std, rel=1e-2)
+    assert before > 0.0
+    instance.freeFMUState(state)
+
+
+def test_what_is_no_input_cannot_be_set(instance):
+    with pytest.raises(Exception, match="fmi3SetFloat64"):
+        instance.put("resistance_torque_nm", 1.0)
+    assert at.OUT_RESISTANCE >= 0

@@ -1,0 +1,133 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""`trackres export`: the step of a vehicle as C99 or as an FMU, and whether an export belongs to its vehicle."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from trackres_ros.cli.common import (
+    Command,
+    Commands,
+    Decorated,
+    emit,
+    folder_option,
+    json_option,
+    method_options,
+    surroundings_option,
+)
+from trackres_ros.cli.partial_output import watch
+
+
+def export_options(command: Decorated) -> Decorated:
+    """What is exported."""
+    options: list[Callable[[Any], Any]] = [
+        surroundings_option,
+        method_options,
+        click.option(
+            "--params",
+            type=click.Path(path_type=Path),
+            metavar="P.yaml",
+            help="Parameter file, flat or as the live node reads it; what concerns the estimator counts.",
+        ),
+        click.option(
+            "--state",
+            type=click.Path(path_type=Path),
+            metavar="STATE",
+            help="Start from what was learned, of a state that was saved with learning on.",
+        ),
+    ]
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
+@click.group("export", cls=Commands, invoke_without_command=True)
+@click.option(
+    "--check", "folder", type=click.Path(path_type=Path), metavar="DIR", help="Tell whether the C in DIR belongs to its vehicle."
+)
+@click.option("--vehicle", metavar="FILE|NAME", help="With --check: the vehicle file, if it is no longer where it was.")
+@json_option
+@click.pass_context
+def export_group(context: click.Context, folder: Path | None, vehicle: str | None, as_json: bool) -> int:
+    """The torque inside a controller: C99 without heap, or an FMU, from the very step that runs live.
+
+    \b
+    trackres export c my_vehicle.yaml -o out/
+    trackres export --check out/
+    """
+    if context.invoked_subcommand is not None:
+        return 0
+    if folder is None:
+        raise click.UsageError("Missing a command, c or fmu, or the option --check.", context)
+    from trackres_ros.export.exporting import check
+
+    found = check(folder, vehicle)
+    text = "\n".join([f"{folder} does not belong to its vehicle file and this version:", *(f"  - {one}" for one in found)])
+    belongs = f"{folder} belongs to its vehicle file and this version"
+    emit({"belongs": not found, "differs": found}, as_json, lambda: text if found else belongs)
+    return 1 if found else 0
+
+
+@export_group.command("c", cls=Command)
+@click.argument("vehicle", metavar="FILE|NAME")
+@folder_option("Folder for trackres.h, trackres.c, main.c and CMakeLists.txt.")
+@export_options
+@click.option("--single", is_flag=True, help="Numbers are float instead of double: half the size, and less exact.")
+@json_option
+def c_command(
+    vehicle: str,
+    output: Path,
+    surroundings: Path | None,
+    method: str | None,
+    thermal: str | None,
+    params: Path | None,
+    state: Path | None,
+    single: bool,
+    as_json: bool,
+) -> None:
+    """Write the step of a vehicle as C99: one source and one header, a program that replays a CSV, and a CMake file.
+
+    \b
+    trackres export c xgd24d -o out/
+    cmake -S out -B out/build && cmake --build out/build
+    out/build/trackres_replay drive.csv > result.csv
+    """
+    from trackres_ros.export.exporting import Request, export_c
+
+    watch(output)
+    written = export_c(Request(vehicle, surroundings, params, state, method, thermal, single), output)
+    emit({"written": [str(path) for path in written]}, as_json, lambda: f"Written: {', '.join(map(str, written))}")
+
+
+@export_group.command("fmu", cls=Command)
+@click.argument("vehicle", metavar="FILE|NAME")
+@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, metavar="MODEL.fmu", help="The FMU.")
+@export_options
+@json_option
+def fmu_command(
+    vehicle: str,
+    output: Path,
+    surroundings: Path | None,
+    method: str | None,
+    thermal: str | None,
+    params: Path | None,
+    state: Path | None,
+    as_json: bool,
+) -> None:
+    """Write the step of a vehicle as an FMU: FMI 3.0 for co-simulation, with its sources and a library for Linux.
+
+    \b
+    trackres export fmu my_vehicle.yaml -o model.fmu
+    """
+    from trackres_ros.export.exporting import Request
+    from trackres_ros.export.fmu import export_fmu
+
+    watch(output)
+    written = export_fmu(Request(vehicle, surroundings, params, state, method, thermal), output)
+    emit({"written": [str(written)]}, as_json, lambda: f"Written: {written}")

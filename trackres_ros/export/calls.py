@@ -1,0 +1,149 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Translates calls: of functions that are translated too, of named tuples, and of Python's, math's and numpy's functions."""
+
+from __future__ import annotations
+
+import ast
+import math
+from types import FunctionType
+from typing import Any
+
+import numpy as np
+
+from trackres_ros.export.expressions import UNARY, Expressions, Value
+from trackres_ros.export.kinds import BOOL, INT, REAL, Const, Kind, Record, Scalar, joined, widened, words
+
+SAME_IN_C = (
+    "sqrt", "exp", "expm1", "log", "log1p", "log2", "log10", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh",
+    "asinh", "acosh", "atanh", "erf", "erfc", "fabs", "hypot", "atan2", "pow", "fmod", "copysign", "cbrt",
+)  # fmt: skip
+"""Functions of `math` that C has under their names, all of real numbers."""
+OF_NUMPY = {"abs": "fabs", "absolute": "fabs", "arctan": "atan", "arctan2": "atan2", "arcsin": "asin", "arccos": "acos"}
+
+
+class Calls(Expressions):
+    """The calls of one function; `statements.Body` has its statements."""
+
+    def _call(self, node: ast.Call) -> Value:
+        target = self.value(node.func)
+        function = getattr(target.const, "py_func", target.const)
+        if not target.is_const or not callable(function):
+            raise self.refuse(node, ast.unparse(node)[:80], "a call of a function that is known")
+        if isinstance(function, type) and hasattr(function, "_fields"):
+            return self._record(node, function)
+        values = self.spread(node.args)
+        if function in self.translator.intrinsics:
+            return Value(Const(None), self.translator.intrinsics[function](self, values))
+        if isinstance(function, FunctionType):
+            return self.call_of(node, function, values)
+        if node.keywords:
+            raise self.refuse(node, ast.unparse(node)[:80], "arguments without names")
+        return self._of_library(node, function, values)
+
+    def _record(self, node: ast.Call, cls: Any) -> Value:
+        """A named tuple with its defaults."""
+        values = dict(zip(cls._fields, self.spread(node.args), strict=False))
+        values |= {str(keyword.arg): self.value(keyword.value) for keyword in node.keywords}
+        values = {name: self.const(default) for name, default in cls._field_defaults.items()} | values
+        if set(values) != set(cls._fields):
+            raise self.refuse(node, ast.unparse(node)[:80], f"each of {', '.join(cls._fields)}")
+        ordered = [values[name] for name in cls._fields]
+        annotated = cls.__annotations__
+        kinds = [
+            REAL if annotated.get(n) in ("float", float) else widened(v.kind) for n, v in zip(cls._fields, ordered, strict=True)
+        ]
+        return self.tuple_of(ordered, Record(words(cls.__name__), tuple(zip(cls._fields, kinds, strict=True))))
+
+    def call_of(self, node: ast.Call, function: FunctionType, values: list[Value]) -> Value:
+        """A call of a function that is translated too."""
+        names = [a.arg for a in self.translator.source(function).tree.args.args]
+        given = dict(zip(names, values, strict=False)) | {str(k.arg): self.value(k.value) for k in node.keywords}
+        defaults = dict(zip(names[::-1], (function.__defaults__ or ())[::-1], strict=False))
+        given = {name: self.const(value) for name, value in defaults.items()} | given
+        if set(given) != set(names) or len(values) > len(names):
+            raise self.refuse(node, ast.unparse(node)[:80], f"the arguments {', '.join(names)}")
+        ordered = [given[name] for name in names]
+        kinds = [v.kind if isinstance(v.const, np.ndarray) else self._passed(v.kind) for v in ordered]
+        one = self.translator.instance(function, kinds)
+        for name, v in given.items():
+            if name in one.writes:
+                if isinstance(v.const, np.ndarray):
+                    raise self.refuse(node, ast.unparse(node)[:80], "an array that may change")
+                self.note_written(v)
+        if not one.changes_something and (one.returns is None or isinstance(one.returns, Const)):
+            return self.const(one.returns.value if isinstance(one.returns, Const) else None)
+        self.calls.append(one)
+        codes = [self.argument(given[name], kind) for name, kind in one.given]
+        kind = Const(None) if one.returns is None else one.returns
+        return Value(kind, f"{one.name}({', '.join(codes)})")
+
+    def _passed(self, kind: Kind) -> Kind:
+        """The kind of a parameter: single numbers are no constants, so that there is one function for all of them."""
+        return widened(kind) if isinstance(kind, Const) and isinstance(kind.value, bool | int | float) else kind
+
+    def argument(self, value: Value, kind: Kind) -> str:
+        """The code of an argument; of a record its address."""
+        if not isinstance(kind, Record):
+            return self.as_kind(value, kind)
+        if value.by_pointer:
+            return value.code
+        is_place = value.code.startswith("(struct ") or value.code.replace(".", "").replace("->", "").replace("_", "").isalnum()
+        return f"&{value.code if is_place else self.hoisted(value, kind)}"
+
+    def hoisted(self, value: Value, kind: Kind) -> str:
+        """The name of a variable that holds a value from before the statement on."""
+        raise NotImplementedError
+
+    def _of_library(self, node: ast.Call, function: Any, values: list[Value]) -> Value:
+        """A call of a function of Python, math or numpy on numbers."""
+        if function is len and len(values) == 1:
+            of = values[0]
+            length = self.array_kind(node, of).shape[0] if not isinstance(of.const, tuple) else len(of.const)
+            if length is not None:
+                return self.const(length)
+        if not values or not all(isinstance(widened(v.kind), Scalar) for v in values):
+            raise self.refuse(node, ast.unparse(node)[:80], "numbers as arguments")
+        if all(v.is_const for v in values):
+            try:
+                return self.const(function(*(v.const for v in values)))
+            except (ArithmeticError, ValueError, TypeError):
+                pass
+        found = self._of_numbers(function, values)
+        if found is None:
+            raise self.refuse(
+                node, ast.unparse(node)[:80], f"abs, min, max, int, float, round, and {', '.join(SAME_IN_C)} of math"
+            )
+        return found
+
+    def _of_numbers(self, function: Any, values: list[Value]) -> Value | None:
+        first, name = values[0], getattr(function, "__name__", "")
+        module = "numpy" if isinstance(function, np.ufunc) else getattr(function, "__module__", "")
+        name = OF_NUMPY.get(name, name) if module == "numpy" else name
+        if function is float:
+            return Value(REAL, self.as_real(first), first.binds if first.kind == REAL else UNARY)
+        if function in (int, math.trunc):
+            return first if first.kind != REAL else Value(INT, f"tr_whole({first.code})")
+        if function is bool:
+            return self.truth(ast.Constant(0), first)
+        if function is abs or name == "fabs":
+            if widened(first.kind) == INT:
+                return Value(INT, f"tr_abs_int({first.code})")
+            return Value(REAL, f"{self.translator.call('fabs')}({self.as_real(first)})")
+        if function in (min, max) and len(values) > 1:
+            return self._extreme(name, values)
+        if function in (math.floor, math.ceil):
+            return Value(INT, f"tr_whole({self.translator.call(name)}({self.as_real(first)}))")
+        if name in ("isnan", "isfinite", "isinf"):
+            return Value(BOOL, f"{name}({first.code})")
+        if function in (np.remainder, np.mod):
+            return self.helped("modulo_real", values, REAL)
+        if name in SAME_IN_C and module in ("math", "numpy"):
+            return Value(REAL, f"{self.translator.call(name)}({', '.join(map(self.as_real, values))})")
+        return None
+
+    def _extreme(self, name: str, values: list[Value]) -> Value:
+        kind = joined(joined(INT, widened(values[0].kind)), widened(values[1].kind)) or REAL
+        found = self.helped(f"{name}_{'real' if kind == REAL else 'int'}", values[:2], kind)
+        return self._extreme(name, [found, *values[2:]]) if len(values) > 2 else found

@@ -1,0 +1,426 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Translates expressions: each becomes one expression of C with its kind, or a constant."""
+
+from __future__ import annotations
+
+import ast
+import builtins
+import math
+import operator
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from trackres_ros.errors import InputError
+from trackres_ros.export.functions import Instance, Translator, refused
+from trackres_ros.export.kinds import BOOL, INT, REAL, ArrayOf, Const, Kind, Record, Scalar, joined, safe, widened
+
+# How tightly C binds: a part that binds less tightly than what it stands in gets parentheses.
+TERNARY, OR, AND, BITS, COMPARED, SHIFTED, SUM, PRODUCT, UNARY, ATOM = range(10)
+OPERATORS: dict[type, tuple[str, int, Callable[..., Any]]] = {
+    ast.Add: ("+", SUM, operator.add),
+    ast.Sub: ("-", SUM, operator.sub),
+    ast.Mult: ("*", PRODUCT, operator.mul),
+    ast.Div: ("/", PRODUCT, operator.truediv),
+    ast.FloorDiv: ("/", PRODUCT, operator.floordiv),
+    ast.Mod: ("%", PRODUCT, operator.mod),
+    ast.Pow: ("**", PRODUCT, operator.pow),
+    ast.BitAnd: ("&", BITS, operator.and_),
+    ast.BitOr: ("|", BITS, operator.or_),
+    ast.BitXor: ("^", BITS, operator.xor),
+    ast.LShift: ("<<", SHIFTED, operator.lshift),
+    ast.RShift: (">>", SHIFTED, operator.rshift),
+}
+OF_WHOLE_NUMBERS = ("&", "|", "^", "<<", ">>")
+COMPARISONS: dict[type, tuple[str, Callable[..., Any]]] = {
+    ast.Lt: ("<", operator.lt),
+    ast.LtE: ("<=", operator.le),
+    ast.Gt: (">", operator.gt),
+    ast.GtE: (">=", operator.ge),
+    ast.Eq: ("==", operator.eq),
+    ast.NotEq: ("!=", operator.ne),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Value:
+    """What an expression gives: kind and code; of an array or record the parameter or variable that it is a part of; of a tuple
+    that stands there the parts.
+    """
+
+    kind: Kind
+    code: str
+    binds: int = ATOM
+    root: str | None = None
+    by_pointer: bool = False
+    parts: tuple[Value, ...] = ()
+
+    @property
+    def is_const(self) -> bool:
+        """Whether it is known now."""
+        return isinstance(self.kind, Const)
+
+    @property
+    def const(self) -> Any:
+        """What it is, if it is known now."""
+        return self.kind.value if isinstance(self.kind, Const) else None
+
+
+class Expressions:
+    """Translates the expressions of one function; `statements.Body` has its statements."""
+
+    def __init__(self, translator: Translator, one: Instance) -> None:
+        self.translator, self.one = translator, one
+        self.kinds: dict[str, Kind] = {}
+        self.pointers: set[str] = set()  # records that are parameters
+        self.written: set[str] = set()
+        self.parents: dict[str, str | None] = {}
+        self.calls: list[Instance] = []
+
+    # What is refused
+
+    def refuse(self, node: ast.AST, given: str, allowed: str) -> InputError:
+        """The refusal of a part of the source."""
+        return refused(self.one.source, node, given, allowed)
+
+    # Names
+
+    def value(self, node: ast.expr) -> Value:
+        """Translate an expression."""
+        method = getattr(self, f"_{type(node).__name__.lower()}", None)
+        if method is None:
+            raise self.refuse(node, ast.unparse(node)[:80], "an expression of numbers, arrays and calls")
+        found: Value = method(node)
+        return found
+
+    def const(self, value: Any) -> Value:
+        """A value that is known now."""
+        known = isinstance(value, bool | int | float | np.number | np.bool_)
+        if isinstance(value, np.generic):
+            value = value.item()
+        code = self.translator.literal(value) if known else ""
+        return Value(Const(value), code, UNARY if code.startswith("-") else ATOM)
+
+    def _constant(self, node: ast.Constant) -> Value:
+        if isinstance(node.value, bool | int | float) or node.value is None:
+            return self.const(node.value)
+        raise self.refuse(node, ast.unparse(node)[:80], "a number")
+
+    def _name(self, node: ast.Name) -> Value:
+        name = node.id
+        if name in self.kinds:
+            kind = self.kinds[name]
+            self.note_place(name)
+            if isinstance(kind, Const):
+                return self.const(kind.value)
+            return Value(kind, safe(name), ATOM, name, name in self.pointers)
+        function = self.one.function
+        closure = dict(zip(function.__code__.co_freevars, function.__closure__ or (), strict=True))
+        if name in closure:
+            return self.const(closure[name].cell_contents)
+        if name in function.__globals__:
+            return self.const(function.__globals__[name])
+        if hasattr(builtins, name):
+            return self.const(getattr(builtins, name))
+        raise self.refuse(node, f"the name {name}", "a name that has a value here")
+
+    def note_place(self, name: str) -> None:
+        """A variable is looked at in the block that is translated now."""
+
+    def _attribute(self, node: ast.Attribute) -> Value:
+        of = self.value(node.value)
+        if of.is_const:
+            value = of.const
+            if isinstance(value, np.ndarray) and node.attr == "shape":
+                return self.const(value.shape)
+            if (isinstance(value, ModuleType | tuple | type) or hasattr(value, "_fields")) and hasattr(value, node.attr):
+                return self.const(getattr(value, node.attr))
+            given = f"{ast.unparse(node)} of {'self' if value is None else type(value).__name__}"
+            raise self.refuse(node, given[:80], "an argument, a constant of the file, or math")
+        if isinstance(of.kind, ArrayOf) and node.attr == "shape":
+            if None in of.kind.shape:
+                raise self.refuse(node, ast.unparse(node), "the length of a whole array")
+            return self.const(of.kind.shape)
+        if isinstance(of.kind, ArrayOf) and node.attr in of.kind.names:
+            return Value(of.kind.of, f"{of.code}[{of.kind.names.index(node.attr)} /* {node.attr} */]")
+        if isinstance(of.kind, Record) and (part := of.kind.kind_of(node.attr)) is not None:
+            return self.part(of, node.attr, part)
+        raise self.refuse(node, ast.unparse(node)[:80], "an attribute that it has")
+
+    def part(self, of: Value, name: str, kind: Kind) -> Value:
+        """A part of a record."""
+        if isinstance(kind, Const):
+            return self.const(kind.value)
+        if isinstance(kind, Record) and not list(kind.stored()):
+            return Value(kind, "")
+        return Value(kind, f"{of.code}{'->' if of.by_pointer else '.'}{safe(name)}", ATOM, of.root)
+
+    # Tuples
+
+    def _tuple(self, node: ast.Tuple) -> Value:
+        return self.tuple_of(self.spread(node.elts))
+
+    def spread(self, nodes: Sequence[ast.expr]) -> list[Value]:
+        """Values one by one, those of a starred tuple too."""
+        found: list[Value] = []
+        for node in nodes:
+            found += self.parts(node, self.value(node.value)) if isinstance(node, ast.Starred) else [self.value(node)]
+        return found
+
+    def parts(self, node: ast.AST, of: Value) -> list[Value]:
+        """The parts of a tuple."""
+        if of.parts:
+            return list(of.parts)
+        if isinstance(of.const, tuple):
+            return [self.const(one) for one in of.const]
+        if isinstance(of.kind, Record):
+            return [self.part(of, name, kind) for name, kind in of.kind.fields]
+        raise self.refuse(node, ast.unparse(node)[:80], "a tuple")
+
+    def tuple_of(self, values: Sequence[Value], kind: Record | None = None) -> Value:
+        """A tuple of values, as a compound literal."""
+        if kind is None and all(v.is_const for v in values):
+            return self.const(tuple(v.const for v in values))
+        record = kind or Record("", tuple((f"f{i}", v.kind) for i, v in enumerate(values)))
+        for v in values:
+            if isinstance(v.kind, ArrayOf):
+                self.note_written(v)  # who has the pointer may change what it points to
+        code = f"({self.translator.struct(record)}){{{self.initial(values, record)}}}"
+        return Value(record, code, ATOM, None, False, tuple(values) if kind is None else ())
+
+    def initial(self, values: Sequence[Value], kind: Record) -> str:
+        """The parts of a struct in its initializer."""
+        stored = [self.as_kind(v, part) for v, (_, part) in zip(values, kind.fields, strict=True) if not isinstance(part, Const)]
+        return ", ".join(stored)
+
+    def as_kind(self, value: Value, kind: Kind) -> str:
+        """The code of a value where another kind is wanted."""
+        if isinstance(kind, Record):
+            if value.is_const and isinstance(value.const, tuple):
+                inner = self.initial([self.const(one) for one in value.const], kind)
+                return f"({self.translator.struct(kind)}){{{inner}}}"
+            if isinstance(value.kind, Record) and tuple(value.kind.stored()) != tuple(kind.stored()):
+                parts = value.parts or [self.part(value, name, of) for name, of in value.kind.fields]
+                return f"({self.translator.struct(kind)}){{{self.initial(parts, kind)}}}"
+            return f"*{value.code}" if value.by_pointer else value.code
+        if kind == REAL and value.is_const and not isinstance(value.const, np.ndarray):
+            return self.translator.literal(float(value.const))
+        if kind == REAL and self.translator.single and value.kind == INT:
+            return f"(float){self.within(value, UNARY)}"
+        if isinstance(kind, ArrayOf) and isinstance(value.const, np.ndarray):
+            return self.table(value, "table")
+        return value.code
+
+    def table(self, value: Value, name: str) -> str:
+        """The name of a table of constants."""
+        return self.translator.table(value.const, name)
+
+    # Subscripts
+
+    def _subscript(self, node: ast.Subscript) -> Value:
+        return self.subscript(node, self.value(node.value))
+
+    def subscript(self, node: ast.Subscript, of: Value) -> Value:
+        """An entry of an array or tuple, or a view."""
+        indices = list(node.slice.elts) if isinstance(node.slice, ast.Tuple) else [node.slice]
+        if isinstance(of.const, tuple) or isinstance(of.kind, Record):
+            index = self.value(indices[0])
+            if index.is_const and isinstance(index.const, int):
+                return self.parts(node, of)[index.const]
+            if isinstance(of.const, tuple) and all(isinstance(x, int | float) for x in of.const):
+                return Value(widened(Const(sum(of.const))), f"{self.table(of, ast.unparse(node.value))}[{index.code}]")
+            raise self.refuse(node, ast.unparse(node)[:80], "a place in a tuple that is known")
+        array = self.array_kind(node, of)
+        if len(indices) > len(array.shape):
+            raise self.refuse(node, ast.unparse(node)[:80], f"at most {len(array.shape)} places")
+        if isinstance(indices[-1], ast.Slice):
+            return self._view(node, of, array, indices)
+        places = [self.value(index) for index in indices]
+        if len(places) == len(array.shape) and isinstance(of.const, np.ndarray) and all(p.is_const for p in places):
+            return self.const(of.const[tuple(p.const for p in places)].item())
+        name = self.table(of, ast.unparse(node.value)) if isinstance(of.const, np.ndarray) else of.code
+        offset = self.offset(node, array, places, indices)
+        if len(places) == len(array.shape):
+            return Value(array.of, f"{name}[{offset}]", ATOM, of.root)
+        return Value(ArrayOf(array.of, array.shape[len(places) :]), f"&{name}[{offset}]", UNARY, of.root)
+
+    def array_kind(self, node: ast.AST, of: Value) -> ArrayOf:
+        """The kind of an array, constant or not."""
+        if isinstance(of.kind, ArrayOf):
+            return of.kind
+        if isinstance(of.const, np.ndarray):
+            return ArrayOf(INT if of.const.dtype.kind in "iu" else REAL, of.const.shape)
+        raise self.refuse(node, ast.unparse(node)[:80], "an array or a tuple")
+
+    def offset(self, node: ast.AST, array: ArrayOf, places: Sequence[Value], nodes: Sequence[ast.expr]) -> str:
+        """Where an entry stands in an array in C order."""
+        known, terms = 0, []
+        for axis, place in enumerate(places):
+            inner = array.shape[axis + 1 :]
+            if None in inner or not (place.kind in (INT, BOOL) or isinstance(place.const, int)):
+                raise self.refuse(node, ast.unparse(node)[:80], "whole numbers as places, in an array of known shape")
+            stride = math.prod(n for n in inner if n is not None)
+            if place.is_const:
+                known += stride * place.const
+            else:
+                terms.append(f"{self.within(place, PRODUCT)} * {stride}" if stride != 1 else self.within(place, SUM))
+        named = [ast.unparse(n).rpartition(".")[2] for n in nodes if isinstance(n, ast.Name | ast.Attribute)]
+        named = [name for name in named if name.isupper()]
+        text = [*terms, f"{known}{f' /* {named[-1]} */' if named else ''}"] if known or not terms or named else terms
+        return " + ".join(text)
+
+    def _view(self, node: ast.Subscript, of: Value, array: ArrayOf, indices: Sequence[ast.expr]) -> Value:
+        """A part of the last axis of an array."""
+        last = indices[-1]
+        if not isinstance(last, ast.Slice) or last.step is not None or len(indices) != len(array.shape):
+            raise self.refuse(node, ast.unparse(node)[:80], "a slice of the last axis, without a step")
+        first = self.value(last.lower) if last.lower else self.const(0)
+        end = self.value(last.upper) if last.upper else self.const(array.shape[-1])
+        known = first.is_const and end.is_const and end.const is not None
+        length = max(min(end.const, array.shape[-1] or end.const) - first.const, 0) if known else None
+        places = [*(self.value(index) for index in indices[:-1]), first]
+        name = self.table(of, ast.unparse(node.value)) if isinstance(of.const, np.ndarray) else of.code
+        offset = self.offset(node, array, places, [*indices[:-1], *([last.lower] if last.lower else [])])
+        return Value(ArrayOf(array.of, (length,)), f"&{name}[{offset}]", UNARY, of.root)
+
+    def note_written(self, value: Value) -> None:
+        """What an array or record is a part of is changed here."""
+        if value.root is not None:
+            self.written.add(value.root)
+
+    # Arithmetic
+
+    def within(self, value: Value, binds: int) -> str:
+        """The code of a value inside of an operator."""
+        return value.code if value.binds >= binds else f"({value.code})"
+
+    def truth(self, node: ast.AST, value: Value) -> Value:
+        """A value as a condition."""
+        if value.is_const and isinstance(value.const, bool | int | float):
+            return self.const(bool(value.const))
+        if value.kind == BOOL:
+            return value
+        if value.kind in (INT, REAL):
+            return Value(BOOL, f"{self.within(value, SHIFTED)} != 0", COMPARED)
+        raise self.refuse(node, ast.unparse(node)[:80], "a condition")
+
+    def _binop(self, node: ast.BinOp) -> Value:
+        return self.binary(node, node.op, self.value(node.left), self.value(node.right))
+
+    def binary(self, node: ast.AST, op: ast.operator, left: Value, right: Value) -> Value:
+        """Two numbers and an operator between them."""
+        if type(op) not in OPERATORS or not all(isinstance(widened(v.kind), Scalar) for v in (left, right)):
+            raise self.refuse(node, ast.unparse(node)[:80], "numbers, with operators of numbers between them")
+        sign, binds, python = OPERATORS[type(op)]
+        if left.is_const and right.is_const:
+            try:
+                return self.const(python(left.const, right.const))
+            except (ArithmeticError, ValueError, TypeError):
+                pass
+        kind = max(widened(left.kind), widened(right.kind), INT, key=lambda k: (k == REAL, k == INT))
+        if sign == "**":
+            return self._power(left, right)
+        if sign in ("%", "/") and isinstance(op, ast.Mod | ast.FloorDiv):
+            which = "modulo" if isinstance(op, ast.Mod) else "floored"
+            return self.helped(f"{which}_{'real' if kind == REAL else 'int'}", [left, right], kind)
+        if sign == "/":
+            kind = REAL
+            if left.kind != REAL and right.kind != REAL:
+                left = Value(REAL, self.as_real(left), UNARY)
+        if sign in OF_WHOLE_NUMBERS and kind == REAL:
+            raise self.refuse(node, ast.unparse(node)[:80], "whole numbers")
+        if sign in OF_WHOLE_NUMBERS and left.kind == right.kind == BOOL:
+            kind = BOOL
+        if kind == REAL:
+            left, right = self._real_pair(left, right)
+        low = SUM if sign in ("<<", ">>") else UNARY if sign in ("&", "|", "^") else binds
+        code = f"{self.within(left, low)} {sign} {self.within(right, low if sign in OF_WHOLE_NUMBERS else binds + 1)}"
+        return Value(kind, code, binds)
+
+    def _real_pair(self, left: Value, right: Value) -> tuple[Value, Value]:
+        """Constants of both as real numbers, and of a `float` no part that is wider."""
+        both = []
+        for v in (left, right):
+            code = self.as_kind(v, REAL)
+            both.append(v if code == v.code else replace(v, code=code, binds=UNARY))
+        return both[0], both[1]
+
+    def as_real(self, value: Value) -> str:
+        """The code of a number as a real one."""
+        if value.is_const:
+            return self.translator.literal(float(value.const))
+        return value.code if value.kind == REAL else f"({self.translator.number(REAL)}){self.within(value, UNARY)}"
+
+    def _power(self, base: Value, exponent: Value) -> Value:
+        if exponent.is_const and exponent.const == 2 and base.code.replace("_", "").isalnum():
+            return Value(widened(base.kind), f"{base.code} * {base.code}", PRODUCT)
+        return Value(REAL, f"{self.translator.call('pow')}({self.as_real(base)}, {self.as_real(exponent)})")
+
+    def _unaryop(self, node: ast.UnaryOp) -> Value:
+        of = self.value(node.operand)
+        if isinstance(node.op, ast.Not):
+            truth = self.truth(node, of)
+            return self.const(not truth.const) if truth.is_const else Value(BOOL, f"!{self.within(truth, UNARY)}", UNARY)
+        if not isinstance(widened(of.kind), Scalar) or not isinstance(node.op, ast.USub | ast.UAdd):
+            raise self.refuse(node, ast.unparse(node)[:80], "a number with a sign, or not")
+        if isinstance(node.op, ast.UAdd):
+            return of
+        return self.const(-of.const) if of.is_const else Value(widened(of.kind), f"-{self.within(of, ATOM)}", UNARY)
+
+    def _boolop(self, node: ast.BoolOp) -> Value:
+        stops = isinstance(node.op, ast.Or)  # the value that decides
+        kept: list[Value] = []
+        for one in node.values:
+            truth = self.truth(one, self.value(one))
+            if truth.is_const:
+                if truth.const is stops:
+                    kept.append(truth)
+                    break
+                continue
+            kept.append(truth)
+        if not kept or (len(kept) == 1 and kept[0].is_const):
+            return kept[0] if kept else self.const(not stops)
+        if len(kept) == 1:
+            return kept[0]
+        sign, binds = ("||", OR) if stops else ("&&", AND)
+        return Value(BOOL, f" {sign} ".join(self.within(v, COMPARED) for v in kept), binds)
+
+    def _compare(self, node: ast.Compare) -> Value:
+        values = [self.value(one) for one in (node.left, *node.comparators)]
+        found: list[str] = []
+        for op, left, right in zip(node.ops, values, values[1:], strict=False):
+            if type(op) not in COMPARISONS or not all(isinstance(widened(v.kind), Scalar) for v in (left, right)):
+                raise self.refuse(node, ast.unparse(node)[:80], "numbers that are compared")
+            sign, python = COMPARISONS[type(op)]
+            if left.is_const and right.is_const:
+                if not python(left.const, right.const):
+                    return self.const(False)
+                continue
+            if REAL in (left.kind, right.kind):
+                left, right = self._real_pair(left, right)
+            found.append(f"{self.within(left, SHIFTED)} {sign} {self.within(right, SHIFTED)}")
+        if not found:
+            return self.const(True)
+        return Value(BOOL, found[0], COMPARED) if len(found) == 1 else Value(BOOL, " && ".join(found), AND)
+
+    def _ifexp(self, node: ast.IfExp) -> Value:
+        test = self.truth(node.test, self.value(node.test))
+        if test.is_const:
+            return self.value(node.body if test.const else node.orelse)
+        one, other = self.value(node.body), self.value(node.orelse)
+        kind = joined(widened(one.kind), other.kind)
+        if kind is None or isinstance(kind, Const):
+            raise self.refuse(node, ast.unparse(node)[:80], "two values of one kind")
+        codes = [v.code if isinstance(kind, Scalar) and not v.is_const else self.as_kind(v, kind) for v in (one, other)]
+        first = codes[0] if one.binds > TERNARY else f"({codes[0]})"
+        return Value(kind, f"{self.within(test, OR)} ? {first} : {codes[1]}", TERNARY)
+
+    def helped(self, name: str, values: Sequence[Value], kind: Kind) -> Value:
+        """A call of a function of the file's own, see templates/helpers.c."""
+        codes = [self.as_kind(v, kind) for v in values]
+        return Value(kind, f"tr_{name}({', '.join(codes)})")

@@ -1,0 +1,189 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Packs the exported step as an FMU: FMI 3.0 for co-simulation, with its sources and a library for this machine."""
+
+from __future__ import annotations
+
+import platform
+import shutil
+import subprocess
+import tempfile
+import uuid
+import zipfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as Xml
+
+import trackres_ros as tr
+from trackres_ros.effects import stepping
+from trackres_ros.errors import InputError
+from trackres_ros.export.c_source import TEMPLATES, CSource, filled, in_c
+from trackres_ros.export.exporting import Request, translated
+from trackres_ros.files.output_files import output_file
+
+MODEL = "trackres"
+SOURCES = ("trackres.c", "fmi3.c")
+COMPILERS = ("cc", "gcc", "clang")
+FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared", "-fvisibility=hidden")
+TUNED = {
+    "bearing_friction": ("1", "friction of the bearings, or of all that rolls, over the weight"),
+    "drag_area": ("m2", "drag coefficient times frontal area"),
+    "air_density": ("kg/m3", "density of the air"),
+    "rotating_mass_factor": ("1", "mass with what rotates, over the mass"),
+    "nominal_ambient": ("degC", "ambient temperature where none is given"),
+    "feedforward_rate": ("N.m/s", "largest change of the feed-forward"),
+    "feedforward_limit": ("N.m", "largest feed-forward"),
+}
+"""Numbers of the kernel that are parameters of an FMU: unit and meaning."""
+UNITS = {
+    "1": {}, "m": {"m": "1"}, "m/s": {"m": "1", "s": "-1"}, "m/s2": {"m": "1", "s": "-2"}, "rad": {"rad": "1"},
+    "rad/s": {"rad": "1", "s": "-1"}, "N": {"kg": "1", "m": "1", "s": "-2"}, "N.m": {"kg": "1", "m": "2", "s": "-2"},
+    "N.m/s": {"kg": "1", "m": "2", "s": "-3"}, "W": {"kg": "1", "m": "2", "s": "-3"}, "K": {"K": "1"},
+    "degC": {"K": "1", "offset": "273.15"}, "m2": {"m": "2"}, "kg/m3": {"kg": "1", "m": "-3"}, "s": {"s": "1"},
+}  # fmt: skip
+"""Units by their exponents of SI."""
+BY_SUFFIX = {
+    "mps": "m/s", "mps2": "m/s2", "n": "N", "nm": "N.m", "degc": "degC", "k": "K", "w": "W", "radps": "rad/s", "rad": "rad",
+    "m": "m",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Variable:
+    """A variable of the FMU: its place in an instance as C writes it, and what the model description says of it."""
+
+    name: str
+    place: str
+    causality: str
+    unit: str = "1"
+    text: str = ""
+    start: float | None = None
+    rows: int = 1
+    stride: str = "0"
+
+
+def export_fmu(request: Request, path: Path) -> Path:
+    """Write an FMU.
+
+    Raises
+    ------
+    InputError
+        See `translated`; where there is no compiler for its library, and for numbers that are `float`.
+    """
+    file = output_file(path, (".fmu",))
+    compiler = next((one for one in COMPILERS if shutil.which(one)), None)
+    if compiler is None:
+        raise InputError("export fmu", "no C compiler", f"one of {', '.join(COMPILERS)}", "install one: apt install gcc")
+    source = translated(request, tuple(TUNED))
+    variables = list(_variables(source))
+    token = f"{{{uuid.uuid5(uuid.NAMESPACE_URL, f'trackres/{source.version()}/{len(variables)}')}}}"
+    texts = {name: text for name, text in source.files().items() if name in ("trackres.c", "trackres.h")}
+    texts["fmi3.c"] = filled((TEMPLATES / "fmi3.c").read_text(encoding="utf-8"), _places(variables, token))
+    with tempfile.TemporaryDirectory() as folder:
+        for name, text in texts.items():
+            (Path(folder) / name).write_text(text, encoding="utf-8")
+        library = Path(folder) / f"{MODEL}.so"
+        words = [compiler, *FLAGS, *SOURCES, "-o", library.name, "-lm"]
+        done = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise InputError("export fmu", done.stderr[-200:], f"C that {compiler} takes", "report this with the vehicle file")
+        description = _description(source, variables, token)
+        with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as packed:
+            packed.writestr("modelDescription.xml", description)
+            packed.writestr("sources/buildDescription.xml", _build_description())
+            for name, text in texts.items():
+                packed.writestr(f"sources/{name}", text)
+            packed.writestr(f"binaries/{platform.machine()}-linux/{MODEL}.so", library.read_bytes())
+    return file
+
+
+def _variables(source: CSource) -> Iterator[Variable]:
+    """All variables, the time first; the place in this order is their value reference."""
+    yield Variable("time", "offsetof(struct instance, time)", "independent", "s")
+    for name in source.inputs.values():
+        start = 0.0 if name == "speed_mps" else float("nan")
+        yield Variable(f"inputs/{name}", f"offsetof(struct instance, inputs.{in_c(name)})", "input", _unit(name), "", start)
+    for name in source.columns:
+        yield Variable(name, f"offsetof(struct instance, outputs.{in_c(name)})", "output", _unit(name))
+    for i, (name, (unit, text)) in enumerate(TUNED.items()):
+        start = float(getattr(source.estimator.constants.number, name))
+        yield Variable(name, f"offsetof(struct instance, state.tuned) + {i} * sizeof(double)", "parameter", unit, text, start)
+    yield from _of_effects(source)
+
+
+def _of_effects(source: CSource) -> Iterator[Variable]:
+    """Parameters of effects: each stands in the effect's row and in those behind it that are a standard deviation off."""
+    k = source.estimator.constants
+    width = k.effect_values.shape[1] if k.effect_values.ndim > 1 else 0
+    states = k.effects[:, stepping.STATE].tolist()
+    for state, active in enumerate(source.parts.active):
+        first, rows = states.index(state), states.count(state)
+        for i, q in enumerate(active.effect.parameters):
+            if q.is_fixed or (active.effect.acts_on == "cooling" and q.unit == "K/W"):  # the number of nodes follows from it
+                continue
+            place = f"offsetof(struct instance, state.effect_values) + {first * width + i} * sizeof(double)"
+            unit, text = q.unit.replace("Nm", "N.m").replace("^", ""), f"{q.text} [{q.unit}]"
+            yield Variable(
+                f"effects/{active.effect.name}/{q.name}", place, "parameter", unit if unit in UNITS else "1", text,
+                float(active.values[q.name]), rows, f"{width} * sizeof(double)",
+            )  # fmt: skip
+
+
+def _unit(name: str) -> str:
+    return BY_SUFFIX.get(name.partition("/")[0].rpartition("_")[2], "1")
+
+
+def _places(variables: list[Variable], token: str) -> dict[str, str]:
+    lines = [
+        f"    {{{v.place}, {v.rows}, {v.stride}, {'true' if v.causality in ('input', 'parameter') else 'false'}}}, /* {v.name} */"
+        for v in variables
+    ]
+    counts = {"VARIABLE_COUNT": len(variables), "OF_REASONS": len(variables), "OF_LEVEL": len(variables) + 1}
+    return {"TOKEN": token, "VARIABLES": "\n".join(lines), **{name: str(count) for name, count in counts.items()}}
+
+
+def _description(source: CSource, variables: list[Variable], token: str) -> bytes:
+    """modelDescription.xml."""
+    vehicle = source.estimator.vehicle
+    root = Xml.Element(
+        "fmiModelDescription", fmiVersion="3.0", modelName=vehicle.name, instantiationToken=token, description=vehicle.title,
+        generationTool=f"trackres_ros {tr.__version__}", variableNamingConvention="structured",
+    )  # fmt: skip
+    can: dict[str, Any] = dict.fromkeys(
+        ("canHandleVariableCommunicationStepSize", "canGetAndSetFMUState", "canSerializeFMUState"), "true"
+    )
+    Xml.SubElement(root, "CoSimulation", modelIdentifier=MODEL, **can)
+    units = Xml.SubElement(root, "UnitDefinitions")
+    for name in sorted({v.unit for v in variables}):
+        Xml.SubElement(Xml.SubElement(units, "Unit", name=name), "BaseUnit", UNITS[name])
+    known = Xml.SubElement(root, "ModelVariables")
+    for reference, v in enumerate(variables):
+        more: dict[str, Any] = {"description": v.text} if v.text else {}
+        more |= {} if v.start is None else {"start": "NaN" if v.start != v.start else repr(v.start)}
+        variability = "tunable" if v.causality == "parameter" else "continuous"
+        Xml.SubElement(
+            known, "Float64", name=v.name.replace("/", "."), valueReference=str(reference), causality=v.causality,
+            variability=variability, unit=v.unit, **more,
+        )  # fmt: skip
+    outputs = [reference for reference, v in enumerate(variables) if v.causality == "output"]
+    for reference, (kind, name) in enumerate((("UInt32", "reasons"), ("Int32", "level")), len(variables)):
+        outputs.append(reference)
+        Xml.SubElement(known, kind, name=name, valueReference=str(reference), causality="output", variability="discrete")
+    structure = Xml.SubElement(root, "ModelStructure")
+    for element in ("Output", "InitialUnknown"):
+        for reference in outputs:
+            Xml.SubElement(structure, element, valueReference=str(reference))
+    Xml.indent(root)
+    return bytes(Xml.tostring(root, "utf-8", xml_declaration=True))
+
+
+def _build_description() -> bytes:
+    root = Xml.Element("fmiBuildDescription", fmiVersion="3.0")
+    build = Xml.SubElement(root, "BuildConfiguration", modelIdentifier=MODEL)
+    files = Xml.SubElement(build, "SourceFileSet", language="C99")
+    for name in SOURCES:
+        Xml.SubElement(files, "SourceFile", name=name)
+    return bytes(Xml.tostring(root, "utf-8", xml_declaration=True))

@@ -1,0 +1,274 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Functions in the restricted Python of the kernels come in, and all that they call; functions in C99 go out.
+
+A function is translated once for each set of kinds that it is called with. What is constant in a vehicle, as its tables and the
+shapes of its arrays, is no argument in C: branches that it closes and arguments that nobody reads are left out.
+"""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import re
+import textwrap
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from types import FunctionType
+from typing import Any, cast
+
+import numpy as np
+
+from trackres_ros.errors import InputError
+from trackres_ros.export.kinds import BOOL, INT, REAL, ArrayOf, Const, Kind, Record, Scalar, literal, safe, words
+
+MOST_COLUMNS = 130  # of a line of C
+A_LINE = 5  # numbers of a table
+REMEDY = "write it with numbers, if, for, while and math, as docs/own-effect.md shows"
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """Where a function stands: its tree, the file and the first line of the tree in it."""
+
+    tree: ast.FunctionDef
+    file: str
+    line: int
+
+    @property
+    def summary(self) -> str:
+        """First line of the docstring."""
+        return (ast.get_docstring(self.tree) or "").split("\n")[0]
+
+
+@dataclass(eq=False)
+class Instance:
+    """A function for the kinds that it is called with.
+
+    Attributes
+    ----------
+    arguments
+        Name and kind of each parameter, constants among them.
+    returns
+        Kind of what it gives; None of nothing.
+    text
+        Its body in C.
+    reads, writes
+        Parameters that it reads, and arrays among them that it changes.
+    calls
+        The instances that it calls.
+    """
+
+    function: FunctionType
+    source: Source
+    name: str
+    arguments: dict[str, Kind]
+    returns: Kind | None = None
+    text: str = ""
+    reads: set[str] = field(default_factory=set)
+    writes: set[str] = field(default_factory=set)
+    calls: list[Instance] = field(default_factory=list)
+    done: bool = False
+
+    @property
+    def given(self) -> list[tuple[str, Kind]]:
+        """The parameters that it has in C."""
+        return [(n, k) for n, k in self.arguments.items() if n in self.reads and not isinstance(k, Const)]
+
+    @property
+    def changes_something(self) -> bool:
+        """Whether a call does more than give a value."""
+        return bool(self.writes)
+
+
+class Translator:
+    """Keeps what was translated, and what of structs and tables it needs.
+
+    Parameters
+    ----------
+    translate
+        Fills in an instance: `statements.translate_body`.
+    single
+        Whether numbers are `float` in C instead of `double`.
+    """
+
+    def __init__(self, translate: Callable[[Translator, Instance], None], single: bool = False) -> None:
+        self._translate, self.single = translate, single
+        self.instances: dict[Any, Instance] = {}
+        self.structs: dict[Any, tuple[str, Record]] = {}
+        self.tables: dict[int, tuple[str, Any]] = {}
+        self.intrinsics: dict[Any, Callable[..., Any]] = {}
+        self.sources: dict[Any, Source] = {}
+        self.table_names: dict[int, str] = {}
+        self._names: set[str] = set()
+        self._running: list[Instance] = []
+
+    # Functions
+
+    def instance(self, function: FunctionType, kinds: Sequence[Kind]) -> Instance:
+        """The translation of a function for arguments of these kinds.
+
+        Raises
+        ------
+        InputError
+            With file and line, of what cannot be written in C.
+        """
+        key = (id(function), tuple(kinds))
+        if key not in self.instances:
+            source = self.source(function)
+            names = [argument.arg for argument in source.tree.args.args]
+            one = Instance(function, source, "", dict(zip(names, kinds, strict=True)))
+            one.name = self.unused(f"tr_{function.__name__}")
+            self.instances[key] = one
+            self._running.append(one)
+            self._translate(self, one)
+            one.done = True
+            self._running.pop()
+        found = self.instances[key]
+        if not found.done:
+            raise refused(found.source, found.source.tree, f"{function.__name__} calls itself", "a loop instead")
+        return found
+
+    def source(self, function: FunctionType) -> Source:
+        """The source of a function."""
+        if function not in self.sources:
+            try:
+                lines, line = inspect.getsourcelines(function)
+            except (OSError, TypeError) as error:
+                raise InputError(f"export: {function.__qualname__}", "no source", "a function in a file", REMEDY) from error
+            tree = ast.parse(textwrap.dedent("".join(lines))).body[0]
+            if not isinstance(tree, ast.FunctionDef):
+                raise InputError(f"{inspect.getsourcefile(function)}:{line}", "no plain function", "a function with def", REMEDY)
+            self.sources[function] = Source(tree, str(inspect.getsourcefile(function)), line)
+        return self.sources[function]
+
+    def add_text(self, function: FunctionType, text: str) -> None:
+        """Say what the source of a function is that stands in no file."""
+        self.sources[function] = Source(cast(ast.FunctionDef, ast.parse(text).body[0]), "<export>", 1)
+
+    def unused(self, name: str) -> str:
+        """A name in C that nothing else has."""
+        found, number = name, 1
+        while found in self._names:
+            number += 1
+            found = f"{name}_{number}"
+        self._names.add(found)
+        return found
+
+    # Structs and tables
+
+    def struct(self, kind: Record) -> str:
+        """The struct of a record."""
+        key = tuple(kind.stored()), kind.name
+        if key not in self.structs:
+            short = {REAL: "d", INT: "i", BOOL: "b"}
+            letters = "".join(short.get(part, "p") if isinstance(part, Scalar) else "p" for _, part in kind.stored())
+            for _, part in kind.stored():
+                self.declared(part)
+            self.structs[key] = (self.unused(f"tr_{kind.name or letters}"), kind)
+        return f"struct {self.structs[key][0]}"
+
+    def declared(self, kind: Kind | None, changes: bool = True) -> str:
+        """The type of a variable of this kind; of an array a pointer, with a blank or star at its end."""
+        if kind is None:
+            return "void "
+        if isinstance(kind, ArrayOf):
+            return f"{'' if changes else 'const '}{self.number(kind.of)} *"
+        if isinstance(kind, Record):
+            return f"{self.struct(kind)} "
+        if isinstance(kind, Scalar):
+            return f"{self.number(kind)} "
+        raise TypeError(f"no variable of {kind}")
+
+    def number(self, kind: Scalar) -> str:
+        """The type of a number."""
+        return "float" if kind == REAL and self.single else kind.name
+
+    def table(self, value: Any, name: str) -> str:
+        """The name in C of a constant array or tuple of numbers."""
+        if id(value) not in self.tables:
+            known_as = self.table_names.get(id(value), name.rpartition(".")[2])
+            self.tables[id(value)] = (self.unused(f"TR_{words(known_as).strip('_').upper()}"), value)
+        return self.tables[id(value)][0]
+
+    def literal(self, value: Any) -> str:
+        """A constant number."""
+        return literal(value, self.single)
+
+    def call(self, function: str) -> str:
+        """A function of math.h."""
+        return f"{function}f" if self.single else function
+
+    # Text
+
+    def text_of_structs(self, functions: str) -> str:
+        """Declarations of the structs that functions use."""
+        needed = {name for name, _ in self.structs.values() if re.search(rf"struct {name}\b", functions)}
+        for name, kind in reversed(self.structs.values()):
+            if name in needed:
+                needed |= {self.structs[tuple(p.stored()), p.name][0] for _, p in kind.stored() if isinstance(p, Record)}
+        lines = []
+        for name, kind in self.structs.values():
+            if name not in needed:
+                continue
+            parts = "".join(f"    {self.declared(part)}{safe(field)};\n" for field, part in kind.stored())
+            lines.append(f"struct {name} {{\n{parts or '    char nothing;'}}};\n")
+        return "\n".join(lines)
+
+    def text_of_tables(self) -> str:
+        """All tables."""
+        lines = []
+        for name, value in self.tables.values():
+            array = np.asarray(value)
+            kind = self.number(INT if array.dtype.kind in "iu" else REAL)
+            numbers = [self.literal(one) for one in array.ravel().tolist()]
+            body = ",\n".join(f"    {', '.join(numbers[i : i + A_LINE])}" for i in range(0, len(numbers), A_LINE))
+            shape = " x ".join(map(str, array.shape))
+            lines.append(f"static const {kind} {name}[{array.size}] = {{ /* {shape} */\n{body}\n}};\n")
+        return "\n".join(lines)
+
+    def text_of_functions(self, roots: Sequence[Instance]) -> str:
+        """All functions that the roots call, and they themselves, each behind those that it calls."""
+        ordered: dict[int, Instance] = {}
+
+        def visit(one: Instance) -> None:
+            if id(one) not in ordered:
+                for other in one.calls:
+                    visit(other)
+                ordered[id(one)] = one
+
+        for root in roots:
+            visit(root)
+        return "\n".join(self._text_of(one) for one in ordered.values())
+
+    def _text_of(self, one: Instance) -> str:
+        where = one.source.file.partition("trackres_ros/")[2] or one.source.file.rsplit("/", 1)[-1]
+        comment = f"{one.source.summary} ({where})".replace("*/", "* /").encode("ascii", "replace").decode()
+        lines = [f"/* {comment} */", self.head(one), "{", *one.text.splitlines(), "}"]
+        return "\n".join(map(_short, lines)) + "\n"
+
+    def head(self, one: Instance) -> str:
+        """Name and parameters of a function."""
+        parameters = []
+        for name, kind in one.given:
+            if isinstance(kind, Record):
+                parameters.append(f"const {self.struct(kind)} *{safe(name)}")
+            else:
+                parameters.append(f"{self.declared(kind, name in one.writes)}{safe(name)}")
+        returns = None if isinstance(one.returns, Const) else one.returns
+        return f"static {self.declared(returns)}{one.name}({', '.join(parameters) or 'void'})"
+
+
+def _short(line: str) -> str:
+    """A line of C over several, where it is too long for one."""
+    if len(line) <= MOST_COLUMNS:
+        return line
+    indent = " " * (len(line) - len(line.lstrip()))
+    return textwrap.fill(line, MOST_COLUMNS, subsequent_indent=indent + "    ", break_long_words=False, break_on_hyphens=False)
+
+
+def refused(source: Source, node: ast.AST, given: str, allowed: str) -> InputError:
+    """The refusal of what cannot be written in C, with its line."""
+    line = source.line + int(getattr(node, "lineno", 1)) - 1
+    return InputError(f"{source.file}:{line}", given, allowed, REMEDY)

@@ -1,0 +1,150 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The kinds of value that a translated function works with, and how C writes each."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+MOST_OF_INT = 2**31 - 1
+NOT_FOR_NAMES = frozenset((
+    "auto", "bool", "break", "case", "char", "const", "continue", "default", "do", "double", "else", "enum", "extern", "false",
+    "float", "for", "goto", "if", "inline", "int", "long", "register", "restrict", "return", "short", "signed", "sizeof",
+    "static", "struct", "switch", "true", "typedef", "union", "unsigned", "void", "volatile", "while",
+))  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Scalar:
+    """A number or a truth value, by its name in C."""
+
+    name: str
+
+
+REAL, INT, BOOL = Scalar("double"), Scalar("int64_t"), Scalar("bool")
+WIDTHS = {BOOL: 0, INT: 1, REAL: 2}
+
+
+@dataclass(frozen=True, slots=True)
+class ArrayOf:
+    """A pointer to numbers in C order. A length is None where it is not known; `names` of entries, where they have names."""
+
+    of: Scalar
+    shape: tuple[int | None, ...]
+    names: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """A tuple, named or not: a struct of those parts that are not constants."""
+
+    name: str
+    fields: tuple[tuple[str, Kind], ...]
+
+    def kind_of(self, name: str) -> Kind | None:
+        """Kind of a part; None without one of that name."""
+        return dict(self.fields).get(name)
+
+    def stored(self) -> Iterator[tuple[str, Kind]]:
+        """The parts that the struct has."""
+        return ((name, kind) for name, kind in self.fields if not isinstance(kind, Const))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Const:
+    """A value that is known when the code is written; arrays, functions and modules are so by their identity."""
+
+    value: Any
+    key: Any = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "key", _key(self.value))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Const) and self.key == other.key
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+
+Kind = Scalar | ArrayOf | Record | Const
+
+
+def _key(value: Any) -> Any:
+    if isinstance(value, bool | int | float):
+        return type(value).__name__, repr(value)
+    if isinstance(value, tuple):
+        return (type(value).__name__, *map(_key, value))
+    return id(value)
+
+
+def record_of(value: tuple[Any, ...], kinds: tuple[Kind, ...] | None = None) -> Record:
+    """The record of a tuple: with the fields of a named one, else numbered."""
+    fields = getattr(type(value), "_fields", tuple(f"f{i}" for i in range(len(value))))
+    name = words(type(value).__name__) if hasattr(type(value), "_fields") else ""
+    return Record(name, tuple(zip(fields, kinds or tuple(Const(one) for one in value), strict=True)))
+
+
+def words(name: str) -> str:
+    """`VehicleConstants` as `vehicle_constants`."""
+    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
+
+
+def widened(kind: Kind) -> Kind:
+    """The kind of a variable that holds such a value; of what no variable can hold, the constant itself."""
+    if isinstance(kind, Record):
+        return Record(kind.name, tuple((name, widened(part)) for name, part in kind.fields))
+    if not isinstance(kind, Const):
+        return kind
+    value = kind.value
+    if isinstance(value, tuple):
+        return widened(record_of(value))
+    for python, scalar in ((bool | np.bool_, BOOL), (int | np.integer, INT), (float | np.floating, REAL)):
+        if isinstance(value, python):
+            return scalar
+    return kind
+
+
+def joined(one: Kind | None, other: Kind) -> Kind | None:
+    """The kind of a variable that holds either; None where C has none."""
+    if one is None or one == other:
+        return other
+    one, other = widened(one), widened(other)
+    if isinstance(one, Scalar) and isinstance(other, Scalar):
+        return max(one, other, key=WIDTHS.__getitem__)
+    if isinstance(one, Record) and isinstance(other, Record) and len(one.fields) == len(other.fields):
+        parts = [joined(a, b) for (_, a), (_, b) in zip(one.fields, other.fields, strict=True)]
+        if None not in parts:
+            names = [name for name, _ in one.fields]
+            return Record(one.name or other.name, tuple(zip(names, parts, strict=True)))  # type: ignore[arg-type]
+    if isinstance(one, ArrayOf) and isinstance(other, ArrayOf) and one.of == other.of and len(one.shape) == len(other.shape):
+        return ArrayOf(one.of, tuple(a if a == b else None for a, b in zip(one.shape, other.shape, strict=True)))
+    return one if one == other else None
+
+
+def literal(value: Any, single: bool) -> str:
+    """A constant number as C writes it."""
+    if isinstance(value, bool | np.bool_):
+        return "true" if value else "false"
+    if isinstance(value, int | np.integer):
+        whole = int(value)
+        return f"INT64_C({whole})" if abs(whole) > MOST_OF_INT else str(whole)
+    number = float(np.float32(value)) if single else float(value)
+    if math.isnan(number):
+        return "NAN"
+    if math.isinf(number):
+        return "INFINITY" if number > 0 else "-INFINITY"
+    text = str(np.float32(number)) if single else repr(number)
+    return (text if "e" in text or "." in text else f"{text}.0") + "f" * single
+
+
+def safe(name: str) -> str:
+    """A name that is no word of C."""
+    return f"{name}_" if name in NOT_FOR_NAMES else name

@@ -1,0 +1,228 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""What of an estimator becomes C: constants that are written into the code, arrays that are the state, effects by number."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from types import FunctionType
+from typing import Any
+
+import numpy as np
+
+from trackres_ros.effects import stepping
+from trackres_ros.effects.effect import Active, Conditions, VehicleConstants
+from trackres_ros.estimator.estimator import Estimator, Session
+from trackres_ros.export import step
+from trackres_ros.export.expressions import Expressions, Value
+from trackres_ros.export.functions import Instance, Translator
+from trackres_ros.export.kinds import INT, REAL, ArrayOf, Const, Kind, Record
+from trackres_ros.export.statements import translate_body
+
+NAMES_OF_CONSTANTS = {"assembly": "assemblies", "loss": "loss", "drive": "drive", "channel_limits": "limits"}
+
+
+@dataclass(frozen=True, eq=False)
+class StateArray:
+    """An array of the state: its name, what it begins with, and what its axes are."""
+
+    name: str
+    start: Any
+    axes: str
+
+    @property
+    def kind(self) -> ArrayOf:
+        """Its kind in C."""
+        return ArrayOf(INT if self.start.dtype.kind == "i" else REAL, self.start.shape)
+
+
+class Parts:
+    """The parts of the C of one estimator.
+
+    Parameters
+    ----------
+    estimator
+        Of the vehicle, with its settings.
+    learned
+        What was learned, as `State.learned`; None for nothing.
+    single
+        Whether numbers are `float`.
+    tuned
+        Numbers of the kernel that stand in the state, to be changed while it runs, instead of in the code.
+    """
+
+    def __init__(self, estimator: Estimator, learned: Any = None, single: bool = False, tuned: Sequence[str] = ()) -> None:
+        self.estimator, self.tuned = estimator, tuple(tuned)
+        session = estimator.session()
+        if learned is not None:
+            session.learned[:] = learned
+        self.arrays = _state_arrays(session)
+        if tuned:
+            start = np.array([float(getattr(estimator.constants.number, name)) for name in tuned])
+            self.arrays.append(StateArray("tuned", start, ", ".join(tuned)))
+        self._by_name = {array.name: array for array in self.arrays}
+        self.arrays = [array for array in self.arrays if array.start.size]
+        self.translator = Translator(translate_body, single)
+        self.effects: dict[int, Instance] = {}
+        self.translator.intrinsics[stepping.call_at] = self._call_effect
+        self._translate_effects()
+        self.entries = self._translate_entries()
+
+    @property
+    def active(self) -> list[Active]:
+        """All effects that act, in the order of their rows."""
+        return [*self.estimator.vehicle.own, *self.estimator.vehicle.surroundings]
+
+    # Effects
+
+    def _translate_effects(self) -> None:
+        """Number the functions of the effects; the table of effects gets these numbers in the place of addresses."""
+        rows = self.estimator.constants.effects.copy()
+        numbers: dict[Any, int] = {}
+        actives = self.active
+        for row in rows:
+            effect = actives[row[stepping.STATE]].effect
+            names = tuple(q.name for q in effect.parameters)
+            for column, method in ((stepping.TERMS_AT, "terms"), (stepping.LAG_AT, "lag")):
+                if row[column] == 0:
+                    continue
+                key = type(effect), method, names
+                if key not in numbers:
+                    numbers[key] = len(numbers) + 1
+                    self.effects[numbers[key]] = self._effect_function(*key)
+                row[column] = numbers[key]
+        self._rows = rows
+
+    def _effect_function(self, cls: type, method: str, names: tuple[str, ...]) -> Instance:
+        """`terms` or `lag` of an effect behind the signature that the step calls."""
+        facts, looked_at = stepping.FACTS, stepping.LOOKED_AT
+        known = ", ".join(f"x[{i}]" for i in range(facts, looked_at))
+        vehicle = ", ".join(f"x[{i}]" for i in range(facts))
+        name = f"{cls.__name__.lower()}_{method}"
+        answered = stepping.ANSWERS[method]
+        lines = [
+            f"def {name}(x, p, out):",
+            f'    """{method} of {cls.__name__}"""',
+            f"    found = run(None, Conditions(VehicleConstants({vehicle}), {known}), p)",
+            *(f"    out[{i}] = found[{i}]" for i in range(answered)),
+        ]
+        text = "\n".join(lines)
+        namespace: dict[str, Any] = {
+            "Conditions": Conditions, "VehicleConstants": VehicleConstants, "run": getattr(cls, method),
+        }  # fmt: skip
+        exec(text, namespace)
+        function: FunctionType = namespace[name]
+        self.translator.add_text(function, text)
+        values = ArrayOf(REAL, (len(names),), names)
+        return self.translator.instance(function, [ArrayOf(REAL, (looked_at,)), values, ArrayOf(REAL, (answered,))])
+
+    def _call_effect(self, body: Expressions, values: Sequence[Value]) -> str:
+        """The call of an effect by its number."""
+        number, looked_at, parameters, answer = values
+        body.note_written(answer)
+        body.calls += list(self.effects.values())
+        return f"tr_call_effect({', '.join(v.code for v in (number, looked_at, parameters, answer))})"
+
+    def text_of_dispatch(self) -> str:
+        """The function that calls an effect by its number; nothing without effects."""
+        if not self.effects:
+            return ""
+        real = self.translator.number(REAL)
+        cases = ""
+        for number, one in self.effects.items():
+            given = ", ".join({"x": "looked_at", "p": "values", "out": "answer"}[name] for name, _ in one.given)
+            cases += f"    case {number}:\n        {one.name}({given});\n        break;\n"
+        unused = [
+            f"    (void){name};\n"
+            for short, name in (("x", "looked_at"), ("p", "values"))
+            if not any(short in dict(one.given) for one in self.effects.values())
+        ]
+        return (
+            "/* What an effect does now, by its number. */\n"
+            f"static void tr_call_effect(int64_t number, const {real} *looked_at, const {real} *values, {real} *answer)\n"
+            f"{{\n{''.join(unused)}    switch (number) {{\n{cases}    default:\n        break;\n    }}\n}}\n"
+        )
+
+    # The step
+
+    def _array(self, name: str) -> Kind:
+        """The kind of an array of the state; one without entries is a constant."""
+        array = self._by_name[name]
+        return array.kind if array.start.size else Const(array.start)
+
+    def records(self) -> dict[str, Record]:
+        """The records that the entries take: constants, memory of the guards, and what is carried."""
+        k, session = self.estimator.constants, self.estimator.session()
+        changed = {"effects": self._rows, "number": _scaled(k.number)}
+        numbers = [(name, REAL if name in self.tuned else Const(value)) for name, value in changed["number"]._asdict().items()]
+        constants: list[tuple[str, Kind]] = []
+        for name in k._fields:
+            if name in ("work", "effect_values"):
+                constants.append((name, self._array(name)))
+                continue
+            if name == "number" and self.tuned:
+                constants.append((name, Record("numbers", tuple(numbers))))
+                continue
+            value = changed.get(name, getattr(k, name))
+            if isinstance(value, np.ndarray):
+                self.translator.table_names[id(value)] = NAMES_OF_CONSTANTS.get(name, name)
+            constants.append((name, Const(value)))
+        self._kept = changed
+        memory = tuple((name, self._array(name)) for name in session.memory._fields)
+        carried = tuple((name, self._array(f"carried_{name}")) for name in ("belts", "motion", "effects", "learned"))
+        return {
+            "k": Record("constants", tuple(constants)),
+            "memory": Record("memory", memory),
+            "carried": Record("carried", carried),
+        }
+
+    def _translate_entries(self) -> dict[str, Instance]:
+        records = self.records()
+        loads, belts, clock = (self._array(name) for name in ("loads", "belt_measured", "clock"))
+        given = ArrayOf(REAL, (len(self.estimator.channels),))
+        out = ArrayOf(REAL, (len(self.estimator.columns),))
+        feeds: list[Kind] = [records["k"], records["memory"], records["carried"], loads, belts, clock]
+        kinds: dict[Any, list[Kind]] = {
+            step.step: [*feeds, given, REAL, out],
+            step.take_message: [*feeds, INT, INT, INT, REAL, out],
+            step.feedforward_now: [records["k"], records["memory"], self._array("carried_motion"), INT],
+            step.is_stale: [records["k"], records["memory"], INT],
+            step.rest_after: [*feeds[:3], REAL, REAL],
+        }
+        return {function.__name__: self.translator.instance(function, given) for function, given in kinds.items()}
+
+
+def _scaled(number: Any) -> Any:
+    """Numbers of the kernel as plain Python has them."""
+    return type(number)(*(value.item() if isinstance(value, np.generic) else value for value in number))
+
+
+def _state_arrays(session: Session) -> list[StateArray]:
+    """All that changes from step to step, whole numbers first; as a new session has it."""
+    memory, k = session.memory, session.estimator.constants
+    return [
+        StateArray("clock", np.zeros(1, dtype=np.int64), "[ns]"),
+        StateArray("times", memory.times, "channel x what the guards remember [ns]"),
+        StateArray("counters", memory.counters, "channel x counter"),
+        StateArray("reasons", memory.reasons, "steps at which each reason held"),
+        StateArray("values", memory.values, "channel, last accepted value"),
+        StateArray("followed", memory.followed, "place on a route"),
+        StateArray("tracked", memory.tracked, "speed and odometer"),
+        StateArray("carried_belts", session.belts, "assembly x mean and surface x temperature and departures"),
+        StateArray("carried_motion", session.motion, "motion and feed-forward"),
+        StateArray("carried_effects", session.effects, "memory of the effects"),
+        StateArray("carried_learned", session.learned, "what was learned of the vehicle"),
+        StateArray("effect_values", k.effect_values, "effect x parameter"),
+        StateArray("loads", session._loads, "[N]"),
+        StateArray("belt_measured", session._belt_measured, "[degC]"),
+        StateArray("work", _begun(k.work), "meanwhile of a step"),
+    ]
+
+
+def _begun(work: Any) -> Any:
+    """A work space before its first step: what no step has left yet is 0."""
+    found = work.copy()
+    found[stepping.WORK :] = 0.0
+    return found

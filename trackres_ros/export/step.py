@@ -1,0 +1,103 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""What a controller calls, in the restricted Python of the kernels: inputs of one moment, or one message, into the live step.
+
+These functions are only translated; the guards and the step that they call are those that run live.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trackres_ros.estimator import columns as at
+from trackres_ros.estimator.constants import Constants
+from trackres_ros.estimator.entry_points import feed, rest
+from trackres_ros.estimator.feedforward import fade, followed
+from trackres_ros.estimator.guards import Memory, forget_others
+from trackres_ros.estimator.records import Carried
+from trackres_ros.estimator.snapshot import LONGEST_OFF
+from trackres_ros.units import NANOSECOND
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+STEPPED, WAITED, WRONG_TIME = 1, 0, -2
+FARTHEST_S = 1e9  # of one step to the next: more is no time
+RESTS = 0.5  # in STARTED: belts are known, the next speed begins the motion
+
+
+def step(
+    k: Constants, memory: Memory, carried: Carried, loads: Array, belt_measured: Array, clock: IntArray, given: Array, dt: float,
+    out: Array,
+) -> int:  # fmt: skip
+    """Take in what is given at a moment, `dt` [s] after the last one: the speed last, so that it meets all the others.
+
+    Parameters
+    ----------
+    clock
+        Time of the last step [ns], shape (1,).
+    given
+        A value of each channel, nan where there is no new one; shape (channels,).
+    out
+        Row of results; filled if there is an accepted speed.
+
+    Returns
+    -------
+    int
+        `STEPPED` with an accepted speed; `WAITED` without; `WRONG_TIME` if `dt` is no time.
+    """  # fmt: skip
+    if not abs(dt) < FARTHEST_S:
+        return WRONG_TIME
+    clock[0] += math.floor(dt / NANOSECOND + 0.5)
+    for channel in range(at.SPEED + 1, given.shape[0]):
+        if not math.isnan(given[channel]):
+            feed(k, memory, carried, loads, belt_measured, channel, clock[0], clock[0], given[channel], out)
+    if math.isnan(given[at.SPEED]):
+        return WAITED
+    stepped = feed(k, memory, carried, loads, belt_measured, at.SPEED, clock[0], clock[0], given[at.SPEED], out)
+    return STEPPED if stepped else WAITED
+
+
+def take_message(
+    k: Constants, memory: Memory, carried: Carried, loads: Array, belt_measured: Array, clock: IntArray, channel: int, stamp: int,
+    arrival: int, value: float, out: Array,
+) -> int:  # fmt: skip
+    """Take in one message with its own stamp and its arrival [ns], as the live node does."""
+    clock[0] = arrival
+    if channel < 0 or channel >= memory.values.shape[0]:
+        return WAITED
+    return STEPPED if feed(k, memory, carried, loads, belt_measured, channel, stamp, arrival, value, out) else WAITED
+
+
+def age_of_speed(memory: Memory, now: int) -> float:
+    """How long ago the last accepted speed came [s]; infinite without one."""
+    if memory.times[at.SPEED, at.SEEN] == 0:
+        return math.inf
+    return float((now - memory.times[at.SPEED, at.LAST_ARRIVAL]) * NANOSECOND)
+
+
+def feedforward_now(k: Constants, memory: Memory, motion: Array, now: int) -> float:
+    """The feed-forward [Nm] between two speeds: on its way to its target, and fading once the speed is old."""
+    age = age_of_speed(memory, now)
+    if not age < math.inf or motion[at.STARTED] <= 0.0:
+        return 0.0
+    on_its_way = followed(motion[at.FEEDFORWARD], motion[at.FEEDFORWARD_TARGET], k.number.feedforward_rate, age)
+    return on_its_way * fade(age, k.number.speed_max_age, k.number.feedforward_fade)
+
+
+def is_stale(k: Constants, memory: Memory, now: int) -> bool:
+    """Whether the last accepted speed is too old to be trusted."""
+    return age_of_speed(memory, now) > k.number.speed_max_age
+
+
+def rest_after(k: Constants, memory: Memory, carried: Carried, ambient: float, seconds: float) -> None:
+    """Begin again after the vehicle stood, or was switched off: belts and effects have cooled, messages are forgotten."""
+    there = ambient if math.isfinite(ambient) else k.number.nominal_ambient
+    if carried.motion[at.STARTED] > 0.0:
+        rest(k, carried, there, k.number.ambient_unknown_std, min(max(seconds, 0.0), LONGEST_OFF))
+        carried.motion[at.STARTED] = RESTS
+    forget_others(memory, -1)

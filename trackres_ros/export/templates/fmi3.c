@@ -1,0 +1,374 @@
+/* The exported step behind FMI 3.0 for co-simulation. Each instance has memory of its own; the step asks for none. */
+#include "trackres.h"
+
+#include <math.h>
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <stdlib.h>
+#include <string.h>
+
+#if defined(_WIN32)
+#define EXPORTED __declspec(dllexport)
+#elif defined(__GNUC__)
+#define EXPORTED __attribute__((visibility("default")))
+#else
+#define EXPORTED
+#endif
+
+#define TOKEN "@TOKEN@"
+
+/* Types of the standard that are used here. */
+typedef void *fmi3Instance, *fmi3FMUState, *fmi3InstanceEnvironment;
+typedef uint32_t fmi3ValueReference;
+typedef enum { fmi3OK, fmi3Warning, fmi3Discard, fmi3Error, fmi3Fatal } fmi3Status;
+typedef void (*fmi3LogMessageCallback)(fmi3InstanceEnvironment, fmi3Status, const char *, const char *);
+typedef void (*fmi3AnyCallback)(void);
+
+struct instance {
+    trackres_state state;
+    trackres_inputs inputs;
+    trackres_outputs outputs;
+    double time; /* [s] */
+    fmi3InstanceEnvironment environment;
+    fmi3LogMessageCallback log;
+};
+
+/* A variable: where it stands in an instance. Of an effect's parameter so many rows of the table of effects move with it. */
+struct variable {
+    size_t place;
+    int rows;
+    size_t stride;
+    bool may_be_set;
+};
+
+enum { OF_REASONS = @OF_REASONS@, OF_LEVEL = @OF_LEVEL@, TIME = 0, VARIABLES = @VARIABLE_COUNT@ };
+
+static const struct variable variables[VARIABLES] = {
+@VARIABLES@
+};
+
+static double *entry(struct instance *one, const struct variable *variable, int row)
+{
+    return (double *)(void *)((char *)one + variable->place + (size_t)row * variable->stride);
+}
+
+static fmi3Status failed(struct instance *one, const char *text)
+{
+    if (one->log != NULL) {
+        one->log(one->environment, fmi3Error, "logStatusError", text);
+    }
+    return fmi3Error;
+}
+
+static void begin(struct instance *one)
+{
+    trackres_init(&one->state);
+    trackres_no_inputs(&one->inputs);
+    one->inputs.speed_mps = 0.0;
+    memset(&one->outputs, 0, sizeof one->outputs);
+    one->time = 0.0;
+}
+
+EXPORTED const char *fmi3GetVersion(void)
+{
+    return "3.0";
+}
+
+EXPORTED fmi3Status fmi3SetDebugLogging(fmi3Instance instance, bool on, size_t count, const char *const categories[])
+{
+    (void)instance, (void)on, (void)count, (void)categories;
+    return fmi3OK;
+}
+
+EXPORTED fmi3Instance fmi3InstantiateCoSimulation(
+    const char *name, const char *token, const char *resources, bool visible, bool logging, bool event_mode, bool early_return,
+    const fmi3ValueReference intermediate[], size_t intermediate_count, fmi3InstanceEnvironment environment,
+    fmi3LogMessageCallback log, fmi3AnyCallback update)
+{
+    (void)name, (void)resources, (void)visible, (void)event_mode, (void)early_return;
+    (void)intermediate, (void)intermediate_count, (void)update;
+    if (token == NULL || strcmp(token, TOKEN) != 0) {
+        if (log != NULL) {
+            log(environment, fmi3Error, "logStatusError", "the instantiation token is that of another FMU");
+        }
+        return NULL;
+    }
+    struct instance *one = calloc(1, sizeof *one);
+    if (one != NULL) {
+        one->environment = environment;
+        one->log = logging ? log : NULL;
+        begin(one);
+    }
+    return one;
+}
+
+EXPORTED fmi3Instance fmi3InstantiateModelExchange(
+    const char *name, const char *token, const char *resources, bool visible, bool logging, fmi3InstanceEnvironment environment,
+    fmi3LogMessageCallback log)
+{
+    (void)name, (void)token, (void)resources, (void)visible, (void)logging, (void)environment, (void)log;
+    return NULL;
+}
+
+EXPORTED fmi3Instance fmi3InstantiateScheduledExecution(
+    const char *name, const char *token, const char *resources, bool visible, bool logging, fmi3InstanceEnvironment environment,
+    fmi3LogMessageCallback log, fmi3AnyCallback clock, fmi3AnyCallback lock, fmi3AnyCallback unlock)
+{
+    (void)name, (void)token, (void)resources, (void)visible, (void)logging, (void)environment, (void)log;
+    (void)clock, (void)lock, (void)unlock;
+    return NULL;
+}
+
+EXPORTED void fmi3FreeInstance(fmi3Instance instance)
+{
+    free(instance);
+}
+
+EXPORTED fmi3Status fmi3EnterInitializationMode(
+    fmi3Instance instance, bool has_tolerance, double tolerance, double start, bool has_stop, double stop)
+{
+    (void)has_tolerance, (void)tolerance, (void)has_stop, (void)stop;
+    ((struct instance *)instance)->time = start;
+    return fmi3OK;
+}
+
+EXPORTED fmi3Status fmi3ExitInitializationMode(fmi3Instance instance)
+{
+    struct instance *one = instance;
+    return trackres_step(&one->state, &one->inputs, 0.0, &one->outputs) < 0 ? failed(one, "no first step") : fmi3OK;
+}
+
+EXPORTED fmi3Status fmi3EnterStepMode(fmi3Instance instance)
+{
+    (void)instance;
+    return fmi3OK;
+}
+
+EXPORTED fmi3Status fmi3EnterEventMode(fmi3Instance instance)
+{
+    return failed(instance, "there is no event mode");
+}
+
+EXPORTED fmi3Status fmi3Terminate(fmi3Instance instance)
+{
+    (void)instance;
+    return fmi3OK;
+}
+
+EXPORTED fmi3Status fmi3Reset(fmi3Instance instance)
+{
+    begin(instance);
+    return fmi3OK;
+}
+
+EXPORTED fmi3Status fmi3DoStep(
+    fmi3Instance instance, double time, double step, bool no_way_back, bool *event_needed, bool *terminate, bool *early_return,
+    double *last_time)
+{
+    struct instance *one = instance;
+    (void)no_way_back;
+    *event_needed = *terminate = *early_return = false;
+    *last_time = time;
+    if (!(step > 0.0) || trackres_step(&one->state, &one->inputs, step, &one->outputs) < 0) {
+        return failed(one, "a step that is no time");
+    }
+    one->time = *last_time = time + step;
+    return fmi3OK;
+}
+
+EXPORTED fmi3Status fmi3GetFloat64(
+    fmi3Instance instance, const fmi3ValueReference references[], size_t count, double values[], size_t value_count)
+{
+    struct instance *one = instance;
+    for (size_t i = 0; i < count; i++) {
+        if (references[i] >= VARIABLES || i >= value_count) {
+            return failed(one, "no variable of this reference");
+        }
+        values[i] = *entry(one, &variables[references[i]], 0);
+    }
+    return fmi3OK;
+}
+
+EXPORTED fmi3Status fmi3SetFloat64(
+    fmi3Instance instance, const fmi3ValueReference references[], size_t count, const double values[], size_t value_count)
+{
+    struct instance *one = instance;
+    for (size_t i = 0; i < count; i++) {
+        if (references[i] >= VARIABLES || i >= value_count || !variables[references[i]].may_be_set) {
+            return failed(one, "no input or parameter of this reference");
+        }
+        const struct variable *variable = &variables[references[i]];
+        const double moved = values[i] - *entry(one, variable, 0);
+        for (int row = 1; row < variable->rows; row++) {
+            *entry(one, variable, row) += moved;
+        }
+        *entry(one, variable, 0) = values[i];
+    }
+    return fmi3OK;
+}
+
+EXPORTED fmi3Status fmi3GetUInt32(
+    fmi3Instance instance, const fmi3ValueReference references[], size_t count, uint32_t values[], size_t value_count)
+{
+    struct instance *one = instance;
+    for (size_t i = 0; i < count; i++) {
+        if (references[i] != OF_REASONS || i >= value_count) {
+            return failed(one, "no whole number of this reference");
+        }
+        values[i] = one->outputs.reasons;
+    }
+    return fmi3OK;
+}
+
+EXPORTED fmi3Status fmi3GetInt32(
+    fmi3Instance instance, const fmi3ValueReference references[], size_t count, int32_t values[], size_t value_count)
+{
+    struct instance *one = instance;
+    for (size_t i = 0; i < count; i++) {
+        if (references[i] != OF_LEVEL || i >= value_count) {
+            return failed(one, "no whole number of this reference");
+        }
+        values[i] = one->outputs.level;
+    }
+    return fmi3OK;
+}
+
+/* A state of an instance is a copy of it. */
+EXPORTED fmi3Status fmi3GetFMUState(fmi3Instance instance, fmi3FMUState *state)
+{
+    if (*state == NULL) {
+        *state = malloc(sizeof(struct instance));
+    }
+    if (*state == NULL) {
+        return failed(instance, "no memory for a state");
+    }
+    memcpy(*state, instance, sizeof(struct instance));
+    return fmi3OK;
+}
+
+EXPORTED fmi3Status fmi3SetFMUState(fmi3Instance instance, fmi3FMUState state)
+{
+    struct instance *one = instance;
+    const struct instance *from = state;
+    one->state = from->state;
+    one->inputs = from->inputs;
+    one->outputs = from->outputs;
+    one->time = from->time;
+    return fmi3OK;
+}
+
+EXPORTED fmi3Status fmi3FreeFMUState(fmi3Instance instance, fmi3FMUState *state)
+{
+    (void)instance;
+    free(*state);
+    *state = NULL;
+    return fmi3OK;
+}
+
+EXPORTED fmi3Status fmi3SerializedFMUStateSize(fmi3Instance instance, fmi3FMUState state, size_t *size)
+{
+    (void)instance, (void)state;
+    *size = offsetof(struct instance, environment);
+    return fmi3OK;
+}
+
+EXPORTED fmi3Status fmi3SerializeFMUState(fmi3Instance instance, fmi3FMUState state, uint8_t bytes[], size_t size)
+{
+    struct instance *from = state;
+    if (size < offsetof(struct instance, environment)) {
+        return failed(instance, "too little room for a state");
+    }
+    trackres_seal(&from->state);
+    memcpy(bytes, from, offsetof(struct instance, environment));
+    return fmi3OK;
+}
+
+EXPORTED fmi3Status fmi3DeserializeFMUState(fmi3Instance instance, const uint8_t bytes[], size_t size, fmi3FMUState *state)
+{
+    if (size < offsetof(struct instance, environment) || fmi3GetFMUState(instance, state) != fmi3OK) {
+        return failed(instance, "too few bytes for a state");
+    }
+    memcpy(*state, bytes, offsetof(struct instance, environment));
+    return trackres_is_sound(&((struct instance *)*state)->state) ? fmi3OK : failed(instance, "a state of another FMU");
+}
+
+/* Types of variable that this FMU does not have. */
+#define NO_VARIABLES_OF(type, kind)                                                                                              \
+    EXPORTED fmi3Status fmi3Get##type(                                                                                           \
+        fmi3Instance instance, const fmi3ValueReference references[], size_t count, kind values[], size_t value_count)          \
+    {                                                                                                                            \
+        (void)references, (void)values, (void)value_count;                                                                       \
+        return count == 0 ? fmi3OK : failed(instance, "no variable of this type");                                               \
+    }                                                                                                                            \
+    NOTHING_TO_SET(type, kind)
+
+#define NOTHING_TO_SET(type, kind)                                                                                               \
+    EXPORTED fmi3Status fmi3Set##type(                                                                                           \
+        fmi3Instance instance, const fmi3ValueReference references[], size_t count, const kind values[], size_t value_count)    \
+    {                                                                                                                            \
+        (void)references, (void)values, (void)value_count;                                                                       \
+        return count == 0 ? fmi3OK : failed(instance, "no input or parameter of this type");                                     \
+    }
+
+typedef const char *text;
+NO_VARIABLES_OF(Float32, float)
+NO_VARIABLES_OF(Int8, int8_t)
+NO_VARIABLES_OF(UInt8, uint8_t)
+NO_VARIABLES_OF(Int16, int16_t)
+NO_VARIABLES_OF(UInt16, uint16_t)
+NOTHING_TO_SET(Int32, int32_t)
+NOTHING_TO_SET(UInt32, uint32_t)
+NO_VARIABLES_OF(Int64, int64_t)
+NO_VARIABLES_OF(UInt64, uint64_t)
+NO_VARIABLES_OF(Boolean, bool)
+NO_VARIABLES_OF(String, text)
+
+/* Functions of the standard for what this FMU does not offer; importers look for all of them. */
+#define NOT_OFFERED(name, ...)                                                                                                   \
+    EXPORTED fmi3Status fmi3##name(fmi3Instance instance, __VA_ARGS__)                                                          \
+    {                                                                                                                            \
+        return failed(instance, "fmi3" #name " is not offered");                                                                 \
+    }
+
+typedef const fmi3ValueReference *references;
+typedef size_t number;
+NOT_OFFERED(GetBinary, references r, number n, size_t sizes[], const uint8_t *values[], number m)
+NOT_OFFERED(SetBinary, references r, number n, const size_t sizes[], const uint8_t *const values[], number m)
+NOT_OFFERED(GetClock, references r, number n, bool values[])
+NOT_OFFERED(SetClock, references r, number n, const bool values[])
+NOT_OFFERED(GetNumberOfVariableDependencies, fmi3ValueReference r, size_t *n)
+NOT_OFFERED(GetVariableDependencies, fmi3ValueReference r, size_t a[], fmi3ValueReference b[], size_t c[], int kinds[], number n)
+NOT_OFFERED(GetDirectionalDerivative, references u, number n, references k, number m, const double s[], number o, double d[], number p)
+NOT_OFFERED(GetAdjointDerivative, references u, number n, references k, number m, const double s[], number o, double d[], number p)
+NOT_OFFERED(GetIntervalDecimal, references r, number n, double intervals[], int qualifiers[])
+NOT_OFFERED(GetIntervalFraction, references r, number n, uint64_t counters[], uint64_t resolutions[], int qualifiers[])
+NOT_OFFERED(GetShiftDecimal, references r, number n, double shifts[])
+NOT_OFFERED(GetShiftFraction, references r, number n, uint64_t counters[], uint64_t resolutions[])
+NOT_OFFERED(SetIntervalDecimal, references r, number n, const double intervals[])
+NOT_OFFERED(SetIntervalFraction, references r, number n, const uint64_t counters[], const uint64_t resolutions[])
+NOT_OFFERED(SetShiftDecimal, references r, number n, const double shifts[])
+NOT_OFFERED(SetShiftFraction, references r, number n, const uint64_t counters[], const uint64_t resolutions[])
+NOT_OFFERED(UpdateDiscreteStates, bool *a, bool *b, bool *c, bool *d, bool *e, double *time)
+NOT_OFFERED(CompletedIntegratorStep, bool no_way_back, bool *event_mode, bool *terminate)
+NOT_OFFERED(SetTime, double time)
+NOT_OFFERED(SetContinuousStates, const double states[], number n)
+NOT_OFFERED(GetContinuousStateDerivatives, double derivatives[], number n)
+NOT_OFFERED(GetEventIndicators, double indicators[], number n)
+NOT_OFFERED(GetContinuousStates, double states[], number n)
+NOT_OFFERED(GetNominalsOfContinuousStates, double nominals[], number n)
+NOT_OFFERED(GetNumberOfEventIndicators, size_t *n)
+NOT_OFFERED(GetNumberOfContinuousStates, size_t *n)
+NOT_OFFERED(GetOutputDerivatives, references r, number n, const int32_t orders[], double values[], number m)
+NOT_OFFERED(ActivateModelPartition, fmi3ValueReference clock, double time)
+
+#define NOT_ENTERED(name)                                                                                                        \
+    EXPORTED fmi3Status fmi3##name(fmi3Instance instance)                                                                       \
+    {                                                                                                                            \
+        return failed(instance, "fmi3" #name " is not offered");                                                                 \
+    }
+
+NOT_ENTERED(EnterConfigurationMode)
+NOT_ENTERED(ExitConfigurationMode)
+NOT_ENTERED(EvaluateDiscreteStates)
+NOT_ENTERED(EnterContinuousTimeMode)
