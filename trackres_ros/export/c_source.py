@@ -15,14 +15,17 @@ from trackres_ros.estimator import columns as at
 from trackres_ros.export.functions import Instance
 from trackres_ros.export.kinds import INT, REAL, Record, safe
 from trackres_ros.export.parts import Parts, StateArray
-from trackres_ros.recording.table_columns import COLUMNS
+from trackres_ros.recording.role_units import UNITS
+from trackres_ros.recording.roles import ROLES
 
 TEMPLATES = Path(__file__).parent / "templates"
 FILES = ("trackres.h", "trackres.c", "main.c", "CMakeLists.txt")
 LARGEST_WHOLE = 9.2e18  # inside of 64 bits
 CHECKED_BYTES = 8  # version and checksum, before the arrays
 
-UNIT_OF = {role: name for name, (role, scale) in COLUMNS.items() if scale == 1.0 and not name.startswith("brake")}
+SCALES = {role: {name: UNITS[about.unit][unit].scale for name, unit in about.columns.items()} for role, about in ROLES.items()}
+"""Of each role the columns of a table that hold it, and the scale to its own unit."""
+UNIT_OF = {role: next(name for name, scale in names.items() if scale == 1.0) for role, names in SCALES.items()}
 """The column of a table that is a role in its own unit: inputs have these names."""
 
 
@@ -205,12 +208,9 @@ class CSource:
 
     def _main(self) -> dict[str, str]:
         known = []
-        by_role: dict[str, list[tuple[str, float]]] = {}
-        for column, (role, scale) in COLUMNS.items():
-            by_role.setdefault(role, []).append((column, scale))
         for channel, name in self.inputs.items():
             role, slash, part = channel.partition("/")
-            for column, scale in by_role[role]:
+            for column, scale in SCALES[role].items():
                 known.append(f'    {{"{column}{slash}{part}", offsetof(trackres_inputs, {in_c(name)}), {float(scale)!r}}},')
         shown = [f'    {{"{name}", offsetof(trackres_outputs, {in_c(name)}), 1.0}},' for name in self.columns]
         return {"INPUT_COLUMNS": "\n".join(known), "OUTPUT_COLUMNS": "\n".join(shown)}
