@@ -120,6 +120,15 @@ def sentence(room: str) -> str:
     return " ".join(text.split("\n\n")[0].split())
 
 
+def lines_of_rooms() -> dict[str, int]:
+    """How many lines each room has."""
+    found: dict[str, int] = {}
+    for module, path in modules().items():
+        room = room_of(module)
+        found[room] = found.get(room, 0) + len(path.read_text(encoding="utf-8").splitlines())
+    return found
+
+
 def page() -> str:
     """docs/architecture.md."""
     needed = needs()
@@ -127,8 +136,13 @@ def page() -> str:
     shown = direct(uncommon)
     arrows = (f"    {a.replace('.', '_')}[{a}] --> {b.replace('.', '_')}[{b}]" for a, b in shown)
     picture = ["```mermaid", "flowchart LR", *arrows, "```"]
-    rows = ["| room | what comes in, what goes out | needs |", "|---|---|---|"]
-    rows += [f"| `{room}` | {sentence(room)} | {', '.join(sorted(needed[room])) or 'nothing'} |" for room in order(needed)]
+    lines = lines_of_rooms()
+    rows = ["| room | what comes in, what goes out | needs | lines |", "|---|---|---|---|"]
+    rows += [
+        f"| `{room}` | {sentence(room)} | {', '.join(sorted(needed[room])) or 'nothing'} | {round(lines[room], -2) or '< 100'} |"
+        for room in order(needed)
+    ]
+    rows += [f"| all of them | | | {round(sum(lines.values()), -2)} |"]
     return HEAD.replace("{picture}", "\n".join(picture)).replace("{rooms}", "\n".join(rows))
 
 
