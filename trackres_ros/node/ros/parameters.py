@@ -10,7 +10,7 @@ from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
-from rclpy.parameter import NodeParameter as RosParameter
+from rclpy.parameter import Parameter as RosParameter
 
 from trackres_ros.errors import InputError, nearest
 from trackres_ros.node.parameters import PARAMETERS, NodeParameter, Parameters, Value, known, make_parameters
