@@ -46,7 +46,7 @@ def test_replay_and_live_import_no_diagnosis(rooms, module):
     assert not {other for other in rooms.reached(module, needed) if other.startswith("diagnosis")}
 
 
-def test_nothing_but_the_front_door_and_what_all_use_lies_at_the_root(repository):
+def test_only_the_front_door_and_shared_modules_lie_at_the_root(repository):
     files = {path.name for path in (repository / "trackres_ros").glob("*.py")}
     assert files == {"__init__.py", "__main__.py", "errors.py", "units.py", "checks.py", "progress.py", "version.py"}
 
@@ -56,7 +56,7 @@ def test_each_room_says_what_it_is_for(rooms):
         assert len(rooms.sentence(room)) > 20, room
 
 
-def test_the_truth_of_sealed_drives_shares_nothing_with_what_it_tests(rooms):
+def test_sealed_truth_imports_none_of_the_code_it_tests(rooms):
     known = rooms.modules()
     for name in (
         "truth",
@@ -80,7 +80,7 @@ def test_the_page_of_the_house_is_true(rooms, repository):
     assert len({re.sub(r" [\d< ]+ \|$", " |", page, flags=re.MULTILINE) for page in pages}) == 1
 
 
-def test_every_constant_that_becomes_compiled_code_is_part_of_its_caches_name(rooms):
+def test_constants_in_compiled_code_are_part_of_the_cache_name(rooms):
     """Machine code keeps the constants it was compiled with: a file they come from must tell one cache from another."""
     from trackres_ros.jit.compiled import COMPILED_ROOMS, CONSTANTS
 
