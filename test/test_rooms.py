@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The house: rooms need only those before them, each says what it is for, and the page of it is true."""
+"""The house: rooms need only those before them, each says what it is for, the page of it is true, and test names are short."""
 
 import ast
 import importlib.util
@@ -95,3 +95,14 @@ def test_constants_in_compiled_code_are_part_of_the_cache_name(rooms):
                 if numbers and home.split(".")[0] not in COMPILED_ROOMS and f"{home}.py" != CONSTANTS:
                     strange.add((module, home, *numbers))
     assert not strange
+
+
+def test_no_test_name_is_longer_than_60_characters(repository):
+    names = [
+        node.name
+        for path in (repository / "test").rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and node.name.startswith("test_")
+    ]
+    assert len(names) > 1000
+    assert not [name for name in names if len(name) > 60]
