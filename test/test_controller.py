@@ -43,7 +43,7 @@ def test_only_fresh_stamps_and_a_good_status_count(example, age_s, level):
     assert used[-1] == (3000.0 if good else 0.0)
 
 
-def test_nothing_is_used_before_the_first_message_nor_long_after_the_last(example):
+def test_feedforward_needs_a_message_and_ends_when_it_is_old(example):
     assert run(example.Drive(), 2.0, None, 0)[-1] == 0.0
     drive = example.Drive()
     assert run(drive, 2.0, 0.01, 0)[-1] == 3000.0

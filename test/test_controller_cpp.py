@@ -127,7 +127,7 @@ def test_what_is_not_to_be_trusted_goes_to_zero(program, level):
     assert found[-1] == 0.0
 
 
-def test_of_a_message_that_lacks_something_the_one_before_counts_until_it_is_old(program):
+def test_an_incomplete_message_is_ignored_until_the_last_is_old(program):
     steps = [(0.01, 3000.0, 1.0, 0.02)] * 100 + [(0.01, 9000.0, None, 0.02)] * 100
     found = used(program, steps)
     assert max(found) == 3000.0

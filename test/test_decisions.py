@@ -34,7 +34,7 @@ def test_the_noise_with_spikes_is_found_better_than_as_normal(decisions):
     assert found["log-density of a fresh draw, ours less statsmodels [a sample]"] > 0.1
 
 
-def test_whatever_is_wrong_in_a_line_is_refused_with_all_that_a_user_must_know(decisions):
+def test_every_wrong_line_is_refused_with_all_a_user_must_know(decisions):
     found = decisions.checks()
     assert found["ours: refused with all of it named"] == len(decisions.WRONG)
     assert found["ours: refused with all of it named"] > found["attrs: refused with all of it named"]
@@ -53,7 +53,7 @@ def test_the_library_of_the_page_is_smaller_packed(decisions):
     assert found["Bokeh, without widgets, packed [kB]"] < 0.5 * found["Bokeh, without widgets [kB]"] < 1000.0
 
 
-def test_the_translated_step_is_all_functions_and_casadi_runs_some(decisions):
+def test_the_translation_has_all_functions_and_casadi_runs_fewer(decisions):
     pytest.importorskip("numba")
     if not shutil.which("cc"):
         pytest.skip("no C compiler is installed")

@@ -68,7 +68,7 @@ def test_every_equation_has_one_row() -> None:
 
 
 @pytest.mark.parametrize("number", EQUATIONS)
-def test_a_row_says_what_is_printed_what_is_computed_and_which_test_shows_it(number: int) -> None:
+def test_each_row_has_printed_computed_verdict_and_its_tests(number: int) -> None:
     _, printed, verdict, computed, shown_by = equation_rows()[number]
     assert printed
     assert computed
@@ -87,7 +87,7 @@ def test_every_test_that_is_named_exists(name: str) -> None:
         assert (ROOT / path).exists(), path
 
 
-def test_every_contradicted_claim_of_the_reproduction_is_named_with_its_figure() -> None:
+def test_the_errata_name_each_contradicted_claim_and_its_figure() -> None:
     """What the program says does not hold stands in the errata too, and the other way round the figures are there."""
     reproduction, errata = page("reproduction.md"), page("errata.md")
     contradicted = [row[0] for row in rows(reproduction) if len(row) == 3 and row[2].startswith("[does not hold]")]
@@ -99,7 +99,7 @@ def test_every_contradicted_claim_of_the_reproduction_is_named_with_its_figure()
     assert set(linked) <= anchors(reproduction)
 
 
-def test_the_symbols_name_keys_of_the_vehicle_file_and_names_of_the_code() -> None:
+def test_each_symbol_names_existing_vehicle_keys_and_code_names() -> None:
     source = "\n".join(path.read_text(encoding="utf-8") for path in (ROOT / "trackres_ros").rglob("*.py"))
     vehicle = (ROOT / "config" / "xgd24d.yaml").read_text(encoding="utf-8")
     symbols = [row for row in rows(page("model.md")) if len(row) == 5 and row[0].startswith("$")]

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The house: rooms need only those before them, each says what it is for, and the page of it is true."""
+"""The house: rooms need only those before them, each says what it is for, the page of it is true, and test names are short."""
 
 import ast
 import importlib.util
@@ -46,7 +46,7 @@ def test_replay_and_live_import_no_diagnosis(rooms, module):
     assert not {other for other in rooms.reached(module, needed) if other.startswith("diagnosis")}
 
 
-def test_nothing_but_the_front_door_and_what_all_use_lies_at_the_root(repository):
+def test_only_the_front_door_and_shared_modules_lie_at_the_root(repository):
     files = {path.name for path in (repository / "trackres_ros").glob("*.py")}
     assert files == {"__init__.py", "__main__.py", "errors.py", "units.py", "checks.py", "progress.py", "version.py"}
 
@@ -56,7 +56,7 @@ def test_each_room_says_what_it_is_for(rooms):
         assert len(rooms.sentence(room)) > 20, room
 
 
-def test_the_truth_of_sealed_drives_shares_nothing_with_what_it_tests(rooms):
+def test_sealed_truth_imports_none_of_the_code_it_tests(rooms):
     known = rooms.modules()
     for name in (
         "truth",
@@ -80,7 +80,7 @@ def test_the_page_of_the_house_is_true(rooms, repository):
     assert len({re.sub(r" [\d< ]+ \|$", " |", page, flags=re.MULTILINE) for page in pages}) == 1
 
 
-def test_every_constant_that_becomes_compiled_code_is_part_of_its_caches_name(rooms):
+def test_constants_in_compiled_code_are_part_of_the_cache_name(rooms):
     """Machine code keeps the constants it was compiled with: a file they come from must tell one cache from another."""
     from trackres_ros.jit.compiled import COMPILED_ROOMS, CONSTANTS
 
@@ -95,3 +95,14 @@ def test_every_constant_that_becomes_compiled_code_is_part_of_its_caches_name(ro
                 if numbers and home.split(".")[0] not in COMPILED_ROOMS and f"{home}.py" != CONSTANTS:
                     strange.add((module, home, *numbers))
     assert not strange
+
+
+def test_no_test_name_is_longer_than_60_characters(repository):
+    names = [
+        node.name
+        for path in (repository / "test").rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and node.name.startswith("test_")
+    ]
+    assert len(names) > 1000
+    assert not [name for name in names if len(name) > 60]

@@ -217,7 +217,7 @@ def test_topics_are_a_file_or_what_stands_in_one(folder, drive):
         tr.read(drive, topics={"sped": {"column": "speed_kmh"}})
 
 
-def test_a_recording_gives_its_samples_in_the_order_they_were_read(sample, drive):
+def test_a_recording_gives_its_samples_in_reading_order(sample, drive):
     from trackres_ros.recording.bindings import Topics
     from trackres_ros.recording.opening import open_source
 
@@ -408,7 +408,7 @@ def test_the_command_names_the_option_instead(drive, folder):
 
 
 @pytest.mark.parametrize("name", shipped_road_vehicles())
-def test_a_vehicle_without_belts_is_simulated_explained_and_checked(name):
+def test_a_vehicle_without_belts_can_be_simulated_and_explained(name):
     vehicle = tr.load_vehicle(name)
     speed_kmh = min(4.0, 3.6 * vehicle.chassis.max_speed)
     drive = tr.simulate(vehicle, speed_kmh=speed_kmh, duration_s=120)

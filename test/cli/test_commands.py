@@ -52,7 +52,7 @@ def test_help_teaches_every_command(good):
     assert "trackres vehicle check" in good("vehicle", "check", "--help")
 
 
-def test_a_replay_without_a_name_writes_a_table_no_larger_than_the_bag(folder, good, sample, monkeypatch):
+def test_an_unnamed_replay_writes_a_table_smaller_than_the_bag(folder, good, sample, monkeypatch):
     monkeypatch.chdir(folder)
     shown = good("replay", sample, "--vehicle", "xgd24d")
     assert "Written: lap_replay.parquet, lap_replay.png" in shown
@@ -247,7 +247,7 @@ def test_replay_of_a_bag_with_a_topics_file(folder, sample, repository, good):
     assert (folder / "estimate.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
 
 
-def test_replay_twice_gives_the_same_bytes_in_another_process_too(folder, sample, good):
+def test_replay_gives_the_same_bytes_in_another_process(folder, sample, good):
     for suffix in ("csv", "mcap"):
         good("replay", sample, "--vehicle", "xgd24d", "-o", folder / f"one.{suffix}")
         done = in_a_process("replay", sample, "--vehicle", "xgd24d", "-o", folder / f"two.{suffix}")
@@ -339,7 +339,7 @@ def test_bad_input_is_one_line_and_exit_code_2(tmp_path, repository, trackres, a
         (("xyz",), "record-sample"),
     ],
 )
-def test_a_command_that_is_none_is_told_with_what_may_have_been_meant(trackres, words, said):
+def test_an_unknown_command_suggests_the_closest_one(trackres, words, said):
     done = trackres(*words)
     assert done.returncode == 2
     assert said in done.stderr
@@ -350,7 +350,7 @@ def test_a_shell_completes_vehicles_and_files():
     assert [(item.type, item.value) for item in found] == [("plain", "xgd24d"), ("file", "xg")]
 
 
-def test_bad_input_ends_a_process_with_exit_code_2_and_one_line_on_its_error_output(tmp_path):
+def test_bad_input_exits_with_code_2_and_one_line_on_stderr(tmp_path):
     done = in_a_process("simulate", "--vehicle", "nope", "--speed-kmh", "50", "-o", "x.csv", cwd=tmp_path)
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
     assert done.stderr.startswith("trackres: error: ")

@@ -108,7 +108,7 @@ def test_without_any_of_them_the_rest_works(folder, arguments):
     assert "Traceback" not in done.stderr
 
 
-def test_every_command_that_is_interrupted_says_what_it_has_written(tmp_path):
+def test_an_interrupted_command_lists_the_files_it_has_written(tmp_path):
     pytest.importorskip("matplotlib")
     command = [sys.executable, "-m", "trackres_ros", "reproduce", "-o", str(tmp_path / "figures")]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
@@ -143,7 +143,7 @@ except KeyboardInterrupt:
 """
 
 
-def test_an_interrupt_that_is_swallowed_is_raised_again_until_it_is_taken():
+def test_a_swallowed_interrupt_is_raised_again_until_handled():
     done = subprocess.run([sys.executable, "-c", SWALLOWED], capture_output=True, text=True, check=True, timeout=50)
     assert done.stdout == "taken\n"
     assert "Exception ignored" in done.stderr
@@ -161,7 +161,7 @@ except KeyboardInterrupt:
 """
 
 
-def test_an_interrupt_that_met_the_evaluation_of_a_string_ends_as_any_other(tmp_path):
+def test_an_interrupt_during_eval_of_a_string_exits_with_130(tmp_path):
     (tmp_path / "interrupted.py").write_text(MET_IN_A_STRING)
     done = subprocess.run([sys.executable, "-m", "interrupted"], cwd=tmp_path, timeout=50, capture_output=True)
     assert done.returncode == 130
@@ -181,7 +181,7 @@ def test_a_command_interrupted_before_it_wrote_says_so(tmp_path, monkeypatch, ca
 
 
 @pytest.mark.parametrize("flags", [(), ("-O",)])
-def test_labels_that_are_not_those_sealed_are_refused_without_asserts_too(tmp_path, flags):
+def test_labels_unlike_the_seal_are_refused_without_asserts_too(tmp_path, flags):
     cases = draw_cases({"none": 2, "single": 2}, 5)
     (tmp_path / "seal.txt").write_text(sealed(5, cases) + "\n")
     (tmp_path / "sealed").mkdir()

@@ -33,7 +33,7 @@ def natural_rubber(vehicle):
 
 
 @given(SHIFTS, TEMPS, TEMPS, st.floats(1e-3, 1e3))
-def test_a_frequency_times_the_shift_factor_is_another_temperature(shift, temp, other, frequency):
+def test_frequency_times_shift_factor_equals_another_temperature(shift, temp, other, frequency):
     carried = frequency * 10.0 ** (shift.log_shift(temp) - shift.log_shift(other))
     one, same = shift.equivalent_degc(frequency, temp, 1.0), shift.equivalent_degc(carried, other, 1.0)
     assert same == pytest.approx(one, rel=1e-6, abs=1e-6)
@@ -55,7 +55,7 @@ def test_arrhenius_is_a_wlf_shift_with_its_pole_at_absolute_zero():
     assert shift.log_shift(temps) - shift.log_shift(-20.0) == pytest.approx(expected)
 
 
-def test_all_frequencies_times_a_constant_give_the_same_shift_and_moduli(vehicle):
+def test_scaling_all_frequencies_keeps_the_shift_and_moduli(vehicle):
     temps, shift = np.arange(-60.0, 61.0, 8.0), published("natural rubber")
     one = sweep(shift, temps)
     faster = replace(one, frequency=10.0 * one.frequency)
@@ -116,7 +116,7 @@ def test_errors_of_isotherms_widen_the_intervals(vehicle):
     assert widths[1] > 1.5 * widths[0]
 
 
-def test_elasticity_that_rises_with_temperature_is_said_and_leaves_the_shift_as_it_is(vehicle):
+def test_elasticity_rising_with_temperature_keeps_the_shift(vehicle):
     shift = published("SBR")
     plain = sweep(shift, np.arange(-50.0, 96.0, 5.0))
     assert fit_compound(plain, vehicle).power is None
@@ -136,7 +136,7 @@ def test_isotherms_that_do_not_overlap_tell_no_shift(vehicle):
     assert "too far apart" in found.why
 
 
-def test_the_master_curve_is_that_of_the_moduli_within_its_intervals(natural_rubber):
+def test_the_master_curve_has_the_true_moduli_in_its_intervals(natural_rubber):
     shift, master = published("natural rubber"), natural_rubber.master
     degc = np.linspace(-85.0, 55.0, 29)
     true = np.log(np.column_stack(moduli(np.log10(master.at_frequency) + shift.log_shift(degc) - shift.log_shift(-23.15))))
@@ -173,7 +173,7 @@ def test_one_frequency_keeps_the_shift_of_the_vehicle(vehicle):
     assert found.values["wlf_c1"].low == vehicle.parameters["rubber.wlf_c1"].low
 
 
-def test_the_vehicle_that_is_written_has_the_moduli_that_were_measured(vehicle, natural_rubber, tmp_path):
+def test_the_written_vehicle_has_the_measured_moduli(vehicle, natural_rubber, tmp_path):
     data = natural_rubber.sweep
     written = write_compound(natural_rubber, vehicle, files_of(tmp_path / "NR 7.csv", tmp_path / "out"))
     model = RubberModel(written.rubber)

@@ -87,7 +87,7 @@ def test_published_shifts_come_back(tmp_path):
     assert sum(inside) >= 10  # of 12, at 95 %
 
 
-def test_beside_a_rise_the_shift_does_not_follow_which_rows_there_are(tmp_path):
+def test_with_an_elastic_rise_the_shift_is_independent_of_rows(tmp_path):
     parts = of_parts(sweep_of(MOLAR_MASSES[0], tmp_path))
     assert np.ptp(parts[:, 2]) < 0.3 * np.ptp(parts[:, 0])
     np.testing.assert_allclose(parts[:, 2], PUBLISHED.pole, atol=5.0)

@@ -69,7 +69,7 @@ def test_filled_outputs_decode_to_stamp_and_numbers(tmp_path):
 REASONS = [(), (("SPEED_OLD", Level.STALE),), (("SPEED_OLD", Level.STALE), ("LOAD_NOMINAL", Level.WARN)), ()]
 
 
-def test_an_estimate_has_its_numbers_and_reasons_whatever_was_before():
+def test_an_estimate_message_is_independent_of_the_one_before():
     estimate = DdsEstimate("hull")
     for count, reasons in enumerate(REASONS):
         values = [count + 0.5, -2.0, 3.0, float(max((level for _, level in reasons), default=0))]

@@ -155,7 +155,7 @@ def test_it_comes_with_all_its_endpoints_and_goes_at_once(graph, command, start,
     assert f"Cyclone DDS {where}: topics and presence" in node.stderr.read()
 
 
-def test_publishers_are_seen_with_type_and_quality_until_they_leave(wire):
+def test_publishers_are_seen_with_type_and_qos_until_they_leave(wire):
     mine = Participant("watcher", "/")
     reliable = wire.publisher("/a", FLOAT, reliable=True)
     other = wire.publisher("/a", TWIST, reliable=False)

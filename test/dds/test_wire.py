@@ -61,7 +61,7 @@ def test_hashes_are_those_of_ros(name):
     assert type_hash(name) == f"typehash=RIHS01_{HASHES[name]};".encode()
 
 
-def test_hashes_of_all_types_are_those_of_the_ros_that_is_sourced():
+def test_type_hashes_equal_those_of_the_sourced_ros():
     known = {name: found for name in listed_types() if (found := of_ros(name))}
     if not known:
         pytest.skip("no ROS 2 is sourced")

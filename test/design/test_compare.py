@@ -32,7 +32,7 @@ def softer(tmp_path_factory, good):
     return file
 
 
-def test_half_of_the_loss_is_half_of_the_hysteresis_at_every_point(good, softer):
+def test_half_the_loss_modulus_is_half_the_hysteresis_everywhere(good, softer):
     found = json.loads(good("compare", "xgd24d", softer, *GRID, "--json"))
     (differs,) = (one for one in found["values"] if one["ratio"] is not None)
     assert (differs["path"], differs["ratio"]) == ("rubber.loss_modulus_scale", 0.5)
@@ -113,7 +113,7 @@ PATHS = (
 )
 
 
-def test_the_uncertainty_of_a_difference_is_that_of_vehicles_moved_together(good, tmp_path):
+def test_a_differences_std_moves_shared_values_in_both_vehicles(good, tmp_path):
     """Each value moved by a little in both vehicles, by the exact methods; where it differs, in each by itself."""
     good("vehicle", "new", "mine", "--like", "agri3t", "-o", tmp_path)
     content = yaml.safe_load((tmp_path / "mine.yaml").read_text())
@@ -177,7 +177,7 @@ def test_what_cannot_be_is_one_line(trackres, given, part):
     assert len(refused.stderr.strip().splitlines()) == 1
 
 
-def test_two_vehicles_without_belts_have_resistance_and_energy_over_speed(good):
+def test_vehicles_without_belts_compare_resistance_and_energy(good):
     done = good("compare", "bmw_i3", "ztbus_hess19", "--json")
     rows = json.loads(done)["wheels"]
     for row in rows:

@@ -48,7 +48,7 @@ def test_a_belt_that_finds_no_balance_has_no_steady_state():
     assert explain(vehicle, SPEED, AIR + WARMEST_K, AIR)["heat_w"] > explain(vehicle, SPEED, AIR + WARMEST_K, AIR)["cooling_w"]
 
 
-def test_more_load_takes_more_and_a_sweep_is_the_vehicles_one_by_one():
+def test_torque_rises_with_load_and_a_sweep_equals_single_runs():
     vehicle = load("agri3t")
     loads = next(path for path in scalars(vehicle) if path.endswith(".load"))
     asked = SweepRequest("agri3t", (varied(vehicle, f"{loads}"), varied(vehicle, "loss_modulus_scale=0.8,1.2")), 2.5, AIR)
@@ -108,7 +108,7 @@ def test_a_product_counts_with_others():
         assert abs(total - 1.0) <= total_pm
 
 
-def test_ranges_that_do_not_go_together_are_refused_with_a_reason(monkeypatch):
+def test_incompatible_ranges_are_refused_with_a_reason(monkeypatch):
     pytest.importorskip("SALib")
     pair = ["tracks.triangular.belt.width", "tracks.triangular.road_wheels.contact_length"]
     vehicle = load("xgd24d")
@@ -157,7 +157,7 @@ def test_values_that_are_none_are_refused(values):
         varied(load("xgd24d"), f"thickness={values}")
 
 
-def test_a_percentage_changes_the_values_of_the_file_and_what_is_tied_moves_together():
+def test_a_percentage_scales_file_values_and_moves_tied_ones():
     vehicle = load("xgd24d", {"chassis.axles.rear.load": 120000.0})
     both = ("chassis.axles.front.load", "chassis.axles.rear.load")
     found = varied(vehicle, "axles.load=-25%:+25%:3")

@@ -63,7 +63,7 @@ def test_where_nothing_may_be_compared_no_slope_is_made():
 
 
 @pytest.mark.parametrize("error_m", [2.0, 5.0])
-def test_an_error_that_lasts_is_seen_where_places_are_passed_again_and_the_slope_is_as_sure_as_it_says(error_m):
+def test_a_lasting_altitude_error_is_found_by_revisiting_places(error_m):
     session, slope = loop(error_m)
     error, places = error_by_revisits(session)
     assert error == pytest.approx(error_m, rel=0.3)

@@ -86,7 +86,7 @@ def written(believed, final, errors, confirmed=None, refitted=3.0, **given):
 V, S, X = effect("v"), effect("s", "surroundings"), effect("x", "sensor", "sensor")
 
 
-def test_what_was_found_is_written_as_it_was_fitted_if_it_is_no_worse(fitted_again):
+def test_a_found_effect_is_written_as_fitted_if_it_is_no_worse(fitted_again):
     for error in (90.0, 100.0):
         of = written(["v"], Fitted(2.0, V), {(2.0, "v"): error, (0.0, ""): 100.0})
         assert of[:2] == (2.0, "v")
@@ -94,7 +94,7 @@ def test_what_was_found_is_written_as_it_was_fitted_if_it_is_no_worse(fitted_aga
         assert "not written" not in of[2].text
 
 
-def test_a_vehicle_that_only_surroundings_make_right_is_not_written(fitted_again):
+def test_a_vehicle_right_only_with_surroundings_is_not_written(fitted_again):
     """The loss of the issue: 2165 Nm off alone, where the file was 121 Nm off; beside the file's values the slope is no good."""
     errors = {(2.0, "s"): 20.0, (2.0, ""): 2165.0, (0.0, ""): 121.0, (0.0, "s"): 1900.0, (3.0, ""): 110.0}
     rolling, names, kept = written(["s"], Fitted(2.0, S), errors)
@@ -119,7 +119,7 @@ def test_a_file_that_no_command_would_take_is_not_written(fitted_again):
     assert "360 degC" in kept.text
 
 
-def test_surroundings_go_beside_the_files_values_where_the_re_fit_is_no_better(fitted_again):
+def test_surroundings_keep_the_file_values_if_refit_is_no_better(fitted_again):
     errors = {(2.0, "s"): 20.0, (2.0, ""): 1065.3, (0.0, ""): 1065.0, (0.0, "s"): 21.0}
     rolling, names, kept = written(["s"], Fitted(2.0, S), errors)
     assert (rolling, names, kept.values) == (0.0, "s", None)
@@ -127,7 +127,7 @@ def test_surroundings_go_beside_the_files_values_where_the_re_fit_is_no_better(f
     assert "21 Nm with surroundings.yaml" in kept.text
 
 
-def test_of_vehicle_and_surroundings_the_vehicle_may_be_written_by_itself(fitted_again):
+def test_the_vehicle_may_be_written_without_the_surroundings(fitted_again):
     errors = {
         (2.0, "sv"): 20.0, (2.0, "v"): 150.0, (0.0, ""): 100.0, (0.0, "v"): 120.0,
         (1.0, "v"): 60.0, (3.0, ""): 90.0,
@@ -138,19 +138,19 @@ def test_of_vehicle_and_surroundings_the_vehicle_may_be_written_by_itself(fitted
     assert "not written: s" in kept.text
 
 
-def test_the_measured_torque_is_corrected_only_by_a_sensors_line_that_is_confirmed(fitted_again):
+def test_only_a_confirmed_sensor_line_corrects_measured_torque(fitted_again):
     errors = {(2.0, "x"): 20.0, (2.0, ""): 140.0, (0.0, "x"): 160.0, (0.0, ""): 100.0, (3.0, ""): 95.0}
     assert written(["x"], Fitted(2.0, X), errors)[:2] == (2.0, "x")
     assert written(["x"], Fitted(2.0, X), errors, confirmed=[])[:2] == (3.0, "")
 
 
-def test_a_line_of_a_sensor_that_makes_it_worse_beside_what_is_written_is_not(fitted_again):
+def test_a_sensor_line_that_worsens_the_written_file_is_dropped(fitted_again):
     errors = {(2.0, "x"): 99.0, (2.0, ""): 98.0, (0.0, "x"): 120.0, (0.0, ""): 100.0, (3.0, ""): 95.0}
     assert written(["x"], Fitted(2.0, X), errors)[:2] == (3.0, "")
 
 
 @pytest.mark.parametrize(("confirms", "rolling"), [(True, 2.5), (False, 0.0)])
-def test_a_value_outside_the_files_range_needs_its_own_confirmation(fitted_again, confirms, rolling):
+def test_a_value_outside_the_files_range_needs_own_confirmation(fitted_again, confirms, rolling):
     errors = {(2.5, "v"): 20.0, (0.0, "v"): 30.0, (0.0, ""): 100.0}
     assert written(["v"], Fitted(2.5, V), errors, confirms=confirms)[0] == rolling
 
@@ -165,7 +165,7 @@ def test_what_is_not_believed_moves_nothing(fitted_again):
     assert written([], Fitted(2.0, V, X), {**errors, (3.0, ""): 101.0})[:2] == (0.0, "")
 
 
-def test_what_follows_the_clock_alone_is_neither_written_nor_doubted(fitted_again):
+def test_a_clock_driven_pattern_is_neither_written_nor_reported(fitted_again):
     kept = written(["v"], Fitted(2.0, V, effect("spells", acts_on=WATCHED)), {(2.0, "v"): 20.0, (0.0, ""): 100.0})[2]
     assert [a.effect.name for a in kept.effects] == ["v"]
     assert "spells" not in kept.text
@@ -197,13 +197,13 @@ def leaves(found):
     return {q.name for q in found.problem.base.parameters if q.outside(found.base_values[q.name])}
 
 
-def test_a_value_that_held_out_laps_confirm_outside_its_range_stays_there(driven):
+def test_a_value_that_held_out_laps_confirm_may_leave_its_range(driven):
     found, use = driven({"loss_modulus_scale": 1.6})
     assert "loss_modulus_scale" in leaves(found)
     assert inside_ranges(found, use).base_values["loss_modulus_scale"] == pytest.approx(1.6, abs=0.15)
 
 
-def test_a_value_that_nothing_confirms_outside_its_range_goes_back_to_its_end(driven):
+def test_an_unconfirmed_value_out_of_range_returns_to_its_end(driven):
     found, use = driven({"loss_modulus_scale": 1.0})
     spoilt = replace(found, base_values={**found.base_values, "drag_coefficient": 1.9})
     inside = inside_ranges(spoilt, use)
@@ -213,7 +213,7 @@ def test_a_value_that_nothing_confirms_outside_its_range_goes_back_to_its_end(dr
     assert all(q.low >= q.by_file[0] and q.high <= q.by_file[1] for q in again.problem.base.parameters)
 
 
-def test_alone_is_without_the_surroundings_and_the_route_that_were_given(driven, loaded, effects):
+def test_alone_means_without_given_surroundings_and_route(driven, loaded, effects):
     found, _ = driven({})
     sessions = found.problem.sessions
     site = Active(effects["grade"], {"grade": 0.02})
@@ -252,14 +252,14 @@ def test_a_sensor_that_reads_none_at_rest_for_long_has_no_offset(loaded, effects
     assert effects.keys() - may_be_found.keys() <= {"torque_offset"}
 
 
-def test_stops_at_which_the_vehicle_is_held_on_a_slope_hide_no_others(loaded, effects):
+def test_stops_held_on_a_slope_hide_no_other_stops(loaded, effects):
     (session,) = drives(loaded.base, 10.0, 1, 12.0, np.random.default_rng(1), step=1.0)
     stopped = [resting(session, torque, 200.0) for torque in (0.0, 900.0, -900.0)]
     assert seconds_without_torque(stopped, 15.0) == pytest.approx(200.0, abs=5.0)
     assert not seconds_without_torque(stopped[1:], 15.0)
 
 
-def test_where_no_torque_is_measured_at_rest_nothing_is_known_of_an_offset(loaded):
+def test_without_torque_at_rest_the_offset_is_unknown(loaded):
     (session,) = drives(loaded.base, 10.0, 1, 6.0, np.random.default_rng(1), step=1.0)
     stood = resting(session, 0.0, 200.0)
     only_driven = Cumulative.of(stood.time[200:] + 0.5, stood.torque[200:])
@@ -329,7 +329,7 @@ def held_out_of(paths, file, report):
     return [(s, s.used & np.array([lap_name(s, b) in laps for b in s.block])) for s in sessions]
 
 
-def test_vehicle_yaml_alone_is_no_worse_than_the_file_with_another_compound(tmp_path, loaded):
+def test_vehicle_yaml_alone_is_no_worse_with_another_compound(tmp_path, loaded):
     check_law(tmp_path, loaded, [], {"loss_modulus_scale": 1.15}, -0.008)
 
 
@@ -341,5 +341,5 @@ if "EVERY_EFFECT" not in os.environ:  # all 62 take half an hour
 
 @pytest.mark.long
 @pytest.mark.parametrize(("name", "factors"), HIDDEN, ids=str)
-def test_vehicle_yaml_alone_is_no_worse_than_the_file_whatever_is_hidden(tmp_path, loaded, name, factors):
+def test_vehicle_yaml_alone_is_no_worse_whatever_is_hidden(tmp_path, loaded, name, factors):
     check_law(tmp_path, loaded, [name], factors, 0.0, count=3, minutes=10.0)

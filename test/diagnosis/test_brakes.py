@@ -37,7 +37,7 @@ def test_a_motor_at_its_limit_is_told_from_one_that_brakes_alone(loaded, most):
     assert -most - 2.0 * NOISE_NM < alone < -0.5 * most
 
 
-def test_without_friction_brakes_all_of_the_braking_is_the_motors(loaded):
+def test_without_friction_brakes_the_motor_does_all_braking(loaded):
     alone, least = found(loaded, lambda torque, _: torque)
     assert alone < 0.9 * least
 
@@ -47,7 +47,7 @@ def test_brakes_that_always_take_half_leave_nothing_to_compare(loaded):
     assert alone > 0.35 * least
 
 
-def test_brakes_that_are_used_now_and_then_at_any_torque_leave_nothing_to_compare(loaded):
+def test_brakes_used_at_random_at_any_torque_leave_no_comparison(loaded):
     def now_and_then(torque, rng):
         return np.where((torque < 0.0) & (rng.random(len(torque)) < 0.4), 0.0, torque)
 

@@ -37,7 +37,7 @@ def noise_of(residual, mask):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_slopes_are_learned_and_hold_on_passes_that_were_not_used(seed):
+def test_learned_slopes_hold_on_passes_that_were_not_used(seed):
     one, at, residual, mask, slope, _ = made(seed, (1, -1, 1, 1, -1))
     fitted = mask & (at.number < 4)
     noise = noise_of(residual - WEIGHT_RADIUS_NM * slope_at(one.way) * one.direction, mask)
@@ -66,14 +66,14 @@ def test_where_nothing_is_by_place_there_is_no_evidence_of_it():
     assert not any(wrong)
 
 
-def test_a_slope_is_told_from_a_torque_where_streets_are_passed_both_ways():
+def test_two_way_streets_tell_a_slope_from_a_torque():
     _, _, residual, mask, slope, torque = made(1, (1, -1, 1, -1))
     noise = noise_of(residual, mask)
     evidence = [learn(c, [residual], [mask], noise, t).evidence for c, t in ((slope, 0.03), (torque, 1800.0))]
     assert evidence[0] > evidence[1] + 20.0
 
 
-def test_a_torque_is_told_from_a_slope_where_streets_are_passed_both_ways():
+def test_two_way_streets_tell_a_torque_from_a_slope():
     one, _, _, mask, slope, torque = made(2, (1, -1, 1, -1))
     rng = np.random.default_rng(9)
     residual = 2500.0 * np.maximum(slope_at(one.way) / 0.05, 0.0) + rng.normal(0.0, 400.0, len(one.way))

@@ -18,7 +18,7 @@ from trackres_ros.effects.learned import OPEN, SPEED, Curve
 # What a candidate is worth
 
 
-def test_a_candidate_counts_by_what_it_gains_beyond_other_forms_and_what_it_costs():
+def test_a_candidate_counts_by_gain_net_of_other_forms_and_costs():
     one = candidate(gain=10.0, criterion=8.0, taken=3.0)
     assert (one.net_gain, one.net_evidence) == (7.0, 5.0)
     assert one.counts(6.9)
@@ -32,7 +32,7 @@ def test_what_hardly_adds_to_the_torque_is_not_worth_a_name():
     assert not candidate(share=0.00499).counts(1.0)
 
 
-def test_the_hint_is_the_likeliest_of_those_above_noise_where_nothing_was_chosen():
+def test_the_hint_is_the_likeliest_candidate_above_noise():
     def of(name, gain, criterion, effect=None):
         return candidate(name, gain, criterion, fit=Model(World({name: gain}), [effect or Kind(name)]))
 
@@ -72,7 +72,7 @@ def test_parameters_count_as_far_as_the_data_settle_them():
 @pytest.mark.parametrize(
     ("gain", "std", "expected"), [(1.0, 1.0, 100.0), (0.5, 1.0, 25.0), (0.1, 1.0, 10.0), (1.0, 0.5, 100.0), (1.0, 2.0, 25.0)]
 )
-def test_samples_are_worth_less_where_residuals_resemble_each_other(gain, std, expected):
+def test_autocorrelated_residuals_reduce_the_effective_samples(gain, std, expected):
     rows = [np.where(np.arange(120) % 2, 1.0, -1.0), np.full(50, 1e9)]
     mask = np.arange(120) < 100
     segments = [SimpleNamespace(kind="torque", mask=mask), SimpleNamespace(kind="belt", mask=np.ones(50, dtype=bool))]
@@ -89,7 +89,7 @@ def test_the_root_mean_square_is_of_what_counts():
 @pytest.mark.parametrize(
     ("torque", "added", "share"), [(100.0, 5.0, 0.05), (1e-3, 1e-4, 0.1), (1e-3, 2e-3, 2.0), (0.0, 0.0, 0.0)]
 )
-def test_the_share_is_of_the_torque_that_was_measured_however_small(torque, added, share):
+def test_the_share_is_relative_to_the_measured_torque(torque, added, share):
     world = World({"a": 40.0})
     world.problem.sessions = (SimpleNamespace(torque=np.full(LAPS * LAP, -torque)),)
     found = Model(world, [world.effects["a"]])

@@ -18,7 +18,7 @@ from trackres_ros.effects.learned import OPEN, SPEED, Curve
 # Rounds
 
 
-def test_what_is_fitted_comes_best_first_with_what_it_gains_and_costs(play):
+def test_fitted_candidates_come_best_first_with_gains_and_costs(play):
     step = play({"noise": 3.0, "real": 40.0, "near": 30.0}).step
     assert [c.name for c in step.candidates] == ["real", "near"]
     first = step.candidates[0]
@@ -28,7 +28,7 @@ def test_what_is_fitted_comes_best_first_with_what_it_gains_and_costs(play):
     assert (step.before.effect_names, step.chosen, step.members) == ((), None, ())
 
 
-def test_beside_what_is_there_only_the_others_are_proposed_by_what_they_gain_there(play):
+def test_after_a_fit_only_other_terms_are_proposed_by_their_gain(play):
     done = play({"a": 40.0, "b": 39.0, "c": 20.0}, together={("a", "b"): 40.5}, beside=["a"])
     assert done.names == ["c"]
     assert dict(done.step.screened) == pytest.approx({"b": 0.5, "c": 20.0})
@@ -41,7 +41,7 @@ def test_what_noise_gains_is_taken_over_where_it_is_known(play):
     assert (step.by_noise, step.threshold) == (7.5, 7.5)
 
 
-def test_a_best_below_half_of_what_noise_gains_is_not_fitted_at_all(play):
+def test_a_best_gain_below_half_of_noise_is_not_fitted(play):
     for gain, threshold, fitted in ((2.4, 5.0, False), (2.6, 5.0, True), (0.9, 1.0, False), (1.1, 1.0, True)):
         step = play({"a": gain}, threshold=threshold).step
         assert bool(step.candidates) == fitted
@@ -55,7 +55,7 @@ def test_where_no_effect_can_be_seen_nothing_is_proposed(play):
     assert play({}, threshold=-1.0).step.candidates == ()
 
 
-def test_the_models_own_error_raises_what_counts_and_leaves_a_hint(play):
+def test_the_models_error_raises_the_threshold_and_leaves_a_hint(play):
     samples, std = LAPS * LAP, 2.5
     spurious = 0.5 * samples * (naming.MODEL_ERROR * TORQUE_NM / std) ** 2
     assert spurious == pytest.approx(1.28)
@@ -66,7 +66,7 @@ def test_the_models_own_error_raises_what_counts_and_leaves_a_hint(play):
         assert step.candidates[0].counts(step.threshold) == counts
 
 
-def test_what_whitening_leaves_of_a_constant_it_leaves_of_the_models_error():
+def test_whitening_scales_the_models_error_like_a_constant():
     world = World({}, std=2.0)
     whole = naming.spurious_gain(Model(world, ()))
     assert whole == pytest.approx(0.5 * LAPS * LAP * (0.004 * TORQUE_NM / 2.0) ** 2)
@@ -76,7 +76,7 @@ def test_what_whitening_leaves_of_a_constant_it_leaves_of_the_models_error():
 
 @pytest.mark.parametrize(("given", "counts"), [({"costs": 21.0}, False), ({"costs": 19.0}, True),
                                                ({"taken": 16.0}, False), ({"taken": 14.0}, True)])  # fmt: skip
-def test_what_it_costs_and_what_other_forms_take_comes_off_what_it_gains(play, given, counts):
+def test_costs_and_other_forms_gains_reduce_a_candidates_gain(play, given, counts):
     step = play({"a": 20.0}, **given).step
     assert step.candidates[0].counts(step.threshold) == counts
 
@@ -106,7 +106,7 @@ def test_a_quarter_of_what_noise_gains_is_the_least_worth_a_fit(play):
     assert fitted(play({"best": 10.0, "little": 2.6, "less": 2.4}, threshold=10.0)) == {"best", "little"}
 
 
-def test_a_gain_that_a_fit_does_not_bear_out_is_no_measure_for_the_others(play):
+def test_a_gain_that_its_fit_refutes_sets_no_bar_for_the_others(play):
     assert play({"bent": 1.0, "real": 20.0, "near": 6.0, "far": 4.0}, first_order={"bent": 80.0}).names == [
         "real",
         "near",
@@ -118,18 +118,18 @@ def test_a_gain_that_a_fit_does_not_bear_out_is_no_measure_for_the_others(play):
     assert play({"bent": edge, "near": 6.0}, first_order={"bent": 80.0}).names == ["bent"]
 
 
-def test_where_all_but_what_is_not_borne_out_gain_less_than_noise_nothing_more_is_fitted(play):
+def test_nothing_more_is_fitted_if_the_others_gain_below_noise(play):
     assert play({"bent": 1.0, "little": 2.4}, first_order={"bent": 80.0}).names == ["bent"]
 
 
-def test_those_that_mislead_take_no_place_of_those_that_are_fitted(play):
+def test_misleading_candidates_take_no_place_in_the_fitted_list(play):
     gains = {f"bent{i}": 1.0 for i in range(3)} | {f"e{i}": 20.0 - i for i in range(8)}
     done = play(gains, first_order={f"bent{i}": 80.0 for i in range(3)})
     assert len(done.names) == 3 + naming.MOST_REFITTED[False]
 
 
 @pytest.mark.parametrize("acts_on", ["heat", "cooling"])
-def test_what_acts_through_the_temperature_is_fitted_however_far_behind(play, acts_on):
+def test_candidates_acting_through_temperature_are_always_fitted(play, acts_on):
     gains = {"best": 60.0, "warm": 6.0, "cold": 4.0}
     through = {name: Kind(name, acts_on) for name in ("warm", "cold")}
     assert fitted(play(gains, through)) == {"best", "warm"}
@@ -147,7 +147,7 @@ def test_a_best_at_half_of_what_noise_gains_is_fitted(play):
     assert fitted(play({"best": exactly_one}, threshold=1.0)) == {"best"}
 
 
-def test_no_more_than_six_names_are_fitted_and_three_forms_beside_them(play):
+def test_at_most_six_names_and_three_forms_are_fitted(play):
     names, forms = ({f"{of}{i}": 20.0 - i for i in range(9)} for of in ("name", "form"))
     curves = {}
     for i, name in enumerate(forms):
@@ -158,7 +158,7 @@ def test_no_more_than_six_names_are_fitted_and_three_forms_beside_them(play):
 
 
 @pytest.mark.parametrize(("behind", "widths"), [(2.0, [2.0, 6.0]), (4.0, [2.0])])
-def test_the_best_of_the_starts_that_may_be_best_counts_with_what_shows_most_of_it(play, behind, widths):
+def test_the_best_fit_of_the_promising_starts_is_used(play, behind, widths):
     shape = Parameter("width", "m/s", 0.0, 9.0, 2.0, "of it", more_starts=(6.0,))
     size = Parameter("size", "Nm", -100.0, 100.0, 10.0, "of it", off=5.0)
     world = World({"a": 30.0})
@@ -186,16 +186,14 @@ def test_the_best_of_the_starts_that_may_be_best_counts_with_what_shows_most_of_
 
 
 @pytest.mark.parametrize(("moved", "size"), [(0.02, 5.25), (-0.02, 4.75), (0.3, 6.5), (-0.8, 1.0)])
-def test_a_fit_does_not_begin_at_nothing_where_a_shape_cannot_be_felt(moved, size):
+def test_a_fit_never_starts_at_zero_where_shape_has_no_effect(moved, size):
     world = World({"a": 1.0})
     world.effects["a"] = Kind("a", parameters=(Parameter("size", "Nm", -100.0, 100.0, 10.0, "of it", off=5.0),))
     assert naming._begin(world.seen("a"), np.array([moved])) == {("a", "size"): pytest.approx(size)}
 
 
 @pytest.mark.parametrize(("slow", "short", "begun"), [(0.99, True, "short"), (0.99, False, "as it is"), (0.3, True, "as it is")])
-def test_beside_noise_that_looks_like_a_random_walk_a_fit_begins_with_the_noise_that_is_better_to_first_order(
-    play, slow, short, begun
-):
+def test_random_walk_noise_fits_start_with_the_better_noise(play, slow, short, begun):
     world = World({"a": 40.0})
     world.noise.phi, world.noise.scale, world.noise.degrees = np.array([slow]), QUIET, 5.0
     seen = []

@@ -46,7 +46,7 @@ def test_a_grade_is_never_better_than_its_interval(before, after, low, wide):
 
 
 @given(st.integers(1, 40), st.integers(0, 2**31))
-def test_the_same_error_is_no_improvement_and_a_smaller_one_everywhere_is_confirmed(laps, seed):
+def test_equal_error_is_suspected_and_smaller_error_confirmed(laps, seed):
     rng = np.random.default_rng(seed)
     (session,) = drives_like(laps * 60)
     held = HeldOutLaps([session], [np.ones(len(session), dtype=bool)], rng)
@@ -103,7 +103,7 @@ def test_what_only_the_fitted_laps_have_is_not_written(run, pumped, tmp_path, lo
 
 
 @pytest.mark.parametrize("names", [(), ("turning_scrub",), ("turning_scrub", "torque_offset")])
-def test_what_is_kept_is_never_worse_than_the_file_on_held_out_laps(diagnoses, loaded, names):
+def test_the_kept_file_is_never_worse_on_held_out_laps(diagnoses, loaded, names):
     found = diagnoses(*names)
     masks = [found.split.held_out_mask(s) for s in found.sessions]
     laps = HeldOutLaps(found.sessions, masks, np.random.default_rng(1))

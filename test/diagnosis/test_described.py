@@ -80,7 +80,7 @@ def runs(changes, times):
 
 
 @pytest.mark.long
-def test_spells_are_described_and_written_to_be_watched_for_alone(pumped, tmp_path):
+def test_spells_are_described_and_written_only_as_a_disturbance(pumped, tmp_path):
     _, found, changes = pumped
     (told,) = [t for t in found.described if t.described.form == "spells"]
     assert not told.described.predictable
@@ -101,7 +101,7 @@ def test_spells_are_described_and_written_to_be_watched_for_alone(pumped, tmp_pa
 
 
 @pytest.mark.long
-def test_a_replay_of_a_drive_that_was_not_fitted_follows_the_spells_and_expects_no_other_torque(pumped, tmp_path):
+def test_a_replay_follows_the_spells_and_changes_no_other_column(pumped, tmp_path):
     recordings, found, changes = pumped
     for name, kept in (("watching", found.kept), ("bare", replace(found.kept, disturbance=None))):
         found.base.write(tmp_path / f"{name}.yaml", kept, "Written by trackres diagnose from x.")
@@ -128,7 +128,7 @@ def test_a_replay_of_a_drive_that_was_not_fitted_follows_the_spells_and_expects_
 
 
 @pytest.mark.long
-def test_a_drift_is_judged_by_who_follows_it_and_written_to_be_watched_for(recorded, loaded, check_form, tmp_path):
+def test_a_drift_is_judged_by_following_it_and_written_as_such(recorded, loaded, check_form, tmp_path):
     rng = np.random.default_rng(4)
 
     def adds(r, times):
@@ -154,7 +154,7 @@ def test_a_drift_is_judged_by_who_follows_it_and_written_to_be_watched_for(recor
 
 
 @pytest.mark.long
-def test_a_level_that_changed_for_good_is_described_with_its_time_and_never_written(recorded, loaded, check_form, tmp_path):
+def test_a_lasting_level_change_is_described_and_never_written(recorded, loaded, check_form, tmp_path):
     def adds(r, times):
         since = SINCE_S if "drive_1" in r.name else 0.0
         return FOR_GOOD_NM * (times > since) * (at(r, "speed", times) > 0.1)
@@ -176,7 +176,7 @@ def test_a_level_that_changed_for_good_is_described_with_its_time_and_never_writ
 
 
 @pytest.mark.long
-def test_a_torque_at_the_same_place_on_each_pass_is_described_and_never_written(recorded, loaded, check_form, tmp_path):
+def test_a_torque_repeated_at_a_place_is_described_never_written(recorded, loaded, check_form, tmp_path):
     def adds(r, times):
         speed = np.abs(at(r, "speed", times))
         place = np.cumsum(speed * np.gradient(times)) % LAP_M

@@ -68,7 +68,7 @@ def test_the_sentence_is_short_whatever_was_found(status, grade, names, before, 
     assert all(t.answer and t.detail for t in tiles(r))
 
 
-def test_what_is_of_the_surroundings_is_not_said_to_be_in_the_vehicle_file():
+def test_surroundings_are_not_listed_as_in_the_vehicle_file():
     r = report_of("named", "confirmed", [["grade"], ["warmup"]])
     r["effects"][0]["belongs_to"] = "surroundings"
     last = tiles(r)[-1]
@@ -79,7 +79,7 @@ def test_what_is_of_the_surroundings_is_not_said_to_be_in_the_vehicle_file():
     assert tiles(r)[-1].detail == "surroundings.yaml has grade, for where it holds"
 
 
-def test_a_confirmed_term_without_a_name_is_listed_with_the_names():
+def test_a_confirmed_term_without_a_name_is_listed_with_names():
     of = {"form": "payload", "variable": "mass", "gate": "", "size_nm": 50.0, "mechanisms": ["people"]}
     described = [{**of, "grade": grade} for grade in ("confirmed", "suspected")]
     both, alone = (tiles(report_of("named", "confirmed", [["grade"]], described=of))[1] for of in (described[:1], described[1:]))
@@ -87,7 +87,7 @@ def test_a_confirmed_term_without_a_name_is_listed_with_the_names():
     assert alone.answer == "grade"
 
 
-def test_what_cannot_be_predicted_is_worth_what_following_it_takes_off():
+def test_an_unpredictable_term_is_worth_the_error_it_removes():
     of = {
         "form": "recordings",
         "variable": "recording",
@@ -120,7 +120,7 @@ def graded(term, grade, before, after):
     return {**term, "grade": grade, "heldout": {"mae": [before, after], "ci95": [0.0, 1.0], "grade": grade}}
 
 
-def test_the_headline_and_next_follow_the_confirmed_term_that_removes_most():
+def test_headline_and_next_step_follow_the_largest_confirmed_one():
     r = report_of("named", "confirmed", [["viscous_bearing"], ["grade"]])
     small, large = r["effects"]
     large["acts"] = {"text": "", "size": "the vehicle needs at times more and at times less than the re-fitted model"}
@@ -213,7 +213,7 @@ def test_what_can_be_lit_is_there(diagnosed, scrubbed):
         assert any(number in of[name] for of in letters), key
 
 
-def test_an_interval_over_laps_covers_the_mean_as_often_as_it_says():
+def test_an_interval_over_laps_covers_the_mean_at_its_level():
     rng, covered = np.random.default_rng(1), 0
     for _ in range(400):
         laps = np.repeat(np.arange(20), 30)
@@ -262,7 +262,7 @@ def test_the_page_says_where_it_comes_from(scrubbed, recorded, tmp_path):
     assert sha256(tmp_path / "nowhere") == ""
 
 
-def test_without_bokeh_the_page_has_its_pictures_and_says_how_to_install_it(diagnoses, scrubbed, tmp_path, monkeypatch):
+def test_without_bokeh_the_page_says_how_to_install_it(diagnoses, scrubbed, tmp_path, monkeypatch):
     from trackres_ros.results.diagnosis import _plots
 
     monkeypatch.setitem(sys.modules, "bokeh", None)
@@ -336,7 +336,7 @@ def test_in_a_browser_the_tiles_come_first_and_nothing_overlaps(scrubbed, tmp_pa
 
 
 @IN_A_BROWSER
-def test_a_press_lights_up_times_on_every_series_and_another_puts_them_out(scrubbed, tmp_path):
+def test_a_press_highlights_times_in_each_series_and_toggles_off(scrubbed, tmp_path):
     pytest.importorskip("bokeh")
     found, _ = probed(scrubbed[0] / "report.html", tmp_path, 1200)
     assert len(found["lit"]) == 4  # two drives, the lap's torque and its speed

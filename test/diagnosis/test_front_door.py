@@ -114,7 +114,7 @@ def test_where_nothing_is_kept_the_vehicle_is_the_one_given(found, vehicle):
     assert effects_of(result.vehicle) == []
 
 
-def test_surroundings_that_were_given_stay_and_found_ones_are_not_added(found, vehicle, effects):
+def test_given_surroundings_stay_and_found_ones_are_not_added(found, vehicle, effects):
     site, headwind = (tr.effects.Active(effects[name], effects[name].values()) for name in ("grade_profile", "headwind"))
     here = load_base(replace(vehicle, surroundings=(site,)))
     with_wind = replace(found.diagnosis, kept=FileChanges(None, (headwind,), {}, "a wind is kept"))

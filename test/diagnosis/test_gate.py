@@ -81,7 +81,7 @@ def test_what_is_wrong_is_said_with_the_line_that_mends_it(run, recorded, tmp_pa
     assert not (tmp_path / "out" / "vehicle.yaml").exists()
 
 
-def test_a_slow_vehicle_in_kmh_is_told_by_what_changes_of_speed_take(run, loaded, tmp_path):
+def test_a_slow_speed_in_kmh_is_detected_from_inertia_torque(run, loaded, tmp_path):
     def in_kmh(columns):
         columns.pop("accel_mps2")  # that would tell
         columns["speed_mps"] *= 3.6
@@ -114,7 +114,7 @@ def test_no_effect_that_nature_has_is_refused(tmp_path, name):
     assert not any("clocks overlap" in note or "unusual" in note for note in passed.notes)
 
 
-def test_nothing_is_concluded_where_the_mean_is_better_than_the_model():
+def test_nothing_is_concluded_if_the_mean_beats_the_model():
     worse = {"nominal": -0.4, "refitted": -0.3, "with_effects": -0.2}
     off = {"nominal": 300.0, "refitted": 290.0, "with_effects": 280.0}
     refused = nothing_to_conclude("a.csv", worse, off, 500.0)
@@ -198,7 +198,7 @@ def test_two_recordings_of_one_time_are_refused_by_name(run, recorded, tmp_path)
         assert part in str(done.exception)
 
 
-def test_clocks_that_overlap_a_little_are_told_and_those_of_no_day_are_not(recorded, loaded, tmp_path):
+def test_slightly_overlapping_clocks_are_noted_unless_undated(recorded, loaded, tmp_path):
     one = recorded()[0]
     length = 600.0
     later = rewritten(one, tmp_path, lambda c: c.update(time_s=c["time_s"] + length - 20.0), "later.csv")
@@ -393,7 +393,7 @@ def test_an_unlike_torque_an_hour_late_is_left_out(recorded, loaded, tmp_path):
         assert part in said
 
 
-def test_a_torque_that_was_recorded_longer_is_noted_and_not_moved(recorded, loaded, tmp_path):
+def test_a_torque_recorded_for_longer_is_noted_and_not_shifted(recorded, loaded, tmp_path):
     def change(columns):
         columns["torque_nm"][:1000] = np.nan
         columns["speed_mps"][-500:] = np.nan
@@ -463,7 +463,7 @@ def test_a_slope_is_that_of_the_road(noise, step, off):
     assert np.sqrt(np.mean((found - slope)[100:-100] ** 2)) < off
 
 
-def test_what_the_altitude_does_while_the_vehicle_stands_is_no_slope():
+def test_altitude_drift_at_standstill_is_no_slope():
     time, speed, _, altitude, slope = hills()
     settling = altitude + 80.0 * np.maximum(0.0, 1.0 - time / 400.0)  # as a receiver that still settles
     found = slopes(time, speed, settling).value

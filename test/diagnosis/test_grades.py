@@ -45,7 +45,7 @@ def test_a_grade_is_what_the_mean_error_and_its_interval_say(after, low, high, l
     assert Improvement(100.0, after, low, high, likelier).grade == grade
 
 
-def test_on_a_bound_what_is_confirmed_is_suspected_and_what_is_refuted_stays_so():
+def test_on_a_bound_confirmed_becomes_suspected_refuted_stays():
     for bounds in ((), ("size",)):
         graded = [Graded("x", improvement, bounds).grade for improvement in (SURE, UNSURE, WORSE)]
         assert graded == [SUSPECTED if bounds else CONFIRMED, SUSPECTED, REFUTED]
@@ -69,7 +69,7 @@ def test_on_a_bound_what_is_confirmed_is_suspected_and_what_is_refuted_stays_so(
         (1.0, {"low": 1.0, "high": 2.0, "off": 1.0}, ()),
     ],
 )
-def test_a_parameter_lies_on_a_bound_within_a_thousandth_of_its_span(value, given, bounds):
+def test_a_value_within_a_thousandth_of_its_span_is_on_a_bound(value, given, bounds):
     size = Parameter("size", "Nm", **{"low": -10.0, "high": 10.0, "start": 3.0, "text": "of it", "off": 0.0, **given})
     assert on_bounds(Active(SimpleNamespace(name="a", parameters=(size,)), {"size": value})) == bounds
 
@@ -91,11 +91,11 @@ def test_what_displaces_is_refuted_whatever_it_improves():
     (0.0, 1.0, True), (2.0, 1.0, True), (0.001, 1.0, True), (1.999, 1.0, True),
     (0.003, 1.0, False), (1.997, 1.0, False), (0.0, 0.0, False), (0.0, 0.002, False),
 ])  # fmt: skip
-def test_it_takes_the_place_of_what_the_vehicle_has_where_that_goes_to_its_bound(beside, without, takes):
+def test_a_term_displaces_a_value_that_it_drives_to_its_bound(beside, without, takes):
     little = Improvement(100.0, 92.0, 5.0, 11.0)
     assert displaced(little, fitted(beside), fitted(without)) == (("rolling",) if takes else ())
 
 
 @pytest.mark.parametrize(("error", "takes"), [(90.1, True), (89.9, False), (50.0, False)])
-def test_what_makes_laps_much_better_takes_no_place_wherever_the_base_goes(error, takes):
+def test_a_term_that_improves_laps_much_displaces_nothing(error, takes):
     assert bool(displaced(Improvement(100.0, error, 1.0, 50.0), fitted(0.0), fitted(1.0))) == takes

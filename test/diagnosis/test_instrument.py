@@ -66,7 +66,7 @@ def test_what_is_of_an_instruments_size_is_found_as_that(problem_with):
 
 
 @pytest.mark.parametrize("name", LARGE)
-def test_beside_an_effect_of_a_sensor_the_instruments_own_is_not_there(name, problem_with, effects):
+def test_a_sensor_effect_replaces_the_instruments_own_term(name, problem_with, effects):
     found = fit(problem_with({name: LARGE[name]}), [effects[name]])
     assert name not in {a.effect.name for a in found.instrument}
     assert len(found.instrument) == len(instrument(found.problem.base)) - 1

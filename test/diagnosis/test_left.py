@@ -105,7 +105,7 @@ def test_the_vehicles_effects_are_in_its_file_and_no_others(left):
             assert active.ranges[name] == pytest.approx((max(0.9 * value, q.low), min(1.1 * value, q.high)), rel=1e-5)
 
 
-def test_intervals_become_ranges_and_the_estimate_is_as_sure_as_what_was_learned(left):
+def test_intervals_become_ranges_and_shrink_the_estimates_std(left):
     before, after = load("xgd24d"), load(left / "vehicle.yaml")
     for name in ("chassis.bearing_friction", "chassis.drag_coefficient", "rubber.loss_modulus_scale"):
         q, was = after.parameters[name], before.parameters[name]
@@ -128,7 +128,7 @@ def test_intervals_become_ranges_and_the_estimate_is_as_sure_as_what_was_learned
     assert shares[1] < 0.1 * 0.5
 
 
-def test_a_second_diagnosis_knows_what_was_learned_and_may_still_go_as_far(left, loaded):
+def test_a_second_diagnosis_starts_surer_within_the_same_bounds(left, loaded):
     again = load_base(left / "vehicle.yaml")
     for first, second in zip(loaded.base.parameters, again.base.parameters, strict=True):
         assert second.std < first.std
@@ -165,7 +165,7 @@ def test_nothing_kept_leaves_the_file_as_it_was(loaded, tmp_path):
     assert not (tmp_path / "surroundings.yaml").exists()
 
 
-def test_the_folder_moves_as_a_whole_and_every_command_takes_its_files(left, own, tmp_path, monkeypatch):
+def test_a_moved_folder_still_works_with_every_command(left, own, tmp_path, monkeypatch):
     moved = tmp_path / "elsewhere" / "vehicle"
     moved.parent.mkdir()
     shutil.move(left, moved)
@@ -183,7 +183,7 @@ def test_the_folder_moves_as_a_whole_and_every_command_takes_its_files(left, own
     assert load_base("vehicle/vehicle.yaml").base.includes == ("stribeck", "squeak")
 
 
-def test_at_a_standstill_nothing_of_the_surroundings_is_fed_forward(left, tmp_path):
+def test_at_standstill_no_surroundings_are_fed_forward(left, tmp_path):
     drive = tmp_path / "drive.csv"
     drive.write_text(DRIVE)
     rows = {}
@@ -202,7 +202,7 @@ def test_a_state_is_of_a_vehicle_in_its_surroundings(left):
     assert snapshot.key(Estimator(vehicle)) != snapshot.key(Estimator(around))
 
 
-def test_a_vehicle_file_with_what_is_not_of_the_vehicle_is_refused_by_the_commands(tmp_path):
+def test_commands_refuse_a_vehicle_file_with_foreign_effects(tmp_path):
     drive = tmp_path / "drive.csv"
     drive.write_text(DRIVE)
     source = load("xgd24d").source
@@ -302,7 +302,7 @@ def test_with_the_line_that_is_printed_a_sensor_shows_what_is_so(wrong, loaded, 
 
 
 @pytest.mark.parametrize("says", ["at.direction / 0", "at.direction * float('nan')", "p.nothing"])
-def test_an_effect_of_the_users_own_that_fails_in_a_fit_ends_it_with_its_name(says, loaded, own):
+def test_a_failing_user_effect_ends_the_fit_with_its_name(says, loaded, own):
     own_file = own / "squeak.py"
     own_file.write_text(own_file.read_text().replace("p.torque * at.direction", says))
     squeak = catalogue(own)["squeak"]

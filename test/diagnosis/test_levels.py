@@ -56,7 +56,7 @@ def pairs(found):
 
 
 @pytest.mark.long
-def test_a_refit_keeps_its_level_and_is_no_worse_than_the_file_or_robust_least_squares(road, robust_least_squares):
+def test_an_unbiased_refit_is_no_worse_than_file_or_robust_fit(road, robust_least_squares):
     means, ours, files, robust = [], [], [], []
     for seed in range(6):
         problem = problem_of(street(seed, road), road)
@@ -71,7 +71,7 @@ def test_a_refit_keeps_its_level_and_is_no_worse_than_the_file_or_robust_least_s
     assert np.mean(ours) <= 1.01 * np.mean(robust)
 
 
-def test_near_a_unit_root_tests_see_differences_and_values_do_not_follow_them(road):
+def test_near_a_unit_root_the_level_fit_halves_the_bias(road):
     """What the fit for tests is off by in level is what the values are not: else the two need not be kept apart."""
     leaning = [fit(problem_of(street(seed, road), road)) for seed in range(3)]
     for tested in leaning:

@@ -176,7 +176,7 @@ def test_a_belt_rests_alike_in_a_fit_and_live(two_nodes):
     assert rested[0] - rested[1] > 10.0
 
 
-def test_without_its_input_an_effect_is_left_out_and_that_is_said(effects):
+def test_an_effect_without_its_input_is_left_out_with_a_reason(effects):
     scrub = Active(effects["turning_scrub"], effects["turning_scrub"].values())
     session = Estimator(replace(load("xgd24d"), effects=(scrub,))).session()
     estimate = session.handle(at.SPEED, START_NS, START_NS, 5.0)

@@ -33,7 +33,7 @@ def beliefs(draw):
 
 
 @given(beliefs())
-def test_information_is_none_where_all_stay_together_and_at_most_all_there_is_to_know(belief):
+def test_information_lies_between_zero_and_the_entropy(belief):
     weights, squares = belief
     assert information(weights, np.zeros_like(squares)) == pytest.approx(0.0, abs=1e-9)
     assert 0.0 <= information(weights, squares) <= -(weights @ np.log2(weights)) + 1e-9
@@ -81,7 +81,7 @@ def test_what_is_not_tied_needs_no_advice(tied):
     assert advise(replace(tied, chosen=None), FASTEST_MPS) == []
 
 
-def test_standing_about_makes_nothing_stand_out_of_the_models_own_error(tied):
+def test_standing_adds_no_evidence_beyond_the_models_own_error(tied):
     facts, like = tied.before.problem.base.facts, tied.before.problem.sessions[0]
     drive = menu(facts.weight, FASTEST_MPS)["drive at one speed with three loads, five minutes each"](like)
     nothing_hidden = [tied.before, tied.before]
@@ -99,7 +99,7 @@ def test_laps_can_be_held_out_by_name(tied):
         split(sessions, [lap_name(s, b) for s in sessions for b in set(s.block.tolist())])
 
 
-def test_what_follows_a_series_of_the_recordings_is_not_known_of_a_further_drive(tied):
+def test_a_series_of_the_recordings_is_unknown_in_another_drive(tied):
     facts, before = tied.before.problem.base.facts, tied.before
     shape = [np.ones(len(s)) for s in before.problem.sessions]
     watched = ResidualPattern("spells", "for a while", shape, facts.weight * facts.radius)

@@ -91,7 +91,7 @@ def test_nothing_is_looked_for_where_loads_are_recorded(car):
     assert find_payload(found, [np.zeros(len(s)) for s in found.problem.sessions]) is None
 
 
-def test_laps_that_are_not_fitted_are_known_better_by_what_was_measured_before(car):
+def test_earlier_payload_measurements_improve_unfitted_laps(car):
     found, _ = fitted(car, 250.0)
     term = looked_for(found)
     with_term, problem = term.candidate.fit, found.problem
@@ -112,7 +112,7 @@ def test_a_vehicle_that_stands_is_not_pushed(car):
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_masses_are_as_sure_as_is_said_beside_slopes_that_were_learned_with_loads_in_them(car, seed):
+def test_mass_errors_match_their_std_beside_learned_slopes(car, seed):
     found, masses = fitted(car, 250.0, seed)
     problem, rng = found.problem, np.random.default_rng(seed)
     radius, places = car.facts.radius, STRETCH_S
@@ -149,7 +149,7 @@ def chosen(explained):
     return choose
 
 
-def test_loads_whose_mean_is_off_are_a_payload_and_not_the_scale_of_the_torque(track, chosen):
+def test_loads_with_a_mean_offset_are_payload_not_torque_scale(track, chosen):
     found, masses = fitted(track, 900.0, mean_kg=1800.0)
     of = chosen(found)
     assert of.explanation.key == {PAYLOAD}
@@ -164,13 +164,13 @@ def test_a_torque_of_another_scale_is_named_and_no_payload(track, chosen):
     assert chosen(fitted(track, 0.0, gain=1.06)[0]).explanation.key == {"torque_gain"}
 
 
-def test_what_held_out_laps_refute_gives_way_to_a_payload_that_they_confirm(track, chosen):
+def test_a_term_that_laps_refute_yields_to_a_confirmed_payload(track, chosen):
     of = chosen(fitted(track, 900.0, mean_kg=1800.0, later_kg=-3600.0)[0])
     assert of.explanation.key == {PAYLOAD}
     assert of.graded[PAYLOAD].confirmed
 
 
-def test_a_stop_belongs_to_the_stretch_before_and_a_short_one_begins_none(car):
+def test_a_stop_ends_its_stretch_and_a_short_stop_begins_none(car):
     session = drives(car, 30.0, 1, 2.0, np.random.default_rng(1), step=1.0)[0]
     speed = np.full(len(session), 5.0)
     speed[:7], speed[30 : 30 + int(STOP_S) - 1], speed[60:70] = 0.0, 0.0, 0.0

@@ -55,7 +55,7 @@ def test_every_picture_can_be_read(drawn, diagnosed, tmp_path):
 
 
 @pytest.mark.parametrize("named", [True, False])
-def test_the_residual_over_time_is_drawn_whether_or_not_anything_was_named(drawn, diagnosed, nothing_named, tmp_path, named):
+def test_the_residual_over_time_is_drawn_with_or_without_names(drawn, diagnosed, nothing_named, tmp_path, named):
     d = diagnosed if named else nothing_named
     draw_times(d, tmp_path / "t.png")
     axes = drawn.figures[0].axes
@@ -70,7 +70,7 @@ def test_the_residual_over_time_is_drawn_whether_or_not_anything_was_named(drawn
 
 
 @pytest.mark.parametrize("named", [True, False])
-def test_the_first_picture_has_the_residual_and_each_term_over_it(drawn, diagnosed, nothing_named, tmp_path, named):
+def test_the_first_picture_has_the_residual_and_its_terms(drawn, diagnosed, nothing_named, tmp_path, named):
     d = diagnosed if named else nothing_named
     picture = draw_believed(d, tmp_path / "b.png")
     assert not drawn.faults(drawn.figures[0])

@@ -116,7 +116,7 @@ def test_positions_fall_on_laps_the_other_way_and_in_reverse():
 
 
 @pytest.mark.parametrize(("scale", "known_as"), [(1.03, 1.03), (0.0, 1.0), (2.0, 1.0)])
-def test_the_distance_is_that_of_an_odometer_that_agrees_with_the_speed(recorded, loaded, scale, known_as):
+def test_an_odometer_that_agrees_with_speed_gives_the_distance(recorded, loaded, scale, known_as):
     (one, *_) = read_recordings(recorded(), None)
     speed = one.series["speed"]
     driven_m = np.cumsum(np.abs(speed.value) * np.gradient(speed.stamp_ns * 1e-9))
@@ -144,7 +144,7 @@ def test_a_place_is_found_on_laps_that_are_driven_both_ways(seed):
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_recordings_that_begin_at_the_same_place_are_passes_of_one_route(seed):
+def test_recordings_starting_at_one_place_are_passes_of_a_route(seed):
     found = find_place(*driven(seed, 600.0, lap_m=1e9, lengths=(600,) * 6))
     assert not found.folded
     assert found.passes == 6

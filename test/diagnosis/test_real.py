@@ -53,7 +53,7 @@ def test_a_robot_off_the_ground_neither_rolls_nor_turns(run, tmp_path):
     assert {"turning_scrub", "cornering", "soft_ground", "grade"}.isdisjoint(n for e in found["effects"] for n in e["class"])
 
 
-def test_a_robot_on_wet_grass_turns_with_friction_if_its_yaw_rate_is_known(run, tmp_path):
+def test_a_robot_on_wet_grass_shows_scrub_with_a_known_yaw_rate(run, tmp_path):
     path = robot(DATA, "husky_wetgrass", tmp_path)
     found = run("husky", tmp_path / "known", path)
     (effect,) = found["effects"]
@@ -96,7 +96,7 @@ def bus():
 
 
 @needs_bus
-def test_of_a_bus_it_is_said_what_altitude_brakes_passengers_and_wheels_are_worth(bus):
+def test_bus_notes_cover_altitude_brakes_passengers_and_wheels(bus):
     recording, loaded = bus
     found = gate([recording], loaded.known)
     said = " ".join(found.notes)
@@ -118,7 +118,7 @@ def test_of_wheels_that_are_hidden_nothing_is_said(bus):
 
 
 @needs_bus
-def test_the_bus_is_refitted_no_worse_than_its_file_and_than_robust_least_squares(bus, robust_least_squares):
+def test_a_refitted_bus_is_no_worse_than_its_file_or_robust_fit(bus, robust_least_squares):
     recording, loaded = bus
     gated, nominal, _ = prepared([recording], loaded)
     chosen = split(gated.sessions)

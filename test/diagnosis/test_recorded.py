@@ -39,7 +39,7 @@ def left_out(found):
     return {x.reason: x.seconds for x in found.left_out}
 
 
-def test_position_altitude_and_steering_are_where_they_were_measured(tmp_path):
+def test_position_altitude_and_steering_exist_where_measured(tmp_path):
     time = np.arange(float(SECONDS))
     tunnel = (time > 100) & (time < 150)
     latitude = np.where(tunnel, np.nan, 47.0 + 1e-5 * time)
@@ -92,7 +92,7 @@ def test_mass_and_passengers_are_one_weight_in_the_base(tmp_path):
     np.testing.assert_allclose(loaded, as_mass, rtol=1e-9)
 
 
-def test_a_recorded_brake_leaves_out_where_it_is_on_and_nothing_else(tmp_path):
+def test_a_recorded_brake_excludes_only_the_times_it_is_on(tmp_path):
     pressure = np.zeros(SECONDS)
     pressure[20:25] = 2e5
     pressure[200] = 500.0  # none at all

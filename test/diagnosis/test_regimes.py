@@ -70,7 +70,7 @@ def test_noise_alone_hardly_ever_stands_out():
     assert np.mean(least) == pytest.approx(0.5, abs=0.13)
 
 
-def test_noise_of_which_neighbours_are_alike_stands_out_no_more_often():
+def test_correlated_noise_is_significant_no_more_often():
     """What whitening left of it stays within pieces whose sign is flipped as one."""
     alike = [np.repeat(noise(seed, N // 5), 5) for seed in range(40)]
     assert np.mean([mapped(x, speed=np.repeat(speeds(N // 5), 5), seed=i).p < 0.05 for i, x in enumerate(alike)]) <= 0.15
@@ -110,7 +110,7 @@ def test_two_values_are_two_ends_of_one_bin():
     assert [(b.low, b.high) for b in found.bins] == [(5.0, 10.0)]
 
 
-def test_headings_are_counted_once_around_and_turns_by_both_signs():
+def test_headings_wrap_once_around_and_turns_have_both_signs():
     found = mapped(noise(), heading=speeds() * 10.0, yaw_rate=noise(4))
     headings = [b for b in found.bins if b.variable == "heading"]
     assert min(b.low for b in headings) >= -np.pi
@@ -119,7 +119,7 @@ def test_headings_are_counted_once_around_and_turns_by_both_signs():
     assert min(b.low for b in found.bins if b.variable == "yaw rate to the left") < -1.0
 
 
-def test_rows_whose_past_is_not_known_are_not_counted_and_belts_neither():
+def test_rows_without_a_known_past_and_belt_rows_are_not_counted():
     white = noise()
     white[:300] = np.nan
     found = mapped(noise() + 0.0, speed=speeds(), white=white, split=3)
@@ -135,7 +135,7 @@ def test_the_plain_residual_is_told_and_the_whitened_one_decides():
     assert found.bins[-1].p > 0.05
 
 
-def test_the_clearest_come_first_and_a_range_has_the_least_of_its_bins():
+def test_the_clearest_bins_come_first_and_a_range_has_its_least():
     bins = tuple(
         Bin(variable, low, low + 1.0, mean, "m/s", 50, p)
         for variable, low, mean, p in (

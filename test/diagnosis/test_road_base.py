@@ -41,7 +41,7 @@ def fitted(base, given=frozenset({"grade"}), **true):
     return fit(Problem(base, sessions, tuple(np.abs(s.speed) > 0.5 for s in sessions)))
 
 
-def test_the_mass_is_found_where_the_scale_of_the_torque_is_known(tmp_path):
+def test_the_mass_is_found_if_the_torque_scale_is_known(tmp_path):
     base = car(tmp_path, torque_scale={"range": [1.0, 1.0]})
     assert "torque_scale" not in {q.name for q in base.parameters}
     found = fitted(base, mass=1500.0)
@@ -56,11 +56,11 @@ def test_the_scale_is_found_where_the_mass_is_known(tmp_path):
     assert "mass" not in found.base_values
 
 
-def test_of_mass_and_scale_neither_is_re_fitted_where_both_are_open(tmp_path):
+def test_mass_and_torque_scale_are_not_refitted_if_both_are_open(tmp_path):
     assert {q.name for q in car(tmp_path).parameters} == set(FITTED) - {"mass", "torque_scale"}
 
 
-def test_a_range_without_width_holds_its_value_and_the_file_is_written_all_the_same(tmp_path):
+def test_a_zero_width_range_fixes_its_value_in_the_written_file(tmp_path):
     base = car(tmp_path, mass={"range": [1400.0, 1400.0]}, torque_delay={"range": [0.1, 0.1]})
     assert {q.name for q in base.parameters} == set(FITTED) - {"mass", "torque_delay"}
     found = fitted(base, rolling_coefficient=0.015)

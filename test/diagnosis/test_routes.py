@@ -71,7 +71,7 @@ def found_in(base, session, fitted_rounds):
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_a_slope_on_streets_passed_both_ways_is_told_and_holds_on_a_round_that_was_not_fitted(base, seed):
+def test_a_two_way_street_slope_is_found_and_holds_on_new_laps(base, seed):
     session, _ = session_of(base, seed, (1, -1, 1, -1, 1), slope=1.0)
     current, route = found_in(base, session, 4)
     assert route is not None
@@ -85,7 +85,7 @@ def test_a_slope_on_streets_passed_both_ways_is_told_and_holds_on_a_round_that_w
     assert np.array_equal(learned.value[:, 0], -learned.value[:, 1], equal_nan=True)
 
 
-def test_loads_that_differ_tell_a_slope_on_streets_passed_one_way(base):
+def test_different_loads_identify_a_slope_on_one_way_streets(base):
     session, _ = session_of(base, 3, (1, 1, 1, 1), slope=1.0, loads=LOADS)
     _, route = found_in(base, session, 4)
     assert route is not None
@@ -257,7 +257,7 @@ def test_soft_ground_is_described_confirmed_and_written_each_way(soft):
         assert 20.0 < np.nanmedian(std) < 600.0
 
 
-def test_given_what_was_written_nothing_is_named_again_and_held_out_rounds_are_as_good(soft):
+def test_with_its_written_files_a_rerun_finds_nothing_new(soft):
     _, _, path, folder, report = soft
     out = folder / "out"
     again = diagnose(path, folder / "again", out / "vehicle.yaml", out / "surroundings.yaml")
@@ -271,7 +271,7 @@ def test_given_what_was_written_nothing_is_named_again_and_held_out_rounds_are_a
     np.testing.assert_array_equal(written.value, kept.value)  # what was given is written on
 
 
-def test_given_the_slope_the_torque_is_found_and_written_beside_it(base, diagnosed, tmp_path):
+def test_given_the_slope_the_torque_is_found_and_written_with_it(base, diagnosed, tmp_path):
     """Of the block's slope from elsewhere, and rounds that have soft ground too."""
     path = as_table(tmp_path / "rounds.csv", *session_of(base, 23, ROUNDS, slope=1.0, soft_nm=2500.0))
     report = diagnose(path, tmp_path / "out", diagnosed / "vehicle.yaml", diagnosed / "surroundings.yaml")

@@ -110,7 +110,7 @@ def test_a_model_scored_against_itself_gains_nothing(scaled):
     np.testing.assert_allclose(left_out.shares([one, same]), [0.5, 0.5])
 
 
-def test_a_true_effect_surely_gains_and_what_is_less_surely_does_not(scaled):
+def test_a_true_effect_surely_gains_and_its_removal_does_not(scaled):
     plain, true, left_out = scaled
     before, after = left_out.score(plain), left_out.score(true)
     assert 0.0 < left_out.least_gain(before, after) < left_out.gain(before, after)
@@ -146,7 +146,7 @@ def test_every_fitted_sample_is_of_one_fold_and_no_other_is(scaled):
     assert len(left_out.measured) == sum(int(s.used.sum()) for s in plain.problem.sessions)
 
 
-def test_what_only_fitted_laps_tell_gains_nothing_however_well_it_fits(driven):
+def test_what_only_fitted_laps_show_has_no_held_out_gain(driven):
     """A torque that comes and goes evenly and that nobody knows ahead; where it is known, it surely gains."""
 
     def comes_and_goes(session, _):
@@ -176,7 +176,7 @@ def test_what_was_hidden_is_found_together(both):
     assert both.chosen.explanation.key == {"torque_gain", "level_change"}
 
 
-def test_an_explanation_is_the_set_of_what_its_fit_has_and_none_twice(both):
+def test_each_explanation_is_a_unique_set_of_its_fits_terms(both):
     for key, explanation in both.search.known.items():
         names = explanation.fit.effect_names
         assert key == explanation.key == set(names)
@@ -214,7 +214,7 @@ def test_without_a_term_it_is_the_set_without_it(both):
         search.known[single.key] = single
 
 
-def test_every_confirmed_explanation_has_confirmed_terms_and_no_larger_error(both):
+def test_a_confirmed_explanation_has_only_confirmed_terms(both):
     choice, seen = both.choice, 0
     for judged in list(choice._judged.values()):
         graded = choice._all_graded(judged)
@@ -294,7 +294,7 @@ def test_terms_that_cancel_each_other_are_not_confirmed(driven, graded):
     assert not confirmed
 
 
-def test_a_term_that_is_as_large_as_what_it_improves_is_confirmed(driven, graded):
+def test_a_term_as_large_as_its_improvement_is_confirmed(driven, graded):
     def one(session, _):
         return LEVEL_NM * np.sin(session.time / 20.0)
 
@@ -339,7 +339,7 @@ def test_a_form_takes_the_place_of_a_name_beyond_a_tenth_of_it(fallen, beaten):
 
 
 @pytest.mark.parametrize(("after", "evidence", "outdone"), [(99.0, 11.0, True), (99.0, 9.0, False), (90.0, 11.0, False)])
-def test_a_form_with_more_evidence_takes_the_place_of_a_small_name(after, evidence, outdone):
+def test_a_form_with_more_evidence_replaces_a_small_name(after, evidence, outdone):
     def judged(names, forms, error, evidence):
         terms = {name: SimpleNamespace(is_name=True) for name in names} | {f: SimpleNamespace(is_name=False) for f in forms}
         explanation = SimpleNamespace(candidates=terms, evidence=evidence)
@@ -352,7 +352,7 @@ def test_a_form_with_more_evidence_takes_the_place_of_a_small_name(after, eviden
     assert not Choice._outdoes(choice, name, form)
 
 
-def test_what_held_out_laps_refute_is_not_confirmed_whatever_the_fitted_ones_say(driven, graded, known):
+def test_what_held_out_laps_refute_is_not_confirmed(driven, graded, known):
     found = driven(GAIN, held_out_gain=1.0)
     _, confirmed = graded(found, known["torque_gain"])
     assert not confirmed

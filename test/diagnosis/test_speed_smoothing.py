@@ -45,7 +45,7 @@ def standardised(smooth, true, times, at):
 
 @pytest.mark.parametrize("jerk", [0.08, 0.2, 0.6])
 @pytest.mark.parametrize("noise", [0.01, 0.05])
-def test_changes_of_a_speed_with_white_noise_are_off_by_what_is_said(jerk, noise):
+def test_the_stated_std_of_speed_changes_holds_for_white_noise(jerk, noise):
     rng = np.random.default_rng(1)
     at, true = driven(1800.0, jerk, rng)
     shown = true[::10] + rng.normal(0.0, noise, len(true[::10]))
@@ -72,7 +72,7 @@ def test_a_constant_speed_and_a_ramp_are_not_bent(slope):
 
 
 @pytest.mark.parametrize("step", [0.0, 0.04])
-def test_a_speed_that_is_held_shows_its_slow_waver_and_not_the_error_of_the_sensor(step):
+def test_a_held_speed_shows_slow_variation_and_no_sensor_error(step):
     rng = np.random.default_rng(7)
     at = np.arange(0.0, 720.0, 0.1)
     true = 6.0 * np.minimum(1.0, at / 30.0) * (1.0 + 0.02 * np.sin(at / 40.0))
@@ -97,7 +97,7 @@ def test_rounding_is_part_of_what_is_said(step, noise, every):
     assert 0.8 < standardised(smooth, true, times, at).std() < 1.55  # rounding is no white noise
 
 
-def test_a_sensor_that_is_slower_than_its_topic_is_not_counted_often():
+def test_repeated_samples_of_a_slow_sensor_are_counted_once():
     rng = np.random.default_rng(4)
     at, true = driven(1200.0, 0.2, rng)
     shown = np.repeat((true + rng.normal(0.0, 0.02, len(true)))[::10], 10)
@@ -241,7 +241,7 @@ def unsmoothed(at, shown, times, _):
     return SmoothedSpeed(np.interp(times, at, shown), change, 1.0, 0.0, 0.0)
 
 
-def test_the_order_of_the_parts_of_a_recording_makes_no_difference(recorded, loaded):
+def test_the_order_of_a_recordings_parts_changes_nothing(recorded, loaded):
     (recording, *_) = read_recordings(recorded(), None)
     recording = coarse(recording)
     rng, shuffled = np.random.default_rng(14), {}

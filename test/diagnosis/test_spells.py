@@ -146,7 +146,7 @@ def test_a_spell_goes_on_over_a_stop_and_ends_with_its_recording():
     assert b.end[ends[0]] - b.begin[begins[0]] == pytest.approx(20 * COUNT, abs=COUNT)
 
 
-def test_levels_of_recordings_are_told_from_what_wanders_within_them():
+def test_recording_levels_are_separated_from_drift_within_them():
     rng = np.random.default_rng(8)
     true = np.array([-150.0, 40.0, 300.0])
     steady = [level + rng.normal(0.0, 60.0, 900) for level in true]

@@ -165,7 +165,7 @@ def test_temperature_is_carried_over_a_gap_and_forgotten_without(loaded):
     assert next_day.belt[0] == pytest.approx(one.ambient[0], abs=0.1)
 
 
-def test_what_the_base_takes_up_is_not_visible_and_what_needs_a_channel_is_not_without(problem, effects):
+def test_effects_that_the_base_absorbs_are_not_visible(problem, effects):
     seen = separability(effects, fit(problem))
     hidden = {n.name: n.why for n in seen.not_visible}
     assert "speed_scale" in hidden  # it hides in the coefficients
@@ -180,7 +180,7 @@ def test_without_an_effect_nothing_gains_more_than_noise(problem, effects):
     assert result.gains[0][1].value < max(result.threshold, 6.0)
 
 
-def test_what_noise_alone_gains_hardly_depends_on_how_much_of_it_is_drawn(problem, effects, monkeypatch):
+def test_the_noise_gain_hardly_depends_on_the_rows_drawn(problem, effects, monkeypatch):
     found = fit(problem)
     visible = separability(effects, found).visible
     whole = screen(found, visible, 29, np.random.default_rng(0))
@@ -252,7 +252,7 @@ def test_a_change_of_level_is_found_where_it_is(recorded, loaded, step_nm, most,
         assert not found
 
 
-def test_every_manoeuvre_of_the_menu_is_long_enough_to_be_diagnosed(problem):
+def test_every_menu_manoeuvre_is_long_enough_to_diagnose(problem):
     for name, drive in menu(problem.base.facts.weight, 14.0).items():
         made = drive(problem.sessions[0])
         assert len(made) * made.step >= SHORTEST_S, name

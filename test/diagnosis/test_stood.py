@@ -56,7 +56,7 @@ def test_a_drive_that_is_not_recorded_is_one_like_this(base, drive, name):
 
 
 @pytest.mark.parametrize("name", ["roadwheel_tyres", "viscous_bearing"])
-def test_what_the_wind_of_driving_cools_cools_more_slowly_at_rest(base, drive, name):
+def test_airflow_cooling_is_slower_at_standstill(base, drive, name):
     effect = catalogue(size=base.facts.weight * base.facts.radius, on_tyres=True)[name]
     constant = effect.values()["time_constant"]
     cold, warm, rested = (
@@ -80,7 +80,7 @@ def written(folder, name, start_s, stood_s=None):
     ("stood_s", "gap", "unseen"),
     [(None, 3600.0, False), (3600.0, 3600.0, False), (3580.0, 3600.0, False), (500.0, 500.0, True), (1e6, 3600.0, False)],
 )
-def test_a_standing_time_shorter_than_the_clocks_say_is_after_a_drive_that_is_not_recorded(tmp_path, stood_s, gap, unseen):
+def test_standing_for_less_than_the_clock_gap_means_unseen_drive(tmp_path, stood_s, gap, unseen):
     paths = [written(tmp_path, "a.csv", CLOCK_S), written(tmp_path, "b.csv", CLOCK_S + 299.0 + 3600.0, stood_s)]
     first, second = gate(read_recordings(paths, None), KNOWN).sessions
     assert (first.gap, first.after_unseen) == (np.inf, False)

@@ -105,7 +105,7 @@ def test_nothing_beyond_noise():
     ("improvement", "grade", "word"),
     [(BETTER, CONFIRMED, "were off"), (UNSURE, SUSPECTED, "do not confirm"), (WORSE, REFUTED, "reject")],
 )
-def test_parameters_that_moved_are_no_physics_and_are_graded_by_the_refit(improvement, grade, word):
+def test_moved_parameters_are_no_physics_and_graded_by_the_refit(improvement, grade, word):
     verdict = said(base=refitted(2.0, 1.0), held=worth(improvement))
     assert (verdict.status, verdict.grade) == ("none", grade)
     assert "No physics is missing" in verdict.sentence
@@ -135,12 +135,12 @@ def test_a_refit_that_hardly_gains_changes_no_verdict(gain):
     assert "No mismatch beyond noise" in verdict.sentence
 
 
-def test_a_parameter_has_moved_if_it_left_its_range_furthest_first():
+def test_a_parameter_outside_its_range_has_moved_furthest_first():
     moved = moved_parameters(refitted(1.6, -3.0, 1.5, -1.4))
     assert [(q.name, value) for q, value in moved] == [("q1", pytest.approx(0.7)), ("q0", pytest.approx(1.16))]
 
 
-def test_several_values_far_outside_their_ranges_do_not_fit_the_file():
+def test_several_values_far_out_of_range_reject_the_vehicle_file():
     verdict = said(base=refitted(8.0, -6.0, 1.0), stray=NOISY)
     assert (verdict.status, verdict.grade) == ("unexplained", SUSPECTED)
     assert verdict.seen == "The vehicle file does not fit this vehicle"
@@ -163,7 +163,7 @@ def test_hold_out_laps_differ_from_twice_the_fitted_error(unused, differs):
     assert (only_later(base, unused) is not None) == differs
 
 
-def test_a_parameter_of_which_nothing_was_known_cannot_have_moved():
+def test_a_parameter_without_a_prior_cannot_have_moved():
     free = refitted(9.0)
     (q,) = free.problem.base.parameters
     free.problem.base.parameters = (replace(q, std=np.inf),)
@@ -176,7 +176,7 @@ def test_a_hint_is_told_where_nothing_was_named_only():
     assert "headwind" not in said([found()], hint="headwind").sentence
 
 
-def test_what_is_left_without_a_name_is_unexplained_where_it_is_largest():
+def test_a_residual_without_a_name_is_unexplained_at_its_largest():
     verdict = said(at_end=regimes(30.0, -70.0))
     assert (verdict.status, verdict.grade) == ("unexplained", SUSPECTED)
     assert verdict.sentence.startswith("At speed 1 to 2 m/s the measured torque is 70 Nm below the model.")
@@ -196,7 +196,7 @@ def test_what_strays_is_unexplained_where_nothing_was_named():
 
 
 @pytest.mark.parametrize("left", [{"at_end": regimes(30.0)}, {"stray": NOISY}], ids=["bins", "strays"])
-def test_what_laps_refuted_is_told_and_then_the_unexplained_is_refuted(left):
+def test_a_refuted_term_is_named_and_the_unexplained_is_refuted(left):
     refuted = [Graded("payne", WORSE, ())]
     verdict = said(refuted=refuted, **left)
     assert (verdict.status, verdict.grade) == ("unexplained", REFUTED)
@@ -206,7 +206,7 @@ def test_what_laps_refuted_is_told_and_then_the_unexplained_is_refuted(left):
     assert "payne" in none.sentence
 
 
-def test_what_takes_the_place_of_what_the_vehicle_has_is_told_with_what_it_takes():
+def test_a_dropped_term_is_reported_with_the_value_it_displaces():
     sentence = said(refuted=[Graded("torque_offset", BETTER, (), ("rolling_coefficient",))]).sentence
     assert "drops torque_offset: with it, rolling_coefficient of the vehicle file goes to the end of its range." in sentence
     assert "reject" not in sentence
@@ -231,7 +231,7 @@ def test_the_term_that_removes_most_error_comes_first():
     assert [f.name for f in by_weight([found("a", improvement=UNSURE), found("b", improvement=BETTER)])] == ["b", "a"]
 
 
-def test_the_size_in_the_sentence_is_the_residual_of_the_pictures():
+def test_the_sentence_gives_the_size_of_the_pictured_residual():
     here, bins = Bin("speed", 4.0, 10.0, 63.0, "m/s", 50, 0.001), regimes(-40.0, 5.0, 63.0)
     one_way = Acts("speed", "m/s", 4.0, 10.0, 0.0, 10.0, 0.0, 384.0, 1.0)
     assert "about 63 Nm more" in one_way.residual(here, bins, 20.0)
@@ -278,7 +278,7 @@ def test_a_suspected_effect_is_never_the_headline():
     assert described.sentence.startswith("The measured torque differs from the re-fitted model by about 100 Nm, depending on")
 
 
-def test_a_suspected_term_that_takes_little_off_the_error_is_only_listed():
+def test_a_suspected_term_that_removes_little_is_only_listed():
     little = Improvement(100.0, 99.5, -5.0, 15.0)
     verdict = said([found(improvement=little)], changed=(BEARING,))
     assert (verdict.status, verdict.grade) == ("none", CONFIRMED)
@@ -286,7 +286,7 @@ def test_a_suspected_term_that_takes_little_off_the_error_is_only_listed():
     assert "It may also be: scrub." in verdict.sentence
 
 
-def test_probabilities_of_names_are_listed_with_none_of_these_last():
+def test_name_probabilities_are_listed_with_none_of_these_last():
     shares = {"payne": 0.25, "none of these": 0.35, "mullins": 0.36, "weak": 0.04}
     verdict = said([found("payne", improvement=UNSURE)], at_end=regimes(-70.0), shares=shares)
     assert "It may be: mullins (36 %), payne (25 %), none of these (35 %)." in verdict.sentence
@@ -296,7 +296,7 @@ def test_probabilities_of_names_are_listed_with_none_of_these_last():
     assert said([found("mullins")], shares={"mullins": 0.97, "none of these": 0.03}).may_be == ()
 
 
-def test_a_confirmed_term_that_takes_little_off_the_error_comes_last_as_small():
+def test_a_confirmed_term_that_removes_little_is_last_and_small():
     little = Improvement(80.0, 79.0, 0.5, 1.5)
     verdict = said([found("payne", improvement=little), found()])
     assert verdict.sentence.endswith("payne is confirmed but small: it takes 1 Nm off that error.")
@@ -315,7 +315,7 @@ def test_a_value_on_a_bound_makes_it_suspected_and_says_why():
     assert "scrub is at the bound of its plausible range (size)." in verdict.sentence
 
 
-def test_what_is_left_beside_names_is_small_or_takes_the_names_away():
+def test_a_small_residual_is_reported_a_large_one_drops_names():
     limit = LEFT_SHARE * 100.0
     small, large = said([found()], at_end=regimes(-0.99 * limit)), said([found()], at_end=regimes(-1.01 * limit))
     assert (small.status, small.grade) == ("named", CONFIRMED)
@@ -437,7 +437,7 @@ def session(laps, lap_s=60, torque=None, name="drive", first=0):
     return DriveSession(name, 1.0, time, *(none,) * 8, none if torque is None else torque, none, none == 0.0, block)
 
 
-def test_many_laps_are_drawn_as_laps_and_few_in_pieces_of_a_minute():
+def test_many_laps_are_resampled_whole_and_few_in_minute_pieces():
     whole = np.ones(1200, dtype=bool)
     many = HeldOutLaps([session(20)], [whole], np.random.default_rng(1))
     assert len(many._count) == 20
@@ -501,14 +501,14 @@ def test_what_has_no_name_is_described_with_what_to_look_for():
     assert "Look for a fan" in beside.sentence
 
 
-def test_a_term_that_laps_do_not_confirm_is_suspected_and_one_that_explains_little_is_not_believed():
+def test_an_unconfirmed_term_is_suspected_and_a_weak_one_dropped():
     unsure = said(terms=[term(improvement=UNSURE)])
     assert (unsure.status, unsure.grade) == ("unexplained", SUSPECTED)
     little = said(terms=[term(adds=60.0)], at_end=regimes(59.0))
     assert (little.status, little.names) == ("unexplained", False)
 
 
-def test_of_terms_those_are_written_that_follow_what_is_known_ahead():
+def test_only_terms_predictable_ahead_are_written():
     described = Verdict("described", CONFIRMED, "")
     terms = [term(), term("spells", predictable=False), term("constant_when_left", UNSURE)]
     assert believed_in([], terms, described, KINDS, False) == ["curve_of_speed"]
@@ -537,7 +537,7 @@ def test_a_term_without_a_name_is_described_in_plain_words(effect, values, sente
 
 
 @pytest.mark.parametrize("effect", catalogue().values(), ids=lambda e: e.name)
-def test_each_effect_of_the_catalogue_is_explained_in_short_sentences(effect):
+def test_each_catalogue_effect_is_explained_in_short_sentences(effect):
     said([replace(found(effect.name), text=effect.text)])
 
 

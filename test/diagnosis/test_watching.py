@@ -56,7 +56,7 @@ def test_it_is_written_with_unit_range_and_reason_and_read_again(tmp_path, learn
     assert learned.disturbance.form in NOTHING.with_disturbance(learned).text
 
 
-def test_what_is_found_later_takes_its_place_and_where_nothing_is_it_stays(tmp_path):
+def test_a_later_disturbance_replaces_the_old_and_none_keeps_it(tmp_path):
     first = load(written(load("xgd24d"), tmp_path / "first", NOTHING.with_disturbance(SPELLS)))
     later = load(written(first, tmp_path / "later", NOTHING.with_disturbance(DRIFT)))
     assert later.disturbance == DRIFT.disturbance
@@ -84,7 +84,7 @@ def test_a_vehicle_without_belts_is_watched_too(tmp_path):
         (SUSPECTED, False, True, True),
     ],
 )
-def test_what_is_only_suspected_is_watched_for_only_where_it_is_asked_for(grade, names, keep_suspected, expected):
+def test_a_suspected_disturbance_is_kept_only_on_request(grade, names, keep_suspected, expected):
     told, verdict = SimpleNamespace(graded=SimpleNamespace(grade=grade)), SimpleNamespace(names=names)
     assert may_be_kept(told, verdict, keep_suspected) is expected
 

@@ -46,7 +46,7 @@ def driven(seed, size, minutes=15.0):
     return speed, wave + rng.normal(0.0, NOISE_NM, n), wave
 
 
-def test_a_wave_is_found_with_its_length_and_named_after_the_belt():
+def test_a_wave_is_found_with_its_length_and_named_after_a_belt():
     drives = [driven(seed, SIZE_NM) for seed in (1, 2)]
     found = find_wave(left_by([d[0] for d in drives], [d[1] for d in drives]))
     assert found.length_m == pytest.approx(LENGTH_M, rel=1e-3)
@@ -67,7 +67,7 @@ def test_where_too_little_was_driven_there_is_no_wave():
 
 
 @given(st.floats(1.0, 30.0), st.integers(2, MOST_PARTS), st.floats(-0.99, 0.99))
-def test_a_length_is_a_part_s_own_some_turns_of_it_or_one_in_some(once, times, off):
+def test_a_length_matches_a_turn_its_multiples_or_its_fractions(once, times, off):
     near = 1.0 + SAME_LENGTH * off * 0.95
     assert part_of(once * near, {"belt": once}) == "one turn of the belt"
     assert part_of(times * once * near, {"belt": once}) == f"{times} turns of the belt"

@@ -145,17 +145,17 @@ def torque_by(table):
     return work[0]
 
 
-def test_a_constant_that_is_changed_in_a_file_is_changed_in_its_code(tmp_path):
+def test_editing_a_constant_in_an_effect_file_changes_its_code(tmp_path):
     assert torque_by(table_of(tmp_path, 2.0)) == 20.0
     assert torque_by(table_of(tmp_path, 3.0)) == 30.0
 
 
-def test_what_cannot_be_compiled_runs_as_long_as_a_table_has_its_address(tmp_path):
+def test_an_uncompilable_effect_runs_as_long_as_its_table_lives(tmp_path):
     tables = [table_of(tmp_path, float(i), " + len(type(self).text) - 8") for i in range(50)]
     assert [torque_by(table) for table in tables] == [10.0 * i + 1.0 for i in range(50)]
 
 
-def test_an_effects_own_state_follows_its_target_exactly_and_from_anywhere():
+def test_an_effects_own_state_follows_its_target_exactly():
     tyres = CATALOGUE["roadwheel_tyres"]
     active = Active(tyres, {**tyres.values(), "rise": 2.0, "time_constant": 300.0})
     facts, table, memory = vehicle_constants(load("xgd24d")), effect_table([active]), new_memory(1)
@@ -179,7 +179,7 @@ def test_friction_turns_with_the_direction_and_vanishes_at_rest(name):
 
 
 @pytest.mark.parametrize("strain", [0.1, 1.0, 10.0])
-def test_a_loss_that_depends_on_strain_is_positive_and_as_steep_as_its_peak(strain):
+def test_strain_dependent_loss_is_positive_with_a_bounded_slope(strain):
     payne, nominal = CATALOGUE["payne"], conditions().facts.weight
     shares = np.linspace(0.5, 1.5, 21)
     values = {"height": 10.0, "strain": strain}
@@ -193,7 +193,7 @@ def test_a_loss_that_depends_on_strain_is_positive_and_as_steep_as_its_peak(stra
     assert (np.ptp(loss) > 0.2) == (strain != 1.0)
 
 
-def test_terms_add_and_multiply_and_two_sinks_are_one_between_them():
+def test_torques_add_factors_multiply_and_sinks_are_averaged():
     both = together(
         [
             Terms(torque=2.0, loss_factor=1.1, conductance=10.0, sink=0.0),

@@ -119,7 +119,7 @@ def check(estimator, row, parts, accel, grade, stood):
 
 @settings(max_examples=60, deadline=None)
 @given(states())
-def test_live_nothing_pushes_a_standing_vehicle_and_every_number_is_one(state):
+def test_live_feedforward_is_zero_at_rest_and_outputs_are_finite(state):
     effects, where, parts, known, speeds = state
     estimator = made(effects, where, parts)
     session, now = estimator.session(), START_NS
@@ -164,7 +164,7 @@ def test_what_says_nothing_usable_is_left_out_and_that_is_said(says):
 
 
 @pytest.mark.parametrize("where", ["vehicle", "surroundings"])
-def test_at_rest_nothing_is_fed_whatever_an_effect_says_and_whichever_parts_are_chosen(where):
+def test_feedforward_is_zero_at_standstill_for_any_effect(where):
     pushing = Active(Nasty({"torque": 3000.0, "loss_factor": 50.0}, None, False, ("speed",)), {"size": 1.0})
     (with_it, driven), (without, driven_without) = fed([pushing], [where], PARTS, 0.0)
     assert with_it == without == 0.0
@@ -184,7 +184,7 @@ def fed(effects, where, parts, speed, **known):
     return found
 
 
-def test_a_vehicles_effect_is_fed_forward_and_that_of_the_surroundings_only_expected():
+def test_only_vehicle_effects_not_surroundings_are_fed_forward():
     pushing = Active(Nasty({"torque": 500.0}, None, False, ("speed",)), {"size": 1.0})
     for where, share in (("vehicle", 1.0), ("surroundings", 0.0)):
         (with_it, driven), (without, driven_without) = fed([pushing], [where], ("hysteresis",), 5.0)
@@ -192,7 +192,7 @@ def test_a_vehicles_effect_is_fed_forward_and_that_of_the_surroundings_only_expe
         assert driven - driven_without == pytest.approx(500.0)
 
 
-def test_what_comes_with_an_acceleration_is_fed_forward_as_inertia_is():
+def test_an_acceleration_effect_is_fed_forward_like_inertia():
     rotating = Active(next(e for e in CATALOGUE if e.name == "rotating_inertia"), {"factor": 0.5})
     given_ = {"accel": 0.2}
     for parts, known, fed_forward in (((), given_, False), (("inertia",), given_, True), (("inertia",), {}, False)):
@@ -200,7 +200,7 @@ def test_what_comes_with_an_acceleration_is_fed_forward_as_inertia_is():
         assert (abs(with_it - without) > 500.0) == fed_forward
 
 
-def test_a_gain_of_the_drivetrain_scales_what_is_fed_and_nothing_else():
+def test_a_drivetrain_gain_scales_only_the_feedforward():
     lossy = Active(next(e for e in CATALOGUE if e.name == "drivetrain_efficiency"), {"efficiency": 0.8})
     session = made([lossy], ["vehicle"], ("hysteresis",)).session()
     for i in range(3):  # it looks at the driving torque of the step before

@@ -170,7 +170,7 @@ def stepped(actives, at, memory=None, machine=True, dt=0.0):
 
 
 @given(curves(), ANYWHERE)
-def test_a_curve_is_straight_between_its_knots_and_level_beyond_where_its_gate_is_open(drawn, at):
+def test_a_curve_is_linear_between_knots_and_constant_beyond(drawn, at):
     curve, x, y = drawn
     opens = OF_GATE[curve.gate](at, curve.values()["threshold"])
     by_hand = np.interp(OF_VARIABLE[curve.variable](at), x, y) * math.tanh(at.speed / STANDSTILL_MPS) if opens else 0.0
@@ -319,7 +319,7 @@ def written(tmp_path, one):
 
 
 @pytest.mark.parametrize("effect", SOME, ids=lambda e: e.name)
-def test_what_was_learned_comes_back_from_the_file_it_was_written_to(effect, tmp_path):
+def test_a_learned_effect_survives_writing_and_reading_its_file(effect, tmp_path):
     one = active(effect, [123.456, -80.0, 310.0][: effect.knots])
     path = written(tmp_path, one)
     (again,) = load(path).effects

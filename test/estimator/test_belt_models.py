@@ -86,7 +86,7 @@ def test_temperatures_and_heat_are_those_of_the_linear_model(name, dt, constants
 
 @pytest.mark.parametrize("dt", STEPS)
 @pytest.mark.parametrize("name", MODELS)
-def test_departures_are_forced_by_their_causes_through_the_same_model(name, dt, constants, belt):
+def test_departures_follow_their_causes_through_the_same_model(name, dt, constants, belt):
     advance, model, nodes = MODELS[name]
     matrix, gained, lost, flow = model(belt)
     before = belt.copy()
@@ -114,7 +114,7 @@ def test_noise_goes_through_the_model_and_grows_with_time(name, dt, constants, b
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_without_uncertainty_only_temperatures_move_and_they_move_alike(name, constants, belt):
+def test_without_uncertainty_only_temperatures_move_and_equally(name, constants, belt):
     advance, _, nodes = MODELS[name]
     wanted, before = belt.copy(), belt.copy()
     interpreted(advance)(constants, 1, wanted, HEAT, AMBIENT_STD, 0.5)

@@ -49,7 +49,7 @@ def at_s(watch, time_s):
 
 
 @given(probability, chance, chance, st.floats(0.0, 1e6))
-def test_ageing_stays_a_probability_and_comes_nearer_to_the_share(there, comes, goes, blocks):
+def test_ageing_keeps_a_probability_and_moves_it_to_the_share(there, comes, goes, blocks):
     share, later = comes / (comes + goes), later_there(there, comes, goes, blocks)
     assert -1e-12 <= later <= 1.0 + 1e-12
     assert abs(later - share) <= abs(there - share) + 1e-12
@@ -78,13 +78,13 @@ def test_what_is_seen_moves_the_probability_to_the_nearer_level(there, mean, res
 
 
 @given(torque, st.floats(0.0, 1e6), torque)
-def test_a_level_seen_without_noise_is_what_was_seen_and_with_all_noise_what_was_known(level, variance, mean):
+def test_a_noiseless_level_is_the_mean_and_a_noisy_one_the_prior(level, variance, mean):
     assert seen_level(level, variance + 1.0, mean, 0.0) == pytest.approx((mean, 0.0), abs=1e-6)
     assert seen_level(level, variance, mean, 1e30) == pytest.approx((level, variance), abs=1e-6)
 
 
 @given(torque, st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.floats(0.1, 1e4))
-def test_a_level_ages_towards_none_and_its_variance_towards_its_size(level, share, keep, size):
+def test_a_level_decays_to_zero_and_its_variance_to_the_prior(level, share, keep, size):
     later, variance = later_level(level, share * size**2, keep, size)
     assert abs(later) <= abs(level)
     assert share * size**2 * (1.0 - 1e-9) <= variance <= size**2 * (1.0 + 1e-9)
@@ -103,7 +103,7 @@ def test_without_a_residual_it_is_there_as_often_as_it_is():
     assert fed(DisturbanceWatch(DRIFT), math.nan, 60.0).torque_nm == 0.0
 
 
-def test_a_lasting_level_is_known_within_a_few_blocks_with_its_time():
+def test_a_lasting_level_is_found_and_dated_within_a_few_blocks():
     watch = DisturbanceWatch(SPELLS)
     away = fed(watch, -50.0, 60.0)
     assert away.there < 0.1

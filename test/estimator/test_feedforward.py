@@ -42,7 +42,7 @@ def left_of(settings, pause):
 
 @settings(max_examples=150)
 @given(st.sampled_from(sorted(RATES)), st.lists(st.tuples(PAUSES_S, SPEEDS), min_size=2, max_size=40))
-def test_it_moves_by_its_rate_and_begins_after_a_pause_where_it_had_faded_to(rate, steps):
+def test_feedforward_keeps_its_rate_and_resumes_where_it_faded(rate, steps):
     estimator = RATES[rate]
     limit = estimator.constants.number.feedforward_limit
     rows = rows_of(estimator, steps)
@@ -58,7 +58,7 @@ def test_it_moves_by_its_rate_and_begins_after_a_pause_where_it_had_faded_to(rat
 
 @settings(max_examples=60)
 @given(st.floats(0.5, 20.0), st.floats(0.0, 20.0))
-def test_after_any_pause_the_first_step_is_one_output_away_from_where_it_had_faded_to(speed, pause):
+def test_after_any_pause_feedforward_is_one_step_from_its_fade(speed, pause):
     estimator = RATES[2000.0]
     steps = [(0.02, speed)] * 200
     full = rows_of(estimator, steps)[-1][1].feedforward_torque_nm
@@ -69,7 +69,7 @@ def test_after_any_pause_the_first_step_is_one_output_away_from_where_it_had_fad
 
 @pytest.mark.parametrize("quantum", [0.0, 0.05, 1 / 3.6])
 @pytest.mark.parametrize("std", [0.02, 0.1])
-def test_a_standing_vehicle_with_its_sensors_noise_is_fed_exactly_nothing(quantum, std):
+def test_feedforward_is_exactly_zero_at_rest_under_sensor_noise(quantum, std):
     estimator = Estimator(load("xgd24d"), Settings(speed_std_mps=std))
     noise = np.clip(np.random.default_rng(5).normal(0.0, std, 5000), -ROLLS_FROM * std, ROLLS_FROM * std)
     speeds = np.round(noise / quantum) * quantum if quantum else noise
@@ -97,7 +97,7 @@ def test_forward_and_reverse_are_alike(steps):
 
 @settings(max_examples=100)
 @given(st.lists(st.tuples(PAUSES_S, SPEEDS), min_size=1, max_size=20))
-def test_the_standard_deviation_is_positive_and_finite_in_any_state_and_the_parts_add_up(steps):
+def test_std_is_positive_and_finite_and_resistance_parts_add_up(steps):
     for _, estimate in rows_of(RATES[20000.0], steps):
         assert 0.0 < estimate.resistance_std_nm < math.inf
         assert estimate.resistance_torque_nm == pytest.approx(sum(estimate[c] for c in RESISTANCE_PARTS.values()), abs=1e-9)
@@ -110,7 +110,7 @@ def test_at_rest_the_standard_deviation_is_that_of_a_crawl():
     assert 0.5 * walking < rested < 2.0 * walking
 
 
-def test_a_file_and_settings_without_any_uncertainty_leave_what_no_sensor_is_better_than():
+def test_without_uncertainty_the_std_is_its_sensor_floor():
     sure = Settings(initial_belt_std_k=0.0, process_noise_k=0.0, ambient_std_k=0.0, ambient_unknown_std_k=0.0)
     estimator = Estimator(load("xgd24d"), sure)
     k = estimator.constants

@@ -194,7 +194,7 @@ def test_time_that_begins_at_zero_is_a_time(k):
 
 
 @pytest.mark.parametrize(("jump", "refused"), [(3600 * S, "FUTURE"), (-3600 * S, "BACKWARD")])
-def test_the_third_that_agrees_is_believed_with_the_time_that_arrival_took(guard, jump, refused):
+def test_the_third_agreeing_stamp_is_accepted_with_arrival_time(guard, jump, refused):
     guard.send(0)
     assert guard.send(jump, arrival=20 * MS) == (-Count[refused], 0)
     assert guard.send(jump + 20 * MS, arrival=40 * MS) == (-Count[refused], 0)
@@ -333,7 +333,7 @@ def test_each_is_held_for_its_own_time(guard, channel, name, hold):
     assert math.isnan(getattr(guard.inputs(), name))
 
 
-def test_without_an_ambient_temperature_that_of_the_file_with_its_uncertainty(guard):
+def test_without_ambient_the_file_value_and_its_std_are_used(guard):
     guard.send(0, -4.0, at.AMBIENT)
     guard.send(AMBIENT_HOLD)
     assert not guard.reasons() & Reason.AMBIENT_NOMINAL
@@ -364,7 +364,7 @@ def test_the_total_is_shared_by_nominal_loads(guard):
     assert found == pytest.approx(200e3 * np.array(SHARES_OF_ALL))
 
 
-def test_passengers_come_on_top_of_the_nominal_loads_until_they_are_too_old(guard):
+def test_passengers_add_to_nominal_loads_until_they_are_too_old(guard):
     guard.send(1 * S, 20.0, at.PASSENGERS)
     guard.send(2 * S)
     assert not guard.reasons() & (Reason.LOAD_NOMINAL | Reason.LOAD_HELD)
@@ -413,7 +413,7 @@ def test_those_without_any_are_nominal_and_it_is_said(guard):
 
 
 @pytest.mark.parametrize("channel", [at.LOAD, NAMED["axle"], NAMED["assembly"]], ids=["total", "axle", "assembly"])
-def test_an_old_load_is_held_and_said_and_in_the_end_no_longer_used(guard, channel):
+def test_an_old_load_is_held_with_a_reason_and_dropped_later(guard, channel):
     guard.send(0, 100e3, channel)
     if channel != at.LOAD:
         guard.send(LOAD_HOLD, 300e3, at.LOAD, arrival=LOAD_HOLD)  # for the others
@@ -449,7 +449,7 @@ def test_a_belt_temperature_is_given_once_to_whom_it_is_of(guard):
     assert np.isnan(guard.belts).all()
 
 
-def test_one_for_all_belts_goes_to_each_but_for_those_with_their_own(guard):
+def test_a_common_belt_temperature_yields_to_a_belts_own(guard):
     guard.send(0)
     guard.send(0, 30.0, at.BELT)
     guard.send(0, 40.0, NAMED["belt"])
@@ -463,7 +463,7 @@ def test_one_for_all_belts_goes_to_each_but_for_those_with_their_own(guard):
 # What is remarked
 
 
-def test_jumps_and_resets_are_remarked_with_the_step_that_follows(guard):
+def test_clock_jumps_and_resets_are_reported_with_the_next_step(guard):
     guard.send(0)
     nothing = Reason.LOAD_NOMINAL | Reason.AMBIENT_NOMINAL
     assert guard.reasons() == nothing
@@ -633,7 +633,7 @@ def test_wheels_that_disagree_stop_the_feedforward(guard, wheel):
     assert guard.inputs().fed == 1.0
 
 
-def test_wheels_without_axles_have_the_load_of_the_whole_vehicle_alone(k):
+def test_wheels_without_axles_take_only_the_vehicles_load(k):
     """The channels behind those of all vehicles are of wheel speeds then, not of loads or belts."""
     k.number.axles, k.number.first_wheel = 0, at.FIRST_AXLE
     k.assembly = k.assembly[:1]

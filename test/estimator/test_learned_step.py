@@ -36,7 +36,7 @@ def changed(vehicle, which, departure):
 @pytest.mark.parametrize("which", BY_FILE)
 @pytest.mark.parametrize("name", ["xgd24d", "agri3t"])
 @pytest.mark.parametrize("departure", [0.05, -0.05])
-def test_a_departure_moves_torque_and_belts_as_a_file_with_that_value_does(name, which, departure):
+def test_a_learned_departure_acts_like_a_file_with_that_value(name, which, departure):
     vehicle = load(name)
     (plain, _), (true, _) = driven(Estimator(vehicle)), driven(changed(vehicle, which, departure))
     learned, _ = driven(Estimator(vehicle), departure, which)

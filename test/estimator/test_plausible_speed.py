@@ -86,7 +86,7 @@ def test_two_speeds_in_turn_fade_the_feedforward(pair, each):
         assert drive.fed == pytest.approx(0.0, abs=1e-9)
 
 
-def test_a_single_wrong_speed_costs_three_samples_and_no_feedforward():
+def test_one_wrong_speed_costs_three_samples_and_no_feedforward():
     good = Drive().along([8.0 + 0.01 * (i % 3) for i in range(200)])
     drive = Drive().along([8.0 + 0.01 * (i % 3) for i in range(190)]).along([16.0]).along([8.01] * 9)
     assert drive.refused == 3

@@ -84,14 +84,14 @@ def test_tyres_that_warm_up_lose_less_on_the_way():
     assert found[0]["effects_nm"] > found[-1]["effects_nm"] + 0.5 * warmup.values()["torque"]
 
 
-def test_passengers_come_on_top_of_its_mass_and_a_load_is_all_of_it():
+def test_passengers_add_to_the_mass_and_a_load_replaces_it():
     _, found = driven(ESTIMATOR, [5.0], passengers=10)
     assert found[0]["weight_n"] == pytest.approx(BUS.weight + 10 * ESTIMATOR.settings.passenger_kg * GRAVITY)
     _, found = driven(ESTIMATOR, [5.0], load=2.5e5)
     assert found[0]["weight_n"] == 2.5e5
 
 
-def test_a_measured_torque_is_taken_by_the_scale_that_it_is_shown_in():
+def test_a_measured_torque_is_divided_by_its_scale():
     twice = replace(BUS, values={**BUS.values, "torque_scale": 2.0})
     rows = [driven(Estimator(vehicle), [5.0, 5.0], torque=1000.0)[1][-1] for vehicle in (BUS, twice)]
     assert (rows[0]["measured_torque_nm"], rows[1]["measured_torque_nm"]) == (1000.0, 500.0)

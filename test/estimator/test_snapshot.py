@@ -140,7 +140,7 @@ def mutated(data, random):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_mutation_of_any_bytes_is_refused_or_gives_the_very_same_state(reference, saved, tmp_path, seed):
+def test_a_mutated_file_is_refused_or_gives_the_same_state(reference, saved, tmp_path, seed):
     random = np.random.default_rng(seed)
     for _ in range(100):
         data = mutated(saved, random)
@@ -157,7 +157,7 @@ WRONG = [math.nan, math.inf, -1e300, 1e300, -(1 << 70), 1 << 70, "abc", None, Tr
     wrong=st.sampled_from(WRONG),
 )
 @example(name="saved_at", place=0, wrong="abc")
-def test_a_number_no_drive_leaves_is_refused_under_a_right_seal_too(reference, saved, name, place, wrong):
+def test_an_impossible_number_is_refused_despite_a_valid_seal(reference, saved, name, place, wrong):
     content = json.loads(saved)
     if isinstance(content[name], list):
         at = place % len(content[name])
@@ -226,7 +226,7 @@ def test_a_huge_file_is_not_read(reference, tmp_path):
         snapshot.resume(reference, path)
 
 
-def test_the_command_line_refuses_each_with_one_line_and_without_waiting(tmp_path, trackres):
+def test_the_cli_refuses_each_file_in_one_line_without_waiting(tmp_path, trackres):
     drive = tmp_path / "drive.csv"
     drive.write_text("time_s,speed_mps\n" + "".join(f"{i * 0.1:.1f},5.0\n" for i in range(50)))
     os.mkfifo(tmp_path / "pipe")

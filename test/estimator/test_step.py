@@ -104,7 +104,7 @@ def test_no_ratio_no_motor_torque(reference):
     assert np.isnan(drive(reference, SPEED, 1.0, 1)[1]["motor_torque_nm"])
 
 
-def test_inertia_reaches_the_feedforward_only_where_acceleration_is_given():
+def test_inertia_is_fed_forward_only_with_measured_acceleration():
     settings = Settings(feedforward_parts=("bearing", "inertia"), feedforward_rate=1e9)
     estimator = Estimator(load("xgd24d"), settings)
     given_one = estimator.inputs(SPEED, ambient=15.0, acceleration=0.3)

@@ -48,7 +48,7 @@ def once_a_second(level, seeds):
 @pytest.mark.parametrize(
     "hidden", [{"street_slope": {"steepest": 0.02}}, {"stretch_load": {"share": 0.2, "bulk": 1.0, "seed": 3.0}}]
 )
-def test_what_a_town_adds_is_seen_whatever_the_steps_of_the_fit_are(tmp_path, hidden, seed):
+def test_the_fit_finds_the_towns_torque_and_not_a_shifted_one(tmp_path, hidden, seed):
     for sub in ("cases", "sealed"):
         (tmp_path / sub).mkdir()
     folder, added = made(tmp_path, "street", hidden, 6.0, seed)

@@ -146,13 +146,13 @@ def test_sizes_make_programs_as_plain_as_was_drawn():
         assert LEAST <= q["d_prime"] < 1.2 * D_PRIME[1]
 
 
-def test_every_source_of_drives_is_drawn_and_the_last_only_where_speeds_are_given():
+def test_each_source_is_drawn_the_last_only_with_speeds_given():
     assert set(Counter(case.source for case in draw_cases({"single": 60}, 3))) == set(SOURCES[:-1])
     assert set(Counter(case.source for case in draw_cases({"outside": 60}, 3, SOURCES))) == set(SOURCES)
 
 
 @pytest.mark.parametrize("source", SOURCES)
-def test_drives_of_each_source_are_ones_that_the_vehicle_can_drive(source):
+def test_each_source_draws_drives_within_the_vehicles_limits(source):
     rough = np.repeat([0.0, 30.0, 8.0, 0.0], 900) + 0.0
     profiles = [np.convolve(rough, np.full(150, 1.0 / 150.0), mode="same")]
     profiles[0][[0, -1]] = 0.0
@@ -213,7 +213,7 @@ def test_a_lag_shifts_a_ramp_by_its_time_and_leaves_a_level(seconds):
     np.testing.assert_allclose(lagging(np.full(50, 7.0), seconds, 0.1), 7.0)
 
 
-def test_what_is_recorded_has_the_gain_and_the_offset_of_the_instrument(sheet, tmp_path):
+def test_the_recording_has_the_instruments_gain_and_offset(sheet, tmp_path):
     one = steady(sheet, 5.0, minutes=1.0)
     shown = np.linspace(0.0, 8000.0, len(one))
     still = np.full(len(one), 15.0)

@@ -65,7 +65,7 @@ def test_a_level_that_is_none_is_refused(tmp_path, level):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_run_of_some_levels_is_asked_for_with_numbers_and_goes_on_where_it_was(tmp_path, monkeypatch):
+def test_a_run_takes_cases_by_level_and_resumes_where_it_stopped(tmp_path, monkeypatch):
     started = []
     monkeypatch.setattr(prove, "_process", lambda _stream, module, *arguments: started.append((module, arguments)))
     begun = ["prove", "--level", "outside=18", "--level", "none", "--cases", "6", "--seed", "31", "-o", str(tmp_path)]

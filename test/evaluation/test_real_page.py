@@ -33,7 +33,7 @@ def test_drives_that_all_begin_cold_have_a_start_state_of_one(tmp_path):
 
 @pytest.mark.long
 @pytest.mark.skipif(not DATA.is_dir(), reason="no real recordings on this machine")
-def test_a_route_driven_twice_repeats_its_residuals_but_not_as_the_slope(tmp_path):
+def test_a_route_driven_twice_repeats_residuals_but_not_as_slope(tmp_path):
     paths = [car(DATA, name, tmp_path) for name in TWICE]
     found = diagnose(read_recordings(paths, None), load_base("bmw_i3"), hide=["grade"], quick=True)
     tried = FieldTrial("one route twice", "elevation", NOTHING, UPHILL, found)
@@ -46,7 +46,7 @@ def test_a_route_driven_twice_repeats_its_residuals_but_not_as_the_slope(tmp_pat
 
 @pytest.mark.long
 @pytest.mark.skipif(not missions(DATA), reason="no recording of the bus on this machine")
-def test_of_a_bus_without_its_altitude_the_slope_of_the_streets_is_named_and_nothing_else():
+def test_without_altitude_a_bus_diagnosis_names_only_the_slope():
     topics = Topics.load(TOPICS)
     recordings = read_recordings(missions(DATA), topics)
     found = diagnose(recordings, load_base(VEHICLE, topics=topics), hide=["altitude"], quick=True)
@@ -61,14 +61,14 @@ def test_of_a_bus_without_its_altitude_the_slope_of_the_streets_is_named_and_not
 
 @pytest.mark.long
 @pytest.mark.skipif(not missions(DATA), reason="no recording of the bus on this machine")
-def test_what_is_learned_of_the_streets_of_a_bus_serves_the_rest_of_its_mission(tmp_path):
+def test_learned_streets_halve_the_error_in_the_rest_of_a_drive(tmp_path):
     of_bus = next(all_drives(DATA, tmp_path))
     errors = {e.what: e.error_nm for e in live_errors(of_bus, tmp_path)}
     assert errors["vehicle.yaml and surroundings.yaml"] < 0.5 * errors["the shipped vehicle file"]
     assert errors["vehicle.yaml"] < 1.05 * errors["the shipped vehicle file"]
 
 
-def test_stretches_are_joined_until_they_are_long_and_what_is_left_is_none():
+def test_short_stretches_are_joined_and_a_short_rest_is_dropped():
     driven = np.array([200.0, 150.0, 350.0, 100.0, 150.0])
     mass = np.array([0.0, 700.0, 40.0, 9.0, 9.0])
     assert LONG_STRETCH_S < 350.0

@@ -49,7 +49,7 @@ def test_a_report_without_descriptions_is_read_as_before():
     assert error_left(report("named", ["delay"], after=90.0)) == 90.0
 
 
-def test_a_confirmed_name_is_wrong_unless_it_is_hidden_or_fits_as_well():
+def test_a_confirmed_name_is_wrong_unless_hidden_or_fits_as_well():
     sure = report("named", ["delay"])
     sure["effects"][0]["grade"] = "confirmed"
     doubted = report("named", ["delay"])
@@ -188,7 +188,7 @@ def test_the_page_of_a_run_of_towns_alone(tmp_path):
     assert [one["wrong"] for one in kept["cases"]] == ["", ""]
 
 
-def test_the_page_of_a_run_of_pairs_alone_has_no_picture_of_single_names(tmp_path):
+def test_a_run_of_pairs_alone_has_no_confusion_picture(tmp_path):
     both = scored("two", ["delay", "mullins"], report("named", ["delay", "mullins"]))
     text = write_all(tmp_path, [both], "seal", 7, 1)
     assert "confusion.png" not in text
@@ -222,7 +222,7 @@ def test_a_delay_is_compared_with_all_that_the_torque_is_late_by():
     assert covers == [True]
 
 
-def test_the_first_cases_are_those_of_the_first_drawn_names_whatever_is_in_them():
+def test_the_first_cases_are_the_first_by_name_of_any_level():
     named = [
         Case(name, level, {}, {}, False, False, False, True, 1) for name, level in (("c", "none"), ("a", "two"), ("b", "outside"))
     ]

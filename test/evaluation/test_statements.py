@@ -68,7 +68,7 @@ def test_spells_have_two_levels_that_last(kept):
     assert not is_true(term("level_change"), over, on, lengths)
 
 
-def test_levels_of_recordings_are_true_of_what_differs_between_them(kept):
+def test_recording_levels_are_true_of_offsets_between_recordings(kept):
     over, lengths = kept
     rng = np.random.default_rng(2)
     each = np.repeat(rng.normal(0.0, 200.0, len(lengths)), lengths)
@@ -85,7 +85,7 @@ def test_a_drift_is_slow_and_follows_nothing(kept):
     assert not is_true(term("drift"), over, 50.0 * np.sin(over["belt temperature"] / 8.0), lengths)
 
 
-def test_a_wave_has_the_right_length_and_a_build_up_begins_after_a_stop(kept):
+def test_a_wave_needs_the_right_length_and_a_build_up_a_stop(kept):
     over, lengths = kept
     wave = 200.0 * np.sin(2.0 * np.pi * over["distance"] / 370.0)
     assert is_true(term("wave", "driven distance", period_m=370.0), over, wave, lengths)

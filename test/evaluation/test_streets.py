@@ -77,7 +77,7 @@ def test_slopes_round_a_block_add_up_to_nothing(seed):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_street_that_rises_one_way_falls_the_other_and_the_steepest_has_a_slope_of_one(seed):
+def test_a_slope_reverses_with_direction_and_the_steepest_is_one(seed):
     town = town_of(seed)
     steepest = 0.0
     for street in town.streets:
@@ -214,7 +214,7 @@ def test_ground_takes_the_same_either_way_and_slopes_do_not(sheet, one):
     assert np.abs(up).max() == pytest.approx(WEIGHT_N * sheet["track.sprocket_radius"] * np.abs(one.street.slope).max(), rel=1e-2)
 
 
-def test_brakes_take_a_part_of_what_brakes_and_hold_it_where_it_stands():
+def test_brakes_take_part_of_hard_braking_and_hold_at_standstill():
     one = drive_of(0)
     assert (one.street.brakes[one.speed == 0.0] == 1.0).all()
     (run,) = simulate_truth(SHEET, Build(), {"street_slope": {}}, [one])

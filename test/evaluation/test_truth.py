@@ -89,7 +89,7 @@ def test_heat_is_neither_made_nor_lost(tables, material):
     assert (np.diff(force) <= 1e-9).all()  # the warm belt loses less
 
 
-def test_what_is_switched_on_changes_the_torque_and_only_by_itself(drives):
+def test_each_phenomenon_changes_the_torque_on_its_own(drives):
     plain = simulate_truth(SHEET, Build(), {}, drives)[0]
     assert plain.added == {}
     rng = np.random.default_rng(0)

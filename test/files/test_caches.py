@@ -289,7 +289,7 @@ def test_a_simulation_with_damaged_code_gives_the_same(tmp_path, repository, ref
 
 @needs_numba
 @pytest.mark.long
-def test_a_first_simulation_waits_for_no_compiler_and_leaves_code_for_the_next(tmp_path, repository):
+def test_a_first_run_compiles_in_the_background_for_the_next(tmp_path, repository):
     first, _ = simulate(tmp_path, tmp_path / "first.csv", repository)
 
     def series():

@@ -47,7 +47,7 @@ def test_the_lists_name_every_shipped_file(good):
     assert all(name in good("topics", "list") for name in NAMES["topics"])
 
 
-def test_commands_functions_node_and_fleet_take_a_topics_file_by_name(tmp_path, good):
+def test_commands_functions_node_and_fleet_find_topics_by_name(tmp_path, good):
     sample = tr.record_sample(tmp_path / "lap.mcap", laps=1)
     by_name = tr.read(sample.path, topics="sample")
     assert by_name.roles == tr.read(sample.path, topics=sample.topics).roles

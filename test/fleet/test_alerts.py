@@ -140,7 +140,7 @@ def test_a_limit_is_finite_and_not_negative(trackres, limit, dataset, tmp_path):
         read_fleet(tmp_path / "fleet.yaml")
 
 
-def test_a_month_leaves_recordings_without_a_load_out_of_its_colour(dataset):
+def test_recordings_without_load_do_not_set_a_months_colour(dataset):
     dataset.put(row("steady", RECORDINGS, mismatch=0.5, load=False), None)
     dataset.put(row("unloaded", 0, mismatch=0.5, load=False), None)
     found = trends(dataset, {})

@@ -41,7 +41,7 @@ def bucket(driven, monkeypatch):
 
 
 @pytest.mark.long
-def test_recordings_in_a_bucket_are_found_and_analysed_like_files(bucket, driven):
+def test_recordings_in_a_bucket_are_analysed_like_files(bucket, driven):
     found = list(find_recordings([bucket]))
     assert [one.url for one in found] == [f"{bucket}/truck-01/drive_000{n}.csv" for n in (1, 2, 3)]
     assert len({one.stamp for one in found}) == 3
@@ -58,7 +58,7 @@ def test_recordings_in_a_bucket_are_found_and_analysed_like_files(bucket, driven
     assert found[0].url in there["notes"][0]  # and no word of where it was fetched to
 
 
-def test_a_bucket_that_is_not_there_or_denies_is_told_and_others_go_on(bucket, monkeypatch):
+def test_a_missing_or_refusing_bucket_does_not_stop_the_others(bucket, monkeypatch):
     missing, *others = find_recordings(["s3://nowhere/x", bucket])
     assert missing.problem
     assert len(others) == 3

@@ -57,7 +57,7 @@ def pages(driven, tmp_path_factory):
     return folder
 
 
-def test_on_a_screen_each_vehicle_is_a_row_and_nothing_is_an_error(pages, tmp_path):
+def test_on_screen_each_vehicle_is_a_row_without_script_errors(pages, tmp_path):
     done = opened(pages / "index.html", tmp_path, "--dump-dom")
     assert not re.findall(r"CONSOLE.*(?:error|Uncaught)", done.stderr, re.IGNORECASE)
     assert all(f"truck-{v + 1:02d}" in done.stdout for v in range(VEHICLES))

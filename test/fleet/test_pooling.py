@@ -95,7 +95,7 @@ def test_a_day_of_rain_counts_little_and_hides_no_change():
     assert not any(found.values())
 
 
-def test_a_vehicle_with_little_to_say_is_taken_to_be_as_its_type_is():
+def test_an_uninformative_vehicle_is_pooled_to_its_types_mean():
     data = drawn(recordings=12)
     known = pool(data)
     faint = np.where(data.vehicle == "v0", 1e-9, 1.0)
@@ -132,7 +132,7 @@ def test_nothing_is_found_where_nothing_changed(quiet):
 
 
 @pytest.mark.parametrize("size", [0.4, -0.4])
-def test_a_step_is_found_with_its_day_and_size_and_no_other_vehicle_is_blamed(size):
+def test_a_step_is_found_with_day_and_size_in_its_vehicle_alone(size):
     pooled = pool(drawn(moved=lambda v, r: np.array([size * (v == 2 and r >= 12), 0.0, 0.0])))
     found = {v: vehicle_changes(pooled, v)[0] for v in pooled.by_vehicle}
     (change,) = found.pop("v2")

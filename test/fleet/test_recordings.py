@@ -34,7 +34,7 @@ def names(found, top):
     return [one.url.removeprefix(f"{top}/") for one in found]
 
 
-def test_a_folder_holds_its_recordings_and_a_bag_that_is_a_folder_is_one(folder):
+def test_a_folder_yields_its_recordings_and_a_bag_folder_is_one(folder):
     assert names(find_recordings([str(folder)]), folder) == ["a/one.csv", "a/two.mcap", "b/three.csv.gz", "c/bag"]
 
 
@@ -83,7 +83,7 @@ def fleet_of(tmp_path, text):
     return read_fleet(path)
 
 
-def test_a_recording_is_that_of_the_vehicle_whose_folder_it_is_in_or_whose_pattern_it_matches(tmp_path):
+def test_a_recordings_vehicle_comes_from_its_folder_or_pattern(tmp_path):
     fleet = fleet_of(
         tmp_path, 'vehicles: {t1: xgd24d, t2: {file: xgd24d, recordings: ["other/*.csv"], limits: {bearing_friction: 0.01}}}'
     )
@@ -136,7 +136,7 @@ def row(url, **more):
     return {**broken(FoundRecording(url, "1"), vehicle, "x", "why"), **more}
 
 
-def test_a_row_comes_back_as_it_was_put_and_replaces_that_of_before(tmp_path):
+def test_a_row_is_read_back_unchanged_and_replaces_the_old_one(tmp_path):
     dataset = FleetDataset(tmp_path)
     dataset.prepare()
     good = good_row(1, "t 1/é", "2026-01")
@@ -193,7 +193,7 @@ def good(vehicle, start_s, duration_s=600.0, url=""):
     }
 
 
-def test_of_clocks_that_overlap_the_later_recording_is_left_out_and_only_that():
+def test_a_later_recording_is_dropped_if_its_clock_overlaps():
     rows = [good("a", 1e9), good("a", 1e9 + 300.0), good("a", 1e9 + 600.0), good("b", 1e9 + 100.0)]
     kept, left_out = without_overlaps(rows)
     assert [r["url"] for r in left_out] == ["a1000000300.0"]

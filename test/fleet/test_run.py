@@ -100,7 +100,7 @@ def rows_there(folder):
 
 
 @pytest.mark.long
-def test_a_run_gives_a_row_for_each_and_a_second_does_only_what_is_new(recordings, good, trackres):
+def test_a_run_analyses_each_recording_and_a_rerun_only_new_ones(recordings, good, trackres):
     (recordings / "recordings" / "truck-01" / "broken.csv").write_text("time_s,speed_mps\n")
     (recordings / "recordings" / "stranger.csv").write_text("time_s,speed_mps\n")
     first = json.loads(good(*words(recordings, "--workers", "1", "--json")))
@@ -135,7 +135,7 @@ def test_a_run_gives_a_row_for_each_and_a_second_does_only_what_is_new(recording
 
 
 @pytest.mark.long
-def test_each_vehicle_has_a_diagnosis_by_month_which_is_made_once(recordings, good):
+def test_each_vehicle_has_a_diagnosis_by_month_made_once(recordings, good):
     by_month = [*words(recordings, "--period", "month"), "--workers", "2", "--json"]
     good(*by_month)
     places = {vehicle: recordings / "out" / "diagnosis" / vehicle / "2025-06" for vehicle in ("truck-01", "truck-02")}
@@ -155,7 +155,7 @@ def test_each_vehicle_has_a_diagnosis_by_month_which_is_made_once(recordings, go
 
 
 @pytest.mark.long
-def test_a_worker_that_is_killed_loses_nothing_and_doubles_nothing(recordings):
+def test_a_killed_worker_loses_and_duplicates_no_recording(recordings):
     with scheduler(recordings, workers=2) as (address, (_, first, second)):
         run = begun("trackres_ros", *words(recordings, "--engine", address))
         assert wait_for(lambda: rows_there(recordings) or run.poll() is not None, working=first.pid)
@@ -168,7 +168,7 @@ def test_a_worker_that_is_killed_loses_nothing_and_doubles_nothing(recordings):
 
 
 @pytest.mark.long
-def test_the_death_of_the_scheduler_is_one_line_and_the_next_run_goes_on(recordings, good):
+def test_a_dead_scheduler_is_one_error_line_and_a_rerun_goes_on(recordings, good):
     with scheduler(recordings, workers=1) as (address, (head, worker)):
         run = begun("trackres_ros", *words(recordings, "--engine", address))
         assert wait_for(lambda: rows_there(recordings) or run.poll() is not None, working=worker.pid)
@@ -186,7 +186,7 @@ def test_the_death_of_the_scheduler_is_one_line_and_the_next_run_goes_on(recordi
 
 
 @pytest.mark.long
-def test_work_that_kills_its_worker_each_time_ends_and_the_other_work_is_done():
+def test_work_that_keeps_killing_workers_ends_and_others_finish():
     deadly = "__import__('os').kill(__import__('os').getpid(), 9)"
     with engine("local", 1) as client:
         found = dict(done(client, eval, ["1 + 1", deadly, "2 + 2"]))

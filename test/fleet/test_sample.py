@@ -33,7 +33,7 @@ from trackres_ros.fleet.vehicles import one_vehicle, read_fleet
 @example(vehicles=4, days=5, every=3.0, minutes=10.0, seed=1)
 @example(vehicles=1, days=1, every=365.0, minutes=600.0, seed=1)
 @example(vehicles=3, days=4, every=0.5, minutes=600.0, seed=1)
-def test_recordings_of_a_vehicle_never_overlap_and_changes_are_among_them(vehicles, days, every, minutes, seed):
+def test_a_vehicles_recordings_never_overlap_and_changes_occur(vehicles, days, every, minutes, seed):
     if minutes * 60.0 >= min(every, days) * DAY_S:
         with pytest.raises(InputError, match="--every"):
             draw_fleet(vehicles, days, every, minutes, SAMPLE_CHANGES, seed)

@@ -18,7 +18,7 @@ def test_the_same_for_the_same_seed() -> None:
     assert list(mutations(SEED, 80, 1))[:50] == list(mutations(SEED, 50, 1))
 
 
-def test_nearly_every_copy_differs_from_the_original_and_the_others() -> None:
+def test_nearly_all_copies_differ_from_the_seed_and_each_other() -> None:
     copies = list(mutations(SEED, 500, 3))
     assert sum(copy != SEED for copy in copies) > 450
     assert len(set(copies)) > 450

@@ -71,7 +71,7 @@ def test_a_torque_shifted_in_time_shifts_the_delay(shift):
     assert after - before == pytest.approx(shift, abs=1.5e-3)
 
 
-def test_a_torque_that_comes_before_the_speed_has_a_negative_delay():
+def test_a_torque_ahead_of_the_speed_has_a_negative_delay():
     assert Drive(-0.15).on(10.0).value[0] == pytest.approx(-0.15, abs=0.02)
 
 

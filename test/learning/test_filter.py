@@ -19,7 +19,7 @@ def covariance_of(seed):
 
 
 @given(seed=st.integers(0, 10_000), variance=st.floats(0.01, 1e3), departure=st.floats(-1e3, 1e3), free=st.integers(0, 15))
-def test_a_measurement_makes_nothing_less_sure_and_a_covariance_stays_one(seed, variance, departure, free):
+def test_an_update_never_raises_variance_and_stays_a_covariance(seed, variance, departure, free):
     random, covariance = np.random.default_rng(seed + 1), covariance_of(seed)
     mean, looks = random.normal(size=SIZE), random.normal(size=SIZE)
     mask = np.array([bool(free >> i & 1) for i in range(SIZE)])
@@ -55,7 +55,7 @@ def test_what_ages_goes_to_what_it_is_without_being_seen():
     assert np.diag(covariance) == pytest.approx(4.0)
 
 
-def test_where_only_a_sum_is_known_the_part_that_counts_takes_all_of_it():
+def test_if_only_a_sum_is_known_one_free_part_takes_all_of_it():
     mean, covariance = np.zeros(2), np.diag([4.0, 1.0])
     looks = np.ones(2)
     for _ in range(200):

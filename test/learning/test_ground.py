@@ -74,7 +74,7 @@ def test_a_car_is_learned_on_the_level_and_acts():
     assert np.abs(expected - true).mean() < 0.05 * np.abs(true).mean()
 
 
-def test_hills_of_which_nothing_is_known_freeze_nothing_and_mislead_little():
+def test_unknown_hills_do_not_freeze_learning_or_bias_it_much():
     driven = Drive(hills).drive(20.0)
     mean, std = driven.rolling
     assert abs(mean - MORE_ROLLING) < 3.0 * std
@@ -109,7 +109,7 @@ def test_a_slope_that_the_step_knows_is_not_counted_twice():
     assert abs(driven.learner.learned.mean[SLOPE]) < 0.002
 
 
-def test_an_altitude_that_runs_away_while_it_stands_is_trusted_less():
+def test_an_altitude_that_drifts_at_standstill_is_trusted_less():
     driven = Drive(altitude=0.3).drive(1.0, lambda _t: 0.0)
     before = driven.learner.learned.ground.drift
     handle, stood = driven.session.handle, driven.steps

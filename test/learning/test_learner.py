@@ -19,7 +19,7 @@ def learned(road):
     return road("watch", {at.OF_LOSS: 0.2}).drive(20.0)
 
 
-def test_a_quarter_of_an_hour_is_enough_for_a_torque_that_is_a_fifth_off(learned):
+def test_fifteen_minutes_suffice_to_learn_a_20_percent_error(learned):
     file, with_it = learned.errors(5.0)
     assert file > 0.08
     assert with_it < 0.02
@@ -89,7 +89,7 @@ def test_a_pump_goes_as_it_came(road):
     assert driven.errors(4.0)[1] < 0.025
 
 
-def test_a_torque_beside_the_vehicle_is_told_of_while_it_is_there(road):
+def test_a_torque_from_outside_is_reported_while_it_lasts(road):
     driven = road("watch", {at.OF_LOSS: 0.1}).drive(16.0)
     assert driven.learner.disturbance == ""
     less_than_a_step = 0.025 * driven.learner.learned.rolling

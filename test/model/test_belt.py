@@ -178,7 +178,7 @@ def test_a_wheel_on_the_outer_face_bends_backwards(agri3t: Vehicle) -> None:
     assert b.signed_curvature(0.06, 0.2, belt) == pytest.approx(1.0 / (0.06 + belt.cord_height))
 
 
-def test_equation_21_stress_follows_strain_and_the_cord_carries_no_bending(triangular: Track) -> None:
+def test_equation_21_bending_stress_is_zero_at_the_cord(triangular: Track) -> None:
     """Rubber above the cord is pulled and below it pushed; E (h - h0) kappa, its square integrated in closed form."""
     belt = triangular.belt
     for order in range(4):

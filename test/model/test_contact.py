@@ -57,7 +57,7 @@ def test_force_and_half_length_rise_together(first: float, second: float) -> Non
         assert back[0] < back[1]
 
 
-def test_a_load_that_would_swallow_the_wheel_is_held_at_the_largest_contact() -> None:
+def test_an_excessive_load_gives_the_largest_contact() -> None:
     assert float(contact.half_length_for_force(1e12, 1e6, R, LENGTH, H)) == contact.LARGEST_HALF_LENGTH * R
 
 

@@ -38,9 +38,7 @@ def cut(vehicle: Vehicle, low: float, high: float) -> Vehicle:
 
 
 @given(low=st.sampled_from([-60, -40, -20, 0, 20]), share=st.floats(0.02, 1.0), factor=st.floats(1.02, 3.0))
-def test_colder_or_faster_than_the_data_the_main_frequency_is_beyond_the_sweep(
-    xgd24d: Vehicle, low: int, share: float, factor: float
-) -> None:
+def test_colder_or_faster_than_the_data_leaves_the_sweep(xgd24d: Vehicle, low: int, share: float, factor: float) -> None:
     vehicle = cut(xgd24d, low, 120)
     name, speed = next(iter(vehicle.tracks)), share * xgd24d.chassis.max_speed
     rubber, model, load_n = RubberModel(vehicle.rubber), track_model(vehicle, name), load_range(vehicle, name).nominal
@@ -91,7 +89,7 @@ def test_the_status_says_where_the_data_end(short_estimator: Estimator, speed: f
     assert bool(estimate.reasons & Reason.OUTSIDE_TABLE) == (belt < coldest or belt > covered.hottest)
 
 
-def test_a_shipped_vehicle_is_within_its_data_from_minus_fifty_to_its_balance(reference: Estimator, carrier: Estimator) -> None:
+def test_shipped_vehicles_stay_in_their_data_from_minus_50_degc(reference: Estimator, carrier: Estimator) -> None:
     for estimator in (reference, carrier):
         most = estimator.vehicle.chassis.max_speed
         name = next(iter(estimator.vehicle.tracks))
@@ -133,7 +131,7 @@ BURNS = {
 }
 
 
-def test_a_vehicle_that_would_burn_is_refused_with_its_temperature(tmp_path: Path, trackres: Any) -> None:
+def test_a_vehicle_that_overheats_is_refused_with_temperature(tmp_path: Path, trackres: Any) -> None:
     path = changed(tmp_path, BURNS)
     vehicle = load(path)
     with pytest.raises(InputError, match=r"settles at \d+ degC"):
@@ -171,7 +169,7 @@ def test_the_travel_alone_makes_no_difference(vehicle: Vehicle, method: str, spe
 @settings(max_examples=30)
 @given(speeds=st.lists(st.floats(-1.0, 1.0), min_size=2, max_size=30), ambient=st.floats(-30.0, 40.0), grade=st.floats(-0.2, 0.2))
 @pytest.mark.parametrize("which", ["reference", "carrier"])
-def test_a_drive_and_its_mirror_image_give_the_same_with_the_other_sign(
+def test_a_mirrored_drive_reverses_the_sign_of_every_torque(
     request: pytest.FixtureRequest, which: str, speeds: list[float], ambient: float, grade: float
 ) -> None:
     """To rounding where the drive's strain does not meet bending, else to what `vehicle check` says of the vehicle."""

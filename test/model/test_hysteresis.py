@@ -64,7 +64,7 @@ def test_the_factors_quoted_for_one_wheel() -> None:
 
 
 @given(load=st.floats(2000.0, 20000.0), speed=st.floats(0.1, 20.0), belt_degc=temperatures)
-def test_rainflow_is_low_by_16_over_pi_squared_on_an_isolated_pulse(
+def test_rainflow_is_16_over_pi_squared_low_on_an_isolated_pulse(
     triangular: Track, flat_rubber: RubberModel, load: float, speed: float, belt_degc: float
 ) -> None:
     track = single_wheel(triangular)
@@ -109,7 +109,7 @@ def test_spectral_loss_of_a_sine(triangular: Track, compound: Rubber, monkeypatc
     assert loss == pytest.approx(triangular.belt.width * bending_moment_of_height(triangular.belt, 2) * per_volume, rel=1e-4)
 
 
-def test_a_counted_sine_loses_a_quarter_of_what_equation_29_prints(
+def test_a_counted_sine_loses_a_quarter_of_printed_equation_29(
     triangular: Track, flat_rubber: RubberModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Equation (29) has the range where (28) has the amplitude; with the amplitude, counting a sine is exact."""
@@ -175,7 +175,7 @@ def work_along(model: Spectral, speed: float, torque: float) -> float:
 
 
 @pytest.mark.parametrize("torque", [1e5, 2e6])
-def test_spectral_loss_of_bending_and_drive_is_the_work_of_the_stress(track: Track, compound: Rubber, torque: float) -> None:
+def test_spectral_loss_of_bending_and_drive_is_the_stress_work(track: Track, compound: Rubber, torque: float) -> None:
     """Equations (21) and (24): the stress of both strains at once; the torques are such that the drive counts."""
     model, speed = Spectral(track, Maxwell(compound)), 3.0
     pulled, pushed = (model.loss_force(speed, 20.0, 30e3, sign * torque) for sign in (1, -1))
@@ -200,7 +200,7 @@ def test_the_pulse_to_fourth_order_is_as_good_as_the_circle(vehicle: Vehicle, tr
     assert float((n * ours**2).sum() / (n * exact**2).sum()) == pytest.approx(1.0, abs=1e-3)
 
 
-def test_doubling_the_harmonics_moves_the_loss_by_less_than_a_thousandth(vehicle: Vehicle, track: Track) -> None:
+def test_twice_the_harmonics_change_loss_by_under_a_thousandth(vehicle: Vehicle, track: Track) -> None:
     random, points, rubber = np.random.default_rng(1), 80, RubberModel(vehicle.rubber)
     loads = load_range(vehicle, track.name)
     at = (
@@ -317,7 +317,7 @@ def test_a_counted_cycle_lasts_as_long_as_its_passage(triangular: Track, compoun
     assert sorted({round(c.passage, 9) for c in bends}) == pytest.approx(sorted(arcs))
 
 
-def test_a_drive_torque_strains_the_belt_by_its_force_over_the_stiffness(triangular: Track, compound: Rubber) -> None:
+def test_drive_torque_strains_the_belt_by_force_over_stiffness(triangular: Track, compound: Rubber) -> None:
     model = Spectral(triangular, RubberModel(compound))
     strain = float(model.drive_strain(5.0, 20.0, 720.0))
     modulus = float(model.rubber.dynamic_modulus(5.0 / 4.8, 20.0))

@@ -94,7 +94,7 @@ def test_equation_1_as_printed_loses_or_gains_weight(a1: float, a2: float, b1: f
     assert excess == pytest.approx((a2 - a1) * (g0 - g1), abs=1e-8 * (g0 + g1))
 
 
-def test_equation_1_as_printed_is_off_by_a_fifth_of_the_load_between_splits(xgd24d: Vehicle) -> None:
+def test_printed_equation_1_is_off_by_a_fifth_between_splits(xgd24d: Vehicle) -> None:
     g0, g1 = xgd24d.axles[0].load / 2, xgd24d.tracks["triangular"].own_weight
     printed = two_stages(np.array([[0.6, 0.4], [0.6, 0.4]]), 0.5, 0.5, g0, g1)
     assert printed.sum() - (g0 + g1) == pytest.approx(0.2 * (g0 - g1))

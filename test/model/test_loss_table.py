@@ -209,7 +209,7 @@ def test_any_value_changes_the_fingerprint(vehicle: Vehicle) -> None:
         assert fingerprint(make({path: nudge(vehicle.parameters[path])}), name) != base, path
 
 
-def test_the_method_changes_the_fingerprint_and_the_rest_of_the_vehicle_does_not(xgd24d: Vehicle) -> None:
+def test_the_fingerprint_follows_the_loss_method_not_other_parts(xgd24d: Vehicle) -> None:
     base = fingerprint(xgd24d, "triangular")
     assert fingerprint(with_methods(xgd24d, hysteresis="rainflow"), "triangular") != base
     assert fingerprint(with_methods(xgd24d, thermal="core_surface"), "triangular") == base

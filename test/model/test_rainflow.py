@@ -93,7 +93,7 @@ def test_a_loop_counts_the_same_wherever_it_begins(values: list[float], turn: in
 
 
 @given(values=series)
-def test_the_largest_cycle_spans_the_series_and_indices_show_where(values: list[float]) -> None:
+def test_the_largest_cycle_spans_the_series_and_indices_match(values: list[float]) -> None:
     cycles = count_loop(values)
     if varies(values):
         assert max(c.range for c in cycles) == max(values) - min(values)

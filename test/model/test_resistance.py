@@ -29,7 +29,7 @@ def test_direction_is_the_sign_of_the_speed_but_smooth(speed: float) -> None:
 
 
 @given(speed=speeds, weight=weights, friction=st.floats(0.0, 0.1))
-def test_bearing_friction_resists_travel_and_goes_with_the_weight(speed: float, weight: float, friction: float) -> None:
+def test_bearing_friction_opposes_travel_and_scales_with_weight(speed: float, weight: float, friction: float) -> None:
     force = r.bearing_force(speed, weight, friction)
     assert force * speed >= 0.0
     assert abs(force) <= friction * weight
@@ -99,7 +99,7 @@ def test_equation_35_as_printed_is_a_power_over_a_radius(speed_kmh: float) -> No
 
 
 @given(acceleration=st.floats(0.01, 3.0))
-def test_equation_36_as_printed_lacks_gravity_and_divides_by_the_radius(acceleration: float) -> None:
+def test_printed_equation_36_lacks_gravity_and_divides_by_radius(acceleration: float) -> None:
     """G dv/dt / R1 with G a weight is off by g and by the square of the radius, whatever the rotating masses."""
     printed = G * acceleration / R1
     ours = r.inertia_force(acceleration, G, 1.0) * R1

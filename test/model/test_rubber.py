@@ -64,7 +64,7 @@ def test_equation_3_for_any_reference_temperature(compound: Rubber, f: float, t:
 
 
 @given(t=st.floats(-58.0, 200.0))
-def test_equation_4_as_printed_with_the_glass_transition_as_reference(compound: Rubber, t: float) -> None:
+def test_printed_equation_4_is_the_wlf_law_referred_to_tg(compound: Rubber, t: float) -> None:
     tg = compound.glass_transition
     printed = -8.86 * (t - tg - 50.0) / (51.5 + t - tg)
     classic = -8.86 * (t - (tg + 50.0)) / (101.6 + t - (tg + 50.0))

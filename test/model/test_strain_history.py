@@ -76,7 +76,7 @@ def test_the_shipped_loops_close(track: Track) -> None:
     assert loop.arcs[-1][1] == pytest.approx(loop.length)  # the last wheel hands the belt to the ground run
 
 
-def test_on_a_wheel_the_belt_has_its_curvature_and_between_them_none(triangular: Track) -> None:
+def test_the_belt_is_curved_on_wheels_and_straight_between_them(triangular: Track) -> None:
     loop = sh.build_loop(triangular)
     for (start, end, curvature), wheel in zip(loop.arcs, triangular.wrapped_wheels, strict=True):
         assert curvature == pytest.approx(1.0 / (wheel.radius + triangular.belt.cord_height))
@@ -97,7 +97,7 @@ def test_amplitudes_are_those_of_the_sampled_profile(triangular: Track, data: st
 
 
 @given(share=st.floats(0.01, 0.5))
-def test_indentation_amplitudes_are_the_integral_over_the_contact(triangular: Track, share: float) -> None:
+def test_indentation_amplitudes_are_the_integral_over_contact(triangular: Track, share: float) -> None:
     """A_n = (2/L) times the integral of strain(x) cos(2 pi n x/L)."""
     radius, thickness, length = triangular.road_wheels.radius, triangular.belt.thickness, triangular.belt.loop_length
     a = share * radius
@@ -153,7 +153,7 @@ def test_reverse_is_the_mirror_image(triangular: Track, data: st.DataObject) -> 
         assert np.abs(one.amplitudes(HARMONICS)) == pytest.approx(np.abs(other.amplitudes(HARMONICS)), abs=1e-9)
 
 
-def test_drive_tension_grows_on_the_ground_and_ends_on_the_sprocket(triangular: Track) -> None:
+def test_drive_tension_grows_on_the_ground_and_ends_on_sprocket(triangular: Track) -> None:
     """Equations (22) and (23): each of n teeth takes M_D/(n R_D); over the wrap the steps add up to the whole drive force."""
     loop = sh.build_loop(triangular)
     start, end, _ = loop.arcs[1]

@@ -49,7 +49,7 @@ def test_nothing_but_a_status_leaves_before_the_first_speed(desk):
     assert {name for name, _ in d.statuses} == {"status", "/diagnostics"}
 
 
-def test_at_a_rate_every_tick_publishes_the_last_state_with_its_stamp(desk):
+def test_a_fixed_rate_repeats_the_last_state_with_its_stamp(desk):
     d = desk(output_rate_hz=50.0)
     d.drive(1.0, dt=0.1)
     stamps = [stamp for name, stamp, _ in d.published if name == "feedforward_torque"]
@@ -65,7 +65,7 @@ def test_any_rate_is_kept(desk, rate):
 
 
 @pytest.mark.parametrize("rate", [0.0, 50.0])
-def test_when_the_speed_stops_the_feedforward_fades_and_the_rest_keeps_its_stamp(desk, rate):
+def test_without_speed_feedforward_fades_and_other_outputs_hold(desk, rate):
     d = desk(output_rate_hz=rate)
     d.drive(2.0)
     d.forward(0.1)
@@ -85,7 +85,7 @@ def test_when_the_speed_stops_the_feedforward_fades_and_the_rest_keeps_its_stamp
     assert d.all_finite()
 
 
-def test_after_a_fade_the_feedforward_rises_from_zero_at_its_rate(desk):
+def test_after_a_fade_feedforward_rises_from_zero_at_its_rate(desk):
     d = desk(feedforward_rate=1000.0)
     d.drive(10.0)
     d.forward(5.0)
@@ -96,7 +96,7 @@ def test_after_a_fade_the_feedforward_rises_from_zero_at_its_rate(desk):
     assert all(b - a <= 1000.0 * 0.02 + 1e-6 for a, b in itertools.pairwise([0.0, *risen]))
 
 
-def test_the_status_says_at_once_that_the_speed_is_old_and_that_it_is_back(desk):
+def test_the_status_reports_loss_and_return_of_speed_at_once(desk):
     d = desk()
     d.drive(2.0)
     assert d.statuses[-1][1][0].level is Level.WARN  # nominal load and ambient
@@ -216,7 +216,7 @@ def test_what_cannot_be_changed_is_refused_with_the_reason(desk, given, said):
     assert d.app.parameters is before
 
 
-def test_an_age_limit_of_the_topics_file_counts_and_is_not_overruled(desk, tmp_path):
+def test_a_topics_file_age_limit_cannot_be_overridden(desk, tmp_path):
     topics = tmp_path / "topics.yaml"
     topics.write_text(f"speed: {{topic: speed, type: {TWIST}, field: twist.linear.x, max_age_s: 3.0}}\n")
     d = desk(topics=str(topics))
@@ -266,7 +266,7 @@ def test_simulated_time_that_goes_back_starts_anew(desk):
     assert "TIME_RESET" in d.names()
 
 
-def test_messages_without_stamps_between_two_ticks_of_a_simulated_clock_all_count(desk, tmp_path):
+def test_all_unstamped_messages_between_sim_clock_ticks_count(desk, tmp_path):
     topics = tmp_path / "topics.yaml"
     topics.write_text("speed: {topic: speed, type: std_msgs/msg/Float64, field: data}\n")
     d = desk(use_sim_time=True, topics=str(topics))
@@ -297,7 +297,7 @@ def test_what_comes_before_the_simulated_clock_waits_for_it(desk):
     assert sum(number for name, _, number in d.app.session.counts() if name == "speed") == 2
 
 
-def test_what_was_sent_before_a_speed_counts_for_it_whatever_comes_first(desk):
+def test_only_inputs_sent_before_a_speed_are_used_with_it(desk):
     d = desk()
     index = {role: i for i, given in enumerate(d.app.inputs) for role in given.roles}
     d.drive(1.0, load=250e3)

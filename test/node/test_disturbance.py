@@ -62,7 +62,7 @@ def of(d, entry):
     return next(((s.level, s.message, dict(s.values)) for s in statuses if s.name.endswith(f": {entry}")), None)
 
 
-def test_a_spell_is_said_while_it_lasts_and_logged_when_it_begins_and_ends(desk, given):
+def test_the_status_shows_a_spell_and_the_log_its_start_and_end(desk, given):
     d = desk(**given[0])
     d.drive(20.0, dt=0.2)
     drive(d, 40.0, 0.0)
@@ -131,7 +131,7 @@ def taken(comparison, residual_nm, seconds, start_s=0.0, drive_nm=3000.0):
         comparison.take(START_NS + round(time_s * 1e9), row)
 
 
-def test_what_a_spell_explains_is_no_mismatch_and_what_it_does_not_is_one():
+def test_a_known_spell_is_no_mismatch_but_a_larger_one_is():
     hold_s, spell_s = 60.0, 400.0
     settings = MismatchSettings(mismatch_hold_s=hold_s)
     explained, unexplained, more = Comparison(settings, SPELLS), Comparison(settings, None), Comparison(settings, SPELLS)

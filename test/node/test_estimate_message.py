@@ -48,7 +48,7 @@ def check(d):
 
 @settings(max_examples=60)
 @given(st.booleans(), EVENTS)
-def test_whatever_comes_the_torque_is_the_one_published_and_the_level_the_heaviest_reason(wild_by_clock, simulated, events):
+def test_a_message_has_the_published_torque_and_its_worst_level(wild_by_clock, simulated, events):
     d = wild_by_clock[simulated]
     for speed, pause_s, count, broken in events:
         d.broken = {broken}
@@ -64,7 +64,7 @@ def test_whatever_comes_the_torque_is_the_one_published_and_the_level_the_heavie
 
 
 @pytest.mark.parametrize("rate", [0.0, 50.0])
-def test_while_the_feedforward_fades_each_message_is_stale_and_says_why(desk, rate):
+def test_during_a_fade_each_message_is_stale_and_gives_a_reason(desk, rate):
     d = desk(output_rate_hz=rate)
     d.drive(2.0)
     d.forward(3.0)
@@ -89,7 +89,7 @@ def test_at_a_standstill_its_torque_is_zero(desk):
 
 @pytest.mark.parametrize("rate", [0.0, 50.0])
 @pytest.mark.parametrize("before", [0.5, 8.0, -6.0, 20.0])
-def test_a_vehicle_that_seems_to_stand_is_pushed_by_nothing_however_it_came_to_rest(desk, before, rate):
+def test_feedforward_is_zero_at_standstill_after_any_stop(desk, before, rate):
     d = desk(output_rate_hz=rate)
     noise = random.Random(3)
     d.drive(3.0, speed=before)

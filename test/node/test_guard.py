@@ -142,7 +142,7 @@ def test_no_edge_and_no_recorder_can_change_the_torque(node, monkeypatch, what):
     assert not {"PART_FAILED", "INTERNAL_ERROR"} & d.names()
 
 
-def test_what_was_learned_stays_where_learning_fails_or_is_not_finite(node, monkeypatch):
+def test_outputs_stay_finite_when_the_learner_gives_nan(node, monkeypatch):
     d = node()
     driven(d, 2.0)
 
@@ -156,7 +156,7 @@ def test_what_was_learned_stays_where_learning_fails_or_is_not_finite(node, monk
     assert "INTERNAL_ERROR" not in d.names()
 
 
-def test_a_disk_that_blocks_holds_nothing_up_and_loses_a_bounded_part(node, monkeypatch, tmp_path):
+def test_a_blocked_disk_stops_no_estimate_and_losses_are_bounded(node, monkeypatch, tmp_path):
     d, answers = node(), threading.Event()
     monkeypatch.setattr(record, "WRITE_EVERY_S", 0.05)
     monkeypatch.setattr(record, "SHOWN_NS", 200_000_000)
@@ -188,7 +188,7 @@ def test_a_picture_that_fails_is_a_line_of_text(node, monkeypatch, tmp_path):
     assert recorder.end()[-1].startswith(f"no picture {tmp_path / 'live.png'}: division by zero")
 
 
-def test_split_files_stay_within_the_limit_and_only_the_oldest_go(node, monkeypatch, tmp_path):
+def test_split_files_keep_the_limit_by_deleting_only_the_oldest(node, monkeypatch, tmp_path):
     monkeypatch.setattr(record, "WRITE_EVERY_S", 0.02)
     others = [tmp_path / "live_0000.csv", tmp_path / "other_0000.mcap", tmp_path / "live_0003.mcap"]
     for other in others:

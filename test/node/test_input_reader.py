@@ -35,7 +35,7 @@ def joint_state(ns, **joints):
     return SimpleNamespace(header=stamp(ns), name=list(joints), effort=list(joints.values()), velocity=list(joints.values()))
 
 
-def test_the_topic_of_the_speed_comes_last_and_the_speed_last_of_it():
+def test_the_speed_topic_is_last_and_speed_is_its_last_field():
     line = {"topic": "/a", "type": "std_msgs/Float64", "field": "data"}
     inputs = input_topics(Topics.parse({"speed": line, "load": {**line, "topic": "/b"}, "torque": line}))
     assert [given.roles for given in inputs] == [("load",), ("torque", "speed")]
@@ -90,7 +90,7 @@ def test_names_of_inputs():
     assert [input_name("speed", "/"), input_name("speed", "/a"), input_name("/speed", "/a")] == ["/speed", "/a/speed", "/speed"]
 
 
-def test_a_torque_that_comes_late_is_of_an_earlier_time_and_a_stamp_never_set_stays_so():
+def test_the_torque_delay_shifts_its_stamp_but_not_a_zero_stamp():
     taken, _ = reader(torque={**JOINTS, "field": "effort[a]", "delay_s": 0.25}, speed={**JOINTS, "field": "velocity[a]"})
     for header, shifted in ((5 * 10**9, 5 * 10**9 - 250_000_000), (0, 0)):
         (_, torque_stamp, _), (_, speed_stamp, _) = samples(taken, joint_state(header, a=3.0), 9 * 10**9)

@@ -69,7 +69,7 @@ def test_by_default_it_watches_and_says_what_it_learns(desk, topics):
     assert (delay["unit"], delay["state"], delay["acts"]) == ("s", "learning", "false")
 
 
-def test_where_no_torque_is_measured_there_is_no_topic_and_no_learner(desk):
+def test_without_a_measured_torque_there_is_no_learner_or_topic(desk):
     d = desk()
     d.drive(2.0)
     assert d.app.learning.learner is None
@@ -91,7 +91,7 @@ def test_it_survives_a_restart_and_a_reset_forgets_it(desk, topics, tmp_path):
     assert again.app.learning.learner.learned.seconds == 0.0
 
 
-def test_a_state_file_from_a_node_that_learned_nothing_begins_anew(desk, topics, tmp_path):
+def test_the_state_file_of_a_node_without_learning_starts_afresh(desk, topics, tmp_path):
     state = str(tmp_path / "state.json")
     d = desk(state_file=state)
     d.drive(2.0)
@@ -132,7 +132,7 @@ def test_it_is_compiled_while_it_learns_and_goes_on(desk, topics):
 
 
 @pytest.mark.parametrize(("more", "kind"), [(300.0, ", of the kind seen before (spells)"), (700.0, "")])
-def test_a_disturbance_is_told_of_and_whether_the_vehicle_file_knows_its_kind(desk, topics, tmp_path, more, kind):
+def test_a_disturbance_is_reported_with_its_kind_if_known(desk, topics, tmp_path, more, kind):
     folder = shutil.copytree(config_dir(), tmp_path / "config")
     vehicle = folder / "disturbed.yaml"
     vehicle.write_text((folder / "xgd24d.yaml").read_text() + SPELLS)

@@ -133,7 +133,7 @@ def test_what_comes_round_each_lap_is_none():
     assert not any(watch(noise(4.0, 0.5, 100.0, seed) + lap)[1] for seed in range(3))
 
 
-def test_when_the_offset_goes_the_mismatch_ends_and_does_not_take_as_long_as_it_lasted():
+def test_a_mismatch_ends_within_30_minutes_of_the_offset_ending():
     residual = noise(8.0, 0.5, seed=7)
     residual[1800 : 1800 + 4 * 3600] += 900.0
     _, turned = watch(residual)
@@ -270,7 +270,7 @@ WELL_KNOWN = MismatchSettings(mismatch_share=0.02, mismatch_std=0.0)
         (1.0, 0.85, WELL_KNOWN, True),
     ],
 )
-def test_a_vehicle_that_resists_otherwise_than_its_file_says_is_found(loss, bearing, settings, parted):
+def test_a_resistance_different_from_the_vehicle_file_is_found(loss, bearing, settings, parted):
     estimator = Estimator(load("xgd24d"))
     time_s = np.arange(0.0, 3600.0, 0.5)
     speed = 8.0 + 2.0 * np.sin(2 * np.pi * time_s / 400.0)

@@ -112,7 +112,7 @@ def test_one_topic_that_cannot_be_published_holds_up_no_other(desk, monkeypatch)
     assert "feedforward_torque cannot be published: RuntimeError: no room" in status.message
 
 
-def test_a_first_stamp_that_no_message_can_carry_is_refused_and_counted(desk):
+def test_a_first_stamp_beyond_the_message_range_is_refused(desk):
     d = desk(output_rate_hz=50.0)
     index = {role: i for i, given in enumerate(d.app.inputs) for role in given.roles}
     d.app.receive(index["speed"], message_of("speed", 2**31 - 1, 10**9, 8.0))
@@ -137,7 +137,7 @@ def test_stamps_are_those_of_builtin_interfaces(seconds, nanoseconds):
 
 @pytest.mark.parametrize(("rate_hz", "hz"), [(50.0, 50.0), (50.0, 1.0), (20.0, 7.0), (0.0, 50.0), (0.0, 2.0), (7.0, 100.0)])
 @pytest.mark.parametrize("nm_per_s", [500.0, 20000.0])
-def test_the_outputs_move_at_feedforward_rate_over_any_speeds_and_pauses(desk, rate_hz, hz, nm_per_s):
+def test_outputs_keep_the_feedforward_rate_over_speeds_and_gaps(desk, rate_hz, hz, nm_per_s):
     d = desk(output_rate_hz=rate_hz, output_deadline_s=0.0, feedforward_rate=nm_per_s)
     outputs, chance = [], random.Random(7)
     publish = d.publish

@@ -52,7 +52,7 @@ def looked(file, parameters):
 
 @settings(max_examples=60)
 @given(st.lists(CONTENT, min_size=1, max_size=4), st.sampled_from(sorted(NUMBERS)))
-def test_after_any_edits_the_parameters_are_those_of_a_start_with_the_last_file(tmp_path_factory, contents, own):
+def test_edits_give_the_parameters_of_a_start_with_the_last_file(tmp_path_factory, contents, own):
     path = tmp_path_factory.mktemp("p") / "p.yaml"
     overruled = {own: NUMBERS[own].low}
     file, parameters = watched(path, contents[0], overruled)
@@ -104,7 +104,7 @@ def test_two_changes_that_need_each_other_are_made_in_any_order(tmp_path):
         assert looked(file, parameters).number("output_rate_hz") == float(content.split()[1])
 
 
-def test_a_file_that_is_gone_changes_nothing_and_counts_again_when_it_is_back(tmp_path):
+def test_a_missing_file_changes_nothing_and_is_read_once_back(tmp_path):
     file, parameters = watched(tmp_path / "p.yaml", {"gap_s": 2.0})
     (tmp_path / "p.yaml").unlink()
     assert looked(file, parameters) == parameters

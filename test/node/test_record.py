@@ -97,7 +97,7 @@ def drive(desk, tmp_path):
     return lambda seconds, speed_of=steady_and_wavy: driven(desk, tmp_path, seconds, speed_of)
 
 
-def test_every_message_is_there_as_it_came_under_the_name_of_the_topics_file(drive):
+def test_every_message_is_recorded_unchanged_under_its_topic(drive):
     _, wire, bag, lines = drive(30.0, lambda s: math.nan if 5.0 < s < 6.0 else 8.0)
     with AnyReader([bag]) as reader:
         found = [(c.topic, log, bytes(raw)) for c, log, raw in reader.messages() if not c.topic.startswith("/trackres/")]
@@ -130,7 +130,7 @@ def test_it_is_diagnosed_as_any_recording(drive, good, tmp_path):
     assert "live.mcap" in json.dumps(report)
 
 
-def test_what_came_before_the_simulated_clock_stands_at_its_first_time(desk, tmp_path):
+def test_messages_before_the_sim_clock_get_its_first_time(desk, tmp_path):
     (tmp_path / "topics.yaml").write_text(TOPICS)
     d = desk(topics=str(tmp_path / "topics.yaml"), use_sim_time=True)
     wire, clock = Wire(d, tmp_path / "live.mcap"), d.now_ns

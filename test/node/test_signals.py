@@ -10,7 +10,7 @@ import sys
 from trackres_ros.node.signals import SAVE, SignalRequests
 
 
-def test_a_signal_while_starting_is_kept_though_nobody_reads_the_log(monkeypatch):
+def test_a_signal_during_start_is_kept_with_the_log_pipe_closed(monkeypatch):
     read, write = os.pipe()
     os.close(read)
     with os.fdopen(write, "w") as nobody:

@@ -114,7 +114,7 @@ def test_a_state_of_another_vehicle_is_refused(desk, warm):
     assert "xgd24d" in d.app.began_with
 
 
-def test_a_folder_that_cannot_be_written_is_said_and_stops_nothing(desk, tmp_path):
+def test_an_unwritable_state_folder_is_reported_and_not_fatal(desk, tmp_path):
     blocked = tmp_path / "file"
     blocked.write_text("in the way")
     d = desk(state_file=str(blocked / "state.json"), save_period_s=1.0)
@@ -174,7 +174,7 @@ NAMES = st.text(max_size=60) | st.sampled_from(ODD_NAMES)
 
 
 @given(st.tuples(NAMES, NAMES, NAMES), st.tuples(NAMES, NAMES, NAMES))
-def test_whatever_they_are_called_the_file_is_a_plain_name_and_no_other_ones(one, other):
+def test_each_node_and_vehicle_has_its_own_plain_state_file_name(one, other):
     for node, namespace, vehicle in (one, other):
         name = state_name(node, namespace, vehicle)
         assert re.fullmatch(r"[A-Za-z0-9_]*-[0-9a-f]{12}\.json", name)
@@ -184,7 +184,7 @@ def test_whatever_they_are_called_the_file_is_a_plain_name_and_no_other_ones(one
     assert (state_name(*one) == state_name(*other)) is alike
 
 
-def test_a_vehicle_whose_name_is_a_path_keeps_its_state_where_all_do(desk, monkeypatch, tmp_path, repository):
+def test_a_vehicle_named_like_a_path_has_its_state_in_the_folder(desk, monkeypatch, tmp_path, repository):
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     text = (repository / "config" / "xgd24d.yaml").read_text()
     vehicle = tmp_path / "mine.yaml"

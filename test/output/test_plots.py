@@ -41,7 +41,7 @@ def estimate(reference):
     return drive.time_s, {name: rows[:, i] for name, i in reference.column_index.items()}
 
 
-def test_a_replay_draws_alike_twice_and_other_data_draw_otherwise(estimate, tmp_path):
+def test_a_replay_plots_identically_twice_and_other_data_differ(estimate, tmp_path):
     time_s, columns = estimate
     for name in ("first", "second"):
         plot_estimate(tmp_path / f"{name}.png", time_s, columns, "drive")

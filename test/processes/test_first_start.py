@@ -40,7 +40,7 @@ def uncompiled(monkeypatch, tmp_path):
 
 @pytest.mark.long
 @pytest.mark.parametrize("transport", TRANSPORTS)
-def test_two_nodes_that_compile_count_every_speed_and_no_clock_jumps(transport, tmp_path, wire, uncompiled):
+def test_two_compiling_nodes_count_all_speeds_and_no_clock_jump(transport, tmp_path, wire, uncompiled):
     nodes = [Node(transport, tmp_path, wire, name=name, namespace=f"/{name}") for name in ("left", "right")]
     try:
         for node in nodes:
@@ -91,7 +91,7 @@ def when_it_listens(process):
 @pytest.mark.parametrize("transport", TRANSPORTS)
 @pytest.mark.parametrize("further_s", [0.0, 0.2, 0.6])
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_signal_to_stop_while_starting_ends_it_with_0_and_says_so(transport, tmp_path, number, further_s):
+def test_a_stop_signal_during_start_ends_with_exit_code_0(transport, tmp_path, number, further_s):
     """At moments that are as far into the start, by the work done, on any machine."""
     process = subprocess.Popen(
         command(transport, tmp_path),
@@ -111,7 +111,7 @@ def test_a_signal_to_stop_while_starting_ends_it_with_0_and_says_so(transport, t
 
 
 @pytest.mark.parametrize("transport", TRANSPORTS)
-def test_signals_to_save_and_reset_while_starting_are_done_once_it_runs(transport, tmp_path):
+def test_save_and_reset_signals_during_start_act_once_it_runs(transport, tmp_path):
     log = tmp_path / "log"
     with log.open("w") as said:
         process = subprocess.Popen(command(transport, tmp_path), env=environment(transport, tmp_path), stderr=said, stdout=said)
@@ -170,7 +170,7 @@ main()
 
 
 @pytest.mark.parametrize("transport", TRANSPORTS)
-def test_without_a_home_as_a_user_that_nobody_knows_it_runs_and_says_what_it_cannot_keep(transport, tmp_path, wire):
+def test_without_home_or_user_entry_the_node_runs_and_warns(transport, tmp_path, wire):
     kept = {k: v for k, v in environment(transport, tmp_path).items() if k not in ("HOME", "XDG_STATE_HOME")}
     kept.setdefault("XDG_CACHE_HOME", str(cache_dir().parent))
     log = tmp_path / "log"

@@ -105,7 +105,7 @@ def simulated(node):
     return start
 
 
-def test_live_and_offline_give_the_same_numbers_at_the_same_stamps(simulated):
+def test_live_and_offline_give_equal_numbers_at_equal_stamps(simulated):
     sim = simulated(feedforward_rate=AT_ONCE)
     sim.drive(300)
     node = sim.node
@@ -194,7 +194,7 @@ def recorded(path, messages, namespace):
 
 
 @pytest.mark.parametrize("vehicle", ["xgd24d", "ztbus_hess19"])
-def test_a_drive_with_positions_gives_live_what_its_recording_replayed_gives(node, tmp_path, vehicle):
+def test_a_drive_with_positions_gives_the_same_live_and_replayed(node, tmp_path, vehicle):
     surroundings, messages = a_street(tmp_path, vehicle), list(along_the_street(150))
     bag = recorded(tmp_path / "bag", messages, "/alone")
     topics = tmp_path / "of_the_bag.yaml"
@@ -498,7 +498,7 @@ def diagnosed(tmp_path_factory):
     return left.before, left.after, np.genfromtxt(left.kept_back, delimiter=",", names=True)
 
 
-def test_the_vehicle_file_of_a_diagnosis_makes_the_live_feedforward_better(simulated, diagnosed):
+def test_a_diagnosed_vehicle_file_improves_the_live_feedforward(simulated, diagnosed):
     before, after, drive = diagnosed
     every = 5  # of 10 Hz
     error = {}

@@ -125,7 +125,7 @@ def test_a_bad_start_ends_with_code_2_or_waits_to_be_configured(cyclone):
 
 
 @pytest.mark.long
-def test_a_bag_played_live_is_recorded_as_the_offline_replay_gives_it(cyclone, repository, wire):
+def test_a_bag_played_live_gives_the_offline_replays_numbers(cyclone, repository, wire):
     from trackres_ros.estimator.estimator import Estimator
     from trackres_ros.offline.replay import replay
     from trackres_ros.offline.sample import write_sample

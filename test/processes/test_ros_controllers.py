@@ -69,7 +69,7 @@ def follows_and_lets_go(node, added, log):
     assert wait_for(lambda: added.update() and added.heard[-1].message.data == 0.0), log.read_text()
 
 
-def test_the_node_in_cpp_adds_the_feedforward_and_is_told_when_it_hangs(built, tmp_path, wire):
+def test_the_cpp_node_adds_feedforward_and_notices_a_hung_node(built, tmp_path, wire):
     node = Node("ros", tmp_path, wire).started()
     added = wire.subscribe("/drive/added_torque", FLOAT)
     try:

@@ -62,7 +62,7 @@ def settable(parameter):
     return [*[(choice, choice) for choice in (*p.choices, p.default)], ("none of them", None), (True, None)]
 
 
-def test_every_parameter_is_described_dumped_and_set_within_its_limits_only(shell):
+def test_every_parameter_is_described_dumped_and_range_checked(shell):
     node = shell.estimator()
     asked = [(p.name, value, then) for p in PARAMETERS.values() for value, then in settable(p)]
     client = shell.start(sys.executable, "-c", ASKED, json.dumps([[name, value] for name, value, _ in asked]))
@@ -195,7 +195,7 @@ node.release()
         ("/trackres", ["use_sim_time:=false", "autostart:=true", "vehicle:=agri3t"], ["False", "True", "agri3t", "active"]),
     ],
 )
-def test_launch_overrides_a_parameter_file_by_given_arguments_only(launcher, section, arguments, runs_with):
+def test_launch_overrides_the_parameter_file_only_where_given(launcher, section, arguments, runs_with):
     file = launcher.folder / "p.yaml"
     given = {"vehicle": "xgd24d", "state_file": "none", "use_sim_time": True, "autostart": False}
     file.write_text(json.dumps({section: {"ros__parameters": given}}))

@@ -10,7 +10,7 @@ from conftest import Node
 from waiting import exit_code
 
 
-def test_a_service_is_ready_alive_silent_while_it_hangs_and_stopping(tmp_path, wire, monkeypatch):
+def test_a_service_reports_ready_alive_and_stopping_unless_hung(tmp_path, wire, monkeypatch):
     manager = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     manager.bind(str(tmp_path / "notify"))
     manager.setblocking(False)

@@ -59,7 +59,7 @@ def test_who_works_without_end_is_given_up(start, monkeypatch):
     assert not wait_for(lambda: False, patience_s=0.2, working=start("while True: pass").pid)
 
 
-def test_an_exit_code_is_waited_for_and_who_does_not_end_has_none(start, tmp_path, monkeypatch):
+def test_an_exit_code_is_waited_for_and_an_idle_process_has_none(start, tmp_path, monkeypatch):
     idle = start("input()")
     assert exit_code(idle, patience_s=0.2) is None
     monkeypatch.setattr(waiting, "LEAST_PROGRESS", 1e-9)

@@ -174,7 +174,7 @@ def test_guessed_lines_are_a_topics_file(files, good, tmp_path):
     assert "speed: {channel: VehicleSpeed, unit: km/h}  # guessed" in done
 
 
-def test_the_speed_of_the_vehicle_comes_before_those_of_its_parts():
+def test_the_vehicles_speed_is_preferred_to_its_parts_speeds():
     named = [("AxleSpeed", "km/h"), ("WheelBasedVehicleSpeed", "km/h"), ("WheelSpeedFL", "km/h"), ("VehicleSpd", "rpm")]
     bindings, others = guess_channels([Channel(*one) for one in named], ())
     assert bindings["speed"].column == "WheelBasedVehicleSpeed"

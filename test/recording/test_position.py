@@ -41,7 +41,7 @@ def table(folder: Path, **columns: np.ndarray) -> Path:
 
 
 @given(st.floats(-90.0, 90.0), st.floats(-180.0, 180.0))
-def test_a_position_on_land_is_the_same_in_degrees_and_in_radians(latitude: float, longitude: float) -> None:
+def test_a_position_on_land_reads_alike_in_degrees_and_radians(latitude: float, longitude: float) -> None:
     assume(abs(latitude) > 1.6 or abs(longitude) > 3.2)  # there is no land else
     assume(latitude and longitude)
     want = np.radians([latitude, longitude])
@@ -118,7 +118,7 @@ def test_a_brake_is_on_from_its_threshold() -> None:
     assert TopicBinding(threshold=3e4).brakes_from(pressure) == 3e4
 
 
-def test_passengers_weigh_in_a_replay_and_a_position_does_not_disturb_it(tmp_path: Path) -> None:
+def test_passengers_add_weight_in_a_replay_that_has_positions(tmp_path: Path) -> None:
     time = np.arange(120.0)
     count = np.full(120, np.nan)
     count[[30, 60]] = 10.0, 25.0

@@ -128,7 +128,7 @@ def test_live_adds_as_a_bag_does(tmp_path_factory, steps):
     assert list(zip(found.stamp_ns.tolist(), found.value.tolist(), strict=True)) == live(TWO, sides)
 
 
-def test_a_bag_without_a_torque_names_the_topics_that_may_hold_it(tmp_path, trackres):
+def test_a_bag_without_torque_names_the_topics_that_may_hold_it(tmp_path, trackres):
     path = write(tmp_path / "run.mcap", [("/left", START, {"s": 1.0}), ("/right", START, {"s": 1.0})])
     assert "no torque is read; it may be in: /left, /right" in tr.read(path, topics={"speed": SPEED}).notes
     done = trackres("diagnose", path, "--vehicle", "xgd24d", "-o", tmp_path / "report")
@@ -136,7 +136,7 @@ def test_a_bag_without_a_torque_names_the_topics_that_may_hold_it(tmp_path, trac
     assert "it may be in /left, /right: name it in a topics file: torque: {topic: NAME, type: TYPE, field: FIELD}" in done.stderr
 
 
-def test_what_a_diagnosis_writes_of_a_sum_is_a_line_of_a_topics_file():
+def test_the_line_a_diagnosis_writes_for_a_sum_parses_back():
     line = yaml.safe_load(yaml.safe_dump(_said(TWO["torque"])))
     assert Topics.parse({"torque": line})["torque"] == TWO["torque"]
 

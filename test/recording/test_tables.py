@@ -200,7 +200,7 @@ def test_what_is_written_reads_back(
 
 
 @with_pyarrow
-def test_of_estimates_parquet_keeps_seven_digits_and_all_of_the_time(tmp_path: Path) -> None:
+def test_parquet_estimates_keep_seven_digits_and_exact_times(tmp_path: Path) -> None:
     time, torque = 1.7e9 + np.arange(50) / 3.0, np.geomspace(1e-3, 1e6, 50) * np.pi
     stamp = np.arange(50) + 1_700_000_000_123_456_789
     columns = {"time_s": time, "stamp_ns": stamp, "torque_nm": torque, "belt_degc": np.full(50, np.nan)}

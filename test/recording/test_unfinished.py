@@ -123,7 +123,7 @@ def test_a_recovered_file_holds_for_the_library_of_the_format(tmp_path):
         assert {channel.topic for channel in bag.get_summary().channels.values()} == {"/speed", "/load"}
 
 
-def test_the_command_says_what_it_has_written_and_refuses_the_rest(good, trackres, tmp_path):
+def test_recover_reports_what_it_wrote_and_refuses_other_files(good, trackres, tmp_path):
     whole, part = tmp_path / "whole.mcap", tmp_path / "drive.mcap.part"
     by_us(whole)
     part.write_bytes(whole.read_bytes()[:-5000])

@@ -30,7 +30,7 @@ def drive(
 
 
 @pytest.mark.parametrize("of_vehicle", ["front", "rear"])
-def test_radii_and_slip_come_out_whichever_wheels_the_vehicle_takes_its_speed_from(of_vehicle: str) -> None:
+def test_radii_and_slip_are_found_whichever_wheels_give_speed(of_vehicle: str) -> None:
     held = drive(of_vehicle)
     for wheel in wheels(held):
         assert wheel.ratio == pytest.approx(RATIOS[wheel.name], abs=4.0 * wheel.ratio_std + 2e-4)

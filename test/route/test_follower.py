@@ -158,7 +158,7 @@ def test_how_long_a_position_holds_is_a_setting(slopes):
 
 
 @pytest.mark.parametrize("aside", [60.0, -200.0])
-def test_beside_the_street_nothing_is_told_and_the_status_says_why(on, aside):
+def test_off_the_street_nothing_is_expected_and_status_says_why(on, aside):
     way = np.arange(50.0, 950.0, 8.0)
     rows = driven(on["both"], messages(way, np.full(len(way), 8.0), aside=aside))
     assert np.isnan(slope_of(on["both"], rows)).all()
@@ -177,7 +177,7 @@ def test_a_measured_slope_comes_before_that_of_the_place(on):
     assert np.abs(found - slope_at(way))[62:].max() < 0.004
 
 
-def test_the_torque_of_the_place_is_expected_against_travel_whichever_way(on):
+def test_the_torque_of_a_place_is_signed_against_travel(on):
     way = np.arange(50.0, 950.0, 8.0)
     rows = driven(on["torques"], messages(way, np.full(len(way), 8.0)))
     soft = (way > 370.0) & (way < 630.0)
@@ -188,7 +188,7 @@ def test_the_torque_of_the_place_is_expected_against_travel_whichever_way(on):
     assert reverse[soft, at.OUT_EFFECTS] == pytest.approx(-BACK_NM, rel=1e-6)
 
 
-def test_where_a_street_was_never_driven_this_way_nothing_counts_and_the_status_says_so(on):
+def test_an_undriven_direction_expects_nothing_and_is_reported(on):
     way = np.arange(50.0, 950.0, 8.0)[::-1]
     rows = driven(on["torques"], messages(way, np.full(len(way), 8.0)))
     never, driven_so = way < 290.0, (way > 350.0) & (way < 900.0)
@@ -197,7 +197,7 @@ def test_where_a_street_was_never_driven_this_way_nothing_counts_and_the_status_
     assert not (reasons_of(rows)[driven_so] & Reason.OFF_ROUTE).any()
 
 
-def test_what_is_expected_of_the_place_is_in_the_drive_torque_and_its_doubt_in_the_standard_deviation(on):
+def test_the_torque_of_a_place_enters_drive_torque_and_its_std(on):
     way = np.arange(50.0, 950.0, 8.0)
     sent = messages(way, np.full(len(way), 8.0))
     bare, soft = (driven(on[name], sent) for name in ("none", "torques"))
@@ -238,7 +238,7 @@ def test_at_a_standstill_nothing_pushes_whatever_the_table_says(torque, slope, p
     assert rows[-5:, at.OUT_EFFECTS] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_message_by_message_and_in_blocks_the_numbers_are_the_same_bits(on):
+def test_single_messages_and_blocks_give_the_same_bits(on):
     way = np.arange(50.0, 950.0, 3.0)
     sent = messages(way, np.full(len(way), 3.0), scatter_m=4.0, hidden=range(90, 130))
     whole = driven(on["both"], sent)
@@ -342,7 +342,7 @@ def test_a_replay_has_slope_and_torque_of_the_route(replays):
     assert found["latit"]["effects_nm"].to_numpy()[(way > 370.0) & (way < 480.0)] == pytest.approx(SOFT_NM, rel=1e-3)
 
 
-def test_beside_the_route_the_ground_counts_as_level_and_firm_and_the_status_says_so(replays):
+def test_off_the_route_the_ground_is_level_and_firm_and_flagged(replays):
     way, _, found = replays
     table, off = found["latit"], way > 620.0
     assert (table["grade_nm"].to_numpy()[off] == 0.0).all()

@@ -46,7 +46,7 @@ def by_hand(places, x, y, east, north):
 
 
 @given(st.integers(0, 10**6), st.floats(-AREA_M, AREA_M), st.floats(-AREA_M, AREA_M), st.floats(0.0, 6.28))
-def test_places_behind_and_ahead_are_those_found_by_looking_at_all(seed, x, y, turn):
+def test_the_lookup_finds_the_places_an_exhaustive_search_finds(seed, x, y, turn):
     places = drawn(seed, 60)
     cells, rows = lookup_of([places])
     behind, ahead, share, _, _ = between(cells, rows, 0, x, y, math.cos(turn), math.sin(turn))

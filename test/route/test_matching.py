@@ -55,7 +55,7 @@ def test_passes_are_counted():
     assert at.number[at.known & (one.distance < 0.8 * LAP_M)].max() == 0
 
 
-def test_in_a_tunnel_there_is_no_place_and_over_a_short_gap_there_is():
+def test_a_tunnel_has_no_places_and_a_short_gap_is_bridged():
     one = drive(6, (1, 1), hidden=((500.0, 500.0 + 0.5 * LONGEST_GAP_M), (900.0, 1200.0)))
     _, _, at = matched_drive(one)
     tunnel = (one.way > 930.0) & (one.way < 1170.0)

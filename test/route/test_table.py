@@ -49,7 +49,7 @@ def test_what_is_written_is_read(tmp_path, kinds):
     assert len((tmp_path / "route.csv").read_text().splitlines()) == 11  # a place of both is one row
 
 
-def test_what_was_learned_of_other_places_and_of_one_way_alone_comes_back_too(tmp_path):
+def test_slopes_and_one_way_torques_survive_writing_and_reading(tmp_path):
     slopes, torques = straight(), straight(kind=TORQUE, first=6)
     one_way = torques.value.copy()
     one_way[:4, 1] = np.nan
@@ -88,7 +88,7 @@ def test_what_is_no_route_is_refused(tmp_path, text, said):
         read_route(path)
 
 
-def test_a_torque_that_no_ground_takes_of_this_vehicle_is_refused(tmp_path):
+def test_a_torque_impossible_for_this_vehicle_is_refused(tmp_path):
     torques = straight(kind=TORQUE)
     write_route(tmp_path / "route.csv", [torques.times(100.0)])
     (tmp_path / "surroundings.yaml").write_text("schema: 1\nvehicle: xgd24d\nroute: route.csv\neffects: {}\n")
@@ -108,5 +108,5 @@ def test_the_rise_is_along_the_travel_and_a_torque_against_it():
 
 
 @pytest.mark.parametrize("where", [(0.0, 60.0, 1.0, 0.0), (400.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0)])
-def test_beside_the_route_beyond_it_and_across_it_nothing_is_known(where):
+def test_beside_beyond_or_across_the_route_nothing_is_known(where):
     assert np.isnan(straight().at(*where)[0])

@@ -55,7 +55,7 @@ def test_the_small_carrier() -> None:
 
 
 @pytest.mark.parametrize("name", ["xgd24d", "agri3t"])
-def test_every_quantity_has_unit_provenance_and_a_range_that_holds_it(name: str) -> None:
+def test_each_quantity_has_unit_provenance_and_a_range_around_it(name: str) -> None:
     for path, quantity in load(name).parameters.items():
         assert quantity.unit, path
         assert quantity.flag in "PLA", path
@@ -97,7 +97,7 @@ def test_an_override_replaces_one_value() -> None:
     assert changed == [THICKNESS]
 
 
-def test_an_override_may_leave_the_range_of_the_file_but_no_limit() -> None:
+def test_an_override_may_leave_the_files_range_but_no_limit() -> None:
     vehicle = load("xgd24d", {THICKNESS: 0.06})
     assert vehicle.parameters[THICKNESS].high == 0.06
     for value in (0.5, -1.0, math.nan, math.inf):
@@ -183,7 +183,7 @@ def test_moduli_in_another_unit_than_the_header_says_are_refused(tmp_path: Path,
         read_rubber_sweep(path)
 
 
-def test_a_copied_vehicle_file_finds_the_shipped_rubber_and_says_so(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_copied_vehicle_file_logs_that_it_uses_shipped_rubber(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     path = Path(shutil.copy(config_dir() / "xgd24d.yaml", tmp_path / "mine.yaml"))
     vehicle = load(path)
     assert vehicle.rubber_source == config_dir() / "rubber" / "nr_sbr_10hz.csv"
@@ -197,7 +197,7 @@ def test_a_copied_vehicle_file_finds_the_shipped_rubber_and_says_so(tmp_path: Pa
     assert load(path).rubber_source == tmp_path / "rubber" / "nr_sbr_10hz.csv"
 
 
-def test_road_wheels_that_overlap_are_refused_unless_they_stand_side_by_side(folder: Path, content: dict[str, Any]) -> None:
+def test_overlapping_road_wheels_are_refused_unless_side_by_side(folder: Path, content: dict[str, Any]) -> None:
     wheels, path = content["tracks"]["triangular"]["road_wheels"], folder / "given.yaml"
     wheels["radius"].update(value=0.26, range=[0.1, 0.3])  # the diameter for the radius
     path.write_text(yaml.safe_dump(content), encoding="utf-8")
