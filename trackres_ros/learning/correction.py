@@ -75,7 +75,7 @@ def move(s: LearnerState, acts: bool, learned: Array, now: int, belt_variance: f
     learned[at.DEPARTURES : at.LEARNED_TORQUE] = s.applied
     learned[at.LEARNED_TORQUE] = s.lasting_nm
     unexplained = s.mean[STEP] - s.lasting_nm if s.step_s < math.inf else 0.0
-    learned[at.LEARNED_SLOW] = math.sqrt(s.slow_std**2 + s.white_variance + unexplained**2)
+    learned[at.LEARNED_SLOW] = math.sqrt(s.slow_std**2 + s.hills_variance + unexplained**2)
     learned[at.LEARNED_FACTOR : at.SENSITIVITIES] = factor(s, max(now - s.second, 0), belt_variance).ravel()
 
 

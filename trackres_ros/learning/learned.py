@@ -22,6 +22,7 @@ SLOW_S = 180.0  # memory of what wanders
 SLOW_KEEPS = math.exp(-BLOCK_S / SLOW_S)  # of it from one block to the next
 FIRST_NOISE_SHARE = 0.03  # of what rolling takes, of the mean over a second
 LEAST_NOISE_SHARE = 0.005
+BUMPS_SHARE = 0.06  # of what rolling takes: what blocks differ by beyond it are hills
 LEAST_WANDERING_SHARE = 0.003  # assumed: of what rolling takes; no model is better
 
 
@@ -108,9 +109,11 @@ class LearnerState:
         return min(max(math.sqrt(self.past.slow), LEAST_WANDERING_SHARE * self.rolling), 0.5 * self.rolling)
 
     @property
-    def white_variance(self) -> float:
-        """Of what comes and goes from block to block, as hills and bumps do [Nm^2]."""
-        return 0.0 if math.isnan(self.past.white) else self.past.white
+    def hills_variance(self) -> float:
+        """Of what comes and goes from block to block and is more than bumps of a road make [Nm^2]."""
+        if math.isnan(self.past.white):
+            return 0.0
+        return max(self.past.white - (BUMPS_SHARE * self.rolling) ** 2, 0.0)
 
     @property
     def second_variance(self) -> float:
