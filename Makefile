@@ -39,10 +39,10 @@ coverage: $(VENV)/.ready
 	$(RUN)/python -m pip install --quiet --disable-pip-version-check --use-pep517 --editable ".[coverage]"
 	nice -n 19 $(RUN)/python tools/coverage --write
 
-# The documentation as a site in out/site; a link that leads nowhere is an error.
+# The documentation of this version as a site in out/site/VERSION, with what the examples print; a link that leads nowhere is an error.
 site: $(VENV)/.ready
 	$(RUN)/python -m pip install --quiet --disable-pip-version-check --use-pep517 --editable ".[docs]"
-	NO_MKDOCS_2_WARNING=1 $(RUN)/mkdocs build --strict --quiet
+	nice -n 19 $(RUN)/python tools/site $(OUT)/site
 
 lint: $(VENV)/.ready
 	$(RUN)/ruff check .

@@ -3,6 +3,8 @@
 
 """Build description of the ament_python package; also installs with pip where there is no ROS."""
 
+import re
+import xml.etree.ElementTree as ET
 from pathlib import Path
 
 from setuptools import find_packages, setup
@@ -19,6 +21,23 @@ def shared_files(folder: str) -> list[tuple[str, list[str]]]:
             relative = path.relative_to(ROOT)
             entries.setdefault(f"share/{PACKAGE}/{relative.parent}", []).append(str(relative))
     return list(entries.items())
+
+
+def project_urls() -> dict[str, str]:
+    """Return the links of package.xml, and the paper."""
+    links = {url.get("type", "website"): (url.text or "").strip() for url in ET.parse(ROOT / "package.xml").iter("url")}
+    return {**links, "paper": "https://doi.org/10.3390/polym15071642"}
+
+
+def long_description() -> str:
+    """Return README.md; where the repository has an address, links to its files lead there, as PyPI shows the page alone."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    repository = project_urls().get("repository")
+    if not repository:
+        return text
+    elsewhere = r"(?!https?:|#)"
+    text = re.sub(rf"(!\[[^\]]*\]\(){elsewhere}", rf"\g<1>{repository}/raw/HEAD/", text)
+    return re.sub(rf"(\]\(){elsewhere}", rf"\g<1>{repository}/blob/HEAD/", text)
 
 
 BAGS = ["rosbags>=0.11"]
@@ -47,6 +66,7 @@ TEST += ["fmpy>=0.3.20"]  # reads and simulates what `trackres export fmu` write
 TEST += ["axe-playwright-python>=0.1.4"]  # axe-core, for what a page must have for everyone to use it
 TEST += ["colcon-common-extensions>=0.3", "lark>=1.1"]  # where ROS 2 is, the package is built into a workspace and launched there
 DOCS = ["mkdocs>=1.6,<2", "mkdocs-material>=9.5,<10", "latex2mathml>=3.77"]  # for make site
+RELEASE = ["build>=1.0", "twine>=5.0"]  # for tools/release
 COVERAGE = ["pytest-cov>=5.0"]  # for make coverage
 MUTATION = ["cosmic-ray>=8.3"]  # for tools/mutants, by hand
 
@@ -54,9 +74,25 @@ setup(
     name=PACKAGE,
     version="0.1.0",
     description="Rolling-resistance torque and temperature of rubber tracks, live and from recordings",
-    long_description=(ROOT / "README.md").read_text(encoding="utf-8"),
+    long_description=long_description(),
     long_description_content_type="text/markdown",
+    author="The trackres_ros authors",
     license="Apache-2.0",
+    project_urls=project_urls(),
+    keywords=["rolling resistance", "rubber track", "hysteresis loss", "belt temperature", "ROS 2"],
+    classifiers=[
+        "Development Status :: 4 - Beta",
+        "Environment :: Console",
+        "Intended Audience :: Manufacturing",
+        "Intended Audience :: Science/Research",
+        "Operating System :: POSIX :: Linux",
+        "Programming Language :: Python :: 3 :: Only",
+        "Programming Language :: Python :: 3.11",
+        "Programming Language :: Python :: 3.12",
+        "Programming Language :: Python :: 3.13",
+        "Topic :: Scientific/Engineering :: Physics",
+        "Typing :: Typed",
+    ],
     packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
     package_data={
         PACKAGE: ["py.typed"],
@@ -92,6 +128,7 @@ setup(
         "test": BAGS + FORMATS + NOTEBOOK + PROOF + FLEET_TESTED + DESIGN + INTERACTIVE + DDS_TESTED + TEST,
         "mutation": MUTATION,
         "docs": DOCS,
+        "release": RELEASE,
         "coverage": COVERAGE,
     },
     zip_safe=False,

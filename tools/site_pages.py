@@ -39,12 +39,17 @@ def on_files(files: Files, config: Any) -> Files:
 
 
 def examples() -> str:
-    """One line on each script of examples/."""
-    scripts = {
-        path: ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) for path in sorted(ROOT.glob("examples/*.py"))
-    }
-    lines = [f"- [{path.name}]({path.name}): {' '.join((text or '').split())}" for path, text in scripts.items()]
-    return "\n".join(["# Examples", "", *lines, "- [front_door.ipynb](front_door.ipynb): a notebook of the Python interface", ""])
+    """Each script of examples/: what it is for, its code, and what it printed when tools/site ran it."""
+    lines = ["# Examples", "", "Also as a notebook: [front_door.ipynb](front_door.ipynb), the Python interface.", ""]
+    for path in sorted(ROOT.glob("examples/*.py")):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        code = "\n".join(path.read_text(encoding="utf-8").splitlines()[tree.body[0].end_lineno or 0 :]).strip("\n")
+        lines += [f"## {path.name}", "", " ".join((ast.get_docstring(tree) or "").split()), "", f"[Download]({path.name})", ""]
+        lines += ["```python", code, "```", ""]
+        printed = ROOT / "out" / "examples" / f"{path.stem}.txt"
+        if printed.exists():
+            lines += ["It prints:", "", "```text", printed.read_text(encoding="utf-8").rstrip("\n"), "```", ""]
+    return "\n".join(lines)
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
