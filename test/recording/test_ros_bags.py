@@ -97,12 +97,14 @@ def both(monkeypatch):
 
 
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
-def test_a_bag_gives_the_same_with_either_library(tmp_path, both, storage):
+def test_a_bag_gives_the_same_with_either_library(tmp_path, both, storage, capfd):
     path = write(tmp_path / "bag", storage)
+    capfd.readouterr()
     for one in (path, next(file for file in path.iterdir() if file.suffix in (".mcap", ".db3"))):
         first, second = both(one)
         assert first == second
         assert len(second[3][3]) == 8 * 1500 * len(second[0])
+    assert capfd.readouterr().err == ""
 
 
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])

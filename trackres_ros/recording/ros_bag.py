@@ -167,15 +167,15 @@ class RosBag:
             raise
 
     def _open_file(self, path: Path) -> None:
-        if path.suffix not in STORAGES and not is_unfinished(path):
-            raise RosError(f"a file of the suffix {path.suffix or '(none)'}; {' and '.join(STORAGES)} are read")
-        unfinished = is_unfinished(path)
-        file = RosFile(path, path, STORAGES.get(path.suffix, "mcap"))
-        if unfinished:
+        if is_unfinished(path):
             bag = UnfinishedBag(path)
             place = self._folder(path.stat().st_size, path) / "finished.mcap"
             bag.write(place)
             file = RosFile(bag, place, "mcap")
+        elif path.suffix in STORAGES:
+            file = RosFile(path, path, STORAGES[path.suffix])
+        else:
+            raise RosError(f"a file of the suffix {path.suffix or '(none)'}; {' and '.join(STORAGES)} are read")
         self._add(file)
         self.connections = list(file.connections)
         self.message_count = sum(one.msgcount for one in file.connections)
