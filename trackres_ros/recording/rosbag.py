@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import itertools
 import weakref
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
-from functools import lru_cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,13 +20,15 @@ from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError, MissingExtraError, nearest, one_line
 from trackres_ros.recording.bag_counts import counts_of, storages_of
+from trackres_ros.recording.bag_types import types_of
 from trackres_ros.recording.binding import NO_FIX, TopicBinding
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.cdr import Encoding, FieldReader
 from trackres_ros.recording.guess import guess
-from trackres_ros.recording.message_types import Definitions, check_field, check_size, definitions, message_fields, stamp_path
+from trackres_ros.recording.message_types import Definitions, check_field, stamp_path
 from trackres_ros.recording.position_units import PositionUnits
 from trackres_ros.recording.reading import check_file, check_there, reading
+from trackres_ros.recording.ros_bag import RosBag, RosTopic
 from trackres_ros.recording.samples import Finding, IntArray, SampleBlock
 from trackres_ros.recording.sums import Sums, readings_of
 from trackres_ros.recording.torque_candidates import note_of, of_topics
@@ -41,10 +43,12 @@ from trackres_ros.recording.unpacking import (
 )
 
 if TYPE_CHECKING:
-    from rosbags.interfaces import Connection
-    from rosbags.interfaces.typing import Typesdict
+    from rosbags.interfaces import Connection as RosbagsConnection
     from rosbags.rosbag1 import Reader as Reader1
     from rosbags.rosbag2 import Reader as Reader2
+
+    Connection = RosbagsConnection | RosTopic
+    Reader = Reader1 | Reader2 | RosBag
 
 BATCH_ROWS, BATCH_BYTES = 2048, 32 * 2**20
 """Serialised messages held at once: few stay in the cache of the processor, and large ones do not fill the memory."""
@@ -167,7 +171,7 @@ class BagSource:
                     continue
                 encoding = Encoding.ROS1 if is_ros1(path) else Encoding.CDR
                 key = (one.topic, one.msgtype, str(one.msgdef), encoding)
-                types = readers[key].types if key in readers else _types(one, path, encoding)
+                types = readers[key].types if key in readers else types_of(one, path, encoding)
                 chosen = tuple(self._readings[index].binding for index in indices)
                 for index, binding in zip(indices, chosen, strict=True):
                     _check_binding(binding, one, types, f"{self._origin}: {self._readings[index].name}")
@@ -344,31 +348,26 @@ def remedy(path: Path) -> str:
     return "try: ros2 bag reindex" if path.is_dir() else REMEDIES.get(path.suffix, "try: ros2 bag reindex")
 
 
-def open_bag(path: Path) -> Reader1 | Reader2:
+def open_bag(path: Path) -> Reader:
     """Open one bag for reading; it is the caller's to close.
+
+    With the library rosbags where that is installed, else with those of ROS 2, which do not read bags of ROS 1.
 
     Raises
     ------
     InputError
         It is no bag, or asks for more memory or space than is there.
     MissingExtraError
-        rosbags is not installed.
+        rosbags is not installed, and nothing else that reads the bag.
     """
-    try:
-        from rosbags.rosbag1 import Reader as Reader1
-        from rosbags.rosbag2 import Reader as Reader2
-    except ImportError:
-        raise MissingExtraError("reading bags", "rosbags", "bags") from None
+    opened = _opener(path)
     check_there(path)
     if path.is_dir():
         _check_folder(path)
     else:
         check_file(path)
-    set_ceilings()
     with reading(path, READABLE, remedy(path)):
-        place: Any = UnfinishedBag(path) if path.is_file() and is_unfinished(path) else path
-        reader = Reader1(path) if is_ros1(path) else Reader2(place)
-        reader.open()
+        reader = opened(path)
         try:
             for storage in storages_of(reader):
                 _check_storage(storage)
@@ -376,6 +375,26 @@ def open_bag(path: Path) -> Reader1 | Reader2:
             reader.close()
             raise
     return reader
+
+
+def _opener(path: Path) -> Callable[[Path], Reader]:
+    """Return what opens a bag with the library that is there."""
+    try:
+        from rosbags.rosbag1 import Reader as Reader1
+        from rosbags.rosbag2 import Reader as Reader2
+    except ImportError:
+        if is_ros1(path) or not find_spec("rosbag2_py"):
+            raise MissingExtraError("reading bags", "rosbags", "bags") from None
+        return RosBag
+
+    def opened(path: Path) -> Reader:
+        set_ceilings()
+        place: Any = UnfinishedBag(path) if path.is_file() and is_unfinished(path) else path
+        reader: Reader1 | Reader2 = Reader1(path) if is_ros1(path) else Reader2(place)
+        reader.open()
+        return reader
+
+    return opened
 
 
 def _check_folder(path: Path) -> None:
@@ -439,7 +458,7 @@ def _times(stamps: Sequence[object]) -> IntArray | None:
     return times if times.dtype == np.int64 and times.min() >= 0 and times.max() < MAX_LOG_NS else None
 
 
-def _close(readers: Mapping[Path, Reader1 | Reader2]) -> None:
+def _close(readers: Mapping[Path, Reader]) -> None:
     for reader in readers.values():
         reader.close()
 
@@ -453,47 +472,6 @@ def _joined(blocks: Sequence[SampleBlock]) -> SampleBlock:
         np.concatenate([block.arrival_ns for block in blocks]),
         np.concatenate([block.value for block in blocks]),
     )
-
-
-@lru_cache
-def _common(encoding: Encoding) -> Typesdict:
-    """Return the definitions of the common types."""
-    from rosbags.typesys import Stores, get_typestore
-
-    return message_fields(get_typestore(Stores.ROS1_NOETIC if encoding is Encoding.ROS1 else Stores.LATEST))
-
-
-@lru_cache
-def _own_definitions(text: str, msgtype: str) -> Typesdict:
-    """Return the definitions in the text that a bag holds of a type."""
-    from rosbags.typesys import get_types_from_idl, get_types_from_msg
-
-    separator = "=" * 80 + "\n"
-    if not text.startswith(f"{separator}IDL: "):
-        return get_types_from_msg(text, msgtype) if text else {}
-    own: Typesdict = {}
-    for part in text.split(separator)[1:]:
-        own.update(get_types_from_idl(part.partition("\n")[2]))
-    return own
-
-
-def _types(one: Connection, path: Path, encoding: Encoding) -> Definitions:
-    """Return the definition of a connection's type: of the bag where it has one, else the common one."""
-    text = one.msgdef if isinstance(one.msgdef, str) else one.msgdef.data
-    where = f"{path}: {one.topic}"
-    with reading(Path(where), f"a definition of {one.msgtype} that can be read"):
-        own = _own_definitions(text, one.msgtype)
-    try:
-        types = definitions({**_common(encoding), **own}, one.msgtype)
-    except KeyError as error:
-        raise InputError(
-            where,
-            f"{one.msgtype} with {error}",
-            "a message type with its definition",
-            "the bag holds no definition of it: record as MCAP, which does",
-        ) from None
-    check_size(types, one.msgtype, where, MAX_MESSAGE_BYTES)
-    return types
 
 
 def _check_binding(binding: TopicBinding, one: Connection, types: Definitions, where: str) -> None:

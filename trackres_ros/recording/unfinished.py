@@ -18,7 +18,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from trackres_ros.errors import InputError
+from trackres_ros.errors import InputError, MissingExtraError
 from trackres_ros.recording.mcap_format import (
     ATTACHMENT,
     CHANNEL,
@@ -37,7 +37,7 @@ from trackres_ros.recording.mcap_format import (
     message_indices,
     record,
 )
-from trackres_ros.recording.unpacking import MAX_CHUNK_BYTES, set_ceilings
+from trackres_ros.recording.unpacking import MAX_CHUNK_BYTES, unpackers
 
 SUFFIX = ".part"
 """Of a file that is still being written, or never was finished."""
@@ -223,7 +223,6 @@ def is_unfinished(path: Path) -> bool:
 
 def _scanned(file: BinaryIO, size: int) -> _Found:
     """Go from record to record as far as they are whole, with chunks whose checksum holds."""
-    set_ceilings()
     found, at = _Found(), len(MAGIC)
     while at + HEAD.size <= size:
         file.seek(at)
@@ -252,18 +251,18 @@ def _scanned(file: BinaryIO, size: int) -> _Found:
 
 def _take_chunk(found: _Found, content: bytes, at: int) -> bool:
     """Take the messages of a chunk; false where it is damaged, and nothing is taken."""
-    from rosbags.rosbag2.storage_mcap import DECOMPRESSORS
-
     try:
         first, last, size, crc, name = struct.unpack_from("<QQQII", content)
         compression = content[32 : 32 + name].decode()
         (packed,) = struct.unpack_from("<Q", content, 32 + name)
         if packed != len(content) - 40 - name:
             return False
-        data = DECOMPRESSORS[compression](content[40 + name :], size)
+        data = unpackers()[compression](content[40 + name :], size)
         if len(data) != size or (crc and crc != zlib.crc32(data)):
             return False
         records = list(_records(data))
+    except MissingExtraError:
+        raise
     except Exception:  # whatever the library and what it unpacks with raise
         return False
     found.last_chunk, found.offsets = [], {}

@@ -13,10 +13,10 @@ import zlib
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from types import SimpleNamespace
+from types import ModuleType, SimpleNamespace
 from typing import Any, BinaryIO, Protocol
 
-from trackres_ros.errors import InputError
+from trackres_ros.errors import InputError, MissingExtraError
 from trackres_ros.text.numbers import figures
 
 MAX_CHUNK_BYTES = 2**28
@@ -50,8 +50,7 @@ class _Zstandard:
 
     def decompress(self, data: bytes, max_length: int = -1) -> bytes:
         """Unpack all frames, at most `max_length` bytes."""
-        import zstandard
-
+        zstandard = _zstandard()
         with zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True) as reader:
             unpacked: bytes = reader.read(max_length)
         return unpacked
@@ -66,6 +65,54 @@ def _zstd() -> Callable[[], _Decompressor]:
         except ImportError:
             return _Zstandard
     return ZstdDecompressor  # type: ignore[no-any-return, unused-ignore]
+
+
+def _zstandard() -> ModuleType:
+    try:
+        import zstandard
+    except ImportError:
+        raise MissingExtraError("unpacking zstd", "zstandard", "bags") from None
+    return zstandard
+
+
+def _lz4() -> _Decompressor:
+    try:
+        from lz4.frame import LZ4FrameDecompressor
+    except ImportError:
+        raise MissingExtraError("unpacking lz4", "lz4", "bags") from None
+    decompressor: _Decompressor = LZ4FrameDecompressor()
+    return decompressor
+
+
+def check_zstd() -> None:
+    """Refuse what is packed as zstd where nothing unpacks it.
+
+    Raises
+    ------
+    MissingExtraError
+        No library for it is installed.
+    """
+    if _zstd() is _Zstandard:
+        _zstandard()
+
+
+def unpackers() -> dict[str, Callable[[bytes, int], bytes]]:
+    """Return what unpacks a chunk of MCAP, by the name of its compression: packed bytes and the size they unpack to go in."""
+    return {"": lambda data, _: data, "zstd": _of_size(_zstd()), "lz4": _of_size(_lz4)}
+
+
+def unpack_file(packed: Path, to: Path) -> None:
+    """Unpack a file of zstd, for which `check_space` has found space."""
+    if _zstd() is _Zstandard:
+        with packed.open("rb") as file, to.open("wb") as out:
+            _zstandard().ZstdDecompressor().copy_stream(file, out)
+        return
+    try:
+        from compression.zstd import open as open_zstd  # type: ignore[import-not-found, unused-ignore]  # Python 3.14
+    except ImportError:
+        from backports.zstd import open as open_zstd
+    with open_zstd(packed, "rb") as file, to.open("wb") as out:
+        shutil.copyfileobj(file, out)
 
 
 def unpacked(make: Callable[[], _Decompressor], data: bytes, most: int) -> bytes:

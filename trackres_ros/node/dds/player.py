@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from trackres_ros.errors import InputError
 from trackres_ros.node.dds.participant import ALIGNMENT, Participant, Writer
@@ -47,7 +47,7 @@ class Player:
         self._path = path
         if is_ros1(path):
             raise InputError(str(path), "a bag of ROS 1", "a bag of ROS 2", "convert it with: rosbags-convert")
-        with closing(open_bag(path)) as reader:
+        with closing(cast("Any", open_bag(path))) as reader:  # of rosbags, which this edge needs
             known = {c.topic: c.msgtype for c in reader.connections if c.msgtype in typestore().types}
             self.left_out = sorted({f"{c.topic} ({c.msgtype})" for c in reader.connections if c.topic not in known})
             self.duration_s = reader.duration * 1e-9

@@ -1,0 +1,95 @@
+# Copyright the trackres_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""package.xml: rosdep installs all that is imported, but for what only extras need; a release with bloom takes no keys of pip."""
+
+import ast
+import re
+import sys
+from xml.etree import ElementTree
+
+import pytest
+import yaml
+
+KEYS = {"yaml": "python3-yaml", "llvmlite": "python3-numba"}
+"""Keys that are neither the module nor ``python3-`` before it; llvmlite comes with numba."""
+EXTRAS = {
+    "SALib": "SALib",
+    "asammdf": "asammdf",
+    "backports": "rosbags",
+    "bokeh": "bokeh",
+    "can": "python-can",
+    "cantools": "cantools",
+    "cyclonedds": "cyclonedds",
+    "dask": "dask",
+    "distributed": "distributed",
+    "fsspec": "fsspec",
+    "h5py": "h5py",
+    "lz4": "rosbags",
+    "openpyxl": "openpyxl",
+    "pandas": "pandas",
+    "pyarrow": "pyarrow",
+    "pysindy": "pysindy",
+    "rosbags": "rosbags",
+    "ruptures": "ruptures",
+    "sklearn": "scikit-learn",
+    "xarray": "xarray",
+    "zstandard": "rosbags",
+}
+"""Modules that extras bring, each with the requirement in setup.py by which they come."""
+NEW = {"compression"}
+"""Of Python 3.14's own modules."""
+MESSAGE = re.compile(r"([a-z][a-z0-9_]*)/(?:msg|srv)/[A-Z]")
+
+
+@pytest.fixture(scope="module")
+def package(repository):
+    return ElementTree.parse(repository / "package.xml").getroot()
+
+
+@pytest.fixture(scope="module")
+def depended(package):
+    return {one.text for kind in ("depend", "exec_depend") for one in package.findall(kind)}
+
+
+def sources(repository):
+    return [path for room in ("trackres_ros", "launch") for path in sorted((repository / room).rglob("*.py"))]
+
+
+def imported(path):
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (name.name.partition(".")[0] for name in node.names)
+        elif isinstance(node, ast.ImportFrom) and not node.level:
+            yield node.module.partition(".")[0]
+
+
+def test_all_that_is_imported_is_a_dependency_or_of_an_extra(repository, depended):
+    required = (repository / "setup.py").read_text(encoding="utf-8")
+    found = {name for path in sources(repository) for name in imported(path)} - sys.stdlib_module_names - NEW - {"trackres_ros"}
+    assert {"rclpy", "ament_index_python", "rosbag2_py", "numpy"} <= found
+    for name in sorted(found):
+        if name in EXTRAS:
+            assert re.search(rf'"{EXTRAS[name]}[^\w-]', required), f"{name}: no requirement {EXTRAS[name]} in setup.py"
+        else:
+            assert depended & {name, f"python3-{name}", KEYS.get(name)}, f"{name} is imported, and package.xml does not say so"
+
+
+def test_packages_of_the_messages_that_the_node_takes_and_gives_are_dependencies(repository, depended):
+    rooms = {"node", "output", "recording"}
+    files = [path for path in sources(repository) if rooms & set(path.parts) and "dds" not in path.parts]
+    used = {package for path in files for package in MESSAGE.findall(path.read_text(encoding="utf-8"))} - {"package"}
+    assert {"geometry_msgs", "diagnostic_msgs"} <= used
+    assert used <= depended
+
+
+def test_nothing_stands_in_the_way_of_a_release(repository, package, depended):
+    assert not [key for key in depended if key.endswith("-pip")], "rosdistro takes no keys of pip"
+    assert {url.get("type") for url in package.findall("url")} >= {"website", "repository", "bugtracker"}
+    assert package.find("author").text
+    assert "@" in package.find("maintainer").get("email")
+    described, settings = yaml.safe_load_all((repository / "rosdoc2.yaml").read_text(encoding="utf-8"))
+    assert described == {"type": "rosdoc2 config", "version": 1}
+    assert settings["settings"]["python_source"] == package.find("name").text
+    version = re.search(r'version="([^"]+)"', (repository / "setup.py").read_text(encoding="utf-8"))
+    assert package.find("version").text == version[1]
