@@ -75,7 +75,7 @@ def test_all_that_is_imported_is_a_dependency_or_of_an_extra(repository, depende
             assert depended & {name, f"python3-{name}", KEYS.get(name)}, f"{name} is imported, and package.xml does not say so"
 
 
-def test_packages_of_the_messages_that_the_node_takes_and_gives_are_dependencies(repository, depended):
+def test_message_packages_of_the_node_are_dependencies(repository, depended):
     rooms = {"node", "output", "recording"}
     files = [path for path in sources(repository) if rooms & set(path.parts) and "dds" not in path.parts]
     used = {package for path in files for package in MESSAGE.findall(path.read_text(encoding="utf-8"))} - {"package"}

@@ -133,7 +133,7 @@ def test_so_does_a_file_that_breaks_off(tmp_path, both, storage, share):
     assert first == second
 
 
-def test_a_folder_without_its_metadata_or_file_is_refused_by_both(tmp_path, both):
+def test_both_refuse_a_folder_without_metadata_or_file(tmp_path, both):
     path = write(tmp_path / "bag", "mcap", 10)
     kept = tmp_path / "kept"
     shutil.copytree(path, kept)
