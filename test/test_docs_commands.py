@@ -122,10 +122,11 @@ def files(tmp_path_factory):
     (folder / "tour.csv").write_text(
         "time_s,speed_mps\n" + "".join(f"{t:.1f},{v:.4f}\n" for t, v in zip(time, speed, strict=True))
     )
-    for number in (1, 2):
-        (folder / "try" / "recordings" / "truck-03").mkdir(parents=True, exist_ok=True)
-        shutil.copy(folder / "drive.csv", folder / "try" / "recordings" / "truck-03" / f"{number}.csv")
-    (folder / "try" / "fleet.yaml").write_text("vehicles: {truck-03: xgd24d}\n")
+    for depot in (folder, folder / "try"):
+        (depot / "recordings" / "truck-03").mkdir(parents=True)
+        for number in (1, 2):
+            shutil.copy(folder / "drive.csv", depot / "recordings" / "truck-03" / f"{number}.csv")
+        (depot / "fleet.yaml").write_text("vehicles: {truck-03: xgd24d}\n")
     for month in ("2025-06", "2025-08"):
         for number in range(3):
             FleetDataset(folder / "results").put(row(number, "truck-03", month), None)

@@ -60,7 +60,7 @@ def test_it_runs_and_finds_what_it_hides(notebook, tmp_path, repository):
     shown = {value["type"]: value for value in told["shown"]}
     for kind in ("SimulationResult", "Recording", "ReplayResult", "DiagnosisResult", "DataFrame", "DataArray"):
         assert shown[kind]["html"], kind
-    assert shown["ShownFigure"]["png"] > 20_000
+    assert shown["NotebookFigure"]["png"] > 20_000
     assert told["status"] == "named"
     assert told["effects"] == {"turning_scrub": {"friction": pytest.approx(told["hidden"], rel=0.15)}}
     before, after = (float(line.split()[-2]) for line in printed if "error is below" in line)

@@ -306,7 +306,7 @@ def test_a_term_as_large_as_its_improvement_is_confirmed(driven, graded):
 def test_a_name_on_a_bound_is_at_best_suspected(driven, graded, known):
     found = driven(GAIN)
     narrow = copy.copy(known["torque_gain"])
-    narrow.parameters = tuple(replace(q, high=0.5 * (GAIN - 1.0)) for q in narrow.parameters)
+    narrow.parameters = tuple(replace(q, high=0.7 * (GAIN - 1.0)) for q in narrow.parameters)
     of, confirmed = graded(found, narrow)
     assert of["torque_gain"].improvement.grade == CONFIRMED
     assert (of["torque_gain"].on_bounds, of["torque_gain"].grade, confirmed) == (("error",), SUSPECTED, False)

@@ -121,6 +121,16 @@ def topics_option(text: str, with_dbc: bool = True) -> Callable[[Decorated], Dec
     return (lambda command: dbc_option(option(command))) if with_dbc else option
 
 
+def params_option(command: Decorated) -> Decorated:
+    """`--params`: a parameter file of the node, of which the estimator's part counts."""
+    return click.option(
+        "--params",
+        type=click.Path(path_type=Path),
+        metavar="P.yaml",
+        help="Parameter file, flat or as the live node reads it; what concerns the estimator counts.",
+    )(command)
+
+
 def dbc_option(command: Decorated) -> Decorated:
     """`--dbc`: databases of the buses whose frames were logged."""
     return click.option(

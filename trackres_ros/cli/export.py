@@ -19,6 +19,7 @@ from trackres_ros.cli.common import (
     folder_option,
     json_option,
     method_options,
+    params_option,
     surroundings_option,
 )
 from trackres_ros.cli.partial_output import watch
@@ -29,12 +30,7 @@ def export_options(command: Decorated) -> Decorated:
     options: list[Callable[[Any], Any]] = [
         surroundings_option,
         method_options,
-        click.option(
-            "--params",
-            type=click.Path(path_type=Path),
-            metavar="P.yaml",
-            help="Parameter file, flat or as the live node reads it; what concerns the estimator counts.",
-        ),
+        params_option,
         click.option(
             "--state",
             type=click.Path(path_type=Path),

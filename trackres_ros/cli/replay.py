@@ -17,6 +17,7 @@ from trackres_ros.cli.common import (
     emit,
     json_option,
     method_options,
+    params_option,
     picture_beside,
     progress,
     surroundings_option,
@@ -32,12 +33,7 @@ from trackres_ros.errors import one_line
 @vehicle_option
 @surroundings_option
 @topics_option("which topic, field or column feeds which role; guessed by message type, or by name and unit, without.")
-@click.option(
-    "--params",
-    type=click.Path(path_type=Path),
-    metavar="P.yaml",
-    help="Parameter file, flat or as the live node reads it; what concerns the estimator counts.",
-)
+@params_option
 @method_options
 @click.option("--resume", type=click.Path(path_type=Path), metavar="STATE", help="Go on from a state saved by --save-state.")
 @click.option("--save-state", type=click.Path(path_type=Path), metavar="STATE", help="Save the state at the end.")

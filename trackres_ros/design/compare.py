@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import astuple, dataclass, replace
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -104,11 +105,8 @@ def asked_of(given: Sequence[str], options: ComparisonOptions) -> ComparisonRequ
     InputError
         If an option says nothing usable, or is given for something else.
     """
-    try:
-        files = [find_vehicle(name) for name in given]
-    except InputError:
-        files = []
-    if not files or not all("tracks" in read_yaml(file) for file in files):
+    files = vehicle_files(given, "tracks")
+    if not files:
         for name, value in zip(OPTIONS, astuple(options), strict=True):
             if value:
                 shown = ", ".join(value) if isinstance(value, tuple) else value
@@ -135,6 +133,15 @@ def asked_of(given: Sequence[str], options: ComparisonOptions) -> ComparisonRequ
         raise InputError(", ".join(OPTIONS), f"{conditions} conditions", f"at most {MOST_CONDITIONS}")
     known = frozenset(role for role, value in named if value is not None)
     return ComparisonRequest(vehicles, speeds, belts, steady_kmh, air, weights, cycles, known)
+
+
+def vehicle_files(given: Sequence[str], section: str) -> list[Path]:
+    """The vehicle files that names or paths mean; none where one of them is no such file, or lacks the section."""
+    try:
+        files = [find_vehicle(name) for name in given]
+    except InputError:
+        return []
+    return files if all(section in read_yaml(file) for file in files) else []
 
 
 def numbers(option: str, given: str, limits: tuple[float, float]) -> tuple[float, ...]:

@@ -10,10 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from trackres_ros.design.compare import vehicle_files
 from trackres_ros.design.steady import J_PER_KWH
-from trackres_ros.errors import InputError
-from trackres_ros.files.resources import find_vehicle
-from trackres_ros.files.yamls import read_yaml
 from trackres_ros.model.operating_point import explain_road
 from trackres_ros.text.numbers import figures
 from trackres_ros.text.table import table
@@ -32,13 +30,9 @@ def wheels_compared(given: Sequence[str]) -> list[dict[str, Any]] | None:
     list of dict
         Speed [km/h]; of each file the resistance at its wheels [Nm] and over the way [N], and energy [kWh/km].
     """
-    try:
-        files = [find_vehicle(name) for name in given]
-    except InputError:
+    vehicles = [one for one in map(load_any, vehicle_files(given, SECTION)) if isinstance(one, RoadVehicle)]
+    if not vehicles:
         return None
-    if not all(SECTION in read_yaml(file) for file in files):
-        return None
-    vehicles = [one for one in map(load_any, files) if isinstance(one, RoadVehicle)]
     fastest = min(one.chassis.max_speed for one in vehicles)
     rows = []
     for speed in np.linspace(SLOWEST_SHARE * fastest, fastest, POINTS).tolist():

@@ -81,7 +81,6 @@ class Second:
     weight: float = 0.0
     inertia: float = 0.0
     felt: float = 0.0  # by an IMU [m/s^2]; nan where a sample lacks it
-    slope: float = 0.0  # that the step knows
     by: Array = field(default_factory=lambda: np.zeros(at.LEARNABLE))
 
     @property
@@ -118,12 +117,10 @@ class Gate:
         Columns of a row in which their belts' temperatures stand.
     rolling_nm
         Size of the torque that rolling takes [Nm].
-    arm
-        Of a force on the whole vehicle [m].
     """
 
-    def __init__(self, belts: list[int], rolling_nm: float, arm: float) -> None:
-        self._belts, self._arm = belts, arm
+    def __init__(self, belts: list[int], rolling_nm: float) -> None:
+        self._belts = belts
         self.rolling_nm = rolling_nm
         self.restart()
 
@@ -169,7 +166,6 @@ class Gate:
         second.weight += row[at.OUT_WEIGHT]
         second.inertia += row[at.OUT_INERTIA]
         second.felt += _felt(stamp_ns, session)
-        second.slope += slope_of(row, self._arm)
         belts = 0.0
         for column in self._belts:
             belts += row[column]
@@ -232,11 +228,6 @@ class Gate:
 def row_lasting(row: Row, learned: Array) -> float:
     """What of a step's torque is one that goes on besides [Nm]."""
     return float(learned[at.LEARNED_TORQUE]) * math.tanh(row[at.OUT_SPEED] / STANDSTILL_MPS)
-
-
-def slope_of(row: Row, arm: float) -> float:
-    """Slope of the ground as the step knows it."""
-    return row[at.OUT_GRADE] / (row[at.OUT_WEIGHT] * arm)
 
 
 def _felt(stamp_ns: int, session: Session) -> float:

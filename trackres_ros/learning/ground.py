@@ -47,6 +47,8 @@ class Ground:
     ----------
     way_m, rise_m
         Driven since the last second, and by how much the ground rises there as far as the step knows it.
+    known_slope
+        That rise over the way, of the last second.
     altitude_ns, stood_ns, stood_m
         When the last altitude came; since when it stands, or the last altitude that came while it moved, and that altitude.
     zero_m
@@ -57,6 +59,7 @@ class Ground:
 
     way_m: float = 0.0
     rise_m: float = 0.0
+    known_slope: float = 0.0
     step_ns: int = 0
     altitude_ns: int = 0
     stood_ns: int = 0
@@ -72,12 +75,12 @@ class Ground:
     def restart(self) -> None:
         """Another drive: where it begins is not known, what an IMU is tilted by is."""
         self.way_m = self.rise_m = 0.0
-        self.step_ns = self.altitude_ns = self.stood_ns = 0
-        self.follows = False
+        self.step_ns = self.stood_ns = 0
+        self.lost()
 
     def lost(self) -> None:
-        """How far it has risen since the last altitude is not known: the next begins anew."""
-        self.altitude_ns = min(self.altitude_ns, 0)
+        """How far it has risen since the last altitude is not known: the next one begins anew."""
+        self.follows = False
 
     def drive(self, stamp_ns: int, speed: float, slope: float) -> None:
         """A step at a speed [m/s], on ground of which the step knows so much slope."""
@@ -93,6 +96,7 @@ class Ground:
     def close(self, mean: Array, covariance: Array, session: Session, free: Mask) -> None:
         """A second is over: the ground rose by the slope, and an altitude that came says by how much; changes both."""
         way, rise, (self.way_m, self.rise_m) = self.way_m, self.rise_m, (0.0, 0.0)
+        self.known_slope = rise / way if way else 0.0
         stamp = int(session.memory.times[at.ALTITUDE, at.LAST_STAMP])
         came = bool(session.memory.times[at.ALTITUDE, at.SEEN]) and stamp != self.altitude_ns
         if self.follows or self.feels:
@@ -101,10 +105,12 @@ class Ground:
             self.slope_variance += min(abs(way) / SLOPE_MEMORY_M, 1.0) * (max(now, LEAST_SLOPE_STD**2) - self.slope_variance)
             self._drive_on(mean, covariance, way, rise)
             self.drift = DRIFT + (self.drift - DRIFT) * math.exp(-1.0 / DRIFT_MEMORY_S)
+        elif covariance[SLOPE, SLOPE] > 0.0:  # nothing shows it any more
+            _begin(mean, covariance, SLOPE, 0.0)
         if not came:
             return
-        altitude, before_ns = float(session.memory.values[at.ALTITUDE]), self.altitude_ns
-        if not self.follows or not 0 < before_ns < stamp or stamp - before_ns > DRIFT_MEMORY_S * SECOND_NS:
+        altitude = float(session.memory.values[at.ALTITUDE])
+        if not self.follows or stamp - self.altitude_ns > DRIFT_MEMORY_S * SECOND_NS:
             _begin(mean, covariance, HEIGHT, self.altitude_variance)
             if not self.follows and not self.feels:
                 _begin(mean, covariance, SLOPE, self.slope_variance)
@@ -120,8 +126,8 @@ class Ground:
         if abs(way) >= STANDS_M or self.stood_ns == 0:
             self.stood_ns, self.stood_m = stamp, altitude
 
-    def feel(self, mean: Array, covariance: Array, felt: float, accel: float, slope: float, free: Mask) -> None:
-        """What an IMU felt in the mean of a second [m/s^2] on ground of which the step knows so much slope; changes both."""
+    def feel(self, mean: Array, covariance: Array, felt: float, accel: float, free: Mask) -> None:
+        """What an IMU felt in the mean of the second that was closed [m/s^2]; changes both."""
         if not math.isfinite(felt) or abs(accel) > FELT_TO_MPS2:
             return
         if not self.feels:
@@ -129,7 +135,7 @@ class Ground:
             if not self.follows:
                 _begin(mean, covariance, SLOPE, self.slope_variance)
             self.feels = True
-        shown = (felt - accel) / GRAVITY - slope
+        shown = (felt - accel) / GRAVITY - self.known_slope
         self.felt_variance = _measured(mean, covariance, (SLOPE, TILT), shown, self.felt_variance, LEAST_FELT_STD, free)
 
     def _drive_on(self, mean: Array, covariance: Array, way: float, rise: float) -> None:

@@ -22,7 +22,7 @@ from trackres_ros.learning.buckets import ACCELERATES_MPS2, Buckets
 from trackres_ros.learning.delay import DelayEstimator
 from trackres_ros.learning.disturbances import DISAGREES_S, beside, close_block, let_last, why_frozen
 from trackres_ros.learning.filter import aged, corrected, expected, spread
-from trackres_ros.learning.gate import AGAINST, OUTLYING, TEXTS, Gate, Row, slope_of
+from trackres_ros.learning.gate import AGAINST, OUTLYING, TEXTS, Gate, Row
 from trackres_ros.learning.learned import SLOW_S, nothing_learned
 from trackres_ros.learning.parameters import GAIN, OFFSET, SLOPE, SLOW, STATES, STEP, VEHICLES_OWN, learnables, make_prior
 from trackres_ros.units import GRAVITY, SECOND_NS
@@ -92,7 +92,7 @@ class Learner:
 
     def reset(self) -> None:
         """Forget all that was learned."""
-        self.gate = Gate(self._belts, self.prior.rolling_nm, self._arm)
+        self.gate = Gate(self._belts, self.prior.rolling_nm)
         self.buckets.clear()
         self.delay.reset()
         self.learned = nothing_learned(self.prior)
@@ -128,7 +128,7 @@ class Learner:
             float(memory.values[at.TORQUE]),
             not reasons & SPEED_UNSURE,
         )
-        self.learned.ground.drive(stamp_ns, row[at.OUT_SPEED], slope_of(row, self._arm))
+        self.learned.ground.drive(stamp_ns, row[at.OUT_SPEED], row[at.OUT_GRADE] / (row[at.OUT_WEIGHT] * self._arm))
         number = stamp_ns // SECOND_NS
         second = self.gate.second
         if number != second.number:
@@ -171,7 +171,7 @@ class Learner:
         s.step_s += 1.0
         self._pass(passed, session)
         free = self._free(second.accel / n)
-        s.ground.feel(s.mean, s.covariance, second.felt / n, second.accel / n, second.slope / n, free)
+        s.ground.feel(s.mean, s.covariance, second.felt / n, second.accel / n, free)
         left = residual - expected(s.mean, looks)
         moved = float((s.applied * looks[: at.LEARNABLE]).sum())
         self._hear(residual - moved, passed)
