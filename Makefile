@@ -6,7 +6,7 @@ OUT := out
 # These start nodes and mostly wait for them. Two files at a time: more would keep the nodes from their clock.
 LIVE_TESTS := test/dds test/processes
 
-.PHONY: demo test test-live test-rest compiled mutants coverage site lint clean
+.PHONY: demo test check test-live test-rest compiled mutants coverage site lint clean
 
 demo: $(VENV)/.ready
 	$(RUN)/python tools/demo $(OUT)
@@ -17,6 +17,13 @@ test: export OPENBLAS_NUM_THREADS := 1
 test: $(VENV)/.ready
 	$(MAKE) --no-print-directory -j 2 lint compiled
 	$(MAKE) --no-print-directory -j 2 test-live test-rest
+
+# For the loop of a developer, in a minute once types are checked and the steps compiled: style, types and the laws of the physics.
+FAST_LAWS := test/model test/estimator test/vehicle test/route test/text test/effects/test_laws.py \
+	test/learning/test_filter.py
+check: export OPENBLAS_NUM_THREADS := 1
+check: lint compiled
+	$(RUN)/python -m pytest -q -n auto --dist worksteal -m "not long" $(FAST_LAWS)
 
 test-live: $(VENV)/.ready
 	@log=$$(mktemp); $(RUN)/python -m pytest -q -n 2 --dist loadfile --durations=12 $(LIVE_TESTS) > $$log 2>&1; \

@@ -13,6 +13,7 @@ import sys
 from importlib import metadata
 from pathlib import Path
 
+import bench_controller
 import bench_diagnosis
 import bench_export
 import bench_fleet
@@ -38,6 +39,7 @@ BENCHMARKS = {
     "A fleet": bench_fleet,
     "The live node": bench_live,
     "The step as C": bench_export,
+    "The step in a controller": bench_controller,
     "Learning": bench_learning,
     "Ways that were tried": bench_ways,
 }

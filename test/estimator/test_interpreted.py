@@ -50,6 +50,7 @@ def run(interpreted):
     return json.loads(done.stdout)
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not HAVE_NUMBA, reason="numba is not installed: there is nothing to compare")
 def test_interpreted_equals_compiled():
     compiled, interpreted = run(False), run(True)
@@ -101,6 +102,7 @@ def test_learned_effects_of_belt_and_torque_give_the_same_bits():
     assert len(np.unique(machine[:, OUT_EFFECTS])) > 100
 
 
+@pytest.mark.long
 def test_a_replay_that_changes_over_gives_the_same_bits(tmp_path, monkeypatch):
     time, speed = a_drive(20000)[:2]
     drive = tmp_path / "drive.csv"

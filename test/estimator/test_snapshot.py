@@ -226,6 +226,7 @@ def test_a_huge_file_is_not_read(reference, tmp_path):
         snapshot.resume(reference, path)
 
 
+@pytest.mark.long
 def test_the_cli_refuses_each_file_in_one_line_without_waiting(tmp_path, trackres):
     drive = tmp_path / "drive.csv"
     drive.write_text("time_s,speed_mps\n" + "".join(f"{i * 0.1:.1f},5.0\n" for i in range(50)))

@@ -95,6 +95,7 @@ def reference_speed(vehicle: Vehicle) -> float:
     return REFERENCE_SPEED_SHARE * vehicle.chassis.max_speed
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("path", "tolerance"),
     [
@@ -113,6 +114,7 @@ def test_uncertainty_of_one_quantity_is_the_change_it_makes(xgd24d: Vehicle, cac
         assert expected.max() > 0.1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("thermal", ["lumped", "core_surface"])
 def test_the_uncertainty_of_many_quantities_adds_in_squares(xgd24d: Vehicle, cache: Path, thermal: str) -> None:
     vehicle = with_methods(xgd24d, thermal=thermal)

@@ -202,6 +202,7 @@ def test_remarks_and_status_name_the_same_belts(short_estimator: Estimator, spee
     assert bool(remarks) == bool(estimate.reasons & Reason.OUTSIDE_TABLE)
 
 
+@pytest.mark.long
 def test_commands_say_that_they_extrapolate(short: Path, good: Any, tmp_path: Path) -> None:
     (tmp_path / "drive.csv").write_text("time_s,speed_kmh,belt_degc\n0,0,40\n10,36,40\n60,36,40\n")
     (tmp_path / "hot.csv").write_text("time_s,speed_kmh,belt_degc\n0,10,90\n10,20,90\n60,20,90\n")

@@ -26,6 +26,7 @@ from trackres_ros.vehicle import Quantity, Vehicle, load, variants
 LARGEST_ERROR = {"spectral": 0.003, "rainflow": 0.003}  # of the loss
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", list(METHODS))
 def test_the_table_is_as_good_as_it_says(vehicle: Vehicle, method: str) -> None:
     """At random speeds, temperatures, loads and torques of the whole range."""

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The torque comes late."""
+"""The torque comes late. Ours."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The speed is scaled wrong, by a wrong radius for one."""
+"""The speed is scaled wrong, by a wrong radius for one. Ours: v (1 + e)."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The torque sensor shows a share too much or too little."""
+"""The torque sensor shows a share too much or too little. Ours: M (1 + e)."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The torque sensor has an offset."""
+"""The torque sensor has an offset. Ours: M + o."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The road has a slope that is not measured."""
+"""The road has a slope that is not measured. The grade of the torque in docs/model.md, G_v R_1 sin(gamma)."""
 
 from __future__ import annotations
 

@@ -1,7 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The site is a plane that is not level, driven in changing directions."""
+"""The site is a plane that is not level, driven in changing directions.
+
+Ours: G_v R_1 sin(gamma) of docs/model.md along a plane.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A steady wind blows over the ground."""
+"""A steady wind blows over the ground. Equation (35) of docs/model.md with the speed through the air."""
 
 from __future__ import annotations
 

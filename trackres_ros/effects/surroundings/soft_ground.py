@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The ground gives way, and making the rut takes work."""
+"""The ground gives way, and making the rut takes work. M. G. Bekker: Introduction to Terrain-Vehicle Systems, Ann Arbor 1969."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The sun shines on the belt."""
+"""The sun shines on the belt. Ours: flux times the sunlit share of A_h."""
 
 from __future__ import annotations
 

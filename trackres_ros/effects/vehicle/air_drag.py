@@ -1,7 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The air density or the drag area differs from that of the vehicle file."""
+"""The air density or the drag area differs from that of the vehicle file.
+
+Equation (35) of docs/model.md; a share of it is ours.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The compound is another: its loss falls more, or less, with temperature."""
+"""The compound is another: its loss falls more, or less, with temperature.
+
+Ours: F_h times exp(-b (T - T_0)), with T_0 of `effect.py`.
+"""
 
 from __future__ import annotations
 

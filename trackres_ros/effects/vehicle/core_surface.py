@@ -1,7 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The inside of the belt is hotter than its skin."""
+"""The inside of the belt is hotter than its skin.
+
+The conductance K is that of (26) with two nodes, see docs/model.md; a resistance in its place is ours.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Side force in bends turns the contact out of the direction of travel."""
+"""Side force in bends turns the contact out of the direction of travel.
+
+M. Mitschke, H. Wallentowitz: Dynamik der Kraftfahrzeuge, Springer: resistance in bends.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Dry friction of a slide, a screw or a seal: the same force whatever the speed, against the motion."""
+"""Dry friction of a slide, a screw or a seal: the same force whatever the speed, against the motion.
+
+C. A. Coulomb: Theorie des machines simples, 1785.
+"""
 
 from __future__ import annotations
 

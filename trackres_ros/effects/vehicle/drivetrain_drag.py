@@ -1,7 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The drivetrain takes a torque, whatever it transmits."""
+"""The drivetrain takes a torque, whatever it transmits.
+
+Ours: one torque for all losses that do not grow with the load, c sigma_v.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A share of the torque does not reach the sprockets."""
+"""A share of the torque does not reach the sprockets.
+
+Ours: the usual efficiency, with a smooth change between driving and braking.
+"""
 
 from __future__ import annotations
 

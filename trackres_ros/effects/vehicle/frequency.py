@@ -1,7 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The loss modulus grows with frequency more, or less, than the shift factor says."""
+"""The loss modulus grows with frequency more, or less, than the shift factor says.
+
+Ours: F_h times (v/v_r)^m, as E'' over a few decades is often fitted by a power.
+"""
 
 from __future__ import annotations
 

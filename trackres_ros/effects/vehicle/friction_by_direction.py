@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A screw, a gear or a tilted slide rubs more one way than the other."""
+"""A screw, a gear or a tilted slide rubs more one way than the other. Ours."""
 
 from __future__ import annotations
 

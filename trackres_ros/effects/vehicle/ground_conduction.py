@@ -1,7 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The belt gives heat to the ground it lies on and to its wheels."""
+"""The belt gives heat to the ground it lies on and to its wheels.
+
+H. S. Carslaw, J. C. Jaeger: Conduction of Heat in Solids, 2nd ed., Oxford 1959: contact of half spaces.
+"""
 
 from __future__ import annotations
 

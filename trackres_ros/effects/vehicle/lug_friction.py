@@ -1,7 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Guide lugs rub on wheels, teeth on the sprocket."""
+"""Guide lugs rub on wheels, teeth on the sprocket.
+
+Ours: Coulomb's friction of the belt tension and of the torque that the teeth carry.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""New rubber softens for good over its first kilometres."""
+"""New rubber softens for good over its first kilometres.
+
+L. Mullins: Softening of Rubber by Deformation, Rubber Chem. Technol. 42 (1969) 339-362; the fading over distance is ours.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The rubber of road wheels or tyres dissipates energy too, less once it is warm."""
+"""The rubber of road wheels or tyres dissipates energy too, less once it is warm.
+
+Ours: F_h of a rubber layer goes as F^(4/3), see docs/model.md; it softens as exp(-b (T_w - 20)).
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Rotating parts are left out of the vehicle file, or counted too high."""
+"""Rotating parts are left out of the vehicle file, or counted too high.
+
+Equation (36) of docs/model.md; what is added to its factor is ours.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A standing belt cools by natural convection and radiation only."""
+"""A standing belt cools by natural convection and radiation only. Ours: U_0 times 1 - s exp(-(v/v_w)^2)."""
 
 from __future__ import annotations
 

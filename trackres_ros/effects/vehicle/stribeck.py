@@ -1,7 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Seals and plain bearings have a friction that is greatest just after they start to slide."""
+"""Seals and plain bearings have a friction that is greatest just after they start to slide.
+
+R. Stribeck, Z. VDI 46 (1902) 1341-1348; the Gaussian form: B. Armstrong-Helouvry et al., Automatica 30 (1994) 1083-1138.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The driving side of the belt is strained by the torque it carries."""
+"""The driving side of the belt is strained by the torque it carries. Ours."""
 
 from __future__ import annotations
 

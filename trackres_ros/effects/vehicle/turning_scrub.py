@@ -1,7 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The ground contact slides sideways where the path is curved."""
+"""The ground contact slides sideways where the path is curved.
+
+H. E. Merritt: The Evolution of a Tank Transmission, Proc. IMechE 154 (1946).
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The belt swings at some speed and takes work for it."""
+"""The belt swings at some speed and takes work for it. Ours: a resonance curve over the speed, c/(1 + ((v - v_r)/w)^2)."""
 
 from __future__ import annotations
 

@@ -1,7 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Grease and oil in bearings are stiff when cold, and have a temperature of their own."""
+"""Grease and oil in bearings are stiff when cold, and have a temperature of their own.
+
+A. Palmgren: Ball and Roller Bearing Engineering, 3rd ed., Burbank 1959; the temperature of the bearing is ours.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,10 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Oil and grease of a slide, a screw or a motor: a force that grows with the speed."""
+"""Oil and grease of a slide, a screw or a motor: a force that grows with the speed.
+
+N. P. Petrov, 1883: friction of a film of oil.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Gear oil and bearings, lumped, drag more after a stop until they are warm."""
+"""Gear oil and bearings, lumped, drag more after a stop until they are warm. Ours."""
 
 from __future__ import annotations
 
