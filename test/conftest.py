@@ -19,6 +19,21 @@ settings.register_profile("steady", deadline=None, derandomize=True)
 settings.load_profile("steady")
 
 
+SQUEAK = """
+from trackres_ros.effects import Effect, Parameter, Terms
+
+class Squeak(Effect):
+    name = "squeak"
+    acts_on = "torque"
+    belongs_to = "vehicle"
+    text = "something squeaks"
+    parameters = (Parameter("torque", "Nm", 0.0, 100.0, 10.0, "of it", off=0.0),)
+
+    def terms(self, at, p):
+        return Terms(torque=p.torque * at.direction)
+"""
+
+
 @pytest.fixture(scope="session")
 def reference():
     """Estimator of the reference vehicle."""
@@ -73,6 +88,15 @@ def _trackres(*words, cwd=None):
     for number, handler in handlers.items():
         signal.signal(number, handler)
     return SimpleNamespace(returncode=ended.value.code, stdout=streams[0].getvalue(), stderr=streams[1].getvalue())
+
+
+@pytest.fixture
+def own(tmp_path):
+    """A folder with an effect of a user's own, `squeak`."""
+    folder = tmp_path / "mine"
+    folder.mkdir()
+    (folder / "squeak.py").write_text(SQUEAK)
+    return folder
 
 
 @pytest.fixture

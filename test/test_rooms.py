@@ -106,3 +106,38 @@ def test_no_test_name_is_longer_than_60_characters(repository):
     ]
     assert len(names) > 1000
     assert not [name for name in names if len(name) > 60]
+
+
+MOST_LINES, MOST_PARAMETERS = 60, 8
+BY_NAME = "each argument is a documented keyword of a public call, given by name"
+NUMBERS = "called by compiled kernels, or in their place: takes numbers, as they do"
+ONE_BY_ONE = "a test names what differs, all else has a default"
+REASONS = {
+    "diagnosing.diagnose": BY_NAME, "replaying.replay": BY_NAME, "simulating.simulate": BY_NAME,
+    "estimator.inputs": BY_NAME, "estimator.run": BY_NAME, "effect.conditions": BY_NAME,
+    "step.step": NUMBERS, "step.take_message": NUMBERS,
+    "test_routes.session_of": ONE_BY_ONE, "test_verdict.said": ONE_BY_ONE, "test_scored.scored": ONE_BY_ONE,
+    "conftest.__init__": ONE_BY_ONE,
+}  # fmt: skip
+TO_SPLIT = {
+    "fitting._finished", "reading._assembled", "next_drives.menu", "verdict.judge", "fitting.fit", "pipeline.diagnose",
+    "resample.resample", "constants.make_constants", "compound.compound", "indentation.indentation",
+    "spectrum._spectrum_figure", "truth._run", "run.run", "operating_point.explain", "node._configure", "plots._line",
+}  # fmt: skip
+
+
+def test_a_long_function_has_a_reason(repository):
+    """Lines are counted without the docstring. A command has a parameter for each option, a kernel takes numbers."""
+    large = set()
+    for path in [file for tree in ("trackres_ros", "test") for file in (repository / tree).rglob("*.py")]:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                continue
+            if re.search(r"command|group|compiled|inlined|njit", " ".join(map(ast.unparse, node.decorator_list))):
+                continue
+            first = node.body[0]
+            text = first.end_lineno - first.lineno + 1 if ast.get_docstring(node) else 0
+            names = [one.arg for one in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs) if one.arg != "self"]
+            if node.end_lineno - node.lineno + 1 - text > MOST_LINES or len(names) > MOST_PARAMETERS:
+                large.add(f"{path.stem}.{node.name}")
+    assert large == REASONS.keys() | TO_SPLIT

@@ -47,29 +47,6 @@ def kept_of(base, effects, share=0.98, half=0.03):
     return FileChanges(values, tuple(effects), intervals)
 
 
-SQUEAK = """
-from trackres_ros.effects import Effect, Parameter, Terms
-
-class Squeak(Effect):
-    name = "squeak"
-    acts_on = "torque"
-    belongs_to = "vehicle"
-    text = "something squeaks"
-    parameters = (Parameter("torque", "Nm", 0.0, 100.0, 10.0, "of it", off=0.0),)
-
-    def terms(self, at, p):
-        return Terms(torque=p.torque * at.direction)
-"""
-
-
-@pytest.fixture
-def own(tmp_path):
-    folder = tmp_path / "mine"
-    folder.mkdir()
-    (folder / "squeak.py").write_text(SQUEAK)
-    return folder
-
-
 @pytest.fixture
 def left(tmp_path, loaded, own):
     """A folder as a diagnosis with effects of all three kinds, one of the user's own among them, leaves it."""

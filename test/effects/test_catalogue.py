@@ -32,20 +32,6 @@ OF_SURROUNDINGS = {"grade", "grade_profile", "headwind", "rain", "soft_ground", 
 OF_SENSORS = {"delay", "speed_scale", "torque_gain", "torque_offset"}
 CATALOGUE = catalogue()
 
-SQUEAK = """
-from trackres_ros.effects import Effect, Parameter, Terms
-
-class Squeak(Effect):
-    name = "squeak"
-    acts_on = "torque"
-    belongs_to = "vehicle"
-    text = "something squeaks"
-    parameters = (Parameter("torque", "Nm", 0.0, 100.0, 10.0, "of it", off=0.0),)
-
-    def terms(self, at, p):
-        return Terms(torque=p.torque * at.direction)
-"""
-
 
 def conditions(**changed):
     known = {"speed": 5.0, "accel": 0.2, "weight": 250e3, "ambient": 10.0, "yaw_rate": 0.1, "heading": 0.5, "distance": 900.0}
@@ -257,15 +243,14 @@ def test_what_is_typical_grows_with_the_vehicle():
     assert catalogue(size=0.5 * REFERENCE_NM)["headwind"].parameters == CATALOGUE["headwind"].parameters
 
 
-def test_an_effect_of_the_users_own_joins_the_catalogue(tmp_path):
-    (tmp_path / "squeak.py").write_text(SQUEAK)
-    assert set(catalogue(tmp_path)) == {*NAMES, "squeak"}
-    (tmp_path / "again.py").write_text(SQUEAK.replace('"squeak"', '"grade"'))
+def test_an_effect_of_the_users_own_joins_the_catalogue(own):
+    assert set(catalogue(own)) == {*NAMES, "squeak"}
+    (own / "again.py").write_text((own / "squeak.py").read_text().replace('"squeak"', '"grade"'))
     with pytest.raises(InputError, match="no other effect"):
-        catalogue(tmp_path)
+        catalogue(own)
     with pytest.raises(InputError, match="Python files"):
-        catalogue(tmp_path / "nowhere")
-    assert catalogue(files=[tmp_path / "squeak.py"])["squeak"].source == tmp_path / "squeak.py"
+        catalogue(own / "nowhere")
+    assert catalogue(files=[own / "squeak.py"])["squeak"].source == own / "squeak.py"
 
 
 @pytest.mark.parametrize(
@@ -282,11 +267,12 @@ def test_an_effect_of_the_users_own_joins_the_catalogue(tmp_path):
         ("class Squeak", "raise SystemExit(0)\n\nclass Squeak", "SystemExit"),
     ],
 )
-def test_an_effect_of_the_users_own_that_is_not_right_is_refused(tmp_path, was, becomes, said):
-    assert was in SQUEAK
-    (tmp_path / "squeak.py").write_text(SQUEAK.replace(was, becomes))
+def test_an_effect_of_the_users_own_that_is_not_right_is_refused(own, was, becomes, said):
+    squeak = own / "squeak.py"
+    assert was in squeak.read_text()
+    squeak.write_text(squeak.read_text().replace(was, becomes))
     with pytest.raises(InputError, match=said):
-        catalogue(tmp_path)
+        catalogue(own)
 
 
 def test_the_command_lists_them():

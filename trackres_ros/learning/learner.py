@@ -262,12 +262,6 @@ class Learner:
 
     # What is shown
 
-    def state_of(self, state: int) -> str:
-        """One word on a departure: learning, learned or frozen."""
-        if self.frozen:
-            return "frozen"
-        return "learned" if self.counts(state) else "learning"
-
     @property
     def text(self) -> str:
         """What is going on, in a sentence."""

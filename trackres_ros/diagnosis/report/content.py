@@ -24,7 +24,7 @@ from trackres_ros.diagnosis.findings.wording import likelier
 from trackres_ros.diagnosis.inference.fitting import Fit
 from trackres_ros.diagnosis.pipeline import Diagnosis
 from trackres_ros.diagnosis.report.inputs import inputs
-from trackres_ros.diagnosis.selection.held_out import CONFIRMED, Improvement
+from trackres_ros.diagnosis.selection.held_out import CONFIRMED, HeldOut, Improvement
 from trackres_ros.diagnosis.selection.naming import Candidate, Step
 from trackres_ros.effects.effect import BELONGS_TO
 from trackres_ros.recording.binding import TopicBinding
@@ -39,50 +39,14 @@ NO_BINDINGS: Mapping[str, TopicBinding] = MappingProxyType({})
 
 def report(d: Diagnosis, paths: Sequence[Path], bindings: Mapping[str, TopicBinding] = NO_BINDINGS) -> dict[str, Any]:
     """All findings as plain data; `bindings` are how the recordings were read."""
-    nominal = {q.name: q for q in d.base.parameters}
     belongs_to = {active.effect.name: active.effect.belongs_to for active in d.final.effects}
     scale = (d.kept.values or {}).get("torque_scale", d.base.torque_scale)
     lines = sensor_lines(d.kept.of("sensor"), bindings, scale)
     return {
         "schema": SCHEMA,
         "recordings": [str(path) for path in paths],
-        "base": {
-            "model": d.base.name,
-            "refitted": {
-                name: {
-                    "nominal": _number(nominal[name].nominal),
-                    "value": _number(value),
-                    "unit": nominal[name].unit,
-                    **_of_base(d.base_intervals.get(name)),
-                }
-                for name, value in d.final.base_values.items()
-            },
-            "instrument": {
-                active.effect.name: {q.name: {"value": _number(active.values[q.name]), "unit": q.unit}}
-                for active in d.final.instrument
-                for q in active.effect.parameters
-            },
-        },
-        "verdict": {
-            "status": d.verdict.status,
-            "grade": d.verdict.grade,
-            "sentence": d.verdict.sentence,
-            "hint": d.steps[-1].hint or None,
-            "seen": d.verdict.seen or None,
-            "may_be": [{"name": name, "share": None if share is None else _number(share)} for name, share in d.verdict.may_be],
-            "changed": [
-                {
-                    "name": c.name,
-                    "unit": c.unit,
-                    "nominal": _number(c.nominal),
-                    "value": _number(c.value),
-                    "ci95": [_number(c.low), _number(c.high)],
-                    "torque_nm": _number(c.torque_nm),
-                    "text": c.text,
-                }
-                for c in d.verdict.changed
-            ],
-        },
+        "base": _base(d),
+        "verdict": _verdict(d),
         "effects": [_effect(f, belongs_to[f.name]) for f in d.found],
         "described": [
             *(_described(t) for t in d.described),
@@ -100,48 +64,11 @@ def report(d: Diagnosis, paths: Sequence[Path], bindings: Mapping[str, TopicBind
             "disturbance": None if d.kept.disturbance is None else d.kept.disturbance.disturbance.form,
             "why": d.kept.text,
         },
-        "heldout": {
-            "laps": list(d.held_out.laps),
-            "mae": _numbers(d.held_out.mae),
-            "r2": _numbers(d.held_out.r2),
-            "bias": _numbers(d.held_out.bias),
-            "improvement_ci95": [_number(d.held_out.of_effects.low), _number(d.held_out.of_effects.high)],
-            "of_refit": _improvement(d.held_out.of_refit),
-            "by_lap": {
-                measure: {stage: [_number(float(x)) for x in values] for stage, values in stages.items()}
-                for measure, stages in d.held_out.by_lap.items()
-            },
-        },
+        "heldout": _held_out(d.held_out),
         "not_visible": [{"name": n.name, "why": n.why} for n in d.steps[-1].separability.of_names.not_visible],
         "rejected": [{"reason": x.reason, "samples": x.seconds} for x in d.gated.left_out],
-        "advice": [
-            {
-                "separates": list(a.separates),
-                "groups": [list(group) for group in a.groups],
-                "manoeuvre": a.manoeuvre,
-                "expected_d_prime": _number(a.expected_d_prime),
-                "minutes": _number(a.minutes),
-                "information_bit": _number(a.information),
-            }
-            for a in d.advice
-        ],
-        "candidates": [
-            {
-                "round": i + 1,
-                "name": c.name,
-                "delta_loglik": _number(c.gain),
-                "log_evidence": _number(c.criterion),
-                "bic_gain": _number(c.bic_gain),
-                "taken_by_other_forms": _number(c.form_error_gain),
-                "kept": _number(c.kept),
-                "d_prime": _number(c.d_prime),
-                "threshold": _number(s.threshold),
-                "chosen": s.chosen is c,
-                "why": _why(c, s),
-            }
-            for i, s in enumerate(d.steps)
-            for c in s.candidates
-        ],
+        "advice": _advice(d),
+        "candidates": _candidates(d),
         "residual_by_regime": {"base": [_bin(b) for b in d.at_base.bins], "end": [_bin(b) for b in d.at_end.bins]},
         "changes": None
         if d.changes is None
@@ -168,6 +95,104 @@ def report(d: Diagnosis, paths: Sequence[Path], bindings: Mapping[str, TopicBind
         if d.thermal is None
         else {"mean_k": _number(d.thermal.mean_k), "mean_abs_k": _number(d.thermal.mean_abs_k), "text": d.thermal.text},
     }
+
+
+def _base(d: Diagnosis) -> dict[str, Any]:
+    """The model as re-fitted, and what an imperfect instrument takes up."""
+    nominal = {q.name: q for q in d.base.parameters}
+    return {
+        "model": d.base.name,
+        "refitted": {
+            name: {
+                "nominal": _number(nominal[name].nominal),
+                "value": _number(value),
+                "unit": nominal[name].unit,
+                **_of_base(d.base_intervals.get(name)),
+            }
+            for name, value in d.final.base_values.items()
+        },
+        "instrument": {
+            active.effect.name: {q.name: {"value": _number(active.values[q.name]), "unit": q.unit}}
+            for active in d.final.instrument
+            for q in active.effect.parameters
+        },
+    }
+
+
+def _verdict(d: Diagnosis) -> dict[str, Any]:
+    """What the diagnosis concludes, and the values of the vehicle file that the re-fit changes."""
+    return {
+        "status": d.verdict.status,
+        "grade": d.verdict.grade,
+        "sentence": d.verdict.sentence,
+        "hint": d.steps[-1].hint or None,
+        "seen": d.verdict.seen or None,
+        "may_be": [{"name": name, "share": None if share is None else _number(share)} for name, share in d.verdict.may_be],
+        "changed": [
+            {
+                "name": c.name,
+                "unit": c.unit,
+                "nominal": _number(c.nominal),
+                "value": _number(c.value),
+                "ci95": [_number(c.low), _number(c.high)],
+                "torque_nm": _number(c.torque_nm),
+                "text": c.text,
+            }
+            for c in d.verdict.changed
+        ],
+    }
+
+
+def _held_out(held_out: HeldOut) -> dict[str, Any]:
+    """Errors on the laps that were not fitted."""
+    return {
+        "laps": list(held_out.laps),
+        "mae": _numbers(held_out.mae),
+        "r2": _numbers(held_out.r2),
+        "bias": _numbers(held_out.bias),
+        "improvement_ci95": [_number(held_out.of_effects.low), _number(held_out.of_effects.high)],
+        "of_refit": _improvement(held_out.of_refit),
+        "by_lap": {
+            measure: {stage: [_number(float(x)) for x in values] for stage, values in stages.items()}
+            for measure, stages in held_out.by_lap.items()
+        },
+    }
+
+
+def _advice(d: Diagnosis) -> list[dict[str, Any]]:
+    """Drives that would tell apart what cannot be told apart here."""
+    return [
+        {
+            "separates": list(a.separates),
+            "groups": [list(group) for group in a.groups],
+            "manoeuvre": a.manoeuvre,
+            "expected_d_prime": _number(a.expected_d_prime),
+            "minutes": _number(a.minutes),
+            "information_bit": _number(a.information),
+        }
+        for a in d.advice
+    ]
+
+
+def _candidates(d: Diagnosis) -> list[dict[str, Any]]:
+    """All that was tried, round by round."""
+    return [
+        {
+            "round": i + 1,
+            "name": c.name,
+            "delta_loglik": _number(c.gain),
+            "log_evidence": _number(c.criterion),
+            "bic_gain": _number(c.bic_gain),
+            "taken_by_other_forms": _number(c.form_error_gain),
+            "kept": _number(c.kept),
+            "d_prime": _number(c.d_prime),
+            "threshold": _number(s.threshold),
+            "chosen": s.chosen is c,
+            "why": _why(c, s),
+        }
+        for i, s in enumerate(d.steps)
+        for c in s.candidates
+    ]
 
 
 def _to_do(d: Diagnosis, lines: Mapping[str, str]) -> list[str]:
