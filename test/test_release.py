@@ -56,6 +56,15 @@ def test_a_release_has_no_change_without_version(release, tmp_path):
     assert release["released"](closed) == ("9.8.7", "2030-01-02")
 
 
+def test_addresses_that_lead_nowhere_are_found(release, tmp_path):
+    path = tmp_path / "package.xml"
+    nowhere = re.sub(r'(<url type="repository">).*?<', rf"\1{tmp_path}/nowhere<", path.read_text())
+    for email, said in (("somebody@users.noreply.example.com", "noreply"), ("somebody@example.com", "ls-remote")):
+        path.write_text(re.sub(r'email=".*?"', f'email="{email}"', nowhere))
+        with pytest.raises(release["NotReadyError"], match=said):
+            release["addresses_are_real"]()
+
+
 def test_links_of_the_readme_lead_to_the_repository(release, repository, tmp_path):
     shutil.copy(repository / "README.md", tmp_path)
     path = tmp_path / "package.xml"

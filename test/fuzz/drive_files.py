@@ -24,28 +24,52 @@ BO_ 256 Motion: 8 Ecu
  SG_ BeltTemp m2 : 24|8@1+ (1,-40) [-40|210] "degC" Ecu
 BO_ 2566845950 Ambient: 8 Ecu
  SG_ AmbientTemp : 24|16@1+ (0.03125,-273) [-273|1735] "degC" Ecu
+BO_ 2566897687 Drive: 17 Ecu
+ SG_ DriveTorque : 104|24@1+ (0.5,-1000000) [-1000000|7000000] "Nm" Ecu
 BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","reserved","J1939PG";
 BA_DEF_DEF_ "VFrameFormat" "StandardCAN";
 BA_ "VFrameFormat" BO_ 2566845950 3;
+BA_ "VFrameFormat" BO_ 2566897687 3;
 """
-"""A speed, a multiplexed load, and an air temperature of J1939 (PGN 65269, from any control unit)."""
+"""A speed, a multiplexed load; of J1939 an air temperature (PGN 65269, any control unit) and a torque in 17 bytes (PGN 65472)."""
 TOPICS: dict[str, Any] = {
     "speed": {"channel": "VehicleSpeed", "unit": "km/h"},
     "load": {"channel": "AxleLoad", "unit": "N"},
     "ambient": {"channel": "AmbientTemp", "unit": "degC"},
+    "torque": {"channel": "DriveTorque", "unit": "Nm"},
 }
 AMBIENT_ID = 0x0CFEF517  # another priority and control unit than the database has
+ADDRESS = AMBIENT_ID & 0xFF
+
+
+def packets(group: int, content: bytes, sender: int, receiver: int = 0xFF) -> list[tuple[int, bytes]]:
+    """Identifiers and data of the frames in which J1939 sends a long message: broadcast, or with the answers of a receiver."""
+    number, count = group.to_bytes(3, "little"), -(-len(content) // 7)
+    size = len(content).to_bytes(2, "little")
+    begin, data = 0x1CEC0000 | receiver << 8 | sender, 0x1CEB0000 | receiver << 8 | sender
+    parts = [(data, bytes([1 + part]) + content[7 * part : 7 * part + 7].ljust(7, b"\xff")) for part in range(count)]
+    if receiver == 0xFF:
+        return [(begin, bytes([32, *size, count, 0xFF]) + number), *parts]
+    answer = 0x1CEC0000 | sender << 8 | receiver
+    return [
+        (begin, bytes([16, *size, count, 0xFF]) + number),
+        (answer, bytes([17, count, 1, 0xFF, 0xFF]) + number),
+        *parts,
+        (answer, bytes([19, *size, count, 0xFF]) + number),
+    ]
 
 
 class Drive:
-    """Speeds at 50 Hz, loads at 10 Hz, air temperatures at 1 Hz, all of which every format holds exactly."""
+    """Speeds at 50 Hz, loads at 10 Hz, air temperatures at 1 Hz, torques at 5 Hz, all of which every format holds exactly."""
 
     def __init__(self, duration_s: float = 20.0) -> None:
         self.speed_s = np.arange(0, round(duration_s * 50)) / 50.0
         self.load_s = self.speed_s[::5]
         self.ambient_s = self.speed_s[::50]
+        self.torque_s = self.speed_s[5::10]
         self.speed_kmh = np.round(10.0 + 8.0 * np.sin(self.speed_s / 3.0), 2)
         self.load_n = np.round(95e3 + 1e3 * np.cos(self.load_s))
+        self.torque_nm = np.round(2000.0 + 500.0 * np.sin(self.torque_s))
         self.ambient_degc = 12.0 + 0.03125 * np.arange(len(self.ambient_s)) % 5
 
     @property
@@ -55,16 +79,14 @@ class Drive:
             "VehicleSpeed": (self.speed_s, self.speed_kmh, "km/h"),
             "AxleLoad": (self.load_s, self.load_n, "N"),
             "AmbientTemp": (self.ambient_s, self.ambient_degc, "degC"),
+            "DriveTorque": (self.torque_s, self.torque_nm, "Nm"),
         }
 
     def rows(self) -> list[list[float | None]]:
-        """The rows of a table: time, speed, load, air temperature, None where there is none."""
-        load, ambient = (
-            dict(zip(self.load_s, self.load_n, strict=True)),
-            dict(zip(self.ambient_s, self.ambient_degc, strict=True)),
-        )
+        """The rows of a table: time, speed, load, air temperature, torque, None where there is none."""
+        others = [dict(zip(at_s, values, strict=True)) for at_s, values, _ in list(self.channels.values())[1:]]
         return [
-            [float(t), float(v), *(None if t not in of else float(of[t]) for of in (load, ambient))]
+            [float(t), float(v), *(None if t not in of else float(of[t]) for of in others)]
             for t, v in zip(self.speed_s, self.speed_kmh, strict=True)
         ]
 
@@ -78,12 +100,22 @@ class Drive:
             )
 
         found = []
-        for row, (t, v, load, ambient) in enumerate(self.rows()):
+        for row, (t, v, load, ambient, torque) in enumerate(self.rows()):
             if ambient is not None:
                 raw = round((ambient + 273.0) / 0.03125)
                 found.append(frame(t, AMBIENT_ID, b"\xff\xff\xff" + raw.to_bytes(2, "little") + b"\xff\xff\xff", True))
                 found.append(frame(t, AMBIENT_ID, b"\xff" * 8, True))  # not available
                 found.append(frame(t, AMBIENT_ID + 1, bytes(8), True))  # another control unit
+            if torque is not None:  # of two control units by turns, the packets of one between those of the other
+                content = bytes(13) + round((torque + 1e6) * 2).to_bytes(3, "little") + b"\0"
+                mine = packets(0xFFC0, content, ADDRESS, 0xFF if row % 20 == 5 else 0x21)
+                other = packets(0xFFC0, bytes(17), ADDRESS + 1)
+                last = max(place for place, (number, _) in enumerate(mine) if number >> 16 & 0xFF == 0xEB)
+                for place, (number, data) in enumerate(mine):
+                    at_s = t + min(place - last, 0) * 1e-3
+                    if place < len(other):
+                        found.append(frame(at_s, *other[place], True))
+                    found.append(frame(at_s, number, data, True))
             mode, rest = (2, b"\x50") if load is None else (1, round(load).to_bytes(3, "little"))
             found.append(frame(t, 256, round(v * 100).to_bytes(2, "little") + bytes([mode]) + rest.ljust(5, b"\0")))
             if row % 50 == 7:
@@ -154,9 +186,9 @@ def _write_bag(drive: Drive, path: Path) -> None:
         kind = "std_msgs/msg/Float64"
         topics = [bag.topic(f"/{name}", kind) for name in drive.channels]
         number = bag.typestore.types[kind]
-        for t, v, load, ambient in drive.rows():
+        for t, v, *others in drive.rows():
             at_ns = START_S * 10**9 + round(t * 1e9)
-            for topic, value in zip(reversed(topics), (ambient, load, v), strict=True):
+            for topic, value in zip(reversed(topics), (*reversed(others), v), strict=True):
                 if value is not None:
                     bag.write(topic, number(value), at_ns, at_ns)
 

@@ -48,11 +48,13 @@ LINES = {
         "speed": rb"^\(\d+\.\d+\) \w+ 100#[0-9A-F]{16} [RT]$",
         "load": rb"^\(\d+\.\d+\) \w+ 100#[0-9A-F]{4}01[0-9A-F]{10} [RT]$",
         "ambient": rb"^\(\d+\.\d+\) \w+ 0CFEF517#F{6}(?!FF)[0-9A-F]{10} [RT]$",
+        "torque": rb"^\(\d+\.\d+\) \w+ 1CEB(FF|21)17#03[0-9A-F]{14} [RT]$",
     },
     ".asc": {
         "speed": rb"^ *\d+\.\d+ 1  100 +Rx   d 8( [0-9A-F]{2}){8}$",
         "load": rb"^ *\d+\.\d+ 1  100 +Rx   d 8( [0-9A-F]{2}){2} 01( [0-9A-F]{2}){5}$",
         "ambient": rb"^ *\d+\.\d+ 1  CFEF517x +Rx   d 8( FF){3} (?!FF)[0-9A-F]{2}( [0-9A-F]{2}){4}$",
+        "torque": rb"^ *\d+\.\d+ 1  1CEB(FF|21)17x +Rx   d 8 03( [0-9A-F]{2}){7}$",
     },
 }
 """Whole lines of a log of frames that hold a sample."""
@@ -225,7 +227,11 @@ def _of_drive(kind: str) -> Format:
     topics = Topics.parse(topics_of(kind), "topics.yaml", DBC_FOLDER)
     drive = Drive(ROWS / 50)
     return Format(
-        kind, lambda folder: writer(drive, folder / name), name, topics, Counter({"speed": 60, "load": 12, "ambient": 2})
+        kind,
+        lambda folder: writer(drive, folder / name),
+        name,
+        topics,
+        Counter({"speed": 60, "load": 12, "ambient": 2, "torque": 6}),
     )
 
 

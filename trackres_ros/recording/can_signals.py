@@ -11,13 +11,14 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from trackres_ros.errors import InputError
 from trackres_ros.recording.bindings import Topics
 from trackres_ros.recording.channel_file import CHUNK_ROWS, Channel, ChannelFile, ChannelRows, ChosenChannel
+from trackres_ros.recording.j1939_transport import Frame, is_transport, with_joined
 from trackres_ros.recording.reading import check_there, reading
 from trackres_ros.recording.samples import Finding
 
@@ -33,16 +34,6 @@ J1939_ANY_SOURCE = (0xFE, 0xFF)
 """Source addresses of a database that name no control unit: null and global, SAE J1939-81."""
 PDU2 = 240
 """SAE J1939-21: from this PDU format on, the second byte of the identifier belongs to the number of the group."""
-
-
-class Frame(NamedTuple):
-    """A data frame: stamp [ns], identifier, whether that has 29 bits, number of the bus, and bytes."""
-
-    stamp_ns: int
-    id: int
-    extended: bool
-    bus: int | None
-    data: bytes
 
 
 @dataclass(slots=True)
@@ -73,7 +64,8 @@ class CanSignals(ChannelFile):
     """The signals of a log of frames.
 
     Messages are found by identifier; those of J1939 by their group number, whatever the priority is, and from the control unit
-    that the identifier in the database names. Where it names none, the first one that sends the group is read.
+    that the identifier in the database names. Where it names none, the first one that sends the group is read. Groups of more
+    than 8 bytes are joined from the packets of the transport protocol.
 
     Parameters
     ----------
@@ -137,7 +129,10 @@ class CanSignals(ChannelFile):
         """Stamp of each frame that is read, with the columns and values in it."""
         from cantools.database.errors import Error
 
-        for stamp_ns, number, extended, bus, data in self._frames(met):
+        frames = self._frames(met)
+        j1939 = any(one.pgn is not None for one in self._messages)
+        for frame in with_joined(frames, met) if j1939 else frames:
+            stamp_ns, number, extended, bus, data = frame
             key = (number, extended, bus)
             if key not in found:
                 if len(found) >= MOST_IDENTIFIERS:
@@ -145,7 +140,7 @@ class CanSignals(ChannelFile):
                 found[key] = self._message(number, extended, bus)
             one = found[key]
             if one is None:
-                met["unknown"] += 1
+                met["unknown"] += not (j1939 and is_transport(frame))
                 continue
             if not one.wanted:
                 continue
@@ -235,6 +230,11 @@ TEXTS = {
     "unknown": ("unknown_topic", "frames with identifiers that no database describes are left out"),
     "other_source": ("other_source", "frames of further control units that send the same group are left out"),
     "malformed": ("malformed", "frames do not hold what the database describes; they give no sample"),
+    "incomplete": (
+        "missing",
+        "messages of the J1939 transport protocol are incomplete or were aborted; they are left out",
+    ),
+    "stray": ("malformed", "packets of the J1939 transport protocol belong to no announced message; they are left out"),
     "absent": ("absent", "values say that they are not available or an error; they give no sample"),
 }
 

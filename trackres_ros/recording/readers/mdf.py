@@ -22,9 +22,10 @@ from numpy.typing import NDArray
 
 from trackres_ros.errors import InputError, MissingExtraError
 from trackres_ros.recording.bindings import Topics
-from trackres_ros.recording.can_signals import CanSignals, Frame
+from trackres_ros.recording.can_signals import CanSignals
 from trackres_ros.recording.channel_file import MOST_TIME_S, Channel, ChannelFile, ChannelRows, rows_at
 from trackres_ros.recording.file_kind import FileKind
+from trackres_ros.recording.j1939_transport import Frame
 from trackres_ros.recording.samples import Finding, FloatArray
 from trackres_ros.recording.unpacking import set_mdf_ceilings
 
