@@ -77,6 +77,17 @@ def test_links_between_pages_lead_somewhere(repository):
                 assert (page.parent / target).exists(), f"{page.name}: {target}"
 
 
+def test_cells_and_lines_of_the_pages_are_short(repository):
+    pages = [repository / "README.md", repository / "CONTRIBUTING.md", *(repository / "docs").rglob("*.md")]
+    long = []
+    for page in pages:
+        for number, line in enumerate(page.read_text(encoding="utf-8").splitlines(), 1):
+            cells = re.split(r"(?<!\\)\|", line.strip("|")) if line.startswith("|") else []
+            if len(line) >= 2000 or any(len(cell.split()) > 25 for cell in cells):
+                long.append(f"{page.name}:{number}: {line[:80]}")
+    assert not long, "at most 25 words in a cell and 2,000 characters in a line:\n" + "\n".join(long)
+
+
 @pytest.mark.parametrize("word", ["make demo", "make test", "docs/laps.png"])
 def test_the_readme_starts_with_the_two_commands(repository, word):
     assert word in "\n".join((repository / "README.md").read_text().splitlines()[:20])

@@ -31,14 +31,16 @@ from trackres_ros.cli.partial_output import watch
 @surroundings_option
 @topics_option("which topic or column feeds which role.")
 @method_options
-@click.option("--seed", type=SEEDS, default=default_of(tr.coastdown, "seed"), show_default=True, help="Of all that is drawn.")
+@click.option("--seed", type=SEEDS, default=default_of(tr.coastdown, "seed"), show_default=True, help="Seed of all random draws.")
 @click.option(
     "--save-vehicle",
     type=click.Path(path_type=Path),
     metavar="NEW.yaml",
-    help="Vehicle file with what was found; written only where that is better on rollings out that were not fitted.",
+    help="Vehicle file with the estimates; written only if it predicts the hold-out coast-downs better.",
 )
-@click.option("--picture", type=click.Path(path_type=Path), metavar="P.png", help="Speeds as measured and by both.")
+@click.option(
+    "--picture", type=click.Path(path_type=Path), metavar="P.png", help="Picture of the measured speed and of both predictions."
+)
 @json_option
 def coastdown_command(
     recordings: tuple[Path, ...],
@@ -52,10 +54,10 @@ def coastdown_command(
     picture: Path | None,
     as_json: bool,
 ) -> None:
-    """Parameters of a vehicle file from recordings in which it rolls out, with ranges.
+    """Estimate parameters of a vehicle file, with ranges, from recordings of coast-downs.
 
-    Where a torque was recorded, pieces without any are used; else all in which it slows down by itself. All that is found scales
-    with the mass, which is held. Without a recorded slope or altitude let it roll in both directions.
+    With a recorded torque, the stretches without torque are used; else all in which the vehicle slows down by itself. The mass is
+    held, and all results scale with it. Without a recorded slope or altitude, coast down in both directions.
 
     \b
     trackres coastdown roll_1.csv roll_2.csv --vehicle xgd24d --picture rolls.png

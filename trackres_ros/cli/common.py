@@ -127,7 +127,7 @@ def params_option(command: Decorated) -> Decorated:
         "--params",
         type=click.Path(path_type=Path),
         metavar="P.yaml",
-        help="Parameter file, flat or as the live node reads it; what concerns the estimator counts.",
+        help="Parameter file, flat or as the live node reads it; only settings of the estimator are used.",
     )(command)
 
 
@@ -181,7 +181,7 @@ def method_options(command: Decorated) -> Decorated:
     return click.option(
         "--method",
         type=click.Choice(["rainflow", "spectral"]),
-        help="Way from strain to heat instead of the vehicle file's: the paper's count, or exact.",
+        help="Hysteresis method instead of the vehicle file's: rainflow as in the paper, or the exact spectral one.",
     )(command)
 
 

@@ -18,10 +18,10 @@ A_NUMBER = "A|A:B|A,B,C"
 @click.command("compare", cls=Command)
 @click.argument("one")
 @click.argument("other")
-@click.option("--speed-kmh", metavar=A_NUMBER, help="Of two designs: speeds; without, 30 and 5 to the slower one's greatest.")
-@click.option("--belt-degc", metavar=A_NUMBER, help="Of two designs: belt temperatures of the table; -20:80 without.")
-@click.option("--ambient-degc", metavar=A_NUMBER, help="Of two designs: air; that of the file of ONE without.")
-@click.option("--weight-kn", metavar=A_NUMBER, help="Of two designs: whole weights; each file's own without.")
+@click.option("--speed-kmh", metavar=A_NUMBER, help="Two designs: speeds; default 30, and 5 to the slower one's greatest.")
+@click.option("--belt-degc", metavar=A_NUMBER, help="Two designs: belt temperatures of the table; default -20:80.")
+@click.option("--ambient-degc", metavar=A_NUMBER, help="Two designs: air temperatures; default that of the file ONE.")
+@click.option("--weight-kn", metavar=A_NUMBER, help="Two designs: weights of the whole vehicle; default each file's own.")
 @click.option(
     "--cycle",
     multiple=True,
@@ -44,7 +44,7 @@ def compare_command(
     output: Path | None,
     as_json: bool,
 ) -> None:
-    """What differs beyond its uncertainty between two days, vehicles, reports or designs.
+    """Show the significant differences between two days, vehicles, reports or designs.
 
     ONE and OTHER are each a folder of trackres fleet, all of it or a part (results:truck-01, results:truck-01@2026-03,
     results@2026-03-14), a folder of trackres diagnose, or a vehicle file. Of two vehicle files the values that differ are listed;

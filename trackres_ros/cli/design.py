@@ -42,7 +42,9 @@ speed_option = click.option(
     type=number(0.1, 150.0),
     help=f"Speed that is held [km/h]; {USUAL_KMH:g} without, or the vehicle's greatest if that is less.",
 )
-ambient_option = click.option("--ambient-degc", type=number(-60.0, 60.0), help="Air [degC]; else the vehicle file's.")
+ambient_option = click.option(
+    "--ambient-degc", type=number(-60.0, 60.0), help="Air temperature [degC]; default the vehicle file's."
+)
 
 
 @click.command("sweep", cls=Command)
@@ -73,7 +75,7 @@ def sweep_command(
     output: Path | None,
     as_json: bool,
 ) -> None:
-    """What a vehicle takes with other values: resistance cold and warm, belt temperature, energy.
+    """Vary values of a vehicle file: resistance cold and warm, belt temperature, energy.
 
     A PATH is that of vehicle check and of the file, or enough of its words in their order. The same value of several axles,
     tracks or wheels moves together, as axles.load.
@@ -114,9 +116,9 @@ def sweep_command(
 @click.argument("vehicle", shell_complete=vehicles_to_complete)
 @speed_option
 @ambient_option
-@click.option("--of", "outcome", type=click.Choice(OUTCOMES), default=OUTCOMES[0], show_default=True, help="What is shown.")
-@click.option("--samples", type=whole(8, 1 << 16), default=64, show_default=True, help="Of each value; a power of two.")
-@click.option("--seed", type=SEEDS, default=1, show_default=True, help="Of all that is drawn.")
+@click.option("--of", "outcome", type=click.Choice(OUTCOMES), default=OUTCOMES[0], show_default=True, help="Result to examine.")
+@click.option("--samples", type=whole(8, 1 << 16), default=64, show_default=True, help="Samples of each value; a power of two.")
+@click.option("--seed", type=SEEDS, default=1, show_default=True, help="Seed of all random draws.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), metavar="P.png", help="Picture, .png or .svg.")
 @json_option
 def sensitivity_command(
@@ -129,10 +131,10 @@ def sensitivity_command(
     output: Path | None,
     as_json: bool,
 ) -> None:
-    """Which value of a vehicle file to measure first: what each leaves open of the torque.
+    """Find the value of a vehicle file to measure first: its share of the torque's uncertainty.
 
-    All values lie anywhere in their ranges; "alone" is the share of the variance that would go if one were known, "with others"
-    what would stay if all others were (Sobol's indices, with 95 % intervals).
+    All values vary over their ranges. "alone" is the share of the variance that disappears once this value is known; "with
+    others" is the share that remains once all others are known (Sobol's indices, with 95 % intervals).
 
     \b
     trackres sensitivity xgd24d --speed-kmh 30 -o tornado.png

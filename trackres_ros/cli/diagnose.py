@@ -43,9 +43,7 @@ from trackres_ros.cli.partial_output import watch
 @method_options
 @click.option("--seed", type=SEEDS, default=default_of(tr.diagnose, "seed"), show_default=True, help="Seed of all random draws.")
 @click.option("--quick", is_flag=True, help="Fewer draws for thresholds.")
-@click.option(
-    "--keep-suspected", is_flag=True, help="Also write effects that fit but that laps not used for fitting do not confirm."
-)
+@click.option("--keep-suspected", is_flag=True, help="Also write effects that fit but that the hold-out laps do not confirm.")
 @click.option(
     "--effects",
     type=click.Path(path_type=Path),
@@ -70,7 +68,7 @@ def diagnose_command(
     output: Path,
     as_json: bool,
 ) -> None:
-    """Where recordings and simulation part, which physics is missing, and a vehicle file that has it.
+    """Find where measurement and simulation differ and which physics is missing; write a vehicle file with it.
 
     Each RECORDING with a measured torque is a session: a bag, a table, an MDF file, a CAN log or a MATLAB file
     (docs/recordings.md).
@@ -110,7 +108,7 @@ def diagnose_command(
 @click.option("--effects", type=click.Path(path_type=Path), metavar="DIR", help="Folder with effects of your own.")
 @json_option
 def effects_command(effects: Path | None, as_json: bool) -> None:
-    """The catalogue of left-out effects: what each does, and its parameters."""
+    """List the catalogue of effects, with what each does and its parameters."""
     listed = [effect.describe() for effect in tr.effects.catalogue(effects).values()]
 
     def text() -> str:

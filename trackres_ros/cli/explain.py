@@ -30,7 +30,7 @@ def explain_command(
     method: str | None,
     as_json: bool,
 ) -> None:
-    """Where the torque of one operating point comes from, by the exact methods.
+    """Show the parts of the torque at one operating point, computed by the exact methods.
 
     \b
     trackres explain --vehicle xgd24d --speed-kmh 50 --belt-degc 15

@@ -19,8 +19,10 @@ LISTENERS_WITHIN_S = 30.0
 
 @click.command("play")
 @click.argument("recording", type=click.Path(path_type=Path))
-@click.option("--rate", type=number(0.01, 1000.0), default=1.0, show_default=True, help="Factor on the recorded pace.")
-@click.option("--wait-for", multiple=True, metavar="TOPIC", help="Begin when somebody listens to it; may be given several times.")
+@click.option(
+    "--rate", type=number(0.01, 1000.0), default=1.0, show_default=True, help="Speed of playback relative to the recording."
+)
+@click.option("--wait-for", multiple=True, metavar="TOPIC", help="Start once this topic has a subscriber; may be repeated.")
 @json_option
 def play_command(recording: Path, rate: float, wait_for: tuple[str, ...], as_json: bool) -> None:
     """Play a bag of ROS 2 to a live node, with a /clock, on machines without ROS; elsewhere `ros2 bag play --clock` does it.

@@ -35,20 +35,20 @@ from trackres_ros.errors import one_line
 @topics_option("which topic, field or column feeds which role; guessed by message type, or by name and unit, without.")
 @params_option
 @method_options
-@click.option("--resume", type=click.Path(path_type=Path), metavar="STATE", help="Go on from a state saved by --save-state.")
+@click.option("--resume", type=click.Path(path_type=Path), metavar="STATE", help="Continue from a state that --save-state saved.")
 @click.option("--save-state", type=click.Path(path_type=Path), metavar="STATE", help="Save the state at the end.")
 @click.option(
     "--learning",
     default="off",
     show_default=True,
     metavar="off|watch|on",
-    help="Learn the vehicle from the measured torque as the live node does; on: use what was learned.",
+    help="Learn the vehicle from the measured torque as the live node does; on: use the learned parameters.",
 )
 @click.option(
     "--save-vehicle",
     type=click.Path(path_type=Path),
     metavar="V.yaml",
-    help="Write a vehicle file that starts from what was learned.",
+    help="Write a vehicle file with the learned parameters.",
 )
 @click.option(
     "-o",

@@ -55,8 +55,8 @@ class Settings:
         "s",
         0.0,
         60.0,
-        "how long an enable holds: without a fresh one the feed-forward goes to zero; 0: none is needed. "
-        "A topics file with the role enable needs one, and makes 0 half a second",
+        "longest age of an enable; then the feed-forward goes to zero. 0: none needed, "
+        "or 0.5 s with the role enable in the topics file",
     )
     stuck_s: float = _setting(120.0, "s", 1.0, 1e6, "a moving speed that has not changed for longer is reported as stuck")
     speed_std_mps: float = _setting(0.02, "m/s", 0.0, 5.0, "noise of the speed besides its quantisation")

@@ -129,8 +129,8 @@ NODE_PARAMETERS = (
     NodeParameter(
         "state_file",
         "auto",
-        "file that keeps the belt temperatures over a restart; auto: one for each node and vehicle under "
-        "~/.local/state/trackres, none where time is simulated; none: start cold",
+        "file that keeps belt temperatures over a restart. auto: one per node and vehicle in "
+        "~/.local/state/trackres, none in simulated time; none: start cold",
         fixed_because=AT_START,
     ),
     NodeParameter(

@@ -83,10 +83,8 @@ ESTIMATE_TOPIC = OutputTopic(
     "estimate",
     "control_msgs/msg/DynamicInterfaceGroupValues",
     "estimate",
-    f"what a controller needs in one stamped message. Group `{VEHICLE_GROUP}`: `feedforward_torque_nm` as published above, "
-    "`resistance_torque_nm` (negative what resists forward travel), its standard deviation `resistance_std_nm`, and `level`: "
-    f"0 ok, 1 warn, 2 error, 3 stale, as the status says. Group `{REASONS_GROUP}`: every remark that holds, by name, with its "
-    "level",
+    f"feed-forward, resistance, standard deviation and status in one stamped message, groups `{VEHICLE_GROUP}` and "
+    f"`{REASONS_GROUP}` (explained below)",
     ("feedforward_torque_nm", "resistance_torque_nm", "resistance_std_nm"),
     ("feedforward_torque_nm", "resistance_torque_nm", "resistance_std_nm", LEVEL),
 )
@@ -120,9 +118,7 @@ def output_topics(vehicle: AnyVehicle) -> tuple[OutputTopic, ...]:
             "resistance_torque",
             "sensor_msgs/msg/JointState",
             "joints",
-            "torque about y at the sprockets [Nm]: what resists, negative forward: total and its parts (hysteresis, bearing, "
-            "wind, effects), grade and inertia; drive, the positive torque that overcomes all that; of each assembly total and "
-            "hysteresis",
+            "torque by part about y at the sprockets [Nm], of the vehicle and of each assembly (explained below)",
             (
                 *TOTALS.values(),
                 *(f"{column}/{name}" for name in assemblies for column in ("resistance_torque_nm", "hysteresis_nm")),

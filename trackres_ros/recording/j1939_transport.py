@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 CONNECTION, PACKET = 0xEC, 0xEB
 """PDU formats of TP.CM, which announces a message, and of TP.DT, which carries it."""
-REQUEST_TO_SEND, BROADCAST, ABORT = 16, 32, 255
-"""Control bytes of TP.CM that are read; the receiver's CTS (17) and its acknowledgement (19) change nothing here."""
+REQUEST_TO_SEND, ACKNOWLEDGED, BROADCAST, ABORT = 16, 19, 32, 255
+"""Control bytes of TP.CM that are read; the receiver's CTS (17) changes nothing here."""
 SMALLEST, LARGEST = 9, 1785
 """Bytes of a message: one more than a frame holds, 255 packets."""
 OF_A_PACKET = 7
@@ -87,6 +87,8 @@ def with_joined(frames: Iterator[Frame], met: Counter[str]) -> Iterator[Frame]:
                 if len(transfers) >= MOST_TRANSFERS:
                     end(next(iter(transfers)))
                 transfers[key] = announced
+            elif control == ACKNOWLEDGED:  # by the receiver
+                end((frame.bus, receiver, sender))
             elif control == ABORT:  # by the sender, or by the receiver
                 end(key)
                 end((frame.bus, receiver, sender))

@@ -108,7 +108,7 @@ def _of_hostile(hostile: list[Any]) -> list[str]:
         return []
     lines = [
         "| What misleads | Vehicles | Worst over the file [% of torque] | Drives worse by more than 2 % | Outside the ranges "
-        "| What was said |",
+        "| Status [s a drive] |",
         "|---|---|---|---|---|---|",
     ]
     for kind in KINDS:
@@ -137,7 +137,7 @@ def _of_hostile(hostile: list[Any]) -> list[str]:
 
 
 def _said(cases: list[Any]) -> str:
-    """What was said on most of the drives, and for how long."""
+    """The most frequent statuses, with their mean time in a drive [s]."""
     seconds: dict[str, float] = {}
     for case in cases:
         for i in range(DRIVES):
@@ -146,7 +146,7 @@ def _said(cases: list[Any]) -> str:
                 seconds[short] = seconds.get(short, 0.0) + s
     found = sorted(((s, text) for text, s in seconds.items()), reverse=True)
     return (
-        "; ".join(f"{text} ({s / len(cases) / DRIVES:.0f} s a drive)" for s, text in found[:3] if s >= 0.5 * len(cases) * DRIVES)
+        "; ".join(f"{text}: {s / len(cases) / DRIVES:.0f}" for s, text in found[:3] if s >= 0.5 * len(cases) * DRIVES)
         or "nothing"
     )
 

@@ -207,11 +207,12 @@ def outside_table(scored: Sequence[Scored]) -> str:
 
 
 def mistake_table(kinds: Mapping[str, Sequence[Scored]]) -> str:
-    """Mistakes by kind, with the page of the first of each and what the others were."""
-    lines = ["| Mistake | Cases | Hidden, and named instead |", "|---|---|---|"]
+    """A list of mistakes by kind, with the page of the first of each and what the others were."""
+    lines = ["Mistakes by kind. Each case: what was hidden, then what was named instead.", ""]
     for kind, of in kinds.items():
         shown = "; ".join(f"{s.case.title}: {_verdict_of(s.answer)}" for s in of)
-        lines.append(f"| {kind} ([the first]({file_name(kind)}.html)) | {len(of)} | {shown} |")
+        cases = f"{len(of)} {'case' if len(of) == 1 else 'cases'}"
+        lines.append(f"- {kind} ([the first]({file_name(kind)}.html)), {cases}: {shown}.")
     return "\n".join(lines)
 
 

@@ -139,7 +139,7 @@ RESETS = ("a stop", "braking", "a bend")
 MEMORIES: dict[str, tuple[str, tuple[tuple[float, float], ...], Callable[..., Array]]] = {
     "lag": ("with a lag", ((1.4, 5.3),), _lag),
     "integrator": ("added up until ", ((0.0, 3.0), (0.0, 1.0), (3.7, 5.5)), _integrator),
-    "latch": ("latched: on above one value, off below a smaller one", ((0.4, 0.7), (0.15, 0.35)), _latch),
+    "latch": ("latched", ((0.4, 0.7), (0.15, 0.35)), _latch),
     "chatter": ("coming and going by chance", ((2.0, 60.0), (5.0, 120.0)), _chatter),
     "counter": ("growing with each time it comes", ((0.2, 0.6), (3.0, 15.0)), _counter),
 }
