@@ -333,6 +333,7 @@ def test_killed_at_any_moment_the_state_file_is_whole(node, tmp_path):
     for _ in range(3):
         n = node(state_file=str(state), save_period_s=1.0)
         n.drive(1.2 + moments.random())
+        n.until(state.exists, "a first saved state")  # on a busy machine
         n.stop(signal.SIGKILL)
         n.close()
         assert json.loads(state.read_text())["vehicle"] == "xgd24d"
