@@ -18,7 +18,7 @@ test: $(VENV)/.ready
 	$(MAKE) --no-print-directory -j 2 lint compiled
 	$(MAKE) --no-print-directory -j 2 test-live test-rest
 
-# For the loop of a developer, in a minute once types are checked and the steps compiled: style, types and the laws of the physics.
+# For the loop of a developer: style, types and the laws of the physics.
 FAST_LAWS := test/model test/estimator test/vehicle test/route test/text test/effects/test_laws.py \
 	test/learning/test_filter.py
 check: export OPENBLAS_NUM_THREADS := 1

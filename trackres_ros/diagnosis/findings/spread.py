@@ -52,10 +52,10 @@ class Spread:
     ----------
     regime
         In words, as in "while it pulls away".
-    size_nm, elsewhere_nm
-        Standard deviation of what is faster than a step, there and elsewhere at the same torque [Nm].
+    size_nm
+        Standard deviation of what is faster than a step there [Nm].
     ratio
-        Of both, as a geometric mean over laps.
+        Of it to that elsewhere at the same torque, as a geometric mean over laps.
     p
         Probability that it surely exceeds `SURELY_RATIO` by chance, times the number of regimes that were tried.
     laps
@@ -64,7 +64,6 @@ class Spread:
 
     regime: str
     size_nm: float
-    elsewhere_nm: float
     ratio: float
     p: float
     laps: int
@@ -181,7 +180,7 @@ def _compared(text: str, size: Array, drive: Array, inside: Mask, block: NDArray
     p = float(t.sf((mean - math.log(SURELY_RATIO)) / max(std, 1e-9), degrees)) * tried
     laps = len(both) or len(there) + len(elsewhere)
     size_nm = float(np.median(size[inside]))
-    return Spread(text, size_nm, size_nm / math.exp(mean), math.exp(mean), min(1.0, p), laps)
+    return Spread(text, size_nm, math.exp(mean), min(1.0, p), laps)
 
 
 def _medians(size: Array, inside: Mask, block: NDArray[np.int64]) -> dict[int, float]:
