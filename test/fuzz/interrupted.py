@@ -18,8 +18,10 @@ MOST_BYTES = 16 << 30  # of the address space, of which libraries take some
 
 def interrupted(trackres, call, folder, longest_s, environment=None):
     """Exit code and standard error of a call, made in a fork and interrupted after a while, as by Ctrl-C."""
+    fired = []
 
     def interrupt(*_):
+        fired.append(True)
         raise KeyboardInterrupt
 
     read, write = os.pipe()
@@ -39,7 +41,8 @@ def interrupted(trackres, call, folder, longest_s, environment=None):
         except KeyboardInterrupt:  # in the moment in which the command ends or begins
             pass
         except BaseException:
-            found = [1, traceback.format_exc()]
+            if not fired:  # else C code may have made another error of the interrupt, as ast.parse and pybind11 do
+                found = [1, traceback.format_exc()]
         finally:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
             code, said = found
