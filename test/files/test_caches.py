@@ -273,45 +273,57 @@ def test_a_simulation_without_a_cache_gives_the_same_and_says_so(warm, tmp_path,
     assert "not kept" in said
 
 
-@needs_numba
-@pytest.mark.long
-def test_a_simulation_with_damaged_code_gives_the_same(tmp_path, repository, reference, compiled):
+@pytest.fixture
+def warm_code(tmp_path, reference, compiled):
+    """A cache of its own that holds all compiled code; its files by the function of a simulation."""
     kept = tmp_path / "trackres"
     kept.mkdir(mode=0o700)
-    shutil.copytree(compiling.code_folder(), kept / compiling.code_folder().name)
-    whole, _ = simulate(tmp_path, tmp_path / "whole.csv", repository, LONG_S)
-    files = sorted(kept.rglob("*.code"))
-    assert files
-    for file, damage in zip(files, cycle(("empty", "cut", "other bytes")), strict=False):
-        file.write_bytes(DAMAGES[damage](file.read_bytes()))
-    assert simulate(tmp_path, tmp_path / "again.csv", repository, LONG_S) == (whole, "")
+    shutil.copytree(compiling.code_folder(), kept / compiling.code_folder().name, ignore=shutil.ignore_patterns("*.lock"))
+
+    def files(*functions):
+        found = [path for name in functions for path in kept.rglob(f"*.{name}-*.code")]
+        assert len(found) >= len(functions)
+        return found
+
+    return files
 
 
 @needs_numba
 @pytest.mark.long
-def test_a_first_run_compiles_in_the_background_for_the_next(tmp_path, repository):
+def test_a_simulation_with_damaged_code_gives_the_same(tmp_path, repository, warm_code):
+    whole, _ = simulate(tmp_path, tmp_path / "whole.csv", repository, LONG_S)
+    files = warm_code("advance_along.entry", "advance_along", "start.entry")
+    for file, damage in zip(files, cycle(("other bytes", "cut", "empty")), strict=False):
+        file.write_bytes(DAMAGES[damage](file.read_bytes()))
+    assert simulate(tmp_path, tmp_path / "again.csv", repository, LONG_S) == (whole, "")
+    assert not [path for path in files if own_files.unsealed(path.name, path.read_bytes()) is None]
+
+
+@needs_numba
+@pytest.mark.long
+def test_a_first_run_compiles_in_the_background_for_the_next(tmp_path, repository, warm_code):
+    for path in warm_code("advance_along.entry"):
+        path.unlink()
     first, _ = simulate(tmp_path, tmp_path / "first.csv", repository)
-
-    def series():
-        return list(tmp_path.rglob("*advance_along.entry*.code"))
-
     deadline = time.monotonic() + 1500.0
-    while not series() and time.monotonic() < deadline:
+    while not list(tmp_path.rglob("*advance_along.entry*.code")) and time.monotonic() < deadline:
         time.sleep(0.2)
-    assert series()
+    warm_code("advance_along.entry")
     assert simulate(tmp_path, tmp_path / "second.csv", repository)[0] == first
 
 
 @needs_numba
 @pytest.mark.long
-def test_two_processes_at_once_leave_a_cache_that_is_whole(tmp_path, repository):
+def test_two_processes_at_once_leave_a_cache_that_is_whole(tmp_path, repository, warm_code):
+    for path in warm_code("advance_along.entry", "advance_along", "start.entry"):
+        path.unlink()
     given = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
     both = [
         subprocess.Popen(simulation(tmp_path / f"{i}.csv", LONG_S), env=given, cwd=repository, stderr=subprocess.DEVNULL)
         for i in range(2)
     ]
     assert [process.wait(timeout=300) for process in both] == [0, 0]
+    warm_code("advance_along.entry", "start.entry")
     files = [path for path in (tmp_path / "trackres").rglob("*") if path.is_file()]
-    assert files
     assert not [path for path in files if own_files.unsealed(path.name, path.read_bytes()) is None]
     assert (tmp_path / "0.csv").read_bytes() == (tmp_path / "1.csv").read_bytes()

@@ -11,7 +11,13 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from yaml.composer import Composer
+from yaml.constructor import SafeConstructor
 from yaml.nodes import CollectionNode, MappingNode, Node, ScalarNode
+from yaml.parser import Parser
+from yaml.reader import Reader
+from yaml.resolver import Resolver
+from yaml.scanner import Scanner
 
 from trackres_ros.errors import InputError
 from trackres_ros.files.small_files import read_text
@@ -20,7 +26,17 @@ MOST_BYTES = 1 << 18  # the longest file that is shipped has 15 kB, the paramete
 MOST_NODES = 20_000  # with every alias written out; the largest vehicle has under a thousand
 MOST_DEPTH = 50  # the deepest vehicle file has 12
 
-MERGE = "tag:yaml.org,2002:merge"
+NEW_LINE, MERGE = "\n", "tag:yaml.org,2002:merge"
+
+if yaml.__with_libyaml__:
+    from yaml._yaml import CParser as _Events
+else:  # ten times slower
+
+    class _Events(Reader, Scanner, Parser):  # type: ignore[no-redef]
+        def __init__(self, text: str) -> None:
+            Reader.__init__(self, text)
+            Scanner.__init__(self)
+            Parser.__init__(self)
 
 
 class _Refused(yaml.MarkedYAMLError):
@@ -30,11 +46,14 @@ class _Refused(yaml.MarkedYAMLError):
         super().__init__(problem=problem, problem_mark=node.start_mark)
 
 
-class _Loader(yaml.SafeLoader):
+class _Loader(Composer, _Events, SafeConstructor, Resolver):
     """Safe YAML in which a key given twice is an error instead of a silent loss, and which a few bytes cannot make large."""
 
     def __init__(self, text: str) -> None:
-        super().__init__(text)
+        _Events.__init__(self, text)
+        Composer.__init__(self)
+        SafeConstructor.__init__(self)
+        Resolver.__init__(self)
         self._depth = 0
         self._sizes: dict[int, int] = {}  # of what is composed, aliases written out, by identity of the node
 
@@ -66,7 +85,7 @@ class _Loader(yaml.SafeLoader):
 
     def _check_depth(self) -> None:
         if self._depth > MOST_DEPTH:
-            raise _Refused(f"more than {MOST_DEPTH} lists and mappings in each other", _Here(self.peek_event()))  # type: ignore[no-untyped-call]
+            raise _Refused(f"more than {MOST_DEPTH} lists and mappings in each other", _Here(self.peek_event()))
 
     def _measure(self, node: CollectionNode, parts: list[Node]) -> None:
         size = 1 + sum(self._sizes[id(part)] for part in parts)
@@ -117,7 +136,7 @@ def parse_yaml(text: str, where: str) -> object:
         return loader.get_single_data()
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
-        line = f", line {mark.line + 1}" if mark else ""
+        line = f", line {min(mark.line, text.count(NEW_LINE)) + 1}" if mark else ""  # not the one after the last
         raise InputError(
             f"{where}{line}", " ".join((error.problem or error.context or "no YAML").split()), "a YAML file or value"
         ) from None

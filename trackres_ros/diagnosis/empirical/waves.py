@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.polynomial.chebyshev import chebval
 from numpy.typing import NDArray
 from scipy.stats import gamma
 
@@ -141,23 +142,25 @@ def _gains(found: Fit, piece: _Piece, waves: Array) -> Array:
         adjoint[:-lag] -= coefficient * weighted[lag:]
     middle, far = 0.5 * (piece.edges[1:] + piece.edges[:-1]), np.diff(piece.edges)
     rows = np.flatnonzero((far > 0.0) | (adjoint != 0.0))
+    middle, far, adjoint, valid = middle[rows], far[rows], adjoint[rows], piece.valid[rows]
+    finer = (waves[1] - waves[0]) * np.arange(AT_ONCE)[:, np.newaxis]  # the same from the first wave of each block
+    turned, half_turned = np.exp(2j * math.pi * finer * middle), np.exp(1j * math.pi * finer * far)
     found_gains = []
-    for some in np.array_split(waves, max(1, len(waves) // AT_ONCE)):
-        turns = np.multiply.outer(some, far[rows])
-        size = np.sinc(turns)
-        like = np.exp(2j * math.pi * np.multiply.outer(some, middle[rows])) * size @ adjoint[rows]
-        passes = np.abs(_horner(noise.phi, np.exp(-2j * math.pi * turns))) ** 2
-        norm = 0.5 * (passes * size**2 * piece.valid[rows]).sum(axis=1) / noise.std**2
+    for first in waves[::AT_ONCE]:
+        half = half_turned * np.exp(1j * math.pi * first * far)
+        angle = math.pi * (first + finer) * far
+        size = np.divide(half.imag, angle, out=np.ones_like(angle), where=angle > 0.0)
+        like = (turned * size) @ (np.exp(2j * math.pi * first * middle) * adjoint)
+        norm = 0.5 * (_passed(noise.phi, half.real) * size**2) @ valid / noise.std**2
         found_gains.append(0.5 * np.abs(like) ** 2 / np.maximum(norm, 1e-9))
-    return np.concatenate(found_gains)
+    return np.concatenate(found_gains)[: len(waves)]
 
 
-def _horner(phi: Array, z: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """What whitening leaves of a turn z a step: 1 - phi_1 z - phi_2 z^2 - ..."""
-    inner = np.zeros_like(z)
-    for coefficient in phi[::-1]:
-        inner = z * (coefficient + inner)
-    return np.asarray(1.0 - inner)
+def _passed(phi: Array, cosine: Array) -> Array:
+    """Share of the power of a wave that whitening leaves, |1 - phi_1 z - ...|^2, from the cosine of half the angle of z."""
+    filtered = np.concatenate(([1.0], -phi))
+    series = np.correlate(filtered, filtered, "full")[len(phi) :]
+    return np.asarray(chebval(2.0 * cosine**2 - 1.0, np.append(series[0], 2.0 * series[1:])))
 
 
 def _wave(found: Fit, pieces: list[_Piece], per_metre: float) -> Wave:
