@@ -55,10 +55,11 @@ def recorded(loaded, effects, tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def run():
-    """`trackres diagnose` on recordings of the reference vehicle, as typed."""
+    """`trackres diagnose` on recordings of the reference vehicle, as typed, without a page unless a test looks at it."""
 
-    def run_it(paths, out, *options):
-        command = ["diagnose", *map(str, paths), "--vehicle", "xgd24d", "-o", str(out), "--quick", *options]
+    def run_it(paths, out, *options, page=False):
+        without = () if page else ("--no-page",)
+        command = ["diagnose", *map(str, paths), "--vehicle", "xgd24d", "-o", str(out), "--quick", *without, *options]
         done = CliRunner().invoke(cli, command, catch_exceptions=True)
         if done.exit_code == 0:
             check_report(json.loads((Path(out) / "report.json").read_text()))
@@ -101,7 +102,7 @@ def diagnosed(diagnoses):
 def scrubbed(run, recorded, tmp_path_factory):
     """Folder, report and run of a diagnosis of recordings with turning scrub."""
     out = tmp_path_factory.mktemp("report") / "deep" / "out"
-    done = run(recorded("turning_scrub"), out)
+    done = run(recorded("turning_scrub"), out, page=True)
     assert done.exit_code == 0, done.exception
     return out, json.loads((out / "report.json").read_text()), done
 

@@ -126,7 +126,7 @@ def test_a_parameter_that_is_off_is_no_physics(recorded, tmp_path):
     content["rubber"]["file"] = str(load("xgd24d").source.parent / content["rubber"]["file"])
     vehicle = tmp_path / "off.yaml"
     vehicle.write_text(yaml.safe_dump(content))
-    command = ["diagnose", *map(str, recorded()), "--vehicle", str(vehicle), "-o", str(tmp_path / "out"), "--quick"]
+    command = ["diagnose", *map(str, recorded()), "--vehicle", str(vehicle), "-o", str(tmp_path / "out"), "--quick", "--no-page"]
     assert CliRunner().invoke(cli, command).exit_code == 0
     found = json.loads((tmp_path / "out" / "report.json").read_text())
     assert found["verdict"]["status"] == "none"

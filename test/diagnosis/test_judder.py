@@ -41,7 +41,7 @@ def with_judder(paths):
 def test_a_judder_is_described_and_never_written(run, stop_and_go, tmp_path):
     for there in (False, True):
         out = tmp_path / f"out{there}"
-        done = run(with_judder(stop_and_go) if there else stop_and_go, out)
+        done = run(with_judder(stop_and_go) if there else stop_and_go, out, page=there)
         assert done.exit_code == 0, done.exception
         found = json.loads((out / "report.json").read_text())
         spreads = [t for t in found["described"] if t["form"] == "spread"]

@@ -42,7 +42,7 @@ def run(check_form):
 
 
 def diagnosed_by_command(vehicle, out, *given):
-    done = CliRunner().invoke(cli, ["diagnose", *map(str, given), "--vehicle", vehicle, "-o", str(out), "--quick"])
+    done = CliRunner().invoke(cli, ["diagnose", *map(str, given), "--vehicle", vehicle, "-o", str(out), "--quick", "--no-page"])
     if done.exception and not isinstance(done.exception, SystemExit):
         raise done.exception
     return json.loads((Path(out) / "report.json").read_text())

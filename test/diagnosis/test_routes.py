@@ -152,10 +152,11 @@ def as_table(path, session, one):
     return path
 
 
-def diagnose(recording, out, vehicle="ztbus_hess19", surroundings=None):
+def diagnose(recording, out, vehicle="ztbus_hess19", surroundings=None, page=False):
     """The report of `trackres diagnose`."""
     given = ["--surroundings", str(surroundings)] if surroundings else []
     words = ["diagnose", str(recording), "--vehicle", str(vehicle), *given, "-o", str(out), "--quick"]
+    words += [] if page else ["--no-page"]
     done = CliRunner().invoke(cli, words)
     assert done.exit_code == 0, done.output
     return json.loads((out / "report.json").read_text())
@@ -173,7 +174,7 @@ def hilly(base, tmp_path_factory):
 @pytest.fixture(scope="module")
 def diagnosed(hilly, tmp_path_factory):
     out = tmp_path_factory.mktemp("diagnosed")
-    diagnose(hilly, out)
+    diagnose(hilly, out, page=True)
     return out
 
 

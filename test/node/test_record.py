@@ -123,10 +123,11 @@ def test_replayed_with_the_same_topics_it_gives_the_same_torque(drive, good, tmp
 @pytest.mark.long
 def test_it_is_diagnosed_as_any_recording(drive, good, tmp_path):
     pytest.importorskip("ruptures")
-    _, _, bag, _ = drive(900.0)
-    good("diagnose", bag, "--vehicle", "xgd24d", "--topics", tmp_path / "topics.yaml", "-o", tmp_path / "report")
+    _, _, bag, _ = drive(300.0)
+    options = ("--topics", tmp_path / "topics.yaml", "--quick", "--no-page", "-o", tmp_path / "report")
+    good("diagnose", bag, "--vehicle", "xgd24d", *options)
     report = json.loads((tmp_path / "report" / "report.json").read_text())
-    assert report["verdict"] != "no_data"
+    assert report["heldout"]["mae"]["with_effects"] < 0.7 * report["heldout"]["mae"]["nominal"]
     assert "live.mcap" in json.dumps(report)
 
 

@@ -50,6 +50,7 @@ from trackres_ros.cli.partial_output import watch
     metavar="DIR",
     help="Folder with effects of your own, a Python file each.",
 )
+@click.option("--no-page", is_flag=True, help="Write no report.html and no pictures, which takes as long as a short diagnosis.")
 @folder_option("Folder for the report; made if need be.")
 @json_option
 def diagnose_command(
@@ -65,6 +66,7 @@ def diagnose_command(
     quick: bool,
     keep_suspected: bool,
     effects: Path | None,
+    no_page: bool,
     output: Path,
     as_json: bool,
 ) -> None:
@@ -100,7 +102,7 @@ def diagnose_command(
         )
         on_stage("report")
         with print_warnings():
-            found.report(output)
+            found.report(output, page=not no_page)
     emit(found.as_dict(), as_json, lambda: f"{found!r}\n{output}: {', '.join(path.name for path in found.written)}")
 
 

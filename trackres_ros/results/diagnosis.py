@@ -116,7 +116,7 @@ class DiagnosisResult:
         text = f"{self.sentence}\nWritten by trackres diagnose from {names}."
         return self._loaded.base.write(folder / VEHICLE_FILE, self.diagnosis.kept, text)
 
-    def report(self, folder: str | PathLike[str]) -> Path:
+    def report(self, folder: str | PathLike[str], page: bool = True) -> Path:
         """Write what `trackres diagnose -o` writes: report.json, report.html with its pictures, vehicle.yaml, and where
         something is of the surroundings, surroundings.yaml.
 
@@ -126,6 +126,8 @@ class DiagnosisResult:
         ----------
         folder
             Made if need be.
+        page
+            Whether to write report.html and its pictures, which takes as long as a short diagnosis.
 
         Returns
         -------
@@ -136,27 +138,24 @@ class DiagnosisResult:
         place.mkdir(parents=True, exist_ok=True)
         file = place / "report.json"
         file.write_text(json.dumps(self._content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-        written = [file, *self._write_vehicle(place)]
-        try:
-            from trackres_ros.diagnosis.report.page import write_page
-            from trackres_ros.diagnosis.report.pictures import draw_all
-            from trackres_ros.diagnosis.report.provenance import provenance
-
-            pictures = draw_all(self.diagnosis, place)
-            made_of = provenance(self.recordings, [self._loaded.source] if self._loaded.source else [], self._seconds)
-            write_page(
-                place / "report.html",
-                self._content,
-                pictures,
-                f"Diagnosis of {self._loaded.title}",
-                _plots(self.diagnosis),
-                made_of,
-            )
-            written += [place / "report.html", *(p.path for p in pictures)]
-        except MissingExtraError as error:
-            warnings.warn(f"no page: {error}", stacklevel=2)
-        self.written = tuple(written)
+        self.written = (file, *self._write_vehicle(place))
+        if page:
+            try:
+                self.written += self._write_page(place)
+            except MissingExtraError as error:
+                warnings.warn(f"no page: {error}", stacklevel=2)
         return place
+
+    def _write_page(self, place: Path) -> tuple[Path, ...]:
+        from trackres_ros.diagnosis.report.page import write_page
+        from trackres_ros.diagnosis.report.pictures import draw_all
+        from trackres_ros.diagnosis.report.provenance import provenance
+
+        pictures = draw_all(self.diagnosis, place)
+        made_of = provenance(self.recordings, [self._loaded.source] if self._loaded.source else [], self._seconds)
+        path, title = place / "report.html", f"Diagnosis of {self._loaded.title}"
+        write_page(path, self._content, pictures, title, _plots(self.diagnosis), made_of)
+        return path, *(picture.path for picture in pictures)
 
     def as_dict(self) -> dict[str, Any]:
         """All findings, ready for JSON: the content of report.json.
