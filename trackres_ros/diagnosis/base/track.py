@@ -52,6 +52,7 @@ PLAUSIBLE = {
     SURFACE_SHARE: (0.02, MOST_AT_SURFACE),
 }
 PLAUSIBLE_FILM, PLAUSIBLE_CAPACITY = (0.2, 5.0), (0.3, 3.0)  # factors on the file's
+LOSS_TABLES = 4  # that are kept
 LESS_LOSS = 0.8  # times the scale of the loss modulus of the file: from there its powers are taken
 CAPACITY_STD = 0.15  # relative: thickness, section of lugs and specific heat of the file's ranges together
 
@@ -71,7 +72,7 @@ class TrackBase(Defaults):
         }
         self._firsts, self._count = _kinds(self._constants)
         self._simulated = Remembered()
-        self._last_loss = 1.0, self._constants.loss
+        self._loss_tables: tuple[tuple[float, Array], ...] = ((1.0, self._constants.loss),)
         self.includes = tuple(active.effect.name for active in vehicle.active)
         self.facts = vehicle_constants(vehicle)
         first = vehicle.track_of(vehicle.assemblies[0])
@@ -139,11 +140,12 @@ class TrackBase(Defaults):
         return simulated(k, self._count, belts, self.facts, sessions, lambda session: session.weight, acting)
 
     def _scaled(self, loss: float) -> Array:
-        """The loss table for so many times the loss modulus of the file; the last is kept, as most steps of a fit leave it."""
-        last = self._last_loss
-        if last[0] != loss:
-            self._last_loss = last = loss, self._constants.loss * np.exp(math.log(loss) * self._loss_power)  # faster than a power
-        return last[1]
+        """The loss table for so many times the loss modulus of the file; a step of a fit asks for few of them in turn."""
+        found = next((table for scale, table in self._loss_tables if scale == loss), None)
+        if found is None:
+            found = self._constants.loss * np.exp(math.log(loss) * self._loss_power)  # faster than a power
+            self._loss_tables = ((loss, found), *self._loss_tables[: LOSS_TABLES - 1])
+        return found
 
     def as_written(self, values: Values) -> TrackBase:
         """See `base.Base`."""

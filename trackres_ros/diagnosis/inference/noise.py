@@ -8,6 +8,7 @@ An autoregression makes them white; what is left then is taken for Student's t, 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -153,7 +154,8 @@ def improved(x: Array, y: Array, noise: Noise, turns: int = 2, largest_root: flo
         weight = 1.0 / (1.0 + (left / scale) ** 2 / degrees)
         phi = _coefficients(x, y, weight, largest_root)
         left = y - x @ phi
-        scale = max(float(np.sqrt(np.mean((degrees + 1.0) / degrees * weight * left**2))), 1e-12 * scale)
+        square = (degrees + 1.0) / degrees * weight * left**2
+        scale = max(math.sqrt(square.sum() / len(square)), 1e-12 * scale)
     return Noise(phi, scale, degrees)
 
 
@@ -175,7 +177,8 @@ def _coefficients(x: Array, y: Array, weight: Array, largest_root: float) -> Arr
         return np.empty(0)
     weighted = x.T * weight
     normal = weighted @ x
-    return _stable(np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(len(normal)), weighted @ y), largest_root)
+    np.einsum("ii->i", normal)[:] += 1e-9 * normal.trace()
+    return _stable(np.asarray(np.linalg.solve(normal, weighted @ y)), largest_root)
 
 
 def _stable(phi: Array, largest_root: float) -> Array:

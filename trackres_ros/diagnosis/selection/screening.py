@@ -282,7 +282,9 @@ def _thinned(rows: NDArray[np.int64], share: float) -> NDArray[np.int64]:
 
 def _white(lagged: Array, noise: Noise) -> Array:
     """Whitened rows over the noise's standard deviation."""
-    return np.asarray(np.tensordot(np.concatenate(([1.0], -noise.phi)), lagged, 1) / noise.std)
+    whitening = np.concatenate(([1.0], -noise.phi))
+    white: Array = whitening @ lagged.reshape(len(whitening), -1) / noise.std
+    return white.reshape(lagged.shape[1:])
 
 
 def coloured(white: Array, noise: Noise, rng: np.random.Generator) -> Array:
@@ -293,9 +295,9 @@ def coloured(white: Array, noise: Noise, rng: np.random.Generator) -> Array:
 
 def _bounded(x: Array, e: Array, low: Array, high: Array) -> Array:
     normal, right = x.T @ x, x.T @ e
-    ridge = 1e-9 * np.trace(normal) / len(normal) * np.eye(len(normal))
-    free = np.linalg.solve(normal + ridge, right)
+    np.einsum("ii->i", normal)[:] += 1e-9 * normal.trace() / len(normal)
+    free = np.asarray(np.linalg.solve(normal, right))
     if np.all((free >= low) & (free <= high)):
         return free
-    factor = np.linalg.cholesky(normal + ridge)
+    factor = np.linalg.cholesky(normal)
     return np.asarray(lsq_linear(factor.T, np.linalg.solve(factor, right), (low, high), method="bvls").x)
