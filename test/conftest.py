@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 import io
+import shutil
 import signal
 from contextlib import redirect_stderr, redirect_stdout
 from itertools import combinations
@@ -55,6 +56,23 @@ def repository():
 def compiled(reference):
     """The kernels are compiled: nodes that are started then need not do so beside, each anew, while they are tested."""
     exercise(reference)
+
+
+@pytest.fixture
+def warm_code(tmp_path, compiled):
+    """A cache in `tmp_path` that holds all compiled code; gives its files by the function of a simulation or node."""
+    from trackres_ros.jit.compiled import code_folder
+
+    kept = tmp_path / "trackres"
+    kept.mkdir(mode=0o700)
+    shutil.copytree(code_folder(), kept / code_folder().name, ignore=shutil.ignore_patterns("*.lock"))
+
+    def files(*functions):
+        found = [path for name in functions for path in kept.rglob(f"*.{name}-*.code")]
+        assert len(found) >= len(functions)
+        return found
+
+    return files
 
 
 @pytest.fixture(scope="session")

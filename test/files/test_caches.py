@@ -273,21 +273,6 @@ def test_a_simulation_without_a_cache_gives_the_same_and_says_so(warm, tmp_path,
     assert "not kept" in said
 
 
-@pytest.fixture
-def warm_code(tmp_path, reference, compiled):
-    """A cache of its own that holds all compiled code; its files by the function of a simulation."""
-    kept = tmp_path / "trackres"
-    kept.mkdir(mode=0o700)
-    shutil.copytree(compiling.code_folder(), kept / compiling.code_folder().name, ignore=shutil.ignore_patterns("*.lock"))
-
-    def files(*functions):
-        found = [path for name in functions for path in kept.rglob(f"*.{name}-*.code")]
-        assert len(found) >= len(functions)
-        return found
-
-    return files
-
-
 @needs_numba
 @pytest.mark.long
 def test_a_simulation_with_damaged_code_gives_the_same(tmp_path, repository, warm_code):

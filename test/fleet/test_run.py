@@ -136,7 +136,7 @@ def test_a_run_analyses_each_recording_and_a_rerun_only_new_ones(recordings, goo
 
 @pytest.mark.long
 def test_each_vehicle_has_a_diagnosis_by_month_made_once(recordings, good):
-    by_month = [*words(recordings, "--period", "month"), "--workers", "2", "--json"]
+    by_month = [*words(recordings, "--period", "month"), "--workers", "1", "--json"]
     good(*by_month)
     places = {vehicle: recordings / "out" / "diagnosis" / vehicle / "2025-06" for vehicle in ("truck-01", "truck-02")}
     for vehicle, place in places.items():
