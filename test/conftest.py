@@ -120,17 +120,24 @@ def own(tmp_path):
 @pytest.fixture
 def drawn(monkeypatch):
     """`figures` as they are saved, and `faults(figure)`: what of one is cut off, collides or covers something."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
-    figures, save = [], Figure.savefig
+    figures, save, write = [], Figure.savefig, FigureCanvasSVG.print_svg
 
     def saved(figure, *args, **kwargs):
         save(figure, *args, **kwargs)
-        if kwargs.get("format") == "svg":  # laid out for its own resolution
-            figure.draw_without_rendering()
         figures.append(figure)
 
+    def written(canvas, *args, **kwargs):
+        write(canvas, *args, **kwargs)
+        FigureCanvasAgg(canvas.figure)  # laid out for its own resolution
+        canvas.figure.draw_without_rendering()
+        figures.append(canvas.figure)
+
     monkeypatch.setattr(Figure, "savefig", saved)
+    monkeypatch.setattr(FigureCanvasSVG, "print_svg", written)
     return SimpleNamespace(figures=figures, faults=_faults)
 
 

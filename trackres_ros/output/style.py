@@ -123,9 +123,13 @@ def svg_of(figure: Figure) -> bytes:
 
     Letters stay letters, of matplotlib's font where it is installed; others are narrower, so nothing collides.
     """
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
     drawn = io.BytesIO()
-    with _look():
-        figure.savefig(drawn, format="svg", metadata={"Date": None, "Creator": None})
+    with _look():  # `savefig` would draw it twice
+        FigureCanvasSVG(figure).print_svg(  # type: ignore[no-untyped-call]
+            drawn, metadata={"Date": None, "Creator": None}
+        )
     return drawn.getvalue()
 
 

@@ -14,6 +14,7 @@ import json
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -105,7 +106,6 @@ def interactive(d: Diagnosis) -> Interactive:
         import bokeh
         from bokeh.document import Document
         from bokeh.embed.util import standalone_docs_json_and_render_items
-        from bokeh.resources import Resources
     except ImportError:
         raise MissingExtraError("zoom and hover on the page", "bokeh", "interactive") from None
     sizes = [float(np.nanmean(np.square(s.torque - d.refitted.predicted[i].torque)[s.used])) for i, s in enumerate(d.sessions)]
@@ -113,8 +113,9 @@ def interactive(d: Diagnosis) -> Interactive:
     document = Document()
     over_all = panels(d)
     drawn: list[tuple[str, Any]] = [*_believed(d, over_all), *_over_time(d, shown), *_lap(d), *_bars(d)]
-    for _, figure in drawn:
-        document.add_root(figure)
+    with document.models.freeze():  # else each root looks at all models anew
+        for _, figure in drawn:
+            document.add_root(figure)
     (content,) = standalone_docs_json_and_render_items([figure for _, figure in drawn])[0].values()
     text, name = _named_in_order(json.dumps(content))
     roots = [name[str(figure.id)] for _, figure in drawn]
@@ -124,12 +125,19 @@ def interactive(d: Diagnosis) -> Interactive:
         "items": [{"docid": DOCUMENT, "roots": {root: f"plot-{root}" for root in roots}, "root_ids": roots}],
         "steps": dict(enumerate(steps)),
     }
-    library = "\n".join(Resources(mode="inline", components=["bokeh"]).js_raw)
     plots = tuple(ZoomPlot(part, f"plot-{root}", figure.title.text) for root, (part, figure) in zip(roots, drawn, strict=True))
     legend = tuple((line.colour, line.text, line.solid) for panel in over_all for line in panel.lines)
     where = marked_times(d)[0]
     legend += (("#D9D9D9", "not used for fitting", True), *([(MARK, where, True)] if where else []))
-    return Interactive(plots, packed(library), bokeh.__version__, packed(json.dumps(data)), legend)
+    return Interactive(plots, _library(), bokeh.__version__, packed(json.dumps(data)), legend)
+
+
+@cache
+def _library() -> str:
+    """Bokeh's own script, as the page holds it."""
+    from bokeh.resources import Resources
+
+    return packed("\n".join(Resources(mode="inline", components=["bokeh"]).js_raw))
 
 
 def packed(text: str) -> str:
