@@ -14,7 +14,7 @@ from trackres_ros.estimator.columns import REASON_TEXT, Count
 from trackres_ros.node.notices import LIVE_KINDS
 from trackres_ros.node.report import COMPARISON_KEYS, ESTIMATE_KEYS, INPUT_KEYS, STATE_KEYS
 
-GENERATED = ["docs/api.md", "docs/diagnosis.md", "docs/settings.md", "docs/node.md", "docs/effects.md", "docs/controller.md"]
+GENERATED = ["docs/api.md", "docs/settings.md", "docs/node.md", "docs/effects.md", "docs/controller.md"]
 GENERATED += ["config/trackres.yaml", "config/plotjuggler.xml", "config/foxglove.json"]
 
 
