@@ -36,12 +36,15 @@ def bus_page(tried: Sequence[FieldTrial], folder: Path, of_pictures: str = "") -
     payload = payload_found(hidden, given)
     if payload is None:
         return [*lines, "With the passengers concealed no payload was found.", ""]
+    differ, error, stated = (
+        figures(float(x)) for x in (payload.true.std(), np.sqrt(np.mean((payload.mass - payload.true) ** 2)), payload.std.mean())
+    )
     lines.append(
         f"With the passengers concealed, the masses of {len(payload.mass)} stretches have a correlation of "
-        f"{payload.correlation:.2f} with those of the passengers (70 kg each). These differ by {figures(float(payload.true.std()))} kg. "
-        f"The masses are {figures(float(np.sqrt(np.mean((payload.mass - payload.true) ** 2))))} kg off; their stated standard deviation is "
-        f"{figures(float(payload.std.mean()))} kg. No stretch has more than {payload.longest_s:.0f} s of driving. Joined until "
-        f"they have {LONG_STRETCH_S:.0f} s, {payload.close} of {payload.long} are within {CLOSE:.0%} of the passengers' weight."
+        f"{payload.correlation:.2f} with those of the passengers (70 kg each). These differ by {differ} kg. The masses are "
+        f"{error} kg off; their stated standard deviation is {stated} kg. No stretch has more than {payload.longest_s:.0f} s of "
+        f"driving. Joined until they have {LONG_STRETCH_S:.0f} s, {payload.close} of {payload.long} are within {CLOSE:.0%} of the "
+        "passengers' weight."
     )
     _draw_payload(folder / "payload.png", payload)
     return [*lines, "", f"![Masses of stretches between stops, found and of passengers.]({of_pictures}payload.png)", ""]
