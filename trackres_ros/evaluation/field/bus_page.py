@@ -43,8 +43,8 @@ def bus_page(tried: Sequence[FieldTrial], folder: Path, of_pictures: str = "") -
         f"With the passengers concealed, the masses of {len(payload.mass)} stretches have a correlation of "
         f"{payload.correlation:.2f} with those of the passengers (70 kg each). These differ by {differ} kg. The masses are "
         f"{error} kg off; their stated standard deviation is {stated} kg. No stretch has more than {payload.longest_s:.0f} s of "
-        f"driving. Joined until they have {LONG_STRETCH_S:.0f} s, {payload.close} of {payload.long} are within {CLOSE:.0%} of the "
-        "passengers' weight."
+        f"driving. Joined until they have {LONG_STRETCH_S:.0f} s, {payload.close} of {payload.long} are within {CLOSE:.0%} of "
+        "the passengers' weight."
     )
     _draw_payload(folder / "payload.png", payload)
     return [*lines, "", f"![Masses of stretches between stops, found and of passengers.]({of_pictures}payload.png)", ""]
