@@ -92,7 +92,7 @@ def _of_mass(plain: list[Any]) -> str:
     """By how much a mass that is right in the file is learned to be off."""
     off = [case["said"][str(LAST)]["applied"][at.OF_MASS] for case in plain if at.OF_MASS in case["said"][str(LAST)]["counts"]]
     if not off:
-        return "No mass is learned."
+        return "No mass counts as learned."
     return (
         f"The rotating-mass factor is right in all files. It is learned on {len(off)} vehicles, and is then off by "
         f"{100.0 * float(np.median(off)):+.1f} % in the median, {100.0 * max(map(abs, off)):.1f} % at worst."
