@@ -207,8 +207,8 @@ def page(found: Mapping[str, Any]) -> str:
     known = found["known_of_the_type"]
     lines += [
         "",
-        f"How sure the type is, by number of vehicles with {RECORDINGS_OF_EACH} recordings each. The values are standard deviations "
-        f'over those of the vehicle file; "settled" counts the parameters below {SETTLED_STD:g}.',
+        f"How sure the type is, by number of vehicles with {RECORDINGS_OF_EACH} recordings each. The values are standard "
+        f'deviations over those of the vehicle file; "settled" counts the parameters below {SETTLED_STD:g}.',
         "",
         f"| vehicles | settled | {' | '.join(known[0]['std'])} |",
         f"|---|---|{'---|' * len(known[0]['std'])}",
