@@ -94,7 +94,7 @@ def _of_mass(plain: list[Any]) -> str:
     if not off:
         return "No mass counts as learned."
     return (
-        f"The rotating-mass factor is right in all files. It is learned on {len(off)} vehicles, and is then off by "
+        f"The rotating-mass factor is right in all files. It is learned on drives of {len(off)} vehicles and is then off by "
         f"{100.0 * float(np.median(off)):+.1f} % in the median, {100.0 * max(map(abs, off)):.1f} % at worst."
     )
 
