@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the engine of a fleet costs beside the work, what a second worker gains, and the memory of the client."""
+"""The time of a fleet's engine over that of the work, the gain of a second worker, and the memory of the client."""
 
 from __future__ import annotations
 

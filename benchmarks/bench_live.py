@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The live node: from a speed published to the torque received elsewhere, beside a bare echo; its share of a core; its start."""
+"""The live node: time from a published speed to the received torque, against a bare echo; its share of a core; its start."""
 
 from __future__ import annotations
 

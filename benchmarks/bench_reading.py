@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What reading a bag costs over its raw messages, the estimate on top of reading, and whether memory grows."""
+"""Time to read a bag over that of its raw messages, time of the estimate on top of reading, and growth of memory."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""One step of four assemblies against one message to another process and back, and whether anything grows."""
+"""One step of four assemblies against one message to another process and back, and growth of memory."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Building the loss table, taking it from the cache, how near it is to the exact method, and the first estimate of a process and
-the first replay on a machine.
+"""The loss table: time to build it and to load it from the cache, and its error against the exact method. Then the first
+estimate of a process and the first replay on a machine.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 # Copyright the trackres_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What each way that was tried gives: ratios as the program is, without a way that was kept, and with one that was not."""
+"""The gain of each way that was tried: ratios of the present program, without a kept way, and with a rejected one."""
 
 from __future__ import annotations
 

@@ -24,26 +24,27 @@ def bus_page(tried: Sequence[FieldTrial], folder: Path, of_pictures: str = "") -
         return []
     given = next(t for t in tried if t.hidden == "nothing")
     lines = ["## The trolley bus, unsealed", ""]
-    for t in tried:
-        slope = slope_found(t, given)
-        if slope is not None:
-            lines.append(
-                f"- Without {t.hidden}: the slope that was found has a correlation of {slope.correlation:.2f} with that of the "
-                f"altitude averaged over all passes of a place and taken over 300 m, and {slope.coefficient:.2f} of it."
-            )
-    if len(lines) == 2:
-        lines.append("- No slope was found.")
+    slopes = [(t.hidden, slope) for t in tried if (slope := slope_found(t, given)) is not None]
+    if slopes:
+        lines += ["The slope found, against that of the altitude averaged over all passes of a place and taken over 300 m:", ""]
+        lines += ["| Concealed | Correlation | Coefficient |", "|---|---|---|"]
+        lines += [f"| {hidden} | {slope.correlation:.2f} | {slope.coefficient:.2f} |" for hidden, slope in slopes]
+        lines.append("")
+    else:
+        lines += ["No slope was found.", ""]
     hidden = next(t for t in tried if t.hidden == "passengers")
     payload = payload_found(hidden, given)
     if payload is None:
-        return [*lines, "- Without passengers: no payload was found.", ""]
+        return [*lines, "With the passengers concealed no payload was found.", ""]
+    differ, error, stated = (
+        figures(float(x)) for x in (payload.true.std(), np.sqrt(np.mean((payload.mass - payload.true) ** 2)), payload.std.mean())
+    )
     lines.append(
-        f"- Without passengers: the masses of {len(payload.mass)} stretches have a correlation of {payload.correlation:.2f} with "
-        f"those of the passengers (70 kg each), which differ by {figures(float(payload.true.std()))} kg, and are "
-        f"{figures(float(np.sqrt(np.mean((payload.mass - payload.true) ** 2))))} kg off; "
-        f"{figures(float(payload.std.mean()))} kg is what they are said to be off. No stretch has more than "
-        f"{payload.longest_s:.0f} s of driving; joined until they have {LONG_STRETCH_S:.0f} s, {payload.close} of {payload.long} "
-        f"are within {CLOSE:.0%} of the passengers' weight."
+        f"With the passengers concealed, the masses of {len(payload.mass)} stretches have a correlation of "
+        f"{payload.correlation:.2f} with those of the passengers (70 kg each). These differ by {differ} kg. The masses are "
+        f"{error} kg off; their stated standard deviation is {stated} kg. No stretch has more than {payload.longest_s:.0f} s of "
+        f"driving. Joined until they have {LONG_STRETCH_S:.0f} s, {payload.close} of {payload.long} are within {CLOSE:.0%} of "
+        "the passengers' weight."
     )
     _draw_payload(folder / "payload.png", payload)
     return [*lines, "", f"![Masses of stretches between stops, found and of passengers.]({of_pictures}payload.png)", ""]
@@ -60,5 +61,5 @@ def _draw_payload(path: Path, payload: PayloadFound) -> None:
         axes.step(payload.begin_s / SECONDS_PER_MIN, payload.true, where="post", color=BLUE, label="passengers, 70 kg each")
         axes.axhline(0.0, color=GREY, linewidth=0.8)
         axes.set_xlabel("time [min]")
-        axes.set_ylabel("mass beside its mean [kg]")
+        axes.set_ylabel("mass less its mean [kg]")
         axes.legend()

@@ -100,8 +100,8 @@ def learned_page(data: Path) -> list[str]:
     lines = [
         "## What one drive teaches the other",
         "",
-        "The vehicles are learned while they drive (`learning: on`) on some drives; the error is that on the others, where "
-        "learning goes on. Of the car the last two lines have a slope as an input, which the estimate too is computed with.",
+        "The vehicles are learned while they drive (`learning: on`) on some drives. The error is that on the other drives, where "
+        "learning goes on. In the last two lines of the car a slope is an input, which the estimate uses too.",
         "",
         "| What teaches | The vehicle file [Nm] | With what was learned [Nm] | |",
         "|---|---|---|---|",

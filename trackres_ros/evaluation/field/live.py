@@ -151,16 +151,16 @@ def live_page(data: Path) -> list[str]:
     lines = [
         "## What was found, live",
         "",
-        "Some drives are diagnosed. `trackres replay` runs others, which the diagnosis never saw, with the files that this "
-        "writes, step by step as the live node does. It has no speed that is smoothed from both sides, and no acceleration but "
-        "that of its own filter. The commands, of the bus:",
+        "The diagnosis uses some drives. `trackres replay` then runs other drives with the files that it wrote, step by step as "
+        "the live node does. A replay has no speed smoothed from both sides, and no acceleration except that of its own "
+        "filter. The commands for the bus:",
         "",
         "    trackres diagnose mission_first.csv --vehicle ztbus_hess19 --topics ztbus -o report",
         "    trackres replay mission_rest.csv --vehicle report/vehicle.yaml --surroundings report/surroundings.yaml "
         "--topics ztbus -o replay.csv",
         "",
-        f"The error is that of means over {MEAN_S:.0f} s while it drives and no friction brake is on. Of one recording the first "
-        f"{DIAGNOSED:.0%} are diagnosed; of the car's winter trips every other one.",
+        f"The error is of means over {MEAN_S:.0f} s while the vehicle drives without friction brakes. The diagnosis uses the "
+        f"first {DIAGNOSED:.0%} of a single recording, and every other one of the car's winter trips.",
         "",
         "| Drives | Replayed [min] | Files | Mean error [Nm] |",
         "|---|---|---|---|",

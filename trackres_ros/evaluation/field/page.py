@@ -71,7 +71,7 @@ def write_page(data: Path, tried: Sequence[FieldTrial], of_bus: Sequence[FieldTr
         mae = t.found.held_out.mae
         lines.append(f"| {t.what} | {t.hidden} | {named} | {mae['refitted']:.3g}, {mae['with_effects']:.3g} | {t.outcome} |")
     lines += ["", "The verdicts, word for word:", ""]
-    lines += [f"- {t.what}, without {t.hidden}: {t.found.verdict.sentence}" for t in (*tried, *of_bus)]
+    lines += [f"- **{t.what}, concealed: {t.hidden}.** {t.found.verdict.sentence}" for t in (*tried, *of_bus)]
     lines += ["", "## The car's starts, unsealed", "", *_starts(begun, together), _where(tried[1], begun), ""]
     lines += [
         f"![Torque that the re-fitted base lacks over the time since the start, and start states.]({of_pictures}starts.png)",
@@ -89,9 +89,9 @@ def write_page(data: Path, tried: Sequence[FieldTrial], of_bus: Sequence[FieldTr
 
 def _starts(begun: Sequence[Start], together: PooledStarts) -> list[str]:
     lines = [
-        "The start state of each trip is fitted to that trip alone, with a warm-up that knows the clocks: 0 as warm as after a "
-        "drive like it, 1 as cold as it can be. How sure it is comes from the same sum over what is left ten minutes and more "
-        "after a start, when there is nothing to warm up.",
+        "The start state of each trip is fitted to that trip alone, with a warm-up that uses the clocks. 0 is as warm as after a "
+        "drive like it, 1 is fully cold. The standard deviation comes from the same sum over the residual ten minutes and more "
+        "after a start, when nothing warms up.",
         "",
         "| Trip | Stood [h] | Ambient [degC] | Lacks in the first three minutes [Nm] | Start state |",
         "|---|---|---|---|---|",
@@ -105,15 +105,15 @@ def _starts(begun: Sequence[Start], together: PooledStarts) -> list[str]:
     return [
         *lines,
         "",
-        f"After a night or a day ({COLD_AFTER_H:g} h and more) the first three minutes lack {np.nanmean(lacks[cold]):.0f} Nm, "
-        f"after a short stop {np.nanmean(lacks[~cold]):.0f} Nm. {_ranks(begun)}",
+        f"In the first three minutes the base lacks {np.nanmean(lacks[cold]):.0f} Nm after a night or a day "
+        f"({COLD_AFTER_H:g} h and more). After a short stop it lacks {np.nanmean(lacks[~cold]):.0f} Nm. {_ranks(begun)}",
         "",
-        "All trips together, with one time constant of cooling at rest and a spread of start states about what the standing time "
-        f"says: {together.time_constant_s / SECONDS_PER_H:.2g} h [{low}, {high}], "
+        "A fit of all trips together has one time constant of cooling at rest. Its start states have a spread about the value "
+        f"for the standing time. The time constant is {together.time_constant_s / SECONDS_PER_H:.2g} h [{low}, {high}], "
         + ("within" if together.settled else "open to one end of")
-        + f" what was tried; the spread is {together.spread:.2g}, and start states fitted so have a rank correlation of "
-        f"{together.rank_together:.2f} with the standing time, as they are drawn towards it. Standing times given to the "
-        f"trips at random say as much in {together.chance:.1%} of draws. Were all of this true, the states fitted alone would "
+        + f" the range tried; the spread is {together.spread:.2g}. These start states have a rank correlation of "
+        f"{together.rank_together:.2f} with the standing time, as the fit draws them towards it. Standing times given to the "
+        f"trips at random fit as well in {together.chance:.1%} of draws. Were the model true, the states fitted alone would "
         f"reach a rank correlation of {WANTED_RANK:g} in {together.reached:.0%} of winters like this one.",
     ]
 
@@ -123,26 +123,26 @@ def _where(known: FieldTrial, begun: Sequence[Start]) -> str:
     early = np.array([acts_early(known, i) for i in range(len(begun))])
     cold = np.array([s.cold for s in begun])
     return (
-        f"Given the clock, and so the standing time, but not the ambient temperature, what is named acts for "
-        f"{early[cold].mean():.0f} of the first {COLD_S:.0f} s of trips after a night or a day, and for "
-        f"{early[~cold].mean():.0f} s of those after a short stop."
+        f"With the clock, but without the ambient temperature, the named effect acts for {early[cold].mean():.0f} of the first "
+        f"{COLD_S:.0f} s after a night or a day. After a short stop it acts for {early[~cold].mean():.0f} s."
     )
 
 
 def _ranks(begun: Sequence[Start]) -> str:
     sure = [s for s in begun if s.std < SETTLED_STD and np.isfinite(s.state)]
     if len(sure) < 4:
-        return "Too few of them are sure enough to be ranked."
+        return "Too few start states are certain enough to be ranked."
     stood = spearmanr([s.stood_h for s in sure], [s.state for s in sure])
     ambient = spearmanr([s.ambient for s in sure], [s.state for s in sure])
     follow = stood.pvalue < SIGNIFICANT and stood.statistic > 0.0
     return (
-        f"Rank correlation of the {len(sure)} that are sure to {SETTLED_STD:g} with the time it stood {stood.statistic:.2f} "
-        f"(p = {stood.pvalue:.2g}), with the ambient temperature {ambient.statistic:.2f} (p = {ambient.pvalue:.2g}): "
+        f"The start states of {len(sure)} trips have a standard deviation below {SETTLED_STD:g}. Their rank correlation with the "
+        f"standing time is {stood.statistic:.2f} (p = {stood.pvalue:.2g}), with the ambient temperature "
+        f"{ambient.statistic:.2f} (p = {ambient.pvalue:.2g}). "
         + (
-            "the start states follow the standing time."
+            "So the start states follow the standing time."
             if follow
-            else "the start states do not follow the standing time, trip by trip."
+            else "So the start states do not follow the standing time, trip by trip."
         )
     )
 
@@ -150,8 +150,8 @@ def _ranks(begun: Sequence[Start]) -> str:
 def _twice(route: FieldTrial, repeated: RepeatedRoute) -> list[str]:
     return [
         f"The residuals of both drives repeat over distance with a correlation of {repeated.repeats:.2f}, and follow the "
-        f"concealed slope with {repeated.follows_slope:.2f}: locked to position, which is not yet grade. "
-        + ("Grade was not named." if route.outcome == "right" else "And yet something was named.")
+        f"concealed slope with {repeated.follows_slope:.2f}. So they depend on the position, which need not be the grade. "
+        + ("Grade was not named." if route.outcome == "right" else "Something was named all the same.")
     ]
 
 

@@ -54,7 +54,7 @@ TEN_PERCENT = 0.10
 SOON = 10  # recordings
 RECORDINGS_OF_EACH, SETTLED_STD, DRAWS = 2, 0.5, 8
 MONTH_S = 365.25 / 12.0 * DAY_S
-TARGETS = "targets: 95 % of changes of 10 % in bearing drag within 10 recordings; at most one false alarm in 50 vehicle-months"
+TARGETS = "Targets: 95 % of changes of 10 % in bearing drag within 10 recordings; at most one false alarm in 50 vehicle-months"
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,7 +187,7 @@ def page(found: Mapping[str, Any]) -> str:
     tenth, changes, false = found["ten_percent_of_bearing"], found["changes"], found["false_alarms"]
     low, high = tenth["interval_95"]
     lines = [
-        f"Seed {found['seed']}, SHA-256 of what is hidden {found['seal']}; {TARGETS}.",
+        f"Seed {found['seed']}, SHA-256 of the hidden changes {found['seal']}. {TARGETS}.",
         "",
         f"- changes of 10 % in bearing drag found within 10 recordings: {tenth['within_10_recordings']} of {tenth['hidden']} "
         f"(95 % interval of the share {low:.2f} to {high:.2f})",
@@ -207,8 +207,8 @@ def page(found: Mapping[str, Any]) -> str:
     known = found["known_of_the_type"]
     lines += [
         "",
-        f"How sure the type is by so many vehicles with {RECORDINGS_OF_EACH} recordings each: standard deviations over those of "
-        f"the vehicle file, and how many of the parameters are below {SETTLED_STD:g}.",
+        f"How sure the type is, by number of vehicles with {RECORDINGS_OF_EACH} recordings each. The values are standard "
+        f'deviations over those of the vehicle file; "settled" counts the parameters below {SETTLED_STD:g}.',
         "",
         f"| vehicles | settled | {' | '.join(known[0]['std'])} |",
         f"|---|---|{'---|' * len(known[0]['std'])}",

@@ -51,7 +51,7 @@ def _head(scores: dict[str, Any], plain: list[Any], hostile: list[Any]) -> list[
     return [
         f"Of {scores['sealed']} sealed vehicles the first {len(scores['cases'])} by their drawn names: "
         f"{len(plain)} whose files are off, {len(hostile)} on whose drives something misleads. {DRIVES} drives of "
-        f"{scores['minutes']:g} minutes each, two weeks apart, with a state file between; seed {scores['seed']}, SHA-256 of "
+        f"{scores['minutes']:g} minutes each, two weeks apart, with a state file between. Seed: {scores['seed']}, SHA-256 of "
         "the labels",
         f"`{scores['seal']}`.",
         "",
@@ -81,9 +81,9 @@ def _of_vehicles(plain: list[Any]) -> list[str]:
         *lines,
         "",
         f"Learned over re-fitted, median of the vehicles: {one:.2f} after one drive, {two:.2f} after two (target: at most 1.3). "
-        f"Intervals of 95 % hold the torque in {100.0 * np.mean(seconds):.1f} % of all seconds of the third drive, and that of "
-        f"its mean in {sum(means)} of {len(means)} drives (target: 90 to 98 %). At worst, learning changed the error of a "
-        f"drive by {100.0 * max(worse):+.1f} % of the torque. {_of_mass(plain)}",
+        f"Intervals of 95 % cover the torque in {100.0 * np.mean(seconds):.1f} % of all seconds of the third drive. They "
+        f"cover its mean in {sum(means)} of {len(means)} drives. The target is 90 to 98 %. At worst, learning changed the error "
+        f"of a drive by {100.0 * max(worse):+.1f} % of the torque. {_of_mass(plain)}",
         "",
     ]
 
@@ -94,7 +94,7 @@ def _of_mass(plain: list[Any]) -> str:
     if not off:
         return "No mass counts as learned."
     return (
-        f"The rotating-mass factor, which is right in all files, counts as learned of {len(off)} vehicles and is then off by "
+        f"The rotating-mass factor is right in all files. It is learned on drives of {len(off)} vehicles and is then off by "
         f"{100.0 * float(np.median(off)):+.1f} % in the median, {100.0 * max(map(abs, off)):.1f} % at worst."
     )
 
@@ -130,8 +130,8 @@ def _of_hostile(hostile: list[Any]) -> list[str]:
     return [
         *lines,
         "",
-        f"Worse than the file by more than 2 % of the torque: {bad} of {len(drives)} drives (target: none). Without a word in "
-        f"the status: {len(silent)} of {len(drives)} drives (target: none){': ' if which else ''}{which}.",
+        f"Worse than the file by more than 2 % of the torque: {bad} of {len(drives)} drives (target: none). Without a remark "
+        f"in the status: {len(silent)} of {len(drives)} drives (target: none){': ' if which else ''}{which}.",
         "",
     ]
 

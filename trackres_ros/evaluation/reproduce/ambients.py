@@ -72,8 +72,8 @@ def ambients(bench: Bench, out: Path) -> Section:
             WHERE,
             "All ambient temperatures tend to the same stable torque.",
             family,
-            "Stable is F_h(T*) v = U A (T* - Ta). With s = -F_h' v / (U A), a warmer ambient leaves a warmer "
-            "belt, dT*/dTa = 1 / (1 + s), which is more than zero and less than one.",
+            "Stable is F_h(T*) v = U A (T* - Ta). With s = -F_h' v / (U A), a warmer ambient leaves a warmer belt: dT*/dTa = "
+            "1 / (1 + s). This is more than zero and less than one.",
         ),
         _colder_is_larger_first(family),
         _warmer_is_larger_later(family),
@@ -87,11 +87,12 @@ def ambients(bench: Bench, out: Path) -> Section:
         c: [(family.stable[b][c].belt_degc - family.stable[a][c].belt_degc) / (b - a) for a, b in pairwise(AMBIENTS_DEGC)]
         for c in COMBINATIONS
     }
-    kept_shares = [f"{percents(shares, 0)} with {c.replace('/', ' and ')}" for c, shares in kept.items()]
+    kept_shares = [f"With {c.replace('/', ' and ')} it keeps {percents(shares, 0)}." for c, shares in kept.items()]
     text = [
-        f"Constant {SPEED_KMH:g} km/h and {WEIGHT_N / 1e3:g} kN from the start, without a ramp, as in the paper; run on to "
+        f"Constant {SPEED_KMH:g} km/h and {WEIGHT_N / 1e3:g} kN from the start, without a ramp, as in the paper. The run goes "
+        "on to "
         f"{DURATION_S:g} s beyond the paper's {PAPER_END_S:g} s. The belt starts at the ambient temperature.",
-        f"Of a difference in ambient temperature the stable belt keeps {listed(kept_shares)}.",
+        " ".join(["The stable belt keeps a part of a difference in ambient temperature.", *kept_shares]),
         *hot_belts(bench, family),
     ]
     numbers = {**family_numbers(family, TIMES_S), "kept_share": kept}
@@ -107,7 +108,7 @@ def _draw_differences(out: Path, family: Family) -> Figure:
     figure = Figure(
         f"{family.name}_differences.png",
         f"{family.name}.csv",
-        "Torque of each ambient temperature less that of the next warmer one, on a logarithmic axis: a crossing "
+        "Torque of each ambient temperature less that of the next warmer one, on a logarithmic axis. A crossing "
         "would show as a line that drops out of the picture.",
     )
     with picture(out / figure.png, 9.0, 5.6) as drawn:
@@ -165,12 +166,12 @@ def _warmer_is_larger_later(family: Family) -> Claim:
         "4.2.3 says so once, and the opposite a few lines below).",
         crosses,
         (f"There is a crossing with {listed(found)}. " if found else "There is no crossing. ")
-        + f"After {CROSSING_S:g} s the least by which an ambient temperature has more torque than the next warmer one is "
+        + f"After {CROSSING_S:g} s an ambient temperature has more torque than the next warmer one. The least difference is "
         f"{min(least.values()):.0f} Nm up to {DURATION_S:g} s, and {min(stable.values()):.0f} Nm when stable. The belt in the "
         f"warmer ambient is the warmer one by at least {min(belts.values()):.1f} K at all times.",
         {
             FAILS: "Two belts that start at their ambient temperatures obey the same equation. To overtake, the colder one would "
-            "first have to be as warm as the other; at that moment both make the same heat, and the one in colder air loses "
+            "first have to be as warm as the other. At that moment both make the same heat, and the one in colder air loses "
             "more of it. So it stays the colder one, and its loss, which falls with temperature, stays the larger. The "
             "paper's reason, that the cold belt makes more heat, lets it catch up in part; it cannot take it past.",
             IN_PART: "A crossing needs the belt in colder air to become the warmer one.",

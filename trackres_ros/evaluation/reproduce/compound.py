@@ -44,7 +44,7 @@ def compound(bench: Bench, out: Path) -> Section:
             "fig16_compound.png",
             "fig16_moduli.csv",
             f"Storage modulus, loss modulus and loss tangent at {frequency:g} Hz (the paper's Figure 16), and the "
-            f"master curve at {MASTER_DEGC:g} °C that equations (3) and (4) make of it. Dots: the sweep of the "
+            f"master curve at {MASTER_DEGC:g} °C (equations 3 and 4). Dots: the sweep of the "
             "vehicle's rubber file.",
         )
     ]
@@ -99,7 +99,7 @@ def compound(bench: Bench, out: Path) -> Section:
         "The loss modulus is large at low temperature and falls as the belt warms.",
         {"": bool((np.diff(loss[working]) < 0).all())},
         f"At {frequency:g} Hz the loss modulus goes from {at[SHOWN_DEGC[0]]:.2f} MPa at {SHOWN_DEGC[0]:g} °C to {at[15.0]:.2f} "
-        f"at 15 °C and {at[SHOWN_DEGC[-1]]:.2f} at {SHOWN_DEGC[-1]:g} °C, without rising anywhere between. A decade of frequency "
+        f"at 15 °C and {at[SHOWN_DEGC[-1]]:.2f} at {SHOWN_DEGC[-1]:g} °C. It rises nowhere between. A decade of frequency "
         f"changes it by a factor {by_decade:.2f} at {MASTER_DEGC:g} °C.",
         {
             HOLDS: f"The compound works above its glass transition (largest loss modulus at {peak:.0f} °C), where warming moves "

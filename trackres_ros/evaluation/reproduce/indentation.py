@@ -71,11 +71,11 @@ def indentation(bench: Bench, out: Path) -> Section:
         "Contact length and strain amplitude of the road wheel increase with the load.",
         {"": bool((np.diff(a) > 0).all() and (np.diff(strain) > 0).all())},
         f"From {PAPER_LOADS_N[0] / 1e3:g} to {PAPER_LOADS_N[-1] / 1e3:g} kN the half length goes from {at_loads[0] * 1e3:.2f} to "
-        f"{at_loads[-1] * 1e3:.2f} mm and the strain from {strain_at[0] * 100:.2f} to {strain_at[-1] * 100:.2f} %: as the load "
-        f"to the power {growth[0]:.3f} and {growth[1]:.3f}.",
+        f"{at_loads[-1] * 1e3:.2f} mm and the strain from {strain_at[0] * 100:.2f} to {strain_at[-1] * 100:.2f} %. They grow "
+        f"as the load to the power {growth[0]:.3f} and {growth[1]:.3f}.",
         {
-            HOLDS: "A contact carries F = 2 E L a³ / (3 R H) as long as it is small against the wheel, so a goes as the cube "
-            "root of the load and the strain, a²/(2 R H), as its square."
+            HOLDS: "A contact carries F = 2 E L a³ / (3 R H) as long as it is small against the wheel. So a grows as the cube "
+            "root of the load and the strain, a²/(2 R H), as the square of a."
         },
         {
             "half_length_m": at_loads.tolist(),

@@ -112,15 +112,16 @@ def _introduction(bench: Bench) -> list[str]:
         "The paper is Liang et al., Modeling and Verification of Rolling Resistance Torque of High-Speed Rubber Track "
         "Assembly Considering Hysteresis Loss, Polymers 2023. Its curves and measurements are not public in numbers, only "
         "its text. So this page compares trends and stated numbers. It does not reproduce the paper's mean absolute errors "
-        "and R², which concern measurements that nobody outside has, and many values of the vehicle file are assumed where "
-        "the paper is silent: the size of a torque here is the program's, not the paper's.",
+        "and R², as the measurements are not public. Many values of the vehicle file are assumed where the paper gives none. "
+        "So the size of a torque here is the program's, not the paper's.",
         "",
-        "Four combinations are shown where it matters: loss by `spectral` (exact for linear viscoelasticity) or `rainflow` "
-        "(the paper's), belt temperature by `lumped` (the paper's) or `core_surface`. The vehicle file names "
+        "Where it matters, four combinations are shown. The loss is by `spectral` (exact for linear viscoelasticity) or "
+        "`rainflow` "
+        "(the paper's), the belt temperature by `lumped` (the paper's) or `core_surface`. The vehicle file names "
         f"{bench.shipped.replace('/', ' and ')}; the paper's own is rainflow and lumped. A verdict is that of a predicate on "
         "the run; where the combinations disagree it says for which the claim holds.",
         "",
         "`lumped` is one mean temperature, and no resistance inside the rubber. `core_surface` has that resistance, so its "
-        "belt, whose mean is shown, runs hotter. `rainflow` counts a pulse as one cycle of one frequency and leaves its "
-        "harmonics out, so it has less loss; the table of Figures 10 and 11 has both.",
+        "belt, whose mean is shown, runs hotter. `rainflow` counts a pulse as one cycle of one frequency and ignores its "
+        "harmonics, so it has less loss. The table of Figures 10 and 11 has both.",
     ]

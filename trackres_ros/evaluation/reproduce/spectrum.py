@@ -91,8 +91,8 @@ def spectrum(bench: Bench, out: Path) -> Section:
     }
     text = [
         f"One assembly at {SPEED_KMH:g} km/h, {load / 1e3:g} kN and a belt of {BELT_DEGC:g} °C. The paper gives neither the "
-        "operating point nor the numbers of its Figures 10 and 11, so there is nothing to compare them with but their "
-        "make-up. Indentation strains the belt through its thickness, bending, tension and drive along it: two components "
+        "operating point nor the numbers of its Figures 10 and 11, so only their composition can be compared. Indentation "
+        "strains the belt through its thickness, bending, tension and drive along it: two components "
         "that the program counts separately.",
         f"The steady tension strains the belt by {strains.tension * 1e6:.0f} µm/m all round. The drive adds up to "
         f"{ranges['drive'] * 1e6:.0f} µm/m: {percent(ranges['drive'] / ranges['bending'], 2)} of the range of bending at the "
@@ -108,8 +108,8 @@ def spectrum(bench: Bench, out: Path) -> Section:
         f"face, drive {ranges['drive'] * 1e6:.0f} µm/m, tension 0. Heat: indentation, bending and drive as in the table, tension "
         f"{tension_loss:g}.",
         {
-            "holds in part": "A steady tension shifts the mean of the cycles and has no range, so it makes no heat; its range is "
-            "that of the drive force.",
+            "holds in part": "A steady tension shifts the mean of the cycles and has no range, so it makes no heat. Its "
+            "range is that of the drive force.",
             HOLDS: "Every component has a range round the loop.",
             FAILS: "No component has a range round the loop.",
         },
@@ -151,7 +151,8 @@ def _spectrum_figure(out: Path, s: Spectrum) -> Figure:
     figure = Figure(
         "fig10_spectrum.png",
         "fig10_spectrum.csv",
-        "Strain load spectrum round the loop, by component (the paper's Figure 10): through the thickness, along "
+        "Strain load spectrum round the loop, by component (the paper's Figure 10). It is shown through the thickness, "
+        "along "
         "the belt at three heights and over position and height, and the small parts by tension and drive.",
     )
     belt = s.counter.track.belt

@@ -88,8 +88,8 @@ def speeds(bench: Bench, out: Path) -> Section:
     ]
     text = [
         f"From rest to each speed in {RAMP_S:g} s, then held to {DURATION_S:g} s. Resistance torque is hysteresis, bearings "
-        "and wind of the whole vehicle; the inertia of the ramp is left out, as the paper leaves the first 50 s out of its "
-        "analysis.",
+        "and wind of the whole vehicle. The inertia of the ramp is not included, as the paper excludes the first 50 s from "
+        "its analysis.",
         *hot_belts(bench, family),
     ]
     return Section("Figure 24: speed", text, figures, claims, tables, family_numbers(family, TIMES_S))
@@ -150,12 +150,13 @@ def _settles_sooner(family: Family, start_s: float) -> Claim:
         WHERE,
         "At a higher speed the torque comes to its stable value sooner.",
         {name: all(sooner(times[c][i]) for c in COMBINATIONS) for i, name in enumerate(names)},
-        f"The paper gives no measure, so two are used: the time from the end of the ramp until {percent(FALLEN, 0)} of the fall "
-        f"to the stable value is done, and until the torque is within {percent(NEAR, 0)} of it.",
+        "The paper gives no measure, so two are used, both from the end of the ramp. One is the time until "
+        f"{percent(FALLEN, 0)} of the fall "
+        f"to the stable value is done. The other is the time until the torque is within {percent(NEAR, 0)} of it.",
         {
             HOLDS: "The time constant is C / (U A - F_h' v). The film coefficient U grows with the speed, and so does the heat "
             "-F_h' v that a warmer belt saves.",
-            IN_PART: "The time constant is C / (U A - F_h' v): U and -F_h' v grow with the speed, so a share of the fall is done "
+            IN_PART: "The time constant is C / (U A - F_h' v). U and -F_h' v grow with the speed, so a share of the fall is done "
             "sooner. But a slow speed warms the belt little and has little to fall: it is near its stable value from the "
             "start.",
         },
@@ -204,7 +205,7 @@ def _slower_is_larger(family: Family, start_s: float) -> Claim:
         "but one column.",
         {
             FAILS: "At equal temperature a higher speed means a higher frequency, and the loss modulus rises with frequency "
-            "(Figure 16); the wind rises with the square of the speed. The order can turn only as the faster belt warms, "
+            "(Figure 16). The wind rises with the square of the speed. The order can turn only as the faster belt warms, "
             "which takes hundreds of seconds, and only where warming does more than frequency and wind.",
             IN_PART: "A higher speed means a higher frequency and loss modulus; "
             "the order can turn only as the faster belt warms.",

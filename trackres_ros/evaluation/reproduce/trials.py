@@ -240,9 +240,9 @@ def _stated_error(bench: Bench, trial: Trial, runs: Runs) -> Claim:
     if least <= resistance:
         reading = "resistance alone varies as much"
     elif least <= drive:
-        reading = "it takes the inertia of driving off and stopping to vary so much"
+        reading = "Only with the inertia of driving off and stopping does it vary so much"
     else:
-        reading = "the paper's vehicle was accelerated harder, or resists more, than this profile and vehicle file have it"
+        reading = "The paper's vehicle accelerated harder, or has more resistance, than this profile and vehicle file"
     return Claim(
         f"stated_error_{trial.speed_kmh:g}",
         trial.where,
@@ -250,10 +250,10 @@ def _stated_error(bench: Bench, trial: Trial, runs: Runs) -> Claim:
         f"0-{trial.duration_s:g} s.",
         {},
         "Neither the measurement nor the simulation is public. The two numbers do tell how much the measured torque varied. "
-        "With R² = 1 - mean square error / variance, and a root mean square error of at least the mean absolute one, its "
+        "R² is 1 - mean square error / variance, and the root mean square error is at least the mean absolute one. So its "
         f"standard deviation was at least {trial.mae_nm:g} / √(1 - {trial.r_square:g}) = {least:.0f} Nm. On the profile above "
-        f"that of the program's resistance torque is {resistance:.0f} Nm, and that of its drive torque, which holds the inertia "
-        f"as the paper's (32) does, {drive:.0f} Nm ({bench.shipped.replace('/', ', ')}): {reading}.",
+        f"that of the program's resistance torque is {resistance:.0f} Nm. That of its drive torque, which includes the "
+        f"inertia as the paper's (32) does, is {drive:.0f} Nm ({bench.shipped.replace('/', ', ')}). {reading}.",
         {OPEN: ""},
         {"least_std_nm": least, "drive_std_nm": drive, "resistance_std_nm": resistance},
     )

@@ -89,7 +89,7 @@ def _heavier_is_larger(family: Family) -> Claim:
         f"At all times in motion each weight has at least {min(least.values()):.0f} Nm more torque than the next lighter one.",
         {
             HOLDS: "At equal temperature more load means more loss and more bearing friction. More loss warms the belt more, "
-            "which takes back a part of it, but not all: were the loss no larger, the belt would be no warmer."
+            "which takes back a part of it, but not all. Were the loss no larger, the belt would be no warmer."
         },
         {"least_difference_nm": least, "exponent": exponent},
         {

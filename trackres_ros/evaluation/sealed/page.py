@@ -82,8 +82,8 @@ def write_all(folder: Path, scored: Sequence[Scored], seal: str, seed: int, draw
     counts = Counter(s.case.level for s in scored)
     text = "\n\n".join(
         (
-            f"{len(scored)} cases{_of(len(scored), drawn)} ({', '.join(f'{n} {level}' for level, n in counts.items())}), seed "
-            f"{seed}; SHA-256 of seed and labels, printed before the first recording was written: `{seal}`.",
+            f"{len(scored)} cases{_of(len(scored), drawn)} ({', '.join(f'{n} {level}' for level, n in counts.items())}). "
+            f"Seed: {seed}. SHA-256 of seed and labels, printed before the first recording was written: `{seal}`.",
             table(found, own_shares(scored), sizes(scored)),
             learned_table(scored),
             *([outside_table(scored)] if any(counts[level] for level in NOT_IN_CATALOGUE) else []),
@@ -210,9 +210,8 @@ def mistake_table(kinds: Mapping[str, Sequence[Scored]]) -> str:
     """A list of mistakes by kind, with the page of the first of each and what the others were."""
     lines = ["Mistakes by kind. Each case: what was hidden, then what was named instead.", ""]
     for kind, of in kinds.items():
-        shown = "; ".join(f"{s.case.title}: {_verdict_of(s.answer)}" for s in of)
-        cases = f"{len(of)} {'case' if len(of) == 1 else 'cases'}"
-        lines.append(f"- {kind} ([the first]({file_name(kind)}.html)), {cases}: {shown}.")
+        lines.append(f"- {kind} ([the first]({file_name(kind)}.html)), {len(of)} {'case' if len(of) == 1 else 'cases'}:")
+        lines += [f"    - {s.case.title}: {_verdict_of(s.answer)}" for s in of]
     return "\n".join(lines)
 
 
