@@ -45,14 +45,14 @@ class Curves:
         """Within the sweep: nan beyond it."""
         rubber = model.rubber
         belt_degc = np.linspace(rubber.sweep_degc[0], rubber.sweep_degc[-1], 421)
-        moduli = [modulus(rubber.sweep_frequency, belt_degc) for modulus in (model.storage_modulus, model.loss_modulus)]
+        storage, loss = (modulus(rubber.sweep_frequency, belt_degc) for modulus in (model.storage_modulus, model.loss_modulus))
         log_f = np.linspace(*MASTER_LOG_HZ, 321)
         equivalent = model.equivalent_temperature(log_f + model.log_shift(MASTER_DEGC))
         inside = (equivalent > rubber.sweep_degc[0]) & (equivalent < rubber.sweep_degc[-1])
-        master = [
+        master_storage, master_loss = (
             np.where(inside, modulus(10.0**log_f, MASTER_DEGC), np.nan) for modulus in (model.storage_modulus, model.loss_modulus)
-        ]
-        return cls(model, belt_degc, *moduli, 10.0**log_f, *master)
+        )
+        return cls(model, belt_degc, storage, loss, 10.0**log_f, master_storage, master_loss)
 
     def write(self, out: Path) -> None:
         """Both as CSV."""

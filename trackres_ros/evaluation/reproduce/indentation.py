@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 MODULUS_PA = 40e6  # the paper's, section 2.4.1
 WHEEL_RADIUS = 0.13  # m, half the paper's diameter
-PAPER_LOADS_N = np.arange(1, 6) * 1e3
+PAPER_LOADS_N = np.asarray(np.arange(1, 6) * 1e3, np.float64)
 SEARCH_PARTS = 1000  # equation (11): a = j R / 1000
 SEARCH_TOLERANCE = 0.01  # and stops within 1 % of the load
 
